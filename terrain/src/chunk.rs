@@ -1,0 +1,292 @@
+//! Chunks: 65 x 65 vertices of one level, and what is derived from them.
+
+use crate::constants::{CELLS, UNITS_PER_METRE, VERTEX_COUNT, VERTICES};
+use crate::grass::GrassSeed;
+use crate::key::ChunkKey;
+use crate::land::Land;
+use crate::lod;
+use crate::pyramid::Pyramid;
+
+/// Levels below a chunk's own that its error is measured over; [`Chunk::error`] is exact up to this level.
+pub const MEASURED_DEPTH: u8 = 2;
+
+/// One chunk of the land.
+///
+/// A coarse vertex is the level-0 vertex at the same place, so chunks of all levels agree bit for bit on every
+/// vertex that they share.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Chunk {
+    /// Where and how coarse.
+    pub key: ChunkKey,
+    /// Heights in units of 2^-8 m: row by row from the low corner, x fastest.
+    pub heights: Box<[i32; VERTEX_COUNT]>,
+    /// Upper bound, in units, of the vertical distance between this chunk's drawn triangles and any level-0
+    /// vertex under them. Exact (measured) at levels 0 to [`MEASURED_DEPTH`]; above, the measured distance to the
+    /// level [`MEASURED_DEPTH`] below plus that level's own bound.
+    pub error: u32,
+    /// Upper bound of the gradient of the drawn triangles, Q8 (256 is 45 degrees), rounded up.
+    pub slope: u32,
+    /// Per-cell and per-block upper bounds of the drawn surface.
+    pub max_pyramid: Pyramid,
+    /// Per-cell and per-block lower bounds of the drawn surface.
+    pub min_pyramid: Pyramid,
+    /// Seed record of the grass on this chunk.
+    pub grass: GrassSeed,
+}
+
+impl Chunk {
+    /// Completes a chunk from what cannot be derived: pyramids, extremes and slope follow from the heights.
+    #[must_use]
+    pub fn from_parts(
+        key: ChunkKey,
+        heights: Box<[i32; VERTEX_COUNT]>,
+        error: u32,
+        grass: GrassSeed,
+    ) -> Self {
+        let slope = slope_bound(&heights, key.spacing());
+        let (max_pyramid, min_pyramid) = (Pyramid::of_maxima(&heights), Pyramid::of_minima(&heights));
+        Self { key, heights, error, slope, max_pyramid, min_pyramid, grass }
+    }
+
+    /// Lowest vertex, units.
+    #[must_use]
+    pub fn min(&self) -> i32 {
+        self.min_pyramid.top()
+    }
+
+    /// Highest vertex, units.
+    #[must_use]
+    pub fn max(&self) -> i32 {
+        self.max_pyramid.top()
+    }
+
+    /// Height of the vertex in column `x`, row `z` (both below 65), units.
+    #[must_use]
+    pub fn vertex(&self, x: usize, z: usize) -> i32 {
+        self.heights[z * VERTICES + x]
+    }
+}
+
+impl Land {
+    /// Generates one chunk.
+    #[must_use]
+    pub fn chunk(&self, key: ChunkKey) -> Chunk {
+        let heights = self.chunk_heights(key);
+        let error = self.chunk_error(key, &heights);
+        let grass = GrassSeed::grow(self.world_seed(), key, &heights);
+        Chunk::from_parts(key, heights, error, grass)
+    }
+
+    /// The heights of one chunk alone: what the digest, the load test's comparison and timings need.
+    #[must_use]
+    pub fn chunk_heights(&self, key: ChunkKey) -> Box<[i32; VERTEX_COUNT]> {
+        let mut heights = Box::new([0; VERTEX_COUNT]);
+        let (x0, z0) = key.origin();
+        let mut scratch = Vec::with_capacity(VERTICES);
+        for (row, out) in heights.chunks_exact_mut(VERTICES).enumerate() {
+            self.height_row(x0, step(z0, key.spacing(), row), key.spacing(), out, &mut scratch);
+        }
+        heights
+    }
+
+    /// See [`Chunk::error`].
+    fn chunk_error(&self, key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> u32 {
+        let (x0, z0) = key.origin();
+        if key.level() == 0 || self.archipelago().is_open_sea(x0, z0, key.side()) {
+            return 0;
+        }
+        let depth = key.level().min(MEASURED_DEPTH);
+        let below = key.level() - depth;
+        let parts = 1usize << depth;
+        let spacing = key.spacing() >> depth;
+        let mut fine = vec![0; CELLS * parts + 1];
+        let mut scratch = Vec::new();
+        let mut worst = 0i64;
+        for row in 0..=CELLS * parts {
+            self.height_row(x0, step(z0, spacing, row), spacing, &mut fine, &mut scratch);
+            for (column, height) in fine.iter().enumerate() {
+                let drawn = drawn_height_scaled(heights, column, row, depth);
+                worst = worst.max((i64::from(*height) * parts as i64 - drawn).abs());
+            }
+        }
+        // Rounded up from fractions of a unit, then the finer level's own bound on top.
+        let measured = (worst as u64).div_ceil(parts as u64) as u32;
+        measured + if below == 0 { 0 } else { lod::level_error(below) }
+    }
+}
+
+/// The coordinate `index` vertices from an edge. In the root chunk the offset reaches 2^31 and wraps; the sum is
+/// right modulo 2^32.
+fn step(edge: i32, spacing: i32, index: usize) -> i32 {
+    edge.wrapping_add(spacing.wrapping_mul(index as i32))
+}
+
+/// Height of the drawn surface at a point of the grid that is `2^depth` times finer, in units times `2^depth`.
+///
+/// `column` and `row` count points of the finer grid from the low corner, up to `64 * 2^depth`. The diagonal rule: every cell is
+/// cut from its low corner to its high corner.
+#[must_use]
+pub fn drawn_height_scaled(heights: &[i32; VERTEX_COUNT], column: usize, row: usize, depth: u8) -> i64 {
+    let step = 1usize << depth;
+    // The last column and row belong to the last cell.
+    let (x, z) = ((column >> depth).min(CELLS - 1), (row >> depth).min(CELLS - 1));
+    let (fx, fz) = ((column - x * step) as i64, (row - z * step) as i64);
+    let corner = |dx: usize, dz: usize| i64::from(heights[(z + dz) * VERTICES + x + dx]);
+    let (low, high) = (corner(0, 0), corner(1, 1));
+    if fx >= fz {
+        let side = corner(1, 0);
+        low * step as i64 + (side - low) * fx + (high - side) * fz
+    } else {
+        let side = corner(0, 1);
+        low * step as i64 + (side - low) * fz + (high - side) * fx
+    }
+}
+
+/// See [`Chunk::slope`].
+fn slope_bound(heights: &[i32; VERTEX_COUNT], spacing: i32) -> u32 {
+    let mut worst = 0u64;
+    for z in 0..CELLS {
+        for x in 0..CELLS {
+            let at = |dx: usize, dz: usize| i64::from(heights[(z + dz) * VERTICES + x + dx]);
+            let (h00, h10, h01, h11) = (at(0, 0), at(1, 0), at(0, 1), at(1, 1));
+            let square = |east: i64, south: i64| east.unsigned_abs().pow(2) + south.unsigned_abs().pow(2);
+            worst = worst.max(square(h10 - h00, h11 - h10)).max(square(h11 - h01, h01 - h00));
+        }
+    }
+    // ceil(256 * sqrt(worst) / spacing): sqrt rounded up first, so the bound can only grow.
+    let root = worst.isqrt() + u64::from(!is_square(worst));
+    (root * UNITS_PER_METRE as u64).div_ceil(spacing as u64) as u32
+}
+
+fn is_square(value: u64) -> bool {
+    value.isqrt().pow(2) == value
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::constants::{TOP_LEVEL, WORLD_HALF};
+    use crate::position::Position;
+
+    fn key(level: u8, x: i32, z: i32) -> ChunkKey {
+        ChunkKey::new(level, x, z).unwrap()
+    }
+
+    #[test]
+    fn every_vertex_is_the_level_0_height_at_its_place() {
+        let land = Land::new(4);
+        for key in [key(0, 0, 0), key(0, -1, 5), key(3, -2, 1), key(9, 3, -3), key(TOP_LEVEL, 0, 0)] {
+            let heights = land.chunk_heights(key);
+            let (x0, z0) = key.origin();
+            for (index, height) in heights.iter().enumerate() {
+                let (column, row) = ((index % VERTICES) as i64, (index / VERTICES) as i64);
+                let spacing = i64::from(key.spacing());
+                let (x, z) = (i64::from(x0) + column * spacing, i64::from(z0) + row * spacing);
+                let position = Position::new(x as i32, z as i32).unwrap();
+                assert_eq!(*height, land.height_at(position), "{key} vertex ({column}, {row})");
+            }
+        }
+    }
+
+    #[test]
+    fn seams_are_equal_bit_for_bit_between_neighbours_at_every_level_and_at_the_world_border() {
+        let land = Land::new(77);
+        for level in 0..TOP_LEVEL {
+            let last = ChunkKey::containing(level, WORLD_HALF, WORLD_HALF).x();
+            for (x, z) in [(-1, -1), (-1, 2.min(last)), (last - 1, last), (-last - 1, -1)] {
+                let here = land.chunk_heights(key(level, x, z));
+                let east = land.chunk_heights(key(level, x + 1, z));
+                for row in 0..VERTICES {
+                    assert_eq!(
+                        here[row * VERTICES + CELLS],
+                        east[row * VERTICES],
+                        "level {level} ({x}, {z})"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn seams_are_equal_bit_for_bit_across_levels() {
+        let land = Land::new(77);
+        for level in 1..=TOP_LEVEL {
+            let parent = ChunkKey::containing(level, 40_000, -90_000);
+            let coarse = land.chunk_heights(parent);
+            for (child, (dx, dz)) in
+                parent.children().unwrap().into_iter().zip([(0, 0), (32, 0), (0, 32), (32, 32)])
+            {
+                let fine = land.chunk_heights(child);
+                for row in (0..VERTICES).step_by(2) {
+                    for column in (0..VERTICES).step_by(2) {
+                        let above = coarse[(row / 2 + dz) * VERTICES + column / 2 + dx];
+                        assert_eq!(fine[row * VERTICES + column], above);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Brute force over every level-0 vertex under the chunk, in f64, with the diagonal rule said another way.
+    fn naive_error(land: &Land, chunk: &Chunk) -> f64 {
+        let (x0, z0) = chunk.key.origin();
+        let step = 1usize << chunk.key.level();
+        let mut worst = 0f64;
+        for row in 0..=CELLS * step {
+            for column in 0..=CELLS * step {
+                let (x, z) = ((column / step).min(CELLS - 1), (row / step).min(CELLS - 1));
+                let (fx, fz) = (column as f64 / step as f64 - x as f64, row as f64 / step as f64 - z as f64);
+                let corner = |dx, dz| f64::from(chunk.vertex(x + dx, z + dz));
+                let (upper, lower) = (fx.max(fz), fx.min(fz));
+                let side = if fx >= fz { corner(1, 0) } else { corner(0, 1) };
+                let drawn = corner(0, 0) * (1.0 - upper) + side * (upper - lower) + corner(1, 1) * lower;
+                let place = Position::new(x0 + column as i32 * 512, z0 + row as i32 * 512).unwrap();
+                worst = worst.max((drawn - f64::from(land.height_at(place))).abs());
+            }
+        }
+        worst
+    }
+
+    #[test]
+    fn error_is_exact_where_measured_and_never_below_the_truth_above() {
+        let land = Land::new(3);
+        for key in [key(0, 3, 3), key(1, 4, -3), key(2, -3, 2), key(3, 1, 1), key(4, -1, 0)] {
+            let chunk = land.chunk(key);
+            let truth = naive_error(&land, &chunk).ceil() as u32;
+            if key.level() <= MEASURED_DEPTH {
+                assert_eq!(chunk.error, truth, "{key}");
+            } else {
+                assert!(
+                    chunk.error >= truth && chunk.error < 4 * truth,
+                    "{key}: {} against {truth}",
+                    chunk.error
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn extremes_slope_and_pyramids_follow_from_the_heights() {
+        let chunk = Land::new(1).chunk(key(0, 10, -7));
+        assert_eq!(chunk.min(), *chunk.heights.iter().min().unwrap());
+        assert_eq!(chunk.max(), *chunk.heights.iter().max().unwrap());
+        let steepest = (0..CELLS)
+            .flat_map(|z| (0..CELLS).map(move |x| (x, z)))
+            .flat_map(|(x, z)| {
+                let h = |dx: usize, dz: usize| f64::from(chunk.vertex(x + dx, z + dz)) / 512.0;
+                [(h(1, 0) - h(0, 0)).hypot(h(1, 1) - h(1, 0)), (h(1, 1) - h(0, 1)).hypot(h(0, 1) - h(0, 0))]
+            })
+            .fold(0.0, f64::max);
+        assert!(
+            (f64::from(chunk.slope) / 256.0 - steepest).abs() < 0.01
+                && f64::from(chunk.slope) >= steepest * 256.0
+        );
+    }
+
+    #[test]
+    fn open_sea_is_flat_without_error_or_grass() {
+        let chunk = Land::new(1).chunk(key(0, 60, 60));
+        assert_eq!((chunk.min(), chunk.max(), chunk.error, chunk.slope), (-64 * 256, -64 * 256, 0, 0));
+        assert!(chunk.grass.density.iter().all(|share| *share == 0));
+    }
+}

@@ -1,0 +1,118 @@
+//! The world digest: one name for "the same generator with the same parameters".
+//!
+//! Peers compare digests before any chunk is exchanged, and chunk addresses contain it, so a cached chunk can
+//! never be served to another world.
+
+use crate::constants::{GENERATOR_VERSION, OCTAVE_SHIFT, OCTAVES, WORLD_HALF};
+use crate::hash::mix;
+use crate::island::Archipelago;
+use crate::land::Land;
+use crate::position::Position;
+use std::fmt;
+
+/// blake3 over the generator version, the seed and the heights of the probe set.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub struct WorldDigest(pub [u8; 32]);
+
+impl Land {
+    /// The digest of this world: blake3 of the generator version (u32), the seed (u64) and the height (i32) of
+    /// every probe in order, all little-endian. Takes about a millisecond.
+    #[must_use]
+    pub fn digest(&self) -> WorldDigest {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(&GENERATOR_VERSION.to_le_bytes());
+        hasher.update(&self.world_seed().to_le_bytes());
+        for probe in probes() {
+            hasher.update(&self.height_at(probe).to_le_bytes());
+        }
+        WorldDigest(*hasher.finalize().as_bytes())
+    }
+}
+
+/// The probe set, the same for every world: first all pairs of the edge values, then points that spread
+/// over the home island and over the whole world.
+pub fn probes() -> impl Iterator<Item = Position> {
+    let edges = edge_values();
+    let pairs = edges.clone().into_iter().flat_map(move |x| edges.clone().into_iter().map(move |z| (x, z)));
+    let scattered = (0..2048u32).flat_map(|n| {
+        let (x, z) = (mix(2 * n) as i32, mix(2 * n + 1) as i32);
+        [(x >> 10, z >> 10), (x >> 1, z >> 1)]
+    });
+    pairs.chain(scattered).filter_map(|(x, z)| Position::new(x, z).ok())
+}
+
+/// Coordinates where an implementation is most likely to go wrong: zero, the world's border, and one unit
+/// around the first lattice line of every octave on both sides of the origin.
+fn edge_values() -> Vec<i32> {
+    let mut values = vec![-WORLD_HALF, -WORLD_HALF + 1, WORLD_HALF - 1, WORLD_HALF, 0];
+    for octave in 0..OCTAVES {
+        let cell = 1 << (crate::constants::FIRST_CELL_BITS - octave as u32);
+        for line in [cell - OCTAVE_SHIFT[octave].0, -cell - OCTAVE_SHIFT[octave].1] {
+            values.extend([line - 1, line, line + 1]);
+        }
+    }
+    values.sort_unstable();
+    values.dedup();
+    values
+}
+
+impl WorldDigest {
+    /// Parses 64 hexadecimal digits, either case.
+    #[must_use]
+    pub fn from_hex(text: &str) -> Option<Self> {
+        blake3::Hash::from_hex(text).ok().map(|hash| Self(*hash.as_bytes()))
+    }
+}
+
+impl fmt::Display for WorldDigest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for WorldDigest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "WorldDigest({self})")
+    }
+}
+
+/// Whether the probe set reaches land; a digest of sea floor alone would tell nothing.
+#[must_use]
+pub fn probes_on_islands(land: &Land) -> usize {
+    let on_island = |p: &Position| {
+        let island = land.archipelago().island(Archipelago::cell(p.x()), Archipelago::cell(p.z()));
+        island.is_some_and(|island| island.falloff(p.x(), p.z()) > 0)
+    };
+    probes().filter(on_island).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_digest_of_seed_zero_is_frozen() {
+        // A change here is a change of the world: bump GENERATOR_VERSION and say so in the CHANGELOG.
+        assert_eq!(
+            Land::new(0).digest().to_string(),
+            "0b621a3f28074fe3d5ac0ce75867ba93c5e9ba3f39d48be28ab5189f19fbb039"
+        );
+    }
+
+    #[test]
+    fn every_seed_has_its_own_digest_and_most_probes_touch_land() {
+        let (one, two) = (Land::new(1), Land::new(1 << 32 | 1));
+        assert_ne!(one.digest(), two.digest());
+        assert!(probes_on_islands(&one) * 2 > probes().count());
+    }
+
+    #[test]
+    fn digests_survive_text_and_reject_other_text() {
+        let digest = Land::new(8).digest();
+        assert_eq!(WorldDigest::from_hex(&digest.to_string()), Some(digest));
+        assert_eq!(WorldDigest::from_hex(&digest.to_string().to_uppercase()), Some(digest));
+        for bad in ["", "00", &"g".repeat(64), &"0".repeat(65)] {
+            assert_eq!(WorldDigest::from_hex(bad), None);
+        }
+    }
+}
