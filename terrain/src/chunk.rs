@@ -22,7 +22,7 @@ pub struct Chunk {
     pub heights: Box<[i32; VERTEX_COUNT]>,
     /// Upper bound, in units, of the vertical distance between this chunk's drawn triangles and any level-0
     /// vertex under them. Exact (measured) at levels 0 to [`MEASURED_DEPTH`]; above, the measured distance to the
-    /// level [`MEASURED_DEPTH`] below plus that level's own bound.
+    /// level [`MEASURED_DEPTH`] below plus that level's own bound, and never above [`lod::level_error`].
     pub error: u32,
     /// Upper bound of the gradient of the drawn triangles, Q8 (256 is 45 degrees), rounded up.
     pub slope: u32,
@@ -111,7 +111,7 @@ impl Land {
         }
         // Rounded up from fractions of a unit, then the finer level's own bound on top.
         let measured = (worst as u64).div_ceil(parts as u64) as u32;
-        measured + if below == 0 { 0 } else { lod::level_error(below) }
+        (measured + lod::level_error(below)).min(lod::level_error(key.level()))
     }
 }
 
