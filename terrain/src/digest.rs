@@ -3,7 +3,7 @@
 //! Peers compare digests before any chunk is exchanged, and chunk addresses contain it, so a cached chunk can
 //! never be served to another world.
 
-use crate::constants::{GENERATOR_VERSION, OCTAVE_SHIFT, OCTAVES, WORLD_HALF};
+use crate::constants::{FIRST_CELL_BITS, GENERATOR_VERSION, OCTAVE_SHIFT, WORLD_HALF};
 use crate::hash::mix;
 use crate::island::Archipelago;
 use crate::land::Land;
@@ -45,9 +45,9 @@ pub fn probes() -> impl Iterator<Item = Position> {
 /// around the first lattice line of every octave on both sides of the origin.
 fn edge_values() -> Vec<i32> {
     let mut values = vec![-WORLD_HALF, -WORLD_HALF + 1, WORLD_HALF - 1, WORLD_HALF, 0];
-    for octave in 0..OCTAVES {
-        let cell = 1 << (crate::constants::FIRST_CELL_BITS - octave as u32);
-        for line in [cell - OCTAVE_SHIFT[octave].0, -cell - OCTAVE_SHIFT[octave].1] {
+    for (octave, (shift_x, shift_z)) in OCTAVE_SHIFT.into_iter().enumerate() {
+        let cell = 1 << (FIRST_CELL_BITS - octave as u32);
+        for line in [cell - shift_x, -cell - shift_z] {
             values.extend([line - 1, line, line + 1]);
         }
     }

@@ -103,7 +103,7 @@ impl Island {
         // r² in square quarter metres is 2^16 n², so 2^24/r² in Q16 times 2^32 for `mul_hi_u` is 2^40/n².
         // Long division in two steps keeps to 32 bits; both quotients are exact.
         let n2 = radius_steps * radius_steps;
-        let inverse = ((1u32 << 31) / n2 << 9) + ((1u32 << 31) % n2 << 9) / n2;
+        let inverse = (((1u32 << 31) / n2) << 9) + (((1u32 << 31) % n2) << 9) / n2;
         Self { centre, radius_m: radius_steps as i32 * ISLAND_RADIUS_STEP_M, dome_m, inverse }
     }
 

@@ -35,9 +35,9 @@ impl Fbm {
     #[must_use]
     pub fn at(&self, x: i32, z: i32) -> Relief {
         let mut relief = Relief::default();
-        for octave in 0..OCTAVES {
-            let (x, cell_x) = lattice(octave, x, OCTAVE_SHIFT[octave].0);
-            let (z, cell_z) = lattice(octave, z, OCTAVE_SHIFT[octave].1);
+        for (octave, (shift_x, shift_z)) in OCTAVE_SHIFT.into_iter().enumerate() {
+            let (x, cell_x) = lattice(octave, x, shift_x);
+            let (z, cell_z) = lattice(octave, z, shift_z);
             let corners = Corners::of_cell(self.seeds[octave], cell_x, cell_z);
             relief.add(octave, corners.value(x, fade(x), z, fade(z)));
         }
@@ -49,13 +49,13 @@ impl Fbm {
     /// Hashes each lattice cell once instead of once per point.
     pub fn row(&self, x0: i32, z: i32, spacing: i32, out: &mut [Relief]) {
         out.fill(Relief::default());
-        for octave in 0..OCTAVES {
-            let (fraction_z, cell_z) = lattice(octave, z, OCTAVE_SHIFT[octave].1);
+        for (octave, (shift_x, shift_z)) in OCTAVE_SHIFT.into_iter().enumerate() {
+            let (fraction_z, cell_z) = lattice(octave, z, shift_z);
             let fade_z = fade(fraction_z);
             let mut cell = None;
             let mut x = x0;
             for relief in &mut *out {
-                let (fraction_x, cell_x) = lattice(octave, x, OCTAVE_SHIFT[octave].0);
+                let (fraction_x, cell_x) = lattice(octave, x, shift_x);
                 let corners = match cell {
                     Some((cached, corners)) if cached == cell_x => corners,
                     _ => Corners::of_cell(self.seeds[octave], cell_x, cell_z),

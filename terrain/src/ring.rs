@@ -11,7 +11,6 @@
 /// High 32 bits of the signed 64-bit product: `floor(a * b / 2^32)`.
 #[must_use]
 #[inline]
-#[expect(clippy::cast_possible_truncation, reason = "the high half of a 64-bit product fits in 32 bits")]
 pub const fn mul_hi(a: i32, b: i32) -> i32 {
     ((a as i64 * b as i64) >> 32) as i32
 }
@@ -19,7 +18,6 @@ pub const fn mul_hi(a: i32, b: i32) -> i32 {
 /// High 32 bits of the unsigned 64-bit product: `floor(a * b / 2^32)`.
 #[must_use]
 #[inline]
-#[expect(clippy::cast_possible_truncation, reason = "the high half of a 64-bit product fits in 32 bits")]
 pub const fn mul_hi_u(a: u32, b: u32) -> u32 {
     ((a as u64 * b as u64) >> 32) as u32
 }

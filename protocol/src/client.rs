@@ -1,0 +1,207 @@
+//! The client's side of a session, without IO.
+//!
+//! Feed it frames with [`ClientSession::receive`], send what [`ClientSession::poll_transmit`] yields, and act on the
+//! events. It grants credits by itself: a fixed window, refilled when half of it is used, so that the server never
+//! owes more than the window and grants cost little.
+
+use crate::Incoming;
+use crate::chunk_codec;
+use crate::control;
+use crate::error::{ControlError, PeerFault};
+use crate::limits::{MAX_CREDITS, MAX_KEYS, MAX_TEXT};
+use crate::message::{ClientMessage, Hello, Refused, Rejection, ServerMessage, Welcome, WireKey};
+use crate::view::View;
+use bytes::Bytes;
+use std::collections::VecDeque;
+use terrain::{Chunk, ChunkKey, WorldDigest};
+
+/// What a client brings to a session.
+#[derive(Clone, Debug)]
+pub struct ClientConfig {
+    /// The world to insist on; none accepts any.
+    pub digest: Option<WorldDigest>,
+    /// Access token, where the server asks for one.
+    pub token: Option<String>,
+    /// Name and version for the server's logs; cut to [`MAX_TEXT`] bytes.
+    pub software: String,
+    /// Chunks that may be under way at once, 1 to [`MAX_CREDITS`].
+    pub window: u32,
+}
+
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// The handshake succeeded.
+    Welcome(Welcome),
+    /// A chunk arrived and was verified against the world's digest.
+    Chunk {
+        /// The chunk.
+        chunk: Box<Chunk>,
+        /// Bytes of its frame.
+        bytes: usize,
+    },
+    /// Every chunk of a view has been sent.
+    Settled {
+        /// The view's id.
+        view: u32,
+        /// Chunks that the view needs.
+        chunks: u32,
+    },
+    /// Something asked for is not delivered.
+    Refused(Refused),
+    /// The server is about to close.
+    Draining {
+        /// Delay before reconnecting, milliseconds.
+        reconnect_after_ms: u32,
+    },
+}
+
+/// One session, from the first frame to the close.
+#[derive(Debug)]
+pub struct ClientSession {
+    /// Set by the Welcome; before it nothing but the handshake may arrive.
+    world: Option<WorldDigest>,
+    expected: Option<WorldDigest>,
+    window: u32,
+    /// Granted and not yet used.
+    credits: u32,
+    next_request: u32,
+    /// Frames to send. Bounded by what the caller asks between two polls.
+    outbox: VecDeque<Bytes>,
+}
+
+impl ClientSession {
+    /// Starts a session: the handshake and the first credits are ready to send.
+    #[must_use]
+    pub fn new(config: ClientConfig) -> Self {
+        let window = config.window.clamp(1, MAX_CREDITS);
+        let mut session = Self {
+            world: None,
+            expected: config.digest,
+            window,
+            credits: window,
+            next_request: 0,
+            outbox: VecDeque::new(),
+        };
+        session.send(&ClientMessage::Hello(Hello {
+            digest: config.digest.map(|digest| digest.0),
+            token: config.token.map(cut),
+            software: cut(config.software),
+        }));
+        session.send(&ClientMessage::Credit { chunks: window });
+        session
+    }
+
+    /// The next frame to send, if any.
+    pub fn poll_transmit(&mut self) -> Option<Bytes> {
+        self.outbox.pop_front()
+    }
+
+    /// Takes one frame from the server.
+    ///
+    /// # Errors
+    /// The server broke the protocol or refused the session: close with the fault's code.
+    pub fn receive(&mut self, frame: Incoming<'_>) -> Result<Event, PeerFault> {
+        let Incoming::Binary(bytes) = frame else { return Err(PeerFault::Text) };
+        if bytes.starts_with(&chunk_codec::MAGIC) {
+            return self.receive_chunk(bytes);
+        }
+        let message = control::decode(bytes).map_err(|error| match error {
+            ControlError::Version { theirs, ours } => {
+                PeerFault::Rejected(Rejection::WrongVersion { client: ours, server: theirs })
+            }
+            other => other.into(),
+        })?;
+        match (message, self.world) {
+            (ServerMessage::Welcome(welcome), None) => {
+                let digest = WorldDigest(welcome.digest);
+                if let Some(expected) = self.expected.filter(|expected| *expected != digest) {
+                    return Err(PeerFault::Rejected(Rejection::WrongWorld {
+                        client: expected.0,
+                        server: digest.0,
+                    }));
+                }
+                self.world = Some(digest);
+                Ok(Event::Welcome(welcome))
+            }
+            (ServerMessage::Welcome(_), Some(_)) => Err(PeerFault::OutOfOrder("a second Welcome")),
+            (ServerMessage::Rejected(rejection), None) => Err(PeerFault::Rejected(rejection)),
+            (ServerMessage::Draining { reconnect_after_ms }, _) => Ok(Event::Draining { reconnect_after_ms }),
+            (_, None) => Err(PeerFault::OutOfOrder("a message before the Welcome")),
+            (ServerMessage::Rejected(_), _) => Err(PeerFault::OutOfOrder("a rejection after the Welcome")),
+            (ServerMessage::Settled { view, chunks }, _) => Ok(Event::Settled { view, chunks }),
+            (ServerMessage::Refused(refused), _) => Ok(Event::Refused(refused)),
+        }
+    }
+
+    fn receive_chunk(&mut self, frame: &[u8]) -> Result<Event, PeerFault> {
+        let world = self.world.ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
+        self.credits = self.credits.checked_sub(1).ok_or(PeerFault::CreditOverrun)?;
+        let chunk = chunk_codec::decode(frame, &world)?;
+        if self.credits <= self.window / 2 {
+            let chunks = self.window - self.credits;
+            self.credits = self.window;
+            self.send(&ClientMessage::Credit { chunks });
+        }
+        Ok(Event::Chunk { chunk: Box::new(chunk), bytes: frame.len() })
+    }
+
+    /// Says what the client sees now.
+    pub fn set_view(&mut self, view: View) {
+        self.send(&ClientMessage::View(view));
+    }
+
+    /// Asks for chunks by key. Returns the id of the first of the requests made: one for every [`MAX_KEYS`] keys.
+    pub fn request(&mut self, keys: &[ChunkKey]) -> u32 {
+        let first = self.next_request;
+        for part in keys.chunks(MAX_KEYS) {
+            let id = self.next_request;
+            self.next_request = self.next_request.wrapping_add(1);
+            self.send(&ClientMessage::Request { id, keys: wire(part) });
+        }
+        first
+    }
+
+    /// Says that chunks were dropped and may be needed again.
+    pub fn release(&mut self, keys: &[ChunkKey]) {
+        for part in keys.chunks(MAX_KEYS) {
+            self.send(&ClientMessage::Release { keys: wire(part) });
+        }
+    }
+
+    /// Says that chunks of this world are already here, so that a new session does not send them again.
+    pub fn holding(&mut self, keys: &[ChunkKey]) {
+        for part in keys.chunks(MAX_KEYS) {
+            self.send(&ClientMessage::Holding { keys: wire(part) });
+        }
+    }
+
+    /// The world of the session, once welcomed.
+    #[must_use]
+    pub const fn world(&self) -> Option<WorldDigest> {
+        self.world
+    }
+
+    /// Chunks that the server may still send.
+    #[must_use]
+    pub const fn credits(&self) -> u32 {
+        self.credits
+    }
+
+    fn send(&mut self, message: &ClientMessage) {
+        // Cannot fail: texts are cut and key lists are split before they get here.
+        if let Ok(frame) = control::encode(message) {
+            self.outbox.push_back(frame);
+        }
+    }
+}
+
+fn wire(keys: &[ChunkKey]) -> Vec<WireKey> {
+    keys.iter().copied().map(WireKey::from).collect()
+}
+
+/// Cuts a text to the limit at a character border.
+fn cut(mut text: String) -> String {
+    text.truncate(text.floor_char_boundary(MAX_TEXT));
+    text
+}

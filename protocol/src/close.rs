@@ -1,0 +1,125 @@
+//! Close codes: why a connection ended, as a number that software can act on.
+
+use std::fmt;
+
+/// The WebSocket close codes that this protocol uses (RFC 6455, section 7.4; 4000 and up are ours).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(u16)]
+pub enum CloseCode {
+    /// The session ended as intended.
+    Normal = 1000,
+    /// The server shuts down; reconnect after the hinted delay.
+    GoingAway = 1001,
+    /// A text frame arrived; this protocol is binary only.
+    TextFrame = 1003,
+    /// A frame exceeded the size limit.
+    TooLarge = 1009,
+    /// The server failed; reconnecting may help.
+    Internal = 1011,
+    /// The server is full; try again later.
+    Busy = 1013,
+    /// A frame could not be decoded.
+    Malformed = 4400,
+    /// The token is missing or wrong; reconnecting with the same one will not help.
+    Unauthorised = 4401,
+    /// A valid message at the wrong time, for example before the handshake.
+    OutOfOrder = 4402,
+    /// The handshake did not arrive in time.
+    HandshakeTimeout = 4408,
+    /// The peers speak different protocol versions.
+    WrongVersion = 4409,
+    /// The peers disagree about the world.
+    WrongWorld = 4410,
+    /// The peer took too long to read or went silent.
+    Unresponsive = 4411,
+}
+
+impl CloseCode {
+    /// The number on the wire.
+    #[must_use]
+    pub const fn code(self) -> u16 {
+        self as u16
+    }
+
+    /// The code of a number, if it is one of ours.
+    #[must_use]
+    pub fn from_code(code: u16) -> Option<Self> {
+        use CloseCode::{
+            Busy, GoingAway, HandshakeTimeout, Internal, Malformed, Normal, OutOfOrder, TextFrame, TooLarge,
+            Unauthorised, Unresponsive, WrongVersion, WrongWorld,
+        };
+        [
+            Normal,
+            GoingAway,
+            TextFrame,
+            TooLarge,
+            Internal,
+            Busy,
+            Malformed,
+            Unauthorised,
+            OutOfOrder,
+            HandshakeTimeout,
+            WrongVersion,
+            WrongWorld,
+            Unresponsive,
+        ]
+        .into_iter()
+        .find(|known| known.code() == code)
+    }
+
+    /// Whether the same client may succeed by connecting again later.
+    #[must_use]
+    pub const fn is_retryable(self) -> bool {
+        matches!(
+            self,
+            Self::GoingAway | Self::Internal | Self::Busy | Self::Unresponsive | Self::HandshakeTimeout
+        )
+    }
+}
+
+impl fmt::Display for CloseCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let words = match self {
+            Self::Normal => "session ended",
+            Self::GoingAway => "server is shutting down",
+            Self::TextFrame => "text frames are not part of this protocol",
+            Self::TooLarge => "frame exceeds the size limit",
+            Self::Internal => "server failure",
+            Self::Busy => "server is full",
+            Self::Malformed => "malformed frame",
+            Self::Unauthorised => "missing or wrong token",
+            Self::OutOfOrder => "message out of order",
+            Self::HandshakeTimeout => "handshake timed out",
+            Self::WrongVersion => "protocol versions differ",
+            Self::WrongWorld => "worlds differ",
+            Self::Unresponsive => "peer unresponsive",
+        };
+        write!(f, "{words} ({})", self.code())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_survive_the_wire_and_strangers_are_none() {
+        for code in 0..5000 {
+            if let Some(known) = CloseCode::from_code(code) {
+                assert_eq!(known.code(), code);
+            }
+        }
+        assert_eq!(CloseCode::from_code(4409), Some(CloseCode::WrongVersion));
+        assert_eq!(CloseCode::from_code(4999), None);
+    }
+
+    #[test]
+    fn a_refusal_that_cannot_change_is_not_retried() {
+        assert!(CloseCode::GoingAway.is_retryable() && CloseCode::Busy.is_retryable());
+        for fatal in
+            [CloseCode::WrongVersion, CloseCode::WrongWorld, CloseCode::Unauthorised, CloseCode::Malformed]
+        {
+            assert!(!fatal.is_retryable());
+        }
+    }
+}

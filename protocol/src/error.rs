@@ -1,0 +1,129 @@
+//! What can be wrong with a peer's bytes or behaviour, one variant per thing that somebody acts on.
+
+use crate::close::CloseCode;
+use crate::limits::{MAX_CHUNK_FRAME, MAX_CONTROL_FRAME, MAX_KEYS, MAX_TEXT};
+use crate::message::Rejection;
+use terrain::InvalidKey;
+use thiserror::Error;
+
+/// Why a control frame was not accepted.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ControlError {
+    /// Longer than [`MAX_CONTROL_FRAME`].
+    #[error("control frame of {0} bytes exceeds the limit of {MAX_CONTROL_FRAME}")]
+    TooLong(usize),
+    /// Shorter than its header, or cut off inside the body.
+    #[error("control frame is truncated")]
+    Truncated,
+    /// The first four bytes are not the control magic.
+    #[error("control frame does not start with the magic `TMBM`")]
+    BadMagic,
+    /// The sender speaks another protocol version.
+    #[error("peer speaks protocol version {theirs}, this side speaks {ours}")]
+    Version {
+        /// The version in the frame.
+        theirs: u16,
+        /// [`crate::PROTOCOL_VERSION`].
+        ours: u16,
+    },
+    /// The body names no known message, or a field has no valid value.
+    #[error("control message is invalid: {0}")]
+    Invalid(String),
+    /// Bytes are left after the message.
+    #[error("{0} trailing bytes after the control message")]
+    Trailing(usize),
+    /// A list holds more keys than allowed.
+    #[error("message lists {0} chunk keys, the limit is {MAX_KEYS}")]
+    TooManyKeys(usize),
+    /// A text field is longer than allowed.
+    #[error("text field of {0} bytes exceeds the limit of {MAX_TEXT}")]
+    TextTooLong(usize),
+}
+
+/// Why a chunk frame was not accepted.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ChunkError {
+    /// Shorter than its header says, or than the header itself.
+    #[error("chunk frame is truncated: {got} bytes of {expected}")]
+    Truncated {
+        /// Bytes present.
+        got: usize,
+        /// Bytes needed.
+        expected: usize,
+    },
+    /// Longer than its header says.
+    #[error("{0} trailing bytes after the chunk")]
+    Trailing(usize),
+    /// Longer than any valid chunk.
+    #[error("chunk frame of {0} bytes exceeds the limit of {MAX_CHUNK_FRAME}")]
+    TooLong(usize),
+    /// The first four bytes are not the chunk magic.
+    #[error("chunk frame does not start with the magic `TMBC`")]
+    BadMagic,
+    /// A chunk format that this side does not know.
+    #[error("chunk format version {0} is unknown")]
+    UnknownVersion(u16),
+    /// A coding that this side does not know.
+    #[error("chunk coding {0} is unknown")]
+    UnknownKind(u8),
+    /// A key that names no chunk.
+    #[error("chunk frame carries an invalid key: {0}")]
+    Key(#[from] InvalidKey),
+    /// A length field outside what any payload can have.
+    #[error("chunk frame declares an impossible {field} length of {value}")]
+    Length {
+        /// Which length.
+        field: &'static str,
+        /// Its value.
+        value: u32,
+    },
+    /// The compressed payload does not decode to the declared length.
+    #[error("chunk payload does not decompress to its declared length")]
+    Compression,
+    /// The payload was made for another world, or was damaged.
+    #[error("chunk digest does not match its content in this world")]
+    Digest,
+    /// A decoded value breaks a rule that the header or the format states.
+    #[error("chunk content breaks a rule: {0}")]
+    Content(&'static str),
+}
+
+/// Why a peer must be disconnected.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum PeerFault {
+    /// A control frame could not be accepted.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+    /// A chunk frame could not be accepted.
+    #[error(transparent)]
+    Chunk(#[from] ChunkError),
+    /// A text frame arrived.
+    #[error("a text frame arrived; this protocol is binary only")]
+    Text,
+    /// A valid message at the wrong time.
+    #[error("out of order: {0}")]
+    OutOfOrder(&'static str),
+    /// More chunks arrived than credits were granted.
+    #[error("the server sent a chunk without credit")]
+    CreditOverrun,
+    /// The handshake was refused.
+    #[error("refused: {0}")]
+    Rejected(Rejection),
+}
+
+impl PeerFault {
+    /// The close code that tells the peer.
+    #[must_use]
+    pub fn close_code(&self) -> CloseCode {
+        match self {
+            Self::Control(ControlError::Version { .. }) => CloseCode::WrongVersion,
+            Self::Control(ControlError::TooLong(_)) | Self::Chunk(ChunkError::TooLong(_)) => {
+                CloseCode::TooLarge
+            }
+            Self::Control(_) | Self::Chunk(_) => CloseCode::Malformed,
+            Self::Text => CloseCode::TextFrame,
+            Self::OutOfOrder(_) | Self::CreditOverrun => CloseCode::OutOfOrder,
+            Self::Rejected(rejection) => rejection.close_code(),
+        }
+    }
+}

@@ -1,0 +1,44 @@
+//! Every limit of the protocol, in one place. A peer that exceeds one is refused or closed; nothing grows.
+
+use terrain::constants::{GRASS_GRID, VERTEX_COUNT};
+
+/// Longest control frame in bytes, either direction. Holds [`MAX_KEYS`] keys with room to spare.
+pub const MAX_CONTROL_FRAME: usize = 8 * 1024;
+
+/// Keys in one request, release or holding message.
+pub const MAX_KEYS: usize = 512;
+
+/// Chunks that a client may have granted and not yet received. A grant beyond it is cut to it.
+pub const MAX_CREDITS: u32 = 4096;
+
+/// Requested keys that a server queues per session; a request that would exceed it is refused whole.
+pub const MAX_PENDING_REQUESTS: usize = 1024;
+
+/// Chunks selected for one view. A view that needs more gets the coarsest of them.
+pub const MAX_VIEW_CHUNKS: usize = 16 * 1024;
+
+/// Keys that a server remembers as held by a client (about 1 MiB). When it is full the memory is dropped whole; the only
+/// consequence is that chunks may be sent again.
+pub const MAX_HELD: usize = 64 * 1024;
+
+/// Longest text field (software name, token, detail) in bytes.
+pub const MAX_TEXT: usize = 256;
+
+/// Largest viewport side in pixels.
+pub const MAX_VIEWPORT: u16 = 16_384;
+
+/// Bytes of a chunk frame's header.
+pub const CHUNK_HEADER: usize = 60;
+
+/// Bytes of a chunk's payload before compression, with 4-byte residuals: plane count, planes, grass record.
+pub const MAX_RAW_PAYLOAD: usize = 1 + 4 * VERTEX_COUNT + GRASS_RECORD;
+
+/// Bytes of a grass record: seed, palette, density.
+pub const GRASS_RECORD: usize = 4 + 1 + GRASS_GRID * GRASS_GRID;
+
+/// Longest chunk frame in bytes: the header and an incompressible payload with LZ4's worst expansion.
+pub const MAX_CHUNK_FRAME: usize = CHUNK_HEADER + MAX_RAW_PAYLOAD + MAX_RAW_PAYLOAD / 255 + 16;
+
+/// Longest frame of any kind that a client accepts, bytes.
+pub const MAX_SERVER_FRAME: usize =
+    if MAX_CHUNK_FRAME > MAX_CONTROL_FRAME { MAX_CHUNK_FRAME } else { MAX_CONTROL_FRAME };

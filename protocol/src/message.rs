@@ -1,0 +1,239 @@
+//! The control messages. Field order and variant order are the wire order: see `docs/protocol.md` before
+//! touching either, and the frozen bytes under `fixtures/`.
+
+use crate::close::CloseCode;
+use crate::error::ControlError;
+use crate::limits::{MAX_KEYS, MAX_TEXT};
+use crate::view::View;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use terrain::{ChunkKey, InvalidKey, WorldDigest};
+
+/// A chunk key as it travels: any numbers, checked by [`WireKey::check`] where they are used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WireKey {
+    /// Level of detail.
+    pub level: u8,
+    /// Chunk coordinate east.
+    pub x: i32,
+    /// Chunk coordinate south.
+    pub z: i32,
+}
+
+impl WireKey {
+    /// The key, if such a chunk exists.
+    pub fn check(self) -> Result<ChunkKey, InvalidKey> {
+        ChunkKey::new(self.level, self.x, self.z)
+    }
+}
+
+impl From<ChunkKey> for WireKey {
+    fn from(key: ChunkKey) -> Self {
+        Self { level: key.level(), x: key.x(), z: key.z() }
+    }
+}
+
+/// What a client says.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ClientMessage {
+    /// The handshake; must be the first message, once.
+    Hello(Hello),
+    /// What the client sees now; replaces the previous view.
+    View(View),
+    /// Allows the server to send this many more chunks.
+    Credit {
+        /// Chunks.
+        chunks: u32,
+    },
+    /// Asks for chunks by key, whatever the view; each costs one credit.
+    Request {
+        /// Chosen by the client, repeated in refusals.
+        id: u32,
+        /// At most [`MAX_KEYS`].
+        keys: Vec<WireKey>,
+    },
+    /// The client dropped these chunks and may need them again.
+    Release {
+        /// At most [`MAX_KEYS`].
+        keys: Vec<WireKey>,
+    },
+    /// The client already has these chunks, from an earlier connection to the same world.
+    Holding {
+        /// At most [`MAX_KEYS`].
+        keys: Vec<WireKey>,
+    },
+}
+
+/// The client's half of the handshake.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Hello {
+    /// The world that the client insists on; none accepts any.
+    pub digest: Option<[u8; 32]>,
+    /// Access token, where the server asks for one.
+    pub token: Option<String>,
+    /// Name and version of the client, for logs.
+    pub software: String,
+}
+
+/// What a server says.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ServerMessage {
+    /// The handshake succeeded.
+    Welcome(Welcome),
+    /// The handshake failed; the connection closes.
+    Rejected(Rejection),
+    /// Every chunk of a view has been sent (or was held, or refused).
+    Settled {
+        /// The view's id.
+        view: u32,
+        /// Chunks that the view needs.
+        chunks: u32,
+    },
+    /// Something asked for is not delivered; the session goes on.
+    Refused(Refused),
+    /// The server is shutting down and will close the connection.
+    Draining {
+        /// Delay before reconnecting, milliseconds; jittered by the server.
+        reconnect_after_ms: u32,
+    },
+}
+
+/// The server's half of the handshake.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Welcome {
+    /// Identifies the session in the server's logs.
+    pub session: u64,
+    /// Seed of the world.
+    pub world_seed: u64,
+    /// Version of the height formula.
+    pub generator_version: u32,
+    /// Digest of the world.
+    pub digest: [u8; 32],
+    /// Largest credit that may be outstanding.
+    pub max_credits: u32,
+    /// Largest view distance that is served, metres.
+    pub max_view_distance_m: u32,
+    /// Name and version of the server.
+    pub software: String,
+}
+
+/// Why a handshake failed. Both sides' values are named, so that a person can tell which one to change.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Rejection {
+    /// The protocol versions differ.
+    WrongVersion {
+        /// What the client speaks.
+        client: u16,
+        /// What the server speaks.
+        server: u16,
+    },
+    /// The client insists on another world.
+    WrongWorld {
+        /// The digest that the client named.
+        client: [u8; 32],
+        /// The digest of the world that is served.
+        server: [u8; 32],
+    },
+    /// The token is missing or wrong.
+    Unauthorised,
+    /// No session is free.
+    Busy,
+}
+
+impl Rejection {
+    /// The close code that follows.
+    #[must_use]
+    pub const fn close_code(&self) -> CloseCode {
+        match self {
+            Self::WrongVersion { .. } => CloseCode::WrongVersion,
+            Self::WrongWorld { .. } => CloseCode::WrongWorld,
+            Self::Unauthorised => CloseCode::Unauthorised,
+            Self::Busy => CloseCode::Busy,
+        }
+    }
+}
+
+impl fmt::Display for Rejection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::WrongVersion { client, server } => {
+                write!(
+                    f,
+                    "the client speaks protocol version {client}, the server {server}: update the older one"
+                )
+            }
+            Self::WrongWorld { client, server } => {
+                let (client, server) = (WorldDigest(*client), WorldDigest(*server));
+                write!(f, "the client wants world {client}, the server serves {server}")
+            }
+            Self::Unauthorised => write!(f, "the access token is missing or wrong"),
+            Self::Busy => write!(f, "the server is full: try again later"),
+        }
+    }
+}
+
+/// One thing that is not delivered.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Refused {
+    /// The id of the request or of the view.
+    pub id: u32,
+    /// The chunk, where one is meant.
+    pub key: Option<WireKey>,
+    /// Why.
+    pub reason: RefusalReason,
+    /// One sentence for a person.
+    pub detail: String,
+}
+
+/// Why something is not delivered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum RefusalReason {
+    /// The key names no chunk of this world.
+    OutsideWorld,
+    /// A view field is out of range.
+    InvalidView,
+    /// Too many requests are waiting already.
+    TooManyRequests,
+    /// The server is shedding load; ask again later.
+    Overloaded,
+    /// The server failed to make the chunk.
+    Failed,
+}
+
+fn check_keys(keys: &[WireKey]) -> Result<(), ControlError> {
+    if keys.len() > MAX_KEYS { Err(ControlError::TooManyKeys(keys.len())) } else { Ok(()) }
+}
+
+fn check_text(text: &str) -> Result<(), ControlError> {
+    if text.len() > MAX_TEXT { Err(ControlError::TextTooLong(text.len())) } else { Ok(()) }
+}
+
+/// A message whose fields have limits beyond their types.
+pub trait Limited {
+    /// Refuses fields beyond the protocol's limits.
+    fn check_limits(&self) -> Result<(), ControlError>;
+}
+
+impl Limited for ClientMessage {
+    fn check_limits(&self) -> Result<(), ControlError> {
+        match self {
+            Self::Hello(hello) => {
+                check_text(&hello.software)?;
+                hello.token.as_deref().map_or(Ok(()), check_text)
+            }
+            Self::Request { keys, .. } | Self::Release { keys } | Self::Holding { keys } => check_keys(keys),
+            // A view's ranges are judged by the session, which refuses without disconnecting.
+            Self::View(_) | Self::Credit { .. } => Ok(()),
+        }
+    }
+}
+
+impl Limited for ServerMessage {
+    fn check_limits(&self) -> Result<(), ControlError> {
+        match self {
+            Self::Welcome(welcome) => check_text(&welcome.software),
+            Self::Refused(refused) => check_text(&refused.detail),
+            Self::Rejected(_) | Self::Settled { .. } | Self::Draining { .. } => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,175 @@
+//! What a client sees. Integers only: no NaN or infinity can be said.
+
+use crate::limits::MAX_VIEWPORT;
+use serde::{Deserialize, Serialize};
+use terrain::lod::{MAX_VIEW_DISTANCE_M, Needed, Viewer};
+use terrain::{ChunkKey, Position};
+
+/// One camera with its quality wish.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct View {
+    /// Chosen by the client, repeated when the view is settled or refused.
+    pub id: u32,
+    /// Eye in units of 1/256 m: east, up, south. East and south inside the world.
+    pub eye: [i32; 3],
+    /// Velocity in units a second, same axes.
+    pub velocity: [i32; 3],
+    /// Heading in 1/1000 degree: 0 is north (-z), 90,000 is east.
+    pub yaw_mdeg: i32,
+    /// Elevation of the gaze in 1/1000 degree, up is positive.
+    pub pitch_mdeg: i32,
+    /// Vertical field of view in 1/1000 degree: 1,000 to 170,000.
+    pub fov_mdeg: u32,
+    /// Viewport in pixels, width and height, each 1 to [`MAX_VIEWPORT`].
+    pub viewport: [u16; 2],
+    /// Tolerated screen error in 1/16 pixel, at least 1.
+    pub tolerance_q4: u16,
+    /// View distance in metres, at most [`MAX_VIEW_DISTANCE_M`].
+    pub distance_m: u32,
+}
+
+impl View {
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// One sentence naming field, value and what is allowed.
+    pub fn check(&self) -> Result<(), String> {
+        Position::new(self.eye[0], self.eye[2]).map_err(|error| error.to_string())?;
+        if !(1_000..=170_000).contains(&self.fov_mdeg) {
+            return Err(format!("field of view {} is not within 1000 to 170000 mdeg", self.fov_mdeg));
+        }
+        if self.viewport.iter().any(|side| !(1..=MAX_VIEWPORT).contains(side)) {
+            let [width, height] = self.viewport;
+            return Err(format!(
+                "viewport {width} x {height} is not within 1 to {MAX_VIEWPORT} pixels a side"
+            ));
+        }
+        if self.tolerance_q4 == 0 {
+            return Err("tolerance 0 is below the minimum of 1/16 pixel".into());
+        }
+        if self.distance_m > MAX_VIEW_DISTANCE_M {
+            return Err(format!(
+                "view distance {} m exceeds the maximum of {MAX_VIEW_DISTANCE_M} m",
+                self.distance_m
+            ));
+        }
+        Ok(())
+    }
+
+    /// The part of a view that decides which chunks are needed. Meant for checked views.
+    #[must_use]
+    pub fn viewer(&self) -> Viewer {
+        Viewer {
+            eye: self.eye.into(),
+            distance_m: self.distance_m,
+            pixels_per_radian: pixels_per_radian(self.viewport[1], self.fov_mdeg),
+            tolerance_q4: u32::from(self.tolerance_q4),
+        }
+    }
+
+    /// How much a needed chunk is worth now; larger is sooner. The gain in screen error times the chance of being
+    /// seen (outside the horizontal field of view a quarter) times age (a chunk that has waited through many views
+    /// counts up to four times).
+    #[must_use]
+    pub fn priority(&self, needed: &Needed, views_waited: u32) -> u64 {
+        let seen = if self.faces(needed.key) { 4 } else { 1 };
+        let age = 16 + u64::from(views_waited.min(48));
+        u64::from(needed.gain_q4) * seen * age
+    }
+
+    /// Whether any of a chunk's bounding circle lies within the horizontal field of view. A float test is good
+    /// enough: it only orders.
+    fn faces(&self, key: ChunkKey) -> bool {
+        let half_side = f64::from(key.side()) / 2.0;
+        let (x, z) = key.origin();
+        let east = f64::from(x) + half_side - f64::from(self.eye[0]);
+        let south = f64::from(z) + half_side - f64::from(self.eye[2]);
+        let (distance, radius) = (east.hypot(south), half_side * std::f64::consts::SQRT_2);
+        if distance <= radius {
+            return true;
+        }
+        let [width, height] = self.viewport.map(f64::from);
+        let half_fov = ((mdeg(self.fov_mdeg as i32) / 2.0).tan() * width / height).atan();
+        // Looking up or down widens what the frame covers on the ground.
+        let widened = if self.pitch_mdeg.unsigned_abs() > 45_000 { std::f64::consts::PI } else { half_fov };
+        let bearing = east.atan2(-south) - mdeg(self.yaw_mdeg);
+        let off_axis = bearing.sin().atan2(bearing.cos()).abs();
+        off_axis <= widened + (radius / distance).asin()
+    }
+}
+
+/// `K` of the screen-error rule in whole pixels, at least 1.
+#[must_use]
+pub fn pixels_per_radian(viewport_height: u16, fov_mdeg: u32) -> u32 {
+    let k = f64::from(viewport_height) / (2.0 * (mdeg(fov_mdeg as i32) / 2.0).tan());
+    (k.round() as u32).max(1)
+}
+
+fn mdeg(angle: i32) -> f64 {
+    (f64::from(angle) / 1000.0).to_radians()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn view() -> View {
+        View {
+            id: 1,
+            eye: [0, 100 * 256, 0],
+            velocity: [0; 3],
+            yaw_mdeg: 0,
+            pitch_mdeg: 0,
+            fov_mdeg: 60_000,
+            viewport: [640, 360],
+            tolerance_q4: 32,
+            distance_m: 8000,
+        }
+    }
+
+    #[test]
+    fn a_sixty_degree_view_of_360_lines_has_312_pixels_per_radian() {
+        assert_eq!(view().viewer().pixels_per_radian, 312);
+    }
+
+    #[test]
+    fn each_field_out_of_range_is_refused_by_name() {
+        type Spoil = fn(&mut View);
+        let broken: [(&str, Spoil); 6] = [
+            ("outside the world", |v| v.eye[0] = i32::MAX),
+            ("field of view 0", |v| v.fov_mdeg = 0),
+            ("field of view 180000", |v| v.fov_mdeg = 180_000),
+            ("viewport 0", |v| v.viewport[0] = 0),
+            ("tolerance 0", |v| v.tolerance_q4 = 0),
+            ("view distance", |v| v.distance_m = u32::MAX),
+        ];
+        assert_eq!(view().check(), Ok(()));
+        for (word, spoil) in broken {
+            let mut spoiled = view();
+            spoil(&mut spoiled);
+            assert!(spoiled.check().unwrap_err().contains(word), "{word}");
+        }
+    }
+
+    #[test]
+    fn what_lies_ahead_comes_before_what_lies_behind_and_waiting_helps() {
+        let priority = |x, z, waited| {
+            let key = ChunkKey::new(0, x, z).unwrap();
+            view().priority(&Needed { key, distance: 1, gain_q4: 100 }, waited)
+        };
+        let (ahead, behind) = (priority(0, -20, 0), priority(0, 20, 0));
+        assert!(ahead > behind);
+        assert!(priority(20, 0, 0) < ahead, "east is outside a northward view");
+        assert!(priority(0, 20, 40) > behind);
+    }
+
+    #[test]
+    fn facing_wraps_around_north() {
+        let north_west = View { yaw_mdeg: -350_000, ..view() };
+        assert!(north_west.faces(ChunkKey::new(0, 0, -50).unwrap()), "-350 degrees is 10 degrees");
+        let south = View { yaw_mdeg: 180_000, ..view() };
+        assert!(
+            south.faces(ChunkKey::new(0, 0, 50).unwrap()) && !south.faces(ChunkKey::new(0, 0, -50).unwrap())
+        );
+    }
+}

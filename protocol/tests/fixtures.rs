@@ -1,0 +1,118 @@
+//! The wire format, frozen: one file of hexadecimal bytes for every message and one chunk.
+//!
+//! A failing test here means that deployed peers would no longer understand each other. If that is meant, bump
+//! `PROTOCOL_VERSION` (or the chunk `VERSION`) and write the new bytes with
+//! `TOMBOLO_BLESS=1 cargo test -p protocol --test fixtures`.
+
+use protocol::message::{
+    ClientMessage, Hello, Limited, RefusalReason, Refused, Rejection, ServerMessage, Welcome, WireKey,
+};
+use protocol::view::View;
+use protocol::{chunk_codec, control};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::fmt::Debug;
+use std::path::PathBuf;
+use terrain::{ChunkKey, Land};
+
+fn path(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(format!("{name}.hex"))
+}
+
+/// The frozen bytes of a name; with `TOMBOLO_BLESS` set, writes them first.
+fn frozen(name: &str, current: &[u8]) -> Vec<u8> {
+    if std::env::var_os("TOMBOLO_BLESS").is_some() {
+        let lines = current
+            .chunks(32)
+            .map(|line| line.iter().map(|byte| format!("{byte:02x}")).collect::<String>() + "\n");
+        std::fs::write(path(name), lines.collect::<String>()).unwrap();
+    }
+    let text = std::fs::read_to_string(path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let digits: Vec<_> = text.chars().filter_map(|digit| digit.to_digit(16)).collect();
+    digits.chunks(2).map(|pair| (pair[0] * 16 + pair[1]) as u8).collect()
+}
+
+fn check<M: Serialize + DeserializeOwned + Limited + PartialEq + Debug>(name: &str, message: &M) {
+    let encoded = control::encode(message).unwrap();
+    let bytes = frozen(name, &encoded);
+    assert_eq!(
+        control::decode::<M>(&bytes).as_ref(),
+        Ok(message),
+        "{name} no longer decodes to the same message"
+    );
+    assert_eq!(encoded, bytes, "{name} is no longer encoded as the same bytes");
+}
+
+#[test]
+fn client_messages_are_frozen() {
+    let keys = vec![WireKey { level: 3, x: -5, z: 70_000 }, WireKey { level: 16, x: 0, z: 0 }];
+    check(
+        "hello",
+        &ClientMessage::Hello(Hello {
+            digest: Some(std::array::from_fn(|index| index as u8)),
+            token: Some("secret".into()),
+            software: "fixture 1.0".into(),
+        }),
+    );
+    check("hello_bare", &ClientMessage::Hello(Hello { digest: None, token: None, software: String::new() }));
+    check(
+        "view",
+        &ClientMessage::View(View {
+            id: 0x0102_0304,
+            eye: [-256, 25_600, 1 << 30],
+            velocity: [1, -2, 3],
+            yaw_mdeg: -90_000,
+            pitch_mdeg: 12_345,
+            fov_mdeg: 60_000,
+            viewport: [1280, 720],
+            tolerance_q4: 32,
+            distance_m: 8000,
+        }),
+    );
+    check("credit", &ClientMessage::Credit { chunks: 64 });
+    check("request", &ClientMessage::Request { id: 9, keys: keys.clone() });
+    check("release", &ClientMessage::Release { keys: keys.clone() });
+    check("holding", &ClientMessage::Holding { keys });
+}
+
+#[test]
+fn server_messages_are_frozen() {
+    check(
+        "welcome",
+        &ServerMessage::Welcome(Welcome {
+            session: 0x1122_3344_5566_7788,
+            world_seed: 42,
+            generator_version: 1,
+            digest: [0xab; 32],
+            max_credits: 4096,
+            max_view_distance_m: 65_536,
+            software: "fixture 1.0".into(),
+        }),
+    );
+    let rejected = ServerMessage::Rejected;
+    check("rejected_version", &rejected(Rejection::WrongVersion { client: 2, server: 1 }));
+    check("rejected_world", &rejected(Rejection::WrongWorld { client: [1; 32], server: [2; 32] }));
+    check("rejected_unauthorised", &rejected(Rejection::Unauthorised));
+    check("rejected_busy", &rejected(Rejection::Busy));
+    check("settled", &ServerMessage::Settled { view: 7, chunks: 396 });
+    for (name, reason) in [
+        ("refused_outside_world", RefusalReason::OutsideWorld),
+        ("refused_invalid_view", RefusalReason::InvalidView),
+        ("refused_too_many_requests", RefusalReason::TooManyRequests),
+        ("refused_overloaded", RefusalReason::Overloaded),
+        ("refused_failed", RefusalReason::Failed),
+    ] {
+        let key = (reason == RefusalReason::OutsideWorld).then_some(WireKey { level: 17, x: 1, z: -1 });
+        check(name, &ServerMessage::Refused(Refused { id: 5, key, reason, detail: "why".into() }));
+    }
+    check("draining", &ServerMessage::Draining { reconnect_after_ms: 1500 });
+}
+
+#[test]
+fn a_chunk_is_frozen() {
+    let land = Land::new(42);
+    let chunk = land.chunk(ChunkKey::new(2, -3, 1).unwrap());
+    let bytes = frozen("chunk", &chunk_codec::encode(&chunk, &land.digest()));
+    // Only decoding is frozen: a better compressor may choose other bytes for the same chunk.
+    assert_eq!(chunk_codec::decode(&bytes, &land.digest()), Ok(chunk));
+}

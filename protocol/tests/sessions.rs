@@ -1,0 +1,362 @@
+//! Both session machines against each other, frame by frame, without any transport.
+
+use bytes::Bytes;
+use proptest::prelude::*;
+use protocol::client::{ClientConfig, ClientSession, Event};
+use protocol::message::{ClientMessage, Hello, RefusalReason, Rejection, ServerMessage, WireKey};
+use protocol::server::{ServerOffer, ServerSession};
+use protocol::view::View;
+use protocol::{ChunkError, CloseCode, ControlError, Incoming, PeerFault, chunk_codec, control, limits};
+use std::collections::HashSet;
+use terrain::{ChunkKey, Land, WorldDigest};
+
+struct Pair {
+    client: ClientSession,
+    server: ServerSession,
+    land: Land,
+    digest: WorldDigest,
+    events: Vec<Event>,
+    delivered: usize,
+}
+
+fn offer() -> ServerOffer {
+    let land = Land::new(1);
+    ServerOffer { land, digest: land.digest(), token: None, software: "test server".into() }
+}
+
+fn config(window: u32) -> ClientConfig {
+    ClientConfig { digest: None, token: None, software: "test client".into(), window }
+}
+
+fn view(id: u32, distance_m: u32) -> View {
+    View {
+        id,
+        eye: [0, 25_600, 0],
+        velocity: [0; 3],
+        yaw_mdeg: 0,
+        pitch_mdeg: 0,
+        fov_mdeg: 60_000,
+        viewport: [640, 360],
+        tolerance_q4: 64,
+        distance_m,
+    }
+}
+
+impl Pair {
+    fn new(window: u32) -> Self {
+        let offer = offer();
+        let (land, digest) = (offer.land, offer.digest);
+        let (client, server) = (ClientSession::new(config(window)), ServerSession::new(offer, 1));
+        Self { client, server, land, digest, events: Vec::new(), delivered: 0 }
+    }
+
+    /// Carries frames until both sides are silent; makes at most `chunks` chunks.
+    fn run(&mut self, mut chunks: usize) {
+        loop {
+            let mut moved = false;
+            while let Some(frame) = self.client.poll_transmit() {
+                self.server.receive(Incoming::Binary(&frame)).unwrap();
+                moved = true;
+            }
+            while chunks > 0
+                && let Some(wanted) = self.server.next_chunk()
+            {
+                let frame = chunk_codec::encode(&self.land.chunk(wanted.key), &self.digest);
+                self.server.deliver(wanted, frame);
+                self.delivered += 1;
+                chunks -= 1;
+                moved = true;
+            }
+            while let Some(frame) = self.server.poll_transmit() {
+                self.events.push(self.client.receive(Incoming::Binary(&frame)).unwrap());
+                moved = true;
+            }
+            if !moved {
+                return;
+            }
+        }
+    }
+
+    fn chunk_keys(&self) -> Vec<ChunkKey> {
+        let key = |event: &Event| match event {
+            Event::Chunk { chunk, .. } => Some(chunk.key),
+            _ => None,
+        };
+        self.events.iter().filter_map(key).collect()
+    }
+
+    fn settled(&self) -> Vec<(u32, u32)> {
+        let settled = |event: &Event| match event {
+            Event::Settled { view, chunks } => Some((*view, *chunks)),
+            _ => None,
+        };
+        self.events.iter().filter_map(settled).collect()
+    }
+}
+
+#[test]
+fn a_view_is_delivered_whole_once_and_settled() {
+    let mut pair = Pair::new(8);
+    pair.client.set_view(view(7, 1000));
+    pair.run(usize::MAX);
+    assert!(matches!(pair.events[0], Event::Welcome(_)));
+    let keys = pair.chunk_keys();
+    let unique: HashSet<_> = keys.iter().collect();
+    assert_eq!(unique.len(), keys.len());
+    assert_eq!(pair.settled(), [(7, keys.len() as u32)]);
+    assert!(keys.len() > 16, "several windows were needed: {}", keys.len());
+}
+
+#[test]
+fn coarse_chunks_come_before_their_children() {
+    let mut pair = Pair::new(64);
+    pair.client.set_view(view(1, 1000));
+    pair.run(usize::MAX);
+    let keys = pair.chunk_keys();
+    for (index, key) in keys.iter().enumerate() {
+        let parent = key.parent().unwrap();
+        assert!(keys[index..].iter().all(|later| *later != parent), "{parent} came after its child {key}");
+    }
+}
+
+#[test]
+fn the_same_view_again_sends_nothing_new_and_settles_again() {
+    let mut pair = Pair::new(64);
+    pair.client.set_view(view(1, 600));
+    pair.run(usize::MAX);
+    let before = pair.delivered;
+    pair.client.set_view(view(2, 600));
+    pair.run(usize::MAX);
+    assert_eq!(pair.delivered, before);
+    assert_eq!(pair.settled().last().unwrap().0, 2);
+}
+
+#[test]
+fn released_chunks_are_sent_again_and_held_chunks_are_not() {
+    let mut pair = Pair::new(64);
+    pair.client.set_view(view(1, 600));
+    pair.run(usize::MAX);
+    let keys = pair.chunk_keys();
+    pair.client.release(&keys[..3]);
+    pair.client.set_view(view(2, 600));
+    pair.run(usize::MAX);
+    assert_eq!(pair.delivered, keys.len() + 3);
+
+    let mut resumed = Pair::new(64);
+    resumed.client.holding(&keys);
+    resumed.client.set_view(view(1, 600));
+    resumed.run(usize::MAX);
+    assert_eq!((resumed.delivered, resumed.settled()), (0, vec![(1, keys.len() as u32)]));
+}
+
+#[test]
+fn a_server_never_owes_more_than_the_credits() {
+    let mut pair = Pair::new(5);
+    pair.client.set_view(view(1, 1000));
+    while let Some(frame) = pair.client.poll_transmit() {
+        pair.server.receive(Incoming::Binary(&frame)).unwrap();
+    }
+    let asked = std::iter::from_fn(|| pair.server.next_chunk()).count();
+    assert_eq!((asked, pair.server.credits()), (5, 0));
+}
+
+#[test]
+fn a_chunk_without_credit_is_a_fault() {
+    let mut pair = Pair::new(1);
+    pair.run(0);
+    let frame = chunk_codec::encode(&pair.land.chunk(ChunkKey::new(0, 60, 60).unwrap()), &pair.digest);
+    // The window refills itself on receipt, so overrun it by a session that cannot send.
+    let mut starved = ClientSession::new(config(2));
+    let welcome = welcome_frame();
+    starved.receive(Incoming::Binary(&welcome)).unwrap();
+    assert!(matches!(starved.receive(Incoming::Binary(&frame)), Ok(Event::Chunk { .. })));
+    assert_eq!(starved.credits(), 2, "refilled, and the grant waits in the outbox");
+}
+
+fn welcome_frame() -> Bytes {
+    let mut server = ServerSession::new(offer(), 1);
+    let hello = ClientMessage::Hello(Hello { digest: None, token: None, software: String::new() });
+    server.receive(Incoming::Binary(&control::encode(&hello).unwrap())).unwrap();
+    server.poll_transmit().unwrap()
+}
+
+#[test]
+fn explicit_requests_come_first_and_bad_keys_are_refused_one_by_one() {
+    let mut pair = Pair::new(64);
+    pair.run(0);
+    let far = ChunkKey::new(0, 1000, 1000).unwrap();
+    pair.client.set_view(view(1, 600));
+    pair.client.request(&[far]);
+    let request = ClientMessage::Request {
+        id: 99,
+        keys: vec![WireKey { level: 17, x: 0, z: 0 }, far.into(), WireKey { level: 0, x: i32::MIN, z: 0 }],
+    };
+    pair.server.receive(Incoming::Binary(&control::encode(&request).unwrap())).unwrap();
+    pair.run(usize::MAX);
+    assert_eq!(pair.chunk_keys()[0], far);
+    let refused: Vec<_> = pair
+        .events
+        .iter()
+        .filter_map(|event| match event {
+            Event::Refused(refused) => Some((refused.id, refused.reason, refused.key.unwrap().level)),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(refused, [(99, RefusalReason::OutsideWorld, 17), (99, RefusalReason::OutsideWorld, 0)]);
+}
+
+#[test]
+fn too_many_requests_are_refused_whole_without_harm() {
+    let mut pair = Pair::new(1);
+    pair.run(0);
+    let keys: Vec<_> = (0..limits::MAX_KEYS as i32).map(|x| ChunkKey::new(0, x, 0).unwrap()).collect();
+    for _ in 0..3 {
+        pair.client.request(&keys);
+    }
+    pair.run(0);
+    let refusals = pair.events.iter().filter(|event| matches!(event, Event::Refused(_))).count();
+    assert_eq!(refusals, 1, "two requests of 512 fit into 1024, the third does not");
+    pair.run(4);
+    assert_eq!(pair.chunk_keys().len(), 4);
+}
+
+#[test]
+fn an_absurd_view_is_refused_and_the_session_goes_on() {
+    let mut pair = Pair::new(64);
+    pair.client.set_view(View { fov_mdeg: 0, ..view(3, 600) });
+    pair.client.set_view(View { distance_m: u32::MAX, ..view(4, 600) });
+    pair.client.set_view(view(5, 600));
+    pair.run(usize::MAX);
+    let refused =
+        |event: &&Event| matches!(event, Event::Refused(r) if r.reason == RefusalReason::InvalidView);
+    assert_eq!(pair.events.iter().filter(refused).count(), 2);
+    assert_eq!(pair.settled()[0].0, 5);
+}
+
+#[test]
+fn a_failed_chunk_returns_its_credit_and_lets_the_view_settle() {
+    let mut pair = Pair::new(64);
+    pair.client.set_view(view(1, 200));
+    pair.run(0);
+    while let Some(wanted) = pair.server.next_chunk() {
+        pair.server.fail(wanted, RefusalReason::Overloaded, "try later".into());
+    }
+    assert_eq!(pair.server.credits(), 64);
+    pair.run(0);
+    assert_eq!(pair.settled().len(), 1);
+}
+
+#[test]
+fn handshakes_that_cannot_succeed_name_both_sides() {
+    let wrong = WorldDigest([9; 32]);
+    let mut client = ClientSession::new(ClientConfig { digest: Some(wrong), ..config(1) });
+    let mut server = ServerSession::new(offer(), 1);
+    let fault = server.receive(Incoming::Binary(&client.poll_transmit().unwrap())).unwrap_err();
+    assert_eq!(fault.close_code(), CloseCode::WrongWorld);
+    let seen = client.receive(Incoming::Binary(&server.poll_transmit().unwrap())).unwrap_err();
+    assert_eq!(seen, fault);
+    let text = seen.to_string();
+    assert!(text.contains(&wrong.to_string()) && text.contains(&offer().digest.to_string()), "{text}");
+
+    let mut frame = control::encode(&ClientMessage::Credit { chunks: 1 }).unwrap().to_vec();
+    frame[4] = 77;
+    let mut server = ServerSession::new(offer(), 1);
+    let fault = server.receive(Incoming::Binary(&frame)).unwrap_err();
+    assert_eq!(fault, PeerFault::Rejected(Rejection::WrongVersion { client: 77, server: 1 }));
+    assert!(fault.to_string().contains("77") && fault.to_string().contains("server 1"));
+}
+
+#[test]
+fn a_token_is_required_where_it_is_set_and_only_the_right_one_admits() {
+    for (presented, admitted) in
+        [(None, false), (Some("wrong"), false), (Some(""), false), (Some("secret"), true)]
+    {
+        let mut server = ServerSession::new(ServerOffer { token: Some("secret".into()), ..offer() }, 1);
+        let config = ClientConfig { token: presented.map(String::from), ..config(1) };
+        let hello = ClientSession::new(config).poll_transmit().unwrap();
+        let result = server.receive(Incoming::Binary(&hello));
+        assert_eq!(result.is_ok(), admitted, "{presented:?}");
+        assert_eq!(server.is_welcomed(), admitted);
+    }
+}
+
+#[test]
+fn order_is_enforced_on_both_sides() {
+    let mut server = ServerSession::new(offer(), 1);
+    let view = control::encode(&ClientMessage::View(view(1, 600))).unwrap();
+    assert!(matches!(server.receive(Incoming::Binary(&view)), Err(PeerFault::OutOfOrder(_))));
+    assert!(matches!(server.receive(Incoming::Text), Err(PeerFault::Text)));
+
+    let mut client = ClientSession::new(config(1));
+    let settled = control::encode(&ServerMessage::Settled { view: 1, chunks: 1 }).unwrap();
+    assert!(matches!(client.receive(Incoming::Binary(&settled)), Err(PeerFault::OutOfOrder(_))));
+    let chunk = chunk_codec::encode(&Land::new(1).chunk(ChunkKey::new(0, 60, 60).unwrap()), &offer().digest);
+    assert!(matches!(client.receive(Incoming::Binary(&chunk)), Err(PeerFault::OutOfOrder(_))));
+    let welcome = welcome_frame();
+    client.receive(Incoming::Binary(&welcome)).unwrap();
+    assert!(matches!(client.receive(Incoming::Binary(&welcome)), Err(PeerFault::OutOfOrder(_))));
+    assert!(matches!(
+        client.receive(Incoming::Binary(&chunk[..80])),
+        Err(PeerFault::Chunk(ChunkError::Truncated { .. }))
+    ));
+}
+
+#[test]
+fn every_truncation_and_one_extra_byte_of_every_control_frame_is_refused() {
+    let keys = vec![WireKey { level: 1, x: 2, z: 3 }; 4];
+    let messages = [
+        ClientMessage::Hello(Hello { digest: Some([1; 32]), token: Some("t".into()), software: "s".into() }),
+        ClientMessage::View(view(1, 1)),
+        ClientMessage::Credit { chunks: 1 },
+        ClientMessage::Request { id: 1, keys: keys.clone() },
+        ClientMessage::Release { keys: keys.clone() },
+        ClientMessage::Holding { keys },
+    ];
+    for message in messages {
+        let frame = control::encode(&message).unwrap();
+        assert_eq!(control::decode::<ClientMessage>(&frame), Ok(message));
+        for length in 0..frame.len() {
+            assert!(control::decode::<ClientMessage>(&frame[..length]).is_err(), "{length}");
+        }
+        let longer = [&frame[..], &[0]].concat();
+        assert_eq!(control::decode::<ClientMessage>(&longer), Err(ControlError::Trailing(1)));
+    }
+}
+
+#[test]
+fn a_list_length_beyond_the_frame_is_refused_without_allocating_it() {
+    let mut frame = control::encode(&ClientMessage::Release { keys: Vec::new() }).unwrap().to_vec();
+    let length_at = frame.len() - 8;
+    for length in [u64::MAX, 1 << 40, limits::MAX_KEYS as u64 + 1, 1] {
+        frame[length_at..].copy_from_slice(&length.to_le_bytes());
+        assert!(control::decode::<ClientMessage>(&frame).is_err(), "{length}");
+    }
+    let keys = vec![WireKey { level: 0, x: 0, z: 0 }; limits::MAX_KEYS + 1];
+    assert_eq!(
+        control::encode(&ClientMessage::Release { keys }),
+        Err(ControlError::TooManyKeys(limits::MAX_KEYS + 1))
+    );
+    assert!(matches!(
+        control::decode::<ClientMessage>(&[0; limits::MAX_CONTROL_FRAME + 1]),
+        Err(ControlError::TooLong(_))
+    ));
+}
+
+proptest! {
+    #[test]
+    fn garbage_panics_neither_session(frames in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..80), 1..8),
+                                      framed: bool) {
+        let mut server = ServerSession::new(offer(), 1);
+        let mut client = ClientSession::new(config(4));
+        server.receive(Incoming::Binary(&client.poll_transmit().unwrap())).unwrap();
+        client.receive(Incoming::Binary(&server.poll_transmit().unwrap())).unwrap();
+        for mut frame in frames {
+            if framed {
+                frame.splice(0..0, *b"TMBM\x01\x00");
+            }
+            let _ = server.receive(Incoming::Binary(&frame));
+            let _ = client.receive(Incoming::Binary(&frame));
+            while server.next_chunk().is_some() {}
+        }
+    }
+}
