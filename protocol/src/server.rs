@@ -320,8 +320,11 @@ impl ServerSession {
     }
 }
 
-/// Compares tokens without stopping at the first difference, so that timing tells nothing about the secret.
-fn token_matches(required: Option<&str>, presented: Option<&str>) -> bool {
+/// Whether a presented token satisfies a requirement; none required admits everybody.
+///
+/// Compares without stopping at the first difference, so that timing tells nothing about the secret.
+#[must_use]
+pub fn token_matches(required: Option<&str>, presented: Option<&str>) -> bool {
     let Some(required) = required else { return true };
     // blake3 hashes compare in constant time.
     presented.is_some_and(|presented| blake3::hash(presented.as_bytes()) == blake3::hash(required.as_bytes()))

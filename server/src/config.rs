@@ -1,0 +1,246 @@
+//! From what was typed to what is meant: flags over environment over file over defaults, checked once.
+
+use clap::Parser;
+use serde::Deserialize;
+use std::fmt;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// The address that clients try by default.
+pub const DEFAULT_LISTEN: &str = "127.0.0.1:7580";
+const DEFAULT_CACHE_MB: u64 = 128;
+const DEFAULT_MAX_SESSIONS: usize = 1024;
+const DEFAULT_LOG: &str = "info";
+
+/// Streams a procedural archipelago to viewers over WebSocket and HTTP.
+///
+/// Every option can also be set by an environment variable or in the configuration file; a flag wins over the
+/// environment, the environment over the file.
+#[derive(Clone, Debug, Default, Parser)]
+#[command(name = "tombolo-server", version)]
+pub struct Args {
+    /// Address and port to listen on; port 0 picks a free one and prints it [default: 127.0.0.1:7580]
+    #[arg(long, value_name = "ADDR", env = "TOMBOLO_LISTEN")]
+    pub listen: Option<String>,
+    /// Seed of the world, 0 to 18446744073709551615 [default: 1]
+    #[arg(long, value_name = "N", env = "TOMBOLO_WORLD_SEED")]
+    pub world_seed: Option<u64>,
+    /// TOML file with any of these options, named as here without the dashes
+    #[arg(long, value_name = "FILE", env = "TOMBOLO_CONFIG")]
+    pub config: Option<PathBuf>,
+    /// Threads that generate chunks, 1 to 1024 [default: one per core]
+    #[arg(long, value_name = "N", env = "TOMBOLO_THREADS")]
+    pub threads: Option<usize>,
+    /// Memory for encoded chunks in MiB, 1 to 65536 [default: 128]
+    #[arg(long, value_name = "N", env = "TOMBOLO_CACHE_MB")]
+    pub cache_mb: Option<u64>,
+    /// File whose first line is the token that clients must present; without it everybody is admitted
+    #[arg(long, value_name = "FILE", env = "TOMBOLO_TOKEN_FILE")]
+    pub token_file: Option<PathBuf>,
+    /// Sessions at once, 1 to 100000; one more is answered with 503 [default: 1024]
+    #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS")]
+    pub max_sessions: Option<usize>,
+    /// Log filter: error, warn, info, debug, trace, or per module as in `info,server=debug` [default: info]
+    #[arg(long, value_name = "FILTER", env = "TOMBOLO_LOG")]
+    pub log: Option<String>,
+    /// Log lines as JSON instead of text
+    #[arg(long, env = "TOMBOLO_LOG_JSON")]
+    pub log_json: bool,
+}
+
+/// The configuration file: the same options, all optional.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct File {
+    listen: Option<String>,
+    world_seed: Option<u64>,
+    threads: Option<usize>,
+    cache_mb: Option<u64>,
+    token_file: Option<PathBuf>,
+    max_sessions: Option<usize>,
+    log: Option<String>,
+    log_json: Option<bool>,
+}
+
+/// What a server runs with. Every value is in range.
+#[derive(Clone, Debug)]
+pub struct ServerConfig {
+    /// Where `main` binds; [`crate::run`] takes a bound listener and does not look at it.
+    pub listen: SocketAddr,
+    /// Seed of the world.
+    pub world_seed: u64,
+    /// Threads that generate chunks.
+    pub threads: usize,
+    /// Memory for encoded chunks, bytes.
+    pub cache_bytes: u64,
+    /// Token that clients must present.
+    pub token: Option<String>,
+    /// Sessions at once. One more is refused before its upgrade with 503 and Retry-After.
+    pub max_sessions: usize,
+    /// Generation jobs queued or running. One more is refused as overloaded; 4096 is about 10 s of work for two cores.
+    pub max_jobs: usize,
+    /// Time for the handshake, and for the headers of an HTTP request.
+    pub handshake_timeout: Duration,
+    /// Time that a client may take to accept what is written to it.
+    pub write_timeout: Duration,
+    /// Silence after which a client is pinged; after three times as much it is closed.
+    pub ping_interval: Duration,
+    /// Time that open sessions get to end on shutdown.
+    pub drain_timeout: Duration,
+    /// Log filter.
+    pub log: String,
+    /// Whether log lines are JSON.
+    pub log_json: bool,
+}
+
+impl Default for ServerConfig {
+    /// The documented defaults: loopback, world 1, open to everybody.
+    fn default() -> Self {
+        Self {
+            listen: SocketAddr::from(([127, 0, 0, 1], 7580)),
+            world_seed: 1,
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            cache_bytes: DEFAULT_CACHE_MB << 20,
+            token: None,
+            max_sessions: DEFAULT_MAX_SESSIONS,
+            max_jobs: 4096,
+            handshake_timeout: Duration::from_secs(5),
+            write_timeout: Duration::from_secs(10),
+            ping_interval: Duration::from_secs(20),
+            drain_timeout: Duration::from_secs(10),
+            log: DEFAULT_LOG.into(),
+            log_json: false,
+        }
+    }
+}
+
+/// A configuration that cannot be used: one line with the option, its value and what is allowed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConfigError(String);
+
+impl fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for ConfigError {}
+
+impl Args {
+    /// Reads the file that the arguments name, if any, and checks everything.
+    ///
+    /// # Errors
+    /// An unreadable or malformed file, an unknown key in it, or a value out of range.
+    pub fn resolve(self) -> Result<ServerConfig, ConfigError> {
+        let file = self.config.as_deref().map_or(Ok(File::default()), read_file)?;
+        let defaults = ServerConfig::default();
+        let listen = match self.listen.or(file.listen) {
+            Some(text) => text.parse().map_err(|_| {
+                ConfigError(format!(
+                    "listen: `{text}` is not an address; give ADDR:PORT such as {DEFAULT_LISTEN}"
+                ))
+            })?,
+            None => defaults.listen,
+        };
+        let threads = self.threads.or(file.threads).unwrap_or(defaults.threads);
+        let cache_mb = self.cache_mb.or(file.cache_mb).unwrap_or(DEFAULT_CACHE_MB);
+        let max_sessions = self.max_sessions.or(file.max_sessions).unwrap_or(DEFAULT_MAX_SESSIONS);
+        in_range("threads", threads as u64, 1, 1024)?;
+        in_range("cache-mb", cache_mb, 1, 65_536)?;
+        in_range("max-sessions", max_sessions as u64, 1, 100_000)?;
+        Ok(ServerConfig {
+            listen,
+            world_seed: self.world_seed.or(file.world_seed).unwrap_or(defaults.world_seed),
+            threads,
+            cache_bytes: cache_mb << 20,
+            token: self.token_file.or(file.token_file).as_deref().map(read_token).transpose()?,
+            max_sessions,
+            log: self.log.or(file.log).unwrap_or(defaults.log),
+            log_json: self.log_json || file.log_json.unwrap_or(false),
+            ..defaults
+        })
+    }
+}
+
+fn in_range(option: &str, value: u64, low: u64, high: u64) -> Result<(), ConfigError> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(ConfigError(format!("{option}: {value} is out of range; give {low} to {high}")))
+}
+
+fn read_file(path: &Path) -> Result<File, ConfigError> {
+    let shown = path.display();
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| ConfigError(format!("config: cannot read `{shown}`: {error}")))?;
+    toml::from_str(&text).map_err(|error| {
+        let line = error.span().map_or(1, |span| text[..span.start].lines().count().max(1));
+        // The library's message may have several lines; one is what a person needs.
+        let message = error.message().lines().collect::<Vec<_>>().join(" ");
+        ConfigError(format!("config: {shown} line {line}: {message}"))
+    })
+}
+
+fn read_token(path: &Path) -> Result<String, ConfigError> {
+    let shown = path.display();
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| ConfigError(format!("token-file: cannot read `{shown}`: {error}")))?;
+    let token = text.lines().next().unwrap_or_default().trim();
+    if token.is_empty() || token.len() > protocol::limits::MAX_TEXT {
+        let limit = protocol::limits::MAX_TEXT;
+        return Err(ConfigError(format!(
+            "token-file: the first line of `{shown}` must hold 1 to {limit} bytes"
+        )));
+    }
+    Ok(token.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_file(content: &str, args: Args) -> Result<ServerConfig, ConfigError> {
+        let name = format!("tombolo-config-{}-{:?}.toml", std::process::id(), std::thread::current().id());
+        let path = std::env::temp_dir().join(name);
+        std::fs::write(&path, content).unwrap();
+        let result = Args { config: Some(path.clone()), ..args }.resolve();
+        std::fs::remove_file(path).unwrap();
+        result
+    }
+
+    #[test]
+    fn nothing_given_means_the_documented_defaults() {
+        let config = Args::default().resolve().unwrap();
+        assert_eq!(config.listen.to_string(), DEFAULT_LISTEN);
+        assert_eq!((config.world_seed, config.cache_bytes, config.max_sessions), (1, 128 << 20, 1024));
+    }
+
+    #[test]
+    fn a_flag_wins_over_the_file_and_the_file_over_the_default() {
+        let file = "world-seed = 7\ncache-mb = 64\nlog-json = true\n";
+        let config = with_file(file, Args { world_seed: Some(9), ..Args::default() }).unwrap();
+        assert_eq!((config.world_seed, config.cache_bytes, config.log_json), (9, 64 << 20, true));
+    }
+
+    #[test]
+    fn mistakes_are_one_line_with_option_value_and_what_is_allowed() {
+        for (file, words) in [
+            ("cahce-mb = 1", &["line 1", "cahce-mb", "cache-mb"][..]),
+            ("\nthreads = \"two\"", &["line 2", "usize"][..]),
+            ("threads = 0", &["threads", "0", "1 to 1024"][..]),
+            ("cache-mb = 70000", &["cache-mb", "70000", "65536"][..]),
+            ("listen = \"nowhere\"", &["listen", "nowhere", "ADDR:PORT"][..]),
+            ("token-file = \"/does/not/exist\"", &["token-file", "/does/not/exist"][..]),
+            ("= broken", &["line 1"][..]),
+        ] {
+            let message = with_file(file, Args::default()).unwrap_err().to_string();
+            assert!(!message.contains('\n'), "{message}");
+            for word in words {
+                assert!(message.contains(word), "`{message}` lacks `{word}`");
+            }
+        }
+        let missing = Args { config: Some("/does/not/exist.toml".into()), ..Args::default() };
+        assert!(missing.resolve().unwrap_err().to_string().contains("/does/not/exist.toml"));
+    }
+}

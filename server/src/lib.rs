@@ -1,0 +1,24 @@
+//! The server: chunks made on demand, streamed to many.
+//!
+//! [`run`] is the whole of it: a bound listener, a checked configuration and a shutdown signal go in, and it
+//! returns when the last session is gone. Reading order: [`config`], [`listener`], [`routes`], [`socket`]
+//! (one task per client around the sans-IO session of the `protocol` crate), [`generation`] (one job per key
+//! however many ask), [`source`] (where chunks come from), [`metrics`].
+//!
+//! What it refuses: drawing (no GPU crate is in its dependency tree) and state that a reconnect cannot rebuild.
+
+#![forbid(unsafe_code)]
+
+pub mod config;
+pub mod generation;
+pub mod listener;
+pub mod metrics;
+pub mod routes;
+pub mod socket;
+pub mod source;
+
+pub use config::ServerConfig;
+pub use listener::run;
+
+/// Name and version, as told to peers.
+pub const SOFTWARE: &str = concat!("tombolo-server ", env!("CARGO_PKG_VERSION"));

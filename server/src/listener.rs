@@ -1,0 +1,169 @@
+//! Accepting connections, and letting go of them.
+//!
+//! An own accept loop around hyper instead of `axum::serve`: hyper enforces its header timeout only when it is given a
+//! timer, and upgraded sockets must be counted and drained by whoever owns them.
+
+use crate::config::ServerConfig;
+use crate::generation::Generation;
+use crate::metrics::Metrics;
+use crate::source::Procedural;
+use crate::{SOFTWARE, routes};
+use axum::body::Body;
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use protocol::server::ServerOffer;
+use rayon::ThreadPoolBuildError;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::time::Duration;
+use terrain::Land;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+use tower::ServiceExt;
+
+/// Connections beyond the sessions, for probes, metrics and chunk downloads. When all are taken, accepting pauses and
+/// the system's backlog holds the rest.
+const SPARE_CONNECTIONS: usize = 256;
+
+/// Bytes that hyper may hold of one request's headers.
+const HEADER_BUFFER: usize = 16 * 1024;
+
+/// What every connection shares.
+pub struct Shared {
+    /// The checked configuration.
+    pub config: ServerConfig,
+    /// What is offered to sessions.
+    pub offer: ServerOffer,
+    /// Makes chunk frames.
+    pub generation: Generation,
+    /// Counts.
+    pub metrics: Arc<Metrics>,
+    /// Cancelled when the server begins to drain.
+    pub draining: CancellationToken,
+    /// Session tasks; the server is done when the last one is.
+    pub sessions: TaskTracker,
+    /// One permit per allowed session, held inside the session task.
+    pub permits: Arc<Semaphore>,
+    /// Number of the next session.
+    pub next_session: AtomicU64,
+}
+
+impl Shared {
+    fn new(config: ServerConfig) -> Result<Self, ThreadPoolBuildError> {
+        let land = Land::new(config.world_seed);
+        let metrics = Arc::new(Metrics::default());
+        let source = Procedural::new(land);
+        let generation = Generation::new(
+            source,
+            config.threads,
+            config.cache_bytes,
+            config.max_jobs,
+            Arc::clone(&metrics),
+        )?;
+        let token = config.token.clone();
+        Ok(Self {
+            offer: ServerOffer { land, digest: land.digest(), token, software: SOFTWARE.into() },
+            generation,
+            metrics,
+            draining: CancellationToken::new(),
+            sessions: TaskTracker::new(),
+            permits: Arc::new(Semaphore::new(config.max_sessions)),
+            next_session: AtomicU64::new(1),
+            config,
+        })
+    }
+}
+
+/// Serves until `shutdown` completes, then drains: no new connections, a notice and a close frame to every session,
+/// and at most [`ServerConfig::drain_timeout`] for them to end.
+///
+/// # Errors
+/// The system refuses to start the generation threads. Accept errors are logged and survived.
+pub async fn run(
+    listener: TcpListener,
+    config: ServerConfig,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ThreadPoolBuildError> {
+    let shared = Arc::new(Shared::new(config)?);
+    let address = listener.local_addr().map_or_else(|_| "unknown".into(), |address| address.to_string());
+    tracing::info!(%address, world_seed = shared.config.world_seed, digest = %shared.offer.digest, "listening");
+
+    let router = routes::router(Arc::clone(&shared));
+    let connections = TaskTracker::new();
+    let slots = Arc::new(Semaphore::new(shared.config.max_sessions + SPARE_CONNECTIONS));
+    tokio::pin!(shutdown);
+    loop {
+        let slot = tokio::select! {
+            () = &mut shutdown => break,
+            // The semaphore is never closed.
+            Ok(slot) = Arc::clone(&slots).acquire_owned() => slot,
+        };
+        let stream = tokio::select! {
+            () = &mut shutdown => break,
+            stream = accept(&listener) => stream,
+        };
+        let (router, shared) = (router.clone(), Arc::clone(&shared));
+        connections.spawn(async move {
+            serve_connection(stream, router, &shared).await;
+            drop(slot);
+        });
+    }
+
+    drop(listener);
+    tracing::info!(sessions = shared.sessions.len(), "draining");
+    shared.draining.cancel();
+    shared.sessions.close();
+    connections.close();
+    let all_gone = async {
+        shared.sessions.wait().await;
+        connections.wait().await;
+    };
+    if tokio::time::timeout(shared.config.drain_timeout, all_gone).await.is_err() {
+        tracing::warn!(sessions = shared.sessions.len(), "drain timed out, leaving sessions behind");
+    }
+    tracing::info!("stopped");
+    Ok(())
+}
+
+/// Accepts one connection. A failure (most often: out of file descriptors) is waited out, since the cause outlives a retry.
+async fn accept(listener: &TcpListener) -> TcpStream {
+    loop {
+        match listener.accept().await {
+            Ok((stream, _)) => {
+                // Frames are written whole; waiting to fill packets would only delay the last one.
+                let _ = stream.set_nodelay(true);
+                return stream;
+            }
+            Err(error) => {
+                tracing::warn!(%error, "cannot accept a connection");
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
+        }
+    }
+}
+
+async fn serve_connection(stream: TcpStream, router: axum::Router, shared: &Shared) {
+    let service =
+        service_fn(move |request: hyper::Request<Incoming>| router.clone().oneshot(request.map(Body::new)));
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(shared.config.handshake_timeout)
+        .max_buf_size(HEADER_BUFFER)
+        .serve_connection(TokioIo::new(stream), service)
+        .with_upgrades();
+    tokio::pin!(connection);
+    let result = tokio::select! {
+        result = &mut connection => result,
+        () = shared.draining.cancelled() => {
+            connection.as_mut().graceful_shutdown();
+            connection.await
+        }
+    };
+    if let Err(error) = result {
+        tracing::debug!(%error, "connection ended");
+    }
+}
