@@ -1,22 +1,24 @@
 //! `tombolo-server`: reads the configuration, binds, runs until SIGINT or SIGTERM.
 
-use clap::Parser;
 use server::config::{Args, ServerConfig};
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
 
-/// Exit code for an option, variable or file that cannot be used; clap uses the same.
-const BAD_CONFIGURATION: u8 = 2;
+const NAME: &str = "tombolo-server";
 
 fn main() -> ExitCode {
-    let config = match Args::parse().resolve() {
+    let args: Args = match cli::parse() {
+        Ok(args) => args,
+        Err(code) => return code,
+    };
+    let config = match args.resolve() {
         Ok(config) => config,
-        Err(error) => return fail(&error.to_string(), BAD_CONFIGURATION),
+        Err(error) => return cli::fail(NAME, error, cli::USAGE),
     };
     if let Err(message) = set_up_logging(&config) {
-        return fail(&message, BAD_CONFIGURATION);
+        return cli::fail(NAME, message, cli::USAGE);
     }
     let served = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
@@ -25,7 +27,7 @@ fn main() -> ExitCode {
         .and_then(|runtime| runtime.block_on(serve(config)));
     match served {
         Ok(()) => ExitCode::SUCCESS,
-        Err(message) => fail(&message, 1),
+        Err(message) => cli::fail(NAME, message, cli::FAILED),
     }
 }
 
@@ -63,16 +65,11 @@ fn set_up_logging(config: &ServerConfig) -> Result<(), String> {
     let filter = EnvFilter::try_new(&config.log).map_err(|error| {
         format!("log: `{}` is not a filter ({error}); give for example info or info,server=debug", config.log)
     })?;
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(std::io::stderr().is_terminal());
     if config.log_json {
         builder.json().init()
     } else {
         builder.init()
     }
     Ok(())
-}
-
-fn fail(message: &str, code: u8) -> ExitCode {
-    eprintln!("tombolo-server: {message}");
-    ExitCode::from(code)
 }

@@ -49,6 +49,7 @@ where
     let mut driver = Driver {
         socket,
         shared,
+        number,
         session: ServerSession::new(shared.offer.clone(), number),
         counted: SessionCounts::default(),
     };
@@ -64,6 +65,7 @@ where
 struct Driver<'a, S> {
     socket: S,
     shared: &'a Shared,
+    number: u64,
     session: ServerSession,
     /// What of the session's counts is in the metrics already.
     counted: SessionCounts,
@@ -207,7 +209,7 @@ where
 
     /// Says goodbye: when to come back, spread so that not all clients return at once.
     async fn drain(&mut self) -> End {
-        let jitter = terrain::hash::mix(self.counted.chunks as u32 ^ std::process::id()) % 1500;
+        let jitter = terrain::hash::mix(self.number as u32) % 1500;
         self.session.drain(500 + jitter);
         let _ = self.flush().await;
         End::tell("drained", CloseCode::GoingAway)

@@ -1,0 +1,28 @@
+//! The harness of the suites under `tests/tests`: a server on port 0, a raw WebSocket peer, HTTP, and picture comparison.
+//!
+//! | suite | what belongs there |
+//! | --- | --- |
+//! | `streaming` | what a well-behaved client gets over real sockets |
+//! | `hostile` | peers that break the rules, and that the others do not notice |
+//! | `http` | probes, metrics, the world's description, chunk downloads |
+//! | `faults` | servers that go away, and clients that live on |
+//! | `pictures` | what the headless viewer draws, against golden pictures |
+//! | `programs` | the built binaries: options, exit codes, messages |
+//! | `harness` | that the harness itself fails when it should |
+
+#![forbid(unsafe_code)]
+
+pub mod golden;
+pub mod peer;
+pub mod program;
+pub mod running;
+
+pub use peer::Peer;
+pub use running::RunningServer;
+
+/// Whether a missing GPU adapter is a failure instead of a visible skip. Continuous integration installs a software
+/// driver and sets `TOMBOLO_REQUIRE_GPU`, so that the pictures cannot go untested there.
+#[must_use]
+pub fn gpu_is_required() -> bool {
+    std::env::var_os("TOMBOLO_REQUIRE_GPU").is_some()
+}

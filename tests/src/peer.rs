@@ -1,0 +1,148 @@
+//! A WebSocket client that says exactly what a suite tells it to.
+
+use futures_util::{SinkExt, StreamExt};
+use protocol::client::{ClientConfig, ClientSession, Event};
+use protocol::view::View;
+use protocol::{Incoming, SUBPROTOCOL};
+use std::time::Duration;
+use tokio::net::TcpStream;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::protocol::CloseFrame;
+use tokio_tungstenite::tungstenite::{Error, Message};
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+
+/// Longest wait for anything; a suite that hits it has failed.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A raw connection to a server.
+pub struct Peer {
+    socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
+}
+
+impl Peer {
+    /// Connects with the right subprotocol.
+    pub async fn connect(url: &str) -> Self {
+        Self::try_connect(url, Some(SUBPROTOCOL)).await.expect("the server accepts")
+    }
+
+    /// Connects with any subprotocol, or none.
+    ///
+    /// # Errors
+    /// The handshake failed; an HTTP answer is in the error.
+    pub async fn try_connect(url: &str, subprotocol: Option<&str>) -> Result<Self, Box<Error>> {
+        let mut request = url.into_client_request()?;
+        if let Some(name) = subprotocol {
+            let name = name.parse().expect("a header value");
+            request.headers_mut().insert("Sec-WebSocket-Protocol", name);
+        }
+        let (socket, _) = connect_async(request).await?;
+        Ok(Self { socket })
+    }
+
+    /// Sends a message; a closed connection is noticed by the next receive.
+    pub async fn send(&mut self, message: Message) {
+        let _ = self.socket.send(message).await;
+    }
+
+    /// Sends a binary frame.
+    pub async fn send_bytes(&mut self, bytes: impl AsRef<[u8]>) {
+        self.send(Message::Binary(bytes.as_ref().to_vec().into())).await;
+    }
+
+    /// The next binary frame, or the close frame that ended the connection (none if it broke without one).
+    ///
+    /// # Errors
+    /// The connection ended.
+    pub async fn receive(&mut self) -> Result<Vec<u8>, Option<CloseFrame>> {
+        let next = async {
+            loop {
+                match self.socket.next().await {
+                    Some(Ok(Message::Binary(bytes))) => return Ok(bytes.to_vec()),
+                    Some(Ok(Message::Close(frame))) => return Err(frame),
+                    Some(Ok(_)) => {}
+                    Some(Err(_)) | None => return Err(None),
+                }
+            }
+        };
+        tokio::time::timeout(PATIENCE, next).await.expect("the server answers in time")
+    }
+
+    /// Reads until the connection ends and gives the close code.
+    pub async fn closed(&mut self) -> Option<u16> {
+        loop {
+            if let Err(frame) = self.receive().await {
+                return frame.map(|frame| frame.code.into());
+            }
+        }
+    }
+}
+
+/// A well-behaved client: the session machine over a [`Peer`].
+pub struct Guest {
+    peer: Peer,
+    /// The session, for direct use between two calls.
+    pub session: ClientSession,
+}
+
+/// A client configuration that accepts any world.
+#[must_use]
+pub fn guest_config() -> ClientConfig {
+    ClientConfig { digest: None, token: None, software: "suite".into(), window: 64 }
+}
+
+impl Guest {
+    /// Connects and completes the handshake.
+    pub async fn connect(url: &str) -> Self {
+        let mut guest = Self { peer: Peer::connect(url).await, session: ClientSession::new(guest_config()) };
+        let welcome = guest.event().await.expect("a welcome");
+        assert!(matches!(welcome, Event::Welcome(_)), "{welcome:?}");
+        guest
+    }
+
+    /// Sends what is waiting and gives the next event.
+    ///
+    /// # Errors
+    /// The connection ended, with its close frame if there was one.
+    pub async fn event(&mut self) -> Result<Event, Option<CloseFrame>> {
+        self.flush().await;
+        let frame = self.peer.receive().await?;
+        Ok(self.session.receive(Incoming::Binary(&frame)).expect("a server without faults"))
+    }
+
+    /// Sends what is waiting.
+    pub async fn flush(&mut self) {
+        while let Some(frame) = self.session.poll_transmit() {
+            self.peer.send_bytes(&frame).await;
+        }
+    }
+
+    /// Sets a view and collects all events until it is settled.
+    pub async fn settle(&mut self, view: View) -> Vec<Event> {
+        self.session.set_view(view);
+        let mut events = Vec::new();
+        loop {
+            let event = self.event().await.expect("the session stays open");
+            let done = matches!(event, Event::Settled { view: id, .. } if id == view.id);
+            events.push(event);
+            if done {
+                return events;
+            }
+        }
+    }
+}
+
+/// A northward view over the home island.
+#[must_use]
+pub fn view(id: u32, distance_m: u32) -> View {
+    View {
+        id,
+        eye: [0, 60 * 256, 0],
+        velocity: [0; 3],
+        yaw_mdeg: 0,
+        pitch_mdeg: 0,
+        fov_mdeg: 60_000,
+        viewport: [640, 360],
+        tolerance_q4: 64,
+        distance_m,
+    }
+}

@@ -1,0 +1,98 @@
+//! The built programs, run as a user or a script runs them.
+
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::OnceLock;
+
+/// A program by its name, built if it is not up to date.
+#[must_use]
+pub fn command(name: &str) -> Command {
+    static BUILT: OnceLock<()> = OnceLock::new();
+    BUILT.get_or_init(|| {
+        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+        let built = Command::new(cargo).args(["build", "--quiet", "--bins", "-p", "server", "-p", "client", "-p", "load"]).status();
+        assert!(built.is_ok_and(|status| status.success()), "the programs build");
+    });
+    let mut command = Command::new(directory().join(name));
+    // What a developer has set must not decide a test.
+    for (variable, _) in std::env::vars_os() {
+        if variable.to_string_lossy().starts_with("TOMBOLO_") {
+            command.env_remove(variable);
+        }
+    }
+    command
+}
+
+/// Where cargo puts the programs: two levels above the running test.
+fn directory() -> PathBuf {
+    let test = std::env::current_exe().expect("the running test has a path");
+    test.ancestors().nth(2).expect("tests run from target/PROFILE/deps").to_owned()
+}
+
+/// Runs a program to its end.
+///
+/// # Panics
+/// The program cannot be started.
+#[must_use]
+pub fn run(name: &str, arguments: &[&str]) -> Output {
+    command(name).args(arguments).output().expect("the program starts")
+}
+
+/// Standard error as text.
+#[must_use]
+pub fn errors(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).trim_end().to_owned()
+}
+
+/// A running `tombolo-server` on a free port; killed when dropped.
+pub struct ServerProgram {
+    /// The process.
+    pub child: Child,
+    /// `ADDR:PORT`.
+    pub address: String,
+}
+
+impl ServerProgram {
+    /// Starts the server and waits until it says where it listens.
+    ///
+    /// # Panics
+    /// It does not say so.
+    #[must_use]
+    pub fn start(arguments: &[&str]) -> Self {
+        let mut child = command("tombolo-server")
+            .args(["--listen", "127.0.0.1:0"])
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("the server starts");
+        let mut line = String::new();
+        let output = child.stdout.as_mut().expect("standard output is piped");
+        BufReader::new(output).read_line(&mut line).expect("the server says where it listens");
+        let address = line.trim().strip_prefix("listening on http://").expect("an address").to_owned();
+        Self { child, address }
+    }
+
+    /// The WebSocket address of the session door.
+    #[must_use]
+    pub fn stream_url(&self) -> String {
+        format!("ws://{}/v1/stream", self.address)
+    }
+
+    /// Sends a signal by name, for example `TERM`.
+    ///
+    /// # Panics
+    /// There is no `kill` command.
+    pub fn signal(&self, name: &str) {
+        let killed = Command::new("kill").args([&format!("-{name}"), &self.child.id().to_string()]).status();
+        assert!(killed.expect("the kill command exists").success());
+    }
+}
+
+impl Drop for ServerProgram {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

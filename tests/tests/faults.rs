@@ -1,0 +1,116 @@
+//! Servers that go away, and clients that live on.
+
+use client::camera::Lens;
+use client::frame::Shot;
+use client::native::stream::{Settings, SocketFeed};
+use client::scene::Scene;
+use client::voyage::{Link, Voyage};
+use protocol::CloseCode;
+use protocol::client::Event;
+use std::time::{Duration, Instant};
+use tests::RunningServer;
+use tests::peer::{Guest, view};
+use tests::running::quick_config;
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_draining_server_says_when_to_return_and_closes_every_session() {
+    let server = RunningServer::start().await;
+    let mut guests = Vec::new();
+    for _ in 0..5 {
+        let mut guest = Guest::connect(&server.stream_url()).await;
+        guest.settle(view(1, 300)).await;
+        guests.push(guest);
+    }
+    let stopped = tokio::spawn(server.stop());
+    for mut guest in guests {
+        let Event::Draining { reconnect_after_ms } = guest.event().await.unwrap() else { panic!("no notice") };
+        assert!((500..2000).contains(&reconnect_after_ms));
+        let close = guest.event().await.unwrap_err().expect("a close frame");
+        assert_eq!(u16::from(close.code), CloseCode::GoingAway.code());
+    }
+    stopped.await.unwrap();
+}
+
+fn shot() -> Shot {
+    Shot {
+        pose: Scene::Island.start(),
+        lens: Lens { fov_deg: 60.0, width: 160, height: 90 },
+        view_distance_m: 1500,
+        tolerance_px: 4.0,
+        time_s: 0.0,
+    }
+}
+
+/// Updates the voyage until the condition holds; gives what was drawn last.
+fn until(voyage: &mut Voyage<SocketFeed>, mut condition: impl FnMut(&Voyage<SocketFeed>) -> bool) -> usize {
+    let started = Instant::now();
+    loop {
+        let drawn = voyage.update(&shot(), started.elapsed(), usize::MAX, |_, _| {}).drawn.len();
+        if condition(voyage) {
+            return drawn;
+        }
+        assert!(started.elapsed() < Duration::from_secs(30), "{:?}", voyage.link());
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 3)]
+async fn the_viewer_keeps_what_it_has_while_the_server_is_gone_and_goes_on_when_it_returns() {
+    let server = RunningServer::start().await;
+    let (address, url) = (server.address, server.stream_url());
+    let driven = tokio::task::spawn_blocking(move || {
+        let settings = Settings { url: url.parse().unwrap(), token: None };
+        let mut voyage = Voyage::new(SocketFeed::connect(settings).unwrap(), 512);
+        // In mid-stream: some chunks are here, not all.
+        until(&mut voyage, |voyage| voyage.world().len() >= 8);
+        voyage
+    });
+    let mut voyage = driven.await.unwrap();
+    server.kill().await;
+
+    let away = tokio::task::spawn_blocking(move || {
+        let had = voyage.world().len();
+        let drawn = until(&mut voyage, |voyage| matches!(voyage.link(), Link::Waiting { .. }));
+        assert!(drawn > 0 && voyage.world().len() >= had, "the land is still there");
+        voyage
+    });
+    let mut voyage = away.await.unwrap();
+
+    let server = RunningServer::start_at(address, quick_config()).await;
+    tokio::task::spawn_blocking(move || {
+        until(&mut voyage, |voyage| matches!(voyage.link(), Link::Connected(_)) && voyage.is_settled());
+        assert!(voyage.world().len() > 8);
+    })
+    .await
+    .unwrap();
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 3)]
+async fn a_server_of_another_world_replaces_the_land() {
+    let server = RunningServer::start().await;
+    let (address, url) = (server.address, server.stream_url());
+    let driven = tokio::task::spawn_blocking(move || {
+        let settings = Settings { url: url.parse().unwrap(), token: None };
+        let mut voyage = Voyage::new(SocketFeed::connect(settings).unwrap(), 512);
+        until(&mut voyage, Voyage::is_settled);
+        voyage
+    });
+    let mut voyage = driven.await.unwrap();
+    server.stop().await;
+    let config = server::ServerConfig { world_seed: 2, ..quick_config() };
+    let server = RunningServer::start_at(address, config).await;
+    tokio::task::spawn_blocking(move || {
+        let other = terrain::Land::new(2);
+        until(&mut voyage, |voyage| {
+            let settled = voyage.is_settled() && matches!(voyage.link(), Link::Connected(_));
+            settled && voyage.world().keys().next().is_some_and(|key| voyage.world().get(key).is_some_and(|chunk| chunk.heights == other.chunk_heights(key)))
+        });
+        for key in voyage.world().keys().collect::<Vec<_>>() {
+            assert_eq!(voyage.world().get(key).unwrap().heights, other.chunk_heights(key), "{key} is of the old world");
+        }
+    })
+    .await
+    .unwrap();
+    server.stop().await;
+}

@@ -1,0 +1,181 @@
+//! Peers that break the rules: each is told by a typed close code, and the others do not notice.
+
+use protocol::CloseCode;
+use protocol::message::{ClientMessage, Hello, ServerMessage};
+use protocol::{SUBPROTOCOL, control, limits};
+use std::time::Duration;
+use tests::peer::{Guest, Peer, view};
+use tests::{RunningServer, running};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio_tungstenite::tungstenite::{Error, Message};
+
+fn hello() -> Vec<u8> {
+    control::encode(&ClientMessage::Hello(Hello { digest: None, token: None, software: "hostile".into() })).unwrap().to_vec()
+}
+
+/// Sends one message after the handshake and gives the close code.
+async fn fate(server: &RunningServer, message: Message) -> Option<u16> {
+    let mut peer = Peer::connect(&server.stream_url()).await;
+    peer.send_bytes(hello()).await;
+    peer.receive().await.expect("a welcome");
+    peer.send(message).await;
+    peer.closed().await
+}
+
+fn binary(bytes: &[u8]) -> Message {
+    Message::Binary(bytes.to_vec().into())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn bad_frames_get_typed_close_codes_and_the_other_session_lives_on() {
+    let server = RunningServer::start().await;
+    let mut bystander = Guest::connect(&server.stream_url()).await;
+    bystander.settle(view(1, 300)).await;
+
+    let credit = control::encode(&ClientMessage::Credit { chunks: 1 }).unwrap();
+    let mut wrong_version = credit.to_vec();
+    wrong_version[4] = 9;
+    let cases = [
+        ("truncated", binary(&credit[..credit.len() - 1]), CloseCode::Malformed),
+        ("trailing", binary(&[&credit[..], b"x"].concat()), CloseCode::Malformed),
+        ("garbage", binary(b"\xff\x00\xff\x00 nonsense"), CloseCode::Malformed),
+        ("empty", binary(b""), CloseCode::Malformed),
+        ("text", Message::Text("hello".into()), CloseCode::TextFrame),
+        ("oversized", binary(&vec![0; limits::MAX_CONTROL_FRAME + 1]), CloseCode::TooLarge),
+        ("far oversized", binary(&vec![0; 1 << 20]), CloseCode::Malformed),
+        ("second hello", binary(&hello()), CloseCode::OutOfOrder),
+        ("other version", binary(&wrong_version), CloseCode::WrongVersion),
+    ];
+    for (name, message, code) in cases {
+        let got = fate(&server, message).await;
+        // A far oversized frame is cut off while it is still being sent; the close frame may be lost with it.
+        assert!(got == Some(code.code()) || (name == "far oversized" && got.is_none()), "{name}: {got:?}");
+    }
+    bystander.settle(view(2, 500)).await;
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
+    let server = RunningServer::start().await;
+    let mut frame = hello();
+    frame[4] = 42;
+    let mut peer = Peer::connect(&server.stream_url()).await;
+    peer.send_bytes(&frame).await;
+    let answer = peer.receive().await.expect("a rejection");
+    let ServerMessage::Rejected(rejection) = control::decode(&answer).unwrap() else { panic!("{answer:?}") };
+    assert!(rejection.to_string().contains("42") && rejection.to_string().contains("server 1"), "{rejection}");
+    assert_eq!(peer.closed().await, Some(CloseCode::WrongVersion.code()));
+
+    let stranger = Hello { digest: Some([0xee; 32]), token: None, software: "hostile".into() };
+    let mut peer = Peer::connect(&server.stream_url()).await;
+    peer.send_bytes(control::encode(&ClientMessage::Hello(stranger)).unwrap()).await;
+    let answer = peer.receive().await.expect("a rejection");
+    let ServerMessage::Rejected(rejection) = control::decode(&answer).unwrap() else { panic!("{answer:?}") };
+    let ours = terrain::Land::new(1).digest().to_string();
+    assert!(rejection.to_string().contains(&"ee".repeat(32)) && rejection.to_string().contains(&ours), "{rejection}");
+    assert_eq!(peer.closed().await, Some(CloseCode::WrongWorld.code()));
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_wrong_subprotocol_is_refused_with_both_names_before_the_upgrade() {
+    let server = RunningServer::start().await;
+    for offered in [None, Some("chat"), Some("tombolo.v2")] {
+        let Err(error) = Peer::try_connect(&server.stream_url(), offered).await else { panic!("{offered:?} was accepted") };
+        let Error::Http(response) = *error else { panic!("{error}") };
+        assert_eq!(response.status(), 400);
+        let body = String::from_utf8(response.into_body().unwrap_or_default()).unwrap();
+        assert!(body.contains(offered.unwrap_or("none")) && body.contains(SUBPROTOCOL), "{body}");
+    }
+    assert!(Peer::try_connect(&server.stream_url(), Some("chat, tombolo.v1")).await.is_ok());
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_never_says_hello_is_closed() {
+    let server = RunningServer::start().await;
+    let mut peer = Peer::connect(&server.stream_url()).await;
+    assert_eq!(peer.closed().await, Some(CloseCode::HandshakeTimeout.code()));
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_dribbles_its_request_head_is_cut_off() {
+    let server = RunningServer::start().await;
+    let mut stream = TcpStream::connect(server.address).await.unwrap();
+    stream.write_all(b"GET /livez HTTP/1.1\r\nHost: a").await.unwrap();
+    let mut rest = Vec::new();
+    let ended = tokio::time::timeout(Duration::from_secs(10), stream.read_to_end(&mut rest)).await;
+    assert!(ended.is_ok(), "the connection is still open");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_stops_reading_is_closed_and_does_not_slow_the_others() {
+    let server = RunningServer::start().await;
+    let mut deaf = Peer::connect(&server.stream_url()).await;
+    deaf.send_bytes(hello()).await;
+    deaf.send_bytes(control::encode(&ClientMessage::Credit { chunks: 4096 }).unwrap()).await;
+    let key = terrain::ChunkKey::new(0, 3, -7).unwrap();
+    for id in 0..16 {
+        let keys = vec![key.into(); limits::MAX_KEYS];
+        deaf.send_bytes(control::encode(&ClientMessage::Request { id, keys }).unwrap()).await;
+    }
+    let mut guest = Guest::connect(&server.stream_url()).await;
+    guest.settle(view(1, 500)).await;
+    let gone = async {
+        loop {
+            let url = server.url("/metrics");
+            let text = tokio::task::spawn_blocking(move || ureq::get(url).call().unwrap().body_mut().read_to_string().unwrap()).await.unwrap();
+            if text.contains("session_ends_total{reason=\"not reading\"} 1") {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(15), gone).await.expect("the deaf client is closed");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_full_server_answers_503_and_admits_again_when_a_session_ends() {
+    let config = server::ServerConfig { max_sessions: 1, ..running::quick_config() };
+    let server = RunningServer::start_with(config).await;
+    let guest = Guest::connect(&server.stream_url()).await;
+    let Err(error) = Peer::try_connect(&server.stream_url(), Some(SUBPROTOCOL)).await else { panic!("accepted") };
+    let Error::Http(response) = *error else { panic!("{error}") };
+    assert_eq!(response.status(), 503);
+    assert!(response.headers().contains_key("retry-after"));
+    drop(guest);
+    let admitted = async {
+        while Peer::try_connect(&server.stream_url(), Some(SUBPROTOCOL)).await.is_err() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(10), admitted).await.expect("the place becomes free");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_token_is_asked_for_on_both_doors() {
+    let config = server::ServerConfig { token: Some("open sesame".into()), ..running::quick_config() };
+    let server = RunningServer::start_with(config).await;
+    let mut peer = Peer::connect(&server.stream_url()).await;
+    peer.send_bytes(hello()).await;
+    assert_eq!(peer.closed().await, Some(CloseCode::Unauthorised.code()));
+    let admitted = Hello { digest: None, token: Some("open sesame".into()), software: String::new() };
+    let mut peer = Peer::connect(&server.stream_url()).await;
+    peer.send_bytes(control::encode(&ClientMessage::Hello(admitted)).unwrap()).await;
+    assert!(peer.receive().await.is_ok());
+    let url = server.url(&format!("/v1/{}/chunk/0/60/60", terrain::Land::new(1).digest()));
+    tokio::task::spawn_blocking(move || {
+        let agent: ureq::Agent = ureq::Agent::config_builder().http_status_as_error(false).build().into();
+        assert_eq!(agent.get(&url).call().unwrap().status(), 401);
+        assert_eq!(agent.get(&url).header("Authorization", "Bearer open sesame").call().unwrap().status(), 200);
+    })
+    .await
+    .unwrap();
+    server.stop().await;
+}

@@ -1,0 +1,83 @@
+//! What the headless viewer draws.
+
+use client::camera::Pose;
+use client::feed::LocalFeed;
+use client::headless::{self, HeadlessError, Options};
+use client::native::stream::{Settings, SocketFeed};
+use client::render::Picture;
+use client::stats::Stats;
+use std::time::Instant;
+use tests::RunningServer;
+use tests::golden::{self, Difference};
+
+fn options(camera: &str) -> Options {
+    let mut options = Options::default();
+    options.pose = camera.parse::<Pose>().unwrap();
+    (options.lens.width, options.lens.height) = (256, 144);
+    // One sample: where edges are sampled is the driver's choice.
+    options.samples = 1;
+    options
+}
+
+/// The start view of the island scene.
+const START: &str = "-2600,330,3900,38,-7";
+
+/// Draws from local land; none, visibly, where there is no adapter and none is required.
+fn drawn(options: &Options) -> Option<(Picture, Stats)> {
+    match headless::render(options, LocalFeed::new(1), Instant::now(), |_| {}) {
+        Ok(drawn) => Some(drawn),
+        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+#[test]
+fn the_island_looks_as_it_should() {
+    for (name, camera) in [("start", START), ("shore", "-2100,12,3500,60,-4"), ("summit", "0,520,600,0,-20"), ("below", "900,1500,4200,-20,-60")] {
+        let Some((picture, _)) = drawn(&options(camera)) else { return };
+        golden::check(name, &picture).unwrap();
+    }
+}
+
+#[test]
+fn blank_shifted_and_other_pictures_fail_the_comparison() {
+    let Some((picture, _)) = drawn(&options(START)) else { return };
+    let blank = Picture { rgba: vec![0; picture.rgba.len()], ..picture.clone() };
+    let mut shifted = picture.clone();
+    shifted.rgba.rotate_right(4 * 8);
+    let sky = Picture { rgba: picture.rgba[..4].repeat(picture.rgba.len() / 4), ..picture.clone() };
+    for (name, other) in [("blank", blank), ("shifted by 8 pixels", shifted), ("sky only", sky)] {
+        let difference = Difference::between(&picture, &other);
+        assert!(!difference.is_tolerable(), "{name} passed: {difference:?}");
+    }
+    assert!(Difference::between(&picture, &picture).is_tolerable());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 3)]
+async fn the_streamed_picture_equals_the_local_one_byte_for_byte() {
+    let server = RunningServer::start().await;
+    let url = server.stream_url();
+    let compared = tokio::task::spawn_blocking(move || {
+        let options = options(START);
+        let Some((local, _)) = drawn(&options) else { return };
+        let settings = Settings { url: url.parse().unwrap(), token: None };
+        let feed = SocketFeed::connect(settings).unwrap();
+        let (streamed, stats) = headless::render(&options, feed, Instant::now(), |_| {}).unwrap();
+        assert!(local.rgba == streamed.rgba, "{:?}", Difference::between(&local, &streamed));
+        assert!(stats.bytes_received > 100_000 && stats.chunks_drawn > 20, "{stats:?}");
+    });
+    compared.await.unwrap();
+    server.stop().await;
+}
+
+#[test]
+fn a_small_budget_is_kept_and_costs_detail_instead_of_holes() {
+    let small = Options { chunk_bytes: 4 << 20, ..options(START) };
+    let (Some((coarse, stats)), Some((fine, _))) = (drawn(&small), drawn(&options(START))) else { return };
+    assert!(stats.chunk_bytes_resident <= small.chunk_bytes, "{stats:?}");
+    let difference = Difference::between(&coarse, &fine);
+    assert!(difference.mean < 12.0, "coarser, but the same island: {difference:?}");
+}

@@ -1,0 +1,155 @@
+//! The built binaries: options, exit codes, and messages that fit on one line.
+
+use std::time::{Duration, Instant};
+use tests::program::{ServerProgram, command, errors, run};
+
+const PROGRAMS: [&str; 3] = ["tombolo-server", "tombolo-view", "tombolo-load"];
+
+/// Fails unless the program ends with the code and one line of error that holds every word.
+fn refused(name: &str, arguments: &[&str], code: i32, words: &[&str]) {
+    let output = run(name, arguments);
+    let line = errors(&output);
+    assert_eq!(output.status.code(), Some(code), "{name} {arguments:?}: {line}");
+    assert_eq!(line.lines().count(), 1, "{name} {arguments:?}: {line}");
+    for word in words {
+        assert!(line.contains(word), "{name} {arguments:?}: `{line}` lacks `{word}`");
+    }
+}
+
+#[test]
+fn every_program_explains_itself() {
+    for name in PROGRAMS {
+        let help = run(name, &["--help"]);
+        let text = String::from_utf8(help.stdout).unwrap();
+        assert!(help.status.success() && text.contains("Usage") && text.contains("default"), "{name}: {text}");
+        let version = run(name, &["--version"]);
+        assert!(version.status.success());
+        assert!(String::from_utf8(version.stdout).unwrap().starts_with(name));
+    }
+}
+
+#[test]
+fn an_unknown_option_is_named_and_ends_with_2() {
+    for name in PROGRAMS {
+        refused(name, &["--no-such-option", "5"], 2, &["--no-such-option"]);
+    }
+}
+
+#[test]
+fn values_out_of_range_are_named_with_what_is_allowed() {
+    refused("tombolo-server", &["--threads", "0"], 2, &["threads", "0", "1 to 1024"]);
+    refused("tombolo-server", &["--world-seed", "minus"], 2, &["--world-seed", "minus"]);
+    refused("tombolo-server", &["--listen", "nowhere"], 2, &["listen", "nowhere", "ADDR:PORT"]);
+    refused("tombolo-server", &["--log", "loud=?"], 2, &["log", "loud=?"]);
+    refused("tombolo-view", &["--scene", "moon"], 2, &["--scene", "moon", "island"]);
+    refused("tombolo-view", &["--camera", "1,2,3"], 2, &["--camera", "1,2,3"]);
+    refused("tombolo-view", &["--camera", "NaN,0,0,0,0"], 2, &["--camera"]);
+    refused("tombolo-view", &["--camera", "99999999,0,0,0,0"], 2, &["--camera", "99999999"]);
+    refused("tombolo-view", &["--size", "0x0"], 2, &["--size", "0x0"]);
+    refused("tombolo-load", &["--clients", "none"], 2, &["--clients", "none"]);
+    refused("tombolo-load", &["--connect", "not a url"], 2, &["--connect"]);
+}
+
+#[test]
+fn a_malformed_configuration_file_is_refused_by_line() {
+    let path = std::env::temp_dir().join(format!("tombolo-programs-{}.toml", std::process::id()));
+    std::fs::write(&path, "threads = 2\nlisten = 7\n").unwrap();
+    let text = path.to_str().unwrap();
+    refused("tombolo-server", &["--config", text], 2, &["config", text, "line 2"]);
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn a_port_in_use_is_named_with_what_to_do() {
+    let server = ServerProgram::start(&[]);
+    refused("tombolo-server", &["--listen", &server.address], 1, &[&server.address, "--listen"]);
+}
+
+#[test]
+fn a_server_that_is_not_there_is_named() {
+    let nowhere = "ws://127.0.0.1:9/v1/stream";
+    refused("tombolo-load", &["--connect", nowhere, "--clients", "1", "--seconds", "1"], 1, &[nowhere]);
+    let picture = std::env::temp_dir().join("tombolo-never.png");
+    let picture = picture.to_str().unwrap();
+    refused("tombolo-view", &["--connect", nowhere, "--shot", picture, "--size", "64x64"], 1, &["127.0.0.1:9"]);
+}
+
+#[test]
+fn without_a_gpu_the_viewer_says_what_to_install() {
+    let output = command("tombolo-view")
+        .args(["--shot", "never.png", "--size", "64x64"])
+        .env("VK_DRIVER_FILES", "/dev/null")
+        .env("VK_ICD_FILENAMES", "/dev/null")
+        .env("LIBGL_DRIVERS_PATH", "/dev/null")
+        .env("__EGL_VENDOR_LIBRARY_FILENAMES", "/dev/null")
+        .output()
+        .unwrap();
+    let line = errors(&output);
+    assert_eq!(output.status.code(), Some(1), "{line}");
+    assert!(line.lines().count() == 1 && line.contains("mesa-vulkan-drivers"), "{line}");
+}
+
+#[test]
+fn without_a_display_the_window_is_refused_with_the_way_out() {
+    let output = command("tombolo-view").env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").output().unwrap();
+    let line = errors(&output);
+    assert_eq!(output.status.code(), Some(1), "{line}");
+    assert!(line.lines().count() == 1 && line.contains("--shot"), "{line}");
+}
+
+#[test]
+fn a_terminated_server_drains_and_ends_with_0() {
+    let mut server = ServerProgram::start(&[]);
+    server.signal("TERM");
+    let started = Instant::now();
+    let status = server.child.wait().unwrap();
+    assert!(status.success(), "{status}");
+    assert!(started.elapsed() < Duration::from_secs(30));
+}
+
+#[test]
+fn a_short_load_test_verifies_chunks_and_writes_its_record() {
+    let server = ServerProgram::start(&[]);
+    let record = std::env::temp_dir().join(format!("tombolo-load-{}.json", std::process::id()));
+    let arguments = ["--clients", "3", "--seconds", "3", "--connect", &server.stream_url(), "--json", record.to_str().unwrap()];
+    let output = run("tombolo-load", &arguments);
+    assert!(output.status.success(), "{}", errors(&output));
+    let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&record).unwrap()).unwrap();
+    std::fs::remove_file(record).unwrap();
+    assert_eq!((json["clients"].as_u64(), json["mismatches"].as_u64(), json["dropped"].as_u64()), (Some(3), Some(0), Some(0)));
+    assert!(json["chunks"].as_u64() > Some(0) && json["bytes"].as_u64() > Some(0), "{json}");
+    for quantile in ["p50", "p99", "p999"] {
+        assert!(json["latency_ms"][quantile].is_number(), "{json}");
+    }
+    assert!(json["seconds"].is_number() && json["refused"].is_number());
+}
+
+#[test]
+fn a_shot_writes_a_picture_of_the_asked_size_and_all_statistics() {
+    let server = ServerProgram::start(&[]);
+    let base = std::env::temp_dir().join(format!("tombolo-shot-{}", std::process::id()));
+    let (picture, stats) = (base.with_extension("png"), base.with_extension("json"));
+    let output = run(
+        "tombolo-view",
+        &[
+            "--connect", &server.stream_url(), "--shot", picture.to_str().unwrap(), "--stats", stats.to_str().unwrap(),
+            "--size", "96x54", "--frames", "2", "--view-distance", "1500",
+        ],
+    );
+    if errors(&output).contains("mesa-vulkan-drivers") && !tests::gpu_is_required() {
+        eprintln!("SKIPPED: no GPU adapter");
+        return;
+    }
+    assert!(output.status.success(), "{}", errors(&output));
+    assert_eq!(image::image_dimensions(&picture).unwrap(), (96, 54));
+    let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&stats).unwrap()).unwrap();
+    for number in [
+        "frames", "chunks_drawn", "triangles", "bytes_received", "seconds_to_first_chunk", "seconds_to_complete_view",
+        "frame_ms_p50", "frame_ms_p99",
+    ] {
+        assert!(json[number].as_f64() > Some(0.0), "{number}: {json}");
+    }
+    assert!(json["adapter"].as_str().is_some_and(|name| !name.is_empty()));
+    std::fs::remove_file(picture).unwrap();
+    std::fs::remove_file(stats).unwrap();
+}
