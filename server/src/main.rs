@@ -37,35 +37,43 @@ async fn serve(config: ServerConfig) -> Result<(), String> {
         format!("cannot listen on {address}: {error}; stop what uses it or choose another --listen")
     })?;
     let bound = listener.local_addr().map_err(|error| format!("cannot tell the bound address: {error}"))?;
+    // Before the address is told: who knows the address may already want to stop the server.
+    let interrupted = interruption().map_err(|error| format!("cannot listen for signals: {error}"))?;
     // On standard output, for scripts that start a server on port 0. Nobody reading it is no reason to stop.
     let _ = writeln!(std::io::stdout(), "listening on http://{bound}");
-    server::run(listener, config, interrupted())
+    server::run(listener, config, interrupted)
         .await
         .map_err(|error| format!("cannot start generation threads: {error}"))
 }
 
-/// Completes on SIGINT or SIGTERM.
-async fn interrupted() {
-    let interrupt = tokio::signal::ctrl_c();
+/// Listens for SIGINT and SIGTERM from now on; the future completes on the first.
+fn interruption() -> std::io::Result<impl Future<Output = ()>> {
     #[cfg(unix)]
     {
         use tokio::signal::unix::{SignalKind, signal};
-        if let Ok(mut terminate) = signal(SignalKind::terminate()) {
+        let (mut interrupt, mut terminate) =
+            (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+        Ok(async move {
             tokio::select! {
-                _ = interrupt => {}
+                _ = interrupt.recv() => {}
                 _ = terminate.recv() => {}
             }
-            return;
-        }
+        })
     }
-    let _ = interrupt.await;
+    #[cfg(not(unix))]
+    Ok(async {
+        let _ = tokio::signal::ctrl_c().await;
+    })
 }
 
 fn set_up_logging(config: &ServerConfig) -> Result<(), String> {
     let filter = EnvFilter::try_new(&config.log).map_err(|error| {
         format!("log: `{}` is not a filter ({error}); give for example info or info,server=debug", config.log)
     })?;
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(std::io::stderr().is_terminal());
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal());
     if config.log_json {
         builder.json().init()
     } else {

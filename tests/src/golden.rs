@@ -53,7 +53,8 @@ pub fn check(name: &str, picture: &Picture) -> Result<(), String> {
     if std::env::var_os("TOMBOLO_BLESS").is_some() {
         return write(&path, picture);
     }
-    let golden = image::open(&path).map_err(|error| format!("cannot read {}: {error}", path.display()))?.to_rgba8();
+    let golden =
+        image::open(&path).map_err(|error| format!("cannot read {}: {error}", path.display()))?.to_rgba8();
     let golden = Picture { width: golden.width(), height: golden.height(), rgba: golden.into_raw() };
     let difference = Difference::between(&golden, picture);
     if difference.is_tolerable() {
@@ -61,7 +62,10 @@ pub fn check(name: &str, picture: &Picture) -> Result<(), String> {
     }
     let drawn = drawn_path(name);
     write(&drawn, picture)?;
-    Err(format!("{name} differs from its golden picture: {difference:?} against {TOLERANCE:?}; see {}", drawn.display()))
+    Err(format!(
+        "{name} differs from its golden picture: {difference:?} against {TOLERANCE:?}; see {}",
+        drawn.display()
+    ))
 }
 
 fn drawn_path(name: &str) -> PathBuf {

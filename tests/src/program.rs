@@ -10,8 +10,9 @@ use std::sync::OnceLock;
 pub fn command(name: &str) -> Command {
     static BUILT: OnceLock<()> = OnceLock::new();
     BUILT.get_or_init(|| {
+        // The whole workspace, as continuous integration builds it: a part would be built with other features.
         let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let built = Command::new(cargo).args(["build", "--quiet", "--bins", "-p", "server", "-p", "client", "-p", "load"]).status();
+        let built = Command::new(cargo).args(["build", "--quiet", "--workspace", "--bins"]).status();
         assert!(built.is_ok_and(|status| status.success()), "the programs build");
     });
     let mut command = Command::new(directory().join(name));
@@ -60,8 +61,17 @@ impl ServerProgram {
     /// It does not say so.
     #[must_use]
     pub fn start(arguments: &[&str]) -> Self {
+        Self::start_at("127.0.0.1:0", arguments)
+    }
+
+    /// Starts the server at an address, for suites that bring one back where it was.
+    ///
+    /// # Panics
+    /// It does not say where it listens.
+    #[must_use]
+    pub fn start_at(address: &str, arguments: &[&str]) -> Self {
         let mut child = command("tombolo-server")
-            .args(["--listen", "127.0.0.1:0"])
+            .args(["--listen", address])
             .args(arguments)
             .stdout(Stdio::piped())
             .stderr(Stdio::null())

@@ -70,10 +70,4 @@ impl RunningServer {
         drop(self.stop.take());
         (&mut self.task).await.expect("the server ends without a panic");
     }
-
-    /// Ends the server at once, as a crash would: sockets close without a word.
-    pub async fn kill(self) {
-        self.task.abort();
-        let _ = self.task.await;
-    }
 }

@@ -10,6 +10,7 @@ use protocol::client::Event;
 use std::time::{Duration, Instant};
 use tests::RunningServer;
 use tests::peer::{Guest, view};
+use tests::program::ServerProgram;
 use tests::running::quick_config;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -23,7 +24,9 @@ async fn a_draining_server_says_when_to_return_and_closes_every_session() {
     }
     let stopped = tokio::spawn(server.stop());
     for mut guest in guests {
-        let Event::Draining { reconnect_after_ms } = guest.event().await.unwrap() else { panic!("no notice") };
+        let Event::Draining { reconnect_after_ms } = guest.event().await.unwrap() else {
+            panic!("no notice")
+        };
         assert!((500..2000).contains(&reconnect_after_ms));
         let close = guest.event().await.unwrap_err().expect("a close frame");
         assert_eq!(u16::from(close.code), CloseCode::GoingAway.code());
@@ -54,36 +57,23 @@ fn until(voyage: &mut Voyage<SocketFeed>, mut condition: impl FnMut(&Voyage<Sock
     }
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 3)]
-async fn the_viewer_keeps_what_it_has_while_the_server_is_gone_and_goes_on_when_it_returns() {
-    let server = RunningServer::start().await;
-    let (address, url) = (server.address, server.stream_url());
-    let driven = tokio::task::spawn_blocking(move || {
-        let settings = Settings { url: url.parse().unwrap(), token: None };
-        let mut voyage = Voyage::new(SocketFeed::connect(settings).unwrap(), 512);
-        // In mid-stream: some chunks are here, not all.
-        until(&mut voyage, |voyage| voyage.world().len() >= 8);
-        voyage
-    });
-    let mut voyage = driven.await.unwrap();
-    server.kill().await;
+#[test]
+fn the_viewer_keeps_what_it_has_while_the_server_is_gone_and_goes_on_when_it_returns() {
+    let server = ServerProgram::start(&["--threads", "1"]);
+    let address = server.address.clone();
+    let settings = Settings { url: server.stream_url().parse().unwrap(), token: None };
+    let mut voyage = Voyage::new(SocketFeed::connect(settings).unwrap(), 512);
+    // In mid-stream: some chunks are here, not all.
+    until(&mut voyage, |voyage| voyage.world().len() >= 8);
+    server.signal("KILL");
+    let had = voyage.world().len();
+    let drawn = until(&mut voyage, |voyage| matches!(voyage.link(), Link::Waiting { .. }));
+    assert!(drawn > 0 && voyage.world().len() >= had, "the land is still there");
+    drop(server);
 
-    let away = tokio::task::spawn_blocking(move || {
-        let had = voyage.world().len();
-        let drawn = until(&mut voyage, |voyage| matches!(voyage.link(), Link::Waiting { .. }));
-        assert!(drawn > 0 && voyage.world().len() >= had, "the land is still there");
-        voyage
-    });
-    let mut voyage = away.await.unwrap();
-
-    let server = RunningServer::start_at(address, quick_config()).await;
-    tokio::task::spawn_blocking(move || {
-        until(&mut voyage, |voyage| matches!(voyage.link(), Link::Connected(_)) && voyage.is_settled());
-        assert!(voyage.world().len() > 8);
-    })
-    .await
-    .unwrap();
-    server.stop().await;
+    let _again = ServerProgram::start_at(&address, &[]);
+    until(&mut voyage, |voyage| matches!(voyage.link(), Link::Connected(_)) && voyage.is_settled());
+    assert!(voyage.world().len() > had);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
@@ -104,10 +94,17 @@ async fn a_server_of_another_world_replaces_the_land() {
         let other = terrain::Land::new(2);
         until(&mut voyage, |voyage| {
             let settled = voyage.is_settled() && matches!(voyage.link(), Link::Connected(_));
-            settled && voyage.world().keys().next().is_some_and(|key| voyage.world().get(key).is_some_and(|chunk| chunk.heights == other.chunk_heights(key)))
+            settled
+                && voyage.world().keys().next().is_some_and(|key| {
+                    voyage.world().get(key).is_some_and(|chunk| chunk.heights == other.chunk_heights(key))
+                })
         });
         for key in voyage.world().keys().collect::<Vec<_>>() {
-            assert_eq!(voyage.world().get(key).unwrap().heights, other.chunk_heights(key), "{key} is of the old world");
+            assert_eq!(
+                voyage.world().get(key).unwrap().heights,
+                other.chunk_heights(key),
+                "{key} is of the old world"
+            );
         }
     })
     .await

@@ -11,7 +11,9 @@ use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::{Error, Message};
 
 fn hello() -> Vec<u8> {
-    control::encode(&ClientMessage::Hello(Hello { digest: None, token: None, software: "hostile".into() })).unwrap().to_vec()
+    control::encode(&ClientMessage::Hello(Hello { digest: None, token: None, software: "hostile".into() }))
+        .unwrap()
+        .to_vec()
 }
 
 /// Sends one message after the handshake and gives the close code.
@@ -65,7 +67,10 @@ async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
     peer.send_bytes(&frame).await;
     let answer = peer.receive().await.expect("a rejection");
     let ServerMessage::Rejected(rejection) = control::decode(&answer).unwrap() else { panic!("{answer:?}") };
-    assert!(rejection.to_string().contains("42") && rejection.to_string().contains("server 1"), "{rejection}");
+    assert!(
+        rejection.to_string().contains("42") && rejection.to_string().contains("server 1"),
+        "{rejection}"
+    );
     assert_eq!(peer.closed().await, Some(CloseCode::WrongVersion.code()));
 
     let stranger = Hello { digest: Some([0xee; 32]), token: None, software: "hostile".into() };
@@ -74,7 +79,10 @@ async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
     let answer = peer.receive().await.expect("a rejection");
     let ServerMessage::Rejected(rejection) = control::decode(&answer).unwrap() else { panic!("{answer:?}") };
     let ours = terrain::Land::new(1).digest().to_string();
-    assert!(rejection.to_string().contains(&"ee".repeat(32)) && rejection.to_string().contains(&ours), "{rejection}");
+    assert!(
+        rejection.to_string().contains(&"ee".repeat(32)) && rejection.to_string().contains(&ours),
+        "{rejection}"
+    );
     assert_eq!(peer.closed().await, Some(CloseCode::WrongWorld.code()));
     server.stop().await;
 }
@@ -83,7 +91,9 @@ async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
 async fn a_wrong_subprotocol_is_refused_with_both_names_before_the_upgrade() {
     let server = RunningServer::start().await;
     for offered in [None, Some("chat"), Some("tombolo.v2")] {
-        let Err(error) = Peer::try_connect(&server.stream_url(), offered).await else { panic!("{offered:?} was accepted") };
+        let Err(error) = Peer::try_connect(&server.stream_url(), offered).await else {
+            panic!("{offered:?} was accepted")
+        };
         let Error::Http(response) = *error else { panic!("{error}") };
         assert_eq!(response.status(), 400);
         let body = String::from_utf8(response.into_body().unwrap_or_default()).unwrap();
@@ -128,7 +138,11 @@ async fn a_client_that_stops_reading_is_closed_and_does_not_slow_the_others() {
     let gone = async {
         loop {
             let url = server.url("/metrics");
-            let text = tokio::task::spawn_blocking(move || ureq::get(url).call().unwrap().body_mut().read_to_string().unwrap()).await.unwrap();
+            let text = tokio::task::spawn_blocking(move || {
+                ureq::get(url).call().unwrap().body_mut().read_to_string().unwrap()
+            })
+            .await
+            .unwrap();
             if text.contains("session_ends_total{reason=\"not reading\"} 1") {
                 return;
             }
@@ -144,7 +158,9 @@ async fn a_full_server_answers_503_and_admits_again_when_a_session_ends() {
     let config = server::ServerConfig { max_sessions: 1, ..running::quick_config() };
     let server = RunningServer::start_with(config).await;
     let guest = Guest::connect(&server.stream_url()).await;
-    let Err(error) = Peer::try_connect(&server.stream_url(), Some(SUBPROTOCOL)).await else { panic!("accepted") };
+    let Err(error) = Peer::try_connect(&server.stream_url(), Some(SUBPROTOCOL)).await else {
+        panic!("accepted")
+    };
     let Error::Http(response) = *error else { panic!("{error}") };
     assert_eq!(response.status(), 503);
     assert!(response.headers().contains_key("retry-after"));
@@ -173,7 +189,10 @@ async fn a_token_is_asked_for_on_both_doors() {
     tokio::task::spawn_blocking(move || {
         let agent: ureq::Agent = ureq::Agent::config_builder().http_status_as_error(false).build().into();
         assert_eq!(agent.get(&url).call().unwrap().status(), 401);
-        assert_eq!(agent.get(&url).header("Authorization", "Bearer open sesame").call().unwrap().status(), 200);
+        assert_eq!(
+            agent.get(&url).header("Authorization", "Bearer open sesame").call().unwrap().status(),
+            200
+        );
     })
     .await
     .unwrap();

@@ -26,9 +26,15 @@ async fn get(url: String, known: Option<String>) -> Answer {
             request = request.header("If-None-Match", etag);
         }
         let mut response: Response<ureq::Body> = request.call().unwrap();
-        let header = |name: &str| response.headers().get(name).map(|value| value.to_str().unwrap().to_owned());
+        let header =
+            |name: &str| response.headers().get(name).map(|value| value.to_str().unwrap().to_owned());
         let (etag, cache) = (header("etag"), header("cache-control"));
-        Answer { status: response.status().as_u16(), etag, cache, body: response.body_mut().read_to_vec().unwrap() }
+        Answer {
+            status: response.status().as_u16(),
+            etag,
+            cache,
+            body: response.body_mut().read_to_vec().unwrap(),
+        }
     };
     tokio::task::spawn_blocking(blocking).await.unwrap()
 }
@@ -74,13 +80,18 @@ async fn what_does_not_exist_is_refused_with_a_sentence_that_tells_what_does() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_world_describes_itself_and_the_probes_answer() {
     let server = RunningServer::start().await;
-    let world: serde_json::Value = serde_json::from_slice(&get(server.url("/v1/world"), None).await.body).unwrap();
+    let world: serde_json::Value =
+        serde_json::from_slice(&get(server.url("/v1/world"), None).await.body).unwrap();
     assert_eq!(world["digest"], Land::new(1).digest().to_string());
     assert_eq!((world["world_seed"].as_u64(), world["levels"].as_u64()), (Some(1), Some(17)));
     assert_eq!(world["stream"]["subprotocol"], protocol::SUBPROTOCOL);
     assert_eq!(get(server.url("/livez"), None).await.status, 200);
     assert_eq!(get(server.url("/readyz"), None).await.status, 200);
     let metrics = get(server.url("/metrics"), None).await.text();
-    assert!(metrics.contains("tombolo_sessions 0") && metrics.contains("tombolo_http_responses_total{status=\"200\"} 3"), "{metrics}");
+    assert!(
+        metrics.contains("tombolo_sessions 0")
+            && metrics.contains("tombolo_http_responses_total{status=\"200\"} 3"),
+        "{metrics}"
+    );
     server.stop().await;
 }

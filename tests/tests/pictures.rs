@@ -36,7 +36,12 @@ fn drawn(options: &Options) -> Option<(Picture, Stats)> {
 
 #[test]
 fn the_island_looks_as_it_should() {
-    for (name, camera) in [("start", START), ("shore", "-2100,12,3500,60,-4"), ("summit", "0,520,600,0,-20"), ("below", "900,1500,4200,-20,-60")] {
+    for (name, camera) in [
+        ("start", START),
+        ("shore", "4700,25,500,-60,-8"),
+        ("summit", "300,420,900,20,-12"),
+        ("below", "900,1500,4200,-20,-60"),
+    ] {
         let Some((picture, _)) = drawn(&options(camera)) else { return };
         golden::check(name, &picture).unwrap();
     }
@@ -67,7 +72,7 @@ async fn the_streamed_picture_equals_the_local_one_byte_for_byte() {
         let feed = SocketFeed::connect(settings).unwrap();
         let (streamed, stats) = headless::render(&options, feed, Instant::now(), |_| {}).unwrap();
         assert!(local.rgba == streamed.rgba, "{:?}", Difference::between(&local, &streamed));
-        assert!(stats.bytes_received > 100_000 && stats.chunks_drawn > 20, "{stats:?}");
+        assert!(stats.bytes_received > 100_000 && stats.chunks_drawn > 10, "{stats:?}");
     });
     compared.await.unwrap();
     server.stop().await;

@@ -21,7 +21,10 @@ fn every_program_explains_itself() {
     for name in PROGRAMS {
         let help = run(name, &["--help"]);
         let text = String::from_utf8(help.stdout).unwrap();
-        assert!(help.status.success() && text.contains("Usage") && text.contains("default"), "{name}: {text}");
+        assert!(
+            help.status.success() && text.contains("Usage") && text.contains("default"),
+            "{name}: {text}"
+        );
         let version = run(name, &["--version"]);
         assert!(version.status.success());
         assert!(String::from_utf8(version.stdout).unwrap().starts_with(name));
@@ -71,7 +74,12 @@ fn a_server_that_is_not_there_is_named() {
     refused("tombolo-load", &["--connect", nowhere, "--clients", "1", "--seconds", "1"], 1, &[nowhere]);
     let picture = std::env::temp_dir().join("tombolo-never.png");
     let picture = picture.to_str().unwrap();
-    refused("tombolo-view", &["--connect", nowhere, "--shot", picture, "--size", "64x64"], 1, &["127.0.0.1:9"]);
+    refused(
+        "tombolo-view",
+        &["--connect", nowhere, "--shot", picture, "--size", "64x64"],
+        1,
+        &["127.0.0.1:9"],
+    );
 }
 
 #[test]
@@ -91,7 +99,8 @@ fn without_a_gpu_the_viewer_says_what_to_install() {
 
 #[test]
 fn without_a_display_the_window_is_refused_with_the_way_out() {
-    let output = command("tombolo-view").env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").output().unwrap();
+    let output =
+        command("tombolo-view").env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").output().unwrap();
     let line = errors(&output);
     assert_eq!(output.status.code(), Some(1), "{line}");
     assert!(line.lines().count() == 1 && line.contains("--shot"), "{line}");
@@ -111,12 +120,24 @@ fn a_terminated_server_drains_and_ends_with_0() {
 fn a_short_load_test_verifies_chunks_and_writes_its_record() {
     let server = ServerProgram::start(&[]);
     let record = std::env::temp_dir().join(format!("tombolo-load-{}.json", std::process::id()));
-    let arguments = ["--clients", "3", "--seconds", "3", "--connect", &server.stream_url(), "--json", record.to_str().unwrap()];
+    let arguments = [
+        "--clients",
+        "3",
+        "--seconds",
+        "3",
+        "--connect",
+        &server.stream_url(),
+        "--json",
+        record.to_str().unwrap(),
+    ];
     let output = run("tombolo-load", &arguments);
     assert!(output.status.success(), "{}", errors(&output));
     let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&record).unwrap()).unwrap();
     std::fs::remove_file(record).unwrap();
-    assert_eq!((json["clients"].as_u64(), json["mismatches"].as_u64(), json["dropped"].as_u64()), (Some(3), Some(0), Some(0)));
+    assert_eq!(
+        (json["clients"].as_u64(), json["mismatches"].as_u64(), json["dropped"].as_u64()),
+        (Some(3), Some(0), Some(0))
+    );
     assert!(json["chunks"].as_u64() > Some(0) && json["bytes"].as_u64() > Some(0), "{json}");
     for quantile in ["p50", "p99", "p999"] {
         assert!(json["latency_ms"][quantile].is_number(), "{json}");
@@ -132,8 +153,18 @@ fn a_shot_writes_a_picture_of_the_asked_size_and_all_statistics() {
     let output = run(
         "tombolo-view",
         &[
-            "--connect", &server.stream_url(), "--shot", picture.to_str().unwrap(), "--stats", stats.to_str().unwrap(),
-            "--size", "96x54", "--frames", "2", "--view-distance", "1500",
+            "--connect",
+            &server.stream_url(),
+            "--shot",
+            picture.to_str().unwrap(),
+            "--stats",
+            stats.to_str().unwrap(),
+            "--size",
+            "96x54",
+            "--frames",
+            "2",
+            "--view-distance",
+            "1500",
         ],
     );
     if errors(&output).contains("mesa-vulkan-drivers") && !tests::gpu_is_required() {
@@ -144,8 +175,14 @@ fn a_shot_writes_a_picture_of_the_asked_size_and_all_statistics() {
     assert_eq!(image::image_dimensions(&picture).unwrap(), (96, 54));
     let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&stats).unwrap()).unwrap();
     for number in [
-        "frames", "chunks_drawn", "triangles", "bytes_received", "seconds_to_first_chunk", "seconds_to_complete_view",
-        "frame_ms_p50", "frame_ms_p99",
+        "frames",
+        "chunks_drawn",
+        "triangles",
+        "bytes_received",
+        "seconds_to_first_chunk",
+        "seconds_to_complete_view",
+        "frame_ms_p50",
+        "frame_ms_p99",
     ] {
         assert!(json[number].as_f64() > Some(0.0), "{number}: {json}");
     }

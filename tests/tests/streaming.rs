@@ -72,7 +72,11 @@ async fn many_clients_of_one_place_cost_one_generation_per_chunk() {
         counts.insert(guest.await.unwrap());
     }
     assert_eq!(counts.len(), 1, "all got the same view: {counts:?}");
-    let metrics = tokio::task::spawn_blocking(move || ureq::get(server.url("/metrics")).call().unwrap().body_mut().read_to_string().unwrap()).await.unwrap();
+    let metrics = tokio::task::spawn_blocking(move || {
+        ureq::get(server.url("/metrics")).call().unwrap().body_mut().read_to_string().unwrap()
+    })
+    .await
+    .unwrap();
     let generated = format!("tombolo_generated_total {}\n", counts.into_iter().next().unwrap());
     assert!(metrics.contains(&generated), "{metrics}");
 }
