@@ -1,0 +1,24 @@
+//! Renders the home island without a server: `cargo run -p client --example local_shot -- OUT.png [CAMERA] [WxH]`.
+
+use client::feed::LocalFeed;
+use client::headless::{Options, render};
+use std::error::Error;
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let mut options = Options::default();
+    if let Some(camera) = arguments.get(1) {
+        options.pose = camera.parse()?;
+    }
+    if let Some((width, height)) = arguments.get(2).and_then(|size| size.split_once('x')) {
+        (options.lens.width, options.lens.height) = (width.parse()?, height.parse()?);
+    }
+    options.samples = arguments.get(3).map_or(Ok(4), |samples| samples.parse())?;
+    options.frames = 3;
+    let (picture, stats) = render(&options, LocalFeed::new(1), Instant::now(), |_| ())?;
+    println!("{}", serde_json::to_string(&stats)?);
+    let path = arguments.first().map_or("local_shot.png", String::as_str);
+    image::save_buffer(path, &picture.rgba, picture.width, picture.height, image::ColorType::Rgba8)?;
+    Ok(())
+}

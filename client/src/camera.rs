@@ -1,0 +1,358 @@
+//! Where the eye is and how it looks: poses, lenses, flying and orbiting. Pure arithmetic; time comes in as steps.
+//!
+//! Axes of the world: x east, y up, z south. Yaw 0 looks north (-z) and grows to the right (east); pitch grows upward.
+
+use glam::camera::rh::{proj::directx::perspective_infinite_reverse, view::look_to_mat4};
+use glam::{DVec3, Mat4, Vec3};
+use std::fmt;
+use std::str::FromStr;
+use terrain::constants::{UNITS_PER_METRE, WORLD_HALF};
+
+/// Highest eye, metres. Above it the horizon of a flat world would need more than 64 km of land.
+pub const MAX_EYE_HEIGHT_M: f64 = 20_000.0;
+/// Lowest eye, metres: the open sea floor.
+pub const MIN_EYE_HEIGHT_M: f64 = -64.0;
+/// Largest |x| and |z| of an eye, metres.
+pub const WORLD_HALF_M: f64 = (WORLD_HALF / UNITS_PER_METRE) as f64;
+/// Steepest gaze in degrees: straight up or down has no heading.
+pub const MAX_PITCH_DEG: f64 = 89.0;
+
+/// Position and gaze of a camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Metres east, up, south.
+    pub position_m: DVec3,
+    /// Heading in degrees, clockwise from north.
+    pub yaw_deg: f64,
+    /// Elevation of the gaze in degrees, within ±[`MAX_PITCH_DEG`].
+    pub pitch_deg: f64,
+}
+
+/// An eye split for exact arithmetic: whole units, and what is left of a unit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Eye {
+    /// East, up, south in units of 2^-8 m.
+    pub units: [i32; 3],
+    /// The rest, metres, 0 to 2^-8 each.
+    pub fraction_m: Vec3,
+}
+
+impl Pose {
+    /// Unit vector into the picture.
+    #[must_use]
+    pub fn forward(&self) -> DVec3 {
+        let (yaw, pitch) = (self.yaw_deg.to_radians(), self.pitch_deg.to_radians());
+        DVec3::new(yaw.sin() * pitch.cos(), pitch.sin(), -yaw.cos() * pitch.cos())
+    }
+
+    /// Unit vector to the right of the picture; horizontal.
+    #[must_use]
+    pub fn right(&self) -> DVec3 {
+        let yaw = self.yaw_deg.to_radians();
+        DVec3::new(yaw.cos(), 0.0, yaw.sin())
+    }
+
+    /// Unit vector to the top of the picture.
+    #[must_use]
+    pub fn up(&self) -> DVec3 {
+        self.right().cross(self.forward())
+    }
+
+    /// The eye for integer-origin rendering. Positions beyond the world are held at its border.
+    #[must_use]
+    pub fn eye(&self) -> Eye {
+        let scale = f64::from(UNITS_PER_METRE);
+        let clamped = self.clamped().position_m * scale;
+        let whole = clamped.floor();
+        Eye {
+            units: [whole.x as i32, whole.y as i32, whole.z as i32],
+            fraction_m: ((clamped - whole) / scale).as_vec3(),
+        }
+    }
+
+    /// The pose moved into the world and its pitch into range.
+    #[must_use]
+    pub fn clamped(self) -> Self {
+        let p = self.position_m;
+        Self {
+            position_m: DVec3::new(
+                p.x.clamp(-WORLD_HALF_M, WORLD_HALF_M),
+                p.y.clamp(MIN_EYE_HEIGHT_M, MAX_EYE_HEIGHT_M),
+                p.z.clamp(-WORLD_HALF_M, WORLD_HALF_M),
+            ),
+            yaw_deg: self.yaw_deg.rem_euclid(360.0),
+            pitch_deg: self.pitch_deg.clamp(-MAX_PITCH_DEG, MAX_PITCH_DEG),
+        }
+    }
+}
+
+impl fmt::Display for Pose {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let p = self.position_m;
+        write!(f, "{:.1},{:.1},{:.1},{:.1},{:.1}", p.x, p.y, p.z, self.yaw_deg, self.pitch_deg)
+    }
+}
+
+/// Why a `X,Y,Z,YAW,PITCH` text is no pose.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PoseError {
+    /// Not five numbers.
+    #[error("expected X,Y,Z,YAW,PITCH (metres and degrees, five numbers), found {0}")]
+    Count(usize),
+    /// Something that is no number, or an infinite one.
+    #[error("{name} is `{text}`, expected a finite number")]
+    Number {
+        /// Which of the five.
+        name: &'static str,
+        /// What stood there.
+        text: String,
+    },
+    /// A number outside what is possible.
+    #[error("{name} is {value}, allowed is {low} to {high}")]
+    Range {
+        /// Which of the five.
+        name: &'static str,
+        /// The refused value.
+        value: f64,
+        /// Smallest allowed.
+        low: f64,
+        /// Largest allowed.
+        high: f64,
+    },
+}
+
+impl FromStr for Pose {
+    type Err = PoseError;
+
+    fn from_str(text: &str) -> Result<Self, PoseError> {
+        let fields = [
+            ("X", -WORLD_HALF_M, WORLD_HALF_M),
+            ("Y", MIN_EYE_HEIGHT_M, MAX_EYE_HEIGHT_M),
+            ("Z", -WORLD_HALF_M, WORLD_HALF_M),
+            ("YAW", -360.0, 360.0),
+            ("PITCH", -MAX_PITCH_DEG, MAX_PITCH_DEG),
+        ];
+        let parts: Vec<&str> = text.split(',').collect();
+        if parts.len() != fields.len() {
+            return Err(PoseError::Count(parts.len()));
+        }
+        let mut values = [0.0; 5];
+        for ((value, (name, low, high)), part) in values.iter_mut().zip(fields).zip(parts) {
+            let number = part.trim().parse::<f64>().ok().filter(|number| number.is_finite());
+            *value = number.ok_or_else(|| PoseError::Number { name, text: part.trim().to_owned() })?;
+            if !(low..=high).contains(value) {
+                return Err(PoseError::Range { name, value: *value, low, high });
+            }
+        }
+        let [x, y, z, yaw_deg, pitch_deg] = values;
+        Ok(Self { position_m: DVec3::new(x, y, z), yaw_deg, pitch_deg })
+    }
+}
+
+/// Vertical field of view and target size: everything about the picture but the pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    /// Vertical field of view, degrees, 1 to 170.
+    pub fov_deg: f64,
+    /// Width in pixels, at least 1.
+    pub width: u32,
+    /// Height in pixels, at least 1.
+    pub height: u32,
+}
+
+/// Distance of the near plane, metres. Infinite reversed-Z spends its precision by ratio, so a close plane costs nothing.
+pub const NEAR_M: f32 = 0.25;
+
+impl Lens {
+    /// Width over height.
+    #[must_use]
+    pub fn aspect(&self) -> f64 {
+        f64::from(self.width) / f64::from(self.height)
+    }
+
+    /// Half the height of the image plane at distance 1.
+    #[must_use]
+    pub fn half_height(&self) -> f64 {
+        (self.fov_deg.to_radians() / 2.0).tan()
+    }
+
+    /// Camera-relative metres (axes of the world) to clip space; infinite reversed-Z.
+    #[must_use]
+    pub fn clip_from_camera(&self, pose: &Pose) -> Mat4 {
+        let clip_from_view =
+            perspective_infinite_reverse(self.fov_deg.to_radians() as f32, self.aspect() as f32, NEAR_M);
+        let view_from_camera = look_to_mat4(Vec3::ZERO, pose.forward().as_vec3(), pose.up().as_vec3());
+        clip_from_view * view_from_camera
+    }
+}
+
+/// What the keys and the mouse ask of a flying camera, each axis -1 to 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Steering {
+    /// Along the gaze.
+    pub forward: f64,
+    /// To the right.
+    pub right: f64,
+    /// Up, whatever the gaze.
+    pub up: f64,
+    /// Degrees to turn right now.
+    pub turn_deg: f64,
+    /// Degrees to look up now.
+    pub tilt_deg: f64,
+}
+
+/// A free camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fly {
+    /// Where it is.
+    pub pose: Pose,
+    /// Metres a second at full steering.
+    pub speed_m: f64,
+}
+
+impl Fly {
+    /// Moves for `dt_s` seconds.
+    pub fn step(&mut self, steering: &Steering, dt_s: f64) {
+        self.pose.yaw_deg += steering.turn_deg;
+        self.pose.pitch_deg += steering.tilt_deg;
+        self.pose = self.pose.clamped();
+        let wish = self.pose.forward() * steering.forward
+            + self.pose.right() * steering.right
+            + DVec3::Y * steering.up;
+        self.pose.position_m += wish.clamp_length_max(1.0) * self.speed_m * dt_s;
+        self.pose = self.pose.clamped();
+    }
+}
+
+/// A camera that circles a point and looks at it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Orbit {
+    /// What it looks at, metres.
+    pub centre_m: DVec3,
+    /// Horizontal distance to the centre, metres.
+    pub radius_m: f64,
+    /// Eye height above the sea, metres.
+    pub height_m: f64,
+    /// Bearing of the eye seen from the centre, degrees clockwise from north.
+    pub bearing_deg: f64,
+}
+
+impl Orbit {
+    /// The orbit that passes through a pose and circles the point on the sea that it looks towards, `ahead_m` away.
+    #[must_use]
+    pub fn through(pose: &Pose, ahead_m: f64) -> Self {
+        let level = DVec3::new(pose.yaw_deg.to_radians().sin(), 0.0, -pose.yaw_deg.to_radians().cos());
+        let centre_m = pose.position_m.with_y(0.0) + level * ahead_m;
+        Self {
+            centre_m,
+            radius_m: ahead_m,
+            height_m: pose.position_m.y,
+            bearing_deg: (pose.yaw_deg + 180.0).rem_euclid(360.0),
+        }
+    }
+
+    /// The pose at the current bearing.
+    #[must_use]
+    pub fn pose(&self) -> Pose {
+        let bearing = self.bearing_deg.to_radians();
+        let offset = DVec3::new(bearing.sin(), 0.0, -bearing.cos()) * self.radius_m;
+        let pitch = (self.centre_m.y - self.height_m).atan2(self.radius_m);
+        Pose {
+            position_m: (self.centre_m + offset).with_y(self.height_m),
+            yaw_deg: (self.bearing_deg + 180.0).rem_euclid(360.0),
+            pitch_deg: pitch.to_degrees(),
+        }
+        .clamped()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec4;
+    use proptest::prelude::*;
+
+    fn pose(text: &str) -> Pose {
+        text.parse().unwrap()
+    }
+
+    fn lens() -> Lens {
+        Lens { fov_deg: 60.0, width: 1280, height: 720 }
+    }
+
+    #[test]
+    fn yaw_turns_right_from_north_and_pitch_looks_up() {
+        let close = |a: DVec3, b: DVec3| assert!((a - b).length() < 1e-9, "{a} {b}");
+        close(pose("0,0,0,0,0").forward(), -DVec3::Z);
+        close(pose("0,0,0,90,0").forward(), DVec3::X);
+        close(pose("0,0,0,180,0").forward(), DVec3::Z);
+        assert!(pose("0,0,0,0,30").forward().y > 0.49);
+        close(pose("0,0,0,0,0").right(), DVec3::X);
+        close(pose("0,0,0,123,0").up(), DVec3::Y);
+    }
+
+    #[test]
+    fn a_point_ahead_lands_in_the_middle_and_depth_falls_with_distance() {
+        let clip_from_camera = lens().clip_from_camera(&pose("7,8,9,90,0"));
+        let project = |offset: Vec3| {
+            let clip: Vec4 = clip_from_camera * offset.extend(1.0);
+            clip.truncate() / clip.w
+        };
+        let near = project(Vec3::new(10.0, 0.0, 0.0));
+        let far = project(Vec3::new(10_000.0, 0.0, 0.0));
+        assert!(near.x.abs() < 1e-5 && near.y.abs() < 1e-5);
+        assert!((near.z - NEAR_M / 10.0).abs() < 1e-6 && (far.z - NEAR_M / 10_000.0).abs() < 1e-8);
+        assert!(project(Vec3::new(10.0, 1.0, 0.0)).y > 0.0, "up is up");
+        assert!(project(Vec3::new(10.0, 0.0, 1.0)).x > 0.0, "south is right of east");
+        let at_infinity = clip_from_camera * Vec4::new(1.0, 0.0, 0.0, 0.0);
+        assert!(at_infinity.z == 0.0 && at_infinity.w > 0.0);
+    }
+
+    #[test]
+    fn each_bad_pose_is_refused_with_name_value_and_range() {
+        for (text, words) in [
+            ("", "found 1"),
+            ("1,2,3,4", "found 4"),
+            ("1,2,3,4,5,6", "found 6"),
+            ("1,2,x,4,5", "Z is `x`"),
+            ("NaN,2,3,4,5", "X is `NaN`"),
+            ("1,inf,3,4,5", "Y is `inf`"),
+            ("1,1e999,3,4,5", "Y is `1e999`"),
+            ("4194305,2,3,4,5", "X is 4194305, allowed is -4194304 to 4194304"),
+            ("1,20001,3,4,5", "Y is 20001"),
+            ("1,2,3,400,5", "YAW is 400"),
+            ("1,2,3,4,90", "PITCH is 90, allowed is -89 to 89"),
+        ] {
+            let message = text.parse::<Pose>().unwrap_err().to_string();
+            assert!(message.contains(words), "{text}: {message}");
+        }
+    }
+
+    #[test]
+    fn flying_stops_at_the_border_of_the_world_and_never_looks_over_the_zenith() {
+        let mut fly = Fly { pose: pose("4194300,100,0,90,0"), speed_m: 1000.0 };
+        fly.step(&Steering { forward: 1.0, tilt_deg: 500.0, ..Steering::default() }, 10.0);
+        assert!(fly.pose.pitch_deg <= MAX_PITCH_DEG && fly.pose.position_m.x <= WORLD_HALF_M);
+        assert!(fly.pose.eye().units[0] <= WORLD_HALF);
+    }
+
+    #[test]
+    fn an_orbit_passes_through_its_pose_and_looks_at_its_centre() {
+        let start = pose("100,300,-50,40,-10");
+        let orbit = Orbit::through(&start, 2000.0);
+        assert!((orbit.pose().position_m - start.position_m).length() < 1e-6);
+        let later = Orbit { bearing_deg: orbit.bearing_deg + 77.0, ..orbit }.pose();
+        let to_centre = (orbit.centre_m - later.position_m).normalize();
+        assert!((to_centre - later.forward()).length() < 1e-9);
+    }
+
+    proptest! {
+        #[test]
+        fn whole_units_and_fraction_are_the_position(x in -WORLD_HALF_M..WORLD_HALF_M, y in -64.0f64..20_000.0) {
+            let eye = Pose { position_m: DVec3::new(x, y, -x), yaw_deg: 0.0, pitch_deg: 0.0 }.eye();
+            prop_assert!(eye.fraction_m.min_element() >= 0.0 && eye.fraction_m.max_element() <= 1.0 / 256.0);
+            let back = f64::from(eye.units[0]) / 256.0 + f64::from(eye.fraction_m.x);
+            prop_assert!((back - x).abs() < 1e-6);
+        }
+    }
+}

@@ -1,0 +1,273 @@
+//! From a pose and a selection to what the GPU is told: uniforms, instances in drawing order, counts.
+
+use crate::camera::{Eye, Lens, Pose};
+use crate::scene::Scene;
+use crate::world::{Resident, Selection, World};
+use glam::{DVec3, Vec3};
+use protocol::limits::MAX_VIEWPORT;
+use protocol::view::View;
+use shaders::layout::{Frame, PATTERN_PERIOD_M, TerrainInstance};
+use terrain::ChunkKey;
+use terrain::constants::{CELLS, UNITS_PER_METRE};
+use terrain::lod::{MAX_VIEW_DISTANCE_M, Viewer};
+
+/// Triangles of one drawn chunk: 64 x 64 cells and four skirts.
+pub const TRIANGLES_PER_CHUNK: u64 = (2 * CELLS * CELLS + 4 * 2 * CELLS) as u64;
+
+/// One picture, ready to draw.
+#[derive(Clone, Debug)]
+pub struct FrameData {
+    /// The uniforms of all passes.
+    pub uniforms: Frame,
+    /// The chunks in sight, nearest first, so that hidden land behind near hills costs no shading.
+    pub instances: Vec<TerrainInstance>,
+}
+
+/// How the picture is to be taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shot {
+    /// Eye and gaze.
+    pub pose: Pose,
+    /// Field of view and size.
+    pub lens: Lens,
+    /// View distance, metres.
+    pub view_distance_m: u32,
+    /// Tolerated screen error, pixels.
+    pub tolerance_px: f64,
+    /// Seconds of the moving parts (waves, clouds).
+    pub time_s: f32,
+}
+
+impl Shot {
+    /// What is said to the server. Rounded to the protocol's integers.
+    #[must_use]
+    pub fn view(&self, id: u32) -> View {
+        let mdeg = |degrees: f64| (degrees * 1000.0).round() as i32;
+        let pose = self.pose.clamped();
+        View {
+            id,
+            eye: pose.eye().units,
+            velocity: [0; 3],
+            yaw_mdeg: mdeg(pose.yaw_deg),
+            pitch_mdeg: mdeg(pose.pitch_deg),
+            fov_mdeg: mdeg(self.lens.fov_deg).clamp(1_000, 170_000) as u32,
+            viewport: [self.lens.width, self.lens.height]
+                .map(|side| side.clamp(1, MAX_VIEWPORT.into()) as u16),
+            tolerance_q4: (self.tolerance_px * 16.0).round().clamp(1.0, 65_535.0) as u16,
+            distance_m: self.view_distance_m.min(MAX_VIEW_DISTANCE_M),
+        }
+    }
+
+    /// The part that decides which chunks are wanted, by the very integers that the server is told.
+    #[must_use]
+    pub fn viewer(&self) -> Viewer {
+        self.view(0).viewer()
+    }
+
+    /// Puts a frame together from what was selected.
+    #[must_use]
+    pub fn frame(&self, scene: Scene, world: &World, selection: &Selection) -> FrameData {
+        let eye = self.pose.eye();
+        let sight = Sight::new(self);
+        let mut instances: Vec<(i64, TerrainInstance)> = selection
+            .drawn
+            .iter()
+            .filter_map(|key| world.get(*key).map(|chunk| (*key, chunk)))
+            .filter(|(key, chunk)| sight.may_show(&eye, *key, chunk))
+            .map(|(key, chunk)| {
+                // Both sides of a seam may be off by their own error: the skirt bridges the worst pair.
+                let skirt = f64::from(chunk.error) + f64::from(selection.worst_error);
+                (nearness(&eye, key), instance(&eye, key, chunk, metres(skirt) as f32))
+            })
+            .collect();
+        instances.sort_by_key(|(distance, _)| *distance);
+        FrameData {
+            uniforms: self.uniforms(scene, &eye),
+            instances: instances.into_iter().map(|(_, instance)| instance).collect(),
+        }
+    }
+
+    fn uniforms(&self, scene: Scene, eye: &Eye) -> Frame {
+        let (pose, lens) = (&self.pose, &self.lens);
+        let half_height = lens.half_height();
+        let height_m = metres(f64::from(eye.units[1])) as f32 + eye.fraction_m.y;
+        let wrapped = |units: i32, fraction: f32| {
+            let period = PATTERN_PERIOD_M * UNITS_PER_METRE;
+            metres(f64::from(units & (period - 1))) as f32 + fraction
+        };
+        let light = scene.light();
+        Frame {
+            clip_from_camera: lens.clip_from_camera(pose).to_cols_array_2d(),
+            ray_right: (pose.right() * half_height * lens.aspect()).as_vec3().into(),
+            time_s: self.time_s,
+            ray_up: (pose.up() * half_height).as_vec3().into(),
+            eye_height_m: height_m,
+            ray_forward: pose.forward().as_vec3().into(),
+            view_distance_m: self.view_distance_m as f32,
+            sun: light.sun.into(),
+            exposure: light.exposure,
+            eye_fraction_m: eye.fraction_m.into(),
+            pixel: 1.0 / lens.height as f32,
+            pattern_eye_m: [wrapped(eye.units[0], eye.fraction_m.x), wrapped(eye.units[2], eye.fraction_m.z)],
+            viewport: [lens.width as f32, lens.height as f32],
+        }
+    }
+}
+
+fn metres(units: f64) -> f64 {
+    units / f64::from(UNITS_PER_METRE)
+}
+
+/// Squared horizontal distance from the eye to the middle of a chunk, square metres: an order, not a measure.
+fn nearness(eye: &Eye, key: ChunkKey) -> i64 {
+    let (x, z) = key.origin();
+    let half = i64::from(key.side() / 2);
+    let axis = |low: i32, eye: i32| (i64::from(low) + half - i64::from(eye)) / i64::from(UNITS_PER_METRE);
+    axis(x, eye.units[0]).pow(2) + axis(z, eye.units[2]).pow(2)
+}
+
+fn instance(eye: &Eye, key: ChunkKey, chunk: &Resident, skirt_m: f32) -> TerrainInstance {
+    let (x, z) = key.origin();
+    // Integers first, so that the distance to a near chunk is exact however far both are from the origin.
+    let relative = |low: i32, eye: i32| metres((i64::from(low) - i64::from(eye)) as f64) as f32;
+    let period = PATTERN_PERIOD_M * UNITS_PER_METRE;
+    TerrainInstance {
+        origin_m: [relative(x, eye.units[0]), relative(0, eye.units[1]), relative(z, eye.units[2])],
+        spacing_m: metres(f64::from(key.spacing())) as f32,
+        pattern_m: [x, z].map(|low| metres(f64::from(low & (period - 1))) as f32),
+        skirt_m,
+        reserved: 0.0,
+        slot: chunk.slot,
+        level: u32::from(key.level()),
+    }
+}
+
+/// The four side planes of the view, through the eye.
+struct Sight {
+    /// Inward normals, axes of the world.
+    normals: [DVec3; 4],
+}
+
+impl Sight {
+    fn new(shot: &Shot) -> Self {
+        let (forward, right, up) = (shot.pose.forward(), shot.pose.right(), shot.pose.up());
+        let height = shot.lens.half_height();
+        let width = height * shot.lens.aspect();
+        Self {
+            normals: [
+                right + forward * width,
+                forward * width - right,
+                up + forward * height,
+                forward * height - up,
+            ],
+        }
+    }
+
+    /// Whether any of a chunk's box may lie inside all four planes. Errs on the side of drawing.
+    fn may_show(&self, eye: &Eye, key: ChunkKey, chunk: &Resident) -> bool {
+        let (x, z) = key.origin();
+        let side = i64::from(key.side());
+        let low = [i64::from(x), i64::from(chunk.min), i64::from(z)];
+        let high = [i64::from(x) + side, i64::from(chunk.max), i64::from(z) + side];
+        let relative = |corner: [i64; 3]| {
+            // One unit of slack covers the eye's fraction.
+            DVec3::from_array([0, 1, 2].map(|axis| (corner[axis] - i64::from(eye.units[axis])) as f64))
+        };
+        let (low, high) = (relative(low) - DVec3::ONE, relative(high) + DVec3::ONE);
+        self.normals.iter().all(|normal| {
+            let farthest = DVec3::select(normal.cmpgt(DVec3::ZERO), high, low);
+            normal.dot(farthest) >= 0.0
+        })
+    }
+}
+
+/// Direction and strength of a scene's light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Light {
+    /// Unit vector to the sun.
+    pub sun: Vec3,
+    /// Multiplies all light before the tone curve.
+    pub exposure: f32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::select;
+    use terrain::{Land, lod};
+
+    fn shot(camera: &str) -> Shot {
+        Shot {
+            pose: camera.parse().unwrap(),
+            lens: Lens { fov_deg: 60.0, width: 640, height: 360 },
+            view_distance_m: 2000,
+            tolerance_px: 4.0,
+            time_s: 0.0,
+        }
+    }
+
+    fn filled(shot: &Shot) -> World {
+        let land = Land::new(1);
+        let mut world = World::new(5000);
+        for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
+            world.insert(land.chunk(needed.key));
+        }
+        world
+    }
+
+    #[test]
+    fn instances_are_exact_and_come_nearest_first() {
+        let shot = shot("100.123,200,-300,0,-20");
+        let mut world = filled(&shot);
+        let selection = select(&mut world, &shot.viewer());
+        let frame = shot.frame(Scene::Island, &world, &selection);
+        assert!(
+            !frame.instances.is_empty() && frame.instances.len() < selection.drawn.len(),
+            "some are behind"
+        );
+        let distance = |instance: &TerrainInstance| {
+            let half = instance.spacing_m * 32.0;
+            (instance.origin_m[0] + half).hypot(instance.origin_m[2] + half)
+        };
+        assert!(frame.instances.is_sorted_by(|a, b| distance(a) <= distance(b) + 2.0));
+        for instance in &frame.instances {
+            // Whole units only: the fraction of the eye is subtracted in the shader, after exact sums.
+            assert!(instance.origin_m.iter().all(|value| (value * 256.0).fract() == 0.0));
+        }
+    }
+
+    #[test]
+    fn a_chunk_in_the_picture_is_never_left_out() {
+        for camera in ["0,150,0,0,0", "0,150,0,77,-60", "-900,400,350,200,-10", "50,30,50,300,40"] {
+            let shot = shot(camera);
+            let mut world = filled(&shot);
+            let selection = select(&mut world, &shot.viewer());
+            let frame = shot.frame(Scene::Island, &world, &selection);
+            let slots: Vec<u32> = frame.instances.iter().map(|instance| instance.slot).collect();
+            let clip_from_camera = shot.lens.clip_from_camera(&shot.pose);
+            let eye = shot.pose.position_m;
+            for key in &selection.drawn {
+                let chunk = world.get(*key).unwrap();
+                let (x, z) = key.origin();
+                let seen = (0..65 * 65).step_by(7).any(|index| {
+                    let at = |low: i32, step: i32| f64::from(low + step * key.spacing()) / 256.0;
+                    let point = DVec3::new(
+                        at(x, index % 65),
+                        f64::from(chunk.heights[index as usize]) / 256.0,
+                        at(z, index / 65),
+                    );
+                    let clip = clip_from_camera * (point - eye).as_vec3().extend(1.0);
+                    clip.w > 0.3 && clip.x.abs() < clip.w && clip.y.abs() < clip.w
+                });
+                assert!(!seen || slots.contains(&chunk.slot), "{camera}: {key} is visible but not drawn");
+            }
+        }
+    }
+
+    #[test]
+    fn the_tolerance_is_a_sixteenth_of_a_pixel_and_never_zero() {
+        let tolerance = |tolerance_px| Shot { tolerance_px, ..shot("0,0,0,0,0") }.viewer().tolerance_q4;
+        assert_eq!((tolerance(2.0), tolerance(0.0), tolerance(0.06)), (32, 1, 1));
+        assert_eq!(shot("0,0,0,0,0").viewer().pixels_per_radian, 312);
+    }
+}

@@ -1,0 +1,230 @@
+//! Pictures without a window: fill the view from a feed, draw it, time it, read it back.
+
+use crate::camera::{Lens, Pose};
+use crate::feed::Feed;
+use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
+use crate::render::pool::HeightPool;
+use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
+use crate::scene::Scene;
+use crate::stats::{FrameTimes, Stats};
+use crate::voyage::{Link, Voyage};
+use crate::world::World;
+use crate::world::resident::SLOT_BYTES;
+use std::time::{Duration, Instant};
+
+/// Pictures that are drawn before the clock counts: pipelines compile and caches fill.
+const WARM_UP_FRAMES: u32 = 3;
+
+/// A first connection that fails so often will not succeed by waiting: there is no server.
+const FIRST_ATTEMPTS: u32 = 3;
+
+/// Pause between looks at the feed while the view fills.
+const POLL_PAUSE: Duration = Duration::from_millis(2);
+
+/// What to render.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// The scene.
+    pub scene: Scene,
+    /// Eye and gaze.
+    pub pose: Pose,
+    /// Field of view and picture size.
+    pub lens: Lens,
+    /// View distance, metres.
+    pub view_distance_m: u32,
+    /// Tolerated screen error, pixels.
+    pub tolerance_px: f64,
+    /// Memory for chunks, bytes, CPU and GPU together.
+    pub chunk_bytes: usize,
+    /// Samples per pixel, 1 or 4.
+    pub samples: u32,
+    /// Frames to time, at least 1.
+    pub frames: u32,
+    /// Degrees that the camera circles between two frames; 0 stands still.
+    pub orbit_step_deg: f64,
+    /// Seconds of the moving parts in the first frame; every further frame adds 1/60.
+    pub time_s: f32,
+    /// How long the view may take to fill.
+    pub timeout: Duration,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            scene: Scene::Island,
+            pose: Scene::Island.start(),
+            lens: Lens { fov_deg: 60.0, width: 1280, height: 720 },
+            view_distance_m: 8000,
+            tolerance_px: 2.0,
+            chunk_bytes: 128 << 20,
+            samples: 4,
+            frames: 1,
+            orbit_step_deg: 0.0,
+            time_s: 0.0,
+            timeout: Duration::from_secs(60),
+        }
+    }
+}
+
+/// Why there is no picture.
+#[derive(Debug, thiserror::Error)]
+pub enum HeadlessError {
+    /// The GPU.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// No session came about, or it ended for good.
+    #[error("{0}")]
+    Feed(String),
+    /// The server does not serve this view.
+    #[error("the server refused the view: {0}")]
+    Refused(String),
+    /// The view did not fill.
+    #[error("the view was not complete after {seconds} s ({state}): allow more time with --timeout")]
+    Timeout {
+        /// The limit.
+        seconds: u64,
+        /// How far it got.
+        state: String,
+    },
+}
+
+/// How far the filling is, for a progress display.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Progress {
+    /// Chunks in memory.
+    pub resident: usize,
+    /// Chunks drawn coarser than wanted.
+    pub wanting: usize,
+    /// Bytes received.
+    pub bytes_received: u64,
+    /// The session's state.
+    pub link: Link,
+}
+
+/// Fills the view and renders it. `started` is when the clock of the stats began.
+pub fn render(
+    options: &Options,
+    feed: impl Feed,
+    started: Instant,
+    mut progress: impl FnMut(&Progress),
+) -> Result<(Picture, Stats), HeadlessError> {
+    let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
+    let slots = HeightPool::slots_within(&gpu.device.limits(), World::capacity_for(options.chunk_bytes));
+    let size = (options.lens.width, options.lens.height);
+    let mut renderer = Renderer::new(
+        &gpu,
+        &RenderOptions { size, samples: options.samples, format: picture::PICTURE_FORMAT, slots },
+    );
+    let canvas = Canvas::new(&gpu.device, size.0, size.1);
+    let mut voyage = Voyage::new(feed, slots);
+    fill(&mut voyage, options, &gpu, &renderer, started, &mut progress)?;
+
+    let mut times = FrameTimes::default();
+    let mut drawn = 0;
+    for index in 0..WARM_UP_FRAMES + options.frames.max(1) {
+        let timed = index.checked_sub(WARM_UP_FRAMES);
+        let begun = Instant::now();
+        let shot = options.shot(timed.unwrap_or(0));
+        let selection = voyage.update(&shot, started.elapsed(), usize::MAX, |slot, heights| {
+            renderer.pool().upload(&gpu.queue, slot, heights);
+        });
+        let frame = shot.frame(options.scene, voyage.world(), &selection);
+        drawn = frame.instances.len();
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
+        gpu.queue.submit([encoder.finish()]);
+        gpu.wait()?;
+        if timed.is_some() {
+            times.push(begun.elapsed());
+        }
+    }
+    let picture = canvas.read(&gpu)?;
+    let milestones = voyage.milestones();
+    let resident = voyage.world().len();
+    let stats = Stats {
+        adapter: gpu.name(),
+        frames: options.frames.max(1) as usize,
+        chunks_drawn: drawn,
+        triangles: drawn as u64 * TRIANGLES_PER_CHUNK,
+        bytes_received: voyage.feed().traffic().bytes_received,
+        seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
+        seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),
+        frame_ms_p50: times.quantile_ms(0.5, usize::MAX),
+        frame_ms_p99: times.quantile_ms(0.99, usize::MAX),
+        chunks_resident: resident,
+        chunk_bytes_resident: resident * SLOT_BYTES,
+        chunk_bytes_budget: slots as usize * SLOT_BYTES,
+        tolerance_px: voyage.tolerance_px(&options.shot(0)),
+    };
+    Ok((picture, stats))
+}
+
+/// Runs the feed until the view is complete.
+fn fill(
+    voyage: &mut Voyage<impl Feed>,
+    options: &Options,
+    gpu: &Gpu,
+    renderer: &Renderer,
+    started: Instant,
+    progress: &mut impl FnMut(&Progress),
+) -> Result<(), HeadlessError> {
+    let shot = options.shot(0);
+    loop {
+        let selection = voyage.update(&shot, started.elapsed(), 64, |slot, heights| {
+            renderer.pool().upload(&gpu.queue, slot, heights);
+        });
+        // Uploads are staged until a submission; without one a long fill would pile them up.
+        gpu.queue.submit([]);
+        if voyage.is_settled() && selection.is_complete() {
+            return gpu.check().map_err(HeadlessError::from);
+        }
+        let state = Progress {
+            resident: voyage.world().len(),
+            wanting: selection.wanting,
+            bytes_received: voyage.feed().traffic().bytes_received,
+            link: voyage.link().clone(),
+        };
+        progress(&state);
+        if let Some(detail) = voyage.refusal() {
+            return Err(HeadlessError::Refused(detail.to_owned()));
+        }
+        match voyage.link() {
+            Link::Refused(cause) => return Err(HeadlessError::Feed(cause.clone())),
+            Link::Waiting { cause, .. }
+                if voyage.failures() >= FIRST_ATTEMPTS && voyage.milestones().first_chunk.is_none() =>
+            {
+                return Err(HeadlessError::Feed(cause.clone()));
+            }
+            _ => {}
+        }
+        if started.elapsed() > options.timeout {
+            return Err(HeadlessError::Timeout {
+                seconds: options.timeout.as_secs(),
+                state: format!("{} chunks here, {} places still coarse", state.resident, state.wanting),
+            });
+        }
+        if !voyage.is_settled() {
+            std::thread::sleep(POLL_PAUSE);
+        }
+    }
+}
+
+impl Options {
+    /// The shot of a timed frame.
+    #[must_use]
+    pub fn shot(&self, frame: u32) -> Shot {
+        let mut pose = self.pose;
+        if self.orbit_step_deg != 0.0 {
+            let mut orbit = crate::camera::Orbit::through(&pose, self.scene.orbit_radius_m());
+            orbit.bearing_deg += self.orbit_step_deg * f64::from(frame);
+            pose = Pose { pitch_deg: pose.pitch_deg, ..orbit.pose() };
+        }
+        Shot {
+            pose,
+            lens: self.lens,
+            view_distance_m: self.view_distance_m,
+            tolerance_px: self.tolerance_px,
+            time_s: self.time_s + frame as f32 / 60.0,
+        }
+    }
+}

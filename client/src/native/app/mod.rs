@@ -1,0 +1,323 @@
+//! The window: winit's event loop around a voyage, a renderer and a panel.
+
+pub mod controls;
+pub mod overlay;
+pub mod panel;
+
+use crate::camera::Lens;
+use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
+use crate::native::args::Args;
+use crate::native::shot::{settings, write_stats};
+use crate::native::stream::SocketFeed;
+use crate::render::pool::HeightPool;
+use crate::render::surface::{NextTexture, WindowSurface};
+use crate::render::{Gpu, RenderOptions, Renderer, gpu};
+use crate::stats::{FrameTimes, Stats};
+use crate::voyage::Voyage;
+use crate::world::World;
+use crate::world::resident::SLOT_BYTES;
+use anyhow::{Context as _, anyhow};
+use controls::Controls;
+use overlay::Overlay;
+use panel::{Knobs, Readings};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use winit::application::ApplicationHandler;
+use winit::event::{ElementState, WindowEvent};
+use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, OwnedDisplayHandle};
+use winit::keyboard::{KeyCode, PhysicalKey};
+use winit::window::{Window, WindowId};
+
+/// Chunks taken in per frame: about 2 ms of uploads, so that a burst of arrivals does not stutter.
+const ARRIVALS_PER_FRAME: usize = 48;
+
+/// How long to leave a window alone that cannot be drawn into.
+const HIDDEN_PAUSE: Duration = Duration::from_millis(50);
+
+/// A longer step would jump; the camera pauses instead.
+const LONGEST_STEP: Duration = Duration::from_millis(200);
+
+/// Opens the window and runs until it is closed.
+pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
+    let event_loop = EventLoop::new().map_err(|_| {
+        // The cause that winit gives names its own source file; on every system it means this.
+        anyhow!("no display to open a window on: set DISPLAY or WAYLAND_DISPLAY, or draw into a file with --shot FILE.png")
+    })?;
+    let mut app = App {
+        args: args.clone(),
+        started,
+        display: event_loop.owned_display_handle(),
+        running: None,
+        failure: None,
+    };
+    event_loop.run_app(&mut app).context("the window system failed")?;
+    let stats = app.running.as_ref().map(Running::stats);
+    if let Some(failure) = app.failure {
+        return Err(failure);
+    }
+    if let (Some(path), Some(stats)) = (&args.stats, &stats) {
+        write_stats(path, stats)?;
+    }
+    Ok(())
+}
+
+struct App {
+    args: Args,
+    started: Instant,
+    display: OwnedDisplayHandle,
+    running: Option<Running>,
+    failure: Option<anyhow::Error>,
+}
+
+/// Everything that exists while the window does.
+struct Running {
+    window: Arc<Window>,
+    gpu: Gpu,
+    surface: WindowSurface,
+    renderer: Renderer,
+    overlay: Overlay,
+    voyage: Voyage<SocketFeed>,
+    controls: Controls,
+    knobs: Knobs,
+    args: Args,
+    adapter: String,
+    slots: u32,
+    show_panel: bool,
+    times: FrameTimes,
+    frames: usize,
+    drawn: usize,
+    started: Instant,
+    last: Instant,
+    /// Nothing is drawn before this.
+    resume_at: Instant,
+}
+
+/// Whether to go on after a frame.
+enum After {
+    Continue,
+    Quit,
+}
+
+impl ApplicationHandler for App {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.running.is_some() {
+            return;
+        }
+        match Running::start(event_loop, self.display.clone(), &self.args, self.started) {
+            Ok(running) => self.running = Some(running),
+            Err(error) => self.quit(event_loop, Some(error)),
+        }
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        let Some(running) = &mut self.running else { return };
+        if matches!(event, WindowEvent::RedrawRequested) {
+            match running.redraw() {
+                Ok(After::Continue) => {}
+                Ok(After::Quit) => self.quit(event_loop, None),
+                Err(error) => self.quit(event_loop, Some(error)),
+            }
+        } else if running.event(&event) {
+            self.quit(event_loop, None);
+        }
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        let Some(running) = &self.running else { return };
+        if Instant::now() >= running.resume_at {
+            running.window.request_redraw();
+            event_loop.set_control_flow(ControlFlow::Poll);
+        } else {
+            event_loop.set_control_flow(ControlFlow::WaitUntil(running.resume_at));
+        }
+    }
+}
+
+impl App {
+    fn quit(&mut self, event_loop: &ActiveEventLoop, failure: Option<anyhow::Error>) {
+        self.failure = self.failure.take().or(failure);
+        event_loop.exit();
+    }
+}
+
+impl Running {
+    fn start(
+        event_loop: &ActiveEventLoop,
+        display: OwnedDisplayHandle,
+        args: &Args,
+        started: Instant,
+    ) -> anyhow::Result<Self> {
+        let attributes = Window::default_attributes()
+            .with_title("Tombolo")
+            .with_inner_size(winit::dpi::PhysicalSize::new(args.size.0, args.size.1));
+        let window = Arc::new(event_loop.create_window(attributes).context("cannot open a window")?);
+        let instance = gpu::instance(Some(Box::new(display)));
+        let surface = instance
+            .create_surface(Arc::clone(&window))
+            .context("cannot draw into this window: draw into a file with --shot FILE.png")?;
+        let gpu = pollster::block_on(Gpu::open(instance, Some(&surface)))?;
+        let size = window.inner_size();
+        let surface = WindowSurface::new(&gpu, surface, (size.width, size.height))?;
+        let slots = HeightPool::slots_within(&gpu.device.limits(), World::capacity_for(args.chunk_mb << 20));
+        let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
+        let options = RenderOptions {
+            size: surface.size(),
+            samples: args.samples.unwrap_or(if software { 1 } else { 4 }),
+            format: surface.format,
+            slots,
+        };
+        let now = Instant::now();
+        Ok(Self {
+            renderer: Renderer::new(&gpu, &options),
+            overlay: Overlay::new(&gpu, &window, surface.format),
+            voyage: Voyage::new(
+                SocketFeed::connect(settings(args)?).context("cannot start the network thread")?,
+                slots,
+            ),
+            controls: Controls::new(args.pose(), args.orbit, args.scene.orbit_radius_m()),
+            knobs: Knobs { tolerance_px: args.tolerance, view_distance_m: args.view_distance },
+            args: args.clone(),
+            adapter: gpu.name(),
+            slots,
+            show_panel: true,
+            times: FrameTimes::default(),
+            frames: 0,
+            drawn: 0,
+            started,
+            last: now,
+            resume_at: now,
+            window,
+            gpu,
+            surface,
+        })
+    }
+
+    /// Takes an event; true to quit.
+    fn event(&mut self, event: &WindowEvent) -> bool {
+        let taken = self.show_panel && self.overlay.takes(&self.window, event);
+        match event {
+            WindowEvent::CloseRequested => return true,
+            WindowEvent::Resized(size) => self.surface.resize(&self.gpu, (size.width, size.height)),
+            WindowEvent::Focused(false) => self.controls.release_all(),
+            WindowEvent::KeyboardInput { event: key, .. } => {
+                if let PhysicalKey::Code(code) = key.physical_key {
+                    let pressed = key.state == ElementState::Pressed && !key.repeat;
+                    match code {
+                        KeyCode::Escape => return true,
+                        KeyCode::F1 if pressed => self.show_panel = !self.show_panel,
+                        // A release is always heard, or a key would stay down under the panel.
+                        _ if key.repeat || (taken && pressed) => {}
+                        _ => self.controls.key(code, key.state),
+                    }
+                }
+            }
+            WindowEvent::MouseInput { state, button, .. } if !taken || *state == ElementState::Released => {
+                self.controls.button(*button, *state);
+            }
+            WindowEvent::CursorMoved { position, .. } => self.controls.pointer(position.x, position.y),
+            WindowEvent::MouseWheel { delta, .. } if !taken => self.controls.wheel(*delta),
+            _ => {}
+        }
+        false
+    }
+
+    fn redraw(&mut self) -> anyhow::Result<After> {
+        self.gpu.check()?;
+        let (texture, view) = match self.surface.next(&self.gpu) {
+            NextTexture::Ready(texture, view) => (texture, view),
+            NextTexture::Skip => {
+                self.resume_at = Instant::now() + HIDDEN_PAUSE;
+                return Ok(After::Continue);
+            }
+            NextTexture::Lost => {
+                let surface = self.gpu.instance.create_surface(Arc::clone(&self.window))?;
+                let size = self.window.inner_size();
+                self.surface = WindowSurface::new(&self.gpu, surface, (size.width, size.height))?;
+                return Ok(After::Continue);
+            }
+        };
+        let step = self.step();
+        let (width, height) = self.surface.size();
+        self.renderer.resize(&self.gpu, (width, height));
+        let shot = Shot {
+            pose: self.controls.pose(),
+            lens: Lens { fov_deg: self.args.fov, width, height },
+            view_distance_m: self.knobs.view_distance_m,
+            tolerance_px: self.knobs.tolerance_px,
+            time_s: self.started.elapsed().as_secs_f32(),
+        };
+        let (gpu, renderer) = (&self.gpu, &mut self.renderer);
+        let selection =
+            self.voyage.update(&shot, self.started.elapsed(), ARRIVALS_PER_FRAME, |slot, heights| {
+                renderer.pool().upload(&gpu.queue, slot, heights);
+            });
+        let frame = shot.frame(self.args.scene, self.voyage.world(), &selection);
+        self.drawn = frame.instances.len();
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        renderer.draw(gpu, &frame, &mut encoder, &view);
+        if self.show_panel {
+            let traffic = crate::feed::Feed::traffic(self.voyage.feed());
+            let readings = Readings {
+                times: &self.times,
+                drawn: self.drawn,
+                resident: self.voyage.world().len(),
+                capacity: self.slots,
+                triangles: self.drawn as u64 * TRIANGLES_PER_CHUNK,
+                wanting: selection.wanting,
+                bytes_received: traffic.bytes_received,
+                credits: traffic.credits,
+                levels: self.voyage.world().level_histogram(),
+                link: self.voyage.link(),
+                now: self.started.elapsed(),
+                camera: shot.pose.to_string(),
+                speed_m: self.controls.speed_m(),
+                orbiting: self.controls.is_orbiting(),
+                drawn_tolerance_px: self.voyage.tolerance_px(&shot),
+                adapter: &self.adapter,
+            };
+            let knobs = &mut self.knobs;
+            let painted = self.overlay.run(&self.window, (width, height), |ctx| {
+                panel::show(ctx, &readings, knobs);
+            });
+            self.overlay.paint(gpu, painted, &mut encoder, &view);
+        }
+        gpu.queue.submit([encoder.finish()]);
+        self.window.pre_present_notify();
+        gpu.queue.present(texture);
+        self.times.push(step);
+        self.frames += 1;
+        let wanted = self.args.frames.is_some_and(|frames| self.frames >= frames as usize);
+        Ok(if wanted { After::Quit } else { After::Continue })
+    }
+
+    /// Moves the camera by the time since the last frame, which it returns.
+    fn step(&mut self) -> Duration {
+        let now = Instant::now();
+        let step = now - self.last;
+        self.last = now;
+        let eye = self.controls.pose().eye();
+        let ground_m = self.voyage.world().ground(eye.units[0], eye.units[2]).map(|h| f64::from(h) / 256.0);
+        self.controls.step(step.min(LONGEST_STEP).as_secs_f64(), ground_m);
+        step
+    }
+
+    fn stats(&self) -> Stats {
+        let milestones = self.voyage.milestones();
+        let resident = self.voyage.world().len();
+        Stats {
+            adapter: self.adapter.clone(),
+            frames: self.frames,
+            chunks_drawn: self.drawn,
+            triangles: self.drawn as u64 * TRIANGLES_PER_CHUNK,
+            bytes_received: crate::feed::Feed::traffic(self.voyage.feed()).bytes_received,
+            seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
+            seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),
+            frame_ms_p50: self.times.quantile_ms(0.5, usize::MAX),
+            frame_ms_p99: self.times.quantile_ms(0.99, usize::MAX),
+            chunks_resident: resident,
+            chunk_bytes_resident: resident * SLOT_BYTES,
+            chunk_bytes_budget: self.slots as usize * SLOT_BYTES,
+            tolerance_px: self.knobs.tolerance_px,
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! The panel's way onto the picture: egui's input, tessellation and paint.
+
+use crate::render::Gpu;
+use winit::window::Window;
+
+/// egui over the picture of a window.
+pub struct Overlay {
+    context: egui::Context,
+    input: egui_winit::State,
+    painter: egui_wgpu::Renderer,
+}
+
+/// A panel ready to be painted.
+pub struct Painted {
+    jobs: Vec<egui::ClippedPrimitive>,
+    textures: egui::TexturesDelta,
+    screen: egui_wgpu::ScreenDescriptor,
+}
+
+impl Overlay {
+    /// egui for a window whose pictures have this format.
+    #[must_use]
+    pub fn new(gpu: &Gpu, window: &Window, format: wgpu::TextureFormat) -> Self {
+        let context = egui::Context::default();
+        let side = gpu.device.limits().max_texture_dimension_2d as usize;
+        let input = egui_winit::State::new(
+            context.clone(),
+            egui::ViewportId::ROOT,
+            window,
+            Some(window.scale_factor() as f32),
+            None,
+            Some(side),
+        );
+        let painter = egui_wgpu::Renderer::new(&gpu.device, format, egui_wgpu::RendererOptions::default());
+        Self { context, input, painter }
+    }
+
+    /// Shows an event to the panel; true if the panel takes it for itself.
+    pub fn takes(&mut self, window: &Window, event: &winit::event::WindowEvent) -> bool {
+        self.input.on_window_event(window, event).consumed
+    }
+
+    /// Lays out what `show` describes.
+    pub fn run(
+        &mut self,
+        window: &Window,
+        size: (u32, u32),
+        mut show: impl FnMut(&egui::Context),
+    ) -> Painted {
+        let input = self.input.take_egui_input(window);
+        let output = self.context.run_ui(input, |ui| show(ui.ctx()));
+        self.input.handle_platform_output(window, output.platform_output);
+        let screen = egui_wgpu::ScreenDescriptor {
+            size_in_pixels: [size.0, size.1],
+            pixels_per_point: output.pixels_per_point,
+        };
+        let jobs = self.context.tessellate(output.shapes, output.pixels_per_point);
+        Painted { jobs, textures: output.textures_delta, screen }
+    }
+
+    /// Paints it over the picture in `view`.
+    pub fn paint(
+        &mut self,
+        gpu: &Gpu,
+        painted: Painted,
+        encoder: &mut wgpu::CommandEncoder,
+        view: &wgpu::TextureView,
+    ) {
+        let Painted { jobs, mut textures, screen } = painted;
+        for (id, deltas) in textures.set.drain() {
+            for delta in &deltas {
+                self.painter.update_texture(&gpu.device, &gpu.queue, id, delta);
+            }
+        }
+        self.painter.update_buffers(&gpu.device, &gpu.queue, encoder, &jobs, &screen);
+        let pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("panel"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
+            })],
+            ..Default::default()
+        });
+        // egui asks for a pass that does not borrow the encoder; nothing else is recorded until it ends here.
+        self.painter.render(&mut pass.forget_lifetime(), &jobs, &screen);
+        for id in textures.free.drain() {
+            self.painter.free_texture(&id);
+        }
+    }
+}

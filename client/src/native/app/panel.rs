@@ -1,0 +1,153 @@
+//! The panel: numbers of the frame and of the session, and the two sliders that trade detail for speed.
+
+use crate::stats::FrameTimes;
+use crate::voyage::Link;
+use std::time::Duration;
+
+/// Frames that the times of the panel look back on.
+const RECENT: usize = 240;
+
+/// What the panel shows.
+#[derive(Debug)]
+pub struct Readings<'a> {
+    /// Times of the latest frames.
+    pub times: &'a FrameTimes,
+    /// Chunks drawn.
+    pub drawn: usize,
+    /// Chunks in memory.
+    pub resident: usize,
+    /// Slots.
+    pub capacity: u32,
+    /// Triangles of the frame.
+    pub triangles: u64,
+    /// Chunks drawn coarser than wanted.
+    pub wanting: usize,
+    /// Bytes received.
+    pub bytes_received: u64,
+    /// Credits out.
+    pub credits: u32,
+    /// Resident chunks at each level.
+    pub levels: [u32; 17],
+    /// The session.
+    pub link: &'a Link,
+    /// Time since the start.
+    pub now: Duration,
+    /// Camera as `--camera` takes it.
+    pub camera: String,
+    /// Flying speed, metres a second.
+    pub speed_m: f64,
+    /// Whether the camera circles.
+    pub orbiting: bool,
+    /// The tolerance that is drawn with, pixels.
+    pub drawn_tolerance_px: f64,
+    /// The GPU.
+    pub adapter: &'a str,
+}
+
+/// What the panel changes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Knobs {
+    /// Tolerated screen error, pixels.
+    pub tolerance_px: f64,
+    /// View distance, metres.
+    pub view_distance_m: u32,
+}
+
+/// Lays the panel out.
+pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
+    egui::Window::new("Tombolo")
+        .anchor(egui::Align2::LEFT_TOP, [12.0, 12.0])
+        .resizable(false)
+        .default_width(250.0)
+        .frame(egui::Frame::window(&ctx.style_of(egui::Theme::Dark)).multiply_with_opacity(0.82))
+        .show(ctx, |ui| {
+            ui.label(connection(readings));
+            ui.separator();
+            numbers(ui, readings);
+            ui.separator();
+            ui.add(
+                egui::Slider::new(&mut knobs.tolerance_px, 0.5..=16.0)
+                    .logarithmic(true)
+                    .text("tolerance, px"),
+            );
+            if readings.drawn_tolerance_px > knobs.tolerance_px * 1.01 {
+                ui.label(format!("chunk memory is full: drawn with {:.1} px", readings.drawn_tolerance_px));
+            }
+            ui.add(
+                egui::Slider::new(&mut knobs.view_distance_m, 1000..=32_000)
+                    .logarithmic(true)
+                    .text("view distance, m"),
+            );
+            ui.separator();
+            histogram(ui, &readings.levels);
+            ui.collapsing("Keys", |ui| {
+                for line in [
+                    "W A S D  fly      Q E  down, up",
+                    "Shift  faster     wheel  speed",
+                    "drag  look        O  orbit",
+                    "F1  panel         Esc  quit",
+                ] {
+                    ui.monospace(line);
+                }
+            });
+        });
+}
+
+fn connection(readings: &Readings<'_>) -> String {
+    match readings.link {
+        Link::Connecting => "connecting".to_owned(),
+        Link::Connected(server) => format!("connected to {server}"),
+        Link::Waiting { cause, retry_at } => {
+            let seconds = retry_at.saturating_sub(readings.now).as_secs_f64();
+            format!("{cause}; next attempt in {seconds:.1} s")
+        }
+        Link::Refused(cause) => cause.clone(),
+    }
+}
+
+fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>) {
+    let mode = if readings.orbiting { "orbit".to_owned() } else { format!("{:.0} m/s", readings.speed_m) };
+    let rows = [
+        (
+            "frame",
+            format!(
+                "{:.1} ms p50, {:.1} ms p99",
+                readings.times.quantile_ms(0.5, RECENT),
+                readings.times.quantile_ms(0.99, RECENT)
+            ),
+        ),
+        ("chunks", format!("{} drawn, {} of {} here", readings.drawn, readings.resident, readings.capacity)),
+        ("still coarse", readings.wanting.to_string()),
+        ("triangles", format!("{:.2} M", readings.triangles as f64 / 1e6)),
+        ("received", format!("{:.2} MiB", readings.bytes_received as f64 / f64::from(1 << 20))),
+        ("credits", readings.credits.to_string()),
+        ("camera", readings.camera.clone()),
+        ("speed", mode),
+    ];
+    ui.weak(readings.adapter);
+    egui::Grid::new("numbers").num_columns(2).show(ui, |ui| {
+        for (name, value) in rows {
+            ui.weak(name);
+            ui.label(value);
+            ui.end_row();
+        }
+    });
+}
+
+/// One bar per level, finest on the left.
+fn histogram(ui: &mut egui::Ui, levels: &[u32; 17]) {
+    let highest = levels.iter().copied().max().unwrap_or(0).max(1) as f32;
+    let last = levels.iter().rposition(|count| *count > 0).unwrap_or(0);
+    ui.weak(format!("chunks here by level, 0 to {last}"));
+    let (area, _) = ui.allocate_exact_size(egui::vec2(ui.available_width(), 36.0), egui::Sense::hover());
+    let width = area.width() / (last + 1) as f32;
+    for (level, count) in levels.iter().enumerate().take(last + 1) {
+        let left = area.left() + width * level as f32;
+        let top = area.bottom() - area.height() * *count as f32 / highest;
+        let bar = egui::Rect::from_min_max(
+            egui::pos2(left + 1.0, top),
+            egui::pos2(left + width - 1.0, area.bottom()),
+        );
+        ui.painter().rect_filled(bar, 2.0, egui::Color32::from_rgb(110, 170, 200));
+    }
+}

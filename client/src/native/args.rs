@@ -1,0 +1,236 @@
+//! The command line. Options are a contract: scripts call them.
+
+use crate::camera::{Lens, Pose};
+use crate::headless::Options;
+use crate::scene::Scene;
+use clap::{Parser, builder::RangedU64ValueParser};
+use std::path::PathBuf;
+use std::time::Duration;
+use terrain::lod::MAX_VIEW_DISTANCE_M;
+use tokio_tungstenite::tungstenite::http::Uri;
+
+/// Largest side of a picture, pixels: what portable WebGPU promises for a texture.
+const MAX_SIDE: u32 = 8192;
+
+/// Streams a terrain from a Tombolo server and draws it, in a window or (with --shot) into a file.
+#[derive(Clone, Debug, Parser)]
+#[command(name = "tombolo-view", version, about)]
+pub struct Args {
+    /// Stream of the server
+    #[arg(long, value_name = "URL", default_value = "ws://127.0.0.1:7580/v1/stream", value_parser = parse_url)]
+    pub connect: Uri,
+
+    /// What to show
+    #[arg(long, value_enum, default_value_t)]
+    pub scene: Scene,
+
+    /// Start position in metres (east, up, south of the origin) and gaze in degrees (yaw clockwise from north, pitch
+    /// upward) [default: a view of the scene]
+    #[arg(long, value_name = "X,Y,Z,YAW,PITCH", allow_hyphen_values = true)]
+    pub camera: Option<Pose>,
+
+    /// Draws into this PNG file instead of a window
+    #[arg(long, value_name = "FILE.png")]
+    pub shot: Option<PathBuf>,
+
+    /// Size of the picture or window in pixels, each side 1 to 8192
+    #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = parse_size)]
+    pub size: (u32, u32),
+
+    /// Frames to draw and time, then exit [default: 1 with --shot, without end in a window]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub frames: Option<u32>,
+
+    /// Writes what was measured into this JSON file when done
+    #[arg(long, value_name = "FILE.json")]
+    pub stats: Option<PathBuf>,
+
+    /// View distance in metres, 100 to 65536
+    #[arg(long, value_name = "M", default_value_t = 8000,
+          value_parser = clap::value_parser!(u32).range(100..=i64::from(MAX_VIEW_DISTANCE_M)))]
+    pub view_distance: u32,
+
+    /// Tolerated geometric error on screen in pixels, 0.0625 to 1000; less is finer
+    #[arg(long, value_name = "PX", default_value_t = 2.0, value_parser = |text: &str| parse_within(text, 0.0625, 1000.0))]
+    pub tolerance: f64,
+
+    /// Vertical field of view in degrees, 10 to 120
+    #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = |text: &str| parse_within(text, 10.0, 120.0))]
+    pub fov: f64,
+
+    /// Memory for chunks in MiB, main and GPU memory together, 8 to 256; a view that needs more is drawn coarser
+    #[arg(long, value_name = "N", default_value_t = 128, value_parser = RangedU64ValueParser::<usize>::new().range(8..=256))]
+    pub chunk_mb: usize,
+
+    /// Samples per pixel, 1 or 4 [default: 4, in a window on a software driver 1]
+    #[arg(long, value_name = "N", value_parser = parse_samples)]
+    pub samples: Option<u32>,
+
+    /// Circles the point that the camera looks towards, degrees a second, -90 to 90
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true, value_parser = |text: &str| parse_within(text, -90.0, 90.0))]
+    pub orbit: Option<f64>,
+
+    /// Moment of the waves and clouds in the first frame of a shot, seconds, 0 to 86400
+    #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = |text: &str| parse_within(text, 0.0, 86_400.0))]
+    pub time: f64,
+
+    /// File whose first line is the server's access token
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
+
+    /// How long a shot may wait for its complete view, seconds, 1 to 3600
+    #[arg(long, value_name = "S", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=3600))]
+    pub timeout: u64,
+}
+
+impl Args {
+    /// What a shot renders.
+    #[must_use]
+    pub fn shot_options(&self) -> Options {
+        Options {
+            scene: self.scene,
+            pose: self.pose(),
+            lens: self.lens(),
+            view_distance_m: self.view_distance,
+            tolerance_px: self.tolerance,
+            chunk_bytes: self.chunk_mb << 20,
+            samples: self.samples.unwrap_or(4),
+            frames: self.frames.unwrap_or(1),
+            // Frames of a shot are a sixtieth of a second apart, as their waves are.
+            orbit_step_deg: self.orbit.unwrap_or(0.0) / 60.0,
+            time_s: self.time as f32,
+            timeout: Duration::from_secs(self.timeout),
+        }
+    }
+
+    /// Where the camera starts.
+    #[must_use]
+    pub fn pose(&self) -> Pose {
+        self.camera.unwrap_or_else(|| self.scene.start())
+    }
+
+    /// Field of view and size.
+    #[must_use]
+    pub fn lens(&self) -> Lens {
+        Lens { fov_deg: self.fov, width: self.size.0, height: self.size.1 }
+    }
+}
+
+fn parse_url(text: &str) -> Result<Uri, String> {
+    let expected = "expected ws://HOST:PORT/v1/stream";
+    let url: Uri = text.parse().map_err(|error| format!("{error}, {expected}"))?;
+    match url.scheme_str() {
+        Some("ws") if url.host().is_some_and(|host| !host.is_empty()) => Ok(url),
+        Some("wss") => Err(format!("this viewer speaks no TLS, {expected}")),
+        _ => Err(expected.to_owned()),
+    }
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let side = |part: &str| part.parse().ok().filter(|side| (1..=MAX_SIDE).contains(side));
+    text.split_once(['x', 'X'])
+        .and_then(|(width, height)| Some((side(width)?, side(height)?)))
+        .ok_or_else(|| format!("expected WxH such as 1280x720, each side 1 to {MAX_SIDE}"))
+}
+
+fn parse_within(text: &str, low: f64, high: f64) -> Result<f64, String> {
+    // A NaN is in no range.
+    text.parse()
+        .ok()
+        .filter(|value| (low..=high).contains(value))
+        .ok_or_else(|| format!("expected a number from {low} to {high}"))
+}
+
+fn parse_samples(text: &str) -> Result<u32, String> {
+    match text {
+        "1" => Ok(1),
+        "4" => Ok(4),
+        _ => Err("expected 1 or 4".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(arguments: &[&str]) -> Result<Args, clap::Error> {
+        Args::try_parse_from(std::iter::once(&"tombolo-view").chain(arguments))
+    }
+
+    #[test]
+    fn the_defaults_are_a_window_over_the_island() {
+        let args = parse(&[]).unwrap();
+        assert_eq!(args.connect.to_string(), "ws://127.0.0.1:7580/v1/stream");
+        assert_eq!((args.size, args.view_distance, args.tolerance), ((1280, 720), 8000, 2.0));
+        assert_eq!(args.pose(), Scene::Island.start());
+    }
+
+    #[test]
+    fn every_option_is_read() {
+        let args = parse(&[
+            "--connect",
+            "ws://host:1/v1/stream",
+            "--scene",
+            "island",
+            "--camera",
+            "-1.5,2,-3,-4,-5",
+            "--shot",
+            "a.png",
+            "--size",
+            "640x360",
+            "--frames",
+            "7",
+            "--stats",
+            "s.json",
+            "--view-distance",
+            "4000",
+            "--tolerance",
+            "1.5",
+            "--fov",
+            "75",
+            "--chunk-mb",
+            "32",
+            "--samples",
+            "1",
+            "--orbit",
+            "-3",
+            "--time",
+            "2",
+            "--token-file",
+            "t",
+            "--timeout",
+            "9",
+        ])
+        .unwrap();
+        let options = args.shot_options();
+        assert_eq!(options.pose.position_m.x, -1.5);
+        assert_eq!((options.lens.width, options.lens.height, options.lens.fov_deg), (640, 360, 75.0));
+        assert_eq!((options.frames, options.chunk_bytes, options.samples), (7, 32 << 20, 1));
+        assert_eq!((options.orbit_step_deg, options.timeout), (-0.05, Duration::from_secs(9)));
+    }
+
+    #[test]
+    fn a_bad_option_is_refused_with_name_value_and_what_is_allowed() {
+        for (option, value, allowed) in [
+            ("--connect", "http://x", "ws://HOST:PORT"),
+            ("--connect", "wss://x/y", "TLS"),
+            ("--scene", "moon", "island"),
+            ("--camera", "1,2,3", "X,Y,Z,YAW,PITCH"),
+            ("--camera", "NaN,0,0,0,0", "finite"),
+            ("--size", "0x10", "1 to 8192"),
+            ("--size", "640", "WxH"),
+            ("--frames", "0", "1"),
+            ("--view-distance", "99", "100"),
+            ("--tolerance", "NaN", "0.0625 to 1000"),
+            ("--fov", "180", "10 to 120"),
+            ("--chunk-mb", "0", "8"),
+            ("--samples", "2", "1 or 4"),
+            ("--timeout", "0", "1"),
+        ] {
+            let line = parse(&[option, value]).unwrap_err().to_string();
+            for part in [option, value, allowed] {
+                assert!(line.contains(part), "{option} {value}: {line} lacks {part}");
+            }
+        }
+    }
+}

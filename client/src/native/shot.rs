@@ -1,0 +1,63 @@
+//! `--shot`: a picture and its numbers as files, with a progress display for people.
+
+use crate::headless::{self, Progress};
+use crate::native::args::Args;
+use crate::native::stream::{Settings, SocketFeed};
+use crate::stats::Stats;
+use crate::voyage::Link;
+use anyhow::Context as _;
+use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// Connects, waits for the complete view, renders, writes.
+pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
+    let Some(path) = &args.shot else { return Ok(()) };
+    let feed = SocketFeed::connect(settings(args)?).context("cannot start the network thread")?;
+    // Hidden by itself where stderr is no terminal.
+    let bar = ProgressBar::new_spinner();
+    bar.set_style(ProgressStyle::with_template("{spinner} {elapsed} {msg}")?);
+    bar.enable_steady_tick(Duration::from_millis(100));
+    let (picture, stats) = headless::render(&args.shot_options(), feed, started, |progress| {
+        bar.set_message(describe(progress));
+    })?;
+    bar.finish_and_clear();
+    image::save_buffer(path, &picture.rgba, picture.width, picture.height, image::ColorType::Rgba8)
+        .with_context(|| format!("cannot write --shot {}: choose a writable .png path", path.display()))?;
+    if let Some(path) = &args.stats {
+        write_stats(path, &stats)?;
+    }
+    Ok(())
+}
+
+/// Where to connect, with the token from its file.
+pub fn settings(args: &Args) -> anyhow::Result<Settings> {
+    let token = match &args.token_file {
+        None => None,
+        Some(path) => {
+            let text = std::fs::read_to_string(path)
+                .with_context(|| format!("cannot read --token-file {}", path.display()))?;
+            let token = text.lines().next().unwrap_or_default().trim().to_owned();
+            anyhow::ensure!(!token.is_empty(), "--token-file {} has an empty first line", path.display());
+            Some(token)
+        }
+    };
+    Ok(Settings { url: args.connect.clone(), token })
+}
+
+/// Writes the record of a run.
+pub fn write_stats(path: &Path, stats: &Stats) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(stats)?;
+    std::fs::write(path, text + "\n").with_context(|| format!("cannot write --stats {}", path.display()))
+}
+
+fn describe(progress: &Progress) -> String {
+    let Progress { resident, wanting, bytes_received, link } = progress;
+    match link {
+        Link::Connecting => "connecting".to_owned(),
+        Link::Connected(_) => {
+            format!("{resident} chunks, {}, {wanting} places still coarse", HumanBytes(*bytes_received))
+        }
+        Link::Waiting { cause, .. } | Link::Refused(cause) => cause.clone(),
+    }
+}

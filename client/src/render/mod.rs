@@ -1,0 +1,144 @@
+//! The renderer: everything between a [`FrameData`] and a picture.
+//!
+//! Owns pipelines, targets and the pool of heights. Knows nothing of windows, sessions or time: a frame goes in, commands
+//! come out, into whatever view the caller gives.
+
+pub mod backdrop;
+pub mod gpu;
+pub mod mesh;
+pub mod picture;
+pub mod pipeline;
+pub mod pool;
+pub mod surface;
+pub mod targets;
+pub mod terrain;
+pub mod tone;
+
+pub use gpu::{Gpu, GpuError};
+pub use picture::{Canvas, Picture};
+
+use crate::frame::FrameData;
+use backdrop::BackdropPass;
+use pool::HeightPool;
+use shaders::layout::Frame;
+use targets::Targets;
+use terrain::TerrainPass;
+use tone::TonePass;
+
+/// What a renderer is built for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RenderOptions {
+    /// Picture size, pixels.
+    pub size: (u32, u32),
+    /// Samples per pixel: 1 or 4, the two that WebGPU promises.
+    pub samples: u32,
+    /// Format of the pictures; must not encode sRGB by itself.
+    pub format: wgpu::TextureFormat,
+    /// Slots of the pool, see [`HeightPool::slots_within`].
+    pub slots: u32,
+}
+
+/// The renderer.
+#[derive(Debug)]
+pub struct Renderer {
+    samples: u32,
+    uniforms: wgpu::Buffer,
+    pool: HeightPool,
+    targets: Targets,
+    terrain: TerrainPass,
+    sky: BackdropPass,
+    water: BackdropPass,
+    tone: TonePass,
+}
+
+impl Renderer {
+    /// Builds pipelines, pool and targets.
+    #[must_use]
+    pub fn new(gpu: &Gpu, options: &RenderOptions) -> Self {
+        let (device, samples) = (&gpu.device, options.samples);
+        let uniforms = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("frame"),
+            size: size_of::<Frame>() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let pool = HeightPool::new(device, options.slots);
+        let targets = Targets::new(device, options.size, samples);
+        Self {
+            samples,
+            terrain: TerrainPass::new(device, &uniforms, &pool, options.slots, samples),
+            sky: BackdropPass::sky(device, &uniforms, samples),
+            water: BackdropPass::water(device, &uniforms, samples),
+            tone: TonePass::new(device, &uniforms, &targets, options.format),
+            uniforms,
+            pool,
+            targets,
+        }
+    }
+
+    /// The pool, to upload heights into.
+    #[must_use]
+    pub fn pool(&self) -> &HeightPool {
+        &self.pool
+    }
+
+    /// Draws pictures of another size from now on.
+    pub fn resize(&mut self, gpu: &Gpu, size: (u32, u32)) {
+        if size != self.targets.size {
+            self.targets = Targets::new(&gpu.device, size, self.samples);
+            self.tone.retarget(&gpu.device, &self.uniforms, &self.targets);
+        }
+    }
+
+    /// Records one picture into `encoder`, to appear in `output`.
+    pub fn draw(
+        &mut self,
+        gpu: &Gpu,
+        frame: &FrameData,
+        encoder: &mut wgpu::CommandEncoder,
+        output: &wgpu::TextureView,
+    ) {
+        gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
+        self.terrain.prepare(&gpu.queue, &frame.instances);
+        {
+            // Samples are gone once resolved; a single-sample target is read by the tone pass.
+            let store =
+                if self.targets.resolved.is_some() { wgpu::StoreOp::Discard } else { wgpu::StoreOp::Store };
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("light"),
+                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                    view: &self.targets.gathered,
+                    depth_slice: None,
+                    resolve_target: self.targets.resolved.as_ref(),
+                    ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store },
+                })],
+                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                    view: &self.targets.depth,
+                    depth_ops: Some(wgpu::Operations {
+                        load: wgpu::LoadOp::Clear(0.0),
+                        store: wgpu::StoreOp::Discard,
+                    }),
+                    stencil_ops: None,
+                }),
+                ..Default::default()
+            });
+            self.terrain.draw(&mut pass);
+            self.sky.draw(&mut pass);
+            self.water.draw(&mut pass);
+        }
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("tone"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: output,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(wgpu::Color::BLACK),
+                    store: wgpu::StoreOp::Store,
+                },
+            })],
+            ..Default::default()
+        });
+        self.tone.draw(&mut pass);
+    }
+}

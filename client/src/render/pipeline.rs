@@ -1,0 +1,128 @@
+//! What all passes' pipelines have in common: a linked shader, one bind group, the gathering targets.
+
+use crate::render::targets::{DEPTH_FORMAT, LIGHT_FORMAT};
+use shaders::{Shader, Stage};
+
+/// How a pass meets the depth buffer. Reversed-Z: nearer is greater, the far end is 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Depth {
+    /// Hides and is hidden.
+    Solid,
+    /// Is hidden, hides nothing.
+    Transparent,
+    /// Drawn only where nothing solid is.
+    Background,
+}
+
+/// What differs between the passes that gather light.
+#[derive(Debug)]
+pub struct LightPass<'a> {
+    /// The shader.
+    pub shader: &'a Shader,
+    /// Its only bind group's layout.
+    pub layout: &'a wgpu::BindGroupLayout,
+    /// Its vertex buffers.
+    pub buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
+    /// Its place in depth.
+    pub depth: Depth,
+    /// Samples per pixel of the targets.
+    pub samples: u32,
+}
+
+impl LightPass<'_> {
+    /// The pipeline of the pass.
+    #[must_use]
+    pub fn pipeline(&self, device: &wgpu::Device) -> wgpu::RenderPipeline {
+        let (compare, write, blend) = match self.depth {
+            Depth::Solid => (wgpu::CompareFunction::Greater, true, None),
+            Depth::Transparent => {
+                (wgpu::CompareFunction::Greater, false, Some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING))
+            }
+            Depth::Background => (wgpu::CompareFunction::GreaterEqual, false, None),
+        };
+        let depth_stencil = wgpu::DepthStencilState {
+            format: DEPTH_FORMAT,
+            depth_write_enabled: Some(write),
+            depth_compare: Some(compare),
+            stencil: wgpu::StencilState::default(),
+            bias: wgpu::DepthBiasState::default(),
+        };
+        build(
+            device,
+            self.shader,
+            self.layout,
+            self.buffers,
+            Some(depth_stencil),
+            self.samples,
+            wgpu::ColorTargetState { format: LIGHT_FORMAT, blend, write_mask: wgpu::ColorWrites::ALL },
+        )
+    }
+}
+
+/// A pipeline that draws triangles over a plain target, without depth.
+#[must_use]
+pub fn flat_pipeline(
+    device: &wgpu::Device,
+    shader: &Shader,
+    layout: &wgpu::BindGroupLayout,
+    format: wgpu::TextureFormat,
+) -> wgpu::RenderPipeline {
+    build(device, shader, layout, &[], None, 1, format.into())
+}
+
+fn build(
+    device: &wgpu::Device,
+    shader: &Shader,
+    layout: &wgpu::BindGroupLayout,
+    buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
+    depth_stencil: Option<wgpu::DepthStencilState>,
+    samples: u32,
+    target: wgpu::ColorTargetState,
+) -> wgpu::RenderPipeline {
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(shader.name),
+        source: wgpu::ShaderSource::Wgsl(shader.wgsl.into()),
+    });
+    let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(shader.name),
+        bind_group_layouts: &[Some(layout)],
+        immediate_size: 0,
+    });
+    let entry = |stage| shader.entry_points.iter().find(|entry| entry.stage == stage).map(|entry| entry.name);
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(shader.name),
+        layout: Some(&pipeline_layout),
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: entry(Stage::Vertex),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers,
+        },
+        primitive: wgpu::PrimitiveState { cull_mode: Some(wgpu::Face::Back), ..Default::default() },
+        depth_stencil,
+        multisample: wgpu::MultisampleState { count: samples, ..Default::default() },
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: entry(Stage::Fragment),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[Some(target)],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+/// A uniform buffer, seen by both stages.
+#[must_use]
+pub const fn uniform_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
+        ty: wgpu::BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        },
+        count: None,
+    }
+}

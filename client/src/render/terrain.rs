@@ -1,0 +1,109 @@
+//! The terrain pass: one instanced, indexed draw of all chunks in sight.
+
+use crate::render::mesh;
+use crate::render::pipeline::{Depth, LightPass, uniform_entry};
+use crate::render::pool::HeightPool;
+use shaders::SHADERS;
+use shaders::layout::TerrainInstance;
+use wgpu::util::DeviceExt as _;
+
+/// The pass.
+#[derive(Debug)]
+pub struct TerrainPass {
+    pipeline: wgpu::RenderPipeline,
+    bindings: wgpu::BindGroup,
+    indices: wgpu::Buffer,
+    instances: wgpu::Buffer,
+    capacity: usize,
+    count: u32,
+}
+
+impl TerrainPass {
+    /// The pass over a pool of `capacity` slots: no frame can draw more chunks than are resident.
+    #[must_use]
+    pub fn new(
+        device: &wgpu::Device,
+        frame: &wgpu::Buffer,
+        pool: &HeightPool,
+        capacity: u32,
+        samples: u32,
+    ) -> Self {
+        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("draw_terrain"),
+            entries: &[
+                uniform_entry(0),
+                wgpu::BindGroupLayoutEntry {
+                    binding: 1,
+                    visibility: wgpu::ShaderStages::VERTEX,
+                    ty: wgpu::BindingType::Buffer {
+                        ty: wgpu::BufferBindingType::Storage { read_only: true },
+                        has_dynamic_offset: false,
+                        min_binding_size: None,
+                    },
+                    count: None,
+                },
+            ],
+        });
+        let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("draw_terrain"),
+            layout: &layout,
+            entries: &[
+                wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 1, resource: pool.buffer().as_entire_binding() },
+            ],
+        });
+        let attributes = TerrainInstance::ATTRIBUTES.map(|attribute| wgpu::VertexAttribute {
+            shader_location: attribute.location,
+            offset: attribute.offset as u64,
+            format: if attribute.float {
+                wgpu::VertexFormat::Float32x4
+            } else {
+                wgpu::VertexFormat::Uint32x2
+            },
+        });
+        let buffers = [Some(wgpu::VertexBufferLayout {
+            array_stride: size_of::<TerrainInstance>() as u64,
+            step_mode: wgpu::VertexStepMode::Instance,
+            attributes: &attributes,
+        })];
+        let pipeline = LightPass {
+            shader: &SHADERS.draw_terrain,
+            layout: &layout,
+            buffers: &buffers,
+            depth: Depth::Solid,
+            samples,
+        }
+        .pipeline(device);
+        let indices = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("chunk indices"),
+            contents: bytemuck::cast_slice(&mesh::indices()),
+            usage: wgpu::BufferUsages::INDEX,
+        });
+        let instances = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("chunk instances"),
+            size: u64::from(capacity) * size_of::<TerrainInstance>() as u64,
+            usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        Self { pipeline, bindings, indices, instances, capacity: capacity as usize, count: 0 }
+    }
+
+    /// Sets the chunks of the next frame.
+    pub fn prepare(&mut self, queue: &wgpu::Queue, instances: &[TerrainInstance]) {
+        let instances = &instances[..instances.len().min(self.capacity)];
+        self.count = instances.len() as u32;
+        queue.write_buffer(&self.instances, 0, bytemuck::cast_slice(instances));
+    }
+
+    /// Draws them.
+    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>) {
+        if self.count == 0 {
+            return;
+        }
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &self.bindings, &[]);
+        pass.set_vertex_buffer(0, self.instances.slice(..));
+        pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint16);
+        pass.draw_indexed(0..mesh::INDEX_COUNT, 0, 0..self.count);
+    }
+}

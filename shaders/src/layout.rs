@@ -1,0 +1,93 @@
+//! What the CPU hands to the shaders, byte for byte. Tests compare every offset with naga's reflection of the WGSL.
+
+use bytemuck::{Pod, Zeroable};
+
+/// The uniforms of a frame; `shared/frame.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Frame {
+    /// Camera-relative metres to clip space, column by column; infinite reversed-Z.
+    pub clip_from_camera: [[f32; 4]; 4],
+    /// Half the width of the image plane at distance 1, along the camera's right.
+    pub ray_right: [f32; 3],
+    /// Seconds; moves water and clouds.
+    pub time_s: f32,
+    /// Half the height of the image plane at distance 1, along the camera's up.
+    pub ray_up: [f32; 3],
+    /// Eye above sea level, metres.
+    pub eye_height_m: f32,
+    /// Unit vector into the picture.
+    pub ray_forward: [f32; 3],
+    /// End of the land, metres.
+    pub view_distance_m: f32,
+    /// Unit vector to the sun.
+    pub sun: [f32; 3],
+    /// Multiplies the light before the tone curve; 1 is neutral.
+    pub exposure: f32,
+    /// The eye's position below one unit, metres (0 to 2^-8).
+    pub eye_fraction_m: [f32; 3],
+    /// 1 / height of the target in pixels.
+    pub pixel: f32,
+    /// Eye east and south, metres modulo [`PATTERN_PERIOD_M`].
+    pub pattern_eye_m: [f32; 2],
+    /// Target size, pixels.
+    pub viewport: [f32; 2],
+}
+
+/// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant of `shared/frame.wesl`.
+pub const PATTERN_PERIOD_M: i32 = 8192;
+
+/// One drawn chunk.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct TerrainInstance {
+    /// Low corner minus the eye's whole units, metres; the vertical part is minus the eye's height. Exact below 65 km.
+    pub origin_m: [f32; 3],
+    /// Distance between vertices, metres.
+    pub spacing_m: f32,
+    /// Low corner modulo [`PATTERN_PERIOD_M`], metres.
+    pub pattern_m: [f32; 2],
+    /// How far the skirt hangs below the border, metres.
+    pub skirt_m: f32,
+    /// Unused; keeps the attribute whole.
+    pub reserved: f32,
+    /// Slot of its heights in the pool.
+    pub slot: u32,
+    /// Level of detail, 0 (finest) to 16.
+    pub level: u32,
+}
+
+/// One vertex attribute: shader location, byte offset, number of 32-bit components, float or unsigned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Attribute {
+    /// `@location` in the shader.
+    pub location: u32,
+    /// Bytes from the start of the instance.
+    pub offset: usize,
+    /// 1 to 4.
+    pub components: u32,
+    /// `f32` components, else `u32`.
+    pub float: bool,
+}
+
+impl TerrainInstance {
+    /// How `draw_terrain` reads an instance.
+    pub const ATTRIBUTES: [Attribute; 3] = [
+        Attribute { location: 0, offset: 0, components: 4, float: true },
+        Attribute {
+            location: 1,
+            offset: std::mem::offset_of!(TerrainInstance, pattern_m),
+            components: 4,
+            float: true,
+        },
+        Attribute {
+            location: 2,
+            offset: std::mem::offset_of!(TerrainInstance, slot),
+            components: 2,
+            float: false,
+        },
+    ];
+}
+
+/// Vertices of the `draw_water` call (eight sectors of a plane).
+pub const WATER_VERTICES: u32 = 24;

@@ -1,0 +1,132 @@
+//! Every shader against naga and Tint, every layout against reflection, and the control that must fail.
+
+use std::io::Write as _;
+use std::mem::offset_of;
+use std::process::{Command, Stdio};
+
+use naga::{Binding, ScalarKind, ShaderStage, TypeInner, VectorSize};
+
+use crate::layout::{Frame, PATTERN_PERIOD_M, TerrainInstance};
+use crate::validate::validate;
+use crate::{SHADERS, Stage};
+
+#[test]
+fn every_shader_is_portable_webgpu_with_one_vertex_and_one_fragment_stage() {
+    for shader in SHADERS.all() {
+        validate(shader.name, shader.wgsl).unwrap_or_else(|complaint| panic!("{complaint}"));
+        let stages: Vec<Stage> = shader.entry_points.iter().map(|entry| entry.stage).collect();
+        assert_eq!(stages, [Stage::Vertex, Stage::Fragment], "{}", shader.name);
+    }
+}
+
+#[test]
+fn a_broken_shader_is_rejected_with_its_name() {
+    let good = SHADERS.draw_sky.wgsl;
+    for broken in [
+        good.replacen("vec4f(", "vec3f(", 1),
+        good.replacen("return", "retrun", 1),
+        format!("{good}\n@compute @workgroup_size(64) fn extra() {{ let x: i64 = 1li; }}"),
+    ] {
+        assert_ne!(broken, good);
+        let complaint = validate("broken_sky", &broken).expect_err("a broken shader passed");
+        assert!(complaint.contains("broken_sky"), "{complaint}");
+    }
+}
+
+/// Runs Tint on a source; `None` when it is not installed.
+fn tint(name: &str, wgsl: &str) -> Option<Result<(), String>> {
+    let folder = std::env::temp_dir().join(format!("tombolo-tint-{}-{name}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a temporary folder");
+    let path = folder.join(format!("{name}.wgsl"));
+    std::fs::File::create(&path)
+        .and_then(|mut file| file.write_all(wgsl.as_bytes()))
+        .expect("a temporary file");
+    // Parsed, resolved and written as WGSL: the one writer that every build of Tint contains.
+    let run = Command::new("tint").args(["--format", "wgsl"]).arg(&path).stdin(Stdio::null()).output();
+    let outcome = match run {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
+        Err(error) => Some(Err(error.to_string())),
+        Ok(output) if output.status.success() => Some(Ok(())),
+        Ok(output) => Some(Err(String::from_utf8_lossy(&output.stderr).into_owned())),
+    };
+    std::fs::remove_dir_all(&folder).expect("the temporary folder");
+    outcome
+}
+
+#[test]
+fn every_shader_compiles_with_tint_and_a_broken_one_does_not() {
+    for shader in SHADERS.all() {
+        let Some(outcome) = tint(shader.name, shader.wgsl) else {
+            eprintln!("SKIPPED: `tint` is not on PATH; shaders were checked by naga only");
+            return;
+        };
+        outcome.unwrap_or_else(|complaint| panic!("{}: {complaint}", shader.name));
+    }
+    let broken = SHADERS.draw_sky.wgsl.replacen("return", "retrun", 1);
+    assert!(tint("broken_sky", &broken).is_some_and(|outcome| outcome.is_err()), "the control must fail");
+}
+
+#[test]
+fn the_frame_uniforms_lie_where_the_shaders_read_them() {
+    let expected = [
+        ("clip_from_camera", offset_of!(Frame, clip_from_camera)),
+        ("ray_right", offset_of!(Frame, ray_right)),
+        ("time_s", offset_of!(Frame, time_s)),
+        ("ray_up", offset_of!(Frame, ray_up)),
+        ("eye_height_m", offset_of!(Frame, eye_height_m)),
+        ("ray_forward", offset_of!(Frame, ray_forward)),
+        ("view_distance_m", offset_of!(Frame, view_distance_m)),
+        ("sun", offset_of!(Frame, sun)),
+        ("exposure", offset_of!(Frame, exposure)),
+        ("eye_fraction_m", offset_of!(Frame, eye_fraction_m)),
+        ("pixel", offset_of!(Frame, pixel)),
+        ("pattern_eye_m", offset_of!(Frame, pattern_eye_m)),
+        ("viewport", offset_of!(Frame, viewport)),
+    ];
+    for shader in SHADERS.all() {
+        let (module, _) = validate(shader.name, shader.wgsl).unwrap();
+        let (_, frame) = module
+            .types
+            .iter()
+            .find(|(_, candidate)| candidate.name.as_deref() == Some("Frame"))
+            .unwrap_or_else(|| panic!("{} has no frame", shader.name));
+        let TypeInner::Struct { members, span } = &frame.inner else { panic!("Frame is no struct") };
+        let found: Vec<_> =
+            members.iter().map(|m| (m.name.as_deref().unwrap_or(""), m.offset as usize)).collect();
+        assert_eq!(found, expected, "{}", shader.name);
+        assert_eq!(*span as usize, size_of::<Frame>(), "{}", shader.name);
+    }
+}
+
+#[test]
+fn the_terrain_instance_has_the_attributes_that_the_shader_declares() {
+    let (module, _) = validate("draw_terrain", SHADERS.draw_terrain.wgsl).unwrap();
+    let (_, instance) =
+        module.types.iter().find(|(_, candidate)| candidate.name.as_deref() == Some("Instance")).unwrap();
+    let TypeInner::Struct { members, .. } = &instance.inner else { panic!("Instance is no struct") };
+    assert_eq!(members.len(), TerrainInstance::ATTRIBUTES.len());
+    for (member, attribute) in members.iter().zip(TerrainInstance::ATTRIBUTES) {
+        let Some(Binding::Location { location, .. }) = member.binding else { panic!("no location") };
+        assert_eq!(location, attribute.location);
+        let TypeInner::Vector { size, scalar } = module.types[member.ty].inner else { panic!("no vector") };
+        let components = match size {
+            VectorSize::Bi => 2,
+            VectorSize::Tri => 3,
+            VectorSize::Quad => 4,
+        };
+        assert_eq!(components, attribute.components);
+        assert_eq!(scalar.width, 4);
+        assert_eq!(scalar.kind == ScalarKind::Float, attribute.float);
+        assert!(attribute.offset + 4 * components as usize <= size_of::<TerrainInstance>());
+    }
+    assert!(module.entry_points.iter().any(|entry| entry.stage == ShaderStage::Vertex));
+}
+
+#[test]
+fn the_pattern_period_and_the_constants_of_the_land_are_the_same_in_both_languages() {
+    let terrain = SHADERS.draw_terrain.wgsl;
+    assert!(SHADERS.draw_water.wgsl.contains(&format!("PATTERN_PERIOD_M: f32 = {PATTERN_PERIOD_M}.0;")));
+    for line in ["VERTICES: u32 = 65u", "VERTEX_COUNT: u32 = 4225u", "CELLS: u32 = 64u"] {
+        assert!(terrain.contains(line), "{line}");
+    }
+}

@@ -1,0 +1,9 @@
+//! WGSL modules once more in plain Rust: same stem, same statements in the same order, so that the two can be read
+//! side by side and tested without a GPU. Integer modules only; floats are compared as pictures.
+#![expect(
+    clippy::needless_return,
+    clippy::cast_possible_truncation,
+    reason = "a twin keeps the shape of its WGSL, and chunk sizes fit in 32 bits"
+)]
+
+pub mod grid;
