@@ -5,6 +5,10 @@
 
 #![forbid(unsafe_code)]
 
+mod usage;
+
+pub use usage::{UsageError, read_token};
+
 use clap::Parser;
 use std::fmt::Display;
 use std::process::ExitCode;

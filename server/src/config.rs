@@ -1,8 +1,8 @@
 //! From what was typed to what is meant: flags over environment over file over defaults, checked once.
 
 use clap::Parser;
+use cli::UsageError;
 use serde::Deserialize;
-use std::fmt;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -115,29 +115,17 @@ impl Default for ServerConfig {
     }
 }
 
-/// A configuration that cannot be used: one line with the option, its value and what is allowed.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ConfigError(String);
-
-impl fmt::Display for ConfigError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for ConfigError {}
-
 impl Args {
     /// Reads the file that the arguments name, if any, and checks everything.
     ///
     /// # Errors
     /// An unreadable or malformed file, an unknown key in it, or a value out of range.
-    pub fn resolve(self) -> Result<ServerConfig, ConfigError> {
+    pub fn resolve(self) -> Result<ServerConfig, UsageError> {
         let file = self.config.as_deref().map_or(Ok(File::default()), read_file)?;
         let defaults = ServerConfig::default();
         let listen = match self.listen.or(file.listen) {
             Some(text) => text.parse().map_err(|_| {
-                ConfigError(format!(
+                UsageError::new(format!(
                     "listen: `{text}` is not an address; give ADDR:PORT such as {DEFAULT_LISTEN}"
                 ))
             })?,
@@ -154,7 +142,12 @@ impl Args {
             world_seed: self.world_seed.or(file.world_seed).unwrap_or(defaults.world_seed),
             threads,
             cache_bytes: cache_mb << 20,
-            token: self.token_file.or(file.token_file).as_deref().map(read_token).transpose()?,
+            token: self
+                .token_file
+                .or(file.token_file)
+                .as_deref()
+                .map(|path| cli::read_token(path, protocol::limits::MAX_TEXT))
+                .transpose()?,
             max_sessions,
             log: self.log.or(file.log).unwrap_or(defaults.log),
             log_json: self.log_json || file.log_json.unwrap_or(false),
@@ -163,44 +156,30 @@ impl Args {
     }
 }
 
-fn in_range(option: &str, value: u64, low: u64, high: u64) -> Result<(), ConfigError> {
+fn in_range(option: &str, value: u64, low: u64, high: u64) -> Result<(), UsageError> {
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    Err(ConfigError(format!("{option}: {value} is out of range; give {low} to {high}")))
+    Err(UsageError::new(format!("{option}: {value} is out of range; give {low} to {high}")))
 }
 
-fn read_file(path: &Path) -> Result<File, ConfigError> {
+fn read_file(path: &Path) -> Result<File, UsageError> {
     let shown = path.display();
     let text = std::fs::read_to_string(path)
-        .map_err(|error| ConfigError(format!("config: cannot read `{shown}`: {error}")))?;
+        .map_err(|error| UsageError::new(format!("config: cannot read `{shown}`: {error}")))?;
     toml::from_str(&text).map_err(|error| {
         let line = error.span().map_or(1, |span| text[..span.start].lines().count().max(1));
         // The library's message may have several lines; one is what a person needs.
         let message = error.message().lines().collect::<Vec<_>>().join(" ");
-        ConfigError(format!("config: {shown} line {line}: {message}"))
+        UsageError::new(format!("config: {shown} line {line}: {message}"))
     })
-}
-
-fn read_token(path: &Path) -> Result<String, ConfigError> {
-    let shown = path.display();
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| ConfigError(format!("token-file: cannot read `{shown}`: {error}")))?;
-    let token = text.lines().next().unwrap_or_default().trim();
-    if token.is_empty() || token.len() > protocol::limits::MAX_TEXT {
-        let limit = protocol::limits::MAX_TEXT;
-        return Err(ConfigError(format!(
-            "token-file: the first line of `{shown}` must hold 1 to {limit} bytes"
-        )));
-    }
-    Ok(token.into())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn with_file(content: &str, args: Args) -> Result<ServerConfig, ConfigError> {
+    fn with_file(content: &str, args: Args) -> Result<ServerConfig, UsageError> {
         let name = format!("tombolo-config-{}-{:?}.toml", std::process::id(), std::thread::current().id());
         let path = std::env::temp_dir().join(name);
         std::fs::write(&path, content).unwrap();

@@ -12,7 +12,7 @@ pub fn command(name: &str) -> Command {
     BUILT.get_or_init(|| {
         // The whole workspace, as continuous integration builds it: a part would be built with other features.
         let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let built = Command::new(cargo).args(["build", "--quiet", "--workspace", "--bins"]).status();
+        let built = Command::new(cargo).args(["build", "--quiet", "--workspace", "--all-targets"]).status();
         assert!(built.is_ok_and(|status| status.success()), "the programs build");
     });
     let mut command = Command::new(directory().join(name));

@@ -7,6 +7,7 @@ use crate::stats::Stats;
 use crate::voyage::Link;
 use anyhow::Context as _;
 use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
+use protocol::limits::MAX_TEXT;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -32,16 +33,7 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
 
 /// Where to connect, with the token from its file.
 pub fn settings(args: &Args) -> anyhow::Result<Settings> {
-    let token = match &args.token_file {
-        None => None,
-        Some(path) => {
-            let text = std::fs::read_to_string(path)
-                .with_context(|| format!("cannot read --token-file {}", path.display()))?;
-            let token = text.lines().next().unwrap_or_default().trim().to_owned();
-            anyhow::ensure!(!token.is_empty(), "--token-file {} has an empty first line", path.display());
-            Some(token)
-        }
-    };
+    let token = args.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?;
     Ok(Settings { url: args.connect.clone(), token })
 }
 

@@ -1,0 +1,152 @@
+//! From what was typed to what is meant, checked once. Nothing deeper reads options, files or the environment.
+
+use crate::path::PathKind;
+use clap::Parser;
+use cli::UsageError;
+use protocol::limits::MAX_TEXT;
+use std::path::PathBuf;
+use terrain::lod::MAX_VIEW_DISTANCE_M;
+use tokio_tungstenite::tungstenite::http::Uri;
+
+/// Drives a Tombolo server with many headless clients and verifies every chunk that they receive.
+///
+/// Exits with 0 only if chunks arrived, none of them was wrong and no session was lost.
+#[derive(Clone, Debug, Parser)]
+#[command(name = "tombolo-load", version)]
+pub struct Args {
+    /// Stream of the server, `ws://HOST:PORT/v1/stream`
+    #[arg(long, value_name = "URL", default_value = "ws://127.0.0.1:7580/v1/stream")]
+    pub connect: String,
+    /// Clients at once, 1 to 100000
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub clients: u32,
+    /// Length of the run in seconds, 1 to 86400
+    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    pub seconds: u64,
+    /// File for the report as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// View distance of every client in metres, 1 to 65536
+    #[arg(long, value_name = "M", default_value_t = 2000,
+          value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_VIEW_DISTANCE_M)))]
+    pub view_distance: u32,
+    /// How clients move: fly (50 to 120 m/s), walk (1 to 3 m/s) or teleport (a new place every 2 s)
+    #[arg(long, value_name = "PATH", value_enum, default_value_t = PathKind::Fly)]
+    pub path: PathKind,
+    /// Seed of the paths; the same seed flies the same paths
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u32,
+    /// Compare one in N chunks of each client with the same chunk generated here; 0 compares none, 1 all (one thread
+    /// compares, so a small N slows the load)
+    #[arg(long, value_name = "N", default_value_t = 32)]
+    pub verify_every: u32,
+    /// File whose first line is the access token, where the server asks for one
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
+}
+
+/// What a load test runs with. Every value is in range.
+#[derive(Clone, Debug)]
+pub struct LoadConfig {
+    /// The stream, a `ws://` address.
+    pub connect: Uri,
+    /// Clients at once.
+    pub clients: u32,
+    /// Length of the run, seconds.
+    pub seconds: u64,
+    /// View distance, metres.
+    pub view_distance_m: u32,
+    /// How clients move.
+    pub path: PathKind,
+    /// Seed of the paths.
+    pub seed: u32,
+    /// One in so many chunks is generated again and compared; 0 is none.
+    pub verify_every: u32,
+    /// Access token.
+    pub token: Option<String>,
+}
+
+impl Args {
+    /// Checks what clap cannot, and reads the token.
+    ///
+    /// # Errors
+    /// An address that is no `ws://` address, or a token file that cannot be used.
+    pub fn resolve(self) -> Result<LoadConfig, UsageError> {
+        Ok(LoadConfig {
+            connect: stream_address(&self.connect)?,
+            clients: self.clients,
+            seconds: self.seconds,
+            view_distance_m: self.view_distance,
+            path: self.path,
+            seed: self.seed,
+            verify_every: self.verify_every,
+            token: self.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?,
+        })
+    }
+}
+
+/// Parses the address of a stream.
+///
+/// # Errors
+/// Anything but `ws://HOST[:PORT]/PATH`, with the value and what is allowed.
+pub fn stream_address(text: &str) -> Result<Uri, UsageError> {
+    let refuse =
+        |why: &str| UsageError::new(format!("--connect: `{text}` {why}; give ws://HOST:PORT/v1/stream"));
+    let address: Uri = text.parse().map_err(|_| refuse("is not an address"))?;
+    match (address.scheme_str(), address.host()) {
+        (Some("ws"), Some(host)) if !host.is_empty() => Ok(address),
+        (Some("wss"), _) => {
+            Err(refuse("needs TLS, which this tool does not speak (point it behind the proxy)"))
+        }
+        _ => Err(refuse("is not a ws:// address")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(args: &[&str]) -> Result<Args, String> {
+        let all = ["tombolo-load"].iter().chain(args);
+        Args::try_parse_from(all).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_defaults_are_a_small_load_on_the_default_server() {
+        let config = parse(&[]).unwrap().resolve().unwrap();
+        assert_eq!(config.connect.to_string(), "ws://127.0.0.1:7580/v1/stream");
+        assert_eq!((config.clients, config.seconds, config.view_distance_m), (16, 10, 2000));
+        assert_eq!((config.path, config.verify_every, config.token), (PathKind::Fly, 32, None));
+    }
+
+    #[test]
+    fn values_out_of_range_and_unknown_options_are_refused_by_name() {
+        for (args, word) in [
+            (&["--clients", "0"][..], "--clients"),
+            (&["--seconds", "0"], "--seconds"),
+            (&["--view-distance", "65537"], "--view-distance"),
+            (&["--path", "swim"], "swim"),
+            (&["--colour", "red"], "--colour"),
+        ] {
+            let error = parse(args).unwrap_err();
+            assert!(error.contains(word), "{error}");
+        }
+    }
+
+    #[test]
+    fn addresses_that_are_no_streams_are_refused_in_one_line() {
+        for bad in
+            ["", "localhost:1", "http://127.0.0.1/v1/stream", "wss://a/v1/stream", "ws://", "nonsense here"]
+        {
+            let error = stream_address(bad).unwrap_err().to_string();
+            assert!(error.starts_with("--connect: ") && error.lines().count() == 1, "{bad}: {error}");
+        }
+        assert!(stream_address("ws://[::1]:7/v1/stream").is_ok());
+    }
+
+    #[test]
+    fn a_missing_token_file_is_refused_by_name() {
+        let error = parse(&["--token-file", "/no/such/file"]).unwrap().resolve().unwrap_err().to_string();
+        assert!(error.contains("--token-file") && error.contains("/no/such/file"), "{error}");
+    }
+}

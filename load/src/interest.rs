@@ -1,0 +1,298 @@
+//! What one client has asked for: views, requests, held chunks. It says whether a chunk may arrive at all, and how long a
+//! request took.
+//!
+//! Everything in it is bounded, whatever the server sends or keeps back.
+
+use protocol::message::{Refused, WireKey};
+use protocol::view::View;
+use rustc_hash::{FxHashMap, FxHashSet};
+use std::collections::VecDeque;
+use std::time::Duration;
+use terrain::lod::{self, Viewer};
+use terrain::{ChunkKey, Land};
+use tokio::time::Instant;
+
+/// Views that the server may still be serving. At four views a second 64 are 16 s; when it is full the oldest is forgotten,
+/// and a chunk of a view that old counts as unasked.
+const MAX_VIEWS: usize = 64;
+
+/// Requests without an answer. When it is full no further request is made until one is answered; those that stay open are
+/// reported as unanswered.
+const MAX_OPEN_REQUESTS: usize = 64;
+
+/// Chunks that a client pretends to hold, about three views of 2 km. When it is full the oldest that the current view does
+/// not need is released, and the server may send it again.
+const MAX_HELD: usize = 1024;
+
+/// See the module.
+#[derive(Debug)]
+pub struct Interest {
+    land: Land,
+    /// Newest last, with the id that a Settled or a refusal will name.
+    views: VecDeque<(u32, Viewer)>,
+    requests: FxHashMap<ChunkKey, OpenRequest>,
+    /// Keys that arrived, oldest first, and the same as a set.
+    order: VecDeque<ChunkKey>,
+    held: FxHashSet<ChunkKey>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct OpenRequest {
+    id: u32,
+    since: Instant,
+}
+
+/// How a chunk that arrived relates to what was asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Arrival {
+    /// A request is answered, after this time.
+    Requested(Duration),
+    /// A view needs or needed it.
+    InView,
+    /// Nobody asked for it.
+    Unasked,
+}
+
+impl Interest {
+    /// Nothing asked for yet.
+    #[must_use]
+    pub fn new(land: Land) -> Self {
+        Self {
+            land,
+            views: VecDeque::new(),
+            requests: FxHashMap::default(),
+            order: VecDeque::new(),
+            held: FxHashSet::default(),
+        }
+    }
+
+    /// Notes a view that was sent.
+    pub fn view(&mut self, view: &View) {
+        if self.views.len() == MAX_VIEWS {
+            self.views.pop_front();
+        }
+        self.views.push_back((view.id, view.viewer()));
+    }
+
+    /// Notes that a view is settled: nothing of an older one is under way any more.
+    pub fn settled(&mut self, view: u32) {
+        // Ids only grow within a session; wrapping would take thirty years.
+        self.views.retain(|(id, _)| *id >= view);
+    }
+
+    /// Whether a request for this key would measure the answer to the request: nothing else is going to bring the chunk.
+    #[must_use]
+    pub fn can_request(&self, key: ChunkKey) -> bool {
+        self.requests.len() < MAX_OPEN_REQUESTS
+            && !self.requests.contains_key(&key)
+            && !self.held.contains(&key)
+            && !self.is_needed_by_a_view(key)
+    }
+
+    /// Notes a request that was sent.
+    pub fn request(&mut self, id: u32, key: ChunkKey, now: Instant) {
+        self.requests.insert(key, OpenRequest { id, since: now });
+    }
+
+    /// Notes a refusal, so that a refused request does not stay open.
+    pub fn refused(&mut self, refused: &Refused) {
+        match refused.key.map(WireKey::check) {
+            Some(Ok(key)) => {
+                self.requests.remove(&key);
+            }
+            Some(Err(_)) => {}
+            None => self.requests.retain(|_, request| request.id != refused.id),
+        }
+    }
+
+    /// Judges a chunk that arrived and notes it as held. Returns what it answers, and a key to release if holding it
+    /// is one too many.
+    pub fn arrive(&mut self, key: ChunkKey, now: Instant) -> (Arrival, Option<ChunkKey>) {
+        let arrival = match self.requests.remove(&key) {
+            Some(request) => Arrival::Requested(now.saturating_duration_since(request.since)),
+            None if self.is_needed_by_a_view(key) => Arrival::InView,
+            None => Arrival::Unasked,
+        };
+        if self.held.insert(key) {
+            self.order.push_back(key);
+        }
+        let release = if self.order.len() > MAX_HELD { self.release_one() } else { None };
+        (arrival, release)
+    }
+
+    /// Requests without an answer.
+    #[must_use]
+    pub fn open_requests(&self) -> usize {
+        self.requests.len()
+    }
+
+    /// Lets go of the oldest chunk that the current view does not need, or of the oldest if it needs them all.
+    fn release_one(&mut self) -> Option<ChunkKey> {
+        let current = self.views.back().map(|(_, viewer)| *viewer);
+        let spare = |key: &ChunkKey| !current.is_some_and(|viewer| is_needed(&self.land, &viewer, *key));
+        // A view's coarse chunks are the oldest; looking at a few more is enough to pass over them.
+        let index = self.order.iter().take(64).position(spare).unwrap_or(0);
+        let key = self.order.remove(index)?;
+        self.held.remove(&key);
+        Some(key)
+    }
+
+    fn is_needed_by_a_view(&self, key: ChunkKey) -> bool {
+        // Newest first: it is nearly always the one.
+        self.views.iter().rev().any(|(_, viewer)| is_needed(&self.land, viewer, key))
+    }
+}
+
+/// Whether a viewer needs a chunk, by the rule of [`lod::select`] asked for one key: it is within the distance, and every
+/// chunk above it is too coarse for the viewer.
+///
+/// Cheaper than a selection per view (a walk of a few levels per chunk), and said independently of it.
+#[must_use]
+pub fn is_needed(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
+    let view_units = u64::from(viewer.distance_m) * terrain::constants::UNITS_PER_METRE as u64;
+    let is_too_large = |key: ChunkKey| key.level() > 0 && u64::from(key.side()) > view_units;
+    if is_too_large(key) || viewer.distance_to(key) > view_units {
+        return false;
+    }
+    let mut above = key.parent();
+    while let Some(parent) = above.filter(|parent| !is_too_large(*parent)) {
+        let error = lod::error_bound(land, parent);
+        if viewer.screen_error_q4(error, viewer.distance_to(parent)) <= viewer.tolerance_q4.max(1) {
+            return false;
+        }
+        above = parent.parent();
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::path::{FlightPath, PathKind};
+    use crate::session::view_of;
+    use protocol::message::RefusalReason;
+    use std::collections::HashSet;
+
+    fn land() -> Land {
+        Land::new(1)
+    }
+
+    fn view(id: u32, index: u32, distance_m: u32) -> View {
+        let pose = FlightPath::new(PathKind::Fly, 1, index).pose(&land(), f64::from(id));
+        view_of(id, &pose, distance_m)
+    }
+
+    fn key(level: u8, x: i32, z: i32) -> ChunkKey {
+        ChunkKey::new(level, x, z).unwrap()
+    }
+
+    #[test]
+    fn a_key_is_needed_exactly_if_the_selection_holds_it() {
+        for (index, distance_m) in [(0, 2000), (1, 2000), (2, 300), (3, 8000), (4, 100)] {
+            let viewer = view(1, index, distance_m).viewer();
+            let selected: HashSet<_> =
+                lod::select(&land(), &viewer, usize::MAX).into_iter().map(|needed| needed.key).collect();
+            assert!(!selected.is_empty());
+            // Every selected key, its children, its parent and its eastern neighbour: both sides of every border.
+            let around = |key: &ChunkKey| {
+                let east = ChunkKey::new(key.level(), key.x() + 1, key.z()).ok();
+                key.children()
+                    .into_iter()
+                    .flatten()
+                    .chain(key.parent())
+                    .chain(east)
+                    .chain([*key])
+                    .collect::<Vec<_>>()
+            };
+            for key in selected.iter().flat_map(around) {
+                assert_eq!(
+                    is_needed(&land(), &viewer, key),
+                    selected.contains(&key),
+                    "{key} at {distance_m} m"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_chunk_that_nobody_asked_for_is_unasked_until_it_is_requested() {
+        let now = Instant::now();
+        let mut interest = Interest::new(land());
+        interest.view(&view(1, 0, 2000));
+        let far = key(0, 30_000, 30_000);
+        assert_eq!(interest.arrive(far, now).0, Arrival::Unasked);
+        interest.request(0, far, now);
+        let later = now + Duration::from_millis(7);
+        assert_eq!(interest.arrive(far, later).0, Arrival::Requested(Duration::from_millis(7)));
+        assert_eq!(interest.arrive(far, later).0, Arrival::Unasked, "one request is one chunk");
+        let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
+        assert_eq!(interest.arrive(near, now).0, Arrival::InView);
+    }
+
+    #[test]
+    fn older_views_count_until_a_newer_one_is_settled() {
+        let now = Instant::now();
+        let mut interest = Interest::new(land());
+        let (old, new) = (view(1, 0, 300), view(2, 1, 300));
+        let of_old = lod::select(&land(), &old.viewer(), usize::MAX).last().unwrap().key;
+        assert!(!is_needed(&land(), &new.viewer(), of_old));
+        interest.view(&old);
+        interest.view(&new);
+        assert_eq!(interest.arrive(of_old, now).0, Arrival::InView);
+        interest.settled(2);
+        assert_eq!(interest.arrive(of_old, now).0, Arrival::Unasked);
+    }
+
+    #[test]
+    fn only_keys_that_nothing_else_brings_are_requested() {
+        let now = Instant::now();
+        let mut interest = Interest::new(land());
+        interest.view(&view(1, 0, 2000));
+        let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
+        let far = key(0, 30_000, 30_000);
+        assert!(!interest.can_request(near));
+        assert!(interest.can_request(far));
+        interest.request(0, far, now);
+        assert!(!interest.can_request(far), "already open");
+        interest.arrive(far, now);
+        assert!(!interest.can_request(far), "already held");
+    }
+
+    #[test]
+    fn refusals_close_requests_by_key_or_by_id() {
+        let mut interest = Interest::new(land());
+        interest.request(5, key(0, 1, 1), Instant::now());
+        interest.request(6, key(0, 2, 2), Instant::now());
+        let refusal = |id, key: Option<ChunkKey>| Refused {
+            id,
+            key: key.map(Into::into),
+            reason: RefusalReason::Overloaded,
+            detail: String::new(),
+        };
+        interest.refused(&refusal(5, Some(key(0, 1, 1))));
+        assert_eq!(interest.open_requests(), 1);
+        interest.refused(&refusal(6, None));
+        assert_eq!(interest.open_requests(), 0);
+    }
+
+    #[test]
+    fn what_is_held_is_bounded_and_the_current_view_is_kept() {
+        let now = Instant::now();
+        let mut interest = Interest::new(land());
+        interest.view(&view(1, 0, 2000));
+        let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
+        interest.arrive(near, now);
+        let mut released = Vec::new();
+        for x in 0..MAX_HELD as i32 + 50 {
+            released.extend(interest.arrive(key(0, 20_000 + x, 9), now).1);
+        }
+        assert_eq!(interest.held.len(), MAX_HELD);
+        assert_eq!(released.len(), 51);
+        assert_eq!(released[0], key(0, 20_000, 9), "the oldest that is not in view");
+        assert!(interest.held.contains(&near));
+        for id in 0..1000 {
+            interest.view(&view(id, 0, 2000));
+        }
+        assert_eq!(interest.views.len(), MAX_VIEWS);
+    }
+}

@@ -1,0 +1,269 @@
+//! What a chunk must satisfy beyond what the protocol's decoder already refuses (digest, key, ranges, extremes).
+//!
+//! Pure functions over a chunk: no counting, no session state. What may be sent at all is judged in [`crate::interest`].
+
+use protocol::message::Welcome;
+use terrain::constants::{CELLS, GENERATOR_VERSION, VERTEX_COUNT, VERTICES};
+use terrain::pyramid::{PYRAMID_LEVELS, side};
+use terrain::{Chunk, ChunkKey, Land, WorldDigest};
+use thiserror::Error;
+
+/// Something that arrived and is not what it should be.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum Mismatch {
+    /// The key was not requested and no view that the server can know of needs it.
+    #[error("chunk {0} was neither requested nor needed by a view")]
+    Unasked(ChunkKey),
+    /// A bound of a pyramid does not hold.
+    #[error("chunk {key}: {which} pyramid, level {level}, texel {texel} does not bound what is under it")]
+    Pyramid {
+        /// The chunk.
+        key: ChunkKey,
+        /// `max` or `min`.
+        which: &'static str,
+        /// Level of the texel; 0 bounds vertices, the others bound texels.
+        level: usize,
+        /// Index of the texel in its level.
+        texel: usize,
+    },
+    /// The chunk differs from the same chunk generated here.
+    #[error("chunk {key} differs from local generation: {what}")]
+    Generation {
+        /// The chunk.
+        key: ChunkKey,
+        /// The first thing that differs.
+        what: String,
+    },
+    /// The announced seed does not make the announced world.
+    #[error("the server announces world {announced} for seed {seed}, generation here gives {ours}")]
+    World {
+        /// The announced digest.
+        announced: WorldDigest,
+        /// The announced seed.
+        seed: u64,
+        /// The digest of that seed here.
+        ours: WorldDigest,
+    },
+    /// The server generates by another formula, so nothing can be compared.
+    #[error(
+        "the server generates by formula {theirs}, this tool by {GENERATOR_VERSION}: update the older one"
+    )]
+    Generator {
+        /// The announced version.
+        theirs: u32,
+    },
+}
+
+/// The land that a server announces, if it is what the announced digest says.
+///
+/// # Errors
+/// [`Mismatch::Generator`] or [`Mismatch::World`].
+pub fn world(welcome: &Welcome) -> Result<Land, Mismatch> {
+    if welcome.generator_version != GENERATOR_VERSION {
+        return Err(Mismatch::Generator { theirs: welcome.generator_version });
+    }
+    let land = Land::new(welcome.world_seed);
+    let (announced, ours) = (WorldDigest(welcome.digest), land.digest());
+    if announced != ours {
+        return Err(Mismatch::World { announced, seed: welcome.world_seed, ours });
+    }
+    Ok(land)
+}
+
+/// Checks both pyramids: every base texel bounds the four corners of its cell, every other the four texels below it.
+///
+/// # Errors
+/// The first texel that does not hold.
+pub fn pyramids(chunk: &Chunk) -> Result<(), Mismatch> {
+    let (max, min) = (&chunk.max_pyramid, &chunk.min_pyramid);
+    let report = |which, failed: Option<(usize, usize)>| {
+        failed.map_or(Ok(()), |(level, texel)| Err(Mismatch::Pyramid { key: chunk.key, which, level, texel }))
+    };
+    report("max", first_failure(&chunk.heights, |level| max.level(level), |bound, value| bound >= value))?;
+    report("min", first_failure(&chunk.heights, |level| min.level(level), |bound, value| bound <= value))
+}
+
+/// Compares a chunk with the same one generated here: heights, error, slope, pyramids and grass.
+///
+/// # Errors
+/// The first thing that differs.
+pub fn regeneration(land: &Land, chunk: &Chunk) -> Result<(), Mismatch> {
+    let ours = land.chunk(chunk.key);
+    if ours == *chunk {
+        return Ok(());
+    }
+    let what = match ours.heights.iter().zip(&chunk.heights[..]).position(|(ours, theirs)| ours != theirs) {
+        Some(vertex) => {
+            let (column, row) = (vertex % VERTICES, vertex / VERTICES);
+            let (ours, theirs) = (ours.heights[vertex], chunk.heights[vertex]);
+            format!("vertex ({column}, {row}) is {theirs} units, here {ours}")
+        }
+        None if ours.error != chunk.error => format!("error is {} units, here {}", chunk.error, ours.error),
+        None if ours.grass != chunk.grass => "the grass record".into(),
+        None => "slope or pyramids".into(),
+    };
+    Err(Mismatch::Generation { key: chunk.key, what })
+}
+
+/// The level and index of the first texel that does not bound what is under it.
+///
+/// Every chunk of every client comes through here, so a row is first judged whole, without a branch that would keep the
+/// compiler from vectorising it; only a failing row is searched.
+fn first_failure<'a>(
+    heights: &[i32; VERTEX_COUNT],
+    texels: impl Fn(usize) -> &'a [i32],
+    bounds: impl Fn(i32, i32) -> bool,
+) -> Option<(usize, usize)> {
+    let base = texels(0).chunks_exact(CELLS).enumerate().find_map(|(row, bounding)| {
+        let near = &heights[row * VERTICES..][..VERTICES];
+        let far = &heights[(row + 1) * VERTICES..][..VERTICES];
+        failing_column(bounding, |column, bound| {
+            bounds(bound, near[column])
+                & bounds(bound, near[column + 1])
+                & bounds(bound, far[column])
+                & bounds(bound, far[column + 1])
+        })
+        .map(|column| (0, row * CELLS + column))
+    });
+    base.or_else(|| {
+        (1..PYRAMID_LEVELS).find_map(|level| {
+            let (width, below) = (side(level), texels(level - 1));
+            texels(level).chunks_exact(width).enumerate().find_map(|(row, bounding)| {
+                let near = &below[4 * row * width..][..2 * width];
+                let far = &below[(4 * row + 2) * width..][..2 * width];
+                failing_column(bounding, |column, bound| {
+                    bounds(bound, near[2 * column])
+                        & bounds(bound, near[2 * column + 1])
+                        & bounds(bound, far[2 * column])
+                        & bounds(bound, far[2 * column + 1])
+                })
+                .map(|column| (level, row * width + column))
+            })
+        })
+    })
+}
+
+fn failing_column(bounding: &[i32], holds: impl Fn(usize, i32) -> bool) -> Option<usize> {
+    let all = bounding.iter().enumerate().fold(true, |all, (column, bound)| all & holds(column, *bound));
+    if all { None } else { bounding.iter().enumerate().position(|(column, bound)| !holds(column, *bound)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn land() -> Land {
+        Land::new(1)
+    }
+
+    fn chunk(level: u8, x: i32, z: i32) -> Chunk {
+        land().chunk(ChunkKey::new(level, x, z).unwrap())
+    }
+
+    /// A chunk as if the decoder had been told other heights, with everything derived made to fit.
+    fn with_falsified_vertex(chunk: &Chunk, vertex: usize) -> Chunk {
+        let mut heights = chunk.heights.clone();
+        heights[vertex] += 1;
+        Chunk::from_parts(chunk.key, heights, chunk.error, chunk.grass.clone())
+    }
+
+    #[test]
+    fn honest_chunks_pass_at_every_level() {
+        for level in 0..=16 {
+            let honest = chunk(level, 0, 0);
+            assert_eq!(pyramids(&honest), Ok(()));
+            assert_eq!(regeneration(&land(), &honest), Ok(()));
+        }
+    }
+
+    #[test]
+    fn one_falsified_height_is_told_from_local_generation_by_vertex() {
+        let honest = chunk(0, 3, -7);
+        for vertex in [0, 64, VERTICES * 10 + 7, VERTEX_COUNT - 1] {
+            let lie = with_falsified_vertex(&honest, vertex);
+            assert_eq!(pyramids(&lie), Ok(()), "its own pyramids fit; only generation can tell");
+            let Err(Mismatch::Generation { what, .. }) = regeneration(&land(), &lie) else {
+                panic!("vertex {vertex} passed");
+            };
+            assert!(what.contains(&format!("({}, {})", vertex % VERTICES, vertex / VERTICES)), "{what}");
+        }
+    }
+
+    #[test]
+    fn falsified_errors_and_grass_are_told_from_local_generation() {
+        let mut lie = chunk(2, 1, 1);
+        lie.error += 1;
+        assert!(
+            matches!(regeneration(&land(), &lie), Err(Mismatch::Generation { what, .. }) if what.contains("error"))
+        );
+        let mut lie = chunk(0, 3, -7);
+        lie.grass.seed ^= 1;
+        assert!(
+            matches!(regeneration(&land(), &lie), Err(Mismatch::Generation { what, .. }) if what.contains("grass"))
+        );
+    }
+
+    #[test]
+    fn every_vertex_that_leaves_its_base_texels_is_found() {
+        let honest = chunk(0, 3, -7);
+        for vertex in 0..VERTEX_COUNT {
+            // The heights say one thing and the pyramids, made from the honest ones, another.
+            for (height, which) in [(honest.max() + 1, "max"), (honest.min() - 1, "min")] {
+                let mut lie = honest.clone();
+                lie.heights[vertex] = height;
+                let found = pyramids(&lie);
+                assert!(
+                    matches!(&found, Err(Mismatch::Pyramid { which: w, level: 0, .. }) if *w == which),
+                    "vertex {vertex}: {found:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn pyramids_of_other_heights_are_found() {
+        let (honest, other) = (chunk(0, 3, -7), chunk(0, 60, 60));
+        let lie = Chunk { max_pyramid: other.max_pyramid.clone(), ..honest.clone() };
+        assert!(matches!(pyramids(&lie), Err(Mismatch::Pyramid { which: "max", level: 0, texel: 0, .. })));
+        // A sea floor lies below the land, so as a lower bound it holds: loose, not wrong. A hill above it does not.
+        let lie = Chunk { min_pyramid: honest.min_pyramid.clone(), ..other };
+        assert!(matches!(pyramids(&lie), Err(Mismatch::Pyramid { which: "min", .. })));
+    }
+
+    #[test]
+    fn every_parent_texel_that_is_below_its_children_is_found() {
+        let honest = chunk(0, 3, -7);
+        let mut levels: Vec<_> =
+            (0..PYRAMID_LEVELS).map(|level| honest.max_pyramid.level(level).to_vec()).collect();
+        let check = |levels: &[Vec<i32>]| {
+            first_failure(&honest.heights, |level| &levels[level][..], |bound, value| bound >= value)
+        };
+        assert_eq!(check(&levels), None);
+        for level in 0..PYRAMID_LEVELS {
+            for texel in 0..levels[level].len() {
+                levels[level][texel] -= 1;
+                assert_eq!(check(&levels), Some((level, texel)));
+                levels[level][texel] += 1;
+            }
+        }
+    }
+
+    #[test]
+    fn a_world_that_its_seed_does_not_make_is_refused_with_both_digests() {
+        let honest = Welcome {
+            session: 1,
+            world_seed: 1,
+            generator_version: GENERATOR_VERSION,
+            digest: land().digest().0,
+            max_credits: 1,
+            max_view_distance_m: 1,
+            software: String::new(),
+        };
+        assert_eq!(world(&honest).map(|land| land.world_seed()), Ok(1));
+        let lie = world(&Welcome { world_seed: 2, ..honest.clone() }).unwrap_err();
+        let text = lie.to_string();
+        assert!(text.contains(&land().digest().to_string()) && text.contains("seed 2"), "{text}");
+        let newer = world(&Welcome { generator_version: 99, ..honest }).unwrap_err();
+        assert_eq!(newer, Mismatch::Generator { theirs: 99 });
+    }
+}

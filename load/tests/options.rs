@@ -1,0 +1,63 @@
+//! The program as a script meets it: exit codes and one-line messages.
+
+use std::process::{Command, Output};
+
+fn run(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_tombolo-load")).args(args).output().expect("the program starts")
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn what_cannot_be_used_ends_with_2_and_one_line() {
+    for (args, word) in [
+        (&["--colour", "red"][..], "--colour"),
+        (&["--clients", "0"], "--clients"),
+        (&["--connect", "http://127.0.0.1/"], "--connect"),
+        (&["--token-file", "/no/such/file"], "/no/such/file"),
+    ] {
+        let output = run(args);
+        let text = said(&output);
+        assert_eq!(output.status.code(), Some(2), "{text}");
+        assert!(text.starts_with("tombolo-load: ") && text.contains(word), "{text}");
+        assert_eq!(text.lines().count(), 1, "{text}");
+    }
+}
+
+#[test]
+fn nobody_listening_ends_with_1_a_report_and_one_line() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = listener.local_addr().expect("bound").to_string();
+    drop(listener);
+    let url = format!("ws://{address}/v1/stream");
+    let json = std::env::temp_dir().join(format!("tombolo-load-options-{}.json", std::process::id()));
+    let path = json.to_str().expect("a plain path");
+    let output = run(&["--connect", &url, "--clients", "2", "--seconds", "1", "--json", path]);
+    let report = std::fs::read_to_string(&json).expect("a report is left even of a failed run");
+    let _ = std::fs::remove_file(&json);
+    let text = said(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("no chunk arrived") && text.contains(&address), "{text}");
+    assert_eq!(text.lines().count(), 1, "{text}");
+    assert!(report.contains("\"chunks\": 0"), "{report}");
+}
+
+#[test]
+fn a_report_that_cannot_be_written_is_said_before_the_run() {
+    let output = run(&["--json", "/no/such/folder/report.json", "--seconds", "3600"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(said(&output).contains("/no/such/folder/report.json"), "{}", said(&output));
+}
+
+#[test]
+fn help_names_units_and_defaults_and_ends_with_0() {
+    let output = run(&["--help"]);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(output.status.code(), Some(0));
+    for part in ["seconds", "metres", "[default: 2000]", "ws://127.0.0.1:7580/v1/stream"] {
+        assert!(text.contains(part), "{part} is not in:\n{text}");
+    }
+    assert_eq!(run(&["--version"]).status.code(), Some(0));
+}

@@ -1,0 +1,94 @@
+//! The architecture, said as what must not be there: asks cargo for each crate's dependency tree and expects no forbidden name.
+
+use crate::process;
+use anyhow::{Context, Result, bail};
+use std::collections::BTreeSet;
+
+/// What one crate must never depend on, directly or not. Tests may; users never build those.
+struct Rule {
+    package: &'static str,
+    forbidden: &'static [&'static str],
+    why: &'static str,
+}
+
+const RULES: [Rule; 6] = [
+    Rule {
+        package: "terrain",
+        forbidden: &["protocol", "shaders", "server", "client", "load", "cli", "serde", "tokio", "wgpu"],
+        why: "the land is pure and knows nobody",
+    },
+    Rule {
+        package: "protocol",
+        forbidden: &["shaders", "server", "client", "load", "tokio", "axum", "tungstenite", "wgpu"],
+        why: "the protocol does no IO",
+    },
+    Rule {
+        package: "shaders",
+        forbidden: &["protocol", "server", "client", "load", "tokio", "wgpu"],
+        why: "shaders are text and layouts; drawing with them is the client's",
+    },
+    Rule {
+        package: "server",
+        forbidden: &["wgpu", "winit", "egui", "client", "shaders", "load"],
+        why: "a server draws nothing",
+    },
+    Rule { package: "client", forbidden: &["axum", "server", "load"], why: "a viewer serves nothing" },
+    Rule {
+        package: "load",
+        forbidden: &["wgpu", "winit", "egui", "client", "shaders", "server"],
+        why: "a load test runs where no GPU is",
+    },
+];
+
+/// Checks every rule.
+///
+/// # Errors
+/// The first crate that depends on a forbidden one, with the command that shows the way.
+pub fn check() -> Result<()> {
+    for rule in RULES {
+        let package = rule.package;
+        // Build scripts do not ship: the shader linker may use what the library may not.
+        let edges = if package == "server" || package == "terrain" { "normal,build" } else { "normal" };
+        let line = format!("tree --package {package} --edges {edges} --prefix none --format {{p}}");
+        let tree = process::output(process::cargo(&line)).context("cannot ask for the dependency tree")?;
+        if let Some(found) = violation(package, rule.forbidden, &tree)? {
+            bail!(
+                "{package} depends on {found}, and {}; see: cargo tree --package {package} --edges {edges} --invert {found}",
+                rule.why
+            );
+        }
+        println!("{package}: none of {}", rule.forbidden.join(", "));
+    }
+    Ok(())
+}
+
+/// The first forbidden name in a tree of one `name version` a line. A tree without the package itself is no answer.
+fn violation(package: &str, forbidden: &[&str], tree: &str) -> Result<Option<String>> {
+    let names: BTreeSet<_> = tree.lines().filter_map(|line| line.split_whitespace().next()).collect();
+    if !names.contains(package) {
+        bail!(
+            "the dependency tree of {package} does not contain {package}: cargo's output was not understood"
+        );
+    }
+    Ok(forbidden.iter().find(|name| names.contains(**name)).map(ToString::to_string))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TREE: &str = "server v0.1.0 (/somewhere/server)\naxum v0.8.9\nserde v1.0.229\nwgpu-types v30.0.0\n";
+
+    #[test]
+    fn a_forbidden_name_is_found_and_a_longer_name_is_another_crate() {
+        assert_eq!(violation("server", &["wgpu", "winit"], TREE).unwrap(), None);
+        assert_eq!(violation("server", &["winit", "serde"], TREE).unwrap(), Some("serde".into()));
+    }
+
+    #[test]
+    fn an_empty_or_strange_tree_is_no_pass() {
+        for tree in ["", "error: no such package", "client v0.1.0"] {
+            assert!(violation("server", &["wgpu"], tree).is_err(), "{tree:?}");
+        }
+    }
+}

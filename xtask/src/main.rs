@@ -1,0 +1,85 @@
+//! The project's chores, one file per command.
+//!
+//! `cargo xtask <command>`; `cargo demo` and `cargo ci` are short for two of them. Nothing in here is part of the product:
+//! a command runs the built programs and the toolchain from outside, as a user would.
+
+#![forbid(unsafe_code)]
+
+mod absence;
+mod bless;
+mod ci;
+mod demo;
+mod machine;
+mod measure;
+mod process;
+mod server;
+mod setup;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Exit code of a run that Ctrl-C ended.
+const INTERRUPTED: u8 = 130;
+
+#[derive(Debug, Parser)]
+#[command(name = "cargo xtask", about = "Chores of the Tombolo workspace")]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Install what the programs need and the system lacks (Debian, Ubuntu)
+    Setup,
+    /// Start a server and fly over its island; without a display, render a short flight to PNGs
+    Demo(demo::Options),
+    /// Everything that a change must pass
+    Ci,
+    /// Measure the built programs against the project's bars and write the record
+    Measure {
+        /// What to measure
+        name: String,
+    },
+    /// Rewrite frozen fixtures and golden pictures from what the code does now
+    Bless,
+}
+
+fn main() -> ExitCode {
+    let args = Args::parse_from(without_separator(std::env::args()));
+    let result = process::catch_interrupts().and_then(|()| match args.command {
+        Command::Setup => setup::run(setup::Extent::Everything),
+        Command::Demo(options) => demo::run(options),
+        Command::Ci => ci::run(),
+        Command::Measure { name } => measure::run(&name),
+        Command::Bless => bless::run(),
+    });
+    let Err(error) = result else { return ExitCode::SUCCESS };
+    if process::interrupted() {
+        eprintln!("xtask: interrupted");
+        return ExitCode::from(INTERRUPTED);
+    }
+    eprintln!("xtask: {error:#}");
+    ExitCode::FAILURE
+}
+
+/// Drops the first `--`: in `cargo demo -- --headless` cargo hands it on, and the user means the option.
+fn without_separator(args: impl Iterator<Item = String>) -> Vec<String> {
+    let mut seen = false;
+    args.filter(|arg| arg != "--" || std::mem::replace(&mut seen, true)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_work_with_and_without_the_separator() {
+        for line in ["xtask demo --headless", "xtask demo -- --headless"] {
+            let args = without_separator(line.split(' ').map(String::from));
+            let parsed = Args::try_parse_from(args).unwrap();
+            assert!(matches!(parsed.command, Command::Demo(demo::Options { headless: true })), "{line}");
+        }
+        assert!(Args::try_parse_from(["xtask", "demo", "--colour"]).is_err());
+    }
+}

@@ -1,0 +1,178 @@
+//! Child processes: run one to its end, capture what it says, stop it politely. Nothing outlives an interrupt.
+
+use anyhow::{Context, Result, bail};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// How often a waiting parent looks at its child and at the interrupt flag.
+const POLL: Duration = Duration::from_millis(20);
+
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// From now on SIGINT and SIGTERM set a flag instead of killing this process, so that children can be stopped first.
+pub fn catch_interrupts() -> Result<()> {
+    ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Relaxed)).context("cannot catch Ctrl-C")
+}
+
+/// Whether SIGINT or SIGTERM arrived.
+pub fn interrupted() -> bool {
+    INTERRUPTED.load(Ordering::Relaxed)
+}
+
+/// The workspace's root folder.
+pub fn root() -> PathBuf {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.parent().unwrap_or(here).to_path_buf()
+}
+
+/// The folder of build results.
+pub fn target() -> PathBuf {
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), |folder| root().join(folder))
+}
+
+/// A program of the workspace, built for release.
+pub fn program(name: &str) -> PathBuf {
+    target().join("release").join(name)
+}
+
+/// A command in the workspace's root.
+pub fn command(program: impl AsRef<Path>) -> Command {
+    let mut command = Command::new(program.as_ref());
+    command.current_dir(root());
+    command
+}
+
+/// The cargo that runs this program, with arguments given as one line of words.
+pub fn cargo(line: &str) -> Command {
+    let mut cargo = command(std::env::var_os("CARGO").map_or_else(|| "cargo".into(), PathBuf::from));
+    cargo.args(line.split_whitespace());
+    cargo
+}
+
+/// Runs a command to a successful end; its output goes where ours goes.
+///
+/// # Errors
+/// The command cannot start, fails, or is interrupted.
+pub fn run(mut command: Command) -> Result<()> {
+    let status = status(&mut command)?;
+    if !status.success() {
+        bail!("`{}` failed ({status})", shown(&command));
+    }
+    Ok(())
+}
+
+/// As [`run`], where a failing command is an answer too.
+///
+/// # Errors
+/// The command cannot start or is interrupted.
+pub fn status(command: &mut Command) -> Result<ExitStatus> {
+    let child = command.spawn().with_context(|| format!("cannot start `{}`", shown(command)))?;
+    wait(child)
+}
+
+/// What a command writes to standard output.
+///
+/// # Errors
+/// The command cannot start or fails; the message carries the last line that it wrote to standard error.
+pub fn output(mut command: Command) -> Result<String> {
+    let output = command
+        .stdin(Stdio::null())
+        .output()
+        .with_context(|| format!("cannot start `{}`", shown(&command)))?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it said nothing").trim();
+        bail!("`{}` failed ({}): {last}", shown(&command), output.status);
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+/// Whether a command can be run and succeeds; what it says is nobody's business.
+pub fn succeeds(mut command: Command) -> bool {
+    command
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status()
+        .is_ok_and(|status| status.success())
+}
+
+/// Waits for a child; stops it when an interrupt arrives.
+fn wait(mut child: Child) -> Result<ExitStatus> {
+    loop {
+        if let Some(status) = child.try_wait().context("cannot wait for a child process")? {
+            if interrupted() {
+                bail!("interrupted");
+            }
+            return Ok(status);
+        }
+        if interrupted() {
+            stop(&mut child, Duration::from_secs(5));
+            bail!("interrupted");
+        }
+        sleep(POLL);
+    }
+}
+
+/// Ends a child: SIGTERM, and after the patience SIGKILL. Does nothing to one that has ended.
+pub fn stop(child: &mut Child, patience: Duration) {
+    if !matches!(child.try_wait(), Ok(None)) {
+        return;
+    }
+    // The standard library can only kill; asking takes the `kill` of the system.
+    let _ = Command::new("kill").args(["-TERM", &child.id().to_string()]).status();
+    let deadline = Instant::now() + patience;
+    while Instant::now() < deadline {
+        if !matches!(child.try_wait(), Ok(None)) {
+            return;
+        }
+        sleep(POLL);
+    }
+    let _ = child.kill();
+    let _ = child.wait();
+}
+
+/// A command as a person would type it.
+pub fn shown(command: &Command) -> String {
+    let program = Path::new(command.get_program()).file_name().unwrap_or(command.get_program());
+    let words = std::iter::once(program).chain(command.get_args());
+    words.map(|word| quoted(&word.to_string_lossy())).collect::<Vec<_>>().join(" ")
+}
+
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@".contains(c);
+    if !word.is_empty() && word.chars().all(plain) { word.into() } else { format!("'{word}'") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_are_shown_as_one_would_type_them() {
+        let mut command = Command::new("/usr/bin/env");
+        command.args(["a", "two words", "--flag=1"]);
+        assert_eq!(shown(&command), "env a 'two words' --flag=1");
+    }
+
+    #[test]
+    fn failures_carry_the_command_and_its_last_words() {
+        let mut command = Command::new("sh");
+        command.args(["-c", "echo first >&2; echo last >&2; exit 3"]);
+        let error = output(command).unwrap_err().to_string();
+        assert!(error.contains("sh -c") && error.ends_with("last"), "{error}");
+        assert!(run(Command::new("false")).is_err() && run(Command::new("true")).is_ok());
+        assert!(run(Command::new("no-such-program")).unwrap_err().to_string().contains("no-such-program"));
+    }
+
+    #[test]
+    fn a_child_that_ignores_the_request_is_killed() {
+        let mut child =
+            Command::new("sh").args(["-c", "trap '' TERM; while :; do sleep 0.05; done"]).spawn().unwrap();
+        stop(&mut child, Duration::from_millis(200));
+        assert!(matches!(child.try_wait(), Ok(Some(_))));
+    }
+}

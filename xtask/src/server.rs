@@ -1,0 +1,88 @@
+//! A running `tombolo-server` that is stopped when it goes out of scope, whatever happened meanwhile.
+
+use crate::process;
+use anyhow::{Context, Result, bail};
+use std::net::{SocketAddr, TcpListener};
+use std::process::{Child, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// Time until `/readyz` must say yes.
+const READY_WITHIN: Duration = Duration::from_secs(20);
+
+/// Time for a graceful end; the server's own drain takes at most 10 s.
+const DRAIN_WITHIN: Duration = Duration::from_secs(12);
+
+/// See the module.
+#[derive(Debug)]
+pub struct Server {
+    child: Child,
+    address: SocketAddr,
+}
+
+impl Server {
+    /// Starts the release build on a free port of the loopback and waits until it is ready.
+    ///
+    /// # Errors
+    /// No port, no program, or a server that ends or is not ready in time.
+    pub fn start(world_seed: u64) -> Result<Self> {
+        let address = free_address()?;
+        let child = process::command(process::program("tombolo-server"))
+            .args(["--listen", &address.to_string(), "--world-seed", &world_seed.to_string()])
+            // Its own lines would drown ours; faults are still shown.
+            .env("TOMBOLO_LOG", "warn")
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .spawn()
+            .context("cannot start tombolo-server; run `cargo build --release --package server`")?;
+        let mut server = Self { child, address };
+        server.wait_until_ready()?;
+        Ok(server)
+    }
+
+    /// The address of its WebSocket stream.
+    pub fn stream(&self) -> String {
+        format!("ws://{}/v1/stream", self.address)
+    }
+
+    /// Process id, for `/proc`.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Whether it still runs; a server that died cannot have passed anything.
+    pub fn is_running(&mut self) -> bool {
+        matches!(self.child.try_wait(), Ok(None))
+    }
+
+    fn wait_until_ready(&mut self) -> Result<()> {
+        let url = format!("http://{}/readyz", self.address);
+        let deadline = Instant::now() + READY_WITHIN;
+        while Instant::now() < deadline {
+            if let Some(status) = self.child.try_wait().context("cannot wait for tombolo-server")? {
+                bail!("tombolo-server ended before it was ready ({status}); its message is above");
+            }
+            if process::interrupted() {
+                bail!("interrupted");
+            }
+            // An HTTP status other than 2xx is an error here, as a refused connection is.
+            if ureq::get(&url).call().is_ok() {
+                return Ok(());
+            }
+            sleep(Duration::from_millis(20));
+        }
+        bail!("tombolo-server was not ready within {READY_WITHIN:?}: {url} never answered 200");
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        process::stop(&mut self.child, DRAIN_WITHIN);
+    }
+}
+
+/// A port that is free now. Somebody may take it before the server does; then the server says so and ends.
+fn free_address() -> Result<SocketAddr> {
+    let listener = TcpListener::bind("127.0.0.1:0").context("no free port on 127.0.0.1")?;
+    listener.local_addr().context("no free port on 127.0.0.1")
+}
