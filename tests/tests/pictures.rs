@@ -1,6 +1,6 @@
 //! What the headless viewer draws.
 
-use client::camera::Pose;
+use client::camera::{Lens, Pose};
 use client::feed::LocalFeed;
 use client::headless::{self, HeadlessError, Options};
 use client::native::stream::{Settings, SocketFeed};
@@ -11,12 +11,13 @@ use tests::RunningServer;
 use tests::golden::{self, Difference};
 
 fn options(camera: &str) -> Options {
-    let mut options = Options::default();
-    options.pose = camera.parse::<Pose>().unwrap();
-    (options.lens.width, options.lens.height) = (256, 144);
-    // One sample: where edges are sampled is the driver's choice.
-    options.samples = 1;
-    options
+    Options {
+        pose: camera.parse::<Pose>().unwrap(),
+        lens: Lens { width: 256, height: 144, ..Options::default().lens },
+        // One sample: where edges are sampled is the driver's choice.
+        samples: 1,
+        ..Options::default()
+    }
 }
 
 /// The start view of the island scene.

@@ -7,10 +7,12 @@ use tests::RunningServer;
 use tests::peer::{Guest, view};
 
 fn chunks(events: &[Event]) -> Vec<&Chunk> {
-    let chunk = |event| match event {
-        &Event::Chunk { ref chunk, .. } => Some(&**chunk),
-        _ => None,
-    };
+    fn chunk(event: &Event) -> Option<&Chunk> {
+        match event {
+            Event::Chunk { chunk, .. } => Some(chunk),
+            _ => None,
+        }
+    }
     events.iter().filter_map(chunk).collect()
 }
 

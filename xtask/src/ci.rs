@@ -11,12 +11,20 @@ use std::time::Instant;
 const NEXTEST: &str = "0.9.143";
 const DENY: &str = "0.20.2";
 
+/// What a step that did not fail has shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Outcome {
+    Passed,
+    /// It could not look, has said why, and proves nothing.
+    Skipped,
+}
+
 /// One step: what it is called and what it does. `Err` stops the run.
 struct Step {
     name: &'static str,
     /// How to repeat it alone.
     again: String,
-    action: Box<dyn FnOnce() -> Result<()>>,
+    action: Box<dyn FnOnce() -> Result<Outcome>>,
 }
 
 /// Runs every step, stops at the first that fails.
@@ -28,14 +36,24 @@ pub fn run() -> Result<()> {
     setup::cargo_tool("nextest --version", "cargo-nextest", NEXTEST)?;
     setup::cargo_tool("deny --version", "cargo-deny", DENY)?;
     let began = Instant::now();
+    let mut skipped = Vec::new();
     for step in steps() {
         println!("\n== {}", step.name);
         let step_began = Instant::now();
-        (step.action)()
+        let outcome = (step.action)()
             .with_context(|| format!("ci: {} failed; repeat it with: {}", step.name, step.again))?;
-        println!("== {}: ok, {:.1} s", step.name, step_began.elapsed().as_secs_f64());
+        let word = match outcome {
+            Outcome::Passed => "ok",
+            Outcome::Skipped => {
+                skipped.push(step.name);
+                "SKIPPED"
+            }
+        };
+        println!("== {}: {word}, {:.1} s", step.name, step_began.elapsed().as_secs_f64());
     }
-    println!("\nci: all passed in {:.0} s", began.elapsed().as_secs_f64());
+    let without =
+        if skipped.is_empty() { String::new() } else { format!(" (skipped: {})", skipped.join(", ")) };
+    println!("\nci: all passed in {:.0} s{without}", began.elapsed().as_secs_f64());
     Ok(())
 }
 
@@ -48,7 +66,7 @@ fn steps() -> Vec<Step> {
     tests.env("TOMBOLO_REQUIRE_GPU", "1");
     vec![
         cargo("format", "fmt --all --check"),
-        own_step("architecture", "cargo tree", absence::check),
+        own_step("architecture", "cargo tree --package PACKAGE", architecture),
         cargo("licences, bans and sources", "deny check bans licenses sources"),
         own_step("advisories", "cargo deny check advisories", advisories),
         cargo("clippy", "clippy --workspace --all-targets -- -D warnings"),
@@ -63,26 +81,35 @@ fn steps() -> Vec<Step> {
     ]
 }
 
-fn command_step(name: &'static str, command: Command) -> Step {
-    Step { name, again: process::shown(&command), action: Box::new(|| process::run(command)) }
+fn command_step(name: &'static str, mut command: Command) -> Step {
+    let again = process::shown(&command);
+    let action = move || match process::status(&mut command)? {
+        status if status.success() => Ok(Outcome::Passed),
+        status => bail!("{status}"),
+    };
+    Step { name, again, action: Box::new(action) }
 }
 
-fn own_step(name: &'static str, again: &str, action: fn() -> Result<()>) -> Step {
+fn own_step(name: &'static str, again: &str, action: fn() -> Result<Outcome>) -> Step {
     Step { name, again: again.into(), action: Box::new(action) }
 }
 
-/// Known vulnerabilities, where the database of them can be had.
-fn advisories() -> Result<()> {
-    if let Err(why) = process::output(process::cargo("deny fetch db")) {
-        println!("SKIPPED: the advisory database cannot be fetched: {why:#}");
-        return Ok(());
-    }
-    process::run(process::cargo("deny check --disable-fetch advisories"))
+fn architecture() -> Result<Outcome> {
+    absence::check().map(|()| Outcome::Passed)
 }
 
-/// The shaders' own tests again with their output shown: naga always, Tint where it is installed. The line that says which
-/// must not be hidden among passing tests.
-fn shaders() -> Result<()> {
+/// Known vulnerabilities, where the database of them can be had.
+fn advisories() -> Result<Outcome> {
+    if let Err(why) = process::output(process::cargo("deny fetch db")) {
+        println!("SKIPPED: the advisory database cannot be fetched: {why:#}");
+        return Ok(Outcome::Skipped);
+    }
+    process::run(process::cargo("deny check --disable-fetch advisories")).map(|()| Outcome::Passed)
+}
+
+/// The shaders' own tests once more by themselves: naga always, Tint where it is installed. Which of them looked must be said
+/// here, because the output of passing tests is not shown.
+fn shaders() -> Result<Outcome> {
     let mut tint = process::command("tint");
     tint.arg("--version");
     if process::output(tint).is_ok() {
