@@ -4,7 +4,7 @@ use crate::camera::{Lens, Pose};
 use crate::feed::Feed;
 use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::render::pool::HeightPool;
-use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, picture};
+use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
 use crate::scene::Scene;
 use crate::stats::{FrameTimes, Stats};
 use crate::voyage::{Link, Voyage};
@@ -108,7 +108,7 @@ pub fn render(
     started: Instant,
     mut progress: impl FnMut(&Progress),
 ) -> Result<(Picture, Stats), HeadlessError> {
-    let gpu = pollster::block_on(Gpu::headless())?;
+    let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
     let slots = HeightPool::slots_within(&gpu.device.limits(), World::capacity_for(options.chunk_bytes));
     let size = (options.lens.width, options.lens.height);
     let mut renderer = Renderer::new(

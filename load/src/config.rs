@@ -147,6 +147,6 @@ mod tests {
     #[test]
     fn a_missing_token_file_is_refused_by_name() {
         let error = parse(&["--token-file", "/no/such/file"]).unwrap().resolve().unwrap_err().to_string();
-        assert!(error.contains("--token-file") && error.contains("/no/such/file"), "{error}");
+        assert!(error.contains("token-file") && error.contains("/no/such/file"), "{error}");
     }
 }

@@ -39,22 +39,12 @@ pub enum GpuError {
     Fault(String),
 }
 
-/// The driver families to try, one after the other; `WGPU_BACKEND` overrides them.
-///
-/// OpenGL comes last and only if needed: merely asking for it loads the window system's libraries, which complain on
-/// standard error where there is no window system.
-pub const ATTEMPTS: [wgpu::Backends; 2] = [wgpu::Backends::PRIMARY, wgpu::Backends::all()];
-
 /// What to draw on, before there is a device.
-pub fn instance(
-    display: Option<Box<dyn wgpu::wgt::WgpuHasDisplayHandle>>,
-    backends: wgpu::Backends,
-) -> wgpu::Instance {
+pub fn instance(display: Option<Box<dyn wgpu::wgt::WgpuHasDisplayHandle>>) -> wgpu::Instance {
     let mut descriptor = match display {
         Some(display) => wgpu::InstanceDescriptor::new_with_display_handle_from_env(display),
         None => wgpu::InstanceDescriptor::new_without_display_handle_from_env(),
     };
-    descriptor.backends = wgpu::Backends::from_env().unwrap_or(backends);
     if cfg!(debug_assertions) {
         // A native-only habit shows up in development, not in somebody's browser.
         descriptor.flags |= wgpu::InstanceFlags::STRICT_WEBGPU_COMPLIANCE;
@@ -63,15 +53,6 @@ pub fn instance(
 }
 
 impl Gpu {
-    /// Opens the best adapter without a window.
-    pub async fn headless() -> Result<Self, GpuError> {
-        let [first, last] = ATTEMPTS;
-        match Self::open(instance(None, first), None).await {
-            Err(GpuError::NoAdapter(_)) => Self::open(instance(None, last), None).await,
-            opened => opened,
-        }
-    }
-
     /// Opens the best adapter that can present to `surface`, or the best of all.
     pub async fn open(
         instance: wgpu::Instance,

@@ -103,7 +103,7 @@ impl ApplicationHandler for App {
         if self.running.is_some() {
             return;
         }
-        match Running::start(event_loop, &self.display, &self.args, self.started) {
+        match Running::start(event_loop, self.display.clone(), &self.args, self.started) {
             Ok(running) => self.running = Some(running),
             Err(error) => self.quit(event_loop, Some(error)),
         }
@@ -140,24 +140,10 @@ impl App {
     }
 }
 
-/// Opens the best adapter that can present to the window.
-fn open(display: &OwnedDisplayHandle, window: &Arc<Window>) -> anyhow::Result<(Gpu, wgpu::Surface<'static>)> {
-    let attempt = |backends| -> anyhow::Result<_> {
-        let instance = gpu::instance(Some(Box::new(display.clone())), backends);
-        let surface = instance
-            .create_surface(Arc::clone(window))
-            .context("cannot draw into this window: draw into a file with --shot FILE.png")?;
-        let gpu = pollster::block_on(Gpu::open(instance, Some(&surface)))?;
-        Ok((gpu, surface))
-    };
-    let [first, last] = gpu::ATTEMPTS;
-    attempt(first).or_else(|_| attempt(last))
-}
-
 impl Running {
     fn start(
         event_loop: &ActiveEventLoop,
-        display: &OwnedDisplayHandle,
+        display: OwnedDisplayHandle,
         args: &Args,
         started: Instant,
     ) -> anyhow::Result<Self> {
@@ -165,7 +151,11 @@ impl Running {
             .with_title("Tombolo")
             .with_inner_size(winit::dpi::PhysicalSize::new(args.size.0, args.size.1));
         let window = Arc::new(event_loop.create_window(attributes).context("cannot open a window")?);
-        let (gpu, surface) = open(display, &window)?;
+        let instance = gpu::instance(Some(Box::new(display)));
+        let surface = instance
+            .create_surface(Arc::clone(&window))
+            .context("cannot draw into this window: draw into a file with --shot FILE.png")?;
+        let gpu = pollster::block_on(Gpu::open(instance, Some(&surface)))?;
         let size = window.inner_size();
         let surface = WindowSurface::new(&gpu, surface, (size.width, size.height))?;
         let slots = HeightPool::slots_within(&gpu.device.limits(), World::capacity_for(args.chunk_mb << 20));
