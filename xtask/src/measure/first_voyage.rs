@@ -25,7 +25,7 @@ const FRAMES: &str = "30";
 const LOAD: (u32, u32) = (200, 30);
 
 /// A chunk budget that the 8 km view does not fit into, MiB.
-const SMALL_BUDGET_MB: u32 = 4;
+const SMALL_BUDGET_MB: u32 = 8;
 
 const MIB: f64 = (1 << 20) as f64;
 
@@ -212,7 +212,7 @@ mod tests {
 
     fn view() -> Value {
         json!({ "adapter": "soft", "bytes_received": 1 << 20, "seconds_to_complete_view": 0.25,
-                "frame_ms_p50": 20.0, "frame_ms_p99": 40.0, "chunk_bytes_resident": 4 << 20 })
+                "frame_ms_p50": 20.0, "frame_ms_p99": 40.0, "chunk_bytes_resident": 8 << 20 })
     }
 
     fn load() -> Value {
