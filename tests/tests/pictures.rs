@@ -5,6 +5,7 @@ use client::feed::LocalFeed;
 use client::headless::{self, HeadlessError, Options};
 use client::native::stream::{Settings, SocketFeed};
 use client::render::Picture;
+use client::scene::Scene;
 use client::stats::Stats;
 use std::time::Instant;
 use tests::RunningServer;
@@ -21,7 +22,7 @@ fn options(camera: &str) -> Options {
 }
 
 /// The start view of the island scene.
-const START: &str = "-2600,330,3900,38,-7";
+const START: &str = "-5200.0,160.0,1500.0,70.0,-8.0";
 
 /// Draws from local land; none, visibly, where there is no adapter and none is required.
 fn drawn(options: &Options) -> Option<(Picture, Stats)> {
@@ -37,6 +38,7 @@ fn drawn(options: &Options) -> Option<(Picture, Stats)> {
 
 #[test]
 fn the_island_looks_as_it_should() {
+    assert_eq!(options(START).pose, Scene::Island.start());
     for (name, camera) in [
         ("start", START),
         ("shore", "4700,25,500,-60,-8"),
