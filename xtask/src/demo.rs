@@ -35,8 +35,8 @@ struct Shot {
 const FLIGHT: [Shot; 6] = [
     Shot { name: "1-arrival", place_m: (0.0, 7200.0), clearance_m: 160.0, gaze: (0.0, -4.0) },
     Shot { name: "2-coast", place_m: (-600.0, 5200.0), clearance_m: 60.0, gaze: (20.0, -6.0) },
-    Shot { name: "3-hills", place_m: (900.0, 2600.0), clearance_m: 45.0, gaze: (-25.0, -4.0) },
-    Shot { name: "4-ridge", place_m: (-300.0, 400.0), clearance_m: 30.0, gaze: (60.0, -8.0) },
+    Shot { name: "3-hills", place_m: (900.0, 2600.0), clearance_m: 180.0, gaze: (-25.0, -12.0) },
+    Shot { name: "4-ridge", place_m: (-300.0, 400.0), clearance_m: 150.0, gaze: (60.0, -14.0) },
     Shot { name: "5-overview", place_m: (-3500.0, 3500.0), clearance_m: 900.0, gaze: (45.0, -18.0) },
     Shot { name: "6-shore", place_m: (4800.0, -1200.0), clearance_m: 12.0, gaze: (-110.0, 2.0) },
 ];
@@ -58,7 +58,7 @@ pub fn run(options: Options) -> Result<()> {
 
 fn show(server: &Server) -> Result<()> {
     println!("demo: opening the viewer; close its window to end");
-    let mut viewer = process::command(process::program("tombolo-view"));
+    let mut viewer = process::viewer();
     viewer.args(["--connect", &server.stream()]);
     process::run(viewer).context("demo: the viewer failed; `cargo demo -- --headless` needs no window")
 }
@@ -74,7 +74,7 @@ fn fly(server: &Server, options: Options) -> Result<()> {
         let picture = folder.join(shot.name).with_extension("png");
         // A picture of an earlier run must not pass for one of this.
         let _ = std::fs::remove_file(&picture);
-        let mut viewer = process::command(process::program("tombolo-view"));
+        let mut viewer = process::viewer();
         viewer
             .args(["--connect", &server.stream(), "--scene", "island", "--size", "1280x720"])
             .arg(format!("--camera={}", shot.camera(&land)))

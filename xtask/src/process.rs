@@ -22,10 +22,11 @@ pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
-/// The workspace's root folder.
+/// The workspace's root folder: of the checkout that cargo runs this from, which need not be where it was built.
 pub fn root() -> PathBuf {
-    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    here.parent().unwrap_or(here).to_path_buf()
+    let here = std::env::var_os("CARGO_MANIFEST_DIR")
+        .map_or_else(|| env!("CARGO_MANIFEST_DIR").into(), PathBuf::from);
+    here.parent().map(Path::to_path_buf).unwrap_or(here)
 }
 
 /// The folder of build results.
@@ -43,6 +44,16 @@ pub fn command(program: impl AsRef<Path>) -> Command {
     let mut command = Command::new(program.as_ref());
     command.current_dir(root());
     command
+}
+
+/// The viewer, built for release.
+pub fn viewer() -> Command {
+    let mut viewer = command(program("tombolo-view"));
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // A Vulkan layer of Mesa looks for a Wayland socket there and complains where the variable is unset, as in containers.
+        viewer.env("XDG_RUNTIME_DIR", std::env::temp_dir());
+    }
+    viewer
 }
 
 /// The cargo that runs this program, with arguments given as one line of words.

@@ -155,7 +155,7 @@ impl Voyage {
     fn view(&mut self, server: &Server, name: &str, more: &[&str]) -> Result<Value> {
         println!("measure: viewer, {name}");
         let stats = self.folder.join(name).with_extension("json");
-        let mut viewer = process::command(process::program("tombolo-view"));
+        let mut viewer = process::viewer();
         viewer
             .args(["--connect", &server.stream(), "--scene", "island", "--size", "640x360"])
             .args(["--view-distance", "8000", "--frames", FRAMES])
