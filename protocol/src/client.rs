@@ -92,8 +92,14 @@ impl ClientSession {
         session
     }
 
-    /// The next frame to send, if any.
+    /// The next frame to send, if any. Grants new credit when half of the window is used: it counts from here, since a server
+    /// cannot use what was never sent.
     pub fn poll_transmit(&mut self) -> Option<Bytes> {
+        if self.credits <= self.window / 2 && self.world.is_some() {
+            let chunks = self.window - self.credits;
+            self.credits = self.window;
+            self.send(&ClientMessage::Credit { chunks });
+        }
         self.outbox.pop_front()
     }
 
@@ -138,11 +144,6 @@ impl ClientSession {
         let world = self.world.ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
         self.credits = self.credits.checked_sub(1).ok_or(PeerFault::CreditOverrun)?;
         let chunk = chunk_codec::decode(frame, &world)?;
-        if self.credits <= self.window / 2 {
-            let chunks = self.window - self.credits;
-            self.credits = self.window;
-            self.send(&ClientMessage::Credit { chunks });
-        }
         Ok(Event::Chunk { chunk: Box::new(chunk), bytes: frame.len() })
     }
 

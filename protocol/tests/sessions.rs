@@ -161,16 +161,26 @@ fn a_server_never_owes_more_than_the_credits() {
 }
 
 #[test]
-fn a_chunk_without_credit_is_a_fault() {
-    let mut pair = Pair::new(1);
-    pair.run(0);
-    let frame = chunk_codec::encode(&pair.land.chunk(ChunkKey::new(0, 60, 60).unwrap()), &pair.digest);
-    // The window refills itself on receipt, so overrun it by a session that cannot send.
-    let mut starved = ClientSession::new(config(2));
-    let welcome = welcome_frame();
-    starved.receive(Incoming::Binary(&welcome)).unwrap();
-    assert!(matches!(starved.receive(Incoming::Binary(&frame)), Ok(Event::Chunk { .. })));
-    assert_eq!(starved.credits(), 2, "refilled, and the grant waits in the outbox");
+fn a_chunk_beyond_the_granted_credit_is_a_fault_and_a_new_grant_admits_again() {
+    let offer = offer();
+    let chunk = chunk_codec::encode(&offer.land.chunk(ChunkKey::new(0, 60, 60).unwrap()), &offer.digest);
+    let mut client = ClientSession::new(config(2));
+    client.receive(Incoming::Binary(&welcome_frame())).unwrap();
+    while client.poll_transmit().is_some() {}
+    for left in [1, 0] {
+        assert!(matches!(client.receive(Incoming::Binary(&chunk)), Ok(Event::Chunk { .. })));
+        assert_eq!(client.credits(), left);
+    }
+    let mut patient = ClientSession::new(config(2));
+    patient.receive(Incoming::Binary(&welcome_frame())).unwrap();
+    while patient.poll_transmit().is_some() {}
+    patient.receive(Incoming::Binary(&chunk)).unwrap();
+    let grant = patient.poll_transmit().expect("half of the window is used");
+    assert_eq!(control::decode(&grant), Ok(ClientMessage::Credit { chunks: 1 }));
+    assert_eq!(patient.credits(), 2);
+
+    let fault = client.receive(Incoming::Binary(&chunk)).unwrap_err();
+    assert_eq!((fault.close_code(), fault), (CloseCode::OutOfOrder, PeerFault::CreditOverrun));
 }
 
 fn welcome_frame() -> Bytes {
