@@ -22,7 +22,7 @@ pub struct Chunk {
     pub heights: Box<[i32; VERTEX_COUNT]>,
     /// Upper bound, in units, of the vertical distance between this chunk's drawn triangles and any level-0
     /// vertex under them. Exact (measured) at levels 0 to [`MEASURED_DEPTH`]; above, the measured distance to the
-    /// level [`MEASURED_DEPTH`] below plus that level's own bound, and never above [`lod::level_error`].
+    /// level [`MEASURED_DEPTH`] below plus that level's own empirical bound, and never above [`lod::level_error`].
     pub error: u32,
     /// Upper bound of the gradient of the drawn triangles, Q8 (256 is 45 degrees), rounded up.
     pub slope: u32,

@@ -5,7 +5,6 @@
 
 use crate::constants::{FIRST_CELL_BITS, GENERATOR_VERSION, OCTAVE_SHIFT, WORLD_HALF};
 use crate::hash::mix;
-use crate::island::Archipelago;
 use crate::land::Land;
 use crate::position::Position;
 use std::fmt;
@@ -76,19 +75,19 @@ impl fmt::Debug for WorldDigest {
     }
 }
 
-/// Whether the probe set reaches land; a digest of sea floor alone would tell nothing.
-#[must_use]
-pub fn probes_on_islands(land: &Land) -> usize {
-    let on_island = |p: &Position| {
-        let island = land.archipelago().island(Archipelago::cell(p.x()), Archipelago::cell(p.z()));
-        island.is_some_and(|island| island.falloff(p.x(), p.z()) > 0)
-    };
-    probes().filter(on_island).count()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::island::Archipelago;
+
+    /// How much of the probe set reaches land; a digest of sea floor alone would tell nothing.
+    fn probes_on_islands(land: &Land) -> usize {
+        let on_island = |p: &Position| {
+            let island = land.archipelago().island(Archipelago::cell(p.x()), Archipelago::cell(p.z()));
+            island.is_some_and(|island| island.falloff(p.x(), p.z()) > 0)
+        };
+        probes().filter(on_island).count()
+    }
 
     #[test]
     fn the_digest_of_seed_zero_is_frozen() {

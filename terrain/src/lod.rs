@@ -14,7 +14,7 @@ pub const SUMMIT: i32 = 600 * UNITS_PER_METRE;
 /// Largest view distance that a selection serves, metres.
 pub const MAX_VIEW_DISTANCE_M: u32 = 65_536;
 
-/// Bound of the vertical error of a level against level 0 in units, for any chunk of any world.
+/// Empirical bound of the vertical error of a level against level 0 in units: a search with a margin, not a proof.
 ///
 /// Levels 1 to 6: the worst value that `cargo run --release -p terrain --example level_error` finds by brute force
 /// (1.6, 3.9, 8.7, 16.8, 30.8, 45.4 m), plus a quarter; a test repeats part of that search. From level 7 on a cell is wider than the
@@ -30,7 +30,7 @@ const LEVEL_ERROR: [u32; TOP_LEVEL as usize + 1] = {
     bounds
 };
 
-/// Bound of the vertical error of a level against level 0, units; `level` up to 16.
+/// Empirical bound of the vertical error of a level against level 0, units; `level` up to 16.
 #[must_use]
 pub const fn level_error(level: u8) -> u32 {
     LEVEL_ERROR[level as usize]
