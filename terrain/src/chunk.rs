@@ -2,6 +2,7 @@
 
 use crate::constants::{CELLS, UNITS_PER_METRE, VERTEX_COUNT, VERTICES};
 use crate::grass::GrassSeed;
+use crate::grid::Grid;
 use crate::key::ChunkKey;
 use crate::land::Land;
 use crate::lod;
@@ -12,8 +13,11 @@ pub const MEASURED_DEPTH: u8 = 2;
 
 /// One chunk of the land.
 ///
-/// A coarse vertex is the level-0 vertex at the same place, so chunks of all levels agree bit for bit on every
-/// vertex that they share.
+/// A vertex is the height at its place with the octaves that its level carries ([`Octaves::at_level`]): levels 0 to 2 share
+/// every octave and so agree bit for bit where they share a vertex, coarser ones up to [`Octaves::dropped_bound`].
+///
+/// [`Octaves::at_level`]: crate::Octaves::at_level
+/// [`Octaves::dropped_bound`]: crate::Octaves::dropped_bound
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Chunk {
     /// Where and how coarse.
@@ -22,7 +26,7 @@ pub struct Chunk {
     pub heights: Box<[i32; VERTEX_COUNT]>,
     /// Upper bound, in units, of the vertical distance between this chunk's drawn triangles and any level-0
     /// vertex under them. Exact (measured) at levels 0 to [`MEASURED_DEPTH`]; above, the measured distance to the
-    /// level [`MEASURED_DEPTH`] below plus that level's own empirical bound, and never above [`lod::level_error`].
+    /// level [`MEASURED_DEPTH`] below plus that level's own empirical bound, and there never above [`lod::level_error`].
     pub error: u32,
     /// Upper bound of the gradient of the drawn triangles, Q8 (256 is 45 degrees), rounded up.
     pub slope: u32,
@@ -81,11 +85,7 @@ impl Land {
     #[must_use]
     pub fn chunk_heights(&self, key: ChunkKey) -> Box<[i32; VERTEX_COUNT]> {
         let mut heights = Box::new([0; VERTEX_COUNT]);
-        let (x0, z0) = key.origin();
-        let mut scratch = Vec::with_capacity(VERTICES);
-        for (row, out) in heights.chunks_exact_mut(VERTICES).enumerate() {
-            self.height_row(x0, step(z0, key.spacing(), row), key.spacing(), out, &mut scratch);
-        }
+        self.heights(&Grid::of_chunk(key), &mut heights[..]);
         heights
     }
 
@@ -98,27 +98,22 @@ impl Land {
         let depth = key.level().min(MEASURED_DEPTH);
         let below = key.level() - depth;
         let parts = 1usize << depth;
-        let spacing = key.spacing() >> depth;
-        let mut fine = vec![0; CELLS * parts + 1];
-        let mut scratch = Vec::new();
-        let mut worst = 0i64;
-        for row in 0..=CELLS * parts {
-            self.height_row(x0, step(z0, spacing, row), spacing, &mut fine, &mut scratch);
-            for (column, height) in fine.iter().enumerate() {
-                let drawn = drawn_height_scaled(heights, column, row, depth);
-                worst = worst.max((i64::from(*height) * parts as i64 - drawn).abs());
-            }
+        let side = CELLS * parts + 1;
+        let mut fine = vec![0; side * side];
+        let grid = Grid::new(x0, z0, below, side, side).expect("a chunk lies in the world");
+        self.heights(&grid, &mut fine);
+        let worst = (0..side)
+            .map(|row| farthest_in_row(heights, row, depth, &fine[row * side..][..side]))
+            .max()
+            .unwrap_or(0);
+        // Rounded up from fractions of a unit.
+        let measured = worst.div_ceil(parts as u32);
+        if below == 0 {
+            return measured;
         }
-        // Rounded up from fractions of a unit, then the finer level's own bound on top.
-        let measured = (worst as u64).div_ceil(parts as u64) as u32;
+        // The grid below is itself off by up to its own level's bound.
         (measured + lod::level_error(below)).min(lod::level_error(key.level()))
     }
-}
-
-/// The coordinate `index` vertices from an edge. In the root chunk the offset reaches 2^31 and wraps; the sum is
-/// right modulo 2^32.
-fn step(edge: i32, spacing: i32, index: usize) -> i32 {
-    edge.wrapping_add(spacing.wrapping_mul(index as i32))
 }
 
 /// Height of the drawn surface at a point of the grid that is `2^depth` times finer, in units times `2^depth`.
@@ -140,6 +135,32 @@ pub fn drawn_height_scaled(heights: &[i32; VERTEX_COUNT], column: usize, row: us
         let side = corner(0, 1);
         low * step as i64 + (side - low) * fz + (high - side) * fx
     }
+}
+
+/// Largest distance between the drawn surface and one row of the grid that is `2^depth` times finer, in units times
+/// `2^depth`. The same surface as [`drawn_height_scaled`], whole cells at a time.
+fn farthest_in_row(heights: &[i32; VERTEX_COUNT], row: usize, depth: u8, fine: &[i32]) -> u32 {
+    let step = 1i32 << depth;
+    let z = (row >> depth).min(CELLS - 1);
+    let fz = row as i32 - z as i32 * step;
+    let (near, far) = (&heights[z * VERTICES..][..VERTICES], &heights[(z + 1) * VERTICES..][..VERTICES]);
+    let mut worst = 0;
+    for x in 0..CELLS {
+        let (h00, h10, h01, h11) = (near[x], near[x + 1], far[x], far[x + 1]);
+        // The last column of a cell is the first of the next, except at the end.
+        let points = if x == CELLS - 1 { step + 1 } else { step };
+        for fx in 0..points {
+            // Heights stay below 2^24, times 2^depth well inside 32 bits.
+            let drawn = if fx >= fz {
+                h00 * step + (h10 - h00) * fx + (h11 - h10) * fz
+            } else {
+                h00 * step + (h01 - h00) * fz + (h11 - h01) * fx
+            };
+            let exact = fine[(x << depth) + fx as usize] * step;
+            worst = worst.max(exact.abs_diff(drawn));
+        }
+    }
+    worst
 }
 
 /// See [`Chunk::slope`].
@@ -166,6 +187,7 @@ fn is_square(value: u64) -> bool {
 mod tests {
     use super::*;
     use crate::constants::{TOP_LEVEL, WORLD_HALF};
+    use crate::octaves::Octaves;
     use crate::position::Position;
 
     fn key(level: u8, x: i32, z: i32) -> ChunkKey {
@@ -173,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn every_vertex_is_the_level_0_height_at_its_place() {
+    fn every_vertex_is_the_height_at_its_place_with_the_octaves_of_its_level() {
         let land = Land::new(4);
         for key in [key(0, 0, 0), key(0, -1, 5), key(3, -2, 1), key(9, 3, -3), key(TOP_LEVEL, 0, 0)] {
             let heights = land.chunk_heights(key);
@@ -183,7 +205,8 @@ mod tests {
                 let spacing = i64::from(key.spacing());
                 let (x, z) = (i64::from(x0) + column * spacing, i64::from(z0) + row * spacing);
                 let position = Position::new(x as i32, z as i32).unwrap();
-                assert_eq!(*height, land.height_at(position), "{key} vertex ({column}, {row})");
+                let expected = land.height_keeping(position, Octaves::at_level(key.level()));
+                assert_eq!(*height, expected, "{key} vertex ({column}, {row})");
             }
         }
     }
@@ -208,11 +231,14 @@ mod tests {
     }
 
     #[test]
-    fn seams_are_equal_bit_for_bit_across_levels() {
+    fn levels_agree_on_shared_vertices_bit_for_bit_or_up_to_the_octaves_that_they_drop() {
         let land = Land::new(77);
         for level in 1..=TOP_LEVEL {
             let parent = ChunkKey::containing(level, 40_000, -90_000);
             let coarse = land.chunk_heights(parent);
+            let (kept, kept_below) = (Octaves::at_level(level), Octaves::at_level(level - 1));
+            let allowed =
+                if kept == kept_below { 0 } else { kept.dropped_bound() + kept_below.dropped_bound() };
             for (child, (dx, dz)) in
                 parent.children().unwrap().into_iter().zip([(0, 0), (32, 0), (0, 32), (32, 32)])
             {
@@ -220,7 +246,8 @@ mod tests {
                 for row in (0..VERTICES).step_by(2) {
                     for column in (0..VERTICES).step_by(2) {
                         let above = coarse[(row / 2 + dz) * VERTICES + column / 2 + dx];
-                        assert_eq!(fine[row * VERTICES + column], above);
+                        let apart = fine[row * VERTICES + column].abs_diff(above);
+                        assert!(apart <= allowed, "{child}: {apart} against {allowed}");
                     }
                 }
             }

@@ -3,7 +3,7 @@
 //! Changing any of them changes the world: bump [`GENERATOR_VERSION`] with it.
 
 /// Version of the height formula and of the grass record. Part of the world digest.
-pub const GENERATOR_VERSION: u32 = 1;
+pub const GENERATOR_VERSION: u32 = 2;
 
 /// Position and height units per metre: both are multiples of 2^-8 m.
 pub const UNITS_PER_METRE: i32 = 256;
@@ -36,8 +36,12 @@ pub const TOP_LEVEL: u8 = 16;
 pub const OCTAVES: usize = 8;
 /// log2 of the first octave's lattice cell in units (1,024 m); every further octave halves it (last: 8 m).
 pub const FIRST_CELL_BITS: u32 = 18;
-/// Amplitude of the first octave in metres; every further octave halves it.
-pub const FIRST_AMPLITUDE_M: i32 = 128;
+/// log2 of the amplitude of the first octave in metres (128 m); every further octave halves it.
+pub const FIRST_AMPLITUDE_BITS: u32 = 7;
+/// The first octaves, which are tall, keep [`SPLIT_BITS`] more bits of every weight and slope.
+pub const WIDE_OCTAVES: usize = 3;
+/// Bits that a wide operand has below the 16 of a narrow one.
+pub const SPLIT_BITS: u32 = 8;
 
 /// Lattice shift of each octave in units, odd multiples of 1 m below the cell size.
 ///
@@ -58,47 +62,47 @@ pub const OCTAVE_SHIFT: [(i32, i32); OCTAVES] = [
 /// Fraction bits inside a lattice cell, the same for all octaves (a finer octave is shifted up).
 pub const FRACTION_BITS: u32 = 18;
 /// Fraction bits of a gradient component.
-pub const GRADIENT_BITS: u32 = 10;
+pub const GRADIENT_BITS: u32 = 15;
 
-/// 32 unit directions in Q10, at angles `(i + 1/2) * 360/32` degrees: none along an axis or a diagonal, so
+/// 32 unit directions in Q15, at angles `(i + 1/2) * 360/32` degrees: none along an axis or a diagonal, so
 /// no lattice direction is privileged.
-pub const GRADIENTS: [(i32, i32); 32] = [
-    (1019, 100),
-    (980, 297),
-    (903, 483),
-    (792, 650),
-    (650, 792),
-    (483, 903),
-    (297, 980),
-    (100, 1019),
-    (-100, 1019),
-    (-297, 980),
-    (-483, 903),
-    (-650, 792),
-    (-792, 650),
-    (-903, 483),
-    (-980, 297),
-    (-1019, 100),
-    (-1019, -100),
-    (-980, -297),
-    (-903, -483),
-    (-792, -650),
-    (-650, -792),
-    (-483, -903),
-    (-297, -980),
-    (-100, -1019),
-    (100, -1019),
-    (297, -980),
-    (483, -903),
-    (650, -792),
-    (792, -650),
-    (903, -483),
-    (980, -297),
-    (1019, -100),
+pub const GRADIENTS: [(i16, i16); 32] = [
+    (32610, 3212),
+    (31357, 9512),
+    (28899, 15447),
+    (25330, 20788),
+    (20788, 25330),
+    (15447, 28899),
+    (9512, 31357),
+    (3212, 32610),
+    (-3212, 32610),
+    (-9512, 31357),
+    (-15447, 28899),
+    (-20788, 25330),
+    (-25330, 20788),
+    (-28899, 15447),
+    (-31357, 9512),
+    (-32610, 3212),
+    (-32610, -3212),
+    (-31357, -9512),
+    (-28899, -15447),
+    (-25330, -20788),
+    (-20788, -25330),
+    (-15447, -28899),
+    (-9512, -31357),
+    (-3212, -32610),
+    (3212, -32610),
+    (9512, -31357),
+    (15447, -28899),
+    (20788, -25330),
+    (25330, -20788),
+    (28899, -15447),
+    (31357, -9512),
+    (32610, -3212),
 ];
 
-/// Fraction bits of a height while it is being composed: 2^-14 m, rounded once at the end to 2^-8 m.
-pub const FINE_BITS: u32 = 14;
+/// Fraction bits of a height while it is being composed: 2^-16 m, rounded once at the end to 2^-8 m.
+pub const FINE_BITS: u32 = 16;
 
 /// Depth of the open sea floor in metres below sea level (height 0). Exactly flat outside every island.
 pub const SEA_FLOOR_M: i32 = 64;

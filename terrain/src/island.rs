@@ -8,7 +8,7 @@ use crate::constants::{
     HOME_DOME_M, HOME_RADIUS_STEPS, ISLAND_CELL_BITS, ISLAND_RADIUS_STEP_M, UNIT_BITS, UNITS_PER_METRE,
 };
 use crate::hash::{hash2, mix, stream_seed};
-use crate::ring::{mul_hi, mul_hi_u};
+use crate::ring::mul_hi_u;
 
 /// Positions are compared at 1/4 m here, so that squared distances fit in u32. Vertices are multiples of 2 m
 /// and lose nothing.
@@ -40,6 +40,11 @@ impl Archipelago {
     #[must_use]
     pub fn new(world_seed: u64) -> Self {
         Self { seed: stream_seed(world_seed, 0x1517) }
+    }
+
+    /// Decides which cells hold an island, and which one.
+    pub(crate) const fn seed(&self) -> u32 {
+        self.seed
     }
 
     /// The cell that a coordinate lies in.
@@ -111,20 +116,17 @@ impl Island {
     #[must_use]
     #[inline]
     pub fn falloff(&self, x: i32, z: i32) -> i32 {
-        let distance = |v: i32, centre: i32| ((v - centre) >> QUARTER_METRE_BITS).abs().min(REACH - 1) as u32;
-        let (dx, dz) = (distance(x, self.centre.0), distance(z, self.centre.1));
-        let t_q24 = mul_hi_u(dx * dx + dz * dz, self.inverse);
-        let inside = (1u32 << 24).saturating_sub(t_q24).min((1 << 24) - 1) << 8;
+        let (x, z) = (self.distance(x, self.centre.0), self.distance(z, self.centre.1));
+        let inside = (((1 << 24) - 1 - x - z).max(0) as u32) << 8;
         (mul_hi_u(inside, inside) >> 1) as i32
     }
-}
 
-/// `1 - (1 - w)²` of a Q31 weight: rises twice as fast as `w` at the rim, level at the centre.
-#[must_use]
-#[inline]
-pub const fn ease_out(weight: i32) -> i32 {
-    let rest = i32::MAX - weight;
-    i32::MAX - (mul_hi(rest, rest) << 1)
+    /// The share of one axis in `d²/r²`, Q24. Computed per axis, so that a grid needs it once per column and per row.
+    #[inline]
+    pub(crate) fn distance(&self, coordinate: i32, centre: i32) -> i32 {
+        let quarters = ((coordinate - centre) >> QUARTER_METRE_BITS).abs().min(REACH - 1) as u32;
+        mul_hi_u(quarters * quarters, self.inverse) as i32
+    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,13 @@
 //! The height of a point: sea floor, dome, hills, ridges, beach.
 
 use crate::constants::{BEACH_M, FINE_BITS, RIDGE_M, SEA_FLOOR_M, UNIT_BITS, UNITS_PER_METRE};
-use crate::island::{Archipelago, Island, ease_out};
+use crate::grid::Grid;
+use crate::island::{Archipelago, Island};
 use crate::noise::{Fbm, Relief};
+use crate::octaves::Octaves;
 use crate::position::Position;
 use crate::ring::mul_hi;
+use crate::simd::{self, Kernel};
 
 /// Height of the open sea floor, units.
 pub const SEA_FLOOR: i32 = -SEA_FLOOR_M * UNITS_PER_METRE;
@@ -39,89 +42,69 @@ impl Land {
     /// The height in units of 2^-8 m; sea level is 0.
     #[must_use]
     pub fn height_at(&self, position: Position) -> i32 {
+        self.height_keeping(position, Octaves::ALL)
+    }
+
+    /// The height with fewer octaves, as a coarse level draws it: [`Octaves::at_level`].
+    #[must_use]
+    pub fn height_keeping(&self, position: Position, octaves: Octaves) -> i32 {
         let (x, z) = (position.x(), position.z());
         match self.archipelago.island_at(x, z) {
-            Some(island) => shape(&island, x, z, || self.fbm.at(x, z)),
+            Some(island) => shape(&island, x, z, || self.fbm.at(x, z, octaves)),
             None => SEA_FLOOR,
         }
     }
 
-    /// Heights at `(x0 + i * spacing, z)` for every `i` of `out`, units.
+    /// The fractal sum under the land.
+    #[must_use]
+    pub const fn fbm(&self) -> &Fbm {
+        &self.fbm
+    }
+
+    /// Heights of a grid, units, row by row, with the fastest kernel of this machine.
     ///
-    /// The caller guarantees that all points lie in the world. Equal to [`Land::height_at`] bit for bit.
-    pub(crate) fn height_row(
-        &self,
-        x0: i32,
-        z: i32,
-        spacing: i32,
-        out: &mut [i32],
-        scratch: &mut Vec<Relief>,
-    ) {
-        let mut islands = CellWalk { archipelago: &self.archipelago, z, current: None };
-        // In the root chunk the offset reaches 2^31 and wraps; the sum is right modulo 2^32.
-        let x_of = |i: usize| x0.wrapping_add(spacing.wrapping_mul(i as i32));
-        if (0..out.len()).all(|i| islands.falloff(x_of(i)) == 0) {
-            out.fill(SEA_FLOOR);
-            return;
-        }
-        scratch.resize(out.len(), Relief::default());
-        self.fbm.row(x0, z, spacing, scratch);
-        for (i, (height, relief)) in out.iter_mut().zip(scratch).enumerate() {
-            let x = x_of(i);
-            *height = islands.at(x).map_or(SEA_FLOOR, |island| shape(&island, x, z, || *relief));
-        }
-    }
-}
-
-/// The island under a walk along x, looked up once per archipelago cell.
-struct CellWalk<'a> {
-    archipelago: &'a Archipelago,
-    z: i32,
-    current: Option<(i32, Option<Island>)>,
-}
-
-impl CellWalk<'_> {
-    fn at(&mut self, x: i32) -> Option<Island> {
-        let cell = Archipelago::cell(x);
-        match self.current {
-            Some((known, island)) if known == cell => island,
-            _ => {
-                let island = self.archipelago.island(cell, Archipelago::cell(self.z));
-                self.current = Some((cell, island));
-                island
-            }
-        }
+    /// # Panics
+    /// If `out` does not hold exactly the grid's vertices.
+    pub fn heights(&self, grid: &Grid, out: &mut [i32]) {
+        self.heights_on(Kernel::best(), grid, out);
     }
 
-    fn falloff(&mut self, x: i32) -> i32 {
-        let z = self.z;
-        self.at(x).map_or(0, |island| island.falloff(x, z))
+    /// The same by a kernel of one's choice: every kernel and [`Land::height_keeping`] agree bit for bit.
+    ///
+    /// # Panics
+    /// If `out` does not hold exactly the grid's vertices.
+    pub fn heights_on(&self, kernel: Kernel, grid: &Grid, out: &mut [i32]) {
+        simd::heights(kernel, &self.fbm, &self.archipelago, grid, out);
     }
 }
 
 /// Composes the height of a point of an island from the noise there; the noise is not asked for at sea.
+///
+/// With the falloff `w`: the dome rises with `w`, hills with `2 w - w²` (`1 - (1 - w)²`, twice as fast at the rim), ridges with
+/// `w²` (far inland).
 fn shape(island: &Island, x: i32, z: i32, relief: impl FnOnce() -> Relief) -> i32 {
     let weight = island.falloff(x, z);
     if weight == 0 {
         return SEA_FLOOR;
     }
     let Relief { hills, folds } = relief();
-    let inland = mul_hi(weight, weight) << 1;
+    let squared = mul_hi(weight, weight);
     let dome = mul_hi(weight, island.dome_m << (FINE_BITS + 1));
-    let hills = mul_hi(hills << 1, ease_out(weight));
+    let hills = mul_hi(hills << 2, weight - squared);
     let ridge = ((RIDGE_M << FINE_BITS) - 2 * folds.abs()).max(0);
-    let ridge = mul_hi(ridge << 1, inland);
+    let ridge = mul_hi(ridge << 2, squared);
     round_to_units(beach(dome + hills + ridge - (SEA_FLOOR_M << FINE_BITS)))
 }
+
+// The beach's coefficients in Q30; products with Q31 powers are Q29. 0.2, 1.6, 0.8 rounded to nearest.
+pub(crate) const LINEAR_Q29: i32 = 107_374_182;
+pub(crate) const CUBIC_Q30: i32 = 1_717_986_918;
+pub(crate) const QUINTIC_Q30: i32 = 858_993_459;
 
 /// Flattens the land within [`BEACH_M`] of sea level: the odd polynomial `0.2 r + 1.6 r³ - 0.8 r⁵` (`r` in beach
 /// heights) has slope 0.2 at the water line and joins the untouched land with equal value and slope at `|r| = 1`.
 fn beach(fine: i32) -> i32 {
     const EDGE: i32 = BEACH_M << FINE_BITS;
-    // Coefficients in Q30; products with Q31 powers are Q29. 0.2, 1.6, 0.8 rounded to nearest.
-    const LINEAR_Q29: i32 = 107_374_182;
-    const CUBIC_Q30: i32 = 1_717_986_918;
-    const QUINTIC_Q30: i32 = 858_993_459;
     if fine.abs() >= EDGE {
         return fine;
     }
@@ -142,7 +125,6 @@ mod tests {
     use super::*;
     use crate::constants::{HEIGHT_LIMIT, WORLD_HALF};
     use crate::hash::mix;
-    use proptest::prelude::*;
 
     fn height(land: &Land, x: i32, z: i32) -> i32 {
         land.height_at(Position::new(x, z).unwrap())
@@ -201,20 +183,6 @@ mod tests {
                     // One unit east: a slope below 4 and one unit of rounding.
                     assert!(delta.abs() <= 5, "step {delta} at {x}");
                 }
-            }
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn rows_equal_points(seed: u64, x in -WORLD_HALF..WORLD_HALF - (64 << 14), z in -WORLD_HALF..=WORLD_HALF,
-                             near_home: bool, level in 0u32..6) {
-            let (x, z) = if near_home { (x >> 10, z >> 10) } else { (x, z) };
-            let land = Land::new(seed);
-            let mut row = [0; 65];
-            land.height_row(x, z, 512 << level, &mut row, &mut Vec::new());
-            for (i, h) in row.iter().enumerate() {
-                prop_assert_eq!(*h, height(&land, x + (i as i32) * (512 << level), z));
             }
         }
     }

@@ -4,7 +4,8 @@
 //! triangles, so that is the exact extreme of the drawn surface over the cell, never the noise between vertices.
 //! Each further level reduces 2 x 2 texels, up to one.
 
-use crate::constants::{CELLS, VERTEX_COUNT, VERTICES};
+use crate::constants::{CELLS, VERTEX_COUNT};
+use crate::simd::{self, Kernel};
 
 /// Levels of a pyramid: 64 x 64 up to 1 x 1.
 pub const PYRAMID_LEVELS: usize = CELLS.trailing_zeros() as usize + 1;
@@ -15,43 +16,32 @@ pub const PYRAMID_TEXELS: usize = (4 * CELLS * CELLS - 1) / 3;
 /// One reduced pyramid, heights in units. Level 0 is the base.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pyramid {
-    texels: Box<[i32]>,
+    texels: Box<[i32; PYRAMID_TEXELS]>,
 }
 
 impl Pyramid {
     /// The pyramid of upper bounds.
     #[must_use]
     pub fn of_maxima(heights: &[i32; VERTEX_COUNT]) -> Self {
-        Self::build(heights, i32::max)
+        Self::of_maxima_on(Kernel::best(), heights)
     }
 
     /// The pyramid of lower bounds.
     #[must_use]
     pub fn of_minima(heights: &[i32; VERTEX_COUNT]) -> Self {
-        Self::build(heights, i32::min)
+        Self::of_minima_on(Kernel::best(), heights)
     }
 
-    fn build(heights: &[i32; VERTEX_COUNT], pick: impl Fn(i32, i32) -> i32 + Copy) -> Self {
-        let mut texels = Vec::with_capacity(PYRAMID_TEXELS);
-        for z in 0..CELLS {
-            let near = &heights[z * VERTICES..][..VERTICES];
-            let far = &heights[(z + 1) * VERTICES..][..VERTICES];
-            for x in 0..CELLS {
-                texels.push(pick(pick(near[x], near[x + 1]), pick(far[x], far[x + 1])));
-            }
-        }
-        for level in 1..PYRAMID_LEVELS {
-            let (below, below_side) = (offset(level - 1), side(level - 1));
-            for z in 0..side(level) {
-                for x in 0..side(level) {
-                    let first = below + 2 * z * below_side + 2 * x;
-                    let near = pick(texels[first], texels[first + 1]);
-                    let far = pick(texels[first + below_side], texels[first + below_side + 1]);
-                    texels.push(pick(near, far));
-                }
-            }
-        }
-        Self { texels: texels.into_boxed_slice() }
+    /// The pyramid of upper bounds, by a kernel of one's choice.
+    #[must_use]
+    pub fn of_maxima_on(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> Self {
+        Self { texels: simd::pyramid(kernel, heights, true) }
+    }
+
+    /// The pyramid of lower bounds, by a kernel of one's choice.
+    #[must_use]
+    pub fn of_minima_on(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> Self {
+        Self { texels: simd::pyramid(kernel, heights, false) }
     }
 
     /// The texels of one level, row by row from the low corner; `level` below [`PYRAMID_LEVELS`].
@@ -74,13 +64,14 @@ pub const fn side(level: usize) -> usize {
 }
 
 /// Index of the first texel of a level.
-const fn offset(level: usize) -> usize {
+pub(crate) const fn offset(level: usize) -> usize {
     PYRAMID_TEXELS - (4 * side(level) * side(level) - 1) / 3
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::constants::VERTICES;
     use crate::hash::mix;
 
     fn heights(seed: u32) -> Box<[i32; VERTEX_COUNT]> {
@@ -100,9 +91,13 @@ mod tests {
     fn every_texel_of_every_level_equals_the_naive_extreme() {
         for seed in 0..4 {
             let heights = heights(seed << 16);
-            for (pyramid, max) in
-                [(Pyramid::of_maxima(&heights), true), (Pyramid::of_minima(&heights), false)]
-            {
+            let by_all = Kernel::available().flat_map(|kernel| {
+                [
+                    (Pyramid::of_maxima_on(kernel, &heights), true),
+                    (Pyramid::of_minima_on(kernel, &heights), false),
+                ]
+            });
+            for (pyramid, max) in by_all {
                 for level in 0..PYRAMID_LEVELS {
                     assert_eq!(pyramid.level(level).len(), side(level) * side(level));
                     for (index, texel) in pyramid.level(level).iter().enumerate() {

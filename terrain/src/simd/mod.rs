@@ -1,0 +1,352 @@
+//! Whole grids at once, on the vectors of this machine.
+//!
+//! One algorithm (`strip`, `shape`, `pyramid`) over one small set of vector operations (`lanes`), implemented for
+//! single integers and for every instruction set that pays. All kernels yield the same bits.
+//!
+//! The only unsafe code of the workspace: vector instructions may only run on CPUs that have them, and vectors are
+//! loaded through pointers. A [`Kernel`] that needs a feature exists only where that feature was detected.
+#![expect(unsafe_code, reason = "vector instructions; every block says what it relies on")]
+
+mod lanes;
+mod pyramid;
+mod shape;
+mod strip;
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+mod wasm;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+use crate::constants::VERTEX_COUNT;
+use crate::grid::Grid;
+use crate::island::Archipelago;
+use crate::noise::Fbm;
+use crate::pyramid::PYRAMID_TEXELS;
+use lanes::Lanes;
+use std::fmt;
+use std::mem::MaybeUninit;
+use strip::{Columns, Sink, Strip, strips};
+
+/// An implementation for one kind of CPU. Exists only where it can run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Kernel(Set);
+
+/// Instruction sets, from the portable one to the widest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Set {
+    Scalar,
+    #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+    Simd128,
+    #[cfg(target_arch = "x86_64")]
+    Sse41,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Kernel {
+    /// Plain integers, one vertex at a time: runs everywhere.
+    pub const SCALAR: Self = Self(Set::Scalar);
+
+    /// Every kernel that this machine can run, the portable one first, the fastest last.
+    pub fn available() -> impl Iterator<Item = Self> {
+        let sets: &[(Set, bool)] = &[
+            (Set::Scalar, true),
+            #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+            (Set::Simd128, true),
+            #[cfg(target_arch = "x86_64")]
+            (Set::Sse41, is_x86_feature_detected!("sse4.1") && is_x86_feature_detected!("ssse3")),
+            #[cfg(target_arch = "x86_64")]
+            (Set::Avx2, is_x86_feature_detected!("avx2")),
+            #[cfg(target_arch = "x86_64")]
+            (Set::Avx512, is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw")),
+        ];
+        sets.iter().filter(|(_, runs)| *runs).map(|(set, _)| Self(*set)).collect::<Vec<_>>().into_iter()
+    }
+
+    /// The fastest kernel that this machine can run.
+    #[must_use]
+    pub fn best() -> Self {
+        // Feature detection is cached by the standard library: a few loads.
+        #[cfg(target_arch = "x86_64")]
+        {
+            if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw") {
+                return Self(Set::Avx512);
+            }
+            if is_x86_feature_detected!("avx2") {
+                return Self(Set::Avx2);
+            }
+            if is_x86_feature_detected!("sse4.1") && is_x86_feature_detected!("ssse3") {
+                return Self(Set::Sse41);
+            }
+        }
+        #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+        return Self(Set::Simd128);
+        #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
+        Self::SCALAR
+    }
+
+    /// The kernel of a name as printed, if this machine can run it.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::available().find(|kernel| kernel.to_string() == name)
+    }
+}
+
+impl fmt::Display for Kernel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self.0 {
+            Set::Scalar => "scalar",
+            #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+            Set::Simd128 => "simd128",
+            #[cfg(target_arch = "x86_64")]
+            Set::Sse41 => "sse4.1",
+            #[cfg(target_arch = "x86_64")]
+            Set::Avx2 => "avx2",
+            #[cfg(target_arch = "x86_64")]
+            Set::Avx512 => "avx512",
+        })
+    }
+}
+
+/// Defines an entry point: a safe function that runs a generic body under the instruction set of a kernel.
+macro_rules! entry {
+    ($(#[$doc:meta])* $name:ident($($argument:ident: $type:ty),*) => $body:ident) => {
+        $(#[$doc])*
+        pub(crate) fn $name(kernel: Kernel, $($argument: $type),*) {
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "sse4.1,ssse3")]
+            fn sse41($($argument: $type),*) {
+                // SAFETY: this function has the features of its lanes.
+                unsafe { $body::<x86::Sse41>($($argument),*) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2")]
+            fn avx2($($argument: $type),*) {
+                // SAFETY: as above.
+                unsafe { $body::<x86::Avx2>($($argument),*) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx512f,avx512bw")]
+            fn avx512($($argument: $type),*) {
+                // SAFETY: as above.
+                unsafe { $body::<x86::Avx512>($($argument),*) }
+            }
+            // SAFETY: a kernel exists only where its features were detected.
+            unsafe {
+                match kernel.0 {
+                    Set::Scalar => $body::<i32>($($argument),*),
+                    #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+                    Set::Simd128 => $body::<wasm::Simd128>($($argument),*),
+                    #[cfg(target_arch = "x86_64")]
+                    Set::Sse41 => sse41($($argument),*),
+                    #[cfg(target_arch = "x86_64")]
+                    Set::Avx2 => avx2($($argument),*),
+                    #[cfg(target_arch = "x86_64")]
+                    Set::Avx512 => avx512($($argument),*),
+                }
+            }
+        }
+    };
+}
+
+entry! {
+    /// The fractal sum over a grid: `hills` and `folds`, 2^-16 m, row by row. Both hold the grid's vertices.
+    noise(fbm: &Fbm, grid: &Grid, hills: &mut [i32], folds: &mut [i32]) => noise_on
+}
+
+entry! {
+    /// The heights of a grid, units, row by row. `out` holds the grid's vertices.
+    heights(fbm: &Fbm, archipelago: &Archipelago, grid: &Grid, out: &mut [i32]) => heights_on
+}
+
+entry! {
+    /// The texels of the pyramid of upper bounds of a chunk, all of them.
+    maxima_into(heights: &[i32; VERTEX_COUNT], texels: &mut Texels) => maxima_on
+}
+
+entry! {
+    /// The texels of the pyramid of lower bounds of a chunk, all of them.
+    minima_into(heights: &[i32; VERTEX_COUNT], texels: &mut Texels) => minima_on
+}
+
+/// Room for a pyramid. Not cleared first, because clearing costs as much as the reduction.
+type Texels = [MaybeUninit<i32>; PYRAMID_TEXELS];
+
+/// The pyramid of upper (or lower) bounds of a chunk.
+pub(crate) fn pyramid(
+    kernel: Kernel,
+    heights: &[i32; VERTEX_COUNT],
+    max: bool,
+) -> Box<[i32; PYRAMID_TEXELS]> {
+    let mut texels = Box::new([const { MaybeUninit::uninit() }; PYRAMID_TEXELS]);
+    if max {
+        maxima_into(kernel, heights, &mut texels);
+    } else {
+        minima_into(kernel, heights, &mut texels);
+    }
+    // SAFETY: a reduction writes every texel of every level.
+    unsafe { Box::from_raw(Box::into_raw(texels).cast()) }
+}
+
+/// Writes the noise of one strip into the grid's sums.
+struct Relief<'a> {
+    grid: &'a Grid,
+    columns: Columns,
+    hills: *mut i32,
+    folds: *mut i32,
+}
+
+impl<L: Lanes> Sink<L> for Relief<'_> {
+    #[inline(always)]
+    unsafe fn begin_row(&mut self, _: usize) -> bool {
+        true
+    }
+
+    #[inline(always)]
+    unsafe fn put(&mut self, row: usize, column: usize, hills: L, folds: L) {
+        let index = row * self.grid.columns + self.columns.first + column;
+        // SAFETY: the CPU is vouched for; the rest of the strip's row lies in both sums.
+        unsafe {
+            shape::store_some(hills, self.hills.add(index), self.columns.count - column);
+            shape::store_some(folds, self.folds.add(index), self.columns.count - column);
+        }
+    }
+}
+
+/// # Safety
+/// The CPU has the features of `L`; so for all four.
+#[inline(always)]
+unsafe fn noise_on<L: Lanes>(fbm: &Fbm, grid: &Grid, hills: &mut [i32], folds: &mut [i32]) {
+    assert!(hills.len() == grid.vertex_count() && folds.len() == grid.vertex_count());
+    let mut strip = Strip::new();
+    for columns in strips(grid.columns) {
+        let mut sink = Relief { grid, columns, hills: hills.as_mut_ptr(), folds: folds.as_mut_ptr() };
+        // SAFETY: vouched for by the caller; strips are at most 65 wide.
+        unsafe { strip.run::<L>(fbm, grid, columns, &mut sink) };
+    }
+}
+
+#[inline(always)]
+unsafe fn heights_on<L: Lanes>(fbm: &Fbm, archipelago: &Archipelago, grid: &Grid, out: &mut [i32]) {
+    let mut strip = Strip::new();
+    for columns in strips(grid.columns).flat_map(|columns| shape::Shaper::parts(grid, columns)) {
+        let mut sink = shape::Shaper::new(archipelago, grid, columns, out);
+        // SAFETY: see `noise_on`.
+        unsafe { strip.run::<L>(fbm, grid, columns, &mut sink) };
+    }
+}
+
+#[inline(always)]
+unsafe fn maxima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut Texels) {
+    // SAFETY: vouched for by the caller.
+    unsafe { pyramid::reduce::<L, true>(heights, texels) }
+}
+
+#[inline(always)]
+unsafe fn minima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut Texels) {
+    // SAFETY: vouched for by the caller.
+    unsafe { pyramid::reduce::<L, false>(heights, texels) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::constants::{FIRST_CELL_BITS, SPACING_BITS, TOP_LEVEL, WORLD_HALF};
+    use crate::land::Land;
+    use crate::octaves::Octaves;
+    use crate::position::Position;
+    use proptest::prelude::*;
+
+    /// Every kernel against the definition, vertex by vertex.
+    fn check(land: &Land, grid: &Grid) {
+        let count = grid.vertex_count();
+        for kernel in Kernel::available() {
+            let (mut heights, mut hills, mut folds) = (vec![1; count], vec![1; count], vec![1; count]);
+            land.heights_on(kernel, grid, &mut heights);
+            land.fbm().grid_on(kernel, grid, &mut hills, &mut folds);
+            for index in 0..count {
+                let (x, z) = grid.position(index % grid.columns, index / grid.columns);
+                let place = format!("{kernel} at ({x}, {z}), vertex {index} of {grid:?}");
+                let relief = land.fbm().at(x, z, grid.octaves);
+                assert_eq!((hills[index], folds[index]), (relief.hills, relief.folds), "noise by {place}");
+                let position = Position::new(x, z).unwrap();
+                assert_eq!(heights[index], land.height_keeping(position, grid.octaves), "height by {place}");
+            }
+        }
+    }
+
+    fn grid(x: i32, z: i32, level: u8, columns: usize, rows: usize) -> Grid {
+        Grid::new(x, z, level, columns, rows).unwrap()
+    }
+
+    #[test]
+    fn this_machine_has_the_scalar_kernel_and_the_best_is_available() {
+        assert_eq!(Kernel::available().next(), Some(Kernel::SCALAR));
+        assert!(Kernel::available().any(|kernel| kernel == Kernel::best()));
+        assert_eq!(Kernel::named("scalar"), Some(Kernel::SCALAR));
+        assert_eq!(Kernel::named("abacus"), None);
+    }
+
+    #[test]
+    fn kernels_equal_points_on_every_level_at_the_origin_and_at_all_corners_of_the_world() {
+        let land = Land::new(7);
+        for level in 0..=TOP_LEVEL {
+            let spacing = 1i64 << (SPACING_BITS + u32::from(level));
+            let span = ((64 * spacing).min(2 * i64::from(WORLD_HALF)) / spacing) as usize + 1;
+            let low = -WORLD_HALF;
+            let high = (i64::from(WORLD_HALF) - (span as i64 - 1) * spacing) as i32;
+            let near_home = (-(span as i64 / 2) * spacing) as i32;
+            for (x, z) in [(low, low), (low, high), (high, low), (high, high), (near_home, near_home)] {
+                check(&land, &grid(x, z, level, span, 3));
+            }
+        }
+    }
+
+    #[test]
+    fn kernels_equal_points_across_every_lattice_line_of_both_signs() {
+        let land = Land::new(8);
+        for (octave, shift) in Octaves::ALL.shifts() {
+            let cell = 1 << (FIRST_CELL_BITS - octave as u32);
+            for line in [-3, -1, 0, 1, 5].map(|n| n * cell) {
+                for around in [-1, 0, 1] {
+                    let (x, z) = (line - shift.0, line - shift.1 + around);
+                    check(&land, &grid(x + around - 9 * 512, z - 512, 0, 19, 3));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn kernels_equal_points_on_wide_and_narrow_grids() {
+        let land = Land::new(9);
+        for columns in [1, 2, 7, 8, 15, 16, 17, 63, 64, 65, 66, 127, 128, 129, 130, 200] {
+            check(&land, &grid(-60_000, 25_000, 1, columns, 2));
+        }
+        check(&land, &grid(5, 7, 0, 0, 4));
+        check(&land, &grid(5, 7, 0, 4, 0));
+        // Rows that leave the island and come back: the noise is skipped between.
+        check(&land, &grid(1_600_000, -1_800_000, 4, 5, 400));
+    }
+
+    #[test]
+    fn fewer_octaves_are_the_first_of_them() {
+        let land = Land::new(10);
+        for kept in 0..=8 {
+            let grid = grid(-90_000, 4_000, 0, 65, 5).keeping(Octaves::new(kept).unwrap());
+            assert_eq!(grid.octaves().count(), kept);
+            check(&land, &grid);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn kernels_equal_points_anywhere(
+            seed: u64, x in -WORLD_HALF..WORLD_HALF - (32 << 18), z in -WORLD_HALF..WORLD_HALF - (4 << 18),
+            near_home: bool, level in 0u8..10, columns in 1usize..33, rows in 1usize..5,
+        ) {
+            let (x, z) = if near_home { (x >> 10, z >> 10) } else { (x, z) };
+            check(&Land::new(seed), &grid(x, z, level, columns, rows));
+        }
+    }
+}
