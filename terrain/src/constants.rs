@@ -118,8 +118,8 @@ pub const HOME_DOME_M: i32 = 264;
 
 /// Half height of the beach shelf in metres: raw heights within it are flattened towards sea level.
 pub const BEACH_M: i32 = 8;
-/// Crest height of the ridges over the hills, metres, at an island's centre.
-pub const RIDGE_M: i32 = 48;
+/// Crest height of the ridges over the hills at an island's centre, and the folds at which they end; metres, a power of two.
+pub const RIDGE_M: i32 = 64;
 
 /// Side of the grass density grid of a chunk.
 pub const GRASS_GRID: usize = 16;

@@ -80,8 +80,9 @@ impl Land {
 
 /// Composes the height of a point of an island from the noise there; the noise is not asked for at sea.
 ///
-/// With the falloff `w`: the dome rises with `w`, hills with `2 w - w²` (`1 - (1 - w)²`, twice as fast at the rim), ridges with
-/// `w²` (far inland).
+/// With the falloff `w` the height over the sea floor is `w dome + (2 w - w²) hills + w² ridge`: hills rise twice as fast at the
+/// rim as the dome, ridges only far inland. Written as `w (dome + 2 hills) + w² (ridge - hills)`, which takes one product
+/// less. A ridge is `64 m (1 - |folds| / 64 m)²`: sharp at its crest, without an edge at its foot.
 fn shape(island: &Island, x: i32, z: i32, relief: impl FnOnce() -> Relief) -> i32 {
     let weight = island.falloff(x, z);
     if weight == 0 {
@@ -89,12 +90,15 @@ fn shape(island: &Island, x: i32, z: i32, relief: impl FnOnce() -> Relief) -> i3
     }
     let Relief { hills, folds } = relief();
     let squared = mul_hi(weight, weight);
-    let dome = mul_hi(weight, island.dome_m << (FINE_BITS + 1));
-    let hills = mul_hi(hills << 2, weight - squared);
-    let ridge = ((RIDGE_M << FINE_BITS) - 2 * folds.abs()).max(0);
-    let ridge = mul_hi(ridge << 2, squared);
-    round_to_units(beach(dome + hills + ridge - (SEA_FLOOR_M << FINE_BITS)))
+    let crest = ((RIDGE_M << FINE_BITS) - folds.abs()).max(0) << CREST_SHIFT;
+    let ridge = mul_hi(crest, crest) >> (CREST_SHIFT - 2);
+    let rise = mul_hi(weight, ((island.dome_m << FINE_BITS) + 2 * hills) << 1);
+    let bend = mul_hi(squared, (ridge - hills) << 2);
+    round_to_units(beach(rise + bend - (SEA_FLOOR_M << FINE_BITS)))
 }
+
+/// Left shift that makes 2^-16 m a fraction of [`RIDGE_M`] in Q30.
+pub(crate) const CREST_SHIFT: u32 = 30 - FINE_BITS - RIDGE_M.trailing_zeros();
 
 // The beach's coefficients in Q30; products with Q31 powers are Q29. 0.2, 1.6, 0.8 rounded to nearest.
 pub(crate) const LINEAR_Q29: i32 = 107_374_182;

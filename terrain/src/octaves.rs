@@ -44,8 +44,8 @@ impl Octaves {
     ///
     /// Proof. One octave of amplitude `a` stays below `0.7072 a`: its gradients are unit vectors, so it is at most the
     /// mean of the four distances to the corners, weighted by the steps, which is largest (`√½`) in the middle of a cell.
-    /// The falloff scales hills and ridges by at most 1. A ridge is `48 m - 2 |folds|` cut at zero, so it changes by at
-    /// most 48 m and twice the change of the folds (octaves 1 and 2). The beach multiplies a difference by at most 1.64, its
+    /// The falloff scales hills and ridges by at most 1. A ridge is `64 m (1 - |folds| / 64 m)²`, so it changes by at
+    /// most 64 m and twice the change of the folds (octaves 1 and 2). The beach multiplies a difference by at most 1.64, its
     /// greatest slope (at `r² = 0.6`). One unit covers the two roundings.
     #[must_use]
     pub fn dropped_bound(self) -> u32 {

@@ -5,7 +5,7 @@ use super::strip::{Columns, Sink, WIDTH};
 use crate::constants::{BEACH_M, FINE_BITS, ISLAND_CELL_BITS, RIDGE_M, SEA_FLOOR_M, UNIT_BITS};
 use crate::grid::Grid;
 use crate::island::{Archipelago, Island};
-use crate::land::{CUBIC_Q30, LINEAR_Q29, QUINTIC_Q30, SEA_FLOOR};
+use crate::land::{CREST_SHIFT, CUBIC_Q30, LINEAR_Q29, QUINTIC_Q30, SEA_FLOOR};
 
 /// Shapes the vertices of one strip and writes them into the grid's heights.
 pub(super) struct Shaper<'a> {
@@ -18,8 +18,10 @@ pub(super) struct Shaper<'a> {
     island: Option<Island>,
     /// Per vertex: the share of x in the squared distance from the island's centre, Q24 of its radius.
     distance_x: [i32; WIDTH],
-    /// Per vertex: the falloff on the current row.
-    weight: [i32; WIDTH],
+    /// The least of them.
+    least_distance_x: i32,
+    /// What the current row leaves of the square of the radius, Q24: the falloff ends where `distance_x` exceeds it.
+    rest_z: i32,
 }
 
 impl<'a> Shaper<'a> {
@@ -40,7 +42,8 @@ impl<'a> Shaper<'a> {
             cell_z: None,
             island: None,
             distance_x: [0; _],
-            weight: [0; _],
+            least_distance_x: 0,
+            rest_z: 0,
         }
     }
 
@@ -63,9 +66,11 @@ impl<'a> Shaper<'a> {
         let x_of = |column: usize| self.grid.position(self.columns.first + column, 0).0;
         self.island = self.archipelago.island(Archipelago::cell(x_of(0)), cell_z);
         let Some(island) = self.island else { return };
-        for column in 0..self.columns.count {
-            self.distance_x[column] = island.distance(x_of(column), island.centre.0);
+        let distances = &mut self.distance_x[..self.columns.count];
+        for (column, distance) in distances.iter_mut().enumerate() {
+            *distance = island.distance(x_of(column), island.centre.0);
         }
+        self.least_distance_x = distances.iter().copied().min().unwrap_or(i32::MAX);
     }
 
     /// Pointer to a vertex of the grid and the number of vertices of the strip from there on.
@@ -83,26 +88,17 @@ impl<L: Lanes> Sink<L> for Shaper<'_> {
         if self.cell_z != Some(cell_z) {
             self.enter_cell(cell_z);
         }
-        // SAFETY: the CPU is vouched for; tables hold WIDTH integers, a multiple of COUNT; the strip's row lies in the grid.
-        unsafe {
-            let mut land = L::splat(0);
-            if let Some(island) = self.island {
-                let rest_z = L::splat((1 << 24) - 1 - island.distance(z, island.centre.1));
-                for column in (0..self.columns.count).step_by(L::COUNT) {
-                    let rest = rest_z.sub(L::load(self.distance_x.as_ptr().add(column)));
-                    let inside = rest.max(L::splat(0)).shl(8);
-                    let weight = inside.mul_hi_u(inside).shr(1);
-                    weight.store(self.weight.as_mut_ptr().add(column));
-                    land = land.max(weight);
-                }
-            }
-            if !land.any() {
-                let (to, count) = self.place(row, 0);
-                core::slice::from_raw_parts_mut(to, count).fill(SEA_FLOOR);
-                return false;
-            }
+        self.rest_z = match self.island {
+            Some(island) => (1 << 24) - 1 - island.distance(z, island.centre.1),
+            None => 0,
+        };
+        if self.rest_z > self.least_distance_x {
+            return true;
         }
-        true
+        let (to, count) = self.place(row, 0);
+        // SAFETY: the strip's row lies in the grid.
+        unsafe { core::slice::from_raw_parts_mut(to, count) }.fill(SEA_FLOOR);
+        false
     }
 
     #[inline(always)]
@@ -110,13 +106,15 @@ impl<L: Lanes> Sink<L> for Shaper<'_> {
         let dome_m = self.island.map_or(0, |island| island.dome_m);
         // SAFETY: the CPU is vouched for; tables hold WIDTH integers; `store_some` stays inside the row.
         unsafe {
-            let weight = L::load(self.weight.as_ptr().add(column));
+            let rest = L::splat(self.rest_z).sub(L::load(self.distance_x.as_ptr().add(column)));
+            let inside = rest.max(L::splat(0)).shl(8);
+            let weight = inside.mul_hi_u(inside).shr(1);
             let squared = weight.mul_hi(weight);
-            let dome = weight.mul_hi(L::splat(dome_m << (FINE_BITS + 1)));
-            let hills = hills.shl(2).mul_hi(weight.sub(squared));
-            let ridge = L::splat(RIDGE_M << FINE_BITS).sub(folds.abs().shl(1)).max(L::splat(0));
-            let ridge = ridge.shl(2).mul_hi(squared);
-            let fine = dome.add(hills).add(ridge).sub(L::splat(SEA_FLOOR_M << FINE_BITS));
+            let crest = L::splat(RIDGE_M << FINE_BITS).sub(folds.abs()).max(L::splat(0)).shl(CREST_SHIFT);
+            let ridge = crest.mul_hi(crest).sar(CREST_SHIFT - 2);
+            let rise = weight.mul_hi(L::splat(dome_m << FINE_BITS).add(hills.shl(1)).shl(1));
+            let bend = squared.mul_hi(ridge.sub(hills).shl(2));
+            let fine = rise.add(bend).sub(L::splat(SEA_FLOOR_M << FINE_BITS));
             // Where the falloff is zero this rounds to the sea floor, as it must: nothing is selected.
             let fine = beach(fine);
             let height = fine.add(L::splat(1 << (FINE_BITS - UNIT_BITS - 1))).sar(FINE_BITS - UNIT_BITS);
