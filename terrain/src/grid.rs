@@ -1,9 +1,10 @@
 //! Grids: rectangles of vertices of one level.
 
-use crate::constants::{TOP_LEVEL, VERTICES, WORLD_HALF};
+use crate::constants::{SPACING_BITS, TOP_LEVEL, VERTICES, WORLD_HALF};
 use crate::key::ChunkKey;
 use crate::octaves::Octaves;
 use crate::position::OutsideWorld;
+use std::fmt;
 
 /// A rectangle of vertices, all inside the world. Rows run along x, from the low corner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,13 +19,13 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// `columns` by `rows` vertices of a level from a low corner (units); refused if any vertex lies outside the world.
-    ///
-    /// # Panics
-    /// If `level` is above [`TOP_LEVEL`].
-    pub fn new(x: i32, z: i32, level: u8, columns: usize, rows: usize) -> Result<Self, OutsideWorld> {
-        assert!(level <= TOP_LEVEL, "level {level} is above {TOP_LEVEL}");
-        let spacing_bits = crate::constants::SPACING_BITS + u32::from(level);
+    /// `columns` by `rows` vertices of a level from a low corner (units); refused if any vertex lies outside the world or
+    /// there is no such level. A grid without vertices is allowed if its corner lies in the world.
+    pub fn new(x: i32, z: i32, level: u8, columns: usize, rows: usize) -> Result<Self, InvalidGrid> {
+        if level > TOP_LEVEL {
+            return Err(InvalidGrid::NoSuchLevel(level));
+        }
+        let spacing_bits = SPACING_BITS + u32::from(level);
         let inside = |low: i32, count: usize| {
             let last = i128::from(low) + ((count.saturating_sub(1) as i128) << spacing_bits);
             low >= -WORLD_HALF && last <= i128::from(WORLD_HALF)
@@ -32,7 +33,7 @@ impl Grid {
         if inside(x, columns) && inside(z, rows) {
             Ok(Self { x, z, spacing_bits, columns, rows, octaves: Octaves::at_level(level) })
         } else {
-            Err(OutsideWorld { x, z })
+            Err(InvalidGrid::OutsideWorld(OutsideWorld { x, z }))
         }
     }
 
@@ -86,5 +87,65 @@ impl Grid {
     pub(crate) fn position(&self, column: usize, row: usize) -> (i32, i32) {
         let step = |low: i32, index: usize| low.wrapping_add((index as i32) << self.spacing_bits);
         (step(self.x, column), step(self.z, row))
+    }
+}
+
+/// A grid that cannot be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InvalidGrid {
+    /// A vertex lies outside the world; the low corner is named.
+    OutsideWorld(OutsideWorld),
+    /// The level is above [`TOP_LEVEL`].
+    NoSuchLevel(u8),
+}
+
+impl fmt::Display for InvalidGrid {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::OutsideWorld(OutsideWorld { x, z }) => {
+                write!(
+                    f,
+                    "a grid from ({x}, {z}) leaves the world: every vertex must lie within ±{WORLD_HALF} units"
+                )
+            }
+            Self::NoSuchLevel(level) => write!(f, "there is no level {level}: levels are 0 to {TOP_LEVEL}"),
+        }
+    }
+}
+
+impl std::error::Error for InvalidGrid {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_grid_may_touch_every_border_and_not_pass_it() {
+        for level in 0..=TOP_LEVEL {
+            let spacing = 1i64 << (SPACING_BITS + u32::from(level));
+            let low = (i64::from(WORLD_HALF) - spacing) as i32;
+            assert!(Grid::new(low, low, level, 2, 2).is_ok());
+            assert_eq!(
+                Grid::new(low, low, level, 2, 3),
+                Err(InvalidGrid::OutsideWorld(OutsideWorld { x: low, z: low }))
+            );
+            assert!(Grid::new(low + 1, low, level, 2, 2).is_err());
+            assert!(Grid::new(-WORLD_HALF, -WORLD_HALF, level, 2, 2).is_ok());
+            assert!(Grid::new(-WORLD_HALF - 1, 0, level, 2, 2).is_err());
+        }
+        assert!(Grid::new(0, 0, 0, usize::MAX, 1).is_err());
+    }
+
+    #[test]
+    fn a_level_above_the_top_is_refused() {
+        assert_eq!(Grid::new(0, 0, TOP_LEVEL + 1, 2, 2), Err(InvalidGrid::NoSuchLevel(TOP_LEVEL + 1)));
+    }
+
+    #[test]
+    fn the_grid_of_a_chunk_at_the_border_ends_on_the_border() {
+        for level in 0..=TOP_LEVEL {
+            let key = ChunkKey::containing(level, WORLD_HALF, WORLD_HALF);
+            assert_eq!(Grid::of_chunk(key).position(64, 64), (WORLD_HALF, WORLD_HALF));
+        }
     }
 }

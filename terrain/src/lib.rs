@@ -5,8 +5,9 @@
 //! the same rules compute the same integers, so collision equals picture and a chunk can be cached for ever.
 //!
 //! What it refuses: input and output, clocks, threads, async, GPU, serialisation, and floats on any
-//! path that decides a height; `unsafe` lives in [`simd`] alone. Nothing in it fails; the only errors are [`OutsideWorld`] and
-//! [`key::InvalidKey`], returned where a caller turns raw numbers into a position or a key.
+//! path that decides a height; `unsafe` lives in [`simd`] alone. Nothing in it fails; the only errors are [`OutsideWorld`],
+//! [`key::InvalidKey`], [`grid::InvalidGrid`] and [`octaves::TooManyOctaves`], returned where a caller turns raw numbers into
+//! a position, a key, a grid or a number of octaves.
 //!
 //! Reading order: [`constants`] (every number), [`ring`] (the allowed arithmetic), [`hash`], [`weights`], [`octaves`],
 //! [`noise`], [`island`], [`land`] (the height of a point), [`grid`] and [`simd`] (many points, fast), [`key`] (the
