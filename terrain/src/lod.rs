@@ -17,11 +17,11 @@ pub const MAX_VIEW_DISTANCE_M: u32 = 65_536;
 /// Empirical bound of the vertical error of a level against level 0 in units: a search with a margin, not a proof.
 ///
 /// Levels 1 to 6: the worst value that `cargo run --release -p terrain --example level_error` finds by brute force
-/// (2.0, 4.1, 9.1, 15.4, 28.7, 46.2 m), plus a quarter; a test repeats part of that search. From level 7 on a cell is wider than
+/// (2.0, 4.0, 8.9, 14.8, 26.6, 41.1 m), plus a quarter; a test repeats part of that search. From level 7 on a cell is wider than
 /// the hills, and the bound is the whole relief.
 const LEVEL_ERROR: [u32; TOP_LEVEL as usize + 1] = {
     let mut bounds = [SUMMIT as u32 + 64 * 256; TOP_LEVEL as usize + 1];
-    let measured = [0, 629, 1_305, 2_920, 4_940, 9_199, 14_777];
+    let measured = [0, 625, 1_289, 2_837, 4_734, 8_502, 13_159];
     let mut level = 0;
     while level < measured.len() {
         bounds[level] = measured[level];
