@@ -16,8 +16,13 @@ pub const PYRAMID_TEXELS: usize = (4 * CELLS * CELLS - 1) / 3;
 /// One reduced pyramid, heights in units. Level 0 is the base.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pyramid {
-    texels: Box<[i32; PYRAMID_TEXELS]>,
+    texels: Box<Texels>,
 }
+
+/// The texels of all levels, base first. Aligned to cache lines: vectors stored across two of them cost twice.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[repr(C, align(64))]
+pub(crate) struct Texels(pub(crate) [i32; PYRAMID_TEXELS]);
 
 impl Pyramid {
     /// The pyramid of upper bounds.
@@ -47,13 +52,13 @@ impl Pyramid {
     /// The texels of one level, row by row from the low corner; `level` below [`PYRAMID_LEVELS`].
     #[must_use]
     pub fn level(&self, level: usize) -> &[i32] {
-        &self.texels[offset(level)..][..side(level) * side(level)]
+        &self.texels.0[offset(level)..][..side(level) * side(level)]
     }
 
     /// The single texel of the last level: the extreme of the whole chunk.
     #[must_use]
     pub fn top(&self) -> i32 {
-        self.texels[PYRAMID_TEXELS - 1]
+        self.texels.0[PYRAMID_TEXELS - 1]
     }
 }
 

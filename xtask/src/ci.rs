@@ -74,6 +74,8 @@ fn steps() -> Vec<Step> {
         command_step("tests", tests),
         cargo("doc tests", "test --workspace --doc"),
         own_step("shaders", "cargo nextest run --package shaders", shaders),
+        cargo("digest of every backend", "run --package lab --bin tombolo-lab -- digest"),
+        own_step("WebAssembly", "cargo check --target wasm32-unknown-unknown --package terrain", webassembly),
         Step {
             again: "RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps".into(),
             ..command_step("documentation", docs)
@@ -105,6 +107,22 @@ fn advisories() -> Result<Outcome> {
         return Ok(Outcome::Skipped);
     }
     process::run(process::cargo("deny check --disable-fetch advisories")).map(|()| Outcome::Passed)
+}
+
+/// The crates that a browser will run, with and without its vectors.
+fn webassembly() -> Result<Outcome> {
+    const TARGET: &str = "wasm32-unknown-unknown";
+    let mut add = process::command("rustup");
+    add.args(["target", "add", TARGET]);
+    if let Err(why) = process::output(add) {
+        println!("SKIPPED: the target {TARGET} is not installed and cannot be: {why:#}");
+        return Ok(Outcome::Skipped);
+    }
+    let line = format!("check --target {TARGET} --package terrain --package protocol --package shaders");
+    process::run(process::cargo(&line))?;
+    let mut vectors = process::cargo(&line);
+    vectors.env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_RUSTFLAGS", "-C target-feature=+simd128");
+    process::run(vectors).map(|()| Outcome::Passed)
 }
 
 /// The shaders' own tests once more by themselves: naga always, Tint where it is installed. Which of them looked must be said

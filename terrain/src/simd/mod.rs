@@ -20,7 +20,7 @@ use crate::constants::VERTEX_COUNT;
 use crate::grid::Grid;
 use crate::island::Archipelago;
 use crate::noise::Fbm;
-use crate::pyramid::PYRAMID_TEXELS;
+use crate::pyramid::Texels;
 use lanes::Lanes;
 use std::fmt;
 use std::mem::MaybeUninit;
@@ -84,6 +84,16 @@ impl Kernel {
         return Self(Set::Simd128);
         #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
         Self::SCALAR
+    }
+
+    /// The kernel for rows of 64 and less: 16 lanes are too many for the upper levels of a pyramid, and a CPU that has them has
+    /// 8 too.
+    fn for_short_rows(self) -> Self {
+        match self.0 {
+            #[cfg(target_arch = "x86_64")]
+            Set::Avx512 => Self(Set::Avx2),
+            _ => self,
+        }
     }
 
     /// The kernel of a name as printed, if this machine can run it.
@@ -162,31 +172,28 @@ entry! {
 
 entry! {
     /// The texels of the pyramid of upper bounds of a chunk, all of them.
-    maxima_into(heights: &[i32; VERTEX_COUNT], texels: &mut Texels) => maxima_on
+    maxima_into(heights: &[i32; VERTEX_COUNT], texels: &mut Room) => maxima_on
 }
 
 entry! {
     /// The texels of the pyramid of lower bounds of a chunk, all of them.
-    minima_into(heights: &[i32; VERTEX_COUNT], texels: &mut Texels) => minima_on
+    minima_into(heights: &[i32; VERTEX_COUNT], texels: &mut Room) => minima_on
 }
 
 /// Room for a pyramid. Not cleared first, because clearing costs as much as the reduction.
-type Texels = [MaybeUninit<i32>; PYRAMID_TEXELS];
+type Room = MaybeUninit<Texels>;
 
 /// The pyramid of upper (or lower) bounds of a chunk.
-pub(crate) fn pyramid(
-    kernel: Kernel,
-    heights: &[i32; VERTEX_COUNT],
-    max: bool,
-) -> Box<[i32; PYRAMID_TEXELS]> {
-    let mut texels = Box::new([const { MaybeUninit::uninit() }; PYRAMID_TEXELS]);
+pub(crate) fn pyramid(kernel: Kernel, heights: &[i32; VERTEX_COUNT], max: bool) -> Box<Texels> {
+    let mut texels = Box::<Texels>::new_uninit();
+    let kernel = kernel.for_short_rows();
     if max {
         maxima_into(kernel, heights, &mut texels);
     } else {
         minima_into(kernel, heights, &mut texels);
     }
     // SAFETY: a reduction writes every texel of every level.
-    unsafe { Box::from_raw(Box::into_raw(texels).cast()) }
+    unsafe { texels.assume_init() }
 }
 
 /// Writes the noise of one strip into the grid's sums.
@@ -238,13 +245,13 @@ unsafe fn heights_on<L: Lanes>(fbm: &Fbm, archipelago: &Archipelago, grid: &Grid
 }
 
 #[inline(always)]
-unsafe fn maxima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut Texels) {
+unsafe fn maxima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut Room) {
     // SAFETY: vouched for by the caller.
     unsafe { pyramid::reduce::<L, true>(heights, texels) }
 }
 
 #[inline(always)]
-unsafe fn minima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut Texels) {
+unsafe fn minima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut Room) {
     // SAFETY: vouched for by the caller.
     unsafe { pyramid::reduce::<L, false>(heights, texels) }
 }

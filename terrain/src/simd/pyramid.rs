@@ -11,7 +11,7 @@ use crate::pyramid::{PYRAMID_LEVELS, offset, side};
 #[inline(always)]
 pub(super) unsafe fn reduce<L: Lanes, const MAX: bool>(
     heights: &[i32; VERTEX_COUNT],
-    texels: &mut super::Texels,
+    texels: &mut super::Room,
 ) {
     // SAFETY: the CPU is vouched for. A row of vertices has 65, of the base 64 texels, a multiple of twice COUNT.
     unsafe {

@@ -9,6 +9,10 @@ pub enum Bar {
     Under(f64),
     /// Not more: "zero", or a bound that may be used up.
     AtMost(f64),
+    /// Not less: a speed-up.
+    AtLeast(f64),
+    /// Anything, but there must be a figure.
+    Reported,
 }
 
 /// One row of a record.
@@ -35,6 +39,8 @@ impl Row {
         match (self.figure, self.bar) {
             (Some(figure), Bar::Under(limit)) => figure < limit,
             (Some(figure), Bar::AtMost(limit)) => figure <= limit,
+            (Some(figure), Bar::AtLeast(limit)) => figure >= limit,
+            (Some(figure), Bar::Reported) => figure.is_finite(),
             (None, _) => false,
         }
     }
@@ -45,6 +51,8 @@ impl Row {
         let bar = match self.bar {
             Bar::Under(limit) => format!("under {}", with_unit(limit, self.unit)),
             Bar::AtMost(limit) => format!("at most {}", with_unit(limit, self.unit)),
+            Bar::AtLeast(limit) => format!("at least {}", with_unit(limit, self.unit)),
+            Bar::Reported => "reported".into(),
         };
         [figure, bar, if self.is_met() { "ok".into() } else { "MISSED".into() }]
     }
@@ -82,11 +90,13 @@ mod tests {
         assert!(met(Some(2.999), Bar::Under(3.0)) && !met(Some(3.0), Bar::Under(3.0)));
         assert!(met(Some(0.0), Bar::AtMost(0.0)) && met(Some(16.0), Bar::AtMost(16.0)));
         assert!(!met(Some(1.0), Bar::AtMost(0.0)));
+        assert!(met(Some(40.0), Bar::AtLeast(40.0)) && !met(Some(39.999), Bar::AtLeast(40.0)));
+        assert!(met(Some(0.0), Bar::Reported));
     }
 
     #[test]
     fn missing_and_meaningless_figures_miss() {
-        for bar in [Bar::Under(f64::MAX), Bar::AtMost(f64::MAX)] {
+        for bar in [Bar::Under(f64::MAX), Bar::AtMost(f64::MAX), Bar::AtLeast(f64::MIN), Bar::Reported] {
             assert!(!met(None, bar) && !met(Some(f64::NAN), bar));
         }
     }
@@ -104,5 +114,8 @@ mod tests {
         assert_eq!(cells, ["2.500 s", "under 3 s", "ok"]);
         let cells = Row::new("x", None, Bar::AtMost(0.0), "").cells();
         assert_eq!(cells, ["missing", "at most 0", "MISSED"]);
+        let cells = Row::new("x", Some(41.0), Bar::AtLeast(40.0), "x").cells();
+        assert_eq!(cells, ["41 x", "at least 40 x", "ok"]);
+        assert_eq!(Row::new("x", Some(1.0), Bar::Reported, "").cells(), ["1", "reported", "ok"]);
     }
 }

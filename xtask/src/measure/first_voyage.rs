@@ -3,12 +3,13 @@
 
 use super::bars::{Bar, Row, worst};
 use super::record::{self, Heading};
+use super::report::{self, number};
 use crate::server::Server;
 use crate::setup::{self, Extent};
 use crate::{machine, process};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 const WORLD_SEED: u64 = 1;
 
@@ -60,14 +61,7 @@ pub fn run() -> Result<()> {
     voyage.notes.insert(0, how(&load));
     let adapter = all.iter().find_map(|stats| stats.get("adapter")?.as_str());
     let path = record::write(&Heading { name: "first-voyage", adapter, notes: &voyage.notes }, &rows)?;
-    println!();
-    rows.iter().for_each(|row| println!("{row}"));
-    println!("\nmeasure: recorded in {}", path.display());
-    let missed = rows.iter().filter(|row| !row.is_met()).count();
-    if missed > 0 {
-        bail!("measure: {missed} of {} bars missed", rows.len());
-    }
-    Ok(())
+    super::judge(&rows, &path)
 }
 
 /// Every figure beside its bar.
@@ -139,11 +133,6 @@ fn how(load: &Value) -> String {
     )
 }
 
-/// A number of a report. Absent, null or of another type is missing.
-fn number(report: &Value, field: &str) -> Option<f64> {
-    report.get(field)?.as_f64()
-}
-
 /// The runs' folder and what went wrong in them.
 struct Voyage {
     folder: PathBuf,
@@ -165,7 +154,7 @@ impl Voyage {
             .arg("--stats")
             .arg(&stats)
             .args(more);
-        self.report_of(viewer, &stats)
+        report::of(viewer, &stats, &mut self.notes)
     }
 
     /// The load's report and the server's peak memory under it, MiB.
@@ -178,30 +167,12 @@ impl Voyage {
         load.args(["--connect", &server.stream(), "--clients", &clients.to_string()])
             .args(["--seconds", &seconds.to_string(), "--json"])
             .arg(&json);
-        let report = self.report_of(load, &json)?;
+        let report = report::of(load, &json, &mut self.notes)?;
         if !server.is_running() {
             self.notes.push("The server died under load.".into());
             return Ok((report, None));
         }
         Ok((report, machine::peak_resident_mib(server.pid())))
-    }
-
-    /// Runs a program and reads the JSON that it leaves. Only an interrupt is an error; everything else is a note.
-    fn report_of(&mut self, mut command: std::process::Command, json: &Path) -> Result<Value> {
-        // A report of an earlier run must not pass for one of this.
-        let _ = std::fs::remove_file(json);
-        let shown = process::shown(&command);
-        let ended = process::status(&mut command)?;
-        if !ended.success() {
-            self.notes.push(format!("`{shown}` failed ({ended})."));
-        }
-        let parsed = std::fs::read_to_string(json)
-            .map_err(|error| error.to_string())
-            .and_then(|text| serde_json::from_str(&text).map_err(|error| error.to_string()));
-        Ok(parsed.unwrap_or_else(|error: String| {
-            self.notes.push(format!("`{shown}` left no report: {error}."));
-            Value::Null
-        }))
     }
 }
 

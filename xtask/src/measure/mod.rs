@@ -3,14 +3,19 @@
 
 mod bars;
 mod first_voyage;
+mod heightfield;
 mod record;
+mod report;
 
 use anyhow::{Result, bail};
+use bars::Row;
+use std::path::Path;
 
 /// A measurement by name.
 type Measurement = (&'static str, fn() -> Result<()>);
 
-const MEASUREMENTS: [Measurement; 1] = [("first-voyage", first_voyage::run)];
+const MEASUREMENTS: [Measurement; 2] =
+    [("first-voyage", first_voyage::run), ("heightfield", heightfield::run)];
 
 /// Runs one measurement.
 ///
@@ -24,6 +29,21 @@ pub fn run(name: &str) -> Result<()> {
             bail!("measure: `{name}` is not known; give one of: {known}")
         }
     }
+}
+
+/// Prints the rows and where they were recorded.
+///
+/// # Errors
+/// A bar was missed.
+fn judge(rows: &[Row], recorded: &Path) -> Result<()> {
+    println!();
+    rows.iter().for_each(|row| println!("{row}"));
+    println!("\nmeasure: recorded in {}", recorded.display());
+    let missed = rows.iter().filter(|row| !row.is_met()).count();
+    if missed > 0 {
+        bail!("measure: {missed} of {} bars missed", rows.len());
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -1,0 +1,150 @@
+//! What was found: a table for people, JSON for `cargo xtask measure heightfield`.
+
+use crate::rounds::Spread;
+use serde_json::{Value, json};
+use std::fmt;
+
+/// Versions are read where they were resolved.
+const LOCK: &str = include_str!("../Cargo.lock");
+
+/// Everything that one run found.
+pub struct Report {
+    rounds: usize,
+    compiler: String,
+    /// Ratios of times within rounds.
+    pub figures: Vec<Figure>,
+    /// Ratios whose value is known beforehand.
+    pub controls: Vec<Control>,
+    /// Absolute times, for orientation; they move with the machine's load.
+    pub times: Vec<Timed>,
+    /// Chunks per second of one thread: noise, shaping and both pyramids.
+    pub chunks_per_second: f64,
+    /// Sentences on how the figures came about.
+    pub notes: Vec<String>,
+}
+
+/// A ratio that is compared with a bar elsewhere.
+pub struct Figure {
+    /// Name in the JSON.
+    pub key: String,
+    /// What was measured.
+    pub what: String,
+    /// The ratio.
+    pub spread: Spread,
+}
+
+/// A ratio that must come out between two bounds, or this run proves nothing.
+pub struct Control {
+    /// What was measured.
+    pub what: String,
+    /// The ratio.
+    pub spread: Spread,
+    /// Smallest median that is believable.
+    pub low: f64,
+    /// Largest one.
+    pub high: f64,
+}
+
+impl Control {
+    fn is_kept(&self) -> bool {
+        (self.low..=self.high).contains(&self.spread.median)
+    }
+}
+
+/// A median time.
+pub struct Timed {
+    /// What was computed.
+    pub group: &'static str,
+    /// By whom.
+    pub name: String,
+    /// How long it took.
+    pub microseconds: f64,
+    /// How many samples.
+    pub samples: f64,
+}
+
+impl Report {
+    /// Nothing found yet.
+    pub fn new(rounds: usize, compiler: String) -> Self {
+        let (figures, controls, times, notes) = Default::default();
+        Self { rounds, compiler, figures, controls, times, notes, chunks_per_second: f64::NAN }
+    }
+
+    /// Whether every control came out as it must.
+    pub fn is_believable(&self) -> bool {
+        self.controls.iter().all(Control::is_kept)
+    }
+
+    /// Who was compared with.
+    fn rivals(&self) -> Vec<String> {
+        let crates = ["fastnoise2", "fastnoise2-sys", "noise", "fastnoise-lite"];
+        let mut rivals: Vec<_> = crates
+            .iter()
+            .map(|name| format!("{name} {}", version(name).unwrap_or("of unknown version")))
+            .collect();
+        rivals[1] += &format!(" (C++ built by {})", self.compiler);
+        rivals
+    }
+
+    /// The same for programs.
+    pub fn json(&self) -> Value {
+        let spread = |s: &Spread| json!({ "median": s.median, "min": s.min, "max": s.max });
+        let figures = self.figures.iter().map(|figure| {
+            let value = json!({ "what": figure.what, "ratio": spread(&figure.spread) });
+            (figure.key.clone(), value)
+        });
+        let controls = self.controls.iter().map(|control| {
+            json!({ "what": control.what, "ratio": spread(&control.spread), "low": control.low,
+                    "high": control.high, "kept": control.is_kept() })
+        });
+        let times = self.times.iter().map(|timed| {
+            json!({ "group": timed.group, "name": timed.name, "microseconds": timed.microseconds,
+                    "ns_per_sample": timed.microseconds * 1e3 / timed.samples })
+        });
+        json!({
+            "rounds": self.rounds,
+            "rivals": self.rivals(),
+            "figures": figures.collect::<serde_json::Map<_, _>>(),
+            "controls": controls.collect::<Vec<_>>(),
+            "times": times.collect::<Vec<_>>(),
+            "chunks_per_second": self.chunks_per_second,
+            "notes": self.notes,
+        })
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut group = "";
+        for timed in &self.times {
+            if timed.group != group {
+                group = timed.group;
+                writeln!(f, "\n{group:<58} {:>12} {:>12}", "us", "ns/sample")?;
+            }
+            let per_sample = timed.microseconds * 1e3 / timed.samples;
+            writeln!(f, "  {:<56} {:>12.2} {per_sample:>12.3}", timed.name, timed.microseconds)?;
+        }
+        writeln!(f, "\n{:<72} {:>8}  of all rounds", "ratios", "median")?;
+        let line = |f: &mut fmt::Formatter<'_>, what: &str, Spread { median, min, max }: Spread, verdict| {
+            writeln!(f, "  {what:<70} {median:>8.3}  {min:.3} to {max:.3}{verdict}")
+        };
+        for figure in &self.figures {
+            line(f, &figure.what, figure.spread, String::new())?;
+        }
+        writeln!(f, "\n{:<72}", "controls")?;
+        for control in &self.controls {
+            let word = if control.is_kept() { "ok" } else { "FAILED" };
+            let verdict = format!("   must be {:.3} to {:.3}: {word}", control.low, control.high);
+            line(f, &control.what, control.spread, verdict)?;
+        }
+        writeln!(f, "\n{:.0} chunks per second on one thread", self.chunks_per_second)?;
+        self.notes.iter().try_for_each(|note| writeln!(f, "{note}"))?;
+        writeln!(f, "{} rounds; {}", self.rounds, self.rivals().join(", "))
+    }
+}
+
+/// The version of a package in the lock file.
+fn version(package: &str) -> Option<&'static str> {
+    let entry = LOCK.split("[[package]]").find(|entry| entry.contains(&format!("name = \"{package}\"\n")))?;
+    entry.lines().find_map(|line| line.strip_prefix("version = \"")?.strip_suffix('"'))
+}

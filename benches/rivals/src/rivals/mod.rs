@@ -1,0 +1,35 @@
+//! The other side: one file per rival, each with the same fractal set up.
+
+pub mod fastnoise2;
+pub mod fastnoise_lite;
+pub mod noise;
+pub mod plain;
+
+/// Octaves of the fractal sum.
+pub const OCTAVES: usize = 8;
+
+/// Side of the first octave's lattice cell in samples; the last one's is 4.
+pub const FIRST_CELL: usize = 512;
+
+/// Where samples lie between the corner's lattice lines. Half a sample, as in the land: whole samples would put every fourth
+/// one on a lattice line of the last octave, where gradient noise is zero.
+pub const SHIFT: f32 = 0.5;
+
+/// What a lacunarity of 2 and a gain of one half are called by everyone.
+pub const LACUNARITY: f32 = 2.0;
+/// See [`LACUNARITY`].
+pub const GAIN: f32 = 0.5;
+
+/// Fills a grid point by point, which is all that most libraries offer.
+pub fn fill_points(
+    corner: crate::rounds::Corner,
+    columns: usize,
+    out: &mut [f32],
+    mut at: impl FnMut(f32, f32) -> f32,
+) {
+    for (row, line) in out.chunks_exact_mut(columns).enumerate() {
+        for (column, value) in line.iter_mut().enumerate() {
+            *value = at((corner.x + column as i32) as f32 + SHIFT, (corner.z + row as i32) as f32 + SHIFT);
+        }
+    }
+}
