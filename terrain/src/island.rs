@@ -10,11 +10,11 @@ use crate::constants::{
 use crate::hash::{hash2, mix, stream_seed};
 use crate::ring::mul_hi_u;
 
-/// Positions are compared at 1/4 m here, so that squared distances fit in u32. Vertices are multiples of 2 m
-/// and lose nothing.
+/// Distances are squared at 1/4 m here, so that their squares fit in u32; what is finer enters to first order. Vertices are
+/// multiples of 2 m and lose nothing.
 const QUARTER_METRE_BITS: u32 = UNIT_BITS - 2;
 /// Beyond this distance along an axis (8,192 m in quarter metres) a point is outside every island of its cell.
-const REACH: i32 = 1 << 15;
+const REACH: u32 = 1 << 15;
 
 /// One island.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -124,8 +124,11 @@ impl Island {
     /// The share of one axis in `d²/r²`, Q24. Computed per axis, so that a grid needs it once per column and per row.
     #[inline]
     pub(crate) fn distance(&self, coordinate: i32, centre: i32) -> i32 {
-        let quarters = ((coordinate - centre) >> QUARTER_METRE_BITS).abs().min(REACH - 1) as u32;
-        mul_hi_u(quarters * quarters, self.inverse) as i32
+        let units = (coordinate - centre).unsigned_abs().min((REACH << QUARTER_METRE_BITS) - 1);
+        let (quarters, rest) = (units >> QUARTER_METRE_BITS, units & ((1 << QUARTER_METRE_BITS) - 1));
+        // (q + rest/64)² without its last term, which is below one: the land is whole between vertices too.
+        let squared = quarters * quarters + ((quarters * rest) >> (QUARTER_METRE_BITS - 1));
+        mul_hi_u(squared, self.inverse) as i32
     }
 }
 
