@@ -9,7 +9,9 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-use terrain::constants::{CELLS, UNITS_PER_METRE, VERTEX_COUNT, VERTICES};
+use terrain::constants as land;
+use terrain::land::SEA_FLOOR;
+use terrain::pyramid::PYRAMID_TEXELS;
 use wesl::syntax::{ModulePath, PathOrigin};
 use wesl::{ManglerKind, VirtualResolver, Wesl};
 
@@ -66,11 +68,51 @@ fn module_path(parts: &[&str]) -> ModulePath {
 
 /// The WGSL form of what the shaders need from `terrain::constants`.
 fn constants() -> String {
-    let metres_per_unit = 1.0 / f64::from(UNITS_PER_METRE);
-    format!(
-        "const CELLS: u32 = {CELLS}u;\nconst VERTICES: u32 = {VERTICES}u;\nconst VERTEX_COUNT: u32 = {VERTEX_COUNT}u;\n\
-         const METRES_PER_UNIT: f32 = {metres_per_unit:?};\n"
-    )
+    let mut text = String::new();
+    for (name, value) in [
+        ("CELLS", land::CELLS),
+        ("VERTICES", land::VERTICES),
+        ("VERTEX_COUNT", land::VERTEX_COUNT),
+        ("PYRAMID_TEXELS", PYRAMID_TEXELS),
+        ("OCTAVES", land::OCTAVES),
+        ("WIDE_OCTAVES", land::WIDE_OCTAVES),
+    ] {
+        text += &format!("const {name}: u32 = {value}u;\n");
+    }
+    for (name, value) in [
+        ("UNIT_BITS", land::UNIT_BITS),
+        ("FIRST_CELL_BITS", land::FIRST_CELL_BITS),
+        ("FIRST_AMPLITUDE_BITS", land::FIRST_AMPLITUDE_BITS),
+        ("SPLIT_BITS", land::SPLIT_BITS),
+        ("FRACTION_BITS", land::FRACTION_BITS),
+        ("FINE_BITS", land::FINE_BITS),
+        ("ISLAND_CELL_BITS", land::ISLAND_CELL_BITS),
+        ("HOME_RADIUS_STEPS", land::HOME_RADIUS_STEPS),
+    ] {
+        text += &format!("const {name}: u32 = {value}u;\n");
+    }
+    for (name, value) in [
+        ("WORLD_HALF", land::WORLD_HALF),
+        ("SEA_FLOOR", SEA_FLOOR),
+        ("SEA_FLOOR_M", land::SEA_FLOOR_M),
+        ("ISLAND_RADIUS_STEP_M", land::ISLAND_RADIUS_STEP_M),
+        ("HOME_DOME_M", land::HOME_DOME_M),
+        ("BEACH_M", land::BEACH_M),
+        ("RIDGE_M", land::RIDGE_M),
+    ] {
+        text += &format!("const {name}: i32 = {value};\n");
+    }
+    let gradients = land::GRADIENTS.map(|(x, z)| (i32::from(x), i32::from(z)));
+    text += &table("GRADIENTS", &gradients);
+    text += &table("OCTAVE_SHIFT", &land::OCTAVE_SHIFT);
+    text += &format!("const METRES_PER_UNIT: f32 = {:?};\n", 1.0 / f64::from(land::UNITS_PER_METRE));
+    text
+}
+
+/// A WGSL constant of pairs.
+fn table(name: &str, pairs: &[(i32, i32)]) -> String {
+    let rows = pairs.iter().map(|(x, z)| format!("vec2i({x}, {z})")).collect::<Vec<_>>().join(", ");
+    format!("const {name} = array<vec2i, {}>({rows});\n", pairs.len())
 }
 
 /// One self-contained WGSL source. Names stay as written: two modules with the same name are an error that naga

@@ -146,6 +146,7 @@ pub fn render(
         frames: options.frames.max(1) as usize,
         chunks_drawn: drawn,
         triangles: drawn as u64 * TRIANGLES_PER_CHUNK,
+        delivery: voyage.feed().delivery().name(),
         bytes_received: voyage.feed().traffic().bytes_received,
         seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
         seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),

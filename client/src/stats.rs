@@ -56,6 +56,8 @@ pub struct Stats {
     pub chunks_drawn: usize,
     /// Triangles sent in the last frame.
     pub triangles: u64,
+    /// How chunks came: `exact` or `seed`.
+    pub delivery: &'static str,
     /// Bytes of frames received.
     pub bytes_received: u64,
     /// From the start of the program to the first chunk.

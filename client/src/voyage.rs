@@ -309,6 +309,9 @@ mod tests {
         fn holding(&mut self, keys: &[ChunkKey]) {
             self.held.extend(keys);
         }
+        fn delivery(&self) -> protocol::Delivery {
+            protocol::Delivery::Exact
+        }
         fn traffic(&self) -> Traffic {
             Traffic::default()
         }

@@ -3,6 +3,7 @@
 use crate::path::PathKind;
 use clap::Parser;
 use cli::UsageError;
+use protocol::Delivery;
 use protocol::limits::MAX_TEXT;
 use std::path::PathBuf;
 use terrain::lod::MAX_VIEW_DISTANCE_M;
@@ -26,6 +27,9 @@ pub struct Args {
     /// File for the report as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+    /// How chunks come: exact (all heights) or seed (a digest each; every chunk is generated here and verified)
+    #[arg(long, value_name = "exact|seed", default_value_t = Delivery::Exact)]
+    pub delivery: Delivery,
     /// View distance of every client in metres, 1 to 65536
     #[arg(long, value_name = "M", default_value_t = 2000,
           value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_VIEW_DISTANCE_M)))]
@@ -36,8 +40,8 @@ pub struct Args {
     /// Seed of the paths; the same seed flies the same paths
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u32,
-    /// Compare one in N chunks of each client with the same chunk generated here; 0 compares none, 1 all (one thread
-    /// compares, so a small N slows the load)
+    /// Compare one in N chunks of each client with the same chunk generated here, its measured error included; 0 compares
+    /// none, 1 all (one thread compares, so a small N slows the load)
     #[arg(long, value_name = "N", default_value_t = 32)]
     pub verify_every: u32,
     /// File whose first line is the access token, where the server asks for one
@@ -54,6 +58,8 @@ pub struct LoadConfig {
     pub clients: u32,
     /// Length of the run, seconds.
     pub seconds: u64,
+    /// How chunks are to come.
+    pub delivery: Delivery,
     /// View distance, metres.
     pub view_distance_m: u32,
     /// How clients move.
@@ -76,6 +82,7 @@ impl Args {
             connect: stream_address(&self.connect)?,
             clients: self.clients,
             seconds: self.seconds,
+            delivery: self.delivery,
             view_distance_m: self.view_distance,
             path: self.path,
             seed: self.seed,
@@ -116,6 +123,7 @@ mod tests {
         let config = parse(&[]).unwrap().resolve().unwrap();
         assert_eq!(config.connect.to_string(), "ws://127.0.0.1:7580/v1/stream");
         assert_eq!((config.clients, config.seconds, config.view_distance_m), (16, 10, 2000));
+        assert_eq!(config.delivery, Delivery::Exact);
         assert_eq!((config.path, config.verify_every, config.token), (PathKind::Fly, 32, None));
     }
 
@@ -126,6 +134,7 @@ mod tests {
             (&["--seconds", "0"], "--seconds"),
             (&["--view-distance", "65537"], "--view-distance"),
             (&["--path", "swim"], "swim"),
+            (&["--delivery", "lossy"], "exact or seed"),
             (&["--colour", "red"], "--colour"),
         ] {
             let error = parse(args).unwrap_err();

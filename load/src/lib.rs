@@ -45,6 +45,7 @@ pub async fn run(config: LoadConfig) -> Report {
 pub async fn run_counting(config: LoadConfig, tally: Arc<Tally>) -> Report {
     let (n_clients, duration) = (config.clients, Duration::from_secs(config.seconds));
     let ramp_step = ramp_step(n_clients, duration);
+    let delivery = config.delivery;
     let config = Arc::new(config);
     let (regeneration, comparing) = Regeneration::start(Arc::clone(&tally));
     let started = Instant::now();
@@ -70,7 +71,7 @@ pub async fn run_counting(config: LoadConfig, tally: Arc<Tally>) -> Report {
     if let Err(error) = comparing.await {
         tally.mismatch(&format!("comparing with local generation failed: {error}"));
     }
-    tally.report(n_clients, seconds)
+    tally.report(n_clients, seconds, delivery)
 }
 
 /// The ramp takes at most a fifth of the run.

@@ -10,6 +10,8 @@ pub struct Report {
     pub clients: u32,
     /// Length of the run, seconds.
     pub seconds: f64,
+    /// How chunks were to come: `exact` or `seed`.
+    pub delivery: &'static str,
     /// Chunks received.
     pub chunks: u64,
     /// Bytes of the chunks' frames.
@@ -22,7 +24,7 @@ pub struct Report {
     pub refused: u64,
     /// From request to chunk.
     pub latency_ms: LatencyMs,
-    /// Chunks that were compared with local generation.
+    /// Chunks that were compared with local generation: a sample, in seed-only delivery all.
     pub regenerated: u64,
     /// Views that the server reported complete.
     pub views_settled: u64,
@@ -77,6 +79,7 @@ impl fmt::Display for Report {
         let LatencyMs { p50, p99, p999 } = self.latency_ms;
         let rows = [
             ("clients", format!("{} for {:.1} s", self.clients, self.seconds)),
+            ("delivery", self.delivery.to_owned()),
             ("chunks", format!("{} ({:.0} a second)", self.chunks, self.per_second(self.chunks as f64))),
             ("data", format!("{megabytes:.1} MB ({:.2} MB/s)", self.per_second(megabytes))),
             ("views settled", self.views_settled.to_string()),
@@ -100,11 +103,12 @@ impl fmt::Display for Report {
 mod tests {
     use super::*;
     use crate::Tally;
+    use protocol::Delivery;
 
     fn good() -> Report {
         let tally = Tally::default();
         tally.chunk(1000);
-        tally.report(2, 10.0)
+        tally.report(2, 10.0, Delivery::Exact)
     }
 
     #[test]
@@ -112,7 +116,7 @@ mod tests {
         assert_eq!(good().verdict(), Ok(()));
         let silent = Tally::default();
         silent.refused("connection refused");
-        let verdict = silent.report(2, 10.0).verdict().unwrap_err();
+        let verdict = silent.report(2, 10.0, Delivery::Exact).verdict().unwrap_err();
         assert!(verdict.contains("no chunk") && verdict.contains("connection refused"), "{verdict}");
         let mismatched = Report { mismatches: 1, ..good() };
         assert!(mismatched.verdict().unwrap_err().contains("1 mismatches"));
@@ -128,6 +132,7 @@ mod tests {
         for field in ["clients", "seconds", "chunks", "bytes", "mismatches", "dropped", "refused"] {
             assert!(json[field].is_number(), "{field}");
         }
+        assert_eq!(json["delivery"], "exact");
         for field in ["p50", "p99", "p999"] {
             assert!(json["latency_ms"].as_object().unwrap().contains_key(field), "{field}");
         }

@@ -15,7 +15,7 @@ use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::limits::MAX_SERVER_FRAME;
 use protocol::message::Welcome;
 use protocol::view::View;
-use protocol::{CloseCode, Incoming, PeerFault, SUBPROTOCOL};
+use protocol::{CloseCode, Delivery, Incoming, PeerFault, SUBPROTOCOL};
 use std::time::Duration;
 use terrain::constants::UNITS_PER_METRE;
 use terrain::hash::{hash2, mix};
@@ -45,7 +45,7 @@ const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 /// First and longest pause before connecting again; doubled after each failure.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(5));
 
-/// Frames that a session takes before others get their turn. A frame costs about 0.1 ms to decode and verify; without
+/// Frames that a session takes before others get their turn. A frame costs about 0.1 ms to decode or generate and verify; without
 /// turns a burst would hold up the clocks of all.
 const TURN: u32 = 16;
 
@@ -161,6 +161,7 @@ impl<'a> Client<'a> {
         let mut socket = connect(config).await?;
         let mut session = ClientSession::new(ClientConfig {
             digest: None,
+            delivery: config.delivery,
             token: config.token.clone(),
             software: SOFTWARE.into(),
             window: WINDOW,
@@ -259,7 +260,7 @@ impl<'a> Client<'a> {
             other => return Err(End::Lost(lost(other))),
         };
         match event {
-            Ok(Event::Chunk { chunk, bytes }) => self.take(chunk, bytes).await,
+            Ok(Event::Chunk { chunk, bytes, delivery }) => self.take(chunk, bytes, delivery).await,
             Ok(Event::Settled { view, .. }) => {
                 self.interest.settled(view);
                 self.tally.view_settled();
@@ -276,7 +277,7 @@ impl<'a> Client<'a> {
     }
 
     /// Verifies a chunk and lets it go.
-    async fn take(&mut self, chunk: Box<Chunk>, bytes: usize) {
+    async fn take(&mut self, chunk: Box<Chunk>, bytes: usize, delivery: Delivery) {
         self.tally.chunk(bytes);
         let (arrival, release) = self.interest.arrive(chunk.key, Instant::now());
         match arrival {
@@ -290,7 +291,14 @@ impl<'a> Client<'a> {
         if let Err(mismatch) = verify::pyramids(&chunk) {
             self.tally.mismatch(&mismatch.to_string());
         }
-        if self.is_sampled() {
+        // A seed-only frame was generated and verified by the session; its error is the server's word until it is sampled. An
+        // exact frame may come in seed-only delivery too, where every chunk is promised to be compared.
+        let regenerated = delivery == Delivery::SeedOnly;
+        let sampled = self.is_sampled() || (self.config.delivery == Delivery::SeedOnly && !regenerated);
+        if sampled || regenerated {
+            self.tally.regenerated();
+        }
+        if sampled {
             self.regeneration.compare(self.land, chunk).await;
         }
     }

@@ -2,6 +2,7 @@
 
 use crate::report::{LatencyMs, Report};
 use hdrhistogram::Histogram;
+use protocol::Delivery;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -64,7 +65,7 @@ impl Tally {
         self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
     }
 
-    /// A chunk was compared with local generation.
+    /// A chunk is compared with local generation.
     pub fn regenerated(&self) {
         add(&self.regenerated);
     }
@@ -115,15 +116,16 @@ impl Tally {
         (get(&self.chunks), get(&self.bytes), get(&self.mismatches) + get(&self.dropped))
     }
 
-    /// Everything counted, for a run of so many clients and seconds.
+    /// Everything counted, for a run of so many clients and seconds with this delivery.
     #[must_use]
-    pub fn report(&self, clients: u32, seconds: f64) -> Report {
+    pub fn report(&self, clients: u32, seconds: f64, delivery: Delivery) -> Report {
         let histogram = self.latency_us.lock().unwrap_or_else(PoisonError::into_inner);
         // No answer is not a latency of zero.
         let quantile = |q| (!histogram.is_empty()).then(|| histogram.value_at_quantile(q) as f64 / 1000.0);
         Report {
             clients,
             seconds,
+            delivery: delivery.name(),
             chunks: get(&self.chunks),
             bytes: get(&self.bytes),
             mismatches: get(&self.mismatches),
@@ -161,11 +163,14 @@ mod tests {
     #[test]
     fn quantiles_are_in_milliseconds_and_absent_without_answers() {
         let tally = Tally::default();
-        assert_eq!(tally.report(1, 1.0).latency_ms, LatencyMs { p50: None, p99: None, p999: None });
+        assert_eq!(
+            tally.report(1, 1.0, Delivery::Exact).latency_ms,
+            LatencyMs { p50: None, p99: None, p999: None }
+        );
         for ms in 1..=1000 {
             tally.answered(Duration::from_millis(ms));
         }
-        let latency = tally.report(1, 1.0).latency_ms;
+        let latency = tally.report(1, 1.0, Delivery::Exact).latency_ms;
         let near = |value: Option<f64>, ms: f64| value.is_some_and(|value| (value - ms).abs() < ms * 0.002);
         assert!(
             near(latency.p50, 500.0) && near(latency.p99, 990.0) && near(latency.p999, 999.0),
@@ -177,7 +182,7 @@ mod tests {
     fn absurd_latencies_are_kept_at_the_bound() {
         let tally = Tally::default();
         tally.answered(Duration::MAX);
-        assert!(tally.report(1, 1.0).latency_ms.p50.is_some_and(|ms| ms >= 599_000.0));
+        assert!(tally.report(1, 1.0, Delivery::Exact).latency_ms.p50.is_some_and(|ms| ms >= 599_000.0));
     }
 
     #[test]
@@ -187,7 +192,7 @@ mod tests {
             tally.dropped("gone");
             tally.refused(&format!("refusal {index}"));
         }
-        let report = tally.report(1, 1.0);
+        let report = tally.report(1, 1.0, Delivery::Exact);
         assert_eq!((report.dropped, report.refused), (100, 100));
         assert_eq!(report.problems.len(), MAX_PROBLEMS);
         assert_eq!(report.problems.iter().filter(|problem| *problem == "gone").count(), 1);

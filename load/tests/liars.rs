@@ -7,7 +7,7 @@ use futures_util::{SinkExt, StreamExt};
 use load::config::stream_address;
 use load::{LoadConfig, PathKind, Report};
 use protocol::server::{ServerOffer, ServerSession, Wanted};
-use protocol::{Incoming, SUBPROTOCOL, chunk_codec};
+use protocol::{Delivery, Incoming, SUBPROTOCOL, chunk_codec};
 use terrain::{Chunk, ChunkKey, Land};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_tungstenite::accept_hdr_async;
@@ -22,7 +22,7 @@ enum Lie {
     Height,
     /// The measured error is off by one unit.
     Error,
-    /// A bit of the payload is flipped.
+    /// A bit of the header is flipped.
     Bit,
     /// A chunk of another place, honest in itself.
     Place,
@@ -35,7 +35,7 @@ enum Lie {
 }
 
 /// The frame that a server of this honesty sends for a wanted chunk.
-fn frame(lie: Lie, land: &Land, wanted: Wanted) -> Bytes {
+fn frame(lie: Lie, land: &Land, wanted: Wanted, delivery: Delivery) -> Bytes {
     let world = land.digest();
     let mut chunk = match lie {
         Lie::Place => land.chunk(ChunkKey::new(0, -30_000, wanted.key.x()).expect("exists")),
@@ -49,7 +49,7 @@ fn frame(lie: Lie, land: &Land, wanted: Wanted) -> Bytes {
         Lie::Error => chunk.error += 1,
         _ => {}
     }
-    let frame = chunk_codec::encode(&chunk, &world);
+    let frame = chunk_codec::encode_for(delivery, &chunk, &world);
     if lie != Lie::Bit {
         return frame;
     }
@@ -82,7 +82,10 @@ async fn serve(socket: TcpStream, offer: ServerOffer, lie: Lie) {
                 Lie::Refusal => {
                     session.fail(wanted, protocol::message::RefusalReason::Overloaded, "try later".into());
                 }
-                _ => session.deliver(wanted, frame(lie, &land, wanted)),
+                _ => {
+                    let frame = frame(lie, &land, wanted, session.delivery());
+                    session.deliver(wanted, frame);
+                }
             }
             continue;
         }
@@ -102,7 +105,7 @@ async fn serve(socket: TcpStream, offer: ServerOffer, lie: Lie) {
 }
 
 /// Runs a small load against a server and returns what it found.
-async fn load_on(lie: Lie, token: Option<&str>) -> Report {
+async fn load_on(lie: Lie, delivery: Delivery, token: Option<&str>) -> Report {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("bound");
     let land = Land::new(1);
@@ -122,6 +125,7 @@ async fn load_on(lie: Lie, token: Option<&str>) -> Report {
         connect: stream_address(&format!("ws://{address}/v1/stream")).expect("a stream"),
         clients: 3,
         seconds: 2,
+        delivery,
         view_distance_m: 500,
         path: PathKind::Fly,
         seed: 1,
@@ -135,33 +139,45 @@ async fn load_on(lie: Lie, token: Option<&str>) -> Report {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_honest_server_passes_with_every_chunk_compared() {
-    let report = load_on(Lie::Nothing, None).await;
-    assert_eq!(report.verdict(), Ok(()), "{report}");
-    // How many arrive depends on the machine; that all are counted and compared does not.
-    assert!(report.chunks > 0 && report.regenerated == report.chunks, "{report}");
-    assert!(report.bytes > report.chunks * 60 && report.requests > 0, "{report}");
-    assert_eq!((report.mismatches, report.dropped, report.refused), (0, 0, 0), "{report}");
+    for delivery in [Delivery::Exact, Delivery::SeedOnly] {
+        let report = load_on(Lie::Nothing, delivery, None).await;
+        assert_eq!(report.verdict(), Ok(()), "{report}");
+        // How many arrive depends on the machine; that all are counted and compared does not.
+        assert!(report.chunks > 0 && report.regenerated == report.chunks, "{report}");
+        assert!(report.requests > 0, "{report}");
+        assert_eq!((report.mismatches, report.dropped, report.refused), (0, 0, 0), "{report}");
+        match delivery {
+            Delivery::Exact => assert!(report.bytes > report.chunks * 60, "{report}"),
+            Delivery::SeedOnly => assert_eq!(report.bytes, report.chunks * 36, "{report}"),
+        }
+        assert_eq!(report.delivery, delivery.name());
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_falsified_chunk_is_a_mismatch_and_the_verdict_says_so() {
-    for (lie, word) in [
-        (Lie::Height, "vertex"),
-        (Lie::Error, "error"),
-        (Lie::Bit, "digest"),
-        (Lie::Place, "neither requested nor needed"),
-        (Lie::World, "announces world"),
+    for (lie, delivery, word) in [
+        (Lie::Height, Delivery::Exact, "vertex"),
+        (Lie::Error, Delivery::Exact, "error"),
+        (Lie::Bit, Delivery::Exact, "digest"),
+        (Lie::Place, Delivery::Exact, "neither requested nor needed"),
+        (Lie::World, Delivery::Exact, "announces world"),
+        (Lie::Height, Delivery::SeedOnly, "generated here"),
+        (Lie::Error, Delivery::SeedOnly, "error"),
+        (Lie::Bit, Delivery::SeedOnly, "generated here"),
+        (Lie::Place, Delivery::SeedOnly, "neither requested nor needed"),
+        (Lie::World, Delivery::SeedOnly, "use exact delivery"),
     ] {
-        let report = load_on(lie, None).await;
-        assert!(report.mismatches > 0, "{lie:?}: {report}");
+        let report = load_on(lie, delivery, None).await;
+        assert!(report.mismatches > 0, "{lie:?}, {delivery}: {report}");
         let verdict = report.verdict().expect_err("a liar passed");
-        assert!(verdict.contains("mismatches") && verdict.contains(word), "{lie:?}: {verdict}");
+        assert!(verdict.contains("mismatches") && verdict.contains(word), "{lie:?}, {delivery}: {verdict}");
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_server_that_hangs_up_drops_sessions() {
-    let report = load_on(Lie::HangUp, None).await;
+    let report = load_on(Lie::HangUp, Delivery::Exact, None).await;
     assert!(report.dropped > 0, "{report}");
     assert_eq!(report.mismatches, 0, "{report}");
     assert!(report.verdict().expect_err("dropped").contains("before their time"));
@@ -169,14 +185,14 @@ async fn a_server_that_hangs_up_drops_sessions() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_wrong_token_is_refused_once_and_no_chunk_is_no_pass() {
-    let report = load_on(Lie::Nothing, Some("secret")).await;
+    let report = load_on(Lie::Nothing, Delivery::Exact, Some("secret")).await;
     assert_eq!((report.refused, report.chunks, report.dropped), (3, 0, 0), "{report}");
     assert!(report.verdict().expect_err("nothing arrived").contains("token"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn shed_chunks_are_refusals_and_no_faults() {
-    let report = load_on(Lie::Refusal, None).await;
+    let report = load_on(Lie::Refusal, Delivery::Exact, None).await;
     assert!(report.refused > 0 && report.mismatches == 0 && report.dropped == 0, "{report}");
     assert!(report.verdict().expect_err("nothing arrived").contains("try later"));
 }
@@ -188,6 +204,7 @@ async fn no_server_at_all_is_said_in_one_line() {
         connect: stream_address(&format!("ws://{free}/v1/stream")).expect("a stream"),
         clients: 1,
         seconds: 1,
+        delivery: Delivery::Exact,
         view_distance_m: 500,
         path: PathKind::Walk,
         seed: 1,

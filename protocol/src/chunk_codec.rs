@@ -1,5 +1,8 @@
 //! Chunk frames: one chunk as bytes, lossless.
 //!
+//! Every frame begins with the same 16 bytes: magic, version, kind, key. This file owns them and the kind that carries all
+//! heights; [`seed_only`] is the kind that carries none.
+//!
 //! Heights are predicted from three neighbours (`left + above - above left`, the plane predictor), the residuals
 //! zigzag-mapped, split into byte planes and LZ4-compressed. Nothing that follows from the heights is sent:
 //! the decoder rebuilds the pyramids. Little-endian throughout; layout in `docs/protocol.md`.
@@ -7,6 +10,9 @@
 //! The digest at the end of the header covers the world, the header and the payload, so a chunk of another world, or a damaged one,
 //! is recognised. It identifies the content: equal digests mean equal chunks.
 
+pub mod seed_only;
+
+use crate::delivery::Delivery;
 use crate::error::ChunkError;
 use crate::limits::{CHUNK_HEADER, GRASS_RECORD, MAX_CHUNK_FRAME, MAX_RAW_PAYLOAD};
 use bytes::Bytes;
@@ -20,13 +26,19 @@ pub const MAGIC: [u8; 4] = *b"TMBC";
 /// Version of the chunk format. The predictor, the plane order and the compression are part of it.
 pub const VERSION: u16 = 1;
 
-/// The only coding so far: exact heights, plane residuals, LZ4 block.
+/// Exact heights: plane residuals, LZ4 block.
 pub const KIND_EXACT_LZ4: u8 = 0;
+
+/// No heights: what is needed to generate the chunk and to verify it.
+pub const KIND_SEED_ONLY: u8 = 1;
 
 /// Bytes of a content digest: the first half of a blake3 hash.
 pub const DIGEST: usize = 16;
 
 const DIGEST_AT: usize = CHUNK_HEADER - DIGEST;
+
+/// Bytes that all kinds begin with.
+const PREFIX: usize = 16;
 
 /// The longest frame that [`encode`] makes, bytes.
 #[must_use]
@@ -34,7 +46,16 @@ pub const fn bound() -> usize {
     MAX_CHUNK_FRAME
 }
 
-/// Encodes a chunk of a world.
+/// Encodes a chunk of a world for a delivery.
+#[must_use]
+pub fn encode_for(delivery: Delivery, chunk: &Chunk, world: &WorldDigest) -> Bytes {
+    match delivery {
+        Delivery::Exact => encode(chunk, world),
+        Delivery::SeedOnly => seed_only::encode(chunk, world),
+    }
+}
+
+/// Encodes a chunk of a world with all its heights.
 #[must_use]
 pub fn encode(chunk: &Chunk, world: &WorldDigest) -> Bytes {
     let residuals = residuals(&chunk.heights);
@@ -46,26 +67,22 @@ pub fn encode(chunk: &Chunk, world: &WorldDigest) -> Bytes {
     for plane in 0..planes {
         raw.extend(residuals.iter().map(|residual| residual.to_le_bytes()[plane]));
     }
-    raw.extend_from_slice(&chunk.grass.seed.to_le_bytes());
-    raw.push(chunk.grass.palette);
-    raw.extend_from_slice(&chunk.grass.density[..]);
+    push_grass(&mut raw, &chunk.grass);
     let coded = lz4_flex::block::compress(&raw);
 
     let mut frame = Vec::with_capacity(CHUNK_HEADER + coded.len());
-    frame.extend_from_slice(&MAGIC);
-    frame.extend_from_slice(&VERSION.to_le_bytes());
-    frame.push(KIND_EXACT_LZ4);
-    frame.push(chunk.key.level());
-    let words = [chunk.key.x(), chunk.key.z(), chunk.heights[0], chunk.min(), chunk.max()];
+    push_prefix(&mut frame, KIND_EXACT_LZ4, chunk.key);
+    let words = [chunk.heights[0], chunk.min(), chunk.max()];
     frame.extend(words.into_iter().flat_map(i32::to_le_bytes));
     let words = [chunk.error, chunk.slope, raw.len() as u32, coded.len() as u32];
     frame.extend(words.into_iter().flat_map(u32::to_le_bytes));
-    frame.extend_from_slice(&content_digest(world, &frame, &raw));
+    let digest = content_digest(world, &frame, &raw);
+    frame.extend_from_slice(&digest);
     frame.extend_from_slice(&coded);
     frame.into()
 }
 
-/// Decodes one whole frame of a world.
+/// Decodes one whole exact frame of a world.
 ///
 /// Takes at most [`MAX_RAW_PAYLOAD`] bytes besides the chunk itself, whatever the frame says, and never panics.
 ///
@@ -92,12 +109,32 @@ pub fn decode(frame: &[u8], world: &WorldDigest) -> Result<Chunk, ChunkError> {
     Ok(chunk)
 }
 
-/// The key of a frame, without decoding the payload.
+/// The kind and the key of a frame, without looking further. A kind that this side does not know is returned as well.
 ///
 /// # Errors
-/// As [`decode`], for what the header alone can tell.
-pub fn key(frame: &[u8]) -> Result<ChunkKey, ChunkError> {
-    Header::read(frame).map(|header| header.key)
+/// As [`decode`], for what the first 16 bytes can tell.
+pub fn kind_and_key(frame: &[u8]) -> Result<(u8, ChunkKey), ChunkError> {
+    let truncated = ChunkError::Truncated { got: frame.len(), expected: PREFIX };
+    let prefix: &[u8; PREFIX] = frame.first_chunk().ok_or(truncated)?;
+    if prefix[..4] != MAGIC {
+        return Err(ChunkError::BadMagic);
+    }
+    let version = u16::from_le_bytes([prefix[4], prefix[5]]);
+    if version != VERSION {
+        return Err(ChunkError::UnknownVersion(version));
+    }
+    let key = ChunkKey::new(prefix[7], word(prefix, 8) as i32, word(prefix, 12) as i32)?;
+    Ok((prefix[6], key))
+}
+
+/// The chunk's error (units) as a frame of either kind states it; none if the frame is no chunk frame.
+#[must_use]
+pub fn error(frame: &[u8]) -> Option<u32> {
+    match kind_and_key(frame).ok()?.0 {
+        KIND_EXACT_LZ4 => Header::read(frame).ok().map(|header| header.error),
+        KIND_SEED_ONLY => seed_only::Header::read(frame).ok().map(|header| header.error),
+        _ => None,
+    }
 }
 
 /// The content digest of a frame made by [`encode`]; none if the frame is too short to hold one.
@@ -122,23 +159,14 @@ impl Header {
         if frame.len() > MAX_CHUNK_FRAME {
             return Err(ChunkError::TooLong(frame.len()));
         }
+        let (kind, key) = kind_and_key(frame)?;
+        if kind != KIND_EXACT_LZ4 {
+            return Err(ChunkError::UnknownKind(kind));
+        }
         let truncated = ChunkError::Truncated { got: frame.len(), expected: CHUNK_HEADER };
         let header: &[u8; CHUNK_HEADER] = frame.first_chunk().ok_or(truncated)?;
-        if header[..4] != MAGIC {
-            return Err(ChunkError::BadMagic);
-        }
-        let version = u16::from_le_bytes([header[4], header[5]]);
-        if version != VERSION {
-            return Err(ChunkError::UnknownVersion(version));
-        }
-        if header[6] != KIND_EXACT_LZ4 {
-            return Err(ChunkError::UnknownKind(header[6]));
-        }
-        let word =
-            |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
-        let signed = |at: usize| word(at) as i32;
-        let key = ChunkKey::new(header[7], signed(8), signed(12))?;
-        let (raw, coded) = (word(36), word(40));
+        let signed = |at: usize| word(header, at) as i32;
+        let (raw, coded) = (word(header, 36), word(header, 40));
         if !(1..=4).any(|planes| raw as usize == raw_length(planes)) {
             return Err(ChunkError::Length { field: "raw", value: raw });
         }
@@ -157,11 +185,26 @@ impl Header {
             base: signed(16),
             min: signed(20),
             max: signed(24),
-            error: word(28),
-            slope: word(32),
+            error: word(header, 28),
+            slope: word(header, 32),
             raw_length: raw as usize,
         })
     }
+}
+
+/// Magic, version, kind, key.
+fn push_prefix(frame: &mut Vec<u8>, kind: u8, key: ChunkKey) {
+    frame.extend_from_slice(&MAGIC);
+    frame.extend_from_slice(&VERSION.to_le_bytes());
+    frame.push(kind);
+    frame.push(key.level());
+    frame.extend_from_slice(&key.x().to_le_bytes());
+    frame.extend_from_slice(&key.z().to_le_bytes());
+}
+
+/// The u32 at an offset below the header's end, which the caller has checked.
+fn word(header: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]])
 }
 
 const fn raw_length(planes: usize) -> usize {
@@ -206,6 +249,13 @@ fn heights(base: i32, raw: &[u8]) -> Result<Box<[i32; VERTEX_COUNT]>, ChunkError
     Ok(heights)
 }
 
+/// The grass record: [`GRASS_RECORD`] bytes.
+fn push_grass(raw: &mut Vec<u8>, grass: &GrassSeed) {
+    raw.extend_from_slice(&grass.seed.to_le_bytes());
+    raw.push(grass.palette);
+    raw.extend_from_slice(&grass.density[..]);
+}
+
 fn grass(record: &[u8]) -> Result<GrassSeed, ChunkError> {
     let palette = record[4];
     if palette >= PALETTES {
@@ -216,9 +266,11 @@ fn grass(record: &[u8]) -> Result<GrassSeed, ChunkError> {
     Ok(GrassSeed { seed: u32::from_le_bytes([record[0], record[1], record[2], record[3]]), palette, density })
 }
 
-fn content_digest(world: &WorldDigest, header: &[u8], raw: &[u8]) -> [u8; DIGEST] {
+/// Digest of a world, a header up to its digest, and what the frame stands for. The kind is in the header, so frames of
+/// two kinds never share one.
+fn content_digest(world: &WorldDigest, header: &[u8], content: &[u8]) -> [u8; DIGEST] {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(&world.0).update(&header[..DIGEST_AT]).update(raw);
+    hasher.update(&world.0).update(header).update(content);
     let mut digest = [0; DIGEST];
     hasher.finalize_xof().fill(&mut digest);
     digest
@@ -252,7 +304,8 @@ mod tests {
             let (chunk, world, frame) = sample(level, x, z);
             assert!(frame.len() <= bound());
             assert_eq!(decode(&frame, &world), Ok(chunk.clone()));
-            assert_eq!(key(&frame), Ok(chunk.key));
+            assert_eq!(kind_and_key(&frame), Ok((KIND_EXACT_LZ4, chunk.key)));
+            assert_eq!(error(&frame), Some(chunk.error));
         }
     }
 

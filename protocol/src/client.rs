@@ -6,20 +6,24 @@
 
 use crate::Incoming;
 use crate::chunk_codec;
+use crate::chunk_codec::seed_only;
 use crate::control;
+use crate::delivery::Delivery;
 use crate::error::{ControlError, PeerFault};
 use crate::limits::{MAX_CREDITS, MAX_KEYS, MAX_TEXT};
 use crate::message::{ClientMessage, Hello, Refused, Rejection, ServerMessage, Welcome, WireKey};
 use crate::view::View;
 use bytes::Bytes;
 use std::collections::VecDeque;
-use terrain::{Chunk, ChunkKey, WorldDigest};
+use terrain::{Chunk, ChunkKey, Land, WorldDigest};
 
 /// What a client brings to a session.
 #[derive(Clone, Debug)]
 pub struct ClientConfig {
     /// The world to insist on; none accepts any.
     pub digest: Option<WorldDigest>,
+    /// How chunks are to come.
+    pub delivery: Delivery,
     /// Access token, where the server asks for one.
     pub token: Option<String>,
     /// Name and version for the server's logs; cut to [`MAX_TEXT`] bytes.
@@ -33,12 +37,14 @@ pub struct ClientConfig {
 pub enum Event {
     /// The handshake succeeded.
     Welcome(Welcome),
-    /// A chunk arrived and was verified against the world's digest.
+    /// A chunk arrived, or was generated from what arrived, and was verified against the digest in its frame.
     Chunk {
         /// The chunk.
         chunk: Box<Chunk>,
         /// Bytes of its frame.
         bytes: usize,
+        /// What its frame was: [`Delivery::SeedOnly`] means that the chunk was generated here.
+        delivery: Delivery,
     },
     /// Every chunk of a view has been sent.
     Settled {
@@ -56,12 +62,21 @@ pub enum Event {
     },
 }
 
+/// What the Welcome fixes for the rest of a session.
+#[derive(Clone, Debug)]
+struct World {
+    digest: WorldDigest,
+    /// In seed-only delivery: what generates the chunks here. Its digest is the one above.
+    land: Option<Land>,
+}
+
 /// One session, from the first frame to the close.
 #[derive(Debug)]
 pub struct ClientSession {
     /// Set by the Welcome; before it nothing but the handshake may arrive.
-    world: Option<WorldDigest>,
+    world: Option<World>,
     expected: Option<WorldDigest>,
+    delivery: Delivery,
     window: u32,
     /// Granted and not yet used.
     credits: u32,
@@ -78,6 +93,7 @@ impl ClientSession {
         let mut session = Self {
             world: None,
             expected: config.digest,
+            delivery: config.delivery,
             window,
             credits: window,
             next_request: 0,
@@ -85,6 +101,7 @@ impl ClientSession {
         };
         session.send(&ClientMessage::Hello(Hello {
             digest: config.digest.map(|digest| digest.0),
+            delivery: config.delivery,
             token: config.token.map(cut),
             software: cut(config.software),
         }));
@@ -118,7 +135,7 @@ impl ClientSession {
             }
             other => other.into(),
         })?;
-        match (message, self.world) {
+        match (message, &self.world) {
             (ServerMessage::Welcome(welcome), None) => {
                 let digest = WorldDigest(welcome.digest);
                 if let Some(expected) = self.expected.filter(|expected| *expected != digest) {
@@ -127,7 +144,11 @@ impl ClientSession {
                         server: digest.0,
                     }));
                 }
-                self.world = Some(digest);
+                let land = match self.delivery {
+                    Delivery::Exact => None,
+                    Delivery::SeedOnly => Some(own_land(&welcome)?),
+                };
+                self.world = Some(World { digest, land });
                 Ok(Event::Welcome(welcome))
             }
             (ServerMessage::Welcome(_), Some(_)) => Err(PeerFault::OutOfOrder("a second Welcome")),
@@ -141,10 +162,18 @@ impl ClientSession {
     }
 
     fn receive_chunk(&mut self, frame: &[u8]) -> Result<Event, PeerFault> {
-        let world = self.world.ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
+        let World { digest, land } =
+            self.world.as_ref().ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
         self.credits = self.credits.checked_sub(1).ok_or(PeerFault::CreditOverrun)?;
-        let chunk = chunk_codec::decode(frame, &world)?;
-        Ok(Event::Chunk { chunk: Box::new(chunk), bytes: frame.len() })
+        let (kind, _) = chunk_codec::kind_and_key(frame)?;
+        // Without a land of its own a client has not asked for seed-only frames; the exact decoder refuses them by kind.
+        let (chunk, delivery) = match land {
+            Some(land) if kind == chunk_codec::KIND_SEED_ONLY => {
+                (seed_only::decode(frame, land, digest)?, Delivery::SeedOnly)
+            }
+            _ => (chunk_codec::decode(frame, digest)?, Delivery::Exact),
+        };
+        Ok(Event::Chunk { chunk: Box::new(chunk), bytes: frame.len(), delivery })
     }
 
     /// Says what the client sees now.
@@ -179,8 +208,8 @@ impl ClientSession {
 
     /// The world of the session, once welcomed.
     #[must_use]
-    pub const fn world(&self) -> Option<WorldDigest> {
-        self.world
+    pub fn world(&self) -> Option<WorldDigest> {
+        self.world.as_ref().map(|world| world.digest)
     }
 
     /// Chunks that the server may still send.
@@ -195,6 +224,17 @@ impl ClientSession {
             self.outbox.push_back(frame);
         }
     }
+}
+
+/// The announced land, if generation here makes the announced world of it. Takes about a millisecond.
+fn own_land(welcome: &Welcome) -> Result<Land, PeerFault> {
+    let land = Land::new(welcome.world_seed);
+    let (server, client) = (WorldDigest(welcome.digest), land.digest());
+    if server != client {
+        let (seed, generator) = (welcome.world_seed, welcome.generator_version);
+        return Err(PeerFault::OtherGenerator { seed, generator, server, client });
+    }
+    Ok(land)
 }
 
 fn wire(keys: &[ChunkKey]) -> Vec<WireKey> {

@@ -16,8 +16,6 @@ pub enum CloseCode {
     TooLarge = 1009,
     /// The server failed; reconnecting may help.
     Internal = 1011,
-    /// The server is full; try again later.
-    Busy = 1013,
     /// A frame could not be decoded.
     Malformed = 4400,
     /// The token is missing or wrong; reconnecting with the same one will not help.
@@ -45,7 +43,7 @@ impl CloseCode {
     #[must_use]
     pub fn from_code(code: u16) -> Option<Self> {
         use CloseCode::{
-            Busy, GoingAway, HandshakeTimeout, Internal, Malformed, Normal, OutOfOrder, TextFrame, TooLarge,
+            GoingAway, HandshakeTimeout, Internal, Malformed, Normal, OutOfOrder, TextFrame, TooLarge,
             Unauthorised, Unresponsive, WrongVersion, WrongWorld,
         };
         [
@@ -54,7 +52,6 @@ impl CloseCode {
             TextFrame,
             TooLarge,
             Internal,
-            Busy,
             Malformed,
             Unauthorised,
             OutOfOrder,
@@ -70,10 +67,7 @@ impl CloseCode {
     /// Whether the same client may succeed by connecting again later.
     #[must_use]
     pub const fn is_retryable(self) -> bool {
-        matches!(
-            self,
-            Self::GoingAway | Self::Internal | Self::Busy | Self::Unresponsive | Self::HandshakeTimeout
-        )
+        matches!(self, Self::GoingAway | Self::Internal | Self::Unresponsive | Self::HandshakeTimeout)
     }
 }
 
@@ -85,7 +79,6 @@ impl fmt::Display for CloseCode {
             Self::TextFrame => "text frames are not part of this protocol",
             Self::TooLarge => "frame exceeds the size limit",
             Self::Internal => "server failure",
-            Self::Busy => "server is full",
             Self::Malformed => "malformed frame",
             Self::Unauthorised => "missing or wrong token",
             Self::OutOfOrder => "message out of order",
@@ -115,7 +108,7 @@ mod tests {
 
     #[test]
     fn a_refusal_that_cannot_change_is_not_retried() {
-        assert!(CloseCode::GoingAway.is_retryable() && CloseCode::Busy.is_retryable());
+        assert!(CloseCode::GoingAway.is_retryable() && CloseCode::Internal.is_retryable());
         for fatal in
             [CloseCode::WrongVersion, CloseCode::WrongWorld, CloseCode::Unauthorised, CloseCode::Malformed]
         {

@@ -3,7 +3,7 @@
 use crate::close::CloseCode;
 use crate::limits::{MAX_CHUNK_FRAME, MAX_CONTROL_FRAME, MAX_KEYS, MAX_TEXT};
 use crate::message::Rejection;
-use terrain::InvalidKey;
+use terrain::{ChunkKey, InvalidKey, WorldDigest};
 use thiserror::Error;
 
 /// Why a control frame was not accepted.
@@ -63,8 +63,8 @@ pub enum ChunkError {
     /// A chunk format that this side does not know.
     #[error("chunk format version {0} is unknown")]
     UnknownVersion(u16),
-    /// A coding that this side does not know.
-    #[error("chunk coding {0} is unknown")]
+    /// A kind that this side does not know, or one that its delivery does not allow.
+    #[error("chunk kind {0} is unknown or was not asked for")]
     UnknownKind(u8),
     /// A key that names no chunk.
     #[error("chunk frame carries an invalid key: {0}")]
@@ -83,6 +83,9 @@ pub enum ChunkError {
     /// The payload was made for another world, or was damaged.
     #[error("chunk digest does not match its content in this world")]
     Digest,
+    /// The chunk that was generated here is not the one that the server describes.
+    #[error("chunk {0} generated here does not have the digest that the server sent: use exact delivery")]
+    Regenerated(ChunkKey),
     /// A decoded value breaks a rule that the header or the format states.
     #[error("chunk content breaks a rule: {0}")]
     Content(&'static str),
@@ -106,6 +109,21 @@ pub enum PeerFault {
     /// More chunks arrived than credits were granted.
     #[error("the server sent a chunk without credit")]
     CreditOverrun,
+    /// Seed-only delivery was asked for, and the announced seed does not make the announced world here.
+    #[error(
+        "the server serves world {server} (seed {seed}, generator version {generator}), generation here gives {client}: \
+         use exact delivery"
+    )]
+    OtherGenerator {
+        /// The announced seed.
+        seed: u64,
+        /// The announced version of the height formula.
+        generator: u32,
+        /// The announced digest.
+        server: WorldDigest,
+        /// The digest of that seed here.
+        client: WorldDigest,
+    },
     /// The handshake was refused.
     #[error("refused: {0}")]
     Rejected(Rejection),
@@ -123,6 +141,7 @@ impl PeerFault {
             Self::Control(_) | Self::Chunk(_) => CloseCode::Malformed,
             Self::Text => CloseCode::TextFrame,
             Self::OutOfOrder(_) | Self::CreditOverrun => CloseCode::OutOfOrder,
+            Self::OtherGenerator { .. } => CloseCode::WrongWorld,
             Self::Rejected(rejection) => rejection.close_code(),
         }
     }

@@ -15,6 +15,7 @@ pub mod chunk_codec;
 pub mod client;
 pub mod close;
 pub mod control;
+pub mod delivery;
 pub mod error;
 pub mod limits;
 pub mod message;
@@ -22,14 +23,16 @@ pub mod server;
 pub mod view;
 
 pub use close::CloseCode;
+pub use delivery::Delivery;
 pub use error::{ChunkError, ControlError, PeerFault};
 
-/// The WebSocket subprotocol that both sides must name.
+/// The WebSocket subprotocol that both sides must name. It says how frames travel, and stays while [`PROTOCOL_VERSION`]
+/// says what they mean: a peer of another version gets as far as being told so.
 pub const SUBPROTOCOL: &str = "tombolo.v1";
 
 /// Version of the control messages and of the session rules. Carried in every control frame; peers of different
 /// versions refuse each other.
-pub const PROTOCOL_VERSION: u16 = 1;
+pub const PROTOCOL_VERSION: u16 = 2;
 
 /// A data frame as a transport delivers it. Ping, pong and close frames stay in the transport.
 #[derive(Clone, Copy, Debug)]

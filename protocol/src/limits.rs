@@ -27,8 +27,11 @@ pub const MAX_TEXT: usize = 256;
 /// Largest viewport side in pixels.
 pub const MAX_VIEWPORT: u16 = 16_384;
 
-/// Bytes of a chunk frame's header.
+/// Bytes of an exact chunk frame's header.
 pub const CHUNK_HEADER: usize = 60;
+
+/// Bytes of a seed-only chunk frame: all of it.
+pub const SEED_ONLY_FRAME: usize = 36;
 
 /// Bytes of a chunk's payload before compression, with 4-byte residuals: plane count, planes, grass record.
 pub const MAX_RAW_PAYLOAD: usize = 1 + 4 * VERTEX_COUNT + GRASS_RECORD;

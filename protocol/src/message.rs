@@ -2,6 +2,7 @@
 //! touching either, and the frozen bytes under `fixtures/`.
 
 use crate::close::CloseCode;
+use crate::delivery::Delivery;
 use crate::error::ControlError;
 use crate::limits::{MAX_KEYS, MAX_TEXT};
 use crate::view::View;
@@ -69,6 +70,8 @@ pub enum ClientMessage {
 pub struct Hello {
     /// The world that the client insists on; none accepts any.
     pub digest: Option<[u8; 32]>,
+    /// How chunks are to come, for the whole session.
+    pub delivery: Delivery,
     /// Access token, where the server asks for one.
     pub token: Option<String>,
     /// Name and version of the client, for logs.
@@ -136,8 +139,6 @@ pub enum Rejection {
     },
     /// The token is missing or wrong.
     Unauthorised,
-    /// No session is free.
-    Busy,
 }
 
 impl Rejection {
@@ -148,7 +149,6 @@ impl Rejection {
             Self::WrongVersion { .. } => CloseCode::WrongVersion,
             Self::WrongWorld { .. } => CloseCode::WrongWorld,
             Self::Unauthorised => CloseCode::Unauthorised,
-            Self::Busy => CloseCode::Busy,
         }
     }
 }
@@ -164,10 +164,12 @@ impl fmt::Display for Rejection {
             }
             Self::WrongWorld { client, server } => {
                 let (client, server) = (WorldDigest(*client), WorldDigest(*server));
-                write!(f, "the client wants world {client}, the server serves {server}")
+                write!(
+                    f,
+                    "the client insists on world {client}, the server serves {server}: connect to another server or accept the served world"
+                )
             }
             Self::Unauthorised => write!(f, "the access token is missing or wrong"),
-            Self::Busy => write!(f, "the server is full: try again later"),
         }
     }
 }

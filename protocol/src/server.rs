@@ -6,6 +6,7 @@
 
 use crate::Incoming;
 use crate::control;
+use crate::delivery::Delivery;
 use crate::error::{ControlError, PeerFault};
 use crate::limits::{MAX_CREDITS, MAX_HELD, MAX_PENDING_REQUESTS, MAX_TEXT, MAX_VIEW_CHUNKS};
 use crate::message::{
@@ -47,6 +48,8 @@ pub struct Wanted {
 pub struct SessionCounts {
     /// Chunks delivered.
     pub chunks: u64,
+    /// Bytes of their frames.
+    pub chunk_bytes: u64,
     /// Refusals sent.
     pub refusals: u64,
     /// Views accepted.
@@ -59,6 +62,7 @@ pub struct ServerSession {
     offer: ServerOffer,
     session: u64,
     welcomed: bool,
+    delivery: Delivery,
     credits: u32,
     /// Explicit requests that wait for credit, oldest first. At most [`MAX_PENDING_REQUESTS`]; more are refused.
     requests: VecDeque<(u32, ChunkKey)>,
@@ -92,6 +96,7 @@ impl ServerSession {
             offer,
             session,
             welcomed: false,
+            delivery: Delivery::default(),
             credits: 0,
             requests: VecDeque::new(),
             view: None,
@@ -165,6 +170,7 @@ impl ServerSession {
             software: offer.software.clone(),
         };
         self.welcomed = true;
+        self.delivery = hello.delivery;
         self.send(&ServerMessage::Welcome(welcome));
         Ok(())
     }
@@ -233,11 +239,12 @@ impl ServerSession {
         Some(wanted)
     }
 
-    /// Takes a finished chunk frame and queues it for the client.
+    /// Takes a finished chunk frame, made for [`ServerSession::delivery`], and queues it for the client.
     pub fn deliver(&mut self, wanted: Wanted, frame: Bytes) {
         self.land(wanted.key);
         self.hold(wanted.key);
         self.counts.chunks += 1;
+        self.counts.chunk_bytes += frame.len() as u64;
         self.outbox.push_back(frame);
         self.settle();
     }
@@ -265,6 +272,12 @@ impl ServerSession {
     #[must_use]
     pub const fn is_welcomed(&self) -> bool {
         self.welcomed
+    }
+
+    /// How the client wants its chunks: one choice for the whole session, exact before the handshake.
+    #[must_use]
+    pub const fn delivery(&self) -> Delivery {
+        self.delivery
     }
 
     /// Chunks that the client still allows.

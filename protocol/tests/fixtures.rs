@@ -4,11 +4,14 @@
 //! `PROTOCOL_VERSION` (or the chunk `VERSION`) and write the new bytes with
 //! `TOMBOLO_BLESS=1 cargo test -p protocol --test fixtures`.
 
+use protocol::chunk_codec::seed_only;
+use protocol::client::{ClientConfig, ClientSession};
 use protocol::message::{
     ClientMessage, Hello, Limited, RefusalReason, Refused, Rejection, ServerMessage, Welcome, WireKey,
 };
+use protocol::server::{ServerOffer, ServerSession};
 use protocol::view::View;
-use protocol::{chunk_codec, control};
+use protocol::{ControlError, Delivery, Incoming, PROTOCOL_VERSION, PeerFault, chunk_codec, control};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Debug;
@@ -50,11 +53,13 @@ fn client_messages_are_frozen() {
         "hello",
         &ClientMessage::Hello(Hello {
             digest: Some(std::array::from_fn(|index| index as u8)),
+            delivery: Delivery::SeedOnly,
             token: Some("secret".into()),
             software: "fixture 1.0".into(),
         }),
     );
-    check("hello_bare", &ClientMessage::Hello(Hello { digest: None, token: None, software: String::new() }));
+    let bare = Hello { digest: None, delivery: Delivery::Exact, token: None, software: String::new() };
+    check("hello_bare", &ClientMessage::Hello(bare));
     check(
         "view",
         &ClientMessage::View(View {
@@ -93,7 +98,6 @@ fn server_messages_are_frozen() {
     check("rejected_version", &rejected(Rejection::WrongVersion { client: 2, server: 1 }));
     check("rejected_world", &rejected(Rejection::WrongWorld { client: [1; 32], server: [2; 32] }));
     check("rejected_unauthorised", &rejected(Rejection::Unauthorised));
-    check("rejected_busy", &rejected(Rejection::Busy));
     check("settled", &ServerMessage::Settled { view: 7, chunks: 396 });
     for (name, reason) in [
         ("refused_outside_world", RefusalReason::OutsideWorld),
@@ -106,6 +110,47 @@ fn server_messages_are_frozen() {
         check(name, &ServerMessage::Refused(Refused { id: 5, key, reason, detail: "why".into() }));
     }
     check("draining", &ServerMessage::Draining { reconnect_after_ms: 1500 });
+}
+
+#[test]
+fn peers_of_version_1_are_refused_with_both_versions_named() {
+    // Never blessed: these bytes are what the first release said.
+    let read = |name: &str| {
+        let text = std::fs::read_to_string(path(name)).unwrap();
+        let digits: Vec<_> = text.chars().filter_map(|digit| digit.to_digit(16)).collect();
+        digits.chunks(2).map(|pair| (pair[0] * 16 + pair[1]) as u8).collect::<Vec<_>>()
+    };
+    let old = read("version_1/hello");
+    assert_eq!(
+        control::decode::<ClientMessage>(&old),
+        Err(ControlError::Version { theirs: 1, ours: PROTOCOL_VERSION })
+    );
+    let land = Land::new(1);
+    let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
+    let fault = ServerSession::new(offer, 1).receive(Incoming::Binary(&old)).unwrap_err();
+    let rejection = Rejection::WrongVersion { client: 1, server: PROTOCOL_VERSION };
+    assert_eq!(fault, PeerFault::Rejected(rejection));
+    assert!(fault.to_string().contains("version 1, the server 2"), "{fault}");
+
+    let config = ClientConfig {
+        digest: None,
+        delivery: Delivery::Exact,
+        token: None,
+        software: String::new(),
+        window: 1,
+    };
+    let fault = ClientSession::new(config).receive(Incoming::Binary(&read("version_1/welcome"))).unwrap_err();
+    assert!(fault.to_string().contains("version 2, the server 1"), "{fault}");
+}
+
+#[test]
+fn a_seed_only_chunk_is_frozen() {
+    let land = Land::new(42);
+    let chunk = land.chunk(ChunkKey::new(2, -3, 1).unwrap());
+    let encoded = seed_only::encode(&chunk, &land.digest());
+    let bytes = frozen("chunk_seed_only", &encoded);
+    assert_eq!(seed_only::decode(&bytes, &land, &land.digest()), Ok(chunk));
+    assert_eq!(encoded, bytes);
 }
 
 #[test]

@@ -6,9 +6,12 @@ use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::message::{ClientMessage, Hello, RefusalReason, Rejection, ServerMessage, WireKey};
 use protocol::server::{ServerOffer, ServerSession};
 use protocol::view::View;
-use protocol::{ChunkError, CloseCode, ControlError, Incoming, PeerFault, chunk_codec, control, limits};
+use protocol::{
+    ChunkError, CloseCode, ControlError, Delivery, Incoming, PROTOCOL_VERSION, PeerFault, chunk_codec,
+    control, limits,
+};
 use std::collections::HashSet;
-use terrain::{ChunkKey, Land, WorldDigest};
+use terrain::{Chunk, ChunkKey, Land, WorldDigest};
 
 struct Pair {
     client: ClientSession,
@@ -25,7 +28,13 @@ fn offer() -> ServerOffer {
 }
 
 fn config(window: u32) -> ClientConfig {
-    ClientConfig { digest: None, token: None, software: "test client".into(), window }
+    ClientConfig {
+        digest: None,
+        delivery: Delivery::Exact,
+        token: None,
+        software: "test client".into(),
+        window,
+    }
 }
 
 fn view(id: u32, distance_m: u32) -> View {
@@ -44,9 +53,13 @@ fn view(id: u32, distance_m: u32) -> View {
 
 impl Pair {
     fn new(window: u32) -> Self {
+        Self::with(config(window))
+    }
+
+    fn with(config: ClientConfig) -> Self {
         let offer = offer();
         let (land, digest) = (offer.land, offer.digest);
-        let (client, server) = (ClientSession::new(config(window)), ServerSession::new(offer, 1));
+        let (client, server) = (ClientSession::new(config), ServerSession::new(offer, 1));
         Self { client, server, land, digest, events: Vec::new(), delivered: 0 }
     }
 
@@ -61,7 +74,8 @@ impl Pair {
             while chunks > 0
                 && let Some(wanted) = self.server.next_chunk()
             {
-                let frame = chunk_codec::encode(&self.land.chunk(wanted.key), &self.digest);
+                let delivery = self.server.delivery();
+                let frame = chunk_codec::encode_for(delivery, &self.land.chunk(wanted.key), &self.digest);
                 self.server.deliver(wanted, frame);
                 self.delivered += 1;
                 chunks -= 1;
@@ -105,6 +119,102 @@ fn a_view_is_delivered_whole_once_and_settled() {
     assert_eq!(unique.len(), keys.len());
     assert_eq!(pair.settled(), [(7, keys.len() as u32)]);
     assert!(keys.len() > 16, "several windows were needed: {}", keys.len());
+}
+
+fn seed_only(window: u32) -> ClientConfig {
+    ClientConfig { delivery: Delivery::SeedOnly, ..config(window) }
+}
+
+/// All chunks of a view with the bytes that they came as, by key.
+fn received(config: ClientConfig) -> (Vec<Chunk>, usize) {
+    let delivery = config.delivery;
+    let mut pair = Pair::with(config);
+    pair.client.set_view(view(1, 1000));
+    pair.run(usize::MAX);
+    let mut total = 0;
+    let mut chunks = Vec::new();
+    for event in pair.events {
+        if let Event::Chunk { chunk, bytes, delivery: came } = event {
+            assert_eq!(came, delivery);
+            total += bytes;
+            chunks.push(*chunk);
+        }
+    }
+    let counts = pair.server.counts();
+    assert_eq!((counts.chunks, counts.chunk_bytes), (chunks.len() as u64, total as u64));
+    chunks.sort_by_key(|chunk| chunk.key);
+    (chunks, total)
+}
+
+#[test]
+fn both_deliveries_bring_equal_chunks_and_seed_only_36_bytes_each() {
+    let (exact, exact_bytes) = received(config(64));
+    let (seed, seed_bytes) = received(seed_only(64));
+    assert!(exact == seed && exact.len() > 16);
+    assert_eq!(seed_bytes, limits::SEED_ONLY_FRAME * seed.len());
+    assert!(exact_bytes > 20 * seed_bytes, "{exact_bytes} against {seed_bytes}");
+    // The control: another world's chunks are not equal.
+    let other = Land::new(2);
+    assert!(seed.iter().any(|chunk| *chunk != other.chunk(chunk.key)));
+}
+
+/// What a welcomed client says to one chunk frame.
+fn verdict(config: ClientConfig, frame: &[u8]) -> Result<Event, PeerFault> {
+    let mut client = ClientSession::new(config);
+    client.receive(Incoming::Binary(&welcome_frame())).unwrap();
+    client.receive(Incoming::Binary(frame))
+}
+
+#[test]
+fn a_lying_seed_only_frame_is_noticed_and_an_honest_one_is_not() {
+    let ServerOffer { land, digest, .. } = offer();
+    let key = ChunkKey::new(0, 3, -7).unwrap();
+    let honest = land.chunk(key);
+    let frame = chunk_codec::encode_for(Delivery::SeedOnly, &honest, &digest);
+    assert!(matches!(verdict(seed_only(4), &frame), Ok(Event::Chunk { chunk, .. }) if *chunk == honest));
+
+    let mut heights = honest.heights.clone();
+    heights[2000] += 1;
+    let lie = Chunk::from_parts(key, heights, honest.error, honest.grass);
+    let frame = chunk_codec::encode_for(Delivery::SeedOnly, &lie, &digest);
+    let fault = verdict(seed_only(4), &frame).unwrap_err();
+    assert_eq!((fault.close_code(), fault), (CloseCode::Malformed, ChunkError::Regenerated(key).into()));
+}
+
+#[test]
+fn an_exact_frame_may_come_in_every_delivery_and_a_seed_only_one_only_where_it_was_asked_for() {
+    let ServerOffer { land, digest, .. } = offer();
+    let chunk = land.chunk(ChunkKey::new(0, 3, -7).unwrap());
+    let [exact, seed] = [Delivery::Exact, Delivery::SeedOnly]
+        .map(|delivery| chunk_codec::encode_for(delivery, &chunk, &digest));
+    let came = |config, frame: &[u8]| match verdict(config, frame) {
+        Ok(Event::Chunk { delivery, .. }) => Ok(delivery),
+        Ok(other) => panic!("{other:?}"),
+        Err(fault) => Err(fault),
+    };
+    assert_eq!(came(seed_only(4), &exact), Ok(Delivery::Exact));
+    assert_eq!(came(seed_only(4), &seed), Ok(Delivery::SeedOnly));
+    assert_eq!(came(config(4), &exact), Ok(Delivery::Exact));
+    assert_eq!(came(config(4), &seed), Err(ChunkError::UnknownKind(chunk_codec::KIND_SEED_ONLY).into()));
+}
+
+#[test]
+fn a_client_that_generates_another_world_refuses_seed_only_delivery_with_both_digests() {
+    // The server's generator differs: its seed makes another world here.
+    let (ours, theirs) = (Land::new(1).digest(), WorldDigest([0xcd; 32]));
+    let welcome = |config: ClientConfig| {
+        let mut client = ClientSession::new(config);
+        let mut server = ServerSession::new(ServerOffer { digest: theirs, ..offer() }, 1);
+        server.receive(Incoming::Binary(&client.poll_transmit().unwrap())).unwrap();
+        client.receive(Incoming::Binary(&server.poll_transmit().unwrap()))
+    };
+    let fault = welcome(seed_only(1)).unwrap_err();
+    assert_eq!(fault.close_code(), CloseCode::WrongWorld);
+    let text = fault.to_string();
+    assert!(text.contains(&ours.to_string()) && text.contains(&theirs.to_string()), "{text}");
+    assert!(text.contains("use exact delivery") && text.lines().count() == 1, "{text}");
+    // The control: exact delivery needs no generator.
+    assert!(matches!(welcome(config(1)), Ok(Event::Welcome(_))));
 }
 
 #[test]
@@ -185,7 +295,12 @@ fn a_chunk_beyond_the_granted_credit_is_a_fault_and_a_new_grant_admits_again() {
 
 fn welcome_frame() -> Bytes {
     let mut server = ServerSession::new(offer(), 1);
-    let hello = ClientMessage::Hello(Hello { digest: None, token: None, software: String::new() });
+    let hello = ClientMessage::Hello(Hello {
+        digest: None,
+        delivery: Delivery::Exact,
+        token: None,
+        software: String::new(),
+    });
     server.receive(Incoming::Binary(&control::encode(&hello).unwrap())).unwrap();
     server.poll_transmit().unwrap()
 }
@@ -272,8 +387,8 @@ fn handshakes_that_cannot_succeed_name_both_sides() {
     frame[4] = 77;
     let mut server = ServerSession::new(offer(), 1);
     let fault = server.receive(Incoming::Binary(&frame)).unwrap_err();
-    assert_eq!(fault, PeerFault::Rejected(Rejection::WrongVersion { client: 77, server: 1 }));
-    assert!(fault.to_string().contains("77") && fault.to_string().contains("server 1"));
+    assert_eq!(fault, PeerFault::Rejected(Rejection::WrongVersion { client: 77, server: PROTOCOL_VERSION }));
+    assert!(fault.to_string().contains("77") && fault.to_string().contains("server 2"));
 }
 
 #[test]
@@ -315,7 +430,12 @@ fn order_is_enforced_on_both_sides() {
 fn every_truncation_and_one_extra_byte_of_every_control_frame_is_refused() {
     let keys = vec![WireKey { level: 1, x: 2, z: 3 }; 4];
     let messages = [
-        ClientMessage::Hello(Hello { digest: Some([1; 32]), token: Some("t".into()), software: "s".into() }),
+        ClientMessage::Hello(Hello {
+            digest: Some([1; 32]),
+            delivery: Delivery::SeedOnly,
+            token: Some("t".into()),
+            software: "s".into(),
+        }),
         ClientMessage::View(view(1, 1)),
         ClientMessage::Credit { chunks: 1 },
         ClientMessage::Request { id: 1, keys: keys.clone() },
@@ -355,18 +475,20 @@ fn a_list_length_beyond_the_frame_is_refused_without_allocating_it() {
 proptest! {
     #[test]
     fn garbage_panics_neither_session(frames in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..80), 1..8),
-                                      framed: bool) {
-        let mut server = ServerSession::new(offer(), 1);
-        let mut client = ClientSession::new(config(4));
-        server.receive(Incoming::Binary(&client.poll_transmit().unwrap())).unwrap();
-        client.receive(Incoming::Binary(&server.poll_transmit().unwrap())).unwrap();
-        for mut frame in frames {
-            if framed {
-                frame.splice(0..0, *b"TMBM\x01\x00");
+                                      framing in 0usize..4) {
+        // Bare, as a control frame, as each kind of chunk frame.
+        let start = [&b""[..], b"TMBM\x02\x00", b"TMBC\x01\x00\x00", b"TMBC\x01\x00\x01"][framing];
+        for config in [config(4), seed_only(4)] {
+            let mut server = ServerSession::new(offer(), 1);
+            let mut client = ClientSession::new(config);
+            server.receive(Incoming::Binary(&client.poll_transmit().unwrap())).unwrap();
+            client.receive(Incoming::Binary(&server.poll_transmit().unwrap())).unwrap();
+            for frame in &frames {
+                let frame = [start, frame].concat();
+                let _ = server.receive(Incoming::Binary(&frame));
+                let _ = client.receive(Incoming::Binary(&frame));
+                while server.next_chunk().is_some() {}
             }
-            let _ = server.receive(Incoming::Binary(&frame));
-            let _ = client.receive(Incoming::Binary(&frame));
-            while server.next_chunk().is_some() {}
         }
     }
 }

@@ -15,6 +15,13 @@ pub struct Reason {
     pub reason: &'static str,
 }
 
+/// A label set of one delivery.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+pub struct DeliveryLabel {
+    /// [`protocol::Delivery::name`].
+    pub delivery: &'static str,
+}
+
 /// A label set of one HTTP status.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 pub struct Status {
@@ -34,6 +41,10 @@ pub struct Metrics {
     pub chunks_sent: Counter,
     /// Bytes of frames sent over sessions.
     pub bytes_sent: Counter,
+    /// Chunks sent over sessions, by the delivery that the client chose.
+    pub chunks_delivered: Family<DeliveryLabel, Counter>,
+    /// Bytes of their frames, likewise.
+    pub chunk_bytes_delivered: Family<DeliveryLabel, Counter>,
     /// Refusals sent inside sessions.
     pub refusals: Counter,
     /// Views accepted.
@@ -68,6 +79,8 @@ impl Default for Metrics {
             session_ends: Family::default(),
             chunks_sent: Counter::default(),
             bytes_sent: Counter::default(),
+            chunks_delivered: Family::default(),
+            chunk_bytes_delivered: Family::default(),
             refusals: Counter::default(),
             views: Counter::default(),
             requested: Counter::default(),
@@ -94,6 +107,16 @@ impl Metrics {
         r.register("session_ends", "Sessions ended, by reason", self.session_ends.clone());
         r.register("chunks_sent", "Chunks sent over sessions", self.chunks_sent.clone());
         r.register("bytes_sent", "Bytes of frames sent over sessions", self.bytes_sent.clone());
+        r.register(
+            "chunks_delivered",
+            "Chunks sent over sessions, by delivery",
+            self.chunks_delivered.clone(),
+        );
+        r.register(
+            "chunk_bytes_delivered",
+            "Bytes of chunk frames sent over sessions, by delivery",
+            self.chunk_bytes_delivered.clone(),
+        );
         r.register("refusals", "Refusals sent inside sessions", self.refusals.clone());
         r.register("views", "Views accepted", self.views.clone());
         r.register("frames_requested", "Frames asked of the generation service", self.requested.clone());

@@ -13,7 +13,7 @@ use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
 use protocol::limits::MAX_CONTROL_FRAME;
-use protocol::{PROTOCOL_VERSION, SUBPROTOCOL, chunk_codec};
+use protocol::{Delivery, PROTOCOL_VERSION, SUBPROTOCOL, chunk_codec};
 use serde_json::json;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -127,7 +127,8 @@ async fn chunk(
         Ok(key) => key,
         Err((status, sentence)) => return problem(status, sentence),
     };
-    let frame = match shared.generation.frame(key, DOWNLOAD_PRIORITY).await {
+    // Always exact: what is cached for ever must be of use to whoever has no generator.
+    let frame = match shared.generation.frame(key, Delivery::Exact, DOWNLOAD_PRIORITY).await {
         Ok(frame) => frame,
         Err(error) => {
             let mut response = problem(StatusCode::SERVICE_UNAVAILABLE, error.to_string());

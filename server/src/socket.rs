@@ -6,7 +6,7 @@
 
 use crate::generation::GenerationError;
 use crate::listener::Shared;
-use crate::metrics::Reason;
+use crate::metrics::{DeliveryLabel, Reason};
 use axum::extract::ws::{CloseFrame, Message};
 use bytes::Bytes;
 use futures_util::future::BoxFuture;
@@ -23,7 +23,7 @@ use tokio::time::{Instant, timeout};
 /// its chunks by an old view.
 const JOB_WINDOW: usize = 16;
 
-/// Chunks collected before they are written out: about 256 KiB, one flush.
+/// Chunks collected before they are written out: about 256 KiB of exact frames, one flush.
 const BATCH: usize = 48;
 
 /// Chunks in generation, each with the asking that it answers.
@@ -131,19 +131,23 @@ where
     /// Hands wanted chunks to the generation service, and cached ones straight back to the session. True if it stopped
     /// only to let a full batch be written.
     fn start_jobs(&mut self, jobs: &mut Jobs) -> bool {
-        let mut batch = 0;
+        let (mut batch, delivery) = (0, self.session.delivery());
         while jobs.len() < JOB_WINDOW {
             if batch == BATCH {
                 return true;
             }
             let Some(wanted) = self.session.next_chunk() else { return false };
-            if let Some(frame) = self.shared.generation.cached(wanted.key) {
+            if let Some(frame) = self.shared.generation.cached(wanted.key, delivery) {
                 self.session.deliver(wanted, frame);
                 batch += 1;
                 continue;
             }
             let generation = self.shared.generation.clone();
-            jobs.push(async move { (wanted, generation.frame(wanted.key, wanted.priority).await) }.boxed());
+            let make = async move {
+                let frame = generation.frame(wanted.key, delivery, wanted.priority).await;
+                (wanted, frame)
+            };
+            jobs.push(make.boxed());
         }
         false
     }
@@ -231,6 +235,11 @@ where
     fn count(&mut self) {
         let (now, before, metrics) = (self.session.counts(), self.counted, &self.shared.metrics);
         metrics.chunks_sent.inc_by(now.chunks - before.chunks);
+        if now.chunks > before.chunks {
+            let label = DeliveryLabel { delivery: self.session.delivery().name() };
+            metrics.chunks_delivered.get_or_create(&label).inc_by(now.chunks - before.chunks);
+            metrics.chunk_bytes_delivered.get_or_create(&label).inc_by(now.chunk_bytes - before.chunk_bytes);
+        }
         metrics.refusals.inc_by(now.refusals - before.refusals);
         metrics.views.inc_by(now.views - before.views);
         self.counted = now;

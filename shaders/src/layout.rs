@@ -1,6 +1,8 @@
 //! What the CPU hands to the shaders, byte for byte. Tests compare every offset with naga's reflection of the WGSL.
 
 use bytemuck::{Pod, Zeroable};
+use terrain::constants::OCTAVES;
+use terrain::{ChunkKey, Octaves, Parameters};
 
 /// The uniforms of a frame; `shared/frame.wesl` documents each field.
 #[repr(C)]
@@ -91,3 +93,47 @@ impl TerrainInstance {
 
 /// Vertices of the `draw_water` call (eight sectors of a plane).
 pub const WATER_VERTICES: u32 = 24;
+
+/// What the height passes know of a world; `shared/land.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct World {
+    /// Seed of each octave, coarsest first.
+    pub octave_seeds: [u32; OCTAVES],
+    /// Seed of the archipelago.
+    pub archipelago_seed: u32,
+}
+
+impl From<Parameters> for World {
+    fn from(parameters: Parameters) -> Self {
+        Self { octave_seeds: parameters.octave_seeds, archipelago_seed: parameters.archipelago_seed }
+    }
+}
+
+/// One chunk for `fill_chunks`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct ChunkFill {
+    /// Low corner east, units.
+    pub x: i32,
+    /// Low corner south, units.
+    pub z: i32,
+    /// log2 of the vertex spacing in units.
+    pub spacing_bits: u32,
+    /// Octaves that the level carries.
+    pub octaves: u32,
+}
+
+impl From<ChunkKey> for ChunkFill {
+    fn from(key: ChunkKey) -> Self {
+        let (x, z) = key.origin();
+        let octaves = Octaves::at_level(key.level()).count() as u32;
+        Self { x, z, spacing_bits: key.spacing().trailing_zeros(), octaves }
+    }
+}
+
+/// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, hills, folds, height.
+pub const PROBE_WORDS: usize = 5;
+
+/// Invocations of a workgroup of `probe_heights` and of `fill_heights`, in x.
+pub const FILL_WORKGROUP: u32 = 64;

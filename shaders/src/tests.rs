@@ -4,19 +4,107 @@ use std::io::Write as _;
 use std::mem::offset_of;
 use std::process::{Command, Stdio};
 
-use naga::{Binding, ScalarKind, ShaderStage, TypeInner, VectorSize};
+use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
-use crate::layout::{Frame, PATTERN_PERIOD_M, TerrainInstance};
+use crate::layout::{ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, TerrainInstance, World};
 use crate::validate::validate;
-use crate::{SHADERS, Stage};
+use crate::{SHADERS, Shader, Stage};
+
+/// The passes of one kind.
+fn passes(compute: bool) -> impl Iterator<Item = &'static Shader> {
+    let computes = |shader: &&Shader| shader.entry_points.iter().all(|entry| entry.stage == Stage::Compute);
+    SHADERS.all().into_iter().filter(move |shader| computes(shader) == compute)
+}
 
 #[test]
-fn every_shader_is_portable_webgpu_with_one_vertex_and_one_fragment_stage() {
+fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
     for shader in SHADERS.all() {
         validate(shader.name, shader.wgsl).unwrap_or_else(|complaint| panic!("{complaint}"));
+    }
+    for shader in passes(false) {
         let stages: Vec<Stage> = shader.entry_points.iter().map(|entry| entry.stage).collect();
         assert_eq!(stages, [Stage::Vertex, Stage::Fragment], "{}", shader.name);
     }
+    let names: Vec<&str> = passes(true).map(|shader| shader.name).collect();
+    assert_eq!(names, ["fill_chunks", "probe_heights", "probe_heights_float"]);
+}
+
+/// Everything in a shader that the ring profile forbids: arithmetic on floats, and `/` or `%` on signed integers.
+fn outside_the_ring_profile(name: &str, wgsl: &str) -> Vec<String> {
+    let (module, info) = validate(name, wgsl).unwrap_or_else(|complaint| panic!("{complaint}"));
+    let functions = module.functions.iter().map(|(handle, function)| (function, &info[handle]));
+    let entries = module.entry_points.iter().enumerate();
+    let entries = entries.map(|(index, entry)| (&entry.function, info.get_entry_point(index)));
+    let mut found = Vec::new();
+    for (function, types) in functions.chain(entries) {
+        for (handle, expression) in function.expressions.iter() {
+            let scalar = types[handle].ty.inner_with(&module.types).scalar_kind();
+            let divides = matches!(
+                expression,
+                Expression::Binary { op: BinaryOperator::Divide | BinaryOperator::Modulo, .. }
+            );
+            let place = function.name.as_deref().unwrap_or("an entry point");
+            if divides && scalar == Some(ScalarKind::Sint) {
+                found.push(format!("{place}: signed `/` or `%`"));
+            }
+            if scalar == Some(ScalarKind::Float) {
+                found.push(format!("{place}: a float"));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn integer_passes_keep_to_the_ring_profile_and_the_check_can_fail() {
+    for shader in [SHADERS.fill_chunks, SHADERS.probe_heights] {
+        assert_eq!(
+            outside_the_ring_profile(shader.name, shader.wgsl),
+            Vec::<String>::new(),
+            "{}",
+            shader.name
+        );
+    }
+    let float = SHADERS.probe_heights_float;
+    assert!(outside_the_ring_profile(float.name, float.wgsl).iter().any(|found| found.contains("a float")));
+    // The tempting way to write it.
+    let tempting = SHADERS.probe_heights.wgsl.replacen("mod_trunc(probe.x, probe.y)", "probe.x % probe.y", 1);
+    assert_ne!(tempting, SHADERS.probe_heights.wgsl);
+    let found = outside_the_ring_profile("tempting", &tempting);
+    assert!(found.len() == 1 && found[0].contains('%'), "{found:?}");
+}
+
+/// Offsets of a struct's members and its size, as a shader reads them.
+fn reflected(shader: &Shader, name: &str) -> (Vec<(String, usize)>, usize) {
+    let (module, _) = validate(shader.name, shader.wgsl).unwrap();
+    let (_, found) = module
+        .types
+        .iter()
+        .find(|(_, candidate)| candidate.name.as_deref() == Some(name))
+        .unwrap_or_else(|| panic!("{} has no {name}", shader.name));
+    let TypeInner::Struct { members, span } = &found.inner else { panic!("{name} is no struct") };
+    let member = |m: &naga::StructMember| (m.name.clone().unwrap_or_default(), m.offset as usize);
+    (members.iter().map(member).collect(), *span as usize)
+}
+
+#[test]
+fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
+    let world = [
+        ("octave_seeds".to_owned(), offset_of!(World, octave_seeds)),
+        ("archipelago_seed".to_owned(), offset_of!(World, archipelago_seed)),
+    ];
+    for shader in passes(true) {
+        assert_eq!(reflected(shader, "World"), (world.to_vec(), size_of::<World>()), "{}", shader.name);
+        let (module, _) = validate(shader.name, shader.wgsl).unwrap();
+        assert_eq!(module.entry_points[0].workgroup_size, [FILL_WORKGROUP, 1, 1], "{}", shader.name);
+    }
+    let fill = [
+        ("x".to_owned(), offset_of!(ChunkFill, x)),
+        ("z".to_owned(), offset_of!(ChunkFill, z)),
+        ("spacing_bits".to_owned(), offset_of!(ChunkFill, spacing_bits)),
+        ("octaves".to_owned(), offset_of!(ChunkFill, octaves)),
+    ];
+    assert_eq!(reflected(&SHADERS.fill_chunks, "ChunkFill"), (fill.to_vec(), size_of::<ChunkFill>()));
 }
 
 #[test]
@@ -83,18 +171,9 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("pattern_eye_m", offset_of!(Frame, pattern_eye_m)),
         ("viewport", offset_of!(Frame, viewport)),
     ];
-    for shader in SHADERS.all() {
-        let (module, _) = validate(shader.name, shader.wgsl).unwrap();
-        let (_, frame) = module
-            .types
-            .iter()
-            .find(|(_, candidate)| candidate.name.as_deref() == Some("Frame"))
-            .unwrap_or_else(|| panic!("{} has no frame", shader.name));
-        let TypeInner::Struct { members, span } = &frame.inner else { panic!("Frame is no struct") };
-        let found: Vec<_> =
-            members.iter().map(|m| (m.name.as_deref().unwrap_or(""), m.offset as usize)).collect();
-        assert_eq!(found, expected, "{}", shader.name);
-        assert_eq!(*span as usize, size_of::<Frame>(), "{}", shader.name);
+    let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
+    for shader in passes(false) {
+        assert_eq!(reflected(shader, "Frame"), (expected.clone(), size_of::<Frame>()), "{}", shader.name);
     }
 }
 

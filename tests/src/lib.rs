@@ -3,9 +3,11 @@
 //! | suite | what belongs there |
 //! | --- | --- |
 //! | `streaming` | what a well-behaved client gets over real sockets |
+//! | `delivery` | exact and seed-only delivery: equal land, equal pictures, servers that lie |
 //! | `hostile` | peers that break the rules, and that the others do not notice |
 //! | `http` | probes, metrics, the world's description, chunk downloads |
 //! | `faults` | servers that go away, and clients that live on |
+//! | `far` | that a picture does not depend on the distance from the origin |
 //! | `pictures` | what the headless viewer draws, against golden pictures |
 //! | `programs` | the built binaries: options, exit codes, messages |
 //! | `harness` | that the harness itself fails when it should |
@@ -13,6 +15,7 @@
 #![forbid(unsafe_code)]
 
 pub mod golden;
+pub mod liar;
 pub mod peer;
 pub mod program;
 pub mod running;

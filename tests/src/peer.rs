@@ -3,7 +3,7 @@
 use futures_util::{SinkExt, StreamExt};
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::view::View;
-use protocol::{Incoming, SUBPROTOCOL};
+use protocol::{Delivery, Incoming, SUBPROTOCOL};
 use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
@@ -84,16 +84,27 @@ pub struct Guest {
     pub session: ClientSession,
 }
 
-/// A client configuration that accepts any world.
+/// A client configuration that accepts any world and wants exact chunks.
 #[must_use]
 pub fn guest_config() -> ClientConfig {
-    ClientConfig { digest: None, token: None, software: "suite".into(), window: 64 }
+    ClientConfig {
+        digest: None,
+        delivery: Delivery::Exact,
+        token: None,
+        software: "suite".into(),
+        window: 64,
+    }
 }
 
 impl Guest {
     /// Connects and completes the handshake.
     pub async fn connect(url: &str) -> Self {
-        let mut guest = Self { peer: Peer::connect(url).await, session: ClientSession::new(guest_config()) };
+        Self::connect_as(url, guest_config()).await
+    }
+
+    /// As [`Guest::connect`], with a configuration.
+    pub async fn connect_as(url: &str, config: ClientConfig) -> Self {
+        let mut guest = Self { peer: Peer::connect(url).await, session: ClientSession::new(config) };
         let welcome = guest.event().await.expect("a welcome");
         assert!(matches!(welcome, Event::Welcome(_)), "{welcome:?}");
         guest

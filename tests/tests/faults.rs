@@ -61,7 +61,7 @@ fn until(voyage: &mut Voyage<SocketFeed>, mut condition: impl FnMut(&Voyage<Sock
 fn the_viewer_keeps_what_it_has_while_the_server_is_gone_and_goes_on_when_it_returns() {
     let server = ServerProgram::start(&["--threads", "1"]);
     let address = server.address.clone();
-    let settings = Settings { url: server.stream_url().parse().unwrap(), token: None };
+    let settings = Settings::new(server.stream_url().parse().unwrap());
     let mut voyage = Voyage::new(SocketFeed::connect(settings).unwrap(), 512);
     // In mid-stream: some chunks are here, not all.
     until(&mut voyage, |voyage| voyage.world().len() >= 8);
@@ -81,7 +81,7 @@ async fn a_server_of_another_world_replaces_the_land() {
     let server = RunningServer::start().await;
     let (address, url) = (server.address, server.stream_url());
     let driven = tokio::task::spawn_blocking(move || {
-        let settings = Settings { url: url.parse().unwrap(), token: None };
+        let settings = Settings::new(url.parse().unwrap());
         let mut voyage = Voyage::new(SocketFeed::connect(settings).unwrap(), 512);
         until(&mut voyage, Voyage::is_settled);
         voyage

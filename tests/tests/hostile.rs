@@ -1,8 +1,7 @@
 //! Peers that break the rules: each is told by a typed close code, and the others do not notice.
 
-use protocol::CloseCode;
 use protocol::message::{ClientMessage, Hello, ServerMessage};
-use protocol::{SUBPROTOCOL, control, limits};
+use protocol::{CloseCode, Delivery, SUBPROTOCOL, control, limits};
 use std::time::Duration;
 use tests::peer::{Guest, Peer, view};
 use tests::{RunningServer, running};
@@ -11,9 +10,14 @@ use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::{Error, Message};
 
 fn hello() -> Vec<u8> {
-    control::encode(&ClientMessage::Hello(Hello { digest: None, token: None, software: "hostile".into() }))
-        .unwrap()
-        .to_vec()
+    control::encode(&ClientMessage::Hello(Hello {
+        digest: None,
+        delivery: Delivery::Exact,
+        token: None,
+        software: "hostile".into(),
+    }))
+    .unwrap()
+    .to_vec()
 }
 
 /// Sends one message after the handshake and gives the close code.
@@ -48,6 +52,8 @@ async fn bad_frames_get_typed_close_codes_and_the_other_session_lives_on() {
         ("far oversized", binary(&vec![0; 1 << 20]), CloseCode::Malformed),
         ("second hello", binary(&hello()), CloseCode::OutOfOrder),
         ("other version", binary(&wrong_version), CloseCode::WrongVersion),
+        // A chunk frame is nothing that a client may send.
+        ("a chunk", binary(&[&b"TMBC\x01\x00\x01"[..], &[0; 29]].concat()), CloseCode::Malformed),
     ];
     for (name, message, code) in cases {
         let got = fate(&server, message).await;
@@ -68,12 +74,34 @@ async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
     let answer = peer.receive().await.expect("a rejection");
     let ServerMessage::Rejected(rejection) = control::decode(&answer).unwrap() else { panic!("{answer:?}") };
     assert!(
-        rejection.to_string().contains("42") && rejection.to_string().contains("server 1"),
+        rejection.to_string().contains("42") && rejection.to_string().contains("server 2"),
         "{rejection}"
     );
     assert_eq!(peer.closed().await, Some(CloseCode::WrongVersion.code()));
 
-    let stranger = Hello { digest: Some([0xee; 32]), token: None, software: "hostile".into() };
+    // A client of the first release: what it said, byte for byte.
+    let mut old = b"TMBM\x01\x00".to_vec();
+    old.extend([0; 4 + 1 + 1 + 8]);
+    let mut peer = Peer::connect(&server.stream_url()).await;
+    peer.send_bytes(&old).await;
+    let answer = peer.receive().await.expect("a rejection");
+    let ServerMessage::Rejected(rejection) = control::decode(&answer).unwrap() else { panic!("{answer:?}") };
+    assert!(rejection.to_string().contains("version 1, the server 2"), "{rejection}");
+    assert_eq!(peer.closed().await, Some(CloseCode::WrongVersion.code()));
+
+    // A delivery that a later release may have: told as a fault of the frame, in words.
+    let mut later = hello();
+    later[4 + 2 + 4 + 1] = 9;
+    let mut peer = Peer::connect(&server.stream_url()).await;
+    peer.send_bytes(&later).await;
+    assert_eq!(peer.closed().await, Some(CloseCode::Malformed.code()));
+
+    let stranger = Hello {
+        digest: Some([0xee; 32]),
+        delivery: Delivery::Exact,
+        token: None,
+        software: "hostile".into(),
+    };
     let mut peer = Peer::connect(&server.stream_url()).await;
     peer.send_bytes(control::encode(&ClientMessage::Hello(stranger)).unwrap()).await;
     let answer = peer.receive().await.expect("a rejection");
@@ -181,7 +209,12 @@ async fn a_token_is_asked_for_on_both_doors() {
     let mut peer = Peer::connect(&server.stream_url()).await;
     peer.send_bytes(hello()).await;
     assert_eq!(peer.closed().await, Some(CloseCode::Unauthorised.code()));
-    let admitted = Hello { digest: None, token: Some("open sesame".into()), software: String::new() };
+    let admitted = Hello {
+        digest: None,
+        delivery: Delivery::Exact,
+        token: Some("open sesame".into()),
+        software: String::new(),
+    };
     let mut peer = Peer::connect(&server.stream_url()).await;
     peer.send_bytes(control::encode(&ClientMessage::Hello(admitted)).unwrap()).await;
     assert!(peer.receive().await.is_ok());

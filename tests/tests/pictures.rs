@@ -71,7 +71,7 @@ async fn the_streamed_picture_equals_the_local_one_byte_for_byte() {
     let compared = tokio::task::spawn_blocking(move || {
         let options = options(START);
         let Some((local, _)) = drawn(&options) else { return };
-        let settings = Settings { url: url.parse().unwrap(), token: None };
+        let settings = Settings::new(url.parse().unwrap());
         let feed = SocketFeed::connect(settings).unwrap();
         let (streamed, stats) = headless::render(&options, feed, Instant::now(), |_| {}).unwrap();
         assert!(local.rgba == streamed.rgba, "{:?}", Difference::between(&local, &streamed));

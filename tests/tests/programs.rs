@@ -48,6 +48,9 @@ fn values_out_of_range_are_named_with_what_is_allowed() {
     refused("tombolo-view", &["--camera", "1,2,3"], 2, &["--camera", "1,2,3"]);
     refused("tombolo-view", &["--camera", "NaN,0,0,0,0"], 2, &["--camera"]);
     refused("tombolo-view", &["--camera", "99999999,0,0,0,0"], 2, &["--camera", "99999999"]);
+    refused("tombolo-view", &["--delivery", "lossy"], 2, &["--delivery", "lossy", "exact or seed"]);
+    refused("tombolo-view", &["--digest", "abc"], 2, &["--digest", "abc", "64 hexadecimal digits"]);
+    refused("tombolo-load", &["--delivery", "lossy"], 2, &["--delivery", "lossy", "exact or seed"]);
     refused("tombolo-view", &["--size", "0x0"], 2, &["--size", "0x0"]);
     refused("tombolo-load", &["--clients", "none"], 2, &["--clients", "none"]);
     refused("tombolo-load", &["--connect", "not a url"], 2, &["--connect"]);
@@ -120,20 +123,24 @@ fn a_terminated_server_drains_and_ends_with_0() {
 fn a_short_load_test_verifies_chunks_and_writes_its_record() {
     let server = ServerProgram::start(&[]);
     let record = std::env::temp_dir().join(format!("tombolo-load-{}.json", std::process::id()));
-    let arguments = [
-        "--clients",
-        "3",
-        "--seconds",
-        "3",
-        "--connect",
-        &server.stream_url(),
-        "--json",
-        record.to_str().unwrap(),
-    ];
-    let output = run("tombolo-load", &arguments);
-    assert!(output.status.success(), "{}", errors(&output));
-    let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&record).unwrap()).unwrap();
-    std::fs::remove_file(record).unwrap();
+    let run_with = |delivery: &[&str]| {
+        let url = server.stream_url();
+        let path = record.to_str().unwrap();
+        let arguments = ["--clients", "3", "--seconds", "3", "--connect", &url, "--json", path];
+        let output = run("tombolo-load", &[&arguments, delivery].concat());
+        assert!(output.status.success(), "{}", errors(&output));
+        let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&record).unwrap()).unwrap();
+        std::fs::remove_file(&record).unwrap();
+        json
+    };
+    let seed = run_with(&["--delivery", "seed"]);
+    let count = |name: &str| seed[name].as_u64().unwrap();
+    assert_eq!((&seed["delivery"], count("mismatches"), count("dropped")), (&"seed".into(), 0, 0));
+    assert!(count("chunks") > 0 && count("regenerated") == count("chunks"), "{seed}");
+    assert_eq!(count("bytes"), count("chunks") * 36, "{seed}");
+
+    let json = run_with(&[]);
+    assert_eq!(json["delivery"], "exact");
     assert_eq!(
         (json["clients"].as_u64(), json["mismatches"].as_u64(), json["dropped"].as_u64()),
         (Some(3), Some(0), Some(0))
@@ -186,6 +193,7 @@ fn a_shot_writes_a_picture_of_the_asked_size_and_all_statistics() {
     ] {
         assert!(json[number].as_f64() > Some(0.0), "{number}: {json}");
     }
+    assert_eq!(json["delivery"], "exact");
     assert!(json["adapter"].as_str().is_some_and(|name| !name.is_empty()));
     std::fs::remove_file(picture).unwrap();
     std::fs::remove_file(stats).unwrap();

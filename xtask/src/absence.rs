@@ -11,32 +11,44 @@ struct Rule {
     why: &'static str,
 }
 
-const RULES: [Rule; 6] = [
+const RULES: [Rule; 7] = [
     Rule {
         package: "terrain",
-        forbidden: &["protocol", "shaders", "server", "client", "load", "cli", "serde", "tokio", "wgpu"],
+        forbidden: &[
+            "protocol", "shaders", "server", "client", "load", "lab", "cli", "serde", "noise", "tokio",
+            "wgpu",
+        ],
         why: "the land is pure and knows nobody",
     },
     Rule {
         package: "protocol",
-        forbidden: &["shaders", "server", "client", "load", "tokio", "axum", "tungstenite", "wgpu"],
+        forbidden: &["shaders", "server", "client", "load", "lab", "tokio", "axum", "tungstenite", "wgpu"],
         why: "the protocol does no IO",
     },
     Rule {
         package: "shaders",
-        forbidden: &["protocol", "server", "client", "load", "tokio", "wgpu"],
+        forbidden: &["protocol", "server", "client", "load", "lab", "tokio", "wgpu"],
         why: "shaders are text and layouts; drawing with them is the client's",
     },
     Rule {
         package: "server",
-        forbidden: &["wgpu", "winit", "egui", "client", "shaders", "load"],
+        forbidden: &["wgpu", "winit", "egui", "client", "shaders", "load", "lab"],
         why: "a server draws nothing",
     },
-    Rule { package: "client", forbidden: &["axum", "server", "load"], why: "a viewer serves nothing" },
+    Rule {
+        package: "client",
+        forbidden: &["axum", "server", "load", "lab", "noise"],
+        why: "a viewer serves nothing",
+    },
     Rule {
         package: "load",
-        forbidden: &["wgpu", "winit", "egui", "client", "shaders", "server"],
+        forbidden: &["wgpu", "winit", "egui", "client", "shaders", "server", "lab"],
         why: "a load test runs where no GPU is",
+    },
+    Rule {
+        package: "lab",
+        forbidden: &["axum", "server", "load", "fastnoise2"],
+        why: "a bench measures, it serves nothing",
     },
 ];
 

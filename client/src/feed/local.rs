@@ -2,6 +2,7 @@
 //! picture must equal.
 
 use crate::feed::{Feed, FeedEvent, Traffic};
+use protocol::Delivery;
 use protocol::view::View;
 use std::collections::{HashSet, VecDeque};
 use terrain::{ChunkKey, Land, lod};
@@ -60,6 +61,10 @@ impl Feed for LocalFeed {
 
     fn holding(&mut self, keys: &[ChunkKey]) {
         self.held.extend(keys);
+    }
+
+    fn delivery(&self) -> Delivery {
+        Delivery::SeedOnly
     }
 
     fn traffic(&self) -> Traffic {

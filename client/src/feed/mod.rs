@@ -6,6 +6,7 @@ pub mod local;
 
 pub use local::LocalFeed;
 
+use protocol::Delivery;
 use protocol::view::View;
 use std::time::Duration;
 use terrain::{Chunk, ChunkKey, WorldDigest};
@@ -60,6 +61,8 @@ pub trait Feed {
     fn release(&mut self, keys: &[ChunkKey]);
     /// Says after a reconnect which chunks are here already.
     fn holding(&mut self, keys: &[ChunkKey]);
+    /// How chunks come, for the record of a run.
+    fn delivery(&self) -> Delivery;
     /// Counters.
     fn traffic(&self) -> Traffic;
 }

@@ -4,8 +4,10 @@ use crate::camera::{Lens, Pose};
 use crate::headless::Options;
 use crate::scene::Scene;
 use clap::{Parser, builder::RangedU64ValueParser};
+use protocol::Delivery;
 use std::path::PathBuf;
 use std::time::Duration;
+use terrain::WorldDigest;
 use terrain::lod::MAX_VIEW_DISTANCE_M;
 use tokio_tungstenite::tungstenite::http::Uri;
 
@@ -19,6 +21,14 @@ pub struct Args {
     /// Stream of the server
     #[arg(long, value_name = "URL", default_value = "ws://127.0.0.1:7580/v1/stream", value_parser = parse_url)]
     pub connect: Uri,
+
+    /// How chunks come: exact (all heights) or seed (a digest each; they are generated here and verified)
+    #[arg(long, value_name = "exact|seed", default_value_t = Delivery::Exact)]
+    pub delivery: Delivery,
+
+    /// Insists on the world of this digest, 64 hexadecimal digits; a server of another world is refused
+    #[arg(long, value_name = "HEX", value_parser = parse_digest)]
+    pub digest: Option<WorldDigest>,
 
     /// What to show
     #[arg(long, value_enum, default_value_t)]
@@ -126,6 +136,11 @@ fn parse_url(text: &str) -> Result<Uri, String> {
     }
 }
 
+fn parse_digest(text: &str) -> Result<WorldDigest, String> {
+    WorldDigest::from_hex(text)
+        .ok_or_else(|| "expected the 64 hexadecimal digits that a server tells at /v1/world".to_owned())
+}
+
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
     let side = |part: &str| part.parse().ok().filter(|side| (1..=MAX_SIDE).contains(side));
     text.split_once(['x', 'X'])
@@ -163,6 +178,7 @@ mod tests {
         assert_eq!(args.connect.to_string(), "ws://127.0.0.1:7580/v1/stream");
         assert_eq!((args.size, args.view_distance, args.tolerance), ((1280, 720), 8000, 2.0));
         assert_eq!(args.pose(), Scene::Island.start());
+        assert_eq!((args.delivery, args.digest), (Delivery::Exact, None));
     }
 
     #[test]
@@ -170,6 +186,10 @@ mod tests {
         let args = parse(&[
             "--connect",
             "ws://host:1/v1/stream",
+            "--delivery",
+            "seed",
+            "--digest",
+            &"0A".repeat(32),
             "--scene",
             "island",
             "--camera",
@@ -202,6 +222,7 @@ mod tests {
             "9",
         ])
         .unwrap();
+        assert_eq!((args.delivery, args.digest), (Delivery::SeedOnly, Some(WorldDigest([10; 32]))));
         let options = args.shot_options();
         assert_eq!(options.pose.position_m.x, -1.5);
         assert_eq!((options.lens.width, options.lens.height, options.lens.fov_deg), (640, 360, 75.0));
@@ -214,6 +235,8 @@ mod tests {
         for (option, value, allowed) in [
             ("--connect", "http://x", "ws://HOST:PORT"),
             ("--connect", "wss://x/y", "TLS"),
+            ("--delivery", "quantised", "exact or seed"),
+            ("--digest", "0a", "64 hexadecimal digits"),
             ("--scene", "moon", "island"),
             ("--camera", "1,2,3", "X,Y,Z,YAW,PITCH"),
             ("--camera", "NaN,0,0,0,0", "finite"),

@@ -31,10 +31,10 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Where to connect, with the token from its file.
+/// Where to connect, as whom (with the token from its file) and for what.
 pub fn settings(args: &Args) -> anyhow::Result<Settings> {
     let token = args.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?;
-    Ok(Settings { url: args.connect.clone(), token })
+    Ok(Settings { url: args.connect.clone(), token, digest: args.digest, delivery: args.delivery })
 }
 
 /// Writes the record of a run.

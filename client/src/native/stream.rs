@@ -1,7 +1,7 @@
 //! The feed of a server: a WebSocket session on a thread of its own, restarted whenever it ends.
 //!
 //! The protocol is `protocol::client`; this file only moves its frames, keeps the connection alive and decides about
-//! reconnecting. Chunks are decoded and verified here, off the drawing thread.
+//! reconnecting. Chunks are decoded (or, in seed-only delivery, generated) and verified here, off the drawing thread.
 
 use crate::feed::{Feed, FeedEvent, Traffic};
 use crate::native::backoff::Backoff;
@@ -9,7 +9,7 @@ use futures_util::{SinkExt as _, StreamExt as _};
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::limits::MAX_SERVER_FRAME;
 use protocol::view::View;
-use protocol::{CloseCode, Incoming, SUBPROTOCOL};
+use protocol::{CloseCode, Delivery, Incoming, SUBPROTOCOL};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -37,13 +37,25 @@ const SILENCE_LIMIT: Duration = Duration::from_secs(35);
 /// How long leaving politely may take.
 const CLOSE_LIMIT: Duration = Duration::from_millis(300);
 
-/// Where to connect and as whom.
+/// Where to connect, as whom and for what.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// `ws://` URL of the stream.
     pub url: Uri,
     /// Access token, where the server asks for one.
     pub token: Option<String>,
+    /// The world to insist on; none accepts any.
+    pub digest: Option<WorldDigest>,
+    /// How chunks are to come.
+    pub delivery: Delivery,
+}
+
+impl Settings {
+    /// Any world, exact, without a token.
+    #[must_use]
+    pub const fn new(url: Uri) -> Self {
+        Self { url, token: None, digest: None, delivery: Delivery::Exact }
+    }
 }
 
 /// A server as a feed.
@@ -54,6 +66,7 @@ pub struct SocketFeed {
     /// Commands that found the channel full. Bounded by what happens between two polls: keys of evicted chunks, one view.
     waiting: VecDeque<Command>,
     counters: Arc<Counters>,
+    delivery: Delivery,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
@@ -75,7 +88,7 @@ impl SocketFeed {
     pub fn connect(settings: Settings) -> std::io::Result<Self> {
         let (event_sender, events) = mpsc::channel(EVENTS);
         let (commands, command_receiver) = mpsc::channel(COMMANDS);
-        let counters = Arc::new(Counters::default());
+        let (counters, delivery) = (Arc::new(Counters::default()), settings.delivery);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let worker = Worker {
             settings,
@@ -86,7 +99,14 @@ impl SocketFeed {
         let thread = std::thread::Builder::new()
             .name("tombolo-stream".into())
             .spawn(move || runtime.block_on(worker.run()))?;
-        Ok(Self { events: Some(events), commands, waiting: VecDeque::new(), counters, thread: Some(thread) })
+        Ok(Self {
+            events: Some(events),
+            commands,
+            waiting: VecDeque::new(),
+            counters,
+            delivery,
+            thread: Some(thread),
+        })
     }
 
     fn command(&mut self, command: Command) {
@@ -126,6 +146,10 @@ impl Feed for SocketFeed {
 
     fn holding(&mut self, keys: &[ChunkKey]) {
         self.command(Command::Holding(keys.to_vec()));
+    }
+
+    fn delivery(&self) -> Delivery {
+        self.delivery
     }
 
     fn traffic(&self) -> Traffic {
@@ -209,7 +233,8 @@ impl Worker {
         // What was meant for the previous session.
         while self.commands.try_recv().is_ok() {}
         let mut session = ClientSession::new(ClientConfig {
-            digest: None,
+            digest: self.settings.digest,
+            delivery: self.settings.delivery,
             token: self.settings.token.clone(),
             software: concat!("tombolo-view ", env!("CARGO_PKG_VERSION")).into(),
             window: WINDOW,
@@ -374,7 +399,7 @@ mod tests {
 
     fn feed_of(address: std::net::SocketAddr) -> SocketFeed {
         let url = format!("ws://{address}/v1/stream").parse().unwrap();
-        SocketFeed::connect(Settings { url, token: None }).unwrap()
+        SocketFeed::connect(Settings::new(url)).unwrap()
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! come out, into whatever view the caller gives.
 
 pub mod backdrop;
+pub mod fill;
 pub mod gpu;
 pub mod mesh;
 pub mod picture;

@@ -1,13 +1,14 @@
 //! Which resident chunks to draw: the finest cover of the view that has no hole and no overlap.
 //!
-//! The rule is that of `terrain::lod`: refine while the error seen on screen exceeds the tolerance. The server refines by a
-//! bound that is never below a chunk's own error, so whatever this wants, the server sends.
+//! The rule is that of `terrain::lod`: refine while the error seen on screen exceeds the tolerance. The server refines by the
+//! level's bound, before anything is generated; this refines by the chunk's own error but never beyond that bound, so whatever
+//! it wants, the server sends.
 
 use crate::world::World;
 use terrain::ChunkKey;
 use terrain::constants::UNITS_PER_METRE;
 use terrain::key::ROOT;
-use terrain::lod::Viewer;
+use terrain::lod::{self, Viewer};
 
 /// What to draw now.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -46,7 +47,10 @@ pub fn select(world: &mut World, viewer: &Viewer) -> Selection {
             }
             continue;
         };
-        let too_coarse = viewer.screen_error_q4(error, distance) > viewer.tolerance_q4.max(1);
+        // The level's bound is empirical. A chunk whose own error exceeds it would want children that no server sends, and the
+        // view would never be complete.
+        let judged = error.min(lod::level_error(key.level()));
+        let too_coarse = viewer.screen_error_q4(judged, distance) > viewer.tolerance_q4.max(1);
         let children = key.children().filter(|_| too_coarse);
         let refined = children.filter(|children| {
             children
@@ -75,7 +79,7 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::HashSet;
     use std::sync::LazyLock;
-    use terrain::{Chunk, Land, lod};
+    use terrain::{Chunk, Land};
 
     const VIEWER: Viewer =
         Viewer { eye: (30_000, 20_000, -50_000), distance_m: 2000, pixels_per_radian: 300, tolerance_q4: 64 };
@@ -109,6 +113,19 @@ mod tests {
             let error = VIEWER.screen_error_q4(chunk.error, VIEWER.distance_to(*key));
             assert!(error <= VIEWER.tolerance_q4, "{key} at {error}/16 px");
         }
+    }
+
+    #[test]
+    fn a_chunk_worse_than_its_levels_bound_wants_nothing_that_is_not_sent() {
+        let excessive = |error: fn(&Chunk) -> u32| {
+            let chunks = SENT.iter().map(|chunk| Chunk { error: error(chunk), ..chunk.clone() });
+            let mut world = world_of(&chunks.collect::<Vec<_>>());
+            select(&mut world, &VIEWER)
+        };
+        let at_the_bound = excessive(|chunk| lod::level_error(chunk.key.level()));
+        let beyond = excessive(|_| u32::MAX);
+        assert!(beyond.is_complete() && beyond.drawn == at_the_bound.drawn);
+        assert_eq!(beyond.worst_error, u32::MAX, "the skirts still bridge what is really there");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! WGSL modules once more in plain Rust: same stem, same statements in the same order, so that the two can be read
-//! side by side and tested without a GPU. Integer modules only; floats are compared as pictures.
+//! side by side and tested without a GPU. Integer modules only; floats are compared as pictures. The land's own modules (`hash`,
+//! `weights`, `noise`, `island`, `land`) have their twins in the `terrain` crate.
 #![expect(
     clippy::needless_return,
     clippy::cast_possible_truncation,
@@ -7,3 +8,4 @@
 )]
 
 pub mod grid;
+pub mod ring;

@@ -2,6 +2,7 @@
 
 use crate::stats::FrameTimes;
 use crate::voyage::Link;
+use protocol::Delivery;
 use std::time::Duration;
 
 /// Frames that the times of the panel look back on.
@@ -24,6 +25,8 @@ pub struct Readings<'a> {
     pub wanting: usize,
     /// Bytes received.
     pub bytes_received: u64,
+    /// How chunks come.
+    pub delivery: Delivery,
     /// Credits out.
     pub credits: u32,
     /// Resident chunks at each level.
@@ -119,7 +122,14 @@ fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>) {
         ("chunks", format!("{} drawn, {} of {} here", readings.drawn, readings.resident, readings.capacity)),
         ("still coarse", readings.wanting.to_string()),
         ("triangles", format!("{:.2} M", readings.triangles as f64 / 1e6)),
-        ("received", format!("{:.2} MiB", readings.bytes_received as f64 / f64::from(1 << 20))),
+        (
+            "received",
+            format!(
+                "{:.2} MiB, {} delivery",
+                readings.bytes_received as f64 / f64::from(1 << 20),
+                readings.delivery
+            ),
+        ),
         ("credits", readings.credits.to_string()),
         ("camera", readings.camera.clone()),
         ("speed", mode),

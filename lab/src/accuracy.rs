@@ -1,0 +1,117 @@
+//! `tombolo-lab accuracy`: what every shortcut costs, against a truth in which nothing is rounded.
+//!
+//! For the heightfield: how far the integers are from the formula in f64 ([`heightfield`], with the bars that are promised), and four curves: octaves kept
+//! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), and dropping octaves on coarse levels ([`levels`]).
+//!
+//! A missed bar, or a control that misses no bar, ends with an error.
+
+pub mod distance;
+pub mod errors;
+pub mod heightfield;
+pub mod levels;
+pub mod octaves;
+pub mod quantum;
+
+use crate::Outputs;
+use crate::chart::{self, Panel};
+use crate::table::Table;
+use anyhow::{Result, anyhow};
+use serde::Serialize;
+use std::io::{IsTerminal, Write};
+
+/// Options of `accuracy`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Options {
+    /// What to measure; everything where it is left out
+    #[arg(long, value_enum, value_name = "SUBJECT")]
+    pub only: Option<Subject>,
+    /// Random points of the headline, 1000 to 100000000; the curves take a fixed number
+    #[arg(long, value_name = "N", default_value_t = 1_000_000,
+          value_parser = clap::value_parser!(u32).range(1_000..=100_000_000))]
+    pub points: u32,
+    /// Seed of the world
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub world_seed: u64,
+}
+
+/// Something with a truth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Subject {
+    /// The heights of the land
+    Heightfield,
+}
+
+/// The result. Field names are a contract with scripts.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Seed of the world.
+    pub world_seed: u64,
+    /// The promised numbers.
+    pub headline: heightfield::Headline,
+    /// The curves.
+    pub tables: Vec<Table>,
+}
+
+/// A curve: its tables, and its diagrams under one title.
+#[derive(Clone, Debug)]
+pub struct Curve {
+    /// Name of the picture.
+    pub name: &'static str,
+    /// Title over all diagrams.
+    pub title: &'static str,
+    /// What was measured.
+    pub tables: Vec<Table>,
+    /// Diagrams of it.
+    pub panels: Vec<Panel>,
+}
+
+/// Measures one curve of a world.
+type Measure = fn(u64) -> Curve;
+
+/// What is measured besides the headline, in order.
+const CURVES: [(&str, Measure); 4] = [
+    ("octaves kept", octaves::measure),
+    ("height quantum", quantum::measure),
+    ("distance from the origin", distance::measure),
+    ("levels", levels::measure),
+];
+
+/// Measures, prints, writes CSV and PNG where a folder was named, and judges.
+///
+/// # Errors
+/// A bar is missed, a control misses none, or a result cannot be written.
+pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
+    // The only subject so far is also the default.
+    let Subject::Heightfield = options.only.unwrap_or(Subject::Heightfield);
+    let seed = options.world_seed;
+    let headline = heightfield::measure(seed, options.points);
+    print(&headline);
+    let mut tables = Vec::new();
+    for (what, measure) in CURVES {
+        note(what);
+        let curve = measure(seed);
+        for table in &curve.tables {
+            print(&format_args!("\n{table}"));
+            outputs.out.as_deref().map_or(Ok(()), |folder| table.write_csv(folder))?;
+        }
+        if let Some(folder) = &outputs.out {
+            chart::write(&folder.join(format!("{}.png", curve.name)), curve.title, &curve.panels)?;
+        }
+        tables.extend(curve.tables);
+    }
+    let report = Report { world_seed: seed, headline, tables };
+    outputs.write_json(&report)?;
+    report.headline.verdict().map_err(|problem| anyhow!(problem))
+}
+
+/// Nobody reading the tables is no reason to fail; the exit code says what matters.
+fn print(text: &dyn std::fmt::Display) {
+    let _ = write!(std::io::stdout(), "{text}");
+}
+
+/// Says what takes time, where a person waits.
+fn note(what: &str) {
+    if std::io::stderr().is_terminal() {
+        eprintln!("measuring {what} ...");
+    }
+}

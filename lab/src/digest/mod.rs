@@ -1,0 +1,207 @@
+//! `digest`: every backend of this machine computes the same integers.
+//!
+//! All are asked the same [`probes`]; what each answers ([`words`]) is named by one blake3 digest, and all digests must equal a frozen
+//! one, so that builds and machines that never meet are compared too. Backends: this program ([`cpu`]), WGSL under naga on every
+//! adapter ([`gpu`], [`swiftshader`]), WGSL under Tint in a browser ([`browser`]). A float twin must differ: the control that
+//! proves the comparison can fail.
+
+pub mod browser;
+pub mod child;
+pub mod cpu;
+pub mod gpu;
+pub mod probes;
+pub mod report;
+pub mod swiftshader;
+pub mod words;
+
+use crate::{Outputs, adapters};
+use anyhow::{Result, anyhow};
+use probes::Probe;
+use report::{Backend, Control, Report, State};
+use shaders::SHADERS;
+use std::time::Instant;
+use terrain::{Kernel, Land};
+
+/// The world that is probed; both halves of the seed count.
+pub const WORLD_SEED: u64 = 0x0123_4567_89ab_cdef;
+
+/// The digest of `terrain::constants::GENERATOR_VERSION` 2. It changes with the version and with the probe set, never else.
+pub const EXPECTED: &str = "66f3515f73b5ac6e3295a9e3785aa6ec7911ab1617776051aa094ec3a323e27f";
+
+/// Differences that are told of one backend.
+const TOLD: usize = 3;
+
+/// Options of `digest`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Options {
+    /// Fail where no GPU adapter is found, a software one included
+    #[arg(long, env = "TOMBOLO_REQUIRE_GPU", value_parser = clap::builder::FalseyValueParser::new())]
+    pub require_gpu: bool,
+    /// Ask the Vulkan adapters only and print their results as JSON: how this program asks itself about SwiftShader
+    #[arg(long, hide = true)]
+    pub child: bool,
+}
+
+/// Asks every backend, prints the table, writes the report.
+///
+/// # Errors
+/// A backend differs, the control does not, or a required GPU is missing.
+pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
+    let bench = Bench::new();
+    if options.child {
+        let backends: Vec<Backend> = bench.adapters(wgpu::Backends::VULKAN).0;
+        println!("{}", serde_json::to_string(&backends)?);
+        return Ok(());
+    }
+    let mut backends = bench.cpu();
+    let (found, control) = bench.adapters(wgpu::Backends::all());
+    let any_gpu = found.iter().any(|backend| backend.state != State::Skipped);
+    backends.extend(found);
+    backends.extend(bench.swiftshader());
+    backends.push(bench.browser());
+
+    let mut report =
+        Report { probes: bench.probes.len(), expected: EXPECTED.into(), backends, control, equal: false };
+    let verdict = report.verdict();
+    report.equal = verdict.is_ok();
+    print!("{report}");
+    outputs.write_json(&report)?;
+    verdict.map_err(|problem| anyhow!(problem))?;
+    if options.require_gpu && !any_gpu {
+        return Err(anyhow!(
+            "no GPU adapter was found and --require-gpu asks for one: install a driver, on Debian or Ubuntu \
+             `apt install mesa-vulkan-drivers libvulkan1`"
+        ));
+    }
+    Ok(())
+}
+
+/// What all backends are asked, and the answers of the definition.
+struct Bench {
+    land: Land,
+    probes: Vec<Probe>,
+    scalar: Vec<i32>,
+    scalar_seconds: f64,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let (land, probes) = (Land::new(WORLD_SEED), probes::all());
+        let began = Instant::now();
+        let scalar = cpu::scalar(&land, &probes);
+        Self { land, probes, scalar, scalar_seconds: began.elapsed().as_secs_f64() }
+    }
+
+    /// This program: the definition, then the kernels.
+    fn cpu(&self) -> Vec<Backend> {
+        let build = if cfg!(debug_assertions) { "debug" } else { "release" };
+        let mut scalar =
+            self.compare(format!("Rust definition ({build})"), &self.scalar, self.scalar_seconds);
+        if scalar.state == State::Different {
+            scalar.detail =
+                "this build computes another land than the frozen digest: if that is meant, bump \
+                             GENERATOR_VERSION and freeze the new digest"
+                    .into();
+        }
+        let mut backends = vec![scalar];
+        for kernel in Kernel::available() {
+            let began = Instant::now();
+            let words = cpu::by_kernel(&self.land, kernel, &self.probes, &self.scalar);
+            let seconds = began.elapsed().as_secs_f64();
+            backends.push(self.compare(format!("Rust {kernel} kernel ({build})"), &words, seconds));
+        }
+        backends
+    }
+
+    /// Every adapter of some backends, and the control on the first that works.
+    fn adapters(&self, which: wgpu::Backends) -> (Vec<Backend>, Option<Control>) {
+        let (mut backends, mut control) = (Vec::new(), None);
+        for adapter in adapters::all(which) {
+            let name = format!("naga -> {}", adapters::name(&adapter));
+            let gpu = match adapters::open(&adapter) {
+                Ok(gpu) => gpu,
+                Err(error) => {
+                    backends.push(Backend::skipped(name, format!("{error:#}")));
+                    continue;
+                }
+            };
+            let began = Instant::now();
+            let words = gpu::words(&gpu, &SHADERS.probe_heights, &self.land, &self.probes);
+            let seconds = began.elapsed().as_secs_f64();
+            backends.push(match words {
+                Ok(words) => self.compare(name.clone(), &words, seconds),
+                Err(error) => Backend::failed(name.clone(), format!("{error:#}"), seconds),
+            });
+            if control.is_none() {
+                let floats = gpu::words(&gpu, &SHADERS.probe_heights_float, &self.land, &self.probes);
+                control = floats.ok().map(|words| self.control(&name, &words));
+            }
+        }
+        if backends.is_empty() {
+            backends.push(Backend::skipped("naga -> any adapter", "no adapter was found"));
+        }
+        (backends, control)
+    }
+
+    fn swiftshader(&self) -> Vec<Backend> {
+        const NAME: &str = "naga -> SwiftShader (vulkan)";
+        let Some(manifest) = swiftshader::manifest() else {
+            return vec![Backend::skipped(NAME, "not installed; it comes with Chromium")];
+        };
+        let began = Instant::now();
+        swiftshader::backends(&manifest).unwrap_or_else(|error| {
+            vec![Backend::failed(NAME, format!("{error:#}"), began.elapsed().as_secs_f64())]
+        })
+    }
+
+    fn browser(&self) -> Backend {
+        const NAME: &str = "Tint -> SwiftShader (Chromium)";
+        let Some(program) = browser::program() else {
+            return Backend::skipped(NAME, "Chromium is not installed");
+        };
+        let began = Instant::now();
+        let answer = browser::words(&program, &SHADERS.probe_heights, &self.land, &self.probes);
+        let seconds = began.elapsed().as_secs_f64();
+        match answer {
+            Ok(browser::Answer::Words { words, adapter }) => {
+                let compared = self.compare(NAME.into(), &words, seconds);
+                if compared.detail.is_empty() { Backend { detail: adapter, ..compared } } else { compared }
+            }
+            Ok(browser::Answer::NoWebGpu(why)) => Backend::skipped(NAME, why),
+            Err(error) => Backend::failed(NAME, format!("{error:#}"), seconds),
+        }
+    }
+
+    fn compare(&self, name: String, words: &[i32], seconds: f64) -> Backend {
+        let digest = words::digest(words);
+        let state = if digest == EXPECTED { State::Equal } else { State::Different };
+        let total = words::count_differences(&self.scalar, words);
+        let detail = match (state, total) {
+            (State::Different, 0) => "equal to the definition of this build, not to the frozen digest".into(),
+            (_, 0) => String::new(),
+            _ => {
+                let told = words::describe_differences(&self.probes, &self.scalar, words, TOLD).join("; ");
+                format!("{total} words differ from the definition of this build: {told}")
+            }
+        };
+        Backend { name, digest: Some(digest), state, detail, seconds }
+    }
+
+    fn control(&self, backend: &str, words: &[i32]) -> Control {
+        let digest = words::digest(words);
+        let words_different = words::count_differences(&self.scalar, words);
+        let differs = digest != EXPECTED && words_different > 0;
+        Control { name: format!("f32 twin, {backend}"), digest, differs, words_different }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn this_build_computes_the_frozen_digest() {
+        let found = words::digest(&cpu::scalar(&Land::new(WORLD_SEED), &probes::all()));
+        assert_eq!(found, EXPECTED, "another land: bump GENERATOR_VERSION and freeze the new digest");
+    }
+}

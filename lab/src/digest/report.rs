@@ -1,0 +1,158 @@
+//! What a comparison found: as JSON, as a table, and as a verdict.
+
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// The result of a run. Field names are a contract with scripts.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Probes that every backend was asked.
+    pub probes: usize,
+    /// The frozen digest that all must yield.
+    pub expected: String,
+    /// Who was asked.
+    pub backends: Vec<Backend>,
+    /// The float twin; none where no GPU was found to run it.
+    pub control: Option<Control>,
+    /// Whether no backend differs and the control does.
+    pub equal: bool,
+}
+
+/// One implementation on one machine.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Backend {
+    /// Compiler and driver, for people.
+    pub name: String,
+    /// Of its words; none where it computed nothing.
+    pub digest: Option<String>,
+    /// The verdict.
+    pub state: State,
+    /// Why it was skipped, or where it differs; else what there is to know of it.
+    pub detail: String,
+    /// How long it took.
+    pub seconds: f64,
+}
+
+/// How a backend compares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum State {
+    /// The expected digest.
+    Equal,
+    /// Another digest, or a failure after it was opened.
+    Different,
+    /// Not on this machine.
+    Skipped,
+}
+
+/// The twin that must differ.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Control {
+    /// What ran it.
+    pub name: String,
+    /// Of its words.
+    pub digest: String,
+    /// Whether it differs, as it must.
+    pub differs: bool,
+    /// How many of its words do.
+    pub words_different: usize,
+}
+
+impl Backend {
+    /// One that is not on this machine.
+    #[must_use]
+    pub fn skipped(name: impl Into<String>, why: impl Into<String>) -> Self {
+        Self { name: name.into(), digest: None, state: State::Skipped, detail: why.into(), seconds: 0.0 }
+    }
+
+    /// One that is there and computed nothing usable.
+    #[must_use]
+    pub fn failed(name: impl Into<String>, why: impl Into<String>, seconds: f64) -> Self {
+        Self { name: name.into(), digest: None, state: State::Different, detail: why.into(), seconds }
+    }
+}
+
+impl Report {
+    /// Whether everything holds.
+    ///
+    /// # Errors
+    /// One line with what does not.
+    pub fn verdict(&self) -> Result<(), String> {
+        if let Some(backend) = self.backends.iter().find(|backend| backend.state == State::Different) {
+            return Err(format!("{} differs: {}", backend.name, backend.detail));
+        }
+        match &self.control {
+            Some(control) if !control.differs => Err(format!(
+                "the float control on {} equals the integers: the comparison is blind",
+                control.name
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "{} probes, expected digest {}", self.probes, self.expected)?;
+        let width = self.backends.iter().map(|backend| backend.name.chars().count()).max().unwrap_or(0);
+        let width = width.max(self.control.as_ref().map_or(0, |control| control.name.chars().count() + 9));
+        for backend in &self.backends {
+            let state = match backend.state {
+                State::Equal => "equal",
+                State::Different => "DIFFERENT",
+                State::Skipped => "skipped",
+            };
+            // The first digits are enough for eyes; the JSON has all.
+            let digest = backend.digest.as_deref().map_or("-", |digest| &digest[..16]);
+            let Backend { name, detail, seconds, .. } = backend;
+            let line = format!("{name:width$}  {digest:16}  {state:9}  {seconds:6.2} s  {detail}");
+            writeln!(f, "{}", line.trim_end())?;
+        }
+        match &self.control {
+            Some(Control { name, digest, differs, words_different }) => {
+                let state = if *differs { "differs, as it must" } else { "EQUAL: the comparison is blind" };
+                let name = format!("control: {name}");
+                writeln!(f, "{name:width$}  {:16}  {state} ({words_different} words)", &digest[..16])
+            }
+            None => writeln!(f, "control: skipped, no GPU to run the float twin"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(state: State, differs: bool) -> Report {
+        let digest = "0".repeat(64);
+        let control =
+            Control { name: "f32".into(), digest: digest.clone(), differs, words_different: differs.into() };
+        let detail = "at (0, 0) hills is 1, expected 2".into();
+        let backend = Backend { name: "b".into(), digest: Some(digest.clone()), state, detail, seconds: 0.5 };
+        Report { probes: 1, expected: digest, backends: vec![backend], control: Some(control), equal: true }
+    }
+
+    #[test]
+    fn a_backend_that_differs_and_a_control_that_does_not_both_fail() {
+        assert_eq!(report(State::Equal, true).verdict(), Ok(()));
+        assert_eq!(report(State::Skipped, true).verdict(), Ok(()));
+        let different = report(State::Different, true).verdict().unwrap_err();
+        assert!(different.contains("hills is 1, expected 2"), "{different}");
+        assert!(report(State::Equal, false).verdict().unwrap_err().contains("blind"));
+    }
+
+    #[test]
+    fn the_json_has_the_promised_fields() {
+        let json = serde_json::to_value(report(State::Equal, true)).unwrap();
+        assert_eq!(json["backends"][0]["state"], "equal");
+        assert_eq!(json["control"]["words_different"], 1);
+        assert_eq!((&json["probes"], &json["equal"]), (&1.into(), &true.into()));
+    }
+
+    #[test]
+    fn the_table_has_a_line_for_every_backend_and_for_the_control() {
+        let text = report(State::Different, true).to_string();
+        assert_eq!(text.lines().count(), 3, "{text}");
+        assert!(text.contains("DIFFERENT") && text.contains("as it must"), "{text}");
+    }
+}

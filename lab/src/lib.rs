@@ -1,0 +1,22 @@
+//! The measuring bench, behind `tombolo-lab`.
+//!
+//! Every promise about the land is measured here against a ground truth: [`digest`] (all backends compute the same integers),
+//! [`accuracy`] (what every shortcut costs), [`stability`] (the ends of the world), [`timings`] (GPU against CPU).
+//!
+//! What it refuses: judging by eye. A measurement that does not hold its bar is an error, and the exit code says so.
+
+#![forbid(unsafe_code)]
+
+pub mod accuracy;
+pub mod adapters;
+pub mod chart;
+pub mod digest;
+pub mod floats;
+pub mod options;
+pub mod sample;
+pub mod stability;
+pub mod table;
+pub mod timings;
+pub mod truth;
+
+pub use options::{Args, Command, Outputs};

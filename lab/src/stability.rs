@@ -1,0 +1,101 @@
+//! `tombolo-lab stability`: the land at the ends of the world.
+//!
+//! Sweeps every line where an implementation could break and holds every step against a proved bound ([`bounds`], [`places`], [`continuity`]), checks that seams
+//! are zero at every level and that no height depends on who computes it ([`seams`]), and that remainders and lattice cells are right at both signs
+//! ([`arithmetic`]). Then it shows what float noise does at the same distances ([`floats`]).
+//!
+//! Every sweep is also run on something that must fail it. A control that holds means that the sweep sees nothing, and is as much of a failure.
+
+pub mod arithmetic;
+pub mod bounds;
+pub mod check;
+pub mod continuity;
+pub mod floats;
+pub mod places;
+pub mod report;
+pub mod seams;
+
+use crate::Outputs;
+use crate::floats::{FloatLand, metres_f32};
+use crate::truth::Truth;
+use anyhow::{Context, Result, anyhow};
+use check::Check;
+use report::Report;
+use std::io::Write;
+use terrain::constants::{OCTAVE_SHIFT, UNITS_PER_METRE};
+use terrain::{Land, Octaves, Position};
+
+/// Options of `stability`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Options {
+    /// Worlds to sweep, seeds 0 to N - 1, 1 to 1000; what lies at a corner of the world differs between them
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub worlds: u32,
+}
+
+/// Sweeps, prints the tables, and judges.
+///
+/// # Errors
+/// A promise was broken, a control was not, or a result cannot be written.
+pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
+    let report = measure(options.worlds);
+    // Nobody reading the table is no reason to fail; the exit code says what matters.
+    let _ = write!(std::io::stdout(), "{report}");
+    outputs.write_json(&report)?;
+    if let Some(folder) = &outputs.out {
+        let path = folder.join("stability.txt");
+        std::fs::write(&path, report.to_string())
+            .with_context(|| format!("--out: cannot write `{}`", path.display()))?;
+    }
+    report.verdict().map_err(|problem| anyhow!(problem))
+}
+
+/// Measures everything over so many worlds.
+#[must_use]
+pub fn measure(worlds: u32) -> Report {
+    let mut checks = continuity::sweep(worlds, integers);
+    let seams = (0..u64::from(worlds.min(2))).map(|seed| seams::check(&Land::new(seed)));
+    let seams = seams.reduce(|all, one| all.into_iter().zip(one).map(|(a, b)| a.merged(b)).collect());
+    checks.extend(seams.unwrap_or_default());
+    checks.extend(arithmetic::check());
+    Report { worlds, checks, controls: controls(), floats: floats::measure(0) }
+}
+
+/// The same sweeps over what must fail them.
+fn controls() -> Vec<Check> {
+    // f32 is fine at vertices, whose coordinates it holds exactly up to 2^24 vertices; between them it is not.
+    let of_f32 = continuity::sweep(1, |seed| {
+        let land = FloatLand::new(seed);
+        Box::new(move |x, z| {
+            f64::from(land.height_m(metres_f32(x), metres_f32(z))) * f64::from(UNITS_PER_METRE)
+        })
+    });
+    let of_coarse = continuity::sweep(1, |seed| {
+        let truth = Truth::new(seed).with_coarse_weights(10);
+        Box::new(move |x, z| truth.height_m(x, z, Octaves::ALL) * f64::from(UNITS_PER_METRE))
+    });
+    let of_torn = continuity::sweep(1, |seed| {
+        let whole = integers(seed);
+        // One lattice line of the last octave, torn by 4 cm.
+        let line = (1 << 11) - OCTAVE_SHIFT[7].0;
+        Box::new(move |x, z| whole(x, z) + if x >= line { 10.0 } else { 0.0 })
+    });
+    let named = |checks: &[Check], index: usize, what: &str| {
+        let check = checks[index].clone();
+        Check { name: format!("{what}: {}", check.name), ..check }
+    };
+    vec![
+        named(&of_f32, 0, "our formula in f32"),
+        named(&of_f32, 3, "our formula in f32"),
+        named(&of_coarse, 2, "weights of 10 bits"),
+        named(&of_torn, 0, "torn by 4 cm along a line"),
+        seams::control(),
+        arithmetic::truncating_control(),
+    ]
+}
+
+/// The land as a height function of the sweeps.
+fn integers(seed: u64) -> Box<dyn Fn(i32, i32) -> f64> {
+    let land = Land::new(seed);
+    Box::new(move |x, z| f64::from(land.height_at(Position::new(x, z).expect("steps stay in the world"))))
+}

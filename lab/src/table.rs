@@ -1,0 +1,131 @@
+//! Tables of numbers: for people on standard output, for tools as CSV and JSON.
+
+use anyhow::{Context, Result};
+use serde::Serialize;
+use std::fmt;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// A table. Every column's name carries its unit.
+#[derive(Clone, Debug, Serialize)]
+pub struct Table {
+    /// Its name, and that of its files.
+    pub name: &'static str,
+    /// One sentence: what was measured and how.
+    pub caption: String,
+    /// Names of the columns.
+    pub columns: Vec<String>,
+    /// Rows of as many values; what does not exist is not a number.
+    pub rows: Vec<Vec<f64>>,
+}
+
+impl Table {
+    /// An empty table.
+    pub fn new(name: &'static str, caption: impl Into<String>, columns: &[&str]) -> Self {
+        let columns = columns.iter().map(|column| (*column).to_owned()).collect();
+        Self { name, caption: caption.into(), columns, rows: Vec::new() }
+    }
+
+    /// Adds a row.
+    ///
+    /// # Panics
+    /// If it has another number of values than the table has columns.
+    pub fn push(&mut self, row: impl Into<Vec<f64>>) {
+        let row = row.into();
+        assert_eq!(row.len(), self.columns.len(), "columns of `{}`", self.name);
+        self.rows.push(row);
+    }
+
+    /// Pairs of two columns by name, for a chart.
+    ///
+    /// # Panics
+    /// If there is no such column.
+    #[must_use]
+    pub fn curve(&self, x: &str, y: &str) -> Vec<(f64, f64)> {
+        let index = |name: &str| {
+            self.columns
+                .iter()
+                .position(|column| column == name)
+                .unwrap_or_else(|| panic!("no column `{name}`"))
+        };
+        let (x, y) = (index(x), index(y));
+        self.rows.iter().map(|row| (row[x], row[y])).collect()
+    }
+
+    /// Writes `NAME.csv` into a folder.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write_csv(&self, folder: &Path) -> Result<()> {
+        let path = folder.join(format!("{}.csv", self.name));
+        std::fs::write(&path, self.csv()).with_context(|| format!("--out: cannot write `{}`", path.display()))
+    }
+
+    fn csv(&self) -> String {
+        let quoted = |text: &str| if text.contains(',') { format!("\"{text}\"") } else { text.to_owned() };
+        let mut csv = self.columns.iter().map(|column| quoted(column)).collect::<Vec<_>>().join(",");
+        csv.push('\n');
+        for row in &self.rows {
+            let cells =
+                row.iter().map(|value| if value.is_nan() { String::new() } else { value.to_string() });
+            let _ = writeln!(csv, "{}", cells.collect::<Vec<_>>().join(","));
+        }
+        csv
+    }
+}
+
+impl fmt::Display for Table {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "{}: {}", self.name, self.caption)?;
+        let width = |column: &String| column.chars().count().max(9);
+        for column in &self.columns {
+            write!(f, "{column:>width$}  ", width = width(column))?;
+        }
+        writeln!(f)?;
+        for row in &self.rows {
+            for (value, column) in row.iter().zip(&self.columns) {
+                write!(f, "{:>width$}  ", shown(*value), width = width(column))?;
+            }
+            writeln!(f)?;
+        }
+        Ok(())
+    }
+}
+
+/// Four significant digits; whole numbers whole.
+fn shown(value: f64) -> String {
+    if value.is_nan() {
+        "-".into()
+    } else if value == 0.0 || (value.fract() == 0.0 && value.abs() < 1e9) {
+        format!("{value}")
+    } else if value.abs() < 1e-4 {
+        format!("{value:.2e}")
+    } else {
+        let digits = (3 - value.abs().log10().floor() as i32).clamp(0, 7) as usize;
+        format!("{value:.digits$}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table() -> Table {
+        let mut table = Table::new("t", "caption.", &["a, m", "b"]);
+        table.push([1.0, f64::NAN]);
+        table.push([0.012_345, 2e-7]);
+        table
+    }
+
+    #[test]
+    fn csv_quotes_commas_and_leaves_out_what_does_not_exist() {
+        assert_eq!(table().csv(), "\"a, m\",b\n1,\n0.012345,0.0000002\n");
+    }
+
+    #[test]
+    fn people_see_four_digits_and_a_dash() {
+        let text = table().to_string();
+        assert!(text.contains("0.01235") && text.contains("2.00e-7") && text.contains(" -  "), "{text}");
+        assert_eq!(table().curve("a, m", "b")[1], (0.012_345, 2e-7));
+    }
+}

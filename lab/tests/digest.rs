@@ -1,0 +1,41 @@
+//! The built program: its table, its JSON, its exit code.
+
+use std::process::Command;
+
+#[test]
+fn the_digest_of_every_backend_of_this_machine_is_the_frozen_one_and_the_float_control_differs() {
+    let file = std::env::temp_dir().join(format!("tombolo-digest-{}.json", std::process::id()));
+    let output = Command::new(env!("CARGO_BIN_EXE_tombolo-lab"))
+        .args(["digest", "--json"])
+        .arg(&file)
+        .output()
+        .unwrap();
+    let (table, errors) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{table}\n{errors}");
+    let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    std::fs::remove_file(&file).unwrap();
+
+    assert_eq!(json["equal"], true);
+    assert_eq!(json["expected"], lab::digest::EXPECTED);
+    for backend in json["backends"].as_array().unwrap() {
+        assert!(backend["state"] == "equal" || backend["state"] == "skipped", "{backend}");
+        assert_eq!(backend["state"] == "skipped", backend["digest"].is_null(), "{backend}");
+        if backend["state"] == "skipped" {
+            eprintln!("SKIPPED: {}: {}", backend["name"], backend["detail"]);
+        }
+    }
+    let control = &json["control"];
+    assert!(control.is_null() || control["differs"] == true, "{control}");
+    assert!(control.is_null() || control["digest"] != json["expected"], "{control}");
+}
+
+#[test]
+fn a_result_that_cannot_be_written_is_refused_before_anything_is_measured() {
+    let output = Command::new(env!("CARGO_BIN_EXE_tombolo-lab"))
+        .args(["digest", "--json", "/no/such/folder/a.json"])
+        .output()
+        .unwrap();
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{errors}");
+    assert!(errors.starts_with("tombolo-lab: --json: ") && errors.lines().count() == 1, "{errors}");
+}

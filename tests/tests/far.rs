@@ -1,0 +1,196 @@
+//! Far from the origin the picture is the same, pixel for pixel.
+//!
+//! The land differs from place to place, so no two places look alike by themselves. Here the home island's chunks are carried to another place: a feed
+//! answers every view from the land at the origin and shifts the keys by whole chunks of level 13 (2^20 m, a multiple of every drawn chunk's side and of the period
+//! of all patterns). Camera, culling, selection, patterns and the GPU see nothing but far coordinates, and must not notice.
+
+use client::camera::{Lens, Pose};
+use client::feed::{Feed, FeedEvent, LocalFeed, Traffic};
+use client::headless::{self, HeadlessError, Options};
+use client::render::Picture;
+use protocol::Delivery;
+use protocol::view::View;
+use std::time::Instant;
+use terrain::ChunkKey;
+use terrain::constants::{CHUNK_BITS, UNITS_PER_METRE};
+
+/// Places are shifted by whole chunks of this level.
+const SHIFT_LEVEL: u8 = 13;
+
+/// Side of such a chunk, metres: 1,048,576.
+const SHIFT_M: f64 = ((1i64 << (CHUNK_BITS + SHIFT_LEVEL as u32)) / UNITS_PER_METRE as i64) as f64;
+
+/// The home island, carried `x` chunks of level 13 east and `z` south.
+struct Carried {
+    home: LocalFeed,
+    x: i32,
+    z: i32,
+}
+
+impl Carried {
+    fn moved(&self, key: ChunkKey, sign: i32) -> ChunkKey {
+        assert!(key.level() <= SHIFT_LEVEL, "{key} is larger than the shift");
+        let chunks = sign << (SHIFT_LEVEL - key.level());
+        ChunkKey::new(key.level(), key.x() + self.x * chunks, key.z() + self.z * chunks).unwrap()
+    }
+
+    fn home_keys(&self, keys: &[ChunkKey]) -> Vec<ChunkKey> {
+        keys.iter().map(|key| self.moved(*key, -1)).collect()
+    }
+}
+
+impl Feed for Carried {
+    fn poll(&mut self) -> Option<FeedEvent> {
+        Some(match self.home.poll()? {
+            FeedEvent::Chunk(mut chunk) => {
+                chunk.key = self.moved(chunk.key, 1);
+                FeedEvent::Chunk(chunk)
+            }
+            event => event,
+        })
+    }
+
+    fn set_view(&mut self, view: View) {
+        let [east, up, south] = view.eye;
+        let back = 1 << (CHUNK_BITS + u32::from(SHIFT_LEVEL));
+        self.home.set_view(View { eye: [east - self.x * back, up, south - self.z * back], ..view });
+    }
+
+    fn release(&mut self, keys: &[ChunkKey]) {
+        let keys = self.home_keys(keys);
+        self.home.release(&keys);
+    }
+
+    fn holding(&mut self, keys: &[ChunkKey]) {
+        let keys = self.home_keys(keys);
+        self.home.holding(&keys);
+    }
+
+    fn delivery(&self) -> Delivery {
+        self.home.delivery()
+    }
+
+    fn traffic(&self) -> Traffic {
+        self.home.traffic()
+    }
+}
+
+/// Views of the home island. The last has an eye between two units (1/1024 m, held exactly by an f64 anywhere in the world).
+const CAMERAS: [&str; 3] =
+    ["-5200,160,1500,70,-8", "4700,25,500,-60,-8", "300.0009765625,420.125,899.9990234375,20,-12"];
+
+/// About 10^6 m east; north-west across both signs; near the far corner of the world.
+const PLACES: [(i32, i32); 3] = [(1, 0), (-1, -1), (3, -3)];
+
+fn pose(camera: &str, (x, z): (i32, i32)) -> Pose {
+    let mut pose: Pose = camera.parse().unwrap();
+    pose.position_m.x += f64::from(x) * SHIFT_M;
+    pose.position_m.z += f64::from(z) * SHIFT_M;
+    pose
+}
+
+/// Draws the carried island; none, visibly, where there is no adapter and none is required.
+fn drawn(pose: Pose, (x, z): (i32, i32)) -> Option<Picture> {
+    let options = Options {
+        pose,
+        lens: Lens { width: 256, height: 144, ..Options::default().lens },
+        samples: 1,
+        ..Options::default()
+    };
+    match headless::render(&options, Carried { home: LocalFeed::new(1), x, z }, Instant::now(), |_| {}) {
+        Ok((picture, stats)) => {
+            assert!(stats.chunks_drawn > 10, "{stats:?}");
+            Some(picture)
+        }
+        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// Pixels that are not the same in every byte.
+fn differing(one: &Picture, two: &Picture) -> usize {
+    assert_eq!((one.width, one.height), (two.width, two.height));
+    one.rgba.chunks_exact(4).zip(two.rgba.chunks_exact(4)).filter(|(a, b)| a != b).count()
+}
+
+#[test]
+fn a_million_metres_from_the_origin_the_same_scene_is_the_same_pixel_for_pixel() {
+    for (camera, place) in CAMERAS.into_iter().zip(PLACES).chain([(CAMERAS[2], PLACES[0])]) {
+        let Some(home) = drawn(pose(camera, (0, 0)), (0, 0)) else { return };
+        let Some(far) = drawn(pose(camera, place), place) else { return };
+        let count = differing(&home, &far);
+        assert_eq!(count, 0, "{camera} at {place:?}: {count} pixels of {} differ", home.width * home.height);
+    }
+}
+
+#[test]
+fn a_quarter_of_a_metre_is_seen_far_out_and_so_is_an_eye_that_went_through_f32() {
+    let (camera, place) = (CAMERAS[1], PLACES[0]);
+    let Some(home) = drawn(pose(camera, (0, 0)), (0, 0)) else { return };
+    let mut moved = pose(camera, place);
+    moved.position_m.x += 0.25;
+    let Some(moved) = drawn(moved, place) else { return };
+    assert!(differing(&home, &moved) > 1_000, "{} pixels", differing(&home, &moved));
+
+    // 1/16 m is half of what an f32 can tell apart at 2^20 m: the camera of an engine in absolute floats.
+    let shifted = |place| {
+        let mut pose = pose(camera, place);
+        pose.position_m.x += 0.0625;
+        pose
+    };
+    let Some(home) = drawn(shifted((0, 0)), (0, 0)) else { return };
+    let mut rounded = shifted(place);
+    rounded.position_m.x = f64::from(rounded.position_m.x as f32);
+    assert!(rounded != shifted(place), "an f32 does not hold this place");
+    let Some(far) = drawn(rounded, place) else { return };
+    assert!(differing(&home, &far) > 100, "{} pixels", differing(&home, &far));
+}
+
+/// Where a point lands, pixels, when its clip position is `matrix * point` in f32.
+fn pixels_f32(matrix: [[f32; 4]; 4], point: [f32; 3], lens: &Lens) -> [f64; 2] {
+    let clip = [0, 1, 3].map(|row| {
+        matrix[0][row] * point[0] + matrix[1][row] * point[1] + matrix[2][row] * point[2] + matrix[3][row]
+    });
+    let half = [f64::from(lens.width) / 2.0, f64::from(lens.height) / 2.0];
+    [f64::from(clip[0] / clip[2]) * half[0], f64::from(clip[1] / clip[2]) * half[1]]
+}
+
+/// What the integers spare us, without a GPU: the same points, 20 to 500 m away, through a camera-relative matrix and through an absolute one.
+#[test]
+fn an_absolute_f32_transform_misses_by_pixels_where_a_relative_one_does_not() {
+    let lens = Lens { width: 1280, height: 720, fov_deg: 60.0 };
+    let worst = |place| {
+        let pose = pose("300.0009765625,420.125,899.9990234375,20,-12", place);
+        let relative = lens.clip_from_camera(&pose).to_cols_array_2d();
+        let eye = pose.position_m.to_array();
+        // clip_from_world = clip_from_camera * translation by the negated eye, as an engine would multiply it in f32.
+        let mut absolute = relative;
+        absolute[3] = [0, 1, 2, 3].map(|row| {
+            let turned = |axis: usize| relative[axis][row] * -(eye[axis] as f32);
+            turned(0) + turned(1) + turned(2) + relative[3][row]
+        });
+        let (ahead, right) = (pose.forward().to_array(), pose.right().to_array());
+        let (mut of_relative, mut of_absolute) = (0.0f64, 0.0f64);
+        for step in 1..=25 {
+            for aside in -4..=4 {
+                let (far, wide) = (f64::from(step) * 20.0, f64::from(step * aside) * 2.0);
+                let offset = [0, 1, 2].map(|axis| ahead[axis] * far + right[axis] * wide);
+                // In f64, by the camera's own axes: `wide` to the right at the distance `far`.
+                let truth = wide / far / lens.half_height() * f64::from(lens.height) / 2.0;
+                let from_eye = offset.map(|metres| metres as f32);
+                let in_world = [0, 1, 2].map(|axis| (eye[axis] + offset[axis]) as f32);
+                let miss = |got: [f64; 2]| (got[0] - truth).hypot(got[1]);
+                of_relative = of_relative.max(miss(pixels_f32(relative, from_eye, &lens)));
+                of_absolute = of_absolute.max(miss(pixels_f32(absolute, in_world, &lens)));
+            }
+        }
+        (of_relative, of_absolute)
+    };
+    let (home, far) = (worst((0, 0)), worst((1, 0)));
+    eprintln!("worst miss in pixels, relative and absolute: {home:?} at home, {far:?} a million metres away");
+    assert!(home.0 < 0.01 && far.0 == home.0, "{home:?} {far:?}");
+    assert!(far.1 > 1.0 && home.1 < 0.1, "{home:?} {far:?}");
+}
