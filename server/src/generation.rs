@@ -405,6 +405,10 @@ mod tests {
                 bench.permit.send(()).unwrap();
                 let frame = bench.service.frame(key(x), delivery, 1).await.unwrap();
                 assert_eq!(chunk_codec::error(&frame), Some(error), "{delivery} of {x}");
+                // Until the job is gone a further asker would share its chunk instead.
+                while bench.service.load() > 0.0 {
+                    tokio::task::yield_now().await;
+                }
             }
         }
     }

@@ -4,7 +4,7 @@ use crate::process;
 use anyhow::{Context, Result};
 
 /// The test binaries that compare with frozen files and know `TOMBOLO_BLESS`.
-const FILTER: &str = "binary(/fixtures|golden/)";
+const FILTER: &str = "binary(/fixtures|pictures/)";
 
 /// Reruns the comparing tests so that they write instead.
 ///

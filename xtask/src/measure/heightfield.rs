@@ -306,14 +306,14 @@ mod tests {
     #[test]
     fn twins_count_only_if_one_ran_the_cpu_agrees_and_the_control_differs() {
         for (pointer, value) in [
-            ("/backends/1/state", "different"),
-            ("/backends/1/state", "skipped"),
-            ("/backends/1/state", "confused"),
-            ("/backends/0/state", "different"),
-            ("/control/state", "equal"),
+            ("/backends/1/state", json!("different")),
+            ("/backends/1/state", json!("skipped")),
+            ("/backends/1/state", json!("confused")),
+            ("/backends/0/state", json!("different")),
+            ("/control/differs", json!(false)),
         ] {
             let mut reports = good();
-            *reports.1.pointer_mut(pointer).unwrap() = json!(value);
+            *reports.1.pointer_mut(pointer).unwrap() = value.clone();
             assert_eq!(missed(&reports), 1, "{pointer} {value}");
         }
     }
