@@ -3,7 +3,7 @@
 //! Light from the north-west, as on a printed map. Plain Lambert shading of the drawn triangles' vertices, nothing smoothed: a
 //! lattice line, a stair or a seam would show as a straight edge.
 //!
-//! Run: `cargo run --release -p lab --example relief -- docs/images`
+//! Run: `cargo run --release --example relief -- docs/images`
 
 use anyhow::{Context, Result};
 use image::{Rgb, RgbImage};
