@@ -114,9 +114,7 @@ fn digest() -> Result<Outcome> {
     // Without --package: one package alone would be built anew with other features.
     let mut lab = process::cargo("run --quiet --bin tombolo-lab -- digest");
     lab.env("TOMBOLO_REQUIRE_GPU", "1");
-    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        lab.env("XDG_RUNTIME_DIR", std::env::temp_dir());
-    }
+    process::quiet_drivers(&mut lab);
     process::run(lab).map(|()| Outcome::Passed)
 }
 

@@ -49,11 +49,16 @@ pub fn command(program: impl AsRef<Path>) -> Command {
 /// The viewer, built for release.
 pub fn viewer() -> Command {
     let mut viewer = command(program("tombolo-view"));
-    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // A Vulkan layer of Mesa looks for a Wayland socket there and complains where the variable is unset, as in containers.
-        viewer.env("XDG_RUNTIME_DIR", std::env::temp_dir());
-    }
+    quiet_drivers(&mut viewer);
     viewer
+}
+
+/// For a program that opens a GPU: a Vulkan layer of Mesa looks for a Wayland socket in the runtime directory and complains
+/// where that variable is unset, as in containers.
+pub fn quiet_drivers(command: &mut Command) {
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
+    }
 }
 
 /// The cargo that runs this program, with arguments given as one line of words.

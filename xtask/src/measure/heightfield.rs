@@ -69,6 +69,7 @@ fn lab(folder: &Path, notes: &mut Vec<String>) -> Result<(Value, Value)> {
         let json = folder.join(question).with_extension("json");
         let mut lab = process::command(process::program("tombolo-lab"));
         lab.args([question, "--json"]).arg(&json);
+        process::quiet_drivers(&mut lab);
         report::of(lab, &json, notes)
     };
     Ok((ask("digest")?, ask("timings")?))
