@@ -53,11 +53,11 @@ fn shade(height: f64, east: f64, south: f64) -> Rgb<u8> {
     let length = (east * east + south * south + 1.0).sqrt();
     let lit = ((-east * LIGHT[0] + LIGHT[1] - south * LIGHT[2]) / length).max(0.0) / 0.707;
     let (tint, contrast) = match height {
-        h if h < 0.0 => ([0.33 + h / 400.0, 0.50 + h / 300.0, 0.62 + h / 500.0], 0.5),
-        h if h < 3.0 => ([0.86, 0.80, 0.62], 1.0),
+        h if h < 0.0 => ([0.33 + h / 400.0, 0.50 + h / 300.0, 0.62 + h / 500.0], 0.4),
+        h if h < 3.0 => ([0.80, 0.74, 0.57], 0.6),
         h => {
             let high = (h / 320.0).min(1.0);
-            ([0.50 + 0.38 * high, 0.60 + 0.24 * high, 0.40 + 0.44 * high], 1.0)
+            ([0.45 + 0.25 * high, 0.55 + 0.12 * high, 0.36 + 0.28 * high], 0.6)
         }
     };
     let light = 1.0 + (lit - 1.0) * contrast;
