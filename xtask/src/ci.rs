@@ -4,6 +4,7 @@ use crate::absence;
 use crate::process;
 use crate::setup::{self, Extent};
 use anyhow::{Context, Result, bail};
+use std::collections::BTreeSet;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
@@ -118,7 +119,7 @@ fn digest() -> Result<Outcome> {
     process::run(lab).map(|()| Outcome::Passed)
 }
 
-/// The crates that a browser will run, with and without its vectors.
+/// The crates that a browser will run, with and without its vectors; the land's kernels are run too where Node is installed.
 fn webassembly() -> Result<Outcome> {
     const TARGET: &str = "wasm32-unknown-unknown";
     let mut add = process::command("rustup");
@@ -127,11 +128,42 @@ fn webassembly() -> Result<Outcome> {
         println!("SKIPPED: the target {TARGET} is not installed and cannot be: {why:#}");
         return Ok(Outcome::Skipped);
     }
-    let line = format!("check --target {TARGET} --package terrain --package protocol --package shaders");
-    process::run(process::cargo(&line))?;
-    let mut vectors = process::cargo(&line);
-    vectors.env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_RUSTFLAGS", "-C target-feature=+simd128");
-    process::run(vectors).map(|()| Outcome::Passed)
+    let check = format!("check --target {TARGET} --package terrain --package protocol --package shaders");
+    process::run(process::cargo(&check))?;
+    let build = format!("build --release --target {TARGET} --package terrain --example kernels_wasm");
+    let mut build = process::cargo(&build);
+    build.env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_RUSTFLAGS", "-C target-feature=+simd128");
+    process::run(build)?;
+
+    let mut node = process::command("node");
+    node.args(["-e", RUN_KERNELS])
+        .arg(process::target().join(TARGET).join("release/examples/kernels_wasm.wasm"));
+    let (Ok(_), Ok(here)) = (process::output(node_version()), process::output(process::cargo(KERNELS)))
+    else {
+        println!("SKIPPED: Node is not installed; the module was built and not run");
+        return Ok(Outcome::Skipped);
+    };
+    let there = process::output(node)?;
+    println!("native:\n{here}WebAssembly:\n{there}");
+    let digests: BTreeSet<_> =
+        here.lines().chain(there.lines()).filter_map(|line| line.rsplit(' ').next()).collect();
+    if digests.len() == 1 { Ok(Outcome::Passed) } else { bail!("the kernels' digests differ: {digests:?}") }
+}
+
+/// Prints the digests of every kernel of this machine.
+const KERNELS: &str = "run --quiet --example kernels";
+
+/// Prints those of a WebAssembly module.
+const RUN_KERNELS: &str =
+    "const module = new WebAssembly.Module(require('fs').readFileSync(process.argv[1]));
+const { scalar, best } = new WebAssembly.Instance(module).exports;
+for (const [name, call] of [['scalar', scalar], ['simd128', best]])
+    console.log(name, BigInt.asUintN(64, call()).toString(16).padStart(16, '0'));";
+
+fn node_version() -> Command {
+    let mut node = process::command("node");
+    node.arg("--version");
+    node
 }
 
 /// The shaders' own tests once more by themselves: naga always, Tint where it is installed. Which of them looked must be said
