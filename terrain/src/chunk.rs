@@ -7,6 +7,7 @@ use crate::key::ChunkKey;
 use crate::land::Land;
 use crate::lod;
 use crate::pyramid::Pyramid;
+use crate::simd::{self, Kernel};
 
 /// Levels below a chunk's own that its error is measured over; [`Chunk::error`] is exact up to this level.
 pub const MEASURED_DEPTH: u8 = 2;
@@ -47,8 +48,9 @@ impl Chunk {
         error: u32,
         grass: GrassSeed,
     ) -> Self {
-        let slope = slope_bound(&heights, key.spacing());
         let (max_pyramid, min_pyramid) = (Pyramid::of_maxima(&heights), Pyramid::of_minima(&heights));
+        let relief = max_pyramid.top().abs_diff(min_pyramid.top());
+        let slope = slope_bound(&heights, relief, key.spacing());
         Self { key, heights, error, slope, max_pyramid, min_pyramid, grass }
     }
 
@@ -164,7 +166,17 @@ fn farthest_in_row(heights: &[i32; VERTEX_COUNT], row: usize, depth: u8, fine: &
 }
 
 /// See [`Chunk::slope`].
-fn slope_bound(heights: &[i32; VERTEX_COUNT], spacing: i32) -> u32 {
+fn slope_bound(heights: &[i32; VERTEX_COUNT], relief: u32, spacing: i32) -> u32 {
+    // Within 128 m, as nearly every fine chunk, the squares fit 31 bits and go through vectors.
+    let worst =
+        if relief < 1 << 15 { simd::steepest(Kernel::best(), heights) as u64 } else { steepest(heights) };
+    // ceil(256 * sqrt(worst) / spacing): sqrt rounded up first, so the bound can only grow.
+    let root = worst.isqrt() + u64::from(!is_square(worst));
+    (root * UNITS_PER_METRE as u64).div_ceil(spacing as u64) as u32
+}
+
+/// Largest sum of squares of a triangle's two legs, units squared, of any heights below 2^24.
+fn steepest(heights: &[i32; VERTEX_COUNT]) -> u64 {
     let mut worst = 0u64;
     for z in 0..CELLS {
         for x in 0..CELLS {
@@ -174,9 +186,7 @@ fn slope_bound(heights: &[i32; VERTEX_COUNT], spacing: i32) -> u32 {
             worst = worst.max(square(h10 - h00, h11 - h10)).max(square(h11 - h01, h01 - h00));
         }
     }
-    // ceil(256 * sqrt(worst) / spacing): sqrt rounded up first, so the bound can only grow.
-    let root = worst.isqrt() + u64::from(!is_square(worst));
-    (root * UNITS_PER_METRE as u64).div_ceil(spacing as u64) as u32
+    worst
 }
 
 fn is_square(value: u64) -> bool {
@@ -187,6 +197,7 @@ fn is_square(value: u64) -> bool {
 mod tests {
     use super::*;
     use crate::constants::{TOP_LEVEL, WORLD_HALF};
+    use crate::hash::mix;
     use crate::octaves::Octaves;
     use crate::position::Position;
 
@@ -308,6 +319,22 @@ mod tests {
             (f64::from(chunk.slope) / 256.0 - steepest).abs() < 0.01
                 && f64::from(chunk.slope) >= steepest * 256.0
         );
+    }
+
+    #[test]
+    fn vectors_find_the_steepest_triangle_that_wide_arithmetic_finds() {
+        for seed in 0..8 {
+            let low = -20_000 + seed * 5_000;
+            let mut heights = Box::new([0; VERTEX_COUNT]);
+            for (index, height) in heights.iter_mut().enumerate() {
+                // The whole range that vectors may be given: 2^15 - 1 between the lowest and the highest.
+                *height = low + (mix(index as u32 ^ (seed as u32) << 16) >> 17) as i32;
+            }
+            (heights[0], heights[1]) = (low, low + (1 << 15) - 1);
+            for kernel in Kernel::available() {
+                assert_eq!(simd::steepest(kernel, &heights) as u64, steepest(&heights), "{kernel}");
+            }
+        }
     }
 
     #[test]

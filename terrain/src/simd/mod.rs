@@ -1,6 +1,6 @@
 //! Whole grids at once, on the vectors of this machine.
 //!
-//! One algorithm (`strip`, `shape`, `pyramid`) over one small set of vector operations (`lanes`), implemented for
+//! One algorithm (`strip`, `shape`, `pyramid`, `slope`) over one small set of vector operations (`lanes`), implemented for
 //! single integers and for every instruction set that pays. All kernels yield the same bits.
 //!
 //! The only unsafe code of the workspace: vector instructions may only run on CPUs that have them, and vectors are
@@ -10,6 +10,7 @@
 mod lanes;
 mod pyramid;
 mod shape;
+mod slope;
 mod strip;
 #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
 mod wasm;
@@ -180,6 +181,18 @@ entry! {
     minima_into(heights: &[i32; VERTEX_COUNT], texels: &mut Room) => minima_on
 }
 
+entry! {
+    /// Largest sum of squares of a triangle's two legs, units squared; see [`slope::steepest`].
+    steepest_into(heights: &[i32; VERTEX_COUNT], worst: &mut i32) => steepest_on
+}
+
+/// Largest sum of squares of a triangle's two legs, units squared, of heights that lie within 2^15 of each other.
+pub(crate) fn steepest(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> i32 {
+    let mut worst = 0;
+    steepest_into(kernel, heights, &mut worst);
+    worst
+}
+
 /// Room for a pyramid. Not cleared first, because clearing costs as much as the reduction.
 type Room = MaybeUninit<Texels>;
 
@@ -242,6 +255,12 @@ unsafe fn heights_on<L: Lanes>(fbm: &Fbm, archipelago: &Archipelago, grid: &Grid
         // SAFETY: see `noise_on`.
         unsafe { strip.run::<L>(fbm, grid, columns, &mut sink) };
     }
+}
+
+#[inline(always)]
+unsafe fn steepest_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], worst: &mut i32) {
+    // SAFETY: vouched for by the caller.
+    unsafe { slope::steepest::<L>(heights, worst) }
 }
 
 #[inline(always)]
