@@ -25,9 +25,9 @@ pub struct Chunk {
     pub key: ChunkKey,
     /// Heights in units of 2^-8 m: row by row from the low corner, x fastest.
     pub heights: Box<[i32; VERTEX_COUNT]>,
-    /// Upper bound, in units, of the vertical distance between this chunk's drawn triangles and any level-0
+    /// Bound, in units, of the vertical distance between this chunk's drawn triangles and any level-0
     /// vertex under them. Exact (measured) at levels 0 to [`MEASURED_DEPTH`]; above, the measured distance to the
-    /// level [`MEASURED_DEPTH`] below plus that level's own empirical bound, and there never above [`lod::level_error`].
+    /// level [`MEASURED_DEPTH`] below plus that level's own empirical bound, which can exceed [`lod::level_error`].
     pub error: u32,
     /// Upper bound of the gradient of the drawn triangles, Q8 (256 is 45 degrees), rounded up.
     pub slope: u32,
@@ -110,11 +110,8 @@ impl Land {
             .unwrap_or(0);
         // Rounded up from fractions of a unit.
         let measured = worst.div_ceil(parts as u32);
-        if below == 0 {
-            return measured;
-        }
         // The grid below is itself off by up to its own level's bound.
-        (measured + lod::level_error(below)).min(lod::level_error(key.level()))
+        measured + lod::level_error(below)
     }
 }
 

@@ -19,11 +19,15 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// `columns` by `rows` vertices of a level from a low corner (units); refused if any vertex lies outside the world or
-    /// there is no such level. A grid without vertices is allowed if its corner lies in the world.
+    /// `columns` by `rows` vertices of a level from a low corner (units); refused if any vertex lies outside the world,
+    /// there is no such level, or no machine word counts them. A grid without vertices is allowed if its corner lies in the world.
     pub fn new(x: i32, z: i32, level: u8, columns: usize, rows: usize) -> Result<Self, InvalidGrid> {
         if level > TOP_LEVEL {
             return Err(InvalidGrid::NoSuchLevel(level));
+        }
+        // What follows relies on it: an allocation is at most isize::MAX bytes.
+        if columns.checked_mul(rows).is_none_or(|count| count > isize::MAX as usize / 4) {
+            return Err(InvalidGrid::TooManyVertices { columns, rows });
         }
         let spacing_bits = SPACING_BITS + u32::from(level);
         let inside = |low: i32, count: usize| {
@@ -97,6 +101,13 @@ pub enum InvalidGrid {
     OutsideWorld(OutsideWorld),
     /// The level is above [`TOP_LEVEL`].
     NoSuchLevel(u8),
+    /// More vertices than this machine can hold.
+    TooManyVertices {
+        /// Vertices along x.
+        columns: usize,
+        /// Vertices along z.
+        rows: usize,
+    },
 }
 
 impl fmt::Display for InvalidGrid {
@@ -107,6 +118,9 @@ impl fmt::Display for InvalidGrid {
                     f,
                     "a grid from ({x}, {z}) leaves the world: every vertex must lie within ±{WORLD_HALF} units"
                 )
+            }
+            Self::TooManyVertices { columns, rows } => {
+                write!(f, "{columns} x {rows} vertices are more than memory can hold: ask for a smaller grid")
             }
             Self::NoSuchLevel(level) => write!(f, "there is no level {level}: levels are 0 to {TOP_LEVEL}"),
         }
@@ -134,6 +148,17 @@ mod tests {
             assert!(Grid::new(-WORLD_HALF - 1, 0, level, 2, 2).is_err());
         }
         assert!(Grid::new(0, 0, 0, usize::MAX, 1).is_err());
+    }
+
+    #[test]
+    fn a_grid_whose_vertices_cannot_be_counted_is_refused() {
+        let half = 1 << (usize::BITS / 2);
+        for (columns, rows) in [(half, half), (half + 1, half + 1), (usize::MAX, 2)] {
+            assert_eq!(
+                Grid::new(0, 0, 0, columns, rows),
+                Err(InvalidGrid::TooManyVertices { columns, rows })
+            );
+        }
     }
 
     #[test]

@@ -24,11 +24,14 @@ pub const fn hash2(seed: u32, x: i32, z: i32) -> u32 {
 }
 
 /// The seed of one use (`stream`) of a 64-bit world seed.
+///
+/// The stream enters between the two halves, so that two worlds that share the seed of one stream by chance differ in the
+/// others: all 64 bits count.
 #[must_use]
 pub const fn stream_seed(world_seed: u64, stream: u32) -> u32 {
     let low = world_seed as u32;
     let high = (world_seed >> 32) as u32;
-    mix(mix(mix(low).wrapping_add(high)).wrapping_add(stream.wrapping_mul(0xc2b2_ae35)))
+    mix(mix(low.wrapping_add(stream.wrapping_mul(0xc2b2_ae35))).wrapping_add(high))
 }
 
 #[cfg(test)]
@@ -67,6 +70,17 @@ mod tests {
         assert_ne!(base, stream_seed(7, 1));
         for bit in 0..64 {
             assert_ne!(base, stream_seed(7 ^ (1 << bit), 0), "seed bit {bit}");
+        }
+    }
+
+    #[test]
+    fn seeds_that_share_one_stream_differ_in_the_others() {
+        // For any low half there is a high half with the same stream 0.
+        for low in 1..1000u32 {
+            let high = mix(0).wrapping_sub(mix(low));
+            let twin = u64::from(high) << 32 | u64::from(low);
+            assert_eq!(stream_seed(twin, 0), stream_seed(0, 0));
+            assert!((1..8).any(|stream| stream_seed(twin, stream) != stream_seed(0, stream)));
         }
     }
 }

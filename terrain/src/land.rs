@@ -74,6 +74,7 @@ impl Land {
     /// # Panics
     /// If `out` does not hold exactly the grid's vertices.
     pub fn heights_on(&self, kernel: Kernel, grid: &Grid, out: &mut [i32]) {
+        assert_eq!(out.len(), grid.vertex_count(), "room for every vertex of the grid");
         simd::heights(kernel, &self.fbm, &self.archipelago, grid, out);
     }
 }

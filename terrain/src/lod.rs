@@ -17,11 +17,11 @@ pub const MAX_VIEW_DISTANCE_M: u32 = 65_536;
 /// Empirical bound of the vertical error of a level against level 0 in units: a search with a margin, not a proof.
 ///
 /// Levels 1 to 6: the worst value that `cargo run --release -p terrain --example level_error` finds by brute force
-/// (2.0, 4.0, 8.9, 14.8, 26.6, 41.1 m), plus a quarter; a test repeats part of that search. From level 7 on a cell is wider than
-/// the hills, and the bound is the whole relief.
+/// (2.5, 5.5, 10.1, 18.5, 31.3, 44.3 m), plus a quarter, and a little more at levels 4 to 6, where a longer search of summits found 19.4, 35.0
+/// and 57.1 m. A test repeats part of that search. From level 7 on a cell is wider than the hills, and the bound is the whole relief.
 const LEVEL_ERROR: [u32; TOP_LEVEL as usize + 1] = {
     let mut bounds = [SUMMIT as u32 + 64 * 256; TOP_LEVEL as usize + 1];
-    let measured = [0, 625, 1_289, 2_837, 4_734, 8_502, 13_159];
+    let measured = [0, 815, 1_775, 3_222, 6_199, 11_198, 18_275];
     let mut level = 0;
     while level < measured.len() {
         bounds[level] = measured[level];
@@ -201,7 +201,9 @@ mod tests {
             for level in 1..=4 {
                 for (x, z) in [(500, 700), (-3000, 2000), (2500, -1500), (-900, -2800)] {
                     let chunk = land.chunk(ChunkKey::containing(level, x * 256, z * 256));
-                    assert!(chunk.error <= level_error(level), "{}: {}", chunk.key, chunk.error);
+                    // Above level 2 an error is a bound itself, with that of the grid that it was measured on.
+                    let allowed = level_error(level) + if level > 2 { level_error(level - 2) } else { 0 };
+                    assert!(chunk.error <= allowed, "{}: {}", chunk.key, chunk.error);
                 }
             }
         }

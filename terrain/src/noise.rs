@@ -40,7 +40,8 @@ impl Fbm {
         Self { seeds: std::array::from_fn(|octave| stream_seed(world_seed, octave as u32)) }
     }
 
-    /// The sum at one point: the definition. Whole grids ([`crate::simd`]) and GPUs must agree with it bit for bit.
+    /// The sum at one point: the definition. Total over all of i32, wrapping at its ends, so that implementations can be compared
+    /// there too; heights exist inside the world only. Whole grids ([`crate::simd`]) and GPUs must agree with it bit for bit.
     #[must_use]
     pub fn at(&self, x: i32, z: i32, octaves: Octaves) -> Relief {
         let mut relief = Relief::default();

@@ -1,20 +1,27 @@
-//! The table of docs/heightfield.md against the code.
+//! The tables of docs/heightfield.md against the code.
 
-use terrain::{Land, Octaves, Position};
+#[path = "../examples/test_vectors.rs"]
+mod printed;
 
 #[test]
-fn every_row_of_the_published_table_is_what_the_code_yields() {
+fn the_published_tables_are_what_the_code_yields() {
     let page = include_str!("../../docs/heightfield.md");
-    let mut rows = 0;
-    for line in page.lines().skip_while(|line| !line.starts_with("| seed | x | z | octaves |")).skip(2) {
-        let cells: Vec<i128> = line.split('|').filter_map(|cell| cell.trim().parse().ok()).collect();
-        let [seed, x, z, kept, hills, folds, height] = cells[..] else { break };
-        let (land, octaves) = (Land::new(seed as u64), Octaves::new(kept as usize).unwrap());
-        let relief = land.fbm().at(x as i32, z as i32, octaves);
-        let position = Position::new(x as i32, z as i32).unwrap();
-        assert_eq!((i128::from(relief.hills), i128::from(relief.folds)), (hills, folds), "{line}");
-        assert_eq!(i128::from(land.height_keeping(position, octaves)), height, "{line}");
-        rows += 1;
+    let tables = printed::tables();
+    for line in tables.lines() {
+        assert!(page.lines().any(|published| published == line), "not on the page: {line}");
     }
-    assert_eq!(rows, 16, "rows found in the table");
+    assert!(tables.lines().count() > 40 && page.contains(tables.trim_end()), "in this order and whole");
+}
+
+#[test]
+fn the_published_constants_are_those_of_the_code() {
+    use terrain::constants::{GRADIENTS, OCTAVE_SHIFT};
+    let page = include_str!("../../docs/heightfield.md");
+    let metres: Vec<String> = OCTAVE_SHIFT.iter().map(|(x, z)| format!("({}, {})", x >> 8, z >> 8)).collect();
+    assert!(page.contains(&metres.join(" ")), "shifts: {}", metres.join(" "));
+    for (index, (x, z)) in GRADIENTS.into_iter().enumerate() {
+        let angle = (index as f64 + 0.5) * std::f64::consts::TAU / 32.0;
+        let rounded = |v: f64| (v * 32_768.0).round() as i16;
+        assert_eq!((x, z), (rounded(angle.cos()), rounded(angle.sin())), "the rule that the page gives");
+    }
 }

@@ -60,7 +60,7 @@ impl Kernel {
             #[cfg(target_arch = "x86_64")]
             (Set::Avx2, is_x86_feature_detected!("avx2")),
             #[cfg(target_arch = "x86_64")]
-            (Set::Avx512, is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw")),
+            (Set::Avx512, has_avx512()),
         ];
         sets.iter().filter(|(_, runs)| *runs).map(|(set, _)| Self(*set)).collect::<Vec<_>>().into_iter()
     }
@@ -71,7 +71,7 @@ impl Kernel {
         // Feature detection is cached by the standard library: a few loads.
         #[cfg(target_arch = "x86_64")]
         {
-            if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw") {
+            if has_avx512() {
                 return Self(Set::Avx512);
             }
             if is_x86_feature_detected!("avx2") {
@@ -102,6 +102,14 @@ impl Kernel {
     pub fn named(name: &str) -> Option<Self> {
         Self::available().find(|kernel| kernel.to_string() == name)
     }
+}
+
+/// Whether this CPU has what the AVX-512 kernel needs, and what its pyramids do.
+#[cfg(target_arch = "x86_64")]
+fn has_avx512() -> bool {
+    is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512bw")
+        && is_x86_feature_detected!("avx2")
 }
 
 impl fmt::Display for Kernel {

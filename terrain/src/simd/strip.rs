@@ -224,7 +224,8 @@ impl Strip {
         let mut base = 0;
         for (octave, shift) in grid.octaves.shifts() {
             let cell_bits = FIRST_CELL_BITS - octave as u32;
-            debug_assert!(grid.spacing_bits <= cell_bits, "a vector's vertices must share a window");
+            // What every window relies on; `Octaves::at_level` sees to it.
+            assert!(grid.spacing_bits <= cell_bits, "a vector's vertices share a window");
             let first_x = grid.position(columns.first, 0).0.wrapping_add(shift.0);
             let first_cell = first_x >> cell_bits;
             self.base[octave] = base;
@@ -256,7 +257,7 @@ impl Strip {
                 base += cells + MOST_LANES;
             }
         }
-        debug_assert!(base <= LATTICE);
+        assert!(base <= LATTICE, "the tables hold every lattice column");
     }
 
     /// Stores the weights of `COUNT` vertices from their fractions.
