@@ -31,6 +31,15 @@ pub fn name(adapter: &wgpu::Adapter) -> String {
     format!("{} ({})", info.name, info.backend)
 }
 
+/// The driver of an adapter and its version, as far as it says them, for people.
+#[must_use]
+pub fn driver(adapter: &wgpu::Adapter) -> String {
+    let info = adapter.get_info();
+    let said = [info.driver, info.driver_info].map(|text| one_line(&text));
+    let said: Vec<String> = said.into_iter().filter(|text| !text.is_empty()).collect();
+    if said.is_empty() { "a driver without a name".into() } else { said.join(" ") }
+}
+
 /// Opens an adapter with the limits that WebGPU promises everywhere.
 ///
 /// # Errors

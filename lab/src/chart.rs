@@ -10,10 +10,22 @@ use std::path::Path;
 use std::sync::Once;
 
 /// Width and height of one panel, pixels.
-const PANEL: (u32, u32) = (860, 620);
+const PANEL: (u32, u32) = (860, 660);
 
 /// Pixels above the panels for the title.
 const TITLE: u32 = 64;
+
+/// Height of a line of the legend, width of the stroke that it shows, and what is free around its text, pixels.
+const LEGEND: (u32, i32, i32) = (28, 30, 14);
+
+/// Distance from the left end of a panel to its legend: that of the axis.
+const LEGEND_LEFT: i32 = 108;
+
+/// Width of a line that covers no other, and what it gains with every line that it would vanish under, pixels.
+const LINE: (u32, u32) = (2, 4);
+
+/// Lines that are nearer than this share of the axis cannot be told apart.
+const COINCIDES: f64 = 0.004;
 
 const FONT: &str = "lab";
 const INK: RGBColor = RGBColor(40, 44, 52);
@@ -134,9 +146,8 @@ fn draw(root: &Area<'_>, title: &str, panels: &[Panel], (rows, columns): (usize,
     head.draw(&Text::new(title.to_owned(), (34, 22), (FONT, 30).into_font().color(&INK)))
         .map_err(|e| told(&e))?;
     for (panel, area) in panels.iter().zip(body.split_evenly((rows, columns))) {
-        let above = if panel.series.len() > 1 { 0.3 } else { 0.08 };
-        let x = range(panel, panel.x.scale, 0.0, |point| point.0)?;
-        let y = range(panel, panel.y.scale, above, |point| point.1)?;
+        let x = range(panel, panel.x.scale, false, |point| point.0)?;
+        let y = range(panel, panel.y.scale, true, |point| point.1)?;
         match (panel.x.scale, panel.y.scale) {
             (Scale::Linear, Scale::Linear) => draw_panel(&area, panel, x, y),
             (Scale::Linear, Scale::Log) => draw_panel(&area, panel, x, y.log_scale()),
@@ -156,7 +167,10 @@ where
 {
     let told = |cause: &dyn std::fmt::Display| anyhow!("{cause}");
     let text = |size: u32| (FONT, size).into_font().color(&INK);
-    let mut chart = ChartBuilder::on(area)
+    let legend = panel.legend(area)?;
+    let height = area.dim_in_pixel().1.saturating_sub(LEGEND.0 * legend.len() as u32);
+    let (plot, below) = area.split_vertically(height);
+    let mut chart = ChartBuilder::on(&plot)
         .margin(16)
         .margin_right(34)
         .caption(panel.title, text(24))
@@ -168,8 +182,8 @@ where
         .configure_mesh()
         .x_desc(panel.x.label)
         .y_desc(panel.y.label)
-        .x_label_formatter(&|value| number(*value))
-        .y_label_formatter(&|value| number(*value))
+        .x_label_formatter(&|value| tick(panel.x.scale, *value))
+        .y_label_formatter(&|value| tick(panel.y.scale, *value))
         .label_style(text(18))
         .axis_desc_style(text(20))
         .axis_style(INK)
@@ -177,42 +191,50 @@ where
         .light_line_style(TRANSPARENT)
         .draw()
         .map_err(|e| told(&e))?;
-    for (series, colour) in panel.series.iter().zip(COLOURS) {
+    for (index, (series, colour)) in panel.series.iter().zip(COLOURS).enumerate() {
         let shown: Vec<(f64, f64)> =
             series.points.iter().copied().filter(|point| panel.shows(*point)).collect();
-        let drawn = match series.stroke {
+        let width = panel.width(index);
+        match series.stroke {
             Stroke::Measured => {
-                chart
-                    .draw_series(shown.iter().map(|point| Circle::new(*point, 4, colour.filled())))
-                    .map_err(|e| told(&e))?;
-                chart.draw_series(LineSeries::new(shown, colour.stroke_width(2))).map_err(|e| told(&e))?
+                let dots = shown.iter().map(|point| Circle::new(*point, width / 2 + 3, colour.filled()));
+                chart.draw_series(dots).map_err(|e| told(&e))?;
+                chart.draw_series(LineSeries::new(shown, colour.stroke_width(width)))
             }
-            Stroke::Stated => chart
-                .draw_series(DashedLineSeries::new(shown, 9, 6, colour.stroke_width(2)))
-                .map_err(|e| told(&e))?,
-        };
-        let is_measured = series.stroke == Stroke::Measured;
-        drawn.label(series.label.clone()).legend(move |(x, y)| {
-            let gap = if is_measured { 0 } else { 5 };
-            EmptyElement::at((x, y))
-                + PathElement::new(vec![(0, 0), (11 - gap, 0)], colour.stroke_width(2))
-                + PathElement::new(vec![(11 + gap, 0), (24, 0)], colour.stroke_width(2))
-                + Circle::new((12, 0), if is_measured { 4 } else { 0 }, colour.filled())
-        });
+            Stroke::Stated => {
+                chart.draw_series(DashedLineSeries::new(shown, 9, 6, colour.stroke_width(width)))
+            }
+        }
+        .map_err(|e| told(&e))?;
     }
-    if panel.series.len() > 1 {
-        chart
-            .configure_series_labels()
-            .label_font(text(18))
-            .legend_area_size(34)
-            .margin(12)
-            .background_style(WHITE.mix(0.88))
-            .border_style(FAINT)
-            .position(panel.legend_corner())
-            .draw()
-            .map_err(|e| told(&e))?;
+    for (row, entries) in legend.iter().enumerate() {
+        let middle = (LEGEND.0 * row as u32 + LEGEND.0 / 2) as i32 - 6;
+        for Entry { series: index, left } in entries {
+            let (series, colour, width) = (&panel.series[*index], COLOURS[*index], panel.width(*index));
+            let is_measured = series.stroke == Stroke::Measured;
+            let gap = if is_measured { 0 } else { 4 };
+            let style = colour.stroke_width(width);
+            let piece = |from: i32, to: i32| {
+                PathElement::new(vec![(left + from, middle), (left + to, middle)], style)
+            };
+            below.draw(&piece(0, 13 - gap)).map_err(|e| told(&e))?;
+            below.draw(&piece(13 + gap, 26)).map_err(|e| told(&e))?;
+            if is_measured {
+                below
+                    .draw(&Circle::new((left + 13, middle), width / 2 + 3, colour.filled()))
+                    .map_err(|e| told(&e))?;
+            }
+            let label = Text::new(series.label.clone(), (left + LEGEND.1 + 4, middle - 7), text(18));
+            below.draw(&label).map_err(|e| told(&e))?;
+        }
     }
     Ok(())
+}
+
+/// A series in the legend, and how far right it begins.
+struct Entry {
+    series: usize,
+    left: i32,
 }
 
 impl Panel {
@@ -221,67 +243,78 @@ impl Panel {
         fits(x, self.x.scale) && fits(y, self.y.scale)
     }
 
-    /// The corner that the curves leave most room in.
-    fn legend_corner(&self) -> SeriesLabelPosition {
-        let place = |scale: Scale, value: f64| if scale == Scale::Log { value.log10() } else { value };
-        let points: Vec<(f64, f64)> = self
-            .series
-            .iter()
-            .flat_map(|series| series.points.iter().copied())
-            .filter(|point| self.shows(*point))
-            .map(|(x, y)| (place(self.x.scale, x), place(self.y.scale, y)))
-            .collect();
-        let span = |pick: fn(&(f64, f64)) -> f64| {
-            points.iter().map(pick).fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)))
+    /// The lines of the legend, below the plot: there it covers no curve. A single curve is named by its axis.
+    fn legend(&self, area: &Area<'_>) -> Result<Vec<Vec<Entry>>> {
+        let mut rows: Vec<Vec<Entry>> = Vec::new();
+        if self.series.len() < 2 {
+            return Ok(rows);
+        }
+        let font = (FONT, 18).into_font().into_text_style(area);
+        let mut left = i32::MAX;
+        for (series, Series { label, .. }) in self.series.iter().enumerate().take(COLOURS.len()) {
+            let text = area.estimate_text_size(label, &font).map_err(|cause| anyhow!("{cause}"))?;
+            let width = LEGEND.1 + text.0 as i32 + 2 * LEGEND.2;
+            if left.saturating_add(width) > PANEL.0 as i32 {
+                rows.push(Vec::new());
+                left = LEGEND_LEFT;
+            }
+            rows.last_mut().into_iter().for_each(|row| row.push(Entry { series, left }));
+            left += width;
+        }
+        Ok(rows)
+    }
+
+    /// Width of a line: it shows on both sides of every later one that lies on it.
+    fn width(&self, index: usize) -> u32 {
+        let over =
+            self.series.iter().skip(index + 1).filter(|later| self.coincide(&self.series[index], later));
+        LINE.0 + LINE.1 * over.count() as u32
+    }
+
+    /// Whether two curves are one over two measured values or more.
+    fn coincide(&self, one: &Series, other: &Series) -> bool {
+        let place = |value: f64| if self.y.scale == Scale::Log { value.log10() } else { value };
+        let heights = |series: &Series| -> Vec<(f64, f64)> {
+            let shown = series.points.iter().copied().filter(|point| self.shows(*point));
+            shown.map(|(x, y)| (x, place(y))).collect()
         };
-        let (x, y) = (span(|point| point.0), span(|point| point.1));
-        let share = |value: f64, (low, high): (f64, f64)| (value - low) / (high - low).max(f64::MIN_POSITIVE);
-        let crowd = |right: bool, top: bool| {
-            let near =
-                |share: f64, high: bool, reach: f64| if high { share > 1.0 - reach } else { share < reach };
-            points.iter().filter(|p| near(share(p.0, x), right, 0.5) && near(share(p.1, y), top, 0.4)).count()
-        };
-        let corners = [
-            (crowd(true, true), SeriesLabelPosition::UpperRight),
-            (crowd(false, true), SeriesLabelPosition::UpperLeft),
-            (crowd(true, false), SeriesLabelPosition::LowerRight),
-            (crowd(false, false), SeriesLabelPosition::LowerLeft),
-        ];
-        // A linear range is kept free above its curves.
-        let candidates = if self.y.scale == Scale::Linear { 2 } else { corners.len() };
-        corners
-            .into_iter()
-            .take(candidates)
-            .min_by_key(|(crowd, _)| *crowd)
-            .map_or(SeriesLabelPosition::UpperRight, |(_, at)| at)
+        let all: Vec<f64> = self.series.iter().flat_map(heights).map(|(_, y)| y).collect();
+        let (low, high) = all.iter().fold((f64::MAX, f64::MIN), |(low, high), y| (low.min(*y), high.max(*y)));
+        let near = (high - low) * COINCIDES;
+        let other = heights(other);
+        let meets =
+            |(x, y): &(f64, f64)| other.iter().any(|(its_x, its_y)| its_x == x && (its_y - y).abs() <= near);
+        heights(one).iter().filter(|point| meets(point)).count() >= 2
     }
 }
 
-/// The range of an axis: whole decades or a little air around the values; `above` is the share of a linear range that is kept free
-/// above them, for the legend.
-fn range(panel: &Panel, scale: Scale, above: f64, pick: impl Fn(&(f64, f64)) -> f64) -> Result<Range<f64>> {
+/// The range of an axis: whole decades upwards, else a little air around the values, a little more above them.
+fn range(panel: &Panel, scale: Scale, is_up: bool, pick: impl Fn(&(f64, f64)) -> f64) -> Result<Range<f64>> {
     let shown = panel.series.iter().flat_map(|series| &series.points).filter(|point| panel.shows(**point));
     let (low, high) = shown.map(pick).fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
     if low > high {
         return Err(anyhow!("`{}` has nothing to show", panel.title));
     }
     Ok(match scale {
-        Scale::Log if above > 0.0 => {
-            10f64.powf(low.log10().floor())..10f64.powf((high * 1.0001).log10().ceil())
-        }
+        Scale::Log if is_up => 10f64.powf(low.log10().floor())..10f64.powf((high * 1.0001).log10().ceil()),
         Scale::Log => low / 1.2..high * 1.2,
         Scale::Linear => {
             let low = if low >= 0.0 && low < 0.5 * high { low.min(0.0) } else { low - (high - low) * 0.06 };
-            low..high + ((high - low) * above.max(0.04)).max(1e-9)
+            low..high + ((high - low) * if is_up { 0.08 } else { 0.04 }).max(1e-9)
         }
     })
 }
 
-/// A number as short as it stays exact enough for an axis.
-fn number(value: f64) -> String {
+/// A number on an axis. On a logarithmic one, plain from 0.01 to 10,000 and else by its power of ten, so that neighbours look alike.
+fn tick(scale: Scale, value: f64) -> String {
     let magnitude = value.abs();
-    if magnitude != 0.0 && !(1e-4..1e6).contains(&magnitude) {
-        let power = magnitude.log10().floor();
+    // Computed powers of ten are off by their last bits.
+    let plain = match scale {
+        Scale::Log => 0.009_999..10_001.0,
+        Scale::Linear => 1e-4..1e6,
+    };
+    if magnitude != 0.0 && !plain.contains(&magnitude) {
+        let power = (magnitude.log10() + 1e-9).floor();
         let lead = value / 10f64.powf(power);
         return if (lead - 1.0).abs() < 1e-6 { format!("1e{power}") } else { format!("{lead:.1}e{power}") };
     }
@@ -298,8 +331,19 @@ mod tests {
         for (value, text) in
             [(0.0, "0"), (1.0, "1"), (0.25, "0.25"), (0.0001, "0.0001"), (1e-6, "1e-6"), (4.2e6, "4.2e6")]
         {
-            assert_eq!(number(value), text);
+            assert_eq!(tick(Scale::Linear, value), text);
         }
+        let decades: Vec<String> = (-5..=6).map(|power| tick(Scale::Log, 10f64.powi(power))).collect();
+        let texts = ["1e-5", "1e-4", "1e-3", "0.01", "0.1", "1", "10", "100", "1000", "10000", "1e5", "1e6"];
+        assert_eq!(decades, texts);
+    }
+
+    #[test]
+    fn a_line_under_another_is_wider_than_it() {
+        let line = |label: &str, last: f64| measured(label, [(0.0, 1.0), (1.0, 2.0), (2.0, last)]);
+        let series = vec![line("under", 3.0), line("over", 4.0), measured("apart", [(0.0, 9.0), (2.0, 8.0)])];
+        let panel = Panel { title: "test", x: linear("x"), y: linear("y"), series };
+        assert_eq!([0, 1, 2].map(|index| panel.width(index)), [6, 2, 2]);
     }
 
     #[test]

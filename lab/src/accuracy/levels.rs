@@ -138,7 +138,7 @@ pub fn measure(world_seed: u64) -> Curve {
 const NAMES: [(&str, &str); 3] = [
     ("all", "all octaves"),
     ("cell", "cell at least the spacing (the land's rule)"),
-    ("half", "half a cell at least the spacing"),
+    ("half", "one octave fewer"),
 ];
 
 fn panels(accuracy: &Table, price: &Table) -> Vec<Panel> {

@@ -2,7 +2,7 @@
 //!
 //! A page is served on the loopback interface; headless Chromium loads it, runs the pass and posts the words back.
 
-use crate::digest::child::Guarded;
+use crate::digest::child::{Guarded, Scratch};
 use crate::digest::probes::Probe;
 use anyhow::{Context, Result, anyhow, bail};
 use shaders::Shader;
@@ -61,17 +61,23 @@ pub fn words(program: &Path, shader: &Shader, land: &Land, probes: &[Probe]) -> 
     let listener = TcpListener::bind("127.0.0.1:0").context("no port for the page")?;
     listener.set_nonblocking(true).context("no port for the page")?;
     let address = listener.local_addr().context("no port for the page")?;
-    let profile = Profile::new()?;
+    // A profile of its own, so that nobody's settings and no running browser matter. What the browser would leave in the temporary
+    // folder goes there too; the name is short because sockets in it may have a hundred letters.
+    let profile = Scratch::new("tombolo-lab-browser")?;
+    let temporary = profile.path().join("t");
+    std::fs::create_dir_all(&temporary)
+        .with_context(|| format!("`{}` cannot be created", temporary.display()))?;
     let mut command = Command::new(program);
     command
         // The sandbox needs rights that containers lack; the only page it opens is ours.
         .args(["--headless=new", "--no-sandbox", "--no-first-run", "--disable-extensions"])
         .args(["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader"])
-        .arg(format!("--user-data-dir={}", profile.0.display()))
+        .arg(format!("--user-data-dir={}", profile.path().display()))
         .arg(format!("http://{address}/"));
-    let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+    command.env("TMPDIR", &temporary).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     // Dropped, and so ended, before its profile.
-    let mut child = Guarded(child.with_context(|| format!("`{}` cannot be started", program.display()))?);
+    let mut browser =
+        Guarded::start(&mut command).with_context(|| format!("`{}` cannot be started", program.display()))?;
 
     let world = World::from(land.parameters());
     let served = Served { shader, world: bytemuck::bytes_of(&world), probes: bytemuck::cast_slice(probes) };
@@ -89,7 +95,7 @@ pub fn words(program: &Path, shader: &Shader, land: &Land, probes: &[Probe]) -> 
                 }
             }
             Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                if let Some(status) = child.0.try_wait()? {
+                if let Some(status) = browser.child().try_wait()? {
                     bail!("the browser ended ({status}) before it answered");
                 }
                 std::thread::sleep(Duration::from_millis(5));
@@ -204,30 +210,6 @@ fn as_words(body: &[u8]) -> Vec<i32> {
 
 fn text(body: &[u8]) -> String {
     String::from_utf8_lossy(body).lines().map(str::trim).collect::<Vec<_>>().join("; ")
-}
-
-/// A browser profile of its own, so that nobody's settings and no running browser matter. Removed with this value.
-struct Profile(PathBuf);
-
-impl Profile {
-    fn new() -> Result<Self> {
-        let folder = std::env::temp_dir().join(format!("tombolo-lab-browser-{}", std::process::id()));
-        std::fs::create_dir_all(&folder)
-            .with_context(|| format!("`{}` cannot be created", folder.display()))?;
-        Ok(Self(folder))
-    }
-}
-
-impl Drop for Profile {
-    fn drop(&mut self) {
-        // The browser's helpers may still be writing while they end.
-        for _ in 0..50 {
-            if std::fs::remove_dir_all(&self.0).is_ok() || !self.0.exists() {
-                return;
-            }
-            std::thread::sleep(Duration::from_millis(20));
-        }
-    }
 }
 
 #[cfg(test)]

@@ -1,16 +1,22 @@
-//! The words of this program: the scalar definition, and heights by every kernel.
+//! The words of this program: the scalar definition, every kernel, and floats for the control.
 
 use crate::digest::probes::Probe;
+use crate::floats::{FloatLand, metres_f32};
+use rayon::prelude::*;
 use shaders::layout::PROBE_WORDS;
-use terrain::constants::{SPACING_BITS, WORLD_HALF};
+use terrain::constants::{FINE_BITS, SPACING_BITS, UNITS_PER_METRE, WORLD_HALF};
+use terrain::hash::mix;
 use terrain::ring::{mod_floor, mod_trunc};
 use terrain::{Grid, Kernel, Land, Octaves, Position};
 
 /// Longest row that a probe is hidden in: the widest vector twice, and one vertex that fills no vector.
-const ROW: i32 = 33;
+const MOST_COLUMNS: usize = 33;
+
+/// Rows of the grids that probes are hidden in: a first, one that follows it, and one that follows a follower.
+const MOST_ROWS: usize = 3;
 
 /// Levels whose grids carry all octaves, so that their heights are those of the definition.
-const FULL_LEVELS: u8 = 3;
+const FULL_LEVELS: usize = 3;
 
 /// The definition, point by point.
 #[must_use]
@@ -25,25 +31,90 @@ pub fn scalar(land: &Land, probes: &[Probe]) -> Vec<i32> {
     words
 }
 
-/// The definition with the heights of a kernel in place of its own. Each comes from a row of another length, with the probe
-/// in another column, so that every lane and every remainder is asked.
+/// The definition's words with a kernel's hills, folds and heights in place of its own, where the probe lies in the world: grids lie
+/// nowhere else. Each comes from a grid of another size, with the probe in another column and row, so that every lane, every
+/// remainder, and what a row takes over from the one before are asked.
 #[must_use]
 pub fn by_kernel(land: &Land, kernel: Kernel, probes: &[Probe], scalar: &[i32]) -> Vec<i32> {
     let mut words = scalar.to_vec();
-    let mut row = [0; ROW as usize];
-    for (index, [x, z]) in probes.iter().copied().enumerate() {
-        if Position::new(x, z).is_err() {
-            continue;
-        }
-        let level = (index % usize::from(FULL_LEVELS)) as u8;
-        let spacing_bits = SPACING_BITS + u32::from(level);
-        // As many vertices on either side as the world has room for.
-        let before = (index as i32 % ROW).min((x.abs_diff(-WORLD_HALF) >> spacing_bits) as i32);
-        let after = (ROW - 1 - before).min((x.abs_diff(WORLD_HALF) >> spacing_bits) as i32);
-        let columns = (before + 1 + after) as usize;
-        let grid = Grid::new(x - (before << spacing_bits), z, level, columns, 1).expect("cut to the world");
-        land.heights_on(kernel, &grid, &mut row[..columns]);
-        words[index * PROBE_WORDS + PROBE_WORDS - 1] = row[before as usize];
-    }
+    let of_probe = words.par_chunks_exact_mut(PROBE_WORDS).zip(probes).enumerate();
+    of_probe.filter(|(_, (_, [x, z]))| Position::new(*x, *z).is_ok()).for_each(|(index, (words, [x, z]))| {
+        let (grid, vertex) = grid_around(index as u32, *x, *z);
+        let mut values = [[0; MOST_COLUMNS * MOST_ROWS]; 3];
+        let [hills, folds, heights] = values.each_mut().map(|values| &mut values[..grid.vertex_count()]);
+        land.fbm().grid_on(kernel, &grid, hills, folds);
+        land.heights_on(kernel, &grid, heights);
+        words[PROBE_WORDS - 3..].copy_from_slice(&[hills[vertex], folds[vertex], heights[vertex]]);
+    });
     words
+}
+
+/// A grid with the probe in it, cut to the world, and the probe's place in it. The index draws its size.
+fn grid_around(index: u32, x: i32, z: i32) -> (Grid, usize) {
+    let draw = |purpose: u32, count: usize| mix(4 * index + purpose) as usize % count;
+    let level = draw(0, FULL_LEVELS) as u8;
+    let spacing_bits = SPACING_BITS + u32::from(level);
+    // As many vertices before and after as the world has room for.
+    let span = |at: i32, drawn: usize, most: usize| {
+        let count = 1 + drawn % most;
+        let before = (drawn / most % count).min((at.abs_diff(-WORLD_HALF) >> spacing_bits) as usize);
+        let after = (count - 1 - before).min((at.abs_diff(WORLD_HALF) >> spacing_bits) as usize);
+        (at - ((before as i32) << spacing_bits), before, before + 1 + after)
+    };
+    let (low_x, column, columns) = span(x, draw(1, usize::MAX), MOST_COLUMNS);
+    let (low_z, row, rows) = span(z, draw(2, usize::MAX), MOST_ROWS);
+    let grid = Grid::new(low_x, low_z, level, columns, rows).expect("cut to the world");
+    (grid, row * columns + column)
+}
+
+/// Our formula in f32: what a backend would answer that computed in floats. Remainders are granted.
+#[must_use]
+pub fn floats(land: &Land, probes: &[Probe]) -> Vec<i32> {
+    let float = FloatLand::new(land.world_seed());
+    let fine = |metres: f32| (metres * (1i32 << FINE_BITS) as f32) as i32;
+    probes
+        .par_iter()
+        .flat_map_iter(|[x, z]| {
+            let (x_m, z_m) = (metres_f32(*x), metres_f32(*z));
+            let (hills, folds) = float.relief(x_m, z_m);
+            let is_inside = Position::new(*x, *z).is_ok();
+            let height = if is_inside { float.height_m(x_m, z_m) * UNITS_PER_METRE as f32 } else { 0.0 };
+            [mod_trunc(*x, *z), mod_floor(*x, *z), fine(hills), fine(folds), height as i32]
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn grids_hold_their_probe_and_take_every_size_and_place() {
+        let (mut sizes, mut places) = (BTreeSet::new(), BTreeSet::new());
+        for index in 0..200_000 {
+            let (grid, vertex) = grid_around(index, 5, -7);
+            assert!(vertex < grid.vertex_count());
+            sizes.insert((grid.columns(), grid.rows()));
+            places.insert((vertex % grid.columns(), vertex / grid.columns()));
+        }
+        assert_eq!((sizes.len(), places.len()), (MOST_COLUMNS * MOST_ROWS, MOST_COLUMNS * MOST_ROWS));
+        for corner in [-WORLD_HALF, WORLD_HALF] {
+            (0..200).for_each(|index| {
+                grid_around(index, corner, corner);
+            });
+        }
+    }
+
+    #[test]
+    fn floats_are_near_the_definition_at_the_origin_and_not_equal() {
+        let land = Land::new(3);
+        let probes: Vec<Probe> = (0..200).map(|n| [n * 37 + 11, n * 53 + 5]).collect();
+        let (exact, floats) = (scalar(&land, &probes), floats(&land, &probes));
+        assert_eq!(exact.len(), floats.len());
+        assert_ne!(exact, floats);
+        let apart = exact.iter().zip(&floats).map(|(a, b)| a.abs_diff(*b)).max();
+        // 2^-16 m: a thousandth of the land.
+        assert!(apart < Some(200), "{apart:?}");
+    }
 }

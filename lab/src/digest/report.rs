@@ -12,9 +12,9 @@ pub struct Report {
     pub expected: String,
     /// Who was asked.
     pub backends: Vec<Backend>,
-    /// The float twin; none where no GPU was found to run it.
-    pub control: Option<Control>,
-    /// Whether no backend differs and the control does.
+    /// The float twin: on a GPU, or on this processor where there is none.
+    pub control: Control,
+    /// Whether no backend differs or fails, and the control differs.
     pub equal: bool,
 }
 
@@ -27,7 +27,7 @@ pub struct Backend {
     pub digest: Option<String>,
     /// The verdict.
     pub state: State,
-    /// Why it was skipped, or where it differs; else what there is to know of it.
+    /// Why it was skipped or failed, or where it differs; else what there is to know of it.
     pub detail: String,
     /// How long it took.
     pub seconds: f64,
@@ -39,14 +39,16 @@ pub struct Backend {
 pub enum State {
     /// The expected digest.
     Equal,
-    /// Another digest, or a failure after it was opened.
+    /// Another digest.
     Different,
+    /// It was there and computed nothing: it crashed, gave up, or took too long.
+    Failed,
     /// Not on this machine.
     Skipped,
 }
 
 /// The twin that must differ.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Control {
     /// What ran it.
     pub name: String,
@@ -56,6 +58,15 @@ pub struct Control {
     pub differs: bool,
     /// How many of its words do.
     pub words_different: usize,
+}
+
+/// What the adapters of one process yield; as JSON it travels from a child of this program.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Heard {
+    /// One for every adapter, or one that says that there is none.
+    pub backends: Vec<Backend>,
+    /// The float twin on the first adapter that ran it.
+    pub control: Option<Control>,
 }
 
 impl Backend {
@@ -68,7 +79,7 @@ impl Backend {
     /// One that is there and computed nothing usable.
     #[must_use]
     pub fn failed(name: impl Into<String>, why: impl Into<String>, seconds: f64) -> Self {
-        Self { name: name.into(), digest: None, state: State::Different, detail: why.into(), seconds }
+        Self { name: name.into(), digest: None, state: State::Failed, detail: why.into(), seconds }
     }
 }
 
@@ -78,16 +89,19 @@ impl Report {
     /// # Errors
     /// One line with what does not.
     pub fn verdict(&self) -> Result<(), String> {
-        if let Some(backend) = self.backends.iter().find(|backend| backend.state == State::Different) {
+        let first = |state: State| self.backends.iter().find(|backend| backend.state == state);
+        // A wrong answer says more of the land than a missing one.
+        if let Some(backend) = first(State::Different) {
             return Err(format!("{} differs: {}", backend.name, backend.detail));
         }
-        match &self.control {
-            Some(control) if !control.differs => Err(format!(
-                "the float control on {} equals the integers: the comparison is blind",
-                control.name
-            )),
-            _ => Ok(()),
+        if let Some(backend) = first(State::Failed) {
+            return Err(format!("{} failed: {}", backend.name, backend.detail));
         }
+        if !self.control.differs {
+            let name = &self.control.name;
+            return Err(format!("the float control on {name} equals the integers: the comparison is blind"));
+        }
+        Ok(())
     }
 }
 
@@ -95,11 +109,12 @@ impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{} probes, expected digest {}", self.probes, self.expected)?;
         let width = self.backends.iter().map(|backend| backend.name.chars().count()).max().unwrap_or(0);
-        let width = width.max(self.control.as_ref().map_or(0, |control| control.name.chars().count() + 9));
+        let width = width.max(self.control.name.chars().count() + 9);
         for backend in &self.backends {
             let state = match backend.state {
                 State::Equal => "equal",
                 State::Different => "DIFFERENT",
+                State::Failed => "FAILED",
                 State::Skipped => "skipped",
             };
             // The first digits are enough for eyes; the JSON has all.
@@ -108,14 +123,10 @@ impl fmt::Display for Report {
             let line = format!("{name:width$}  {digest:16}  {state:9}  {seconds:6.2} s  {detail}");
             writeln!(f, "{}", line.trim_end())?;
         }
-        match &self.control {
-            Some(Control { name, digest, differs, words_different }) => {
-                let state = if *differs { "differs, as it must" } else { "EQUAL: the comparison is blind" };
-                let name = format!("control: {name}");
-                writeln!(f, "{name:width$}  {:16}  {state} ({words_different} words)", &digest[..16])
-            }
-            None => writeln!(f, "control: skipped, no GPU to run the float twin"),
-        }
+        let Control { name, digest, differs, words_different } = &self.control;
+        let state = if *differs { "differs, as it must" } else { "EQUAL: the comparison is blind" };
+        let name = format!("control: {name}");
+        writeln!(f, "{name:width$}  {:16}  {state} ({words_different} words)", &digest[..16])
     }
 }
 
@@ -129,15 +140,17 @@ mod tests {
             Control { name: "f32".into(), digest: digest.clone(), differs, words_different: differs.into() };
         let detail = "at (0, 0) hills is 1, expected 2".into();
         let backend = Backend { name: "b".into(), digest: Some(digest.clone()), state, detail, seconds: 0.5 };
-        Report { probes: 1, expected: digest, backends: vec![backend], control: Some(control), equal: true }
+        Report { probes: 1, expected: digest, backends: vec![backend], control, equal: true }
     }
 
     #[test]
-    fn a_backend_that_differs_and_a_control_that_does_not_both_fail() {
+    fn a_backend_that_differs_or_fails_and_a_control_that_does_not_differ_are_refused() {
         assert_eq!(report(State::Equal, true).verdict(), Ok(()));
         assert_eq!(report(State::Skipped, true).verdict(), Ok(()));
         let different = report(State::Different, true).verdict().unwrap_err();
         assert!(different.contains("hills is 1, expected 2"), "{different}");
+        let failed = report(State::Failed, true).verdict().unwrap_err();
+        assert!(failed.starts_with("b failed: ") && !failed.contains("differs"), "{failed}");
         assert!(report(State::Equal, false).verdict().unwrap_err().contains("blind"));
     }
 
@@ -145,6 +158,7 @@ mod tests {
     fn the_json_has_the_promised_fields() {
         let json = serde_json::to_value(report(State::Equal, true)).unwrap();
         assert_eq!(json["backends"][0]["state"], "equal");
+        assert_eq!(serde_json::to_value(State::Failed).unwrap(), "failed");
         assert_eq!(json["control"]["words_different"], 1);
         assert_eq!((&json["probes"], &json["equal"]), (&1.into(), &true.into()));
     }

@@ -4,7 +4,7 @@
 //! more with that variable set.
 
 use crate::digest::child::Guarded;
-use crate::digest::report::Backend;
+use crate::digest::report::Heard;
 use anyhow::{Context, Result, bail};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -33,20 +33,22 @@ pub fn manifest() -> Option<PathBuf> {
     FOLDERS.iter().map(|folder| Path::new(folder).join(MANIFEST)).find(|path| path.exists())
 }
 
-/// The backends that a child of this program finds with that manifest.
+/// What a child of this program finds with that manifest.
 ///
 /// # Errors
 /// The child cannot be started, fails, or takes too long.
-pub fn backends(manifest: &Path) -> Result<Vec<Backend>> {
+pub fn ask(manifest: &Path) -> Result<Heard> {
     let program = std::env::current_exe().context("this program cannot find itself")?;
     let mut command = Command::new(program);
     command.args(["digest", "--child"]).env("VK_DRIVER_FILES", manifest).env("VK_ICD_FILENAMES", manifest);
-    let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit()).spawn();
-    let mut child = Guarded(child.context("it cannot be started")?);
-    let mut output = child.0.stdout.take().context("its output is not piped")?;
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit());
+    let mut guarded = Guarded::start(&mut command).context("it cannot be started")?;
+    let mut output = guarded.child().stdout.take().context("its output is not piped")?;
     // The report is shorter than a pipe holds, so the child never waits for this reader.
-    if !child.ends_before(Instant::now() + TIME_LIMIT)? {
-        bail!("no answer within {} s", TIME_LIMIT.as_secs());
+    match guarded.ends_before(Instant::now() + TIME_LIMIT)? {
+        Some(status) if status.success() => {}
+        Some(status) => bail!("it ended ({status}) before it answered"),
+        None => bail!("no answer within {} s", TIME_LIMIT.as_secs()),
     }
     let mut text = String::new();
     output.read_to_string(&mut text).context("its report cannot be read")?;
