@@ -21,8 +21,9 @@ impl Octaves {
 
     /// What a grid of a level can carry: octaves whose cell is at least the vertex spacing.
     ///
-    /// A finer octave would put every vertex into a cell of its own and so add white noise, which shimmers, costs
-    /// two lattice columns per vertex and compresses to nothing. Levels 0 to 2 keep all octaves.
+    /// A finer octave would put every vertex into a cell of its own and so add white noise, which shimmers, costs two lattice
+    /// columns per vertex and moves the drawn triangles away from the land (docs/heightfield.md, section 6). Levels 0 to 2
+    /// keep all octaves.
     #[must_use]
     pub const fn at_level(level: u8) -> Self {
         let carried = (FIRST_CELL_BITS - SPACING_BITS + 1).saturating_sub(level as u32);
