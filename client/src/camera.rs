@@ -14,8 +14,8 @@ pub const MAX_EYE_HEIGHT_M: f64 = 20_000.0;
 pub const MIN_EYE_HEIGHT_M: f64 = -64.0;
 /// Largest |x| and |z| of an eye, metres.
 pub const WORLD_HALF_M: f64 = (WORLD_HALF / UNITS_PER_METRE) as f64;
-/// Steepest gaze in degrees: straight up or down has no heading.
-pub const MAX_PITCH_DEG: f64 = 89.0;
+/// Steepest gaze in degrees: straight up or down. The heading stays what the yaw says.
+pub const MAX_PITCH_DEG: f64 = 90.0;
 
 /// Position and gaze of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -321,7 +321,7 @@ mod tests {
             ("4194305,2,3,4,5", "X is 4194305, allowed is -4194304 to 4194304"),
             ("1,20001,3,4,5", "Y is 20001"),
             ("1,2,3,400,5", "YAW is 400"),
-            ("1,2,3,4,90", "PITCH is 90, allowed is -89 to 89"),
+            ("1,2,3,4,91", "PITCH is 91, allowed is -90 to 90"),
         ] {
             let message = text.parse::<Pose>().unwrap_err().to_string();
             assert!(message.contains(words), "{text}: {message}");

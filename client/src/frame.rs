@@ -1,6 +1,7 @@
 //! From a pose and a selection to what the GPU is told: uniforms, instances in drawing order, counts.
 
 use crate::camera::{Eye, Lens, Pose};
+use crate::looks::Looks;
 use crate::scene::Scene;
 use crate::world::{Resident, Selection, World};
 use glam::{DVec3, Vec3};
@@ -36,6 +37,8 @@ pub struct Shot {
     pub tolerance_px: f64,
     /// Seconds of the moving parts (waves, clouds).
     pub time_s: f32,
+    /// Knobs of the picture.
+    pub looks: Looks,
 }
 
 impl Shot {
@@ -95,7 +98,7 @@ impl Shot {
             let period = PATTERN_PERIOD_M * UNITS_PER_METRE;
             metres(f64::from(units & (period - 1))) as f32 + fraction
         };
-        let light = scene.light();
+        let (light, looks) = (scene.light().under(&self.looks), &self.looks);
         Frame {
             clip_from_camera: lens.clip_from_camera(pose).to_cols_array_2d(),
             ray_right: (pose.right() * half_height * lens.aspect()).as_vec3().into(),
@@ -110,6 +113,14 @@ impl Shot {
             pixel: 1.0 / lens.height as f32,
             pattern_eye_m: [wrapped(eye.units[0], eye.fraction_m.x), wrapped(eye.units[2], eye.fraction_m.z)],
             viewport: [lens.width as f32, lens.height as f32],
+            diffuse: looks.diffuse.word(),
+            visibility: looks.visibility.word(),
+            tiling: looks.tiling.word(),
+            water_tier: looks.water.word(),
+            shadows: looks.shadows.word(),
+            show: looks.show.word(),
+            pixels_per_radian: (f64::from(lens.height) / (2.0 * half_height)) as f32,
+            tolerance_px: self.tolerance_px as f32,
         }
     }
 }
@@ -190,6 +201,18 @@ pub struct Light {
     pub exposure: f32,
 }
 
+impl Light {
+    /// The light with what the knobs change about it.
+    #[must_use]
+    pub fn under(self, looks: &Looks) -> Self {
+        let sun = looks.sun.map_or(self.sun, |place| {
+            let (azimuth, elevation) = (place.azimuth_deg.to_radians(), place.elevation_deg.to_radians());
+            Vec3::new(azimuth.sin() * elevation.cos(), elevation.sin(), -azimuth.cos() * elevation.cos())
+        });
+        Self { sun, exposure: self.exposure * looks.exposure_ev.exp2() }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -203,6 +226,7 @@ mod tests {
             view_distance_m: 2000,
             tolerance_px: 4.0,
             time_s: 0.0,
+            looks: Looks::default(),
         }
     }
 

@@ -3,6 +3,7 @@
 use crate::camera::{Lens, Pose};
 use crate::feed::Feed;
 use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
+use crate::looks::Looks;
 use crate::render::pool::HeightPool;
 use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
 use crate::scene::Scene;
@@ -44,6 +45,8 @@ pub struct Options {
     pub orbit_step_deg: f64,
     /// Seconds of the moving parts in the first frame; every further frame adds 1/60.
     pub time_s: f32,
+    /// Knobs of the picture.
+    pub looks: Looks,
     /// How long the view may take to fill.
     pub timeout: Duration,
 }
@@ -61,6 +64,7 @@ impl Default for Options {
             frames: 1,
             orbit_step_deg: 0.0,
             time_s: 0.0,
+            looks: Looks::default(),
             timeout: Duration::from_secs(60),
         }
     }
@@ -226,6 +230,7 @@ impl Options {
             view_distance_m: self.view_distance_m,
             tolerance_px: self.tolerance_px,
             time_s: self.time_s + frame as f32 / 60.0,
+            looks: self.looks,
         }
     }
 }

@@ -13,6 +13,7 @@ pub mod camera;
 pub mod feed;
 pub mod frame;
 pub mod headless;
+pub mod looks;
 pub mod native;
 pub mod render;
 pub mod scene;

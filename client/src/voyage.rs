@@ -256,6 +256,7 @@ mod tests {
             view_distance_m: 2000,
             tolerance_px: 4.0,
             time_s: 0.0,
+            looks: crate::looks::Looks::default(),
         }
     }
 

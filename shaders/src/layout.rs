@@ -34,6 +34,22 @@ pub struct Frame {
     pub pattern_eye_m: [f32; 2],
     /// Target size, pixels.
     pub viewport: [f32; 2],
+    /// 0 Lambert, 1 Burley.
+    pub diffuse: u32,
+    /// 0 exact, 1 fast.
+    pub visibility: u32,
+    /// 0 off, 1 two scales, 2 hexagons.
+    pub tiling: u32,
+    /// 0 flat, 1 one offset, 2 to 4 that many steps, 5 marched.
+    pub water_tier: u32,
+    /// 0 none, 1 hard, 2 soft.
+    pub shadows: u32,
+    /// 0 picture, 1 wireframe, 2 levels, 3 normals, 4 error.
+    pub show: u32,
+    /// Pixels per radian in the middle of the picture.
+    pub pixels_per_radian: f32,
+    /// Tolerated screen error, pixels.
+    pub tolerance_px: f32,
 }
 
 /// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant of `shared/frame.wesl`.

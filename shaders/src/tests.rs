@@ -170,6 +170,14 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("pixel", offset_of!(Frame, pixel)),
         ("pattern_eye_m", offset_of!(Frame, pattern_eye_m)),
         ("viewport", offset_of!(Frame, viewport)),
+        ("diffuse", offset_of!(Frame, diffuse)),
+        ("visibility", offset_of!(Frame, visibility)),
+        ("tiling", offset_of!(Frame, tiling)),
+        ("water_tier", offset_of!(Frame, water_tier)),
+        ("shadows", offset_of!(Frame, shadows)),
+        ("show", offset_of!(Frame, show)),
+        ("pixels_per_radian", offset_of!(Frame, pixels_per_radian)),
+        ("tolerance_px", offset_of!(Frame, tolerance_px)),
     ];
     let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
     for shader in passes(false) {

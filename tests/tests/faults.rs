@@ -41,6 +41,7 @@ fn shot() -> Shot {
         view_distance_m: 1500,
         tolerance_px: 4.0,
         time_s: 0.0,
+        looks: client::looks::Looks::default(),
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::camera::{Lens, Pose};
 use crate::headless::Options;
+use crate::looks::{Diffuse, Looks, Shadows, Show, SunPlace, Tiling, Visibility, WaterTier};
 use crate::scene::Scene;
 use clap::{Parser, builder::RangedU64ValueParser};
 use protocol::Delivery;
@@ -64,8 +65,8 @@ pub struct Args {
     #[arg(long, value_name = "PX", default_value_t = 2.0, value_parser = |text: &str| parse_within(text, 0.0625, 1000.0))]
     pub tolerance: f64,
 
-    /// Vertical field of view in degrees, 10 to 120
-    #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = |text: &str| parse_within(text, 10.0, 120.0))]
+    /// Vertical field of view in degrees, 1 to 170
+    #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = |text: &str| parse_within(text, 1.0, 170.0))]
     pub fov: f64,
 
     /// Memory for chunks in MiB, main and GPU memory together, 8 to 256; a view that needs more is drawn coarser
@@ -83,6 +84,38 @@ pub struct Args {
     /// Moment of the waves and clouds in the first frame of a shot, seconds, 0 to 86400
     #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = |text: &str| parse_within(text, 0.0, 86_400.0))]
     pub time: f64,
+
+    /// What is shown
+    #[arg(long, value_enum, default_value_t)]
+    pub show: Show,
+
+    /// Place of the sun in degrees: azimuth clockwise from north, elevation -90 to 90 [default: that of the scene]
+    #[arg(long, value_name = "AZIMUTH,ELEVATION", allow_hyphen_values = true, value_parser = parse_sun)]
+    pub sun: Option<SunPlace>,
+
+    /// Exposure in stops above the scene's, -8 to 8
+    #[arg(long, value_name = "EV", default_value_t = 0.0, allow_hyphen_values = true, value_parser = |text: &str| parse_within(text, -8.0, 8.0))]
+    pub exposure: f64,
+
+    /// Shadows of the land on itself
+    #[arg(long, value_enum, default_value_t)]
+    pub shadows: Shadows,
+
+    /// What hides that materials repeat
+    #[arg(long, value_enum, default_value_t)]
+    pub tiling: Tiling,
+
+    /// Diffuse reflection of the ground
+    #[arg(long, value_enum, default_value_t)]
+    pub diffuse: Diffuse,
+
+    /// Visibility term of the specular reflection
+    #[arg(long, value_enum, default_value_t)]
+    pub visibility: Visibility,
+
+    /// How the parallax of waves is found
+    #[arg(long, value_enum, default_value_t)]
+    pub water: WaterTier,
 
     /// File whose first line is the server's access token
     #[arg(long, value_name = "FILE")]
@@ -109,7 +142,23 @@ impl Args {
             // Frames of a shot are a sixtieth of a second apart, as their waves are.
             orbit_step_deg: self.orbit.unwrap_or(0.0) / 60.0,
             time_s: self.time as f32,
+            looks: self.looks(),
             timeout: Duration::from_secs(self.timeout),
+        }
+    }
+
+    /// The knobs of the picture.
+    #[must_use]
+    pub fn looks(&self) -> Looks {
+        Looks {
+            diffuse: self.diffuse,
+            visibility: self.visibility,
+            tiling: self.tiling,
+            water: self.water,
+            shadows: self.shadows,
+            show: self.show,
+            sun: self.sun,
+            exposure_ev: self.exposure as f32,
         }
     }
 
@@ -154,6 +203,14 @@ fn parse_within(text: &str, low: f64, high: f64) -> Result<f64, String> {
         .ok()
         .filter(|value| (low..=high).contains(value))
         .ok_or_else(|| format!("expected a number from {low} to {high}"))
+}
+
+fn parse_sun(text: &str) -> Result<SunPlace, String> {
+    let angle = |part: &str, limit: f64| parse_within(part.trim(), -limit, limit).ok();
+    text.split_once(',')
+        .and_then(|(azimuth, elevation)| Some((angle(azimuth, 360.0)?, angle(elevation, 90.0)?)))
+        .map(|(azimuth, elevation)| SunPlace { azimuth_deg: azimuth as f32, elevation_deg: elevation as f32 })
+        .ok_or_else(|| "expected AZIMUTH,ELEVATION, -360 to 360 and -90 to 90 degrees".to_owned())
 }
 
 fn parse_samples(text: &str) -> Result<u32, String> {
@@ -216,6 +273,22 @@ mod tests {
             "-3",
             "--time",
             "2",
+            "--show",
+            "levels",
+            "--sun",
+            "-90,-10.5",
+            "--exposure",
+            "-1",
+            "--shadows",
+            "hard",
+            "--tiling",
+            "two-scale",
+            "--diffuse",
+            "lambert",
+            "--visibility",
+            "fast",
+            "--water",
+            "march",
             "--token-file",
             "t",
             "--timeout",
@@ -227,6 +300,18 @@ mod tests {
         assert_eq!(options.pose.position_m.x, -1.5);
         assert_eq!((options.lens.width, options.lens.height, options.lens.fov_deg), (640, 360, 75.0));
         assert_eq!((options.frames, options.chunk_bytes, options.samples), (7, 32 << 20, 1));
+        let sun = Some(SunPlace { azimuth_deg: -90.0, elevation_deg: -10.5 });
+        let looks = Looks {
+            diffuse: Diffuse::Lambert,
+            visibility: Visibility::Fast,
+            tiling: Tiling::TwoScale,
+            water: WaterTier::March,
+            shadows: Shadows::Hard,
+            show: Show::Levels,
+            sun,
+            exposure_ev: -1.0,
+        };
+        assert_eq!(options.looks, looks);
         assert_eq!((options.orbit_step_deg, options.timeout), (-0.05, Duration::from_secs(9)));
     }
 
@@ -245,9 +330,15 @@ mod tests {
             ("--frames", "0", "1"),
             ("--view-distance", "99", "100"),
             ("--tolerance", "NaN", "0.0625 to 1000"),
-            ("--fov", "180", "10 to 120"),
+            ("--fov", "180", "1 to 170"),
             ("--chunk-mb", "0", "8"),
             ("--samples", "2", "1 or 4"),
+            ("--sun", "90,91", "-90 to 90"),
+            ("--sun", "NaN,0", "AZIMUTH,ELEVATION"),
+            ("--exposure", "inf", "-8 to 8"),
+            ("--show", "nothing", "wireframe"),
+            ("--shadows", "long", "soft"),
+            ("--water", "deep", "march"),
             ("--timeout", "0", "1"),
         ] {
             let line = parse(&[option, value]).unwrap_err().to_string();

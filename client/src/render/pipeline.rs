@@ -19,8 +19,8 @@ pub enum Depth {
 pub struct LightPass<'a> {
     /// The shader.
     pub shader: &'a Shader,
-    /// Its only bind group's layout.
-    pub layout: &'a wgpu::BindGroupLayout,
+    /// Layouts of its bind groups, group 0 first.
+    pub layouts: &'a [&'a wgpu::BindGroupLayout],
     /// Its vertex buffers.
     pub buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
     /// Its place in depth.
@@ -50,7 +50,7 @@ impl LightPass<'_> {
         build(
             device,
             self.shader,
-            self.layout,
+            self.layouts,
             self.buffers,
             Some(depth_stencil),
             self.samples,
@@ -67,13 +67,13 @@ pub fn flat_pipeline(
     layout: &wgpu::BindGroupLayout,
     format: wgpu::TextureFormat,
 ) -> wgpu::RenderPipeline {
-    build(device, shader, layout, &[], None, 1, format.into())
+    build(device, shader, &[layout], &[], None, 1, format.into())
 }
 
 fn build(
     device: &wgpu::Device,
     shader: &Shader,
-    layout: &wgpu::BindGroupLayout,
+    layouts: &[&wgpu::BindGroupLayout],
     buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
     depth_stencil: Option<wgpu::DepthStencilState>,
     samples: u32,
@@ -85,7 +85,7 @@ fn build(
     });
     let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(shader.name),
-        bind_group_layouts: &[Some(layout)],
+        bind_group_layouts: &layouts.iter().copied().map(Some).collect::<Vec<_>>(),
         immediate_size: 0,
     });
     let entry = |stage| shader.entry_points.iter().find(|entry| entry.stage == stage).map(|entry| entry.name);

@@ -68,7 +68,7 @@ impl TerrainPass {
         })];
         let pipeline = LightPass {
             shader: &SHADERS.draw_terrain,
-            layout: &layout,
+            layouts: &[&layout],
             buffers: &buffers,
             depth: Depth::Solid,
             samples,

@@ -175,7 +175,11 @@ impl Running {
                 slots,
             ),
             controls: Controls::new(args.pose(), args.orbit, args.scene.orbit_radius_m()),
-            knobs: Knobs { tolerance_px: args.tolerance, view_distance_m: args.view_distance },
+            knobs: Knobs {
+                tolerance_px: args.tolerance,
+                view_distance_m: args.view_distance,
+                looks: args.looks(),
+            },
             args: args.clone(),
             adapter: gpu.name(),
             slots,
@@ -245,6 +249,7 @@ impl Running {
             view_distance_m: self.knobs.view_distance_m,
             tolerance_px: self.knobs.tolerance_px,
             time_s: self.started.elapsed().as_secs_f32(),
+            looks: self.knobs.looks,
         };
         let (gpu, renderer) = (&self.gpu, &mut self.renderer);
         let selection =

@@ -1,6 +1,8 @@
 //! The panel: numbers of the frame and of the session, and the two sliders that trade detail for speed.
 
+use crate::looks::{Diffuse, Looks, Shadows, Show, Tiling, Visibility, WaterTier};
 use crate::stats::FrameTimes;
+use clap::ValueEnum;
 use crate::voyage::Link;
 use protocol::Delivery;
 use std::time::Duration;
@@ -54,6 +56,8 @@ pub struct Knobs {
     pub tolerance_px: f64,
     /// View distance, metres.
     pub view_distance_m: u32,
+    /// Knobs of the picture.
+    pub looks: Looks,
 }
 
 /// Lays the panel out.
@@ -81,6 +85,7 @@ pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
                     .logarithmic(true)
                     .text("view distance, m"),
             );
+            ui.collapsing("Picture", |ui| picture(ui, &mut knobs.looks));
             ui.separator();
             histogram(ui, &readings.levels);
             ui.collapsing("Keys", |ui| {
@@ -94,6 +99,33 @@ pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
                 }
             });
         });
+}
+
+/// The knobs of the picture: one row each, named as their options are.
+fn picture(ui: &mut egui::Ui, looks: &mut Looks) {
+    egui::Grid::new("picture").num_columns(2).show(ui, |ui| {
+        choice::<Show>(ui, "show", &mut looks.show);
+        choice::<Shadows>(ui, "shadows", &mut looks.shadows);
+        choice::<Tiling>(ui, "tiling", &mut looks.tiling);
+        choice::<WaterTier>(ui, "water", &mut looks.water);
+        choice::<Diffuse>(ui, "diffuse", &mut looks.diffuse);
+        choice::<Visibility>(ui, "visibility", &mut looks.visibility);
+        ui.weak("exposure");
+        ui.add(egui::Slider::new(&mut looks.exposure_ev, -8.0..=8.0).suffix(" EV"));
+        ui.end_row();
+    });
+}
+
+/// One of several, by the words of the command line.
+fn choice<T: ValueEnum + PartialEq + Copy>(ui: &mut egui::Ui, name: &str, value: &mut T) {
+    let word = |value: T| value.to_possible_value().map_or_else(String::new, |word| word.get_name().to_owned());
+    ui.weak(name);
+    egui::ComboBox::from_id_salt(name).selected_text(word(*value)).show_ui(ui, |ui| {
+        for variant in T::value_variants() {
+            ui.selectable_value(value, *variant, word(*variant));
+        }
+    });
+    ui.end_row();
 }
 
 fn connection(readings: &Readings<'_>) -> String {
