@@ -1,30 +1,37 @@
 //! `tombolo-lab accuracy`: what every shortcut costs, against a truth in which nothing is rounded.
 //!
+//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]) and repetition of materials ([`tiling`]).
+//!
 //! For the heightfield: how far the integers are from the formula in f64 ([`heightfield`], with the bars that are promised), and four curves: octaves kept
 //! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), and dropping octaves on coarse levels ([`levels`]).
 //!
 //! A missed bar, or a control that misses no bar, ends with an error.
 
+pub mod brdf;
 pub mod distance;
 pub mod errors;
 pub mod heightfield;
 pub mod levels;
+pub mod lod;
 pub mod octaves;
 pub mod quantum;
+pub mod tiling;
+pub mod water;
 
 use crate::Outputs;
 use crate::chart::{self, Panel};
 use crate::table::Table;
 use anyhow::{Result, anyhow};
+use clap::ValueEnum as _;
 use serde::Serialize;
 use std::io::{IsTerminal, Write};
 
 /// Options of `accuracy`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// What to measure; everything where it is left out
-    #[arg(long, value_enum, value_name = "SUBJECT")]
-    pub only: Option<Subject>,
+    /// What to measure, several separated by commas; everything where it is left out
+    #[arg(long, value_enum, value_name = "SUBJECTS", value_delimiter = ',')]
+    pub only: Vec<Subject>,
     /// Random points of the headline, 1000 to 100000000; the curves take a fixed number
     #[arg(long, value_name = "N", default_value_t = 1_000_000,
           value_parser = clap::value_parser!(u32).range(1_000..=100_000_000))]
@@ -39,6 +46,14 @@ pub struct Options {
 pub enum Subject {
     /// The heights of the land
     Heightfield,
+    /// Levels of detail of the drawn land
+    Lod,
+    /// Parallax of waves
+    Water,
+    /// Reflection of rough surfaces
+    Brdf,
+    /// What hides that materials repeat
+    Tiling,
 }
 
 /// The result. Field names are a contract with scripts.
@@ -46,8 +61,9 @@ pub enum Subject {
 pub struct Report {
     /// Seed of the world.
     pub world_seed: u64,
-    /// The promised numbers.
-    pub headline: heightfield::Headline,
+    /// The promised numbers of the heightfield, where it was measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub headline: Option<heightfield::Headline>,
     /// The curves.
     pub tables: Vec<Table>,
 }
@@ -65,31 +81,41 @@ pub struct Curve {
     pub panels: Vec<Panel>,
 }
 
-/// Measures one curve of a world.
-type Measure = fn(u64) -> Curve;
+/// Measures one curve of a world. What needs a GPU fails with a line that says what is missing.
+type Measure = fn(u64) -> Result<Curve>;
 
-/// What is measured besides the headline, in order.
-const CURVES: [(&str, Measure); 4] = [
-    ("octaves kept", octaves::measure),
-    ("height quantum", quantum::measure),
-    ("distance from the origin", distance::measure),
-    ("levels", levels::measure),
-];
+impl Subject {
+    /// What is measured about it besides the headline, in order.
+    fn curves(self) -> &'static [(&'static str, Measure)] {
+        match self {
+            Self::Heightfield => &[
+                ("octaves kept", |seed| Ok(octaves::measure(seed))),
+                ("height quantum", |seed| Ok(quantum::measure(seed))),
+                ("distance from the origin", |seed| Ok(distance::measure(seed))),
+                ("levels", |seed| Ok(levels::measure(seed))),
+            ],
+            Self::Lod => &[("levels of detail", lod::measure)],
+            Self::Water => &[("waves", water::measure)],
+            Self::Brdf => &[("reflection", brdf::measure)],
+            Self::Tiling => &[("repetition", tiling::measure)],
+        }
+    }
+}
 
 /// Measures, prints, writes CSV and PNG where a folder was named, and judges.
 ///
 /// # Errors
 /// A bar is missed, a control misses none, or a result cannot be written.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
-    // The only subject so far is also the default.
-    let Subject::Heightfield = options.only.unwrap_or(Subject::Heightfield);
     let seed = options.world_seed;
-    let headline = heightfield::measure(seed, options.points);
-    print(&headline);
+    let subjects = if options.only.is_empty() { Subject::value_variants() } else { &options.only };
+    let headline =
+        subjects.contains(&Subject::Heightfield).then(|| heightfield::measure(seed, options.points));
+    headline.iter().for_each(|headline| print(headline));
     let mut tables = Vec::new();
-    for (what, measure) in CURVES {
+    for (what, measure) in subjects.iter().flat_map(|subject| subject.curves()) {
         note(what);
-        let curve = measure(seed);
+        let curve = measure(seed)?;
         for table in &curve.tables {
             print(&format_args!("\n{table}"));
             outputs.out.as_deref().map_or(Ok(()), |folder| table.write_csv(folder))?;
@@ -101,7 +127,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     }
     let report = Report { world_seed: seed, headline, tables };
     outputs.write_json(&report)?;
-    report.headline.verdict().map_err(|problem| anyhow!(problem))
+    report.headline.map_or(Ok(()), |headline| headline.verdict().map_err(|problem| anyhow!(problem)))
 }
 
 /// Nobody reading the tables is no reason to fail; the exit code says what matters.

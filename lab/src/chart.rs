@@ -29,6 +29,7 @@ const COINCIDES: f64 = 0.004;
 
 const FONT: &str = "lab";
 const INK: RGBColor = RGBColor(40, 44, 52);
+const GREY: RGBColor = RGBColor(178, 182, 190);
 const FAINT: RGBColor = RGBColor(226, 229, 234);
 
 /// Distinguishable for colour-blind readers too (Okabe and Ito, "Color Universal Design", 2008).
@@ -66,6 +67,8 @@ pub enum Stroke {
     Measured,
     /// A dashed line without dots: a bound or a bar.
     Stated,
+    /// Grey dots: choices for which another one is better in both respects.
+    Dominated,
 }
 
 /// One curve.
@@ -112,6 +115,18 @@ pub fn measured(label: impl Into<String>, points: impl IntoIterator<Item = (f64,
 /// A stated bound or bar.
 pub fn stated(label: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Series {
     Series { label: label.into(), stroke: Stroke::Stated, points: points.into_iter().collect() }
+}
+
+/// Choices of which less is better on both axes: the front that none beats, joined by a line, and the others in grey.
+pub fn front(label: impl Into<String>, points: &[(f64, f64)]) -> Vec<Series> {
+    let beaten = |&(x, y): &(f64, f64)| points.iter().any(|&(a, b)| a <= x && b <= y && (a < x || b < y));
+    let (dominated, mut best): (Vec<_>, Vec<_>) = points.iter().copied().partition(beaten);
+    best.sort_by(|one, two| one.0.total_cmp(&two.0));
+    let mut series = vec![measured(label, best)];
+    if !dominated.is_empty() {
+        series.push(Series { label: "dominated".into(), stroke: Stroke::Dominated, points: dominated });
+    }
+    series
 }
 
 /// Draws panels, two in a row, and writes the PNG.
@@ -204,6 +219,9 @@ where
             Stroke::Stated => {
                 chart.draw_series(DashedLineSeries::new(shown, 9, 6, colour.stroke_width(width)))
             }
+            Stroke::Dominated => {
+                chart.draw_series(shown.iter().map(|point| Circle::new(*point, 5, GREY.filled())))
+            }
         }
         .map_err(|e| told(&e))?;
     }
@@ -211,6 +229,12 @@ where
         let middle = (LEGEND.0 * row as u32 + LEGEND.0 / 2) as i32 - 6;
         for Entry { series: index, left } in entries {
             let (series, colour, width) = (&panel.series[*index], COLOURS[*index], panel.width(*index));
+            let label = Text::new(series.label.clone(), (left + LEGEND.1 + 4, middle - 7), text(18));
+            below.draw(&label).map_err(|e| told(&e))?;
+            if series.stroke == Stroke::Dominated {
+                below.draw(&Circle::new((left + 13, middle), 5, GREY.filled())).map_err(|e| told(&e))?;
+                continue;
+            }
             let is_measured = series.stroke == Stroke::Measured;
             let gap = if is_measured { 0 } else { 4 };
             let style = colour.stroke_width(width);
@@ -224,8 +248,6 @@ where
                     .draw(&Circle::new((left + 13, middle), width / 2 + 3, colour.filled()))
                     .map_err(|e| told(&e))?;
             }
-            let label = Text::new(series.label.clone(), (left + LEGEND.1 + 4, middle - 7), text(18));
-            below.draw(&label).map_err(|e| told(&e))?;
         }
     }
     Ok(())
@@ -336,6 +358,14 @@ mod tests {
         let decades: Vec<String> = (-5..=6).map(|power| tick(Scale::Log, 10f64.powi(power))).collect();
         let texts = ["1e-5", "1e-4", "1e-3", "0.01", "0.1", "1", "10", "100", "1000", "10000", "1e5", "1e6"];
         assert_eq!(decades, texts);
+    }
+
+    #[test]
+    fn the_front_is_what_nothing_beats_in_both_respects() {
+        let series = front("knob", &[(3.0, 1.0), (1.0, 3.0), (2.0, 2.0), (2.5, 2.0), (3.0, 3.0)]);
+        assert_eq!(series[0].points, [(1.0, 3.0), (2.0, 2.0), (3.0, 1.0)]);
+        assert_eq!((series[1].stroke, series[1].points.len()), (Stroke::Dominated, 2));
+        assert_eq!(front("one", &[(1.0, 1.0)]).len(), 1, "nothing is beaten");
     }
 
     #[test]
