@@ -4,6 +4,7 @@ use crate::camera::{Lens, Pose};
 use crate::feed::Feed;
 use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::looks::Looks;
+use crate::render::materials::OwnMaterials;
 use crate::render::pool::HeightPool;
 use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
 use crate::scene::Scene;
@@ -47,6 +48,8 @@ pub struct Options {
     pub time_s: f32,
     /// Knobs of the picture.
     pub looks: Looks,
+    /// Materials instead of the procedural ones.
+    pub materials: OwnMaterials,
     /// How long the view may take to fill.
     pub timeout: Duration,
 }
@@ -65,6 +68,7 @@ impl Default for Options {
             orbit_step_deg: 0.0,
             time_s: 0.0,
             looks: Looks::default(),
+            materials: OwnMaterials::default(),
             timeout: Duration::from_secs(60),
         }
     }
@@ -118,6 +122,7 @@ pub fn render(
     let mut renderer = Renderer::new(
         &gpu,
         &RenderOptions { size, samples: options.samples, format: picture::PICTURE_FORMAT, slots },
+        &options.materials,
     );
     let canvas = Canvas::new(&gpu.device, size.0, size.1);
     let mut voyage = Voyage::new(feed, slots);

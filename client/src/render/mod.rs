@@ -6,6 +6,7 @@
 pub mod backdrop;
 pub mod fill;
 pub mod gpu;
+pub mod materials;
 pub mod mesh;
 pub mod picture;
 pub mod pipeline;
@@ -20,6 +21,7 @@ pub use picture::{Canvas, Picture};
 
 use crate::frame::FrameData;
 use backdrop::BackdropPass;
+use materials::{Materials, OwnMaterials};
 use pool::HeightPool;
 use shaders::layout::Frame;
 use targets::Targets;
@@ -46,6 +48,7 @@ pub struct Renderer {
     uniforms: wgpu::Buffer,
     pool: HeightPool,
     targets: Targets,
+    materials: Materials,
     terrain: TerrainPass,
     sky: BackdropPass,
     water: BackdropPass,
@@ -53,9 +56,9 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Builds pipelines, pool and targets.
+    /// Builds pipelines, pool and targets, and bakes the materials.
     #[must_use]
-    pub fn new(gpu: &Gpu, options: &RenderOptions) -> Self {
+    pub fn new(gpu: &Gpu, options: &RenderOptions, own: &OwnMaterials) -> Self {
         let (device, samples) = (&gpu.device, options.samples);
         let uniforms = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("frame"),
@@ -65,12 +68,15 @@ impl Renderer {
         });
         let pool = HeightPool::new(device, options.slots);
         let targets = Targets::new(device, options.size, samples);
+        let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
+        let materials = Materials::new(device, &gpu.queue, own, software);
         Self {
             samples,
-            terrain: TerrainPass::new(device, &uniforms, &pool, options.slots, samples),
+            terrain: TerrainPass::new(device, &uniforms, &pool, &materials, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: BackdropPass::water(device, &uniforms, samples),
             tone: TonePass::new(device, &uniforms, &targets, options.format),
+            materials,
             uniforms,
             pool,
             targets,
@@ -123,7 +129,7 @@ impl Renderer {
                 }),
                 ..Default::default()
             });
-            self.terrain.draw(&mut pass);
+            self.terrain.draw(&mut pass, &self.materials);
             self.sky.draw(&mut pass);
             self.water.draw(&mut pass);
         }

@@ -7,6 +7,7 @@ pub mod panel;
 use crate::camera::Lens;
 use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::native::args::Args;
+use crate::native::textures;
 use crate::native::shot::{settings, write_stats};
 use crate::native::stream::SocketFeed;
 use crate::render::pool::HeightPool;
@@ -168,7 +169,7 @@ impl Running {
         };
         let now = Instant::now();
         Ok(Self {
-            renderer: Renderer::new(&gpu, &options),
+            renderer: Renderer::new(&gpu, &options, &textures::own(args)?),
             overlay: Overlay::new(&gpu, &window, surface.format),
             voyage: Voyage::new(
                 SocketFeed::connect(settings(args)?).context("cannot start the network thread")?,
