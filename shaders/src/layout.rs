@@ -192,3 +192,26 @@ pub const BAKE_WORKGROUP: u32 = 64;
 
 /// Invocations of a workgroup of `reduce_materials`, in x and in y.
 pub const REDUCE_WORKGROUP: u32 = 8;
+
+/// What `probe_tiling` looks at.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct TilingProbe {
+    /// Multiples of the anchors of materials, 256 m, in [0, [`PATTERN_PERIOD_M`]).
+    pub anchor_m: [f32; 2],
+    /// Number of the set.
+    pub material: u32,
+    /// `TILING_*` of `shared/frame.wesl`.
+    pub tiling: u32,
+    /// Texels of the field, across.
+    pub width: u32,
+    /// Texels of the field, down.
+    pub height: u32,
+    /// Texels of a tile.
+    pub size: u32,
+    /// After so many tiles the reference repeats; a power of two.
+    pub period: u32,
+}
+
+/// Invocations of a workgroup of both entries of `probe_tiling`, in x.
+pub const TILING_WORKGROUP: u32 = 64;

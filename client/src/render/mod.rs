@@ -14,6 +14,7 @@ pub mod pool;
 pub mod surface;
 pub mod targets;
 pub mod terrain;
+pub mod tiling_probe;
 pub mod tone;
 
 pub use gpu::{Gpu, GpuError};
