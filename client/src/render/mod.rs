@@ -20,7 +20,7 @@ pub mod tone;
 pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
-use crate::frame::FrameData;
+use crate::frame::{Backdrop, FrameData};
 use backdrop::BackdropPass;
 use materials::{Materials, OwnMaterials};
 use pool::HeightPool;
@@ -108,6 +108,10 @@ impl Renderer {
     ) {
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
+        let behind = match frame.backdrop {
+            Backdrop::Plain([r, g, b]) => wgpu::Color { r, g, b, a: 1.0 },
+            Backdrop::SkyAndSea | Backdrop::Sky => wgpu::Color::BLACK,
+        };
         {
             // Samples are gone once resolved; a single-sample target is read by the tone pass.
             let store =
@@ -118,7 +122,7 @@ impl Renderer {
                     view: &self.targets.gathered,
                     depth_slice: None,
                     resolve_target: self.targets.resolved.as_ref(),
-                    ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store },
+                    ops: wgpu::Operations { load: wgpu::LoadOp::Clear(behind), store },
                 })],
                 depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                     view: &self.targets.depth,
@@ -131,8 +135,12 @@ impl Renderer {
                 ..Default::default()
             });
             self.terrain.draw(&mut pass, &self.materials);
-            self.sky.draw(&mut pass);
-            self.water.draw(&mut pass);
+            if !matches!(frame.backdrop, Backdrop::Plain(_)) {
+                self.sky.draw(&mut pass);
+            }
+            if frame.backdrop == Backdrop::SkyAndSea {
+                self.water.draw(&mut pass);
+            }
         }
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("tone"),
