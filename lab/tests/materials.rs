@@ -1,7 +1,10 @@
 //! Baked materials, read back: that they tile, that their mips keep what they must, and that they can be told from what does not.
 
+use client::looks::Tiling;
 use client::render::materials::{MATERIAL_SIZE, MATERIAL_TEXELS, Materials, OwnMaterial, OwnMaterials};
+use client::render::tiling_probe::{FIELD, Look, ProbeTiling};
 use client::render::{Gpu, gpu};
+use shaders::SHADERS;
 use shaders::layout::{BakeTexel, MATERIALS};
 
 /// The best adapter; `None`, with the reason printed, where there is none and none is required.
@@ -41,7 +44,11 @@ fn read(gpu: &Gpu, texture: &wgpu::Texture, layer: u32, level: u32) -> Vec<u8> {
         },
         wgpu::TexelCopyBufferInfo {
             buffer: &buffer,
-            layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(stride), rows_per_image: None },
+            layout: wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(stride),
+                rows_per_image: None,
+            },
         },
         wgpu::Extent3d { width: side, height: side, depth_or_array_layers: 1 },
     );
@@ -55,7 +62,11 @@ fn read(gpu: &Gpu, texture: &wgpu::Texture, layer: u32, level: u32) -> Vec<u8> {
 /// IEEE 754 binary16, of which textures hold no infinities.
 fn half(bits: u16) -> f32 {
     let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f32::from(bits & 1023));
-    let magnitude = if exponent == 0 { mantissa / 1024.0 * 2f32.powi(-14) } else { (1.0 + mantissa / 1024.0) * 2f32.powi(exponent - 15) };
+    let magnitude = if exponent == 0 {
+        mantissa / 1024.0 * 2f32.powi(-14)
+    } else {
+        (1.0 + mantissa / 1024.0) * 2f32.powi(exponent - 15)
+    };
     if bits >> 15 == 1 { -magnitude } else { magnitude }
 }
 
@@ -120,6 +131,15 @@ fn every_set_tiles_and_half_of_one_does_not() {
     }
 }
 
+/// The mean albedo that `shared/material_sets.wesl` states of a set.
+fn stated_mean(layer: usize) -> [f32; 3] {
+    let table = SHADERS.bake_materials.wgsl.split("const MATERIAL_SETS").nth(1).expect("the table");
+    let triple =
+        table.split("vec3f(").nth(layer + 1).and_then(|rest| rest.split(')').next()).expect("a colour");
+    let mut parts = triple.split(',').map(|part| part.trim().parse().expect("a number"));
+    std::array::from_fn(|_| parts.next().expect("three numbers"))
+}
+
 #[test]
 fn normals_point_up_heights_fill_their_range_and_colours_are_those_that_the_land_is_tinted_by() {
     let Some(gpu) = open() else { return };
@@ -133,9 +153,107 @@ fn normals_point_up_heights_fill_their_range_and_colours_are_those_that_the_land
         let map = heights(&gpu, &materials, layer);
         let (low, high) = map.iter().fold((1f32, 0f32), |(low, high), h| (low.min(*h), high.max(*h)));
         let last = colours(&gpu, &materials, layer, MATERIAL_SIZE.ilog2())[0];
-        eprintln!("{name}: up {up:.3} across {across:?} sky {open_sky:.3} heights {low:.2}..{high:.2} mean {last:.4?}");
+        for (found, stated) in last.into_iter().zip(stated_mean(layer as usize)) {
+            assert!(
+                (found / stated - 1.0).abs() < 0.03,
+                "{name}: its mean is {last:.4?}, update its MaterialSet"
+            );
+        }
+        eprintln!(
+            "{name}: up {up:.3} across {across:?} sky {open_sky:.3} heights {low:.2}..{high:.2} mean {last:.4?}"
+        );
         assert!(up > 0.6 && across.iter().all(|across| across.abs() < 0.02), "{name}: {up}, {across:?}");
         assert!(open_sky > 0.5 && open_sky < 0.999, "{name}: {open_sky}");
         assert!(low >= 0.0 && high <= 1.0 && high - low > 0.7, "{name}: {low} to {high}");
     }
+}
+
+#[test]
+fn mips_keep_the_mean_of_colour_and_height_and_turn_lost_normals_into_roughness() {
+    let Some(gpu) = open() else { return };
+    let materials = bake(&gpu, &OwnMaterials::default());
+    for (layer, name) in MATERIALS.iter().enumerate() {
+        let layer = layer as u32;
+        let first = colours(&gpu, &materials, layer, 0);
+        for level in [1, 5, MATERIAL_SIZE.ilog2()] {
+            let map = colours(&gpu, &materials, layer, level);
+            for channel in 0..4 {
+                let of = |map: &[[f32; 4]]| mean(map.iter().map(|texel| texel[channel]));
+                let (expected, found) = (of(&first), of(&map));
+                // Eleven bits, rounded once a level.
+                assert!(
+                    (found / expected - 1.0).abs() < 0.004,
+                    "{name} {level} {channel}: {found}, {expected}"
+                );
+            }
+        }
+        let roughness =
+            |level| mean(shapes(&gpu, &materials, layer, level).iter().map(|(_, rough, _)| *rough));
+        let [near, far] = [0, 6].map(roughness);
+        assert!(far > near, "{name}: {near} near, {far} far");
+    }
+}
+
+/// A set of one grey; or with a slope in its height, so that it has something to lose.
+fn grey(luminance: f32) -> OwnMaterials {
+    let texel =
+        BakeTexel { albedo: [luminance; 3], height: 0.5, normal: [0.0; 2], roughness: 0.5, occlusion: 1.0 };
+    let own =
+        OwnMaterial { texels: vec![texel; MATERIAL_TEXELS], normals_given: false, occlusion_given: false };
+    OwnMaterials::new(std::array::from_fn(|_| Some(own.clone())))
+}
+
+#[test]
+fn an_own_set_comes_out_as_it_went_in_and_flat_is_flat() {
+    let Some(gpu) = open() else { return };
+    let materials = bake(&gpu, &grey(0.25));
+    for level in [0, 3, MATERIAL_SIZE.ilog2()] {
+        assert!(colours(&gpu, &materials, 1, level).iter().all(|texel| *texel == [0.25, 0.25, 0.25, 0.5]));
+        for (normal, roughness, occlusion) in shapes(&gpu, &materials, 1, level) {
+            assert!(normal == [0.0, 0.0, 1.0] && occlusion == 1.0, "{normal:?} {occlusion}");
+            assert!((roughness - 0.5).abs() < 0.01, "{roughness}");
+        }
+    }
+}
+
+#[test]
+fn hexagons_leave_a_constant_alone_and_end_the_repetition_that_off_has() {
+    let Some(gpu) = open() else { return };
+    let seen = |materials: &Materials, look, anchor_m| {
+        let probe = ProbeTiling::new(&gpu, materials);
+        probe.run(&gpu, materials, 1, look, anchor_m).unwrap();
+        probe.read(&gpu).unwrap()
+    };
+    let hex = Look::Textures(Tiling::Hex.word());
+    let constant = seen(&bake(&gpu, &grey(0.25)), hex, [0.0; 2]);
+    assert!(constant.iter().all(|luminance| (luminance - 0.25).abs() < 1e-5));
+
+    let materials = bake(&gpu, &OwnMaterials::default());
+    let (width, tile) = (FIELD.0 as usize, MATERIAL_SIZE as usize);
+    let repeats = |field: &[f32]| {
+        let change = |step: usize| {
+            mean(
+                field
+                    .chunks_exact(width)
+                    .map(|row| mean(row.windows(step + 1).map(|w| (w[0] - w[step]).abs())))
+                    .collect::<Vec<_>>()
+                    .into_iter(),
+            )
+        };
+        // Half a tile apart is as different as it gets.
+        change(tile) / change(tile / 2 + 13)
+    };
+    let off = seen(&materials, Look::Textures(Tiling::Off.word()), [0.0; 2]);
+    let hidden = seen(&materials, hex, [0.0; 2]);
+    let truth = seen(&materials, Look::Recipe, [0.0; 2]);
+    assert!(repeats(&off) < 0.01, "the control must repeat: {}", repeats(&off));
+    for (name, field) in [("hexagons", &hidden), ("the recipe", &truth)] {
+        assert!(repeats(field) > 0.9, "{name}: {}", repeats(field));
+    }
+    // A pattern period farther the hexagons are the same ones; a nearer anchor has others.
+    let period = f32::from(8192u16);
+    assert!(
+        hidden == seen(&materials, hex, [period, period]) && hidden == seen(&materials, hex, [0.0, -period])
+    );
+    assert!(hidden != seen(&materials, hex, [256.0, 0.0]));
 }

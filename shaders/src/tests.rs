@@ -6,7 +6,10 @@ use std::process::{Command, Stdio};
 
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
-use crate::layout::{ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, TerrainInstance, World};
+use crate::layout::{
+    BAKE_WORKGROUP, Bake, BakeTexel, ChunkFill, FILL_WORKGROUP, Frame, MATERIALS, PATTERN_PERIOD_M,
+    REDUCE_WORKGROUP, TILING_WORKGROUP, TerrainInstance, TilingProbe, World,
+};
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
 
@@ -26,7 +29,17 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
         assert_eq!(stages, [Stage::Vertex, Stage::Fragment], "{}", shader.name);
     }
     let names: Vec<&str> = passes(true).map(|shader| shader.name).collect();
-    assert_eq!(names, ["fill_chunks", "probe_heights", "probe_heights_float"]);
+    assert_eq!(
+        names,
+        [
+            "bake_materials",
+            "fill_chunks",
+            "probe_heights",
+            "probe_heights_float",
+            "probe_tiling",
+            "reduce_materials",
+        ]
+    );
 }
 
 /// Everything in a shader that the ring profile forbids: arithmetic on floats, and `/` or `%` on signed integers.
@@ -93,8 +106,8 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
         ("octave_seeds".to_owned(), offset_of!(World, octave_seeds)),
         ("archipelago_seed".to_owned(), offset_of!(World, archipelago_seed)),
     ];
-    for shader in passes(true) {
-        assert_eq!(reflected(shader, "World"), (world.to_vec(), size_of::<World>()), "{}", shader.name);
+    for shader in [SHADERS.fill_chunks, SHADERS.probe_heights, SHADERS.probe_heights_float] {
+        assert_eq!(reflected(&shader, "World"), (world.to_vec(), size_of::<World>()), "{}", shader.name);
         let (module, _) = validate(shader.name, shader.wgsl).unwrap();
         assert_eq!(module.entry_points[0].workgroup_size, [FILL_WORKGROUP, 1, 1], "{}", shader.name);
     }
@@ -105,6 +118,54 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
         ("octaves".to_owned(), offset_of!(ChunkFill, octaves)),
     ];
     assert_eq!(reflected(&SHADERS.fill_chunks, "ChunkFill"), (fill.to_vec(), size_of::<ChunkFill>()));
+}
+
+#[test]
+fn materials_lie_where_the_shaders_read_them_and_are_the_same_sets() {
+    let named = |names: &[(&str, usize)]| {
+        names.iter().map(|(name, at)| ((*name).to_owned(), *at)).collect::<Vec<_>>()
+    };
+    let bake = named(&[
+        ("layer", offset_of!(Bake, layer)),
+        ("size", offset_of!(Bake, size)),
+        ("normals_given", offset_of!(Bake, normals_given)),
+        ("occlusion_given", offset_of!(Bake, occlusion_given)),
+    ]);
+    assert_eq!(reflected(&SHADERS.bake_materials, "Bake"), (bake, size_of::<Bake>()));
+    let texel = named(&[
+        ("albedo", offset_of!(BakeTexel, albedo)),
+        ("height", offset_of!(BakeTexel, height)),
+        ("normal", offset_of!(BakeTexel, normal)),
+        ("roughness", offset_of!(BakeTexel, roughness)),
+        ("occlusion", offset_of!(BakeTexel, occlusion)),
+    ]);
+    assert_eq!(reflected(&SHADERS.bake_materials, "BakeTexel"), (texel, size_of::<BakeTexel>()));
+    let probe = named(&[
+        ("anchor_m", offset_of!(TilingProbe, anchor_m)),
+        ("material", offset_of!(TilingProbe, material)),
+        ("tiling", offset_of!(TilingProbe, tiling)),
+        ("width", offset_of!(TilingProbe, width)),
+        ("height", offset_of!(TilingProbe, height)),
+        ("size", offset_of!(TilingProbe, size)),
+        ("period", offset_of!(TilingProbe, period)),
+    ]);
+    assert_eq!(reflected(&SHADERS.probe_tiling, "TilingProbe"), (probe, size_of::<TilingProbe>()));
+    for (shader, expected) in [
+        (SHADERS.bake_materials, [BAKE_WORKGROUP, 1, 1]),
+        (SHADERS.probe_tiling, [TILING_WORKGROUP, 1, 1]),
+        (SHADERS.reduce_materials, [REDUCE_WORKGROUP, REDUCE_WORKGROUP, 1]),
+    ] {
+        let (module, _) = validate(shader.name, shader.wgsl).unwrap();
+        for entry in &module.entry_points {
+            assert_eq!(entry.workgroup_size, expected, "{}: {}", shader.name, entry.name);
+        }
+    }
+    let baking = SHADERS.bake_materials.wgsl;
+    for (number, name) in MATERIALS.iter().enumerate().take(MATERIALS.len() - 1) {
+        let name = name.to_uppercase();
+        assert!(baking.contains(&format!("const {name}: u32 = {number}u;")), "{name}");
+    }
+    assert!(baking.contains(&format!("array<MaterialSet, {}>", MATERIALS.len())));
 }
 
 #[test]

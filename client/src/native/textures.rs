@@ -143,7 +143,9 @@ fn assemble(
     };
     let [albedo, normal, height, roughness, occlusion] = Map::ALL.map(&mut read);
     let texels = (0..MATERIAL_TEXELS).map(|at| {
-        let grey = |image: &Option<Vec<[f32; 3]>>, missing: f32| image.as_ref().map_or(missing, |image| image[at][0]);
+        let grey = |image: &Option<Vec<[f32; 3]>>, missing: f32| {
+            image.as_ref().map_or(missing, |image| image[at][0])
+        };
         BakeTexel {
             albedo: albedo.as_ref().map_or_else(|| checker(at), |albedo| albedo[at]),
             height: grey(&height, 0.5),
@@ -261,4 +263,162 @@ fn taps(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
 /// The sRGB transfer function (IEC 61966-2-1), undone.
 fn linear(encoded: f32) -> f32 {
     if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{GrayImage, ImageBuffer, Luma, Rgb, RgbImage};
+
+    /// A folder that goes when the test ends.
+    struct Folder(PathBuf);
+
+    impl Folder {
+        fn new(name: &str) -> Self {
+            let path = std::env::temp_dir().join(format!("tombolo-textures-{}-{name}", std::process::id()));
+            std::fs::create_dir_all(&path).unwrap();
+            Self(path)
+        }
+
+        fn path(&self, name: &str) -> PathBuf {
+            self.0.join(name)
+        }
+    }
+
+    impl Drop for Folder {
+        fn drop(&mut self) {
+            let _ = std::fs::remove_dir_all(&self.0);
+        }
+    }
+
+    fn material<'a>(own: &'a OwnMaterials, name: &str) -> Option<&'a OwnMaterial> {
+        own[MATERIALS.iter().position(|known| *known == name).unwrap()].as_ref()
+    }
+
+    /// A set of which every file is there and good.
+    fn complete(folder: &Folder) {
+        RgbImage::from_pixel(7, 3, Rgb([255, 0, 188])).save(folder.path("sand_BaseColor.png")).unwrap();
+        RgbImage::from_pixel(2, 2, Rgb([128, 128, 255])).save(folder.path("sand_normal.png")).unwrap();
+        let tall: ImageBuffer<Luma<u16>, Vec<u16>> =
+            ImageBuffer::from_fn(1024, 1024, |x, _| Luma([if x < 512 { 1 } else { 65_535 }]));
+        tall.save(folder.path("sand_displacement.png")).unwrap();
+        GrayImage::from_pixel(1, 1, Luma([51])).save(folder.path("sand_roughness.png")).unwrap();
+        GrayImage::from_pixel(512, 512, Luma([204])).save(folder.path("sand_ao.png")).unwrap();
+    }
+
+    #[test]
+    fn a_complete_set_of_any_size_and_depth_is_taken_without_a_word() {
+        let folder = Folder::new("complete");
+        complete(&folder);
+        let (own, complaints) = load(&folder.0).unwrap();
+        assert_eq!(complaints, Vec::<String>::new());
+        assert_eq!(own.iter().flatten().count(), 1, "the other sets stay procedural");
+        let sand = material(&own, "sand").unwrap();
+        assert!(sand.normals_given && sand.occlusion_given && sand.texels.len() == MATERIAL_TEXELS);
+        let texel = sand.texels[MATERIAL_SIZE as usize / 4];
+        let near = |a: f32, b: f32| (a - b).abs() < 0.005;
+        assert!(near(texel.albedo[0], 1.0) && near(texel.albedo[1], 0.0), "{texel:?}");
+        assert!(near(texel.albedo[2], 0.503), "sRGB 188 is half the light: {texel:?}");
+        assert!(near(texel.roughness, 0.2) && near(texel.occlusion, 0.8), "{texel:?}");
+        // 16 bits survive: 1 of 65535 is not 0.
+        assert!(texel.height > 1e-5 && texel.height < 2e-5, "{}", texel.height);
+        assert!(near(sand.texels[3 * MATERIAL_SIZE as usize / 4].height, 1.0));
+        assert!(texel.normal.iter().all(|part| part.abs() < 0.005), "{texel:?}");
+    }
+
+    #[test]
+    fn bad_and_missing_files_are_named_and_a_bad_albedo_is_a_checker() {
+        let folder = Folder::new("bad");
+        complete(&folder);
+        let whole = std::fs::read(folder.path("sand_BaseColor.png")).unwrap();
+        std::fs::write(folder.path("cliff_albedo.png"), &whole[..whole.len() / 2]).unwrap();
+        std::fs::write(folder.path("scree_color.png"), b"no picture").unwrap();
+        std::fs::write(folder.path("meadow_diffuse.png"), []).unwrap();
+        std::fs::create_dir(folder.path("cobbles_albedo.png")).unwrap();
+        GrayImage::from_pixel(1, 1, Luma([9])).save(folder.path("thicket_height.png")).unwrap();
+        std::fs::write(folder.path("notes.txt"), b"not asked for").unwrap();
+        let (own, complaints) = load(&folder.0).unwrap();
+        for name in ["cliff", "scree", "meadow", "cobbles", "thicket"] {
+            let own = material(&own, name).unwrap();
+            let colours: std::collections::BTreeSet<_> =
+                own.texels.iter().map(|texel| texel.albedo.map(f32::to_bits)).collect();
+            assert_eq!(colours.len(), 2, "{name} is no checker");
+            let said = complaints.iter().filter(|line| line.contains(&format!("{name}_")));
+            // Every map but the one height that is good.
+            assert_eq!(said.count(), if name == "thicket" { 4 } else { 5 }, "{complaints:?}");
+        }
+        assert!(material(&own, "dry_grass").is_none());
+        assert!(
+            complaints.iter().all(|line| !line.contains('\n') && line.contains(", using ")),
+            "{complaints:?}"
+        );
+        assert!(
+            complaints
+                .iter()
+                .any(|line| line.contains("thicket_albedo.png: there is no such file, using a checker"))
+        );
+        let sand = material(&own, "sand").unwrap();
+        assert_ne!(sand.texels[0].albedo, checker(0), "the control: a good albedo is no checker");
+    }
+
+    #[test]
+    fn an_image_that_claims_to_be_huge_is_refused_before_it_takes_memory() {
+        let folder = Folder::new("huge");
+        complete(&folder);
+        let mut claim = std::fs::read(folder.path("sand_BaseColor.png")).unwrap();
+        // Width and height of the header, and its checksum (CRC-32 of chunk type and data; PNG, section 5.3).
+        claim[16..24].copy_from_slice(&[0x7f, 0xff, 0xff, 0xff, 0x7f, 0xff, 0xff, 0xff]);
+        let crc = !claim[12..29].iter().fold(!0u32, |crc, byte| {
+            (0..8).fold(crc ^ u32::from(*byte), |crc, _| {
+                (crc >> 1) ^ (0xedb8_8320 & 0u32.wrapping_sub(crc & 1))
+            })
+        });
+        claim[29..33].copy_from_slice(&crc.to_be_bytes());
+        std::fs::write(folder.path("sand_BaseColor.png"), claim).unwrap();
+        let (own, complaints) = load(&folder.0).unwrap();
+        assert!(complaints.len() == 1 && complaints[0].contains("sand_BaseColor.png"), "{complaints:?}");
+        assert_eq!(material(&own, "sand").unwrap().texels[0].albedo, checker(0));
+    }
+
+    #[test]
+    fn a_folder_that_is_not_there_is_an_error_with_its_name() {
+        let error = load(Path::new("/no/such/folder")).unwrap_err().to_string();
+        assert!(error.contains("/no/such/folder") && error.contains("--textures"), "{error}");
+    }
+
+    #[test]
+    fn two_files_for_one_map_are_told_apart_and_names_need_a_known_set() {
+        let folder = Folder::new("two");
+        for name in ["sand_albedo.png", "sand_color.png"] {
+            RgbImage::from_pixel(1, 1, Rgb([1, 2, 3])).save(folder.path(name)).unwrap();
+        }
+        let (_, complaints) = load(&folder.0).unwrap();
+        assert!(
+            complaints[0].contains("sand_color.png") && complaints[0].contains("sand_albedo.png"),
+            "{complaints:?}"
+        );
+        let known = |name: &str| meaning(Path::new(name)).map(|(at, map)| (MATERIALS[at], map));
+        assert_eq!(known("Dry_Grass-Normal.PNG"), Some(("dry_grass", Map::Normal)));
+        assert_eq!(known("sand.png"), None);
+        assert_eq!(known("lava_albedo.png"), None);
+        assert_eq!(known("sand_albedo.tiff"), None);
+    }
+
+    #[test]
+    fn resampling_keeps_the_mean_and_wraps() {
+        for from in [1, 3, 512, 700, 4096] {
+            let taps = taps(from, 512);
+            let mut weights = vec![0.0; from];
+            for (at, share) in taps.iter().flatten() {
+                weights[*at] += share;
+            }
+            let expected = 512.0 / from as f32;
+            assert!(weights.iter().all(|weight| (weight / expected - 1.0).abs() < 0.35), "{from}");
+            assert!(
+                taps.iter().all(|taps| (taps.iter().map(|(_, share)| share).sum::<f32>() - 1.0).abs() < 1e-5)
+            );
+        }
+        // The first texel of a doubled image is a blend with the last one.
+        assert!(taps(256, 512)[0].iter().any(|(at, _)| *at == 255));
+    }
 }

@@ -136,11 +136,7 @@ impl Materials {
 fn array(device: &wgpu::Device, label: &str, format: wgpu::TextureFormat) -> wgpu::Texture {
     device.create_texture(&wgpu::TextureDescriptor {
         label: Some(label),
-        size: wgpu::Extent3d {
-            width: MATERIAL_SIZE,
-            height: MATERIAL_SIZE,
-            depth_or_array_layers: LAYERS,
-        },
+        size: wgpu::Extent3d { width: MATERIAL_SIZE, height: MATERIAL_SIZE, depth_or_array_layers: LAYERS },
         mip_level_count: LEVELS,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
@@ -166,7 +162,12 @@ fn level(texture: &wgpu::Texture, level: u32) -> wgpu::TextureView {
 fn bake(device: &wgpu::Device, queue: &wgpu::Queue, textures: [&wgpu::Texture; 3], own: &OwnMaterials) {
     use wgpu::BufferUsages as Usage;
     let buffer = |label, size, usage| {
-        device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
+        device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage,
+            mapped_at_creation: false,
+        })
     };
     let order = buffer("material to bake", size_of::<Bake>() as u64, Usage::UNIFORM | Usage::COPY_DST);
     let bytes = (MATERIAL_TEXELS * size_of::<BakeTexel>()) as u64;

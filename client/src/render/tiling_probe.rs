@@ -45,7 +45,8 @@ impl ProbeTiling {
                 mapped_at_creation: false,
             })
         };
-        let order = buffer("probe of tiling", size_of::<TilingProbe>() as u64, Usage::UNIFORM | Usage::COPY_DST);
+        let order =
+            buffer("probe of tiling", size_of::<TilingProbe>() as u64, Usage::UNIFORM | Usage::COPY_DST);
         let luminances = buffer("luminances", BYTES, Usage::STORAGE | Usage::COPY_SRC);
         let landing = buffer("luminances, read back", BYTES, Usage::COPY_DST | Usage::MAP_READ);
         let shader = SHADERS.probe_tiling;

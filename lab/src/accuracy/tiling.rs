@@ -40,7 +40,8 @@ struct Seen {
 /// # Errors
 /// There is no GPU, or it fails.
 pub fn measure(world_seed: u64) -> Result<Curve> {
-    let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None)).context("tiling is measured on a GPU")?;
+    let gpu =
+        pollster::block_on(Gpu::open(gpu::instance(None), None)).context("tiling is measured on a GPU")?;
     let materials = Materials::new(&gpu.device, &gpu.queue, &OwnMaterials::default(), true);
     let probe = ProbeTiling::new(&gpu, &materials);
     // Anywhere in the 32 x 32 places where a field may start.
@@ -69,7 +70,15 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
                 truth.repetition,
                 gpu.name()
             ),
-            &["knob", "samples", "time ratio", "repetition", "contrast kept", "contrast lost", "histogram, deviations"],
+            &[
+                "knob",
+                "samples",
+                "time ratio",
+                "repetition",
+                "contrast kept",
+                "contrast lost",
+                "histogram, deviations",
+            ],
         );
         for (at, (tiling, samples)) in KNOB.into_iter().enumerate() {
             let seen = look(Look::Textures(tiling.word()))?;
@@ -94,10 +103,34 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
     };
     let (meadow, cliff) = (&tables[0], &tables[1]);
     let panels = vec![
-        panel("Meadow: repetition", meadow, "off, two scales, hexagons", "repetition", linear("correlation at one tile")),
-        panel("Meadow: contrast", meadow, "off, two scales, hexagons", "contrast lost", linear("contrast lost, share")),
-        panel("Cliff: repetition", cliff, "off, two scales, hexagons", "repetition", linear("correlation at one tile")),
-        panel("Cliff: contrast", cliff, "off, two scales, hexagons", "contrast lost", linear("contrast lost, share")),
+        panel(
+            "Meadow: repetition",
+            meadow,
+            "off, two scales, hexagons",
+            "repetition",
+            linear("correlation at one tile"),
+        ),
+        panel(
+            "Meadow: contrast",
+            meadow,
+            "off, two scales, hexagons",
+            "contrast lost",
+            linear("contrast lost, share"),
+        ),
+        panel(
+            "Cliff: repetition",
+            cliff,
+            "off, two scales, hexagons",
+            "repetition",
+            linear("correlation at one tile"),
+        ),
+        panel(
+            "Cliff: contrast",
+            cliff,
+            "off, two scales, hexagons",
+            "contrast lost",
+            linear("contrast lost, share"),
+        ),
     ];
     Ok(Curve {
         name: "tiling",
@@ -150,7 +183,8 @@ fn covariance(luminances: &[f32], mean: f64, x: usize, y: usize) -> f64 {
     for row in 0..height - y {
         let here = &luminances[row * width..][..width - x];
         let there = &luminances[(row + y) * width + x..][..width - x];
-        sum += here.iter().zip(there).map(|(a, b)| (f64::from(*a) - mean) * (f64::from(*b) - mean)).sum::<f64>();
+        sum +=
+            here.iter().zip(there).map(|(a, b)| (f64::from(*a) - mean) * (f64::from(*b) - mean)).sum::<f64>();
     }
     sum / ((width - x) * (height - y)) as f64
 }
