@@ -159,9 +159,6 @@ fn normals_point_up_heights_fill_their_range_and_colours_are_those_that_the_land
                 "{name}: its mean is {last:.4?}, update its MaterialSet"
             );
         }
-        eprintln!(
-            "{name}: up {up:.3} across {across:?} sky {open_sky:.3} heights {low:.2}..{high:.2} mean {last:.4?}"
-        );
         assert!(up > 0.6 && across.iter().all(|across| across.abs() < 0.02), "{name}: {up}, {across:?}");
         assert!(open_sky > 0.5 && open_sky < 0.999, "{name}: {open_sky}");
         assert!(low >= 0.0 && high <= 1.0 && high - low > 0.7, "{name}: {low} to {high}");
