@@ -4,10 +4,11 @@ use crate::camera::{Eye, Lens, Pose};
 use crate::looks::Looks;
 use crate::scene::Scene;
 use crate::world::{Resident, Selection, World};
+use bytemuck::Zeroable as _;
 use glam::{DVec3, Vec3};
 use protocol::limits::MAX_VIEWPORT;
 use protocol::view::View;
-use shaders::layout::{Frame, PATTERN_PERIOD_M, TerrainInstance};
+use shaders::layout::{Air, Frame, PATTERN_PERIOD_M, TerrainInstance};
 use terrain::ChunkKey;
 use terrain::constants::{CELLS, UNITS_PER_METRE};
 use terrain::lod::{MAX_VIEW_DISTANCE_M, Viewer};
@@ -121,6 +122,7 @@ impl Shot {
             show: looks.show.word(),
             pixels_per_radian: (f64::from(lens.height) / (2.0 * half_height)) as f32,
             tolerance_px: self.tolerance_px as f32,
+            air: Air::zeroed(),
         }
     }
 }
@@ -202,15 +204,27 @@ pub struct Light {
 }
 
 impl Light {
-    /// The light with what the knobs change about it.
+    /// The light with what the knobs change about it. A place of the sun that is not a number leaves the sun where it is, an exposure that is none
+    /// changes nothing; both are cut to their ranges.
     #[must_use]
     pub fn under(self, looks: &Looks) -> Self {
-        let sun = looks.sun.map_or(self.sun, |place| {
-            let (azimuth, elevation) = (place.azimuth_deg.to_radians(), place.elevation_deg.to_radians());
+        let asked =
+            looks.sun.filter(|place| place.azimuth_deg.is_finite() && place.elevation_deg.is_finite());
+        let sun = asked.map_or(self.sun, |place| {
+            let azimuth = place.azimuth_deg.to_radians();
+            let elevation = place.elevation_deg.clamp(-90.0, 90.0).to_radians();
             Vec3::new(azimuth.sin() * elevation.cos(), elevation.sin(), -azimuth.cos() * elevation.cos())
         });
-        Self { sun, exposure: self.exposure * looks.exposure_ev.exp2() }
+        let ev = if looks.exposure_ev.is_finite() { looks.exposure_ev.clamp(-8.0, 8.0) } else { 0.0 };
+        Self { sun, exposure: self.exposure * (ev + adaptation_ev(sun.y)).exp2() }
     }
+}
+
+/// Stops by which the eye opens when the sun sinks to the sine `rise` above the horizon: from none at 12 degrees up to 3 at 12 degrees below, where the
+/// light has fallen by more than ten. Nights stay dark.
+fn adaptation_ev(rise: f32) -> f32 {
+    let dusk = ((0.2 - rise) / 0.4).clamp(0.0, 1.0);
+    3.0 * dusk * dusk * (3.0 - 2.0 * dusk)
 }
 
 #[cfg(test)]

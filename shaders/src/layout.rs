@@ -50,6 +50,34 @@ pub struct Frame {
     pub pixels_per_radian: f32,
     /// Tolerated screen error, pixels.
     pub tolerance_px: f32,
+    /// Written on the GPU, by `measure_sky`.
+    pub air: Air,
+}
+
+/// What sun and sky give in a frame; `shared/frame.wesl` documents each field. Three components and a gap each.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Air {
+    /// White ground that faces the sun.
+    pub sun: [f32; 4],
+    /// The same at the height of the clouds.
+    pub sun_aloft: [f32; 4],
+    /// Sunlight in the air, level towards the sun.
+    pub toward: [f32; 4],
+    /// Level away from it.
+    pub away: [f32; 4],
+    /// Upwards.
+    pub upward: [f32; 4],
+    /// Light scattered more than once.
+    pub manifold: [f32; 4],
+    /// The sky on a white surface, mean over all normals.
+    pub sky_mean: [f32; 4],
+    /// Its growth with the normal's axis east.
+    pub sky_east: [f32; 4],
+    /// Up.
+    pub sky_up: [f32; 4],
+    /// South.
+    pub sky_south: [f32; 4],
 }
 
 /// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant of `shared/frame.wesl`.

@@ -3,6 +3,7 @@
 //! Owns pipelines, targets and the pool of heights. Knows nothing of windows, sessions or time: a frame goes in, commands
 //! come out, into whatever view the caller gives.
 
+pub mod air;
 pub mod backdrop;
 pub mod fill;
 pub mod gpu;
@@ -19,6 +20,7 @@ pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
 use crate::frame::FrameData;
+use air::AirPass;
 use backdrop::BackdropPass;
 use pool::HeightPool;
 use shaders::layout::Frame;
@@ -46,6 +48,7 @@ pub struct Renderer {
     uniforms: wgpu::Buffer,
     pool: HeightPool,
     targets: Targets,
+    air: AirPass,
     terrain: TerrainPass,
     sky: BackdropPass,
     water: BackdropPass,
@@ -67,6 +70,7 @@ impl Renderer {
         let targets = Targets::new(device, options.size, samples);
         Self {
             samples,
+            air: AirPass::new(device, &uniforms),
             terrain: TerrainPass::new(device, &uniforms, &pool, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: BackdropPass::water(device, &uniforms, samples),
@@ -91,6 +95,16 @@ impl Renderer {
         }
     }
 
+    /// Linear light of the last picture that was drawn with one sample per pixel, row by row from the top: RGBA as half floats. For checks that
+    /// look behind the tone curve; blocks until the picture is drawn. None with several samples per pixel.
+    pub fn read_light(&self, gpu: &Gpu) -> Result<Option<Vec<u16>>, GpuError> {
+        if self.targets.resolved.is_some() {
+            return Ok(None);
+        }
+        let bytes = picture::read_texture(gpu, self.targets.gathered.texture(), 8)?;
+        Ok(Some(bytes.chunks_exact(2).map(|half| u16::from_le_bytes([half[0], half[1]])).collect()))
+    }
+
     /// Records one picture into `encoder`, to appear in `output`.
     pub fn draw(
         &mut self,
@@ -101,6 +115,7 @@ impl Renderer {
     ) {
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
+        self.air.measure(encoder, &self.uniforms);
         {
             // Samples are gone once resolved; a single-sample target is read by the tone pass.
             let store =
