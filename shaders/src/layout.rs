@@ -181,3 +181,25 @@ pub const PROBE_WORDS: usize = 5;
 
 /// Invocations of a workgroup of `probe_heights` and of `fill_heights`, in x.
 pub const FILL_WORKGROUP: u32 = 64;
+
+/// One question to `probe_brdf`; its vectors are unit ones, away from the surface.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct BrdfProbe {
+    /// Of the surface.
+    pub normal: [f32; 3],
+    /// Perceptual roughness, 0 to 1.
+    pub roughness: f32,
+    /// To the eye.
+    pub to_eye: [f32; 3],
+    /// Reflectance at normal incidence.
+    pub f0: f32,
+    /// To the light.
+    pub to_light: [f32; 3],
+    /// Unused; keeps the stride of the shader.
+    pub gap: f32,
+}
+
+/// Words per probe that `probe_brdf` writes: distribution, the naive one, exact and fast visibility, Fresnel term, diffuse term, specular albedo,
+/// cosine to the light.
+pub const BRDF_TERMS: usize = 8;
