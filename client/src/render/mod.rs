@@ -95,9 +95,20 @@ impl Renderer {
         }
     }
 
-    /// Linear light of the last picture that was drawn with one sample per pixel, row by row from the top: RGBA as half floats. For checks that
-    /// look behind the tone curve; blocks until the picture is drawn. None with several samples per pixel.
-    pub fn read_light(&self, gpu: &Gpu) -> Result<Option<Vec<u16>>, GpuError> {
+    /// Draws a picture and returns its linear light, row by row from the top: RGBA as half floats. For checks that look behind the tone
+    /// curve. Blocks until it is drawn; nothing is returned with several samples per pixel.
+    ///
+    /// # Errors
+    /// The device fails.
+    pub fn light(
+        &mut self,
+        gpu: &Gpu,
+        frame: &FrameData,
+        canvas: &Canvas,
+    ) -> Result<Option<Vec<u16>>, GpuError> {
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.draw(gpu, frame, &mut encoder, &canvas.view);
+        gpu.queue.submit([encoder.finish()]);
         if self.targets.resolved.is_some() {
             return Ok(None);
         }
