@@ -9,6 +9,7 @@
 //! | `faults` | servers that go away, and clients that live on |
 //! | `far` | that a picture does not depend on the distance from the origin |
 //! | `light` | that no sun, height or direction leaves a pixel without light |
+//! | `extremes` | eyes, lenses, sizes and shapes of land at their ends |
 //! | `pictures` | what the headless viewer draws, against golden pictures |
 //! | `programs` | the built binaries: options, exit codes, messages |
 //! | `harness` | that the harness itself fails when it should |
@@ -17,6 +18,7 @@
 
 pub mod golden;
 pub mod liar;
+pub mod molded;
 pub mod peer;
 pub mod program;
 pub mod running;

@@ -44,13 +44,13 @@ pub struct Arrival {
 #[derive(Debug)]
 pub struct World {
     chunks: FxHashMap<ChunkKey, Resident>,
-    /// For every ancestor of a resident chunk: how many resident chunks lie below it.
-    below: FxHashMap<ChunkKey, u32>,
     free: Vec<u32>,
     capacity: u32,
     frame: u64,
     /// Frame in which the current view was said.
     view_said: u64,
+    /// Whether a view was once covered from end to end.
+    covered: bool,
 }
 
 impl World {
@@ -60,12 +60,12 @@ impl World {
         let capacity = capacity.max(1);
         Self {
             chunks: FxHashMap::default(),
-            below: FxHashMap::default(),
             free: (0..capacity).rev().collect(),
             capacity,
             // Starts above the stamp of chunks that no selection has used.
             frame: 1,
             view_said: 1,
+            covered: false,
         }
     }
 
@@ -97,9 +97,6 @@ impl World {
             arrived: self.frame,
         };
         self.chunks.insert(chunk.key, resident);
-        for ancestor in ancestors(chunk.key) {
-            *self.below.entry(ancestor).or_insert(0) += 1;
-        }
         Arrival { slot: Some(slot), evicted, starved }
     }
 
@@ -107,12 +104,6 @@ impl World {
     #[must_use]
     pub fn get(&self, key: ChunkKey) -> Option<&Resident> {
         self.chunks.get(&key)
-    }
-
-    /// Whether any chunk below a key is here.
-    #[must_use]
-    pub fn has_below(&self, key: ChunkKey) -> bool {
-        self.below.contains_key(&key)
     }
 
     /// Keys of all resident chunks, in no particular order.
@@ -169,9 +160,12 @@ impl World {
         self.view_said = self.frame + 1;
     }
 
-    /// Starts the selection of a new frame.
-    pub(super) fn begin_frame(&mut self) {
+    /// Starts the selection of a new frame, of whose coarsest chunks all or not all are here. Whether the land can be shown: not before
+    /// it once covered a whole view, because a part of it would end in mid-air. Later on what is missing is new at the far end of the view.
+    pub(super) fn begin_frame(&mut self, all_tops_are_here: bool) -> bool {
         self.frame += 1;
+        self.covered |= all_tops_are_here;
+        self.covered
     }
 
     /// Notes that the current selection draws a chunk, or something below it.
@@ -212,21 +206,10 @@ impl World {
     }
 
     fn remove(&mut self, key: ChunkKey) {
-        let Some(chunk) = self.chunks.remove(&key) else { return };
-        self.free.push(chunk.slot);
-        for ancestor in ancestors(key) {
-            if let Some(count) = self.below.get_mut(&ancestor) {
-                *count -= 1;
-                if *count == 0 {
-                    self.below.remove(&ancestor);
-                }
-            }
+        if let Some(chunk) = self.chunks.remove(&key) {
+            self.free.push(chunk.slot);
         }
     }
-}
-
-fn ancestors(key: ChunkKey) -> impl Iterator<Item = ChunkKey> {
-    std::iter::successors(key.parent(), |above| above.parent())
 }
 
 #[cfg(test)]
@@ -270,14 +253,15 @@ mod tests {
 
     #[test]
     fn what_is_drawn_stays_until_nothing_else_is_left() {
-        let viewer = Viewer { eye: (0, 25_600, 0), distance_m: 100, pixels_per_radian: 300, tolerance_q4: 1 };
+        let viewer =
+            Viewer { eye: (16_384, 25_600, 16_384), distance_m: 60, pixels_per_radian: 300, tolerance_q4: 1 };
         let mut world = World::new(4);
         let drawn = chunk(0, 0, 0).key;
         world.insert(chunk(0, 0, 0));
         world.insert(chunk(0, 70, 60));
         world.insert(chunk(0, 71, 60));
         world.insert(chunk(0, 72, 60));
-        assert_eq!(select(&mut world, &viewer).drawn, [drawn]);
+        assert_eq!(select(&mut world, &viewer).drawn[0].key, drawn);
         world.view_said();
         select(&mut world, &viewer);
         for x in 80..83 {

@@ -569,7 +569,7 @@ mod tests {
                 );
                 assert!(lobe <= 1.0 + TOLERANCE, "roughness {roughness}, cosine {nv}: lobe {lobe}");
                 assert!(all <= 1.0 + TOLERANCE, "roughness {roughness}, cosine {nv}: {all}");
-                assert!(all > 0.7, "hardly anything is lost: roughness {roughness}, cosine {nv}: {all}");
+                assert!(all > 0.65, "hardly anything is lost: roughness {roughness}, cosine {nv}: {all}");
                 if roughness <= 0.3 && nv >= 0.35 {
                     assert!(lobe > 0.95, "a smooth mirror loses nothing: {lobe}");
                 }
