@@ -4,7 +4,6 @@
 //! in f64 for the same directions. Half precision is emulated here, since few devices compute in it: every intermediate result is rounded.
 
 use super::Curve;
-use super::octaves::median;
 use crate::adapters::{self, OpenGpu};
 use crate::chart::{Panel, front, linear, log, measured, stated};
 use crate::table::Table;
@@ -13,7 +12,7 @@ use shaders::SHADERS;
 use shaders::layout::{BRDF_TERMS, BrdfProbe};
 use std::f64::consts::{PI, TAU};
 use std::sync::mpsc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Reflectance at normal incidence of all probes.
 const F0: f64 = 0.04;
@@ -31,8 +30,8 @@ const LOBES: u32 = 12;
 const TURNS: u32 = 12;
 
 /// Rounds of the timing, and invocations of one of them.
-const ROUNDS: usize = 15;
-const TIMED: u32 = 1 << 15;
+const ROUNDS: usize = 41;
+const TIMED: u32 = 1 << 14;
 
 /// The timed entry points: label, and what they combine.
 const VARIANTS: [(&str, &str); 4] = [
@@ -157,7 +156,8 @@ fn reflection(probe: &BrdfProbe, form: Form, round: impl Fn(f64) -> f64 + Copy) 
     let f0 = round(f64::from(probe.f0));
     let rest = round(1.0 - lh);
     let fresnel = round(f0 + round(round((16.5 * f0).clamp(0.0, 1.0) - f0) * round(rest.powi(5))));
-    round(round(round(distribution * visibility) * fresnel) * nl)
+    // The distribution last: it and the visibility term together leave the range of half floats.
+    round(distribution * round(round(visibility * fresnel) * nl))
 }
 
 /// To the nearest half float, ties to even, with its range: 2^-24 to 65504.
@@ -171,10 +171,13 @@ fn half(value: f64) -> f64 {
     if rounded.abs() > 65_504.0 { f64::INFINITY.copysign(value) } else { rounded }
 }
 
-/// Largest, root mean square and 99th percentile of relative errors; what is no number counts as wrong by its whole value, or more.
+/// A relative error beyond which it makes no difference how wrong a value is; what is no number counts as this wrong.
+const HOPELESS: f64 = 1000.0;
+
+/// Largest, root mean square and 99th percentile of relative errors.
 fn statistics(errors: impl Iterator<Item = f64>) -> [f64; 3] {
     let mut errors: Vec<f64> =
-        errors.map(|error| if error.is_finite() { error.abs().min(1e6) } else { 1e6 }).collect();
+        errors.map(|error| if error.is_finite() { error.abs().min(HOPELESS) } else { HOPELESS }).collect();
     errors.sort_unstable_by(f64::total_cmp);
     let count = errors.len().max(1);
     let square = errors.iter().map(|error| error * error).sum::<f64>() / count as f64;
@@ -261,25 +264,32 @@ impl Bench {
         Ok(bytemuck::cast_slice::<_, Terms>(&view).to_vec())
     }
 
-    /// Median times of the variants, in their order; they take turns in every round, so that a change of the machine's speed meets all.
-    fn times(&self) -> Result<Vec<Duration>> {
+    /// Costs of the variants over that of the first, in their order: medians over rounds in which they take turns, so that a change of the machine's
+    /// speed meets all.
+    fn costs(&self) -> Result<Vec<f64>> {
         let probes = probes(0.5);
         let jobs: Vec<Job> =
             VARIANTS.iter().map(|(entry, _)| self.job(entry, &probes, TIMED as usize)).collect();
-        let mut times = vec![Vec::new(); jobs.len()];
+        let mut ratios = vec![Vec::new(); jobs.len()];
         for round in 0..=ROUNDS {
-            for (job, times) in jobs.iter().zip(&mut times) {
+            let mut first_s = None;
+            for (job, ratios) in jobs.iter().zip(&mut ratios) {
                 let encoder = job.record(&self.gpu, TIMED);
                 let begun = Instant::now();
                 self.gpu.queue.submit([encoder.finish()]);
                 self.gpu.wait()?;
+                let seconds = begun.elapsed().as_secs_f64();
                 // The first round compiles and fills caches.
                 if round > 0 {
-                    times.push(begun.elapsed());
+                    ratios.push(seconds / *first_s.get_or_insert(seconds));
                 }
             }
         }
-        Ok(times.into_iter().map(median).collect())
+        let median = |mut ratios: Vec<f64>| {
+            ratios.sort_unstable_by(f64::total_cmp);
+            ratios.get(ratios.len() / 2).copied().unwrap_or_default()
+        };
+        Ok(ratios.into_iter().map(median).collect())
     }
 }
 
@@ -318,7 +328,7 @@ pub fn measure(_: u64) -> Result<Curve> {
     let mut errors = Table::new(
         "brdf",
         format!(
-            "relative error of the sun's reflection (GGX, f0 {F0}) against f64 with exact visibility, at half vectors spread evenly over the lobe and eyes 0 to 85 degrees off the normal; f32 on {}, f16 emulated. The viewer draws no roughness below {FLOOR}.",
+            "relative error of the sun's reflection (GGX, f0 {F0}) against f64 with exact visibility, at half vectors spread evenly over the lobe and eyes 0 to 85 degrees off the normal; f32 on {}, f16 emulated, errors cut at {HOPELESS}. The viewer draws no roughness below {FLOOR}.",
             bench.gpu.name
         ),
         &[
@@ -341,7 +351,7 @@ pub fn measure(_: u64) -> Result<Curve> {
         ],
     );
     // Over all roughnesses that are drawn, for each variant.
-    let mut drawn: [Vec<f64>; 4] = Default::default();
+    let mut of_variants: [Vec<f64>; 4] = Default::default();
     for roughness in ROUGHNESSES {
         let probes = probes(roughness);
         let terms = bench.terms(&probes)?;
@@ -366,14 +376,13 @@ pub fn measure(_: u64) -> Result<Curve> {
         if roughness >= FLOOR {
             let variants =
                 [(false, Form::Lagrange), (true, Form::Lagrange), (false, Form::Naive), (true, Form::Naive)];
-            for (all, (fast, form)) in drawn.iter_mut().zip(variants) {
+            for (all, (fast, form)) in of_variants.iter_mut().zip(variants) {
                 all.extend(on_gpu(fast, form));
             }
         }
     }
 
-    let times = bench.times()?;
-    let first = times.first().map_or(1.0, Duration::as_secs_f64);
+    let ratios = bench.costs()?;
     let mut costs = Table::new(
         "brdf_cost",
         format!(
@@ -388,21 +397,22 @@ pub fn measure(_: u64) -> Result<Curve> {
         ),
         &["variant", "cost ratio", "RMS", "p99", "max"],
     );
-    for (index, (time, all)) in times.iter().zip(drawn).enumerate() {
+    for (index, (cost, all)) in ratios.iter().zip(of_variants).enumerate() {
         let [max, rms, p99] = statistics(all.into_iter());
-        costs.push([index as f64, time.as_secs_f64() / first, rms, p99, max]);
+        costs.push([index as f64, *cost, rms, p99, max]);
     }
     let curve = |column| errors.curve("roughness", column);
-    let floor = |low, high| stated("least roughness drawn", [(FLOOR, low), (FLOOR, high)]);
+    let drawn = |column| curve(column).into_iter().filter(|(roughness, _)| *roughness >= FLOOR);
+    let floor = || stated("least roughness drawn", [(FLOOR, 1e-6), (FLOOR, HOPELESS)]);
     let panels = vec![
         Panel {
             title: "Fast visibility against exact",
             x: linear("roughness"),
             y: log("relative error of the reflection"),
             series: vec![
-                measured("largest found", curve("fast max")),
-                measured("99th percentile", curve("fast p99")),
-                measured("RMS", curve("fast RMS")),
+                measured("largest found", drawn("fast max")),
+                measured("99th percentile", drawn("fast p99")),
+                measured("RMS", drawn("fast RMS")),
             ],
         },
         Panel {
@@ -414,7 +424,7 @@ pub fn measure(_: u64) -> Result<Curve> {
                 measured("f32, 1 - NH^2", curve("f32 naive p99")),
                 measured("f16, N x H", curve("f16 p99")),
                 measured("f16, 1 - NH^2", curve("f16 naive p99")),
-                floor(1e-7, 1e6),
+                floor(),
             ],
         },
         Panel {
@@ -426,7 +436,7 @@ pub fn measure(_: u64) -> Result<Curve> {
                 measured("f32, 1 - NH^2", curve("f32 naive RMS")),
                 measured("f16, N x H", curve("f16 RMS")),
                 measured("f16, 1 - NH^2", curve("f16 naive RMS")),
-                floor(1e-7, 1e6),
+                floor(),
             ],
         },
         Panel {
