@@ -242,20 +242,23 @@ impl Light {
             Vec3::new(azimuth.sin() * elevation.cos(), elevation.sin(), -azimuth.cos() * elevation.cos())
         });
         let ev = if looks.exposure_ev.is_finite() { looks.exposure_ev.clamp(-8.0, 8.0) } else { 0.0 };
-        Self { sun, exposure: self.exposure * (ev + adaptation_ev(sun.y)).exp2() }
+        // Inspecting views have colours of their own, not light.
+        let adapted_ev = if looks.show == Show::Picture { adaptation_ev(sun.y) } else { 0.0 };
+        Self { sun, exposure: self.exposure * (ev + adapted_ev).exp2() }
     }
 }
 
-/// Stops by which the eye opens when the sun sinks to the sine `rise` above the horizon: from none at 12 degrees up to 3 at 12 degrees below, where the
+/// Stops by which the eye opens when the sun sinks to the sine `rise` above the horizon: from none at 12 degrees up to 3.5 at 12 degrees below, where the
 /// light has fallen by more than ten. Nights stay dark.
 fn adaptation_ev(rise: f32) -> f32 {
     let dusk = ((0.2 - rise) / 0.4).clamp(0.0, 1.0);
-    3.0 * dusk * dusk * (3.0 - 2.0 * dusk)
+    3.5 * dusk * dusk * (3.0 - 2.0 * dusk)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::looks::SunPlace;
     use crate::world::select;
     use terrain::{Land, lod};
 
@@ -326,6 +329,31 @@ mod tests {
                 assert!(!seen || slots.contains(&chunk.slot), "{camera}: {key} is visible but not drawn");
             }
         }
+    }
+
+    #[test]
+    fn the_eye_opens_at_dusk_only_and_odd_options_change_nothing() {
+        let scene = Scene::Island.light();
+        let under = |elevation_deg, exposure_ev| {
+            let sun = Some(SunPlace { azimuth_deg: 10.0, elevation_deg });
+            scene.under(&Looks { sun, exposure_ev, ..Looks::default() })
+        };
+        let exposures = [90.0, 45.0, 12.0, 5.0, 0.0, -6.0, -12.0, -90.0].map(|deg| under(deg, 0.0).exposure);
+        assert!(exposures.is_sorted() && exposures[1] == scene.exposure, "{exposures:?}");
+        assert!((exposures[7] / exposures[0]).log2() < 4.0, "nights stay dark: {exposures:?}");
+        let levels = Looks { show: Show::Levels, sun: under_horizon(), ..Looks::default() };
+        assert_eq!(scene.under(&levels).exposure, scene.exposure);
+
+        assert_eq!(under(200.0, 0.0).sun, under(90.0, 0.0).sun);
+        assert_eq!(under(45.0, 100.0).exposure, under(45.0, 8.0).exposure);
+        for odd in [f32::NAN, f32::INFINITY] {
+            assert_eq!(under(odd, odd), scene);
+        }
+        assert_ne!(under(45.0, 1.0), scene);
+    }
+
+    fn under_horizon() -> Option<SunPlace> {
+        Some(SunPlace { azimuth_deg: 0.0, elevation_deg: -20.0 })
     }
 
     #[test]
