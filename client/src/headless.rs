@@ -119,7 +119,7 @@ pub fn render(
     let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
     let slots = HeightPool::slots_within(&gpu.device.limits(), World::capacity_for(options.chunk_bytes));
     let size = (options.lens.width, options.lens.height);
-    let mut renderer = Renderer::new(
+    let mut renderer = Renderer::with_materials(
         &gpu,
         &RenderOptions { size, samples: options.samples, format: picture::PICTURE_FORMAT, slots },
         &options.materials,

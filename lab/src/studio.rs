@@ -2,7 +2,6 @@
 
 use anyhow::Result;
 use client::frame::FrameData;
-use client::render::materials::OwnMaterials;
 use client::render::pool::HeightPool;
 use client::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
 use client::world::World;
@@ -26,7 +25,7 @@ impl Studio {
         let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
         let slots = HeightPool::slots_within(&gpu.device.limits(), slots);
         let options = RenderOptions { size, samples: 1, format: picture::PICTURE_FORMAT, slots };
-        let renderer = Renderer::new(&gpu, &options, &OwnMaterials::default());
+        let renderer = Renderer::new(&gpu, &options);
         let canvas = Canvas::new(&gpu.device, size.0, size.1);
         Ok(Self { gpu, renderer, canvas, slots })
     }

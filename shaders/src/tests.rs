@@ -7,8 +7,8 @@ use std::process::{Command, Stdio};
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
 use crate::layout::{
-    BAKE_WORKGROUP, Bake, BakeTexel, ChunkFill, FILL_WORKGROUP, Frame, MATERIALS, PATTERN_PERIOD_M,
-    REDUCE_WORKGROUP, TILING_WORKGROUP, TerrainInstance, TilingProbe, World,
+    Air, BAKE_WORKGROUP, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, ChunkFill, FILL_WORKGROUP, Frame, MATERIALS,
+    PATTERN_PERIOD_M, REDUCE_WORKGROUP, TILING_WORKGROUP, TerrainInstance, TilingProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -34,6 +34,9 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
         [
             "bake_materials",
             "fill_chunks",
+            "measure_sky",
+            "probe_air",
+            "probe_brdf",
             "probe_heights",
             "probe_heights_float",
             "probe_tiling",
@@ -106,8 +109,8 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
         ("octave_seeds".to_owned(), offset_of!(World, octave_seeds)),
         ("archipelago_seed".to_owned(), offset_of!(World, archipelago_seed)),
     ];
-    for shader in [SHADERS.fill_chunks, SHADERS.probe_heights, SHADERS.probe_heights_float] {
-        assert_eq!(reflected(&shader, "World"), (world.to_vec(), size_of::<World>()), "{}", shader.name);
+    for shader in [&SHADERS.fill_chunks, &SHADERS.probe_heights, &SHADERS.probe_heights_float] {
+        assert_eq!(reflected(shader, "World"), (world.to_vec(), size_of::<World>()), "{}", shader.name);
         let (module, _) = validate(shader.name, shader.wgsl).unwrap();
         assert_eq!(module.entry_points[0].workgroup_size, [FILL_WORKGROUP, 1, 1], "{}", shader.name);
     }
@@ -166,6 +169,21 @@ fn materials_lie_where_the_shaders_read_them_and_are_the_same_sets() {
         assert!(baking.contains(&format!("const {name}: u32 = {number}u;")), "{name}");
     }
     assert!(baking.contains(&format!("array<MaterialSet, {}>", MATERIALS.len())));
+}
+
+#[test]
+fn probes_of_reflection_lie_where_the_shader_reads_them() {
+    let probe = [
+        ("normal", offset_of!(BrdfProbe, normal)),
+        ("roughness", offset_of!(BrdfProbe, roughness)),
+        ("to_eye", offset_of!(BrdfProbe, to_eye)),
+        ("f0", offset_of!(BrdfProbe, f0)),
+        ("to_light", offset_of!(BrdfProbe, to_light)),
+        ("gap", offset_of!(BrdfProbe, gap)),
+    ];
+    let probe: Vec<_> = probe.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
+    assert_eq!(reflected(&SHADERS.probe_brdf, "BrdfProbe"), (probe, size_of::<BrdfProbe>()));
+    assert!(SHADERS.probe_brdf.wgsl.contains(&format!("let first = {BRDF_TERMS}u")));
 }
 
 #[test]
@@ -239,10 +257,25 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("show", offset_of!(Frame, show)),
         ("pixels_per_radian", offset_of!(Frame, pixels_per_radian)),
         ("tolerance_px", offset_of!(Frame, tolerance_px)),
+        ("air", offset_of!(Frame, air)),
     ];
     let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
-    for shader in passes(false) {
+    let air = [
+        ("sun", offset_of!(Air, sun)),
+        ("sun_aloft", offset_of!(Air, sun_aloft)),
+        ("toward", offset_of!(Air, toward)),
+        ("away", offset_of!(Air, away)),
+        ("upward", offset_of!(Air, upward)),
+        ("manifold", offset_of!(Air, manifold)),
+        ("sky_mean", offset_of!(Air, sky_mean)),
+        ("sky_east", offset_of!(Air, sky_east)),
+        ("sky_up", offset_of!(Air, sky_up)),
+        ("sky_south", offset_of!(Air, sky_south)),
+    ];
+    let air: Vec<_> = air.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
+    for shader in passes(false).chain([&SHADERS.measure_sky, &SHADERS.probe_air]) {
         assert_eq!(reflected(shader, "Frame"), (expected.clone(), size_of::<Frame>()), "{}", shader.name);
+        assert_eq!(reflected(shader, "Air"), (air.clone(), size_of::<Air>()), "{}", shader.name);
     }
 }
 

@@ -172,7 +172,7 @@ impl Running {
         };
         let now = Instant::now();
         Ok(Self {
-            renderer: Renderer::new(&gpu, &options, &textures::own(args)?),
+            renderer: Renderer::with_materials(&gpu, &options, &textures::own(args)?),
             overlay: Overlay::new(&gpu, &window, surface.format),
             voyage: Voyage::new(
                 SocketFeed::connect(settings(args)?).context("cannot start the network thread")?,
