@@ -232,6 +232,7 @@ fn hexagons_leave_a_constant_alone_and_end_the_repetition_that_off_has() {
             mean(
                 field
                     .chunks_exact(width)
+                    .step_by(8)
                     .map(|row| mean(row.windows(step + 1).map(|w| (w[0] - w[step]).abs())))
                     .collect::<Vec<_>>()
                     .into_iter(),
