@@ -2,9 +2,10 @@
 
 use crate::camera::{Lens, Pose};
 use crate::feed::Feed;
-use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
+use crate::frame::{FrameData, Shot, TRIANGLES_PER_CHUNK};
 use crate::looks::Looks;
-use crate::render::pool::HeightPool;
+use crate::render::cast::{CASTS_PER_FRAME, MAX_CASTS};
+use crate::render::pool::ChunkPool;
 use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
 use crate::scene::Scene;
 use crate::stats::{FrameTimes, Stats};
@@ -113,7 +114,7 @@ pub fn render(
     mut progress: impl FnMut(&Progress),
 ) -> Result<(Picture, Stats), HeadlessError> {
     let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
-    let slots = HeightPool::slots_within(&gpu.device.limits(), World::capacity_for(options.chunk_bytes));
+    let slots = ChunkPool::slots_within(&gpu.device.limits(), World::capacity_for(options.chunk_bytes));
     let size = (options.lens.width, options.lens.height);
     let mut renderer = Renderer::new(
         &gpu,
@@ -121,7 +122,7 @@ pub fn render(
     );
     let canvas = Canvas::new(&gpu.device, size.0, size.1);
     let mut voyage = Voyage::new(feed, slots);
-    fill(&mut voyage, options, &gpu, &renderer, started, &mut progress)?;
+    fill(&mut voyage, options, &gpu, &mut renderer, started, &mut progress)?;
 
     let mut times = FrameTimes::default();
     let mut drawn = 0;
@@ -129,17 +130,29 @@ pub fn render(
         let timed = index.checked_sub(WARM_UP_FRAMES);
         let begun = Instant::now();
         let shot = options.shot(timed.unwrap_or(0));
-        let selection = voyage.update(&shot, started.elapsed(), usize::MAX, |slot, heights| {
-            renderer.pool().upload(&gpu.queue, slot, heights);
-        });
+        let selection =
+            voyage.update(&shot, started.elapsed(), usize::MAX, |chunk| renderer.upload(&gpu, chunk));
         let frame = shot.frame(options.scene, voyage.world(), &selection);
         drawn = frame.instances.len();
+        if timed.is_none() {
+            // What a camera that stands still has seen long ago. Shadows that change while frames are timed are part of them.
+            finish_shadows(&gpu, &mut renderer, &frame)?;
+        }
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let pending = renderer.cast(&gpu, &frame, CASTS_PER_FRAME, &mut encoder);
         renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
         gpu.queue.submit([encoder.finish()]);
         gpu.wait()?;
         if timed.is_some() {
             times.push(begun.elapsed());
+        }
+        if pending > 0 && index + 1 == WARM_UP_FRAMES + options.frames.max(1) {
+            // The picture that is kept shows the finished state, whatever the time for it was.
+            finish_shadows(&gpu, &mut renderer, &frame)?;
+            let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
+            gpu.queue.submit([encoder.finish()]);
+            gpu.wait()?;
         }
     }
     let picture = canvas.read(&gpu)?;
@@ -164,20 +177,32 @@ pub fn render(
     Ok((picture, stats))
 }
 
+/// Finds all shadows that a frame lacks.
+fn finish_shadows(gpu: &Gpu, renderer: &mut Renderer, frame: &FrameData) -> Result<(), HeadlessError> {
+    loop {
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let pending = renderer.cast(gpu, frame, MAX_CASTS, &mut encoder);
+        gpu.queue.submit([encoder.finish()]);
+        // One at a time: many long dispatches in one queue make some drivers give up on the device.
+        gpu.wait()?;
+        if pending == 0 {
+            return Ok(());
+        }
+    }
+}
+
 /// Runs the feed until the view is complete.
 fn fill(
     voyage: &mut Voyage<impl Feed>,
     options: &Options,
     gpu: &Gpu,
-    renderer: &Renderer,
+    renderer: &mut Renderer,
     started: Instant,
     progress: &mut impl FnMut(&Progress),
 ) -> Result<(), HeadlessError> {
     let shot = options.shot(0);
     loop {
-        let selection = voyage.update(&shot, started.elapsed(), 64, |slot, heights| {
-            renderer.pool().upload(&gpu.queue, slot, heights);
-        });
+        let selection = voyage.update(&shot, started.elapsed(), 64, |chunk| renderer.upload(gpu, chunk));
         // Uploads are staged until a submission; without one a long fill would pile them up.
         gpu.queue.submit([]);
         if voyage.is_settled() && selection.is_complete() {

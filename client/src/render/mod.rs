@@ -1,9 +1,10 @@
 //! The renderer: everything between a [`FrameData`] and a picture.
 //!
-//! Owns pipelines, targets and the pool of heights. Knows nothing of windows, sessions or time: a frame goes in, commands
+//! Owns pipelines, targets, the pool of chunks and the state of their shadows. Knows nothing of windows, sessions or time: a frame goes in, commands
 //! come out, into whatever view the caller gives.
 
 pub mod backdrop;
+pub mod cast;
 pub mod fill;
 pub mod gpu;
 pub mod mesh;
@@ -19,8 +20,13 @@ pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
 use crate::frame::{Backdrop, FrameData};
+use crate::looks::Shadows;
+use crate::shadow::Schedule;
+use crate::world::Resident;
 use backdrop::BackdropPass;
-use pool::HeightPool;
+use cast::{CastPass, MAX_CASTS};
+use glam::Vec3;
+use pool::ChunkPool;
 use shaders::layout::Frame;
 use targets::Targets;
 use terrain::TerrainPass;
@@ -35,7 +41,7 @@ pub struct RenderOptions {
     pub samples: u32,
     /// Format of the pictures; must not encode sRGB by itself.
     pub format: wgpu::TextureFormat,
-    /// Slots of the pool, see [`HeightPool::slots_within`].
+    /// Slots of the pool, see [`ChunkPool::slots_within`].
     pub slots: u32,
 }
 
@@ -44,7 +50,9 @@ pub struct RenderOptions {
 pub struct Renderer {
     samples: u32,
     uniforms: wgpu::Buffer,
-    pool: HeightPool,
+    pool: ChunkPool,
+    shadows: Schedule,
+    cast: CastPass,
     targets: Targets,
     terrain: TerrainPass,
     sky: BackdropPass,
@@ -63,10 +71,12 @@ impl Renderer {
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        let pool = HeightPool::new(device, options.slots);
+        let pool = ChunkPool::new(device, options.slots);
         let targets = Targets::new(device, options.size, samples);
         Self {
             samples,
+            shadows: Schedule::new(options.slots),
+            cast: CastPass::new(device, &pool, options.slots),
             terrain: TerrainPass::new(device, &uniforms, &pool, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: BackdropPass::water(device, &uniforms, samples),
@@ -77,10 +87,36 @@ impl Renderer {
         }
     }
 
-    /// The pool, to upload heights into.
+    /// What the GPU holds of the resident chunks.
     #[must_use]
-    pub fn pool(&self) -> &HeightPool {
+    pub fn pool(&self) -> &ChunkPool {
         &self.pool
+    }
+
+    /// Puts a chunk into its slot.
+    pub fn upload(&mut self, gpu: &Gpu, chunk: &Resident) {
+        self.pool.upload(&gpu.queue, chunk);
+        self.shadows.forget(chunk.slot);
+    }
+
+    /// Records the finding of shadows that the frame lacks, at most `limit` chunks (and [`MAX_CASTS`]), to be submitted before or with its picture and
+    /// before the next call. Returns how many chunks in sight are still left: 0 when the picture will be right. Chunks whose shadow was never
+    /// found are drawn in full sun.
+    pub fn cast(
+        &mut self,
+        gpu: &Gpu,
+        frame: &FrameData,
+        limit: usize,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> usize {
+        if frame.uniforms.shadows == Shadows::Off.word() {
+            return 0;
+        }
+        self.shadows.update(&frame.candidates, Vec3::from(frame.uniforms.sun));
+        if let Some(casting) = self.shadows.next(&frame.candidates, limit.min(MAX_CASTS)) {
+            self.cast.record(&gpu.queue, &casting, encoder);
+        }
+        self.shadows.pending(&frame.candidates)
     }
 
     /// Draws pictures of another size from now on.
