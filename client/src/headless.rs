@@ -2,12 +2,13 @@
 
 use crate::camera::{Lens, Pose};
 use crate::feed::Feed;
-use crate::frame::{FrameData, Shot, TRIANGLES_PER_CHUNK};
+use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::looks::Looks;
-use crate::render::cast::{CASTS_PER_FRAME, MAX_CASTS};
+use crate::render::cast::PER_FRAME;
 use crate::render::pool::ChunkPool;
 use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
 use crate::scene::Scene;
+use crate::shadow::Quota;
 use crate::stats::{FrameTimes, Stats};
 use crate::voyage::{Link, Voyage};
 use crate::world::World;
@@ -22,6 +23,9 @@ const FIRST_ATTEMPTS: u32 = 3;
 
 /// Pause between looks at the feed while the view fills.
 const POLL_PAUSE: Duration = Duration::from_millis(2);
+
+/// A camera that never turns needs no shadows out of sight.
+const IN_SIGHT_PER_FRAME: Quota = Quota { ahead: 0, ..PER_FRAME };
 
 /// What to render.
 #[derive(Clone, Debug, PartialEq)]
@@ -136,10 +140,10 @@ pub fn render(
         drawn = frame.instances.len();
         if timed.is_none() {
             // What a camera that stands still has seen long ago. Shadows that change while frames are timed are part of them.
-            finish_shadows(&gpu, &mut renderer, &frame)?;
+            renderer.finish_shadows(&gpu, &frame)?;
         }
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let pending = renderer.cast(&gpu, &frame, CASTS_PER_FRAME, &mut encoder);
+        let pending = renderer.cast(&gpu, &frame, IN_SIGHT_PER_FRAME, &mut encoder);
         renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
         gpu.queue.submit([encoder.finish()]);
         gpu.wait()?;
@@ -148,7 +152,7 @@ pub fn render(
         }
         if pending > 0 && index + 1 == WARM_UP_FRAMES + options.frames.max(1) {
             // The picture that is kept shows the finished state, whatever the time for it was.
-            finish_shadows(&gpu, &mut renderer, &frame)?;
+            renderer.finish_shadows(&gpu, &frame)?;
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
             gpu.queue.submit([encoder.finish()]);
@@ -175,20 +179,6 @@ pub fn render(
         tolerance_px: voyage.tolerance_px(&options.shot(0)),
     };
     Ok((picture, stats))
-}
-
-/// Finds all shadows that a frame lacks.
-fn finish_shadows(gpu: &Gpu, renderer: &mut Renderer, frame: &FrameData) -> Result<(), HeadlessError> {
-    loop {
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let pending = renderer.cast(gpu, frame, MAX_CASTS, &mut encoder);
-        gpu.queue.submit([encoder.finish()]);
-        // One at a time: many long dispatches in one queue make some drivers give up on the device.
-        gpu.wait()?;
-        if pending == 0 {
-            return Ok(());
-        }
-    }
 }
 
 /// Runs the feed until the view is complete.

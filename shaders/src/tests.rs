@@ -143,8 +143,8 @@ fn what_casts_shadows_lies_where_the_shader_reads_it_and_means_the_same() {
     for line in [
         format!("SKY_WALK: u32 = {SKY_WALK}u"),
         format!("SKY_DARK: u32 = {SKY_DARK}u"),
-        format!("LEAF: u32 = {LEAF:#x}u"),
-        format!("NOTHING: u32 = {NOTHING:#x}u"),
+        format!("LEAF: u32 = {LEAF}u"),
+        format!("NOTHING: u32 = {NOTHING}u"),
         format!("BLOCK_TEXELS: u32 = {BLOCK_TEXELS}u"),
         format!("SUN_RADIUS: f32 = {SUN_RADIUS}"),
         format!("CLEARANCE_RANGE: f32 = {CLEARANCE_RANGE:?}"),

@@ -9,12 +9,14 @@
 //! | `faults` | servers that go away, and clients that live on |
 //! | `far` | that a picture does not depend on the distance from the origin |
 //! | `pictures` | what the headless viewer draws, against golden pictures |
+//! | `shadows` | the land's shadow on itself, against its definition and in pictures |
 //! | `programs` | the built binaries: options, exit codes, messages |
 //! | `harness` | that the harness itself fails when it should |
 
 #![forbid(unsafe_code)]
 
 pub mod golden;
+pub mod horizon;
 pub mod liar;
 pub mod peer;
 pub mod program;

@@ -2,7 +2,7 @@
 
 use crate::render::pipeline::{compute_pipeline, storage_entry, uniform_entry};
 use crate::render::pool::ChunkPool;
-use crate::shadow::Casting;
+use crate::shadow::{Casting, Quota};
 use shaders::SHADERS;
 use shaders::layout::{
     CLEARANCE_WORDS, CastTarget, Caster, FILL_WORKGROUP, MAX_ROOTS, NODES_PER_SLOT, PageNode,
@@ -11,9 +11,12 @@ use shaders::layout::{
 /// Chunks of one dispatch at most.
 pub const MAX_CASTS: usize = 64;
 
-/// Chunks whose shadows are found before a frame that is to be smooth: 34,000 walks, few beside its pixels, and yet all of a usual view within half a
-/// second.
-pub const CASTS_PER_FRAME: usize = 8;
+/// What is done before a frame that is to be smooth: 34,000 walks, few beside its pixels, and yet all that is seen of a usual view within a
+/// tenth of a second, the rest of it within two.
+pub const PER_FRAME: Quota = Quota { chunks: 8, ahead: 2 };
+
+/// What is done at once when only the finished picture counts.
+pub const ALL_IN_SIGHT: Quota = Quota { chunks: MAX_CASTS, ahead: 0 };
 
 /// The pass.
 #[derive(Debug)]

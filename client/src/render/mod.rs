@@ -21,10 +21,10 @@ pub use picture::{Canvas, Picture};
 
 use crate::frame::{Backdrop, FrameData};
 use crate::looks::Shadows;
-use crate::shadow::Schedule;
+use crate::shadow::{Quota, Schedule};
 use crate::world::Resident;
 use backdrop::BackdropPass;
-use cast::{CastPass, MAX_CASTS};
+use cast::CastPass;
 use glam::Vec3;
 use pool::ChunkPool;
 use shaders::layout::Frame;
@@ -99,24 +99,44 @@ impl Renderer {
         self.shadows.forget(chunk.slot);
     }
 
-    /// Records the finding of shadows that the frame lacks, at most `limit` chunks (and [`MAX_CASTS`]), to be submitted before or with its picture and
-    /// before the next call. Returns how many chunks in sight are still left: 0 when the picture will be right. Chunks whose shadow was never
+    /// Records the finding of shadows that the frame lacks, as many as `quota` (and [`MAX_CASTS`]) allows, to be submitted before or with its picture
+    /// and before the next call. Returns how many chunks in sight are still left: 0 when the picture will be right. Chunks whose shadow was never
     /// found are drawn in full sun.
+    ///
+    /// [`MAX_CASTS`]: cast::MAX_CASTS
     pub fn cast(
         &mut self,
         gpu: &Gpu,
         frame: &FrameData,
-        limit: usize,
+        quota: Quota,
         encoder: &mut wgpu::CommandEncoder,
     ) -> usize {
         if frame.uniforms.shadows == Shadows::Off.word() {
             return 0;
         }
         self.shadows.update(&frame.candidates, Vec3::from(frame.uniforms.sun));
-        if let Some(casting) = self.shadows.next(&frame.candidates, limit.min(MAX_CASTS)) {
+        let quota = Quota { chunks: quota.chunks.min(cast::MAX_CASTS), ..quota };
+        if let Some(casting) = self.shadows.next(&frame.candidates, quota) {
             self.cast.record(&gpu.queue, &casting, encoder);
         }
         self.shadows.pending(&frame.candidates)
+    }
+
+    /// Finds all shadows in sight that the frame lacks, and waits for them.
+    ///
+    /// # Errors
+    /// The device failed.
+    pub fn finish_shadows(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<(), GpuError> {
+        loop {
+            let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            let pending = self.cast(gpu, frame, cast::ALL_IN_SIGHT, &mut encoder);
+            gpu.queue.submit([encoder.finish()]);
+            // One at a time: many long dispatches in one queue make some drivers give up on the device.
+            gpu.wait()?;
+            if pending == 0 {
+                return Ok(());
+            }
+        }
     }
 
     /// Draws pictures of another size from now on.

@@ -1,8 +1,9 @@
 //! What the GPU holds of all resident chunks: buffers of equal slots, allocated once.
 
+use crate::render::{Gpu, GpuError};
 use crate::world::Resident;
 use shaders::layout::{BLOCK_TEXELS, CLEAR_WORD, CLEARANCE_WORDS};
-use terrain::constants::VERTEX_COUNT;
+use terrain::constants::{VERTEX_COUNT, VERTICES};
 
 /// Bytes of a slot's heights, the largest of its parts.
 const HEIGHTS: u64 = 4 * VERTEX_COUNT as u64;
@@ -56,6 +57,38 @@ impl ChunkPool {
             let clear = [CLEAR_WORD; CLEARANCE_WORDS];
             queue.write_buffer(&self.clearances, CLEARANCES * slot, bytemuck::cast_slice(&clear));
         }
+    }
+
+    /// A slot's clearances as bytes, row by row without padding: what shadows are compared by. Waits for the GPU.
+    ///
+    /// # Errors
+    /// The device failed, or the pool has no such slot.
+    pub fn read_clearances(&self, gpu: &Gpu, slot: u32) -> Result<Vec<u8>, GpuError> {
+        let failed = |error: &dyn std::fmt::Display| GpuError::Fault(error.to_string());
+        if slot >= self.slots {
+            return Err(failed(&format!("slot {slot} of {} was read", self.slots)));
+        }
+        let landing = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("clearances of a slot"),
+            size: CLEARANCES,
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.copy_buffer_to_buffer(
+            &self.clearances,
+            CLEARANCES * u64::from(slot),
+            &landing,
+            0,
+            CLEARANCES,
+        );
+        gpu.queue.submit([encoder.finish()]);
+        let slice = landing.slice(..);
+        slice.map_async(wgpu::MapMode::Read, |_| ());
+        gpu.wait()?;
+        let bytes = slice.get_mapped_range().map_err(|error| failed(&error))?;
+        let rows = bytes.chunks_exact(CLEARANCE_WORDS * 4 / VERTICES);
+        Ok(rows.flat_map(|row| row[..VERTICES].iter().copied()).collect())
     }
 
     /// Heights in units: `VERTEX_COUNT` words a slot.

@@ -6,7 +6,7 @@
 pub mod schedule;
 pub mod table;
 
-pub use schedule::{Candidate, Casting, Schedule};
+pub use schedule::{Candidate, Casting, Quota, Schedule};
 pub use table::{Page, PageTable};
 
 use glam::Vec3;

@@ -18,6 +18,15 @@ pub struct Candidate {
     pub in_sight: bool,
 }
 
+/// How much may be done at once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Quota {
+    /// Chunks at most.
+    pub chunks: usize,
+    /// Of these, chunks at most that are out of sight, so that a turning camera finds their shadows there.
+    pub ahead: usize,
+}
+
 /// What the GPU is to do. Counts as done once it was handed out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Casting<'a> {
@@ -91,8 +100,8 @@ impl Schedule {
             .count()
     }
 
-    /// The next chunks to do, at most `limit`; nothing if all is up to date.
-    pub fn next(&mut self, candidates: &[Candidate], limit: usize) -> Option<Casting<'_>> {
+    /// The next chunks to do; nothing if all is up to date.
+    pub fn next(&mut self, candidates: &[Candidate], quota: Quota) -> Option<Casting<'_>> {
         let mut waiting: Vec<(bool, u64, usize)> = candidates
             .iter()
             .enumerate()
@@ -100,7 +109,8 @@ impl Schedule {
             .map(|(nearness, candidate)| (!candidate.in_sight, self.found_in(candidate.page.slot), nearness))
             .collect();
         waiting.sort_unstable();
-        waiting.truncate(limit);
+        let in_sight = waiting.iter().filter(|(is_hidden, ..)| !is_hidden).count();
+        waiting.truncate(quota.chunks.min(in_sight + quota.ahead));
         if waiting.is_empty() {
             return None;
         }
@@ -141,6 +151,10 @@ mod tests {
         casting.map_or(Vec::new(), |casting| casting.targets.iter().map(|target| target.slot).collect())
     }
 
+    fn upto(chunks: usize) -> Quota {
+        Quota { chunks, ahead: chunks }
+    }
+
     const SUN: Vec3 = Vec3::new(0.6, 0.8, 0.0);
 
     #[test]
@@ -148,28 +162,39 @@ mod tests {
         let (mut schedule, drawn) = (Schedule::new(10), drawn(5, 3));
         schedule.update(&drawn, SUN);
         assert_eq!(schedule.pending(&drawn), 3);
-        let first = schedule.next(&drawn, 2).unwrap();
+        let first = schedule.next(&drawn, upto(2)).unwrap();
         assert!(first.table.is_some(), "the GPU needs the table");
         assert_eq!(slots(Some(first)), [0, 1]);
-        let second = schedule.next(&drawn, 2).unwrap();
+        let second = schedule.next(&drawn, upto(2)).unwrap();
         assert!(second.table.is_none(), "it has it");
         assert_eq!(slots(Some(second)), [2, 3]);
         assert_eq!(schedule.pending(&drawn), 0);
-        assert_eq!(slots(schedule.next(&drawn, 2)), [4]);
+        assert_eq!(slots(schedule.next(&drawn, upto(2))), [4]);
         schedule.update(&drawn, SUN);
-        assert_eq!(schedule.next(&drawn, 2), None);
+        assert_eq!(schedule.next(&drawn, upto(2)), None);
+    }
+
+    #[test]
+    fn what_is_out_of_sight_gets_a_share_of_its_own() {
+        let (mut schedule, drawn) = (Schedule::new(10), drawn(8, 3));
+        schedule.update(&drawn, SUN);
+        let quota = |chunks, ahead| Quota { chunks, ahead };
+        assert_eq!(slots(schedule.next(&drawn, quota(2, 1))), [0, 1]);
+        assert_eq!(slots(schedule.next(&drawn, quota(4, 1))), [2, 3]);
+        assert_eq!(schedule.next(&drawn, quota(4, 0)), None);
+        assert_eq!(slots(schedule.next(&drawn, quota(4, 2))), [4, 5]);
     }
 
     #[test]
     fn another_sun_or_another_drawn_chunk_makes_all_shadows_old_and_another_gaze_none() {
         let mut schedule = Schedule::new(10);
         schedule.update(&drawn(4, 4), SUN);
-        schedule.next(&drawn(4, 4), 10);
+        schedule.next(&drawn(4, 4), upto(10));
         for (drawn, sun, old) in [(drawn(4, 2), SUN, 0), (drawn(4, 4), Vec3::Y, 4), (drawn(5, 5), Vec3::Y, 5)]
         {
             schedule.update(&drawn, sun);
             assert_eq!(schedule.pending(&drawn), old);
-            schedule.next(&drawn, 10);
+            schedule.next(&drawn, upto(10));
         }
     }
 
@@ -177,11 +202,11 @@ mod tests {
     fn a_chunk_without_a_shadow_comes_before_those_with_an_old_one() {
         let (mut schedule, drawn) = (Schedule::new(10), drawn(4, 4));
         schedule.update(&drawn, SUN);
-        schedule.next(&drawn, 10);
+        schedule.next(&drawn, upto(10));
         schedule.forget(2);
         schedule.forget(99);
         schedule.update(&drawn, Vec3::Y);
-        assert_eq!(slots(schedule.next(&drawn, 10)), [2, 0, 1, 3]);
+        assert_eq!(slots(schedule.next(&drawn, upto(10))), [2, 0, 1, 3]);
     }
 
     #[test]
@@ -190,7 +215,7 @@ mod tests {
         let mut turns = [0; 6];
         for frame in 0..30 {
             schedule.update(&drawn, Vec3::new(0.6, 0.8, frame as f32 * 1e-3));
-            for slot in slots(schedule.next(&drawn, 2)) {
+            for slot in slots(schedule.next(&drawn, upto(2))) {
                 turns[slot as usize] += 1;
             }
         }

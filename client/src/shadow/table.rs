@@ -215,7 +215,8 @@ mod tests {
     fn chunks_in_opposite_corners_of_the_world_share_a_table() {
         let last = 32_767;
         let pages = [page(0, -32_768, -32_768, 1), page(0, last, last, 2), page(0, -32_768, last, 3)];
-        let table = PageTable::of(&pages, 3);
+        // Three chains of 15 levels.
+        let table = PageTable::of(&pages, 30);
         assert!(table.columns * table.rows <= MAX_ROOTS as u32);
         let edge = WORLD_HALF - 1;
         assert_eq!(found(&table, -WORLD_HALF, -WORLD_HALF), Some(1));

@@ -15,7 +15,7 @@ pub const SLOT_BYTES: usize = 4 * (VERTEX_COUNT + BLOCK_TEXELS) + GPU_SLOT_BYTES
 const BLOCK_LEVEL: usize = 3;
 
 /// A chunk that is here.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Resident {
     /// Slot of its heights in the pool.
     pub slot: u32,

@@ -9,7 +9,7 @@ use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::native::args::Args;
 use crate::native::shot::{settings, write_stats};
 use crate::native::stream::SocketFeed;
-use crate::render::cast::CASTS_PER_FRAME;
+use crate::render::cast::PER_FRAME;
 use crate::render::pool::ChunkPool;
 use crate::render::surface::{NextTexture, WindowSurface};
 use crate::render::{Gpu, RenderOptions, Renderer, gpu};
@@ -259,7 +259,7 @@ impl Running {
         let frame = shot.frame(self.args.scene, self.voyage.world(), &selection);
         self.drawn = frame.instances.len();
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        renderer.cast(gpu, &frame, CASTS_PER_FRAME, &mut encoder);
+        renderer.cast(gpu, &frame, PER_FRAME, &mut encoder);
         renderer.draw(gpu, &frame, &mut encoder, &view);
         if self.show_panel {
             let traffic = crate::feed::Feed::traffic(self.voyage.feed());
