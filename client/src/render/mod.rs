@@ -20,7 +20,7 @@ pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
 use crate::frame::{Backdrop, FrameData};
-use crate::looks::Shadows;
+use crate::looks::{Shadows, Show};
 use crate::shadow::{Quota, Schedule};
 use crate::world::Resident;
 use backdrop::BackdropPass;
@@ -111,7 +111,8 @@ impl Renderer {
         quota: Quota,
         encoder: &mut wgpu::CommandEncoder,
     ) -> usize {
-        if frame.uniforms.shadows == Shadows::Off.word() {
+        let is_shown = frame.uniforms.show == Show::Picture.word();
+        if !is_shown || frame.uniforms.shadows == Shadows::Off.word() {
             return 0;
         }
         self.shadows.update(&frame.candidates, Vec3::from(frame.uniforms.sun));
