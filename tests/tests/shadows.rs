@@ -188,12 +188,11 @@ fn shared(cast: &HashMap<ChunkKey, Vec<u8>>) -> Vec<(bool, u8, u8)> {
     let mut keys: Vec<_> = cast.keys().copied().collect();
     keys.sort_unstable();
     for key in keys {
-        for index in 0..VERTEX_COUNT {
+        for (index, byte) in cast[&key].iter().copied().enumerate() {
             let (column, row) = (index % VERTICES, index / VERTICES);
             if !(column % CELLS == 0 || row % CELLS == 0) {
                 continue;
             }
-            let byte = cast[&key][index];
             if let Some((level, other)) = at.insert(place(key, index), (key.level(), byte)) {
                 shared.push((level == key.level(), other, byte));
             }
