@@ -6,7 +6,7 @@ use client::feed::LocalFeed;
 use client::frame::Shot;
 use client::looks::{Looks, SunPlace};
 use client::render::pool::ChunkPool;
-use client::render::{Canvas, Gpu, RenderOptions, Renderer, gpu, picture};
+use client::render::{Canvas, Gpu, RenderOptions, Renderer, picture};
 use client::scene::Scene;
 use client::voyage::Voyage;
 use shaders::layout::{GPU_SLOT_BYTES, clearance_of_byte};
@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let camera = arguments.first().map_or("300,420,900,20,-12", String::as_str).parse()?;
     let azimuth_deg: f32 = arguments.get(1).map_or(Ok(130.0), |azimuth| azimuth.parse())?;
-    let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
+    let gpu = Gpu::open_blocking()?;
     let (width, height) = (640, 360);
     let slots = ChunkPool::slots_within(&gpu.device.limits(), 4000);
     let options = RenderOptions { size: (width, height), samples: 1, format: picture::PICTURE_FORMAT, slots };

@@ -7,8 +7,9 @@ use std::process::{Command, Stdio};
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
 use crate::layout::{
-    BLOCK_TEXELS, CLEARANCE_RANGE, CastTarget, Caster, ChunkFill, FILL_WORKGROUP, Frame, GPU_SLOT_BYTES,
-    LEAF, NOTHING, PATTERN_PERIOD_M, PageNode, SKY_DARK, SKY_WALK, SUN_RADIUS, TerrainInstance, World,
+    Air, BLOCK_TEXELS, BRDF_TERMS, BrdfProbe, CLEARANCE_RANGE, CastTarget, Caster, ChunkFill, FILL_WORKGROUP,
+    Frame, GPU_SLOT_BYTES, LEAF, NOTHING, PATTERN_PERIOD_M, PageNode, SKY_DARK, SKY_WALK, SUN_RADIUS,
+    TerrainInstance, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -29,7 +30,18 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
         assert_eq!(stages, [Stage::Vertex, Stage::Fragment], "{}", shader.name);
     }
     let names: Vec<&str> = passes(true).map(|shader| shader.name).collect();
-    assert_eq!(names, ["cast_shadows", "fill_chunks", "probe_heights", "probe_heights_float"]);
+    assert_eq!(
+        names,
+        [
+            "cast_shadows",
+            "fill_chunks",
+            "measure_sky",
+            "probe_air",
+            "probe_brdf",
+            "probe_heights",
+            "probe_heights_float"
+        ]
+    );
 }
 
 /// Everything in a shader that the ring profile forbids: arithmetic on floats, and `/` or `%` on signed integers.
@@ -159,6 +171,21 @@ fn a_resident_chunk_takes_less_than_24_kib_of_the_gpu() {
 }
 
 #[test]
+fn probes_of_reflection_lie_where_the_shader_reads_them() {
+    let probe = [
+        ("normal", offset_of!(BrdfProbe, normal)),
+        ("roughness", offset_of!(BrdfProbe, roughness)),
+        ("to_eye", offset_of!(BrdfProbe, to_eye)),
+        ("f0", offset_of!(BrdfProbe, f0)),
+        ("to_light", offset_of!(BrdfProbe, to_light)),
+        ("gap", offset_of!(BrdfProbe, gap)),
+    ];
+    let probe: Vec<_> = probe.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
+    assert_eq!(reflected(&SHADERS.probe_brdf, "BrdfProbe"), (probe, size_of::<BrdfProbe>()));
+    assert!(SHADERS.probe_brdf.wgsl.contains(&format!("let first = {BRDF_TERMS}u")));
+}
+
+#[test]
 fn a_broken_shader_is_rejected_with_its_name() {
     let good = SHADERS.draw_sky.wgsl;
     for broken in [
@@ -229,10 +256,25 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("show", offset_of!(Frame, show)),
         ("pixels_per_radian", offset_of!(Frame, pixels_per_radian)),
         ("tolerance_px", offset_of!(Frame, tolerance_px)),
+        ("air", offset_of!(Frame, air)),
     ];
     let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
-    for shader in passes(false) {
+    let air = [
+        ("sun", offset_of!(Air, sun)),
+        ("sun_aloft", offset_of!(Air, sun_aloft)),
+        ("toward", offset_of!(Air, toward)),
+        ("away", offset_of!(Air, away)),
+        ("upward", offset_of!(Air, upward)),
+        ("manifold", offset_of!(Air, manifold)),
+        ("sky_mean", offset_of!(Air, sky_mean)),
+        ("sky_east", offset_of!(Air, sky_east)),
+        ("sky_up", offset_of!(Air, sky_up)),
+        ("sky_south", offset_of!(Air, sky_south)),
+    ];
+    let air: Vec<_> = air.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
+    for shader in passes(false).chain([&SHADERS.measure_sky, &SHADERS.probe_air]) {
         assert_eq!(reflected(shader, "Frame"), (expected.clone(), size_of::<Frame>()), "{}", shader.name);
+        assert_eq!(reflected(shader, "Air"), (air.clone(), size_of::<Air>()), "{}", shader.name);
     }
 }
 
