@@ -50,6 +50,14 @@ pub struct Frame {
     pub pixels_per_radian: f32,
     /// Tolerated screen error, pixels.
     pub tolerance_px: f32,
+    /// Depth of the waves' parallax, 0 to 1; 0.2 is their true height.
+    pub parallax_factor: f32,
+    /// Raises the surface of the water, metres.
+    pub parallax_bias_m: f32,
+    /// Multiplies heights and slopes of the waves; 1 is a fresh breeze.
+    pub wave_steepness: f32,
+    /// Unused; fills the last 16 bytes.
+    pub reserved: f32,
 }
 
 /// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant of `shared/frame.wesl`.
@@ -107,8 +115,14 @@ impl TerrainInstance {
     ];
 }
 
-/// Vertices of the `draw_water` call (eight sectors of a plane).
-pub const WATER_VERTICES: u32 = 24;
+/// Vertices of the `draw_water` call: eight sectors of a plane, and a triangle behind everything for an eye under water.
+pub const WATER_VERTICES: u32 = 27;
+
+/// Texels along a side of the waves' distortion map. Equal to the constant of `shared/waves.wesl`.
+pub const WAVE_MAP_SIDE: u32 = 256;
+
+/// Invocations along each side of a workgroup of `bake_waves`.
+pub const WAVE_WORKGROUP: u32 = 8;
 
 /// What the height passes know of a world; `shared/land.wesl` documents each field.
 #[repr(C)]

@@ -178,6 +178,10 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("show", offset_of!(Frame, show)),
         ("pixels_per_radian", offset_of!(Frame, pixels_per_radian)),
         ("tolerance_px", offset_of!(Frame, tolerance_px)),
+        ("parallax_factor", offset_of!(Frame, parallax_factor)),
+        ("parallax_bias_m", offset_of!(Frame, parallax_bias_m)),
+        ("wave_steepness", offset_of!(Frame, wave_steepness)),
+        ("reserved", offset_of!(Frame, reserved)),
     ];
     let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
     for shader in passes(false) {

@@ -10,25 +10,34 @@ pub mod mesh;
 pub mod picture;
 pub mod pipeline;
 pub mod pool;
+pub mod scenes;
 pub mod surface;
 pub mod targets;
 pub mod terrain;
 pub mod tone;
+pub mod water;
+pub mod waves;
 
 pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
 use crate::frame::FrameData;
+use crate::scene::Scene;
 use backdrop::BackdropPass;
 use pool::HeightPool;
+use scenes::LocalScene;
 use shaders::layout::Frame;
 use targets::Targets;
 use terrain::TerrainPass;
 use tone::TonePass;
+use water::WaterPass;
+use waves::WaveMap;
 
 /// What a renderer is built for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RenderOptions {
+    /// What is drawn.
+    pub scene: Scene,
     /// Picture size, pixels.
     pub size: (u32, u32),
     /// Samples per pixel: 1 or 4, the two that WebGPU promises.
@@ -48,7 +57,9 @@ pub struct Renderer {
     targets: Targets,
     terrain: TerrainPass,
     sky: BackdropPass,
-    water: BackdropPass,
+    water: WaterPass,
+    /// Drawn instead of land, sky and sea.
+    local: Option<LocalScene>,
     tone: TonePass,
 }
 
@@ -65,11 +76,13 @@ impl Renderer {
         });
         let pool = HeightPool::new(device, options.slots);
         let targets = Targets::new(device, options.size, samples);
+        let waves = WaveMap::bake(device, &gpu.queue);
         Self {
             samples,
             terrain: TerrainPass::new(device, &uniforms, &pool, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
-            water: BackdropPass::water(device, &uniforms, samples),
+            water: WaterPass::sea(device, &uniforms, &waves, samples),
+            local: LocalScene::new(options.scene, device, &uniforms, &waves, samples),
             tone: TonePass::new(device, &uniforms, &targets, options.format),
             uniforms,
             pool,
@@ -123,9 +136,13 @@ impl Renderer {
                 }),
                 ..Default::default()
             });
-            self.terrain.draw(&mut pass);
-            self.sky.draw(&mut pass);
-            self.water.draw(&mut pass);
+            if let Some(scene) = &self.local {
+                scene.draw(&mut pass);
+            } else {
+                self.terrain.draw(&mut pass);
+                self.sky.draw(&mut pass);
+                self.water.draw(&mut pass);
+            }
         }
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("tone"),
