@@ -1,4 +1,4 @@
-//! Renders the home island without a server: `cargo run -p client --example local_shot -- OUT.png [CAMERA] [WxH]`.
+//! Renders the home island without a server: `cargo run -p client --example local_shot -- OUT.png [CAMERA] [WxH] [SAMPLES] [SHOW] [TOLERANCE]`.
 
 use client::feed::LocalFeed;
 use client::headless::{Options, render};
@@ -15,6 +15,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         (options.lens.width, options.lens.height) = (width.parse()?, height.parse()?);
     }
     options.samples = arguments.get(3).map_or(Ok(4), |samples| samples.parse())?;
+    if let Some(show) = arguments.get(4) {
+        options.looks.show = clap::ValueEnum::from_str(show, false)?;
+    }
+    if let Some(tolerance) = arguments.get(5) {
+        options.tolerance_px = tolerance.parse()?;
+    }
     options.frames = 3;
     let (picture, stats) = render(&options, LocalFeed::new(1), Instant::now(), |_| ())?;
     println!("{}", serde_json::to_string(&stats)?);

@@ -1,9 +1,9 @@
 //! From a pose and a selection to what the GPU is told: uniforms, instances in drawing order, counts.
 
 use crate::camera::{Eye, Lens, Pose};
-use crate::looks::Looks;
+use crate::looks::{Looks, Show};
 use crate::scene::Scene;
-use crate::world::{Resident, Selection, World};
+use crate::world::{Drawn, Resident, Selection, World};
 use glam::{DVec3, Vec3};
 use protocol::limits::MAX_VIEWPORT;
 use protocol::view::View;
@@ -12,8 +12,8 @@ use terrain::ChunkKey;
 use terrain::constants::{CELLS, UNITS_PER_METRE};
 use terrain::lod::{MAX_VIEW_DISTANCE_M, Viewer};
 
-/// Triangles of one drawn chunk: 64 x 64 cells and four skirts.
-pub const TRIANGLES_PER_CHUNK: u64 = (2 * CELLS * CELLS + 4 * 2 * CELLS) as u64;
+/// Triangles of one drawn chunk.
+pub const TRIANGLES_PER_CHUNK: u64 = (2 * CELLS * CELLS) as u64;
 
 /// One picture, ready to draw.
 #[derive(Clone, Debug)]
@@ -22,6 +22,20 @@ pub struct FrameData {
     pub uniforms: Frame,
     /// The chunks in sight, nearest first, so that hidden land behind near hills costs no shading.
     pub instances: Vec<TerrainInstance>,
+    /// What is drawn where no land is.
+    pub backdrop: Backdrop,
+}
+
+/// What is drawn where no land is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Backdrop {
+    /// Sky, and the sea over land and all.
+    #[default]
+    SkyAndSea,
+    /// Only the sky: the sea would cover what an inspecting view shows.
+    Sky,
+    /// Linear light of one colour, through which a gap in the land shows.
+    Plain([f64; 3]),
 }
 
 /// How the picture is to be taken.
@@ -75,18 +89,21 @@ impl Shot {
         let mut instances: Vec<(i64, TerrainInstance)> = selection
             .drawn
             .iter()
-            .filter_map(|key| world.get(*key).map(|chunk| (*key, chunk)))
-            .filter(|(key, chunk)| sight.may_show(&eye, *key, chunk))
-            .map(|(key, chunk)| {
-                // Both sides of a seam may be off by their own error: the skirt bridges the worst pair.
-                let skirt = f64::from(chunk.error) + f64::from(selection.worst_error);
-                (nearness(&eye, key), instance(&eye, key, chunk, metres(skirt) as f32))
+            .filter_map(|drawn| {
+                let chunk = world.get(drawn.key)?;
+                let parent = drawn.key.parent().and_then(|parent| world.get(parent)).unwrap_or(chunk);
+                let shown = sight.may_show(&eye, drawn.key, chunk, parent);
+                shown.then(|| (nearness(&eye, drawn.key), instance(&eye, drawn, chunk, parent)))
             })
             .collect();
         instances.sort_by_key(|(distance, _)| *distance);
         FrameData {
             uniforms: self.uniforms(scene, &eye),
             instances: instances.into_iter().map(|(_, instance)| instance).collect(),
+            backdrop: match self.looks.show {
+                Show::Picture => Backdrop::SkyAndSea,
+                _ => Backdrop::Sky,
+            },
         }
     }
 
@@ -142,8 +159,11 @@ fn nearness(eye: &Eye, key: ChunkKey) -> i64 {
     axis(x, eye.units[0]).pow(2) + axis(z, eye.units[2]).pow(2)
 }
 
-fn instance(eye: &Eye, key: ChunkKey, chunk: &Resident, skirt_m: f32) -> TerrainInstance {
+fn instance(eye: &Eye, drawn: &Drawn, chunk: &Resident, parent: &Resident) -> TerrainInstance {
+    let key = drawn.key;
     let (x, z) = key.origin();
+    let (east, south) = key.quarter();
+    let [edges, corners, inside] = TerrainInstance::seam_words(&drawn.seams);
     // Integers first, so that the distance to a near chunk is exact however far both are from the origin.
     let relative = |low: i32, eye: i32| metres((i64::from(low) - i64::from(eye)) as f64) as f32;
     let period = PATTERN_PERIOD_M * UNITS_PER_METRE;
@@ -151,10 +171,14 @@ fn instance(eye: &Eye, key: ChunkKey, chunk: &Resident, skirt_m: f32) -> Terrain
         origin_m: [relative(x, eye.units[0]), relative(0, eye.units[1]), relative(z, eye.units[2])],
         spacing_m: metres(f64::from(key.spacing())) as f32,
         pattern_m: [x, z].map(|low| metres(f64::from(low & (period - 1))) as f32),
-        skirt_m,
-        reserved: 0.0,
+        error_m: metres(f64::from(chunk.error)) as f32,
+        parent_error_m: metres(f64::from(parent.error)) as f32,
         slot: chunk.slot,
-        level: u32::from(key.level()),
+        parent_slot: parent.slot,
+        edges,
+        corners,
+        inside,
+        place: u32::from(key.level()) | ((east as u32) << 8) | ((south as u32) << 9),
     }
 }
 
@@ -180,11 +204,13 @@ impl Sight {
     }
 
     /// Whether any of a chunk's box may lie inside all four planes. Errs on the side of drawing.
-    fn may_show(&self, eye: &Eye, key: ChunkKey, chunk: &Resident) -> bool {
+    ///
+    /// The box holds the parent's extremes too: a morphed vertex lies between the two surfaces.
+    fn may_show(&self, eye: &Eye, key: ChunkKey, chunk: &Resident, parent: &Resident) -> bool {
         let (x, z) = key.origin();
         let side = i64::from(key.side());
-        let low = [i64::from(x), i64::from(chunk.min), i64::from(z)];
-        let high = [i64::from(x) + side, i64::from(chunk.max), i64::from(z) + side];
+        let low = [i64::from(x), i64::from(chunk.min.min(parent.min)), i64::from(z)];
+        let high = [i64::from(x) + side, i64::from(chunk.max.max(parent.max)), i64::from(z) + side];
         let relative = |corner: [i64; 3]| {
             // One unit of slack covers the eye's fraction.
             DVec3::from_array([0, 1, 2].map(|axis| (corner[axis] - i64::from(eye.units[axis])) as f64))
@@ -275,8 +301,8 @@ mod tests {
             let slots: Vec<u32> = frame.instances.iter().map(|instance| instance.slot).collect();
             let clip_from_camera = shot.lens.clip_from_camera(&shot.pose);
             let eye = shot.pose.position_m;
-            for key in &selection.drawn {
-                let chunk = world.get(*key).unwrap();
+            for key in selection.drawn.iter().map(|drawn| drawn.key) {
+                let chunk = world.get(key).unwrap();
                 let (x, z) = key.origin();
                 let seen = (0..65 * 65).step_by(7).any(|index| {
                     let at = |low: i32, step: i32| f64::from(low + step * key.spacing()) / 256.0;

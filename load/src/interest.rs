@@ -143,26 +143,38 @@ impl Interest {
     }
 }
 
-/// Whether a viewer needs a chunk, by the rule of [`lod::select`] asked for one key: it is within the distance, and every
-/// chunk above it is too coarse for the viewer.
+/// Whether a viewer needs a chunk, by the rule of [`lod::select`] asked for one key: it is within the distance, and the chunk above
+/// it is split.
 ///
-/// Cheaper than a selection per view (a walk of a few levels per chunk), and said independently of it.
+/// Cheaper than a selection per view (nearly always one test), and said independently of it.
 #[must_use]
 pub fn is_needed(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
-    let view_units = u64::from(viewer.distance_m) * terrain::constants::UNITS_PER_METRE as u64;
-    let is_too_large = |key: ChunkKey| key.level() > 0 && u64::from(key.side()) > view_units;
-    if is_too_large(key) || viewer.distance_to(key) > view_units {
+    key.level() <= viewer.top_level()
+        && viewer.sees(key)
+        && (key.level() == viewer.top_level()
+            || key.parent().is_some_and(|parent| is_split(land, viewer, parent)))
+}
+
+/// Whether a chunk is split: it is too coarse itself, or one of its children or of the chunks around these is split, beside which
+/// it would be two levels too coarse.
+fn is_split(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
+    if is_too_coarse(land, viewer, key) {
+        return true;
+    }
+    let ring = |key: ChunkKey| {
+        (-1..=1).flat_map(move |east| (-1..=1).filter_map(move |south| key.neighbour(east, south)))
+    };
+    // A chain of such demands never leaves the chunks around the first one's ancestors, which are too coarse as it is.
+    if !ring(key).any(|near| is_too_coarse(land, viewer, near)) {
         return false;
     }
-    let mut above = key.parent();
-    while let Some(parent) = above.filter(|parent| !is_too_large(*parent)) {
-        let error = lod::error_bound(land, parent);
-        if viewer.screen_error_q4(error, viewer.distance_to(parent)) <= viewer.tolerance_q4.max(1) {
-            return false;
-        }
-        above = parent.parent();
-    }
-    true
+    let children = key.children().into_iter().flatten().filter(|child| viewer.sees(*child));
+    children.flat_map(ring).any(|near| is_split(land, viewer, near))
+}
+
+fn is_too_coarse(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
+    viewer.sees(key)
+        && viewer.screen_error_q4(lod::error_bound(land, key), viewer.distance_to(key)) > viewer.tolerance()
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! What the CPU hands to the shaders, byte for byte. Tests compare every offset with naga's reflection of the WGSL.
 
+use crate::twin::morph::Seams;
 use bytemuck::{Pod, Zeroable};
 use terrain::constants::OCTAVES;
 use terrain::{ChunkKey, Octaves, Parameters};
@@ -73,14 +74,36 @@ pub struct TerrainInstance {
     pub spacing_m: f32,
     /// Low corner modulo [`PATTERN_PERIOD_M`], metres.
     pub pattern_m: [f32; 2],
-    /// How far the skirt hangs below the border, metres.
-    pub skirt_m: f32,
-    /// Unused; keeps the attribute whole.
-    pub reserved: f32,
+    /// Bound of the vertical error of the chunk's own surface, metres.
+    pub error_m: f32,
+    /// The same of its parent's surface.
+    pub parent_error_m: f32,
     /// Slot of its heights in the pool.
     pub slot: u32,
-    /// Level of detail, 0 (finest) to 16.
-    pub level: u32,
+    /// Slot of its parent's heights; its own where nothing is morphed.
+    pub parent_slot: u32,
+    /// Morphs of the edges, a byte each: north (lowest), east, south, west.
+    pub edges: u32,
+    /// Morphs of the corners, a byte each: (low, low), (high x, low z), (low x, high z), (high, high).
+    pub corners: u32,
+    /// Morph of the inside in the lowest byte; bits 8 to 11: the neighbour north, east, south, west is coarser.
+    pub inside: u32,
+    /// Level in the lowest byte; bit 8: it is an eastern quarter of its parent, bit 9: a southern one.
+    pub place: u32,
+}
+
+impl TerrainInstance {
+    /// The three words in which seams travel: edges, corners, inside.
+    #[must_use]
+    pub fn seam_words(seams: &Seams) -> [u32; 3] {
+        let coarser =
+            seams.is_coarser.iter().enumerate().map(|(side, is)| u32::from(*is) << (8 + side)).sum::<u32>();
+        [
+            u32::from_le_bytes(seams.edges),
+            u32::from_le_bytes(seams.corners),
+            u32::from(seams.inside) | coarser,
+        ]
+    }
 }
 
 /// One vertex attribute: shader location, byte offset, number of 32-bit components, float or unsigned.
@@ -98,7 +121,7 @@ pub struct Attribute {
 
 impl TerrainInstance {
     /// How `draw_terrain` reads an instance.
-    pub const ATTRIBUTES: [Attribute; 3] = [
+    pub const ATTRIBUTES: [Attribute; 4] = [
         Attribute { location: 0, offset: 0, components: 4, float: true },
         Attribute {
             location: 1,
@@ -109,6 +132,12 @@ impl TerrainInstance {
         Attribute {
             location: 2,
             offset: std::mem::offset_of!(TerrainInstance, slot),
+            components: 4,
+            float: false,
+        },
+        Attribute {
+            location: 3,
+            offset: std::mem::offset_of!(TerrainInstance, inside),
             components: 2,
             float: false,
         },

@@ -93,6 +93,20 @@ impl ChunkKey {
         Some(Self { level: self.level + 1, x: axis(self.x), z: axis(self.z) })
     }
 
+    /// The chunk of the same level so many chunks east and south; none beyond the world's border.
+    #[must_use]
+    pub fn neighbour(self, east: i32, south: i32) -> Option<Self> {
+        let (x, z) = (self.x.checked_add(east)?, self.z.checked_add(south)?);
+        Self::new(self.level, x, z).ok()
+    }
+
+    /// Which quarter of its parent a chunk is: 0 or 1 east, 0 or 1 south. (0, 0) for the root.
+    #[must_use]
+    pub fn quarter(self) -> (i32, i32) {
+        let start = axis_range(self.level).start;
+        ((self.x - start) & 1, (self.z - start) & 1)
+    }
+
     /// The four chunks one level down, in the order (low, low), (high x, low z), (low x, high z), (high, high);
     /// none at level 0.
     #[must_use]
@@ -202,6 +216,24 @@ mod tests {
                 let step = i64::from(child.side());
                 prop_assert_eq!(child.origin(), ((i64::from(x) + dx * step) as i32, (i64::from(z) + dz * step) as i32));
                 prop_assert_eq!(ChunkKey::new(child.level, child.x, child.z), Ok(child));
+            }
+        }
+
+        #[test]
+        fn neighbours_touch_and_quarters_tell_the_side_of_the_parent(key in any_key(), east in -1i32..=1, south in -1i32..=1) {
+            let (x, z) = key.origin();
+            let step = i64::from(key.side());
+            if let Some(next) = key.neighbour(east, south) {
+                let (nx, nz) = next.origin();
+                let offset = (i64::from(nx) - i64::from(x), i64::from(nz) - i64::from(z));
+                prop_assert_eq!(offset, (i64::from(east) * step, i64::from(south) * step));
+                prop_assert_eq!(next.neighbour(-east, -south), Some(key));
+            }
+            if let Some(parent) = key.parent() {
+                let (qx, qz) = key.quarter();
+                let (px, pz) = parent.origin();
+                let offset = (i64::from(x) - i64::from(px), i64::from(z) - i64::from(pz));
+                prop_assert_eq!(offset, (i64::from(qx) * step, i64::from(qz) * step));
             }
         }
 

@@ -4,9 +4,10 @@
 //! distance `D`, with `K = height / (2 tan(fov / 2))` pixels (Ulrich, "Rendering Massive Terrains using Chunked
 //! Level of Detail Control", SIGGRAPH 2002). A chunk is refined while that exceeds the tolerance.
 
-use crate::constants::{TOP_LEVEL, UNITS_PER_METRE};
-use crate::key::{ChunkKey, ROOT};
+use crate::constants::{CHUNK_BITS, TOP_LEVEL, UNITS_PER_METRE, WORLD_HALF};
+use crate::key::ChunkKey;
 use crate::land::Land;
+use std::cmp::Reverse;
 
 /// Upper bound of the land's height, units; lets a high eye count its height as distance.
 pub const SUMMIT: i32 = 600 * UNITS_PER_METRE;
@@ -63,33 +64,99 @@ pub struct Needed {
 
 /// The chunks a viewer needs, parents before children.
 ///
-/// Contains every ancestor of a needed chunk up to the level whose side first reaches the view distance, so that
-/// something coarse can be drawn while the fine chunks are under way. Stops at `limit` chunks (coarse ones are found
-/// first).
+/// A chunk that is too coarse for the viewer is split into its four children, and so is every chunk that would otherwise be drawn
+/// beside one two levels finer ([`balance`]): level borders can then be closed vertex by vertex. Contains every ancestor of a
+/// needed chunk up to [`Viewer::top_level`], so that something coarse can be drawn while the fine chunks are under way.
+/// Stops at `limit` chunks (coarse ones are found first).
 #[must_use]
 pub fn select(land: &Land, viewer: &Viewer, limit: usize) -> Vec<Needed> {
-    let mut needed = Vec::new();
-    let mut level = vec![ROOT];
-    while !level.is_empty() && needed.len() < limit {
+    let tops = viewer.tops();
+    let mut splits = Splits::default();
+    let mut level = tops.clone();
+    let mut count = level.len();
+    while !level.is_empty() && count < limit {
         let mut below = Vec::new();
         for key in level {
-            let distance = viewer.distance_to(key);
-            if distance > u64::from(viewer.distance_m) * UNITS_PER_METRE as u64 {
-                continue;
+            let error = viewer.screen_error_q4(error_bound(land, key), viewer.distance_to(key));
+            if error > viewer.tolerance() {
+                splits.insert(key, error);
+                below.extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
             }
-            if !viewer.is_larger_than_the_view(key) {
-                let gain_q4 = viewer.screen_error_q4(level_error((key.level() + 1).min(TOP_LEVEL)), distance);
-                needed.push(Needed { key, distance, gain_q4 });
-                if viewer.screen_error_q4(error_bound(land, key), distance) <= viewer.tolerance_q4.max(1) {
-                    continue;
-                }
-            }
-            below.extend(key.children().into_iter().flatten());
         }
+        count += below.len();
         level = below;
     }
-    needed.truncate(limit);
-    needed
+    balance(&mut splits, viewer);
+
+    let needed = |key: ChunkKey, error: u32, urgency: u32| {
+        let distance = viewer.distance_to(key);
+        Needed { key, distance, gain_q4: viewer.screen_error_q4(error, distance).max(urgency) }
+    };
+    let mut found: Vec<Needed> =
+        tops.iter().map(|key| needed(*key, level_error((key.level() + 1).min(TOP_LEVEL)), 0)).collect();
+    for (key, urgency) in splits.coarse_first() {
+        if found.len() >= limit {
+            break;
+        }
+        let error = error_bound(land, key);
+        let children = key.children().into_iter().flatten().filter(|child| viewer.sees(*child));
+        found.extend(children.map(|child| needed(child, error, urgency)));
+    }
+    found.truncate(limit);
+    found
+}
+
+/// Chunks to be drawn by their children, each with the urgency of the most urgent chunk that needs it to be, 1/16 pixel.
+#[derive(Clone, Debug, Default)]
+pub struct Splits {
+    /// By level; sorted and without repetition once balanced.
+    levels: [Vec<(ChunkKey, u32)>; TOP_LEVEL as usize + 1],
+}
+
+impl Splits {
+    /// Adds a chunk.
+    pub fn insert(&mut self, key: ChunkKey, urgency: u32) {
+        self.levels[usize::from(key.level())].push((key, urgency));
+    }
+
+    /// Coarse levels first, keys in order within a level; each once if the set is balanced.
+    pub fn coarse_first(&self) -> impl Iterator<Item = (ChunkKey, u32)> + '_ {
+        self.levels.iter().rev().flatten().copied()
+    }
+}
+
+/// Adds what must be split besides: every chunk above a split one, and every chunk that would be drawn beside, or corner to corner
+/// with, one that is two levels finer.
+///
+/// The smallest such set, hence monotone: who splits more to begin with, splits at least as much in the end.
+pub fn balance(splits: &mut Splits, viewer: &Viewer) {
+    for level in 0..=usize::from(viewer.top_level()) {
+        let mut fine = std::mem::take(&mut splits.levels[level]);
+        // The most urgent of equals first: that one stays.
+        fine.sort_unstable_by_key(|(key, urgency)| (*key, Reverse(*urgency)));
+        fine.dedup_by_key(|(key, _)| *key);
+        for (key, urgency) in &fine {
+            for above in required(*key, viewer) {
+                splits.insert(above, *urgency);
+            }
+        }
+        splits.levels[level] = fine;
+    }
+}
+
+/// What must be split if `key` is: its parent and those of the neighbours outside it, as far as they are seen. The chunk's children
+/// touch all its neighbours, so these must not be drawn by anything coarser than themselves.
+pub fn required(key: ChunkKey, viewer: &Viewer) -> impl Iterator<Item = ChunkKey> + '_ {
+    let (east, south) = key.quarter();
+    // Towards the outside of the parent: the neighbours on the other sides are its siblings.
+    let (east, south) = (2 * east - 1, 2 * south - 1);
+    let is_below_the_top = key.level() < viewer.top_level();
+    [(0, 0), (east, 0), (0, south), (east, south)]
+        .into_iter()
+        .filter(move |_| is_below_the_top)
+        .filter_map(move |(east, south)| key.neighbour(east, south))
+        .filter(move |neighbour| *neighbour == key || viewer.sees(*neighbour))
+        .filter_map(ChunkKey::parent)
 }
 
 /// Bound of the error of a chunk before it is generated: zero over open sea, else the level's.
@@ -124,8 +191,46 @@ impl Viewer {
         u32::try_from(scaled / distance.max(1)).unwrap_or(u32::MAX)
     }
 
-    fn is_larger_than_the_view(&self, key: ChunkKey) -> bool {
-        key.level() > 0 && u64::from(key.side()) > u64::from(self.distance_m) * UNITS_PER_METRE as u64
+    /// Tolerated screen error, 1/16 pixel, at least 1.
+    #[must_use]
+    pub fn tolerance(&self) -> u32 {
+        self.tolerance_q4.max(1)
+    }
+
+    /// Whether any of a chunk is within the view distance.
+    #[must_use]
+    pub fn sees(&self, key: ChunkKey) -> bool {
+        self.distance_to(key) <= self.reach()
+    }
+
+    /// The coarsest level that is drawn: the last whose side does not exceed the view distance, or 0.
+    #[must_use]
+    pub fn top_level(&self) -> u8 {
+        let chunks = self.reach() >> CHUNK_BITS;
+        (chunks.max(1).ilog2() as u8).min(TOP_LEVEL)
+    }
+
+    /// The seen chunks of the coarsest level, at most 25.
+    #[must_use]
+    pub fn tops(&self) -> Vec<ChunkKey> {
+        let level = self.top_level();
+        let reach = self.reach() as i64;
+        let clamped = |value: i64| value.clamp(-i64::from(WORLD_HALF), i64::from(WORLD_HALF)) as i32;
+        let at = |way: i64| {
+            let (x, z) = (i64::from(self.eye.0) + way, i64::from(self.eye.2) + way);
+            ChunkKey::containing(level, clamped(x), clamped(z))
+        };
+        let (low, high) = (at(-reach), at(reach));
+        let rows = low.z()..=high.z();
+        rows.flat_map(|z| (low.x()..=high.x()).map(move |x| (x, z)))
+            .filter_map(|(x, z)| ChunkKey::new(level, x, z).ok())
+            .filter(|key| self.sees(*key))
+            .collect()
+    }
+
+    /// View distance, units.
+    fn reach(&self) -> u64 {
+        u64::from(self.distance_m) * UNITS_PER_METRE as u64
     }
 }
 
@@ -167,6 +272,69 @@ mod tests {
                 needed.key.children().is_some_and(|children| children.iter().any(|c| keys.contains(c)));
             let error = viewer().screen_error_q4(error_bound(&land, needed.key), needed.distance);
             assert!(refined || error <= 24 || needed.key.level() == 0, "{} at {error}/16 px", needed.key);
+        }
+    }
+
+    #[test]
+    fn chunks_that_touch_differ_by_one_level_at_most_and_the_check_can_fail() {
+        let land = Land::new(1);
+        let mut broken = 0;
+        for (eye, tolerance_q4) in
+            [((0, 25_600, 0), 24), ((1_300_000, 2_000, -77), 4), ((-900_000, 1, 90_000), 64)]
+        {
+            let viewer = Viewer { eye, tolerance_q4, ..viewer() };
+            let keys: HashSet<_> =
+                select(&land, &viewer, usize::MAX).iter().map(|needed| needed.key).collect();
+            assert_eq!(unbalanced(&keys, &viewer), None);
+            // Without the chunks that only balance asks for, some border is two levels high.
+            let by_error: HashSet<_> = keys
+                .iter()
+                .copied()
+                .filter(|key| {
+                    key.parent().is_none_or(|parent| {
+                        parent.level() > viewer.top_level()
+                            || viewer.screen_error_q4(error_bound(&land, parent), viewer.distance_to(parent))
+                                > tolerance_q4
+                    })
+                })
+                .collect();
+            broken += usize::from(by_error.len() < keys.len() && unbalanced(&by_error, &viewer).is_some());
+        }
+        assert!(broken > 0, "nothing was left for balance to do");
+    }
+
+    /// A leaf that touches a leaf of more than one level above it.
+    fn unbalanced(keys: &HashSet<ChunkKey>, viewer: &Viewer) -> Option<(ChunkKey, ChunkKey)> {
+        let is_split = |key: &ChunkKey| {
+            key.children().is_some_and(|children| children.iter().any(|child| keys.contains(child)))
+        };
+        let leaves: HashSet<_> = keys.iter().copied().filter(|key| !is_split(key)).collect();
+        let around = (-1..=1).flat_map(|east| (-1..=1).map(move |south| (east, south)));
+        leaves.iter().flat_map(|leaf| around.clone().map(move |way| (*leaf, way))).find_map(
+            |(leaf, (east, south))| {
+                let next = leaf.neighbour(east, south).filter(|next| viewer.sees(*next))?;
+                let over =
+                    std::iter::successors(Some(next), |key| key.parent()).find(|key| leaves.contains(key))?;
+                (over.level() > leaf.level() + 1).then_some((leaf, over))
+            },
+        )
+    }
+
+    #[test]
+    fn the_tops_cover_the_view_and_are_few() {
+        for distance_m in [0, 1, 127, 128, 255, 1_000, 8_000, MAX_VIEW_DISTANCE_M] {
+            for eye in
+                [(0, 0, 0), (WORLD_HALF, 0, -WORLD_HALF), (i32::MIN, 0, i32::MAX), (12_345, 9, -54_321)]
+            {
+                let viewer = Viewer { eye, distance_m, ..viewer() };
+                let tops = viewer.tops();
+                let level = viewer.top_level();
+                assert!(tops.len() <= 25, "{} at {distance_m} m", tops.len());
+                assert!(level == 0 || u64::from(tops.first().map_or(0, |key| key.side())) <= viewer.reach());
+                let inside = |value: i32| value.clamp(-WORLD_HALF, WORLD_HALF);
+                let below = ChunkKey::containing(level, inside(eye.0), inside(eye.2));
+                assert_eq!(tops.contains(&below), viewer.sees(below), "{eye:?} at {distance_m} m");
+            }
         }
     }
 

@@ -35,7 +35,8 @@ impl BackdropPass {
             layout: &layout,
             entries: &[wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() }],
         });
-        let pipeline = LightPass { shader, layouts: &[&layout], buffers: &[], depth, samples }.pipeline(device);
+        let pipeline =
+            LightPass { shader, layouts: &[&layout], buffers: &[], depth, samples }.pipeline(device);
         Self { pipeline, bindings, vertices }
     }
 

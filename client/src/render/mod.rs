@@ -21,7 +21,7 @@ pub mod waves;
 pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
-use crate::frame::FrameData;
+use crate::frame::{Backdrop, FrameData};
 use crate::scene::Scene;
 use backdrop::BackdropPass;
 use pool::HeightPool;
@@ -114,6 +114,10 @@ impl Renderer {
     ) {
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
+        let behind = match frame.backdrop {
+            Backdrop::Plain([r, g, b]) => wgpu::Color { r, g, b, a: 1.0 },
+            Backdrop::SkyAndSea | Backdrop::Sky => wgpu::Color::BLACK,
+        };
         {
             // Samples are gone once resolved; a single-sample target is read by the tone pass.
             let store =
@@ -124,7 +128,7 @@ impl Renderer {
                     view: &self.targets.gathered,
                     depth_slice: None,
                     resolve_target: self.targets.resolved.as_ref(),
-                    ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store },
+                    ops: wgpu::Operations { load: wgpu::LoadOp::Clear(behind), store },
                 })],
                 depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                     view: &self.targets.depth,
@@ -140,8 +144,12 @@ impl Renderer {
                 scene.draw(&mut pass);
             } else {
                 self.terrain.draw(&mut pass);
-                self.sky.draw(&mut pass);
-                self.water.draw(&mut pass);
+                if !matches!(frame.backdrop, Backdrop::Plain(_)) {
+                    self.sky.draw(&mut pass);
+                }
+                if frame.backdrop == Backdrop::SkyAndSea {
+                    self.water.draw(&mut pass);
+                }
             }
         }
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {

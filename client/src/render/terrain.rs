@@ -55,10 +55,10 @@ impl TerrainPass {
         let attributes = TerrainInstance::ATTRIBUTES.map(|attribute| wgpu::VertexAttribute {
             shader_location: attribute.location,
             offset: attribute.offset as u64,
-            format: if attribute.float {
-                wgpu::VertexFormat::Float32x4
-            } else {
-                wgpu::VertexFormat::Uint32x2
+            format: match (attribute.float, attribute.components) {
+                (true, _) => wgpu::VertexFormat::Float32x4,
+                (false, 2) => wgpu::VertexFormat::Uint32x2,
+                (false, _) => wgpu::VertexFormat::Uint32x4,
             },
         });
         let buffers = [Some(wgpu::VertexBufferLayout {

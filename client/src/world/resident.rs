@@ -44,8 +44,6 @@ pub struct Arrival {
 #[derive(Debug)]
 pub struct World {
     chunks: FxHashMap<ChunkKey, Resident>,
-    /// For every ancestor of a resident chunk: how many resident chunks lie below it.
-    below: FxHashMap<ChunkKey, u32>,
     free: Vec<u32>,
     capacity: u32,
     frame: u64,
@@ -60,7 +58,6 @@ impl World {
         let capacity = capacity.max(1);
         Self {
             chunks: FxHashMap::default(),
-            below: FxHashMap::default(),
             free: (0..capacity).rev().collect(),
             capacity,
             // Starts above the stamp of chunks that no selection has used.
@@ -97,9 +94,6 @@ impl World {
             arrived: self.frame,
         };
         self.chunks.insert(chunk.key, resident);
-        for ancestor in ancestors(chunk.key) {
-            *self.below.entry(ancestor).or_insert(0) += 1;
-        }
         Arrival { slot: Some(slot), evicted, starved }
     }
 
@@ -107,12 +101,6 @@ impl World {
     #[must_use]
     pub fn get(&self, key: ChunkKey) -> Option<&Resident> {
         self.chunks.get(&key)
-    }
-
-    /// Whether any chunk below a key is here.
-    #[must_use]
-    pub fn has_below(&self, key: ChunkKey) -> bool {
-        self.below.contains_key(&key)
     }
 
     /// Keys of all resident chunks, in no particular order.
@@ -212,21 +200,10 @@ impl World {
     }
 
     fn remove(&mut self, key: ChunkKey) {
-        let Some(chunk) = self.chunks.remove(&key) else { return };
-        self.free.push(chunk.slot);
-        for ancestor in ancestors(key) {
-            if let Some(count) = self.below.get_mut(&ancestor) {
-                *count -= 1;
-                if *count == 0 {
-                    self.below.remove(&ancestor);
-                }
-            }
+        if let Some(chunk) = self.chunks.remove(&key) {
+            self.free.push(chunk.slot);
         }
     }
-}
-
-fn ancestors(key: ChunkKey) -> impl Iterator<Item = ChunkKey> {
-    std::iter::successors(key.parent(), |above| above.parent())
 }
 
 #[cfg(test)]
@@ -277,7 +254,7 @@ mod tests {
         world.insert(chunk(0, 70, 60));
         world.insert(chunk(0, 71, 60));
         world.insert(chunk(0, 72, 60));
-        assert_eq!(select(&mut world, &viewer).drawn, [drawn]);
+        assert_eq!(select(&mut world, &viewer).drawn[0].key, drawn);
         world.view_said();
         select(&mut world, &viewer);
         for x in 80..83 {

@@ -1,24 +1,23 @@
-//! Which resident chunks to draw: the finest cover of the view that has no hole and no overlap.
+//! Which resident chunks to draw: the finest cover of the view that has no hole and no overlap, and whose neighbours differ by one
+//! level at most.
 //!
-//! The rule is that of `terrain::lod`: refine while the error seen on screen exceeds the tolerance. The server refines by the
-//! level's bound, before anything is generated; this refines by the chunk's own error but never beyond that bound, so whatever
-//! it wants, the server sends.
+//! The rule is that of `terrain::lod`: split what is too coarse on screen, and what would be drawn beside something two levels
+//! finer. The server judges by the level's bound, before anything is generated; this judges by the chunk's own error but never beyond
+//! that bound, and both rules are monotone, so whatever this wants, the server sends.
 
 use crate::world::World;
+use crate::world::seams::{self, Drawn};
+use rustc_hash::FxHashSet;
 use terrain::ChunkKey;
-use terrain::constants::UNITS_PER_METRE;
-use terrain::key::ROOT;
-use terrain::lod::{self, Viewer};
+use terrain::lod::{self, Splits, Viewer};
 
 /// What to draw now.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Selection {
     /// Chunks to draw, none above or below another.
-    pub drawn: Vec<ChunkKey>,
+    pub drawn: Vec<Drawn>,
     /// Chunks drawn coarser than wanted because their children have not all arrived.
     pub wanting: usize,
-    /// Largest error among the drawn chunks, units: how far two neighbours may gape at most is twice this.
-    pub worst_error: u32,
 }
 
 impl Selection {
@@ -33,44 +32,60 @@ impl Selection {
 /// Chooses for one frame, and marks in the world what is in use.
 pub fn select(world: &mut World, viewer: &Viewer) -> Selection {
     world.begin_frame();
-    let mut selection = Selection::default();
-    let mut open = vec![ROOT];
-    while let Some(key) = open.pop() {
-        let distance = viewer.distance_to(key);
-        if !is_in_view(viewer, distance) {
-            continue;
-        }
-        let Some(error) = world.get(key).map(|chunk| chunk.error) else {
-            // Nothing to draw here; below there may be something.
-            if world.has_below(key) {
-                open.extend(key.children().into_iter().flatten());
-            }
-            continue;
-        };
-        // The level's bound is empirical. A chunk whose own error exceeds it would want children that no server sends, and the
-        // view would never be complete.
-        let judged = error.min(lod::level_error(key.level()));
-        let too_coarse = viewer.screen_error_q4(judged, distance) > viewer.tolerance_q4.max(1);
-        let children = key.children().filter(|_| too_coarse);
-        let refined = children.filter(|children| {
-            children
-                .iter()
-                .all(|child| world.get(*child).is_some() || !is_in_view(viewer, viewer.distance_to(*child)))
-        });
-        world.touch(key);
-        if let Some(children) = refined {
-            open.extend(children);
-        } else {
-            selection.wanting += usize::from(children.is_some());
-            selection.worst_error = selection.worst_error.max(error);
-            selection.drawn.push(key);
-        }
-    }
-    selection
+    let tops: Vec<ChunkKey> = viewer.tops().into_iter().filter(|key| world.get(*key).is_some()).collect();
+    let wanted = wanted(world, viewer, &tops);
+    let split = possible(world, viewer, &wanted);
+
+    let is_here = |key: &ChunkKey| world.get(*key).is_some() && viewer.sees(*key);
+    let below = split.iter().filter_map(|key| key.children()).flatten();
+    let nodes: Vec<ChunkKey> = tops.iter().copied().chain(below).filter(is_here).collect();
+    let leaves: Vec<ChunkKey> = nodes.iter().copied().filter(|key| !split.contains(key)).collect();
+    let nodes_set: FxHashSet<ChunkKey> = nodes.iter().copied().collect();
+    let wanting =
+        wanted.coarse_first().filter(|(key, _)| nodes_set.contains(key) && !split.contains(key)).count();
+    let drawn = seams::close(world, viewer, &leaves, &split);
+    nodes.into_iter().for_each(|key| world.touch(key));
+    Selection { drawn, wanting }
 }
 
-fn is_in_view(viewer: &Viewer, distance: u64) -> bool {
-    distance <= u64::from(viewer.distance_m) * UNITS_PER_METRE as u64
+/// Error that a chunk is judged by, units. The level's bound is empirical: a chunk whose own error exceeds it would want children
+/// that no server sends, and the view would never be complete.
+pub(super) fn judged_error(error: u32, level: u8) -> u32 {
+    error.min(lod::level_error(level))
+}
+
+/// What is to be split, whether its children are here or not.
+fn wanted(world: &World, viewer: &Viewer, tops: &[ChunkKey]) -> Splits {
+    let mut wanted = Splits::default();
+    let mut open = tops.to_vec();
+    while let Some(key) = open.pop() {
+        let Some(chunk) = world.get(key) else { continue };
+        let judged = judged_error(chunk.error, key.level());
+        if viewer.screen_error_q4(judged, viewer.distance_to(key)) > viewer.tolerance() {
+            wanted.insert(key, 0);
+            open.extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
+        }
+    }
+    lod::balance(&mut wanted, viewer);
+    wanted
+}
+
+/// What of it can be split: all seen children are here, and so is all that balance asks for. Decided from the coarsest level down,
+/// because a chunk depends on coarser ones only.
+fn possible(world: &World, viewer: &Viewer, wanted: &Splits) -> FxHashSet<ChunkKey> {
+    let mut split = FxHashSet::default();
+    for (key, _) in wanted.coarse_first() {
+        let has_children = key.children().is_some_and(|children| {
+            children.iter().all(|child| world.get(*child).is_some() || !viewer.sees(*child))
+        });
+        if world.get(key).is_some()
+            && has_children
+            && lod::required(key, viewer).all(|above| split.contains(&above))
+        {
+            split.insert(key);
+        }
+    }
+    split
 }
 
 #[cfg(test)]
@@ -98,6 +113,10 @@ mod tests {
         world
     }
 
+    fn keys(selection: &Selection) -> Vec<ChunkKey> {
+        selection.drawn.iter().map(|drawn| drawn.key).collect()
+    }
+
     /// How many drawn chunks cover a place.
     fn cover(drawn: &HashSet<ChunkKey>, x: i32, z: i32) -> usize {
         (0..=16).filter(|level| drawn.contains(&ChunkKey::containing(*level, x, z))).count()
@@ -108,9 +127,9 @@ mod tests {
         let mut world = world_of(SENT.iter());
         let selection = select(&mut world, &VIEWER);
         assert!(selection.is_complete());
-        for key in &selection.drawn {
-            let chunk = world.get(*key).unwrap();
-            let error = VIEWER.screen_error_q4(chunk.error, VIEWER.distance_to(*key));
+        for key in keys(&selection) {
+            let chunk = world.get(key).unwrap();
+            let error = VIEWER.screen_error_q4(chunk.error, VIEWER.distance_to(key));
             assert!(error <= VIEWER.tolerance_q4, "{key} at {error}/16 px");
         }
     }
@@ -122,10 +141,10 @@ mod tests {
             let mut world = world_of(&chunks.collect::<Vec<_>>());
             select(&mut world, &VIEWER)
         };
-        let at_the_bound = excessive(|chunk| lod::level_error(chunk.key.level()));
-        let beyond = excessive(|_| u32::MAX);
-        assert!(beyond.is_complete() && beyond.drawn == at_the_bound.drawn);
-        assert_eq!(beyond.worst_error, u32::MAX, "the skirts still bridge what is really there");
+        // The open sea has no error, and no server splits it for one.
+        let at_the_bound = excessive(|chunk| lod::level_error(chunk.key.level()).min(chunk.error * 1000));
+        let beyond = excessive(|chunk| if chunk.error > 0 { u32::MAX } else { 0 });
+        assert!(beyond.is_complete() && keys(&beyond) == keys(&at_the_bound));
     }
 
     #[test]
@@ -135,7 +154,7 @@ mod tests {
 
     #[test]
     fn a_missing_child_keeps_its_parent_in_the_picture() {
-        let drawn = select(&mut world_of(SENT.iter()), &VIEWER).drawn;
+        let drawn = keys(&select(&mut world_of(SENT.iter()), &VIEWER));
         let gap = drawn.into_iter().find(|key| key.level() == 1).unwrap();
         let parent = gap.parent().unwrap();
         let below_gap = |key: ChunkKey| {
@@ -143,26 +162,33 @@ mod tests {
         };
         let mut world = world_of(SENT.iter().filter(|chunk| !below_gap(chunk.key)));
         let selection = select(&mut world, &VIEWER);
-        assert!(selection.drawn.contains(&parent) && selection.wanting >= 1);
+        assert!(keys(&selection).contains(&parent) && selection.wanting >= 1);
     }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
         #[test]
-        fn wherever_a_root_is_resident_every_place_is_covered_exactly_once(
+        fn whatever_is_missing_every_place_is_covered_once_and_neighbours_differ_by_one_level(
             lost in proptest::collection::vec(any::<proptest::sample::Index>(), 0..200),
             places in proptest::collection::vec((-500_000i32..500_000, -500_000i32..500_000), 50),
         ) {
-            let top = SENT[0].key.level();
+            let top = VIEWER.top_level();
             let lost: HashSet<ChunkKey> = lost.iter().map(|index| index.get(&SENT).key).filter(|key| key.level() != top).collect();
             let mut world = world_of(SENT.iter().filter(|chunk| !lost.contains(&chunk.key)));
-            let drawn: HashSet<ChunkKey> = select(&mut world, &VIEWER).drawn.into_iter().collect();
+            let drawn: HashSet<ChunkKey> = keys(&select(&mut world, &VIEWER)).into_iter().collect();
             for (x, z) in places {
                 let (dx, dz) = (i64::from(x) - 30_000, i64::from(z) + 50_000);
                 let in_view = (dx * dx + dz * dz).isqrt() < 2000 * 256;
                 let covered = cover(&drawn, x, z);
                 prop_assert!(covered <= 1 && (!in_view || covered == 1), "({x}, {z}) is covered {covered} times");
+            }
+            for key in &drawn {
+                let around = (-1..=1).flat_map(|east| (-1..=1).filter_map(move |south| key.neighbour(east, south)));
+                for next in around.filter(|next| VIEWER.sees(*next)) {
+                    let over = std::iter::successors(Some(next), |key| key.parent()).find(|key| drawn.contains(key));
+                    prop_assert!(over.is_none_or(|over| over.level() <= key.level() + 1), "{key} beside {over:?}");
+                }
             }
         }
     }

@@ -12,8 +12,6 @@ pub struct GridVertex {
     pub column: u32,
     /// 0 to 64, north to south.
     pub row: u32,
-    /// 1 on the lower edge of a skirt, else 0.
-    pub skirt: u32,
 }
 
 /// The vertex that an index of the shared index buffer means.
@@ -21,8 +19,7 @@ pub struct GridVertex {
 pub fn grid_vertex(index: u32) -> GridVertex {
     let column = index & COLUMN_MASK;
     let row = (index >> COLUMN_BITS) & COLUMN_MASK;
-    let skirt = index >> (2 * COLUMN_BITS);
-    return GridVertex { column, row, skirt };
+    return GridVertex { column, row };
 }
 
 /// Index of a height in the pool: slots follow each other, rows inside a slot, columns inside a row.
@@ -36,8 +33,8 @@ pub fn height_index(slot: u32, column: u32, row: u32) -> u32 {
 
 /// The index that [`grid_vertex`] takes apart; `column` and `row` up to 64.
 #[must_use]
-pub const fn grid_index(column: u16, row: u16, skirt: bool) -> u16 {
-    ((skirt as u16) << (2 * COLUMN_BITS)) | (row << COLUMN_BITS) | column
+pub const fn grid_index(column: u16, row: u16) -> u16 {
+    (row << COLUMN_BITS) | column
 }
 
 #[cfg(test)]
@@ -45,14 +42,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_vertex_of_the_grid_and_of_the_skirt_survives_the_round_trip() {
-        for skirt in [false, true] {
-            for row in 0..VERTICES as u16 {
-                for column in 0..VERTICES as u16 {
-                    let vertex = grid_vertex(u32::from(grid_index(column, row, skirt)));
-                    let expected = GridVertex { column: column.into(), row: row.into(), skirt: skirt.into() };
-                    assert_eq!(vertex, expected);
-                }
+    fn every_vertex_of_the_grid_survives_the_round_trip() {
+        for row in 0..VERTICES as u16 {
+            for column in 0..VERTICES as u16 {
+                let vertex = grid_vertex(u32::from(grid_index(column, row)));
+                assert_eq!(vertex, GridVertex { column: column.into(), row: row.into() });
             }
         }
     }

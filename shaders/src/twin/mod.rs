@@ -8,4 +8,5 @@
 )]
 
 pub mod grid;
+pub mod morph;
 pub mod ring;

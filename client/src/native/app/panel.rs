@@ -2,8 +2,8 @@
 
 use crate::looks::{Diffuse, Looks, Shadows, Show, Tiling, Visibility, WaterTier};
 use crate::stats::FrameTimes;
-use clap::ValueEnum;
 use crate::voyage::Link;
+use clap::ValueEnum;
 use protocol::Delivery;
 use std::time::Duration;
 
@@ -130,7 +130,8 @@ fn picture(ui: &mut egui::Ui, looks: &mut Looks) {
 
 /// One of several, by the words of the command line.
 fn choice<T: ValueEnum + PartialEq + Copy>(ui: &mut egui::Ui, name: &str, value: &mut T) {
-    let word = |value: T| value.to_possible_value().map_or_else(String::new, |word| word.get_name().to_owned());
+    let word =
+        |value: T| value.to_possible_value().map_or_else(String::new, |word| word.get_name().to_owned());
     ui.weak(name);
     egui::ComboBox::from_id_salt(name).selected_text(word(*value)).show_ui(ui, |ui| {
         for variant in T::value_variants() {
