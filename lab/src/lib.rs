@@ -11,6 +11,7 @@ pub mod accuracy;
 pub mod adapters;
 pub mod chart;
 pub mod digest;
+pub mod flip;
 pub mod floats;
 pub mod options;
 pub mod sample;
@@ -18,5 +19,6 @@ pub mod stability;
 pub mod table;
 pub mod timings;
 pub mod truth;
+pub mod waves;
 
 pub use options::{Args, Command, Outputs};

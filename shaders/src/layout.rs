@@ -64,6 +64,37 @@ pub struct Frame {
 /// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant of `shared/frame.wesl`.
 pub const PATTERN_PERIOD_M: i32 = 8192;
 
+/// One ray for `probe_waves`; that file documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct WaveProbe {
+    /// Where the ray meets the mean plane, pattern metres.
+    pub place_m: [f32; 2],
+    /// Size of a pixel there, metres.
+    pub footprint_m: f32,
+    /// Scales the waves.
+    pub strength: f32,
+    /// Unit vector to the eye; y positive.
+    pub to_eye: [f32; 3],
+    /// Eye above the plane, metres.
+    pub eye_m: f32,
+    /// A tier's word, or one of [`PROBE_STEPPED`], [`PROBE_MARCHED`], [`PROBE_FIXED`].
+    pub method: u32,
+    /// Steps of the first two.
+    pub steps: u32,
+    /// Least cosine of [`PROBE_STEPPED`].
+    pub floor_cosine: f32,
+    /// Unused.
+    pub reserved: u32,
+}
+
+/// Iterative parallax with steps and least cosine of the probe.
+pub const PROBE_STEPPED: u32 = 6;
+/// Marched with as many steps as the probe says.
+pub const PROBE_MARCHED: u32 = 7;
+/// The plain parallax of a fixed view.
+pub const PROBE_FIXED: u32 = 8;
+
 /// One drawn chunk.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
-use crate::layout::{ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, TerrainInstance, World};
+use crate::layout::{ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, TerrainInstance, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World};
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
 
@@ -26,7 +26,7 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
         assert_eq!(stages, [Stage::Vertex, Stage::Fragment], "{}", shader.name);
     }
     let names: Vec<&str> = passes(true).map(|shader| shader.name).collect();
-    assert_eq!(names, ["fill_chunks", "probe_heights", "probe_heights_float"]);
+    assert_eq!(names, ["bake_waves", "fill_chunks", "probe_heights", "probe_heights_float", "probe_waves"]);
 }
 
 /// Everything in a shader that the ring profile forbids: arithmetic on floats, and `/` or `%` on signed integers.
@@ -93,7 +93,7 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
         ("octave_seeds".to_owned(), offset_of!(World, octave_seeds)),
         ("archipelago_seed".to_owned(), offset_of!(World, archipelago_seed)),
     ];
-    for shader in passes(true) {
+    for shader in [&SHADERS.fill_chunks, &SHADERS.probe_heights, &SHADERS.probe_heights_float] {
         assert_eq!(reflected(shader, "World"), (world.to_vec(), size_of::<World>()), "{}", shader.name);
         let (module, _) = validate(shader.name, shader.wgsl).unwrap();
         assert_eq!(module.entry_points[0].workgroup_size, [FILL_WORKGROUP, 1, 1], "{}", shader.name);
@@ -105,6 +105,32 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
         ("octaves".to_owned(), offset_of!(ChunkFill, octaves)),
     ];
     assert_eq!(reflected(&SHADERS.fill_chunks, "ChunkFill"), (fill.to_vec(), size_of::<ChunkFill>()));
+}
+
+#[test]
+fn wave_probes_and_the_wave_map_are_the_same_in_both_languages() {
+    let probe = [
+        ("place_m".to_owned(), offset_of!(WaveProbe, place_m)),
+        ("footprint_m".to_owned(), offset_of!(WaveProbe, footprint_m)),
+        ("strength".to_owned(), offset_of!(WaveProbe, strength)),
+        ("to_eye".to_owned(), offset_of!(WaveProbe, to_eye)),
+        ("eye_m".to_owned(), offset_of!(WaveProbe, eye_m)),
+        ("method".to_owned(), offset_of!(WaveProbe, method)),
+        ("steps".to_owned(), offset_of!(WaveProbe, steps)),
+        ("floor_cosine".to_owned(), offset_of!(WaveProbe, floor_cosine)),
+        ("reserved".to_owned(), offset_of!(WaveProbe, reserved)),
+    ];
+    assert_eq!(reflected(&SHADERS.probe_waves, "WaveProbe"), (probe.to_vec(), size_of::<WaveProbe>()));
+    let (module, _) = validate("bake_waves", SHADERS.bake_waves.wgsl).unwrap();
+    for entry in &module.entry_points {
+        assert_eq!(entry.workgroup_size, [WAVE_WORKGROUP, WAVE_WORKGROUP, 1], "{}", entry.name);
+    }
+    assert!(SHADERS.bake_waves.wgsl.contains(&format!("WAVE_MAP_SIDE: u32 = {WAVE_MAP_SIDE}u;")));
+    for (name, value) in
+        [("STEPPED", PROBE_STEPPED), ("MARCHED", PROBE_MARCHED), ("FIXED", PROBE_FIXED)]
+    {
+        assert!(SHADERS.probe_waves.wgsl.contains(&format!("PROBE_{name}: u32 = {value}u;")), "{name}");
+    }
 }
 
 #[test]
@@ -184,7 +210,7 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("reserved", offset_of!(Frame, reserved)),
     ];
     let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
-    for shader in passes(false) {
+    for shader in passes(false).chain([&SHADERS.probe_waves]) {
         assert_eq!(reflected(shader, "Frame"), (expected.clone(), size_of::<Frame>()), "{}", shader.name);
     }
 }
