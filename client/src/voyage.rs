@@ -330,8 +330,8 @@ mod tests {
         voyage.feed.events.extend([connected(1), FeedEvent::Chunk(chunk.clone())]);
         voyage.update(&shot(), AT(0), 10, |_, _| ());
         voyage.feed.events.push_back(lost);
-        let selection = voyage.update(&shot(), AT(1000), 10, |_, _| ());
-        assert_eq!(selection.drawn[0].key, chunk.key, "keeps drawing what it has");
+        voyage.update(&shot(), AT(1000), 10, |_, _| ());
+        assert_eq!(voyage.world().keys().collect::<Vec<_>>(), [chunk.key], "keeps what it has");
         assert_eq!(voyage.link(), &Link::Waiting { cause: "gone".into(), retry_at: AT(1500) });
         voyage.feed.events.push_back(connected(1));
         voyage.update(&shot(), AT(1500), 10, |_, _| ());

@@ -10,12 +10,15 @@
 pub mod accuracy;
 pub mod adapters;
 pub mod chart;
+pub mod cracks;
 pub mod digest;
 pub mod flip;
 pub mod floats;
 pub mod options;
 pub mod sample;
+pub mod scenery;
 pub mod stability;
+pub mod studio;
 pub mod table;
 pub mod timings;
 pub mod truth;

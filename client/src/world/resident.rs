@@ -49,6 +49,8 @@ pub struct World {
     frame: u64,
     /// Frame in which the current view was said.
     view_said: u64,
+    /// Whether a view was once covered from end to end.
+    covered: bool,
 }
 
 impl World {
@@ -63,6 +65,7 @@ impl World {
             // Starts above the stamp of chunks that no selection has used.
             frame: 1,
             view_said: 1,
+            covered: false,
         }
     }
 
@@ -157,9 +160,12 @@ impl World {
         self.view_said = self.frame + 1;
     }
 
-    /// Starts the selection of a new frame.
-    pub(super) fn begin_frame(&mut self) {
+    /// Starts the selection of a new frame, of whose coarsest chunks all or not all are here. Whether the land can be shown: not before
+    /// it once covered a whole view, because a part of it would end in mid-air. Later on what is missing is new at the far end of the view.
+    pub(super) fn begin_frame(&mut self, all_tops_are_here: bool) -> bool {
         self.frame += 1;
+        self.covered |= all_tops_are_here;
+        self.covered
     }
 
     /// Notes that the current selection draws a chunk, or something below it.
@@ -247,7 +253,8 @@ mod tests {
 
     #[test]
     fn what_is_drawn_stays_until_nothing_else_is_left() {
-        let viewer = Viewer { eye: (0, 25_600, 0), distance_m: 100, pixels_per_radian: 300, tolerance_q4: 1 };
+        let viewer =
+            Viewer { eye: (16_384, 25_600, 16_384), distance_m: 60, pixels_per_radian: 300, tolerance_q4: 1 };
         let mut world = World::new(4);
         let drawn = chunk(0, 0, 0).key;
         world.insert(chunk(0, 0, 0));

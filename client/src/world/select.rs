@@ -16,7 +16,8 @@ use terrain::lod::{self, Splits, Viewer};
 pub struct Selection {
     /// Chunks to draw, none above or below another.
     pub drawn: Vec<Drawn>,
-    /// Chunks drawn coarser than wanted because their children have not all arrived.
+    /// Chunks drawn coarser than wanted because their children have not all arrived, and before anything can be drawn the coarsest chunks
+    /// that are missing.
     pub wanting: usize,
 }
 
@@ -31,8 +32,9 @@ impl Selection {
 
 /// Chooses for one frame, and marks in the world what is in use.
 pub fn select(world: &mut World, viewer: &Viewer) -> Selection {
-    world.begin_frame();
-    let tops: Vec<ChunkKey> = viewer.tops().into_iter().filter(|key| world.get(*key).is_some()).collect();
+    let (tops, missing): (Vec<_>, Vec<_>) =
+        viewer.tops().into_iter().partition(|key| world.get(*key).is_some());
+    let can_be_shown = world.begin_frame(missing.is_empty());
     let wanted = wanted(world, viewer, &tops);
     let split = possible(world, viewer, &wanted);
 
@@ -43,9 +45,9 @@ pub fn select(world: &mut World, viewer: &Viewer) -> Selection {
     let nodes_set: FxHashSet<ChunkKey> = nodes.iter().copied().collect();
     let wanting =
         wanted.coarse_first().filter(|(key, _)| nodes_set.contains(key) && !split.contains(key)).count();
-    let drawn = seams::close(world, viewer, &leaves, &split);
+    let drawn = if can_be_shown { seams::close(world, viewer, &leaves, &split) } else { Vec::new() };
     nodes.into_iter().for_each(|key| world.touch(key));
-    Selection { drawn, wanting }
+    Selection { drawn, wanting: wanting + if can_be_shown { 0 } else { missing.len() } }
 }
 
 /// Error that a chunk is judged by, units. The level's bound is empirical: a chunk whose own error exceeds it would want children
@@ -148,8 +150,23 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_world_draws_nothing() {
-        assert!(select(&mut World::new(4), &VIEWER).drawn.is_empty());
+    fn nothing_is_drawn_before_a_view_is_covered_and_something_ever_after() {
+        let mut world = World::new(10_000);
+        let top = VIEWER.top_level();
+        let (tops, finer): (Vec<_>, Vec<_>) = SENT.iter().partition(|chunk| chunk.key.level() == top);
+        let (last, first) = tops.split_last().unwrap();
+        for chunk in first.iter().chain(&finer) {
+            let selection = select(&mut world, &VIEWER);
+            assert!(selection.drawn.is_empty() && !selection.is_complete());
+            world.insert((*chunk).clone());
+        }
+        world.insert((*last).clone());
+        assert!(!select(&mut world, &VIEWER).drawn.is_empty());
+        let moved = Viewer { eye: (200_000, 20_000, -50_000), ..VIEWER };
+        assert!(
+            !select(&mut world, &moved).drawn.is_empty(),
+            "new land at the far end is missing, the rest stays"
+        );
     }
 
     #[test]

@@ -330,6 +330,7 @@ impl Running {
             chunk_bytes_resident: resident * SLOT_BYTES,
             chunk_bytes_budget: self.slots as usize * SLOT_BYTES,
             tolerance_px: self.knobs.tolerance_px,
+            camera: self.controls.pose().to_string(),
         }
     }
 }
