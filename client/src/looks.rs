@@ -205,9 +205,13 @@ mod tests {
 
     #[test]
     fn wave_knobs_are_held_in_range_and_what_is_no_number_is_the_default() {
-        let knobs = |value| WaveKnobs { parallax_factor: value, parallax_bias_m: value, steepness: value }.sane();
+        let knobs =
+            |value| WaveKnobs { parallax_factor: value, parallax_bias_m: value, steepness: value }.sane();
         assert_eq!(knobs(f32::NAN), WaveKnobs::default());
-        assert_eq!(knobs(f32::INFINITY), WaveKnobs { parallax_factor: 1.0, parallax_bias_m: 2.0, steepness: 4.0 });
+        assert_eq!(
+            knobs(f32::INFINITY),
+            WaveKnobs { parallax_factor: 1.0, parallax_bias_m: 2.0, steepness: 4.0 }
+        );
         assert_eq!(knobs(-1e30), WaveKnobs { parallax_factor: 0.0, parallax_bias_m: -2.0, steepness: 0.0 });
         assert_eq!(WaveKnobs::default().sane(), WaveKnobs::default());
     }

@@ -188,7 +188,8 @@ fn edges_and_points(field: &Field, pixels_per_degree: f64) -> Vec<(f64, f64)> {
     let sum: f64 = plain.iter().sum();
     let plain: Vec<f64> = plain.iter().map(|value| value / sum).collect();
     let first = balanced(kernel(radius, |offset| -offset * bell(offset)));
-    let second = balanced(kernel(radius, |offset| (offset * offset / (deviation * deviation) - 1.0) * bell(offset)));
+    let second =
+        balanced(kernel(radius, |offset| (offset * offset / (deviation * deviation) - 1.0) * bell(offset)));
     let size = (field.width, field.height);
     let strength = |detector: &[f64]| -> Vec<f64> {
         let across = convolved(&luminance, size, detector, &plain);
@@ -211,13 +212,19 @@ fn kernel(radius: usize, weight: impl Fn(f64) -> f64) -> Vec<f64> {
 
 /// Across and down with two kernels of odd length; beyond its border a picture goes on as it ends.
 fn convolved(source: &[f64], (width, height): (usize, usize), across: &[f64], down: &[f64]) -> Vec<f64> {
-    let place = |at: usize, offset: usize, radius: usize, end: usize| (at + offset).saturating_sub(radius).min(end - 1);
+    let place = |at: usize, offset: usize, radius: usize, end: usize| {
+        (at + offset).saturating_sub(radius).min(end - 1)
+    };
     let radius = across.len() / 2;
     let rows: Vec<f64> = source
         .chunks_exact(width)
         .flat_map(|row| {
             (0..width).map(move |x| {
-                across.iter().enumerate().map(|(o, weight)| weight * row[place(x, o, radius, width)]).sum::<f64>()
+                across
+                    .iter()
+                    .enumerate()
+                    .map(|(o, weight)| weight * row[place(x, o, radius, width)])
+                    .sum::<f64>()
             })
         })
         .collect();
@@ -225,7 +232,10 @@ fn convolved(source: &[f64], (width, height): (usize, usize), across: &[f64], do
     (0..width * height)
         .map(|index| {
             let (x, y) = (index % width, index / width);
-            down.iter().enumerate().map(|(o, weight)| weight * rows[place(y, o, radius, height) * width + x]).sum()
+            down.iter()
+                .enumerate()
+                .map(|(o, weight)| weight * rows[place(y, o, radius, height) * width + x])
+                .sum()
         })
         .collect()
 }

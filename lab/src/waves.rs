@@ -61,7 +61,12 @@ impl WaveBench {
     ///
     /// # Errors
     /// The device fails.
-    pub fn run(&self, knobs: WaveKnobs, time_s: f32, probes: &[WaveProbe]) -> Result<(Vec<FoundWave>, Duration)> {
+    pub fn run(
+        &self,
+        knobs: WaveKnobs,
+        time_s: f32,
+        probes: &[WaveProbe],
+    ) -> Result<(Vec<FoundWave>, Duration)> {
         use wgpu::BufferUsages as Usage;
         let (device, queue) = (&self.gpu.device, &self.gpu.queue);
         let buffer = |label, size: usize, usage| {
@@ -128,7 +133,11 @@ impl WaveBench {
         let words: &[[f32; 4]] = bytemuck::cast_slice(&view);
         let found = words
             .iter()
-            .map(|[x, z, at_m, residual_m]| FoundWave { place_m: [*x, *z], at_m: *at_m, residual_m: *residual_m })
+            .map(|[x, z, at_m, residual_m]| FoundWave {
+                place_m: [*x, *z],
+                at_m: *at_m,
+                residual_m: *residual_m,
+            })
             .collect();
         Ok((found, took))
     }

@@ -6,7 +6,10 @@ use std::process::{Command, Stdio};
 
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
-use crate::layout::{ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, TerrainInstance, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World};
+use crate::layout::{
+    ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED,
+    TerrainInstance, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
+};
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
 
@@ -126,9 +129,7 @@ fn wave_probes_and_the_wave_map_are_the_same_in_both_languages() {
         assert_eq!(entry.workgroup_size, [WAVE_WORKGROUP, WAVE_WORKGROUP, 1], "{}", entry.name);
     }
     assert!(SHADERS.bake_waves.wgsl.contains(&format!("WAVE_MAP_SIDE: u32 = {WAVE_MAP_SIDE}u;")));
-    for (name, value) in
-        [("STEPPED", PROBE_STEPPED), ("MARCHED", PROBE_MARCHED), ("FIXED", PROBE_FIXED)]
-    {
+    for (name, value) in [("STEPPED", PROBE_STEPPED), ("MARCHED", PROBE_MARCHED), ("FIXED", PROBE_FIXED)] {
         assert!(SHADERS.probe_waves.wgsl.contains(&format!("PROBE_{name}: u32 = {value}u;")), "{name}");
     }
 }

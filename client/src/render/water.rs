@@ -49,7 +49,8 @@ impl WaterPass {
                 sampler,
             ],
         });
-        let pipeline = LightPass { shader, layouts: &[&layout], buffers: &[], depth, samples }.pipeline(device);
+        let pipeline =
+            LightPass { shader, layouts: &[&layout], buffers: &[], depth, samples }.pipeline(device);
         Self { pipeline, bindings, vertices }
     }
 

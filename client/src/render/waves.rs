@@ -58,8 +58,10 @@ impl WaveMap {
         for target in 0..WAVE_LEVELS {
             let pipeline = if target == 0 { &bake } else { &shrink };
             let (written, read) = (level(target), level(target.saturating_sub(1)));
-            let mut entries =
-                vec![wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&written) }];
+            let mut entries = vec![wgpu::BindGroupEntry {
+                binding: 0,
+                resource: wgpu::BindingResource::TextureView(&written),
+            }];
             if target > 0 {
                 entries.push(wgpu::BindGroupEntry {
                     binding: 1,
