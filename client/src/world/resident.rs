@@ -2,7 +2,8 @@
 //!
 //! The number of slots comes from the memory budget and never changes; nothing that a peer sends makes this grow.
 
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
+use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
 use terrain::{Chunk, ChunkKey};
 
@@ -51,6 +52,8 @@ pub struct World {
     view_said: u64,
     /// Whether a view was once covered from end to end.
     covered: bool,
+    /// Since when each chunk that is drawn by its children has been.
+    split_since: FxHashMap<ChunkKey, Duration>,
 }
 
 impl World {
@@ -66,6 +69,7 @@ impl World {
             frame: 1,
             view_said: 1,
             covered: false,
+            split_since: FxHashMap::default(),
         }
     }
 
@@ -166,6 +170,19 @@ impl World {
         self.frame += 1;
         self.covered |= all_tops_are_here;
         self.covered
+    }
+
+    /// Notes which chunks are drawn by their children now.
+    pub(super) fn note_splits(&mut self, split: &FxHashSet<ChunkKey>, now: Duration) {
+        self.split_since.retain(|key, _| split.contains(key));
+        for key in split {
+            self.split_since.entry(*key).or_insert(now);
+        }
+    }
+
+    /// Since when a chunk has been drawn by its children, if it is.
+    pub(super) fn split_since(&self, key: ChunkKey) -> Option<Duration> {
+        self.split_since.get(&key).copied()
     }
 
     /// Notes that the current selection draws a chunk, or something below it.

@@ -32,6 +32,9 @@ use winit::window::{Window, WindowId};
 /// Chunks taken in per frame: about 2 ms of uploads, so that a burst of arrivals does not stutter.
 const ARRIVALS_PER_FRAME: usize = 48;
 
+/// How long finer land takes to grow out of coarser land: long enough not to be seen as a jump, short enough not to be waited for.
+const ARRIVAL_FADE: Duration = Duration::from_millis(250);
+
 /// How long to leave a window alone that cannot be drawn into.
 const HIDDEN_PAUSE: Duration = Duration::from_millis(50);
 
@@ -177,7 +180,7 @@ impl Running {
         Ok(Self {
             renderer: Renderer::new(&gpu, &options),
             overlay: Overlay::new(&gpu, &window, surface.format),
-            voyage: Voyage::new(feed, slots),
+            voyage: Voyage::new(feed, slots).fading(ARRIVAL_FADE),
             controls: Controls::new(args.pose(), args.orbit, args.scene.orbit_radius_m()),
             knobs: Knobs {
                 tolerance_px: args.tolerance,
