@@ -365,7 +365,7 @@ mod tests {
             ("--water", "deep", "march"),
             ("--parallax-factor", "1.1", "0 to 1"),
             ("--parallax-bias", "NaN", "-2 to 2"),
-            ("--wave-steepness", "-1", "0 to 4"),
+            ("--wave-steepness", "4.5", "0 to 4"),
             ("--timeout", "0", "1"),
         ] {
             let line = parse(&[option, value]).unwrap_err().to_string();
