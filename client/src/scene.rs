@@ -57,8 +57,8 @@ impl Scene {
     #[must_use]
     pub fn light(self) -> Light {
         match self {
-            Self::Island => Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 0.92 },
-            Self::Water => Light { sun: Vec3::new(0.62, 0.58, -0.50).normalize(), exposure: 0.92 },
+            Self::Island => Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 1.0 },
+            Self::Water => Light { sun: Vec3::new(0.62, 0.58, -0.50).normalize(), exposure: 1.0 },
         }
     }
 }

@@ -7,8 +7,8 @@ use std::process::{Command, Stdio};
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
 use crate::layout::{
-    ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED,
-    TerrainInstance, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
+    Air, BRDF_TERMS, BrdfProbe, ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, PROBE_FIXED,
+    PROBE_MARCHED, PROBE_STEPPED, TerrainInstance, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -29,7 +29,19 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
         assert_eq!(stages, [Stage::Vertex, Stage::Fragment], "{}", shader.name);
     }
     let names: Vec<&str> = passes(true).map(|shader| shader.name).collect();
-    assert_eq!(names, ["bake_waves", "fill_chunks", "probe_heights", "probe_heights_float", "probe_waves"]);
+    assert_eq!(
+        names,
+        [
+            "bake_waves",
+            "fill_chunks",
+            "measure_sky",
+            "probe_air",
+            "probe_brdf",
+            "probe_heights",
+            "probe_heights_float",
+            "probe_waves"
+        ]
+    );
 }
 
 /// Everything in a shader that the ring profile forbids: arithmetic on floats, and `/` or `%` on signed integers.
@@ -135,6 +147,21 @@ fn wave_probes_and_the_wave_map_are_the_same_in_both_languages() {
 }
 
 #[test]
+fn probes_of_reflection_lie_where_the_shader_reads_them() {
+    let probe = [
+        ("normal", offset_of!(BrdfProbe, normal)),
+        ("roughness", offset_of!(BrdfProbe, roughness)),
+        ("to_eye", offset_of!(BrdfProbe, to_eye)),
+        ("f0", offset_of!(BrdfProbe, f0)),
+        ("to_light", offset_of!(BrdfProbe, to_light)),
+        ("gap", offset_of!(BrdfProbe, gap)),
+    ];
+    let probe: Vec<_> = probe.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
+    assert_eq!(reflected(&SHADERS.probe_brdf, "BrdfProbe"), (probe, size_of::<BrdfProbe>()));
+    assert!(SHADERS.probe_brdf.wgsl.contains(&format!("let first = {BRDF_TERMS}u")));
+}
+
+#[test]
 fn a_broken_shader_is_rejected_with_its_name() {
     let good = SHADERS.draw_sky.wgsl;
     for broken in [
@@ -209,10 +236,25 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("parallax_bias_m", offset_of!(Frame, parallax_bias_m)),
         ("wave_steepness", offset_of!(Frame, wave_steepness)),
         ("reserved", offset_of!(Frame, reserved)),
+        ("air", offset_of!(Frame, air)),
     ];
     let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
-    for shader in passes(false).chain([&SHADERS.probe_waves]) {
+    let air = [
+        ("sun", offset_of!(Air, sun)),
+        ("sun_aloft", offset_of!(Air, sun_aloft)),
+        ("toward", offset_of!(Air, toward)),
+        ("away", offset_of!(Air, away)),
+        ("upward", offset_of!(Air, upward)),
+        ("manifold", offset_of!(Air, manifold)),
+        ("sky_mean", offset_of!(Air, sky_mean)),
+        ("sky_east", offset_of!(Air, sky_east)),
+        ("sky_up", offset_of!(Air, sky_up)),
+        ("sky_south", offset_of!(Air, sky_south)),
+    ];
+    let air: Vec<_> = air.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
+    for shader in passes(false).chain([&SHADERS.measure_sky, &SHADERS.probe_air, &SHADERS.probe_waves]) {
         assert_eq!(reflected(shader, "Frame"), (expected.clone(), size_of::<Frame>()), "{}", shader.name);
+        assert_eq!(reflected(shader, "Air"), (air.clone(), size_of::<Air>()), "{}", shader.name);
     }
 }
 

@@ -3,6 +3,7 @@
 //! Owns pipelines, targets and the pool of heights. Knows nothing of windows, sessions or time: a frame goes in, commands
 //! come out, into whatever view the caller gives.
 
+pub mod air;
 pub mod backdrop;
 pub mod fill;
 pub mod gpu;
@@ -23,6 +24,7 @@ pub use picture::{Canvas, Picture};
 
 use crate::frame::{Backdrop, FrameData};
 use crate::scene::Scene;
+use air::AirPass;
 use backdrop::BackdropPass;
 use pool::HeightPool;
 use scenes::LocalScene;
@@ -55,6 +57,7 @@ pub struct Renderer {
     uniforms: wgpu::Buffer,
     pool: HeightPool,
     targets: Targets,
+    air: AirPass,
     terrain: TerrainPass,
     sky: BackdropPass,
     water: WaterPass,
@@ -79,6 +82,7 @@ impl Renderer {
         let waves = WaveMap::bake(device, &gpu.queue);
         Self {
             samples,
+            air: AirPass::new(device, &uniforms),
             terrain: TerrainPass::new(device, &uniforms, &pool, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: WaterPass::sea(device, &uniforms, &waves, samples),
@@ -104,6 +108,27 @@ impl Renderer {
         }
     }
 
+    /// Draws a picture and returns its linear light, row by row from the top: RGBA as half floats. For checks that look behind the tone
+    /// curve. Blocks until it is drawn; nothing is returned with several samples per pixel.
+    ///
+    /// # Errors
+    /// The device fails.
+    pub fn light(
+        &mut self,
+        gpu: &Gpu,
+        frame: &FrameData,
+        canvas: &Canvas,
+    ) -> Result<Option<Vec<u16>>, GpuError> {
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.draw(gpu, frame, &mut encoder, &canvas.view);
+        gpu.queue.submit([encoder.finish()]);
+        if self.targets.resolved.is_some() {
+            return Ok(None);
+        }
+        let bytes = picture::read_texture(gpu, self.targets.gathered.texture(), 8)?;
+        Ok(Some(bytes.chunks_exact(2).map(|half| u16::from_le_bytes([half[0], half[1]])).collect()))
+    }
+
     /// Records one picture into `encoder`, to appear in `output`.
     pub fn draw(
         &mut self,
@@ -114,6 +139,7 @@ impl Renderer {
     ) {
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
+        self.air.measure(encoder, &self.uniforms);
         let behind = match frame.backdrop {
             Backdrop::Plain([r, g, b]) => wgpu::Color { r, g, b, a: 1.0 },
             Backdrop::SkyAndSea | Backdrop::Sky => wgpu::Color::BLACK,
