@@ -4,9 +4,11 @@ use crate::camera::{Lens, Pose};
 use crate::feed::{Feed, NoFeed};
 use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::looks::Looks;
-use crate::render::pool::HeightPool;
+use crate::render::cast::PER_FRAME;
+use crate::render::pool::ChunkPool;
 use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
 use crate::scene::Scene;
+use crate::shadow::Quota;
 use crate::stats::{FrameTimes, Stats};
 use crate::voyage::{Link, Voyage};
 use crate::world::World;
@@ -21,6 +23,9 @@ const FIRST_ATTEMPTS: u32 = 3;
 
 /// Pause between looks at the feed while the view fills.
 const POLL_PAUSE: Duration = Duration::from_millis(2);
+
+/// A camera that never turns needs no shadows out of sight.
+const IN_SIGHT_PER_FRAME: Quota = Quota { ahead: 0, ..PER_FRAME };
 
 /// What to render.
 #[derive(Clone, Debug, PartialEq)]
@@ -135,11 +140,11 @@ fn draw<F: Feed>(
     options: &Options,
     feed: F,
     started: Instant,
-    fill: impl FnOnce(&mut Voyage<F>, &Gpu, &Renderer) -> Result<(), HeadlessError>,
+    fill: impl FnOnce(&mut Voyage<F>, &Gpu, &mut Renderer) -> Result<(), HeadlessError>,
 ) -> Result<(Picture, Stats), HeadlessError> {
     let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
     let wished = if options.scene.is_local() { 1 } else { World::capacity_for(options.chunk_bytes) };
-    let slots = HeightPool::slots_within(&gpu.device.limits(), wished);
+    let slots = ChunkPool::slots_within(&gpu.device.limits(), wished);
     let size = (options.lens.width, options.lens.height);
     let mut renderer = Renderer::new(
         &gpu,
@@ -153,7 +158,7 @@ fn draw<F: Feed>(
     );
     let canvas = Canvas::new(&gpu.device, size.0, size.1);
     let mut voyage = Voyage::new(feed, slots);
-    fill(&mut voyage, &gpu, &renderer)?;
+    fill(&mut voyage, &gpu, &mut renderer)?;
 
     let mut times = FrameTimes::default();
     let mut drawn = 0;
@@ -162,18 +167,30 @@ fn draw<F: Feed>(
         let timed = index.checked_sub(WARM_UP_FRAMES);
         let begun = Instant::now();
         let shot = options.shot(timed.unwrap_or(0), voyage.world());
-        let selection = voyage.update(&shot, started.elapsed(), usize::MAX, |slot, heights| {
-            renderer.pool().upload(&gpu.queue, slot, heights);
-        });
+        let selection =
+            voyage.update(&shot, started.elapsed(), usize::MAX, |chunk| renderer.upload(&gpu, chunk));
         let frame = shot.frame(options.scene, voyage.world(), &selection);
         drawn = frame.instances.len();
         camera = format!("{:.4}", shot.pose);
+        if timed.is_none() {
+            // What a camera that stands still has seen long ago. Shadows that change while frames are timed are part of them.
+            renderer.finish_shadows(&gpu, &frame)?;
+        }
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let pending = renderer.cast(&gpu, &frame, IN_SIGHT_PER_FRAME, &mut encoder);
         renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
         gpu.queue.submit([encoder.finish()]);
         gpu.wait()?;
         if timed.is_some() {
             times.push(begun.elapsed());
+        }
+        if pending > 0 && index + 1 == WARM_UP_FRAMES + options.frames.max(1) {
+            // The picture that is kept shows the finished state, whatever the time for it was.
+            renderer.finish_shadows(&gpu, &frame)?;
+            let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
+            gpu.queue.submit([encoder.finish()]);
+            gpu.wait()?;
         }
     }
     let picture = canvas.read(&gpu)?;
@@ -204,15 +221,13 @@ fn fill(
     voyage: &mut Voyage<impl Feed>,
     options: &Options,
     gpu: &Gpu,
-    renderer: &Renderer,
+    renderer: &mut Renderer,
     started: Instant,
     progress: &mut impl FnMut(&Progress),
 ) -> Result<(), HeadlessError> {
     let shot = options.shot(0, voyage.world());
     loop {
-        let selection = voyage.update(&shot, started.elapsed(), 64, |slot, heights| {
-            renderer.pool().upload(&gpu.queue, slot, heights);
-        });
+        let selection = voyage.update(&shot, started.elapsed(), 64, |chunk| renderer.upload(gpu, chunk));
         // Uploads are staged until a submission; without one a long fill would pile them up.
         gpu.queue.submit([]);
         if voyage.is_settled() && selection.is_complete() {

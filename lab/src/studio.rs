@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use client::frame::FrameData;
-use client::render::pool::HeightPool;
+use client::render::pool::ChunkPool;
 use client::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
 use client::scene::Scene;
 use client::world::World;
@@ -24,7 +24,7 @@ impl Studio {
     /// There is no adapter, or it cannot be opened.
     pub fn open(size: (u32, u32), slots: u32) -> Result<Self, GpuError> {
         let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
-        let slots = HeightPool::slots_within(&gpu.device.limits(), slots);
+        let slots = ChunkPool::slots_within(&gpu.device.limits(), slots);
         let options =
             RenderOptions { scene: Scene::Island, size, samples: 1, format: picture::PICTURE_FORMAT, slots };
         let renderer = Renderer::new(&gpu, &options);
@@ -44,16 +44,16 @@ impl Studio {
         &self.gpu
     }
 
-    /// Brings in the heights of a whole world; what was there before is overwritten slot by slot.
-    pub fn furnish(&self, world: &World) {
+    /// Brings in a whole world; what was there before is overwritten slot by slot.
+    pub fn furnish(&mut self, world: &World) {
         for chunk in world.keys().filter_map(|key| world.get(key)) {
-            self.renderer.pool().upload(&self.gpu.queue, chunk.slot, &chunk.heights);
+            self.renderer.upload(&self.gpu, chunk);
         }
         // Uploads are staged until a submission.
         self.gpu.queue.submit([]);
     }
 
-    /// Draws a frame; returns how long it took until the GPU was done.
+    /// Draws a frame with the shadows that have been found; returns how long it took until the GPU was done.
     ///
     /// # Errors
     /// The GPU failed.
@@ -66,11 +66,12 @@ impl Studio {
         Ok(begun.elapsed())
     }
 
-    /// Draws a frame and brings the picture back.
+    /// Draws a frame with all its shadows and brings the picture back.
     ///
     /// # Errors
     /// The GPU failed.
     pub fn picture(&mut self, frame: &FrameData) -> Result<Picture, GpuError> {
+        self.renderer.finish_shadows(&self.gpu, frame)?;
         self.draw(frame)?;
         self.canvas.read(&self.gpu)
     }

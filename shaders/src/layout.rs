@@ -2,7 +2,7 @@
 
 use crate::twin::morph::Seams;
 use bytemuck::{Pod, Zeroable};
-use terrain::constants::OCTAVES;
+use terrain::constants::{OCTAVES, VERTEX_COUNT, VERTICES};
 use terrain::{ChunkKey, Octaves, Parameters};
 
 /// The uniforms of a frame; `shared/frame.wesl` documents each field.
@@ -249,6 +249,105 @@ impl From<ChunkKey> for ChunkFill {
         Self { x, z, spacing_bits: key.spacing().trailing_zeros(), octaves }
     }
 }
+
+/// The sun and the extent of the page table, for `cast_shadows`, which documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Caster {
+    /// Unit vector towards the sun, east and south.
+    pub toward: [f32; 2],
+    /// Least slope of the horizon that matters, at least 0.
+    pub slope_low: f32,
+    /// Slope of the horizon from which on it is all the same.
+    pub slope_high: f32,
+    /// The sun above the level, radians.
+    pub elevation: f32,
+    /// log2 of the side of the roots, steps of 2 m.
+    pub root_bits: u32,
+    /// Roots east.
+    pub columns: u32,
+    /// Roots south.
+    pub rows: u32,
+    /// The highest point of all that is drawn, units.
+    pub top: i32,
+    /// [`SKY_WALK`], [`SKY_DARK`] or [`SKY_LIT`].
+    pub sky: u32,
+}
+
+/// [`Caster::sky`]: the land decides.
+pub const SKY_WALK: u32 = 0;
+/// [`Caster::sky`]: the sun is down.
+pub const SKY_DARK: u32 = 1;
+/// [`Caster::sky`]: the sun is in the zenith, nothing hides it.
+pub const SKY_LIT: u32 = 2;
+
+/// A node of the page table of `cast_shadows`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct PageNode {
+    /// [`LEAF`] and a slot, the index of the first of four children, or [`NOTHING`].
+    pub link: u32,
+    /// Nothing drawn under it is higher, units.
+    pub top: i32,
+}
+
+/// The bit of [`PageNode::link`] that says leaf.
+pub const LEAF: u32 = 1 << 31;
+/// [`PageNode::link`] where nothing is drawn.
+pub const NOTHING: u32 = LEAF - 1;
+
+/// A chunk for `cast_shadows`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct CastTarget {
+    /// Low corner east of that of the page table, steps of 2 m.
+    pub x: i32,
+    /// The same, south.
+    pub z: i32,
+    /// Its slot.
+    pub slot: u32,
+    /// Its level.
+    pub level: u32,
+}
+
+/// Words of a slot that hold the sun's clearances: a byte per vertex, rows padded to whole words. `shared/shadow.wesl` says what a byte means.
+pub const CLEARANCE_WORDS: usize = VERTICES.div_ceil(4) * VERTICES;
+
+/// A word of clearances that says: the sun is well clear of the land.
+pub const CLEAR_WORD: u32 = u32::MAX;
+
+/// Apparent radius of the sun, radians; the unit of clearances. Equal to the constant of `shared/shadow.wesl`.
+pub const SUN_RADIUS: f64 = 0.004651;
+
+/// Clearances are kept up to so many radii. Equal to the constant of `shared/shadow.wesl`.
+pub const CLEARANCE_RANGE: f64 = 8.0;
+
+/// The clearance in radii of the sun that a byte means; the inverse of `clearance_byte` in `shared/shadow.wesl`.
+#[must_use]
+pub fn clearance_of_byte(byte: u8) -> f64 {
+    let part = (f64::from(byte) - 128.0) / 127.0;
+    CLEARANCE_RANGE * part * part.abs()
+}
+
+/// Share of the sun's disc above a straight edge so many radii below its middle; `disc_share` of `shared/shadow.wesl`.
+#[must_use]
+pub fn disc_share(clearance: f64) -> f64 {
+    let x = clearance.clamp(-1.0, 1.0);
+    0.5 + (x * (1.0 - x * x).sqrt() + x.asin()) / std::f64::consts::PI
+}
+
+/// Words of a slot that hold the top of its max pyramid: 8 x 8 blocks, 4 x 4, 2 x 2, 1.
+pub const BLOCK_TEXELS: usize = 64 + 16 + 4 + 1;
+
+/// Nodes of the page table that there is room for besides [`MAX_ROOTS`], per slot. A balanced cover of the view needs 4/3 of a node per drawn chunk.
+pub const NODES_PER_SLOT: usize = 8;
+
+/// Roots of the page table at most.
+pub const MAX_ROOTS: usize = 64;
+
+/// Memory on the GPU that a resident chunk costs, bytes: heights, clearances, maxima, its part of the page table.
+pub const GPU_SLOT_BYTES: usize =
+    4 * (VERTEX_COUNT + CLEARANCE_WORDS + BLOCK_TEXELS) + NODES_PER_SLOT * size_of::<PageNode>();
 
 /// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, hills, folds, height.
 pub const PROBE_WORDS: usize = 5;

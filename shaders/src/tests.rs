@@ -7,8 +7,10 @@ use std::process::{Command, Stdio};
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
 use crate::layout::{
-    Air, BRDF_TERMS, BrdfProbe, ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, PROBE_FIXED,
-    PROBE_MARCHED, PROBE_STEPPED, TerrainInstance, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
+    Air, BLOCK_TEXELS, BRDF_TERMS, BrdfProbe, CLEARANCE_RANGE, CastTarget, Caster, ChunkFill, FILL_WORKGROUP,
+    Frame, GPU_SLOT_BYTES, LEAF, NOTHING, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED,
+    PageNode, SKY_DARK, SKY_LIT, SKY_WALK, SUN_RADIUS, TerrainInstance, WAVE_MAP_SIDE, WAVE_WORKGROUP,
+    WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -33,6 +35,7 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
         names,
         [
             "bake_waves",
+            "cast_shadows",
             "fill_chunks",
             "measure_sky",
             "probe_air",
@@ -159,6 +162,55 @@ fn probes_of_reflection_lie_where_the_shader_reads_them() {
     let probe: Vec<_> = probe.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
     assert_eq!(reflected(&SHADERS.probe_brdf, "BrdfProbe"), (probe, size_of::<BrdfProbe>()));
     assert!(SHADERS.probe_brdf.wgsl.contains(&format!("let first = {BRDF_TERMS}u")));
+}
+
+#[test]
+fn what_casts_shadows_lies_where_the_shader_reads_it_and_means_the_same() {
+    let shader = &SHADERS.cast_shadows;
+    let caster = [
+        ("toward", offset_of!(Caster, toward)),
+        ("slope_low", offset_of!(Caster, slope_low)),
+        ("slope_high", offset_of!(Caster, slope_high)),
+        ("elevation", offset_of!(Caster, elevation)),
+        ("root_bits", offset_of!(Caster, root_bits)),
+        ("columns", offset_of!(Caster, columns)),
+        ("rows", offset_of!(Caster, rows)),
+        ("top", offset_of!(Caster, top)),
+        ("sky", offset_of!(Caster, sky)),
+    ];
+    let node = [("link", offset_of!(PageNode, link)), ("top", offset_of!(PageNode, top))];
+    let target = [
+        ("x", offset_of!(CastTarget, x)),
+        ("z", offset_of!(CastTarget, z)),
+        ("slot", offset_of!(CastTarget, slot)),
+        ("level", offset_of!(CastTarget, level)),
+    ];
+    let named = |fields: &[(&str, usize)]| {
+        fields.iter().map(|(name, offset)| ((*name).to_owned(), *offset)).collect()
+    };
+    assert_eq!(reflected(shader, "Caster"), (named(&caster), size_of::<Caster>()));
+    assert_eq!(reflected(shader, "PageNode"), (named(&node), size_of::<PageNode>()));
+    assert_eq!(reflected(shader, "CastTarget"), (named(&target), size_of::<CastTarget>()));
+    let (module, _) = validate(shader.name, shader.wgsl).unwrap();
+    assert_eq!(module.entry_points[0].workgroup_size, [FILL_WORKGROUP, 1, 1]);
+    for line in [
+        format!("SKY_WALK: u32 = {SKY_WALK}u"),
+        format!("SKY_DARK: u32 = {SKY_DARK}u"),
+        format!("LEAF: u32 = {LEAF}u"),
+        format!("NOTHING: u32 = {NOTHING}u"),
+        format!("BLOCK_TEXELS: u32 = {BLOCK_TEXELS}u"),
+        format!("SUN_RADIUS: f32 = {SUN_RADIUS}"),
+        format!("CLEARANCE_RANGE: f32 = {CLEARANCE_RANGE:?}"),
+    ] {
+        assert!(shader.wgsl.contains(&line), "{line}");
+    }
+    assert!(SKY_LIT != SKY_WALK && SKY_LIT != SKY_DARK, "whatever is neither walk nor dark is lit");
+}
+
+#[test]
+fn a_resident_chunk_takes_less_than_24_kib_of_the_gpu() {
+    let heights = 4 * 65 * 65;
+    assert!((heights + 65 * 65..24 << 10).contains(&GPU_SLOT_BYTES), "{GPU_SLOT_BYTES} bytes");
 }
 
 #[test]

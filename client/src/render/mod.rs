@@ -1,10 +1,11 @@
 //! The renderer: everything between a [`FrameData`] and a picture.
 //!
-//! Owns pipelines, targets and the pool of heights. Knows nothing of windows, sessions or time: a frame goes in, commands
+//! Owns pipelines, targets, the pool of chunks and the state of their shadows. Knows nothing of windows, sessions or time: a frame goes in, commands
 //! come out, into whatever view the caller gives.
 
 pub mod air;
 pub mod backdrop;
+pub mod cast;
 pub mod fill;
 pub mod gpu;
 pub mod mesh;
@@ -23,10 +24,15 @@ pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
 use crate::frame::{Backdrop, FrameData};
+use crate::looks::{Shadows, Show};
 use crate::scene::Scene;
+use crate::shadow::{Quota, Schedule};
+use crate::world::Resident;
 use air::AirPass;
 use backdrop::BackdropPass;
-use pool::HeightPool;
+use cast::CastPass;
+use glam::Vec3;
+use pool::ChunkPool;
 use scenes::LocalScene;
 use shaders::layout::Frame;
 use targets::Targets;
@@ -46,7 +52,7 @@ pub struct RenderOptions {
     pub samples: u32,
     /// Format of the pictures; must not encode sRGB by itself.
     pub format: wgpu::TextureFormat,
-    /// Slots of the pool, see [`HeightPool::slots_within`].
+    /// Slots of the pool, see [`ChunkPool::slots_within`].
     pub slots: u32,
 }
 
@@ -55,7 +61,9 @@ pub struct RenderOptions {
 pub struct Renderer {
     samples: u32,
     uniforms: wgpu::Buffer,
-    pool: HeightPool,
+    pool: ChunkPool,
+    shadows: Schedule,
+    cast: CastPass,
     targets: Targets,
     air: AirPass,
     terrain: TerrainPass,
@@ -77,12 +85,14 @@ impl Renderer {
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        let pool = HeightPool::new(device, options.slots);
+        let pool = ChunkPool::new(device, options.slots);
         let targets = Targets::new(device, options.size, samples);
         let waves = WaveMap::bake(device, &gpu.queue);
         Self {
             samples,
             air: AirPass::new(device, &uniforms),
+            shadows: Schedule::new(options.slots),
+            cast: CastPass::new(device, &pool, options.slots),
             terrain: TerrainPass::new(device, &uniforms, &pool, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: WaterPass::sea(device, &uniforms, &waves, samples),
@@ -94,10 +104,57 @@ impl Renderer {
         }
     }
 
-    /// The pool, to upload heights into.
+    /// What the GPU holds of the resident chunks.
     #[must_use]
-    pub fn pool(&self) -> &HeightPool {
+    pub fn pool(&self) -> &ChunkPool {
         &self.pool
+    }
+
+    /// Puts a chunk into its slot.
+    pub fn upload(&mut self, gpu: &Gpu, chunk: &Resident) {
+        self.pool.upload(&gpu.queue, chunk);
+        self.shadows.forget(chunk.slot);
+    }
+
+    /// Records the finding of shadows that the frame lacks, as many as `quota` (and [`MAX_CASTS`]) allows, to be submitted before or with its picture
+    /// and before the next call. Returns how many chunks in sight are still left: 0 when the picture will be right. Chunks whose shadow was never
+    /// found are drawn in full sun.
+    ///
+    /// [`MAX_CASTS`]: cast::MAX_CASTS
+    pub fn cast(
+        &mut self,
+        gpu: &Gpu,
+        frame: &FrameData,
+        quota: Quota,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> usize {
+        let is_shown = frame.uniforms.show == Show::Picture.word();
+        if !is_shown || frame.uniforms.shadows == Shadows::Off.word() {
+            return 0;
+        }
+        self.shadows.update(&frame.candidates, Vec3::from(frame.uniforms.sun));
+        let quota = Quota { chunks: quota.chunks.min(cast::MAX_CASTS), ..quota };
+        if let Some(casting) = self.shadows.next(&frame.candidates, quota) {
+            self.cast.record(&gpu.queue, &casting, encoder);
+        }
+        self.shadows.pending(&frame.candidates)
+    }
+
+    /// Finds all shadows in sight that the frame lacks, and waits for them.
+    ///
+    /// # Errors
+    /// The device failed.
+    pub fn finish_shadows(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<(), GpuError> {
+        loop {
+            let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            let pending = self.cast(gpu, frame, cast::ALL_IN_SIGHT, &mut encoder);
+            gpu.queue.submit([encoder.finish()]);
+            // One at a time: many long dispatches in one queue make some drivers give up on the device.
+            gpu.wait()?;
+            if pending == 0 {
+                return Ok(());
+            }
+        }
     }
 
     /// Draws pictures of another size from now on.

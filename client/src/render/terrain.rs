@@ -1,8 +1,8 @@
 //! The terrain pass: one instanced, indexed draw of all chunks in sight.
 
 use crate::render::mesh;
-use crate::render::pipeline::{Depth, LightPass, uniform_entry};
-use crate::render::pool::HeightPool;
+use crate::render::pipeline::{Depth, LightPass, storage_entry, uniform_entry};
+use crate::render::pool::ChunkPool;
 use shaders::SHADERS;
 use shaders::layout::TerrainInstance;
 use wgpu::util::DeviceExt as _;
@@ -24,7 +24,7 @@ impl TerrainPass {
     pub fn new(
         device: &wgpu::Device,
         frame: &wgpu::Buffer,
-        pool: &HeightPool,
+        pool: &ChunkPool,
         capacity: u32,
         samples: u32,
     ) -> Self {
@@ -32,16 +32,8 @@ impl TerrainPass {
             label: Some("draw_terrain"),
             entries: &[
                 uniform_entry(0),
-                wgpu::BindGroupLayoutEntry {
-                    binding: 1,
-                    visibility: wgpu::ShaderStages::VERTEX,
-                    ty: wgpu::BindingType::Buffer {
-                        ty: wgpu::BufferBindingType::Storage { read_only: true },
-                        has_dynamic_offset: false,
-                        min_binding_size: None,
-                    },
-                    count: None,
-                },
+                storage_entry(1, wgpu::ShaderStages::VERTEX, true),
+                storage_entry(2, wgpu::ShaderStages::VERTEX, true),
             ],
         });
         let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -49,7 +41,8 @@ impl TerrainPass {
             layout: &layout,
             entries: &[
                 wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: pool.buffer().as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 1, resource: pool.heights().as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 2, resource: pool.clearances().as_entire_binding() },
             ],
         });
         let attributes = TerrainInstance::ATTRIBUTES.map(|attribute| wgpu::VertexAttribute {
