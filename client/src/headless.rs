@@ -5,6 +5,7 @@ use crate::feed::{Feed, NoFeed};
 use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::looks::Looks;
 use crate::render::cast::PER_FRAME;
+use crate::render::materials::OwnMaterials;
 use crate::render::pool::ChunkPool;
 use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
 use crate::scene::Scene;
@@ -52,6 +53,8 @@ pub struct Options {
     pub time_s: f32,
     /// Knobs of the picture.
     pub looks: Looks,
+    /// Materials instead of the procedural ones.
+    pub materials: OwnMaterials,
     /// How long the view may take to fill.
     pub timeout: Duration,
 }
@@ -70,6 +73,7 @@ impl Default for Options {
             orbit_step_deg: 0.0,
             time_s: 0.0,
             looks: Looks::default(),
+            materials: OwnMaterials::default(),
             timeout: Duration::from_secs(60),
         }
     }
@@ -146,7 +150,7 @@ fn draw<F: Feed>(
     let wished = if options.scene.is_local() { 1 } else { World::capacity_for(options.chunk_bytes) };
     let slots = ChunkPool::slots_within(&gpu.device.limits(), wished);
     let size = (options.lens.width, options.lens.height);
-    let mut renderer = Renderer::new(
+    let mut renderer = Renderer::with_materials(
         &gpu,
         &RenderOptions {
             scene: options.scene,
@@ -155,6 +159,7 @@ fn draw<F: Feed>(
             format: picture::PICTURE_FORMAT,
             slots,
         },
+        &options.materials,
     );
     let canvas = Canvas::new(&gpu.device, size.0, size.1);
     let mut voyage = Voyage::new(feed, slots);

@@ -355,6 +355,68 @@ pub const PROBE_WORDS: usize = 5;
 /// Invocations of a workgroup of `probe_heights` and of `fill_heights`, in x.
 pub const FILL_WORKGROUP: u32 = 64;
 
+/// The material sets by the names of their files, in the order of `shared/material_sets.wesl`.
+pub const MATERIALS: [&str; 7] = ["sand", "meadow", "dry_grass", "thicket", "cliff", "scree", "cobbles"];
+
+/// What `bake_materials` is told of a set.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Bake {
+    /// Layer of the arrays, and the number of the set.
+    pub layer: u32,
+    /// Texels a side, a power of two.
+    pub size: u32,
+    /// 1 where normals are given with the texels, else 0.
+    pub normals_given: u32,
+    /// 1 where occlusion is given with the texels, else 0.
+    pub occlusion_given: u32,
+}
+
+/// One texel of a set while it is baked.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct BakeTexel {
+    /// Linear.
+    pub albedo: [f32; 3],
+    /// 0 to 1.
+    pub height: f32,
+    /// Horizontal part of the unit normal, along u and v.
+    pub normal: [f32; 2],
+    /// Perceptual, 0 to 1.
+    pub roughness: f32,
+    /// Share of the sky that is seen, 0 to 1.
+    pub occlusion: f32,
+}
+
+/// Invocations of a workgroup of both entries of `bake_materials`, in x.
+pub const BAKE_WORKGROUP: u32 = 64;
+
+/// Invocations of a workgroup of `reduce_materials`, in x and in y.
+pub const REDUCE_WORKGROUP: u32 = 8;
+
+/// What `probe_tiling` looks at.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct TilingProbe {
+    /// Multiples of the anchors of materials, 256 m, in [0, [`PATTERN_PERIOD_M`]).
+    pub anchor_m: [f32; 2],
+    /// Number of the set.
+    pub material: u32,
+    /// `TILING_*` of `shared/frame.wesl`.
+    pub tiling: u32,
+    /// Texels of the field, across.
+    pub width: u32,
+    /// Texels of the field, down.
+    pub height: u32,
+    /// Texels of a tile.
+    pub size: u32,
+    /// After so many tiles the reference repeats; a power of two.
+    pub period: u32,
+}
+
+/// Invocations of a workgroup of both entries of `probe_tiling`, in x.
+pub const TILING_WORKGROUP: u32 = 64;
+
 /// One question to `probe_brdf`; its vectors are unit ones, away from the surface.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

@@ -7,10 +7,10 @@ use std::process::{Command, Stdio};
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
 use crate::layout::{
-    Air, BLOCK_TEXELS, BRDF_TERMS, BrdfProbe, CLEARANCE_RANGE, CastTarget, Caster, ChunkFill, FILL_WORKGROUP,
-    Frame, GPU_SLOT_BYTES, LEAF, NOTHING, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED,
-    PageNode, SKY_DARK, SKY_LIT, SKY_WALK, SUN_RADIUS, TerrainInstance, WAVE_MAP_SIDE, WAVE_WORKGROUP,
-    WaveProbe, World,
+    Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CastTarget,
+    Caster, ChunkFill, FILL_WORKGROUP, Frame, GPU_SLOT_BYTES, LEAF, MATERIALS, NOTHING, PATTERN_PERIOD_M,
+    PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, REDUCE_WORKGROUP, SKY_DARK, SKY_WALK, SUN_RADIUS,
+    TILING_WORKGROUP, TerrainInstance, TilingProbe, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -34,6 +34,7 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
     assert_eq!(
         names,
         [
+            "bake_materials",
             "bake_waves",
             "cast_shadows",
             "fill_chunks",
@@ -42,7 +43,9 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
             "probe_brdf",
             "probe_heights",
             "probe_heights_float",
-            "probe_waves"
+            "probe_tiling",
+            "probe_waves",
+            "reduce_materials",
         ]
     );
 }
@@ -150,6 +153,54 @@ fn wave_probes_and_the_wave_map_are_the_same_in_both_languages() {
 }
 
 #[test]
+fn materials_lie_where_the_shaders_read_them_and_are_the_same_sets() {
+    let named = |names: &[(&str, usize)]| {
+        names.iter().map(|(name, at)| ((*name).to_owned(), *at)).collect::<Vec<_>>()
+    };
+    let bake = named(&[
+        ("layer", offset_of!(Bake, layer)),
+        ("size", offset_of!(Bake, size)),
+        ("normals_given", offset_of!(Bake, normals_given)),
+        ("occlusion_given", offset_of!(Bake, occlusion_given)),
+    ]);
+    assert_eq!(reflected(&SHADERS.bake_materials, "Bake"), (bake, size_of::<Bake>()));
+    let texel = named(&[
+        ("albedo", offset_of!(BakeTexel, albedo)),
+        ("height", offset_of!(BakeTexel, height)),
+        ("normal", offset_of!(BakeTexel, normal)),
+        ("roughness", offset_of!(BakeTexel, roughness)),
+        ("occlusion", offset_of!(BakeTexel, occlusion)),
+    ]);
+    assert_eq!(reflected(&SHADERS.bake_materials, "BakeTexel"), (texel, size_of::<BakeTexel>()));
+    let probe = named(&[
+        ("anchor_m", offset_of!(TilingProbe, anchor_m)),
+        ("material", offset_of!(TilingProbe, material)),
+        ("tiling", offset_of!(TilingProbe, tiling)),
+        ("width", offset_of!(TilingProbe, width)),
+        ("height", offset_of!(TilingProbe, height)),
+        ("size", offset_of!(TilingProbe, size)),
+        ("period", offset_of!(TilingProbe, period)),
+    ]);
+    assert_eq!(reflected(&SHADERS.probe_tiling, "TilingProbe"), (probe, size_of::<TilingProbe>()));
+    for (shader, expected) in [
+        (SHADERS.bake_materials, [BAKE_WORKGROUP, 1, 1]),
+        (SHADERS.probe_tiling, [TILING_WORKGROUP, 1, 1]),
+        (SHADERS.reduce_materials, [REDUCE_WORKGROUP, REDUCE_WORKGROUP, 1]),
+    ] {
+        let (module, _) = validate(shader.name, shader.wgsl).unwrap();
+        for entry in &module.entry_points {
+            assert_eq!(entry.workgroup_size, expected, "{}: {}", shader.name, entry.name);
+        }
+    }
+    let baking = SHADERS.bake_materials.wgsl;
+    for (number, name) in MATERIALS.iter().enumerate().take(MATERIALS.len() - 1) {
+        let name = name.to_uppercase();
+        assert!(baking.contains(&format!("const {name}: u32 = {number}u;")), "{name}");
+    }
+    assert!(baking.contains(&format!("array<MaterialSet, {}>", MATERIALS.len())));
+}
+
+#[test]
 fn probes_of_reflection_lie_where_the_shader_reads_them() {
     let probe = [
         ("normal", offset_of!(BrdfProbe, normal)),
@@ -204,7 +255,6 @@ fn what_casts_shadows_lies_where_the_shader_reads_it_and_means_the_same() {
     ] {
         assert!(shader.wgsl.contains(&line), "{line}");
     }
-    assert!(SKY_LIT != SKY_WALK && SKY_LIT != SKY_DARK, "whatever is neither walk nor dark is lit");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use client::feed::LocalFeed;
 use client::frame::{FrameData, Shot};
 use client::headless::{self, HeadlessError, Options};
 use client::looks::{Looks, Shadows, SunPlace};
-use client::render::{Gpu, Picture, RenderOptions, Renderer, gpu, picture};
+use client::render::{Gpu, Picture, RenderOptions, Renderer, picture};
 use client::scene::Scene;
 use client::world::{Drawn, Resident, Selection, World, select};
 use shaders::layout::{clearance_of_byte, disc_share};
@@ -20,7 +20,7 @@ const SLOTS: u32 = 1000;
 
 /// A device; none, visibly, where there is no adapter and none is required.
 fn device() -> Option<Gpu> {
-    match pollster::block_on(Gpu::open(gpu::instance(None), None)) {
+    match Gpu::open_blocking() {
         Ok(gpu) => Some(gpu),
         Err(error) if !tests::gpu_is_required() => {
             eprintln!("SKIPPED: {error}");
@@ -194,12 +194,11 @@ fn shared(cast: &HashMap<ChunkKey, Vec<u8>>) -> Vec<(bool, u8, u8)> {
     let mut keys: Vec<_> = cast.keys().copied().collect();
     keys.sort_unstable();
     for key in keys {
-        for index in 0..VERTEX_COUNT {
+        for (index, byte) in cast[&key].iter().copied().enumerate() {
             let (column, row) = (index % VERTICES, index / VERTICES);
             if !(column % CELLS == 0 || row % CELLS == 0) {
                 continue;
             }
-            let byte = cast[&key][index];
             if let Some((level, other)) = at.insert(place(key, index), (key.level(), byte)) {
                 shared.push((level == key.level(), other, byte));
             }

@@ -8,6 +8,7 @@ pub mod backdrop;
 pub mod cast;
 pub mod fill;
 pub mod gpu;
+pub mod materials;
 pub mod mesh;
 pub mod picture;
 pub mod pipeline;
@@ -16,6 +17,7 @@ pub mod scenes;
 pub mod surface;
 pub mod targets;
 pub mod terrain;
+pub mod tiling_probe;
 pub mod tone;
 pub mod water;
 pub mod waves;
@@ -32,6 +34,7 @@ use air::AirPass;
 use backdrop::BackdropPass;
 use cast::CastPass;
 use glam::Vec3;
+use materials::{Materials, OwnMaterials};
 use pool::ChunkPool;
 use scenes::LocalScene;
 use shaders::layout::Frame;
@@ -65,6 +68,7 @@ pub struct Renderer {
     shadows: Schedule,
     cast: CastPass,
     targets: Targets,
+    materials: Materials,
     air: AirPass,
     terrain: TerrainPass,
     sky: BackdropPass,
@@ -75,9 +79,15 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Builds pipelines, pool and targets.
+    /// Builds pipelines, pool and targets, and bakes the materials.
     #[must_use]
     pub fn new(gpu: &Gpu, options: &RenderOptions) -> Self {
+        Self::with_materials(gpu, options, &OwnMaterials::default())
+    }
+
+    /// The same with a user's materials.
+    #[must_use]
+    pub fn with_materials(gpu: &Gpu, options: &RenderOptions, own: &OwnMaterials) -> Self {
         let (device, samples) = (&gpu.device, options.samples);
         let uniforms = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("frame"),
@@ -88,16 +98,19 @@ impl Renderer {
         let pool = ChunkPool::new(device, options.slots);
         let targets = Targets::new(device, options.size, samples);
         let waves = WaveMap::bake(device, &gpu.queue);
+        let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
+        let materials = Materials::new(device, &gpu.queue, own, software);
         Self {
             samples,
             air: AirPass::new(device, &uniforms),
             shadows: Schedule::new(options.slots),
             cast: CastPass::new(device, &pool, options.slots),
-            terrain: TerrainPass::new(device, &uniforms, &pool, options.slots, samples),
+            terrain: TerrainPass::new(device, &uniforms, &pool, &materials, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: WaterPass::sea(device, &uniforms, &waves, samples),
             local: LocalScene::new(options.scene, device, &uniforms, &waves, samples),
             tone: TonePass::new(device, &uniforms, &targets, options.format),
+            materials,
             uniforms,
             pool,
             targets,
@@ -226,7 +239,7 @@ impl Renderer {
             if let Some(scene) = &self.local {
                 scene.draw(&mut pass);
             } else {
-                self.terrain.draw(&mut pass);
+                self.terrain.draw(&mut pass, &self.materials);
                 if !matches!(frame.backdrop, Backdrop::Plain(_)) {
                     self.sky.draw(&mut pass);
                 }

@@ -1,5 +1,6 @@
 //! The terrain pass: one instanced, indexed draw of all chunks in sight.
 
+use crate::render::materials::Materials;
 use crate::render::mesh;
 use crate::render::pipeline::{Depth, LightPass, storage_entry, uniform_entry};
 use crate::render::pool::ChunkPool;
@@ -25,6 +26,7 @@ impl TerrainPass {
         device: &wgpu::Device,
         frame: &wgpu::Buffer,
         pool: &ChunkPool,
+        materials: &Materials,
         capacity: u32,
         samples: u32,
     ) -> Self {
@@ -61,7 +63,7 @@ impl TerrainPass {
         })];
         let pipeline = LightPass {
             shader: &SHADERS.draw_terrain,
-            layouts: &[&layout],
+            layouts: &[&layout, materials.layout()],
             buffers: &buffers,
             depth: Depth::Solid,
             samples,
@@ -89,12 +91,13 @@ impl TerrainPass {
     }
 
     /// Draws them.
-    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>) {
+    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) {
         if self.count == 0 {
             return;
         }
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &self.bindings, &[]);
+        pass.set_bind_group(1, materials.bindings(), &[]);
         pass.set_vertex_buffer(0, self.instances.slice(..));
         pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint16);
         pass.draw_indexed(0..mesh::INDEX_COUNT, 0, 0..self.count);

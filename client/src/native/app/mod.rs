@@ -10,6 +10,7 @@ use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::native::args::Args;
 use crate::native::shot::{settings, write_stats};
 use crate::native::stream::SocketFeed;
+use crate::native::textures;
 use crate::render::cast::PER_FRAME;
 use crate::render::pool::ChunkPool;
 use crate::render::surface::{NextTexture, WindowSurface};
@@ -179,7 +180,7 @@ impl Running {
         };
         let now = Instant::now();
         Ok(Self {
-            renderer: Renderer::new(&gpu, &options),
+            renderer: Renderer::with_materials(&gpu, &options, &textures::own(args)?),
             overlay: Overlay::new(&gpu, &window, surface.format),
             voyage: Voyage::new(feed, slots).fading(ARRIVAL_FADE),
             controls: Controls::new(args.pose(), args.orbit, args.scene.orbit_radius_m()),
