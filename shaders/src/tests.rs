@@ -129,6 +129,30 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
 }
 
 #[test]
+fn wave_probes_and_the_wave_map_are_the_same_in_both_languages() {
+    let probe = [
+        ("place_m".to_owned(), offset_of!(WaveProbe, place_m)),
+        ("footprint_m".to_owned(), offset_of!(WaveProbe, footprint_m)),
+        ("strength".to_owned(), offset_of!(WaveProbe, strength)),
+        ("to_eye".to_owned(), offset_of!(WaveProbe, to_eye)),
+        ("eye_m".to_owned(), offset_of!(WaveProbe, eye_m)),
+        ("method".to_owned(), offset_of!(WaveProbe, method)),
+        ("steps".to_owned(), offset_of!(WaveProbe, steps)),
+        ("floor_cosine".to_owned(), offset_of!(WaveProbe, floor_cosine)),
+        ("reserved".to_owned(), offset_of!(WaveProbe, reserved)),
+    ];
+    assert_eq!(reflected(&SHADERS.probe_waves, "WaveProbe"), (probe.to_vec(), size_of::<WaveProbe>()));
+    let (module, _) = validate("bake_waves", SHADERS.bake_waves.wgsl).unwrap();
+    for entry in &module.entry_points {
+        assert_eq!(entry.workgroup_size, [WAVE_WORKGROUP, WAVE_WORKGROUP, 1], "{}", entry.name);
+    }
+    assert!(SHADERS.bake_waves.wgsl.contains(&format!("WAVE_MAP_SIDE: u32 = {WAVE_MAP_SIDE}u;")));
+    for (name, value) in [("STEPPED", PROBE_STEPPED), ("MARCHED", PROBE_MARCHED), ("FIXED", PROBE_FIXED)] {
+        assert!(SHADERS.probe_waves.wgsl.contains(&format!("PROBE_{name}: u32 = {value}u;")), "{name}");
+    }
+}
+
+#[test]
 fn materials_lie_where_the_shaders_read_them_and_are_the_same_sets() {
     let named = |names: &[(&str, usize)]| {
         names.iter().map(|(name, at)| ((*name).to_owned(), *at)).collect::<Vec<_>>()
@@ -174,30 +198,6 @@ fn materials_lie_where_the_shaders_read_them_and_are_the_same_sets() {
         assert!(baking.contains(&format!("const {name}: u32 = {number}u;")), "{name}");
     }
     assert!(baking.contains(&format!("array<MaterialSet, {}>", MATERIALS.len())));
-}
-
-#[test]
-fn wave_probes_and_the_wave_map_are_the_same_in_both_languages() {
-    let probe = [
-        ("place_m".to_owned(), offset_of!(WaveProbe, place_m)),
-        ("footprint_m".to_owned(), offset_of!(WaveProbe, footprint_m)),
-        ("strength".to_owned(), offset_of!(WaveProbe, strength)),
-        ("to_eye".to_owned(), offset_of!(WaveProbe, to_eye)),
-        ("eye_m".to_owned(), offset_of!(WaveProbe, eye_m)),
-        ("method".to_owned(), offset_of!(WaveProbe, method)),
-        ("steps".to_owned(), offset_of!(WaveProbe, steps)),
-        ("floor_cosine".to_owned(), offset_of!(WaveProbe, floor_cosine)),
-        ("reserved".to_owned(), offset_of!(WaveProbe, reserved)),
-    ];
-    assert_eq!(reflected(&SHADERS.probe_waves, "WaveProbe"), (probe.to_vec(), size_of::<WaveProbe>()));
-    let (module, _) = validate("bake_waves", SHADERS.bake_waves.wgsl).unwrap();
-    for entry in &module.entry_points {
-        assert_eq!(entry.workgroup_size, [WAVE_WORKGROUP, WAVE_WORKGROUP, 1], "{}", entry.name);
-    }
-    assert!(SHADERS.bake_waves.wgsl.contains(&format!("WAVE_MAP_SIDE: u32 = {WAVE_MAP_SIDE}u;")));
-    for (name, value) in [("STEPPED", PROBE_STEPPED), ("MARCHED", PROBE_MARCHED), ("FIXED", PROBE_FIXED)] {
-        assert!(SHADERS.probe_waves.wgsl.contains(&format!("PROBE_{name}: u32 = {value}u;")), "{name}");
-    }
 }
 
 #[test]

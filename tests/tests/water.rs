@@ -1,13 +1,14 @@
 //! The sea and the scene of the water: identities, the order of the tiers, and cameras at the ends of their ranges.
 
 use client::camera::{Lens, Pose};
-use client::feed::LocalFeed;
+use client::feed::{LocalFeed, NoFeed};
 use client::headless::{self, HeadlessError, Options};
 use client::looks::{Looks, WaterTier, WaveKnobs};
-use client::render::Picture;
+use client::render::{Canvas, Gpu, Picture, RenderOptions, Renderer, picture};
 use client::scene::Scene;
 use client::stats::Stats;
-use std::time::Instant;
+use client::voyage::Voyage;
+use std::time::{Duration, Instant};
 
 fn options(scene: Scene, camera: &str) -> Options {
     Options {
@@ -142,13 +143,24 @@ fn the_sea_is_defined_wherever_the_eye_is_and_whatever_the_knobs_say() {
 
 #[test]
 fn light_that_is_no_number_is_called_broken() {
-    let mut options = options(Scene::Water, BAY);
+    let options = options(Scene::Water, BAY);
     let Some((picture, _)) = drawn(&options) else { return };
     assert_eq!(broken(&picture), None);
-    // The control: an exposure that is no number makes all light so.
-    options.looks.exposure_ev = f32::NAN;
-    let Some((picture, _)) = drawn(&options) else { return };
-    assert!(broken(&picture).is_some(), "the check cannot fail");
+    // The control: an exposure that is no number makes all light so. No option can do it, so the uniforms are spoilt.
+    let gpu = Gpu::open_blocking().unwrap();
+    let size = (options.lens.width, options.lens.height);
+    let format = picture::PICTURE_FORMAT;
+    let mut renderer =
+        Renderer::new(&gpu, &RenderOptions { scene: Scene::Water, size, samples: 1, format, slots: 1 });
+    let (canvas, mut voyage) = (Canvas::new(&gpu.device, size.0, size.1), Voyage::new(NoFeed, 1));
+    let shot = options.shot(0, voyage.world());
+    let selection = voyage.update(&shot, Duration::ZERO, usize::MAX, |_| {});
+    let mut frame = shot.frame(Scene::Water, voyage.world(), &selection);
+    frame.uniforms.exposure = f32::NAN;
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
+    gpu.queue.submit([encoder.finish()]);
+    assert!(broken(&canvas.read(&gpu).unwrap()).is_some(), "the check cannot fail");
 }
 
 #[test]

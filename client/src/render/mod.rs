@@ -97,9 +97,9 @@ impl Renderer {
         });
         let pool = ChunkPool::new(device, options.slots);
         let targets = Targets::new(device, options.size, samples);
+        let waves = WaveMap::bake(device, &gpu.queue);
         let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let materials = Materials::new(device, &gpu.queue, own, software);
-        let waves = WaveMap::bake(device, &gpu.queue);
         Self {
             samples,
             air: AirPass::new(device, &uniforms),
