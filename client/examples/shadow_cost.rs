@@ -23,7 +23,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let gpu = Gpu::open_blocking()?;
     let (width, height) = (640, 360);
     let slots = ChunkPool::slots_within(&gpu.device.limits(), 4000);
-    let options = RenderOptions { size: (width, height), samples: 1, format: picture::PICTURE_FORMAT, slots };
+    let options = RenderOptions {
+        scene: Scene::Island,
+        size: (width, height),
+        samples: 1,
+        format: picture::PICTURE_FORMAT,
+        slots,
+    };
     let mut renderer = Renderer::new(&gpu, &options);
     let canvas = Canvas::new(&gpu.device, width, height);
     let mut voyage = Voyage::new(LocalFeed::new(1), slots);

@@ -123,6 +123,7 @@ impl Shot {
             metres(f64::from(units & (period - 1))) as f32 + fraction
         };
         let (light, looks) = (scene.light().under(&self.looks), &self.looks);
+        let waves = looks.waves.sane();
         Frame {
             clip_from_camera: lens.clip_from_camera(pose).to_cols_array_2d(),
             ray_right: (pose.right() * half_height * lens.aspect()).as_vec3().into(),
@@ -145,6 +146,10 @@ impl Shot {
             show: looks.show.word(),
             pixels_per_radian: (f64::from(lens.height) / (2.0 * half_height)) as f32,
             tolerance_px: self.tolerance_px as f32,
+            parallax_factor: waves.parallax_factor,
+            parallax_bias_m: waves.parallax_bias_m,
+            wave_steepness: waves.steepness,
+            reserved: 0.0,
             air: Air::zeroed(),
         }
     }

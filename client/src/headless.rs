@@ -1,7 +1,7 @@
-//! Pictures without a window: fill the view from a feed, draw it, time it, read it back.
+//! Pictures without a window: fill the view from a feed, draw it, time it, read it back. Local scenes need no feed.
 
 use crate::camera::{Lens, Pose};
-use crate::feed::Feed;
+use crate::feed::{Feed, NoFeed};
 use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::looks::Looks;
 use crate::render::cast::PER_FRAME;
@@ -114,6 +114,14 @@ pub struct Progress {
     pub link: Link,
 }
 
+/// Renders a local scene: no feed, no chunks. `started` is when the clock of the stats began.
+///
+/// # Errors
+/// There is no GPU, or it fails. A scene that is not local is drawn without land.
+pub fn render_local(options: &Options, started: Instant) -> Result<(Picture, Stats), HeadlessError> {
+    draw(options, NoFeed, started, |_, _, _| Ok(()))
+}
+
 /// Fills the view and renders it. `started` is when the clock of the stats began.
 pub fn render(
     options: &Options,
@@ -121,19 +129,41 @@ pub fn render(
     started: Instant,
     mut progress: impl FnMut(&Progress),
 ) -> Result<(Picture, Stats), HeadlessError> {
+    if options.scene.is_local() {
+        return render_local(options, started);
+    }
+    draw(options, feed, started, |voyage, gpu, renderer| {
+        fill(voyage, options, gpu, renderer, started, &mut progress)?;
+        // How high the ground is under the eye is known now; an eye that has to be lifted sees other chunks.
+        fill(voyage, options, gpu, renderer, started, &mut progress)
+    })
+}
+
+/// Builds everything, lets `fill` bring what is to be drawn, draws, times and reads back.
+fn draw<F: Feed>(
+    options: &Options,
+    feed: F,
+    started: Instant,
+    fill: impl FnOnce(&mut Voyage<F>, &Gpu, &mut Renderer) -> Result<(), HeadlessError>,
+) -> Result<(Picture, Stats), HeadlessError> {
     let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
-    let slots = ChunkPool::slots_within(&gpu.device.limits(), World::capacity_for(options.chunk_bytes));
+    let wished = if options.scene.is_local() { 1 } else { World::capacity_for(options.chunk_bytes) };
+    let slots = ChunkPool::slots_within(&gpu.device.limits(), wished);
     let size = (options.lens.width, options.lens.height);
     let mut renderer = Renderer::with_materials(
         &gpu,
-        &RenderOptions { size, samples: options.samples, format: picture::PICTURE_FORMAT, slots },
+        &RenderOptions {
+            scene: options.scene,
+            size,
+            samples: options.samples,
+            format: picture::PICTURE_FORMAT,
+            slots,
+        },
         &options.materials,
     );
     let canvas = Canvas::new(&gpu.device, size.0, size.1);
     let mut voyage = Voyage::new(feed, slots);
-    fill(&mut voyage, options, &gpu, &mut renderer, started, &mut progress)?;
-    // How high the ground is under the eye is known now; an eye that has to be lifted sees other chunks.
-    fill(&mut voyage, options, &gpu, &mut renderer, started, &mut progress)?;
+    fill(&mut voyage, &gpu, &mut renderer)?;
 
     let mut times = FrameTimes::default();
     let mut drawn = 0;
@@ -176,7 +206,7 @@ pub fn render(
         frames: options.frames.max(1) as usize,
         chunks_drawn: drawn,
         triangles: drawn as u64 * TRIANGLES_PER_CHUNK,
-        delivery: voyage.feed().delivery().name(),
+        delivery: if options.scene.is_local() { "none" } else { voyage.feed().delivery().name() },
         bytes_received: voyage.feed().traffic().bytes_received,
         seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
         seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),

@@ -22,6 +22,46 @@ pub struct Looks {
     pub sun: Option<SunPlace>,
     /// Stops of exposure above the scene's own; -8 to 8.
     pub exposure_ev: f32,
+    /// Waves and their parallax.
+    pub waves: WaveKnobs,
+}
+
+/// Shape of the waves and depth of their parallax.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WaveKnobs {
+    /// Depth of the parallax, 0 to 1: 0 shows flat water, 0.2 displaces the waves by their true height, 1 by five times that.
+    pub parallax_factor: f32,
+    /// Raises the surface, metres, -2 to 2; what is seen of it shifts with the slope of the view.
+    pub parallax_bias_m: f32,
+    /// Multiplies heights and slopes of the waves, 0 to 4; 1 is a fresh breeze.
+    pub steepness: f32,
+}
+
+impl Default for WaveKnobs {
+    fn default() -> Self {
+        Self { parallax_factor: 0.2, parallax_bias_m: 0.0, steepness: 1.0 }
+    }
+}
+
+impl WaveKnobs {
+    /// Largest bias either way, metres.
+    pub const MAX_BIAS_M: f32 = 2.0;
+    /// Largest steepness.
+    pub const MAX_STEEPNESS: f32 = 4.0;
+
+    /// The knobs within their ranges; what is no number becomes the default. The shaders rely on it.
+    #[must_use]
+    pub fn sane(self) -> Self {
+        let standard = Self::default();
+        let within = |value: f32, low: f32, high: f32, standard: f32| {
+            if value.is_nan() { standard } else { value.clamp(low, high) }
+        };
+        Self {
+            parallax_factor: within(self.parallax_factor, 0.0, 1.0, standard.parallax_factor),
+            parallax_bias_m: within(self.parallax_bias_m, -Self::MAX_BIAS_M, Self::MAX_BIAS_M, 0.0),
+            steepness: within(self.steepness, 0.0, Self::MAX_STEEPNESS, standard.steepness),
+        }
+    }
 }
 
 /// Direction of the sun.
@@ -156,5 +196,23 @@ impl Show {
     #[must_use]
     pub fn word(self) -> u32 {
         self as u32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wave_knobs_are_held_in_range_and_what_is_no_number_is_the_default() {
+        let knobs =
+            |value| WaveKnobs { parallax_factor: value, parallax_bias_m: value, steepness: value }.sane();
+        assert_eq!(knobs(f32::NAN), WaveKnobs::default());
+        assert_eq!(
+            knobs(f32::INFINITY),
+            WaveKnobs { parallax_factor: 1.0, parallax_bias_m: 2.0, steepness: 4.0 }
+        );
+        assert_eq!(knobs(-1e30), WaveKnobs { parallax_factor: 0.0, parallax_bias_m: -2.0, steepness: 0.0 });
+        assert_eq!(WaveKnobs::default().sane(), WaveKnobs::default());
     }
 }

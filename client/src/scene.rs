@@ -10,9 +10,29 @@ pub enum Scene {
     /// The streamed archipelago, seen over the home island.
     #[default]
     Island,
+    /// A bay, three times side by side: plain parallax, the chosen tier of --water, the marched truth. Needs no server
+    Water,
 }
 
 impl Scene {
+    /// Whether the scene is complete in itself: no server is asked, no chunk is drawn.
+    #[must_use]
+    pub fn is_local(self) -> bool {
+        match self {
+            Self::Island => false,
+            Self::Water => true,
+        }
+    }
+
+    /// What its parts are, for the panel, if it is a local scene.
+    #[must_use]
+    pub fn panels(self) -> Option<&'static str> {
+        match self {
+            Self::Island => None,
+            Self::Water => Some("left: plain parallax, middle: --water, right: truth"),
+        }
+    }
+
     /// A camera worth starting with.
     #[must_use]
     pub fn start(self) -> Pose {
@@ -20,6 +40,7 @@ impl Scene {
             Self::Island => {
                 Pose { position_m: DVec3::new(-5200.0, 160.0, 1500.0), yaw_deg: 70.0, pitch_deg: -8.0 }
             }
+            Self::Water => Pose { position_m: DVec3::new(0.0, 7.5, 7.0), yaw_deg: 0.0, pitch_deg: -29.0 },
         }
     }
 
@@ -28,14 +49,16 @@ impl Scene {
     pub fn orbit_radius_m(self) -> f64 {
         match self {
             Self::Island => 4600.0,
+            Self::Water => 20.0,
         }
     }
 
-    /// The light of the scene: a late morning sun in the south-east.
+    /// The light of the scene: a late morning sun in the south-east; over the bay one that stands beyond it, so that the waves glitter.
     #[must_use]
     pub fn light(self) -> Light {
         match self {
             Self::Island => Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 1.0 },
+            Self::Water => Light { sun: Vec3::new(0.62, 0.58, -0.50).normalize(), exposure: 1.0 },
         }
     }
 }

@@ -56,7 +56,7 @@ pub struct Stats {
     pub chunks_drawn: usize,
     /// Triangles sent in the last frame.
     pub triangles: u64,
-    /// How chunks came: `exact` or `seed`.
+    /// How chunks came: `exact` or `seed`; `none` in a local scene.
     pub delivery: &'static str,
     /// Bytes of frames received.
     pub bytes_received: u64,

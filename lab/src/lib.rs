@@ -12,6 +12,7 @@ pub mod adapters;
 pub mod chart;
 pub mod cracks;
 pub mod digest;
+pub mod flip;
 pub mod floats;
 pub mod options;
 pub mod sample;
@@ -21,5 +22,6 @@ pub mod studio;
 pub mod table;
 pub mod timings;
 pub mod truth;
+pub mod waves;
 
 pub use options::{Args, Command, Outputs};

@@ -4,6 +4,7 @@ use anyhow::Result;
 use client::frame::FrameData;
 use client::render::pool::ChunkPool;
 use client::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
+use client::scene::Scene;
 use client::world::World;
 use std::time::{Duration, Instant};
 
@@ -24,7 +25,8 @@ impl Studio {
     pub fn open(size: (u32, u32), slots: u32) -> Result<Self, GpuError> {
         let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
         let slots = ChunkPool::slots_within(&gpu.device.limits(), slots);
-        let options = RenderOptions { size, samples: 1, format: picture::PICTURE_FORMAT, slots };
+        let options =
+            RenderOptions { scene: Scene::Island, size, samples: 1, format: picture::PICTURE_FORMAT, slots };
         let renderer = Renderer::new(&gpu, &options);
         let canvas = Canvas::new(&gpu.device, size.0, size.1);
         Ok(Self { gpu, renderer, canvas, slots })

@@ -51,6 +51,14 @@ pub struct Frame {
     pub pixels_per_radian: f32,
     /// Tolerated screen error, pixels.
     pub tolerance_px: f32,
+    /// Depth of the waves' parallax, 0 to 1; 0.2 is their true height.
+    pub parallax_factor: f32,
+    /// Raises the surface of the water, metres.
+    pub parallax_bias_m: f32,
+    /// Multiplies heights and slopes of the waves; 1 is a fresh breeze.
+    pub wave_steepness: f32,
+    /// Unused; fills the last 16 bytes.
+    pub reserved: f32,
     /// Written on the GPU, by `measure_sky`.
     pub air: Air,
 }
@@ -83,6 +91,37 @@ pub struct Air {
 
 /// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant of `shared/frame.wesl`.
 pub const PATTERN_PERIOD_M: i32 = 8192;
+
+/// One ray for `probe_waves`; that file documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct WaveProbe {
+    /// Where the ray meets the mean plane, pattern metres.
+    pub place_m: [f32; 2],
+    /// Size of a pixel there, metres.
+    pub footprint_m: f32,
+    /// Scales the waves.
+    pub strength: f32,
+    /// Unit vector to the eye; y positive.
+    pub to_eye: [f32; 3],
+    /// Eye above the plane, metres.
+    pub eye_m: f32,
+    /// A tier's word, or one of [`PROBE_STEPPED`], [`PROBE_MARCHED`], [`PROBE_FIXED`].
+    pub method: u32,
+    /// Steps of the first two.
+    pub steps: u32,
+    /// Least cosine of [`PROBE_STEPPED`].
+    pub floor_cosine: f32,
+    /// Unused.
+    pub reserved: u32,
+}
+
+/// Iterative parallax with steps and least cosine of the probe.
+pub const PROBE_STEPPED: u32 = 6;
+/// Marched with as many steps as the probe says.
+pub const PROBE_MARCHED: u32 = 7;
+/// The plain parallax of a fixed view.
+pub const PROBE_FIXED: u32 = 8;
 
 /// One drawn chunk.
 #[repr(C)]
@@ -164,8 +203,14 @@ impl TerrainInstance {
     ];
 }
 
-/// Vertices of the `draw_water` call (eight sectors of a plane).
-pub const WATER_VERTICES: u32 = 24;
+/// Vertices of the `draw_water` call: eight sectors of a plane, and a triangle behind everything for an eye under water.
+pub const WATER_VERTICES: u32 = 27;
+
+/// Texels along a side of the waves' distortion map. Equal to the constant of `shared/waves.wesl`.
+pub const WAVE_MAP_SIDE: u32 = 256;
+
+/// Invocations along each side of a workgroup of `bake_waves`.
+pub const WAVE_WORKGROUP: u32 = 8;
 
 /// What the height passes know of a world; `shared/land.wesl` documents each field.
 #[repr(C)]

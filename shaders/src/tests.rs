@@ -9,8 +9,8 @@ use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInn
 use crate::layout::{
     Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CastTarget,
     Caster, ChunkFill, FILL_WORKGROUP, Frame, GPU_SLOT_BYTES, LEAF, MATERIALS, NOTHING, PATTERN_PERIOD_M,
-    PageNode, REDUCE_WORKGROUP, SKY_DARK, SKY_LIT, SKY_WALK, SUN_RADIUS, TILING_WORKGROUP, TerrainInstance,
-    TilingProbe, World,
+    PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, REDUCE_WORKGROUP, SKY_DARK, SKY_WALK, SUN_RADIUS,
+    TILING_WORKGROUP, TerrainInstance, TilingProbe, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -35,6 +35,7 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
         names,
         [
             "bake_materials",
+            "bake_waves",
             "cast_shadows",
             "fill_chunks",
             "measure_sky",
@@ -43,6 +44,7 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
             "probe_heights",
             "probe_heights_float",
             "probe_tiling",
+            "probe_waves",
             "reduce_materials",
         ]
     );
@@ -172,6 +174,30 @@ fn materials_lie_where_the_shaders_read_them_and_are_the_same_sets() {
         assert!(baking.contains(&format!("const {name}: u32 = {number}u;")), "{name}");
     }
     assert!(baking.contains(&format!("array<MaterialSet, {}>", MATERIALS.len())));
+}
+
+#[test]
+fn wave_probes_and_the_wave_map_are_the_same_in_both_languages() {
+    let probe = [
+        ("place_m".to_owned(), offset_of!(WaveProbe, place_m)),
+        ("footprint_m".to_owned(), offset_of!(WaveProbe, footprint_m)),
+        ("strength".to_owned(), offset_of!(WaveProbe, strength)),
+        ("to_eye".to_owned(), offset_of!(WaveProbe, to_eye)),
+        ("eye_m".to_owned(), offset_of!(WaveProbe, eye_m)),
+        ("method".to_owned(), offset_of!(WaveProbe, method)),
+        ("steps".to_owned(), offset_of!(WaveProbe, steps)),
+        ("floor_cosine".to_owned(), offset_of!(WaveProbe, floor_cosine)),
+        ("reserved".to_owned(), offset_of!(WaveProbe, reserved)),
+    ];
+    assert_eq!(reflected(&SHADERS.probe_waves, "WaveProbe"), (probe.to_vec(), size_of::<WaveProbe>()));
+    let (module, _) = validate("bake_waves", SHADERS.bake_waves.wgsl).unwrap();
+    for entry in &module.entry_points {
+        assert_eq!(entry.workgroup_size, [WAVE_WORKGROUP, WAVE_WORKGROUP, 1], "{}", entry.name);
+    }
+    assert!(SHADERS.bake_waves.wgsl.contains(&format!("WAVE_MAP_SIDE: u32 = {WAVE_MAP_SIDE}u;")));
+    for (name, value) in [("STEPPED", PROBE_STEPPED), ("MARCHED", PROBE_MARCHED), ("FIXED", PROBE_FIXED)] {
+        assert!(SHADERS.probe_waves.wgsl.contains(&format!("PROBE_{name}: u32 = {value}u;")), "{name}");
+    }
 }
 
 #[test]
@@ -308,6 +334,10 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("show", offset_of!(Frame, show)),
         ("pixels_per_radian", offset_of!(Frame, pixels_per_radian)),
         ("tolerance_px", offset_of!(Frame, tolerance_px)),
+        ("parallax_factor", offset_of!(Frame, parallax_factor)),
+        ("parallax_bias_m", offset_of!(Frame, parallax_bias_m)),
+        ("wave_steepness", offset_of!(Frame, wave_steepness)),
+        ("reserved", offset_of!(Frame, reserved)),
         ("air", offset_of!(Frame, air)),
     ];
     let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
@@ -324,7 +354,7 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("sky_south", offset_of!(Air, sky_south)),
     ];
     let air: Vec<_> = air.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
-    for shader in passes(false).chain([&SHADERS.measure_sky, &SHADERS.probe_air]) {
+    for shader in passes(false).chain([&SHADERS.measure_sky, &SHADERS.probe_air, &SHADERS.probe_waves]) {
         assert_eq!(reflected(shader, "Frame"), (expected.clone(), size_of::<Frame>()), "{}", shader.name);
         assert_eq!(reflected(shader, "Air"), (air.clone(), size_of::<Air>()), "{}", shader.name);
     }

@@ -127,7 +127,8 @@ fn a_renderer_that_is_resized_in_every_frame_draws_every_size() {
     let slots = ChunkPool::slots_within(&gpu.device.limits(), 2000);
     let options = options("-1300,160,1500,70,-8");
     let format = picture::PICTURE_FORMAT;
-    let mut renderer = Renderer::new(&gpu, &RenderOptions { size: (0, 0), samples: 1, format, slots });
+    let mut renderer =
+        Renderer::new(&gpu, &RenderOptions { scene: options.scene, size: (0, 0), samples: 1, format, slots });
     let mut voyage = Voyage::new(LocalFeed::new(1), slots);
     for (width, height) in [(0, 0), (64, 36), (1, 1), (0, 7), (200, 3), (64, 36), (65, 36), (64, 36)] {
         renderer.resize(&gpu, (width, height));

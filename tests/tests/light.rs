@@ -34,7 +34,13 @@ impl Studio {
             }
             Err(error) => panic!("{error}"),
         };
-        let options = RenderOptions { size: SIZE, samples: 1, format: picture::PICTURE_FORMAT, slots: SLOTS };
+        let options = RenderOptions {
+            scene: Scene::Island,
+            size: SIZE,
+            samples: 1,
+            format: picture::PICTURE_FORMAT,
+            slots: SLOTS,
+        };
         let renderer = Renderer::new(&gpu, &options);
         let canvas = Canvas::new(&gpu.device, SIZE.0, SIZE.1);
         Some(Self { gpu, renderer, canvas, voyage: Voyage::new(LocalFeed::new(1), SLOTS) })

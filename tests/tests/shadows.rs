@@ -31,7 +31,13 @@ fn device() -> Option<Gpu> {
 }
 
 fn renderer(gpu: &Gpu) -> Renderer {
-    let options = RenderOptions { size: (64, 36), samples: 1, format: picture::PICTURE_FORMAT, slots: SLOTS };
+    let options = RenderOptions {
+        scene: Scene::Island,
+        size: (64, 36),
+        samples: 1,
+        format: picture::PICTURE_FORMAT,
+        slots: SLOTS,
+    };
     Renderer::new(gpu, &options)
 }
 

@@ -3,8 +3,10 @@
 //! A feed is polled once a frame and never blocks. How it waits, reconnects or generates is its own affair.
 
 pub mod local;
+pub mod none;
 
 pub use local::LocalFeed;
+pub use none::NoFeed;
 
 use protocol::Delivery;
 use protocol::view::View;
@@ -65,4 +67,31 @@ pub trait Feed {
     fn delivery(&self) -> Delivery;
     /// Counters.
     fn traffic(&self) -> Traffic;
+}
+
+/// Which feed it is may be decided at run time.
+impl Feed for Box<dyn Feed> {
+    fn poll(&mut self) -> Option<FeedEvent> {
+        (**self).poll()
+    }
+
+    fn set_view(&mut self, view: View) {
+        (**self).set_view(view);
+    }
+
+    fn release(&mut self, keys: &[ChunkKey]) {
+        (**self).release(keys);
+    }
+
+    fn holding(&mut self, keys: &[ChunkKey]) {
+        (**self).holding(keys);
+    }
+
+    fn delivery(&self) -> Delivery {
+        (**self).delivery()
+    }
+
+    fn traffic(&self) -> Traffic {
+        (**self).traffic()
+    }
 }

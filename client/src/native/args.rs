@@ -2,7 +2,7 @@
 
 use crate::camera::{Lens, Pose};
 use crate::headless::Options;
-use crate::looks::{Diffuse, Looks, Shadows, Show, SunPlace, Tiling, Visibility, WaterTier};
+use crate::looks::{Diffuse, Looks, Shadows, Show, SunPlace, Tiling, Visibility, WaterTier, WaveKnobs};
 use crate::render::materials::OwnMaterials;
 use crate::scene::Scene;
 use clap::{Parser, builder::RangedU64ValueParser};
@@ -123,6 +123,18 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     pub textures: Option<PathBuf>,
 
+    /// Depth of the waves' parallax, 0 to 1; 0 is flat water, 0.2 the true height of the waves
+    #[arg(long, value_name = "F", default_value_t = 0.2, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
+    pub parallax_factor: f64,
+
+    /// Raises the surface of the water, metres, -2 to 2
+    #[arg(long, value_name = "M", default_value_t = 0.0, allow_hyphen_values = true, value_parser = |text: &str| parse_within(text, -2.0, 2.0))]
+    pub parallax_bias: f64,
+
+    /// Steepness of the waves, 0 to 4; 1 is a fresh breeze
+    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 4.0))]
+    pub wave_steepness: f64,
+
     /// File whose first line is the server's access token
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -167,6 +179,11 @@ impl Args {
             show: self.show,
             sun: self.sun,
             exposure_ev: self.exposure as f32,
+            waves: WaveKnobs {
+                parallax_factor: self.parallax_factor as f32,
+                parallax_bias_m: self.parallax_bias as f32,
+                steepness: self.wave_steepness as f32,
+            },
         }
     }
 
@@ -297,6 +314,12 @@ mod tests {
             "fast",
             "--water",
             "march",
+            "--parallax-factor",
+            "0.5",
+            "--parallax-bias",
+            "-0.25",
+            "--wave-steepness",
+            "2",
             "--token-file",
             "t",
             "--timeout",
@@ -318,6 +341,7 @@ mod tests {
             show: Show::Levels,
             sun,
             exposure_ev: -1.0,
+            waves: WaveKnobs { parallax_factor: 0.5, parallax_bias_m: -0.25, steepness: 2.0 },
         };
         assert_eq!(options.looks, looks);
         assert_eq!((options.orbit_step_deg, options.timeout), (-0.05, Duration::from_secs(9)));
@@ -347,6 +371,9 @@ mod tests {
             ("--show", "nothing", "wireframe"),
             ("--shadows", "long", "soft"),
             ("--water", "deep", "march"),
+            ("--parallax-factor", "1.1", "0 to 1"),
+            ("--parallax-bias", "NaN", "-2 to 2"),
+            ("--wave-steepness", "4.5", "0 to 4"),
             ("--timeout", "0", "1"),
         ] {
             let line = parse(&[option, value]).unwrap_err().to_string();

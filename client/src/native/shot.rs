@@ -4,6 +4,7 @@ use crate::headless::{self, Progress};
 use crate::native::args::Args;
 use crate::native::stream::{Settings, SocketFeed};
 use crate::native::textures;
+use crate::render::Picture;
 use crate::stats::Stats;
 use crate::voyage::Link;
 use anyhow::Context as _;
@@ -16,6 +17,10 @@ use std::time::{Duration, Instant};
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     let Some(path) = &args.shot else { return Ok(()) };
     let options = headless::Options { materials: textures::own(args)?, ..args.shot_options() };
+    if args.scene.is_local() {
+        let (picture, stats) = headless::render_local(&options, started)?;
+        return write(args, path, &picture, &stats);
+    }
     let feed = SocketFeed::connect(settings(args)?).context("cannot start the network thread")?;
     // Hidden by itself where stderr is no terminal.
     let bar = ProgressBar::new_spinner();
@@ -25,10 +30,15 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
         bar.set_message(describe(progress));
     })?;
     bar.finish_and_clear();
+    write(args, path, &picture, &stats)
+}
+
+/// Writes the picture, and the record of the run where one is asked for.
+fn write(args: &Args, path: &Path, picture: &Picture, stats: &Stats) -> anyhow::Result<()> {
     image::save_buffer(path, &picture.rgba, picture.width, picture.height, image::ColorType::Rgba8)
         .with_context(|| format!("cannot write --shot {}: choose a writable .png path", path.display()))?;
     if let Some(path) = &args.stats {
-        write_stats(path, &stats)?;
+        write_stats(path, stats)?;
     }
     Ok(())
 }

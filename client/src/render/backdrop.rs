@@ -1,9 +1,9 @@
-//! The passes that need nothing but the frame's uniforms: sky and water.
+//! The pass that needs nothing but the frame's uniforms: the sky.
 
 use crate::render::pipeline::{Depth, LightPass, uniform_entry};
-use shaders::{SHADERS, Shader, layout::WATER_VERTICES};
+use shaders::{SHADERS, Shader};
 
-/// A pass that covers the sky or the sea.
+/// A pass that covers what no land does.
 #[derive(Debug)]
 pub struct BackdropPass {
     pipeline: wgpu::RenderPipeline,
@@ -16,12 +16,6 @@ impl BackdropPass {
     #[must_use]
     pub fn sky(device: &wgpu::Device, frame: &wgpu::Buffer, samples: u32) -> Self {
         Self::new(device, frame, &SHADERS.draw_sky, Depth::Background, 3, samples)
-    }
-
-    /// The surface of the sea.
-    #[must_use]
-    pub fn water(device: &wgpu::Device, frame: &wgpu::Buffer, samples: u32) -> Self {
-        Self::new(device, frame, &SHADERS.draw_water, Depth::Transparent, WATER_VERTICES, samples)
     }
 
     fn new(

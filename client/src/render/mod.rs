@@ -13,17 +13,21 @@ pub mod mesh;
 pub mod picture;
 pub mod pipeline;
 pub mod pool;
+pub mod scenes;
 pub mod surface;
 pub mod targets;
 pub mod terrain;
 pub mod tiling_probe;
 pub mod tone;
+pub mod water;
+pub mod waves;
 
 pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
 use crate::frame::{Backdrop, FrameData};
 use crate::looks::{Shadows, Show};
+use crate::scene::Scene;
 use crate::shadow::{Quota, Schedule};
 use crate::world::Resident;
 use air::AirPass;
@@ -32,14 +36,19 @@ use cast::CastPass;
 use glam::Vec3;
 use materials::{Materials, OwnMaterials};
 use pool::ChunkPool;
+use scenes::LocalScene;
 use shaders::layout::Frame;
 use targets::Targets;
 use terrain::TerrainPass;
 use tone::TonePass;
+use water::WaterPass;
+use waves::WaveMap;
 
 /// What a renderer is built for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RenderOptions {
+    /// What is drawn.
+    pub scene: Scene,
     /// Picture size, pixels.
     pub size: (u32, u32),
     /// Samples per pixel: 1 or 4, the two that WebGPU promises.
@@ -63,7 +72,9 @@ pub struct Renderer {
     air: AirPass,
     terrain: TerrainPass,
     sky: BackdropPass,
-    water: BackdropPass,
+    water: WaterPass,
+    /// Drawn instead of land, sky and sea.
+    local: Option<LocalScene>,
     tone: TonePass,
 }
 
@@ -88,6 +99,7 @@ impl Renderer {
         let targets = Targets::new(device, options.size, samples);
         let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let materials = Materials::new(device, &gpu.queue, own, software);
+        let waves = WaveMap::bake(device, &gpu.queue);
         Self {
             samples,
             air: AirPass::new(device, &uniforms),
@@ -95,7 +107,8 @@ impl Renderer {
             cast: CastPass::new(device, &pool, options.slots),
             terrain: TerrainPass::new(device, &uniforms, &pool, &materials, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
-            water: BackdropPass::water(device, &uniforms, samples),
+            water: WaterPass::sea(device, &uniforms, &waves, samples),
+            local: LocalScene::new(options.scene, device, &uniforms, &waves, samples),
             tone: TonePass::new(device, &uniforms, &targets, options.format),
             materials,
             uniforms,
@@ -223,12 +236,16 @@ impl Renderer {
                 }),
                 ..Default::default()
             });
-            self.terrain.draw(&mut pass, &self.materials);
-            if !matches!(frame.backdrop, Backdrop::Plain(_)) {
-                self.sky.draw(&mut pass);
-            }
-            if frame.backdrop == Backdrop::SkyAndSea {
-                self.water.draw(&mut pass);
+            if let Some(scene) = &self.local {
+                scene.draw(&mut pass);
+            } else {
+                self.terrain.draw(&mut pass, &self.materials);
+                if !matches!(frame.backdrop, Backdrop::Plain(_)) {
+                    self.sky.draw(&mut pass);
+                }
+                if frame.backdrop == Backdrop::SkyAndSea {
+                    self.water.draw(&mut pass);
+                }
             }
         }
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {

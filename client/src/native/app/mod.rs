@@ -5,6 +5,7 @@ pub mod overlay;
 pub mod panel;
 
 use crate::camera::Lens;
+use crate::feed::{Feed, NoFeed};
 use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::native::args::Args;
 use crate::native::shot::{settings, write_stats};
@@ -81,7 +82,7 @@ struct Running {
     surface: WindowSurface,
     renderer: Renderer,
     overlay: Overlay,
-    voyage: Voyage<SocketFeed>,
+    voyage: Voyage<Box<dyn Feed>>,
     controls: Controls,
     knobs: Knobs,
     args: Args,
@@ -166,20 +167,22 @@ impl Running {
         let slots = ChunkPool::slots_within(&gpu.device.limits(), World::capacity_for(args.chunk_mb << 20));
         let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let options = RenderOptions {
+            scene: args.scene,
             size: surface.size(),
             samples: args.samples.unwrap_or(if software { 1 } else { 4 }),
             format: surface.format,
             slots,
         };
+        let feed: Box<dyn Feed> = if args.scene.is_local() {
+            Box::new(NoFeed)
+        } else {
+            Box::new(SocketFeed::connect(settings(args)?).context("cannot start the network thread")?)
+        };
         let now = Instant::now();
         Ok(Self {
             renderer: Renderer::with_materials(&gpu, &options, &textures::own(args)?),
             overlay: Overlay::new(&gpu, &window, surface.format),
-            voyage: Voyage::new(
-                SocketFeed::connect(settings(args)?).context("cannot start the network thread")?,
-                slots,
-            )
-            .fading(ARRIVAL_FADE),
+            voyage: Voyage::new(feed, slots).fading(ARRIVAL_FADE),
             controls: Controls::new(args.pose(), args.orbit, args.scene.orbit_radius_m()),
             knobs: Knobs {
                 tolerance_px: args.tolerance,
@@ -267,7 +270,7 @@ impl Running {
         renderer.cast(gpu, &frame, PER_FRAME, &mut encoder);
         renderer.draw(gpu, &frame, &mut encoder, &view);
         if self.show_panel {
-            let traffic = crate::feed::Feed::traffic(self.voyage.feed());
+            let traffic = self.voyage.feed().traffic();
             let readings = Readings {
                 times: &self.times,
                 drawn: self.drawn,
@@ -279,6 +282,7 @@ impl Running {
                 delivery: self.args.delivery,
                 credits: traffic.credits,
                 levels: self.voyage.world().level_histogram(),
+                local: self.args.scene.panels(),
                 link: self.voyage.link(),
                 now: self.started.elapsed(),
                 camera: shot.pose.to_string(),
@@ -321,8 +325,8 @@ impl Running {
             frames: self.frames,
             chunks_drawn: self.drawn,
             triangles: self.drawn as u64 * TRIANGLES_PER_CHUNK,
-            delivery: self.args.delivery.name(),
-            bytes_received: crate::feed::Feed::traffic(self.voyage.feed()).bytes_received,
+            delivery: if self.args.scene.is_local() { "none" } else { self.args.delivery.name() },
+            bytes_received: self.voyage.feed().traffic().bytes_received,
             seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
             seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),
             frame_ms_p50: self.times.quantile_ms(0.5, usize::MAX),

@@ -33,6 +33,8 @@ pub struct Readings<'a> {
     pub credits: u32,
     /// Resident chunks at each level.
     pub levels: [u32; 17],
+    /// What to say of a scene that has no session.
+    pub local: Option<&'static str>,
     /// The session.
     pub link: &'a Link,
     /// Time since the start.
@@ -108,6 +110,16 @@ fn picture(ui: &mut egui::Ui, looks: &mut Looks) {
         choice::<Shadows>(ui, "shadows", &mut looks.shadows);
         choice::<Tiling>(ui, "tiling", &mut looks.tiling);
         choice::<WaterTier>(ui, "water", &mut looks.water);
+        let waves = &mut looks.waves;
+        ui.weak("parallax");
+        ui.add(egui::Slider::new(&mut waves.parallax_factor, 0.0..=1.0));
+        ui.end_row();
+        ui.weak("water bias");
+        ui.add(egui::Slider::new(&mut waves.parallax_bias_m, -2.0..=2.0).suffix(" m"));
+        ui.end_row();
+        ui.weak("steepness");
+        ui.add(egui::Slider::new(&mut waves.steepness, 0.0..=4.0));
+        ui.end_row();
         choice::<Diffuse>(ui, "diffuse", &mut looks.diffuse);
         choice::<Visibility>(ui, "visibility", &mut looks.visibility);
         ui.weak("exposure");
@@ -130,6 +142,9 @@ fn choice<T: ValueEnum + PartialEq + Copy>(ui: &mut egui::Ui, name: &str, value:
 }
 
 fn connection(readings: &Readings<'_>) -> String {
+    if let Some(line) = readings.local {
+        return line.to_owned();
+    }
     match readings.link {
         Link::Connecting => "connecting".to_owned(),
         Link::Connected(server) => format!("connected to {server}"),

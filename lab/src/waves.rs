@@ -1,0 +1,144 @@
+//! The shipped parallax of waves on this machine's GPU: rays in, places out.
+
+use anyhow::{Context, Result};
+use bytemuck::Zeroable as _;
+use client::looks::WaveKnobs;
+use client::render::waves::WaveMap;
+use client::render::{Gpu, gpu};
+use shaders::SHADERS;
+use shaders::layout::{Frame, WaveProbe};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+/// What a method found of a ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FoundWave {
+    /// Place of the surface, pattern metres.
+    pub place_m: [f32; 2],
+    /// Height on the ray above the mean plane, metres.
+    pub at_m: f32,
+    /// How far the waves at that place are above that height, metres: 0 where the ray truly meets them.
+    pub residual_m: f32,
+}
+
+/// The bench.
+pub struct WaveBench {
+    gpu: Gpu,
+    waves: WaveMap,
+    pipeline: wgpu::ComputePipeline,
+}
+
+impl WaveBench {
+    /// Bakes the map on the best adapter.
+    ///
+    /// # Errors
+    /// There is none; the line says what to install.
+    pub fn open() -> Result<Self> {
+        let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
+        let waves = WaveMap::bake(&gpu.device, &gpu.queue);
+        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(SHADERS.probe_waves.name),
+            source: wgpu::ShaderSource::Wgsl(SHADERS.probe_waves.wgsl.into()),
+        });
+        let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(SHADERS.probe_waves.name),
+            layout: None,
+            module: &module,
+            entry_point: None,
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
+        });
+        Ok(Self { gpu, waves, pipeline })
+    }
+
+    /// Name of the adapter, for people.
+    #[must_use]
+    pub fn adapter(&self) -> String {
+        self.gpu.name()
+    }
+
+    /// Runs probes under some knobs at a moment; also how long the GPU took, upload and read-back excluded.
+    ///
+    /// # Errors
+    /// The device fails.
+    pub fn run(
+        &self,
+        knobs: WaveKnobs,
+        time_s: f32,
+        probes: &[WaveProbe],
+    ) -> Result<(Vec<FoundWave>, Duration)> {
+        use wgpu::BufferUsages as Usage;
+        let (device, queue) = (&self.gpu.device, &self.gpu.queue);
+        let buffer = |label, size: usize, usage| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: size as u64,
+                usage,
+                mapped_at_creation: false,
+            })
+        };
+        let knobs = knobs.sane();
+        let uniforms = Frame {
+            time_s,
+            // Fine enough that no wave is faded for being small on screen.
+            pixels_per_radian: 1e4,
+            parallax_factor: knobs.parallax_factor,
+            parallax_bias_m: knobs.parallax_bias_m,
+            wave_steepness: knobs.steepness,
+            ..Frame::zeroed()
+        };
+        let frame = buffer("frame", size_of::<Frame>(), Usage::UNIFORM | Usage::COPY_DST);
+        queue.write_buffer(&frame, 0, bytemuck::bytes_of(&uniforms));
+        let input = buffer("probes", size_of_val(probes), Usage::STORAGE | Usage::COPY_DST);
+        queue.write_buffer(&input, 0, bytemuck::cast_slice(probes));
+        let bytes = 16 * probes.len();
+        let output = buffer("found", bytes, Usage::STORAGE | Usage::COPY_SRC);
+        let landing = buffer("found, on the CPU", bytes, Usage::MAP_READ | Usage::COPY_DST);
+        let [map, sampler] = self.waves.entries(1);
+        let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(SHADERS.probe_waves.name),
+            layout: &self.pipeline.get_bind_group_layout(0),
+            entries: &[
+                wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
+                map,
+                sampler,
+                wgpu::BindGroupEntry { binding: 3, resource: input.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 4, resource: output.as_entire_binding() },
+            ],
+        });
+        queue.submit([]);
+        self.gpu.wait()?;
+        let begun = Instant::now();
+        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            pass.set_pipeline(&self.pipeline);
+            pass.set_bind_group(0, &bindings, &[]);
+            pass.dispatch_workgroups((probes.len() as u32).div_ceil(64), 1, 1);
+        }
+        queue.submit([encoder.finish()]);
+        self.gpu.wait()?;
+        let took = begun.elapsed();
+        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.copy_buffer_to_buffer(&output, 0, &landing, 0, bytes as u64);
+        queue.submit([encoder.finish()]);
+        let (done, mapped) = mpsc::channel();
+        landing.slice(..).map_async(wgpu::MapMode::Read, move |outcome| {
+            // Nobody listens any more only if waiting has failed.
+            let _ = done.send(outcome);
+        });
+        self.gpu.wait()?;
+        mapped.recv().context("the GPU dropped the places")?.context("the places cannot be read")?;
+        let view = landing.slice(..).get_mapped_range().context("the places cannot be read")?;
+        let words: &[[f32; 4]] = bytemuck::cast_slice(&view);
+        let found = words
+            .iter()
+            .map(|[x, z, at_m, residual_m]| FoundWave {
+                place_m: [*x, *z],
+                at_m: *at_m,
+                residual_m: *residual_m,
+            })
+            .collect();
+        Ok((found, took))
+    }
+}

@@ -1,0 +1,171 @@
+//! The sea and the scene of the water: identities, the order of the tiers, and cameras at the ends of their ranges.
+
+use client::camera::{Lens, Pose};
+use client::feed::LocalFeed;
+use client::headless::{self, HeadlessError, Options};
+use client::looks::{Looks, WaterTier, WaveKnobs};
+use client::render::Picture;
+use client::scene::Scene;
+use client::stats::Stats;
+use std::time::Instant;
+
+fn options(scene: Scene, camera: &str) -> Options {
+    Options {
+        scene,
+        pose: camera.parse::<Pose>().unwrap(),
+        lens: Lens { width: 192, height: 108, ..Options::default().lens },
+        samples: 1,
+        time_s: 3.0,
+        view_distance_m: 1500,
+        ..Options::default()
+    }
+}
+
+fn with(options: &Options, water: WaterTier, waves: WaveKnobs) -> Options {
+    Options { looks: Looks { water, waves, ..options.looks }, ..options.clone() }
+}
+
+/// Draws without a server; none, visibly, where there is no adapter and none is required.
+fn drawn(options: &Options) -> Option<(Picture, Stats)> {
+    match headless::render(options, LocalFeed::new(1), Instant::now(), |_| {}) {
+        Ok(drawn) => Some(drawn),
+        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// Mean absolute difference of two panels of a picture of three, 0 to 255.
+fn between_panels(picture: &Picture, one: u32, other: u32) -> f64 {
+    let width = picture.width / 3;
+    let pixel = |x: u32, y: u32, channel: u32| {
+        f64::from(picture.rgba[(4 * (y * picture.width + x) + channel) as usize])
+    };
+    let mut sum = 0.0;
+    // Two pixels of each panel may be separator.
+    for y in 0..picture.height {
+        for x in 2..width {
+            for channel in 0..3 {
+                sum += (pixel(one * width + x, y, channel) - pixel(other * width + x, y, channel)).abs();
+            }
+        }
+    }
+    sum / f64::from(3 * (width - 2) * picture.height)
+}
+
+/// Why a picture cannot be one, if it cannot: the tone pass writes magenta, which nothing natural is, where light is no number.
+fn broken(picture: &Picture) -> Option<String> {
+    let wrong = picture.rgba.chunks_exact(4).position(|pixel| pixel == [255, 0, 255, 255] || pixel[3] != 255);
+    wrong.map(|index| format!("pixel {index} is no number"))
+}
+
+/// A view of the sea before the home island's shore, and the scene at its start.
+const SEA: &str = "4700,8,500,120,-20";
+const BAY: &str = "0,7.5,7,0,-29";
+
+#[test]
+fn without_parallax_every_tier_draws_flat_water_byte_for_byte() {
+    for (scene, camera) in [(Scene::Island, SEA), (Scene::Water, BAY)] {
+        let base = options(scene, camera);
+        let Some((flat, _)) = drawn(&with(&base, WaterTier::Flat, WaveKnobs::default())) else { return };
+        let none = WaveKnobs { parallax_factor: 0.0, ..WaveKnobs::default() };
+        for tier in [WaterTier::Offset, WaterTier::Three, WaterTier::March] {
+            let Some((zero, _)) = drawn(&with(&base, tier, none)) else { return };
+            if scene == Scene::Island {
+                assert!(zero.rgba == flat.rgba, "{tier:?} without parallax is not flat water");
+            } else {
+                assert_eq!(middle(&zero), middle(&flat), "{tier:?} without parallax is not flat water");
+            }
+            // The control: with parallax it is another picture.
+            let Some((some, _)) = drawn(&with(&base, tier, WaveKnobs::default())) else { return };
+            assert!(middle(&some) != middle(&flat), "{tier:?} does nothing");
+        }
+    }
+}
+
+/// The middle panel: the only one that the tier decides.
+fn middle(picture: &Picture) -> Vec<u8> {
+    let (row, third) = (4 * picture.width as usize, 4 * (picture.width / 3) as usize);
+    picture.rgba.chunks_exact(row).flat_map(|line| &line[third..2 * third]).copied().collect()
+}
+
+#[test]
+fn the_middle_panel_is_nearer_to_the_truth_than_the_plain_one_and_marching_is_the_truth() {
+    let base = options(Scene::Water, BAY);
+    for tier in [WaterTier::Offset, WaterTier::Two, WaterTier::Three, WaterTier::Four, WaterTier::March] {
+        let Some((picture, stats)) = drawn(&with(&base, tier, WaveKnobs::default())) else { return };
+        assert_eq!((stats.chunks_drawn, stats.bytes_received, stats.delivery), (0, 0, "none"));
+        let (left, centre) = (between_panels(&picture, 0, 2), between_panels(&picture, 1, 2));
+        assert!(centre < 0.5 * left, "{tier:?}: {centre} against {left}");
+        // Dither differs from place to place: up to one step.
+        assert!(tier != WaterTier::March || centre < 0.6, "{centre}");
+    }
+}
+
+#[test]
+fn the_sea_is_defined_wherever_the_eye_is_and_whatever_the_knobs_say() {
+    let wild = [
+        WaveKnobs::default(),
+        WaveKnobs { parallax_factor: 1.0, parallax_bias_m: 2.0, steepness: 4.0 },
+        WaveKnobs { parallax_factor: 1e30, parallax_bias_m: f32::NEG_INFINITY, steepness: f32::INFINITY },
+        WaveKnobs { parallax_factor: f32::NAN, parallax_bias_m: f32::NAN, steepness: f32::NAN },
+    ];
+    let cameras = [
+        // At the plane, a hair above and below it, under water; looking level, straight down and straight up.
+        "4700,0,500,120,0",
+        "4700,0.004,500,120,-5",
+        "4700,-0.004,500,120,5",
+        "4700,-5,500,300,10",
+        "4700,-5,500,300,-90",
+        "4700,-5,500,300,90",
+        "4700,30,500,120,-90",
+        "4700,30,500,120,90",
+        "4700,20000,500,120,-45",
+    ];
+    for (index, camera) in cameras.into_iter().enumerate() {
+        for scene in [Scene::Island, Scene::Water] {
+            let mut options = options(scene, camera);
+            if scene == Scene::Water {
+                (options.pose.position_m.x, options.pose.position_m.z) = (0.0, 4.0);
+            }
+            (options.lens.width, options.lens.height) = (96, 54);
+            options.lens.fov_deg = [1.0, 60.0, 170.0][index % 3];
+            let waves = wild[index % wild.len()];
+            let tier = [WaterTier::Three, WaterTier::March, WaterTier::Offset][index % 3];
+            let Some((picture, _)) = drawn(&with(&options, tier, waves)) else { return };
+            assert_eq!(broken(&picture), None, "{scene:?} {camera} {tier:?} {waves:?}");
+        }
+    }
+}
+
+#[test]
+fn light_that_is_no_number_is_called_broken() {
+    let mut options = options(Scene::Water, BAY);
+    let Some((picture, _)) = drawn(&options) else { return };
+    assert_eq!(broken(&picture), None);
+    // The control: an exposure that is no number makes all light so.
+    options.looks.exposure_ev = f32::NAN;
+    let Some((picture, _)) = drawn(&options) else { return };
+    assert!(broken(&picture).is_some(), "the check cannot fail");
+}
+
+#[test]
+fn the_knobs_change_the_picture_and_what_is_no_number_is_the_default() {
+    let base = options(Scene::Water, BAY);
+    let tier = WaterTier::Three;
+    let standard = WaveKnobs::default();
+    let Some((plain, _)) = drawn(&with(&base, tier, standard)) else { return };
+    for waves in [
+        WaveKnobs { parallax_factor: 0.6, ..standard },
+        WaveKnobs { parallax_bias_m: 0.5, ..standard },
+        WaveKnobs { steepness: 2.0, ..standard },
+    ] {
+        let Some((changed, _)) = drawn(&with(&base, tier, waves)) else { return };
+        assert!(changed.rgba != plain.rgba, "{waves:?} changes nothing");
+    }
+    let none = WaveKnobs { parallax_factor: f32::NAN, parallax_bias_m: f32::NAN, steepness: f32::NAN };
+    let Some((same, _)) = drawn(&with(&base, tier, none)) else { return };
+    assert!(same.rgba == plain.rgba);
+}
