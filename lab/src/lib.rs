@@ -13,6 +13,7 @@ pub mod chart;
 pub mod cracks;
 pub mod digest;
 pub mod floats;
+pub mod lod;
 pub mod options;
 pub mod sample;
 pub mod scenery;
