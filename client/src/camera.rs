@@ -14,6 +14,8 @@ pub const MAX_EYE_HEIGHT_M: f64 = 20_000.0;
 pub const MIN_EYE_HEIGHT_M: f64 = -64.0;
 /// Largest |x| and |z| of an eye, metres.
 pub const WORLD_HALF_M: f64 = (WORLD_HALF / UNITS_PER_METRE) as f64;
+/// Least height of an eye above the ground, metres: twice the near plane's distance, so that this never cuts the ground below.
+pub const CLEARANCE_M: f64 = 0.5;
 /// Steepest gaze in degrees: straight up or down. The heading stays what the yaw says.
 pub const MAX_PITCH_DEG: f64 = 90.0;
 
@@ -70,6 +72,15 @@ impl Pose {
         }
     }
 
+    /// The pose lifted out of the ground if it is below the ground's height (units): inside the land there is nothing to see. An eye under
+    /// water stays there.
+    #[must_use]
+    pub fn above(self, ground: Option<i32>) -> Self {
+        let floor_m =
+            ground.map_or(f64::MIN, |units| f64::from(units) / f64::from(UNITS_PER_METRE) + CLEARANCE_M);
+        Self { position_m: self.position_m.with_y(self.position_m.y.max(floor_m)), ..self }
+    }
+
     /// The pose moved into the world and its pitch into range.
     #[must_use]
     pub fn clamped(self) -> Self {
@@ -89,7 +100,9 @@ impl Pose {
 impl fmt::Display for Pose {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let p = self.position_m;
-        write!(f, "{:.1},{:.1},{:.1},{:.1},{:.1}", p.x, p.y, p.z, self.yaw_deg, self.pitch_deg)
+        let digits = f.precision().unwrap_or(1);
+        let [x, y, z, yaw, pitch] = [p.x, p.y, p.z, self.yaw_deg, self.pitch_deg];
+        write!(f, "{x:.digits$},{y:.digits$},{z:.digits$},{yaw:.digits$},{pitch:.digits$}")
     }
 }
 
@@ -334,6 +347,15 @@ mod tests {
         fly.step(&Steering { forward: 1.0, tilt_deg: 500.0, ..Steering::default() }, 10.0);
         assert!(fly.pose.pitch_deg <= MAX_PITCH_DEG && fly.pose.position_m.x <= WORLD_HALF_M);
         assert!(fly.pose.eye().units[0] <= WORLD_HALF);
+    }
+
+    #[test]
+    fn an_eye_in_the_ground_is_lifted_and_one_in_the_sea_is_not() {
+        let eye = pose("5,10,-5,0,0");
+        assert_eq!(eye.above(Some(100 * 256)).position_m, DVec3::new(5.0, 100.5, -5.0));
+        assert_eq!(eye.above(Some(9 * 256)), eye);
+        assert_eq!(pose("5,-10,-5,0,0").above(Some(-40 * 256)).position_m.y, -10.0);
+        assert_eq!(eye.above(None), eye);
     }
 
     #[test]

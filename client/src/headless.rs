@@ -122,18 +122,22 @@ pub fn render(
     let canvas = Canvas::new(&gpu.device, size.0, size.1);
     let mut voyage = Voyage::new(feed, slots);
     fill(&mut voyage, options, &gpu, &renderer, started, &mut progress)?;
+    // How high the ground is under the eye is known now; an eye that has to be lifted sees other chunks.
+    fill(&mut voyage, options, &gpu, &renderer, started, &mut progress)?;
 
     let mut times = FrameTimes::default();
     let mut drawn = 0;
+    let mut camera = String::new();
     for index in 0..WARM_UP_FRAMES + options.frames.max(1) {
         let timed = index.checked_sub(WARM_UP_FRAMES);
         let begun = Instant::now();
-        let shot = options.shot(timed.unwrap_or(0));
+        let shot = options.shot(timed.unwrap_or(0), voyage.world());
         let selection = voyage.update(&shot, started.elapsed(), usize::MAX, |slot, heights| {
             renderer.pool().upload(&gpu.queue, slot, heights);
         });
         let frame = shot.frame(options.scene, voyage.world(), &selection);
         drawn = frame.instances.len();
+        camera = format!("{:.4}", shot.pose);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
         gpu.queue.submit([encoder.finish()]);
@@ -159,7 +163,8 @@ pub fn render(
         chunks_resident: resident,
         chunk_bytes_resident: resident * SLOT_BYTES,
         chunk_bytes_budget: slots as usize * SLOT_BYTES,
-        tolerance_px: voyage.tolerance_px(&options.shot(0)),
+        tolerance_px: voyage.tolerance_px(&options.shot(0, voyage.world())),
+        camera,
     };
     Ok((picture, stats))
 }
@@ -173,7 +178,7 @@ fn fill(
     started: Instant,
     progress: &mut impl FnMut(&Progress),
 ) -> Result<(), HeadlessError> {
-    let shot = options.shot(0);
+    let shot = options.shot(0, voyage.world());
     loop {
         let selection = voyage.update(&shot, started.elapsed(), 64, |slot, heights| {
             renderer.pool().upload(&gpu.queue, slot, heights);
@@ -215,17 +220,18 @@ fn fill(
 }
 
 impl Options {
-    /// The shot of a timed frame.
+    /// The shot of a timed frame over the land that is here.
     #[must_use]
-    pub fn shot(&self, frame: u32) -> Shot {
+    pub fn shot(&self, frame: u32, world: &World) -> Shot {
         let mut pose = self.pose;
         if self.orbit_step_deg != 0.0 {
             let mut orbit = crate::camera::Orbit::through(&pose, self.scene.orbit_radius_m());
             orbit.bearing_deg += self.orbit_step_deg * f64::from(frame);
             pose = Pose { pitch_deg: pose.pitch_deg, ..orbit.pose() };
         }
+        let eye = pose.eye();
         Shot {
-            pose,
+            pose: pose.above(world.ground(eye.units[0], eye.units[2])),
             lens: self.lens,
             view_distance_m: self.view_distance_m,
             tolerance_px: self.tolerance_px,

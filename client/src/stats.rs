@@ -76,6 +76,8 @@ pub struct Stats {
     pub chunk_bytes_budget: usize,
     /// The tolerance that was drawn with: above the one asked for if the budget was too small for it.
     pub tolerance_px: f64,
+    /// The last frame's camera as `--camera` takes it: above the one asked for if that was in the ground.
+    pub camera: String,
 }
 
 #[cfg(test)]

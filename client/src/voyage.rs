@@ -3,7 +3,7 @@
 
 use crate::feed::{Feed, FeedEvent};
 use crate::frame::Shot;
-use crate::world::{Selection, World, select};
+use crate::world::{Fading, Selection, World, select_at};
 use protocol::view::View;
 use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
@@ -64,6 +64,7 @@ pub struct Voyage<F> {
     strain: f64,
     strained_at: Duration,
     milestones: Milestones,
+    fade: Duration,
 }
 
 impl<F: Feed> Voyage<F> {
@@ -83,7 +84,14 @@ impl<F: Feed> Voyage<F> {
             strain: 1.0,
             strained_at: Duration::ZERO,
             milestones: Milestones::default(),
+            fade: Duration::ZERO,
         }
+    }
+
+    /// The voyage with finer land that grows out of coarser land for so long, instead of appearing.
+    #[must_use]
+    pub fn fading(self, lasts: Duration) -> Self {
+        Self { fade: lasts, ..self }
     }
 
     /// Takes up to `limit` events, says what is seen, and chooses what to draw. `upload` is called for every chunk
@@ -101,7 +109,7 @@ impl<F: Feed> Voyage<F> {
         }
         let said = self.say_what_is_seen(shot, now);
         let viewer = Shot { tolerance_px: self.tolerance_px(shot), ..*shot }.viewer();
-        let selection = select(&mut self.world, &viewer);
+        let selection = select_at(&mut self.world, &viewer, Fading { now, lasts: self.fade });
         if said && self.is_settled() {
             if !selection.is_complete() {
                 // All was sent, so what is wanting was evicted since.
@@ -330,8 +338,8 @@ mod tests {
         voyage.feed.events.extend([connected(1), FeedEvent::Chunk(chunk.clone())]);
         voyage.update(&shot(), AT(0), 10, |_, _| ());
         voyage.feed.events.push_back(lost);
-        let selection = voyage.update(&shot(), AT(1000), 10, |_, _| ());
-        assert_eq!(selection.drawn[0].key, chunk.key, "keeps drawing what it has");
+        voyage.update(&shot(), AT(1000), 10, |_, _| ());
+        assert_eq!(voyage.world().keys().collect::<Vec<_>>(), [chunk.key], "keeps what it has");
         assert_eq!(voyage.link(), &Link::Waiting { cause: "gone".into(), retry_at: AT(1500) });
         voyage.feed.events.push_back(connected(1));
         voyage.update(&shot(), AT(1500), 10, |_, _| ());

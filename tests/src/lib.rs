@@ -8,6 +8,7 @@
 //! | `http` | probes, metrics, the world's description, chunk downloads |
 //! | `faults` | servers that go away, and clients that live on |
 //! | `far` | that a picture does not depend on the distance from the origin |
+//! | `extremes` | eyes, lenses, sizes and shapes of land at their ends |
 //! | `pictures` | what the headless viewer draws, against golden pictures |
 //! | `programs` | the built binaries: options, exit codes, messages |
 //! | `harness` | that the harness itself fails when it should |
@@ -16,6 +17,7 @@
 
 pub mod golden;
 pub mod liar;
+pub mod molded;
 pub mod peer;
 pub mod program;
 pub mod running;

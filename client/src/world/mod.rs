@@ -8,4 +8,4 @@ pub mod select;
 
 pub use resident::{Arrival, Resident, World};
 pub use seams::Drawn;
-pub use select::{Selection, select};
+pub use select::{Fading, Selection, select, select_at};

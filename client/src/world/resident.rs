@@ -2,7 +2,8 @@
 //!
 //! The number of slots comes from the memory budget and never changes; nothing that a peer sends makes this grow.
 
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
+use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
 use terrain::{Chunk, ChunkKey};
 
@@ -49,6 +50,10 @@ pub struct World {
     frame: u64,
     /// Frame in which the current view was said.
     view_said: u64,
+    /// Whether a view was once covered from end to end.
+    covered: bool,
+    /// Since when each chunk that is drawn by its children has been.
+    split_since: FxHashMap<ChunkKey, Duration>,
 }
 
 impl World {
@@ -63,6 +68,8 @@ impl World {
             // Starts above the stamp of chunks that no selection has used.
             frame: 1,
             view_said: 1,
+            covered: false,
+            split_since: FxHashMap::default(),
         }
     }
 
@@ -157,9 +164,25 @@ impl World {
         self.view_said = self.frame + 1;
     }
 
-    /// Starts the selection of a new frame.
-    pub(super) fn begin_frame(&mut self) {
+    /// Starts the selection of a new frame, of whose coarsest chunks all or not all are here. Whether the land can be shown: not before
+    /// it once covered a whole view, because a part of it would end in mid-air. Later on what is missing is new at the far end of the view.
+    pub(super) fn begin_frame(&mut self, all_tops_are_here: bool) -> bool {
         self.frame += 1;
+        self.covered |= all_tops_are_here;
+        self.covered
+    }
+
+    /// Notes which chunks are drawn by their children now.
+    pub(super) fn note_splits(&mut self, split: &FxHashSet<ChunkKey>, now: Duration) {
+        self.split_since.retain(|key, _| split.contains(key));
+        for key in split {
+            self.split_since.entry(*key).or_insert(now);
+        }
+    }
+
+    /// Since when a chunk has been drawn by its children, if it is.
+    pub(super) fn split_since(&self, key: ChunkKey) -> Option<Duration> {
+        self.split_since.get(&key).copied()
     }
 
     /// Notes that the current selection draws a chunk, or something below it.
@@ -247,7 +270,8 @@ mod tests {
 
     #[test]
     fn what_is_drawn_stays_until_nothing_else_is_left() {
-        let viewer = Viewer { eye: (0, 25_600, 0), distance_m: 100, pixels_per_radian: 300, tolerance_q4: 1 };
+        let viewer =
+            Viewer { eye: (16_384, 25_600, 16_384), distance_m: 60, pixels_per_radian: 300, tolerance_q4: 1 };
         let mut world = World::new(4);
         let drawn = chunk(0, 0, 0).key;
         world.insert(chunk(0, 0, 0));

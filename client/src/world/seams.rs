@@ -7,7 +7,7 @@
 //! from the border to the inside.
 
 use crate::world::World;
-use crate::world::select::judged_error;
+use crate::world::select::{Fading, judged_error};
 use rustc_hash::{FxHashMap, FxHashSet};
 use shaders::twin::morph::{MORPH_ONE, Seams};
 use terrain::ChunkKey;
@@ -45,9 +45,17 @@ enum Meets {
 }
 
 /// Joins the leaves of a balanced tree whose inner nodes are `split`.
-pub fn close(world: &World, viewer: &Viewer, leaves: &[ChunkKey], split: &FxHashSet<ChunkKey>) -> Vec<Drawn> {
-    let inside: FxHashMap<ChunkKey, f64> =
-        leaves.iter().map(|key| (*key, morph(world, viewer, *key))).collect();
+pub fn close(
+    world: &World,
+    viewer: &Viewer,
+    leaves: &[ChunkKey],
+    split: &FxHashSet<ChunkKey>,
+    fading: Fading,
+) -> Vec<Drawn> {
+    let inside: FxHashMap<ChunkKey, f64> = leaves
+        .iter()
+        .map(|key| (*key, morph(world, viewer, *key).max(unfinished(world, *key, fading))))
+        .collect();
     let meets = |key: ChunkKey, (east, south): (i32, i32)| {
         let Some(next) = key.neighbour(east, south) else { return Meets::Nothing };
         if let Some(morph) = inside.get(&next) {
@@ -96,6 +104,15 @@ fn morph(world: &World, viewer: &Viewer, key: ChunkKey) -> f64 {
     let within = (tolerance - own) / (parent - own).max(f64::MIN_POSITIVE);
     let late = (MORPH_FROM - parent / tolerance) / (MORPH_FROM - 1.0);
     within.min(late).clamp(0.0, 1.0)
+}
+
+/// How much of its parent a chunk still is because its siblings and it have only now arrived, 1 to 0.
+fn unfinished(world: &World, key: ChunkKey, fading: Fading) -> f64 {
+    let since = key.parent().and_then(|parent| world.split_since(parent)).filter(|_| !fading.lasts.is_zero());
+    since.map_or(0.0, |since| {
+        let age = fading.now.saturating_sub(since);
+        1.0 - (age.as_secs_f64() / fading.lasts.as_secs_f64()).min(1.0)
+    })
 }
 
 /// The morph of an edge or corner, from the chunk's own and what it meets there.

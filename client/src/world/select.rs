@@ -8,6 +8,7 @@
 use crate::world::World;
 use crate::world::seams::{self, Drawn};
 use rustc_hash::FxHashSet;
+use std::time::Duration;
 use terrain::ChunkKey;
 use terrain::lod::{self, Splits, Viewer};
 
@@ -16,7 +17,8 @@ use terrain::lod::{self, Splits, Viewer};
 pub struct Selection {
     /// Chunks to draw, none above or below another.
     pub drawn: Vec<Drawn>,
-    /// Chunks drawn coarser than wanted because their children have not all arrived.
+    /// Chunks drawn coarser than wanted because their children have not all arrived, and before anything can be drawn the coarsest chunks
+    /// that are missing.
     pub wanting: usize,
 }
 
@@ -31,10 +33,26 @@ impl Selection {
 
 /// Chooses for one frame, and marks in the world what is in use.
 pub fn select(world: &mut World, viewer: &Viewer) -> Selection {
-    world.begin_frame();
-    let tops: Vec<ChunkKey> = viewer.tops().into_iter().filter(|key| world.get(*key).is_some()).collect();
+    select_at(world, viewer, Fading::default())
+}
+
+/// How fine land takes the place of coarse land that stood in for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Fading {
+    /// The moment, on a clock that never goes back.
+    pub now: Duration,
+    /// How long chunks take from their parent's surface to their own once all four are here. Zero: at once.
+    pub lasts: Duration,
+}
+
+/// [`select`] with chunks that grow out of their parent instead of appearing.
+pub fn select_at(world: &mut World, viewer: &Viewer, fading: Fading) -> Selection {
+    let (tops, missing): (Vec<_>, Vec<_>) =
+        viewer.tops().into_iter().partition(|key| world.get(*key).is_some());
+    let can_be_shown = world.begin_frame(missing.is_empty());
     let wanted = wanted(world, viewer, &tops);
     let split = possible(world, viewer, &wanted);
+    world.note_splits(&split, fading.now);
 
     let is_here = |key: &ChunkKey| world.get(*key).is_some() && viewer.sees(*key);
     let below = split.iter().filter_map(|key| key.children()).flatten();
@@ -43,9 +61,9 @@ pub fn select(world: &mut World, viewer: &Viewer) -> Selection {
     let nodes_set: FxHashSet<ChunkKey> = nodes.iter().copied().collect();
     let wanting =
         wanted.coarse_first().filter(|(key, _)| nodes_set.contains(key) && !split.contains(key)).count();
-    let drawn = seams::close(world, viewer, &leaves, &split);
+    let drawn = if can_be_shown { seams::close(world, viewer, &leaves, &split, fading) } else { Vec::new() };
     nodes.into_iter().for_each(|key| world.touch(key));
-    Selection { drawn, wanting }
+    Selection { drawn, wanting: wanting + if can_be_shown { 0 } else { missing.len() } }
 }
 
 /// Error that a chunk is judged by, units. The level's bound is empirical: a chunk whose own error exceeds it would want children
@@ -148,8 +166,50 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_world_draws_nothing() {
-        assert!(select(&mut World::new(4), &VIEWER).drawn.is_empty());
+    fn nothing_is_drawn_before_a_view_is_covered_and_something_ever_after() {
+        let mut world = World::new(10_000);
+        let top = VIEWER.top_level();
+        let (tops, finer): (Vec<_>, Vec<_>) = SENT.iter().partition(|chunk| chunk.key.level() == top);
+        let (last, first) = tops.split_last().unwrap();
+        for chunk in first.iter().chain(&finer) {
+            let selection = select(&mut world, &VIEWER);
+            assert!(selection.drawn.is_empty() && !selection.is_complete());
+            world.insert((*chunk).clone());
+        }
+        world.insert((*last).clone());
+        assert!(!select(&mut world, &VIEWER).drawn.is_empty());
+        let moved = Viewer { eye: (200_000, 20_000, -50_000), ..VIEWER };
+        assert!(
+            !select(&mut world, &moved).drawn.is_empty(),
+            "new land at the far end is missing, the rest stays"
+        );
+    }
+
+    #[test]
+    fn children_grow_out_of_their_parent_and_end_where_they_would_have_begun() {
+        let lasts = Duration::from_millis(200);
+        let at = |world: &mut World, millis| {
+            select_at(world, &VIEWER, Fading { now: Duration::from_millis(millis), lasts })
+        };
+        let mut world = world_of(SENT.iter().filter(|chunk| chunk.key.level() == VIEWER.top_level()));
+        let coarse = at(&mut world, 0);
+        for chunk in SENT.iter() {
+            world.insert(chunk.clone());
+        }
+        let begun = at(&mut world, 1000);
+        let insides = |selection: &Selection| {
+            selection.drawn.iter().map(|drawn| drawn.seams.inside).collect::<Vec<_>>()
+        };
+        let top = VIEWER.top_level();
+        assert!(coarse.drawn.len() < begun.drawn.len());
+        assert!(begun.drawn.iter().all(|drawn| drawn.key.level() == top || drawn.seams.inside == 64));
+        let half: u32 = insides(&at(&mut world, 1100)).into_iter().map(u32::from).sum();
+        let whole: u32 = insides(&begun).into_iter().map(u32::from).sum();
+        let ended = at(&mut world, 1200);
+        assert_eq!(ended, select(&mut world_of(SENT.iter()), &VIEWER));
+        let end: u32 = insides(&ended).into_iter().map(u32::from).sum();
+        assert!(end < half && half < whole, "{end} {half} {whole}");
+        assert_eq!(at(&mut world, 5000), ended, "what is split stays grown");
     }
 
     #[test]

@@ -31,6 +31,9 @@ use winit::window::{Window, WindowId};
 /// Chunks taken in per frame: about 2 ms of uploads, so that a burst of arrivals does not stutter.
 const ARRIVALS_PER_FRAME: usize = 48;
 
+/// How long finer land takes to grow out of coarser land: long enough not to be seen as a jump, short enough not to be waited for.
+const ARRIVAL_FADE: Duration = Duration::from_millis(250);
+
 /// How long to leave a window alone that cannot be drawn into.
 const HIDDEN_PAUSE: Duration = Duration::from_millis(50);
 
@@ -173,7 +176,8 @@ impl Running {
             voyage: Voyage::new(
                 SocketFeed::connect(settings(args)?).context("cannot start the network thread")?,
                 slots,
-            ),
+            )
+            .fading(ARRIVAL_FADE),
             controls: Controls::new(args.pose(), args.orbit, args.scene.orbit_radius_m()),
             knobs: Knobs {
                 tolerance_px: args.tolerance,
@@ -325,6 +329,7 @@ impl Running {
             chunk_bytes_resident: resident * SLOT_BYTES,
             chunk_bytes_budget: self.slots as usize * SLOT_BYTES,
             tolerance_px: self.knobs.tolerance_px,
+            camera: self.controls.pose().to_string(),
         }
     }
 }
