@@ -4,6 +4,7 @@
 //! come out, into whatever view the caller gives.
 
 pub mod backdrop;
+pub mod clock;
 pub mod fill;
 pub mod gpu;
 pub mod mesh;
@@ -15,11 +16,13 @@ pub mod targets;
 pub mod terrain;
 pub mod tone;
 
+pub use clock::PassTimes;
 pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
 use crate::frame::{Backdrop, FrameData};
 use backdrop::BackdropPass;
+use clock::{PassClock, TimedPass};
 use pool::HeightPool;
 use shaders::layout::Frame;
 use targets::Targets;
@@ -50,6 +53,8 @@ pub struct Renderer {
     sky: BackdropPass,
     water: BackdropPass,
     tone: TonePass,
+    clock: Option<PassClock>,
+    terrain_draws: u32,
 }
 
 impl Renderer {
@@ -71,6 +76,8 @@ impl Renderer {
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: BackdropPass::water(device, &uniforms, samples),
             tone: TonePass::new(device, &uniforms, &targets, options.format),
+            clock: PassClock::new(device),
+            terrain_draws: 0,
             uniforms,
             pool,
             targets,
@@ -81,6 +88,26 @@ impl Renderer {
     #[must_use]
     pub fn pool(&self) -> &HeightPool {
         &self.pool
+    }
+
+    /// Draw calls that the land of the last frame took.
+    #[must_use]
+    pub fn terrain_draws(&self) -> u32 {
+        self.terrain_draws
+    }
+
+    /// Bytes on the GPU that one more chunk takes: the buffers that grow with the number of slots, by their real sizes.
+    #[must_use]
+    pub fn bytes_per_chunk(&self) -> u64 {
+        (self.pool.buffer().size() + self.terrain.bytes()).div_ceil(u64::from(self.pool.slots()))
+    }
+
+    /// What the passes of the last submitted frame took by the GPU's clock; none if the device was opened without one.
+    ///
+    /// # Errors
+    /// The GPU failed.
+    pub fn pass_times(&self, gpu: &Gpu) -> Result<Option<PassTimes>, GpuError> {
+        self.clock.as_ref().map(|clock| clock.read(gpu)).transpose()
     }
 
     /// Draws pictures of another size from now on.
@@ -125,9 +152,10 @@ impl Renderer {
                     }),
                     stencil_ops: None,
                 }),
+                timestamp_writes: self.clock.as_ref().map(|clock| clock.writes(TimedPass::Light)),
                 ..Default::default()
             });
-            self.terrain.draw(&mut pass);
+            self.terrain_draws = self.terrain.draw(&mut pass);
             if !matches!(frame.backdrop, Backdrop::Plain(_)) {
                 self.sky.draw(&mut pass);
             }
@@ -146,8 +174,13 @@ impl Renderer {
                     store: wgpu::StoreOp::Store,
                 },
             })],
+            timestamp_writes: self.clock.as_ref().map(|clock| clock.writes(TimedPass::Tone)),
             ..Default::default()
         });
         self.tone.draw(&mut pass);
+        drop(pass);
+        if let Some(clock) = &self.clock {
+            clock.collect(encoder);
+        }
     }
 }

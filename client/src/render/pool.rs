@@ -38,6 +38,12 @@ impl HeightPool {
         }
     }
 
+    /// How many slots there are.
+    #[must_use]
+    pub fn slots(&self) -> u32 {
+        self.slots
+    }
+
     /// The buffer that `draw_terrain` reads.
     #[must_use]
     pub fn buffer(&self) -> &wgpu::Buffer {

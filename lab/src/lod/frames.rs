@@ -3,12 +3,12 @@
 use super::screen::{self, Place};
 use crate::scenery::Scenery;
 use crate::studio::Studio;
-use client::camera::{Lens, Pose};
-use client::scene::Scene;
-use client::world::World;
 use anyhow::{Context, Result};
+use client::camera::{Lens, Pose};
 use client::frame::FrameData;
 use client::render::PassTimes;
+use client::scene::Scene;
+use client::world::World;
 use serde::Serialize;
 use terrain::Land;
 
@@ -81,7 +81,7 @@ pub fn measure(land: Land, tolerances_px: &[f64]) -> Result<Frames> {
         studio = Studio::open_timed(size, SLOTS)?;
     }
     let mut frames = Frames {
-        adapter: studio.gpu().name(),
+        adapter: studio.adapter(),
         is_software,
         size,
         terrain_draws: 0,

@@ -22,9 +22,6 @@ pub const LENS: Lens = Lens { fov_deg: 60.0, width: 1920, height: 1080 };
 /// Its view distance, metres.
 pub const VIEW_DISTANCE_M: u32 = 8_000;
 
-/// Cells from the border of a chunk within which its surface blends into what its border is drawn as.
-const BAND: usize = shaders::twin::morph::MORPH_BAND as usize;
-
 /// Rows of vertices whose truth is computed at a time.
 const ROWS: usize = 64;
 
@@ -35,8 +32,8 @@ pub struct Seen {
     pub vertices: u64,
     /// Sum of squared errors, square pixels.
     pub squares: f64,
-    /// Largest error, pixels: away from the border of chunks, in the bands along it, and in the outermost cells.
-    pub worst_px: [f64; 3],
+    /// Largest error, pixels: inside chunks, and in their outermost cells, where they blend into what their neighbours draw.
+    pub worst_px: [f64; 2],
     /// The worst vertex of all.
     pub worst: Option<Worst>,
 }
@@ -81,7 +78,7 @@ impl Seen {
         Self {
             vertices: self.vertices + other.vertices,
             squares: self.squares + other.squares,
-            worst_px: [0, 1, 2].map(|zone| self.worst_px[zone].max(other.worst_px[zone])),
+            worst_px: [0, 1].map(|zone| self.worst_px[zone].max(other.worst_px[zone])),
             worst: worse(self.worst, other.worst),
         }
     }
@@ -168,7 +165,8 @@ fn strip(land: &Land, chunk: &DrawnChunk, first: usize, shot: &Shot) -> Seen {
     let columns = (CELLS << level) + 1;
     let (x0, z0) = key.origin();
     let step = 1 << terrain::constants::SPACING_BITS;
-    let grid = Grid::new(x0, z0 + first as i32 * step, 0, columns, ROWS + 1).expect("a chunk lies in the world");
+    let grid =
+        Grid::new(x0, z0 + first as i32 * step, 0, columns, ROWS + 1).expect("a chunk lies in the world");
     let mut truth = vec![0; grid.vertex_count()];
     land.heights(&grid, &mut truth);
 
@@ -179,7 +177,7 @@ fn strip(land: &Land, chunk: &DrawnChunk, first: usize, shot: &Shot) -> Seen {
     let pixels_squared = (f64::from(shot.lens.height) / (2.0 * shot.lens.half_height())).powi(2);
     let scale = unit_m / f64::from(1 << level);
     let mut seen = Seen::default();
-    let mut worst = [(0.0, 0, 0); 3];
+    let mut worst = [(0.0, 0, 0); 2];
     for row in 0..=ROWS {
         let south = f64::from(z0 + (first + row) as i32 * step) * unit_m - eye.z;
         for column in 0..columns {
@@ -224,13 +222,9 @@ fn cells_from_border(level: u8, column: usize, row: usize) -> usize {
     nearest.div_ceil(1 << level)
 }
 
-/// 0 inside, 1 in the band, 2 in the outermost cells.
+/// 0 inside, 1 in the outermost cells.
 fn zone(cells_from_border: usize) -> usize {
-    match cells_from_border {
-        0 | 1 => 2,
-        cells if cells <= BAND => 1,
-        _ => 0,
-    }
+    usize::from(cells_from_border <= 1)
 }
 
 /// The selection for a place in a scenery, of all that a server sends for it.
