@@ -4,10 +4,11 @@ use crate::camera::{Eye, Lens, Pose};
 use crate::looks::{Looks, Show};
 use crate::scene::Scene;
 use crate::world::{Drawn, Resident, Selection, World};
+use bytemuck::Zeroable as _;
 use glam::{DVec3, Vec3};
 use protocol::limits::MAX_VIEWPORT;
 use protocol::view::View;
-use shaders::layout::{Frame, PATTERN_PERIOD_M, TerrainInstance};
+use shaders::layout::{Air, Frame, PATTERN_PERIOD_M, TerrainInstance};
 use terrain::ChunkKey;
 use terrain::constants::{CELLS, UNITS_PER_METRE};
 use terrain::lod::{MAX_VIEW_DISTANCE_M, Viewer};
@@ -138,6 +139,7 @@ impl Shot {
             show: looks.show.word(),
             pixels_per_radian: (f64::from(lens.height) / (2.0 * half_height)) as f32,
             tolerance_px: self.tolerance_px as f32,
+            air: Air::zeroed(),
         }
     }
 }
@@ -228,20 +230,35 @@ pub struct Light {
 }
 
 impl Light {
-    /// The light with what the knobs change about it.
+    /// The light with what the knobs change about it. A place of the sun that is not a number leaves the sun where it is, an exposure that is none
+    /// changes nothing; both are cut to their ranges.
     #[must_use]
     pub fn under(self, looks: &Looks) -> Self {
-        let sun = looks.sun.map_or(self.sun, |place| {
-            let (azimuth, elevation) = (place.azimuth_deg.to_radians(), place.elevation_deg.to_radians());
+        let asked =
+            looks.sun.filter(|place| place.azimuth_deg.is_finite() && place.elevation_deg.is_finite());
+        let sun = asked.map_or(self.sun, |place| {
+            let azimuth = place.azimuth_deg.to_radians();
+            let elevation = place.elevation_deg.clamp(-90.0, 90.0).to_radians();
             Vec3::new(azimuth.sin() * elevation.cos(), elevation.sin(), -azimuth.cos() * elevation.cos())
         });
-        Self { sun, exposure: self.exposure * looks.exposure_ev.exp2() }
+        let ev = if looks.exposure_ev.is_finite() { looks.exposure_ev.clamp(-8.0, 8.0) } else { 0.0 };
+        // Inspecting views have colours of their own, not light.
+        let adapted_ev = if looks.show == Show::Picture { adaptation_ev(sun.y) } else { 0.0 };
+        Self { sun, exposure: self.exposure * (ev + adapted_ev).exp2() }
     }
+}
+
+/// Stops by which the eye opens when the sun sinks to the sine `rise` above the horizon: from none at 12 degrees up to 3.5 at 12 degrees below, where the
+/// light has fallen by more than ten. Nights stay dark.
+fn adaptation_ev(rise: f32) -> f32 {
+    let dusk = ((0.2 - rise) / 0.4).clamp(0.0, 1.0);
+    3.5 * dusk * dusk * (3.0 - 2.0 * dusk)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::looks::SunPlace;
     use crate::world::select;
     use terrain::{Land, lod};
 
@@ -312,6 +329,31 @@ mod tests {
                 assert!(!seen || slots.contains(&chunk.slot), "{camera}: {key} is visible but not drawn");
             }
         }
+    }
+
+    #[test]
+    fn the_eye_opens_at_dusk_only_and_odd_options_change_nothing() {
+        let scene = Scene::Island.light();
+        let under = |elevation_deg, exposure_ev| {
+            let sun = Some(SunPlace { azimuth_deg: 10.0, elevation_deg });
+            scene.under(&Looks { sun, exposure_ev, ..Looks::default() })
+        };
+        let exposures = [90.0, 45.0, 12.0, 5.0, 0.0, -6.0, -12.0, -90.0].map(|deg| under(deg, 0.0).exposure);
+        assert!(exposures.is_sorted() && exposures[1] == scene.exposure, "{exposures:?}");
+        assert!((exposures[7] / exposures[0]).log2() < 4.0, "nights stay dark: {exposures:?}");
+        let levels = Looks { show: Show::Levels, sun: under_horizon(), ..Looks::default() };
+        assert_eq!(scene.under(&levels).exposure, scene.exposure);
+
+        assert_eq!(under(200.0, 0.0).sun, under(90.0, 0.0).sun);
+        assert_eq!(under(45.0, 100.0).exposure, under(45.0, 8.0).exposure);
+        for odd in [f32::NAN, f32::INFINITY] {
+            assert_eq!(under(odd, odd), scene);
+        }
+        assert_ne!(under(45.0, 1.0), scene);
+    }
+
+    fn under_horizon() -> Option<SunPlace> {
+        Some(SunPlace { azimuth_deg: 0.0, elevation_deg: -20.0 })
     }
 
     #[test]

@@ -35,7 +35,7 @@ impl Scene {
     #[must_use]
     pub fn light(self) -> Light {
         match self {
-            Self::Island => Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 0.92 },
+            Self::Island => Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 1.0 },
         }
     }
 }

@@ -51,6 +51,34 @@ pub struct Frame {
     pub pixels_per_radian: f32,
     /// Tolerated screen error, pixels.
     pub tolerance_px: f32,
+    /// Written on the GPU, by `measure_sky`.
+    pub air: Air,
+}
+
+/// What sun and sky give in a frame; `shared/frame.wesl` documents each field. Three components and a gap each.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Air {
+    /// White ground that faces the sun.
+    pub sun: [f32; 4],
+    /// The same at the height of the clouds.
+    pub sun_aloft: [f32; 4],
+    /// Sunlight in the air, level towards the sun.
+    pub toward: [f32; 4],
+    /// Level away from it.
+    pub away: [f32; 4],
+    /// Upwards.
+    pub upward: [f32; 4],
+    /// Light scattered more than once.
+    pub manifold: [f32; 4],
+    /// The sky on a white surface, mean over all normals.
+    pub sky_mean: [f32; 4],
+    /// Its growth with the normal's axis east.
+    pub sky_east: [f32; 4],
+    /// Up.
+    pub sky_up: [f32; 4],
+    /// South.
+    pub sky_south: [f32; 4],
 }
 
 /// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant of `shared/frame.wesl`.
@@ -182,3 +210,25 @@ pub const PROBE_WORDS: usize = 5;
 
 /// Invocations of a workgroup of `probe_heights` and of `fill_heights`, in x.
 pub const FILL_WORKGROUP: u32 = 64;
+
+/// One question to `probe_brdf`; its vectors are unit ones, away from the surface.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct BrdfProbe {
+    /// Of the surface.
+    pub normal: [f32; 3],
+    /// Perceptual roughness, 0 to 1.
+    pub roughness: f32,
+    /// To the eye.
+    pub to_eye: [f32; 3],
+    /// Reflectance at normal incidence.
+    pub f0: f32,
+    /// To the light.
+    pub to_light: [f32; 3],
+    /// Unused; keeps the stride of the shader.
+    pub gap: f32,
+}
+
+/// Words per probe that `probe_brdf` writes: distribution, the naive one, exact and fast visibility, Fresnel term, diffuse term, specular albedo,
+/// cosine to the light.
+pub const BRDF_TERMS: usize = 8;

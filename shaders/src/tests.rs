@@ -6,7 +6,9 @@ use std::process::{Command, Stdio};
 
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
-use crate::layout::{ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, TerrainInstance, World};
+use crate::layout::{
+    Air, BRDF_TERMS, BrdfProbe, ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, TerrainInstance, World,
+};
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
 
@@ -26,7 +28,10 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
         assert_eq!(stages, [Stage::Vertex, Stage::Fragment], "{}", shader.name);
     }
     let names: Vec<&str> = passes(true).map(|shader| shader.name).collect();
-    assert_eq!(names, ["fill_chunks", "probe_heights", "probe_heights_float"]);
+    assert_eq!(
+        names,
+        ["fill_chunks", "measure_sky", "probe_air", "probe_brdf", "probe_heights", "probe_heights_float"]
+    );
 }
 
 /// Everything in a shader that the ring profile forbids: arithmetic on floats, and `/` or `%` on signed integers.
@@ -93,7 +98,7 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
         ("octave_seeds".to_owned(), offset_of!(World, octave_seeds)),
         ("archipelago_seed".to_owned(), offset_of!(World, archipelago_seed)),
     ];
-    for shader in passes(true) {
+    for shader in [&SHADERS.fill_chunks, &SHADERS.probe_heights, &SHADERS.probe_heights_float] {
         assert_eq!(reflected(shader, "World"), (world.to_vec(), size_of::<World>()), "{}", shader.name);
         let (module, _) = validate(shader.name, shader.wgsl).unwrap();
         assert_eq!(module.entry_points[0].workgroup_size, [FILL_WORKGROUP, 1, 1], "{}", shader.name);
@@ -105,6 +110,21 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
         ("octaves".to_owned(), offset_of!(ChunkFill, octaves)),
     ];
     assert_eq!(reflected(&SHADERS.fill_chunks, "ChunkFill"), (fill.to_vec(), size_of::<ChunkFill>()));
+}
+
+#[test]
+fn probes_of_reflection_lie_where_the_shader_reads_them() {
+    let probe = [
+        ("normal", offset_of!(BrdfProbe, normal)),
+        ("roughness", offset_of!(BrdfProbe, roughness)),
+        ("to_eye", offset_of!(BrdfProbe, to_eye)),
+        ("f0", offset_of!(BrdfProbe, f0)),
+        ("to_light", offset_of!(BrdfProbe, to_light)),
+        ("gap", offset_of!(BrdfProbe, gap)),
+    ];
+    let probe: Vec<_> = probe.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
+    assert_eq!(reflected(&SHADERS.probe_brdf, "BrdfProbe"), (probe, size_of::<BrdfProbe>()));
+    assert!(SHADERS.probe_brdf.wgsl.contains(&format!("let first = {BRDF_TERMS}u")));
 }
 
 #[test]
@@ -178,10 +198,25 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("show", offset_of!(Frame, show)),
         ("pixels_per_radian", offset_of!(Frame, pixels_per_radian)),
         ("tolerance_px", offset_of!(Frame, tolerance_px)),
+        ("air", offset_of!(Frame, air)),
     ];
     let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
-    for shader in passes(false) {
+    let air = [
+        ("sun", offset_of!(Air, sun)),
+        ("sun_aloft", offset_of!(Air, sun_aloft)),
+        ("toward", offset_of!(Air, toward)),
+        ("away", offset_of!(Air, away)),
+        ("upward", offset_of!(Air, upward)),
+        ("manifold", offset_of!(Air, manifold)),
+        ("sky_mean", offset_of!(Air, sky_mean)),
+        ("sky_east", offset_of!(Air, sky_east)),
+        ("sky_up", offset_of!(Air, sky_up)),
+        ("sky_south", offset_of!(Air, sky_south)),
+    ];
+    let air: Vec<_> = air.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
+    for shader in passes(false).chain([&SHADERS.measure_sky, &SHADERS.probe_air]) {
         assert_eq!(reflected(shader, "Frame"), (expected.clone(), size_of::<Frame>()), "{}", shader.name);
+        assert_eq!(reflected(shader, "Air"), (air.clone(), size_of::<Air>()), "{}", shader.name);
     }
 }
 

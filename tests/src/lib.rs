@@ -8,6 +8,7 @@
 //! | `http` | probes, metrics, the world's description, chunk downloads |
 //! | `faults` | servers that go away, and clients that live on |
 //! | `far` | that a picture does not depend on the distance from the origin |
+//! | `light` | that no sun, height or direction leaves a pixel without light |
 //! | `extremes` | eyes, lenses, sizes and shapes of land at their ends |
 //! | `pictures` | what the headless viewer draws, against golden pictures |
 //! | `programs` | the built binaries: options, exit codes, messages |

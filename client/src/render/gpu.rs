@@ -104,6 +104,14 @@ impl Gpu {
         Ok(Self { instance, adapter, device, queue, faults })
     }
 
+    /// Opens the best adapter of all, for work without a window. Blocks.
+    ///
+    /// # Errors
+    /// There is no adapter, or its driver refuses.
+    pub fn open_blocking() -> Result<Self, GpuError> {
+        pollster::block_on(Self::open(instance(None), None))
+    }
+
     /// Name and backend of the adapter, for people.
     #[must_use]
     pub fn name(&self) -> String {

@@ -3,6 +3,7 @@
 //! Owns pipelines, targets and the pool of heights. Knows nothing of windows, sessions or time: a frame goes in, commands
 //! come out, into whatever view the caller gives.
 
+pub mod air;
 pub mod backdrop;
 pub mod clock;
 pub mod fill;
@@ -21,6 +22,7 @@ pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
 use crate::frame::{Backdrop, FrameData};
+use air::AirPass;
 use backdrop::BackdropPass;
 use clock::{PassClock, TimedPass};
 use pool::HeightPool;
@@ -49,6 +51,7 @@ pub struct Renderer {
     uniforms: wgpu::Buffer,
     pool: HeightPool,
     targets: Targets,
+    air: AirPass,
     terrain: TerrainPass,
     sky: BackdropPass,
     water: BackdropPass,
@@ -72,6 +75,7 @@ impl Renderer {
         let targets = Targets::new(device, options.size, samples);
         Self {
             samples,
+            air: AirPass::new(device, &uniforms),
             terrain: TerrainPass::new(device, &uniforms, &pool, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: BackdropPass::water(device, &uniforms, samples),
@@ -118,6 +122,27 @@ impl Renderer {
         }
     }
 
+    /// Draws a picture and returns its linear light, row by row from the top: RGBA as half floats. For checks that look behind the tone
+    /// curve. Blocks until it is drawn; nothing is returned with several samples per pixel.
+    ///
+    /// # Errors
+    /// The device fails.
+    pub fn light(
+        &mut self,
+        gpu: &Gpu,
+        frame: &FrameData,
+        canvas: &Canvas,
+    ) -> Result<Option<Vec<u16>>, GpuError> {
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.draw(gpu, frame, &mut encoder, &canvas.view);
+        gpu.queue.submit([encoder.finish()]);
+        if self.targets.resolved.is_some() {
+            return Ok(None);
+        }
+        let bytes = picture::read_texture(gpu, self.targets.gathered.texture(), 8)?;
+        Ok(Some(bytes.chunks_exact(2).map(|half| u16::from_le_bytes([half[0], half[1]])).collect()))
+    }
+
     /// Records one picture into `encoder`, to appear in `output`.
     pub fn draw(
         &mut self,
@@ -128,6 +153,7 @@ impl Renderer {
     ) {
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
+        self.air.measure(encoder, &self.uniforms);
         let behind = match frame.backdrop {
             Backdrop::Plain([r, g, b]) => wgpu::Color { r, g, b, a: 1.0 },
             Backdrop::SkyAndSea | Backdrop::Sky => wgpu::Color::BLACK,

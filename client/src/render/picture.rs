@@ -51,39 +51,44 @@ impl Canvas {
 
     /// Copies the picture to the CPU; blocks until it is drawn.
     pub fn read(&self, gpu: &Gpu) -> Result<Picture, GpuError> {
-        let (width, height) = (self.texture.width(), self.texture.height());
-        let row = 4 * width as usize;
-        let stride = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
-        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("picture, read back"),
-            size: (stride * height as usize) as u64,
-            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-            mapped_at_creation: false,
-        });
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_texture_to_buffer(
-            self.texture.as_image_copy(),
-            wgpu::TexelCopyBufferInfo {
-                buffer: &buffer,
-                layout: wgpu::TexelCopyBufferLayout {
-                    offset: 0,
-                    bytes_per_row: Some(stride as u32),
-                    rows_per_image: None,
-                },
-            },
-            self.texture.size(),
-        );
-        gpu.queue.submit([encoder.finish()]);
-        let (told, tell) = mpsc::channel();
-        buffer.map_async(wgpu::MapMode::Read, .., move |outcome| {
-            // Nobody listens only if the wait below failed first.
-            let _ = told.send(outcome);
-        });
-        gpu.wait()?;
-        let fault = |cause: &dyn std::fmt::Display| GpuError::Fault(format!("read-back failed: {cause}"));
-        tell.recv().map_err(|error| fault(&error))?.map_err(|error| fault(&error))?;
-        let mapped = buffer.get_mapped_range(..).map_err(|error| fault(&error))?;
-        let rgba = mapped.chunks_exact(stride).flat_map(|line| &line[..row]).copied().collect();
-        Ok(Picture { width, height, rgba })
+        let rgba = read_texture(gpu, &self.texture, 4)?;
+        Ok(Picture { width: self.texture.width(), height: self.texture.height(), rgba })
     }
+}
+
+/// Copies a texture of `pixel_bytes` bytes a pixel to the CPU, row by row from the top; blocks until it is drawn.
+pub fn read_texture(gpu: &Gpu, texture: &wgpu::Texture, pixel_bytes: usize) -> Result<Vec<u8>, GpuError> {
+    let (width, height) = (texture.width(), texture.height());
+    let row = pixel_bytes * width as usize;
+    let stride = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
+    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("texture, read back"),
+        size: (stride * height as usize) as u64,
+        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+        mapped_at_creation: false,
+    });
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    encoder.copy_texture_to_buffer(
+        texture.as_image_copy(),
+        wgpu::TexelCopyBufferInfo {
+            buffer: &buffer,
+            layout: wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(stride as u32),
+                rows_per_image: None,
+            },
+        },
+        texture.size(),
+    );
+    gpu.queue.submit([encoder.finish()]);
+    let (told, tell) = mpsc::channel();
+    buffer.map_async(wgpu::MapMode::Read, .., move |outcome| {
+        // Nobody listens only if the wait below failed first.
+        let _ = told.send(outcome);
+    });
+    gpu.wait()?;
+    let fault = |cause: &dyn std::fmt::Display| GpuError::Fault(format!("read-back failed: {cause}"));
+    tell.recv().map_err(|error| fault(&error))?.map_err(|error| fault(&error))?;
+    let mapped = buffer.get_mapped_range(..).map_err(|error| fault(&error))?;
+    Ok(mapped.chunks_exact(stride).flat_map(|line| &line[..row]).copied().collect())
 }

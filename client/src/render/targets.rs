@@ -37,8 +37,10 @@ impl Targets {
             texture.create_view(&wgpu::TextureViewDescriptor::default())
         };
         let (none, read) = (wgpu::TextureUsages::empty(), wgpu::TextureUsages::TEXTURE_BINDING);
+        // Only checks copy it.
+        let read_back = read | wgpu::TextureUsages::COPY_SRC;
         let resolved = (samples > 1).then(|| view("light, resolved", LIGHT_FORMAT, 1, read));
-        let gathered = view("light", LIGHT_FORMAT, samples, if samples > 1 { none } else { read });
+        let gathered = view("light", LIGHT_FORMAT, samples, if samples > 1 { none } else { read_back });
         Self { size, gathered, resolved, depth: view("depth", DEPTH_FORMAT, samples, none) }
     }
 
