@@ -155,7 +155,10 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     );
     for row in &frames.rows {
         let passes = row.passes.map_or("no clock".into(), |passes| {
-            format!("light {:.3} ms, tone {:.3} ms", passes.light_ms, passes.tone_ms)
+            format!(
+                "light {:.3} ms, tone {:.3} ms, whole {:.3} ms",
+                passes.light_ms, passes.tone_ms, passes.whole_ms
+            )
         });
         println!(
             "frames, tolerance {} px: {} triangles, {:.3} ms; {passes}",

@@ -12,8 +12,9 @@ pub enum TimedPass {
     Tone,
 }
 
-/// Beginning and end of each pass.
-const TIMESTAMPS: u32 = 4;
+/// Beginning and end of each pass, and the beginning of the frame behind them.
+const TIMESTAMPS: u32 = 5;
+const FRAME_BEGAN: u32 = 4;
 const BYTES: u64 = TIMESTAMPS as u64 * 8;
 
 /// How long the passes of a frame took by the GPU's clock, nanoseconds.
@@ -23,6 +24,8 @@ pub struct PassTimes {
     pub light_ns: f64,
     /// Tone curve and encoding.
     pub tone_ns: f64,
+    /// From the beginning of the frame to the end of its last pass, passes that are not timed by themselves included.
+    pub whole_ns: f64,
 }
 
 /// The clock.
@@ -60,6 +63,19 @@ impl PassClock {
         })
     }
 
+    /// Records the beginning of a frame, before its first pass.
+    pub fn begin(&self, encoder: &mut wgpu::CommandEncoder) {
+        // A pass that does nothing: timestamps outside of passes are no part of portable WebGPU.
+        drop(encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("frame begins"),
+            timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
+                query_set: &self.queries,
+                beginning_of_pass_write_index: Some(FRAME_BEGAN),
+                end_of_pass_write_index: None,
+            }),
+        }));
+    }
+
     /// What a pass has to be begun with.
     #[must_use]
     pub fn writes(&self, pass: TimedPass) -> wgpu::RenderPassTimestampWrites<'_> {
@@ -94,11 +110,14 @@ impl PassClock {
         let ticks: &[u64] = bytemuck::cast_slice(&view);
         let period_ns = f64::from(gpu.queue.get_timestamp_period());
         // A clock that was reset in between would run backwards; that is no time.
-        let span = |pass: TimedPass| {
-            let first = 2 * pass as usize;
-            ticks[first + 1].saturating_sub(ticks[first]) as f64 * period_ns
+        let between = |from: usize, to: usize| ticks[to].saturating_sub(ticks[from]) as f64 * period_ns;
+        let first = |pass: TimedPass| 2 * pass as usize;
+        let span = |pass: TimedPass| between(first(pass), first(pass) + 1);
+        let times = PassTimes {
+            light_ns: span(TimedPass::Light),
+            tone_ns: span(TimedPass::Tone),
+            whole_ns: between(FRAME_BEGAN as usize, first(TimedPass::Tone) + 1),
         };
-        let times = PassTimes { light_ns: span(TimedPass::Light), tone_ns: span(TimedPass::Tone) };
         drop(view);
         self.landing.unmap();
         Ok(times)

@@ -153,6 +153,9 @@ impl Renderer {
     ) {
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
+        if let Some(clock) = &self.clock {
+            clock.begin(encoder);
+        }
         self.air.measure(encoder, &self.uniforms);
         let behind = match frame.backdrop {
             Backdrop::Plain([r, g, b]) => wgpu::Color { r, g, b, a: 1.0 },
