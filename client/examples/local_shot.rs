@@ -1,7 +1,8 @@
-//! Renders the home island without a server: `cargo run -p client --example local_shot -- OUT.png [CAMERA] [WxH] [SAMPLES] [SHOW] [TOLERANCE]`.
+//! Renders the home island without a server: `cargo run -p client --example local_shot -- OUT.png [CAMERA] [WxH] [SAMPLES] [SHOW] [TOLERANCE] [SUN] [SHADOWS]`.
 
 use client::feed::LocalFeed;
 use client::headless::{Options, render};
+use client::looks::SunPlace;
 use std::error::Error;
 use std::time::Instant;
 
@@ -20,6 +21,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     if let Some(tolerance) = arguments.get(5) {
         options.tolerance_px = tolerance.parse()?;
+    }
+    if let Some((azimuth, elevation)) = arguments.get(6).and_then(|sun| sun.split_once(',')) {
+        let place = SunPlace { azimuth_deg: azimuth.parse()?, elevation_deg: elevation.parse()? };
+        options.looks.sun = Some(place);
+    }
+    if let Some(shadows) = arguments.get(7) {
+        options.looks.shadows = clap::ValueEnum::from_str(shadows, false)?;
     }
     options.frames = 3;
     let (picture, stats) = render(&options, LocalFeed::new(1), Instant::now(), |_| ())?;

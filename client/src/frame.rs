@@ -3,6 +3,7 @@
 use crate::camera::{Eye, Lens, Pose};
 use crate::looks::{Looks, Show};
 use crate::scene::Scene;
+use crate::shadow::{Candidate, Page};
 use crate::world::{Drawn, Resident, Selection, World};
 use bytemuck::Zeroable as _;
 use glam::{DVec3, Vec3};
@@ -23,6 +24,8 @@ pub struct FrameData {
     pub uniforms: Frame,
     /// The chunks in sight, nearest first, so that hidden land behind near hills costs no shading.
     pub instances: Vec<TerrainInstance>,
+    /// All chosen chunks, in sight or not, nearest first: what casts shadows on what is seen.
+    pub candidates: Vec<Candidate>,
     /// What is drawn where no land is.
     pub backdrop: Backdrop,
 }
@@ -87,20 +90,23 @@ impl Shot {
     pub fn frame(&self, scene: Scene, world: &World, selection: &Selection) -> FrameData {
         let eye = self.pose.eye();
         let sight = Sight::new(self);
-        let mut instances: Vec<(i64, TerrainInstance)> = selection
-            .drawn
-            .iter()
-            .filter_map(|drawn| {
-                let chunk = world.get(drawn.key)?;
-                let parent = drawn.key.parent().and_then(|parent| world.get(parent)).unwrap_or(chunk);
-                let shown = sight.may_show(&eye, drawn.key, chunk, parent);
-                shown.then(|| (nearness(&eye, drawn.key), instance(&eye, drawn, chunk, parent)))
-            })
-            .collect();
-        instances.sort_by_key(|(distance, _)| *distance);
+        let mut nearest_first: Vec<&Drawn> = selection.drawn.iter().collect();
+        nearest_first.sort_by_cached_key(|drawn| (nearness(&eye, drawn.key), drawn.key));
+        let (mut instances, mut candidates) = (Vec::new(), Vec::new());
+        for drawn in nearest_first {
+            let Some(chunk) = world.get(drawn.key) else { continue };
+            let parent = drawn.key.parent().and_then(|parent| world.get(parent)).unwrap_or(chunk);
+            let in_sight = sight.may_show(&eye, drawn.key, chunk, parent);
+            if in_sight {
+                instances.push(instance(&eye, drawn, chunk, parent));
+            }
+            let page = Page { key: drawn.key, slot: chunk.slot, top: chunk.max };
+            candidates.push(Candidate { page, in_sight });
+        }
         FrameData {
             uniforms: self.uniforms(scene, &eye),
-            instances: instances.into_iter().map(|(_, instance)| instance).collect(),
+            instances,
+            candidates,
             backdrop: match self.looks.show {
                 Show::Picture => Backdrop::SkyAndSea,
                 _ => Backdrop::Sky,

@@ -4,9 +4,12 @@ use crate::camera::{Lens, Pose};
 use crate::feed::Feed;
 use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::looks::Looks;
-use crate::render::pool::HeightPool;
+use crate::render::cast::PER_FRAME;
+use crate::render::materials::OwnMaterials;
+use crate::render::pool::ChunkPool;
 use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
 use crate::scene::Scene;
+use crate::shadow::Quota;
 use crate::stats::{FrameTimes, Stats};
 use crate::voyage::{Link, Voyage};
 use crate::world::World;
@@ -21,6 +24,9 @@ const FIRST_ATTEMPTS: u32 = 3;
 
 /// Pause between looks at the feed while the view fills.
 const POLL_PAUSE: Duration = Duration::from_millis(2);
+
+/// A camera that never turns needs no shadows out of sight.
+const IN_SIGHT_PER_FRAME: Quota = Quota { ahead: 0, ..PER_FRAME };
 
 /// What to render.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +53,8 @@ pub struct Options {
     pub time_s: f32,
     /// Knobs of the picture.
     pub looks: Looks,
+    /// Materials instead of the procedural ones.
+    pub materials: OwnMaterials,
     /// How long the view may take to fill.
     pub timeout: Duration,
 }
@@ -65,6 +73,7 @@ impl Default for Options {
             orbit_step_deg: 0.0,
             time_s: 0.0,
             looks: Looks::default(),
+            materials: OwnMaterials::default(),
             timeout: Duration::from_secs(60),
         }
     }
@@ -113,17 +122,18 @@ pub fn render(
     mut progress: impl FnMut(&Progress),
 ) -> Result<(Picture, Stats), HeadlessError> {
     let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
-    let slots = HeightPool::slots_within(&gpu.device.limits(), World::capacity_for(options.chunk_bytes));
+    let slots = ChunkPool::slots_within(&gpu.device.limits(), World::capacity_for(options.chunk_bytes));
     let size = (options.lens.width, options.lens.height);
-    let mut renderer = Renderer::new(
+    let mut renderer = Renderer::with_materials(
         &gpu,
         &RenderOptions { size, samples: options.samples, format: picture::PICTURE_FORMAT, slots },
+        &options.materials,
     );
     let canvas = Canvas::new(&gpu.device, size.0, size.1);
     let mut voyage = Voyage::new(feed, slots);
-    fill(&mut voyage, options, &gpu, &renderer, started, &mut progress)?;
+    fill(&mut voyage, options, &gpu, &mut renderer, started, &mut progress)?;
     // How high the ground is under the eye is known now; an eye that has to be lifted sees other chunks.
-    fill(&mut voyage, options, &gpu, &renderer, started, &mut progress)?;
+    fill(&mut voyage, options, &gpu, &mut renderer, started, &mut progress)?;
 
     let mut times = FrameTimes::default();
     let mut drawn = 0;
@@ -132,18 +142,30 @@ pub fn render(
         let timed = index.checked_sub(WARM_UP_FRAMES);
         let begun = Instant::now();
         let shot = options.shot(timed.unwrap_or(0), voyage.world());
-        let selection = voyage.update(&shot, started.elapsed(), usize::MAX, |slot, heights| {
-            renderer.pool().upload(&gpu.queue, slot, heights);
-        });
+        let selection =
+            voyage.update(&shot, started.elapsed(), usize::MAX, |chunk| renderer.upload(&gpu, chunk));
         let frame = shot.frame(options.scene, voyage.world(), &selection);
         drawn = frame.instances.len();
         camera = format!("{:.4}", shot.pose);
+        if timed.is_none() {
+            // What a camera that stands still has seen long ago. Shadows that change while frames are timed are part of them.
+            renderer.finish_shadows(&gpu, &frame)?;
+        }
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let pending = renderer.cast(&gpu, &frame, IN_SIGHT_PER_FRAME, &mut encoder);
         renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
         gpu.queue.submit([encoder.finish()]);
         gpu.wait()?;
         if timed.is_some() {
             times.push(begun.elapsed());
+        }
+        if pending > 0 && index + 1 == WARM_UP_FRAMES + options.frames.max(1) {
+            // The picture that is kept shows the finished state, whatever the time for it was.
+            renderer.finish_shadows(&gpu, &frame)?;
+            let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
+            gpu.queue.submit([encoder.finish()]);
+            gpu.wait()?;
         }
     }
     let picture = canvas.read(&gpu)?;
@@ -176,15 +198,13 @@ fn fill(
     voyage: &mut Voyage<impl Feed>,
     options: &Options,
     gpu: &Gpu,
-    renderer: &Renderer,
+    renderer: &mut Renderer,
     started: Instant,
     progress: &mut impl FnMut(&Progress),
 ) -> Result<(), HeadlessError> {
     let shot = options.shot(0, voyage.world());
     loop {
-        let selection = voyage.update(&shot, started.elapsed(), 64, |slot, heights| {
-            renderer.pool().upload(&gpu.queue, slot, heights);
-        });
+        let selection = voyage.update(&shot, started.elapsed(), 64, |chunk| renderer.upload(gpu, chunk));
         // Uploads are staged until a submission; without one a long fill would pile them up.
         gpu.queue.submit([]);
         if voyage.is_settled() && selection.is_complete() {

@@ -17,6 +17,7 @@ pub mod looks;
 pub mod native;
 pub mod render;
 pub mod scene;
+pub mod shadow;
 pub mod stats;
 pub mod voyage;
 pub mod world;

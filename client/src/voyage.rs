@@ -3,10 +3,9 @@
 
 use crate::feed::{Feed, FeedEvent};
 use crate::frame::Shot;
-use crate::world::{Fading, Selection, World, select_at};
+use crate::world::{Fading, Resident, Selection, World, select_at};
 use protocol::view::View;
 use std::time::Duration;
-use terrain::constants::VERTEX_COUNT;
 use terrain::{ChunkKey, WorldDigest};
 
 /// A moving camera would send a view every frame; the server needs no more than this.
@@ -101,7 +100,7 @@ impl<F: Feed> Voyage<F> {
         shot: &Shot,
         now: Duration,
         limit: usize,
-        mut upload: impl FnMut(u32, &[i32; VERTEX_COUNT]),
+        mut upload: impl FnMut(&Resident),
     ) -> Selection {
         for _ in 0..limit {
             let Some(event) = self.feed.poll() else { break };
@@ -125,7 +124,7 @@ impl<F: Feed> Voyage<F> {
         selection
     }
 
-    fn take(&mut self, event: FeedEvent, now: Duration, upload: &mut impl FnMut(u32, &[i32; VERTEX_COUNT])) {
+    fn take(&mut self, event: FeedEvent, now: Duration, upload: &mut impl FnMut(&Resident)) {
         match event {
             FeedEvent::Connected { world, server } => {
                 if self.digest.is_some_and(|known| known != world) {
@@ -145,8 +144,8 @@ impl<F: Feed> Voyage<F> {
                 self.milestones.first_chunk.get_or_insert(now);
                 let key = chunk.key;
                 let arrival = self.world.insert(*chunk);
-                if let (Some(slot), Some(resident)) = (arrival.slot, self.world.get(key)) {
-                    upload(slot, &resident.heights);
+                if let (Some(_), Some(resident)) = (arrival.slot, self.world.get(key)) {
+                    upload(resident);
                 }
                 if !arrival.evicted.is_empty() {
                     self.feed.release(&arrival.evicted);
@@ -274,10 +273,10 @@ mod tests {
     fn a_view_becomes_complete_and_every_chunk_is_uploaded_once() {
         let mut voyage = Voyage::new(LocalFeed::new(1), 4000);
         let mut slots = std::collections::HashSet::new();
-        let first = voyage.update(&shot(), AT(0), usize::MAX, |_, _| ());
+        let first = voyage.update(&shot(), AT(0), usize::MAX, |_| ());
         assert!(first.drawn.is_empty() && !voyage.is_settled());
-        let second =
-            voyage.update(&shot(), AT(1), usize::MAX, |slot, _| assert!(slots.insert(slot), "slot twice"));
+        let second = voyage
+            .update(&shot(), AT(1), usize::MAX, |chunk| assert!(slots.insert(chunk.slot), "slot twice"));
         assert!(second.is_complete() && voyage.is_settled());
         assert_eq!(slots.len(), voyage.world().len());
         assert_eq!(voyage.milestones(), Milestones { first_chunk: Some(AT(1)), complete_view: Some(AT(1)) });
@@ -289,7 +288,7 @@ mod tests {
         let shot = Shot { tolerance_px: 0.5, ..shot() };
         let mut complete = false;
         for step in 0..200 {
-            let selection = voyage.update(&shot, AT(step * 500), usize::MAX, |_, _| ());
+            let selection = voyage.update(&shot, AT(step * 500), usize::MAX, |_| ());
             complete = voyage.is_settled() && selection.is_complete();
             assert!(voyage.world().len() <= 100);
             if complete {
@@ -336,18 +335,18 @@ mod tests {
         let lost = FeedEvent::Disconnected { cause: "gone".into(), retry: Some(AT(500)) };
         let mut voyage = Voyage::new(Script::default(), 10);
         voyage.feed.events.extend([connected(1), FeedEvent::Chunk(chunk.clone())]);
-        voyage.update(&shot(), AT(0), 10, |_, _| ());
+        voyage.update(&shot(), AT(0), 10, |_| ());
         voyage.feed.events.push_back(lost);
-        voyage.update(&shot(), AT(1000), 10, |_, _| ());
+        voyage.update(&shot(), AT(1000), 10, |_| ());
         assert_eq!(voyage.world().keys().collect::<Vec<_>>(), [chunk.key], "keeps what it has");
         assert_eq!(voyage.link(), &Link::Waiting { cause: "gone".into(), retry_at: AT(1500) });
         voyage.feed.events.push_back(connected(1));
-        voyage.update(&shot(), AT(1500), 10, |_, _| ());
+        voyage.update(&shot(), AT(1500), 10, |_| ());
         assert_eq!(voyage.feed.held, [chunk.key]);
         assert_eq!(voyage.feed.views.len(), 2, "the view is said again");
 
         voyage.feed.events.push_back(connected(2));
-        voyage.update(&shot(), AT(2000), 10, |_, _| ());
+        voyage.update(&shot(), AT(2000), 10, |_| ());
         assert!(voyage.world().is_empty(), "another world's chunks are worth nothing");
     }
 
@@ -356,13 +355,13 @@ mod tests {
         let mut voyage = Voyage::new(Script::default(), 10);
         voyage.feed.events.push_back(connected(1));
         for millis in 0..1000 {
-            voyage.update(&shot(), AT(millis), 10, |_, _| ());
+            voyage.update(&shot(), AT(millis), 10, |_| ());
         }
         assert_eq!(voyage.feed.views.len(), 1);
         for millis in 1000..2000 {
             let mut moving = shot();
             moving.pose.position_m.x += millis as f64 / 10.0;
-            voyage.update(&moving, AT(millis), 10, |_, _| ());
+            voyage.update(&moving, AT(millis), 10, |_| ());
         }
         assert!((9..=11).contains(&(voyage.feed.views.len() - 1)), "{}", voyage.feed.views.len());
         let last = voyage.feed.views[voyage.feed.views.len() - 1];

@@ -175,7 +175,7 @@ impl Viewpoint {
     }
 
     /// Chooses, furnishes the studio, and puts the frame together.
-    fn frame(&self, scenery: &mut Scenery, studio: &Studio, fault: Fault) -> (Shot, FrameData) {
+    fn frame(&self, scenery: &mut Scenery, studio: &mut Studio, fault: Fault) -> (Shot, FrameData) {
         let mut shot = self.shot(self.pose);
         let viewer = shot.viewer();
         let has_arrived = |key: ChunkKey| {

@@ -1,8 +1,13 @@
 //! A renderer that is opened once and takes many pictures: opening a device takes longer than drawing.
 
 use client::frame::FrameData;
+<<<<<<< HEAD
 use client::render::pool::HeightPool;
 use client::render::{Canvas, Gpu, GpuError, PassTimes, Picture, RenderOptions, Renderer, gpu, picture};
+=======
+use client::render::pool::ChunkPool;
+use client::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
+>>>>>>> main
 use client::world::World;
 use std::time::{Duration, Instant};
 
@@ -21,6 +26,7 @@ impl Studio {
     /// # Errors
     /// There is no adapter, or it cannot be opened.
     pub fn open(size: (u32, u32), slots: u32) -> Result<Self, GpuError> {
+<<<<<<< HEAD
         Self::open_with(size, slots, wgpu::Features::empty())
     }
 
@@ -35,6 +41,10 @@ impl Studio {
     fn open_with(size: (u32, u32), slots: u32, wished: wgpu::Features) -> Result<Self, GpuError> {
         let gpu = pollster::block_on(Gpu::open_with(gpu::instance(None), None, wished))?;
         let slots = HeightPool::slots_within(&gpu.device.limits(), slots);
+=======
+        let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
+        let slots = ChunkPool::slots_within(&gpu.device.limits(), slots);
+>>>>>>> main
         let options = RenderOptions { size, samples: 1, format: picture::PICTURE_FORMAT, slots };
         let renderer = Renderer::new(&gpu, &options);
         let canvas = Canvas::new(&gpu.device, size.0, size.1);
@@ -79,16 +89,16 @@ impl Studio {
         self.renderer.pass_times(&self.gpu)
     }
 
-    /// Brings in the heights of a whole world; what was there before is overwritten slot by slot.
-    pub fn furnish(&self, world: &World) {
+    /// Brings in a whole world; what was there before is overwritten slot by slot.
+    pub fn furnish(&mut self, world: &World) {
         for chunk in world.keys().filter_map(|key| world.get(key)) {
-            self.renderer.pool().upload(&self.gpu.queue, chunk.slot, &chunk.heights);
+            self.renderer.upload(&self.gpu, chunk);
         }
         // Uploads are staged until a submission.
         self.gpu.queue.submit([]);
     }
 
-    /// Draws a frame; returns how long it took until the GPU was done.
+    /// Draws a frame with the shadows that have been found; returns how long it took until the GPU was done.
     ///
     /// # Errors
     /// The GPU failed.
@@ -101,11 +111,12 @@ impl Studio {
         Ok(begun.elapsed())
     }
 
-    /// Draws a frame and brings the picture back.
+    /// Draws a frame with all its shadows and brings the picture back.
     ///
     /// # Errors
     /// The GPU failed.
     pub fn picture(&mut self, frame: &FrameData) -> Result<Picture, GpuError> {
+        self.renderer.finish_shadows(&self.gpu, frame)?;
         self.draw(frame)?;
         self.canvas.read(&self.gpu)
     }

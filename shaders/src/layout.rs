@@ -2,7 +2,7 @@
 
 use crate::twin::morph::Seams;
 use bytemuck::{Pod, Zeroable};
-use terrain::constants::OCTAVES;
+use terrain::constants::{OCTAVES, VERTEX_COUNT, VERTICES};
 use terrain::{ChunkKey, Octaves, Parameters};
 
 /// The uniforms of a frame; `shared/frame.wesl` documents each field.
@@ -205,11 +205,172 @@ impl From<ChunkKey> for ChunkFill {
     }
 }
 
+/// The sun and the extent of the page table, for `cast_shadows`, which documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Caster {
+    /// Unit vector towards the sun, east and south.
+    pub toward: [f32; 2],
+    /// Least slope of the horizon that matters, at least 0.
+    pub slope_low: f32,
+    /// Slope of the horizon from which on it is all the same.
+    pub slope_high: f32,
+    /// The sun above the level, radians.
+    pub elevation: f32,
+    /// log2 of the side of the roots, steps of 2 m.
+    pub root_bits: u32,
+    /// Roots east.
+    pub columns: u32,
+    /// Roots south.
+    pub rows: u32,
+    /// The highest point of all that is drawn, units.
+    pub top: i32,
+    /// [`SKY_WALK`], [`SKY_DARK`] or [`SKY_LIT`].
+    pub sky: u32,
+}
+
+/// [`Caster::sky`]: the land decides.
+pub const SKY_WALK: u32 = 0;
+/// [`Caster::sky`]: the sun is down.
+pub const SKY_DARK: u32 = 1;
+/// [`Caster::sky`]: the sun is in the zenith, nothing hides it.
+pub const SKY_LIT: u32 = 2;
+
+/// A node of the page table of `cast_shadows`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct PageNode {
+    /// [`LEAF`] and a slot, the index of the first of four children, or [`NOTHING`].
+    pub link: u32,
+    /// Nothing drawn under it is higher, units.
+    pub top: i32,
+}
+
+/// The bit of [`PageNode::link`] that says leaf.
+pub const LEAF: u32 = 1 << 31;
+/// [`PageNode::link`] where nothing is drawn.
+pub const NOTHING: u32 = LEAF - 1;
+
+/// A chunk for `cast_shadows`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct CastTarget {
+    /// Low corner east of that of the page table, steps of 2 m.
+    pub x: i32,
+    /// The same, south.
+    pub z: i32,
+    /// Its slot.
+    pub slot: u32,
+    /// Its level.
+    pub level: u32,
+}
+
+/// Words of a slot that hold the sun's clearances: a byte per vertex, rows padded to whole words. `shared/shadow.wesl` says what a byte means.
+pub const CLEARANCE_WORDS: usize = VERTICES.div_ceil(4) * VERTICES;
+
+/// A word of clearances that says: the sun is well clear of the land.
+pub const CLEAR_WORD: u32 = u32::MAX;
+
+/// Apparent radius of the sun, radians; the unit of clearances. Equal to the constant of `shared/shadow.wesl`.
+pub const SUN_RADIUS: f64 = 0.004651;
+
+/// Clearances are kept up to so many radii. Equal to the constant of `shared/shadow.wesl`.
+pub const CLEARANCE_RANGE: f64 = 8.0;
+
+/// The clearance in radii of the sun that a byte means; the inverse of `clearance_byte` in `shared/shadow.wesl`.
+#[must_use]
+pub fn clearance_of_byte(byte: u8) -> f64 {
+    let part = (f64::from(byte) - 128.0) / 127.0;
+    CLEARANCE_RANGE * part * part.abs()
+}
+
+/// Share of the sun's disc above a straight edge so many radii below its middle; `disc_share` of `shared/shadow.wesl`.
+#[must_use]
+pub fn disc_share(clearance: f64) -> f64 {
+    let x = clearance.clamp(-1.0, 1.0);
+    0.5 + (x * (1.0 - x * x).sqrt() + x.asin()) / std::f64::consts::PI
+}
+
+/// Words of a slot that hold the top of its max pyramid: 8 x 8 blocks, 4 x 4, 2 x 2, 1.
+pub const BLOCK_TEXELS: usize = 64 + 16 + 4 + 1;
+
+/// Nodes of the page table that there is room for besides [`MAX_ROOTS`], per slot. A balanced cover of the view needs 4/3 of a node per drawn chunk.
+pub const NODES_PER_SLOT: usize = 8;
+
+/// Roots of the page table at most.
+pub const MAX_ROOTS: usize = 64;
+
+/// Memory on the GPU that a resident chunk costs, bytes: heights, clearances, maxima, its part of the page table.
+pub const GPU_SLOT_BYTES: usize =
+    4 * (VERTEX_COUNT + CLEARANCE_WORDS + BLOCK_TEXELS) + NODES_PER_SLOT * size_of::<PageNode>();
+
 /// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, hills, folds, height.
 pub const PROBE_WORDS: usize = 5;
 
 /// Invocations of a workgroup of `probe_heights` and of `fill_heights`, in x.
 pub const FILL_WORKGROUP: u32 = 64;
+
+/// The material sets by the names of their files, in the order of `shared/material_sets.wesl`.
+pub const MATERIALS: [&str; 7] = ["sand", "meadow", "dry_grass", "thicket", "cliff", "scree", "cobbles"];
+
+/// What `bake_materials` is told of a set.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Bake {
+    /// Layer of the arrays, and the number of the set.
+    pub layer: u32,
+    /// Texels a side, a power of two.
+    pub size: u32,
+    /// 1 where normals are given with the texels, else 0.
+    pub normals_given: u32,
+    /// 1 where occlusion is given with the texels, else 0.
+    pub occlusion_given: u32,
+}
+
+/// One texel of a set while it is baked.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct BakeTexel {
+    /// Linear.
+    pub albedo: [f32; 3],
+    /// 0 to 1.
+    pub height: f32,
+    /// Horizontal part of the unit normal, along u and v.
+    pub normal: [f32; 2],
+    /// Perceptual, 0 to 1.
+    pub roughness: f32,
+    /// Share of the sky that is seen, 0 to 1.
+    pub occlusion: f32,
+}
+
+/// Invocations of a workgroup of both entries of `bake_materials`, in x.
+pub const BAKE_WORKGROUP: u32 = 64;
+
+/// Invocations of a workgroup of `reduce_materials`, in x and in y.
+pub const REDUCE_WORKGROUP: u32 = 8;
+
+/// What `probe_tiling` looks at.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct TilingProbe {
+    /// Multiples of the anchors of materials, 256 m, in [0, [`PATTERN_PERIOD_M`]).
+    pub anchor_m: [f32; 2],
+    /// Number of the set.
+    pub material: u32,
+    /// `TILING_*` of `shared/frame.wesl`.
+    pub tiling: u32,
+    /// Texels of the field, across.
+    pub width: u32,
+    /// Texels of the field, down.
+    pub height: u32,
+    /// Texels of a tile.
+    pub size: u32,
+    /// After so many tiles the reference repeats; a power of two.
+    pub period: u32,
+}
+
+/// Invocations of a workgroup of both entries of `probe_tiling`, in x.
+pub const TILING_WORKGROUP: u32 = 64;
 
 /// One question to `probe_brdf`; its vectors are unit ones, away from the surface.
 #[repr(C)]

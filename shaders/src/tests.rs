@@ -7,7 +7,10 @@ use std::process::{Command, Stdio};
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
 use crate::layout::{
-    Air, BRDF_TERMS, BrdfProbe, ChunkFill, FILL_WORKGROUP, Frame, PATTERN_PERIOD_M, TerrainInstance, World,
+    Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CastTarget,
+    Caster, ChunkFill, FILL_WORKGROUP, Frame, GPU_SLOT_BYTES, LEAF, MATERIALS, NOTHING, PATTERN_PERIOD_M,
+    PageNode, REDUCE_WORKGROUP, SKY_DARK, SKY_LIT, SKY_WALK, SUN_RADIUS, TILING_WORKGROUP, TerrainInstance,
+    TilingProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -30,7 +33,18 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
     let names: Vec<&str> = passes(true).map(|shader| shader.name).collect();
     assert_eq!(
         names,
-        ["fill_chunks", "measure_sky", "probe_air", "probe_brdf", "probe_heights", "probe_heights_float"]
+        [
+            "bake_materials",
+            "cast_shadows",
+            "fill_chunks",
+            "measure_sky",
+            "probe_air",
+            "probe_brdf",
+            "probe_heights",
+            "probe_heights_float",
+            "probe_tiling",
+            "reduce_materials",
+        ]
     );
 }
 
@@ -113,6 +127,54 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
 }
 
 #[test]
+fn materials_lie_where_the_shaders_read_them_and_are_the_same_sets() {
+    let named = |names: &[(&str, usize)]| {
+        names.iter().map(|(name, at)| ((*name).to_owned(), *at)).collect::<Vec<_>>()
+    };
+    let bake = named(&[
+        ("layer", offset_of!(Bake, layer)),
+        ("size", offset_of!(Bake, size)),
+        ("normals_given", offset_of!(Bake, normals_given)),
+        ("occlusion_given", offset_of!(Bake, occlusion_given)),
+    ]);
+    assert_eq!(reflected(&SHADERS.bake_materials, "Bake"), (bake, size_of::<Bake>()));
+    let texel = named(&[
+        ("albedo", offset_of!(BakeTexel, albedo)),
+        ("height", offset_of!(BakeTexel, height)),
+        ("normal", offset_of!(BakeTexel, normal)),
+        ("roughness", offset_of!(BakeTexel, roughness)),
+        ("occlusion", offset_of!(BakeTexel, occlusion)),
+    ]);
+    assert_eq!(reflected(&SHADERS.bake_materials, "BakeTexel"), (texel, size_of::<BakeTexel>()));
+    let probe = named(&[
+        ("anchor_m", offset_of!(TilingProbe, anchor_m)),
+        ("material", offset_of!(TilingProbe, material)),
+        ("tiling", offset_of!(TilingProbe, tiling)),
+        ("width", offset_of!(TilingProbe, width)),
+        ("height", offset_of!(TilingProbe, height)),
+        ("size", offset_of!(TilingProbe, size)),
+        ("period", offset_of!(TilingProbe, period)),
+    ]);
+    assert_eq!(reflected(&SHADERS.probe_tiling, "TilingProbe"), (probe, size_of::<TilingProbe>()));
+    for (shader, expected) in [
+        (SHADERS.bake_materials, [BAKE_WORKGROUP, 1, 1]),
+        (SHADERS.probe_tiling, [TILING_WORKGROUP, 1, 1]),
+        (SHADERS.reduce_materials, [REDUCE_WORKGROUP, REDUCE_WORKGROUP, 1]),
+    ] {
+        let (module, _) = validate(shader.name, shader.wgsl).unwrap();
+        for entry in &module.entry_points {
+            assert_eq!(entry.workgroup_size, expected, "{}: {}", shader.name, entry.name);
+        }
+    }
+    let baking = SHADERS.bake_materials.wgsl;
+    for (number, name) in MATERIALS.iter().enumerate().take(MATERIALS.len() - 1) {
+        let name = name.to_uppercase();
+        assert!(baking.contains(&format!("const {name}: u32 = {number}u;")), "{name}");
+    }
+    assert!(baking.contains(&format!("array<MaterialSet, {}>", MATERIALS.len())));
+}
+
+#[test]
 fn probes_of_reflection_lie_where_the_shader_reads_them() {
     let probe = [
         ("normal", offset_of!(BrdfProbe, normal)),
@@ -125,6 +187,54 @@ fn probes_of_reflection_lie_where_the_shader_reads_them() {
     let probe: Vec<_> = probe.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
     assert_eq!(reflected(&SHADERS.probe_brdf, "BrdfProbe"), (probe, size_of::<BrdfProbe>()));
     assert!(SHADERS.probe_brdf.wgsl.contains(&format!("let first = {BRDF_TERMS}u")));
+}
+
+#[test]
+fn what_casts_shadows_lies_where_the_shader_reads_it_and_means_the_same() {
+    let shader = &SHADERS.cast_shadows;
+    let caster = [
+        ("toward", offset_of!(Caster, toward)),
+        ("slope_low", offset_of!(Caster, slope_low)),
+        ("slope_high", offset_of!(Caster, slope_high)),
+        ("elevation", offset_of!(Caster, elevation)),
+        ("root_bits", offset_of!(Caster, root_bits)),
+        ("columns", offset_of!(Caster, columns)),
+        ("rows", offset_of!(Caster, rows)),
+        ("top", offset_of!(Caster, top)),
+        ("sky", offset_of!(Caster, sky)),
+    ];
+    let node = [("link", offset_of!(PageNode, link)), ("top", offset_of!(PageNode, top))];
+    let target = [
+        ("x", offset_of!(CastTarget, x)),
+        ("z", offset_of!(CastTarget, z)),
+        ("slot", offset_of!(CastTarget, slot)),
+        ("level", offset_of!(CastTarget, level)),
+    ];
+    let named = |fields: &[(&str, usize)]| {
+        fields.iter().map(|(name, offset)| ((*name).to_owned(), *offset)).collect()
+    };
+    assert_eq!(reflected(shader, "Caster"), (named(&caster), size_of::<Caster>()));
+    assert_eq!(reflected(shader, "PageNode"), (named(&node), size_of::<PageNode>()));
+    assert_eq!(reflected(shader, "CastTarget"), (named(&target), size_of::<CastTarget>()));
+    let (module, _) = validate(shader.name, shader.wgsl).unwrap();
+    assert_eq!(module.entry_points[0].workgroup_size, [FILL_WORKGROUP, 1, 1]);
+    for line in [
+        format!("SKY_WALK: u32 = {SKY_WALK}u"),
+        format!("SKY_DARK: u32 = {SKY_DARK}u"),
+        format!("LEAF: u32 = {LEAF}u"),
+        format!("NOTHING: u32 = {NOTHING}u"),
+        format!("BLOCK_TEXELS: u32 = {BLOCK_TEXELS}u"),
+        format!("SUN_RADIUS: f32 = {SUN_RADIUS}"),
+        format!("CLEARANCE_RANGE: f32 = {CLEARANCE_RANGE:?}"),
+    ] {
+        assert!(shader.wgsl.contains(&line), "{line}");
+    }
+}
+
+#[test]
+fn a_resident_chunk_takes_less_than_24_kib_of_the_gpu() {
+    let heights = 4 * 65 * 65;
+    assert!((heights + 65 * 65..24 << 10).contains(&GPU_SLOT_BYTES), "{GPU_SLOT_BYTES} bytes");
 }
 
 #[test]

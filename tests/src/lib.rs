@@ -11,12 +11,14 @@
 //! | `light` | that no sun, height or direction leaves a pixel without light |
 //! | `extremes` | eyes, lenses, sizes and shapes of land at their ends |
 //! | `pictures` | what the headless viewer draws, against golden pictures |
+//! | `shadows` | the land's shadow on itself, against its definition and in pictures |
 //! | `programs` | the built binaries: options, exit codes, messages |
 //! | `harness` | that the harness itself fails when it should |
 
 #![forbid(unsafe_code)]
 
 pub mod golden;
+pub mod horizon;
 pub mod liar;
 pub mod molded;
 pub mod peer;

@@ -4,7 +4,7 @@ use client::camera::{Lens, Pose};
 use client::feed::{Feed, LocalFeed};
 use client::headless::{self, HeadlessError, Options};
 use client::looks::{Looks, Show};
-use client::render::pool::HeightPool;
+use client::render::pool::ChunkPool;
 use client::render::{Canvas, Gpu, Picture, RenderOptions, Renderer, gpu, picture};
 use client::scene::Scene;
 use client::stats::Stats;
@@ -124,7 +124,7 @@ fn a_renderer_that_is_resized_in_every_frame_draws_every_size() {
         Err(error) if !tests::gpu_is_required() => return eprintln!("SKIPPED: {error}"),
         Err(error) => panic!("{error}"),
     };
-    let slots = HeightPool::slots_within(&gpu.device.limits(), 2000);
+    let slots = ChunkPool::slots_within(&gpu.device.limits(), 2000);
     let options = options("-1300,160,1500,70,-8");
     let format = picture::PICTURE_FORMAT;
     let mut renderer = Renderer::new(&gpu, &RenderOptions { size: (0, 0), samples: 1, format, slots });
@@ -133,8 +133,8 @@ fn a_renderer_that_is_resized_in_every_frame_draws_every_size() {
         renderer.resize(&gpu, (width, height));
         let mut shot = options.shot(0, voyage.world());
         (shot.lens.width, shot.lens.height) = (width.max(1), height.max(1));
-        let selection = voyage.update(&shot, Duration::ZERO, usize::MAX, |slot, heights| {
-            renderer.pool().upload(&gpu.queue, slot, heights);
+        let selection = voyage.update(&shot, Duration::ZERO, usize::MAX, |chunk| {
+            renderer.upload(&gpu, chunk);
         });
         let frame = shot.frame(Scene::Island, voyage.world(), &selection);
         let canvas = Canvas::new(&gpu.device, width, height);

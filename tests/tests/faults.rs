@@ -49,7 +49,7 @@ fn shot() -> Shot {
 fn until(voyage: &mut Voyage<SocketFeed>, mut condition: impl FnMut(&Voyage<SocketFeed>) -> bool) -> usize {
     let started = Instant::now();
     loop {
-        let drawn = voyage.update(&shot(), started.elapsed(), usize::MAX, |_, _| {}).drawn.len();
+        let drawn = voyage.update(&shot(), started.elapsed(), usize::MAX, |_| {}).drawn.len();
         if condition(voyage) {
             return drawn;
         }

@@ -44,8 +44,8 @@ impl Studio {
     fn frame(&mut self, shot: &Shot) -> FrameData {
         // A view that the pool cannot hold would never be complete.
         for _ in 0..100_000 {
-            let selection = self.voyage.update(shot, Duration::ZERO, usize::MAX, |slot, heights| {
-                self.renderer.pool().upload(&self.gpu.queue, slot, heights);
+            let selection = self.voyage.update(shot, Duration::ZERO, usize::MAX, |chunk| {
+                self.renderer.upload(&self.gpu, chunk);
             });
             if self.voyage.is_settled() && selection.is_complete() {
                 return shot.frame(Scene::Island, self.voyage.world(), &selection);

@@ -3,6 +3,7 @@
 use crate::camera::{Lens, Pose};
 use crate::headless::Options;
 use crate::looks::{Diffuse, Looks, Shadows, Show, SunPlace, Tiling, Visibility, WaterTier};
+use crate::render::materials::OwnMaterials;
 use crate::scene::Scene;
 use clap::{Parser, builder::RangedU64ValueParser};
 use protocol::Delivery;
@@ -117,6 +118,11 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     pub water: WaterTier,
 
+    /// Folder of own materials: PNG files such as sand_albedo.png, sand_normal.png, sand_height.png, sand_roughness.png and
+    /// sand_ao.png, for sand, meadow, dry_grass, thicket, cliff, scree and cobbles; what has no file stays as it is
+    #[arg(long, value_name = "DIR")]
+    pub textures: Option<PathBuf>,
+
     /// File whose first line is the server's access token
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -143,6 +149,8 @@ impl Args {
             orbit_step_deg: self.orbit.unwrap_or(0.0) / 60.0,
             time_s: self.time as f32,
             looks: self.looks(),
+            // Files are the edge's business: `native::textures`.
+            materials: OwnMaterials::default(),
             timeout: Duration::from_secs(self.timeout),
         }
     }

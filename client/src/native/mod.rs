@@ -5,6 +5,7 @@ pub mod args;
 pub mod backoff;
 pub mod shot;
 pub mod stream;
+pub mod textures;
 
 use args::Args;
 

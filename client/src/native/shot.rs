@@ -3,6 +3,7 @@
 use crate::headless::{self, Progress};
 use crate::native::args::Args;
 use crate::native::stream::{Settings, SocketFeed};
+use crate::native::textures;
 use crate::stats::Stats;
 use crate::voyage::Link;
 use anyhow::Context as _;
@@ -14,12 +15,13 @@ use std::time::{Duration, Instant};
 /// Connects, waits for the complete view, renders, writes.
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     let Some(path) = &args.shot else { return Ok(()) };
+    let options = headless::Options { materials: textures::own(args)?, ..args.shot_options() };
     let feed = SocketFeed::connect(settings(args)?).context("cannot start the network thread")?;
     // Hidden by itself where stderr is no terminal.
     let bar = ProgressBar::new_spinner();
     bar.set_style(ProgressStyle::with_template("{spinner} {elapsed} {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(100));
-    let (picture, stats) = headless::render(&args.shot_options(), feed, started, |progress| {
+    let (picture, stats) = headless::render(&options, feed, started, |progress| {
         bar.set_message(describe(progress));
     })?;
     bar.finish_and_clear();

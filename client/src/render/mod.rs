@@ -1,13 +1,18 @@
 //! The renderer: everything between a [`FrameData`] and a picture.
 //!
-//! Owns pipelines, targets and the pool of heights. Knows nothing of windows, sessions or time: a frame goes in, commands
+//! Owns pipelines, targets, the pool of chunks and the state of their shadows. Knows nothing of windows, sessions or time: a frame goes in, commands
 //! come out, into whatever view the caller gives.
 
 pub mod air;
 pub mod backdrop;
+<<<<<<< HEAD
 pub mod clock;
+=======
+pub mod cast;
+>>>>>>> main
 pub mod fill;
 pub mod gpu;
+pub mod materials;
 pub mod mesh;
 pub mod picture;
 pub mod pipeline;
@@ -15,6 +20,7 @@ pub mod pool;
 pub mod surface;
 pub mod targets;
 pub mod terrain;
+pub mod tiling_probe;
 pub mod tone;
 
 pub use clock::PassTimes;
@@ -22,10 +28,20 @@ pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
 use crate::frame::{Backdrop, FrameData};
+use crate::looks::{Shadows, Show};
+use crate::shadow::{Quota, Schedule};
+use crate::world::Resident;
 use air::AirPass;
 use backdrop::BackdropPass;
+<<<<<<< HEAD
 use clock::{PassClock, TimedPass};
 use pool::HeightPool;
+=======
+use cast::CastPass;
+use glam::Vec3;
+use materials::{Materials, OwnMaterials};
+use pool::ChunkPool;
+>>>>>>> main
 use shaders::layout::Frame;
 use targets::Targets;
 use terrain::TerrainPass;
@@ -40,7 +56,7 @@ pub struct RenderOptions {
     pub samples: u32,
     /// Format of the pictures; must not encode sRGB by itself.
     pub format: wgpu::TextureFormat,
-    /// Slots of the pool, see [`HeightPool::slots_within`].
+    /// Slots of the pool, see [`ChunkPool::slots_within`].
     pub slots: u32,
 }
 
@@ -49,8 +65,11 @@ pub struct RenderOptions {
 pub struct Renderer {
     samples: u32,
     uniforms: wgpu::Buffer,
-    pool: HeightPool,
+    pool: ChunkPool,
+    shadows: Schedule,
+    cast: CastPass,
     targets: Targets,
+    materials: Materials,
     air: AirPass,
     terrain: TerrainPass,
     sky: BackdropPass,
@@ -61,9 +80,15 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Builds pipelines, pool and targets.
+    /// Builds pipelines, pool and targets, and bakes the materials.
     #[must_use]
     pub fn new(gpu: &Gpu, options: &RenderOptions) -> Self {
+        Self::with_materials(gpu, options, &OwnMaterials::default())
+    }
+
+    /// The same with a user's materials.
+    #[must_use]
+    pub fn with_materials(gpu: &Gpu, options: &RenderOptions, own: &OwnMaterials) -> Self {
         let (device, samples) = (&gpu.device, options.samples);
         let uniforms = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("frame"),
@@ -71,29 +96,38 @@ impl Renderer {
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        let pool = HeightPool::new(device, options.slots);
+        let pool = ChunkPool::new(device, options.slots);
         let targets = Targets::new(device, options.size, samples);
+        let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
+        let materials = Materials::new(device, &gpu.queue, own, software);
         Self {
             samples,
             air: AirPass::new(device, &uniforms),
-            terrain: TerrainPass::new(device, &uniforms, &pool, options.slots, samples),
+            shadows: Schedule::new(options.slots),
+            cast: CastPass::new(device, &pool, options.slots),
+            terrain: TerrainPass::new(device, &uniforms, &pool, &materials, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: BackdropPass::water(device, &uniforms, samples),
             tone: TonePass::new(device, &uniforms, &targets, options.format),
+<<<<<<< HEAD
             clock: PassClock::new(device),
             terrain_draws: 0,
+=======
+            materials,
+>>>>>>> main
             uniforms,
             pool,
             targets,
         }
     }
 
-    /// The pool, to upload heights into.
+    /// What the GPU holds of the resident chunks.
     #[must_use]
-    pub fn pool(&self) -> &HeightPool {
+    pub fn pool(&self) -> &ChunkPool {
         &self.pool
     }
 
+<<<<<<< HEAD
     /// Draw calls that the land of the last frame took.
     #[must_use]
     pub fn terrain_draws(&self) -> u32 {
@@ -112,6 +146,53 @@ impl Renderer {
     /// The GPU failed.
     pub fn pass_times(&self, gpu: &Gpu) -> Result<Option<PassTimes>, GpuError> {
         self.clock.as_ref().map(|clock| clock.read(gpu)).transpose()
+=======
+    /// Puts a chunk into its slot.
+    pub fn upload(&mut self, gpu: &Gpu, chunk: &Resident) {
+        self.pool.upload(&gpu.queue, chunk);
+        self.shadows.forget(chunk.slot);
+    }
+
+    /// Records the finding of shadows that the frame lacks, as many as `quota` (and [`MAX_CASTS`]) allows, to be submitted before or with its picture
+    /// and before the next call. Returns how many chunks in sight are still left: 0 when the picture will be right. Chunks whose shadow was never
+    /// found are drawn in full sun.
+    ///
+    /// [`MAX_CASTS`]: cast::MAX_CASTS
+    pub fn cast(
+        &mut self,
+        gpu: &Gpu,
+        frame: &FrameData,
+        quota: Quota,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> usize {
+        let is_shown = frame.uniforms.show == Show::Picture.word();
+        if !is_shown || frame.uniforms.shadows == Shadows::Off.word() {
+            return 0;
+        }
+        self.shadows.update(&frame.candidates, Vec3::from(frame.uniforms.sun));
+        let quota = Quota { chunks: quota.chunks.min(cast::MAX_CASTS), ..quota };
+        if let Some(casting) = self.shadows.next(&frame.candidates, quota) {
+            self.cast.record(&gpu.queue, &casting, encoder);
+        }
+        self.shadows.pending(&frame.candidates)
+    }
+
+    /// Finds all shadows in sight that the frame lacks, and waits for them.
+    ///
+    /// # Errors
+    /// The device failed.
+    pub fn finish_shadows(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<(), GpuError> {
+        loop {
+            let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            let pending = self.cast(gpu, frame, cast::ALL_IN_SIGHT, &mut encoder);
+            gpu.queue.submit([encoder.finish()]);
+            // One at a time: many long dispatches in one queue make some drivers give up on the device.
+            gpu.wait()?;
+            if pending == 0 {
+                return Ok(());
+            }
+        }
+>>>>>>> main
     }
 
     /// Draws pictures of another size from now on.
@@ -184,7 +265,11 @@ impl Renderer {
                 timestamp_writes: self.clock.as_ref().map(|clock| clock.writes(TimedPass::Light)),
                 ..Default::default()
             });
+<<<<<<< HEAD
             self.terrain_draws = self.terrain.draw(&mut pass);
+=======
+            self.terrain.draw(&mut pass, &self.materials);
+>>>>>>> main
             if !matches!(frame.backdrop, Backdrop::Plain(_)) {
                 self.sky.draw(&mut pass);
             }

@@ -1,8 +1,9 @@
 //! The terrain pass: one instanced, indexed draw of all chunks in sight.
 
+use crate::render::materials::Materials;
 use crate::render::mesh;
-use crate::render::pipeline::{Depth, LightPass, uniform_entry};
-use crate::render::pool::HeightPool;
+use crate::render::pipeline::{Depth, LightPass, storage_entry, uniform_entry};
+use crate::render::pool::ChunkPool;
 use shaders::SHADERS;
 use shaders::layout::TerrainInstance;
 use wgpu::util::DeviceExt as _;
@@ -24,7 +25,8 @@ impl TerrainPass {
     pub fn new(
         device: &wgpu::Device,
         frame: &wgpu::Buffer,
-        pool: &HeightPool,
+        pool: &ChunkPool,
+        materials: &Materials,
         capacity: u32,
         samples: u32,
     ) -> Self {
@@ -32,16 +34,8 @@ impl TerrainPass {
             label: Some("draw_terrain"),
             entries: &[
                 uniform_entry(0),
-                wgpu::BindGroupLayoutEntry {
-                    binding: 1,
-                    visibility: wgpu::ShaderStages::VERTEX,
-                    ty: wgpu::BindingType::Buffer {
-                        ty: wgpu::BufferBindingType::Storage { read_only: true },
-                        has_dynamic_offset: false,
-                        min_binding_size: None,
-                    },
-                    count: None,
-                },
+                storage_entry(1, wgpu::ShaderStages::VERTEX, true),
+                storage_entry(2, wgpu::ShaderStages::VERTEX, true),
             ],
         });
         let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -49,7 +43,8 @@ impl TerrainPass {
             layout: &layout,
             entries: &[
                 wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: pool.buffer().as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 1, resource: pool.heights().as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 2, resource: pool.clearances().as_entire_binding() },
             ],
         });
         let attributes = TerrainInstance::ATTRIBUTES.map(|attribute| wgpu::VertexAttribute {
@@ -68,7 +63,7 @@ impl TerrainPass {
         })];
         let pipeline = LightPass {
             shader: &SHADERS.draw_terrain,
-            layouts: &[&layout],
+            layouts: &[&layout, materials.layout()],
             buffers: &buffers,
             depth: Depth::Solid,
             samples,
@@ -95,6 +90,7 @@ impl TerrainPass {
         queue.write_buffer(&self.instances, 0, bytemuck::cast_slice(instances));
     }
 
+<<<<<<< HEAD
     /// Bytes of the buffers that grow with the number of slots, besides the pool.
     #[must_use]
     pub fn bytes(&self) -> u64 {
@@ -104,11 +100,16 @@ impl TerrainPass {
     /// Draws them; returns how many draw calls that took.
     pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>) -> u32 {
         let mut draws = 0;
+=======
+    /// Draws them.
+    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) {
+>>>>>>> main
         if self.count == 0 {
             return draws;
         }
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &self.bindings, &[]);
+        pass.set_bind_group(1, materials.bindings(), &[]);
         pass.set_vertex_buffer(0, self.instances.slice(..));
         pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint16);
         pass.draw_indexed(0..mesh::INDEX_COUNT, 0, 0..self.count);

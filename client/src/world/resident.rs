@@ -3,20 +3,27 @@
 //! The number of slots comes from the memory budget and never changes; nothing that a peer sends makes this grow.
 
 use rustc_hash::{FxHashMap, FxHashSet};
+use shaders::layout::{BLOCK_TEXELS, GPU_SLOT_BYTES};
 use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
-use terrain::{Chunk, ChunkKey};
+use terrain::pyramid::PYRAMID_LEVELS;
+use terrain::{Chunk, ChunkKey, Pyramid};
 
-/// Memory that one slot stands for, bytes: the heights once here and once in the GPU pool.
-pub const SLOT_BYTES: usize = 2 * 4 * VERTEX_COUNT;
+/// Memory that one slot stands for, bytes: heights and maxima here, and what the GPU holds of a chunk.
+pub const SLOT_BYTES: usize = 4 * (VERTEX_COUNT + BLOCK_TEXELS) + GPU_SLOT_BYTES;
+
+/// The level of the max pyramid with 8 x 8 blocks, the finest that is kept.
+const BLOCK_LEVEL: usize = 3;
 
 /// A chunk that is here.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Resident {
     /// Slot of its heights in the pool.
     pub slot: u32,
     /// Heights in units, row by row; the ground under the camera is read from them.
     pub heights: Box<[i32; VERTEX_COUNT]>,
+    /// Upper bounds of the drawn surface in units: 8 x 8 blocks row by row, then 4 x 4, 2 x 2, 1.
+    pub maxima: [i32; BLOCK_TEXELS],
     /// Bound of the vertical error against level 0, units.
     pub error: u32,
     /// Lowest vertex, units.
@@ -93,6 +100,7 @@ impl World {
         let (min, max) = (chunk.min(), chunk.max());
         let resident = Resident {
             slot,
+            maxima: maxima(&chunk.max_pyramid),
             heights: chunk.heights,
             error: chunk.error,
             min,
@@ -227,6 +235,13 @@ impl World {
             self.free.push(chunk.slot);
         }
     }
+}
+
+/// The top of a max pyramid, from 8 x 8 blocks up.
+fn maxima(pyramid: &Pyramid) -> [i32; BLOCK_TEXELS] {
+    let mut texels = (BLOCK_LEVEL..PYRAMID_LEVELS).flat_map(|level| pyramid.level(level).iter().copied());
+    // Four levels hold exactly that many texels; nothing is ever filled up.
+    std::array::from_fn(|_| texels.next().unwrap_or(i32::MAX))
 }
 
 #[cfg(test)]

@@ -24,8 +24,8 @@ pub const SIZE: (u32, u32) = (256, 144);
 /// Metres between two frames.
 const STEP_M: f64 = 1.0;
 
-/// Tolerated screen error, pixels.
-const TOLERANCE_PX: f64 = 1.0;
+/// Tolerated screen error, pixels: small, because pictures this small hold few levels.
+const TOLERANCE_PX: f64 = 0.5;
 
 /// View distance, metres.
 const VIEW_DISTANCE_M: u32 = 8_000;

@@ -9,7 +9,9 @@ use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
 use crate::native::args::Args;
 use crate::native::shot::{settings, write_stats};
 use crate::native::stream::SocketFeed;
-use crate::render::pool::HeightPool;
+use crate::native::textures;
+use crate::render::cast::PER_FRAME;
+use crate::render::pool::ChunkPool;
 use crate::render::surface::{NextTexture, WindowSurface};
 use crate::render::{Gpu, RenderOptions, Renderer, gpu};
 use crate::stats::{FrameTimes, Stats};
@@ -161,7 +163,7 @@ impl Running {
         let gpu = pollster::block_on(Gpu::open(instance, Some(&surface)))?;
         let size = window.inner_size();
         let surface = WindowSurface::new(&gpu, surface, (size.width, size.height))?;
-        let slots = HeightPool::slots_within(&gpu.device.limits(), World::capacity_for(args.chunk_mb << 20));
+        let slots = ChunkPool::slots_within(&gpu.device.limits(), World::capacity_for(args.chunk_mb << 20));
         let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let options = RenderOptions {
             size: surface.size(),
@@ -171,7 +173,7 @@ impl Running {
         };
         let now = Instant::now();
         Ok(Self {
-            renderer: Renderer::new(&gpu, &options),
+            renderer: Renderer::with_materials(&gpu, &options, &textures::own(args)?),
             overlay: Overlay::new(&gpu, &window, surface.format),
             voyage: Voyage::new(
                 SocketFeed::connect(settings(args)?).context("cannot start the network thread")?,
@@ -256,13 +258,13 @@ impl Running {
             looks: self.knobs.looks,
         };
         let (gpu, renderer) = (&self.gpu, &mut self.renderer);
-        let selection =
-            self.voyage.update(&shot, self.started.elapsed(), ARRIVALS_PER_FRAME, |slot, heights| {
-                renderer.pool().upload(&gpu.queue, slot, heights);
-            });
+        let selection = self
+            .voyage
+            .update(&shot, self.started.elapsed(), ARRIVALS_PER_FRAME, |chunk| renderer.upload(gpu, chunk));
         let frame = shot.frame(self.args.scene, self.voyage.world(), &selection);
         self.drawn = frame.instances.len();
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        renderer.cast(gpu, &frame, PER_FRAME, &mut encoder);
         renderer.draw(gpu, &frame, &mut encoder, &view);
         if self.show_panel {
             let traffic = crate::feed::Feed::traffic(self.voyage.feed());

@@ -1,0 +1,424 @@
+//! `--textures`: a folder of images becomes material sets.
+//!
+//! Every file that is bad or missing is named in one line with what is used instead; none of them is a reason to stop. An image is never trusted:
+//! its size and the memory of its decoder are limited before anything is allocated.
+
+use crate::native::args::Args;
+use crate::render::materials::{MATERIAL_SIZE, MATERIAL_TEXELS, OwnMaterial, OwnMaterials};
+use anyhow::Context as _;
+use image::{DynamicImage, ImageReader, Limits};
+use shaders::layout::{BakeTexel, MATERIALS};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Largest side of an image, pixels.
+const MAX_SIDE: u32 = 8192;
+
+/// Most memory for one image, bytes: 8192 x 8192 pixels of 8 bytes.
+const MAX_BYTES: u64 = 512 << 20;
+
+/// Squares of the checker along a side.
+const CHECKS: usize = 16;
+
+/// What an image of a set says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Map {
+    Albedo,
+    Normal,
+    Height,
+    Roughness,
+    Occlusion,
+}
+
+impl Map {
+    const ALL: [Self; 5] = [Self::Albedo, Self::Normal, Self::Height, Self::Roughness, Self::Occlusion];
+
+    /// What its files are called after the name of the set and an underscore; the first name is the usual one.
+    const fn names(self) -> &'static [&'static str] {
+        match self {
+            Self::Albedo => &["albedo", "basecolor", "base_color", "diffuse", "diff", "color", "col"],
+            Self::Normal => &["normal", "normalgl", "normal_gl", "nor_gl", "nrm"],
+            Self::Height => &["height", "displacement", "disp"],
+            Self::Roughness => &["roughness", "rough"],
+            Self::Occlusion => &["ao", "ambientocclusion", "ambient_occlusion", "occlusion"],
+        }
+    }
+
+    /// What stands in for it.
+    const fn substitute(self) -> &'static str {
+        match self {
+            Self::Albedo => "a checker",
+            Self::Normal => "normals from the height",
+            Self::Height => "a flat height",
+            Self::Roughness => "roughness 0.9",
+            Self::Occlusion => "occlusion from the height",
+        }
+    }
+}
+
+/// The sets that the options name; complaints go to standard error.
+///
+/// # Errors
+/// The folder itself cannot be read.
+pub fn own(args: &Args) -> anyhow::Result<OwnMaterials> {
+    let Some(folder) = &args.textures else { return Ok(OwnMaterials::default()) };
+    let (materials, complaints) = load(folder)?;
+    for complaint in complaints {
+        eprintln!("{complaint}");
+    }
+    Ok(materials)
+}
+
+/// Reads a folder: the sets with at least one file, and a line for each file that is bad or missing.
+///
+/// # Errors
+/// The folder itself cannot be read.
+pub fn load(folder: &Path) -> anyhow::Result<(OwnMaterials, Vec<String>)> {
+    let unreadable = || {
+        format!("cannot read --textures {}: name a folder of files such as sand_albedo.png", folder.display())
+    };
+    let mut files: [BTreeMap<Map, PathBuf>; MATERIALS.len()] = Default::default();
+    let mut complaints = Vec::new();
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(folder).with_context(unreadable)? {
+        paths.push(entry.with_context(unreadable)?.path());
+    }
+    // Folders list in any order; which of two files for one map is taken must not depend on it.
+    paths.sort();
+    for path in paths {
+        let Some((material, map)) = meaning(&path) else { continue };
+        if let Some(taken) = files[material].get(&map) {
+            complaints.push(format!(
+                "{}: {} says the same, which is used",
+                path.display(),
+                taken.file_name().unwrap_or_default().display()
+            ));
+        } else {
+            files[material].insert(map, path);
+        }
+    }
+    let mut index = 0;
+    let materials = files.map(|files| {
+        let name = MATERIALS[index];
+        index += 1;
+        (!files.is_empty()).then(|| assemble(folder, name, &files, &mut complaints))
+    });
+    Ok((OwnMaterials::new(materials), complaints))
+}
+
+/// Which map of which set a file is, by its name; case does not matter.
+fn meaning(path: &Path) -> Option<(usize, Map)> {
+    let stem = path.file_stem()?.to_str()?.to_ascii_lowercase().replace('-', "_");
+    let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+    if extension != "png" {
+        return None;
+    }
+    MATERIALS.iter().enumerate().find_map(|(index, material)| {
+        let rest = stem.strip_prefix(material)?.strip_prefix('_')?;
+        let map = Map::ALL.into_iter().find(|map| map.names().contains(&rest))?;
+        Some((index, map))
+    })
+}
+
+/// One set from its files. What is missing or bad is replaced and said.
+fn assemble(
+    folder: &Path,
+    material: &str,
+    files: &BTreeMap<Map, PathBuf>,
+    complaints: &mut Vec<String>,
+) -> OwnMaterial {
+    let mut read = |map: Map| {
+        let Some(path) = files.get(&map) else {
+            let path = folder.join(format!("{material}_{}.png", map.names()[0]));
+            complaints.push(format!("{}: there is no such file, using {}", path.display(), map.substitute()));
+            return None;
+        };
+        match decode(path) {
+            Ok(image) => Some(resampled(&image, map == Map::Albedo)),
+            Err(cause) => {
+                complaints.push(format!("{}: {cause}, using {}", path.display(), map.substitute()));
+                None
+            }
+        }
+    };
+    let [albedo, normal, height, roughness, occlusion] = Map::ALL.map(&mut read);
+    let texels = (0..MATERIAL_TEXELS).map(|at| {
+        let grey = |image: &Option<Vec<[f32; 3]>>, missing: f32| {
+            image.as_ref().map_or(missing, |image| image[at][0])
+        };
+        BakeTexel {
+            albedo: albedo.as_ref().map_or_else(|| checker(at), |albedo| albedo[at]),
+            height: grey(&height, 0.5),
+            // Green points up in images and v points down in textures.
+            normal: normal.as_ref().map_or([0.0; 2], |normal| unit_part(normal[at])),
+            roughness: grey(&roughness, 0.9),
+            occlusion: grey(&occlusion, 1.0),
+        }
+    });
+    OwnMaterial {
+        texels: texels.collect(),
+        normals_given: normal.is_some(),
+        occlusion_given: occlusion.is_some(),
+    }
+}
+
+/// Magenta and black squares: nobody overlooks them.
+fn checker(at: usize) -> [f32; 3] {
+    let side = MATERIAL_SIZE as usize;
+    let square = |place: usize| place * CHECKS / side;
+    if (square(at % side) + square(at / side)).is_multiple_of(2) { [0.8, 0.0, 0.8] } else { [0.02; 3] }
+}
+
+/// The horizontal part of an encoded normal, made unit where filtering or the file has shortened it.
+fn unit_part(encoded: [f32; 3]) -> [f32; 2] {
+    let [x, y, z] = encoded.map(|channel| channel.mul_add(2.0, -1.0));
+    let z = z.max(0.05);
+    let length = (x * x + y * y + z * z).sqrt();
+    [x / length, -y / length]
+}
+
+/// Decodes within limits. The cause of a failure is one line.
+fn decode(path: &Path) -> Result<DynamicImage, String> {
+    let one_line = |error: &dyn std::fmt::Display| error.to_string().replace('\n', " ");
+    let mut reader = ImageReader::open(path).map_err(|error| one_line(&error))?;
+    reader.set_format(image::ImageFormat::Png);
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(MAX_BYTES);
+    reader.limits(limits);
+    let image = reader.decode().map_err(|error| one_line(&error))?;
+    if image.width() == 0 || image.height() == 0 {
+        return Err("it has no pixels".to_owned());
+    }
+    Ok(image)
+}
+
+/// Pixels in [0, 1] at the size of the textures; `colour` ones are decoded from sRGB first. Averages where the image is larger, interpolates where it is
+/// smaller; opposite edges meet, because a texture repeats.
+fn resampled(image: &DynamicImage, colour: bool) -> Vec<[f32; 3]> {
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let side = MATERIAL_SIZE as usize;
+    // Row by row, so that no second copy of a large image is made as floats.
+    let pixel = |x: usize, y: usize| -> [f32; 3] {
+        let (x, y) = ((x % width) as u32, (y % height) as u32);
+        let channels = match image {
+            DynamicImage::ImageLuma8(image) => [f32::from(image.get_pixel(x, y).0[0]) / 255.0; 3],
+            DynamicImage::ImageLumaA8(image) => [f32::from(image.get_pixel(x, y).0[0]) / 255.0; 3],
+            DynamicImage::ImageLuma16(image) => [f32::from(image.get_pixel(x, y).0[0]) / 65_535.0; 3],
+            DynamicImage::ImageLumaA16(image) => [f32::from(image.get_pixel(x, y).0[0]) / 65_535.0; 3],
+            DynamicImage::ImageRgb8(image) => image.get_pixel(x, y).0.map(|c| f32::from(c) / 255.0),
+            DynamicImage::ImageRgba8(image) => three(image.get_pixel(x, y).0).map(|c| f32::from(c) / 255.0),
+            DynamicImage::ImageRgb16(image) => image.get_pixel(x, y).0.map(|c| f32::from(c) / 65_535.0),
+            DynamicImage::ImageRgba16(image) => {
+                three(image.get_pixel(x, y).0).map(|c| f32::from(c) / 65_535.0)
+            }
+            // PNG has no other kinds.
+            _ => [0.0; 3],
+        };
+        if colour { channels.map(linear) } else { channels }
+    };
+    let across = taps(width, side);
+    let down = taps(height, side);
+    let mut out = Vec::with_capacity(MATERIAL_TEXELS);
+    for rows in &down {
+        for columns in &across {
+            let mut sum = [0.0; 3];
+            for &(y, down_share) in rows {
+                for &(x, share) in columns {
+                    let channels = pixel(x, y);
+                    for (sum, channel) in sum.iter_mut().zip(channels) {
+                        *sum += channel * share * down_share;
+                    }
+                }
+            }
+            out.push(sum);
+        }
+    }
+    out
+}
+
+fn three<T: Copy>([a, b, c, _]: [T; 4]) -> [T; 3] {
+    [a, b, c]
+}
+
+/// For each of `to` places: which of `from` samples count there, and how much; shares sum to 1.
+fn taps(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
+    let scale = from as f64 / to as f64;
+    let place = |index: usize| {
+        let centre = (index as f64 + 0.5) * scale - 0.5;
+        // A tent as wide as the coarser of both grids: interpolation upward, an average downward.
+        let radius = scale.max(1.0);
+        let low = (centre - radius).ceil() as i64;
+        let high = (centre + radius).floor() as i64;
+        let shares: Vec<(usize, f64)> = (low..=high)
+            .map(|at| (at.rem_euclid(from as i64) as usize, 1.0 - (at as f64 - centre).abs() / radius))
+            .collect();
+        let total: f64 = shares.iter().map(|(_, share)| share).sum();
+        shares.into_iter().map(|(at, share)| (at, (share / total) as f32)).collect()
+    };
+    (0..to).map(place).collect()
+}
+
+/// The sRGB transfer function (IEC 61966-2-1), undone.
+fn linear(encoded: f32) -> f32 {
+    if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{GrayImage, ImageBuffer, Luma, Rgb, RgbImage};
+
+    /// A folder that goes when the test ends.
+    struct Folder(PathBuf);
+
+    impl Folder {
+        fn new(name: &str) -> Self {
+            let path = std::env::temp_dir().join(format!("tombolo-textures-{}-{name}", std::process::id()));
+            std::fs::create_dir_all(&path).unwrap();
+            Self(path)
+        }
+
+        fn path(&self, name: &str) -> PathBuf {
+            self.0.join(name)
+        }
+    }
+
+    impl Drop for Folder {
+        fn drop(&mut self) {
+            let _ = std::fs::remove_dir_all(&self.0);
+        }
+    }
+
+    fn material<'a>(own: &'a OwnMaterials, name: &str) -> Option<&'a OwnMaterial> {
+        own[MATERIALS.iter().position(|known| *known == name).unwrap()].as_ref()
+    }
+
+    /// A set of which every file is there and good.
+    fn complete(folder: &Folder) {
+        RgbImage::from_pixel(7, 3, Rgb([255, 0, 188])).save(folder.path("sand_BaseColor.png")).unwrap();
+        RgbImage::from_pixel(2, 2, Rgb([128, 128, 255])).save(folder.path("sand_normal.png")).unwrap();
+        let tall: ImageBuffer<Luma<u16>, Vec<u16>> =
+            ImageBuffer::from_fn(1024, 1024, |x, _| Luma([if x < 512 { 1 } else { 65_535 }]));
+        tall.save(folder.path("sand_displacement.png")).unwrap();
+        GrayImage::from_pixel(1, 1, Luma([51])).save(folder.path("sand_roughness.png")).unwrap();
+        GrayImage::from_pixel(512, 512, Luma([204])).save(folder.path("sand_ao.png")).unwrap();
+    }
+
+    #[test]
+    fn a_complete_set_of_any_size_and_depth_is_taken_without_a_word() {
+        let folder = Folder::new("complete");
+        complete(&folder);
+        let (own, complaints) = load(&folder.0).unwrap();
+        assert_eq!(complaints, Vec::<String>::new());
+        assert_eq!(own.iter().flatten().count(), 1, "the other sets stay procedural");
+        let sand = material(&own, "sand").unwrap();
+        assert!(sand.normals_given && sand.occlusion_given && sand.texels.len() == MATERIAL_TEXELS);
+        let texel = sand.texels[MATERIAL_SIZE as usize / 4];
+        let near = |a: f32, b: f32| (a - b).abs() < 0.005;
+        assert!(near(texel.albedo[0], 1.0) && near(texel.albedo[1], 0.0), "{texel:?}");
+        assert!(near(texel.albedo[2], 0.503), "sRGB 188 is half the light: {texel:?}");
+        assert!(near(texel.roughness, 0.2) && near(texel.occlusion, 0.8), "{texel:?}");
+        // 16 bits survive: 1 of 65535 is not 0.
+        assert!(texel.height > 1e-5 && texel.height < 2e-5, "{}", texel.height);
+        assert!(near(sand.texels[3 * MATERIAL_SIZE as usize / 4].height, 1.0));
+        assert!(texel.normal.iter().all(|part| part.abs() < 0.005), "{texel:?}");
+    }
+
+    #[test]
+    fn bad_and_missing_files_are_named_and_a_bad_albedo_is_a_checker() {
+        let folder = Folder::new("bad");
+        complete(&folder);
+        let whole = std::fs::read(folder.path("sand_BaseColor.png")).unwrap();
+        std::fs::write(folder.path("cliff_albedo.png"), &whole[..whole.len() / 2]).unwrap();
+        std::fs::write(folder.path("scree_color.png"), b"no picture").unwrap();
+        std::fs::write(folder.path("meadow_diffuse.png"), []).unwrap();
+        std::fs::create_dir(folder.path("cobbles_albedo.png")).unwrap();
+        GrayImage::from_pixel(1, 1, Luma([9])).save(folder.path("thicket_height.png")).unwrap();
+        std::fs::write(folder.path("notes.txt"), b"not asked for").unwrap();
+        let (own, complaints) = load(&folder.0).unwrap();
+        for name in ["cliff", "scree", "meadow", "cobbles", "thicket"] {
+            let own = material(&own, name).unwrap();
+            let colours: std::collections::BTreeSet<_> =
+                own.texels.iter().map(|texel| texel.albedo.map(f32::to_bits)).collect();
+            assert_eq!(colours.len(), 2, "{name} is no checker");
+            let said = complaints.iter().filter(|line| line.contains(&format!("{name}_")));
+            // Every map but the one height that is good.
+            assert_eq!(said.count(), if name == "thicket" { 4 } else { 5 }, "{complaints:?}");
+        }
+        assert!(material(&own, "dry_grass").is_none());
+        assert!(
+            complaints.iter().all(|line| !line.contains('\n') && line.contains(", using ")),
+            "{complaints:?}"
+        );
+        assert!(
+            complaints
+                .iter()
+                .any(|line| line.contains("thicket_albedo.png: there is no such file, using a checker"))
+        );
+        let sand = material(&own, "sand").unwrap();
+        assert_ne!(sand.texels[0].albedo, checker(0), "the control: a good albedo is no checker");
+    }
+
+    #[test]
+    fn an_image_that_claims_to_be_huge_is_refused_before_it_takes_memory() {
+        let folder = Folder::new("huge");
+        complete(&folder);
+        let mut claim = std::fs::read(folder.path("sand_BaseColor.png")).unwrap();
+        // Width and height of the header, and its checksum (CRC-32 of chunk type and data; PNG, section 5.3).
+        claim[16..24].copy_from_slice(&[0x7f, 0xff, 0xff, 0xff, 0x7f, 0xff, 0xff, 0xff]);
+        let crc = !claim[12..29].iter().fold(!0u32, |crc, byte| {
+            (0..8).fold(crc ^ u32::from(*byte), |crc, _| {
+                (crc >> 1) ^ (0xedb8_8320 & 0u32.wrapping_sub(crc & 1))
+            })
+        });
+        claim[29..33].copy_from_slice(&crc.to_be_bytes());
+        std::fs::write(folder.path("sand_BaseColor.png"), claim).unwrap();
+        let (own, complaints) = load(&folder.0).unwrap();
+        assert!(complaints.len() == 1 && complaints[0].contains("sand_BaseColor.png"), "{complaints:?}");
+        assert_eq!(material(&own, "sand").unwrap().texels[0].albedo, checker(0));
+    }
+
+    #[test]
+    fn a_folder_that_is_not_there_is_an_error_with_its_name() {
+        let error = load(Path::new("/no/such/folder")).unwrap_err().to_string();
+        assert!(error.contains("/no/such/folder") && error.contains("--textures"), "{error}");
+    }
+
+    #[test]
+    fn two_files_for_one_map_are_told_apart_and_names_need_a_known_set() {
+        let folder = Folder::new("two");
+        for name in ["sand_albedo.png", "sand_color.png"] {
+            RgbImage::from_pixel(1, 1, Rgb([1, 2, 3])).save(folder.path(name)).unwrap();
+        }
+        let (_, complaints) = load(&folder.0).unwrap();
+        assert!(
+            complaints[0].contains("sand_color.png") && complaints[0].contains("sand_albedo.png"),
+            "{complaints:?}"
+        );
+        let known = |name: &str| meaning(Path::new(name)).map(|(at, map)| (MATERIALS[at], map));
+        assert_eq!(known("Dry_Grass-Normal.PNG"), Some(("dry_grass", Map::Normal)));
+        assert_eq!(known("sand.png"), None);
+        assert_eq!(known("lava_albedo.png"), None);
+        assert_eq!(known("sand_albedo.tiff"), None);
+    }
+
+    #[test]
+    fn resampling_keeps_the_mean_and_wraps() {
+        for from in [1, 3, 512, 700, 4096] {
+            let taps = taps(from, 512);
+            let mut weights = vec![0.0; from];
+            for (at, share) in taps.iter().flatten() {
+                weights[*at] += share;
+            }
+            let expected = 512.0 / from as f32;
+            assert!(weights.iter().all(|weight| (weight / expected - 1.0).abs() < 0.35), "{from}");
+            assert!(
+                taps.iter().all(|taps| (taps.iter().map(|(_, share)| share).sum::<f32>() - 1.0).abs() < 1e-5)
+            );
+        }
+        // The first texel of a doubled image is a blend with the last one.
+        assert!(taps(256, 512)[0].iter().any(|(at, _)| *at == 255));
+    }
+}
