@@ -1,13 +1,8 @@
 //! A renderer that is opened once and takes many pictures: opening a device takes longer than drawing.
 
 use client::frame::FrameData;
-<<<<<<< HEAD
-use client::render::pool::HeightPool;
-use client::render::{Canvas, Gpu, GpuError, PassTimes, Picture, RenderOptions, Renderer, gpu, picture};
-=======
 use client::render::pool::ChunkPool;
-use client::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
->>>>>>> main
+use client::render::{Canvas, Gpu, GpuError, PassTimes, Picture, RenderOptions, Renderer, gpu, picture};
 use client::world::World;
 use std::time::{Duration, Instant};
 
@@ -26,7 +21,6 @@ impl Studio {
     /// # Errors
     /// There is no adapter, or it cannot be opened.
     pub fn open(size: (u32, u32), slots: u32) -> Result<Self, GpuError> {
-<<<<<<< HEAD
         Self::open_with(size, slots, wgpu::Features::empty())
     }
 
@@ -40,11 +34,7 @@ impl Studio {
 
     fn open_with(size: (u32, u32), slots: u32, wished: wgpu::Features) -> Result<Self, GpuError> {
         let gpu = pollster::block_on(Gpu::open_with(gpu::instance(None), None, wished))?;
-        let slots = HeightPool::slots_within(&gpu.device.limits(), slots);
-=======
-        let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
         let slots = ChunkPool::slots_within(&gpu.device.limits(), slots);
->>>>>>> main
         let options = RenderOptions { size, samples: 1, format: picture::PICTURE_FORMAT, slots };
         let renderer = Renderer::new(&gpu, &options);
         let canvas = Canvas::new(&gpu.device, size.0, size.1);

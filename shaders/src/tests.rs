@@ -9,7 +9,7 @@ use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInn
 use crate::layout::{
     Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CastTarget,
     Caster, ChunkFill, FILL_WORKGROUP, Frame, GPU_SLOT_BYTES, LEAF, MATERIALS, NOTHING, PATTERN_PERIOD_M,
-    PageNode, REDUCE_WORKGROUP, SKY_DARK, SKY_LIT, SKY_WALK, SUN_RADIUS, TILING_WORKGROUP, TerrainInstance,
+    PageNode, REDUCE_WORKGROUP, SKY_DARK, SKY_WALK, SUN_RADIUS, TILING_WORKGROUP, TerrainInstance,
     TilingProbe, World,
 };
 use crate::validate::validate;

@@ -5,11 +5,8 @@
 
 pub mod air;
 pub mod backdrop;
-<<<<<<< HEAD
-pub mod clock;
-=======
 pub mod cast;
->>>>>>> main
+pub mod clock;
 pub mod fill;
 pub mod gpu;
 pub mod materials;
@@ -33,15 +30,11 @@ use crate::shadow::{Quota, Schedule};
 use crate::world::Resident;
 use air::AirPass;
 use backdrop::BackdropPass;
-<<<<<<< HEAD
-use clock::{PassClock, TimedPass};
-use pool::HeightPool;
-=======
 use cast::CastPass;
+use clock::{PassClock, TimedPass};
 use glam::Vec3;
 use materials::{Materials, OwnMaterials};
 use pool::ChunkPool;
->>>>>>> main
 use shaders::layout::Frame;
 use targets::Targets;
 use terrain::TerrainPass;
@@ -109,12 +102,9 @@ impl Renderer {
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: BackdropPass::water(device, &uniforms, samples),
             tone: TonePass::new(device, &uniforms, &targets, options.format),
-<<<<<<< HEAD
             clock: PassClock::new(device),
             terrain_draws: 0,
-=======
             materials,
->>>>>>> main
             uniforms,
             pool,
             targets,
@@ -127,7 +117,6 @@ impl Renderer {
         &self.pool
     }
 
-<<<<<<< HEAD
     /// Draw calls that the land of the last frame took.
     #[must_use]
     pub fn terrain_draws(&self) -> u32 {
@@ -137,7 +126,7 @@ impl Renderer {
     /// Bytes on the GPU that one more chunk takes: the buffers that grow with the number of slots, by their real sizes.
     #[must_use]
     pub fn bytes_per_chunk(&self) -> u64 {
-        (self.pool.buffer().size() + self.terrain.bytes()).div_ceil(u64::from(self.pool.slots()))
+        (self.pool.bytes() + self.terrain.bytes() + self.cast.bytes()).div_ceil(u64::from(self.pool.slots()))
     }
 
     /// What the passes of the last submitted frame took by the GPU's clock; none if the device was opened without one.
@@ -146,7 +135,8 @@ impl Renderer {
     /// The GPU failed.
     pub fn pass_times(&self, gpu: &Gpu) -> Result<Option<PassTimes>, GpuError> {
         self.clock.as_ref().map(|clock| clock.read(gpu)).transpose()
-=======
+    }
+
     /// Puts a chunk into its slot.
     pub fn upload(&mut self, gpu: &Gpu, chunk: &Resident) {
         self.pool.upload(&gpu.queue, chunk);
@@ -192,7 +182,6 @@ impl Renderer {
                 return Ok(());
             }
         }
->>>>>>> main
     }
 
     /// Draws pictures of another size from now on.
@@ -265,11 +254,7 @@ impl Renderer {
                 timestamp_writes: self.clock.as_ref().map(|clock| clock.writes(TimedPass::Light)),
                 ..Default::default()
             });
-<<<<<<< HEAD
-            self.terrain_draws = self.terrain.draw(&mut pass);
-=======
-            self.terrain.draw(&mut pass, &self.materials);
->>>>>>> main
+            self.terrain_draws = self.terrain.draw(&mut pass, &self.materials);
             if !matches!(frame.backdrop, Backdrop::Plain(_)) {
                 self.sky.draw(&mut pass);
             }

@@ -47,15 +47,18 @@ impl ChunkPool {
         }
     }
 
-<<<<<<< HEAD
     /// How many slots there are.
     #[must_use]
     pub fn slots(&self) -> u32 {
         self.slots
     }
 
-    /// The buffer that `draw_terrain` reads.
-=======
+    /// Bytes of all buffers.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.heights.size() + self.maxima.size() + self.clearances.size()
+    }
+
     /// Fills a chunk's slot; the sun shines on all of it until its shadow is found. A slot beyond the pool is ignored: it could only come from a
     /// pool of another size.
     pub fn upload(&self, queue: &wgpu::Queue, chunk: &Resident) {
@@ -101,7 +104,6 @@ impl ChunkPool {
     }
 
     /// Heights in units: `VERTEX_COUNT` words a slot.
->>>>>>> main
     #[must_use]
     pub fn heights(&self) -> &wgpu::Buffer {
         &self.heights

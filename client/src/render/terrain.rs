@@ -90,7 +90,6 @@ impl TerrainPass {
         queue.write_buffer(&self.instances, 0, bytemuck::cast_slice(instances));
     }
 
-<<<<<<< HEAD
     /// Bytes of the buffers that grow with the number of slots, besides the pool.
     #[must_use]
     pub fn bytes(&self) -> u64 {
@@ -98,12 +97,8 @@ impl TerrainPass {
     }
 
     /// Draws them; returns how many draw calls that took.
-    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>) -> u32 {
+    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) -> u32 {
         let mut draws = 0;
-=======
-    /// Draws them.
-    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) {
->>>>>>> main
         if self.count == 0 {
             return draws;
         }
