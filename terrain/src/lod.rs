@@ -174,14 +174,26 @@ impl Viewer {
     /// Distance from the eye to the box of a chunk: the square of the chunk, from below the sea up to [`SUMMIT`]. Units.
     #[must_use]
     pub fn distance_to(&self, key: ChunkKey) -> u64 {
-        let (x, z) = key.origin();
+        self.distance_to_box(key, i32::MIN, SUMMIT)
+    }
+
+    /// The same for a chunk that is known to lie between two heights. Never less, wherever these are within those bounds. Units.
+    #[must_use]
+    pub fn distance_to_box(&self, key: ChunkKey, lowest: i32, highest: i32) -> u64 {
+        self.distance_to_block(key.origin(), key.side(), lowest, highest)
+    }
+
+    /// Distance to the box over any square: low corner and side in units, between two heights. Units.
+    #[must_use]
+    pub fn distance_to_block(&self, (x, z): (i32, i32), side: u32, lowest: i32, highest: i32) -> u64 {
         let gap = |eye: i32, low: i32| {
             let (eye, low) = (i64::from(eye), i64::from(low));
-            (low - eye).max(eye - low - i64::from(key.side())).max(0).unsigned_abs()
+            (low - eye).max(eye - low - i64::from(side)).max(0).unsigned_abs()
         };
-        let above = (i64::from(self.eye.1) - i64::from(SUMMIT)).max(0).unsigned_abs();
+        let up = i64::from(self.eye.1);
+        let dy = (up - i64::from(highest)).max(i64::from(lowest) - up).max(0).unsigned_abs();
         let (dx, dz) = (gap(self.eye.0, x), gap(self.eye.2, z));
-        (dx * dx + dz * dz + above * above).isqrt()
+        (dx * dx + dz * dz + dy * dy).isqrt()
     }
 
     /// Screen error of a vertical error at a distance (both units), 1/16 pixel, saturating. Rounded up: what is within a tolerance in

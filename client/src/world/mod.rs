@@ -2,6 +2,7 @@
 //!
 //! Knows slots but no GPU, and time only as a frame number.
 
+pub mod error;
 pub mod resident;
 pub mod seams;
 pub mod select;

@@ -2,6 +2,7 @@
 //!
 //! The number of slots comes from the memory budget and never changes; nothing that a peer sends makes this grow.
 
+use crate::world::error::{self, Rises};
 use rustc_hash::{FxHashMap, FxHashSet};
 use shaders::layout::{BLOCK_TEXELS, GPU_SLOT_BYTES};
 use std::time::Duration;
@@ -9,8 +10,8 @@ use terrain::constants::VERTEX_COUNT;
 use terrain::pyramid::PYRAMID_LEVELS;
 use terrain::{Chunk, ChunkKey, Pyramid};
 
-/// Memory that one slot stands for, bytes: heights and maxima here, and what the GPU holds of a chunk.
-pub const SLOT_BYTES: usize = 4 * (VERTEX_COUNT + BLOCK_TEXELS) + GPU_SLOT_BYTES;
+/// Memory that one slot stands for, bytes: heights, maxima and rises here, and what the GPU holds of a chunk.
+pub const SLOT_BYTES: usize = 4 * (VERTEX_COUNT + BLOCK_TEXELS) + size_of::<Rises>() + GPU_SLOT_BYTES;
 
 /// The level of the max pyramid with 8 x 8 blocks, the finest that is kept.
 const BLOCK_LEVEL: usize = 3;
@@ -30,6 +31,8 @@ pub struct Resident {
     pub min: i32,
     /// Highest vertex, units.
     pub max: i32,
+    /// How far it rises over its parent or falls below, where that has been here with it.
+    pub rises: Option<Rises>,
     /// Last frame whose selection drew this chunk or something below it.
     used: u64,
     /// Frame in which it arrived.
@@ -105,11 +108,26 @@ impl World {
             error: chunk.error,
             min,
             max,
+            rises: None,
             used: 0,
             arrived: self.frame,
         };
         self.chunks.insert(chunk.key, resident);
+        self.compare_with_parent(chunk.key);
+        for child in chunk.key.children().into_iter().flatten() {
+            self.compare_with_parent(child);
+        }
         Arrival { slot: Some(slot), evicted, starved }
+    }
+
+    /// Finds a chunk's rises, if it and its parent are here and they are not known yet.
+    fn compare_with_parent(&mut self, key: ChunkKey) {
+        let parent = key.parent().and_then(|parent| self.chunks.get(&parent));
+        let (Some(parent), Some(chunk)) = (parent, self.chunks.get(&key)) else { return };
+        if chunk.rises.is_none() {
+            let rises = error::rises(key, &chunk.heights, &parent.heights);
+            self.chunks.entry(key).and_modify(|chunk| chunk.rises = Some(rises));
+        }
     }
 
     /// The chunk of a key, if it is here.

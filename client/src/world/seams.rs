@@ -7,7 +7,8 @@
 //! from the border to the inside.
 
 use crate::world::World;
-use crate::world::select::{Fading, judged_error};
+use crate::world::error;
+use crate::world::select::Fading;
 use rustc_hash::{FxHashMap, FxHashSet};
 use shaders::twin::morph::{MORPH_ONE, Seams};
 use terrain::ChunkKey;
@@ -89,12 +90,7 @@ pub fn close(
 /// within the tolerance up to (tolerance - own) / (parent - own). That is 0 where the chunk is about to be split and 1 where the parent is
 /// about to take over, so neither moment shows. A chunk that is split for its neighbours' sake alone is its parent.
 fn morph(world: &World, viewer: &Viewer, key: ChunkKey) -> f64 {
-    let on_screen = |key: ChunkKey| {
-        let error = judged_error(world.get(key)?.error, key.level());
-        // As in `Viewer::screen_error_q4`, without its rounding: morphs must not move in steps.
-        let scaled = f64::from(error) * f64::from(viewer.pixels_per_radian) * 16.0;
-        Some(scaled / viewer.distance_to(key).max(1) as f64)
-    };
+    let on_screen = |key: ChunkKey| Some(error::on_screen(world, viewer, key, world.get(key)?));
     let parent = key.parent().filter(|_| key.level() < viewer.top_level()).and_then(on_screen);
     let (Some(own), Some(parent)) = (on_screen(key), parent) else { return 0.0 };
     let tolerance = f64::from(viewer.tolerance());

@@ -5,8 +5,8 @@
 //! finer. The server judges by the level's bound, before anything is generated; this judges by the chunk's own error but never beyond
 //! that bound, and both rules are monotone, so whatever this wants, the server sends.
 
-use crate::world::World;
 use crate::world::seams::{self, Drawn};
+use crate::world::{World, error};
 use rustc_hash::FxHashSet;
 use std::time::Duration;
 use terrain::ChunkKey;
@@ -66,20 +66,13 @@ pub fn select_at(world: &mut World, viewer: &Viewer, fading: Fading) -> Selectio
     Selection { drawn, wanting: wanting + if can_be_shown { 0 } else { missing.len() } }
 }
 
-/// Error that a chunk is judged by, units. The level's bound is empirical: a chunk whose own error exceeds it would want children
-/// that no server sends, and the view would never be complete.
-pub(super) fn judged_error(error: u32, level: u8) -> u32 {
-    error.min(lod::level_error(level))
-}
-
 /// What is to be split, whether its children are here or not.
 fn wanted(world: &World, viewer: &Viewer, tops: &[ChunkKey]) -> Splits {
     let mut wanted = Splits::default();
     let mut open = tops.to_vec();
     while let Some(key) = open.pop() {
         let Some(chunk) = world.get(key) else { continue };
-        let judged = judged_error(chunk.error, key.level());
-        if viewer.screen_error_q4(judged, viewer.distance_to(key)) > viewer.tolerance() {
+        if error::on_screen(world, viewer, key, chunk) > f64::from(viewer.tolerance()) {
             wanted.insert(key, 0);
             open.extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
         }
@@ -147,8 +140,8 @@ mod tests {
         assert!(selection.is_complete());
         for key in keys(&selection) {
             let chunk = world.get(key).unwrap();
-            let error = VIEWER.screen_error_q4(chunk.error, VIEWER.distance_to(key));
-            assert!(error <= VIEWER.tolerance_q4, "{key} at {error}/16 px");
+            let error = error::on_screen(&world, &VIEWER, key, chunk);
+            assert!(error <= f64::from(VIEWER.tolerance_q4), "{key} at {error}/16 px");
         }
     }
 

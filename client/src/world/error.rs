@@ -1,0 +1,161 @@
+//! The error of a chunk on screen, from where in the chunk it is.
+//!
+//! A chunk's stated error is the largest anywhere in it. Once its children are here, the land between their vertices and the chunk's own triangles is known
+//! block by block, and an error far from the eye counts by its own distance. That leaves more chunks whole and keeps the promise: in every block the drawn
+//! surface is no farther from the land than what the block is judged by.
+
+use crate::world::{Resident, World};
+use shaders::twin::grid::GridVertex;
+use shaders::twin::morph::parent_height;
+use terrain::ChunkKey;
+use terrain::constants::{CELLS, VERTEX_COUNT, VERTICES};
+use terrain::lod::{self, Viewer};
+
+/// Blocks along one side of a chunk.
+const BLOCKS: usize = 8;
+
+/// Cells along one side of a block.
+const BLOCK_CELLS: usize = CELLS / BLOCKS;
+
+/// Largest vertical distance between a chunk's vertices and its parent's surface in each block, units, row by row.
+pub type Rises = [u32; BLOCKS * BLOCKS];
+
+/// The rises of the chunk `key` over its parent.
+#[must_use]
+pub fn rises(key: ChunkKey, own: &[i32; VERTEX_COUNT], parent: &[i32; VERTEX_COUNT]) -> Rises {
+    let (east, south) = key.quarter();
+    let quarter = (east as u32, south as u32);
+    let mut rises = [0; BLOCKS * BLOCKS];
+    for row in 0..VERTICES {
+        for column in 0..VERTICES {
+            let vertex = GridVertex { column: column as u32, row: row as u32 };
+            let height = own[row * VERTICES + column];
+            // One more for the half that the parent's surface is rounded down by.
+            let rise = height.abs_diff(parent_height(parent, quarter, vertex)) + 1;
+            // A vertex on a line between blocks belongs to both.
+            for z in blocks_of(row) {
+                for x in blocks_of(column) {
+                    rises[z * BLOCKS + x] = rise.max(rises[z * BLOCKS + x]);
+                }
+            }
+        }
+    }
+    rises
+}
+
+/// The blocks that a column or row of vertices lies in: one, or the two that it separates.
+fn blocks_of(line: usize) -> std::ops::RangeInclusive<usize> {
+    let low = line.saturating_sub(1) / BLOCK_CELLS;
+    low..=(line / BLOCK_CELLS).min(BLOCKS - 1)
+}
+
+/// Error on screen of drawing a chunk, 1/16 pixel, not rounded: a bound for every place in it. Never more than what the server judges the chunk by, so that less is
+/// wanted than is sent.
+#[must_use]
+pub fn on_screen(world: &World, viewer: &Viewer, key: ChunkKey, chunk: &Resident) -> f64 {
+    // The level's bound is empirical: a chunk whose own error exceeds it would want children that no server sends.
+    let stated = chunk.error.min(lod::level_error(key.level()));
+    let nearest = viewer.distance_to(key);
+    let seen = |error: u32, distance: u64| {
+        let scaled = f64::from(error) * f64::from(viewer.pixels_per_radian) * 16.0;
+        scaled / distance.max(nearest).max(1) as f64
+    };
+    let whole = seen(stated, distance(viewer, key.origin(), key.side(), chunk));
+    if whole <= f64::from(viewer.tolerance()) / 4.0 {
+        // So small that no finer look would change anything.
+        return whole;
+    }
+    let by_blocks = key.children().into_iter().flatten().try_fold(0.0f64, |worst, child_key| {
+        let child = world.get(child_key)?;
+        let rises = child.rises.as_ref()?;
+        let (x, z) = child_key.origin();
+        let side = child_key.side() / BLOCKS as u32;
+        let blocks = rises.iter().enumerate().map(|(index, rise)| {
+            let corner =
+                (x + (index % BLOCKS) as i32 * side as i32, z + (index / BLOCKS) as i32 * side as i32);
+            let error = rise.saturating_add(child.error).min(stated);
+            seen(error, distance(viewer, corner, side, child))
+        });
+        Some(blocks.fold(worst, f64::max))
+    });
+    by_blocks.filter(|_| key.level() > 0).unwrap_or(whole).min(whole)
+}
+
+/// Distance from the eye to where the true land of a square can be that lies in a chunk, units.
+fn distance(viewer: &Viewer, corner: (i32, i32), side: u32, chunk: &Resident) -> u64 {
+    let error = i32::try_from(chunk.error).unwrap_or(i32::MAX);
+    viewer.distance_to_block(corner, side, chunk.min.saturating_sub(error), chunk.max.saturating_add(error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use terrain::Land;
+
+    #[test]
+    fn every_vertex_of_a_block_is_within_its_rise_and_some_is_at_it() {
+        let land = Land::new(1);
+        for (level, x, z) in [(0, 3, -2), (1, -4, 5), (2, 1, 1)] {
+            let key = ChunkKey::new(level, x, z).unwrap();
+            let (own, parent) = (land.chunk_heights(key), land.chunk_heights(key.parent().unwrap()));
+            let (east, south) = key.quarter();
+            let rises = rises(key, &own, &parent);
+            let largest = |block: usize| {
+                let (x, z) = (block % BLOCKS * BLOCK_CELLS, block / BLOCKS * BLOCK_CELLS);
+                let vertices = (z..=z + BLOCK_CELLS)
+                    .flat_map(|row| (x..=x + BLOCK_CELLS).map(move |column| (column, row)));
+                let rise = |(column, row): (usize, usize)| {
+                    let vertex = GridVertex { column: column as u32, row: row as u32 };
+                    own[row * VERTICES + column].abs_diff(parent_height(
+                        &parent,
+                        (east as u32, south as u32),
+                        vertex,
+                    ))
+                };
+                vertices.map(rise).max().unwrap()
+            };
+            for (block, rise) in rises.iter().enumerate() {
+                assert_eq!(*rise, largest(block) + 1, "{key} block {block}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_finer_look_only_lowers_the_error_and_lowers_it_somewhere() {
+        let land = Land::new(1);
+        let mut world = World::new(100);
+        let key = ChunkKey::new(1, 2, 3).unwrap();
+        let viewer = Viewer {
+            eye: (100_000, 30_000, 260_000),
+            distance_m: 4000,
+            pixels_per_radian: 900,
+            tolerance_q4: 1,
+        };
+        world.insert(land.chunk(key));
+        let before = on_screen(&world, &viewer, key, world.get(key).unwrap());
+        let [first, rest @ ..] = key.children().unwrap();
+        for child in rest {
+            world.insert(land.chunk(child));
+        }
+        assert_eq!(on_screen(&world, &viewer, key, world.get(key).unwrap()), before, "one child is missing");
+        world.insert(land.chunk(first));
+        let after = on_screen(&world, &viewer, key, world.get(key).unwrap());
+        assert!(after < before && after > 0.0, "{after} {before}");
+    }
+
+    #[test]
+    fn rises_are_known_in_whichever_order_parent_and_child_arrive() {
+        let land = Land::new(1);
+        let child = ChunkKey::new(0, 3, -2).unwrap();
+        let parent = child.parent().unwrap();
+        let rises_after = |order: [ChunkKey; 2]| {
+            let mut world = World::new(4);
+            for key in order {
+                world.insert(land.chunk(key));
+            }
+            world.get(child).unwrap().rises
+        };
+        let rises = rises_after([parent, child]);
+        assert!(rises.is_some() && rises == rises_after([child, parent]));
+    }
+}
