@@ -206,6 +206,8 @@ fn draw<F: Feed>(
         frames: options.frames.max(1) as usize,
         chunks_drawn: drawn,
         triangles: drawn as u64 * TRIANGLES_PER_CHUNK,
+        terrain_draws: renderer.terrain_draws(),
+        gpu_bytes_per_chunk: renderer.bytes_per_chunk(),
         delivery: if options.scene.is_local() { "none" } else { voyage.feed().delivery().name() },
         bytes_received: voyage.feed().traffic().bytes_received,
         seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),

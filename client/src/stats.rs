@@ -56,6 +56,10 @@ pub struct Stats {
     pub chunks_drawn: usize,
     /// Triangles sent in the last frame.
     pub triangles: u64,
+    /// Draw calls that the land of the last frame took.
+    pub terrain_draws: u32,
+    /// Bytes on the GPU that one more chunk takes.
+    pub gpu_bytes_per_chunk: u64,
     /// How chunks came: `exact` or `seed`; `none` in a local scene.
     pub delivery: &'static str,
     /// Bytes of frames received.

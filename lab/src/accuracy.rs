@@ -18,13 +18,13 @@ pub mod quantum;
 pub mod tiling;
 pub mod water;
 
-use crate::Outputs;
 use crate::chart::{self, Panel};
 use crate::table::Table;
+use crate::{Outputs, note};
 use anyhow::{Result, anyhow};
 use clap::ValueEnum as _;
 use serde::Serialize;
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 
 /// Options of `accuracy`.
 #[derive(Clone, Debug, clap::Args)]
@@ -133,11 +133,4 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
 /// Nobody reading the tables is no reason to fail; the exit code says what matters.
 fn print(text: &dyn std::fmt::Display) {
     let _ = write!(std::io::stdout(), "{text}");
-}
-
-/// Says what takes time, where a person waits.
-fn note(what: &str) {
-    if std::io::stderr().is_terminal() {
-        eprintln!("measuring {what} ...");
-    }
 }

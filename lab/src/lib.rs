@@ -1,7 +1,7 @@
 //! The measuring bench, behind `tombolo-lab`.
 //!
 //! Every promise about the land is measured here against a ground truth: [`digest`] (all backends compute the same integers),
-//! [`accuracy`] (what every shortcut costs), [`stability`] (the ends of the world), [`timings`] (GPU against CPU).
+//! [`accuracy`] (what every shortcut costs), [`mod@lod`] (what the levels of detail draw), [`stability`] (the ends of the world), [`timings`] (GPU against CPU).
 //!
 //! What it refuses: judging by eye. A measurement that does not hold its bar is an error, and the exit code says so.
 
@@ -14,6 +14,7 @@ pub mod cracks;
 pub mod digest;
 pub mod flip;
 pub mod floats;
+pub mod lod;
 pub mod options;
 pub mod sample;
 pub mod scenery;
@@ -25,3 +26,10 @@ pub mod truth;
 pub mod waves;
 
 pub use options::{Args, Command, Outputs};
+
+/// Says what takes time, where a person waits.
+pub(crate) fn note(what: &str) {
+    if std::io::IsTerminal::is_terminal(&std::io::stderr()) {
+        eprintln!("measuring {what} ...");
+    }
+}

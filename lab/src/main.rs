@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use cli::UsageError;
-use lab::{Args, Command, accuracy, digest, stability, timings};
+use lab::{Args, Command, accuracy, digest, lod, stability, timings};
 use std::process::ExitCode;
 
 const NAME: &str = "tombolo-lab";
@@ -24,6 +24,7 @@ fn measure(args: &Args) -> Result<()> {
     match &args.command {
         Command::Digest(options) => digest::run(options, &args.outputs),
         Command::Accuracy(options) => accuracy::run(options, &args.outputs),
+        Command::Lod(options) => lod::run(options, &args.outputs),
         Command::Stability(options) => stability::run(options, &args.outputs),
         Command::Timings(options) => timings::run(options, &args.outputs),
     }

@@ -2,7 +2,7 @@
 
 use client::world::World;
 use rayon::prelude::*;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use terrain::lod::{self, Viewer};
 use terrain::{Chunk, ChunkKey, Land};
 
@@ -20,12 +20,6 @@ impl Scenery {
         Self { land, chunks: HashMap::new() }
     }
 
-    /// The land.
-    #[must_use]
-    pub fn land(&self) -> &Land {
-        &self.land
-    }
-
     /// A world of `slots` slots with what a server sends for a view, as far as `has_arrived` says so.
     pub fn world(&mut self, viewer: &Viewer, slots: u32, has_arrived: impl Fn(ChunkKey) -> bool) -> World {
         let keys: Vec<ChunkKey> =
@@ -38,10 +32,26 @@ impl Scenery {
         world
     }
 
-    /// One chunk.
-    pub fn chunk(&mut self, key: ChunkKey) -> &Chunk {
+    /// A world of `slots` slots with what a server sends along a way; all of it must fit.
+    ///
+    /// # Panics
+    /// If it does not fit.
+    pub fn world_along(&mut self, viewers: &[Viewer], slots: u32) -> World {
         let land = &self.land;
-        self.chunks.entry(key).or_insert_with(|| land.chunk(key))
+        let keys: HashSet<ChunkKey> = viewers
+            .par_iter()
+            .flat_map_iter(|viewer| lod::select(land, viewer, usize::MAX))
+            .map(|needed| needed.key)
+            .collect();
+        assert!(keys.len() <= slots as usize, "{} chunks for {slots} slots", keys.len());
+        let mut keys: Vec<ChunkKey> = keys.into_iter().collect();
+        keys.sort_unstable();
+        self.generate(&keys);
+        let mut world = World::new(slots);
+        for key in keys {
+            world.insert(self.chunks[&key].clone());
+        }
+        world
     }
 
     /// Forgets all chunks: a chunk with its pyramids takes 60 KB.

@@ -1,9 +1,8 @@
 //! A renderer that is opened once and takes many pictures: opening a device takes longer than drawing.
 
-use anyhow::Result;
 use client::frame::FrameData;
 use client::render::pool::ChunkPool;
-use client::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
+use client::render::{Canvas, Gpu, GpuError, PassTimes, Picture, RenderOptions, Renderer, gpu, picture};
 use client::scene::Scene;
 use client::world::World;
 use std::time::{Duration, Instant};
@@ -23,7 +22,19 @@ impl Studio {
     /// # Errors
     /// There is no adapter, or it cannot be opened.
     pub fn open(size: (u32, u32), slots: u32) -> Result<Self, GpuError> {
-        let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
+        Self::open_with(size, slots, wgpu::Features::empty())
+    }
+
+    /// The same with the GPU's own clock, where it has one.
+    ///
+    /// # Errors
+    /// As [`Studio::open`].
+    pub fn open_timed(size: (u32, u32), slots: u32) -> Result<Self, GpuError> {
+        Self::open_with(size, slots, wgpu::Features::TIMESTAMP_QUERY)
+    }
+
+    fn open_with(size: (u32, u32), slots: u32, wished: wgpu::Features) -> Result<Self, GpuError> {
+        let gpu = pollster::block_on(Gpu::open_with(gpu::instance(None), None, wished))?;
         let slots = ChunkPool::slots_within(&gpu.device.limits(), slots);
         let options =
             RenderOptions { scene: Scene::Island, size, samples: 1, format: picture::PICTURE_FORMAT, slots };
@@ -38,10 +49,36 @@ impl Studio {
         self.slots
     }
 
-    /// The device, for people's eyes and for timing.
+    /// Name and backend of the adapter, for people.
     #[must_use]
-    pub fn gpu(&self) -> &Gpu {
-        &self.gpu
+    pub fn adapter(&self) -> String {
+        self.gpu.name()
+    }
+
+    /// Whether the adapter is a processor that plays a GPU.
+    #[must_use]
+    pub fn is_software(&self) -> bool {
+        self.gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu
+    }
+
+    /// Bytes on the GPU that one more chunk takes.
+    #[must_use]
+    pub fn bytes_per_chunk(&self) -> u64 {
+        self.renderer.bytes_per_chunk()
+    }
+
+    /// Draw calls that the land of the last frame took.
+    #[must_use]
+    pub fn terrain_draws(&self) -> u32 {
+        self.renderer.terrain_draws()
+    }
+
+    /// What the passes of the last frame took by the GPU's clock; none without one.
+    ///
+    /// # Errors
+    /// The GPU failed.
+    pub fn pass_times(&self) -> Result<Option<PassTimes>, GpuError> {
+        self.renderer.pass_times(&self.gpu)
     }
 
     /// Brings in a whole world; what was there before is overwritten slot by slot.

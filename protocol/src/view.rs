@@ -98,11 +98,11 @@ impl View {
     }
 }
 
-/// `K` of the screen-error rule in whole pixels, at least 1.
+/// `K` of the screen-error rule in whole pixels, at least 1; rounded up, so that no error is taken for smaller than it is.
 #[must_use]
 pub fn pixels_per_radian(viewport_height: u16, fov_mdeg: u32) -> u32 {
     let k = f64::from(viewport_height) / (2.0 * (mdeg(fov_mdeg as i32) / 2.0).tan());
-    (k.round() as u32).max(1)
+    (k.ceil() as u32).max(1)
 }
 
 fn mdeg(angle: i32) -> f64 {

@@ -10,7 +10,7 @@ use crate::pyramid::Pyramid;
 use crate::simd::{self, Kernel};
 
 /// Levels below a chunk's own that its error is measured over; [`Chunk::error`] is exact up to this level.
-pub const MEASURED_DEPTH: u8 = 2;
+pub const MEASURED_DEPTH: u8 = 3;
 
 /// One chunk of the land.
 ///

@@ -184,11 +184,12 @@ impl Viewer {
         (dx * dx + dz * dz + above * above).isqrt()
     }
 
-    /// Screen error of a vertical error at a distance (both units), 1/16 pixel, saturating.
+    /// Screen error of a vertical error at a distance (both units), 1/16 pixel, saturating. Rounded up: what is within a tolerance in
+    /// these steps is within it.
     #[must_use]
     pub fn screen_error_q4(&self, error: u32, distance: u64) -> u32 {
         let scaled = u64::from(error) * u64::from(self.pixels_per_radian) * 16;
-        u32::try_from(scaled / distance.max(1)).unwrap_or(u32::MAX)
+        u32::try_from(scaled.div_ceil(distance.max(1))).unwrap_or(u32::MAX)
     }
 
     /// Tolerated screen error, 1/16 pixel, at least 1.

@@ -71,6 +71,12 @@ impl CastPass {
         Self { pipeline, bindings, caster, nodes, targets }
     }
 
+    /// Bytes of the buffers that grow with the number of slots, besides the pool.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.nodes.size()
+    }
+
     /// Records a casting of at most [`MAX_CASTS`] chunks. One per submission: the next one overwrites what this one reads.
     pub fn record(&self, queue: &wgpu::Queue, casting: &Casting<'_>, encoder: &mut wgpu::CommandEncoder) {
         let targets = &casting.targets[..casting.targets.len().min(MAX_CASTS)];

@@ -58,6 +58,15 @@ impl Gpu {
         instance: wgpu::Instance,
         surface: Option<&wgpu::Surface<'_>>,
     ) -> Result<Self, GpuError> {
+        Self::open_with(instance, surface, wgpu::Features::empty()).await
+    }
+
+    /// The same with features that measuring can use and drawing does without; what the adapter lacks is left out.
+    pub async fn open_with(
+        instance: wgpu::Instance,
+        surface: Option<&wgpu::Surface<'_>>,
+        wished: wgpu::Features,
+    ) -> Result<Self, GpuError> {
         let options = wgpu::RequestAdapterOptions {
             power_preference: wgpu::PowerPreference::HighPerformance,
             compatible_surface: surface,
@@ -67,7 +76,11 @@ impl Gpu {
             .request_adapter(&options)
             .await
             .map_err(|error| GpuError::NoAdapter(first_line(&error.to_string())))?;
-        let descriptor = wgpu::DeviceDescriptor { label: Some("tombolo"), ..Default::default() };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("tombolo"),
+            required_features: adapter.features() & wished,
+            ..Default::default()
+        };
         let (device, queue) = adapter.request_device(&descriptor).await.map_err(|error| {
             GpuError::NoDevice { adapter: adapter.get_info().name, cause: first_line(&error.to_string()) }
         })?;

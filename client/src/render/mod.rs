@@ -6,6 +6,7 @@
 pub mod air;
 pub mod backdrop;
 pub mod cast;
+pub mod clock;
 pub mod fill;
 pub mod gpu;
 pub mod materials;
@@ -22,6 +23,7 @@ pub mod tone;
 pub mod water;
 pub mod waves;
 
+pub use clock::PassTimes;
 pub use gpu::{Gpu, GpuError};
 pub use picture::{Canvas, Picture};
 
@@ -33,6 +35,7 @@ use crate::world::Resident;
 use air::AirPass;
 use backdrop::BackdropPass;
 use cast::CastPass;
+use clock::{PassClock, TimedPass};
 use glam::Vec3;
 use materials::{Materials, OwnMaterials};
 use pool::ChunkPool;
@@ -76,6 +79,8 @@ pub struct Renderer {
     /// Drawn instead of land, sky and sea.
     local: Option<LocalScene>,
     tone: TonePass,
+    clock: Option<PassClock>,
+    terrain_draws: u32,
 }
 
 impl Renderer {
@@ -110,6 +115,8 @@ impl Renderer {
             water: WaterPass::sea(device, &uniforms, &waves, samples),
             local: LocalScene::new(options.scene, device, &uniforms, &waves, samples),
             tone: TonePass::new(device, &uniforms, &targets, options.format),
+            clock: PassClock::new(device),
+            terrain_draws: 0,
             materials,
             uniforms,
             pool,
@@ -121,6 +128,26 @@ impl Renderer {
     #[must_use]
     pub fn pool(&self) -> &ChunkPool {
         &self.pool
+    }
+
+    /// Draw calls that the land of the last frame took.
+    #[must_use]
+    pub fn terrain_draws(&self) -> u32 {
+        self.terrain_draws
+    }
+
+    /// Bytes on the GPU that one more chunk takes: the buffers that grow with the number of slots, by their real sizes.
+    #[must_use]
+    pub fn bytes_per_chunk(&self) -> u64 {
+        (self.pool.bytes() + self.terrain.bytes() + self.cast.bytes()).div_ceil(u64::from(self.pool.slots()))
+    }
+
+    /// What the passes of the last submitted frame took by the GPU's clock; none if the device was opened without one.
+    ///
+    /// # Errors
+    /// The GPU failed.
+    pub fn pass_times(&self, gpu: &Gpu) -> Result<Option<PassTimes>, GpuError> {
+        self.clock.as_ref().map(|clock| clock.read(gpu)).transpose()
     }
 
     /// Puts a chunk into its slot.
@@ -209,6 +236,9 @@ impl Renderer {
     ) {
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
+        if let Some(clock) = &self.clock {
+            clock.begin(encoder);
+        }
         self.air.measure(encoder, &self.uniforms);
         let behind = match frame.backdrop {
             Backdrop::Plain([r, g, b]) => wgpu::Color { r, g, b, a: 1.0 },
@@ -234,12 +264,13 @@ impl Renderer {
                     }),
                     stencil_ops: None,
                 }),
+                timestamp_writes: self.clock.as_ref().map(|clock| clock.writes(TimedPass::Light)),
                 ..Default::default()
             });
             if let Some(scene) = &self.local {
                 scene.draw(&mut pass);
             } else {
-                self.terrain.draw(&mut pass, &self.materials);
+                self.terrain_draws = self.terrain.draw(&mut pass, &self.materials);
                 if !matches!(frame.backdrop, Backdrop::Plain(_)) {
                     self.sky.draw(&mut pass);
                 }
@@ -259,8 +290,13 @@ impl Renderer {
                     store: wgpu::StoreOp::Store,
                 },
             })],
+            timestamp_writes: self.clock.as_ref().map(|clock| clock.writes(TimedPass::Tone)),
             ..Default::default()
         });
         self.tone.draw(&mut pass);
+        drop(pass);
+        if let Some(clock) = &self.clock {
+            clock.collect(encoder);
+        }
     }
 }

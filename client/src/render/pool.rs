@@ -47,6 +47,18 @@ impl ChunkPool {
         }
     }
 
+    /// How many slots there are.
+    #[must_use]
+    pub fn slots(&self) -> u32 {
+        self.slots
+    }
+
+    /// Bytes of all buffers.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.heights.size() + self.maxima.size() + self.clearances.size()
+    }
+
     /// Fills a chunk's slot; the sun shines on all of it until its shadow is found. A slot beyond the pool is ignored: it could only come from a
     /// pool of another size.
     pub fn upload(&self, queue: &wgpu::Queue, chunk: &Resident) {

@@ -90,10 +90,17 @@ impl TerrainPass {
         queue.write_buffer(&self.instances, 0, bytemuck::cast_slice(instances));
     }
 
-    /// Draws them.
-    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) {
+    /// Bytes of the buffers that grow with the number of slots, besides the pool.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.instances.size()
+    }
+
+    /// Draws them; returns how many draw calls that took.
+    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) -> u32 {
+        let mut draws = 0;
         if self.count == 0 {
-            return;
+            return draws;
         }
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &self.bindings, &[]);
@@ -101,5 +108,7 @@ impl TerrainPass {
         pass.set_vertex_buffer(0, self.instances.slice(..));
         pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint16);
         pass.draw_indexed(0..mesh::INDEX_COUNT, 0, 0..self.count);
+        draws += 1;
+        draws
     }
 }

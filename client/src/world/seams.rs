@@ -137,8 +137,9 @@ fn combined(morphs: &[f64]) -> f64 {
     if yes + no > 0.0 { yes / (yes + no) } else { 0.5 }
 }
 
+/// Rounded down: a morph must not go farther into the parent than the tolerance allows.
 fn steps(morph: f64) -> u8 {
-    (morph * f64::from(MORPH_ONE)).round() as u8
+    (morph * f64::from(MORPH_ONE)).floor() as u8
 }
 
 #[cfg(test)]

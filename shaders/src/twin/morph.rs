@@ -6,8 +6,12 @@ use terrain::constants::{CELLS, VERTEX_COUNT, VERTICES};
 /// A morph of one: entirely the parent's surface.
 pub const MORPH_ONE: u8 = 64;
 
-/// Cells from the border over which a morph goes from the edge's number to the inside's; a power of two.
-pub const MORPH_BAND: u32 = 8;
+const MORPH_BAND_BITS: u32 = 0;
+/// Cells from the border over which a morph goes from the edge's number to the inside's.
+///
+/// Along a coarser neighbour the band blends into the parent's surface, whose error is only known to be within the tolerance on the
+/// border itself. Eight cells drew up to 1.2 tolerances there, two 1.04; one stays within it (`tombolo-lab lod`).
+pub const MORPH_BAND: u32 = 1 << MORPH_BAND_BITS;
 
 /// How a chunk joins its neighbours. Morphs are 0 (the chunk's own surface) to [`MORPH_ONE`] (the parent's).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -51,7 +55,7 @@ pub fn morph_at(seams: &Seams, vertex: GridVertex) -> i32 {
     let edge_z = i32::from(if south { seams.edges[2] } else { seams.edges[0] });
     let inside = i32::from(seams.inside);
     let sum = near_z * (near_x * corner + far_x * edge_z) + far_z * (near_x * edge_x + far_x * inside);
-    sum >> 6
+    sum >> (2 * MORPH_BAND_BITS)
 }
 
 /// Height of the parent's surface, units, at a vertex of the chunk that is the quarter `(east, south)` of it: a vertex of the parent, or
@@ -110,7 +114,9 @@ mod tests {
         let at = |column, row| morph_at(&MIXED, GridVertex { column, row });
         assert_eq!([at(0, 0), at(64, 0), at(0, 64), at(64, 64)], [64, 64, 0, 7]);
         assert_eq!([at(32, 0), at(64, 32), at(32, 64), at(0, 32)], [64, 5, 0, 33]);
-        assert_eq!([at(8, 8), at(32, 32), at(56, 56)], [20; 3]);
+        let (low, high) = (MORPH_BAND, CELLS as u32 - MORPH_BAND);
+        assert_eq!([at(low, low), at(32, 32), at(high, high)], [20; 3]);
+        assert!(at(low - 1, 32) != 20 && at(32, high + 1) != 20);
         let all = Seams { inside: 64, edges: [64; 4], corners: [64; 4], ..Seams::default() };
         assert!(grid().all(|vertex| morph_at(&all, vertex) == 64));
     }

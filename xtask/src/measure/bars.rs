@@ -13,6 +13,8 @@ pub enum Bar {
     AtLeast(f64),
     /// Anything, but there must be a figure.
     Reported,
+    /// Under so much, but only on a GPU: a software driver cannot tell, so that there the row is neither kept nor missed.
+    NeedsGpu(f64),
 }
 
 /// One row of a record.
@@ -34,27 +36,35 @@ impl Row {
         Self { what: what.into(), figure, bar, unit }
     }
 
-    /// Whether the bar is kept.
+    /// Whether the bar is not missed.
     pub fn is_met(&self) -> bool {
         match (self.figure, self.bar) {
             (Some(figure), Bar::Under(limit)) => figure < limit,
             (Some(figure), Bar::AtMost(limit)) => figure <= limit,
             (Some(figure), Bar::AtLeast(limit)) => figure >= limit,
             (Some(figure), Bar::Reported) => figure.is_finite(),
-            (None, _) => false,
+            (None, Bar::NeedsGpu(_)) => true,
+            (Some(_), Bar::NeedsGpu(_)) | (None, _) => false,
         }
     }
 
     /// Figure, bar and verdict as three texts.
     pub fn cells(&self) -> [String; 3] {
-        let figure = self.figure.map_or("missing".into(), |figure| with_unit(figure, self.unit));
+        let missing = if matches!(self.bar, Bar::NeedsGpu(_)) { "not measured" } else { "missing" };
+        let figure = self.figure.map_or(missing.into(), |figure| with_unit(figure, self.unit));
         let bar = match self.bar {
             Bar::Under(limit) => format!("under {}", with_unit(limit, self.unit)),
             Bar::AtMost(limit) => format!("at most {}", with_unit(limit, self.unit)),
             Bar::AtLeast(limit) => format!("at least {}", with_unit(limit, self.unit)),
             Bar::Reported => "reported".into(),
+            Bar::NeedsGpu(limit) => format!("under {}", with_unit(limit, self.unit)),
         };
-        [figure, bar, if self.is_met() { "ok".into() } else { "MISSED".into() }]
+        let verdict = match (self.bar, self.is_met()) {
+            (Bar::NeedsGpu(_), true) => "needs a GPU",
+            (_, true) => "ok",
+            (_, false) => "MISSED",
+        };
+        [figure, bar, verdict.into()]
     }
 }
 
@@ -106,6 +116,13 @@ mod tests {
         assert_eq!(worst(&[Some(1.0), Some(3.0), Some(2.0)]), Some(3.0));
         assert_eq!(worst(&[Some(1.0), None]), None);
         assert_eq!(worst(&[]), None);
+    }
+
+    #[test]
+    fn what_only_a_gpu_can_tell_is_neither_kept_nor_missed_without_one() {
+        let row = Row::new("x", None, Bar::NeedsGpu(2.0), "ms");
+        assert_eq!(row.cells(), ["not measured", "under 2 ms", "needs a GPU"]);
+        assert!(row.is_met() && !met(Some(1.0), Bar::NeedsGpu(2.0)), "a figure wants a bar that judges it");
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod first_voyage;
 mod heightfield;
 mod record;
 mod report;
+mod terrain;
 
 use anyhow::{Result, bail};
 use bars::Row;
@@ -14,8 +15,8 @@ use std::path::Path;
 /// A measurement by name.
 type Measurement = (&'static str, fn() -> Result<()>);
 
-const MEASUREMENTS: [Measurement; 2] =
-    [("first-voyage", first_voyage::run), ("heightfield", heightfield::run)];
+const MEASUREMENTS: [Measurement; 3] =
+    [("first-voyage", first_voyage::run), ("heightfield", heightfield::run), ("terrain", terrain::run)];
 
 /// Runs one measurement.
 ///

@@ -325,6 +325,8 @@ impl Running {
             frames: self.frames,
             chunks_drawn: self.drawn,
             triangles: self.drawn as u64 * TRIANGLES_PER_CHUNK,
+            terrain_draws: self.renderer.terrain_draws(),
+            gpu_bytes_per_chunk: self.renderer.bytes_per_chunk(),
             delivery: if self.args.scene.is_local() { "none" } else { self.args.delivery.name() },
             bytes_received: self.voyage.feed().traffic().bytes_received,
             seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),

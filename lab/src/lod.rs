@@ -1,0 +1,235 @@
+//! `tombolo-lab lod`: levels of detail as they are drawn, against the land that they stand for.
+//!
+//! Screen error at every vertex of level 0 ([`screen`], on the drawn surface of [`drawn`]), triangles ([`triangles`]), gaps ([`crate::cracks`]), popping
+//! ([`popping`]), draw calls, memory and time ([`frames`]). `cargo xtask measure terrain` holds the figures against their bars; here only a control that
+//! fails to fail is an error.
+
+pub mod drawn;
+pub mod frames;
+pub mod popping;
+pub mod screen;
+pub mod triangles;
+
+use crate::cracks::{self, Fault};
+use crate::scenery::Scenery;
+use crate::{Outputs, note};
+use anyhow::{Result, ensure};
+use client::frame::Shot;
+use client::world::select;
+use screen::{Place, Seen};
+use serde::Serialize;
+use terrain::Land;
+
+/// The world that is measured.
+const WORLD_SEED: u64 = 1;
+
+/// Streams of the seeded poses.
+const SCREEN_STREAM: u32 = 31;
+const CRACKS_STREAM: u32 = 91;
+
+/// Tolerances whose frame times are compared, pixels.
+const TOLERANCES_PX: [f64; 3] = [1.0, 2.0, 4.0];
+
+/// The control of the screen error chooses for so many tolerances.
+const LOOSE: f64 = 4.0;
+
+/// Options of `lod`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Options {
+    /// Poses of the screen error, 1 to 10000
+    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub poses: u32,
+    /// Poses of the search for gaps, 1 to 10000
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub views: u32,
+    /// Frames of each flight, 2 to 10000
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    pub frames: u32,
+}
+
+/// The result. Field names are a contract with scripts.
+#[derive(Clone, Debug, Serialize)]
+struct Report {
+    screen: Screen,
+    triangles: Vec<triangles::View>,
+    cracks: Cracks,
+    popping: Vec<popping::Outcome>,
+    frames: frames::Frames,
+}
+
+/// Screen error over all poses, in tolerances: 1 is all that is allowed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Screen {
+    /// Poses.
+    pub poses: usize,
+    /// Vertices of level 0 looked at.
+    pub vertices: u64,
+    /// The largest error, tolerances.
+    pub max: f64,
+    /// The largest inside chunks, and in their outermost cells.
+    pub zones: [f64; 2],
+    /// The worst vertex.
+    pub worst: Option<screen::Worst>,
+    /// Its camera.
+    pub camera: String,
+    /// The largest error of what is chosen for [`LOOSE`] tolerances: the control.
+    pub max_when_loose: f64,
+}
+
+/// Gaps, and the faults that must show.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Cracks {
+    whole: cracks::Count,
+    chunk_left_out: cracks::Count,
+    no_seams: cracks::Count,
+}
+
+/// Measures everything, prints it, and checks that every control fails.
+///
+/// # Errors
+/// There is no GPU, it failed, a control holds, or a result cannot be written.
+pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
+    let land = Land::new(WORLD_SEED);
+    note("screen error");
+    let screen = screen_error(&land, &screen::places(&land, options.poses, SCREEN_STREAM));
+    println!(
+        "screen error, {} poses, {} M vertices: at most {:.3} tolerances (inside {:.3}, border {:.3}); chosen for {LOOSE} tolerances {:.3}",
+        screen.poses,
+        screen.vertices / 1_000_000,
+        screen.max,
+        screen.zones[0],
+        screen.zones[1],
+        screen.max_when_loose
+    );
+    note("triangles");
+    let triangles = triangles::count(&land);
+    for view in &triangles {
+        println!(
+            "triangles, {:<24} {:5} chunks {:>9}; without levels {:>9}",
+            view.camera, view.chunks, view.triangles, view.triangles_without_lod
+        );
+    }
+    note("popping");
+    let mut studio = popping::studio()?;
+    let popping =
+        popping::FLIGHTS.iter().map(|flight| popping::fly(&mut studio, land, flight, options.frames));
+    let popping: Vec<popping::Outcome> = popping.collect::<Result<_, _>>()?;
+    for flight in &popping {
+        println!(
+            "popping, {:<6} {} frames, {} level changes: block mean {:.2} of 255, pixel {} (99.9 % below {}); unmorphed {:.2}, {} ({}); motion {:.2}, {} ({})",
+            flight.flight,
+            flight.frames,
+            flight.level_changes,
+            flight.morphed.block,
+            flight.morphed.max,
+            flight.morphed.p999,
+            flight.unmorphed.block,
+            flight.unmorphed.max,
+            flight.unmorphed.p999,
+            flight.motion.block,
+            flight.motion.max,
+            flight.motion.p999
+        );
+    }
+    drop(studio);
+    note("gaps");
+    let cracks = gaps(land, options.views)?;
+    println!(
+        "gaps, {} poses: {} of {} pixels magenta; a chunk left out {}; without seams {}",
+        cracks.whole.poses,
+        cracks.whole.magenta,
+        cracks.whole.pixels,
+        cracks.chunk_left_out.magenta,
+        cracks.no_seams.magenta
+    );
+    note("frames");
+    let frames = frames::measure(land, &TOLERANCES_PX)?;
+    println!(
+        "frames on {} at {} x {}: {} draw calls for {} levels, {} bytes per chunk",
+        frames.adapter,
+        frames.size.0,
+        frames.size.1,
+        frames.terrain_draws,
+        frames.levels,
+        frames.bytes_per_chunk
+    );
+    for row in &frames.rows {
+        let passes = row.passes.map_or("no clock".into(), |passes| {
+            format!(
+                "light {:.3} ms, tone {:.3} ms, whole {:.3} ms",
+                passes.light_ms, passes.tone_ms, passes.whole_ms
+            )
+        });
+        println!(
+            "frames, tolerance {} px: {} triangles, {:.3} ms; {passes}",
+            row.tolerance_px, row.triangles, row.frame_ms
+        );
+    }
+    let report = Report { screen, triangles, cracks, popping, frames };
+    outputs.write_json(&report)?;
+    report.controls()
+}
+
+impl Report {
+    /// Every control must fail, or what it controls has seen nothing.
+    fn controls(&self) -> Result<()> {
+        ensure!(self.screen.max_when_loose > 1.0, "chunks chosen for {LOOSE} tolerances keep one");
+        let Cracks { whole, chunk_left_out, no_seams } = &self.cracks;
+        ensure!(whole.pixels > 0, "no pixel had to show land");
+        ensure!(chunk_left_out.magenta > 0, "a chunk that was left out was not missed");
+        ensure!(no_seams.magenta > 0, "borders that do not meet were not seen");
+        let changes: u32 = self.popping.iter().map(|flight| flight.level_changes).sum();
+        ensure!(changes > 0, "no level changed in any flight: let them take more frames");
+        let worst =
+            |change: fn(&popping::Outcome) -> f64| self.popping.iter().map(change).fold(0.0, f64::max);
+        ensure!(
+            worst(|flight| flight.unmorphed.block) > 2.0 * worst(|flight| flight.morphed.block),
+            "levels that change without a morph were not seen"
+        );
+        Ok(())
+    }
+}
+
+/// Screen error over poses.
+#[must_use]
+pub fn screen_error(land: &Land, places: &[Place]) -> Screen {
+    let mut result = Screen {
+        poses: places.len(),
+        vertices: 0,
+        max: 0.0,
+        zones: [0.0; 2],
+        worst: None,
+        camera: String::new(),
+        max_when_loose: 0.0,
+    };
+    let mut scenery = Scenery::new(*land);
+    for place in places {
+        let shot = place.shot();
+        let (mut world, selection) = screen::selected(&mut scenery, &shot);
+        scenery.clear();
+        let seen = screen::measure(land, &world, &selection, &shot);
+        let share = |pixels: f64| pixels / place.tolerance_px;
+        if share(seen.max_px()) > result.max {
+            (result.worst, result.camera) = (seen.worst, place.pose.to_string());
+        }
+        result.vertices += seen.vertices;
+        result.max = result.max.max(share(seen.max_px()));
+        result.zones = [0, 1].map(|zone| result.zones[zone].max(share(seen.worst_px[zone])));
+        let loose = Shot { tolerance_px: LOOSE * place.tolerance_px, ..shot };
+        let selection = select(&mut world, &loose.viewer());
+        let control: Seen = screen::measure(land, &world, &selection, &loose);
+        result.max_when_loose = result.max_when_loose.max(share(control.max_px()));
+    }
+    result
+}
+
+fn gaps(land: Land, views: u32) -> Result<Cracks> {
+    let mut studio = cracks::studio()?;
+    let viewpoints = cracks::viewpoints(land.world_seed(), views, CRACKS_STREAM);
+    let mut count = |fault| cracks::count(&mut studio, land, &viewpoints, fault);
+    Ok(Cracks {
+        whole: count(Fault::None)?,
+        chunk_left_out: count(Fault::ChunkLeftOut)?,
+        no_seams: count(Fault::NoSeams)?,
+    })
+}

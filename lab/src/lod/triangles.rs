@@ -1,0 +1,90 @@
+//! Triangles of the 8 km view, culled as they are drawn, against the same view without levels of detail.
+
+use super::screen::{self, Place};
+use crate::scenery::Scenery;
+use client::camera::Pose;
+use client::frame::{Shot, TRIANGLES_PER_CHUNK};
+use client::scene::Scene;
+use client::world::{Drawn, Selection, World};
+use rayon::prelude::*;
+use serde::Serialize;
+use shaders::twin::morph::Seams;
+use terrain::constants::{CHUNK_BITS, UNITS_PER_METRE, WORLD_HALF};
+use terrain::{ChunkKey, Land};
+
+/// Tolerance of the promise, pixels.
+pub const TOLERANCE_PX: f64 = 1.0;
+
+/// The 8 km view of `cargo xtask measure first-voyage`, then others: the start, a shore, a summit, and from high up.
+pub const CAMERAS: [&str; 6] = [
+    "0,250,2500,0,-8",
+    "-5200,160,1500,70,-8",
+    "4700,25,500,-60,-8",
+    "300,420,900,20,-12",
+    "900,1500,4200,-20,-30",
+    "-3000,90,-1200,110,-4",
+];
+
+/// Triangles of one camera.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct View {
+    /// The camera, as `--camera` takes it.
+    pub camera: String,
+    /// Chunks in sight.
+    pub chunks: usize,
+    /// Their triangles.
+    pub triangles: u64,
+    /// Triangles of all level-0 chunks in sight.
+    pub triangles_without_lod: u64,
+}
+
+/// Counts for every camera.
+#[must_use]
+pub fn count(land: &Land) -> Vec<View> {
+    let mut scenery = Scenery::new(*land);
+    let view = |camera: &str| {
+        let pose: Pose = camera.parse().expect("the cameras of this module are poses");
+        let shot = Place { pose, tolerance_px: TOLERANCE_PX }.shot();
+        let (world, selection) = screen::selected(&mut scenery, &shot);
+        scenery.clear();
+        let chunks = in_sight(&shot, &world, &selection);
+        View {
+            camera: camera.to_owned(),
+            chunks,
+            triangles: chunks as u64 * TRIANGLES_PER_CHUNK,
+            triangles_without_lod: without_lod(land, &shot) as u64 * TRIANGLES_PER_CHUNK,
+        }
+    };
+    CAMERAS.into_iter().map(view).collect()
+}
+
+fn in_sight(shot: &Shot, world: &World, selection: &Selection) -> usize {
+    shot.frame(Scene::Island, world, selection).instances.len()
+}
+
+/// Level-0 chunks in sight within the view distance.
+fn without_lod(land: &Land, shot: &Shot) -> usize {
+    let viewer = shot.viewer();
+    let reach = i64::from(viewer.distance_m) * i64::from(UNITS_PER_METRE);
+    let range = |eye: i32| {
+        let at = |way: i64| {
+            (i64::from(eye) + way).clamp(-i64::from(WORLD_HALF), i64::from(WORLD_HALF)) >> CHUNK_BITS
+        };
+        at(-reach) as i32..=at(reach) as i32
+    };
+    let (columns, rows) = (range(viewer.eye.0), range(viewer.eye.2));
+    let keys: Vec<ChunkKey> = rows
+        .flat_map(|z| columns.clone().map(move |x| (x, z)))
+        .filter_map(|(x, z)| ChunkKey::new(0, x, z).ok())
+        .filter(|key| viewer.sees(*key))
+        .collect();
+    // A part at a time: all chunks with their pyramids take half a gigabyte.
+    let part = |keys: &[ChunkKey]| {
+        let chunks: Vec<_> = keys.par_iter().map(|key| land.chunk(*key)).collect();
+        let mut world = World::new(chunks.len() as u32);
+        chunks.into_iter().for_each(|chunk| drop(world.insert(chunk)));
+        let drawn = keys.iter().map(|key| Drawn { key: *key, seams: Seams::default() }).collect();
+        in_sight(shot, &world, &Selection { drawn, wanting: 0 })
+    };
+    keys.chunks(1_024).map(part).sum()
+}
