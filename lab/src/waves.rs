@@ -57,7 +57,8 @@ impl WaveBench {
         self.gpu.name()
     }
 
-    /// Runs probes under some knobs at a moment; also how long the GPU took, upload and read-back excluded.
+    /// Runs probes under some knobs at a moment, `repeats` times for a time that outweighs what a submission costs; also how long the GPU took,
+    /// upload and read-back excluded.
     ///
     /// # Errors
     /// The device fails.
@@ -66,6 +67,7 @@ impl WaveBench {
         knobs: WaveKnobs,
         time_s: f32,
         probes: &[WaveProbe],
+        repeats: u32,
     ) -> Result<(Vec<FoundWave>, Duration)> {
         use wgpu::BufferUsages as Usage;
         let (device, queue) = (&self.gpu.device, &self.gpu.queue);
@@ -114,7 +116,9 @@ impl WaveBench {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, &bindings, &[]);
-            pass.dispatch_workgroups((probes.len() as u32).div_ceil(64), 1, 1);
+            for _ in 0..repeats {
+                pass.dispatch_workgroups((probes.len() as u32).div_ceil(64), 1, 1);
+            }
         }
         queue.submit([encoder.finish()]);
         self.gpu.wait()?;
