@@ -14,16 +14,21 @@ use terrain::ChunkKey;
 use terrain::constants::{CELLS, UNITS_PER_METRE};
 use terrain::lod::{MAX_VIEW_DISTANCE_M, Viewer};
 
-/// Triangles of one drawn chunk.
-pub const TRIANGLES_PER_CHUNK: u64 = (2 * CELLS * CELLS) as u64;
+/// Triangles of one instance, a quarter of a chunk.
+pub const TRIANGLES_PER_INSTANCE: u64 = (CELLS * CELLS / 2) as u64;
+
+/// The quarters of a chunk: 0 or 1 east, 0 or 1 south.
+const QUARTERS: [(i32, i32); 4] = [(0, 0), (1, 0), (0, 1), (1, 1)];
 
 /// One picture, ready to draw.
 #[derive(Clone, Debug)]
 pub struct FrameData {
     /// The uniforms of all passes.
     pub uniforms: Frame,
-    /// The chunks in sight, nearest first, so that hidden land behind near hills costs no shading.
+    /// The quarters of chunks in sight, nearest chunks first, so that hidden land behind near hills costs no shading.
     pub instances: Vec<TerrainInstance>,
+    /// Chunks of which any quarter is in sight.
+    pub chunks: usize,
     /// All chosen chunks, in sight or not, nearest first: what casts shadows on what is seen.
     pub candidates: Vec<Candidate>,
     /// What is drawn where no land is.
@@ -92,20 +97,27 @@ impl Shot {
         let sight = Sight::new(self);
         let mut nearest_first: Vec<&Drawn> = selection.drawn.iter().collect();
         nearest_first.sort_by_cached_key(|drawn| (nearness(&eye, drawn.key), drawn.key));
-        let (mut instances, mut candidates) = (Vec::new(), Vec::new());
+        let (mut instances, mut candidates, mut chunks) = (Vec::new(), Vec::new(), 0);
         for drawn in nearest_first {
             let Some(chunk) = world.get(drawn.key) else { continue };
             let parent = drawn.key.parent().and_then(|parent| world.get(parent)).unwrap_or(chunk);
-            let in_sight = sight.may_show(&eye, drawn.key, chunk, parent);
-            if in_sight {
-                instances.push(instance(&eye, drawn, chunk, parent));
+            let before = instances.len();
+            let whole = sight.may_show(&eye, drawn.key.origin(), drawn.key.side(), chunk, parent);
+            for quarter in QUARTERS.into_iter().filter(|_| whole) {
+                let (corner, side) = quarter_of(drawn.key, quarter);
+                if sight.may_show(&eye, corner, side, chunk, parent) {
+                    instances.push(instance(&eye, drawn, quarter, chunk, parent));
+                }
             }
+            let in_sight = instances.len() > before;
+            chunks += usize::from(in_sight);
             let page = Page { key: drawn.key, slot: chunk.slot, top: chunk.max };
             candidates.push(Candidate { page, in_sight });
         }
         FrameData {
             uniforms: self.uniforms(scene, &eye),
             instances,
+            chunks,
             candidates,
             backdrop: match self.looks.show {
                 Show::Picture => Backdrop::SkyAndSea,
@@ -167,7 +179,21 @@ fn nearness(eye: &Eye, key: ChunkKey) -> i64 {
     axis(x, eye.units[0]).pow(2) + axis(z, eye.units[2]).pow(2)
 }
 
-fn instance(eye: &Eye, drawn: &Drawn, chunk: &Resident, parent: &Resident) -> TerrainInstance {
+/// Low corner and side of a quarter of a chunk, units.
+fn quarter_of(key: ChunkKey, (east, south): (i32, i32)) -> ((i32, i32), u32) {
+    let side = key.side() / 2;
+    let (x, z) = key.origin();
+    // Halves of chunks inside the world; only the root's side does not fit a signed number, and its half does.
+    ((x + east * side as i32, z + south * side as i32), side)
+}
+
+fn instance(
+    eye: &Eye,
+    drawn: &Drawn,
+    quarter: (i32, i32),
+    chunk: &Resident,
+    parent: &Resident,
+) -> TerrainInstance {
     let key = drawn.key;
     let (x, z) = key.origin();
     let (east, south) = key.quarter();
@@ -186,7 +212,11 @@ fn instance(eye: &Eye, drawn: &Drawn, chunk: &Resident, parent: &Resident) -> Te
         edges,
         corners,
         inside,
-        place: u32::from(key.level()) | ((east as u32) << 8) | ((south as u32) << 9),
+        place: u32::from(key.level())
+            | ((east as u32) << 8)
+            | ((south as u32) << 9)
+            | ((quarter.0 as u32) << 10)
+            | ((quarter.1 as u32) << 11),
     }
 }
 
@@ -211,12 +241,18 @@ impl Sight {
         }
     }
 
-    /// Whether any of a chunk's box may lie inside all four planes. Errs on the side of drawing.
+    /// Whether any of the box over a square of a chunk may lie inside all four planes. Errs on the side of drawing.
     ///
     /// The box holds the parent's extremes too: a morphed vertex lies between the two surfaces.
-    fn may_show(&self, eye: &Eye, key: ChunkKey, chunk: &Resident, parent: &Resident) -> bool {
-        let (x, z) = key.origin();
-        let side = i64::from(key.side());
+    fn may_show(
+        &self,
+        eye: &Eye,
+        (x, z): (i32, i32),
+        side: u32,
+        chunk: &Resident,
+        parent: &Resident,
+    ) -> bool {
+        let side = i64::from(side);
         let low = [i64::from(x), i64::from(chunk.min.min(parent.min)), i64::from(z)];
         let high = [i64::from(x) + side, i64::from(chunk.max.max(parent.max)), i64::from(z) + side];
         let relative = |corner: [i64; 3]| {
@@ -271,6 +307,7 @@ mod tests {
     use super::*;
     use crate::looks::SunPlace;
     use crate::world::select;
+    use std::collections::HashSet;
     use terrain::{Land, lod};
 
     fn shot(camera: &str) -> Shot {
@@ -300,11 +337,14 @@ mod tests {
         let selection = select(&mut world, &shot.viewer());
         let frame = shot.frame(Scene::Island, &world, &selection);
         assert!(
-            !frame.instances.is_empty() && frame.instances.len() < selection.drawn.len(),
+            frame.chunks > 0
+                && frame.chunks < selection.drawn.len()
+                && frame.instances.len() < 4 * frame.chunks,
             "some are behind"
         );
         let distance = |instance: &TerrainInstance| {
             let half = instance.spacing_m * 32.0;
+            // Quarters share their chunk's corner.
             (instance.origin_m[0] + half).hypot(instance.origin_m[2] + half)
         };
         assert!(frame.instances.is_sorted_by(|a, b| distance(a) <= distance(b) + 2.0));
@@ -321,13 +361,14 @@ mod tests {
             let mut world = filled(&shot);
             let selection = select(&mut world, &shot.viewer());
             let frame = shot.frame(Scene::Island, &world, &selection);
-            let slots: Vec<u32> = frame.instances.iter().map(|instance| instance.slot).collect();
+            let shown: HashSet<(u32, u32)> =
+                frame.instances.iter().map(|instance| (instance.slot, instance.place >> 10)).collect();
             let clip_from_camera = shot.lens.clip_from_camera(&shot.pose);
             let eye = shot.pose.position_m;
             for key in selection.drawn.iter().map(|drawn| drawn.key) {
                 let chunk = world.get(key).unwrap();
                 let (x, z) = key.origin();
-                let seen = (0..65 * 65).step_by(7).any(|index| {
+                for index in (0..65 * 65).step_by(7) {
                     let at = |low: i32, step: i32| f64::from(low + step * key.spacing()) / 256.0;
                     let point = DVec3::new(
                         at(x, index % 65),
@@ -335,9 +376,14 @@ mod tests {
                         at(z, index / 65),
                     );
                     let clip = clip_from_camera * (point - eye).as_vec3().extend(1.0);
-                    clip.w > 0.3 && clip.x.abs() < clip.w && clip.y.abs() < clip.w
-                });
-                assert!(!seen || slots.contains(&chunk.slot), "{camera}: {key} is visible but not drawn");
+                    let seen = clip.w > 0.3 && clip.x.abs() < clip.w && clip.y.abs() < clip.w;
+                    let quarter = u32::from(index % 65 >= 32) + 2 * u32::from(index / 65 >= 32);
+                    let is_drawn = shown.contains(&(chunk.slot, quarter));
+                    assert!(
+                        !seen || is_drawn,
+                        "{camera}: quarter {quarter} of {key} is visible but not drawn"
+                    );
+                }
             }
         }
     }

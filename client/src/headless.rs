@@ -2,7 +2,7 @@
 
 use crate::camera::{Lens, Pose};
 use crate::feed::{Feed, NoFeed};
-use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
+use crate::frame::{Shot, TRIANGLES_PER_INSTANCE};
 use crate::looks::Looks;
 use crate::render::cast::PER_FRAME;
 use crate::render::materials::OwnMaterials;
@@ -166,7 +166,7 @@ fn draw<F: Feed>(
     fill(&mut voyage, &gpu, &mut renderer)?;
 
     let mut times = FrameTimes::default();
-    let mut drawn = 0;
+    let (mut drawn, mut instances) = (0, 0);
     let mut camera = String::new();
     for index in 0..WARM_UP_FRAMES + options.frames.max(1) {
         let timed = index.checked_sub(WARM_UP_FRAMES);
@@ -175,7 +175,7 @@ fn draw<F: Feed>(
         let selection =
             voyage.update(&shot, started.elapsed(), usize::MAX, |chunk| renderer.upload(&gpu, chunk));
         let frame = shot.frame(options.scene, voyage.world(), &selection);
-        drawn = frame.instances.len();
+        (drawn, instances) = (frame.chunks, frame.instances.len());
         camera = format!("{:.4}", shot.pose);
         if timed.is_none() {
             // What a camera that stands still has seen long ago. Shadows that change while frames are timed are part of them.
@@ -205,7 +205,7 @@ fn draw<F: Feed>(
         adapter: gpu.name(),
         frames: options.frames.max(1) as usize,
         chunks_drawn: drawn,
-        triangles: drawn as u64 * TRIANGLES_PER_CHUNK,
+        triangles: instances as u64 * TRIANGLES_PER_INSTANCE,
         terrain_draws: renderer.terrain_draws(),
         gpu_bytes_per_chunk: renderer.bytes_per_chunk(),
         delivery: if options.scene.is_local() { "none" } else { voyage.feed().delivery().name() },

@@ -151,7 +151,7 @@ pub fn count(
         let (pixels, magenta) = judge(&shot, &picture);
         count.poses += 1;
         count.arriving += usize::from(viewpoint.lost > 0.0);
-        count.chunks += frame.instances.len();
+        count.chunks += frame.chunks;
         count.pixels += pixels;
         count.magenta += magenta;
         if magenta > count.worst.map_or(0, |(most, _)| most) {
@@ -193,8 +193,10 @@ impl Viewpoint {
         match fault {
             Fault::None => {}
             Fault::ChunkLeftOut => {
-                let third = 2.min(frame.instances.len().saturating_sub(1));
-                frame.instances.drain(third..frame.instances.len().min(third + 1));
+                let mut slots: Vec<u32> = frame.instances.iter().map(|instance| instance.slot).collect();
+                slots.dedup();
+                let third = slots.get(2).or(slots.last()).copied();
+                frame.instances.retain(|instance| Some(instance.slot) != third);
             }
             Fault::NoSeams => {
                 for instance in &mut frame.instances {

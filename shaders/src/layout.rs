@@ -123,7 +123,7 @@ pub const PROBE_MARCHED: u32 = 7;
 /// The plain parallax of a fixed view.
 pub const PROBE_FIXED: u32 = 8;
 
-/// One drawn chunk.
+/// A quarter of a drawn chunk.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct TerrainInstance {
@@ -147,7 +147,8 @@ pub struct TerrainInstance {
     pub corners: u32,
     /// Morph of the inside in the lowest byte; bits 8 to 11: the neighbour north, east, south, west is coarser.
     pub inside: u32,
-    /// Level in the lowest byte; bit 8: it is an eastern quarter of its parent, bit 9: a southern one.
+    /// Level in the lowest byte; bit 8: the chunk is an eastern quarter of its parent, bit 9: a southern one; bits 10 and 11: likewise which quarter of the chunk
+    /// this is.
     pub place: u32,
 }
 

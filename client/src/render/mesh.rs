@@ -1,4 +1,5 @@
-//! The index buffer that all chunks share: 64 x 64 cells.
+//! The index buffer that all instances share: 32 x 32 cells, a quarter of a chunk. Quarters are culled one by one: near the eye a whole chunk is much
+//! wider than the picture.
 //!
 //! Cells are cut from their low corner to their high corner, the rule that the land is defined by
 //! (`terrain::chunk::drawn_height_scaled`). Seen from above, triangles run counter-clockwise.
@@ -6,13 +7,16 @@
 use shaders::twin::grid::grid_index;
 use terrain::constants::CELLS;
 
-/// Indices of one chunk.
-pub const INDEX_COUNT: u32 = (6 * CELLS * CELLS) as u32;
+/// Cells along a side.
+const SIDE: usize = CELLS / 2;
+
+/// Indices of one instance.
+pub const INDEX_COUNT: u32 = (6 * SIDE * SIDE) as u32;
 
 /// The indices.
 #[must_use]
 pub fn indices() -> Vec<u16> {
-    let last = CELLS as u16;
+    let last = SIDE as u16;
     let mut indices = Vec::with_capacity(INDEX_COUNT as usize);
     for row in 0..last {
         for column in 0..last {
@@ -49,8 +53,8 @@ mod tests {
 
     #[test]
     fn every_cell_is_cut_from_its_low_to_its_high_corner() {
-        for (cell, pair) in indices().chunks_exact(6).take(CELLS * CELLS).enumerate() {
-            let (x, z) = ((cell % CELLS) as f32, (cell / CELLS) as f32);
+        for (cell, pair) in indices().chunks_exact(6).enumerate() {
+            let (x, z) = ((cell % SIDE) as f32, (cell / SIDE) as f32);
             for triangle in pair.chunks_exact(3) {
                 let corners = corners(triangle);
                 assert!(corners.contains(&Vec3::new(x, 0.0, z)));

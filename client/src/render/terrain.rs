@@ -76,11 +76,11 @@ impl TerrainPass {
         });
         let instances = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("chunk instances"),
-            size: u64::from(capacity) * size_of::<TerrainInstance>() as u64,
+            size: u64::from(capacity) * 4 * size_of::<TerrainInstance>() as u64,
             usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        Self { pipeline, bindings, indices, instances, capacity: capacity as usize, count: 0 }
+        Self { pipeline, bindings, indices, instances, capacity: 4 * capacity as usize, count: 0 }
     }
 
     /// Sets the chunks of the next frame.

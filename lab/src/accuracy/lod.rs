@@ -7,7 +7,7 @@ use crate::lod::screen::{self, Place, Seen};
 use crate::scenery::Scenery;
 use crate::table::Table;
 use anyhow::Result;
-use client::frame::TRIANGLES_PER_CHUNK;
+use client::frame::TRIANGLES_PER_INSTANCE;
 use client::scene::Scene;
 use terrain::Land;
 
@@ -62,7 +62,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
             seen.max_px(),
             seen.rms_px(),
             seen.max_px() / tolerance_px,
-            in_sight as f64 * TRIANGLES_PER_CHUNK as f64 / views,
+            in_sight as f64 * TRIANGLES_PER_INSTANCE as f64 / views,
             chunks as f64 / views,
             ratio,
         ]);

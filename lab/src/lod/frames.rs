@@ -126,7 +126,7 @@ pub fn measure(land: Land, tolerances_px: &[f64]) -> Result<Frames> {
         });
         frames.rows.push(Row {
             tolerance_px: *tolerance_px,
-            triangles: frame.instances.len() as u64 * client::frame::TRIANGLES_PER_CHUNK,
+            triangles: frame.instances.len() as u64 * client::frame::TRIANGLES_PER_INSTANCE,
             frame_ms: median(milliseconds)?,
             passes: passes.transpose()?,
         });

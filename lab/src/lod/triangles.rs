@@ -3,7 +3,7 @@
 use super::screen::{self, Place};
 use crate::scenery::Scenery;
 use client::camera::Pose;
-use client::frame::{Shot, TRIANGLES_PER_CHUNK};
+use client::frame::{Shot, TRIANGLES_PER_INSTANCE};
 use client::scene::Scene;
 use client::world::{Drawn, Selection, World};
 use rayon::prelude::*;
@@ -47,22 +47,24 @@ pub fn count(land: &Land) -> Vec<View> {
         let shot = Place { pose, tolerance_px: TOLERANCE_PX }.shot();
         let (world, selection) = screen::selected(&mut scenery, &shot);
         scenery.clear();
-        let chunks = in_sight(&shot, &world, &selection);
+        let (chunks, instances) = in_sight(&shot, &world, &selection);
         View {
             camera: camera.to_owned(),
             chunks,
-            triangles: chunks as u64 * TRIANGLES_PER_CHUNK,
-            triangles_without_lod: without_lod(land, &shot) as u64 * TRIANGLES_PER_CHUNK,
+            triangles: instances as u64 * TRIANGLES_PER_INSTANCE,
+            triangles_without_lod: without_lod(land, &shot) as u64 * TRIANGLES_PER_INSTANCE,
         }
     };
     CAMERAS.into_iter().map(view).collect()
 }
 
-fn in_sight(shot: &Shot, world: &World, selection: &Selection) -> usize {
-    shot.frame(Scene::Island, world, selection).instances.len()
+/// Chunks in sight, and instances.
+fn in_sight(shot: &Shot, world: &World, selection: &Selection) -> (usize, usize) {
+    let frame = shot.frame(Scene::Island, world, selection);
+    (frame.chunks, frame.instances.len())
 }
 
-/// Level-0 chunks in sight within the view distance.
+/// Instances of all level-0 chunks in sight within the view distance.
 fn without_lod(land: &Land, shot: &Shot) -> usize {
     let viewer = shot.viewer();
     let reach = i64::from(viewer.distance_m) * i64::from(UNITS_PER_METRE);
@@ -84,7 +86,7 @@ fn without_lod(land: &Land, shot: &Shot) -> usize {
         let mut world = World::new(chunks.len() as u32);
         chunks.into_iter().for_each(|chunk| drop(world.insert(chunk)));
         let drawn = keys.iter().map(|key| Drawn { key: *key, seams: Seams::default() }).collect();
-        in_sight(shot, &world, &Selection { drawn, wanting: 0 })
+        in_sight(shot, &world, &Selection { drawn, wanting: 0 }).1
     };
     keys.chunks(1_024).map(part).sum()
 }

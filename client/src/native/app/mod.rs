@@ -6,7 +6,7 @@ pub mod panel;
 
 use crate::camera::Lens;
 use crate::feed::{Feed, NoFeed};
-use crate::frame::{Shot, TRIANGLES_PER_CHUNK};
+use crate::frame::{Shot, TRIANGLES_PER_INSTANCE};
 use crate::native::args::Args;
 use crate::native::shot::{settings, write_stats};
 use crate::native::stream::SocketFeed;
@@ -92,6 +92,7 @@ struct Running {
     times: FrameTimes,
     frames: usize,
     drawn: usize,
+    instances: usize,
     started: Instant,
     last: Instant,
     /// Nothing is drawn before this.
@@ -196,6 +197,7 @@ impl Running {
             times: FrameTimes::default(),
             frames: 0,
             drawn: 0,
+            instances: 0,
             started,
             last: now,
             resume_at: now,
@@ -265,7 +267,7 @@ impl Running {
             .voyage
             .update(&shot, self.started.elapsed(), ARRIVALS_PER_FRAME, |chunk| renderer.upload(gpu, chunk));
         let frame = shot.frame(self.args.scene, self.voyage.world(), &selection);
-        self.drawn = frame.instances.len();
+        (self.drawn, self.instances) = (frame.chunks, frame.instances.len());
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         renderer.cast(gpu, &frame, PER_FRAME, &mut encoder);
         renderer.draw(gpu, &frame, &mut encoder, &view);
@@ -276,7 +278,7 @@ impl Running {
                 drawn: self.drawn,
                 resident: self.voyage.world().len(),
                 capacity: self.slots,
-                triangles: self.drawn as u64 * TRIANGLES_PER_CHUNK,
+                triangles: self.instances as u64 * TRIANGLES_PER_INSTANCE,
                 wanting: selection.wanting,
                 bytes_received: traffic.bytes_received,
                 delivery: self.args.delivery,
@@ -324,7 +326,7 @@ impl Running {
             adapter: self.adapter.clone(),
             frames: self.frames,
             chunks_drawn: self.drawn,
-            triangles: self.drawn as u64 * TRIANGLES_PER_CHUNK,
+            triangles: self.instances as u64 * TRIANGLES_PER_INSTANCE,
             terrain_draws: self.renderer.terrain_draws(),
             gpu_bytes_per_chunk: self.renderer.bytes_per_chunk(),
             delivery: if self.args.scene.is_local() { "none" } else { self.args.delivery.name() },
