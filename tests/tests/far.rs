@@ -99,7 +99,7 @@ fn drawn(pose: Pose, (x, z): (i32, i32)) -> Option<Picture> {
     };
     match headless::render(&options, Carried { home: LocalFeed::new(1), x, z }, Instant::now(), |_| {}) {
         Ok((picture, stats)) => {
-            assert!(stats.chunks_drawn > 10, "{stats:?}");
+            assert!(stats.chunks_drawn > 6, "{stats:?}");
             Some(picture)
         }
         Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {

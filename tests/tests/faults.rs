@@ -39,7 +39,7 @@ fn shot() -> Shot {
         pose: Scene::Island.start(),
         lens: Lens { fov_deg: 60.0, width: 160, height: 90 },
         view_distance_m: 1500,
-        tolerance_px: 4.0,
+        tolerance_px: 0.5,
         time_s: 0.0,
         looks: client::looks::Looks::default(),
     }
@@ -64,8 +64,11 @@ fn the_viewer_keeps_what_it_has_while_the_server_is_gone_and_goes_on_when_it_ret
     let address = server.address.clone();
     let settings = Settings::new(server.stream_url().parse().unwrap());
     let mut voyage = Voyage::new(SocketFeed::connect(settings).unwrap(), 512);
-    // In mid-stream: some chunks are here, not all.
-    until(&mut voyage, |voyage| voyage.world().len() >= 8);
+    // In mid-stream: the coarsest chunks cover the view, not all others are here.
+    let (tops, top) = (shot().viewer().tops().len(), shot().viewer().top_level());
+    let covers =
+        |voyage: &Voyage<SocketFeed>| voyage.world().level_histogram()[usize::from(top)] as usize >= tops;
+    until(&mut voyage, covers);
     server.signal("KILL");
     let had = voyage.world().len();
     let drawn = until(&mut voyage, |voyage| matches!(voyage.link(), Link::Waiting { .. }));

@@ -11,7 +11,7 @@ use terrain::ChunkKey;
 use terrain::constants::{CELLS, VERTEX_COUNT, VERTICES};
 use terrain::lod::{self, Viewer};
 
-/// Blocks along one side of a chunk.
+/// Blocks along one side of a chunk; those of [`Resident::maxima`]' finest level.
 const BLOCKS: usize = 8;
 
 /// Cells along one side of a block.
@@ -60,7 +60,7 @@ pub fn on_screen(world: &World, viewer: &Viewer, key: ChunkKey, chunk: &Resident
         let scaled = f64::from(error) * f64::from(viewer.pixels_per_radian) * 16.0;
         scaled / distance.max(nearest).max(1) as f64
     };
-    let whole = seen(stated, distance(viewer, key.origin(), key.side(), chunk));
+    let whole = seen(stated, distance(viewer, key.origin(), key.side(), chunk, chunk.max));
     if whole <= f64::from(viewer.tolerance()) / 4.0 {
         // So small that no finer look would change anything.
         return whole;
@@ -73,18 +73,33 @@ pub fn on_screen(world: &World, viewer: &Viewer, key: ChunkKey, chunk: &Resident
         let blocks = rises.iter().enumerate().map(|(index, rise)| {
             let corner =
                 (x + (index % BLOCKS) as i32 * side as i32, z + (index / BLOCKS) as i32 * side as i32);
-            let error = rise.saturating_add(child.error).min(stated);
-            seen(error, distance(viewer, corner, side, child))
+            let below = error_in_block(world, child_key, child, index);
+            let error = rise.saturating_add(below).min(stated);
+            seen(error, distance(viewer, corner, side, child, child.maxima[index]))
         });
         Some(blocks.fold(worst, f64::max))
     });
     by_blocks.filter(|_| key.level() > 0).unwrap_or(whole).min(whole)
 }
 
-/// Distance from the eye to where the true land of a square can be that lies in a chunk, units.
-fn distance(viewer: &Viewer, corner: (i32, i32), side: u32, chunk: &Resident) -> u64 {
+/// Bound of a chunk's own error in one of its blocks, units: what it states of itself, or what its children, if they are here, and their stated errors say.
+fn error_in_block(world: &World, key: ChunkKey, chunk: &Resident, block: usize) -> u32 {
+    let Some(children) = key.children() else { return chunk.error };
+    // A block is two by two blocks of one child.
+    let (x, z) = (2 * (block % BLOCKS), 2 * (block / BLOCKS));
+    let child = world.get(children[x / BLOCKS + 2 * (z / BLOCKS)]);
+    let Some((child, rises)) = child.and_then(|child| Some((child, child.rises.as_ref()?))) else {
+        return chunk.error;
+    };
+    let (x, z) = (x % BLOCKS, z % BLOCKS);
+    let rise = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dz)| rises[(z + dz) * BLOCKS + x + dx]);
+    rise.into_iter().max().unwrap_or(0).saturating_add(child.error).min(chunk.error)
+}
+
+/// Distance from the eye to where the true land of a square can be that lies in a chunk and whose drawn surface rises no higher than `highest`, units.
+fn distance(viewer: &Viewer, corner: (i32, i32), side: u32, chunk: &Resident, highest: i32) -> u64 {
     let error = i32::try_from(chunk.error).unwrap_or(i32::MAX);
-    viewer.distance_to_block(corner, side, chunk.min.saturating_sub(error), chunk.max.saturating_add(error))
+    viewer.distance_to_block(corner, side, chunk.min.saturating_sub(error), highest.saturating_add(error))
 }
 
 #[cfg(test)]

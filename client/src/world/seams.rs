@@ -155,7 +155,7 @@ mod tests {
         eye: (1_150_000, 30_000, 40_000),
         distance_m: 4000,
         pixels_per_radian: 300,
-        tolerance_q4: 24,
+        tolerance_q4: 6,
     };
 
     static SENT: LazyLock<Vec<Chunk>> = LazyLock::new(|| {
@@ -252,7 +252,7 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(32))]
+        #![proptest_config(ProptestConfig::with_cases(12))]
 
         #[test]
         fn borders_stay_closed_whatever_is_missing(
