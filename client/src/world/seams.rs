@@ -93,7 +93,7 @@ fn morph(world: &World, viewer: &Viewer, key: ChunkKey) -> f64 {
     let on_screen = |key: ChunkKey| Some(error::on_screen(world, viewer, key, world.get(key)?));
     let parent = key.parent().filter(|_| key.level() < viewer.top_level()).and_then(on_screen);
     let (Some(own), Some(parent)) = (on_screen(key), parent) else { return 0.0 };
-    let tolerance = f64::from(viewer.tolerance());
+    let tolerance = error::tolerance(viewer);
     if parent <= tolerance {
         return 1.0;
     }

@@ -72,7 +72,7 @@ fn wanted(world: &World, viewer: &Viewer, tops: &[ChunkKey]) -> Splits {
     let mut open = tops.to_vec();
     while let Some(key) = open.pop() {
         let Some(chunk) = world.get(key) else { continue };
-        if error::on_screen(world, viewer, key, chunk) > f64::from(viewer.tolerance()) {
+        if error::is_too_coarse(world, viewer, key, chunk) {
             wanted.insert(key, 0);
             open.extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
         }
