@@ -144,7 +144,7 @@ fn list<'a>(lod: &'a Value, path: &str) -> &'a [Value] {
 fn how(lod: &Value) -> Vec<String> {
     let mut notes = vec![
         "Screen error: at every vertex of level 0 within 8 km all round the eye, 1920 x 1080, 60 degrees, at tolerances of 0.5, 1, 2 and 4 px; the drawn triangles are evaluated by the twin of the vertex shader.".into(),
-        "Gaps: pixels of 256 x 144 whose view ray comes below the deepest land within 3.6 km; 5 poses in 8 while chunks are still arriving or on borders of chunks, half of them up to 4000 km out.".into(),
+        "Gaps: pixels of 256 x 144 whose view ray comes below the deepest land within 3.6 km; most eyes on borders of chunks, more than half of them while chunks are still arriving, half of them on islands up to 4000 km out.".into(),
         "Popping: each pose of a flight, a metre apart, is drawn with what is chosen for it and with what was chosen for the pose before; 256 x 144, tolerance 0.5 px.".into(),
     ];
     for view in list(lod, "/triangles") {
