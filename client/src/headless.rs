@@ -119,7 +119,7 @@ pub struct Progress {
 /// # Errors
 /// There is no GPU, or it fails. A scene that is not local is drawn without land.
 pub fn render_local(options: &Options, started: Instant) -> Result<(Picture, Stats), HeadlessError> {
-    draw(options, NoFeed, started, |_, _, _| Ok(()))
+    draw(options, NoFeed, started, |_| Ok(()))
 }
 
 /// Fills the view and renders it. `started` is when the clock of the stats began.
@@ -132,24 +132,27 @@ pub fn render(
     if options.scene.is_local() {
         return render_local(options, started);
     }
-    draw(options, feed, started, |voyage, gpu, renderer| {
-        fill(voyage, options, gpu, renderer, started, &mut progress)?;
+    draw(options, feed, started, |voyage| {
+        fill(voyage, options, started, &mut progress)?;
         // How high the ground is under the eye is known now; an eye that has to be lifted sees other chunks.
-        fill(voyage, options, gpu, renderer, started, &mut progress)
+        fill(voyage, options, started, &mut progress)
     })
 }
 
-/// Builds everything, lets `fill` bring what is to be drawn, draws, times and reads back.
+/// Lets `fill` bring what is to be drawn, builds the renderer, draws, times and reads back. In this order: a view that cannot be had is told without waiting for
+/// materials and pipelines.
 fn draw<F: Feed>(
     options: &Options,
     feed: F,
     started: Instant,
-    fill: impl FnOnce(&mut Voyage<F>, &Gpu, &mut Renderer) -> Result<(), HeadlessError>,
+    fill: impl FnOnce(&mut Voyage<F>) -> Result<(), HeadlessError>,
 ) -> Result<(Picture, Stats), HeadlessError> {
     let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
     let wished = if options.scene.is_local() { 1 } else { World::capacity_for(options.chunk_bytes) };
     let slots = ChunkPool::slots_within(&gpu.device.limits(), wished);
     let size = (options.lens.width, options.lens.height);
+    let mut voyage = Voyage::new(feed, slots);
+    fill(&mut voyage)?;
     let mut renderer = Renderer::with_materials(
         &gpu,
         &RenderOptions {
@@ -162,12 +165,12 @@ fn draw<F: Feed>(
         &options.materials,
     );
     let canvas = Canvas::new(&gpu.device, size.0, size.1);
-    let mut voyage = Voyage::new(feed, slots);
-    fill(&mut voyage, &gpu, &mut renderer)?;
+    voyage.world().residents().for_each(|chunk| renderer.upload(&gpu, chunk));
 
     let mut times = FrameTimes::default();
     let (mut drawn, mut instances) = (0, 0);
     let mut camera = String::new();
+    let mut first_picture = None;
     for index in 0..WARM_UP_FRAMES + options.frames.max(1) {
         let timed = index.checked_sub(WARM_UP_FRAMES);
         let begun = Instant::now();
@@ -186,6 +189,7 @@ fn draw<F: Feed>(
         renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
         gpu.queue.submit([encoder.finish()]);
         gpu.wait()?;
+        first_picture.get_or_insert_with(|| started.elapsed());
         if timed.is_some() {
             times.push(begun.elapsed());
         }
@@ -212,6 +216,7 @@ fn draw<F: Feed>(
         bytes_received: voyage.feed().traffic().bytes_received,
         seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
         seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),
+        seconds_to_first_picture: first_picture.map(|at| at.as_secs_f64()),
         frame_ms_p50: times.quantile_ms(0.5, usize::MAX),
         frame_ms_p99: times.quantile_ms(0.99, usize::MAX),
         chunks_resident: resident,
@@ -227,18 +232,15 @@ fn draw<F: Feed>(
 fn fill(
     voyage: &mut Voyage<impl Feed>,
     options: &Options,
-    gpu: &Gpu,
-    renderer: &mut Renderer,
     started: Instant,
     progress: &mut impl FnMut(&Progress),
 ) -> Result<(), HeadlessError> {
     let shot = options.shot(0, voyage.world());
     loop {
-        let selection = voyage.update(&shot, started.elapsed(), 64, |chunk| renderer.upload(gpu, chunk));
-        // Uploads are staged until a submission; without one a long fill would pile them up.
-        gpu.queue.submit([]);
+        // There is no renderer yet: it is given everything at once when it is built.
+        let selection = voyage.update(&shot, started.elapsed(), 64, |_| ());
         if voyage.is_settled() && selection.is_complete() {
-            return gpu.check().map_err(HeadlessError::from);
+            return Ok(());
         }
         let state = Progress {
             resident: voyage.world().len(),

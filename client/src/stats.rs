@@ -68,6 +68,8 @@ pub struct Stats {
     pub seconds_to_first_chunk: Option<f64>,
     /// From the start of the program until the view had all its detail.
     pub seconds_to_complete_view: Option<f64>,
+    /// From the start of the program until the first picture was drawn: the view and, in a shot, after it the renderer with its materials.
+    pub seconds_to_first_picture: Option<f64>,
     /// Median time of a frame, until the GPU was done with it.
     pub frame_ms_p50: f64,
     /// The 99th percentile of the same.

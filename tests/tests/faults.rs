@@ -34,22 +34,26 @@ async fn a_draining_server_says_when_to_return_and_closes_every_session() {
     stopped.await.unwrap();
 }
 
-fn shot() -> Shot {
+fn shot(tolerance_px: f64) -> Shot {
     Shot {
         pose: Scene::Island.start(),
         lens: Lens { fov_deg: 60.0, width: 160, height: 90 },
         view_distance_m: 1500,
-        tolerance_px: 0.5,
+        tolerance_px,
         time_s: 0.0,
         looks: client::looks::Looks::default(),
     }
 }
 
-/// Updates the voyage until the condition holds; gives what was drawn last.
-fn until(voyage: &mut Voyage<SocketFeed>, mut condition: impl FnMut(&Voyage<SocketFeed>) -> bool) -> usize {
+/// Updates the voyage, seen with a tolerance, until the condition holds; gives what was drawn last.
+fn until(
+    voyage: &mut Voyage<SocketFeed>,
+    tolerance_px: f64,
+    mut condition: impl FnMut(&Voyage<SocketFeed>) -> bool,
+) -> usize {
     let started = Instant::now();
     loop {
-        let drawn = voyage.update(&shot(), started.elapsed(), usize::MAX, |_| {}).drawn.len();
+        let drawn = voyage.update(&shot(tolerance_px), started.elapsed(), usize::MAX, |_| {}).drawn.len();
         if condition(voyage) {
             return drawn;
         }
@@ -64,19 +68,21 @@ fn the_viewer_keeps_what_it_has_while_the_server_is_gone_and_goes_on_when_it_ret
     let address = server.address.clone();
     let settings = Settings::new(server.stream_url().parse().unwrap());
     let mut voyage = Voyage::new(SocketFeed::connect(settings).unwrap(), 512);
-    // In mid-stream: the coarsest chunks cover the view, not all others are here.
-    let (tops, top) = (shot().viewer().tops().len(), shot().viewer().top_level());
+    // As soon as the coarsest chunks cover the view.
+    let viewer = shot(4.0).viewer();
+    let (tops, top) = (viewer.tops().len(), viewer.top_level());
     let covers =
         |voyage: &Voyage<SocketFeed>| voyage.world().level_histogram()[usize::from(top)] as usize >= tops;
-    until(&mut voyage, covers);
+    until(&mut voyage, 4.0, covers);
     server.signal("KILL");
     let had = voyage.world().len();
-    let drawn = until(&mut voyage, |voyage| matches!(voyage.link(), Link::Waiting { .. }));
+    let drawn = until(&mut voyage, 4.0, |voyage| matches!(voyage.link(), Link::Waiting { .. }));
     assert!(drawn > 0 && voyage.world().len() >= had, "the land is still there");
     drop(server);
 
     let _again = ServerProgram::start_at(&address, &[]);
-    until(&mut voyage, |voyage| matches!(voyage.link(), Link::Connected(_)) && voyage.is_settled());
+    // A finer view, which only a server can fill.
+    until(&mut voyage, 0.5, |voyage| matches!(voyage.link(), Link::Connected(_)) && voyage.is_settled());
     assert!(voyage.world().len() > had);
 }
 
@@ -87,7 +93,7 @@ async fn a_server_of_another_world_replaces_the_land() {
     let driven = tokio::task::spawn_blocking(move || {
         let settings = Settings::new(url.parse().unwrap());
         let mut voyage = Voyage::new(SocketFeed::connect(settings).unwrap(), 512);
-        until(&mut voyage, Voyage::is_settled);
+        until(&mut voyage, 4.0, Voyage::is_settled);
         voyage
     });
     let mut voyage = driven.await.unwrap();
@@ -96,7 +102,7 @@ async fn a_server_of_another_world_replaces_the_land() {
     let server = RunningServer::start_at(address, config).await;
     tokio::task::spawn_blocking(move || {
         let other = terrain::Land::new(2);
-        until(&mut voyage, |voyage| {
+        until(&mut voyage, 4.0, |voyage| {
             let settled = voyage.is_settled() && matches!(voyage.link(), Link::Connected(_));
             settled
                 && voyage.world().keys().next().is_some_and(|key| {

@@ -141,6 +141,11 @@ impl World {
         self.chunks.keys().copied()
     }
 
+    /// All resident chunks, in no particular order.
+    pub fn residents(&self) -> impl Iterator<Item = &Resident> {
+        self.chunks.values()
+    }
+
     /// Number of resident chunks.
     #[must_use]
     pub fn len(&self) -> usize {

@@ -88,6 +88,12 @@ fn rows(
     vec![
         Row::new("8 km view complete, cold server", worst_of(cold, complete, 1.0), Bar::Under(3.0), "s"),
         Row::new("8 km view complete, warm server", worst_of(warm, complete, 1.0), Bar::Under(0.5), "s"),
+        Row::new(
+            "first picture of it, warm server",
+            worst_of(warm, "seconds_to_first_picture", 1.0),
+            Bar::Reported,
+            "s",
+        ),
         Row::new("received for the 8 km view", worst_of(all, "bytes_received", MIB), Bar::Under(6.0), "MiB"),
         Row::new(format!("{under_load}: mismatches"), of_load("mismatches"), Bar::AtMost(0.0), ""),
         Row::new(format!("{under_load}: dropped sessions"), of_load("dropped"), Bar::AtMost(0.0), ""),
@@ -182,7 +188,7 @@ mod tests {
     use serde_json::json;
 
     fn view() -> Value {
-        json!({ "adapter": "soft", "bytes_received": 1 << 20, "seconds_to_complete_view": 0.25,
+        json!({ "adapter": "soft", "bytes_received": 1 << 20, "seconds_to_complete_view": 0.25, "seconds_to_first_picture": 1.0,
                 "frame_ms_p50": 20.0, "frame_ms_p99": 40.0, "chunk_bytes_resident": 8 << 20 })
     }
 
@@ -193,7 +199,7 @@ mod tests {
     fn missed(view: &Value, load: &Value, peak: Option<f64>) -> Vec<String> {
         let views = [view.clone(), view.clone()];
         let rows = rows(&views, &views, &views, view, load, peak);
-        assert_eq!(rows.len(), 9);
+        assert_eq!(rows.len(), 10);
         rows.into_iter().filter(|row| !row.is_met()).map(|row| row.what).collect()
     }
 
@@ -206,6 +212,7 @@ mod tests {
     fn every_missing_field_is_a_miss() {
         for (field, expected) in [
             ("seconds_to_complete_view", 2),
+            ("seconds_to_first_picture", 1),
             ("bytes_received", 1),
             ("frame_ms_p50", 1),
             ("frame_ms_p99", 1),
@@ -219,7 +226,7 @@ mod tests {
                 assert_eq!(missed(&view, &load(), Some(1.0)).len(), expected, "{field}");
             }
         }
-        assert_eq!(missed(&Value::Null, &Value::Null, None).len(), 9);
+        assert_eq!(missed(&Value::Null, &Value::Null, None).len(), 10);
     }
 
     #[test]

@@ -91,6 +91,7 @@ struct Running {
     show_panel: bool,
     times: FrameTimes,
     frames: usize,
+    first_picture: Option<Duration>,
     drawn: usize,
     instances: usize,
     started: Instant,
@@ -196,6 +197,7 @@ impl Running {
             show_panel: true,
             times: FrameTimes::default(),
             frames: 0,
+            first_picture: None,
             drawn: 0,
             instances: 0,
             started,
@@ -304,6 +306,7 @@ impl Running {
         gpu.queue.present(texture);
         self.times.push(step);
         self.frames += 1;
+        self.first_picture.get_or_insert_with(|| self.started.elapsed());
         let wanted = self.args.frames.is_some_and(|frames| self.frames >= frames as usize);
         Ok(if wanted { After::Quit } else { After::Continue })
     }
@@ -333,6 +336,7 @@ impl Running {
             bytes_received: self.voyage.feed().traffic().bytes_received,
             seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
             seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),
+            seconds_to_first_picture: self.first_picture.map(|at| at.as_secs_f64()),
             frame_ms_p50: self.times.quantile_ms(0.5, usize::MAX),
             frame_ms_p99: self.times.quantile_ms(0.99, usize::MAX),
             chunks_resident: resident,
