@@ -72,7 +72,7 @@ pub struct Screen {
     pub worst: Option<screen::Worst>,
     /// Its camera.
     pub camera: String,
-    /// The largest error of what is chosen for [`LOOSE`] tolerances: the control.
+    /// The largest error of what is chosen for four tolerances: the control.
     pub max_when_loose: f64,
 }
 
