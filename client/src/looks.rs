@@ -151,54 +151,6 @@ pub enum Show {
     Error,
 }
 
-impl Diffuse {
-    /// Its number in the shaders.
-    #[must_use]
-    pub fn word(self) -> u32 {
-        self as u32
-    }
-}
-
-impl Visibility {
-    /// Its number in the shaders.
-    #[must_use]
-    pub fn word(self) -> u32 {
-        self as u32
-    }
-}
-
-impl Tiling {
-    /// Its number in the shaders.
-    #[must_use]
-    pub fn word(self) -> u32 {
-        self as u32
-    }
-}
-
-impl WaterTier {
-    /// Its number in the shaders.
-    #[must_use]
-    pub fn word(self) -> u32 {
-        self as u32
-    }
-}
-
-impl Shadows {
-    /// Its number in the shaders.
-    #[must_use]
-    pub fn word(self) -> u32 {
-        self as u32
-    }
-}
-
-impl Show {
-    /// Its number in the shaders.
-    #[must_use]
-    pub fn word(self) -> u32 {
-        self as u32
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

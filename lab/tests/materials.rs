@@ -221,7 +221,7 @@ fn hexagons_leave_a_constant_alone_and_end_the_repetition_that_off_has() {
         probe.run(&gpu, materials, 1, look, anchor_m).unwrap();
         probe.read(&gpu).unwrap()
     };
-    let hex = Look::Textures(Tiling::Hex.word());
+    let hex = Look::Textures(Tiling::Hex as u32);
     let constant = seen(&bake(&gpu, &grey(0.25)), hex, [0.0; 2]);
     assert!(constant.iter().all(|luminance| (luminance - 0.25).abs() < 1e-5));
 
@@ -241,7 +241,7 @@ fn hexagons_leave_a_constant_alone_and_end_the_repetition_that_off_has() {
         // Half a tile apart is as different as it gets.
         change(tile) / change(tile / 2 + 13)
     };
-    let off = seen(&materials, Look::Textures(Tiling::Off.word()), [0.0; 2]);
+    let off = seen(&materials, Look::Textures(Tiling::Off as u32), [0.0; 2]);
     let hidden = seen(&materials, hex, [0.0; 2]);
     let truth = seen(&materials, Look::Recipe, [0.0; 2]);
     assert!(repeats(&off) < 0.01, "the control must repeat: {}", repeats(&off));

@@ -168,8 +168,8 @@ impl Renderer {
         quota: Quota,
         encoder: &mut wgpu::CommandEncoder,
     ) -> usize {
-        let is_shown = frame.uniforms.show == Show::Picture.word();
-        if !is_shown || frame.uniforms.shadows == Shadows::Off.word() {
+        let is_shown = frame.uniforms.show == Show::Picture as u32;
+        if !is_shown || frame.uniforms.shadows == Shadows::Off as u32 {
             return 0;
         }
         self.shadows.update(&frame.candidates, Vec3::from(frame.uniforms.sun));

@@ -56,7 +56,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
         };
         let truth = look(Look::Recipe)?;
         let times = times(|tiling: Tiling| {
-            probe.run(&gpu, &materials, material, Look::Textures(tiling.word()), anchor_m)
+            probe.run(&gpu, &materials, material, Look::Textures(tiling as u32), anchor_m)
         })?;
         let mut rows = Table::new(
             table,
@@ -81,7 +81,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
             ],
         );
         for (at, (tiling, samples)) in KNOB.into_iter().enumerate() {
-            let seen = look(Look::Textures(tiling.word()))?;
+            let seen = look(Look::Textures(tiling as u32))?;
             let contrast = seen.deviation / truth.deviation;
             rows.push([
                 at as f64,
