@@ -1,5 +1,6 @@
 //! The pass before all others: what sun and sky give in a frame, measured on the GPU and written into the frame's uniforms.
 
+use crate::render::pipeline::compute_pipelines;
 use shaders::SHADERS;
 use shaders::layout::{Air, Frame};
 use std::mem::offset_of;
@@ -47,23 +48,7 @@ impl AirPass {
                 wgpu::BindGroupEntry { binding: 1, resource: measured.as_entire_binding() },
             ],
         });
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(shader.name),
-            source: wgpu::ShaderSource::Wgsl(shader.wgsl.into()),
-        });
-        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(shader.name),
-            bind_group_layouts: &[Some(&layout)],
-            immediate_size: 0,
-        });
-        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(shader.name),
-            layout: Some(&pipeline_layout),
-            module: &module,
-            entry_point: None,
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            cache: None,
-        });
+        let [pipeline] = compute_pipelines(device, &shader, &[&layout], ["measure_sky"]);
         Self { pipeline, bindings, measured }
     }
 

@@ -1,6 +1,6 @@
 //! The shadow pass: finds how far the sun clears the land's horizon, for a few chunks at a time, and keeps it beside their heights.
 
-use crate::render::pipeline::{compute_pipeline, storage_entry, uniform_entry};
+use crate::render::pipeline::{compute_pipelines, storage_entry, uniform_entry};
 use crate::render::pool::ChunkPool;
 use crate::shadow::{Casting, Quota};
 use shaders::SHADERS;
@@ -67,7 +67,7 @@ impl CastPass {
                 resource: buffers[binding].as_entire_binding(),
             }),
         });
-        let pipeline = compute_pipeline(device, shader, &layout);
+        let [pipeline] = compute_pipelines(device, shader, &[&layout], ["cast_shadows"]);
         Self { pipeline, bindings, caster, nodes, targets }
     }
 

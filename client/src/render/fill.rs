@@ -2,8 +2,9 @@
 //!
 //! Owns one batch of buffers, allocated once. Needs a device and a queue only; windows, pools and sessions are others' business.
 
+use crate::render::pipeline::compute_pipelines;
+use shaders::SHADERS;
 use shaders::layout::{ChunkFill, FILL_WORKGROUP, World};
-use shaders::{SHADERS, Shader};
 use std::sync::mpsc;
 use terrain::constants::VERTEX_COUNT;
 use terrain::pyramid::PYRAMID_TEXELS;
@@ -122,7 +123,8 @@ impl ChunkFiller {
                 resource: [&world, &chunks, &heights, &pyramids][binding].as_entire_binding(),
             }),
         });
-        let (fill_heights, fill_pyramids) = pipelines(device, &shader, &group_layout);
+        let [fill_heights, fill_pyramids] =
+            compute_pipelines(device, &shader, &[&group_layout], ["fill_heights", "fill_pyramids"]);
         Self { fill_heights, fill_pyramids, bindings, chunks, heights, pyramids, landing, batch }
     }
 
@@ -235,33 +237,6 @@ impl ChunkFiller {
 }
 
 /// Both pipelines of the pass; they share one layout, so that one group of bindings serves both.
-fn pipelines(
-    device: &wgpu::Device,
-    shader: &Shader,
-    group_layout: &wgpu::BindGroupLayout,
-) -> (wgpu::ComputePipeline, wgpu::ComputePipeline) {
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some(shader.name),
-        source: wgpu::ShaderSource::Wgsl(shader.wgsl.into()),
-    });
-    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some(shader.name),
-        bind_group_layouts: &[Some(group_layout)],
-        immediate_size: 0,
-    });
-    let pipeline = |entry_point| {
-        device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(entry_point),
-            layout: Some(&layout),
-            module: &module,
-            entry_point: Some(entry_point),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            cache: None,
-        })
-    };
-    (pipeline("fill_heights"), pipeline("fill_pyramids"))
-}
-
 fn wait(device: &wgpu::Device) -> Result<(), FillError> {
     let waited = device.poll(wgpu::PollType::wait_indefinitely());
     waited.map(|_| ()).map_err(|error| FillError::Device(one_line(&error.to_string())))

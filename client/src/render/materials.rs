@@ -2,8 +2,9 @@
 //!
 //! Owns the textures and their group of bindings. Reads no files: a user's set comes as texels.
 
+use crate::render::pipeline::compute_pipelines;
+use shaders::SHADERS;
 use shaders::layout::{BAKE_WORKGROUP, Bake, BakeTexel, MATERIALS, REDUCE_WORKGROUP};
-use shaders::{SHADERS, Shader};
 use std::sync::Arc;
 
 /// Texels a side of every set, a power of two. A set covers 4 or 8 metres, so a texel is 8 or 16 millimetres.
@@ -195,7 +196,7 @@ fn bake(device: &wgpu::Device, queue: &wgpu::Queue, textures: [&wgpu::Texture; 3
             view_entry(4, &views[2]),
         ],
     });
-    let [grow, settle] = ["grow", "settle"].map(|entry| pipeline(device, &shader, entry, &layout));
+    let [grow, settle] = compute_pipelines(device, &shader, &[&layout], ["grow", "settle"]);
     for (layer, own) in own.iter().enumerate() {
         let own = own.as_ref().filter(|own| own.texels.len() == MATERIAL_TEXELS);
         let bake = Bake {
@@ -247,7 +248,7 @@ fn reduce(device: &wgpu::Device, queue: &wgpu::Queue, textures: [&wgpu::Texture;
             compute_entry(5, stored(textures[2])),
         ],
     });
-    let pipeline = pipeline(device, &shader, "reduce", &layout);
+    let [pipeline] = compute_pipelines(device, &shader, &[&layout], ["reduce"]);
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     for below in 1..LEVELS {
         let from = textures.map(|texture| level(texture, below - 1));
@@ -274,31 +275,6 @@ fn reduce(device: &wgpu::Device, queue: &wgpu::Queue, textures: [&wgpu::Texture;
         pass.dispatch_workgroups(groups, groups, LAYERS);
     }
     queue.submit([encoder.finish()]);
-}
-
-fn pipeline(
-    device: &wgpu::Device,
-    shader: &Shader,
-    entry_point: &str,
-    layout: &wgpu::BindGroupLayout,
-) -> wgpu::ComputePipeline {
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some(shader.name),
-        source: wgpu::ShaderSource::Wgsl(shader.wgsl.into()),
-    });
-    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some(shader.name),
-        bind_group_layouts: &[Some(layout)],
-        immediate_size: 0,
-    });
-    device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some(entry_point),
-        layout: Some(&layout),
-        module: &module,
-        entry_point: Some(entry_point),
-        compilation_options: wgpu::PipelineCompilationOptions::default(),
-        cache: None,
-    })
 }
 
 fn compute_entry(binding: u32, ty: wgpu::BindingType) -> wgpu::BindGroupLayoutEntry {

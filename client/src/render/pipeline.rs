@@ -112,29 +112,32 @@ fn build(
     })
 }
 
-/// The pipeline of a pass with one compute entry point.
+/// The pipelines of a pass's compute entry points, over bind groups of these layouts, group 0 first. The shader is compiled once for all of them.
 #[must_use]
-pub fn compute_pipeline(
+pub fn compute_pipelines<const N: usize>(
     device: &wgpu::Device,
     shader: &Shader,
-    layout: &wgpu::BindGroupLayout,
-) -> wgpu::ComputePipeline {
+    layouts: &[&wgpu::BindGroupLayout],
+    entry_points: [&str; N],
+) -> [wgpu::ComputePipeline; N] {
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some(shader.name),
         source: wgpu::ShaderSource::Wgsl(shader.wgsl.into()),
     });
-    let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(shader.name),
-        bind_group_layouts: &[Some(layout)],
+        bind_group_layouts: &layouts.iter().copied().map(Some).collect::<Vec<_>>(),
         immediate_size: 0,
     });
-    device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some(shader.name),
-        layout: Some(&pipeline_layout),
-        module: &module,
-        entry_point: None,
-        compilation_options: wgpu::PipelineCompilationOptions::default(),
-        cache: None,
+    entry_points.map(|entry_point| {
+        device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(entry_point),
+            layout: Some(&layout),
+            module: &module,
+            entry_point: Some(entry_point),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
+        })
     })
 }
 

@@ -2,6 +2,7 @@
 
 use crate::render::gpu::{Gpu, GpuError};
 use crate::render::materials::{MATERIAL_SIZE, Materials};
+use crate::render::pipeline::compute_pipelines;
 use shaders::SHADERS;
 use shaders::layout::{TILING_WORKGROUP, TilingProbe};
 use std::sync::mpsc;
@@ -71,25 +72,8 @@ impl ProbeTiling {
                 wgpu::BindGroupEntry { binding: 1, resource: luminances.as_entire_binding() },
             ],
         });
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(shader.name),
-            source: wgpu::ShaderSource::Wgsl(shader.wgsl.into()),
-        });
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(shader.name),
-            bind_group_layouts: &[Some(&layout), Some(materials.layout())],
-            immediate_size: 0,
-        });
-        let [look, without_period] = ["look", "without_period"].map(|entry_point| {
-            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(entry_point),
-                layout: Some(&layout),
-                module: &module,
-                entry_point: Some(entry_point),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                cache: None,
-            })
-        });
+        let [look, without_period] =
+            compute_pipelines(device, &shader, &[&layout, materials.layout()], ["look", "without_period"]);
         Self { look, without_period, bindings, order, luminances, landing }
     }
 
