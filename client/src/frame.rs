@@ -14,10 +14,10 @@ use terrain::ChunkKey;
 use terrain::constants::{CELLS, UNITS_PER_METRE};
 use terrain::lod::{MAX_VIEW_DISTANCE_M, Viewer};
 
-/// Triangles of one instance, a quarter of a chunk.
+/// Triangles of one instance, a quarter of a chunk or all of a halved one.
 pub const TRIANGLES_PER_INSTANCE: u64 = (CELLS * CELLS / 2) as u64;
 
-/// The quarters of a chunk: 0 or 1 east, 0 or 1 south.
+/// The quarters of a chunk: 0 or 1 east, 0 or 1 south. The first one alone stands for all of a halved chunk.
 const QUARTERS: [(i32, i32); 4] = [(0, 0), (1, 0), (0, 1), (1, 1)];
 
 /// One picture, ready to draw.
@@ -25,7 +25,7 @@ const QUARTERS: [(i32, i32); 4] = [(0, 0), (1, 0), (0, 1), (1, 1)];
 pub struct FrameData {
     /// The uniforms of all passes.
     pub uniforms: Frame,
-    /// The quarters of chunks in sight, nearest chunks first, so that hidden land behind near hills costs no shading.
+    /// The quarters of chunks in sight, and halved chunks, nearest chunks first, so that hidden land behind near hills costs no shading.
     pub instances: Vec<TerrainInstance>,
     /// Chunks of which any quarter is in sight.
     pub chunks: usize,
@@ -103,9 +103,10 @@ impl Shot {
             let parent = drawn.key.parent().and_then(|parent| world.get(parent)).unwrap_or(chunk);
             let before = instances.len();
             let whole = sight.may_show(&eye, drawn.key.origin(), drawn.key.side(), chunk, parent);
-            for quarter in QUARTERS.into_iter().filter(|_| whole) {
+            let parts = if drawn.seams.is_halved { &QUARTERS[..1] } else { &QUARTERS };
+            for quarter in parts.iter().copied().filter(|_| whole) {
                 let (corner, side) = quarter_of(drawn.key, quarter);
-                if sight.may_show(&eye, corner, side, chunk, parent) {
+                if drawn.seams.is_halved || sight.may_show(&eye, corner, side, chunk, parent) {
                     instances.push(instance(&eye, drawn, quarter, chunk, parent));
                 }
             }
@@ -361,8 +362,15 @@ mod tests {
             let mut world = filled(&shot);
             let selection = select(&mut world, &shot.viewer());
             let frame = shot.frame(Scene::Island, &world, &selection);
+            let quarters = |instance: &TerrainInstance| {
+                let is_halved = instance.inside & TerrainInstance::HALVED != 0;
+                let first = instance.place >> 10;
+                (if is_halved { 0..4 } else { first..first + 1 })
+                    .map(|quarter| (instance.slot, quarter))
+                    .collect()
+            };
             let shown: HashSet<(u32, u32)> =
-                frame.instances.iter().map(|instance| (instance.slot, instance.place >> 10)).collect();
+                frame.instances.iter().flat_map(|instance| -> Vec<_> { quarters(instance) }).collect();
             let clip_from_camera = shot.lens.clip_from_camera(&shot.pose);
             let eye = shot.pose.position_m;
             for key in selection.drawn.iter().map(|drawn| drawn.key) {

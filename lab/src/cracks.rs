@@ -16,6 +16,7 @@ use client::render::{GpuError, Picture};
 use client::scene::Scene;
 use client::world::{Selection, World, select};
 use serde::Serialize;
+use shaders::layout::TerrainInstance;
 use terrain::constants::{CELLS, SEA_FLOOR_M, UNITS_PER_METRE, VERTICES};
 use terrain::{ChunkKey, Land};
 
@@ -200,7 +201,9 @@ impl Viewpoint {
             }
             Fault::NoSeams => {
                 for instance in &mut frame.instances {
-                    (instance.edges, instance.corners, instance.inside) = (0, 0, 0);
+                    // Halved chunks stay so: three quarters of them would be missing altogether.
+                    (instance.edges, instance.corners, instance.inside) =
+                        (0, 0, instance.inside & TerrainInstance::HALVED);
                 }
             }
         }

@@ -145,7 +145,7 @@ pub struct TerrainInstance {
     pub edges: u32,
     /// Morphs of the corners, a byte each: (low, low), (high x, low z), (low x, high z), (high, high).
     pub corners: u32,
-    /// Morph of the inside in the lowest byte; bits 8 to 11: the neighbour north, east, south, west is coarser.
+    /// Morph of the inside in the lowest byte; bits 8 to 11: the neighbour north, east, south, west is coarser; [`Self::HALVED`].
     pub inside: u32,
     /// Level in the lowest byte; bit 8: the chunk is an eastern quarter of its parent, bit 9: a southern one; bits 10 and 11: likewise which quarter of the chunk
     /// this is.
@@ -153,6 +153,9 @@ pub struct TerrainInstance {
 }
 
 impl TerrainInstance {
+    /// The bit of [`Self::inside`] that says that the instance is all of a chunk, drawn with every other vertex.
+    pub const HALVED: u32 = 1 << 12;
+
     /// The three words in which seams travel: edges, corners, inside.
     #[must_use]
     pub fn seam_words(seams: &Seams) -> [u32; 3] {
@@ -161,7 +164,7 @@ impl TerrainInstance {
         [
             u32::from_le_bytes(seams.edges),
             u32::from_le_bytes(seams.corners),
-            u32::from(seams.inside) | coarser,
+            u32::from(seams.inside) | coarser | (u32::from(seams.is_halved) * Self::HALVED),
         ]
     }
 }

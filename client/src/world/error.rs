@@ -70,33 +70,83 @@ pub fn is_too_coarse(world: &World, viewer: &Viewer, key: ChunkKey, chunk: &Resi
 /// wanted than is sent.
 #[must_use]
 pub fn on_screen(world: &World, viewer: &Viewer, key: ChunkKey, chunk: &Resident) -> f64 {
-    // The level's bound is empirical: a chunk whose own error exceeds it would want children that no server sends.
-    let stated = chunk.error.min(lod::level_error(key.level()));
-    let nearest = viewer.distance_to(key);
-    let seen = |error: u32, distance: u64| {
-        let scaled = f64::from(error) * f64::from(viewer.pixels_per_radian) * 16.0;
-        scaled / distance.max(nearest).max(1) as f64
-    };
-    let whole = seen(stated, distance(viewer, key.origin(), key.side(), chunk, chunk.max));
-    if whole <= f64::from(viewer.tolerance()) / 4.0 {
-        // So small that no finer look would change anything.
-        return whole;
+    let judge = Judge::new(viewer, key, chunk);
+    if judge.is_settled() {
+        return judge.whole;
     }
-    let by_blocks = key.children().into_iter().flatten().try_fold(0.0f64, |worst, child_key| {
-        let child = world.get(child_key)?;
+    let worst_of = |worst: f64, child| Some(worst.max(judge.portion(world, child, INSIDE)?));
+    let by_blocks = key.children().and_then(|children| children.into_iter().try_fold(0.0, worst_of));
+    by_blocks.unwrap_or(judge.whole).min(judge.whole)
+}
+
+/// A chunk with all its borders, for [`of_parent`].
+pub const INSIDE: (i32, i32) = (0, 0);
+
+/// Error on screen of drawing the parent of `child` in the place of it, 1/16 pixel: what of [`on_screen`] of the parent is in this quarter. None
+/// without a parent that is here. Of [`INSIDE`], all of it; of a step east and south, the blocks that touch the neighbour there.
+#[must_use]
+pub fn of_parent(world: &World, viewer: &Viewer, child: ChunkKey, toward: (i32, i32)) -> Option<f64> {
+    let key = child.parent()?;
+    let judge = Judge::new(viewer, key, world.get(key)?);
+    let portion = if judge.is_settled() { None } else { judge.portion(world, child, toward) };
+    Some(portion.unwrap_or(judge.whole).min(judge.whole))
+}
+
+/// What a chunk's error is seen as.
+struct Judge<'a> {
+    viewer: &'a Viewer,
+    /// Bound of the error anywhere, units.
+    stated: u32,
+    /// No place in the chunk is nearer, units.
+    nearest: u64,
+    /// The largest error at the nearest distance, 1/16 pixel.
+    whole: f64,
+}
+
+impl<'a> Judge<'a> {
+    fn new(viewer: &'a Viewer, key: ChunkKey, chunk: &Resident) -> Self {
+        // The level's bound is empirical: a chunk whose own error exceeds it would want children that no server sends.
+        let stated = chunk.error.min(lod::level_error(key.level()));
+        let judge = Self { viewer, stated, nearest: viewer.distance_to(key), whole: 0.0 };
+        let whole = judge.seen(stated, distance(viewer, key.origin(), key.side(), chunk, chunk.max));
+        Self { whole, ..judge }
+    }
+
+    /// Whether the error is so small that no finer look would change anything.
+    fn is_settled(&self) -> bool {
+        self.whole <= f64::from(self.viewer.tolerance()) / 4.0
+    }
+
+    fn seen(&self, error: u32, distance: u64) -> f64 {
+        let scaled = f64::from(error) * f64::from(self.viewer.pixels_per_radian) * 16.0;
+        scaled / distance.max(self.nearest).max(1) as f64
+    }
+
+    /// The largest error in the quarter that a child covers, or along a side of it, block by block, if the child is here.
+    fn portion(&self, world: &World, key: ChunkKey, (east, south): (i32, i32)) -> Option<f64> {
+        let child = world.get(key)?;
         let rises = child.rises.as_ref()?;
-        let (x, z) = child_key.origin();
-        let side = child_key.side() / BLOCKS as u32;
-        let blocks = rises.iter().enumerate().map(|(index, rise)| {
-            let corner =
-                (x + (index % BLOCKS) as i32 * side as i32, z + (index / BLOCKS) as i32 * side as i32);
-            let below = error_in_block(world, child_key, child, index);
-            let error = rise.saturating_add(below).min(stated);
-            seen(error, distance(viewer, corner, side, child, child.maxima[index]))
+        let (x, z) = key.origin();
+        let side = key.side() / BLOCKS as u32;
+        let blocks = rows_toward(south).flat_map(|row| rows_toward(east).map(move |column| (column, row)));
+        let blocks = blocks.map(|(column, row)| {
+            let index = row * BLOCKS + column;
+            let corner = (x + column as i32 * side as i32, z + row as i32 * side as i32);
+            let error =
+                rises[index].saturating_add(error_in_block(world, key, child, index)).min(self.stated);
+            self.seen(error, distance(self.viewer, corner, side, child, child.maxima[index]))
         });
-        Some(blocks.fold(worst, f64::max))
-    });
-    by_blocks.filter(|_| key.level() > 0).unwrap_or(whole).min(whole)
+        Some(blocks.fold(0.0, f64::max))
+    }
+}
+
+/// Rows of blocks: the first towards -1, the last towards 1, else all.
+fn rows_toward(way: i32) -> std::ops::Range<usize> {
+    match way {
+        -1 => 0..1,
+        1 => BLOCKS - 1..BLOCKS,
+        _ => 0..BLOCKS,
+    }
 }
 
 /// Bound of a chunk's own error in one of its blocks, units: what it states of itself, or what its children, if they are here, and their stated errors say.

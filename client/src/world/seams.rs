@@ -5,6 +5,10 @@
 //! number of its own, made from those of all chunks that touch it. Where something coarser touches, it is entirely the parent's surface; where
 //! something finer touches, entirely the chunk's own: both are the integers of the same level. `shaders/wgsl/shared/morph.wesl` blends
 //! from the border to the inside.
+//!
+//! A chunk that is there only because a sibling is needed, or a neighbour, is *halved*: drawn with the parent's vertices, a quarter of its own. To what
+//! touches it, it is a coarser chunk. Nothing that touches it is split, so drawn levels still differ by one at most; and what touches it can bear the
+//! parent's border.
 
 use crate::world::World;
 use crate::world::error;
@@ -53,14 +57,33 @@ pub fn close(
     split: &FxHashSet<ChunkKey>,
     fading: Fading,
 ) -> Vec<Drawn> {
-    let inside: FxHashMap<ChunkKey, f64> = leaves
+    let tolerance = error::tolerance(viewer);
+    let inside: FxHashMap<ChunkKey, Inside> = leaves
         .iter()
-        .map(|key| (*key, morph(world, viewer, *key).max(unfinished(world, *key, fading))))
+        .map(|key| {
+            let parent = above(world, viewer, *key);
+            let morph = parent.map_or(0.0, |parent| morph(world, viewer, *key, parent));
+            let is_parent = parent.is_some_and(|parent| parent <= tolerance);
+            (*key, Inside { morph: morph.max(unfinished(world, *key, fading)), is_parent })
+        })
         .collect();
+    // Beside the parent's vertices a neighbour's outermost cells are drawn from both surfaces: both errors count there.
+    let bears = |key: ChunkKey, toward: (i32, i32)| {
+        let is_parent = inside.get(&key).is_none_or(|inside| inside.is_parent);
+        is_parent || error::of_parent(world, viewer, key, toward).is_some_and(|error| error <= tolerance)
+    };
+    let is_halved = |key: &ChunkKey| {
+        inside[key].is_parent
+            && EDGES.into_iter().chain(CORNERS).all(|(east, south)| {
+                let next = key.neighbour(east, south);
+                next.is_none_or(|next| !split.contains(&next) && bears(next, (-east, -south)))
+            })
+    };
+    let halved: FxHashSet<ChunkKey> = leaves.iter().copied().filter(is_halved).collect();
     let meets = |key: ChunkKey, (east, south): (i32, i32)| {
         let Some(next) = key.neighbour(east, south) else { return Meets::Nothing };
-        if let Some(morph) = inside.get(&next) {
-            Meets::Equal(*morph)
+        if let Some(inside) = inside.get(&next) {
+            if halved.contains(&next) { Meets::Coarser } else { Meets::Equal(inside.morph) }
         } else if split.contains(&next) {
             Meets::Finer
         } else if std::iter::successors(next.parent(), |above| above.parent())
@@ -72,27 +95,43 @@ pub fn close(
         }
     };
     let join = |key: &ChunkKey| {
-        let own = inside[key];
+        if halved.contains(key) {
+            return Drawn { key: *key, seams: Seams::HALVED };
+        }
+        let own = inside[key].morph;
         let around = |way| meets(*key, way);
         let edges = EDGES.map(|way| shared(own, &[around(way)]));
         let corners = CORNERS.map(|(east, south)| {
             shared(own, &[around((east, 0)), around((0, south)), around((east, south))])
         });
         let is_coarser = EDGES.map(|way| around(way) == Meets::Coarser);
-        Drawn { key: *key, seams: Seams { inside: steps(own), edges, corners, is_coarser } }
+        Drawn { key: *key, seams: Seams { inside: steps(own), edges, corners, is_coarser, is_halved: false } }
     };
     leaves.iter().map(join).collect()
 }
 
-/// How far a chunk has morphed into its parent, 0 to 1.
+/// A leaf, as far as it needs no neighbour.
+#[derive(Clone, Copy, Debug)]
+struct Inside {
+    /// How far it has morphed into its parent, 0 to 1.
+    morph: f64,
+    /// Whether its parent's surface is good enough in its place.
+    is_parent: bool,
+}
+
+/// Error on screen of a leaf's parent in the leaf's place, if it could be drawn there.
+fn above(world: &World, viewer: &Viewer, key: ChunkKey) -> Option<f64> {
+    (key.level() < viewer.top_level()).then(|| error::of_parent(world, viewer, key, error::INSIDE)).flatten()
+}
+
+/// How far a chunk has morphed into its parent, 0 to 1, by the parent's error on screen in its place.
 ///
-/// With the errors on screen of chunk and parent, `own <= tolerance < parent`, a share m of the parent leaves at most (1 - m) own + m parent:
+/// With the errors of chunk and parent, `own <= tolerance < parent`, a share m of the parent leaves at most (1 - m) own + m parent:
 /// within the tolerance up to (tolerance - own) / (parent - own). That is 0 where the chunk is about to be split and 1 where the parent is
-/// about to take over, so neither moment shows. A chunk that is split for its neighbours' sake alone is its parent.
-fn morph(world: &World, viewer: &Viewer, key: ChunkKey) -> f64 {
-    let on_screen = |key: ChunkKey| Some(error::on_screen(world, viewer, key, world.get(key)?));
-    let parent = key.parent().filter(|_| key.level() < viewer.top_level()).and_then(on_screen);
-    let (Some(own), Some(parent)) = (on_screen(key), parent) else { return 0.0 };
+/// about to take over, so neither moment shows. A chunk that is split for others' sake alone is its parent.
+fn morph(world: &World, viewer: &Viewer, key: ChunkKey, parent: f64) -> f64 {
+    let Some(chunk) = world.get(key) else { return 0.0 };
+    let own = error::on_screen(world, viewer, key, chunk);
     let tolerance = error::tolerance(viewer);
     if parent <= tolerance {
         return 1.0;
@@ -240,6 +279,8 @@ mod tests {
             open == 0 && all > 250 && levels.len() >= 4,
             "{open} of {all} sides are open; levels {levels:?}"
         );
+        let halved = drawn.iter().filter(|drawn| drawn.seams.is_halved).count();
+        assert!(halved > 10, "chunks with their parents' vertices are part of the test: {halved}");
         let between = |drawn: &Drawn| (1..MORPH_ONE).contains(&drawn.seams.inside);
         assert!(
             drawn.iter().filter(|drawn| between(drawn)).count() > 10,

@@ -150,12 +150,21 @@ mod tests {
         let excessive = |error: fn(&Chunk) -> u32| {
             let chunks = SENT.iter().map(|chunk| Chunk { error: error(chunk), ..chunk.clone() });
             let mut world = world_of(&chunks.collect::<Vec<_>>());
-            select(&mut world, &VIEWER)
+            let selection = select(&mut world, &VIEWER);
+            (world, selection)
         };
         // The open sea has no error, and no server splits it for one.
-        let at_the_bound = excessive(|chunk| lod::level_error(chunk.key.level()).min(chunk.error * 1000));
-        let beyond = excessive(|chunk| if chunk.error > 0 { u32::MAX } else { 0 });
+        let (_, at_the_bound) =
+            excessive(|chunk| lod::level_error(chunk.key.level()).min(chunk.error * 1000));
+        let (world, beyond) = excessive(|chunk| if chunk.error > 0 { u32::MAX } else { 0 });
         assert!(beyond.is_complete() && beyond.drawn.len() >= at_the_bound.drawn.len());
+        // Judged by what they say of themselves, drawn chunks would want children, and those were not sent.
+        let wants = |key: &ChunkKey| {
+            let error = world.get(*key).unwrap().error;
+            key.level() > 0 && VIEWER.screen_error_q4(error, VIEWER.distance_to(*key)) > VIEWER.tolerance()
+        };
+        let unsent = |key: &ChunkKey| key.children().unwrap().iter().any(|child| world.get(*child).is_none());
+        assert!(keys(&beyond).iter().any(|key| wants(key) && unsent(key)));
     }
 
     #[test]

@@ -63,6 +63,10 @@ impl DrawnChunk {
         let level = self.key.level();
         let cell = |vertex: usize| (vertex >> level).min(CELLS - 1);
         let (x, z) = (cell(column), cell(row));
+        if self.seams.is_halved {
+            // With every other vertex moved onto the one before it, these cells have the whole triangles and the others none.
+            return self.height_within([(x | 1, z | 1)], column, row);
+        }
         let [north, east, south, west] = self.seams.is_coarser;
         let last = CELLS - 1;
         if (north && z == 0) || (south && z == last) || (west && x == 0) || (east && x == last) {
@@ -73,11 +77,21 @@ impl DrawnChunk {
 
     /// The same where vertices of the border were moved: the triangle over a point may be that of a cell beside it.
     fn height_among_moved(&self, column: usize, row: usize, (x, z): (usize, usize)) -> f64 {
-        let level = self.key.level();
-        let point = (column as i64, row as i64);
         let around = |cell: usize| cell.saturating_sub(1)..=(cell + 1).min(CELLS - 1);
         let cells = around(z).flat_map(|z| around(x).map(move |x| (x, z)));
-        let height = cells.flat_map(|cell| self.triangles(cell)).find_map(|triangle| {
+        self.height_within(cells, column, row)
+    }
+
+    /// The height of whichever triangle of some cells covers a point.
+    fn height_within(
+        &self,
+        cells: impl IntoIterator<Item = (usize, usize)>,
+        column: usize,
+        row: usize,
+    ) -> f64 {
+        let level = self.key.level();
+        let point = (column as i64, row as i64);
+        let height = cells.into_iter().flat_map(|cell| self.triangles(cell)).find_map(|triangle| {
             let scaled = triangle.map(|(x, z, height)| (x << level, z << level, height));
             height_over(scaled, point)
         });
@@ -139,9 +153,10 @@ mod tests {
     fn without_seams_it_is_the_chunks_own_surface_and_fully_morphed_the_parents() {
         for level in [0, 1, 3] {
             let (key, world) = (key(level), world_of(key(level)));
-            let all = Seams { inside: 64, edges: [64; 4], corners: [64; 4], is_coarser: [false; 4] };
+            let all = Seams { inside: 64, edges: [64; 4], corners: [64; 4], ..Seams::default() };
             let own = DrawnChunk::new(&world, &Drawn { key, seams: Seams::default() }).unwrap();
             let full = DrawnChunk::new(&world, &Drawn { key, seams: all }).unwrap();
+            let halved = DrawnChunk::new(&world, &Drawn { key, seams: Seams::HALVED }).unwrap();
             let (chunk, parent) = (world.get(key).unwrap(), world.get(key.parent().unwrap()).unwrap());
             let (east, south) = key.quarter();
             let side = CELLS << level;
@@ -154,6 +169,7 @@ mod tests {
                 let above = drawn_height_scaled(&parent.heights, over_x, over_z, level + 1) as f64 / 2.0;
                 let drawn = full.height_scaled(column, row);
                 assert!((drawn - above).abs() <= f64::from(1 << level), "{drawn} {above}");
+                assert_eq!(halved.height_scaled(column, row), above, "its parent's triangles, not rounded");
                 apart += usize::from(drawn != expected as f64);
             }
             assert!(apart > 100, "own and parent must differ for this to say anything");
@@ -167,7 +183,7 @@ mod tests {
         for mask in 1..16 {
             let is_coarser = [1, 2, 4, 8].map(|bit| mask & bit != 0);
             let edges = is_coarser.map(|is| if is { 64 } else { 0 });
-            let seams = Seams { inside: 20, edges, corners: [64; 4], is_coarser };
+            let seams = Seams { inside: 20, edges, corners: [64; 4], is_coarser, is_halved: false };
             let drawn = DrawnChunk::new(&world, &Drawn { key, seams }).unwrap();
             for (column, row) in (0..=side).flat_map(|row| (0..=side).map(move |column| (column, row))) {
                 assert!(drawn.height_scaled(column, row).is_finite());
@@ -187,7 +203,7 @@ mod tests {
     #[test]
     fn away_from_the_border_both_ways_of_looking_up_a_height_agree() {
         let (key, world) = (key(3), world_of(key(3)));
-        let seams = Seams { inside: 31, edges: [64, 3, 0, 64], corners: [64; 4], is_coarser: [false; 4] };
+        let seams = Seams { inside: 31, edges: [64, 3, 0, 64], corners: [64; 4], ..Seams::default() };
         let drawn = DrawnChunk::new(&world, &Drawn { key, seams }).unwrap();
         for (column, row) in (0..200).map(|n| (n * 37 % 513, n * 101 % 513)) {
             let cell = |vertex: usize| (vertex >> 3).min(CELLS - 1);

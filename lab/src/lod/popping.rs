@@ -13,6 +13,7 @@ use client::render::{GpuError, Picture};
 use client::scene::Scene;
 use client::world::{Selection, World, select};
 use serde::Serialize;
+use shaders::layout::TerrainInstance;
 use shaders::twin::morph::MORPH_ONE;
 use terrain::constants::UNITS_PER_METRE;
 use terrain::lod::Viewer;
@@ -170,7 +171,9 @@ fn frame(shot: &Shot, world: &World, selection: &Selection) -> FrameData {
 fn unmorphed(mut frame: FrameData) -> FrameData {
     let only_whole =
         |word: u32| u32::from_le_bytes(word.to_le_bytes().map(|m| if m == MORPH_ONE { m } else { 0 }));
-    for instance in &mut frame.instances {
+    // A halved chunk has no vertices to be anything but its parent with.
+    let is_halved = |instance: &TerrainInstance| instance.inside & TerrainInstance::HALVED != 0;
+    for instance in frame.instances.iter_mut().filter(|instance| !is_halved(instance)) {
         instance.edges = only_whole(instance.edges);
         instance.corners = only_whole(instance.corners);
         instance.inside &= !255;

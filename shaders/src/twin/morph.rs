@@ -24,15 +24,28 @@ pub struct Seams {
     pub corners: [u8; 4],
     /// Whether the neighbour across each edge is coarser: vertices there that it does not have are moved onto one that it has.
     pub is_coarser: [bool; 4],
+    /// Whether only every other vertex is drawn, all the way in.
+    pub is_halved: bool,
 }
 
-/// The vertex that is drawn in place of another: the even one beside it on an edge that a coarser chunk shares.
+impl Seams {
+    /// A chunk that is drawn as its parent's triangles.
+    pub const HALVED: Self = Self {
+        inside: MORPH_ONE,
+        edges: [MORPH_ONE; 4],
+        corners: [MORPH_ONE; 4],
+        is_coarser: [true; 4],
+        is_halved: true,
+    };
+}
+
+/// The vertex that is drawn in place of another: the even one beside it on an edge that a coarser chunk shares, and anywhere in a halved chunk.
 #[must_use]
 pub fn welded(seams: &Seams, vertex: GridVertex) -> GridVertex {
     let [north, east, south, west] = seams.is_coarser;
     let last = CELLS as u32;
-    let along_x = (north && vertex.row == 0) || (south && vertex.row == last);
-    let along_z = (west && vertex.column == 0) || (east && vertex.column == last);
+    let along_x = seams.is_halved || (north && vertex.row == 0) || (south && vertex.row == last);
+    let along_z = seams.is_halved || (west && vertex.column == 0) || (east && vertex.column == last);
     GridVertex {
         column: vertex.column - (vertex.column & u32::from(along_x)),
         row: vertex.row - (vertex.row & u32::from(along_z)),
@@ -90,12 +103,12 @@ mod tests {
         edges: [64, 5, 0, 33],
         corners: [64, 64, 0, 7],
         is_coarser: [true, false, false, false],
+        is_halved: false,
     };
 
     #[test]
     fn border_vertices_depend_on_what_is_shared_alone() {
-        let other =
-            Seams { inside: 51, edges: [64, 64, 64, 33], corners: [64, 0, 0, 7], is_coarser: [false; 4] };
+        let other = Seams { inside: 51, edges: [64, 64, 64, 33], corners: [64, 0, 0, 7], ..Seams::default() };
         for row in 0..=64 {
             let vertex = GridVertex { column: 0, row };
             assert_eq!(morph_at(&MIXED, vertex), morph_at(&Seams { inside: 0, ..MIXED }, vertex));
@@ -127,6 +140,8 @@ mod tests {
             let moved = welded(&MIXED, vertex);
             let expected = if vertex.row == 0 { vertex.column & !1 } else { vertex.column };
             assert_eq!(moved, GridVertex { column: expected, ..vertex });
+            let halved = GridVertex { column: vertex.column & !1, row: vertex.row & !1 };
+            assert_eq!(welded(&Seams::HALVED, vertex), halved);
         }
     }
 
