@@ -86,7 +86,7 @@ impl ReliefMaps {
             ..Default::default()
         });
         let tops = tops(device, queue, heights);
-        let [heights, smooth, tops, cones] = [heights, smooth, &tops, cones].map(|texture| whole(texture));
+        let [heights, smooth, tops, cones] = [heights, smooth, &tops, cones].map(whole);
         Self { heights, smooth, tops, cones, sampler, has_cones }
     }
 

@@ -109,7 +109,7 @@ impl Score {
         };
         let offs: Vec<f64> = found.iter().zip(truths).map(off).collect();
         // Not a number is wrong, too.
-        let is_wrong = |off: f64| !(off <= WRONG_TEXELS);
+        let is_wrong = |off: f64| off.is_nan() || off > WRONG_TEXELS;
         let wrong = offs.iter().filter(|off| is_wrong(**off)).count();
         let excused = (0..found.len())
             .filter(|index| {
