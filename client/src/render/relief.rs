@@ -202,7 +202,8 @@ fn whole(texture: &wgpu::Texture) -> wgpu::TextureView {
 }
 
 /// The bounds of all mip levels of heights, laid out as `shared/relief_walk.wesl` reads them.
-fn tops(device: &wgpu::Device, queue: &wgpu::Queue, heights: &wgpu::Texture) -> wgpu::Texture {
+#[must_use]
+pub fn tops(device: &wgpu::Device, queue: &wgpu::Queue, heights: &wgpu::Texture) -> wgpu::Texture {
     let (side, layers) = (heights.width(), heights.depth_or_array_layers());
     let tops = texture(device, "bounds of reliefs", EXACT, side + side / 2, 2 * side, layers, 1);
     let shader = SHADERS.reduce_relief;
