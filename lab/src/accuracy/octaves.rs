@@ -120,7 +120,7 @@ fn times(land: &Land) -> Vec<Duration> {
 
 /// Medians, over rounds in which all take turns, of each one's time over the first one's time in the same round: whatever slows the machine for longer than a
 /// round slows both.
-pub(super) fn ratios(times: &[Vec<Duration>]) -> Vec<f64> {
+pub(crate) fn ratios(times: &[Vec<Duration>]) -> Vec<f64> {
     let first = times.first().map_or(&[][..], Vec::as_slice);
     let ratio = |(own, first): (&Duration, &Duration)| own.as_secs_f64() / first.as_secs_f64().max(1e-9);
     times
