@@ -163,6 +163,7 @@ impl Shot {
             parallax_bias_m: waves.parallax_bias_m,
             wave_steepness: waves.steepness,
             reserved: 0.0,
+            relief: looks.relief.layout(),
             air: Air::zeroed(),
         }
     }

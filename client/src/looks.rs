@@ -1,6 +1,7 @@
 //! Knobs that trade accuracy for speed in a picture, and views that show its machinery instead. Each one is an option of the
 //! viewer, a control of the panel and a word in the uniforms; their numbers are those of `shared/frame.wesl`.
 
+use crate::relief::ReliefKnobs;
 use clap::ValueEnum;
 
 /// Everything about a picture that is neither the camera nor the land.
@@ -24,6 +25,8 @@ pub struct Looks {
     pub exposure_ev: f32,
     /// Waves and their parallax.
     pub waves: WaveKnobs,
+    /// Depth on planes.
+    pub relief: ReliefKnobs,
 }
 
 /// Shape of the waves and depth of their parallax.

@@ -57,8 +57,10 @@ pub struct Frame {
     pub parallax_bias_m: f32,
     /// Multiplies heights and slopes of the waves; 1 is a fresh breeze.
     pub wave_steepness: f32,
-    /// Unused; fills the last 16 bytes.
+    /// Unused; fills 16 bytes.
     pub reserved: f32,
+    /// How reliefs are marched.
+    pub relief: Relief,
     /// Written on the GPU, by `measure_sky`.
     pub air: Air,
 }
@@ -122,6 +124,101 @@ pub const PROBE_STEPPED: u32 = 6;
 pub const PROBE_MARCHED: u32 = 7;
 /// The plain parallax of a fixed view.
 pub const PROBE_FIXED: u32 = 8;
+
+/// How reliefs are marched; `shared/relief.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Relief {
+    /// 0 flat, 1 one offset, 2 linear search, 3 relaxed cones, 4 max pyramid, 5 by travel.
+    pub tier: u32,
+    /// Steps of the linear search looking straight down, 1 to 256.
+    pub steps_min: u32,
+    /// The same along the plane.
+    pub steps_max: u32,
+    /// 0 none, 1 segment, 2 secant, 3 bisection.
+    pub refine: u32,
+    /// Rounds of the last two.
+    pub refinements: u32,
+    /// 0 leaves the loop at the crossing, 1 runs to its end.
+    pub loop_form: u32,
+    /// 0 by the sampler, 1 by f32.
+    pub heights: u32,
+    /// Of the relief on itself: 0 none, 1 hard, 2 soft.
+    pub shadow: u32,
+    /// 0 none, 1 rectangle, 2 curved edge, 3 shell.
+    pub silhouette: u32,
+    /// 1: depth of the relief, 0: of the plane.
+    pub depth: u32,
+    /// Height that lies on the plane, 0 to 1.
+    pub pivot: f32,
+    /// Multiplies the relief of every material.
+    pub amplitude: f32,
+    /// Of a curved edge: strength, height bias, safe threshold, falloff power.
+    pub horizon: [f32; 4],
+    /// Texels of travel up to which nothing is displaced.
+    pub travel_flat: f32,
+    /// Up to which one offset is taken.
+    pub travel_offset: f32,
+    /// Up to which the search is linear.
+    pub travel_linear: f32,
+    /// Unused.
+    pub spare: f32,
+}
+
+/// One pass over the bounds of a height map; `reduce_relief.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct ReliefReduction {
+    /// Texels a side of the map.
+    pub side: u32,
+    /// Mip level of the map.
+    pub lod: u32,
+    /// Level of bounds.
+    pub level: u32,
+    /// Unused.
+    pub reserved: u32,
+}
+
+/// Threads of a workgroup of `reduce_relief` along either side.
+pub const RELIEF_WORKGROUP: u32 = 8;
+
+/// One ray for `probe_relief`; that file documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct ReliefProbe {
+    /// Where it meets the plane, tiles.
+    pub uv: [f32; 2],
+    /// Height of the relief, tiles.
+    pub amplitude: f32,
+    /// Mip level of the map.
+    pub lod: u32,
+    /// Unit vector to the eye: along u, along v, along the normal.
+    pub to_eye: [f32; 3],
+    /// Layer of the map.
+    pub layer: u32,
+    /// Unit vector to the sun in the same frame.
+    pub to_sun: [f32; 3],
+    /// Unused.
+    pub reserved: u32,
+}
+
+/// What `probe_relief` found; that file documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct ReliefFinding {
+    /// Where the ray meets the relief, tiles.
+    pub uv: [f32; 2],
+    /// Height there on the ray, 0 to 1.
+    pub height: f32,
+    /// Height of the surface there minus that.
+    pub residual: f32,
+    /// Share of the sun that is seen from there.
+    pub sun: f32,
+    /// Heights and bounds looked up to find it.
+    pub fetches: u32,
+    /// Unused.
+    pub reserved: [u32; 2],
+}
 
 /// A quarter of a drawn chunk.
 #[repr(C)]

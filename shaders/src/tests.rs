@@ -9,8 +9,9 @@ use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInn
 use crate::layout::{
     Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CastTarget,
     Caster, ChunkFill, FILL_WORKGROUP, Frame, GPU_SLOT_BYTES, LEAF, MATERIALS, NOTHING, PATTERN_PERIOD_M,
-    PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, REDUCE_WORKGROUP, SKY_DARK, SKY_WALK, SUN_RADIUS,
-    TILING_WORKGROUP, TerrainInstance, TilingProbe, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
+    PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, REDUCE_WORKGROUP, RELIEF_WORKGROUP, Relief,
+    ReliefFinding, ReliefProbe, ReliefReduction, SKY_DARK, SKY_WALK, SUN_RADIUS, TILING_WORKGROUP,
+    TerrainInstance, TilingProbe, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -43,9 +44,11 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
             "probe_brdf",
             "probe_heights",
             "probe_heights_float",
+            "probe_relief",
             "probe_tiling",
             "probe_waves",
             "reduce_materials",
+            "reduce_relief",
         ]
     );
 }
@@ -126,6 +129,30 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
         ("octaves".to_owned(), offset_of!(ChunkFill, octaves)),
     ];
     assert_eq!(reflected(&SHADERS.fill_chunks, "ChunkFill"), (fill.to_vec(), size_of::<ChunkFill>()));
+}
+
+/// Asserts that a struct of a shader has the members of a Rust struct where that has them.
+macro_rules! assert_lies_alike {
+    ($shader:expr, $type:ident, $($member:ident),+ $(,)?) => {
+        let expected = vec![$((stringify!($member).to_owned(), offset_of!($type, $member))),+];
+        assert_eq!(reflected(&$shader, stringify!($type)), (expected, size_of::<$type>()), "{}", $shader.name);
+    };
+}
+
+#[test]
+fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
+    #[rustfmt::skip]
+    assert_lies_alike!(
+        SHADERS.probe_relief, Relief,
+        tier, steps_min, steps_max, refine, refinements, loop_form, heights, shadow, silhouette, depth, pivot, amplitude, horizon,
+        travel_flat, travel_offset, travel_linear, spare,
+    );
+    #[rustfmt::skip]
+    assert_lies_alike!(SHADERS.probe_relief, ReliefProbe, uv, amplitude, lod, to_eye, layer, to_sun, reserved);
+    assert_lies_alike!(SHADERS.probe_relief, ReliefFinding, uv, height, residual, sun, fetches, reserved);
+    assert_lies_alike!(SHADERS.reduce_relief, ReliefReduction, side, lod, level, reserved);
+    let (module, _) = validate("reduce_relief", SHADERS.reduce_relief.wgsl).unwrap();
+    assert_eq!(module.entry_points[0].workgroup_size, [RELIEF_WORKGROUP, RELIEF_WORKGROUP, 1]);
 }
 
 #[test]
@@ -338,6 +365,7 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("parallax_bias_m", offset_of!(Frame, parallax_bias_m)),
         ("wave_steepness", offset_of!(Frame, wave_steepness)),
         ("reserved", offset_of!(Frame, reserved)),
+        ("relief", offset_of!(Frame, relief)),
         ("air", offset_of!(Frame, air)),
     ];
     let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();

@@ -1,5 +1,6 @@
 //! The command line. Options are a contract: scripts call them.
 
+use super::relief_args::ReliefArgs;
 use crate::camera::{Lens, Pose};
 use crate::headless::Options;
 use crate::looks::{Diffuse, Looks, Shadows, Show, SunPlace, Tiling, Visibility, WaterTier, WaveKnobs};
@@ -135,6 +136,10 @@ pub struct Args {
     #[arg(long, value_name = "S", default_value_t = 1.0, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 4.0))]
     pub wave_steepness: f64,
 
+    /// Relief of materials.
+    #[command(flatten)]
+    pub relief: ReliefArgs,
+
     /// File whose first line is the server's access token
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -184,6 +189,7 @@ impl Args {
                 parallax_bias_m: self.parallax_bias as f32,
                 steepness: self.wave_steepness as f32,
             },
+            relief: self.relief.knobs(),
         }
     }
 
@@ -222,7 +228,7 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
         .ok_or_else(|| format!("expected WxH such as 1280x720, each side 1 to {MAX_SIDE}"))
 }
 
-fn parse_within(text: &str, low: f64, high: f64) -> Result<f64, String> {
+pub(super) fn parse_within(text: &str, low: f64, high: f64) -> Result<f64, String> {
     // A NaN is in no range.
     text.parse()
         .ok()
@@ -249,6 +255,8 @@ fn parse_samples(text: &str) -> Result<u32, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::relief::ReliefKnobs;
+    use crate::relief::knobs::{Heights, Horizon, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
 
     fn parse(arguments: &[&str]) -> Result<Args, clap::Error> {
         Args::try_parse_from(std::iter::once(&"tombolo-view").chain(arguments))
@@ -320,6 +328,29 @@ mod tests {
             "-0.25",
             "--wave-steepness",
             "2",
+            "--relief",
+            "linear",
+            "--relief-steps",
+            "4,64",
+            "--relief-refine",
+            "bisection",
+            "--relief-refinements",
+            "5",
+            "--relief-loop",
+            "flag",
+            "--relief-heights",
+            "sampler",
+            "--relief-shadow",
+            "hard",
+            "--silhouette",
+            "horizon",
+            "--relief-depth",
+            "--relief-pivot",
+            "1",
+            "--relief-amplitude",
+            "2.5",
+            "--horizon",
+            "2,0.1,0.5,3",
             "--token-file",
             "t",
             "--timeout",
@@ -342,6 +373,21 @@ mod tests {
             sun,
             exposure_ev: -1.0,
             waves: WaveKnobs { parallax_factor: 0.5, parallax_bias_m: -0.25, steepness: 2.0 },
+            relief: ReliefKnobs {
+                tier: ReliefTier::Linear,
+                steps_min: 4,
+                steps_max: 64,
+                refine: Refine::Bisection,
+                refinements: 5,
+                loop_form: LoopForm::Flag,
+                heights: Heights::Sampler,
+                shadow: ReliefShadow::Hard,
+                silhouette: Silhouette::Horizon,
+                depth: true,
+                pivot: 1.0,
+                amplitude: 2.5,
+                horizon: Horizon { strength: 2.0, height_bias: 0.1, safe_threshold: 0.5, falloff: 3.0 },
+            },
         };
         assert_eq!(options.looks, looks);
         assert_eq!((options.orbit_step_deg, options.timeout), (-0.05, Duration::from_secs(9)));
@@ -374,6 +420,14 @@ mod tests {
             ("--parallax-factor", "1.1", "0 to 1"),
             ("--parallax-bias", "NaN", "-2 to 2"),
             ("--wave-steepness", "4.5", "0 to 4"),
+            ("--relief", "deep", "pyramid"),
+            ("--relief-steps", "64,4", "MIN,MAX"),
+            ("--relief-steps", "0,4", "MIN,MAX"),
+            ("--relief-refinements", "17", "16"),
+            ("--relief-pivot", "NaN", "0 to 1"),
+            ("--relief-amplitude", "17", "0 to 16"),
+            ("--horizon", "1,0,0.3", "four numbers"),
+            ("--horizon", "1,0,2,2", "safe threshold"),
             ("--timeout", "0", "1"),
         ] {
             let line = parse(&[option, value]).unwrap_err().to_string();

@@ -3,6 +3,7 @@
 pub mod app;
 pub mod args;
 pub mod backoff;
+pub mod relief_args;
 pub mod shot;
 pub mod stream;
 pub mod textures;

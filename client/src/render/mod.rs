@@ -14,6 +14,7 @@ pub mod mesh;
 pub mod picture;
 pub mod pipeline;
 pub mod pool;
+pub mod relief;
 pub mod scenes;
 pub mod surface;
 pub mod targets;

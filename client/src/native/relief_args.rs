@@ -1,0 +1,112 @@
+//! Options of parallax occlusion mapping.
+
+use super::args::parse_within;
+use crate::relief::ReliefKnobs;
+use crate::relief::knobs::{Heights, Horizon, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
+use clap::Args;
+use clap::builder::RangedU64ValueParser;
+
+const MOST_REFINEMENTS: u64 = ReliefKnobs::MAX_REFINEMENTS as u64;
+
+/// The options; each is a field of [`ReliefKnobs`].
+#[derive(Clone, Debug, PartialEq, Args)]
+#[command(next_help_heading = "Relief of materials")]
+pub struct ReliefArgs {
+    /// How relief on a plane is found
+    #[arg(long, value_enum, default_value_t)]
+    pub relief: ReliefTier,
+
+    /// Steps of its linear search looking straight down and along the plane, 1 to 256
+    #[arg(long, value_name = "MIN,MAX", default_value = "8,32", value_parser = parse_steps)]
+    pub relief_steps: (u32, u32),
+
+    /// How its crossing is refined
+    #[arg(long, value_enum, default_value_t)]
+    pub relief_refine: Refine,
+
+    /// Rounds of secant or bisection, 0 to 16
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = RangedU64ValueParser::<u32>::new().range(0..=MOST_REFINEMENTS))]
+    pub relief_refinements: u32,
+
+    /// How its loop ends
+    #[arg(long, value_enum, default_value_t)]
+    pub relief_loop: LoopForm,
+
+    /// How heights between texels are found
+    #[arg(long, value_enum, default_value_t)]
+    pub relief_heights: Heights,
+
+    /// Shadow of relief on itself
+    #[arg(long, value_enum, default_value_t)]
+    pub relief_shadow: ReliefShadow,
+
+    /// How the edge of what is drawn follows its relief
+    #[arg(long, value_enum, default_value_t)]
+    pub silhouette: Silhouette,
+
+    /// Gives relief a depth of its own, so that objects meet it where it is
+    #[arg(long)]
+    pub relief_depth: bool,
+
+    /// Height of the relief that lies on the plane, 0 to 1
+    #[arg(long, value_name = "H", default_value_t = 0.5, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
+    pub relief_pivot: f64,
+
+    /// Multiplies the relief of every material, 0 to 16
+    #[arg(long, value_name = "A", default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
+    pub relief_amplitude: f64,
+
+    /// Of the silhouette `horizon`: strength 0 to 4, height bias 0 to 1, safe threshold 0 to 0.95, falloff power 0.5 to 8
+    #[arg(long, value_name = "S,B,T,F", default_value = "1,0,0.3,2", value_parser = parse_horizon)]
+    pub horizon: Horizon,
+}
+
+impl ReliefArgs {
+    /// The knobs.
+    #[must_use]
+    pub fn knobs(&self) -> ReliefKnobs {
+        ReliefKnobs {
+            tier: self.relief,
+            steps_min: self.relief_steps.0,
+            steps_max: self.relief_steps.1,
+            refine: self.relief_refine,
+            refinements: self.relief_refinements,
+            loop_form: self.relief_loop,
+            heights: self.relief_heights,
+            shadow: self.relief_shadow,
+            silhouette: self.silhouette,
+            depth: self.relief_depth,
+            pivot: self.relief_pivot as f32,
+            amplitude: self.relief_amplitude as f32,
+            horizon: self.horizon,
+        }
+    }
+}
+
+fn parse_steps(text: &str) -> Result<(u32, u32), String> {
+    text.split_once(',')
+        .and_then(|(min, max)| Some((min.trim().parse::<u32>().ok()?, max.trim().parse::<u32>().ok()?)))
+        .filter(|(min, max)| (1..=*max).contains(min) && *max <= ReliefKnobs::MAX_STEPS)
+        .ok_or_else(|| {
+            format!("expected MIN,MAX with 1 <= MIN <= MAX <= {}, such as 8,32", ReliefKnobs::MAX_STEPS)
+        })
+}
+
+fn parse_horizon(text: &str) -> Result<Horizon, String> {
+    let ranges = [
+        ("strength", 0.0, 4.0),
+        ("height bias", 0.0, 1.0),
+        ("safe threshold", 0.0, 0.95),
+        ("falloff power", 0.5, 8.0),
+    ];
+    let words: Vec<&str> = text.split(',').map(str::trim).collect();
+    if words.len() != ranges.len() {
+        return Err("expected four numbers: strength, height bias, safe threshold, falloff power".to_owned());
+    }
+    let mut values = [0.0f32; 4];
+    for ((value, word), (name, low, high)) in values.iter_mut().zip(words).zip(ranges) {
+        *value = parse_within(word, low, high).map_err(|error| format!("{name}: {error}"))? as f32;
+    }
+    let [strength, height_bias, safe_threshold, falloff] = values;
+    Ok(Horizon { strength, height_bias, safe_threshold, falloff })
+}
