@@ -17,8 +17,9 @@ const TOLERANCES_PX: [f64; 9] = [0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 4.0, 8.0, 16.0]
 /// Tolerances from here on are timed: what a finer one needs does not fit into the slots of the timed world.
 const TIMED_FROM_PX: f64 = 0.75;
 
-/// Rounds of the timing; the median counts.
+/// Rounds of the timing and frames of a turn; the medians count.
 const ROUNDS: usize = 3;
+const FRAMES: usize = 5;
 
 /// The tolerance that the viewer starts with, pixels.
 const SHIPPED_PX: f64 = 2.0;
@@ -47,7 +48,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
         format!(
             "{} views of 8 km at 1920 x 1080: worst and RMS vertical error on screen over all vertices of level 0 around the eye; triangles and chunks in sight, and drawn all round, mean of the views; time of a frame of the first view from {TIMED_FROM_PX} px on, as a share of that at {REFERENCE_PX} px before and after it, median of {ROUNDS} rounds of medians of {} on {}.",
             CAMERAS.len(),
-            frames::FRAMES,
+            FRAMES,
             times.as_ref().map_or("no GPU", |times| times.adapter.as_str())
         ),
         &["tolerance, px", "max, px", "rms, px", "max, tolerances", "triangles", "chunks", "time ratio"],
@@ -100,7 +101,7 @@ fn times(land: Land) -> Result<Times> {
         .flat_map(|px| [REFERENCE_PX, *px])
         .chain([REFERENCE_PX])
         .collect();
-    let frames = frames::measure(land, &turns)?;
+    let frames = frames::measure(land, &turns, FRAMES)?;
     let median_of = |px: f64| {
         let turns = frames.rows.windows(3).filter(|turn| turn[1].tolerance_px == px);
         let mut ratios: Vec<f64> =
