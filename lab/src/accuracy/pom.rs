@@ -29,6 +29,9 @@ const SUNNY: u32 = 1_000;
 const DISC: u32 = 64;
 const DISC_RADIUS: f64 = 0.0187;
 
+/// The sun stands so low that even smooth hills have shadows.
+const SUN_DEG: f32 = 12.0;
+
 /// A way to march.
 struct Method {
     name: String,
@@ -290,13 +293,18 @@ fn shadows(bench: &ReliefBench, stage: &Stage) -> Result<(Table, Panel)> {
     let mut table = Table::new(
         "pom_shadow",
         format!(
-            "mean difference of the share of the sun from {DISC} f64 rays to a disc of radius {DISC_RADIUS}, sun 37 degrees high, {SUNNY} places seen 60 degrees from above, {}.",
+            "mean difference of the share of the sun from {DISC} f64 rays to a disc of radius {DISC_RADIUS}, sun {SUN_DEG} degrees high, {SUNNY} places seen 60 degrees from above, {}.",
             bench.adapter()
         ),
         &["map", "none", "hard", "soft", "true share of shadow"],
     );
     for (layer, map) in stage.maps.iter().enumerate() {
-        let rays = probes(layer, SUNNY, 60.0, AMPLITUDE);
+        let mut rays = probes(layer, SUNNY, 60.0, AMPLITUDE);
+        let (sin, cos) = SUN_DEG.to_radians().sin_cos();
+        for ray in &mut rays {
+            let level = cos / ray.to_sun[0].hypot(ray.to_sun[1]);
+            ray.to_sun = [ray.to_sun[0] * level, ray.to_sun[1] * level, sin];
+        }
         let mut row = vec![layer as f64];
         let mut truths: Vec<f64> = Vec::new();
         for shadow in [ReliefShadow::Off, ReliefShadow::Hard, ReliefShadow::Soft] {
