@@ -75,8 +75,10 @@ impl Scene {
         match self {
             Self::Island => Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 1.0 },
             Self::Water => Light { sun: Vec3::new(0.62, 0.58, -0.50).normalize(), exposure: 1.0 },
+            // From beyond, and hardly from the side: all four planes are lit alike, however far left or right they are.
+            Self::Pom => Light { sun: Vec3::new(-0.20, 0.50, -0.55).normalize(), exposure: 1.0 },
             // Low and from the side, so that stones throw shadows.
-            Self::Pom | Self::Spom => Light { sun: Vec3::new(-0.62, 0.50, 0.30).normalize(), exposure: 1.0 },
+            Self::Spom => Light { sun: Vec3::new(-0.62, 0.50, 0.30).normalize(), exposure: 0.85 },
             Self::Brick => Light { sun: Vec3::new(-0.62, 0.55, 0.55).normalize(), exposure: 1.0 },
         }
     }

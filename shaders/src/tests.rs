@@ -10,8 +10,8 @@ use crate::layout::{
     Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CastTarget,
     Caster, ChunkFill, FILL_WORKGROUP, Frame, GPU_SLOT_BYTES, LEAF, MATERIALS, NOTHING, PATTERN_PERIOD_M,
     PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, REDUCE_WORKGROUP, RELIEF_WORKGROUP, Relief,
-    ReliefFinding, ReliefObject, ReliefProbe, ReliefReduction, SKY_DARK, SKY_WALK, SUN_RADIUS, TILING_WORKGROUP,
-    TerrainInstance, TilingProbe, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
+    ReliefFinding, ReliefObject, ReliefProbe, ReliefReduction, SKY_DARK, SKY_WALK, SUN_RADIUS,
+    TILING_WORKGROUP, TerrainInstance, TilingProbe, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};

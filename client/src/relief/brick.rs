@@ -98,7 +98,8 @@ mod tests {
     fn the_tile_repeats_and_its_set_is_complete() {
         let set = material();
         assert_eq!(set.texels.len(), MATERIAL_TEXELS);
-        let share = set.texels.iter().filter(|texel| texel.height > 0.5).count() as f32 / MATERIAL_TEXELS as f32;
+        let share =
+            set.texels.iter().filter(|texel| texel.height > 0.5).count() as f32 / MATERIAL_TEXELS as f32;
         assert!((0.7..0.95).contains(&share), "{share}");
         for part in [0.1, 0.37, 0.8] {
             assert!((height(Vec2::new(part, 1e-6)) - height(Vec2::new(part, 1.0 - 1e-6))).abs() < 1e-3);
@@ -106,7 +107,9 @@ mod tests {
         }
         // Normals lean away from the bricks, towards the joint.
         let row = MATERIAL_SIZE as usize * 20;
-        let left = set.texels[row..row + MATERIAL_SIZE as usize].iter().find(|texel| texel.height > 0.3 && texel.height < 0.7);
+        let left = set.texels[row..row + MATERIAL_SIZE as usize]
+            .iter()
+            .find(|texel| texel.height > 0.3 && texel.height < 0.7);
         assert!(left.is_some_and(|texel| texel.normal[0].abs() > 0.3), "{left:?}");
     }
 }

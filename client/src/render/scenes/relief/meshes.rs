@@ -145,8 +145,11 @@ impl Mesh {
     fn grid(&mut self, columns: u32, rows: u32, vertex: impl Fn(u32, u32) -> Vertex) {
         let base = self.vertices.len() as u32;
         let corner = |column: u32, row: u32| base + row * (columns + 1) + column;
-        self.vertices
-            .extend((0..=rows).flat_map(|row| (0..=columns).map(move |column| (column, row))).map(|(c, r)| vertex(c, r)));
+        self.vertices.extend(
+            (0..=rows)
+                .flat_map(|row| (0..=columns).map(move |column| (column, row)))
+                .map(|(c, r)| vertex(c, r)),
+        );
         for (column, row) in (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row))) {
             let [a, b, c, d] =
                 [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(right, up)| corner(column + right, row + up));

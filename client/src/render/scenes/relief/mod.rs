@@ -60,7 +60,8 @@ impl ReliefScene {
             label: Some(SHADERS.draw_relief.name),
             entries: &entries,
         });
-        let attributes = wgpu::vertex_attr_array![0 => Float32x4, 1 => Float32x4, 2 => Float32x4, 3 => Float32x2];
+        let attributes =
+            wgpu::vertex_attr_array![0 => Float32x4, 1 => Float32x4, 2 => Float32x4, 3 => Float32x2];
         let buffers = [Some(wgpu::VertexBufferLayout {
             array_stride: size_of::<Vertex>() as u64,
             step_mode: wgpu::VertexStepMode::Vertex,
@@ -133,7 +134,11 @@ impl Stage {
             indices.push(0);
         }
         let filled = |label, contents: &[u8], usage| {
-            device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(label), contents, usage })
+            device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some(label),
+                contents,
+                usage,
+            })
         };
         let vertices = filled("objects", bytemuck::cast_slice(&vertices), wgpu::BufferUsages::VERTEX);
         let indices = filled("indices of objects", bytemuck::cast_slice(&indices), wgpu::BufferUsages::INDEX);
