@@ -30,6 +30,15 @@ impl Scene {
         }
     }
 
+    /// Whether all of the scene fits into a room, so that a camera over land would be too fast and too far for it.
+    #[must_use]
+    pub fn is_room(self) -> bool {
+        match self {
+            Self::Island | Self::Water => false,
+            Self::Pom | Self::Brick | Self::Spom => true,
+        }
+    }
+
     /// What its parts are, for the panel, if it is a local scene.
     #[must_use]
     pub fn panels(self) -> Option<&'static str> {
@@ -53,7 +62,7 @@ impl Scene {
             // 16 degrees above the planes, looking at their middle.
             Self::Pom => Pose { position_m: DVec3::new(0.0, 3.64, 12.70), yaw_deg: 0.0, pitch_deg: -16.0 },
             Self::Brick => Pose { position_m: DVec3::new(-2.6, 1.7, 3.3), yaw_deg: 30.0, pitch_deg: -6.0 },
-            Self::Spom => Pose { position_m: DVec3::new(-0.1, 2.7, 7.2), yaw_deg: 0.0, pitch_deg: -16.0 },
+            Self::Spom => Pose { position_m: DVec3::new(-0.1, 2.55, 6.5), yaw_deg: 0.0, pitch_deg: -16.0 },
         }
     }
 
@@ -65,7 +74,7 @@ impl Scene {
             Self::Water => 20.0,
             Self::Pom => 13.2,
             Self::Brick => 3.8,
-            Self::Spom => 7.5,
+            Self::Spom => 6.8,
         }
     }
 

@@ -216,11 +216,18 @@ fn spom() -> Vec<Object> {
         turn: Quat::from_rotation_x(-0.75),
         ..Object::ground(Mode::Knobs, DVec3::new(-4.5, 0.6, 0.0), 2.6, tile_m)
     };
-    let lying = Quat::from_rotation_x(0.35) * Quat::from_rotation_y(1.2);
+    // Both poles, around which the material shrinks, lie on the limb.
+    let leaning = Quat::from_rotation_x(-FRAC_PI_2 - 0.27);
     vec![
         floor(-0.4),
         plane,
-        object(Shape::Capsule { radius_m: 1.15, half_length_m: 0.0 }, -1.7, 0.8, lying, Silhouette::Horizon),
+        object(
+            Shape::Capsule { radius_m: 1.15, half_length_m: 0.0 },
+            -1.7,
+            0.8,
+            leaning,
+            Silhouette::Horizon,
+        ),
         object(
             Shape::Capsule { radius_m: 0.75, half_length_m: 0.9 },
             1.4,
