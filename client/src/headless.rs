@@ -99,6 +99,16 @@ pub enum HeadlessError {
         /// How far it got.
         state: String,
     },
+    /// The view did not fill, and there is no session any more.
+    #[error("the view was not complete after {seconds} s ({state}), and the server is gone: {cause}")]
+    Lost {
+        /// The limit.
+        seconds: u64,
+        /// How far it got.
+        state: String,
+        /// What ended the session, with a mend.
+        cause: String,
+    },
 }
 
 /// How far the filling is, for a progress display.
@@ -236,6 +246,7 @@ fn fill(
     progress: &mut impl FnMut(&Progress),
 ) -> Result<(), HeadlessError> {
     let shot = options.shot(0, voyage.world());
+    let mut lost = None;
     loop {
         // There is no renderer yet: it is given everything at once when it is built.
         let selection = voyage.update(&shot, started.elapsed(), 64, |_| ());
@@ -253,6 +264,11 @@ fn fill(
             return Err(HeadlessError::Refused(detail.to_owned()));
         }
         match voyage.link() {
+            Link::Connected(_) => lost = None,
+            Link::Waiting { cause, .. } => lost = Some(cause.clone()),
+            Link::Connecting | Link::Refused(_) => {}
+        }
+        match voyage.link() {
             Link::Refused(cause) => return Err(HeadlessError::Feed(cause.clone())),
             Link::Waiting { cause, .. }
                 if voyage.failures() >= FIRST_ATTEMPTS && voyage.milestones().first_chunk.is_none() =>
@@ -262,9 +278,11 @@ fn fill(
             _ => {}
         }
         if started.elapsed() > options.timeout {
-            return Err(HeadlessError::Timeout {
-                seconds: options.timeout.as_secs(),
-                state: format!("{} chunks here, {} places still coarse", state.resident, state.wanting),
+            let had = format!("{} chunks here, {} places still coarse", state.resident, state.wanting);
+            let seconds = options.timeout.as_secs();
+            return Err(match lost {
+                Some(cause) => HeadlessError::Lost { seconds, state: had, cause },
+                None => HeadlessError::Timeout { seconds, state: had },
             });
         }
         if !voyage.is_settled() {
@@ -292,5 +310,59 @@ impl Options {
             time_s: self.time_s + frame as f32 / 60.0,
             looks: self.looks,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::feed::{FeedEvent, Traffic};
+    use std::collections::VecDeque;
+    use terrain::{ChunkKey, Land, WorldDigest};
+
+    /// A session that ends after one chunk, if `ends`, and else says nothing more.
+    struct Short(VecDeque<FeedEvent>);
+
+    impl Short {
+        fn new(ends: bool) -> Self {
+            let chunk = Box::new(Land::new(1).chunk(ChunkKey::new(3, 0, 0).unwrap()));
+            let mut events = VecDeque::from([
+                FeedEvent::Connected { world: WorldDigest([1; 32]), server: "test".into() },
+                FeedEvent::Chunk(chunk),
+            ]);
+            if ends {
+                let retry = Some(Duration::from_secs(9));
+                events.push_back(FeedEvent::Disconnected { cause: "start it again".into(), retry });
+            }
+            Self(events)
+        }
+    }
+
+    impl Feed for Short {
+        fn poll(&mut self) -> Option<FeedEvent> {
+            self.0.pop_front()
+        }
+        fn set_view(&mut self, _: protocol::view::View) {}
+        fn release(&mut self, _: &[ChunkKey]) {}
+        fn holding(&mut self, _: &[ChunkKey]) {}
+        fn delivery(&self) -> protocol::Delivery {
+            protocol::Delivery::Exact
+        }
+        fn traffic(&self) -> Traffic {
+            Traffic::default()
+        }
+    }
+
+    #[test]
+    fn a_view_that_does_not_fill_names_a_server_that_is_gone() {
+        let told = |ends| {
+            let mut voyage = Voyage::new(Short::new(ends), 10);
+            let options = Options { timeout: Duration::from_millis(50), ..Options::default() };
+            fill(&mut voyage, &options, Instant::now(), &mut |_| ()).unwrap_err().to_string()
+        };
+        let gone = told(true);
+        assert!(gone.contains("1 chunks here") && gone.contains("gone: start it again"), "{gone}");
+        let slow = told(false);
+        assert!(slow.contains("--timeout") && !slow.contains("gone"), "{slow}");
     }
 }

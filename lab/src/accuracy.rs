@@ -1,6 +1,6 @@
 //! `tombolo-lab accuracy`: what every shortcut costs, against a truth in which nothing is rounded.
 //!
-//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]) and repetition of materials ([`tiling`]).
+//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of materials ([`tiling`]) and their relief ([`pom`]).
 //!
 //! For the heightfield: how far the integers are from the formula in f64 ([`heightfield`], with the bars that are promised), and four curves: octaves kept
 //! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), and dropping octaves on coarse levels ([`levels`]).
@@ -14,11 +14,13 @@ pub mod heightfield;
 pub mod levels;
 pub mod lod;
 pub mod octaves;
+pub mod pom;
 pub mod quantum;
 pub mod tiling;
 pub mod water;
 
 use crate::chart::{self, Panel};
+use crate::relief::maps::Kind;
 use crate::table::Table;
 use crate::{Outputs, note};
 use anyhow::{Result, anyhow};
@@ -54,6 +56,8 @@ pub enum Subject {
     Brdf,
     /// What hides that materials repeat
     Tiling,
+    /// Parallax occlusion mapping
+    Pom,
 }
 
 /// The result. Field names are a contract with scripts.
@@ -98,6 +102,13 @@ impl Subject {
             Self::Water => &[("waves", water::measure)],
             Self::Brdf => &[("reflection", brdf::measure)],
             Self::Tiling => &[("repetition", tiling::measure)],
+            Self::Pom => &[
+                ("parallax occlusion over hills", |_| pom::measure(Kind::Fbm)),
+                ("parallax occlusion over bricks", |_| pom::measure(Kind::Brick)),
+                ("parallax occlusion over posts", |_| pom::measure(Kind::Posts)),
+                ("parallax occlusion over ridges", |_| pom::measure(Kind::Ridges)),
+                ("knobs of parallax occlusion", pom::knobs),
+            ],
         }
     }
 }

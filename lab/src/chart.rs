@@ -24,6 +24,9 @@ const LEGEND_LEFT: i32 = 108;
 /// Width of a line that covers no other, and what it gains with every line that it would vanish under, pixels.
 const LINE: (u32, u32) = (2, 4);
 
+/// Radius of the ring around what ships, pixels.
+const RING: i32 = 10;
+
 /// Lines that are nearer than this share of the axis cannot be told apart.
 const COINCIDES: f64 = 0.004;
 
@@ -69,6 +72,10 @@ pub enum Stroke {
     Stated,
     /// Grey dots: choices for which another one is better in both respects.
     Dominated,
+    /// Grey crosses: what is no choice and is only there to be compared with.
+    Control,
+    /// Rings around dots of other series: what ships.
+    Shipped,
 }
 
 /// One curve.
@@ -80,6 +87,19 @@ pub struct Series {
     pub stroke: Stroke,
     /// Values, in order of x.
     pub points: Vec<(f64, f64)>,
+    /// What is written beside each of them; nothing where there are fewer names than points.
+    pub names: Vec<String>,
+}
+
+/// One setting of a knob: what it costs and what it gives, of both of which less is better.
+#[derive(Clone, Debug)]
+pub struct Choice {
+    /// Its name, written beside its dot.
+    pub name: String,
+    /// Its place in the diagram.
+    pub at: (f64, f64),
+    /// Whether it is the default.
+    pub is_shipped: bool,
 }
 
 /// One diagram.
@@ -109,24 +129,52 @@ pub const fn log(label: &'static str) -> Axis {
 
 /// A measured curve.
 pub fn measured(label: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Series {
-    Series { label: label.into(), stroke: Stroke::Measured, points: points.into_iter().collect() }
+    series(label, Stroke::Measured, points)
 }
 
 /// A stated bound or bar.
 pub fn stated(label: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Series {
-    Series { label: label.into(), stroke: Stroke::Stated, points: points.into_iter().collect() }
+    series(label, Stroke::Stated, points)
 }
 
-/// Choices of which less is better on both axes: the front that none beats, joined by a line, and the others in grey.
-pub fn front(label: impl Into<String>, points: &[(f64, f64)]) -> Vec<Series> {
-    let beaten = |&(x, y): &(f64, f64)| points.iter().any(|&(a, b)| a <= x && b <= y && (a < x || b < y));
-    let (dominated, mut best): (Vec<_>, Vec<_>) = points.iter().copied().partition(beaten);
-    best.sort_by(|one, two| one.0.total_cmp(&two.0));
-    let mut series = vec![measured(label, best)];
+fn series(label: impl Into<String>, stroke: Stroke, points: impl IntoIterator<Item = (f64, f64)>) -> Series {
+    Series { label: label.into(), stroke, points: points.into_iter().collect(), names: Vec::new() }
+}
+
+/// Controls, by name.
+pub fn controls(choices: impl IntoIterator<Item = Choice>) -> Series {
+    named("controls", Stroke::Control, choices)
+}
+
+fn named(label: &str, stroke: Stroke, choices: impl IntoIterator<Item = Choice>) -> Series {
+    let (points, names) = choices.into_iter().map(|choice| (choice.at, choice.name)).unzip();
+    Series { label: label.into(), stroke, points, names }
+}
+
+/// The front that none beats, joined by a line, the others in grey, and a ring around what ships. Choices that could not be measured are left out.
+pub fn front(choices: &[Choice]) -> Vec<Series> {
+    let known = |choice: &&Choice| choice.at.0.is_finite() && choice.at.1.is_finite();
+    let choices: Vec<&Choice> = choices.iter().filter(known).collect();
+    let is_beaten = |choice: &&Choice| {
+        let (x, y) = choice.at;
+        choices.iter().any(|other| {
+            let (a, b) = other.at;
+            a <= x && b <= y && (a < x || b < y)
+        })
+    };
+    let (dominated, mut best): (Vec<&Choice>, Vec<&Choice>) =
+        choices.iter().partition(|choice| is_beaten(choice));
+    best.sort_by(|one, two| one.at.0.total_cmp(&two.at.0));
+    let best = best.into_iter().cloned();
+    let mut all = vec![named("nothing is better in both respects", Stroke::Measured, best)];
     if !dominated.is_empty() {
-        series.push(Series { label: "dominated".into(), stroke: Stroke::Dominated, points: dominated });
+        all.push(named("dominated", Stroke::Dominated, dominated.into_iter().cloned()));
     }
-    series
+    let shipped: Vec<_> = choices.iter().filter(|choice| choice.is_shipped).map(|choice| choice.at).collect();
+    if !shipped.is_empty() {
+        all.push(series("the default", Stroke::Shipped, shipped));
+    }
+    all
 }
 
 /// Draws panels, two in a row, and writes the PNG.
@@ -163,11 +211,15 @@ fn draw(root: &Area<'_>, title: &str, panels: &[Panel], (rows, columns): (usize,
     for (panel, area) in panels.iter().zip(body.split_evenly((rows, columns))) {
         let x = range(panel, panel.x.scale, false, |point| point.0)?;
         let y = range(panel, panel.y.scale, true, |point| point.1)?;
+        let log = |range: Range<f64>| {
+            let ticks = log_ticks(&range);
+            range.log_scale().with_key_points(ticks)
+        };
         match (panel.x.scale, panel.y.scale) {
             (Scale::Linear, Scale::Linear) => draw_panel(&area, panel, x, y),
-            (Scale::Linear, Scale::Log) => draw_panel(&area, panel, x, y.log_scale()),
-            (Scale::Log, Scale::Linear) => draw_panel(&area, panel, x.log_scale(), y),
-            (Scale::Log, Scale::Log) => draw_panel(&area, panel, x.log_scale(), y.log_scale()),
+            (Scale::Linear, Scale::Log) => draw_panel(&area, panel, x, log(y)),
+            (Scale::Log, Scale::Linear) => draw_panel(&area, panel, log(x), y),
+            (Scale::Log, Scale::Log) => draw_panel(&area, panel, log(x), log(y)),
         }?;
     }
     root.present().map_err(|e| told(&e))
@@ -222,8 +274,30 @@ where
             Stroke::Dominated => {
                 chart.draw_series(shown.iter().map(|point| Circle::new(*point, 5, GREY.filled())))
             }
+            Stroke::Control => {
+                chart.draw_series(shown.iter().map(|point| Cross::new(*point, 5, GREY.stroke_width(3))))
+            }
+            Stroke::Shipped => {
+                chart.draw_series(shown.iter().map(|point| Circle::new(*point, RING, INK.stroke_width(2))))
+            }
         }
         .map_err(|e| told(&e))?;
+    }
+    let place = |point: &(f64, f64)| chart.backend_coord(point);
+    let shown = panel.series.iter().flat_map(|series| &series.points).filter(|point| panel.shows(**point));
+    let mut taken: Vec<Bounds> = shown.map(|point| Bounds::around(place(point))).collect();
+    let (across, up) = chart.plotting_area().get_pixel_range();
+    let frame = Bounds { low: (across.start, up.start), high: (across.end, up.end) };
+    let font = (FONT, 16).into_font().color(&INK);
+    for series in &panel.series {
+        for (point, name) in series.points.iter().zip(&series.names).filter(|(point, _)| panel.shows(**point))
+        {
+            let size = area.estimate_text_size(name, &font).map_err(|e| told(&e))?;
+            let corner = free(place(point), (size.0 as i32, size.1 as i32), &frame, &mut taken);
+            let (left, top) = area.get_base_pixel();
+            let text = Text::new(name.clone(), (corner.0 - left, corner.1 - top), font.clone());
+            area.draw(&text).map_err(|e| told(&e))?;
+        }
     }
     for (row, entries) in legend.iter().enumerate() {
         let middle = (LEGEND.0 * row as u32 + LEGEND.0 / 2) as i32 - 6;
@@ -231,8 +305,18 @@ where
             let (series, colour, width) = (&panel.series[*index], COLOURS[*index], panel.width(*index));
             let label = Text::new(series.label.clone(), (left + LEGEND.1 + 4, middle - 7), text(18));
             below.draw(&label).map_err(|e| told(&e))?;
-            if series.stroke == Stroke::Dominated {
-                below.draw(&Circle::new((left + 13, middle), 5, GREY.filled())).map_err(|e| told(&e))?;
+            let alone = match series.stroke {
+                Stroke::Dominated => Some(Circle::new((left + 13, middle), 5, GREY.filled())),
+                Stroke::Shipped => Some(Circle::new((left + 13, middle), RING, INK.stroke_width(2))),
+                Stroke::Measured | Stroke::Stated | Stroke::Control => None,
+            };
+            if let Some(circle) = alone {
+                below.draw(&circle).map_err(|e| told(&e))?;
+                continue;
+            }
+            if series.stroke == Stroke::Control {
+                let cross = Cross::new((left + 13, middle), 5, GREY.stroke_width(3));
+                below.draw(&cross).map_err(|e| told(&e))?;
                 continue;
             }
             let is_measured = series.stroke == Stroke::Measured;
@@ -251,6 +335,53 @@ where
         }
     }
     Ok(())
+}
+
+/// A rectangle of pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Bounds {
+    low: (i32, i32),
+    high: (i32, i32),
+}
+
+impl Bounds {
+    /// What a dot takes.
+    const fn around((x, y): (i32, i32)) -> Self {
+        Self { low: (x - 7, y - 7), high: (x + 7, y + 7) }
+    }
+
+    const fn meets(&self, other: &Self) -> bool {
+        self.low.0 < other.high.0
+            && other.low.0 < self.high.0
+            && self.low.1 < other.high.1
+            && other.low.1 < self.high.1
+    }
+
+    const fn holds(&self, other: &Self) -> bool {
+        self.low.0 <= other.low.0
+            && other.high.0 <= self.high.0
+            && self.low.1 <= other.low.1
+            && other.high.1 <= self.high.1
+    }
+}
+
+/// Upper left corner of a name beside its dot, where it covers neither a dot nor another name, and takes the place. Lines may pass under it. A dot in a crowd
+/// keeps the first place.
+fn free(
+    (x, y): (i32, i32),
+    (width, height): (i32, i32),
+    frame: &Bounds,
+    taken: &mut Vec<Bounds>,
+) -> (i32, i32) {
+    let (right, left, above, below) = (x + 12, x - 12 - width, y - 6 - height, y + 6);
+    let beside = y - height / 2;
+    let corners =
+        [(right, above), (right, beside), (right, below), (left, below), (left, beside), (left, above)];
+    let boxed = |corner: (i32, i32)| Bounds { low: corner, high: (corner.0 + width, corner.1 + height) };
+    let is_free = |name: &Bounds| frame.holds(name) && !taken.iter().any(|other| other.meets(name));
+    let corner = corners.into_iter().find(|corner| is_free(&boxed(*corner))).unwrap_or(corners[0]);
+    taken.push(boxed(corner));
+    corner
 }
 
 /// A series in the legend, and how far right it begins.
@@ -310,35 +441,64 @@ impl Panel {
     }
 }
 
+/// Ticks of a logarithmic axis: decades over many of them, else their halves and fifths too.
+fn log_ticks(range: &Range<f64>) -> Vec<f64> {
+    let (low, high) = (range.start.log10(), range.end.log10());
+    let leads: &[f64] = match high - low {
+        span if span > 2.5 => &[1.0],
+        span if span > 1.0 => &[1.0, 2.0, 5.0],
+        _ => &[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0],
+    };
+    // The ends of a range are computed and may be off by their last bits.
+    let within = |value: &f64| (range.start * 0.999_999..=range.end * 1.000_001).contains(value);
+    (low.floor() as i32..=high.ceil() as i32)
+        .flat_map(|power| leads.iter().map(move |lead| lead * 10f64.powi(power)))
+        .filter(within)
+        .collect()
+}
+
 /// The range of an axis: whole decades upwards, else a little air around the values, a little more above them.
 fn range(panel: &Panel, scale: Scale, is_up: bool, pick: impl Fn(&(f64, f64)) -> f64) -> Result<Range<f64>> {
     let shown = panel.series.iter().flat_map(|series| &series.points).filter(|point| panel.shows(**point));
     let (low, high) = shown.map(pick).fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+    // Names stand to the right of their dots.
+    let is_named = panel.series.iter().any(|series| !series.names.is_empty());
     if low > high {
         return Err(anyhow!("`{}` has nothing to show", panel.title));
     }
     Ok(match scale {
-        Scale::Log if is_up => 10f64.powf(low.log10().floor())..10f64.powf((high * 1.0001).log10().ceil()),
-        Scale::Log => low / 1.2..high * 1.2,
+        Scale::Log if is_up => {
+            let (low, high) = ((low.log10() + 1e-6).floor(), (high.log10() - 1e-6).ceil());
+            10f64.powf(low)..10f64.powf(high.max(low + 1.0))
+        }
+        Scale::Log => low / 1.2..high * if is_named { 1.4 } else { 1.2 },
         Scale::Linear => {
             let low = if low >= 0.0 && low < 0.5 * high { low.min(0.0) } else { low - (high - low) * 0.06 };
-            low..high + ((high - low) * if is_up { 0.08 } else { 0.04 }).max(1e-9)
+            let air = if is_up {
+                0.08
+            } else if is_named {
+                0.14
+            } else {
+                0.04
+            };
+            low..high + ((high - low) * air).max(1e-9)
         }
     })
 }
 
-/// A number on an axis. On a logarithmic one, plain from 0.01 to 10,000 and else by its power of ten, so that neighbours look alike.
+/// A number on an axis. On a logarithmic one, plain from 0.001 to 10,000 and else by its power of ten, so that neighbours look alike.
 fn tick(scale: Scale, value: f64) -> String {
     let magnitude = value.abs();
     // Computed powers of ten are off by their last bits.
     let plain = match scale {
-        Scale::Log => 0.009_999..10_001.0,
+        Scale::Log => 0.000_999..10_001.0,
         Scale::Linear => 1e-4..1e6,
     };
     if magnitude != 0.0 && !plain.contains(&magnitude) {
         let power = (magnitude.log10() + 1e-9).floor();
         let lead = value / 10f64.powf(power);
-        return if (lead - 1.0).abs() < 1e-6 { format!("1e{power}") } else { format!("{lead:.1}e{power}") };
+        let lead = format!("{lead:.1}");
+        return format!("{}e{power}", lead.trim_end_matches(".0"));
     }
     let text = format!("{value:.4}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
@@ -350,22 +510,65 @@ mod tests {
 
     #[test]
     fn numbers_on_axes_are_short() {
-        for (value, text) in
-            [(0.0, "0"), (1.0, "1"), (0.25, "0.25"), (0.0001, "0.0001"), (1e-6, "1e-6"), (4.2e6, "4.2e6")]
-        {
+        for (value, text) in [
+            (0.0, "0"),
+            (1.0, "1"),
+            (0.25, "0.25"),
+            (0.0001, "0.0001"),
+            (1e-6, "1e-6"),
+            (4.2e6, "4.2e6"),
+            (5e6, "5e6"),
+        ] {
             assert_eq!(tick(Scale::Linear, value), text);
         }
         let decades: Vec<String> = (-5..=6).map(|power| tick(Scale::Log, 10f64.powi(power))).collect();
-        let texts = ["1e-5", "1e-4", "1e-3", "0.01", "0.1", "1", "10", "100", "1000", "10000", "1e5", "1e6"];
+        let texts = ["1e-5", "1e-4", "0.001", "0.01", "0.1", "1", "10", "100", "1000", "10000", "1e5", "1e6"];
         assert_eq!(decades, texts);
     }
 
     #[test]
     fn the_front_is_what_nothing_beats_in_both_respects() {
-        let series = front("knob", &[(3.0, 1.0), (1.0, 3.0), (2.0, 2.0), (2.5, 2.0), (3.0, 3.0)]);
+        let choice = |at: (f64, f64)| Choice { name: format!("{at:?}"), at, is_shipped: at == (2.5, 2.0) };
+        let choices =
+            [(3.0, 1.0), (1.0, 3.0), (2.0, 2.0), (2.5, 2.0), (3.0, 3.0), (f64::NAN, 0.0)].map(choice);
+        let series = front(&choices);
         assert_eq!(series[0].points, [(1.0, 3.0), (2.0, 2.0), (3.0, 1.0)]);
+        assert_eq!(series[0].names, ["(1.0, 3.0)", "(2.0, 2.0)", "(3.0, 1.0)"], "names stay with their dots");
         assert_eq!((series[1].stroke, series[1].points.len()), (Stroke::Dominated, 2));
-        assert_eq!(front("one", &[(1.0, 1.0)]).len(), 1, "nothing is beaten");
+        assert_eq!(
+            (series[2].stroke, series[2].points.as_slice()),
+            (Stroke::Shipped, [(2.5, 2.0)].as_slice())
+        );
+        assert_eq!(front(&[choice((1.0, 1.0))]).len(), 1, "nothing is beaten, nothing ships");
+    }
+
+    #[test]
+    fn a_logarithmic_axis_has_ticks_from_its_first_value_to_its_last() {
+        assert_eq!(log_ticks(&(1e-3..1e3)).len(), 7);
+        let tight = log_ticks(&(0.2..20.0));
+        let expected = [0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
+        assert_eq!(tight.len(), expected.len(), "{tight:?}");
+        assert!(
+            tight.iter().zip(expected).all(|(tick, value)| (tick / value - 1.0).abs() < 1e-9),
+            "{tight:?}"
+        );
+        assert_eq!(log_ticks(&(0.9..1.6)), [1.0, 1.5]);
+    }
+
+    #[test]
+    fn names_of_dots_cover_neither_dots_nor_each_other() {
+        let frame = Bounds { low: (0, 0), high: (300, 300) };
+        let spots = [(150, 150), (152, 160), (290, 8), (150, 120)];
+        let mut taken = spots.map(Bounds::around).to_vec();
+        let size = (60, 16);
+        for spot in spots {
+            let corner = free(spot, size, &frame, &mut taken);
+            let name = Bounds { low: corner, high: (corner.0 + size.0, corner.1 + size.1) };
+            assert!(frame.holds(&name), "{spot:?} {name:?}");
+            let (_, others) = taken.split_last().unwrap();
+            assert!(!others.iter().any(|other| other.meets(&name)), "{spot:?} {name:?}");
+        }
+        assert!(Bounds::around((5, 5)).meets(&Bounds::around((10, 10))), "the control");
     }
 
     #[test]

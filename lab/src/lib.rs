@@ -16,6 +16,7 @@ pub mod flip;
 pub mod floats;
 pub mod lod;
 pub mod options;
+pub mod pom;
 pub mod relief;
 pub mod sample;
 pub mod scenery;

@@ -143,7 +143,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         cracks.no_seams.magenta
     );
     note("frames");
-    let frames = frames::measure(land, &TOLERANCES_PX)?;
+    let frames = frames::measure(land, &TOLERANCES_PX, frames::FRAMES)?;
     println!(
         "frames on {} at {} x {}: {} draw calls for {} levels, {} bytes per chunk",
         frames.adapter,

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use cli::UsageError;
-use lab::{Args, Command, accuracy, digest, lod, stability, timings};
+use lab::{Args, Command, accuracy, digest, lod, pom, stability, timings};
 use std::process::ExitCode;
 
 const NAME: &str = "tombolo-lab";
@@ -25,6 +25,7 @@ fn measure(args: &Args) -> Result<()> {
         Command::Digest(options) => digest::run(options, &args.outputs),
         Command::Accuracy(options) => accuracy::run(options, &args.outputs),
         Command::Lod(options) => lod::run(options, &args.outputs),
+        Command::Pom(options) => pom::run(options, &args.outputs),
         Command::Stability(options) => stability::run(options, &args.outputs),
         Command::Timings(options) => timings::run(options, &args.outputs),
     }

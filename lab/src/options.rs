@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use crate::{accuracy, digest, lod, stability, timings};
+use crate::{accuracy, digest, lod, pom, stability, timings};
 
 /// Measures the land: digests of all backends, accuracy curves, stability sweeps, GPU timings.
 ///
@@ -33,6 +33,8 @@ pub enum Command {
     Accuracy(accuracy::Options),
     /// Measure the drawn levels of detail: screen error, triangles, gaps, popping, draw calls, memory, time
     Lod(lod::Options),
+    /// Measure parallax occlusion: every march against the truth
+    Pom(pom::Options),
     /// Sweep the ends of the world and every cell border
     Stability(stability::Options),
     /// Time chunk generation on GPU and CPU

@@ -3,7 +3,7 @@
 use client::relief::knobs::{LoopForm, Refine, ReliefTier};
 use lab::relief::bench::ReliefBench;
 use lab::relief::maps::Kind;
-use lab::relief::trial::{AMPLITUDE, ANGLES_DEG, Score, Stage, probes, rays, relief, truths};
+use lab::relief::trial::{AMPLITUDE, ANGLES_DEG, Condition, Stage, probes, relief};
 use shaders::layout::Relief;
 
 /// The bench; none, visibly, where there is no adapter and none is required.
@@ -20,29 +20,22 @@ fn bench() -> Option<ReliefBench> {
 
 const RAYS: u32 = 4_000;
 
-fn score(bench: &ReliefBench, stage: &Stage, layer: usize, angle_deg: f32, how: &Relief) -> Score {
-    let probes = probes(layer, RAYS, angle_deg, AMPLITUDE);
-    let (map, rays) = (&stage.maps[layer], rays(&probes, how.pivot));
-    let truths = truths(map, &rays);
-    let (found, _) = bench.run(&stage.uploaded, how, &probes, 1).unwrap();
-    Score::of(map, &rays, &found, &truths)
-}
-
 #[test]
 fn the_walk_over_the_pyramid_misses_nothing_but_tangents_and_a_linear_search_does() {
     let Some(bench) = bench() else { return };
-    let stage = Stage::new(&bench);
+    let stage = Stage::new(&bench, false);
     let linear = Relief { steps_min: 64, steps_max: 64, ..relief(ReliefTier::Linear) };
     for (layer, kind) in Kind::ALL.into_iter().enumerate() {
         for angle in ANGLES_DEG {
+            let condition = Condition::new(&stage, layer, angle, RAYS);
             for tier in [ReliefTier::Pyramid, ReliefTier::Auto] {
-                let score = score(&bench, &stage, layer, angle, &relief(tier));
+                let score = condition.score(&bench, &stage, &relief(tier)).unwrap();
                 let what = format!("{tier:?} over {} at {angle} degrees: {score:?}", kind.name());
                 assert!(score.wrong <= 5e-4 && score.wrong_without_excuse == 0.0, "{what}");
                 assert!(score.residual <= 1.0 / 1024.0 && score.odd == 0, "{what}");
             }
         }
-        let control = score(&bench, &stage, layer, 85.0, &linear);
+        let control = Condition::new(&stage, layer, 85.0, RAYS).score(&bench, &stage, &linear).unwrap();
         assert!(control.wrong > 0.005, "64 steps over {}: {control:?}", kind.name());
     }
 }
@@ -50,7 +43,7 @@ fn the_walk_over_the_pyramid_misses_nothing_but_tangents_and_a_linear_search_doe
 #[test]
 fn both_loop_forms_find_the_same_to_the_last_bit() {
     let Some(bench) = bench() else { return };
-    let stage = Stage::new(&bench);
+    let stage = Stage::new(&bench, false);
     for refine in [Refine::None, Refine::Segment, Refine::Secant, Refine::Bisection] {
         for (layer, angle) in [(0, 60.0), (1, 75.0), (2, 85.0), (3, 30.0)] {
             let probes = probes(layer, RAYS, angle, AMPLITUDE);

@@ -9,6 +9,7 @@
 //! | `faults` | servers that go away, and clients that live on |
 //! | `far` | that a picture does not depend on the distance from the origin |
 //! | `light` | that no sun, height or direction leaves a pixel without light |
+//! | `ground_relief` | parallax on the streamed land |
 //! | `extremes` | eyes, lenses, sizes and shapes of land at their ends |
 //! | `pictures` | what the headless viewer draws, against golden pictures |
 //! | `shadows` | the land's shadow on itself, against its definition and in pictures |

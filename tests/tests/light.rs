@@ -7,6 +7,8 @@ use client::camera::Lens;
 use client::feed::LocalFeed;
 use client::frame::{FrameData, Shot};
 use client::looks::{Looks, SunPlace};
+use client::relief::ReliefKnobs;
+use client::relief::knobs::{Heights, ReliefShadow, ReliefTier};
 use client::render::{Canvas, Gpu, GpuError, RenderOptions, Renderer, picture};
 use client::scene::Scene;
 use client::voyage::Voyage;
@@ -103,6 +105,38 @@ fn every_pixel_has_a_light_under_every_sun_from_every_height_in_every_direction(
                         "eye {height_m} m, pitch {pitch_deg}, field of view {fov_deg}, sun {elevation_deg}"
                     );
                 }
+            }
+        }
+    }
+}
+
+#[test]
+fn every_pixel_has_a_light_whatever_relief_it_shows() {
+    let Some(mut studio) = Studio::open() else { return };
+    let land = shot(0.0, 0.0, 60.0);
+    // Lying on a hill: level gazes skim the ground.
+    for (height_m, pitch_deg) in [(189.4, 0.0), (189.4, -89.9), (192.0, -20.0)] {
+        let pose = format!("300,{height_m},900,30,{pitch_deg}").parse().unwrap();
+        for tier in
+            [ReliefTier::Offset, ReliefTier::Linear, ReliefTier::Cones, ReliefTier::Pyramid, ReliefTier::Auto]
+        {
+            for (amplitude, steps, heights, shadow) in [
+                (0.0, 1, Heights::Exact, ReliefShadow::Soft),
+                (1e-6, 256, Heights::Sampler, ReliefShadow::Hard),
+                (1.0, 1, Heights::Sampler, ReliefShadow::Soft),
+                (16.0, 4, Heights::Exact, ReliefShadow::Hard),
+            ] {
+                let relief = ReliefKnobs {
+                    tier,
+                    amplitude,
+                    steps_min: steps,
+                    steps_max: steps,
+                    heights,
+                    shadow,
+                    ..ReliefKnobs::default()
+                };
+                let frame = studio.frame(&Shot { pose, looks: Looks { relief, ..land.looks }, ..land });
+                assert_eq!(studio.unlit(&frame), 0, "{pose} {relief:?}");
             }
         }
     }

@@ -52,6 +52,8 @@ fn values_out_of_range_are_named_with_what_is_allowed() {
     refused("tombolo-view", &["--digest", "abc"], 2, &["--digest", "abc", "64 hexadecimal digits"]);
     refused("tombolo-load", &["--delivery", "lossy"], 2, &["--delivery", "lossy", "exact or seed"]);
     refused("tombolo-view", &["--size", "0x0"], 2, &["--size", "0x0"]);
+    refused("tombolo-view", &["--tolerance", "-1"], 2, &["--tolerance", "-1", "0.0625 to 1000"]);
+    refused("tombolo-view", &["--chunk-mb", "-1"], 2, &["--chunk-mb", "-1"]);
     refused("tombolo-load", &["--clients", "none"], 2, &["--clients", "none"]);
     refused("tombolo-load", &["--connect", "not a url"], 2, &["--connect"]);
 }
@@ -83,6 +85,15 @@ fn a_server_that_is_not_there_is_named() {
         1,
         &["127.0.0.1:9"],
     );
+}
+
+#[test]
+fn a_picture_that_cannot_be_written_is_told_before_anything_is_waited_for() {
+    let nowhere = ["--connect", "ws://127.0.0.1:9/v1/stream", "--shot"];
+    let with = |more: &[&'static str]| [nowhere.as_slice(), more].concat();
+    refused("tombolo-view", &with(&["/no/such/folder/a.png"]), 1, &["--shot", "/no/such/folder", "create"]);
+    refused("tombolo-view", &with(&["a.jpg"]), 1, &["--shot a.jpg", ".png"]);
+    refused("tombolo-view", &with(&["a.png", "--stats", "/no/such/a.json"]), 1, &["--stats /no/such"]);
 }
 
 #[test]

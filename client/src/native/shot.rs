@@ -16,6 +16,14 @@ use std::time::{Duration, Instant};
 /// Connects, waits for the complete view, renders, writes.
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     let Some(path) = &args.shot else { return Ok(()) };
+    // Told before a view is waited for, not after.
+    anyhow::ensure!(
+        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")),
+        "cannot write --shot {}: pictures are PNG, choose a path that ends in .png",
+        path.display()
+    );
+    has_folder("--shot", path)?;
+    args.stats.as_deref().map_or(Ok(()), |path| has_folder("--stats", path))?;
     let options = headless::Options { materials: textures::own(args)?, ..args.shot_options() };
     if args.scene.is_local() {
         let (picture, stats) = headless::render_local(&options, started)?;
@@ -31,6 +39,17 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     })?;
     bar.finish_and_clear();
     write(args, path, &picture, &stats)
+}
+
+/// Fails where the folder of a file is missing.
+fn has_folder(option: &str, path: &Path) -> anyhow::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    anyhow::ensure!(
+        folder.is_none_or(Path::is_dir),
+        "cannot write {option} {}: there is no such folder, create it or choose another",
+        path.display()
+    );
+    Ok(())
 }
 
 /// Writes the picture, and the record of the run where one is asked for.

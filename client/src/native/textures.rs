@@ -97,6 +97,12 @@ pub fn load(folder: &Path) -> anyhow::Result<(OwnMaterials, Vec<String>)> {
             files[material].insert(map, path);
         }
     }
+    if files.iter().all(BTreeMap::is_empty) {
+        complaints.push(format!(
+            "{}: no file is named like sand_albedo.png (--help has all names), using no own materials",
+            folder.display()
+        ));
+    }
     let mut index = 0;
     let materials = files.map(|files| {
         let name = MATERIALS[index];
@@ -378,6 +384,15 @@ mod tests {
         let (own, complaints) = load(&folder.0).unwrap();
         assert!(complaints.len() == 1 && complaints[0].contains("sand_BaseColor.png"), "{complaints:?}");
         assert_eq!(material(&own, "sand").unwrap().texels[0].albedo, checker(0));
+    }
+
+    #[test]
+    fn a_folder_without_a_known_name_is_said_and_changes_nothing() {
+        let folder = Folder::new("strange");
+        std::fs::write(folder.path("lava_albedo.png"), b"no known set").unwrap();
+        let (own, complaints) = load(&folder.0).unwrap();
+        assert_eq!(own.iter().flatten().count(), 0);
+        assert!(complaints.len() == 1 && complaints[0].contains("like sand_albedo.png"), "{complaints:?}");
     }
 
     #[test]

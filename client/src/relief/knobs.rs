@@ -45,7 +45,7 @@ impl Default for ReliefKnobs {
             refinements: 3,
             loop_form: LoopForm::Exit,
             heights: Heights::Exact,
-            shadow: ReliefShadow::Soft,
+            shadow: ReliefShadow::Hard,
             silhouette: Silhouette::None,
             depth: false,
             pivot: 0.5,
@@ -204,10 +204,10 @@ pub enum Heights {
 pub enum ReliefShadow {
     /// None.
     Off,
-    /// A march towards the sun.
-    Hard,
-    /// Seven taps towards the sun.
+    /// The exact walk towards the sun.
     #[default]
+    Hard,
+    /// Seven taps towards the sun: blurred, and blind to what is narrow.
     Soft,
 }
 

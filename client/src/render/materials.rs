@@ -3,6 +3,7 @@
 //! Owns the textures and their group of bindings. Reads no files: a user's set comes as texels.
 
 use crate::render::pipeline::compute_pipelines;
+use crate::render::relief;
 use shaders::SHADERS;
 use shaders::layout::{BAKE_WORKGROUP, Bake, BakeTexel, MATERIALS, REDUCE_WORKGROUP};
 use std::sync::Arc;
@@ -68,6 +69,7 @@ impl Materials {
         let heights = array(device, "material heights", HEIGHT_FORMAT);
         bake(device, queue, [&colours, &shapes, &heights], own);
         reduce(device, queue, [&colours, &shapes, &heights]);
+        let tops = relief::tops(device, queue, &heights);
 
         let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
             label: Some("materials"),
@@ -79,11 +81,11 @@ impl Materials {
             anisotropy_clamp: if software { 1 } else { ANISOTROPY },
             ..Default::default()
         });
-        let texture = |binding| wgpu::BindGroupLayoutEntry {
+        let texture = |binding, filterable| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: wgpu::ShaderStages::FRAGMENT | wgpu::ShaderStages::COMPUTE,
             ty: wgpu::BindingType::Texture {
-                sample_type: wgpu::TextureSampleType::Float { filterable: true },
+                sample_type: wgpu::TextureSampleType::Float { filterable },
                 view_dimension: wgpu::TextureViewDimension::D2Array,
                 multisampled: false,
             },
@@ -92,8 +94,10 @@ impl Materials {
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("materials"),
             entries: &[
-                texture(0),
-                texture(1),
+                texture(0, true),
+                texture(1, true),
+                texture(3, false),
+                texture(4, false),
                 wgpu::BindGroupLayoutEntry {
                     binding: 2,
                     visibility: wgpu::ShaderStages::FRAGMENT | wgpu::ShaderStages::COMPUTE,
@@ -116,12 +120,14 @@ impl Materials {
                     resource: wgpu::BindingResource::TextureView(&view(&shapes)),
                 },
                 wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::Sampler(&sampler) },
+                view_entry(3, &view(&heights)),
+                view_entry(4, &view(&tops)),
             ],
         });
         Self { colours, shapes, heights, layout, bindings }
     }
 
-    /// Layout of the group: colours, shapes, sampler.
+    /// Layout of the group: colours, shapes, sampler, exact heights, the bounds that their relief is walked by.
     #[must_use]
     pub fn layout(&self) -> &wgpu::BindGroupLayout {
         &self.layout

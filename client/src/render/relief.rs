@@ -41,16 +41,27 @@ impl ReliefMaps {
         Self::with(device, queue, heights, smooth, &none, false)
     }
 
-    /// Uploads maps of one side. The first one's side counts; maps of other sides are left out.
+    /// Uploads maps of one side. The first one's side counts; maps of other sides are left out. Sides up to [`MOST_CONES`] get cones.
     #[must_use]
     pub fn upload(device: &wgpu::Device, queue: &wgpu::Queue, maps: &[HeightMap]) -> Self {
+        let has_cones = maps.first().is_some_and(|map| map.side() <= MOST_CONES as usize);
+        Self::upload_with(device, queue, maps, has_cones)
+    }
+
+    /// The same, with or without cones.
+    #[must_use]
+    pub fn upload_with(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        maps: &[HeightMap],
+        has_cones: bool,
+    ) -> Self {
         let side = maps.first().map_or(1, HeightMap::side) as u32;
         let maps: Vec<&HeightMap> = maps.iter().filter(|map| map.side() == side as usize).collect();
         let layers = (maps.len() as u32).max(1);
         let levels = side.ilog2() + 1;
         let heights = texture(device, "heights", EXACT, side, side, layers, levels);
         let smooth = texture(device, "heights to be filtered", SMOOTH, side, side, layers, levels);
-        let has_cones = side <= MOST_CONES;
         let cone_side = if has_cones { side } else { 1 };
         let cone_map = texture(device, "cones", EXACT, cone_side, cone_side, layers, 1);
         for (layer, map) in maps.into_iter().enumerate() {
@@ -202,7 +213,8 @@ fn whole(texture: &wgpu::Texture) -> wgpu::TextureView {
 }
 
 /// The bounds of all mip levels of heights, laid out as `shared/relief_walk.wesl` reads them.
-fn tops(device: &wgpu::Device, queue: &wgpu::Queue, heights: &wgpu::Texture) -> wgpu::Texture {
+#[must_use]
+pub fn tops(device: &wgpu::Device, queue: &wgpu::Queue, heights: &wgpu::Texture) -> wgpu::Texture {
     let (side, layers) = (heights.width(), heights.depth_or_array_layers());
     let tops = texture(device, "bounds of reliefs", EXACT, side + side / 2, 2 * side, layers, 1);
     let shader = SHADERS.reduce_relief;

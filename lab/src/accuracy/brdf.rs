@@ -4,8 +4,9 @@
 //! in f64 for the same directions. Half precision is emulated here, since few devices compute in it: every intermediate result is rounded.
 
 use super::Curve;
+use super::octaves::ratios;
 use crate::adapters::{self, OpenGpu};
-use crate::chart::{Panel, front, linear, log, measured, stated};
+use crate::chart::{Choice, Panel, front, linear, log, measured, stated};
 use crate::table::Table;
 use anyhow::{Context, Result};
 use shaders::SHADERS;
@@ -270,26 +271,20 @@ impl Bench {
         let probes = probes(0.5);
         let jobs: Vec<Job> =
             VARIANTS.iter().map(|(entry, _)| self.job(entry, &probes, TIMED as usize)).collect();
-        let mut ratios = vec![Vec::new(); jobs.len()];
+        let mut times = vec![Vec::new(); jobs.len()];
         for round in 0..=ROUNDS {
-            let mut first_s = None;
-            for (job, ratios) in jobs.iter().zip(&mut ratios) {
+            for (job, times) in jobs.iter().zip(&mut times) {
                 let encoder = job.record(&self.gpu, TIMED);
                 let begun = Instant::now();
                 self.gpu.queue.submit([encoder.finish()]);
                 self.gpu.wait()?;
-                let seconds = begun.elapsed().as_secs_f64();
                 // The first round compiles and fills caches.
                 if round > 0 {
-                    ratios.push(seconds / *first_s.get_or_insert(seconds));
+                    times.push(begun.elapsed());
                 }
             }
         }
-        let median = |mut ratios: Vec<f64>| {
-            ratios.sort_unstable_by(f64::total_cmp);
-            ratios.get(ratios.len() / 2).copied().unwrap_or_default()
-        };
-        Ok(ratios.into_iter().map(median).collect())
+        Ok(ratios(&times))
     }
 }
 
@@ -404,6 +399,13 @@ pub fn measure(_: u64) -> Result<Curve> {
     let curve = |column| errors.curve("roughness", column);
     let drawn = |column| curve(column).into_iter().filter(|(roughness, _)| *roughness >= FLOOR);
     let floor = || stated("least roughness drawn", [(FLOOR, 1e-6), (FLOOR, HOPELESS)]);
+    let choices: Vec<Choice> = costs
+        .curve("cost ratio", "RMS")
+        .into_iter()
+        .zip(VARIANTS)
+        .enumerate()
+        .map(|(index, (at, (_, name)))| Choice { name: name.to_owned(), at, is_shipped: index == 0 })
+        .collect();
     let panels = vec![
         Panel {
             title: "Fast visibility against exact",
@@ -418,7 +420,7 @@ pub fn measure(_: u64) -> Result<Curve> {
         Panel {
             title: "Precision, exact visibility: 99th percentile",
             x: log("roughness"),
-            y: log("relative error of the reflection"),
+            y: log("relative error of the reflection, cut at 1000"),
             series: vec![
                 measured("f32, N x H", curve("f32 p99")),
                 measured("f32, 1 - NH^2", curve("f32 naive p99")),
@@ -430,7 +432,7 @@ pub fn measure(_: u64) -> Result<Curve> {
         Panel {
             title: "Precision, exact visibility: RMS",
             x: log("roughness"),
-            y: log("relative error of the reflection"),
+            y: log("relative error of the reflection, cut at 1000"),
             series: vec![
                 measured("f32, N x H", curve("f32 RMS")),
                 measured("f32, 1 - NH^2", curve("f32 naive RMS")),
@@ -441,9 +443,9 @@ pub fn measure(_: u64) -> Result<Curve> {
         },
         Panel {
             title: "What an error saves",
-            x: linear("cost, share of exact visibility with N x H"),
+            x: linear("time, share of exact visibility with N x H"),
             y: log("RMS relative error"),
-            series: front("variants that none beats", &costs.curve("cost ratio", "RMS")),
+            series: front(&choices),
         },
     ];
     Ok(Curve {

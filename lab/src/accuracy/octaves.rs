@@ -118,6 +118,21 @@ fn times(land: &Land) -> Vec<Duration> {
     times.into_iter().map(median).collect()
 }
 
+/// Medians, over rounds in which all take turns, of each one's time over the first one's time in the same round: whatever slows the machine for longer than a
+/// round slows both.
+pub(crate) fn ratios(times: &[Vec<Duration>]) -> Vec<f64> {
+    let first = times.first().map_or(&[][..], Vec::as_slice);
+    let ratio = |(own, first): (&Duration, &Duration)| own.as_secs_f64() / first.as_secs_f64().max(1e-9);
+    times
+        .iter()
+        .map(|own| {
+            let mut ratios: Vec<f64> = own.iter().zip(first).map(ratio).collect();
+            ratios.sort_unstable_by(f64::total_cmp);
+            ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN)
+        })
+        .collect()
+}
+
 /// The median of some times.
 pub(super) fn median(mut times: Vec<Duration>) -> Duration {
     times.sort_unstable();
@@ -127,6 +142,19 @@ pub(super) fn median(mut times: Vec<Duration>) -> Duration {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_machine_that_slows_down_between_rounds_changes_no_ratio() {
+        let times =
+            [[2, 20, 20], [3, 3, 30], [8, 80, 80]].map(|times| times.map(Duration::from_secs).to_vec());
+        assert_eq!(ratios(&times), [1.0, 1.5, 4.0]);
+        let medians = times.map(median);
+        assert_ne!(
+            medians[1].as_secs_f64() / medians[0].as_secs_f64(),
+            1.5,
+            "the control: a ratio of medians"
+        );
+    }
 
     #[test]
     fn every_octave_brings_the_land_closer_to_the_truth_and_no_error_exceeds_its_bound() {

@@ -4,8 +4,8 @@
 //! hides that blends samples, which costs contrast and time.
 
 use super::Curve;
-use super::octaves::median;
-use crate::chart::{Panel, front, linear};
+use super::octaves::ratios;
+use crate::chart::{Choice, Panel, front, linear, log, stated};
 use crate::table::Table;
 use anyhow::{Context, Result};
 use client::looks::Tiling;
@@ -13,17 +13,23 @@ use client::render::materials::{MATERIAL_SIZE, Materials, OwnMaterials};
 use client::render::tiling_probe::{FIELD, Look, ProbeTiling};
 use client::render::{Gpu, gpu};
 use shaders::layout::MATERIALS;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use terrain::hash::mix;
 
 /// Rounds of the interleaved timing; the median is kept.
-const ROUNDS: usize = 15;
+const ROUNDS: usize = 25;
 
 /// The knob's settings with the samples that they take.
 const KNOB: [(Tiling, f64); 3] = [(Tiling::Off, 1.0), (Tiling::TwoScale, 2.0), (Tiling::Hex, 3.0)];
 
-/// The sets that are measured: one of small equal parts, one of large different ones.
-const MEASURED: [(&str, &str); 2] = [("meadow", "tiling_meadow"), ("cliff", "tiling_cliff")];
+/// What they are called in diagrams.
+const NAMES: [&str; 3] = ["off", "two scales", "hexagons"];
+
+/// The sets that are measured, one of small equal parts and one of large different ones: name, table, titles of diagrams.
+const MEASURED: [(&str, &str, &str, &str); 2] = [
+    ("meadow", "tiling_meadow", "Meadow: repetition", "Meadow: contrast"),
+    ("cliff", "tiling_cliff", "Cliff: repetition", "Cliff: contrast"),
+];
 
 /// What one setting shows of a material.
 struct Seen {
@@ -47,8 +53,8 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
     // Anywhere in the 32 x 32 places where a field may start.
     let place = |turn: u32| 256.0 * (mix(world_seed as u32 ^ turn) % 32) as f32;
     let anchor_m = [place(1), place(2)];
-    let mut tables = Vec::new();
-    for (name, table) in MEASURED {
+    let (mut tables, mut truths) = (Vec::new(), Vec::new());
+    for (name, table, ..) in MEASURED {
         let material = MATERIALS.iter().position(|known| *known == name).context("no such material")? as u32;
         let look = |look| -> Result<Seen> {
             probe.run(&gpu, &materials, material, look, anchor_m)?;
@@ -86,7 +92,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
             rows.push([
                 at as f64,
                 samples,
-                times[at].as_secs_f64() / times[0].as_secs_f64(),
+                times[at],
                 seen.repetition,
                 contrast,
                 (1.0 - contrast).abs(),
@@ -94,44 +100,28 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
             ]);
         }
         tables.push(rows);
+        truths.push(truth.repetition);
     }
-    let panel = |title, table: &Table, label: &str, against: &str, y| Panel {
-        title,
-        x: linear("time, ratio to off"),
-        y,
-        series: front(label, &table.curve("time ratio", against)),
-    };
-    let (meadow, cliff) = (&tables[0], &tables[1]);
-    let panels = vec![
-        panel(
-            "Meadow: repetition",
-            meadow,
-            "off, two scales, hexagons",
-            "repetition",
-            linear("correlation at one tile"),
-        ),
-        panel(
-            "Meadow: contrast",
-            meadow,
-            "off, two scales, hexagons",
-            "contrast lost",
-            linear("contrast lost, share"),
-        ),
-        panel(
-            "Cliff: repetition",
-            cliff,
-            "off, two scales, hexagons",
-            "repetition",
-            linear("correlation at one tile"),
-        ),
-        panel(
-            "Cliff: contrast",
-            cliff,
-            "off, two scales, hexagons",
-            "contrast lost",
-            linear("contrast lost, share"),
-        ),
-    ];
+    let panels = MEASURED.iter().zip(&tables).zip(truths).flat_map(|((material, table), truth)| {
+        let trade = |against: &str| {
+            let choices = table.curve("time ratio", against).into_iter().zip(KNOB).zip(NAMES);
+            let choice = |((at, (tiling, _)), name): ((_, (Tiling, f64)), &str)| Choice {
+                name: name.to_owned(),
+                at,
+                is_shipped: tiling == Tiling::default(),
+            };
+            front(&choices.map(choice).collect::<Vec<_>>())
+        };
+        let mut repetition = trade("repetition");
+        let times = table.curve("time ratio", "repetition").into_iter().map(|point| (point.0, truth));
+        repetition.push(stated("the recipe without period", times));
+        let x = log("time, ratio to off");
+        [
+            Panel { title: material.2, x, y: linear("correlation at one tile"), series: repetition },
+            Panel { title: material.3, x, y: linear("contrast lost, share"), series: trade("contrast lost") },
+        ]
+    });
+    let panels = panels.collect();
     Ok(Curve {
         name: "tiling",
         title: "Repetition of materials: cost and what is left (truth: the recipe without period)",
@@ -140,8 +130,8 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
     })
 }
 
-/// Median times of all settings, which take turns in every round.
-fn times(mut run: impl FnMut(Tiling) -> Result<(), client::render::GpuError>) -> Result<Vec<Duration>> {
+/// Times of all settings over that of the first; they take turns in every round.
+fn times(mut run: impl FnMut(Tiling) -> Result<(), client::render::GpuError>) -> Result<Vec<f64>> {
     let mut times = vec![Vec::new(); KNOB.len()];
     for _ in 0..ROUNDS {
         for ((tiling, _), times) in KNOB.into_iter().zip(&mut times) {
@@ -150,7 +140,7 @@ fn times(mut run: impl FnMut(Tiling) -> Result<(), client::render::GpuError>) ->
             times.push(begun.elapsed());
         }
     }
-    Ok(times.into_iter().map(median).collect())
+    Ok(ratios(&times))
 }
 
 impl Seen {

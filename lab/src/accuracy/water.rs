@@ -5,7 +5,8 @@
 //! a fixed view, and flat water.
 
 use super::Curve;
-use crate::chart::{Panel, front, linear, log, measured};
+use super::octaves::ratios;
+use crate::chart::{Choice, Panel, controls, front, linear, log, measured};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
 use crate::sample::{unit, word};
 use crate::table::Table;
@@ -16,7 +17,7 @@ use client::looks::{Looks, WaterTier, WaveKnobs};
 use client::render::Picture;
 use client::scene::Scene;
 use shaders::layout::{PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, WAVE_MAP_SIDE, WaveProbe};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Rays of a condition.
 const RAYS: u32 = 3_000;
@@ -30,8 +31,11 @@ const ANGLES_DEG: [f32; 6] = [0.0, 20.0, 40.0, 55.0, 65.0, 75.0];
 const FRONT: (f32, f32) = (1.0, 65.0);
 /// Width of a texel of the finer displaced scale: 8192 m over the length of its turn (151, -83) over the side of the map.
 const TEXEL_M: f64 = 8192.0 / 172.308 / WAVE_MAP_SIDE as f64;
+/// Differences below this are rounding of places in f32, texels: at 512 to 1024 m from the origin of the pattern a place is a multiple of 0.06 mm, and the march ends
+/// within a few of those of the truth. Diagrams end here.
+const RESOLUTION: f64 = 1e-3;
 /// Rounds of the timing, rays of each, and how often each round finds them.
-const ROUNDS: usize = 7;
+const ROUNDS: usize = 15;
 const TIMED_RAYS: u32 = 1 << 16;
 const REPEATS: u32 = 16;
 /// Moment of the waves, seconds.
@@ -76,8 +80,8 @@ const METHODS: [Method; 8] = [
     Method::tier("march", WaterTier::March),
 ];
 
-/// Methods of the curves, by their place in [`METHODS`]: at most six lines can be told apart.
-const CURVES: [usize; 6] = [1, 2, 3, 4, 5, 7];
+/// Methods of the curves, by their place in [`METHODS`]: at most six lines can be told apart. The march, which is left out, runs along the resolution.
+const CURVES: [usize; 6] = [1, 0, 2, 3, 4, 5];
 
 /// Measures it; the world does not matter.
 ///
@@ -95,6 +99,7 @@ pub fn measure(_: u64) -> Result<Curve> {
         let row = table.rows.iter().find(|row| row[0] == steepness && row[1] == angle);
         row.map_or(f64::NAN, |row| row[index])
     };
+    let shown = |(x, error): (f64, f64)| (x, error.max(RESOLUTION));
     let lines = |fixed: bool, part: &str| {
         CURVES
             .map(|index| {
@@ -114,56 +119,61 @@ pub fn measure(_: u64) -> Result<Curve> {
                         .map(|s| (s, at(&places, &column, s, angle)))
                         .collect()
                 };
-                measured(name, points)
+                measured(name, above_resolution(&points))
             })
             .to_vec()
     };
-    let trade: Vec<(f64, f64)> = METHODS
-        .iter()
-        .zip(&costs)
-        .map(|(method, cost)| {
-            let column = format!("{} p95, texels", method.name);
-            (*cost, at(&places, &column, f64::from(FRONT.0), f64::from(FRONT.1)))
-        })
-        .collect();
+    let (steepness, angle) = (f64::from(FRONT.0), f64::from(FRONT.1));
+    let left =
+        |method: &Method, part: &str| at(&places, &format!("{} {part}", method.name), steepness, angle);
+    let names = METHODS.iter().enumerate().map(|(index, method)| format!("{index} {}", method.name));
     let mut table = Table::new(
-        "water-cost",
+        "water_cost",
         format!(
-            "time of {TIMED_RAYS} rays and their shading lookup over that of flat water, median of {ROUNDS} interleaved rounds, {}",
-            bench.adapter()
+            "time of {TIMED_RAYS} rays and their shading lookup over that of flat water, median of {ROUNDS} interleaved rounds, and errors at steepness {steepness}, {angle} degrees, {}; methods: {}.",
+            bench.adapter(),
+            names.collect::<Vec<_>>().join("; ")
         ),
-        &["method", "cost ratio", "p95, texels"],
+        &["method", "cost ratio", "p95, texels", "p99.9, texels"],
     );
-    for (index, (cost, error)) in trade.iter().enumerate() {
-        table.push([index as f64, *cost, *error]);
+    let (mut choices, mut compared) = (Vec::new(), Vec::new());
+    for (index, (method, cost)) in METHODS.iter().zip(&costs).enumerate() {
+        let (p95, p999) = (left(method, "p95, texels"), left(method, "p99.9, texels"));
+        table.push([index as f64, *cost, p95, p999]);
+        let is_shipped = method.tier == Some(WaterTier::default());
+        let choice = Choice { name: method.name.to_owned(), at: shown((*cost, p999)), is_shipped };
+        if method.tier.is_some() { choices.push(choice) } else { compared.push(choice) }
     }
-    let flip_lines = ["fixed view", "flat", "offset", "two", "three", "four"]
+    let mut trade = front(&choices);
+    trade.push(controls(compared));
+    let flip_lines = CURVES
+        .map(|index| METHODS[index].name)
         .map(|name| measured(name, pictures.curve("steepness", name)))
         .to_vec();
     let panels = vec![
         Panel {
             title: "Error against steepness, 65 degrees from the vertical",
             x: log("steepness of the waves, 1 = fresh breeze"),
-            y: log("p95 error of the place, texels"),
+            y: log("p95 error of the place, texels (0.001: rounding)"),
             series: lines(false, "p95, texels"),
         },
         Panel {
             title: "Error against the view's angle, steepness 1",
             x: linear("angle from the vertical, degrees"),
-            y: log("p95 error of the place, texels"),
+            y: log("p95 error of the place, texels (0.001: rounding)"),
             series: lines(true, "p95, texels"),
         },
         Panel {
             title: "Pictures of the scene against its truth",
-            x: log("steepness of the waves"),
+            x: log("steepness of the waves, 1 = fresh breeze"),
             y: log("mean FLIP, 67 pixels per degree"),
             series: flip_lines,
         },
         Panel {
             title: "What an error costs, steepness 1, 65 degrees",
-            x: log("time over that of flat water"),
-            y: log("p95 error of the place, texels"),
-            series: front("not beaten", &trade),
+            x: linear("time over that of flat water"),
+            y: log("p99.9 error of the place, texels (0.001: rounding)"),
+            series: trade,
         },
     ];
     Ok(Curve {
@@ -172,6 +182,17 @@ pub fn measure(_: u64) -> Result<Curve> {
         tables: vec![places, pictures, table],
         panels,
     })
+}
+
+/// A curve down to where it meets the resolution; what lies beyond says nothing.
+fn above_resolution(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let is_seen = |index: usize| points.get(index).is_some_and(|point| point.1 > RESOLUTION);
+    let last_or_seen =
+        |index: &usize| is_seen(*index) || is_seen(index + 1) || index.checked_sub(1).is_some_and(is_seen);
+    (0..points.len())
+        .filter(last_or_seen)
+        .map(|index| (points[index].0, points[index].1.max(RESOLUTION)))
+        .collect()
 }
 
 /// Rays through random places under one angle.
@@ -251,7 +272,7 @@ fn measured_places(bench: &WaveBench) -> Result<Table> {
     Ok(table)
 }
 
-/// Median time of each method over that of flat water; the methods take turns in every round.
+/// Time of each method over that of flat water; the methods take turns in every round.
 ///
 /// All methods are branches of one pipeline, as in the viewer. A driver that runs both sides of a branch under a mask, as software rasterisers do, makes
 /// the cheap ones dearer than they need be and the differences small.
@@ -263,9 +284,7 @@ fn measured_costs(bench: &WaveBench) -> Result<Vec<f64>> {
             times.push(bench.run(WaveKnobs::default(), TIME_S, &by(*method, &rays), REPEATS)?.1);
         }
     }
-    let medians: Vec<Duration> = times.into_iter().map(super::octaves::median).collect();
-    let flat = medians[0].as_secs_f64().max(1e-9);
-    Ok(medians.into_iter().map(|time| time.as_secs_f64() / flat).collect())
+    Ok(ratios(&times))
 }
 
 /// Mean FLIP of the panels of the scene against the one of the truth, for every tier and steepness.
@@ -274,7 +293,7 @@ fn measured_pictures() -> Result<Table> {
     let mut columns = vec!["steepness", "fixed view"];
     columns.extend(tiers.iter().map(|method| method.name));
     let mut table = Table::new(
-        "water-flip",
+        "water_flip",
         format!(
             "mean FLIP ({PIXELS_PER_DEGREE} pixels per degree) of a panel of the scene of the water against the panel of the truth, {} x {} pixels",
             PICTURE.0 / 3,
@@ -384,6 +403,13 @@ mod tests {
         assert!(four < three && three < two && two < offset && offset < flat, "{errors:?}");
         assert!(fixed > 2.0 * offset, "the control: a fixed view is worse, {errors:?}");
         assert!(three < premecz, "the tangent plane is a better step, {errors:?}");
+    }
+
+    #[test]
+    fn a_curve_ends_where_it_meets_the_resolution() {
+        let curve = [(0.0, 0.0), (1.0, 1e-5), (2.0, 0.1), (3.0, 1.0), (4.0, 1e-4), (5.0, 0.0)];
+        assert_eq!(above_resolution(&curve), [(1.0, RESOLUTION), (2.0, 0.1), (3.0, 1.0), (4.0, RESOLUTION)]);
+        assert_eq!(above_resolution(&curve[..2]), [], "nothing of it is seen");
     }
 
     #[test]

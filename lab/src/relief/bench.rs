@@ -42,10 +42,10 @@ impl ReliefBench {
         self.gpu.name()
     }
 
-    /// Puts maps of one side on the GPU; the layer of a probe is the place in this list.
+    /// Puts maps of one side on the GPU, with or without cones; the layer of a probe is the place in this list.
     #[must_use]
-    pub fn upload(&self, maps: &[HeightMap]) -> ReliefMaps {
-        ReliefMaps::upload(&self.gpu.device, &self.gpu.queue, maps)
+    pub fn upload(&self, maps: &[HeightMap], has_cones: bool) -> ReliefMaps {
+        ReliefMaps::upload_with(&self.gpu.device, &self.gpu.queue, maps, has_cones)
     }
 
     /// Runs probes, `repeats` times for a time that outweighs what a submission costs; also how long the GPU took, upload and read-back excluded.

@@ -4,6 +4,7 @@ use super::bench::ReliefBench;
 use super::maps::{Kind, SIDE};
 use super::truth::{self, Contact, Ray};
 use crate::sample::{unit, word};
+use anyhow::Result;
 use client::relief::knobs::{ReliefShadow, ReliefTier};
 use client::relief::{HeightMap, ReliefKnobs};
 use client::render::relief::ReliefMaps;
@@ -38,11 +39,11 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Makes them.
+    /// Makes them, with or without cones.
     #[must_use]
-    pub fn new(bench: &ReliefBench) -> Self {
+    pub fn new(bench: &ReliefBench, has_cones: bool) -> Self {
         let maps: Vec<HeightMap> = Kind::ALL.map(Kind::map).into();
-        let uploaded = bench.upload(&maps);
+        let uploaded = bench.upload(&maps, has_cones);
         Self { maps, uploaded }
     }
 }
@@ -68,10 +69,55 @@ pub fn probes(layer: usize, count: u32, angle_deg: f32, amplitude: f32) -> Vec<R
     (0..count).map(probe).collect()
 }
 
+/// One condition of a trial: the rays of a map under an angle, and what they meet.
+pub struct Condition {
+    /// The map's place among [`Kind::ALL`].
+    pub layer: usize,
+    /// Angle from the plane's normal, degrees.
+    pub angle_deg: f32,
+    /// For the GPU.
+    pub probes: Vec<ReliefProbe>,
+    rays: Vec<Ray>,
+    truths: Vec<Contact>,
+}
+
+impl Condition {
+    /// So many rays of it, with the relief's middle on the plane.
+    #[must_use]
+    pub fn new(stage: &Stage, layer: usize, angle_deg: f32, count: u32) -> Self {
+        let probes = probes(layer, count, angle_deg, AMPLITUDE);
+        let rays = rays(&probes, ReliefKnobs::default().pivot);
+        let truths = truths(&stage.maps[layer], &rays);
+        Self { layer, angle_deg, probes, rays, truths }
+    }
+
+    /// How a way of marching does.
+    ///
+    /// # Errors
+    /// The device fails.
+    pub fn score(&self, bench: &ReliefBench, stage: &Stage, how: &Relief) -> Result<Score> {
+        let (found, _) = bench.run(&stage.uploaded, how, &self.probes, 1)?;
+        Ok(Score::of(&stage.maps[self.layer], &self.rays, &found, &self.truths))
+    }
+}
+
 /// The truth of rays over a map.
 #[must_use]
 pub fn truths(map: &HeightMap, rays: &[Ray]) -> Vec<Contact> {
     rays.par_iter().map(|ray| truth::contact(map, ray)).collect()
+}
+
+/// Rays as neighbouring pixels send them: a square of `side` by `side` places a texel apart, all under one angle and heading.
+#[must_use]
+pub fn bundle(layer: usize, side: u32, angle_deg: f32, amplitude: f32) -> Vec<ReliefProbe> {
+    let mut probes = probes(layer, 1, angle_deg, amplitude);
+    let first = probes.remove(0);
+    let texel = |index: u32| index as f32 / SIDE as f32;
+    let probe = |index: u32| ReliefProbe {
+        uv: [first.uv[0] + texel(index % side), first.uv[1] + texel(index / side)],
+        ..first
+    };
+    (0..side * side).map(probe).collect()
 }
 
 /// The rays of probes.
