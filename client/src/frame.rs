@@ -25,6 +25,8 @@ const QUARTERS: [(i32, i32); 4] = [(0, 0), (1, 0), (0, 1), (1, 1)];
 pub struct FrameData {
     /// The uniforms of all passes.
     pub uniforms: Frame,
+    /// The eye, for what is placed relative to it.
+    pub eye: Eye,
     /// The quarters of chunks in sight, and halved chunks, nearest chunks first, so that hidden land behind near hills costs no shading.
     pub instances: Vec<TerrainInstance>,
     /// Chunks of which any quarter is in sight.
@@ -117,6 +119,7 @@ impl Shot {
         }
         FrameData {
             uniforms: self.uniforms(scene, &eye),
+            eye,
             instances,
             chunks,
             candidates,

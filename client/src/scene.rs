@@ -12,6 +12,12 @@ pub enum Scene {
     Island,
     /// A bay, three times side by side: plain parallax, the chosen tier of --water, the marched truth. Needs no server
     Water,
+    /// Cobbles on four planes: flat, by a single offset, as the knobs say, and as displaced geometry. Needs no server
+    Pom,
+    /// A wall of bricks whose depth is all parallax. Needs no server
+    Brick,
+    /// A plane, a sphere, a capsule and a cube whose edges follow their relief. Needs no server
+    Spom,
 }
 
 impl Scene {
@@ -20,7 +26,16 @@ impl Scene {
     pub fn is_local(self) -> bool {
         match self {
             Self::Island => false,
-            Self::Water => true,
+            Self::Water | Self::Pom | Self::Brick | Self::Spom => true,
+        }
+    }
+
+    /// Whether all of the scene fits into a room, so that a camera over land would be too fast and too far for it.
+    #[must_use]
+    pub fn is_room(self) -> bool {
+        match self {
+            Self::Island | Self::Water => false,
+            Self::Pom | Self::Brick | Self::Spom => true,
         }
     }
 
@@ -30,6 +45,9 @@ impl Scene {
         match self {
             Self::Island => None,
             Self::Water => Some("left: plain parallax, middle: --water, right: truth"),
+            Self::Pom => Some("from left: flat, one offset, --relief, displaced geometry"),
+            Self::Brick => Some("a flat wall: look along it to see where parallax ends"),
+            Self::Spom => Some("from left: plane, sphere, capsule, cube; cut by --silhouette"),
         }
     }
 
@@ -41,6 +59,10 @@ impl Scene {
                 Pose { position_m: DVec3::new(-5200.0, 160.0, 1500.0), yaw_deg: 70.0, pitch_deg: -8.0 }
             }
             Self::Water => Pose { position_m: DVec3::new(0.0, 7.5, 7.0), yaw_deg: 0.0, pitch_deg: -29.0 },
+            // 16 degrees above the planes, looking at their middle.
+            Self::Pom => Pose { position_m: DVec3::new(0.0, 3.64, 12.70), yaw_deg: 0.0, pitch_deg: -16.0 },
+            Self::Brick => Pose { position_m: DVec3::new(-2.6, 1.7, 3.3), yaw_deg: 30.0, pitch_deg: -6.0 },
+            Self::Spom => Pose { position_m: DVec3::new(-0.1, 2.55, 6.5), yaw_deg: 0.0, pitch_deg: -16.0 },
         }
     }
 
@@ -50,6 +72,9 @@ impl Scene {
         match self {
             Self::Island => 4600.0,
             Self::Water => 20.0,
+            Self::Pom => 13.2,
+            Self::Brick => 3.8,
+            Self::Spom => 6.8,
         }
     }
 
@@ -59,6 +84,11 @@ impl Scene {
         match self {
             Self::Island => Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 1.0 },
             Self::Water => Light { sun: Vec3::new(0.62, 0.58, -0.50).normalize(), exposure: 1.0 },
+            // From beyond, and hardly from the side: all four planes are lit alike, however far left or right they are.
+            Self::Pom => Light { sun: Vec3::new(-0.20, 0.50, -0.55).normalize(), exposure: 1.0 },
+            // Low and from the side, so that stones throw shadows.
+            Self::Spom => Light { sun: Vec3::new(-0.62, 0.50, 0.30).normalize(), exposure: 0.85 },
+            Self::Brick => Light { sun: Vec3::new(-0.62, 0.55, 0.55).normalize(), exposure: 1.0 },
         }
     }
 }

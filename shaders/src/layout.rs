@@ -220,6 +220,38 @@ pub struct ReliefFinding {
     pub reserved: [u32; 2],
 }
 
+/// An object of the relief scenes; `draw_relief.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct ReliefObject {
+    /// Middle, camera-relative metres.
+    pub origin_m: [f32; 3],
+    /// 0 as the knobs say, 1 flat, 2 one offset, 3 displaced geometry, 4 plain.
+    pub mode: u32,
+    /// The object's first axis in those of the world.
+    pub tangent: [f32; 3],
+    /// As [`Relief::silhouette`], where that says none.
+    pub silhouette: u32,
+    /// The second axis.
+    pub bitangent: [f32; 3],
+    /// 0 plane, 1 capsule, 2 cube.
+    pub shape: u32,
+    /// The third axis.
+    pub normal: [f32; 3],
+    /// Material set.
+    pub layer: u32,
+    /// Width and height; radius and half length; half side twice. Metres.
+    pub size_m: [f32; 2],
+    /// Metres that a tile covers.
+    pub tile_m: f32,
+    /// Metres from height 0 to height 1.
+    pub relief_m: f32,
+    /// Colour of a plain object, linear.
+    pub tint: [f32; 3],
+    /// Tiles around a capsule.
+    pub around: f32,
+}
+
 /// A quarter of a drawn chunk.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

@@ -1,5 +1,6 @@
 //! Reliefs on the CPU: height maps as numbers, and what is precomputed from them. No GPU.
 
+pub mod brick;
 pub mod cones;
 pub mod knobs;
 pub mod map;

@@ -41,6 +41,7 @@ use glam::Vec3;
 use materials::{Materials, OwnMaterials};
 use pool::ChunkPool;
 use scenes::LocalScene;
+use scenes::relief::objects::Object;
 use shaders::layout::Frame;
 use targets::Targets;
 use terrain::TerrainPass;
@@ -105,7 +106,8 @@ impl Renderer {
         let targets = Targets::new(device, options.size, samples);
         let waves = WaveMap::bake(device, &gpu.queue);
         let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
-        let materials = Materials::new(device, &gpu.queue, own, software);
+        let own = scenes::materials(options.scene, own);
+        let materials = Materials::new(device, &gpu.queue, &own, software);
         Self {
             samples,
             air: AirPass::new(device, &uniforms),
@@ -114,7 +116,14 @@ impl Renderer {
             terrain: TerrainPass::new(device, &uniforms, &pool, &materials, options.slots, samples),
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: WaterPass::sea(device, &uniforms, &waves, samples),
-            local: LocalScene::new(options.scene, device, &uniforms, &waves, samples),
+            local: LocalScene::new(
+                options.scene,
+                (device, &gpu.queue),
+                &uniforms,
+                &waves,
+                &materials,
+                samples,
+            ),
             tone: TonePass::new(device, &uniforms, &targets, options.format),
             clock: PassClock::new(device),
             terrain_draws: 0,
@@ -149,6 +158,13 @@ impl Renderer {
     /// The GPU failed.
     pub fn pass_times(&self, gpu: &Gpu) -> Result<Option<PassTimes>, GpuError> {
         self.clock.as_ref().map(|clock| clock.read(gpu)).transpose()
+    }
+
+    /// Puts other objects into a scene of reliefs; other scenes have none. For measuring: the scene's own objects are there from the start.
+    pub fn arrange(&mut self, gpu: &Gpu, objects: Vec<Object>) {
+        if let Some(LocalScene::Relief(scene)) = &mut self.local {
+            scene.arrange(&gpu.device, objects);
+        }
     }
 
     /// Puts a chunk into its slot.
@@ -237,6 +253,9 @@ impl Renderer {
     ) {
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
+        if let Some(scene) = &mut self.local {
+            scene.prepare(&gpu.queue, frame);
+        }
         if let Some(clock) = &self.clock {
             clock.begin(encoder);
         }
@@ -269,7 +288,7 @@ impl Renderer {
                 ..Default::default()
             });
             if let Some(scene) = &self.local {
-                scene.draw(&mut pass);
+                scene.draw(&mut pass, &self.materials, &self.sky);
             } else {
                 self.terrain_draws = self.terrain.draw(&mut pass, &self.materials);
                 if !matches!(frame.backdrop, Backdrop::Plain(_)) {

@@ -33,6 +33,16 @@ impl LightPass<'_> {
     /// The pipeline of the pass.
     #[must_use]
     pub fn pipeline(&self, device: &wgpu::Device) -> wgpu::RenderPipeline {
+        self.with_fragment(device, None)
+    }
+
+    /// The pipeline of one of several ways of writing what the pass draws.
+    #[must_use]
+    pub fn pipeline_of(&self, device: &wgpu::Device, fragment: &str) -> wgpu::RenderPipeline {
+        self.with_fragment(device, Some(fragment))
+    }
+
+    fn with_fragment(&self, device: &wgpu::Device, fragment: Option<&str>) -> wgpu::RenderPipeline {
         let (compare, write, blend) = match self.depth {
             Depth::Solid => (wgpu::CompareFunction::Greater, true, None),
             Depth::Transparent => {
@@ -49,7 +59,7 @@ impl LightPass<'_> {
         };
         build(
             device,
-            self.shader,
+            (self.shader, fragment),
             self.layouts,
             self.buffers,
             Some(depth_stencil),
@@ -67,12 +77,12 @@ pub fn flat_pipeline(
     layout: &wgpu::BindGroupLayout,
     format: wgpu::TextureFormat,
 ) -> wgpu::RenderPipeline {
-    build(device, shader, &[layout], &[], None, 1, format.into())
+    build(device, (shader, None), &[layout], &[], None, 1, format.into())
 }
 
 fn build(
     device: &wgpu::Device,
-    shader: &Shader,
+    (shader, fragment): (&Shader, Option<&str>),
     layouts: &[&wgpu::BindGroupLayout],
     buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
     depth_stencil: Option<wgpu::DepthStencilState>,
@@ -103,7 +113,7 @@ fn build(
         multisample: wgpu::MultisampleState { count: samples, ..Default::default() },
         fragment: Some(wgpu::FragmentState {
             module: &module,
-            entry_point: entry(Stage::Fragment),
+            entry_point: fragment.or_else(|| entry(Stage::Fragment)),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             targets: &[Some(target)],
         }),

@@ -7,7 +7,7 @@ use winit::keyboard::KeyCode;
 /// Flying speed to begin with, metres a second.
 const START_SPEED_M: f64 = 120.0;
 /// Range of the flying speed.
-const SPEED_M: std::ops::RangeInclusive<f64> = 2.0..=5000.0;
+const SPEED_M: std::ops::RangeInclusive<f64> = 0.5..=5000.0;
 /// Shift multiplies the speed by this.
 const BOOST: f64 = 5.0;
 /// One notch of the wheel multiplies the speed by this.
@@ -16,6 +16,10 @@ const NOTCH: f64 = 1.25;
 const DRAG_DEG: f64 = 0.15;
 /// How close the eye may come to the ground or the sea, metres.
 const CLEARANCE_M: f64 = 2.0;
+/// Nearest that the camera circles over land, metres.
+const NEAREST_M: f64 = 100.0;
+/// Flying speed and nearest circle where all there is fits into a room, metres a second and metres.
+const INDOORS: (f64, f64) = (2.5, 0.5);
 /// Circling speed if none was asked for, degrees a second.
 const ORBIT_DEG: f64 = 3.0;
 
@@ -26,6 +30,9 @@ pub struct Controls {
     orbit: Option<Orbit>,
     orbit_deg_per_s: f64,
     orbit_radius_m: f64,
+    nearest_m: f64,
+    /// Whether ground and sea keep the camera above them.
+    is_grounded: bool,
     held: Held,
     dragging: bool,
     cursor: Option<(f64, f64)>,
@@ -53,11 +60,22 @@ impl Controls {
             orbit: orbit_deg_per_s.map(|_| Orbit::through(&pose, orbit_radius_m)),
             orbit_deg_per_s: orbit_deg_per_s.unwrap_or(ORBIT_DEG),
             orbit_radius_m,
+            nearest_m: NEAREST_M,
+            is_grounded: true,
             held: Held::default(),
             dragging: false,
             cursor: None,
             turn: (0.0, 0.0),
         }
+    }
+
+    /// The same in a scene as small as a room: slower, closer, and under the floor as well. Circles from the start, at rest if no speed was asked for.
+    #[must_use]
+    pub fn indoors(pose: Pose, orbit_deg_per_s: Option<f64>, orbit_radius_m: f64) -> Self {
+        let mut controls = Self::new(pose, Some(orbit_deg_per_s.unwrap_or(0.0)), orbit_radius_m);
+        (controls.fly.speed_m, controls.nearest_m) = INDOORS;
+        controls.is_grounded = false;
+        controls
     }
 
     /// Where the camera is.
@@ -133,7 +151,7 @@ impl Controls {
             orbit.bearing_deg += self.orbit_deg_per_s * dt_s + turn_deg;
             orbit.height_m += axis(self.held.up, self.held.down) * self.fly.speed_m * dt_s;
             orbit.radius_m -= axis(self.held.forward, self.held.back) * self.fly.speed_m * dt_s;
-            orbit.radius_m = orbit.radius_m.clamp(100.0, 20_000.0);
+            orbit.radius_m = orbit.radius_m.clamp(self.nearest_m, 20_000.0);
             self.fly.pose = orbit.pose();
         } else {
             let steering = Steering {
@@ -145,6 +163,9 @@ impl Controls {
             };
             let boost = if self.held.fast { BOOST } else { 1.0 };
             self.fly.step(&steering, dt_s * boost);
+        }
+        if !self.is_grounded {
+            return;
         }
         let floor = ground_m.unwrap_or(0.0).max(0.0) + CLEARANCE_M;
         self.fly.pose.position_m.y = self.fly.pose.position_m.y.max(floor);
@@ -190,6 +211,17 @@ mod tests {
         assert_eq!(controls.pose().position_m.y, 42.0);
         controls.step(10.0, Some(-60.0));
         assert_eq!(controls.pose().position_m.y, 2.0);
+    }
+
+    #[test]
+    fn indoors_the_camera_circles_closely_and_goes_under_the_floor() {
+        let start: Pose = "0,4,13,0,-16".parse().unwrap();
+        let mut controls = Controls::indoors(start, None, 13.6);
+        controls.step(1.0, None);
+        assert!(controls.is_orbiting() && (controls.pose().position_m - start.position_m).length() < 1e-6);
+        controls.key(KeyCode::KeyQ, ElementState::Pressed);
+        controls.step(4.0, None);
+        assert!(controls.pose().position_m.y < 0.0, "{:?}", controls.pose());
     }
 
     #[test]

@@ -185,7 +185,11 @@ impl Running {
             renderer: Renderer::with_materials(&gpu, &options, &textures::own(args)?),
             overlay: Overlay::new(&gpu, &window, surface.format),
             voyage: Voyage::new(feed, slots).fading(ARRIVAL_FADE),
-            controls: Controls::new(args.pose(), args.orbit, args.scene.orbit_radius_m()),
+            controls: if args.scene.is_room() {
+                Controls::indoors(args.pose(), args.orbit, args.scene.orbit_radius_m())
+            } else {
+                Controls::new(args.pose(), args.orbit, args.scene.orbit_radius_m())
+            },
             knobs: Knobs {
                 tolerance_px: args.tolerance,
                 view_distance_m: args.view_distance,

@@ -1,6 +1,8 @@
 //! The panel: numbers of the frame and of the session, and the two sliders that trade detail for speed.
 
 use crate::looks::{Diffuse, Looks, Shadows, Show, Tiling, Visibility, WaterTier};
+use crate::relief::ReliefKnobs;
+use crate::relief::knobs::{Heights, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
 use crate::stats::FrameTimes;
 use crate::voyage::Link;
 use clap::ValueEnum;
@@ -88,6 +90,7 @@ pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
                     .text("view distance, m"),
             );
             ui.collapsing("Picture", |ui| picture(ui, &mut knobs.looks));
+            ui.collapsing("Relief", |ui| relief(ui, &mut knobs.looks.relief));
             ui.separator();
             histogram(ui, &readings.levels);
             ui.collapsing("Keys", |ui| {
@@ -125,6 +128,38 @@ fn picture(ui: &mut egui::Ui, looks: &mut Looks) {
         ui.weak("exposure");
         ui.add(egui::Slider::new(&mut looks.exposure_ev, -8.0..=8.0).suffix(" EV"));
         ui.end_row();
+    });
+}
+
+/// The knobs of reliefs. All of them are words in the uniforms: moving one builds nothing.
+fn relief(ui: &mut egui::Ui, knobs: &mut ReliefKnobs) {
+    fn row(ui: &mut egui::Ui, name: &str, slider: egui::Slider<'_>) {
+        ui.weak(name);
+        ui.add(slider);
+        ui.end_row();
+    }
+    egui::Grid::new("relief").num_columns(2).show(ui, |ui| {
+        choice::<ReliefTier>(ui, "relief", &mut knobs.tier);
+        let steps = 1..=ReliefKnobs::MAX_STEPS;
+        row(ui, "steps down", egui::Slider::new(&mut knobs.steps_min, steps.clone()).logarithmic(true));
+        row(ui, "steps along", egui::Slider::new(&mut knobs.steps_max, steps).logarithmic(true));
+        choice::<Refine>(ui, "refine", &mut knobs.refine);
+        let rounds = 0..=ReliefKnobs::MAX_REFINEMENTS;
+        row(ui, "refinements", egui::Slider::new(&mut knobs.refinements, rounds));
+        choice::<LoopForm>(ui, "loop", &mut knobs.loop_form);
+        choice::<Heights>(ui, "heights", &mut knobs.heights);
+        choice::<ReliefShadow>(ui, "shadow", &mut knobs.shadow);
+        row(ui, "pivot", egui::Slider::new(&mut knobs.pivot, 0.0..=1.0));
+        row(ui, "amplitude", egui::Slider::new(&mut knobs.amplitude, 0.0..=ReliefKnobs::MAX_AMPLITUDE));
+        ui.weak("depth");
+        ui.checkbox(&mut knobs.depth, "its own");
+        ui.end_row();
+        choice::<Silhouette>(ui, "silhouette", &mut knobs.silhouette);
+        let horizon = &mut knobs.horizon;
+        row(ui, "horizon", egui::Slider::new(&mut horizon.strength, 0.0..=4.0));
+        row(ui, "height bias", egui::Slider::new(&mut horizon.height_bias, 0.0..=1.0));
+        row(ui, "safe above", egui::Slider::new(&mut horizon.safe_threshold, 0.0..=0.95));
+        row(ui, "falloff", egui::Slider::new(&mut horizon.falloff, 0.5..=8.0));
     });
 }
 

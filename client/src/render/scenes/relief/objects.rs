@@ -1,0 +1,261 @@
+//! What stands in the scenes of reliefs, and where.
+
+use crate::camera::Eye;
+use crate::relief::knobs::Silhouette;
+use crate::scene::Scene;
+use glam::{DVec3, Quat, Vec3};
+use shaders::layout::ReliefObject;
+use std::f32::consts::{FRAC_PI_2, TAU};
+use terrain::constants::UNITS_PER_METRE;
+
+/// Material set of all objects: cobbles; in the scene of bricks, bricks take its place.
+pub const LAYER: u32 = 6;
+
+/// Metres from height 0 to height 1 of cobbles, over the metres of a tile: round heads, deep joints.
+const COBBLES_RELIEF: f32 = 0.04;
+
+/// Side of the planes that are compared, metres.
+pub const PLANE_M: f32 = 5.0;
+/// Gap between them, metres.
+const GAP_M: f32 = 0.5;
+
+/// How an object's relief is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// As the knobs say.
+    Knobs,
+    /// Not at all.
+    Flat,
+    /// By a single offset.
+    Offset,
+    /// By displaced vertices: the truth on screen. Planes only.
+    Geometry,
+    /// There is none: an object of one colour.
+    Plain,
+}
+
+/// Form and size of an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shape {
+    /// A rectangle across the third axis.
+    Plane {
+        /// Along the first axis.
+        width_m: f32,
+        /// Along the second.
+        height_m: f32,
+    },
+    /// A cylinder along the third axis with round ends; a sphere if it has no length.
+    Capsule {
+        /// Of cylinder and ends.
+        radius_m: f32,
+        /// Half the length of the cylinder alone.
+        half_length_m: f32,
+    },
+    /// A cube along the axes.
+    Cube {
+        /// Half its side.
+        half_m: f32,
+    },
+}
+
+/// An object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Object {
+    /// Form and size.
+    pub shape: Shape,
+    /// How its relief is found.
+    pub mode: Mode,
+    /// Its middle, metres east, up, south.
+    pub position_m: DVec3,
+    /// From its axes to those of the world.
+    pub turn: Quat,
+    /// Metres that a tile of the material covers.
+    pub tile_m: f32,
+    /// Metres from height 0 to height 1, before the knob.
+    pub relief_m: f32,
+    /// How its edge is cut where the knob says [`Silhouette::None`].
+    pub silhouette: Silhouette,
+    /// Colour of a plain object, linear.
+    pub tint: Vec3,
+}
+
+impl Object {
+    /// A plane on the ground, its first axis east, its second north, covered with cobbles, one tile of them `tile_m` metres wide.
+    #[must_use]
+    pub fn ground(mode: Mode, position_m: DVec3, side_m: f32, tile_m: f32) -> Self {
+        Self {
+            shape: Shape::Plane { width_m: side_m, height_m: side_m },
+            mode,
+            position_m,
+            // Up is the third axis.
+            turn: Quat::from_rotation_x(-FRAC_PI_2),
+            tile_m,
+            relief_m: COBBLES_RELIEF * tile_m,
+            silhouette: Silhouette::None,
+            tint: Vec3::ZERO,
+        }
+    }
+
+    /// A ball of one colour.
+    #[must_use]
+    pub fn ball(position_m: DVec3, radius_m: f32, tint: Vec3) -> Self {
+        Self {
+            shape: Shape::Capsule { radius_m, half_length_m: 0.0 },
+            mode: Mode::Plain,
+            tint,
+            ..Self::ground(Mode::Plain, position_m, 1.0, 1.0)
+        }
+    }
+
+    /// Tiles around a capsule: a whole number, so that they meet.
+    #[must_use]
+    pub fn around(&self) -> f32 {
+        match self.shape {
+            Shape::Capsule { radius_m, .. } => (TAU * radius_m / self.tile_m).round().max(1.0),
+            Shape::Plane { .. } | Shape::Cube { .. } => 1.0,
+        }
+    }
+
+    /// As the shader reads it for an eye. Subtracted in f64, so that the place is exact however far both are from the origin.
+    #[must_use]
+    pub fn layout(&self, eye: &Eye) -> ReliefObject {
+        let whole = DVec3::from_array(eye.units.map(f64::from)) / f64::from(UNITS_PER_METRE);
+        let (shape, size_m) = match self.shape {
+            Shape::Plane { width_m, height_m } => (0, [width_m, height_m]),
+            Shape::Capsule { radius_m, half_length_m } => (1, [radius_m, half_length_m]),
+            Shape::Cube { half_m } => (2, [half_m, half_m]),
+        };
+        ReliefObject {
+            origin_m: ((self.position_m - whole) - eye.fraction_m.as_dvec3()).as_vec3().into(),
+            mode: self.mode as u32,
+            tangent: (self.turn * Vec3::X).into(),
+            silhouette: self.silhouette as u32,
+            bitangent: (self.turn * Vec3::Y).into(),
+            shape,
+            normal: (self.turn * Vec3::Z).into(),
+            layer: LAYER,
+            size_m,
+            tile_m: self.tile_m,
+            relief_m: self.relief_m,
+            tint: self.tint.into(),
+            around: self.around(),
+        }
+    }
+}
+
+/// The objects of a scene; none of scenes without reliefs.
+#[must_use]
+pub fn of(scene: Scene) -> Vec<Object> {
+    match scene {
+        Scene::Island | Scene::Water => Vec::new(),
+        Scene::Pom => pom(),
+        Scene::Brick => brick(),
+        Scene::Spom => spom(),
+    }
+}
+
+/// The four ways that are compared, from left to right.
+pub const COMPARED: [Mode; 4] = [Mode::Flat, Mode::Offset, Mode::Knobs, Mode::Geometry];
+
+const SAND: Vec3 = Vec3::new(0.19, 0.155, 0.11);
+const CLAY: Vec3 = Vec3::new(0.62, 0.16, 0.05);
+const CHALK: Vec3 = Vec3::new(0.62, 0.60, 0.55);
+
+/// The ground around, up to the horizon.
+fn floor(height_m: f64) -> Object {
+    let plane = Object::ground(Mode::Plain, DVec3::new(0.0, height_m, 0.0), 20_000.0, 1.0);
+    Object { tint: SAND, relief_m: 0.0, ..plane }
+}
+
+/// Four planes side by side, a ball and a leaning slab sunk into each.
+fn pom() -> Vec<Object> {
+    let mut objects = vec![floor(-0.14)];
+    for (column, mode) in COMPARED.into_iter().enumerate() {
+        let middle_m = DVec3::new((column as f64 - 1.5) * f64::from(PLANE_M + GAP_M), 0.0, 0.0);
+        objects.push(Object::ground(mode, middle_m, PLANE_M, PLANE_M));
+        objects.push(Object::ball(middle_m + DVec3::new(-1.2, 0.05, -1.1), 0.45, CLAY));
+        objects.push(Object {
+            shape: Shape::Capsule { radius_m: 0.16, half_length_m: 0.75 },
+            turn: Quat::from_rotation_y(0.5) * Quat::from_rotation_x(0.12),
+            ..Object::ball(middle_m + DVec3::new(1.3, 0.02, -1.0), 0.16, CHALK)
+        });
+    }
+    objects
+}
+
+/// Side of a tile of bricks, metres: six bricks wide, twelve courses high.
+pub const BRICK_TILE_M: f32 = 1.5;
+
+/// Metres from the mortar to the face of the bricks.
+pub const BRICK_RELIEF_M: f32 = 0.06;
+
+/// A wall that faces south.
+fn brick() -> Vec<Object> {
+    let (width_m, height_m) = (4.0 * BRICK_TILE_M, 2.0 * BRICK_TILE_M);
+    let wall = Object {
+        shape: Shape::Plane { width_m, height_m },
+        turn: Quat::IDENTITY,
+        relief_m: BRICK_RELIEF_M,
+        ..Object::ground(Mode::Knobs, DVec3::new(0.0, f64::from(height_m) / 2.0, 0.0), 1.0, BRICK_TILE_M)
+    };
+    vec![floor(0.0), wall]
+}
+
+/// A plane, a sphere, a capsule and a cube, each with the cut that suits it: a plane by its rectangle, a sphere and a capsule by the cheap horizon and the
+/// shell, a cube by the shell (the horizon's cut eats holes into flat faces that are seen from the side).
+fn spom() -> Vec<Object> {
+    let tile_m = 2.8;
+    let object = |shape, x_m: f64, y_m: f64, turn, silhouette| Object {
+        shape,
+        turn,
+        silhouette,
+        ..Object::ground(Mode::Knobs, DVec3::new(x_m, y_m, 0.0), 1.0, tile_m)
+    };
+    let plane = Object {
+        silhouette: Silhouette::Rectangle,
+        turn: Quat::from_rotation_x(-0.75),
+        ..Object::ground(Mode::Knobs, DVec3::new(-4.5, 0.6, 0.0), 2.6, tile_m)
+    };
+    // Both poles, around which the material shrinks, lie on the limb.
+    let leaning = Quat::from_rotation_x(-FRAC_PI_2 - 0.27);
+    vec![
+        floor(-0.4),
+        plane,
+        object(
+            Shape::Capsule { radius_m: 1.15, half_length_m: 0.0 },
+            -1.7,
+            0.8,
+            leaning,
+            Silhouette::Horizon,
+        ),
+        object(
+            Shape::Capsule { radius_m: 0.75, half_length_m: 0.9 },
+            1.4,
+            1.2,
+            Quat::from_rotation_x(-FRAC_PI_2),
+            Silhouette::Shell,
+        ),
+        object(Shape::Cube { half_m: 0.9 }, 4.4, 0.5, Quat::from_rotation_y(0.6), Silhouette::Shell),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Pose;
+
+    #[test]
+    fn places_are_exact_however_far_from_the_origin_and_axes_are_right_handed() {
+        for object in [Scene::Pom, Scene::Brick, Scene::Spom].into_iter().flat_map(of) {
+            let seen = |away: DVec3| {
+                let position_m = DVec3::new(1.5, 2.25, 3.0) + away;
+                let eye = Pose { position_m, yaw_deg: 0.0, pitch_deg: 0.0 }.eye();
+                Object { position_m: object.position_m + away, ..object }.layout(&eye)
+            };
+            assert_eq!(seen(DVec3::ZERO).origin_m, seen(DVec3::new(2e6, 0.0, -1e6)).origin_m);
+            let layout = seen(DVec3::ZERO);
+            let [u, v, n] = [layout.tangent, layout.bitangent, layout.normal].map(Vec3::from);
+            assert!((u.cross(v) - n).length() < 1e-6, "{object:?}");
+        }
+    }
+}

@@ -1,0 +1,314 @@
+//! Scenes of reliefs: what must be the same byte for byte, knobs and cameras at the ends of their ranges, and edges and depths against displaced geometry.
+
+use client::camera::Pose;
+use client::headless::{self, HeadlessError, Options};
+use client::looks::{Looks, Show};
+use client::relief::ReliefKnobs;
+use client::relief::knobs::{Heights, Horizon, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
+use client::render::Picture;
+use client::render::materials::{MATERIAL_TEXELS, OwnMaterial, OwnMaterials};
+use client::render::scenes::relief::objects::{self, LAYER, Mode, Object};
+use client::scene::Scene;
+use lab::relief::pictures::{Light, ReliefStudio, around, ball, line_distances, plane, quantile};
+use std::sync::Arc;
+use std::time::Instant;
+
+const SCENES: [Scene; 3] = [Scene::Pom, Scene::Brick, Scene::Spom];
+
+/// A studio; none, visibly, where there is no adapter and none is required.
+fn studio(scene: Scene, size: (u32, u32)) -> Option<ReliefStudio> {
+    match ReliefStudio::open(scene, size) {
+        Ok(studio) => Some(studio),
+        Err(error) if !tests::gpu_is_required() => {
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+fn drawn(options: &Options) -> Option<Picture> {
+    match headless::render_local(options, Instant::now()) {
+        Ok((picture, stats)) => {
+            assert_eq!((stats.chunks_drawn, stats.bytes_received, stats.delivery), (0, 0, "none"));
+            Some(picture)
+        }
+        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+fn options(scene: Scene, relief: ReliefKnobs) -> Options {
+    let mut options = Options { scene, pose: scene.start(), samples: 1, ..Options::default() };
+    (options.lens.width, options.lens.height) = (160, 90);
+    options.looks.relief = relief;
+    options
+}
+
+fn knobs(tier: ReliefTier) -> ReliefKnobs {
+    ReliefKnobs { tier, ..ReliefKnobs::default() }
+}
+
+const TIERS: [ReliefTier; 6] = [
+    ReliefTier::Flat,
+    ReliefTier::Offset,
+    ReliefTier::Linear,
+    ReliefTier::Cones,
+    ReliefTier::Pyramid,
+    ReliefTier::Auto,
+];
+
+#[test]
+fn without_amplitude_every_tier_draws_the_flat_plane_byte_for_byte() {
+    let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
+    let pose = around(16.0, 20.0, 3.5);
+    let mut of = |mode, relief| studio.shown(&[plane(mode)], pose, relief, Show::Picture).unwrap();
+    for tier in TIERS {
+        for silhouette in [Silhouette::None, Silhouette::Shell] {
+            for depth in [false, true] {
+                let none = ReliefKnobs { amplitude: 0.0, silhouette, depth, ..knobs(tier) };
+                let flat = of(Mode::Flat, none);
+                assert_eq!(of(Mode::Knobs, none).differing(&flat).count(), 0, "{none:?}");
+            }
+        }
+        // The control: with its amplitude it is another picture, unless it is the flat tier.
+        let changed = of(Mode::Knobs, knobs(tier)).differing(&of(Mode::Flat, knobs(tier))).count();
+        assert_eq!(changed == 0, tier == ReliefTier::Flat, "{tier:?}: {changed} pixels");
+    }
+}
+
+#[test]
+fn a_loop_that_runs_to_its_end_draws_what_one_that_leaves_draws_byte_for_byte() {
+    let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
+    let pose = around(12.0, -35.0, 3.0);
+    for refine in [Refine::None, Refine::Segment, Refine::Secant, Refine::Bisection] {
+        for heights in [Heights::Exact, Heights::Sampler] {
+            let exit = ReliefKnobs { refine, heights, ..knobs(ReliefTier::Linear) };
+            let flag = ReliefKnobs { loop_form: LoopForm::Flag, ..exit };
+            let mut of = |relief| studio.shown(&[plane(Mode::Knobs)], pose, relief, Show::Picture).unwrap();
+            let (left, ran) = (of(exit), of(flag));
+            assert_eq!(left.differing(&ran).count(), 0, "{refine:?} {heights:?}");
+            // The control: another number of steps is another picture.
+            let fewer = of(ReliefKnobs { steps_min: 2, steps_max: 3, ..exit });
+            assert!(left.differing(&fewer).count() > 100, "{refine:?} {heights:?}");
+        }
+    }
+}
+
+/// Cameras that ask for what has no answer: straight down, along the plane, at its height, in the relief, under it.
+fn odd_poses() -> Vec<Pose> {
+    let texts = [
+        "0,3,0,0,-90",
+        "0,0.005,3,0,-0.1",
+        "0,0,3,0,0",
+        "0,0.02,0,0,0",
+        "0.3,0.03,0.2,45,-30",
+        "0,-0.5,3,0,8",
+        "0,-2,0,0,90",
+    ];
+    texts.iter().map(|text| text.parse().unwrap()).chain([around(0.1, 33.0, 3.0)]).collect()
+}
+
+#[test]
+fn every_pixel_is_a_number_whatever_camera_amplitude_and_steps_are() {
+    let Some(mut studio) = studio(Scene::Pom, (64, 36)) else { return };
+    let silhouettes = [Silhouette::None, Silhouette::Rectangle, Silhouette::Horizon, Silhouette::Shell];
+    let shadows = [ReliefShadow::Hard, ReliefShadow::Soft];
+    let (mut index, mut seen) = (0, 0);
+    for pose in odd_poses() {
+        // Relative to a tile of 5 m, whose relief is 0.1 m.
+        for amplitude in [1e-6, 0.05, 0.5, 10.0f32] {
+            for steps in [1, 256] {
+                for tier in [ReliefTier::Linear, ReliefTier::Auto, ReliefTier::Offset] {
+                    let relief = ReliefKnobs {
+                        amplitude,
+                        steps_min: steps,
+                        steps_max: steps,
+                        silhouette: silhouettes[index % 4],
+                        shadow: shadows[index % 2],
+                        depth: index % 3 == 0,
+                        pivot: [0.5, 0.0, 1.0][index % 3],
+                        ..knobs(tier)
+                    };
+                    index += 1;
+                    let mut everything = objects::of(Scene::Spom);
+                    everything.extend([plane(Mode::Knobs), plane(Mode::Geometry)]);
+                    let light = studio.shown(&everything, pose, relief, Show::Picture).unwrap();
+                    assert_eq!(light.unlit(), 0, "{pose} {relief:?}");
+                    seen += light.0.len();
+                }
+            }
+        }
+    }
+    assert!(seen > 0);
+    // The control: a sun that is no number is seen.
+    let mut frame = studio.frame(around(30.0, 0.0, 3.0), Looks::default());
+    frame.uniforms.sun = [f32::NAN; 3];
+    assert!(studio.light(&frame).unwrap().unlit() > 100, "the control must fail");
+}
+
+#[test]
+fn every_scene_is_drawn_by_every_knob_and_at_odd_numbers() {
+    let odd = Horizon { strength: f32::NAN, height_bias: 9.0, safe_threshold: -1.0, falloff: f32::INFINITY };
+    let rows = [
+        ReliefKnobs::default(),
+        ReliefKnobs {
+            silhouette: Silhouette::Rectangle,
+            shadow: ReliefShadow::Hard,
+            ..knobs(ReliefTier::Linear)
+        },
+        ReliefKnobs {
+            silhouette: Silhouette::Horizon,
+            horizon: odd,
+            depth: true,
+            ..knobs(ReliefTier::Cones)
+        },
+        ReliefKnobs {
+            silhouette: Silhouette::Shell,
+            depth: true,
+            amplitude: f32::NAN,
+            ..knobs(ReliefTier::Pyramid)
+        },
+    ];
+    for scene in SCENES {
+        let Some(mut studio) = studio(scene, (160, 90)) else { return };
+        let mut of = |relief, show| {
+            let frame = studio.frame(scene.start(), Looks { relief, show, ..Looks::default() });
+            let light = studio.light(&frame).unwrap();
+            assert_eq!(light.unlit(), 0, "{scene:?} {show:?} {relief:?}");
+            light
+        };
+        let standard = of(rows[0], Show::Picture);
+        for relief in &rows[1..] {
+            let changed = of(*relief, Show::Picture).differing(&standard).count();
+            assert!(changed > 0, "{scene:?}: {relief:?} changes nothing");
+        }
+        for show in [Show::Error, Show::Normals, Show::Levels, Show::Wireframe] {
+            assert!(of(rows[0], show).differing(&standard).count() > 1000, "{scene:?} {show:?}");
+        }
+    }
+}
+
+/// A set of one colour whose heights are stripes.
+fn striped() -> OwnMaterials {
+    let texel = |index: usize| shaders::layout::BakeTexel {
+        albedo: [0.8, 0.05, 0.6],
+        height: f32::from(u8::from(index % 64 < 32)),
+        normal: [0.0; 2],
+        roughness: 0.9,
+        occlusion: 1.0,
+    };
+    let texels = (0..MATERIAL_TEXELS).map(texel).collect();
+    let mut sets: [Option<OwnMaterial>; 7] = Default::default();
+    sets[LAYER as usize] = Some(OwnMaterial { texels, normals_given: false, occlusion_given: false });
+    Arc::new(sets)
+}
+
+#[test]
+fn a_users_textures_cover_the_objects_of_every_scene() {
+    for scene in SCENES {
+        let base = options(scene, ReliefKnobs::default());
+        let Some(own) = drawn(&Options { materials: striped(), ..base.clone() }) else { return };
+        let Some(procedural) = drawn(&base) else { return };
+        let pink = |picture: &Picture| {
+            picture
+                .rgba
+                .chunks_exact(4)
+                .filter(|pixel| {
+                    pixel[0] > pixel[1].saturating_mul(2) && pixel[2] > pixel[1].saturating_mul(2)
+                })
+                .count()
+        };
+        assert!(
+            pink(&own) > 200 && pink(&procedural) == 0,
+            "{scene:?}: {}, {}",
+            pink(&own),
+            pink(&procedural)
+        );
+    }
+}
+
+/// Overlap of what a plane covers with what displaced geometry covers, at a camera's elevation.
+fn overlap(studio: &mut ReliefStudio, mode: Mode, knobs: ReliefKnobs, elevation_deg: f64) -> f64 {
+    let mut worst = 1.0f64;
+    for bearing_deg in [0.0, 30.0, 77.0] {
+        let pose = around(elevation_deg, bearing_deg, 4.2);
+        let truth = studio.cover(&[plane(Mode::Geometry)], pose, knobs).unwrap();
+        assert!(truth.count() > 1000, "{}", truth.count());
+        worst = worst.min(studio.cover(&[plane(mode)], pose, knobs).unwrap().overlap(&truth));
+    }
+    worst
+}
+
+#[test]
+fn a_shell_has_the_silhouette_of_displaced_geometry_and_a_flat_plane_has_not() {
+    let Some(mut studio) = studio(Scene::Pom, (480, 270)) else { return };
+    for tier in [ReliefTier::Auto, ReliefTier::Pyramid, ReliefTier::Linear] {
+        let shell = ReliefKnobs { silhouette: Silhouette::Shell, ..knobs(tier) };
+        for elevation_deg in [16.0, 5.0] {
+            let (own, flat) = (
+                overlap(&mut studio, Mode::Knobs, shell, elevation_deg),
+                overlap(&mut studio, Mode::Flat, shell, elevation_deg),
+            );
+            println!("{tier:?} at {elevation_deg} degrees: shell {own:.4}, flat {flat:.4}");
+            assert!(own >= 0.98, "{tier:?} at {elevation_deg} degrees: {own}");
+            assert!(flat < 0.98, "the control must fail: {flat} at {elevation_deg} degrees");
+        }
+    }
+}
+
+#[test]
+fn objects_are_cut_by_the_depth_of_the_relief_where_displaced_geometry_cuts_them() {
+    let Some(mut studio) = studio(Scene::Pom, (480, 270)) else { return };
+    for elevation_deg in [16.0, 40.0] {
+        let pose = around(elevation_deg, 25.0, 2.6);
+        let mut line = |object: Object, relief| studio.cut_line(&object, &ball(), pose, relief).unwrap();
+        let deep = ReliefKnobs { depth: true, silhouette: Silhouette::Shell, ..knobs(ReliefTier::Pyramid) };
+        let truth = line(plane(Mode::Geometry), deep);
+        let distance = |line: &[(i32, i32)]| quantile(&line_distances(line, &truth), 0.99);
+        let own = distance(&line(plane(Mode::Knobs), deep));
+        let shallow = distance(&line(
+            plane(Mode::Knobs),
+            ReliefKnobs { depth: false, silhouette: Silhouette::None, ..deep },
+        ));
+        println!(
+            "{elevation_deg} degrees: with depth {own:.2} px, without {shallow:.2} px, {} pixels",
+            truth.len()
+        );
+        assert!(truth.len() > 50, "{}", truth.len());
+        assert!(own <= 1.0, "p99 at {elevation_deg} degrees: {own} px");
+        assert!(shallow > 1.0, "the control must fail: {shallow} px");
+    }
+}
+
+#[test]
+fn the_exact_walk_and_displaced_geometry_look_alike_and_flat_and_one_offset_do_not() {
+    let Some(mut studio) = studio(Scene::Pom, (320, 180)) else { return };
+    let pose = around(25.0, 10.0, 3.0);
+    let mut of = |mode| {
+        let relief = ReliefKnobs { silhouette: Silhouette::Shell, ..knobs(ReliefTier::Pyramid) };
+        let light = studio.shown(&[plane(mode)], pose, relief, Show::Picture).unwrap();
+        assert_eq!(light.unlit(), 0);
+        studio.picture().unwrap()
+    };
+    let truth = of(Mode::Geometry);
+    let apart = |picture: &Picture| {
+        let sum: u64 = picture.rgba.iter().zip(&truth.rgba).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+        sum as f64 / truth.rgba.len() as f64
+    };
+    let [own, flat, offset] = [Mode::Knobs, Mode::Flat, Mode::Offset].map(|mode| apart(&of(mode)));
+    println!("mean difference to geometry: walk {own:.2}, flat {flat:.2}, offset {offset:.2}");
+    assert!(own < 0.35 * flat && own < 0.35 * offset, "{own} against {flat} and {offset}");
+}
+
+#[test]
+fn light_that_differs_is_seen_to_differ() {
+    let one = Light(vec![[1, 2, 3, 4]; 4]);
+    let mut other = one.clone();
+    assert_eq!(one.differing(&other).count(), 0);
+    other.0[2][1] = 9;
+    assert_eq!(one.differing(&other).count(), 1);
+}
