@@ -1,10 +1,12 @@
 //! The shipped marches against the truth, on this machine's GPU. `cargo xtask measure pom` asks the same with more rays.
 
-use client::relief::knobs::{LoopForm, Refine, ReliefTier};
+use clap::ValueEnum as _;
+use client::relief::knobs::{Heights, LoopForm, Refine, ReliefShadow, ReliefTier};
+use client::relief::{HeightMap, ReliefKnobs};
 use lab::relief::bench::ReliefBench;
 use lab::relief::maps::Kind;
-use lab::relief::trial::{AMPLITUDE, ANGLES_DEG, Condition, Stage, probes, relief};
-use shaders::layout::Relief;
+use lab::relief::trial::{AMPLITUDE, ANGLES_DEG, Condition, Score, Stage, probes, rays, relief, truths};
+use shaders::layout::{Relief, ReliefProbe};
 
 /// The bench; none, visibly, where there is no adapter and none is required.
 fn bench() -> Option<ReliefBench> {
@@ -54,6 +56,150 @@ fn both_loop_forms_find_the_same_to_the_last_bit() {
                 found.iter().map(|found| [found.uv[0], found.uv[1], found.height].map(f32::to_bits)).collect()
             };
             assert_eq!(places(LoopForm::Exit), places(LoopForm::Flag), "{refine:?}");
+        }
+    }
+}
+
+/// Rays with everything that is odd about them.
+fn odd_rays(layer: u32) -> Vec<ReliefProbe> {
+    let mut rays = Vec::new();
+    for amplitude in [0.0, 1e-6, 0.05, 0.5, 10.0] {
+        for angle_deg in [0.0f32, 60.0, 89.9, 90.0, 120.0] {
+            for origin in [0.0, 1e3, 1e6] {
+                for (east, south) in [(1.0, 0.0), (0.0, -1.0), (0.6, 0.8), (-3.0, 0.5)] {
+                    let (sin, cos) = angle_deg.to_radians().sin_cos();
+                    // At a right angle, exactly: the sine of a rounded angle leaves a rest.
+                    let up = if angle_deg == 90.0 { 0.0 } else { cos };
+                    rays.push(ReliefProbe {
+                        uv: [origin + 0.37, origin + 0.61],
+                        amplitude,
+                        lod: 0,
+                        to_eye: [sin * east, sin * south, up],
+                        layer,
+                        to_sun: [east * up, south * up, sin],
+                        reserved: 0,
+                    });
+                }
+            }
+        }
+    }
+    rays
+}
+
+#[test]
+fn every_odd_ray_over_every_odd_map_ends_at_a_number_after_bounded_work() {
+    let Some(bench) = bench() else { return };
+    let map = |side: usize, height: fn(f64, f64) -> f64| HeightMap::of(side, height).unwrap();
+    let checkers =
+        |u: f64, v: f64| f64::from(u8::from(((u * 32.0) as u32 + (v * 32.0) as u32).is_multiple_of(2)));
+    let spike = |u: f64, v: f64| f64::from(u8::from((u * 32.0) as u32 == 12 && (v * 32.0) as u32 == 20));
+    let arrays = [
+        vec![map(1, |_, _| 0.3)],
+        vec![map(2, |u, _| u)],
+        vec![
+            map(32, |_, _| 0.0),
+            map(32, |_, _| 1.0),
+            map(32, |_, _| 0.5),
+            map(32, checkers),
+            map(32, spike),
+        ],
+    ];
+    for maps in arrays {
+        let uploaded = bench.upload(&maps, true);
+        for layer in 0..maps.len() as u32 {
+            let rays = odd_rays(layer);
+            for tier in ReliefTier::value_variants() {
+                for steps in [1, 256] {
+                    for (heights, shadow) in
+                        [(Heights::Exact, ReliefShadow::Hard), (Heights::Sampler, ReliefShadow::Soft)]
+                    {
+                        let knobs = ReliefKnobs {
+                            tier: *tier,
+                            steps_min: steps,
+                            steps_max: steps,
+                            heights,
+                            shadow,
+                            ..ReliefKnobs::default()
+                        };
+                        let (found, _) = bench.run(&uploaded, &knobs.layout(), &rays, 1).unwrap();
+                        for (ray, found) in rays.iter().zip(&found) {
+                            let numbers = [found.uv[0], found.uv[1], found.height, found.residual, found.sun];
+                            let what = format!("{knobs:?} {ray:?} {found:?}");
+                            assert!(numbers.iter().all(|number| number.is_finite()), "{what}");
+                            assert!(
+                                (0.0..=1.0).contains(&found.height) && (0.0..=1.0).contains(&found.sun),
+                                "{what}"
+                            );
+                            assert!(found.fetches <= 5 * 8192, "{what}");
+                            let goes_nowhere =
+                                ray.amplitude == 0.0 || ray.to_eye[2] <= 0.0 || *tier == ReliefTier::Flat;
+                            assert!(!goes_nowhere || found.uv == ray.uv, "{what}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_constant_map_is_met_where_its_plane_is() {
+    let Some(bench) = bench() else { return };
+    for height in [0.0f32, 0.25, 1.0] {
+        let map = HeightMap::new(16, vec![height; 256]).unwrap();
+        let uploaded = bench.upload(&[map], false);
+        let rays = probes(0, 500, 75.0, AMPLITUDE);
+        for tier in [ReliefTier::Offset, ReliefTier::Linear, ReliefTier::Pyramid, ReliefTier::Auto] {
+            let (found, _) = bench.run(&uploaded, &relief(tier), &rays, 1).unwrap();
+            for (ray, found) in rays.iter().zip(&found) {
+                let expected = [0, 1].map(|axis| {
+                    ray.uv[axis] + (height - 0.5) * ray.amplitude * ray.to_eye[axis] / ray.to_eye[2]
+                });
+                let off = (found.uv[0] - expected[0]).hypot(found.uv[1] - expected[1]);
+                assert!(
+                    off < 1e-5 && (found.height - height).abs() < 1e-5,
+                    "{tier:?} {height} {ray:?} {found:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_largest_map_is_walked_like_a_small_one() {
+    let Some(bench) = bench() else { return };
+    let side = client::relief::map::LARGEST_SIDE;
+    let wave = |u: f64| 0.5 + 0.5 * (std::f64::consts::TAU * u).sin();
+    let map = HeightMap::of(side, |u, v| wave(8.0 * u) * wave(8.0 * v)).unwrap();
+    let uploaded = bench.upload(std::slice::from_ref(&map), false);
+    let probes = probes(0, 500, 80.0, AMPLITUDE);
+    let rays = rays(&probes, 0.5);
+    let truths = truths(&map, &rays);
+    let (found, _) = bench.run(&uploaded, &relief(ReliefTier::Pyramid), &probes, 1).unwrap();
+    let score = Score::of(&map, &rays, &found, &truths);
+    assert!(score.wrong == 0.0 && score.odd == 0 && score.residual < 1.0 / 1024.0, "{score:?}");
+}
+
+#[test]
+fn far_tiles_stretched_and_mirrored_ones_are_marched_as_exactly() {
+    let Some(bench) = bench() else { return };
+    let stage = Stage::new(&bench, false);
+    for (stretch, origin) in [([2.0, 1.0], 0.0), ([-1.0, 0.25], 0.0), ([1.0, 1.0], 1e3), ([1.0, -1.0], -1e3)]
+    {
+        for layer in 0..Kind::ALL.len() {
+            let mut probes = probes(layer, 2_000, 75.0, AMPLITUDE);
+            for probe in &mut probes {
+                for axis in [0, 1] {
+                    probe.to_eye[axis] *= stretch[axis];
+                    probe.uv[axis] += origin;
+                }
+            }
+            let (map, rays) = (&stage.maps[layer], rays(&probes, 0.5));
+            let truths = truths(map, &rays);
+            let (found, _) = bench.run(&stage.uploaded, &relief(ReliefTier::Pyramid), &probes, 1).unwrap();
+            let score = Score::of(map, &rays, &found, &truths);
+            // A place a thousand tiles out is a multiple of a 32nd texel.
+            assert!(score.wrong <= 2e-3 && score.texels[1] < 0.1, "{stretch:?} {origin} {score:?}");
         }
     }
 }
