@@ -1,6 +1,8 @@
 //! `tombolo-lab pom`: parallax occlusion mapping against its truth. `cargo xtask measure pom` holds the figures against their bars; here only a control that
 //! fails to fail is an error.
 
+pub mod pictures;
+
 use crate::accuracy::octaves::ratios;
 use crate::relief::bench::ReliefBench;
 use crate::relief::maps::Kind;
@@ -8,6 +10,7 @@ use crate::relief::trial::{AMPLITUDE, ANGLES_DEG, Condition, Score, Stage, bundl
 use crate::{Outputs, note};
 use anyhow::{Result, ensure};
 use client::relief::knobs::{LoopForm, Refine, ReliefTier};
+use pictures::Pictures;
 use serde::Serialize;
 use shaders::layout::Relief;
 
@@ -29,10 +32,13 @@ pub struct Options {
 #[derive(Clone, Debug, Serialize)]
 struct Report {
     adapter: String,
+    /// Whether the driver has no GPU: its times say nothing about one.
+    is_software: bool,
     /// Rays of each map and angle.
     rays: u32,
     search: Vec<Search>,
     loops: Loops,
+    pictures: Pictures,
     cost: Vec<Cost>,
 }
 
@@ -87,9 +93,19 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         "loops: {} of {} words differ; control {}",
         loops.differing, loops.compared, loops.differing_control
     );
+    note("pictures");
+    let pictures = pictures::measure()?;
     note("cost");
     let cost = costs(&bench, &stage)?;
-    let report = Report { adapter: bench.adapter(), rays: options.rays, search, loops, cost };
+    let report = Report {
+        adapter: bench.adapter(),
+        is_software: bench.is_software(),
+        rays: options.rays,
+        search,
+        loops,
+        pictures,
+        cost,
+    };
     outputs.write_json(&report)?;
     report.controls()
 }
@@ -208,6 +224,6 @@ impl Report {
             self.loops.differing_control > 0,
             "a search with and without refinement finds the same places"
         );
-        Ok(())
+        self.pictures.controls()
     }
 }

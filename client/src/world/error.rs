@@ -49,17 +49,13 @@ fn blocks_of(line: usize) -> std::ops::RangeInclusive<usize> {
     low..=(line / BLOCK_CELLS).min(BLOCKS - 1)
 }
 
-/// Share of the tolerance that chunks are judged by. The rest is kept for the row of cells beside a coarser chunk, where a part of its error adds to the
-/// chunk's own: at most 0.051 tolerances in all that was looked at, measured and not proved.
-const KEPT: f64 = 0.94;
-
 /// Error on screen up to which a chunk is drawn whole, 1/16 pixel.
 #[must_use]
 pub fn tolerance(viewer: &Viewer) -> f64 {
-    KEPT * f64::from(viewer.tolerance())
+    f64::from(viewer.tolerance())
 }
 
-/// Whether a chunk is too coarse for a viewer. Never one that the server, which judges by the level's bound and the whole tolerance, does not split.
+/// Whether a chunk is too coarse for a viewer. Never one that the server, which judges by the level's bound, does not split.
 #[must_use]
 pub fn is_too_coarse(world: &World, viewer: &Viewer, key: ChunkKey, chunk: &Resident) -> bool {
     let bound = viewer.screen_error_q4(lod::level_error(key.level()), viewer.distance_to(key));

@@ -42,6 +42,12 @@ impl ReliefBench {
         self.gpu.name()
     }
 
+    /// Whether the driver has no GPU.
+    #[must_use]
+    pub fn is_software(&self) -> bool {
+        self.gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu
+    }
+
     /// Puts maps of one side on the GPU, with or without cones; the layer of a probe is the place in this list.
     #[must_use]
     pub fn upload(&self, maps: &[HeightMap], has_cones: bool) -> ReliefMaps {

@@ -4,6 +4,7 @@
 mod bars;
 mod first_voyage;
 mod heightfield;
+mod pom;
 mod record;
 mod report;
 mod terrain;
@@ -15,8 +16,12 @@ use std::path::Path;
 /// A measurement by name.
 type Measurement = (&'static str, fn() -> Result<()>);
 
-const MEASUREMENTS: [Measurement; 3] =
-    [("first-voyage", first_voyage::run), ("heightfield", heightfield::run), ("terrain", terrain::run)];
+const MEASUREMENTS: [Measurement; 4] = [
+    ("first-voyage", first_voyage::run),
+    ("heightfield", heightfield::run),
+    ("terrain", terrain::run),
+    ("pom", pom::run),
+];
 
 /// Runs one measurement.
 ///
