@@ -7,9 +7,9 @@ use client::relief::ReliefKnobs;
 use client::relief::knobs::{Heights, Horizon, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
 use client::render::Picture;
 use client::render::materials::{MATERIAL_TEXELS, OwnMaterial, OwnMaterials};
-use client::render::scenes::relief::objects::{self, LAYER, Mode, Object};
+use client::render::scenes::relief::objects::{self, LAYER, Mode};
 use client::scene::Scene;
-use lab::relief::pictures::{Light, ReliefStudio, around, ball, line_distances, plane, quantile};
+use lab::relief::pictures::{Light, ReliefStudio, around, cut_distance, plane, silhouette_overlap};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -231,32 +231,35 @@ fn a_users_textures_cover_the_objects_of_every_scene() {
     }
 }
 
-/// Overlap of what a plane covers with what displaced geometry covers, at a camera's elevation.
-fn overlap(studio: &mut ReliefStudio, mode: Mode, knobs: ReliefKnobs, elevation_deg: f64) -> f64 {
-    let mut worst = 1.0f64;
-    for bearing_deg in [0.0, 30.0, 77.0] {
-        let pose = around(elevation_deg, bearing_deg, 4.2);
-        let truth = studio.cover(&[plane(Mode::Geometry)], pose, knobs).unwrap();
-        assert!(truth.count() > 1000, "{}", truth.count());
-        worst = worst.min(studio.cover(&[plane(mode)], pose, knobs).unwrap().overlap(&truth));
-    }
-    worst
-}
-
 #[test]
 fn a_shell_has_the_silhouette_of_displaced_geometry_and_a_flat_plane_has_not() {
     let Some(mut studio) = studio(Scene::Pom, (480, 270)) else { return };
-    for tier in [ReliefTier::Auto, ReliefTier::Pyramid, ReliefTier::Linear] {
-        let shell = ReliefKnobs { silhouette: Silhouette::Shell, ..knobs(tier) };
-        for elevation_deg in [16.0, 5.0] {
-            let (own, flat) = (
-                overlap(&mut studio, Mode::Knobs, shell, elevation_deg),
-                overlap(&mut studio, Mode::Flat, shell, elevation_deg),
-            );
-            println!("{tier:?} at {elevation_deg} degrees: shell {own:.4}, flat {flat:.4}");
+    for elevation_deg in [16.0, 5.0] {
+        let mut overlap = |mode, silhouette, tier| {
+            let knobs = ReliefKnobs { silhouette, ..knobs(tier) };
+            silhouette_overlap(&mut studio, mode, knobs, elevation_deg).unwrap()
+        };
+        for tier in [ReliefTier::Auto, ReliefTier::Pyramid, ReliefTier::Linear] {
+            let own = overlap(Mode::Knobs, Silhouette::Shell, tier);
+            println!("{tier:?} at {elevation_deg} degrees: shell {own:.4}");
             assert!(own >= 0.98, "{tier:?} at {elevation_deg} degrees: {own}");
-            assert!(flat < 0.98, "the control must fail: {flat} at {elevation_deg} degrees");
         }
+        let flat = overlap(Mode::Flat, Silhouette::Shell, ReliefTier::Auto);
+        let rectangle = overlap(Mode::Knobs, Silhouette::Rectangle, ReliefTier::Auto);
+        println!("at {elevation_deg} degrees: flat {flat:.4}, rectangle {rectangle:.4}");
+        assert!(flat < 0.98, "the control must fail: {flat} at {elevation_deg} degrees");
+    }
+}
+
+#[test]
+fn an_eye_inside_a_shell_still_sees_the_relief() {
+    let Some(mut studio) = studio(Scene::Pom, (96, 54)) else { return };
+    // The relief reaches from 0.05 m below the plane to 0.05 m above it, times the amplitude.
+    let shell = ReliefKnobs { silhouette: Silhouette::Shell, amplitude: 16.0, ..knobs(ReliefTier::Pyramid) };
+    for height_m in [0.4, 1.2] {
+        let pose: Pose = format!("0,{height_m},0.5,0,-60").parse().unwrap();
+        let seen = studio.cover(&[plane(Mode::Knobs)], pose, shell).unwrap().count();
+        assert!(seen > 96 * 54 / 2, "{seen} pixels from {height_m} m");
     }
 }
 
@@ -264,21 +267,14 @@ fn a_shell_has_the_silhouette_of_displaced_geometry_and_a_flat_plane_has_not() {
 fn objects_are_cut_by_the_depth_of_the_relief_where_displaced_geometry_cuts_them() {
     let Some(mut studio) = studio(Scene::Pom, (480, 270)) else { return };
     for elevation_deg in [16.0, 40.0] {
-        let pose = around(elevation_deg, 25.0, 2.6);
-        let mut line = |object: Object, relief| studio.cut_line(&object, &ball(), pose, relief).unwrap();
-        let deep = ReliefKnobs { depth: true, silhouette: Silhouette::Shell, ..knobs(ReliefTier::Pyramid) };
-        let truth = line(plane(Mode::Geometry), deep);
-        let distance = |line: &[(i32, i32)]| quantile(&line_distances(line, &truth), 0.99);
-        let own = distance(&line(plane(Mode::Knobs), deep));
-        let shallow = distance(&line(
-            plane(Mode::Knobs),
-            ReliefKnobs { depth: false, silhouette: Silhouette::None, ..deep },
-        ));
-        println!(
-            "{elevation_deg} degrees: with depth {own:.2} px, without {shallow:.2} px, {} pixels",
-            truth.len()
-        );
-        assert!(truth.len() > 50, "{}", truth.len());
+        let mut distance = |depth, silhouette| {
+            let knobs = ReliefKnobs { depth, silhouette, ..knobs(ReliefTier::Pyramid) };
+            cut_distance(&mut studio, knobs, elevation_deg).unwrap()
+        };
+        let (own, length) = distance(true, Silhouette::Shell);
+        let (shallow, _) = distance(false, Silhouette::None);
+        println!("{elevation_deg} degrees: with depth {own:.2} px, without {shallow:.2} px, {length} pixels");
+        assert!(length > 50, "{length}");
         assert!(own <= 1.0, "p99 at {elevation_deg} degrees: {own} px");
         assert!(shallow > 1.0, "the control must fail: {shallow} px");
     }

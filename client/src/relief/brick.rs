@@ -1,6 +1,5 @@
 //! Bricks in running bond, six wide and twelve courses high, for the scene of the brick wall: its steep edges are what a march along a relief is tested by.
 
-use crate::relief::HeightMap;
 use crate::render::materials::{MATERIAL_SIZE, MATERIAL_TEXELS, OwnMaterial};
 use glam::{Vec2, Vec3};
 use shaders::layout::BakeTexel;
@@ -41,12 +40,6 @@ pub fn material() -> OwnMaterial {
     let centre = |index: usize| (Vec2::new((index % side) as f32, (index / side) as f32) + 0.5) / side as f32;
     let texels = (0..MATERIAL_TEXELS).map(|index| texel(index, centre(index)));
     OwnMaterial { texels: texels.collect(), normals_given: true, occlusion_given: true }
-}
-
-/// The heights of the set.
-#[must_use]
-pub fn heights(side: usize) -> Option<HeightMap> {
-    HeightMap::of(side, |u, v| f64::from(height(Vec2::new(u as f32, v as f32)))).ok()
 }
 
 fn texel(index: usize, uv: Vec2) -> BakeTexel {

@@ -28,7 +28,7 @@ pub struct ReliefMaps {
 }
 
 impl ReliefMaps {
-    /// Finds the bounds of heights that are on the GPU already: `heights` in [`EXACT`] with all mip levels, `smooth` the same in the alpha of a filterable
+    /// Finds the bounds of heights that are on the GPU already: `heights` as R32Float with all mip levels, `smooth` the same in the alpha of a filterable
     /// texture. There are no cones.
     #[must_use]
     pub fn over(

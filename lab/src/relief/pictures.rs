@@ -187,6 +187,45 @@ impl ReliefStudio {
     }
 }
 
+/// Bearings from which silhouettes are compared, degrees.
+pub const BEARINGS_DEG: [f64; 3] = [0.0, 30.0, 77.0];
+
+/// How well what the plane covers in some mode agrees with what displaced geometry covers: the least intersection over union of all bearings, at an elevation
+/// of the camera.
+///
+/// # Errors
+/// The GPU failed.
+pub fn silhouette_overlap(
+    studio: &mut ReliefStudio,
+    mode: Mode,
+    knobs: ReliefKnobs,
+    elevation_deg: f64,
+) -> Result<f64, GpuError> {
+    let mut worst = 1.0f64;
+    for bearing_deg in BEARINGS_DEG {
+        let pose = around(elevation_deg, bearing_deg, 4.2);
+        let truth = studio.cover(&[plane(Mode::Geometry)], pose, knobs)?;
+        worst = worst.min(studio.cover(&[plane(mode)], pose, knobs)?.overlap(&truth));
+    }
+    Ok(worst)
+}
+
+/// How far the line in which the ball is cut by the marched plane is from the one in which displaced geometry cuts it: the distance in pixels that 99 % of
+/// both lines keep, and the length of the true line. Infinite if either is not there.
+///
+/// # Errors
+/// The GPU failed.
+pub fn cut_distance(
+    studio: &mut ReliefStudio,
+    knobs: ReliefKnobs,
+    elevation_deg: f64,
+) -> Result<(f64, usize), GpuError> {
+    let pose = around(elevation_deg, 25.0, 2.6);
+    let truth = studio.cut_line(&plane(Mode::Geometry), &ball(), pose, knobs)?;
+    let own = studio.cut_line(&plane(Mode::Knobs), &ball(), pose, knobs)?;
+    Ok((quantile(&line_distances(&own, &truth), 0.99), truth.len()))
+}
+
 /// The plane under measurement.
 #[must_use]
 pub fn plane(mode: Mode) -> Object {

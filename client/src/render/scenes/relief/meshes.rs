@@ -189,6 +189,21 @@ mod tests {
     }
 
     #[test]
+    fn modes_and_segments_are_those_of_the_shader() {
+        let text = shaders::SHADERS.draw_relief.wgsl;
+        for (name, mode) in [
+            ("KNOBS", Mode::Knobs),
+            ("FLAT", Mode::Flat),
+            ("OFFSET", Mode::Offset),
+            ("GEOMETRY", Mode::Geometry),
+            ("PLAIN", Mode::Plain),
+        ] {
+            assert!(text.contains(&format!("MODE_{name}: u32 = {}u;", mode as u32)), "{name}");
+        }
+        assert!(text.contains(&format!("GEOMETRY_SEGMENTS: f32 = {GEOMETRY_SEGMENTS}.0;")));
+    }
+
+    #[test]
     fn displaced_geometry_has_as_many_triangles_as_it_says() {
         let objects = objects::of(Scene::Pom);
         let geometry = objects.iter().find(|object| object.mode == Mode::Geometry).unwrap();

@@ -169,7 +169,7 @@ fn floor(height_m: f64) -> Object {
 
 /// Four planes side by side, a ball and a leaning slab sunk into each.
 fn pom() -> Vec<Object> {
-    let mut objects = vec![floor(-0.14)];
+    let mut objects = vec![floor(-0.101)];
     for (column, mode) in COMPARED.into_iter().enumerate() {
         let middle_m = DVec3::new((column as f64 - 1.5) * f64::from(PLANE_M + GAP_M), 0.0, 0.0);
         objects.push(Object::ground(mode, middle_m, PLANE_M, PLANE_M));
