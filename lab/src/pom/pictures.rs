@@ -1,6 +1,6 @@
 //! Planes as they are drawn: what must be equal, the edges of reliefs, and the lines along which objects meet them.
 
-use crate::relief::pictures::{ReliefStudio, around, ball, line_distances, plane, quantile};
+use crate::relief::pictures::{ReliefStudio, around, cut_distance, plane, silhouette_overlap};
 use anyhow::{Result, ensure};
 use client::looks::Show;
 use client::relief::ReliefKnobs;
@@ -112,19 +112,15 @@ fn identities(studio: &mut ReliefStudio) -> Result<(usize, usize, usize)> {
 }
 
 fn silhouettes(studio: &mut ReliefStudio, elevation_deg: f64) -> Result<Silhouettes> {
-    let mut row = Silhouettes { elevation_deg, shell: 1.0, rectangle: 1.0, flat: 1.0 };
-    for bearing_deg in [0.0, 30.0, 77.0] {
-        let pose = around(elevation_deg, bearing_deg, 4.2);
-        let truth = studio.cover(&[plane(Mode::Geometry)], pose, exact())?;
-        ensure!(truth.count() > 1_000, "geometry covers {} pixels: too few to compare", truth.count());
-        let mut overlap = |mode, silhouette| -> Result<f64> {
-            let knobs = ReliefKnobs { silhouette, ..exact() };
-            Ok(studio.cover(&[plane(mode)], pose, knobs)?.overlap(&truth))
-        };
-        row.shell = row.shell.min(overlap(Mode::Knobs, Silhouette::Shell)?);
-        row.rectangle = row.rectangle.min(overlap(Mode::Knobs, Silhouette::Rectangle)?);
-        row.flat = row.flat.min(overlap(Mode::Flat, Silhouette::None)?);
-    }
+    let mut overlap = |mode, silhouette| {
+        silhouette_overlap(studio, mode, ReliefKnobs { silhouette, ..exact() }, elevation_deg)
+    };
+    let row = Silhouettes {
+        elevation_deg,
+        shell: overlap(Mode::Knobs, Silhouette::Shell)?,
+        rectangle: overlap(Mode::Knobs, Silhouette::Rectangle)?,
+        flat: overlap(Mode::Flat, Silhouette::None)?,
+    };
     println!(
         "silhouette at {elevation_deg} degrees: shell {:.4}, rectangle {:.4}, none {:.4}",
         row.shell, row.rectangle, row.flat
@@ -133,17 +129,12 @@ fn silhouettes(studio: &mut ReliefStudio, elevation_deg: f64) -> Result<Silhouet
 }
 
 fn line(studio: &mut ReliefStudio, elevation_deg: f64) -> Result<Line> {
-    let pose = around(elevation_deg, 25.0, 2.6);
     let deep = ReliefKnobs { depth: true, silhouette: Silhouette::Shell, ..exact() };
-    let mut line = |mode, relief| studio.cut_line(&plane(mode), &ball(), pose, relief);
-    let truth = line(Mode::Geometry, deep)?;
-    let own = line(Mode::Knobs, deep)?;
-    let shallow = line(Mode::Knobs, ReliefKnobs { depth: false, silhouette: Silhouette::None, ..deep })?;
-    let distance = |line: &[(i32, i32)]| quantile(&line_distances(line, &truth), 0.99);
-    let (with_depth, without_depth) = (distance(&own), distance(&shallow));
+    let shallow = ReliefKnobs { depth: false, silhouette: Silhouette::None, ..deep };
+    let (with_depth, pixels) = cut_distance(studio, deep, elevation_deg)?;
+    let (without_depth, _) = cut_distance(studio, shallow, elevation_deg)?;
     println!(
-        "line of intersection at {elevation_deg} degrees, {} pixels: {with_depth:.2} px off, with the plane's depth {without_depth:.2} px",
-        truth.len()
+        "line of intersection at {elevation_deg} degrees, {pixels} pixels: {with_depth:.2} px off, with the plane's depth {without_depth:.2} px"
     );
-    Ok(Line { elevation_deg, pixels: truth.len(), with_depth, without_depth })
+    Ok(Line { elevation_deg, pixels, with_depth, without_depth })
 }
