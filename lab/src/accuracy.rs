@@ -1,6 +1,6 @@
 //! `tombolo-lab accuracy`: what every shortcut costs, against a truth in which nothing is rounded.
 //!
-//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of materials ([`tiling`]) and their relief ([`pom`]).
+//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of materials ([`tiling`]) and their relief ([`pom`], [`pom_pictures`]).
 //!
 //! For the heightfield: how far the integers are from the formula in f64 ([`heightfield`], with the bars that are promised), and four curves: octaves kept
 //! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), and dropping octaves on coarse levels ([`levels`]).
@@ -15,6 +15,7 @@ pub mod levels;
 pub mod lod;
 pub mod octaves;
 pub mod pom;
+pub mod pom_pictures;
 pub mod quantum;
 pub mod tiling;
 pub mod water;
@@ -108,6 +109,7 @@ impl Subject {
                 ("parallax occlusion over posts", |_| pom::measure(Kind::Posts)),
                 ("parallax occlusion over ridges", |_| pom::measure(Kind::Ridges)),
                 ("knobs of parallax occlusion", pom::knobs),
+                ("pictures of parallax occlusion", pom_pictures::measure),
             ],
         }
     }
