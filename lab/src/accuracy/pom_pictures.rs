@@ -58,13 +58,13 @@ pub fn measure(_: u64) -> Result<Curve> {
     let by_elevation = flips(
         &mut studio,
         ("pom_flip", "camera above the plane, degrees", &ELEVATIONS_DEG),
-        format!("{NEAR_M} m away"),
+        &format!("{NEAR_M} m away"),
         |elevation_deg| around(elevation_deg, BEARING_DEG, NEAR_M),
     )?;
     let by_distance = flips(
         &mut studio,
         ("pom_distance", "camera from the plane, metres", &DISTANCES_M),
-        format!("{SLANT_DEG} degrees above the plane"),
+        &format!("{SLANT_DEG} degrees above the plane"),
         |distance_m| around(SLANT_DEG, BEARING_DEG, distance_m),
     )?;
     for row in &by_elevation.rows {
@@ -122,7 +122,7 @@ pub fn measure(_: u64) -> Result<Curve> {
 fn flips(
     studio: &mut ReliefStudio,
     (name, column, values): (&'static str, &str, &[f64]),
-    from: String,
+    from: &str,
     pose: impl Fn(f64) -> Pose,
 ) -> Result<Table> {
     let mut columns = vec![column];
