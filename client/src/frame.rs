@@ -2,6 +2,7 @@
 
 use crate::camera::{Eye, Lens, Pose};
 use crate::looks::{Looks, Show};
+use crate::render::scenes::relief::objects;
 use crate::scene::Scene;
 use crate::shadow::{Candidate, Page};
 use crate::world::{Drawn, Resident, Selection, World};
@@ -9,7 +10,7 @@ use bytemuck::Zeroable as _;
 use glam::{DVec3, Vec3};
 use protocol::limits::MAX_VIEWPORT;
 use protocol::view::View;
-use shaders::layout::{Air, Frame, PATTERN_PERIOD_M, TerrainInstance};
+use shaders::layout::{Air, Frame, PATTERN_PERIOD_M, Relief, TerrainInstance};
 use terrain::ChunkKey;
 use terrain::constants::{CELLS, UNITS_PER_METRE};
 use terrain::lod::{MAX_VIEW_DISTANCE_M, Viewer};
@@ -134,6 +135,18 @@ impl Shot {
         }
     }
 
+    /// The knobs of reliefs for the shaders. The reliefs of a small scene sink all together, so that what is marched and what is displaced stay alike; those of
+    /// the land sink one by one.
+    fn relief(&self, scene: Scene) -> Relief {
+        let knobs = self.looks.relief;
+        let relief = knobs.layout();
+        let Some(relief_m) = objects::tallest_m(scene) else { return relief };
+        let pixels_per_radian = f64::from(self.lens.height) / (2.0 * self.lens.half_height());
+        let distance_m = self.pose.position_m.length().max(0.01);
+        let height_px = f64::from(relief_m * relief.amplitude) * pixels_per_radian / distance_m;
+        Relief { amplitude: relief.amplitude * knobs.left(height_px as f32), ..relief }
+    }
+
     fn uniforms(&self, scene: Scene, eye: &Eye) -> Frame {
         let (pose, lens) = (&self.pose, &self.lens);
         let half_height = lens.half_height();
@@ -170,7 +183,7 @@ impl Shot {
             parallax_bias_m: waves.parallax_bias_m,
             wave_steepness: waves.steepness,
             reserved: 0.0,
-            relief: looks.relief.layout(),
+            relief: self.relief(scene),
             air: Air::zeroed(),
         }
     }

@@ -161,8 +161,8 @@ pub struct Relief {
     pub travel_offset: f32,
     /// Up to which the search is linear.
     pub travel_linear: f32,
-    /// Unused.
-    pub spare: f32,
+    /// Height of a relief on screen at which it begins to sink, pixels; 0: it never does.
+    pub fade_px: f32,
 }
 
 /// One pass over the bounds of a height map; `reduce_relief.wesl` documents each field.

@@ -149,7 +149,7 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
     assert_lies_alike!(
         SHADERS.probe_relief, Relief,
         tier, steps_min, steps_max, refine, refinements, loop_form, heights, shadow, silhouette, depth, pivot, amplitude, horizon,
-        travel_flat, travel_offset, travel_linear, spare,
+        travel_flat, travel_offset, travel_linear, fade_px,
     );
     #[rustfmt::skip]
     assert_lies_alike!(SHADERS.probe_relief, ReliefProbe, uv, amplitude, lod, to_eye, layer, to_sun, reserved);

@@ -81,6 +81,21 @@ fn without_amplitude_every_tier_draws_the_flat_plane_byte_for_byte() {
 }
 
 #[test]
+fn a_relief_that_has_faded_is_the_flat_plane_byte_for_byte_and_one_that_never_does_is_not() {
+    let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
+    // The highest relief of the scene is less than 8 pixels high from here.
+    let pose = around(20.0, 20.0, 4.5);
+    let mut differing = |fade_px| {
+        let relief = ReliefKnobs { fade_px, ..ReliefKnobs::default() };
+        let mut of = |mode| studio.shown(&[plane(mode)], pose, relief, Show::Picture).unwrap();
+        of(Mode::Knobs).differing(&of(Mode::Flat)).count()
+    };
+    assert_eq!(differing(16.0), 0);
+    let whole = differing(0.0);
+    assert!(whole > 500, "the control must fail: {whole}");
+}
+
+#[test]
 fn a_loop_that_runs_to_its_end_draws_what_one_that_leaves_draws_byte_for_byte() {
     let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
     let pose = around(12.0, -35.0, 3.0);

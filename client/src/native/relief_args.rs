@@ -25,7 +25,7 @@ pub struct ReliefArgs {
     pub relief_refine: Refine,
 
     /// Rounds of secant or bisection, 0 to 16
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = RangedU64ValueParser::<u32>::new().range(0..=MOST_REFINEMENTS))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 3, value_parser = RangedU64ValueParser::<u32>::new().range(0..=MOST_REFINEMENTS))]
     pub relief_refinements: u32,
 
     /// How its loop ends
@@ -49,12 +49,16 @@ pub struct ReliefArgs {
     pub relief_depth: bool,
 
     /// Height of the relief that lies on the plane, 0 to 1
-    #[arg(long, value_name = "H", default_value_t = 0.5, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
+    #[arg(long, value_name = "H", allow_negative_numbers = true, default_value_t = 0.5, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub relief_pivot: f64,
 
     /// Multiplies the relief of every material, 0 to 16
-    #[arg(long, value_name = "A", default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
+    #[arg(long, value_name = "A", allow_negative_numbers = true, default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
     pub relief_amplitude: f64,
+
+    /// Height on screen at which relief begins to sink, pixels, 0 to 16; 0: never
+    #[arg(long, value_name = "PX", allow_negative_numbers = true, default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
+    pub relief_fade: f64,
 
     /// Of the silhouette `horizon`: strength 0 to 4, height bias 0 to 1, safe threshold 0 to 0.95, falloff power 0.5 to 8
     #[arg(long, value_name = "S,B,T,F", default_value = "1,0,0.3,2", value_parser = parse_horizon)]
@@ -78,6 +82,7 @@ impl ReliefArgs {
             depth: self.relief_depth,
             pivot: self.relief_pivot as f32,
             amplitude: self.relief_amplitude as f32,
+            fade_px: self.relief_fade as f32,
             horizon: self.horizon,
         }
     }

@@ -31,6 +31,8 @@ pub struct ReliefKnobs {
     pub pivot: f32,
     /// Multiplies the relief of every material, 0 to 16.
     pub amplitude: f32,
+    /// Height of a relief on screen at which it begins to sink, pixels, 0 to 16; at half of that it is gone. 0: it never sinks.
+    pub fade_px: f32,
     /// Of [`Silhouette::Horizon`].
     pub horizon: Horizon,
 }
@@ -50,6 +52,7 @@ impl Default for ReliefKnobs {
             depth: false,
             pivot: 0.5,
             amplitude: 1.0,
+            fade_px: 1.0,
             horizon: Horizon::default(),
         }
     }
@@ -62,6 +65,8 @@ impl ReliefKnobs {
     pub const MAX_REFINEMENTS: u32 = 16;
     /// Largest amplitude.
     pub const MAX_AMPLITUDE: f32 = 16.0;
+    /// Latest fade, pixels.
+    pub const MAX_FADE_PX: f32 = 16.0;
     /// Texels of travel up to which the automatic tier displaces nothing, takes one offset, and searches linearly: where the curves of
     /// `tombolo-lab accuracy --only pom` cross.
     pub const TRAVELS: [f32; 3] = [0.5, 2.0, 4.0];
@@ -80,9 +85,21 @@ impl ReliefKnobs {
             refinements: self.refinements.min(Self::MAX_REFINEMENTS),
             pivot: within(self.pivot, 1.0, standard.pivot),
             amplitude: within(self.amplitude, Self::MAX_AMPLITUDE, standard.amplitude),
+            fade_px: within(self.fade_px, Self::MAX_FADE_PX, standard.fade_px),
             horizon: self.horizon.sane(),
             ..self
         }
+    }
+
+    /// Share that is left of a relief that is so many pixels high on screen. Twin: `relief_left` in `shared/relief.wesl`.
+    #[must_use]
+    pub fn left(self, height_px: f32) -> f32 {
+        let fade_px = self.sane().fade_px;
+        if fade_px <= 0.0 {
+            return 1.0;
+        }
+        let part = ((height_px / fade_px - 0.5) / 0.5).clamp(0.0, 1.0);
+        part * part * (3.0 - 2.0 * part)
     }
 
     /// As the shaders read them.
@@ -108,7 +125,7 @@ impl ReliefKnobs {
             travel_flat,
             travel_offset,
             travel_linear,
-            spare: 0.0,
+            fade_px: knobs.fade_px,
         }
     }
 }
@@ -240,6 +257,7 @@ mod tests {
                 refinements: steps,
                 pivot: value,
                 amplitude: value,
+                fade_px: value,
                 horizon,
                 ..ReliefKnobs::default()
             };
@@ -257,7 +275,17 @@ mod tests {
         assert_eq!((low.steps_min, low.steps_max, low.pivot, low.amplitude), (1, 1, 0.0, 0.0));
         assert_eq!((low.horizon.falloff, high.horizon.safe_threshold), (0.5, 0.95));
         assert_eq!(ReliefKnobs::default().sane(), ReliefKnobs::default());
+        assert_eq!([not_a_number, high, low].map(|knobs| knobs.fade_px), [1.0, 16.0, 0.0]);
         let crossed = ReliefKnobs { steps_min: 64, steps_max: 4, ..ReliefKnobs::default() }.sane();
         assert_eq!((crossed.steps_min, crossed.steps_max), (4, 4));
+    }
+
+    #[test]
+    fn a_relief_sinks_from_the_fade_to_half_of_it_and_without_a_fade_it_stays() {
+        let knobs = ReliefKnobs { fade_px: 4.0, ..ReliefKnobs::default() };
+        assert_eq!([0.0, 1.9, 2.0, 4.0, 99.0].map(|height| knobs.left(height)), [0.0, 0.0, 0.0, 1.0, 1.0]);
+        let between = [2.2, 2.8, 3.4, 3.9].map(|height| knobs.left(height));
+        assert!(between.is_sorted() && between[0] > 0.0 && between[3] < 1.0, "{between:?}");
+        assert_eq!(ReliefKnobs { fade_px: 0.0, ..knobs }.left(0.0), 1.0);
     }
 }

@@ -1,6 +1,6 @@
 //! The panel: numbers of the frame and of the session, and the two sliders that trade detail for speed.
 
-use crate::looks::{Diffuse, Looks, Shadows, Show, Tiling, Visibility, WaterTier};
+use crate::looks::{Diffuse, Looks, Shadows, Show, SunPlace, Tiling, Visibility, WaterTier};
 use crate::relief::ReliefKnobs;
 use crate::relief::knobs::{Heights, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
 use crate::stats::FrameTimes;
@@ -123,6 +123,7 @@ fn picture(ui: &mut egui::Ui, looks: &mut Looks) {
         ui.weak("steepness");
         ui.add(egui::Slider::new(&mut waves.steepness, 0.0..=4.0));
         ui.end_row();
+        sun(ui, &mut looks.sun);
         choice::<Diffuse>(ui, "diffuse", &mut looks.diffuse);
         choice::<Visibility>(ui, "visibility", &mut looks.visibility);
         ui.weak("exposure");
@@ -151,6 +152,8 @@ fn relief(ui: &mut egui::Ui, knobs: &mut ReliefKnobs) {
         choice::<ReliefShadow>(ui, "shadow", &mut knobs.shadow);
         row(ui, "pivot", egui::Slider::new(&mut knobs.pivot, 0.0..=1.0));
         row(ui, "amplitude", egui::Slider::new(&mut knobs.amplitude, 0.0..=ReliefKnobs::MAX_AMPLITUDE));
+        let fade = 0.0..=ReliefKnobs::MAX_FADE_PX;
+        row(ui, "fade below", egui::Slider::new(&mut knobs.fade_px, fade).suffix(" px"));
         ui.weak("depth");
         ui.checkbox(&mut knobs.depth, "its own");
         ui.end_row();
@@ -161,6 +164,24 @@ fn relief(ui: &mut egui::Ui, knobs: &mut ReliefKnobs) {
         row(ui, "safe above", egui::Slider::new(&mut horizon.safe_threshold, 0.0..=0.95));
         row(ui, "falloff", egui::Slider::new(&mut horizon.falloff, 0.5..=8.0));
     });
+}
+
+/// The sun: where the scene puts it, or where two sliders do.
+fn sun(ui: &mut egui::Ui, place: &mut Option<SunPlace>) {
+    ui.weak("sun");
+    let mut is_moved = place.is_some();
+    if ui.checkbox(&mut is_moved, "moved").changed() {
+        *place = is_moved.then_some(SunPlace { azimuth_deg: 120.0, elevation_deg: 30.0 });
+    }
+    ui.end_row();
+    if let Some(place) = place {
+        ui.weak("azimuth");
+        ui.add(egui::Slider::new(&mut place.azimuth_deg, -180.0..=360.0).suffix("°"));
+        ui.end_row();
+        ui.weak("elevation");
+        ui.add(egui::Slider::new(&mut place.elevation_deg, -90.0..=90.0).suffix("°"));
+        ui.end_row();
+    }
 }
 
 /// One of several, by the words of the command line.

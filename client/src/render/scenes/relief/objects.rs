@@ -143,6 +143,12 @@ impl Object {
     }
 }
 
+/// The highest relief of a scene at amplitude 1, metres, if it has objects with one.
+#[must_use]
+pub fn tallest_m(scene: Scene) -> Option<f32> {
+    of(scene).iter().map(|object| object.relief_m).reduce(f32::max).filter(|relief_m| *relief_m > 0.0)
+}
+
 /// The objects of a scene; none of scenes without reliefs.
 #[must_use]
 pub fn of(scene: Scene) -> Vec<Object> {
