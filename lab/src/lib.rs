@@ -17,6 +17,7 @@ pub mod floats;
 pub mod lod;
 pub mod options;
 pub mod pom;
+pub mod probe;
 pub mod relief;
 pub mod sample;
 pub mod scenery;

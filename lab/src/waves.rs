@@ -1,14 +1,14 @@
 //! The shipped parallax of waves on this machine's GPU: rays in, places out.
 
-use anyhow::{Context, Result};
+use crate::probe;
+use anyhow::Result;
 use bytemuck::Zeroable as _;
 use client::looks::WaveKnobs;
 use client::render::waves::WaveMap;
 use client::render::{Gpu, gpu};
 use shaders::SHADERS;
 use shaders::layout::{Frame, WaveProbe};
-use std::sync::mpsc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// What a method found of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,16 +69,6 @@ impl WaveBench {
         probes: &[WaveProbe],
         repeats: u32,
     ) -> Result<(Vec<FoundWave>, Duration)> {
-        use wgpu::BufferUsages as Usage;
-        let (device, queue) = (&self.gpu.device, &self.gpu.queue);
-        let buffer = |label, size: usize, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: size as u64,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
         let knobs = knobs.sane();
         let uniforms = Frame {
             time_s,
@@ -89,15 +79,11 @@ impl WaveBench {
             wave_steepness: knobs.steepness,
             ..Frame::zeroed()
         };
-        let frame = buffer("frame", size_of::<Frame>(), Usage::UNIFORM | Usage::COPY_DST);
-        queue.write_buffer(&frame, 0, bytemuck::bytes_of(&uniforms));
-        let input = buffer("probes", size_of_val(probes), Usage::STORAGE | Usage::COPY_DST);
-        queue.write_buffer(&input, 0, bytemuck::cast_slice(probes));
-        let bytes = 16 * probes.len();
-        let output = buffer("found", bytes, Usage::STORAGE | Usage::COPY_SRC);
-        let landing = buffer("found, on the CPU", bytes, Usage::MAP_READ | Usage::COPY_DST);
+        let frame = probe::uniform(&self.gpu, "frame", &uniforms);
+        let input = probe::input(&self.gpu, "probes", probes);
+        let output = probe::output::<[f32; 4]>(&self.gpu, "found", probes.len());
         let [map, sampler] = self.waves.entries(1);
-        let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
+        let bindings = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(SHADERS.probe_waves.name),
             layout: &self.pipeline.get_bind_group_layout(0),
             entries: &[
@@ -108,33 +94,9 @@ impl WaveBench {
                 wgpu::BindGroupEntry { binding: 4, resource: output.as_entire_binding() },
             ],
         });
-        queue.submit([]);
-        self.gpu.wait()?;
-        let begun = Instant::now();
-        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_pipeline(&self.pipeline);
-            pass.set_bind_group(0, &bindings, &[]);
-            for _ in 0..repeats {
-                pass.dispatch_workgroups((probes.len() as u32).div_ceil(64), 1, 1);
-            }
-        }
-        queue.submit([encoder.finish()]);
-        self.gpu.wait()?;
-        let took = begun.elapsed();
-        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(&output, 0, &landing, 0, bytes as u64);
-        queue.submit([encoder.finish()]);
-        let (done, mapped) = mpsc::channel();
-        landing.slice(..).map_async(wgpu::MapMode::Read, move |outcome| {
-            // Nobody listens any more only if waiting has failed.
-            let _ = done.send(outcome);
-        });
-        self.gpu.wait()?;
-        mapped.recv().context("the GPU dropped the places")?.context("the places cannot be read")?;
-        let view = landing.slice(..).get_mapped_range().context("the places cannot be read")?;
-        let words: &[[f32; 4]] = bytemuck::cast_slice(&view);
+        let groups = (probes.len() as u32).div_ceil(64);
+        let took = probe::dispatch(&self.gpu, &self.pipeline, &bindings, groups, repeats)?;
+        let words: Vec<[f32; 4]> = probe::read(&self.gpu, &output)?;
         let found = words
             .iter()
             .map(|[x, z, at_m, residual_m]| FoundWave {

@@ -7,12 +7,12 @@ use super::Curve;
 use super::octaves::ratios;
 use crate::adapters::{self, OpenGpu};
 use crate::chart::{Choice, Panel, front, linear, log, measured, stated};
+use crate::probe;
 use crate::table::Table;
-use anyhow::{Context, Result};
+use anyhow::{Context as _, Result};
 use shaders::SHADERS;
 use shaders::layout::{BRDF_TERMS, BrdfProbe};
 use std::f64::consts::{PI, TAU};
-use std::sync::mpsc;
 use std::time::Instant;
 
 /// Reflectance at normal incidence of all probes.
@@ -209,7 +209,6 @@ impl Bench {
     }
 
     fn job(&self, entry_point: &str, probes: &[BrdfProbe], words: usize) -> Job {
-        use wgpu::BufferUsages as Usage;
         let device = &self.gpu.device;
         let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(entry_point),
@@ -219,17 +218,8 @@ impl Bench {
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             cache: None,
         });
-        let buffer = |label, size: usize, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: size as u64,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
-        let input = buffer("probes", size_of_val(probes), Usage::STORAGE | Usage::COPY_DST);
-        self.gpu.queue.write_buffer(&input, 0, bytemuck::cast_slice(probes));
-        let output = buffer("terms", 4 * words, Usage::STORAGE | Usage::COPY_SRC);
+        let input = probe::input(&self.gpu, "probes", probes);
+        let output = probe::output::<f32>(&self.gpu, "terms", words);
         let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(entry_point),
             layout: &pipeline.get_bind_group_layout(0),
@@ -243,26 +233,9 @@ impl Bench {
 
     /// The terms of probes, in their order.
     fn terms(&self, probes: &[BrdfProbe]) -> Result<Vec<Terms>> {
-        let bytes = size_of::<Terms>() * probes.len();
         let job = self.job("probe_brdf", probes, BRDF_TERMS * probes.len());
-        let landing = self.gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("terms on the CPU"),
-            size: bytes as u64,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let mut encoder = job.record(&self.gpu, probes.len() as u32);
-        encoder.copy_buffer_to_buffer(&job.output, 0, &landing, 0, bytes as u64);
-        self.gpu.queue.submit([encoder.finish()]);
-        let (done, mapped) = mpsc::channel();
-        landing.map_async(wgpu::MapMode::Read, .., move |outcome| {
-            // Nobody listens any more only if waiting has failed.
-            let _ = done.send(outcome);
-        });
-        self.gpu.wait()?;
-        mapped.recv().context("the GPU dropped the terms")?.context("the terms cannot be read")?;
-        let view = landing.get_mapped_range(..).context("the terms cannot be read")?;
-        Ok(bytemuck::cast_slice::<_, Terms>(&view).to_vec())
+        self.gpu.queue.submit([job.record(&self.gpu, probes.len() as u32).finish()]);
+        probe::read(&self.gpu, &job.output)
     }
 
     /// Costs of the variants over that of the first, in their order: medians over rounds in which they take turns, so that a change of the machine's

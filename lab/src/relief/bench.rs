@@ -1,14 +1,14 @@
 //! The shipped marches on this machine's GPU: rays in, places out.
 
-use anyhow::{Context, Result};
+use crate::probe;
+use anyhow::Result;
 use client::relief::HeightMap;
 use client::render::pipeline::{compute_pipelines, storage_entry, uniform_entry};
 use client::render::relief::ReliefMaps;
 use client::render::{Gpu, gpu};
 use shaders::SHADERS;
 use shaders::layout::{Relief, ReliefFinding, ReliefProbe};
-use std::sync::mpsc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// The bench: a device and height maps on it.
 pub struct ReliefBench {
@@ -65,59 +65,20 @@ impl ReliefBench {
         probes: &[ReliefProbe],
         repeats: u32,
     ) -> Result<(Vec<ReliefFinding>, Duration)> {
-        use wgpu::BufferUsages as Usage;
-        let (device, queue) = (&self.gpu.device, &self.gpu.queue);
-        let buffer = |label, size: usize, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: size as u64,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
-        let how = buffer("relief", size_of::<Relief>(), Usage::UNIFORM | Usage::COPY_DST);
-        queue.write_buffer(&how, 0, bytemuck::bytes_of(relief));
-        let input = buffer("probes", size_of_val(probes), Usage::STORAGE | Usage::COPY_DST);
-        queue.write_buffer(&input, 0, bytemuck::cast_slice(probes));
-        let bytes = size_of::<ReliefFinding>() * probes.len();
-        let output = buffer("findings", bytes, Usage::STORAGE | Usage::COPY_SRC);
-        let landing = buffer("findings, on the CPU", bytes, Usage::MAP_READ | Usage::COPY_DST);
+        let how = probe::uniform(&self.gpu, "relief", relief);
+        let input = probe::input(&self.gpu, "probes", probes);
+        let output = probe::output::<ReliefFinding>(&self.gpu, "findings", probes.len());
         let mut entries = vec![wgpu::BindGroupEntry { binding: 0, resource: how.as_entire_binding() }];
         entries.extend(maps.entries(1));
         entries.push(wgpu::BindGroupEntry { binding: 6, resource: input.as_entire_binding() });
         entries.push(wgpu::BindGroupEntry { binding: 7, resource: output.as_entire_binding() });
-        let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
+        let bindings = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(SHADERS.probe_relief.name),
             layout: &self.layout,
             entries: &entries,
         });
-        queue.submit([]);
-        self.gpu.wait()?;
-        let begun = Instant::now();
-        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_pipeline(&self.pipeline);
-            pass.set_bind_group(0, &bindings, &[]);
-            for _ in 0..repeats {
-                pass.dispatch_workgroups((probes.len() as u32).div_ceil(64), 1, 1);
-            }
-        }
-        queue.submit([encoder.finish()]);
-        self.gpu.wait()?;
-        let took = begun.elapsed();
-        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(&output, 0, &landing, 0, bytes as u64);
-        queue.submit([encoder.finish()]);
-        let (done, mapped) = mpsc::channel();
-        landing.slice(..).map_async(wgpu::MapMode::Read, move |outcome| {
-            // Nobody listens any more only if waiting has failed.
-            let _ = done.send(outcome);
-        });
-        self.gpu.wait()?;
-        mapped.recv().context("the GPU dropped the findings")?.context("the findings cannot be read")?;
-        let view = landing.slice(..).get_mapped_range().context("the findings cannot be read")?;
-        let findings: &[ReliefFinding] = bytemuck::cast_slice(&view);
-        Ok((findings.to_vec(), took))
+        let groups = (probes.len() as u32).div_ceil(64);
+        let took = probe::dispatch(&self.gpu, &self.pipeline, &bindings, groups, repeats)?;
+        Ok((probe::read(&self.gpu, &output)?, took))
     }
 }
