@@ -76,23 +76,17 @@ pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
             ui.separator();
             numbers(ui, readings);
             ui.separator();
-            ui.add(
-                egui::Slider::new(&mut knobs.tolerance_px, 0.5..=16.0)
-                    .logarithmic(true)
-                    .text("tolerance, px"),
-            );
-            if readings.drawn_tolerance_px > knobs.tolerance_px * 1.01 {
-                ui.label(format!("chunk memory is full: drawn with {:.1} px", readings.drawn_tolerance_px));
+            // A scene without land has no levels and no chunks.
+            let has_land = readings.local.is_none();
+            if has_land {
+                detail(ui, readings, knobs);
             }
-            ui.add(
-                egui::Slider::new(&mut knobs.view_distance_m, 1000..=32_000)
-                    .logarithmic(true)
-                    .text("view distance, m"),
-            );
             ui.collapsing("Picture", |ui| picture(ui, &mut knobs.looks));
             ui.collapsing("Relief", |ui| relief(ui, &mut knobs.looks.relief));
             ui.separator();
-            histogram(ui, &readings.levels);
+            if has_land {
+                histogram(ui, &readings.levels);
+            }
             ui.collapsing("Keys", |ui| {
                 for line in [
                     "W A S D  fly      Q E  down, up",
@@ -104,6 +98,19 @@ pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
                 }
             });
         });
+}
+
+/// How fine and how far the land is.
+fn detail(ui: &mut egui::Ui, readings: &Readings<'_>, knobs: &mut Knobs) {
+    ui.add(egui::Slider::new(&mut knobs.tolerance_px, 0.5..=16.0).logarithmic(true).text("tolerance, px"));
+    if readings.drawn_tolerance_px > knobs.tolerance_px * 1.01 {
+        ui.label(format!("chunk memory is full: drawn with {:.1} px", readings.drawn_tolerance_px));
+    }
+    ui.add(
+        egui::Slider::new(&mut knobs.view_distance_m, 1000..=32_000)
+            .logarithmic(true)
+            .text("view distance, m"),
+    );
 }
 
 /// The knobs of the picture: one row each, named as their options are.
@@ -214,15 +221,12 @@ fn connection(readings: &Readings<'_>) -> String {
 
 fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>) {
     let mode = if readings.orbiting { "orbit".to_owned() } else { format!("{:.0} m/s", readings.speed_m) };
-    let rows = [
-        (
-            "frame",
-            format!(
-                "{:.1} ms p50, {:.1} ms p99",
-                readings.times.quantile_ms(0.5, RECENT),
-                readings.times.quantile_ms(0.99, RECENT)
-            ),
-        ),
+    let frame = format!(
+        "{:.1} ms p50, {:.1} ms p99",
+        readings.times.quantile_ms(0.5, RECENT),
+        readings.times.quantile_ms(0.99, RECENT)
+    );
+    let session = [
         ("chunks", format!("{} drawn, {} of {} here", readings.drawn, readings.resident, readings.capacity)),
         ("still coarse", readings.wanting.to_string()),
         ("triangles", format!("{:.2} M", readings.triangles as f64 / 1e6)),
@@ -235,9 +239,10 @@ fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>) {
             ),
         ),
         ("credits", readings.credits.to_string()),
-        ("camera", readings.camera.clone()),
-        ("speed", mode),
     ];
+    let session = session.into_iter().filter(|_| readings.local.is_none());
+    let camera = [("camera", readings.camera.clone()), ("speed", mode)];
+    let rows = std::iter::once(("frame", frame)).chain(session).chain(camera);
     ui.weak(readings.adapter);
     egui::Grid::new("numbers").num_columns(2).show(ui, |ui| {
         for (name, value) in rows {
