@@ -87,6 +87,13 @@ pub fn compare(got: &impl Height, truth: &impl Height, points: &[(i32, i32)]) ->
     (Figures::of(heights), Figures::of(slopes))
 }
 
+/// The value that a share `q` of all does not exceed; not a number if there is none.
+#[must_use]
+pub fn quantile(sorted: &[f64], q: f64) -> f64 {
+    let rank = (q * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(f64::NAN)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,10 +4,11 @@
 //! A search that must miss narrow features has to miss them, or the measurement is refused.
 
 use super::Curve;
+use super::errors::quantile;
 use crate::chart::{Axis, Choice, Panel, Series, front, linear, log, measured};
 use crate::relief::bench::ReliefBench;
 use crate::relief::maps::{Kind, SIDE};
-use crate::relief::trial::{AMPLITUDE, Condition, Score, Stage, probes, quantile, relief};
+use crate::relief::trial::{AMPLITUDE, Condition, Score, Stage, probes, relief};
 use crate::relief::truth;
 use crate::table::Table;
 use anyhow::{Result, ensure};

@@ -5,6 +5,7 @@
 //! a fixed view, and flat water.
 
 use super::Curve;
+use super::errors::quantile;
 use super::octaves::ratios;
 use crate::chart::{Choice, Panel, controls, front, linear, log, measured};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
@@ -228,12 +229,6 @@ const TRUTH: Method =
 fn texels(one: &FoundWave, other: &FoundWave) -> f64 {
     let [x, z] = [0, 1].map(|axis| f64::from(one.place_m[axis]) - f64::from(other.place_m[axis]));
     x.hypot(z) / TEXEL_M
-}
-
-/// The value that a share `q` of all does not exceed.
-fn quantile(sorted: &[f64], q: f64) -> f64 {
-    let rank = (q * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(f64::NAN)
 }
 
 fn measured_places(bench: &WaveBench) -> Result<Table> {

@@ -3,6 +3,7 @@
 use super::bench::ReliefBench;
 use super::maps::{Kind, SIDE};
 use super::truth::{self, Contact, Ray};
+use crate::accuracy::errors::quantile;
 use crate::sample::{unit, word};
 use anyhow::Result;
 use client::relief::knobs::{ReliefShadow, ReliefTier};
@@ -188,11 +189,4 @@ impl Score {
 fn is_tangent(map: &HeightMap, ray: &Ray, found: &ReliefFinding, truth: &Contact) -> bool {
     let is_past = f64::from(found.height) < truth.height;
     TANGENT >= if is_past { truth::depth_after(map, ray, truth) } else { truth.clearance }
-}
-
-/// The value that a share `q` of all does not exceed.
-#[must_use]
-pub fn quantile(sorted: &[f64], q: f64) -> f64 {
-    let rank = (q * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(f64::NAN)
 }
