@@ -9,4 +9,7 @@
 
 pub mod grid;
 pub mod morph;
+pub mod planting;
 pub mod ring;
+pub mod sight;
+pub mod surface;
