@@ -5,7 +5,7 @@ use client::world::select;
 use lab::culling::oracle::{Oracle, eye_of};
 use lab::culling::poses;
 use lab::scenery::Scenery;
-use shaders::twin::planting::{extent_of, may_be_in_view, block_extent, kept};
+use shaders::twin::planting::{extent_of, may_be_in_view, block_extent};
 use shaders::twin::sight::is_hidden;
 use shaders::twin::surface::Surface;
 use terrain::Land;
@@ -64,7 +64,7 @@ fn main() {
                 if gone && any { bfalse += 1; }
                 if !any { bhid += 1; if !gone { bkept += 1; } }
             }
-            let _ = kept(&surface, &stand.culling, &stand.planting, &clumps_of(&surface, stand, blocks_of(stand).next().unwrap()).next().unwrap_or(shaders::twin::planting::Clump{x:0,y:0,z:0,looks:0}));
+            
         }
     }
     println!("false {false_culls} of {culled}; hidden kept {kept_hidden:?} of {hidden:?}; root off by {:.3} mm; blocks: hidden {bhid} kept {bkept} false {bfalse}", worst_root * 1e3);

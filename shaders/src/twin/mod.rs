@@ -8,6 +8,7 @@
 )]
 
 pub mod grid;
+pub mod march;
 pub mod morph;
 pub mod planting;
 pub mod ring;

@@ -90,7 +90,7 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let whole = if up < 0 { to_middle + target.radius + 1 } else { length };
     let rise = quotient(up.unsigned_abs(), whole as u32) as i32;
     // sqrt(1 + drift²) is at most 1 + drift / 2.
-    let half = target.radius + mul_hi(target.radius << 8, drift << 1) / 2 + 2;
+    let half = target.radius + (mul_hi(target.radius << 8, drift << 1) >> 2) + 2;
     return Some(Ray {
         along_x,
         mirrored,
