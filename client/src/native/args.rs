@@ -189,6 +189,7 @@ impl Args {
                 parallax_bias_m: self.parallax_bias as f32,
                 steepness: self.wave_steepness as f32,
             },
+            plants: crate::plants::PlantKnobs::default(),
             relief: self.relief.knobs(),
         }
     }

@@ -2,12 +2,11 @@
 //!
 //! Owns pipelines and bindings. The buffers belong to whoever fills them; nothing here looks into them.
 
-use crate::camera::Eye;
-use crate::render::pipeline::{Depth, LightPass, uniform_entry};
-use shaders::layout::{CLUMP_BYTES, FINE_PER_METRE, GRASS_VERTICES, TREE_VERTICES};
+use crate::render::pipeline::{Depth, LightPass, storage_entry, uniform_entry};
+use crate::render::pool::ChunkPool;
+use shaders::layout::{CLUMP_BYTES, GRASS_VERTICES, TREE_VERTICES};
 use shaders::{SHADERS, Shader};
 use std::ops::Range;
-use terrain::constants::UNITS_PER_METRE;
 
 /// What grows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,8 +22,8 @@ impl Plant {
     #[must_use]
     pub fn kind(self) -> u32 {
         match self {
-            Self::Grass => shaders::layout::FIELD_GRASS,
-            Self::Tree => shaders::layout::FIELD_TREES,
+            Self::Grass => shaders::layout::KIND_GRASS,
+            Self::Tree => shaders::layout::KIND_TREES,
         }
     }
 
@@ -59,6 +58,10 @@ pub struct KeptClumps {
     pub plant: Plant,
     /// The [`shaders::layout::Field`].
     pub field: wgpu::Buffer,
+    /// The [`shaders::layout::Tile`]s of the square that clumps are counted in; usage `STORAGE`.
+    pub tiles: wgpu::Buffer,
+    /// The [`shaders::layout::Leaf`]s under them; usage `STORAGE`.
+    pub leaves: wgpu::Buffer,
     /// Clumps of [`CLUMP_BYTES`] each; usage `VERTEX`.
     pub clumps: wgpu::Buffer,
     /// The part of `clumps`, in clumps, that each level of detail has for itself, finest first.
@@ -81,11 +84,23 @@ pub struct PlantPass {
 impl PlantPass {
     /// The pass for these clumps and no others.
     #[must_use]
-    pub fn new(device: &wgpu::Device, frame: &wgpu::Buffer, kept: &KeptClumps, samples: u32) -> Self {
+    pub fn new(
+        device: &wgpu::Device,
+        frame: &wgpu::Buffer,
+        pool: &ChunkPool,
+        kept: &KeptClumps,
+        samples: u32,
+    ) -> Self {
         let shader = kept.plant.shader();
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some(shader.name),
-            entries: &[uniform_entry(0), uniform_entry(1)],
+            entries: &[
+                uniform_entry(0),
+                uniform_entry(1),
+                storage_entry(2, wgpu::ShaderStages::VERTEX, true),
+                storage_entry(3, wgpu::ShaderStages::VERTEX, true),
+                storage_entry(4, wgpu::ShaderStages::VERTEX, true),
+            ],
         });
         let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(shader.name),
@@ -93,6 +108,9 @@ impl PlantPass {
             entries: &[
                 wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
                 wgpu::BindGroupEntry { binding: 1, resource: kept.field.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 2, resource: kept.tiles.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 3, resource: kept.leaves.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 4, resource: pool.clearances().as_entire_binding() },
             ],
         });
         let buffers = [Some(wgpu::VertexBufferLayout {
@@ -117,14 +135,4 @@ impl PlantPass {
             pass.draw_indirect(&kept.arguments, level as u64 * ARGUMENT_BYTES);
         }
     }
-}
-
-/// The eye in fine units, east of and south of a corner (units) and above the sea, rounded: what [`shaders::layout::Field`] is told. The shader adds what is
-/// left, so it has to be rounded as here.
-#[must_use]
-pub fn eye_fine(eye: &Eye, corner: (i32, i32)) -> [i32; 3] {
-    const FINE_PER_UNIT: i32 = FINE_PER_METRE / UNITS_PER_METRE;
-    let low = [corner.0, 0, corner.1];
-    let rest = eye.fraction_m * FINE_PER_METRE as f32;
-    [0, 1, 2].map(|axis| (eye.units[axis] - low[axis]) * FINE_PER_UNIT + rest[axis].round_ties_even() as i32)
 }

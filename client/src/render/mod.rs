@@ -172,10 +172,10 @@ impl Renderer {
         }
     }
 
-    /// Grows another field on the land. Whoever owns the buffers writes them before every frame: the [`Field`](shaders::layout::Field), the clumps and the
+    /// Grows another field on the land. Whoever owns the buffers writes them before every frame: [`Field`](shaders::layout::Field), tiles, leaves, clumps and the
     /// arguments of the draws.
     pub fn plant(&mut self, gpu: &Gpu, kept: KeptClumps) {
-        let pass = PlantPass::new(&gpu.device, &self.uniforms, &kept, self.samples);
+        let pass = PlantPass::new(&gpu.device, &self.uniforms, &self.pool, &kept, self.samples);
         self.plants.push((pass, kept));
     }
 

@@ -8,10 +8,13 @@ use shaders::layout::{BLOCK_TEXELS, GPU_SLOT_BYTES};
 use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
 use terrain::pyramid::PYRAMID_LEVELS;
-use terrain::{Chunk, ChunkKey, Pyramid};
+use terrain::{Chunk, ChunkKey, GrassSeed, Pyramid};
 
-/// Memory that one slot stands for, bytes: heights, maxima and rises here, and what the GPU holds of a chunk.
-pub const SLOT_BYTES: usize = 4 * (VERTEX_COUNT + BLOCK_TEXELS) + size_of::<Rises>() + GPU_SLOT_BYTES;
+/// Memory that one slot stands for, bytes: heights, bounds, rises and grass here, and what the GPU holds of a chunk.
+pub const SLOT_BYTES: usize = 4 * (VERTEX_COUNT + 2 * BLOCK_TEXELS)
+    + size_of::<Rises>()
+    + terrain::constants::GRASS_GRID.pow(2)
+    + GPU_SLOT_BYTES;
 
 /// The level of the max pyramid with 8 x 8 blocks, the finest that is kept.
 const BLOCK_LEVEL: usize = 3;
@@ -25,6 +28,10 @@ pub struct Resident {
     pub heights: Box<[i32; VERTEX_COUNT]>,
     /// Upper bounds of the drawn surface in units: 8 x 8 blocks row by row, then 4 x 4, 2 x 2, 1.
     pub maxima: [i32; BLOCK_TEXELS],
+    /// Lower bounds of it, likewise.
+    pub minima: [i32; BLOCK_TEXELS],
+    /// What grows on it.
+    pub grass: GrassSeed,
     /// Bound of the vertical error against level 0, units.
     pub error: u32,
     /// Lowest vertex, units.
@@ -103,7 +110,9 @@ impl World {
         let (min, max) = (chunk.min(), chunk.max());
         let resident = Resident {
             slot,
-            maxima: maxima(&chunk.max_pyramid),
+            maxima: blocks(&chunk.max_pyramid),
+            minima: blocks(&chunk.min_pyramid),
+            grass: chunk.grass,
             heights: chunk.heights,
             error: chunk.error,
             min,
@@ -260,8 +269,8 @@ impl World {
     }
 }
 
-/// The top of a max pyramid, from 8 x 8 blocks up.
-fn maxima(pyramid: &Pyramid) -> [i32; BLOCK_TEXELS] {
+/// The top of a pyramid, from 8 x 8 blocks up.
+fn blocks(pyramid: &Pyramid) -> [i32; BLOCK_TEXELS] {
     let mut texels = (BLOCK_LEVEL..PYRAMID_LEVELS).flat_map(|level| pyramid.level(level).iter().copied());
     // Four levels hold exactly that many texels; nothing is ever filled up.
     std::array::from_fn(|_| texels.next().unwrap_or(i32::MAX))

@@ -77,7 +77,7 @@ pub fn root_offset_m(field: &Field, clump: &Clump, eye_fraction_m: Vec3) -> Vec3
     return std::array::from_fn(|axis| {
         let whole = clump.place[axis].wrapping_sub(eye[axis]);
         let fraction = eye_fraction_m[axis] / metres_per_fine;
-        (whole as f32 - (fraction - fraction.round_ties_even())) * metres_per_fine
+        (whole as f32 - (fraction - (fraction + 0.5).floor())) * metres_per_fine
     });
 }
 
@@ -202,8 +202,7 @@ pub(super) mod tests {
             // The true eye: whole units of 16 fine ones, and a part of a unit.
             let fraction_m = [0, 1, 2].map(|axis| unit(n, axis) / 256.0);
             let units = [560_000, 7000, 312_000];
-            let eye =
-                [0, 1, 2].map(|axis| units[axis] * 16 + (fraction_m[axis] * 4096.0).round_ties_even() as i32);
+            let eye = [0, 1, 2].map(|axis| units[axis] * 16 + (fraction_m[axis] * 4096.0).round() as i32);
             let field = Field { eye_x: eye[0], eye_y: eye[1], eye_z: eye[2], ..bytemuck::Zeroable::zeroed() };
             for (axis, found) in root_offset_m(&field, &clump, fraction_m).into_iter().enumerate() {
                 let exact = f64::from(clump.place[axis]) / 4096.0

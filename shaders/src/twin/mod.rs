@@ -13,5 +13,8 @@ pub mod conifer;
 pub mod field;
 pub mod grid;
 pub mod morph;
+pub mod planting;
 pub mod ring;
+pub mod sight;
+pub mod surface;
 pub mod tuft;
