@@ -83,12 +83,12 @@ impl Kind {
             kind: KIND_GRASS,
             cell_bits: STEP_BITS,
             per_cell: knobs.density,
-            width_m: [0.22, 0.46],
-            height_m: [0.28, 0.72],
+            width_m: [0.16, 0.36],
+            height_m: [0.22, 0.62],
             thin_from_m: f64::from(knobs.thin_from_m),
             widest: f64::from(knobs.widest),
             range_m: f64::from(knobs.range_m),
-            detail_m: [16.0, 60.0],
+            detail_m: [12.0, 45.0],
         }
     }
 
@@ -99,13 +99,13 @@ impl Kind {
             kind: KIND_TREES,
             cell_bits: STEP_BITS + 2,
             per_cell: knobs.trees,
-            width_m: [2.2, 4.2],
-            height_m: [5.0, 11.0],
+            width_m: [2.6, 5.0],
+            height_m: [6.0, 14.0],
             // Trees are not thinned: one that vanishes is seen.
             thin_from_m: f64::from(knobs.tree_range_m).max(1.0),
             widest: 1.0,
             range_m: f64::from(knobs.tree_range_m),
-            detail_m: [140.0, 1e6],
+            detail_m: [90.0, 1e6],
         }
     }
 
