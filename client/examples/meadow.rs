@@ -158,6 +158,7 @@ fn buffers(
         clumps: buffer(bytemuck::cast_slice(&clumps), wgpu::BufferUsages::VERTEX),
         regions,
         arguments: buffer(bytemuck::cast_slice(&arguments), wgpu::BufferUsages::INDIRECT),
+        arguments_at: 0,
     };
     (kept, counts)
 }

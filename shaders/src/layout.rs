@@ -565,8 +565,10 @@ pub struct Culling {
     pub corner: [i32; 2],
     /// Number of the frame, for `stay`.
     pub frame: u32,
-    /// Unused; fills 16 bytes.
-    pub reserved: u32,
+    /// Seed of the archipelago, for the noise of T2.
+    pub archipelago_seed: u32,
+    /// Seeds of the octaves, likewise.
+    pub octave_seeds: [u32; OCTAVES],
 }
 
 /// What grows in a field; `shared/culling.wesl` documents each field.
@@ -605,7 +607,29 @@ pub struct Planting {
     pub detail: [u32; 2],
     /// By rank, four to a row: the square of the distance up to which it stands, (1/16 m)².
     pub stands_within: [[u32; 4]; 64],
+    /// Vertices of a clump in each level of detail.
+    pub vertices: [u32; 4],
+    /// Clumps that there is room for in each level of detail; blocks.
+    pub room: [u32; 4],
 }
+
+/// Patches of a field at most: all tiles of the square.
+pub const MAX_PATCHES: usize = 1024;
+/// Blocks of a patch.
+pub const PATCH_BLOCK_COUNT: usize = 256;
+/// Bytes of a kept clump: four words, `shared/clump.wesl` documents their bits.
+pub const CLUMP_BYTES: usize = 16;
+
+/// Words that are kept of a block while its clumps are chosen.
+pub const VERDICT_WORDS: usize = 35;
+/// Words of the tally of a field: arguments of a dispatch, of three draws, and four counts.
+pub const TALLY_WORDS: usize = 20;
+/// First word of the draws' arguments in a tally.
+pub const TALLY_DRAWS: usize = 4;
+/// First word of the counts in a tally: blocks kept, blocks without room, clumps kept, clumps without room.
+pub const TALLY_TOLD: usize = 16;
+/// Words of the memory of blocks, for all kinds.
+pub const MEMORY_WORDS: usize = 2 << 18;
 
 /// Words of a slot that hold the top of its max pyramid: 8 x 8 blocks, 4 x 4, 2 x 2, 1.
 pub const BLOCK_TEXELS: usize = 64 + 16 + 4 + 1;
@@ -748,9 +772,6 @@ pub struct Field {
 
 /// Fine units, in which clumps are placed, per metre.
 pub const FINE_PER_METRE: i32 = 4096;
-
-/// Bytes of a kept clump: four words, `shared/clump.wesl` documents their bits.
-pub const CLUMP_BYTES: u64 = 16;
 
 /// Vertices of one clump of grass at each level of detail, finest first: 9 blades of 3 segments as a strip of triangles, then 9 and 6 single triangles.
 pub const GRASS_VERTICES: [u32; 3] = [9 * 9, 9 * 3, 6 * 3];

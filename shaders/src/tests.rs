@@ -188,7 +188,7 @@ fn fields_lie_where_the_shaders_read_them_and_plants_have_the_vertices_that_are_
     ] {
         assert!(shader.wgsl.contains(&line), "{line}");
     }
-    assert_eq!(size_of::<[u32; 4]>() as u64, CLUMP_BYTES);
+    assert_eq!(size_of::<[u32; 4]>(), CLUMP_BYTES);
 }
 
 #[test]

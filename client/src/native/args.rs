@@ -376,6 +376,7 @@ mod tests {
             sun,
             exposure_ev: -1.0,
             waves: WaveKnobs { parallax_factor: 0.5, parallax_bias_m: -0.25, steepness: 2.0 },
+            plants: crate::plants::PlantKnobs::default(),
             relief: ReliefKnobs {
                 tier: ReliefTier::Linear,
                 steps_min: 4,

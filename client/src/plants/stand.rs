@@ -171,6 +171,8 @@ impl Kind {
             stands_within: std::array::from_fn(|row| {
                 std::array::from_fn(|column| stands_within(4 * row + column))
             }),
+            vertices: [0; 4],
+            room: [0; 4],
         }
     }
 }
@@ -208,6 +210,7 @@ impl Shot {
         let slots = super::kept::BySlot::new(world);
         let surface = Surface { slots: &slots, tiles: &square.tiles, leaves: &square.leaves };
         let ground = surface.height_at(at[0], at[2]);
+        let noise = world.land().map(terrain::Land::parameters);
         Culling {
             eye: at,
             path: match knobs.cull {
@@ -227,7 +230,8 @@ impl Shot {
             stay: knobs.stay,
             corner: square.corner,
             frame: 0,
-            reserved: 0,
+            archipelago_seed: noise.map_or(0, |noise| noise.archipelago_seed),
+            octave_seeds: noise.map_or([0; 8], |noise| noise.octave_seeds),
         }
     }
 

@@ -68,6 +68,8 @@ pub struct KeptClumps {
     pub regions: Vec<Range<u32>>,
     /// Four words for each level of detail: vertices, clumps, 0, 0; usage `INDIRECT`.
     pub arguments: wgpu::Buffer,
+    /// Where they begin in it, bytes.
+    pub arguments_at: u64,
 }
 
 /// Bytes of the arguments of one indirect draw.
@@ -114,7 +116,7 @@ impl PlantPass {
             ],
         });
         let buffers = [Some(wgpu::VertexBufferLayout {
-            array_stride: CLUMP_BYTES,
+            array_stride: CLUMP_BYTES as u64,
             step_mode: wgpu::VertexStepMode::Instance,
             attributes: &wgpu::vertex_attr_array![0 => Uint32x4],
         })];
@@ -129,10 +131,10 @@ impl PlantPass {
     pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, kept: &KeptClumps) {
         pass.set_bind_group(0, &self.bindings, &[]);
         for (level, (pipeline, region)) in self.pipelines.iter().zip(&kept.regions).enumerate() {
-            let bytes = u64::from(region.start) * CLUMP_BYTES..u64::from(region.end) * CLUMP_BYTES;
+            let [start, end] = [region.start, region.end].map(|clump| u64::from(clump) * CLUMP_BYTES as u64);
             pass.set_pipeline(pipeline);
-            pass.set_vertex_buffer(0, kept.clumps.slice(bytes));
-            pass.draw_indirect(&kept.arguments, level as u64 * ARGUMENT_BYTES);
+            pass.set_vertex_buffer(0, kept.clumps.slice(start..end));
+            pass.draw_indirect(&kept.arguments, kept.arguments_at + level as u64 * ARGUMENT_BYTES);
         }
     }
 }

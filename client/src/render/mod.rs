@@ -7,6 +7,7 @@ pub mod air;
 pub mod backdrop;
 pub mod cast;
 pub mod clock;
+pub mod cull;
 pub mod fill;
 pub mod gpu;
 pub mod grass;

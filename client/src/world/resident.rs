@@ -8,7 +8,7 @@ use shaders::layout::{BLOCK_TEXELS, GPU_SLOT_BYTES};
 use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
 use terrain::pyramid::PYRAMID_LEVELS;
-use terrain::{Chunk, ChunkKey, GrassSeed, Pyramid};
+use terrain::{Chunk, ChunkKey, GrassSeed, Land, Pyramid};
 
 /// Memory that one slot stands for, bytes: heights, bounds, rises and grass here, and what the GPU holds of a chunk.
 pub const SLOT_BYTES: usize = 4 * (VERTEX_COUNT + 2 * BLOCK_TEXELS)
@@ -71,6 +71,8 @@ pub struct World {
     covered: bool,
     /// Since when each chunk that is drawn by its children has been.
     split_since: FxHashMap<ChunkKey, Duration>,
+    /// The land that is said to be served.
+    land: Option<Land>,
 }
 
 impl World {
@@ -87,6 +89,7 @@ impl World {
             view_said: 1,
             covered: false,
             split_since: FxHashMap::default(),
+            land: None,
         }
     }
 
@@ -137,6 +140,17 @@ impl World {
             let rises = error::rises(key, &chunk.heights, &parent.heights);
             self.chunks.entry(key).and_modify(|chunk| chunk.rises = Some(rises));
         }
+    }
+
+    /// Notes the seed that the served land is said to be made from.
+    pub fn set_seed(&mut self, world_seed: u64) {
+        self.land = Some(Land::new(world_seed));
+    }
+
+    /// The noise behind the land, as far as the server tells the truth: for comparisons, never for what is drawn.
+    #[must_use]
+    pub fn land(&self) -> Option<&Land> {
+        self.land.as_ref()
     }
 
     /// The chunk of a key, if it is here.
@@ -281,7 +295,6 @@ mod tests {
     use super::*;
     use crate::world::select;
     use std::collections::HashSet;
-    use terrain::Land;
     use terrain::lod::Viewer;
 
     fn chunk(level: u8, x: i32, z: i32) -> Chunk {

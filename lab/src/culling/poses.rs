@@ -38,8 +38,10 @@ fn trial(land: &Land, index: u32, plants: PlantKnobs) -> Trial {
         let spread = |word: u32| (f64::from(word) / f64::from(u32::MAX) - 0.5) * 9000.0;
         (spread(lot(2 * n + 10)), spread(lot(2 * n + 11)))
     });
-    let mut at =
-        places.filter(|(x, z)| (6.0..170.0).contains(&height(*x, *z))).next().unwrap_or((300.0, 900.0));
+    let mut at = places
+        .filter(|(x, z)| (6.0..170.0).contains(&height(*x, *z)))
+        .next()
+        .unwrap_or((300.0, 900.0));
     let kind = index % 6;
     if kind < 2 {
         // Up to the next peak, or down into the next valley.

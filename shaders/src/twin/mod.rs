@@ -12,6 +12,7 @@ pub mod clump;
 pub mod conifer;
 pub mod field;
 pub mod grid;
+pub mod march;
 pub mod morph;
 pub mod planting;
 pub mod ring;

@@ -2,10 +2,11 @@
 //!
 //! Integers only, so every client grows the same field and keeps the same part of it.
 
+use super::march::{Ground, is_hidden_by_vertices, marched_is_hidden};
 use super::sight::{Target, is_hidden};
 use super::surface::{FINE_BITS, NOWHERE, SQUARE_BITS, STEP_BITS, Slots, Surface, TILE_BITS};
 use crate::layout::{
-    CULL_DISTANCE, CULL_EXACT, CULL_HIERARCHICAL, Culling, KIND_GRASS, Planting, SQUARE_TILES,
+    CULL_DISTANCE, CULL_EXACT, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, KIND_GRASS, Planting, SQUARE_TILES,
 };
 use terrain::hash::{hash2, mix};
 use terrain::streams::streams;
@@ -147,7 +148,8 @@ pub fn clump_at<S: Slots>(
     row: i32,
     index: u32,
 ) -> Option<Clump> {
-    let lots = streams(planting.seed, planting.kind, planting.cell_x + column, planting.cell_z + row, index);
+    let lots =
+        streams(planting.seed, planting.kind, planting.cell_x + column, planting.cell_z + row, index);
     let mask = (1 << planting.cell_bits) - 1;
     let x = (column << planting.cell_bits) + (lots.place & mask) as i32;
     let z = (row << planting.cell_bits) + (lots.place >> 16 & mask) as i32;
@@ -172,10 +174,11 @@ fn stands_within(planting: &Planting, rank: u32) -> u32 {
     return planting.stands_within[(rank >> 2) as usize][(rank & 3) as usize];
 }
 
-/// The level of detail at which a clump is drawn, if it is kept.
+/// The level of detail at which a clump is drawn, if it is kept. `noise` is the height between vertices too, fine units: for T2.
 #[must_use]
 pub fn kept<S: Slots>(
     surface: &Surface<'_, S>,
+    noise: &impl Ground,
     culling: &Culling,
     planting: &Planting,
     clump: &Clump,
@@ -188,11 +191,18 @@ pub fn kept<S: Slots>(
     if !is_in_view(culling, &extent) {
         return None;
     }
-    if culling.path >= CULL_EXACT
-        && culling.sees_land != 0
-        && is_hidden(surface, culling.eye, &extent.target, culling.start)
-    {
-        return None;
+    if culling.sees_land != 0 {
+        let is_hidden = match culling.path {
+            CULL_NOISE => marched_is_hidden(noise, culling, &extent.target, 0),
+            CULL_MARCH => is_hidden_by_vertices(surface, culling, &extent),
+            CULL_EXACT | CULL_HIERARCHICAL => {
+                is_hidden(surface, culling.eye, &extent.target, culling.start)
+            }
+            _ => false,
+        };
+        if is_hidden {
+            return None;
+        }
     }
     return Some(u32::from(far > planting.detail[0]) + u32::from(far > planting.detail[1]));
 }

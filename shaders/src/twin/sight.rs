@@ -90,7 +90,7 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let whole = if up < 0 { to_middle + target.radius + 1 } else { length };
     let rise = quotient(up.unsigned_abs(), whole as u32) as i32;
     // sqrt(1 + drift²) is at most 1 + drift / 2.
-    let half = target.radius + mul_hi(target.radius << 8, drift << 1) / 2 + 2;
+    let half = target.radius + (mul_hi(target.radius << 8, drift << 1) >> 2) + 2;
     return Some(Ray {
         along_x,
         mirrored,
@@ -261,10 +261,7 @@ pub fn is_hidden<S: Slots>(surface: &Surface<'_, S>, eye: [i32; 3], target: &Tar
         if !is_clear {
             // All of the block is higher than the lower end of the ray.
             let at = if from < to { progress } else { end };
-            if bottom > NOWHERE
-                && from.min(to) + ray.slack <= bottom << FINE_BITS
-                && hides_at(surface, &ray, at)
-            {
+            if bottom > NOWHERE && from.min(to) + ray.slack <= bottom << FINE_BITS && hides_at(surface, &ray, at) {
                 return true;
             }
             if bits > finest.min(TILE_BITS) {

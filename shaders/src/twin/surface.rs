@@ -228,6 +228,27 @@ impl<S: Slots> Surface<'_, S> {
         return self.on_cell(leaf, &spot);
     }
 
+    /// Height between the four corners of the cell, bilinear, fine units: what is drawn are triangles. For a test that is kept to be measured against.
+    #[must_use]
+    pub fn bilinear_at(&self, x: i32, z: i32) -> i32 {
+        let index = self.leaf_at(x, z);
+        if index == NO_LEAF {
+            return NOWHERE << FINE_BITS;
+        }
+        let leaf = &self.leaves[index as usize];
+        let spot = self.spot(leaf, x, z);
+        let corner = |east: u32, south: u32| {
+            let vertex = GridVertex {
+                column: spot.low.column + east * spot.stride,
+                row: spot.low.row + south * spot.stride,
+            };
+            self.drawn_vertex(leaf, vertex) << FINE_BITS
+        };
+        let near = corner(0, 0) + part_of(corner(1, 0) - corner(0, 0), spot.east, spot.bits);
+        let far = corner(0, 1) + part_of(corner(1, 1) - corner(0, 1), spot.east, spot.bits);
+        return near + part_of(far - near, spot.south, spot.bits);
+    }
+
     /// A lower bound of the drawn surface at a place that also holds, where vertices have been moved, for all of the block of 2 x 2 cells around it; fine units.
     #[must_use]
     pub fn lowest_at(&self, x: i32, z: i32) -> i32 {
