@@ -621,7 +621,7 @@ pub struct Planting {
 pub const MAX_PATCHES: usize = 1024;
 /// Blocks of a patch.
 pub const PATCH_BLOCK_COUNT: usize = 256;
-/// Bytes of a kept clump.
+/// Bytes of a kept clump: four words, `shared/clump.wesl` documents their bits.
 pub const CLUMP_BYTES: usize = 16;
 
 /// Words that are kept of a block while its clumps are chosen.
@@ -645,8 +645,8 @@ pub const NODES_PER_SLOT: usize = 8;
 pub const MAX_ROOTS: usize = 64;
 
 /// Memory on the GPU that a resident chunk costs, bytes: heights, clearances, bounds, densities, its part of the page table.
-pub const GPU_SLOT_BYTES: usize =
-    4 * (VERTEX_COUNT + CLEARANCE_WORDS + BLOCK_TEXELS + RECORD_WORDS) + NODES_PER_SLOT * size_of::<PageNode>();
+pub const GPU_SLOT_BYTES: usize = 4 * (VERTEX_COUNT + CLEARANCE_WORDS + BLOCK_TEXELS + RECORD_WORDS)
+    + NODES_PER_SLOT * size_of::<PageNode>();
 
 /// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, hills, folds, height.
 pub const PROBE_WORDS: usize = 5;
@@ -737,3 +737,63 @@ pub struct BrdfProbe {
 /// Words per probe that `probe_brdf` writes: distribution, the naive one, exact and fast visibility, Fresnel term, diffuse term, specular albedo,
 /// cosine to the light.
 pub const BRDF_TERMS: usize = 8;
+
+/// One kind of plant in a frame; `shared/field.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Field {
+    /// Eye east of the low corner of the square of clumps, fine units ([`FINE_PER_METRE`]), rounded.
+    pub eye_x: i32,
+    /// Above the sea.
+    pub eye_y: i32,
+    /// South of the low corner.
+    pub eye_z: i32,
+    /// [`KIND_GRASS`] or [`KIND_TREES`].
+    pub kind: u32,
+    /// Narrowest plant, metres.
+    pub width_low_m: f32,
+    /// Widest plant, metres.
+    pub width_high_m: f32,
+    /// Lowest plant, metres.
+    pub height_low_m: f32,
+    /// Highest plant, metres.
+    pub height_high_m: f32,
+    /// Distance up to which every clump stands, metres; beyond it the share of them falls with the distance.
+    pub thin_from_m: f32,
+    /// Most that a clump is widened to make up for those that were left out, at least 1.
+    pub widest: f32,
+    /// Nothing stands beyond, metres.
+    pub range_m: f32,
+    /// Heights sink to nothing over so much of the end of the range, metres.
+    pub collapse_m: f32,
+    /// Distances at which the first and the second level of detail end, metres, increasing.
+    pub lod_m: [f32; 2],
+    /// 0 none to 1 a gale.
+    pub wind: f32,
+    /// How far clumps lean away from an eye above them, 0 to 1.
+    pub lean: f32,
+}
+
+/// Fine units, in which clumps are placed, per metre.
+pub const FINE_PER_METRE: i32 = 4096;
+
+/// Vertices of one clump of grass at each level of detail, finest first: 9 blades of 3 segments as a strip of triangles, then 9 and 6 single triangles.
+pub const GRASS_VERTICES: [u32; 3] = [9 * 9, 9 * 3, 6 * 3];
+
+/// Vertices of one tree at each level of detail, finest first: triangles.
+pub const TREE_VERTICES: [u32; 2] = [3 * 114, 3 * 24];
+
+/// Longest horizontal part of the direction in which grass stands. Equal to `MAX_TILT` of `shared/clump.wesl`.
+pub const GRASS_TILT: f32 = 0.75;
+
+/// No vertex of a clump of grass is farther from its root horizontally, metres; width and height as drawn, widened and collapsed.
+#[must_use]
+pub fn grass_reach_m(width_m: f32, height_m: f32) -> f32 {
+    0.5 * width_m + GRASS_TILT * height_m
+}
+
+/// No vertex of a clump of grass is higher above its root, metres: feet follow slopes of up to 1.
+#[must_use]
+pub fn grass_rise_m(width_m: f32, height_m: f32) -> f32 {
+    height_m + 0.5 * width_m
+}

@@ -7,11 +7,12 @@ use std::process::{Command, Stdio};
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
 use crate::layout::{
-    Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CastTarget,
-    Caster, ChunkFill, FILL_WORKGROUP, Frame, GPU_SLOT_BYTES, LEAF, MATERIALS, NOTHING, PATTERN_PERIOD_M,
-    PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, REDUCE_WORKGROUP, RELIEF_WORKGROUP, Relief,
-    ReliefFinding, ReliefObject, ReliefProbe, ReliefReduction, SKY_DARK, SKY_WALK, SUN_RADIUS,
-    TILING_WORKGROUP, TerrainInstance, TilingProbe, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
+    Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CLUMP_BYTES,
+    CastTarget, Caster, ChunkFill, FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_TILT,
+    LEAF, MATERIALS, NOTHING, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode,
+    REDUCE_WORKGROUP, RELIEF_WORKGROUP, Relief, ReliefFinding, ReliefObject, ReliefProbe, ReliefReduction,
+    SKY_DARK, SKY_WALK, SUN_RADIUS, TILING_WORKGROUP, TerrainInstance, TilingProbe, WAVE_MAP_SIDE,
+    WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -162,6 +163,32 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
     );
     let (module, _) = validate("reduce_relief", SHADERS.reduce_relief.wgsl).unwrap();
     assert_eq!(module.entry_points[0].workgroup_size, [RELIEF_WORKGROUP, RELIEF_WORKGROUP, 1]);
+}
+
+#[test]
+fn fields_lie_where_the_shaders_read_them_and_plants_have_the_vertices_that_are_drawn() {
+    for shader in [SHADERS.draw_grass, SHADERS.draw_trees] {
+        #[rustfmt::skip]
+        assert_lies_alike!(
+            shader, Field,
+            eye_x, eye_y, eye_z, kind, width_low_m, width_high_m, height_low_m, height_high_m, thin_from_m, widest, range_m,
+            collapse_m, lod_m, wind, lean,
+        );
+        let fine = format!("METRES_PER_FINE: f32 = 1.0 / {FINE_PER_METRE}.0;");
+        assert!(shader.wgsl.contains(&fine), "{}", shader.name);
+        let (module, _) = validate(shader.name, shader.wgsl).unwrap();
+        // The level of detail is the pipeline's.
+        let levels = module.overrides.iter().filter(|(_, level)| level.name.as_deref() == Some("LEVEL"));
+        assert_eq!(levels.count(), 1, "{}", shader.name);
+    }
+    for (shader, line) in [
+        (SHADERS.draw_grass, format!("MAX_TILT: f32 = {GRASS_TILT:?};")),
+        (SHADERS.draw_trees, "CONIFER_TIERS: u32 = 9u;".to_owned()),
+        (SHADERS.draw_trees, "CONIFER_BOUGHS: u32 = 6u;".to_owned()),
+    ] {
+        assert!(shader.wgsl.contains(&line), "{line}");
+    }
+    assert_eq!(size_of::<[u32; 4]>(), CLUMP_BYTES);
 }
 
 #[test]

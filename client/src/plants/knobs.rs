@@ -58,17 +58,17 @@ impl PlantKnobs {
     pub const NONE: Self = Self { density: 0, trees: 0, ..Self::STANDARD };
     /// A meadow with groves.
     pub const STANDARD: Self = Self {
-        density: 16,
-        range_m: 320.0,
-        thin_from_m: 80.0,
-        widest: 4.0,
+        density: 32,
+        range_m: 260.0,
+        thin_from_m: 14.0,
+        widest: 6.0,
         trees: 1,
         tree_range_m: 1500.0,
         cull: Cull::Hierarchical,
         stay: 0,
         step_m: 2.0,
-        wind: 0.3,
-        lean: 0.3,
+        wind: 0.4,
+        lean: 0.6,
     };
     /// Fewer and nearer, so that the land shows.
     pub const SPARSE: Self = Self { density: 8, range_m: 240.0, trees: 1, ..Self::STANDARD };

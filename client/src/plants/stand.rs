@@ -6,8 +6,8 @@ use crate::plants::square::Square;
 use crate::world::World;
 use glam::DVec3;
 use shaders::layout::{
-    CULL_DISTANCE, CULL_EXACT, CULL_FRUSTUM, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, KIND_GRASS,
-    KIND_TREES, Planting,
+    CULL_DISTANCE, CULL_EXACT, CULL_FRUSTUM, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, Field,
+    KIND_GRASS, KIND_TREES, Planting,
 };
 use shaders::twin::planting::{
     BLOCK_CELL_BITS, COARSE_BITS, Extent, PATCH_BLOCKS, distance_squared, may_be_in_view,
@@ -21,6 +21,9 @@ const FINE: f64 = (UNITS_PER_METRE << FINE_BITS) as f64;
 
 /// Coarse units, in which squares of distances are counted, in a metre.
 const COARSE: f64 = FINE / (1 << COARSE_BITS) as f64;
+
+/// Share of the range over whose end heights sink to nothing.
+const COLLAPSE: f32 = 0.25;
 
 /// What is as near as the near plane is cut away; this much more for what is beside the middle of a target.
 const NEAR_ALLOWANCE: f64 = 1.5;
@@ -43,6 +46,8 @@ pub struct Stand {
     pub culling: Culling,
     /// What grows.
     pub planting: Planting,
+    /// The same for the pass that draws it.
+    pub field: Field,
     /// Patches of 16 x 16 blocks that may hold any of it: column and row in the square, nearest first.
     pub patches: Vec<[i32; 2]>,
 }
@@ -78,12 +83,12 @@ impl Kind {
             kind: KIND_GRASS,
             cell_bits: STEP_BITS,
             per_cell: knobs.density,
-            width_m: [0.22, 0.46],
-            height_m: [0.28, 0.72],
+            width_m: [0.16, 0.36],
+            height_m: [0.22, 0.62],
             thin_from_m: f64::from(knobs.thin_from_m),
             widest: f64::from(knobs.widest),
             range_m: f64::from(knobs.range_m),
-            detail_m: [16.0, 60.0],
+            detail_m: [12.0, 45.0],
         }
     }
 
@@ -94,13 +99,38 @@ impl Kind {
             kind: KIND_TREES,
             cell_bits: STEP_BITS + 2,
             per_cell: knobs.trees,
-            width_m: [2.2, 4.2],
-            height_m: [5.0, 11.0],
+            width_m: [2.6, 5.0],
+            height_m: [6.0, 14.0],
             // Trees are not thinned: one that vanishes is seen.
             thin_from_m: f64::from(knobs.tree_range_m).max(1.0),
             widest: 1.0,
             range_m: f64::from(knobs.tree_range_m),
-            detail_m: [140.0, 1e6],
+            detail_m: [90.0, 1e6],
+        }
+    }
+
+    /// What the pass that draws the kind is told.
+    fn field(&self, eye: [i32; 3], knobs: &PlantKnobs) -> Field {
+        let metres = |pair: [f64; 2]| pair.map(|metres| metres as f32);
+        let [width_low_m, width_high_m] = metres(self.width_m);
+        let [height_low_m, height_high_m] = metres(self.height_m);
+        let range_m = self.range_m as f32;
+        Field {
+            eye_x: eye[0],
+            eye_y: eye[1],
+            eye_z: eye[2],
+            kind: self.kind,
+            width_low_m,
+            width_high_m,
+            height_low_m,
+            height_high_m,
+            thin_from_m: self.thin_from_m as f32,
+            widest: self.widest as f32,
+            range_m,
+            collapse_m: COLLAPSE * range_m,
+            lod_m: metres(self.detail_m),
+            wind: knobs.wind,
+            lean: knobs.lean,
         }
     }
 
@@ -166,7 +196,7 @@ impl Shot {
             let kind = Kind { range_m: kind.range_m.min(reach_m), ..kind };
             let planting = kind.planting(&square, seed);
             let patches = patches(&square, &culling, &planting);
-            Stand { culling, planting, patches }
+            Stand { culling, planting, field: kind.field(culling.eye, &knobs), patches }
         });
         Some(PlantFrame { stands: stands.collect(), square, knobs })
     }
@@ -192,7 +222,8 @@ impl Shot {
                 Cull::Hierarchical => CULL_HIERARCHICAL,
             },
             planes: self.planes(half_width, half_height),
-            start: (f64::from(crate::camera::NEAR_M) * corner * NEAR_ALLOWANCE * FINE).ceil().min(FINE * 64.0) as i32,
+            start: (f64::from(crate::camera::NEAR_M) * corner * NEAR_ALLOWANCE * FINE).ceil().min(FINE * 64.0)
+                as i32,
             // An eye in the ground looks at the land from below, where it is not drawn.
             sees_land: u32::from(ground > NOWHERE << FINE_BITS && ground < at[1]),
             step: (f64::from(knobs.step_m) * FINE) as i32,
@@ -232,7 +263,8 @@ fn patches(square: &Square, culling: &Culling, planting: &Planting) -> Vec<[i32;
     let mut found: Vec<(u32, [i32; 2])> = places
         .filter_map(|[column, row]| {
             let (west, north) = (column << bits, row << bits);
-            let nearest = [culling.eye[0].clamp(west, west + side), culling.eye[2].clamp(north, north + side)];
+            let nearest =
+                [culling.eye[0].clamp(west, west + side), culling.eye[2].clamp(north, north + side)];
             let far = distance_squared(culling, nearest[0], culling.eye[1], nearest[1]);
             let (top, bottom) = bounds(square, bits, column, row)?;
             let half = side / 2;

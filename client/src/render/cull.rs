@@ -1,13 +1,14 @@
 //! The passes that choose plants: blocks, clumps, and the sums between, all on the GPU; nothing comes back before the draw.
 
 use crate::plants::{PlantFrame, Square};
+use crate::render::grass::{KeptClumps, Plant};
 use crate::render::pipeline::{compute_pipelines, storage_entry, uniform_entry};
 use crate::render::pool::ChunkPool;
 use crate::render::{Gpu, GpuError};
 use shaders::SHADERS;
 use shaders::layout::{
     CLUMP_BYTES, Culling, Leaf, MAX_LEAVES, MAX_PATCHES, MEMORY_WORDS, PATCH_BLOCK_COUNT, Planting,
-    SQUARE_NODES, TALLY_TOLD, TALLY_WORDS, Tile, VERDICT_WORDS,
+    SQUARE_NODES, TALLY_DRAWS, TALLY_TOLD, TALLY_WORDS, Tile, VERDICT_WORDS,
 };
 use wgpu::BufferUsages as Usage;
 
@@ -212,6 +213,18 @@ impl CullPasses {
         }
     }
 
+    /// The [`Tile`]s of the square, for the passes that draw what was chosen.
+    #[must_use]
+    pub fn tiles(&self) -> &wgpu::Buffer {
+        &self.tiles
+    }
+
+    /// The [`Leaf`]s under them.
+    #[must_use]
+    pub fn leaves(&self) -> &wgpu::Buffer {
+        &self.leaves
+    }
+
     /// Tells the GPU of the land around the eye.
     pub fn prepare(&self, queue: &wgpu::Queue, square: &Square) {
         queue.write_buffer(&self.tiles, 0, bytemuck::cast_slice(&square.tiles));
@@ -286,6 +299,22 @@ enum Size {
 }
 
 impl Chosen {
+    /// What the pass that draws `plant` reads of the choice; `field` is the buffer of its uniforms.
+    #[must_use]
+    pub fn kept(&self, plant: Plant, field: wgpu::Buffer, passes: &CullPasses) -> KeptClumps {
+        let [near, middle, far] = self.room;
+        KeptClumps {
+            plant,
+            field,
+            tiles: passes.tiles().clone(),
+            leaves: passes.leaves().clone(),
+            clumps: self.clumps.clone(),
+            regions: vec![0..near, near..near + middle, near + middle..near + middle + far],
+            arguments: self.tally.clone(),
+            arguments_at: 4 * TALLY_DRAWS as u64,
+        }
+    }
+
     /// What the last submitted choice came to. Waits for the GPU.
     ///
     /// # Errors
@@ -308,7 +337,7 @@ impl Chosen {
             words.chunks_exact(4).map(|four| [four[0], four[1], four[2], four[3]]).collect();
         let begins = [0, self.room[0] as usize, (self.room[0] + self.room[1]) as usize];
         Ok(std::array::from_fn(|level| {
-            let count = tally[shaders::layout::TALLY_DRAWS + 4 * level + 1] as usize;
+            let count = tally[TALLY_DRAWS + 4 * level + 1] as usize;
             clumps[begins[level]..begins[level] + count].to_vec()
         }))
     }

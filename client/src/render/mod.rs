@@ -10,6 +10,7 @@ pub mod clock;
 pub mod cull;
 pub mod fill;
 pub mod gpu;
+pub mod grass;
 pub mod materials;
 pub mod mesh;
 pub mod picture;
@@ -39,6 +40,7 @@ use backdrop::BackdropPass;
 use cast::CastPass;
 use clock::{PassClock, TimedPass};
 use glam::Vec3;
+use grass::{KeptClumps, PlantPass};
 use materials::{Materials, OwnMaterials};
 use pool::ChunkPool;
 use scenes::LocalScene;
@@ -77,6 +79,8 @@ pub struct Renderer {
     materials: Materials,
     air: AirPass,
     terrain: TerrainPass,
+    /// What grows on the land, one for each field.
+    plants: Vec<(PlantPass, KeptClumps)>,
     sky: BackdropPass,
     water: WaterPass,
     /// Drawn instead of land, sky and sea.
@@ -115,6 +119,7 @@ impl Renderer {
             shadows: Schedule::new(options.slots),
             cast: CastPass::new(device, &pool, options.slots),
             terrain: TerrainPass::new(device, &uniforms, &pool, &materials, options.slots, samples),
+            plants: Vec::new(),
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: WaterPass::sea(device, &uniforms, &waves, samples),
             local: LocalScene::new(
@@ -166,6 +171,13 @@ impl Renderer {
         if let Some(LocalScene::Relief(scene)) = &mut self.local {
             scene.arrange(&gpu.device, objects);
         }
+    }
+
+    /// Grows another field on the land. Whoever owns the buffers writes them before every frame: [`Field`](shaders::layout::Field), tiles, leaves, clumps and the
+    /// arguments of the draws.
+    pub fn plant(&mut self, gpu: &Gpu, kept: KeptClumps) {
+        let pass = PlantPass::new(&gpu.device, &self.uniforms, &self.pool, &kept, self.samples);
+        self.plants.push((pass, kept));
     }
 
     /// Puts a chunk into its slot.
@@ -292,6 +304,12 @@ impl Renderer {
                 scene.draw(&mut pass, &self.materials, &self.sky);
             } else {
                 self.terrain_draws = self.terrain.draw(&mut pass, &self.materials);
+                // Inspecting views show the land's machinery, and an eye under water sees no plants.
+                let shows_plants =
+                    frame.uniforms.show == Show::Picture as u32 && frame.uniforms.eye_height_m > 0.0;
+                for (plants, kept) in self.plants.iter().filter(|_| shows_plants) {
+                    plants.draw(&mut pass, kept);
+                }
                 if !matches!(frame.backdrop, Backdrop::Plain(_)) {
                     self.sky.draw(&mut pass);
                 }

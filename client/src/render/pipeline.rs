@@ -33,16 +33,34 @@ impl LightPass<'_> {
     /// The pipeline of the pass.
     #[must_use]
     pub fn pipeline(&self, device: &wgpu::Device) -> wgpu::RenderPipeline {
-        self.with_fragment(device, None)
+        self.build(device, None, SOLID, &[])
     }
 
     /// The pipeline of one of several ways of writing what the pass draws.
     #[must_use]
     pub fn pipeline_of(&self, device: &wgpu::Device, fragment: &str) -> wgpu::RenderPipeline {
-        self.with_fragment(device, Some(fragment))
+        self.build(device, Some(fragment), SOLID, &[])
     }
 
-    fn with_fragment(&self, device: &wgpu::Device, fragment: Option<&str>) -> wgpu::RenderPipeline {
+    /// The pipeline of leaves, which are seen from both sides, at a level of detail that the shader takes as its constant `LEVEL`.
+    #[must_use]
+    pub fn pipeline_of_leaves(
+        &self,
+        device: &wgpu::Device,
+        topology: wgpu::PrimitiveTopology,
+        level: usize,
+    ) -> wgpu::RenderPipeline {
+        let leaves = wgpu::PrimitiveState { topology, cull_mode: None, ..Default::default() };
+        self.build(device, None, leaves, &[("LEVEL", level as f64)])
+    }
+
+    fn build(
+        &self,
+        device: &wgpu::Device,
+        fragment: Option<&str>,
+        primitive: wgpu::PrimitiveState,
+        constants: &[(&str, f64)],
+    ) -> wgpu::RenderPipeline {
         let (compare, write, blend) = match self.depth {
             Depth::Solid => (wgpu::CompareFunction::Greater, true, None),
             Depth::Transparent => {
@@ -59,9 +77,10 @@ impl LightPass<'_> {
         };
         build(
             device,
-            (self.shader, fragment),
+            (self.shader, fragment, constants),
             self.layouts,
             self.buffers,
+            primitive,
             Some(depth_stencil),
             self.samples,
             wgpu::ColorTargetState { format: LIGHT_FORMAT, blend, write_mask: wgpu::ColorWrites::ALL },
@@ -77,14 +96,30 @@ pub fn flat_pipeline(
     layout: &wgpu::BindGroupLayout,
     format: wgpu::TextureFormat,
 ) -> wgpu::RenderPipeline {
-    build(device, (shader, None), &[layout], &[], None, 1, format.into())
+    build(device, (shader, None, &[]), &[layout], &[], SOLID, None, 1, format.into())
 }
 
+/// Triangles that are seen from one side.
+const SOLID: wgpu::PrimitiveState = wgpu::PrimitiveState {
+    topology: wgpu::PrimitiveTopology::TriangleList,
+    strip_index_format: None,
+    front_face: wgpu::FrontFace::Ccw,
+    cull_mode: Some(wgpu::Face::Back),
+    unclipped_depth: false,
+    polygon_mode: wgpu::PolygonMode::Fill,
+    conservative: false,
+};
+
+#[expect(
+    clippy::too_many_arguments,
+    reason = "called twice, both above, with everything that a pipeline is made of"
+)]
 fn build(
     device: &wgpu::Device,
-    (shader, fragment): (&Shader, Option<&str>),
+    (shader, fragment, constants): (&Shader, Option<&str>, &[(&str, f64)]),
     layouts: &[&wgpu::BindGroupLayout],
     buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
+    primitive: wgpu::PrimitiveState,
     depth_stencil: Option<wgpu::DepthStencilState>,
     samples: u32,
     target: wgpu::ColorTargetState,
@@ -98,6 +133,7 @@ fn build(
         bind_group_layouts: &layouts.iter().copied().map(Some).collect::<Vec<_>>(),
         immediate_size: 0,
     });
+    let options = wgpu::PipelineCompilationOptions { constants, ..Default::default() };
     let entry = |stage| shader.entry_points.iter().find(|entry| entry.stage == stage).map(|entry| entry.name);
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(shader.name),
@@ -105,16 +141,16 @@ fn build(
         vertex: wgpu::VertexState {
             module: &module,
             entry_point: entry(Stage::Vertex),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: options.clone(),
             buffers,
         },
-        primitive: wgpu::PrimitiveState { cull_mode: Some(wgpu::Face::Back), ..Default::default() },
+        primitive,
         depth_stencil,
         multisample: wgpu::MultisampleState { count: samples, ..Default::default() },
         fragment: Some(wgpu::FragmentState {
             module: &module,
             entry_point: fragment.or_else(|| entry(Stage::Fragment)),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: options,
             targets: &[Some(target)],
         }),
         multiview_mask: None,

@@ -1,5 +1,6 @@
 //! WGSL modules once more in plain Rust: same stem, same statements in the same order, so that the two can be read
-//! side by side and tested without a GPU. Integer modules only; floats are compared as pictures. The land's own modules (`hash`,
+//! side by side and tested without a GPU. Integer modules, and the floats that something relies on besides the eye: the bounds of plants, which culling tests. All
+//! other floats are compared as pictures. The land's own modules (`hash`,
 //! `weights`, `noise`, `island`, `land`) have their twins in the `terrain` crate.
 #![expect(
     clippy::needless_return,
@@ -7,6 +8,9 @@
     reason = "a twin keeps the shape of its WGSL, and chunk sizes fit in 32 bits"
 )]
 
+pub mod clump;
+pub mod conifer;
+pub mod field;
 pub mod grid;
 pub mod march;
 pub mod morph;
@@ -14,3 +18,4 @@ pub mod planting;
 pub mod ring;
 pub mod sight;
 pub mod surface;
+pub mod tuft;
