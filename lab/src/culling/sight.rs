@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use shaders::layout::Culling;
 use shaders::twin::march::{chunk_is_hidden, is_hidden_by_vertices, marched_is_hidden};
-use shaders::twin::planting::{Clump, Extent, block_extent, clump_at, extent_of, may_be_in_view};
+use shaders::twin::planting::{Clump, Extent, block_extent, clump_at, extent_of, may_be_in_view, tip_of};
 use shaders::twin::sight::{Target, is_hidden};
 use shaders::twin::surface::{Slots, Surface};
 use std::cell::Cell;
@@ -198,10 +198,18 @@ fn points_of(scene: &Scene, stand: &Stand, clump: &Clump, extent: &Extent) -> Po
     };
     let reach = metres(extent.target.radius);
     let bound_top = metres(extent.target.top);
-    // Blades lean by a quarter of their height; a tree's tip stands above its middle.
-    let lean = if planting.kind == shaders::layout::KIND_GRASS { 0.25 * height } else { 0.1 };
     let root = metres(clump.y);
-    Points { top: ring(lean, root + height), bound: [ring(reach, bound_top), ring(0.5 * reach, bound_top)].concat() }
+    let top = if planting.kind == shaders::layout::KIND_GRASS {
+        // Tips of blades stand up to half the width from the middle and lean by a fifth of the height.
+        let width = metres(planting.width_low) + metres(planting.width_span) * f64::from(clump.looks & 63) / 63.0;
+        let eye = eye_of(&scene.shot.pose);
+        let away = (x - eye[0]).hypot(root - eye[1]).hypot(z - eye[2]);
+        let widening = (away / metres(planting.thin_from)).clamp(1.0, f64::from(planting.widest) / 256.0);
+        [ring(0.49 * width * widening + 0.2 * height, root + 0.95 * height), ring(0.0, root + height)].concat()
+    } else {
+        ring(0.1, root + height)
+    };
+    Points { top, bound: [ring(reach, bound_top), ring(0.5 * reach, bound_top)].concat() }
 }
 
 fn of_scene(scene: &Scene) -> Findings {
@@ -231,9 +239,10 @@ fn of_scene(scene: &Scene) -> Findings {
             let block = block_extent(&surface, &stand.planting, clump.x >> bits, clump.z >> bits);
             let in_block = culling.sees_land != 0 && block.is_none_or(|block| hides(&block.target));
             let hierarchical = exact || in_block;
-            found.noise.count(is_seen, marched_is_hidden(&noise, culling, &extent.target, 0));
-            found.march.count(is_seen, is_hidden_by_vertices(&surface, culling, &extent));
-            found.march_fine.count(is_seen, is_hidden_by_vertices(&surface, &fine, &extent));
+            let tip = tip_of(&stand.planting, clump);
+            found.noise.count(is_seen, marched_is_hidden(&noise, culling, &tip, 0));
+            found.march.count(is_seen, is_hidden_by_vertices(&surface, culling, &tip));
+            found.march_fine.count(is_seen, is_hidden_by_vertices(&surface, &fine, &tip));
             found.exact.count(is_seen, exact);
             found.hierarchical.count(is_seen, hierarchical);
             found.bound.count(is_bound_seen, hierarchical);
@@ -288,7 +297,7 @@ fn count_cost<S: Slots>(
     }
     found.fetches_exact += counting.reads.replace(0) as f64;
     for extent in &extents {
-        let _ = is_hidden_by_vertices(&counted, fine, extent);
+        let _ = is_hidden_by_vertices(&counted, fine, &extent.target);
     }
     found.fetches_march += counting.reads.get() as f64;
     found.rays += extents.len() as u64;
@@ -297,7 +306,7 @@ fn count_cost<S: Slots>(
         let exact = part.iter().filter(|extent| is_hidden(surface, fine.eye, &extent.target, fine.start));
         let some = std::hint::black_box(exact.count());
         let between = Instant::now();
-        let march = part.iter().filter(|extent| is_hidden_by_vertices(surface, fine, extent)).count();
+        let march = part.iter().filter(|extent| is_hidden_by_vertices(surface, fine, &extent.target)).count();
         std::hint::black_box((some, march));
         found.times[0] += between - begun;
         found.times[1] += between.elapsed();

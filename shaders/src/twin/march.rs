@@ -1,7 +1,7 @@
 //! Twin of `wgsl/bound/march.wesl`: two tests that are wrong, as they were first published, kept to be measured against. A march in even steps over the noise finds peaks between
 //! vertices that are never drawn; one over the drawn vertices, bilinear, misses the triangles; and either asks for one point of what it judges.
 
-use super::planting::{BLOCK_CELL_BITS, Extent};
+use super::planting::BLOCK_CELL_BITS;
 use super::ring::mul_hi;
 use super::sight::{Target, quotient};
 use super::surface::{FINE_BITS, SQUARE_BITS, Slots, Surface};
@@ -85,8 +85,8 @@ pub fn chunk_is_hidden<S: Slots>(
 pub fn is_hidden_by_vertices<S: Slots>(
     surface: &Surface<'_, S>,
     culling: &Culling,
-    extent: &Extent,
+    goal: &Target,
 ) -> bool {
     let bilinear = |x: i32, z: i32| surface.bilinear_at(x, z);
-    return marched_is_hidden(&bilinear, culling, &extent.target, 0);
+    return marched_is_hidden(&bilinear, culling, goal, 0);
 }

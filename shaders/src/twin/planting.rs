@@ -117,6 +117,13 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump) -> Exten
     };
 }
 
+/// The one point that the tests ask for that are kept to be measured against: the tip over the root.
+#[must_use]
+pub fn tip_of(planting: &Planting, clump: &Clump) -> Target {
+    let height = planting.height_low + ((planting.height_span * ((clump.looks >> 6 & 63) as i32 + 1)) >> 6);
+    return Target { x: clump.x, top: clump.y + height, z: clump.z, radius: 0 };
+}
+
 /// Density of a field at a place that is off by lot, so that its edges are soft: 0 to 256.
 fn density_near<S: Slots>(surface: &Surface<'_, S>, planting: &Planting, x: i32, z: i32, lot: u32) -> u32 {
     let last = (1 << SQUARE_BITS) - 1;
@@ -193,8 +200,8 @@ pub fn kept<S: Slots>(
     }
     if culling.sees_land != 0 {
         let is_hidden = match culling.path {
-            CULL_NOISE => marched_is_hidden(noise, culling, &extent.target, 0),
-            CULL_MARCH => is_hidden_by_vertices(surface, culling, &extent),
+            CULL_NOISE => marched_is_hidden(noise, culling, &tip_of(planting, clump), 0),
+            CULL_MARCH => is_hidden_by_vertices(surface, culling, &tip_of(planting, clump)),
             CULL_EXACT | CULL_HIERARCHICAL => {
                 is_hidden(surface, culling.eye, &extent.target, culling.start)
             }
