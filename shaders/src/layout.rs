@@ -220,7 +220,7 @@ pub struct ReliefFinding {
     pub reserved: [u32; 2],
 }
 
-/// An object of the relief scenes; `draw_relief.wesl` documents each field.
+/// An object of the relief scenes; `shared/relief_object.wesl` documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct ReliefObject {

@@ -7,7 +7,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
-/// Segments along either side of displaced geometry. Equal to the constant of `draw_relief.wesl`.
+/// Segments along either side of displaced geometry. Equal to the constant of `shared/relief_inspect.wesl`.
 pub const GEOMETRY_SEGMENTS: u32 = 256;
 
 /// Segments around a capsule: its corners are within 0.08 % of the radius.
