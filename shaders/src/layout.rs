@@ -182,6 +182,31 @@ pub struct ReliefReduction {
 /// Threads of a workgroup of `reduce_relief` along either side.
 pub const RELIEF_WORKGROUP: u32 = 8;
 
+/// One dispatch of the baking of cones; `bake_cones.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct ConeOrder {
+    /// Texels a side of the map.
+    pub side: u32,
+    /// Mip level.
+    pub lod: u32,
+    /// Layer of the map.
+    pub layer: u32,
+    /// Texels a side of the block that a cone holds for.
+    pub block: u32,
+    /// First cone, row by row.
+    pub first: u32,
+    /// Cones.
+    pub count: u32,
+    /// Unused.
+    pub reserved: [u32; 2],
+    /// Where cones look, 1/4096 texels along u and v.
+    pub directions: [[i32; 2]; 32],
+}
+
+/// Threads of a workgroup of `bake_cones`.
+pub const CONE_WORKGROUP: u32 = 64;
+
 /// One ray for `probe_relief`; that file documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

@@ -7,11 +7,12 @@ use std::process::{Command, Stdio};
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
 use crate::layout::{
-    Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CastTarget,
-    Caster, ChunkFill, FILL_WORKGROUP, Frame, GPU_SLOT_BYTES, LEAF, MATERIALS, NOTHING, PATTERN_PERIOD_M,
-    PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, REDUCE_WORKGROUP, RELIEF_WORKGROUP, Relief,
-    ReliefFinding, ReliefObject, ReliefProbe, ReliefReduction, SKY_DARK, SKY_WALK, SUN_RADIUS,
-    TILING_WORKGROUP, TerrainInstance, TilingProbe, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
+    Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE,
+    CONE_WORKGROUP, CastTarget, Caster, ChunkFill, ConeOrder, FILL_WORKGROUP, Frame, GPU_SLOT_BYTES, LEAF,
+    MATERIALS, NOTHING, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode,
+    REDUCE_WORKGROUP, RELIEF_WORKGROUP, Relief, ReliefFinding, ReliefObject, ReliefProbe, ReliefReduction,
+    SKY_DARK, SKY_WALK, SUN_RADIUS, TILING_WORKGROUP, TerrainInstance, TilingProbe, WAVE_MAP_SIDE,
+    WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -39,6 +40,7 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
     assert_eq!(
         names,
         [
+            "bake_cones",
             "bake_materials",
             "bake_waves",
             "cast_shadows",
@@ -155,6 +157,18 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
     assert_lies_alike!(SHADERS.probe_relief, ReliefProbe, uv, amplitude, lod, to_eye, layer, to_sun, reserved);
     assert_lies_alike!(SHADERS.probe_relief, ReliefFinding, uv, height, residual, sun, fetches, reserved);
     assert_lies_alike!(SHADERS.reduce_relief, ReliefReduction, side, lod, level, reserved);
+    assert_lies_alike!(
+        SHADERS.bake_cones,
+        ConeOrder,
+        side,
+        lod,
+        layer,
+        block,
+        first,
+        count,
+        reserved,
+        directions
+    );
     #[rustfmt::skip]
     assert_lies_alike!(
         SHADERS.draw_relief, ReliefObject,
@@ -162,6 +176,8 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
     );
     let (module, _) = validate("reduce_relief", SHADERS.reduce_relief.wgsl).unwrap();
     assert_eq!(module.entry_points[0].workgroup_size, [RELIEF_WORKGROUP, RELIEF_WORKGROUP, 1]);
+    let (module, _) = validate("bake_cones", SHADERS.bake_cones.wgsl).unwrap();
+    assert_eq!(module.entry_points[0].workgroup_size, [CONE_WORKGROUP, 1, 1]);
 }
 
 #[test]

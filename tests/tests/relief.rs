@@ -52,6 +52,12 @@ fn knobs(tier: ReliefTier) -> ReliefKnobs {
     ReliefKnobs { tier, ..ReliefKnobs::default() }
 }
 
+/// Mean difference of two pictures, all channels, of 255.
+fn apart(one: &Picture, other: &Picture) -> f64 {
+    let sum: u64 = one.rgba.iter().zip(&other.rgba).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+    sum as f64 / one.rgba.len().max(1) as f64
+}
+
 const TIERS: [ReliefTier; 6] = [
     ReliefTier::Flat,
     ReliefTier::Offset,
@@ -306,13 +312,49 @@ fn the_exact_walk_and_displaced_geometry_look_alike_and_flat_and_one_offset_do_n
         studio.picture().unwrap()
     };
     let truth = of(Mode::Geometry);
-    let apart = |picture: &Picture| {
-        let sum: u64 = picture.rgba.iter().zip(&truth.rgba).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
-        sum as f64 / truth.rgba.len() as f64
-    };
-    let [own, flat, offset] = [Mode::Knobs, Mode::Flat, Mode::Offset].map(|mode| apart(&of(mode)));
+    let [own, flat, offset] = [Mode::Knobs, Mode::Flat, Mode::Offset].map(|mode| apart(&of(mode), &truth));
     println!("mean difference to geometry: walk {own:.2}, flat {flat:.2}, offset {offset:.2}");
     assert!(own < 0.35 * flat && own < 0.35 * offset, "{own} against {flat} and {offset}");
+}
+
+#[test]
+fn every_scene_bakes_cones_when_they_are_asked_for() {
+    for scene in SCENES {
+        let Some(mut studio) = studio(scene, (192, 108)) else { return };
+        // The view of levels has a colour for each tier.
+        let mut of = |tier| {
+            let looks = Looks { relief: knobs(tier), show: Show::Levels, ..Looks::default() };
+            studio.light(&studio.frame(scene.start(), looks)).unwrap()
+        };
+        let walk = of(ReliefTier::Pyramid);
+        assert!(of(ReliefTier::Cones).differing(&walk).count() > 500, "{scene:?} has no cones");
+        assert_eq!(
+            of(ReliefTier::Pyramid).differing(&walk).count(),
+            0,
+            "{scene:?}: cones have changed the walk"
+        );
+    }
+}
+
+#[test]
+fn cones_of_a_scene_find_what_the_exact_walk_finds_and_one_offset_does_not() {
+    let Some(mut studio) = studio(Scene::Pom, (320, 180)) else { return };
+    // Of the finest mip level, and of coarser ones.
+    for distance_m in [3.0, 8.0] {
+        let mut of = |tier| {
+            let relief = ReliefKnobs { fade_px: 0.0, ..knobs(tier) };
+            studio
+                .shown(&[plane(Mode::Knobs)], around(25.0, 10.0, distance_m), relief, Show::Normals)
+                .unwrap();
+            studio.picture().unwrap()
+        };
+        let [walk, cones, offset] = [ReliefTier::Pyramid, ReliefTier::Cones, ReliefTier::Offset].map(&mut of);
+        let (own, control) = (apart(&cones, &walk), apart(&offset, &walk));
+        println!(
+            "{distance_m} m: normals of cones {own:.4} off those of the walk, of one offset {control:.4}"
+        );
+        assert!(own < 0.25 * control, "{own} against {control} from {distance_m} m");
+    }
 }
 
 #[test]

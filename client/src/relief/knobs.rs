@@ -173,7 +173,7 @@ pub enum ReliefTier {
     Offset,
     /// Steps of one length and a refinement.
     Linear,
-    /// Relaxed cones and halving; the pyramid where a map has no cones.
+    /// Relaxed cones and halving; baked for a scene of reliefs when it is first asked for. The land has none and is drawn by the pyramid.
     Cones,
     /// The exact walk over the max pyramid.
     Pyramid,
