@@ -267,14 +267,16 @@ pub struct ReliefObject {
     pub layer: u32,
     /// Width and height; radius and half length; half side twice. Metres.
     pub size_m: [f32; 2],
-    /// Metres that a tile covers.
-    pub tile_m: f32,
-    /// Metres from height 0 to height 1.
-    pub relief_m: f32,
+    /// Metres that a tile covers along u and v.
+    pub tile_m: [f32; 2],
     /// Colour of a plain object, linear.
     pub tint: [f32; 3],
-    /// Tiles around a capsule.
-    pub around: f32,
+    /// Metres from height 0 to height 1.
+    pub relief_m: f32,
+    /// Tiles around a capsule, else over those of the mesh; over those of the mesh along v.
+    pub repeats: [f32; 2],
+    /// Unused.
+    pub reserved: [f32; 2],
 }
 
 /// A quarter of a drawn chunk.

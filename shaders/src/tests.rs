@@ -172,7 +172,7 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
     #[rustfmt::skip]
     assert_lies_alike!(
         SHADERS.draw_relief, ReliefObject,
-        origin_m, mode, tangent, silhouette, bitangent, shape, normal, layer, size_m, tile_m, relief_m, tint, around,
+        origin_m, mode, tangent, silhouette, bitangent, shape, normal, layer, size_m, tile_m, tint, relief_m, repeats, reserved,
     );
     let (module, _) = validate("reduce_relief", SHADERS.reduce_relief.wgsl).unwrap();
     assert_eq!(module.entry_points[0].workgroup_size, [RELIEF_WORKGROUP, RELIEF_WORKGROUP, 1]);

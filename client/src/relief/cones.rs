@@ -45,6 +45,7 @@ pub fn block(side: u32) -> u32 {
 pub fn relaxed_cones(map: &HeightMap, block: u32) -> Vec<f32> {
     let (block, side) = (i64::from(block), map.side() as i64);
     let (cones, directions) = (side / block, directions());
+    let top = map.heights().iter().copied().fold(0.0, f32::max);
     let cone = |index: i64| {
         let at = [index % cones, index / cones];
         let within = (0..block * block)
@@ -59,7 +60,7 @@ pub fn relaxed_cones(map: &HeightMap, block: u32) -> Vec<f32> {
                 map.texel(column, row)
             };
             // Through centres of texels: a block's middle is one if it is a single texel, else a corner.
-            narrowed(tip, side, if block == 1 { 2 } else { 1 }, widest, height)
+            narrowed((tip, top), side, if block == 1 { 2 } else { 1 }, widest, height)
         })
     };
     (0..cones * cones).map(cone).collect()
@@ -67,14 +68,14 @@ pub fn relaxed_cones(map: &HeightMap, block: u32) -> Vec<f32> {
 
 /// The cone after one direction, whose heights are asked for by half texels. A ray limits it where it has gone through something and comes out again below the
 /// tip's cone: the narrowest such cone passes through the edge where the relief falls off.
-fn narrowed(tip: f32, side: i64, first: i64, widest: f32, height: impl Fn(i64) -> f32) -> f32 {
+fn narrowed((tip, top): (f32, f32), side: i64, first: i64, widest: f32, height: impl Fn(i64) -> f32) -> f32 {
     let per_half_texel = 0.5 / side as f32;
     let mut ratio = widest;
     let mut here = height(first);
     for steps in (first..=2 * side).step_by(2) {
         let way = steps as f32 * per_half_texel;
-        // Beyond this distance the cone is above everything.
-        if ratio * (1.0 - tip) <= way {
+        // Beyond this distance the cone is above the whole map.
+        if ratio * (top - tip) <= way {
             break;
         }
         let next = height(steps + 2);
@@ -120,7 +121,7 @@ mod tests {
         let expected = |ends: f32| (ends - 5.0) / 32.0;
         assert_eq!((fine[2], coarse[2]), (expected(9.0), expected(12.0)));
         let rising = HeightMap::of(32, |u, _| u).unwrap();
-        let eastward = narrowed(0.0, 32, 2, WIDEST, |steps| rising.texel(steps / 2, 0));
+        let eastward = narrowed((0.0, 1.0), 32, 2, WIDEST, |steps| rising.texel(steps / 2, 0));
         // The fall is that from one tile to the next.
         assert!(eastward > 0.9, "{eastward}");
     }

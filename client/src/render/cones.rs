@@ -10,13 +10,14 @@ use wgpu::util::DeviceExt as _;
 /// Heights that a dispatch looks up at most; two cores of a software driver take no more than a quarter of a second for them.
 const LOOKUPS: u32 = 1 << 25;
 
-/// Cones over some layers of exact heights with all mip levels, [`MOST_CONES`] a side at most; those of other layers are 0. Each dispatch is submitted alone and
+/// Cones over some layers of exact heights with all mip levels and their bounds, [`MOST_CONES`] a side at most; those of other layers are 0. Each dispatch is submitted alone and
 /// waited for: several long ones in one queue make some drivers give up on the device.
 #[must_use]
 pub fn bake(
     device: &wgpu::Device,
     queue: &wgpu::Queue,
     heights: &wgpu::Texture,
+    tops: &wgpu::TextureView,
     layers: &[u32],
 ) -> wgpu::Texture {
     let side = heights.width();
@@ -24,13 +25,15 @@ pub fn bake(
     let levels = most.ilog2() + 1;
     let baked = texture(device, "cones", EXACT, most, most, heights.depth_or_array_layers(), levels);
     let shader = SHADERS.bake_cones;
+    let [numbers, ..] = ReliefMaps::layout_entries(1, wgpu::ShaderStages::COMPUTE);
     let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some(shader.name),
         entries: &[
             wgpu::BindGroupLayoutEntry { visibility: wgpu::ShaderStages::COMPUTE, ..uniform_entry(0) },
-            ReliefMaps::layout_entries(1, wgpu::ShaderStages::COMPUTE)[0],
+            numbers,
+            wgpu::BindGroupLayoutEntry { binding: 2, ..numbers },
             wgpu::BindGroupLayoutEntry {
-                binding: 2,
+                binding: 3,
                 visibility: wgpu::ShaderStages::COMPUTE,
                 ty: wgpu::BindingType::StorageTexture {
                     access: wgpu::StorageTextureAccess::WriteOnly,
@@ -70,8 +73,9 @@ pub fn bake(
                 entries: &[
                     wgpu::BindGroupEntry { binding: 0, resource: order.as_entire_binding() },
                     wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&read) },
+                    wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(tops) },
                     wgpu::BindGroupEntry {
-                        binding: 2,
+                        binding: 3,
                         resource: wgpu::BindingResource::TextureView(&written),
                     },
                 ],

@@ -80,7 +80,7 @@ impl ReliefMaps {
 
     /// Bakes the cones of some layers, and waits for them. Groups of bindings made before do not have them.
     pub fn bake_cones(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, layers: &[u32]) {
-        self.cones = cones::bake(device, queue, &self.heights, layers);
+        self.cones = cones::bake(device, queue, &self.heights, &self.tops, layers);
         self.cone_view = whole(&self.cones);
         self.has_cones = true;
     }

@@ -164,6 +164,12 @@ fn relief(ui: &mut egui::Ui, knobs: &mut ReliefKnobs, has_land: bool) {
         choice::<ReliefShadow>(ui, "shadow", &mut knobs.shadow);
         row(ui, "pivot", egui::Slider::new(&mut knobs.pivot, 0.0..=1.0));
         row(ui, "amplitude", egui::Slider::new(&mut knobs.amplitude, 0.0..=ReliefKnobs::MAX_AMPLITUDE));
+        if !has_land {
+            let tiling = ReliefKnobs::MIN_TILING..=ReliefKnobs::MAX_TILING;
+            let [u, v] = &mut knobs.tiling;
+            row(ui, "tiling along u", egui::Slider::new(u, tiling.clone()).logarithmic(true));
+            row(ui, "tiling along v", egui::Slider::new(v, tiling).logarithmic(true));
+        }
         let fade = 0.0..=ReliefKnobs::MAX_FADE_PX;
         row(ui, "fade below", egui::Slider::new(&mut knobs.fade_px, fade).suffix(" px"));
         ui.weak("depth");

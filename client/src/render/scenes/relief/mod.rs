@@ -96,8 +96,8 @@ impl ReliefScene {
             self.stage.bindings =
                 bindings(device, &self.layout, &self.frame, &self.stage.instances, &self.maps);
         }
-        let instances: Vec<ReliefObject> =
-            self.stage.objects.iter().map(|object| object.layout(&frame.eye)).collect();
+        let place = |object: &Object| object.layout(&frame.eye, frame.relief_tiling.into());
+        let instances: Vec<ReliefObject> = self.stage.objects.iter().map(place).collect();
         queue.write_buffer(&self.stage.instances, 0, bytemuck::cast_slice(&instances));
         self.with_depth = frame.uniforms.relief.depth != 0;
     }
