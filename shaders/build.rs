@@ -1,6 +1,6 @@
 //! Links every pass with its shared modules, validates it and writes `SHADERS` as Rust.
 //!
-//! A pass is a file directly under `wgsl/`, a shared module one under `wgsl/shared/`. The shared module `constants` is
+//! A pass is a file directly under `wgsl/`, a shared module one under `wgsl/shared/`; modules under `wgsl/bound/` may declare bindings, for passes that read the same buffers. The shared module `constants` is
 //! no file: it is written here from `terrain::constants`, so no number exists twice. Errors of all passes are collected
 //! before the build fails.
 
@@ -24,8 +24,10 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let passes = sources(Path::new("wgsl"))?;
     let mut modules = vec![(module_path(&["shared", "constants"]), constants())];
-    for (stem, source) in sources(Path::new("wgsl/shared"))? {
-        modules.push((module_path(&["shared", &stem]), source));
+    for folder in ["shared", "bound"] {
+        for (stem, source) in sources(&Path::new("wgsl").join(folder))? {
+            modules.push((module_path(&[folder, &stem]), source));
+        }
     }
 
     let mut linked = Vec::new();

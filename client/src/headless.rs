@@ -327,7 +327,7 @@ mod tests {
         fn new(ends: bool) -> Self {
             let chunk = Box::new(Land::new(1).chunk(ChunkKey::new(3, 0, 0).unwrap()));
             let mut events = VecDeque::from([
-                FeedEvent::Connected { world: WorldDigest([1; 32]), server: "test".into() },
+                FeedEvent::Connected { world: WorldDigest([1; 32]), world_seed: 1, server: "test".into() },
                 FeedEvent::Chunk(chunk),
             ]);
             if ends {

@@ -15,6 +15,7 @@ pub mod frame;
 pub mod headless;
 pub mod looks;
 pub mod native;
+pub mod plants;
 pub mod relief;
 pub mod render;
 pub mod scene;

@@ -1,6 +1,7 @@
 //! Knobs that trade accuracy for speed in a picture, and views that show its machinery instead. Each one is an option of the
 //! viewer, a control of the panel and a word in the uniforms; their numbers are those of `shared/frame.wesl`.
 
+use crate::plants::PlantKnobs;
 use crate::relief::ReliefKnobs;
 use clap::ValueEnum;
 
@@ -27,6 +28,8 @@ pub struct Looks {
     pub waves: WaveKnobs,
     /// Depth on planes.
     pub relief: ReliefKnobs,
+    /// What grows.
+    pub plants: PlantKnobs,
 }
 
 /// Shape of the waves and depth of their parallax.

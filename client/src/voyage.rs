@@ -126,12 +126,13 @@ impl<F: Feed> Voyage<F> {
 
     fn take(&mut self, event: FeedEvent, now: Duration, upload: &mut impl FnMut(&Resident)) {
         match event {
-            FeedEvent::Connected { world, server } => {
+            FeedEvent::Connected { world, world_seed, server } => {
                 if self.digest.is_some_and(|known| known != world) {
                     // Another world: nothing that is here belongs to it.
                     self.world = World::new(self.world.capacity());
                 }
                 self.digest = Some(world);
+                self.world.set_seed(world_seed);
                 self.link = Link::Connected(server);
                 self.failures = 0;
                 let keys: Vec<ChunkKey> = self.world.keys().collect();
@@ -326,7 +327,7 @@ mod tests {
     }
 
     fn connected(world: u8) -> FeedEvent {
-        FeedEvent::Connected { world: WorldDigest([world; 32]), server: "test".into() }
+        FeedEvent::Connected { world: WorldDigest([world; 32]), world_seed: 1, server: "test".into() }
     }
 
     #[test]

@@ -11,6 +11,7 @@ pub mod accuracy;
 pub mod adapters;
 pub mod chart;
 pub mod cracks;
+pub mod culling;
 pub mod digest;
 pub mod flip;
 pub mod floats;

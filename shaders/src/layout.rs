@@ -496,6 +496,168 @@ pub fn disc_share(clearance: f64) -> f64 {
     0.5 + (x * (1.0 - x * x).sqrt() + x.asin()) / std::f64::consts::PI
 }
 
+/// Tiles along a side of the square around the eye in which plants stand and sight is tested.
+pub const SQUARE_TILES: i32 = 32;
+
+/// Nodes over the tiles of the square: 32 x 32, 16 x 16, and so on to one.
+pub const SQUARE_NODES: usize = (4 * 32 * 32 - 1) / 3;
+
+/// Leaves of the square at most: its tiles, were all of level 0.
+pub const MAX_LEAVES: usize = 32 * 32;
+
+/// [`Tile::leaf`] where nothing is drawn.
+pub const NO_LEAF: u32 = u32::MAX;
+
+/// A tile of the square, or a node above tiles; `bound/surface.wesl` reads it.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Tile {
+    /// Nothing drawn under it is higher, units.
+    pub top: i32,
+    /// Nothing drawn under it is lower, units.
+    pub bottom: i32,
+    /// The chunk under a tile, or [`NO_LEAF`].
+    pub leaf: u32,
+    /// Unused; fills 16 bytes.
+    pub reserved: u32,
+}
+
+/// A drawn chunk, as far as sight and plants are concerned; `bound/surface.wesl` reads it.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Leaf {
+    /// Its slot.
+    pub slot: u32,
+    /// That of its parent; its own where nothing is morphed.
+    pub parent_slot: u32,
+    /// As in [`TerrainInstance::edges`].
+    pub edges: u32,
+    /// As in [`TerrainInstance::corners`].
+    pub corners: u32,
+    /// As in [`TerrainInstance::inside`].
+    pub inside: u32,
+    /// Level in the lowest byte, bits 8 and 9 as in [`TerrainInstance::place`]; bits 16 and 17: palette of its plants.
+    pub place: u32,
+    /// Low corner east of that of the square, steps of 2 m.
+    pub x: i32,
+    /// The same, south.
+    pub z: i32,
+}
+
+impl Leaf {
+    /// See [`TerrainInstance::HALVED`].
+    pub const HALVED: u32 = TerrainInstance::HALVED;
+}
+
+/// Words of a slot beside its heights that plants and their sight read: lower bounds as many as upper ones, then 16 x 16 densities of a byte.
+pub const RECORD_WORDS: usize = BLOCK_TEXELS + 64;
+
+/// [`Culling::path`]: what stands within its distance (T0).
+pub const CULL_DISTANCE: u32 = 0;
+/// [`Culling::path`]: of that, what is inside the view (T1).
+pub const CULL_FRUSTUM: u32 = 1;
+/// [`Culling::path`]: of that, what a march over the noise does not find hidden (T2). Wrong.
+pub const CULL_NOISE: u32 = 2;
+/// [`Culling::path`]: of that, what a march over the drawn vertices does not find hidden, chunks by five points (T3 as first published). Wrong.
+pub const CULL_MARCH: u32 = 3;
+/// [`Culling::path`]: of that, what is not proved hidden by the drawn triangles (T3).
+pub const CULL_EXACT: u32 = 4;
+/// [`Culling::path`]: the same, whole blocks first (T4).
+pub const CULL_HIERARCHICAL: u32 = 5;
+
+/// Kinds of fields: grass.
+pub const KIND_GRASS: u32 = 0;
+/// Kinds of fields: trees.
+pub const KIND_TREES: u32 = 1;
+
+/// From where a field is looked at; `shared/culling.wesl` documents each field. Fine units are 2^-12 m.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Culling {
+    /// The eye: east and south of the square's low corner, and above the sea; fine units.
+    pub eye: [i32; 3],
+    /// `CULL_*`.
+    pub path: u32,
+    /// Inward normals of the four side planes of the view, Q14, and a gap each.
+    pub planes: [[i32; 4]; 4],
+    /// The land hides nothing nearer than this, fine units.
+    pub start: i32,
+    /// 0 where the eye is below the ground: then nothing is hidden.
+    pub sees_land: u32,
+    /// Step of the marches of T2 and T3 as first published, fine units.
+    pub step: i32,
+    /// Frames for which a block stays after it was last seen.
+    pub stay: u32,
+    /// Low corner of the square, units.
+    pub corner: [i32; 2],
+    /// Number of the frame, for `stay`.
+    pub frame: u32,
+    /// Seed of the archipelago, for the noise of T2.
+    pub archipelago_seed: u32,
+    /// Seeds of the octaves, likewise.
+    pub octave_seeds: [u32; OCTAVES],
+}
+
+/// What grows in a field; `shared/culling.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Planting {
+    /// `KIND_*`.
+    pub kind: u32,
+    /// Of the clump streams.
+    pub seed: u32,
+    /// log2 of the side of a cell, fine units.
+    pub cell_bits: u32,
+    /// Clumps of a cell where the field is densest, 1 to 32.
+    pub per_cell: u32,
+    /// Cells from the world's origin to the low corner of the square, east.
+    pub cell_x: i32,
+    /// The same, south.
+    pub cell_z: i32,
+    /// Least width, fine units.
+    pub width_low: i32,
+    /// The widest is so much wider.
+    pub width_span: i32,
+    /// Least height, fine units.
+    pub height_low: i32,
+    /// The highest is so much higher.
+    pub height_span: i32,
+    /// From here on the field is thinned, fine units.
+    pub thin_from: i32,
+    /// Most that a clump is widened by, Q8.
+    pub widest: u32,
+    /// The most that any clump reaches sideways from its root, fine units.
+    pub reach: i32,
+    /// The most that any clump reaches above its root, fine units.
+    pub over: i32,
+    /// Squares of the distances beyond which clumps are drawn in the second and in the third level of detail, (1/16 m)².
+    pub detail: [u32; 2],
+    /// By rank, four to a row: the square of the distance up to which it stands, (1/16 m)².
+    pub stands_within: [[u32; 4]; 64],
+    /// Vertices of a clump in each level of detail.
+    pub vertices: [u32; 4],
+    /// Clumps that there is room for in each level of detail; blocks.
+    pub room: [u32; 4],
+}
+
+/// Patches of a field at most: all tiles of the square.
+pub const MAX_PATCHES: usize = 1024;
+/// Blocks of a patch.
+pub const PATCH_BLOCK_COUNT: usize = 256;
+/// Bytes of a kept clump.
+pub const CLUMP_BYTES: usize = 16;
+
+/// Words that are kept of a block while its clumps are chosen.
+pub const VERDICT_WORDS: usize = 35;
+/// Words of the tally of a field: arguments of a dispatch, of three draws, and four counts.
+pub const TALLY_WORDS: usize = 20;
+/// First word of the draws' arguments in a tally.
+pub const TALLY_DRAWS: usize = 4;
+/// First word of the counts in a tally: blocks kept, blocks without room, clumps kept, clumps without room.
+pub const TALLY_TOLD: usize = 16;
+/// Words of the memory of blocks, for all kinds.
+pub const MEMORY_WORDS: usize = 2 << 18;
+
 /// Words of a slot that hold the top of its max pyramid: 8 x 8 blocks, 4 x 4, 2 x 2, 1.
 pub const BLOCK_TEXELS: usize = 64 + 16 + 4 + 1;
 
@@ -505,9 +667,9 @@ pub const NODES_PER_SLOT: usize = 8;
 /// Roots of the page table at most.
 pub const MAX_ROOTS: usize = 64;
 
-/// Memory on the GPU that a resident chunk costs, bytes: heights, clearances, maxima, its part of the page table.
+/// Memory on the GPU that a resident chunk costs, bytes: heights, clearances, bounds, densities, its part of the page table.
 pub const GPU_SLOT_BYTES: usize =
-    4 * (VERTEX_COUNT + CLEARANCE_WORDS + BLOCK_TEXELS) + NODES_PER_SLOT * size_of::<PageNode>();
+    4 * (VERTEX_COUNT + CLEARANCE_WORDS + BLOCK_TEXELS + RECORD_WORDS) + NODES_PER_SLOT * size_of::<PageNode>();
 
 /// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, hills, folds, height.
 pub const PROBE_WORDS: usize = 5;

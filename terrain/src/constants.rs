@@ -3,7 +3,7 @@
 //! Changing any of them changes the world: bump [`GENERATOR_VERSION`] with it.
 
 /// Version of the height formula and of the grass record. Part of the world digest.
-pub const GENERATOR_VERSION: u32 = 2;
+pub const GENERATOR_VERSION: u32 = 3;
 
 /// Position and height units per metre: both are multiples of 2^-8 m.
 pub const UNITS_PER_METRE: i32 = 256;

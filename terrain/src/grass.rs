@@ -7,12 +7,16 @@ use crate::key::ChunkKey;
 /// Number of colour palettes that [`GrassSeed::palette`] chooses from.
 pub const PALETTES: u8 = 4;
 
+/// Chunks of this level and below have the palette of their ancestor there: a region of 4 km.
+const PALETTE_LEVEL: u8 = 5;
+
 /// What a client needs to expand the grass of one chunk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrassSeed {
-    /// Seed of the clump streams of this chunk.
+    /// Seed of the clump streams ([`crate::streams`]). The same in every chunk of a world: a clump follows from it and from the place of its cell, so that chunks of
+    /// all levels grow the same clumps.
     pub seed: u32,
-    /// Colour palette, below [`PALETTES`].
+    /// Colour palette, below [`PALETTES`]; the same in all chunks of a region of 4 km.
     pub palette: u8,
     /// Share of the densest meadow per block of 4 x 4 cells, 0 (bare) to 255, row by row.
     pub density: Box<[u8; GRASS_GRID * GRASS_GRID]>,
@@ -27,7 +31,8 @@ impl GrassSeed {
     #[must_use]
     pub fn grow(world_seed: u64, key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Self {
         const BLOCK: usize = CELLS / GRASS_GRID;
-        let hash = hash2(stream_seed(world_seed, 0x6a55 + u32::from(key.level())), key.x(), key.z());
+        let region = region(key);
+        let hash = hash2(stream_seed(world_seed, 0x6a56), region.x(), region.z());
         let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
         for (index, share) in density.iter_mut().enumerate() {
             let (x, z) = (index % GRASS_GRID * BLOCK, index / GRASS_GRID * BLOCK);
@@ -40,8 +45,15 @@ impl GrassSeed {
             let gentle = 255 - ramp(slope_q8, 128, 256);
             *share = above_beach.min(below_rock).min(gentle) as u8;
         }
-        Self { seed: hash, palette: (hash >> 16) as u8 % PALETTES, density }
+        Self { seed: stream_seed(world_seed, 0x6a55), palette: (hash >> 16) as u8 % PALETTES, density }
     }
+}
+
+/// The ancestor that decides the palette; a coarser chunk decides for itself.
+fn region(key: ChunkKey) -> ChunkKey {
+    std::iter::successors(Some(key), |key| key.parent())
+        .find(|above| above.level() >= PALETTE_LEVEL)
+        .unwrap_or(key)
 }
 
 /// 0 at or below `low`, 255 at or above `high`, linear between.
@@ -77,9 +89,13 @@ mod tests {
     }
 
     #[test]
-    fn neighbouring_chunks_have_unrelated_seeds() {
+    fn all_levels_of_a_world_share_seed_and_palette_and_other_worlds_have_others() {
         let heights = [0; VERTEX_COUNT];
-        let seed = |x| GrassSeed::grow(1, ChunkKey::new(0, x, 0).unwrap(), &heights).seed;
-        assert!((seed(0) ^ seed(1)).count_ones() > 6);
+        let grow = |world, level, x| GrassSeed::grow(world, ChunkKey::new(level, x, -1).unwrap(), &heights);
+        let fine = grow(1, 0, 37);
+        assert_eq!((fine.seed, fine.palette), (grow(1, 3, 4).seed, grow(1, 3, 4).palette));
+        assert_ne!(fine.seed, grow(2, 0, 37).seed);
+        let palettes: std::collections::BTreeSet<u8> = (0..64).map(|x| grow(1, 5, x - 32).palette).collect();
+        assert_eq!(palettes.len(), usize::from(PALETTES));
     }
 }

@@ -11,7 +11,7 @@
 //!
 //! Reading order: [`constants`] (every number), [`ring`] (the allowed arithmetic), [`hash`], [`weights`], [`octaves`],
 //! [`noise`], [`island`], [`land`] (the height of a point), [`grid`] and [`simd`] (many points, fast), [`key`] (the
-//! quadtree), [`pyramid`], [`grass`], [`chunk`], [`digest`], [`lod`].
+//! quadtree), [`pyramid`], [`grass`], [`streams`], [`chunk`], [`digest`], [`lod`].
 
 pub mod chunk;
 pub mod constants;
@@ -30,6 +30,7 @@ pub mod position;
 pub mod pyramid;
 pub mod ring;
 pub mod simd;
+pub mod streams;
 pub mod weights;
 
 pub use chunk::Chunk;

@@ -37,7 +37,11 @@ impl Feed for LocalFeed {
     fn poll(&mut self) -> Option<FeedEvent> {
         if !self.greeted {
             self.greeted = true;
-            return Some(FeedEvent::Connected { world: self.land.digest(), server: "local land".into() });
+            return Some(FeedEvent::Connected {
+                world: self.land.digest(),
+                world_seed: self.land.world_seed(),
+                server: "local land".into(),
+            });
         }
         if let Some(key) = self.wanted.pop_front() {
             self.held.insert(key);

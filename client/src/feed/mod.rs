@@ -20,6 +20,8 @@ pub enum FeedEvent {
     Connected {
         /// The world that is served.
         world: WorldDigest,
+        /// The seed that it is said to be made from; nothing that is drawn relies on it.
+        world_seed: u64,
         /// Who serves it, for people.
         server: String,
     },

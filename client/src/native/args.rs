@@ -189,6 +189,7 @@ impl Args {
                 parallax_bias_m: self.parallax_bias as f32,
                 steepness: self.wave_steepness as f32,
             },
+            plants: crate::plants::PlantKnobs::default(),
             relief: self.relief.knobs(),
         }
     }
@@ -377,6 +378,7 @@ mod tests {
             sun,
             exposure_ev: -1.0,
             waves: WaveKnobs { parallax_factor: 0.5, parallax_bias_m: -0.25, steepness: 2.0 },
+            plants: crate::plants::PlantKnobs::default(),
             relief: ReliefKnobs {
                 tier: ReliefTier::Linear,
                 steps_min: 4,

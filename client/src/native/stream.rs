@@ -311,7 +311,7 @@ impl Worker {
                 Event::Welcome(welcome) => {
                     backoff.reset();
                     let world = WorldDigest(welcome.digest);
-                    FeedEvent::Connected { world, server: welcome.software }
+                    FeedEvent::Connected { world, world_seed: welcome.world_seed, server: welcome.software }
                 }
                 Event::Chunk { chunk, .. } => FeedEvent::Chunk(chunk),
                 Event::Settled { view, .. } => FeedEvent::Settled { view },

@@ -8,6 +8,7 @@ pub mod backdrop;
 pub mod cast;
 pub mod clock;
 pub mod cones;
+pub mod cull;
 pub mod fill;
 pub mod gpu;
 pub mod materials;

@@ -2,12 +2,13 @@
 
 use crate::render::{Gpu, GpuError};
 use crate::world::Resident;
-use shaders::layout::{BLOCK_TEXELS, CLEAR_WORD, CLEARANCE_WORDS};
+use shaders::layout::{BLOCK_TEXELS, CLEAR_WORD, CLEARANCE_WORDS, RECORD_WORDS};
 use terrain::constants::{VERTEX_COUNT, VERTICES};
 
 /// Bytes of a slot's heights, the largest of its parts.
 const HEIGHTS: u64 = 4 * VERTEX_COUNT as u64;
 const MAXIMA: u64 = 4 * BLOCK_TEXELS as u64;
+const RECORDS: u64 = 4 * RECORD_WORDS as u64;
 const CLEARANCES: u64 = 4 * CLEARANCE_WORDS as u64;
 
 /// The pool.
@@ -15,6 +16,7 @@ const CLEARANCES: u64 = 4 * CLEARANCE_WORDS as u64;
 pub struct ChunkPool {
     heights: wgpu::Buffer,
     maxima: wgpu::Buffer,
+    records: wgpu::Buffer,
     clearances: wgpu::Buffer,
     slots: u32,
 }
@@ -41,6 +43,7 @@ impl ChunkPool {
         Self {
             heights: buffer("chunk heights", HEIGHTS, wgpu::BufferUsages::empty()),
             maxima: buffer("chunk maxima", MAXIMA, wgpu::BufferUsages::empty()),
+            records: buffer("chunk records", RECORDS, wgpu::BufferUsages::empty()),
             // Read back by whoever compares shadows with their definition.
             clearances: buffer("chunk clearances", CLEARANCES, wgpu::BufferUsages::COPY_SRC),
             slots,
@@ -56,7 +59,7 @@ impl ChunkPool {
     /// Bytes of all buffers.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        self.heights.size() + self.maxima.size() + self.clearances.size()
+        self.heights.size() + self.maxima.size() + self.records.size() + self.clearances.size()
     }
 
     /// Fills a chunk's slot; the sun shines on all of it until its shadow is found. A slot beyond the pool is ignored: it could only come from a
@@ -66,6 +69,7 @@ impl ChunkPool {
             let slot = u64::from(chunk.slot);
             queue.write_buffer(&self.heights, HEIGHTS * slot, bytemuck::cast_slice(&chunk.heights[..]));
             queue.write_buffer(&self.maxima, MAXIMA * slot, bytemuck::cast_slice(&chunk.maxima));
+            queue.write_buffer(&self.records, RECORDS * slot, bytemuck::cast_slice(&record(chunk)));
             let clear = [CLEAR_WORD; CLEARANCE_WORDS];
             queue.write_buffer(&self.clearances, CLEARANCES * slot, bytemuck::cast_slice(&clear));
         }
@@ -115,9 +119,29 @@ impl ChunkPool {
         &self.maxima
     }
 
+    /// Lower bounds and densities of plants: [`RECORD_WORDS`] words a slot.
+    #[must_use]
+    pub fn records(&self) -> &wgpu::Buffer {
+        &self.records
+    }
+
     /// How far the sun clears the horizon: [`CLEARANCE_WORDS`] words a slot.
     #[must_use]
     pub fn clearances(&self) -> &wgpu::Buffer {
         &self.clearances
     }
+}
+
+/// What a slot holds besides heights, tops and clearances.
+fn record(chunk: &Resident) -> [u32; RECORD_WORDS] {
+    std::array::from_fn(|word| match chunk.minima.get(word) {
+        Some(bottom) => *bottom as u32,
+        None => density_word(chunk, word - BLOCK_TEXELS),
+    })
+}
+
+/// Four densities in the order of their places.
+#[must_use]
+pub fn density_word(chunk: &Resident, word: usize) -> u32 {
+    u32::from_le_bytes(std::array::from_fn(|byte| chunk.grass.density[4 * word + byte]))
 }

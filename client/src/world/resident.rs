@@ -8,10 +8,13 @@ use shaders::layout::{BLOCK_TEXELS, GPU_SLOT_BYTES};
 use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
 use terrain::pyramid::PYRAMID_LEVELS;
-use terrain::{Chunk, ChunkKey, Pyramid};
+use terrain::{Chunk, ChunkKey, GrassSeed, Land, Pyramid};
 
-/// Memory that one slot stands for, bytes: heights, maxima and rises here, and what the GPU holds of a chunk.
-pub const SLOT_BYTES: usize = 4 * (VERTEX_COUNT + BLOCK_TEXELS) + size_of::<Rises>() + GPU_SLOT_BYTES;
+/// Memory that one slot stands for, bytes: heights, bounds, rises and grass here, and what the GPU holds of a chunk.
+pub const SLOT_BYTES: usize = 4 * (VERTEX_COUNT + 2 * BLOCK_TEXELS)
+    + size_of::<Rises>()
+    + terrain::constants::GRASS_GRID.pow(2)
+    + GPU_SLOT_BYTES;
 
 /// The level of the max pyramid with 8 x 8 blocks, the finest that is kept.
 const BLOCK_LEVEL: usize = 3;
@@ -25,6 +28,10 @@ pub struct Resident {
     pub heights: Box<[i32; VERTEX_COUNT]>,
     /// Upper bounds of the drawn surface in units: 8 x 8 blocks row by row, then 4 x 4, 2 x 2, 1.
     pub maxima: [i32; BLOCK_TEXELS],
+    /// Lower bounds of it, likewise.
+    pub minima: [i32; BLOCK_TEXELS],
+    /// What grows on it.
+    pub grass: GrassSeed,
     /// Bound of the vertical error against level 0, units.
     pub error: u32,
     /// Lowest vertex, units.
@@ -64,6 +71,8 @@ pub struct World {
     covered: bool,
     /// Since when each chunk that is drawn by its children has been.
     split_since: FxHashMap<ChunkKey, Duration>,
+    /// The land that is said to be served.
+    land: Option<Land>,
 }
 
 impl World {
@@ -80,6 +89,7 @@ impl World {
             view_said: 1,
             covered: false,
             split_since: FxHashMap::default(),
+            land: None,
         }
     }
 
@@ -103,7 +113,9 @@ impl World {
         let (min, max) = (chunk.min(), chunk.max());
         let resident = Resident {
             slot,
-            maxima: maxima(&chunk.max_pyramid),
+            maxima: blocks(&chunk.max_pyramid),
+            minima: blocks(&chunk.min_pyramid),
+            grass: chunk.grass,
             heights: chunk.heights,
             error: chunk.error,
             min,
@@ -128,6 +140,17 @@ impl World {
             let rises = error::rises(key, &chunk.heights, &parent.heights);
             self.chunks.entry(key).and_modify(|chunk| chunk.rises = Some(rises));
         }
+    }
+
+    /// Notes the seed that the served land is said to be made from.
+    pub fn set_seed(&mut self, world_seed: u64) {
+        self.land = Some(Land::new(world_seed));
+    }
+
+    /// The noise behind the land, as far as the server tells the truth: for comparisons, never for what is drawn.
+    #[must_use]
+    pub fn land(&self) -> Option<&Land> {
+        self.land.as_ref()
     }
 
     /// The chunk of a key, if it is here.
@@ -260,8 +283,8 @@ impl World {
     }
 }
 
-/// The top of a max pyramid, from 8 x 8 blocks up.
-fn maxima(pyramid: &Pyramid) -> [i32; BLOCK_TEXELS] {
+/// The top of a pyramid, from 8 x 8 blocks up.
+fn blocks(pyramid: &Pyramid) -> [i32; BLOCK_TEXELS] {
     let mut texels = (BLOCK_LEVEL..PYRAMID_LEVELS).flat_map(|level| pyramid.level(level).iter().copied());
     // Four levels hold exactly that many texels; nothing is ever filled up.
     std::array::from_fn(|_| texels.next().unwrap_or(i32::MAX))
@@ -272,7 +295,6 @@ mod tests {
     use super::*;
     use crate::world::select;
     use std::collections::HashSet;
-    use terrain::Land;
     use terrain::lod::Viewer;
 
     fn chunk(level: u8, x: i32, z: i32) -> Chunk {

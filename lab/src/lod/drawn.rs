@@ -98,6 +98,17 @@ impl DrawnChunk {
         height.expect("the moved triangles cover the chunk, tested below") * f64::from(1 << level)
     }
 
+    /// The triangles of a cell of the grid and, where vertices were moved, of those around it: all that may lie over it. Corners are column and row in cells, and height in
+    /// units.
+    pub fn triangles_over(&self, (x, z): (usize, usize)) -> impl Iterator<Item = [(i64, i64, i64); 3]> + '_ {
+        let [north, east, south, west] = self.seams.is_coarser;
+        let last = CELLS - 1;
+        let is_moved = (north && z <= 1) || (south && z + 1 >= last) || (west && x <= 1) || (east && x + 1 >= last);
+        let reach = usize::from(is_moved || self.seams.is_halved);
+        let around = move |cell: usize| cell.saturating_sub(reach)..=(cell + reach).min(last);
+        around(z).flat_map(move |z| around(x).map(move |x| (x, z))).flat_map(|cell| self.triangles(cell))
+    }
+
     /// Both triangles of a cell, low-to-high, as they are drawn.
     fn triangles(&self, (x, z): (usize, usize)) -> [[Corner; 3]; 2] {
         let corner = |dx: usize, dz: usize| {

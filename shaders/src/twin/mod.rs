@@ -8,5 +8,9 @@
 )]
 
 pub mod grid;
+pub mod march;
 pub mod morph;
+pub mod planting;
 pub mod ring;
+pub mod sight;
+pub mod surface;

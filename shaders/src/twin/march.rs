@@ -1,0 +1,92 @@
+//! Twin of `wgsl/bound/march.wesl`: two tests that are wrong, as they were first published, kept to be measured against. A march in even steps over the noise finds peaks between
+//! vertices that are never drawn; one over the drawn vertices, bilinear, misses the triangles; and either asks for one point of what it judges.
+
+use super::planting::{BLOCK_CELL_BITS, Extent};
+use super::ring::mul_hi;
+use super::sight::{Target, quotient};
+use super::surface::{FINE_BITS, SQUARE_BITS, Slots, Surface};
+use crate::layout::{Culling, Planting};
+
+/// Steps of a march at most.
+pub const MAX_STEPS: i32 = 2048;
+
+/// What is marched over: the height at a place of the square, fine units.
+pub trait Ground {
+    /// That height.
+    fn height(&self, x: i32, z: i32) -> i32;
+}
+
+impl<F: Fn(i32, i32) -> i32> Ground for F {
+    fn height(&self, x: i32, z: i32) -> i32 {
+        self(x, z)
+    }
+}
+
+/// Whether a march from the eye to a point finds land above the line of sight; the last `spared` of the way is passed over.
+#[must_use]
+pub fn marched_is_hidden(ground: &impl Ground, culling: &Culling, goal: &Target, spared: i32) -> bool {
+    let east = goal.x - culling.eye[0];
+    let up = goal.top - culling.eye[1];
+    let south = goal.z - culling.eye[2];
+    let length = east.abs().max(south.abs());
+    if length == 0 || up.abs() >> 4 >= length {
+        return false;
+    }
+    let whole = length as u32;
+    let by_x = quotient(east.unsigned_abs(), whole) as i32;
+    let by_z = quotient(south.unsigned_abs(), whole) as i32;
+    let by_y = quotient(up.unsigned_abs(), whole) as i32;
+    let last = (1 << SQUARE_BITS) - 1;
+    let sign = |value: i32| if value < 0 { -1 } else { 1 };
+    for n in 1..=MAX_STEPS {
+        let progress = n * culling.step;
+        if progress >= length - spared {
+            break;
+        }
+        let x = culling.eye[0] + sign(east) * mul_hi(by_x << 2, progress << 6);
+        let z = culling.eye[2] + sign(south) * mul_hi(by_z << 2, progress << 6);
+        let y = culling.eye[1] + sign(up) * mul_hi(by_y << 2, progress << 6);
+        if ground.height(x.clamp(0, last), z.clamp(0, last)) > y {
+            return true;
+        }
+    }
+    return false;
+}
+
+/// The test of a chunk as first published: four corners and the middle of a patch, at its highest point; its own ground hides nothing. True if all five are hidden.
+#[must_use]
+pub fn chunk_is_hidden<S: Slots>(
+    surface: &Surface<'_, S>,
+    culling: &Culling,
+    planting: &Planting,
+    column: i32,
+    row: i32,
+) -> bool {
+    let bits = planting.cell_bits + BLOCK_CELL_BITS + 4;
+    let side = 1 << bits;
+    let last = (1 << SQUARE_BITS) - 1;
+    let bilinear = |x: i32, z: i32| surface.bilinear_at(x, z);
+    return (0..5).all(|corner| {
+        let toward = [(corner & 1) * 2 - 1, (corner >> 1) * 2 - 1];
+        let reach = if corner == 4 { 0 } else { side / 2 };
+        let at = |middle: i32, toward: i32| (middle + toward * reach).clamp(0, last);
+        let goal = Target {
+            x: at((column << bits) + side / 2, toward[0]),
+            top: (surface.node(bits, column, row).top << FINE_BITS) + planting.over,
+            z: at((row << bits) + side / 2, toward[1]),
+            radius: 0,
+        };
+        marched_is_hidden(&bilinear, culling, &goal, if corner == 4 { side / 2 } else { 0 })
+    });
+}
+
+/// Whether a march over the drawn vertices finds a thing hidden.
+#[must_use]
+pub fn is_hidden_by_vertices<S: Slots>(
+    surface: &Surface<'_, S>,
+    culling: &Culling,
+    extent: &Extent,
+) -> bool {
+    let bilinear = |x: i32, z: i32| surface.bilinear_at(x, z);
+    return marched_is_hidden(&bilinear, culling, &extent.target, 0);
+}

@@ -1,0 +1,297 @@
+//! Twin of `wgsl/bound/planting.wesl`: which clumps of a field stand where, and which of them are kept for a picture.
+//!
+//! Integers only, so every client grows the same field and keeps the same part of it.
+
+use super::march::{Ground, is_hidden_by_vertices, marched_is_hidden};
+use super::sight::{Target, is_hidden};
+use super::surface::{FINE_BITS, NOWHERE, SQUARE_BITS, STEP_BITS, Slots, Surface, TILE_BITS};
+use crate::layout::{
+    CULL_DISTANCE, CULL_EXACT, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, KIND_GRASS, Planting, SQUARE_TILES,
+};
+use terrain::hash::{hash2, mix};
+use terrain::streams::streams;
+
+/// Blocks along a side of a patch.
+pub const PATCH_BLOCKS: u32 = 16;
+/// log2 of the cells along a side of a block.
+pub const BLOCK_CELL_BITS: u32 = 2;
+/// Cells of a block.
+pub const BLOCK_CELLS: u32 = 16;
+/// log2 of the fine units in 1/16 m, in which distances are squared and planes are tested.
+pub const COARSE_BITS: u32 = 8;
+/// Distances beyond this, 1/16 m, are outside every field: their squares fit.
+pub const FARTHEST: i32 = 1 << 15;
+/// Cells over which trees come in groves, log2 of fine units: 64 m.
+const GROVE_BITS: u32 = 18;
+
+/// A clump of a field, before it is asked whether it is seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Clump {
+    /// Place of the root in the square, fine units.
+    pub x: i32,
+    /// The same, south.
+    pub z: i32,
+    /// The root on the drawn surface, fine units above the sea.
+    pub y: i32,
+    /// Width, height, hue and phase, 6 bits each, and rank, 8 bits: as `shared/clump.wesl` reads them.
+    pub looks: u32,
+}
+
+/// A thing to be seen: a clump or a block of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Extent {
+    /// The highest point and how far it reaches sideways.
+    pub target: Target,
+    /// The lowest point, fine units.
+    pub bottom: i32,
+}
+
+/// Square of the distance between the eye and a place, (1/16 m)²; `u32::MAX` beyond [`FARTHEST`] along any axis.
+#[must_use]
+pub fn distance_squared(culling: &Culling, x: i32, y: i32, z: i32) -> u32 {
+    let east = ((x - culling.eye[0]) >> COARSE_BITS).abs();
+    let up = ((y - culling.eye[1]) >> COARSE_BITS).abs();
+    let south = ((z - culling.eye[2]) >> COARSE_BITS).abs();
+    if east.max(up).max(south) >= FARTHEST {
+        return u32::MAX;
+    }
+    return (east * east) as u32 + (up * up) as u32 + (south * south) as u32;
+}
+
+/// An upper bound of the distance between the eye and a place, 1/16 m, at most a quarter too large.
+#[must_use]
+pub fn distance_bound(culling: &Culling, x: i32, y: i32, z: i32) -> i32 {
+    let east = ((x - culling.eye[0]) >> COARSE_BITS).abs() + 1;
+    let up = ((y - culling.eye[1]) >> COARSE_BITS).abs() + 1;
+    let south = ((z - culling.eye[2]) >> COARSE_BITS).abs() + 1;
+    let longest = east.max(up).max(south);
+    // The hypotenuse of a long and a short side is at most the long one and half of the short one.
+    return longest + (east + up + south - longest) / 2;
+}
+
+/// Whether a ball touches the inside of all four planes of the view; errs on the side of yes.
+#[must_use]
+pub fn may_be_in_view(culling: &Culling, extent: &Extent) -> bool {
+    let middle = extent.bottom + ((extent.target.top - extent.bottom) >> 1);
+    let east = (extent.target.x - culling.eye[0]) >> COARSE_BITS;
+    let up = (middle - culling.eye[1]) >> COARSE_BITS;
+    let south = (extent.target.z - culling.eye[2]) >> COARSE_BITS;
+    if east.abs().max(up.abs()).max(south.abs()) >= FARTHEST {
+        return true;
+    }
+    let half = (extent.target.top - extent.bottom) >> (COARSE_BITS + 1);
+    let radius = (extent.target.radius >> COARSE_BITS) + half + 2;
+    // What the normals (Q14) and places are rounded by.
+    let slack = east.abs() + up.abs() + south.abs() + (3 << 14);
+    let reach = (radius.min(FARTHEST) << 14) + slack;
+    for plane in culling.planes {
+        if plane[0] * east + plane[1] * up + plane[2] * south < -reach {
+            return false;
+        }
+    }
+    return true;
+}
+
+/// Whether a thing passes the tests of the chosen path but those of the land.
+fn is_in_view(culling: &Culling, extent: &Extent) -> bool {
+    return culling.path == CULL_DISTANCE || may_be_in_view(culling, extent);
+}
+
+/// What a clump takes up, as wide as its distance makes it.
+#[must_use]
+pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump) -> Extent {
+    let width = planting.width_low + ((planting.width_span * ((clump.looks & 63) as i32 + 1)) >> 6);
+    let height = planting.height_low + ((planting.height_span * ((clump.looks >> 6 & 63) as i32 + 1)) >> 6);
+    let from = (planting.thin_from >> COARSE_BITS).max(1);
+    let bound = distance_bound(culling, clump.x, clump.y, clump.z).min(FARTHEST);
+    let widening = ((bound << 8) as u32 / from as u32).clamp(256, planting.widest) as i32;
+    let half = ((width * widening) >> 9) + 1;
+    let (reach, over) = if planting.kind == KIND_GRASS {
+        (half + ((3 * height) >> 2) + 1, height + half)
+    } else {
+        (half, height)
+    };
+    return Extent {
+        target: Target { x: clump.x, top: clump.y + over + 1, z: clump.z, radius: reach },
+        bottom: clump.y - half,
+    };
+}
+
+/// Density of a field at a place that is off by lot, so that its edges are soft: 0 to 256.
+fn density_near<S: Slots>(surface: &Surface<'_, S>, planting: &Planting, x: i32, z: i32, lot: u32) -> u32 {
+    let last = (1 << SQUARE_BITS) - 1;
+    // Half a texel of a level-0 chunk each way.
+    let east = (x + ((lot & 255) as i32 - 128) * 128).clamp(0, last);
+    let south = (z + ((lot >> 8 & 255) as i32 - 128) * 128).clamp(0, last);
+    let share = surface.density_at(east, south);
+    let full = share + (share >> 7);
+    if planting.kind == KIND_GRASS {
+        return full;
+    }
+    // Trees: groves of 64 m with ragged edges, single trees between them.
+    let wide_east = x + ((lot >> 16 & 255) as i32 - 128) * 1024;
+    let wide_south = z + ((lot >> 24) as i32 - 128) * 1024;
+    let cells = GROVE_BITS - planting.cell_bits;
+    let column = (planting.cell_x >> cells) + (wide_east >> GROVE_BITS);
+    let row = (planting.cell_z >> cells) + (wide_south >> GROVE_BITS);
+    let grove = hash2(planting.seed ^ 0x7265_6573, column, row) & 255;
+    let part = if grove < 70 { 200 } else { 6 };
+    return (full * part) >> 8;
+}
+
+/// Clump number `index` of a cell of the square, if one stands there.
+#[must_use]
+pub fn clump_at<S: Slots>(
+    surface: &Surface<'_, S>,
+    planting: &Planting,
+    column: i32,
+    row: i32,
+    index: u32,
+) -> Option<Clump> {
+    let lots =
+        streams(planting.seed, planting.kind, planting.cell_x + column, planting.cell_z + row, index);
+    let mask = (1 << planting.cell_bits) - 1;
+    let x = (column << planting.cell_bits) + (lots.place & mask) as i32;
+    let z = (row << planting.cell_bits) + (lots.place >> 16 & mask) as i32;
+    if (lots.fate & 255) >= density_near(surface, planting, x, z, mix(lots.fate)) {
+        return None;
+    }
+    let y = surface.height_at(x, z);
+    if y <= NOWHERE << FINE_BITS {
+        return None;
+    }
+    let rank = (index * 256 + (lots.fate >> 8 & 255)) / planting.per_cell.max(1);
+    let looks = (lots.width >> 26)
+        | (lots.height >> 26) << 6
+        | (lots.hue >> 26) << 12
+        | (lots.phase >> 26) << 18
+        | rank.min(255) << 24;
+    return Some(Clump { x, z, y, looks });
+}
+
+/// Distance up to which a rank stands, squared.
+fn stands_within(planting: &Planting, rank: u32) -> u32 {
+    return planting.stands_within[(rank >> 2) as usize][(rank & 3) as usize];
+}
+
+/// The level of detail at which a clump is drawn, if it is kept. `noise` is the height between vertices too, fine units: for T2.
+#[must_use]
+pub fn kept<S: Slots>(
+    surface: &Surface<'_, S>,
+    noise: &impl Ground,
+    culling: &Culling,
+    planting: &Planting,
+    clump: &Clump,
+) -> Option<u32> {
+    let far = distance_squared(culling, clump.x, clump.y, clump.z);
+    if far > stands_within(planting, clump.looks >> 24) {
+        return None;
+    }
+    let extent = extent_of(culling, planting, clump);
+    if !is_in_view(culling, &extent) {
+        return None;
+    }
+    if culling.sees_land != 0 {
+        let is_hidden = match culling.path {
+            CULL_NOISE => marched_is_hidden(noise, culling, &extent.target, 0),
+            CULL_MARCH => is_hidden_by_vertices(surface, culling, &extent),
+            CULL_EXACT | CULL_HIERARCHICAL => {
+                is_hidden(surface, culling.eye, &extent.target, culling.start)
+            }
+            _ => false,
+        };
+        if is_hidden {
+            return None;
+        }
+    }
+    return Some(u32::from(far > planting.detail[0]) + u32::from(far > planting.detail[1]));
+}
+
+/// The highest and the lowest drawn point of a block, fine units; none where nothing is drawn.
+fn block_bounds<S: Slots>(
+    surface: &Surface<'_, S>,
+    planting: &Planting,
+    column: i32,
+    row: i32,
+) -> Option<(i32, i32)> {
+    let bits = planting.cell_bits + BLOCK_CELL_BITS;
+    let node = surface.node(bits, column, row);
+    if node.top <= NOWHERE {
+        return None;
+    }
+    if bits >= node.finest || surface.is_rough_near(column << bits, row << bits) {
+        return Some((node.top << FINE_BITS, node.bottom << FINE_BITS));
+    }
+    // Smaller than what has bounds of its own: the vertices of level 0 in it, which hold those of all coarser levels and, along borders, all that may have been moved.
+    let steps = 1 << (bits - STEP_BITS);
+    let last = (SQUARE_TILES << TILE_BITS) - 1;
+    let mut top = NOWHERE << FINE_BITS;
+    let mut bottom = i32::MAX;
+    for z in 0..=steps {
+        for x in 0..=steps {
+            let east = ((column << bits) + (x << STEP_BITS)).min(last);
+            let south = ((row << bits) + (z << STEP_BITS)).min(last);
+            let height = surface.height_at(east, south);
+            top = top.max(height);
+            // Land under one corner alone.
+            bottom = bottom.min(height.max(node.bottom << FINE_BITS));
+        }
+    }
+    // Heights are rounded down.
+    return Some((top + 2, bottom));
+}
+
+/// What all clumps take up that may stand in a block.
+#[must_use]
+pub fn block_extent<S: Slots>(
+    surface: &Surface<'_, S>,
+    planting: &Planting,
+    column: i32,
+    row: i32,
+) -> Option<Extent> {
+    let bits = planting.cell_bits + BLOCK_CELL_BITS;
+    let (top, bottom) = block_bounds(surface, planting, column, row)?;
+    let half = 1 << (bits - 1);
+    // Half the diagonal, and what the outermost clump reaches beyond its root.
+    let radius = ((half >> 5) * 46) + planting.reach;
+    return Some(Extent {
+        target: Target {
+            x: (column << bits) + half,
+            top: top + planting.over,
+            z: (row << bits) + half,
+            radius,
+        },
+        bottom: bottom - planting.reach,
+    });
+}
+
+/// Square of the least distance between the eye and a block, (1/16 m)², rounded down.
+fn block_distance_squared(culling: &Culling, planting: &Planting, column: i32, row: i32) -> u32 {
+    let bits = planting.cell_bits + BLOCK_CELL_BITS;
+    let (west, north) = (column << bits, row << bits);
+    let side = 1 << bits;
+    let x = culling.eye[0].clamp(west, west + side);
+    let z = culling.eye[2].clamp(north, north + side);
+    return distance_squared(culling, x, culling.eye[1], z);
+}
+
+/// Whether a block of the square may hold clumps that are seen.
+#[must_use]
+pub fn block_is_kept<S: Slots>(
+    surface: &Surface<'_, S>,
+    culling: &Culling,
+    planting: &Planting,
+    column: i32,
+    row: i32,
+) -> bool {
+    if block_distance_squared(culling, planting, column, row) > stands_within(planting, 0) {
+        return false;
+    }
+    let Some(extent) = block_extent(surface, planting, column, row) else { return false };
+    if !is_in_view(culling, &extent) {
+        return false;
+    }
+    return culling.path != CULL_HIERARCHICAL
+        || culling.sees_land == 0
+        || !is_hidden(surface, culling.eye, &extent.target, culling.start);
+}

@@ -1,0 +1,109 @@
+//! Plants as the GPU chooses them against the twin on the CPU, clump for clump.
+
+use client::camera::Lens;
+use client::frame::Shot;
+use client::looks::Looks;
+use client::plants::kept::{Kept, kept_of};
+use client::plants::{Cull, PlantKnobs};
+use client::render::cull::{Chosen, CullPasses, Told};
+use client::render::pool::ChunkPool;
+use client::render::{Gpu, gpu};
+use client::world::{World, select};
+use terrain::{Land, lod};
+
+const SLOTS: u32 = 1500;
+
+fn shot(camera: &str, knobs: PlantKnobs) -> Shot {
+    Shot {
+        pose: camera.parse().unwrap(),
+        lens: Lens { fov_deg: 60.0, width: 640, height: 360 },
+        view_distance_m: 3000,
+        tolerance_px: 2.0,
+        time_s: 0.0,
+        looks: Looks { plants: knobs, ..Looks::default() },
+    }
+}
+
+/// Something that chooses plants on the GPU.
+struct Field {
+    gpu: Gpu,
+    pool: ChunkPool,
+    passes: CullPasses,
+    grass: Chosen,
+    trees: Chosen,
+}
+
+fn field(room: [u32; 3]) -> Option<Field> {
+    let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None)).ok()?;
+    let pool = ChunkPool::new(&gpu.device, SLOTS);
+    let passes = CullPasses::new(&gpu.device);
+    let grass = passes.room_for(&gpu.device, &pool, room, [18, 12, 6]);
+    let trees = passes.room_for(&gpu.device, &pool, room, [60, 12, 0]);
+    Some(Field { gpu, pool, passes, grass, trees })
+}
+
+impl Field {
+    /// What the GPU keeps of a frame: of grass, then of trees.
+    fn choose(&self, world: &World, shot: &Shot, drawn: &[client::world::Drawn]) -> [(Vec<[u32; 4]>, Told); 2] {
+        world.residents().for_each(|chunk| self.pool.upload(&self.gpu.queue, chunk));
+        let plants = shot.plants(world, drawn).expect("something grows");
+        self.passes.prepare(&self.gpu.queue, &plants.square);
+        [(&self.grass, 0), (&self.trees, 1)].map(|(chosen, index)| {
+            let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            self.passes.record(&self.gpu.queue, &plants, index, 1, chosen, &mut encoder);
+            self.gpu.queue.submit([encoder.finish()]);
+            let clumps = chosen.read(&self.gpu).unwrap().concat();
+            (clumps, chosen.told(&self.gpu).unwrap())
+        })
+    }
+}
+
+/// A clump without its normal, which is a float's business.
+fn words(kept: &Kept) -> [u32; 4] {
+    let clump = &kept.clump;
+    [clump.x as u32, clump.z as u32, clump.y as u32, clump.looks]
+}
+
+fn without_normal(clump: &[u32; 4]) -> [u32; 4] {
+    [clump[0] & 0xff_ffff, clump[1] & 0xff_ffff, clump[2], clump[3]]
+}
+
+#[test]
+fn the_gpu_keeps_exactly_what_the_twin_keeps_in_the_same_order() {
+    let Some(field) = field([20_000, 60_000, 90_000]) else { return };
+    let land = Land::new(1);
+    let few = PlantKnobs { density: 2, range_m: 160.0, tree_range_m: 800.0, ..PlantKnobs::STANDARD };
+    let mut kept_by_path = Vec::new();
+    for camera in ["-1700,60,900,70,-6", "300,60,900,200,-3", "-600,300,-600,10,-30"] {
+        for cull in [Cull::Distance, Cull::Frustum, Cull::Noise, Cull::March, Cull::Exact, Cull::Hierarchical] {
+            let shot = shot(camera, PlantKnobs { cull, ..few });
+            let mut world = World::new(SLOTS);
+            world.set_seed(1);
+            for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
+                world.insert(land.chunk(needed.key));
+            }
+            let eye = shot.pose.eye();
+            let shot = Shot { pose: shot.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
+            let selection = select(&mut world, &shot.viewer());
+            let plants = shot.plants(&world, &selection.drawn).unwrap();
+            let chosen = field.choose(&world, &shot, &selection.drawn);
+            for (stand, (clumps, told)) in plants.stands.iter().zip(&chosen) {
+                let mut twin = kept_of(&world, &plants, stand);
+                // The GPU gathers each level of detail by itself.
+                twin.sort_by_key(|kept| kept.detail);
+                assert_eq!((told.blocks_lost, told.clumps_lost), (0, 0), "{camera} {cull:?}");
+                println!("{camera} {cull:?} {} {} {told:?}", clumps.len(), twin.len());
+                let expected: Vec<_> = twin.iter().map(words).collect();
+                let found: Vec<_> = clumps.iter().map(without_normal).collect();
+                assert_eq!(found.len(), expected.len(), "{camera} {cull:?}");
+                assert!(found == expected, "{camera} {cull:?}: the same number of other clumps");
+            }
+            kept_by_path.push(chosen[0].0.len());
+        }
+    }
+    println!("{kept_by_path:?}");
+    assert!(kept_by_path.iter().any(|kept| *kept > 1000));
+    for paths in kept_by_path.chunks(6) {
+        assert!(paths[0] > paths[1] && paths[1] >= paths[4] && paths[4] >= paths[5], "{paths:?}");
+    }
+}
