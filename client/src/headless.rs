@@ -53,6 +53,8 @@ pub struct Options {
     pub time_s: f32,
     /// Knobs of the picture.
     pub looks: Looks,
+    /// How much higher the land is drawn than it is, 0.25 to 4.
+    pub vertical_scale: f64,
     /// Materials instead of the procedural ones.
     pub materials: OwnMaterials,
     /// How long the view may take to fill.
@@ -73,6 +75,7 @@ impl Default for Options {
             orbit_step_deg: 0.0,
             time_s: 0.0,
             looks: Looks::default(),
+            vertical_scale: 1.0,
             materials: OwnMaterials::default(),
             timeout: Duration::from_secs(60),
         }
@@ -161,7 +164,7 @@ fn draw<F: Feed>(
     let wished = if options.scene.is_local() { 1 } else { World::capacity_for(options.chunk_bytes) };
     let slots = ChunkPool::slots_within(&gpu.device.limits(), wished);
     let size = (options.lens.width, options.lens.height);
-    let mut voyage = Voyage::new(feed, slots);
+    let mut voyage = Voyage::new(feed, slots).stretched(options.vertical_scale);
     fill(&mut voyage)?;
     let mut renderer = Renderer::with_materials(
         &gpu,

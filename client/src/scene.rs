@@ -2,6 +2,7 @@
 
 use crate::camera::Pose;
 use crate::frame::Light;
+use crate::plants::PlantKnobs;
 use glam::{DVec3, Vec3};
 
 /// A scene.
@@ -10,6 +11,10 @@ pub enum Scene {
     /// The streamed archipelago, seen over the home island.
     #[default]
     Island,
+    /// The island at eye height in a meadow, with grass and trees. Makes its land itself unless --connect is given
+    Grass,
+    /// The island 1.8 times as high, so that hills hide what grows behind them. Makes its land itself unless --connect is given
+    Culling,
     /// A bay, three times side by side: plain parallax, the chosen tier of --water, the marched truth. Needs no server
     Water,
     /// Cobbles on four planes: flat, by a single offset, as the knobs say, and as displaced geometry. Needs no server
@@ -25,7 +30,7 @@ impl Scene {
     #[must_use]
     pub fn is_local(self) -> bool {
         match self {
-            Self::Island => false,
+            Self::Island | Self::Grass | Self::Culling => false,
             Self::Water | Self::Pom | Self::Brick | Self::Spom => true,
         }
     }
@@ -34,7 +39,7 @@ impl Scene {
     #[must_use]
     pub fn is_room(self) -> bool {
         match self {
-            Self::Island | Self::Water => false,
+            Self::Island | Self::Grass | Self::Culling | Self::Water => false,
             Self::Pom | Self::Brick | Self::Spom => true,
         }
     }
@@ -43,7 +48,7 @@ impl Scene {
     #[must_use]
     pub fn panels(self) -> Option<&'static str> {
         match self {
-            Self::Island => None,
+            Self::Island | Self::Grass | Self::Culling => None,
             Self::Water => Some("left: plain parallax, middle: --water, right: truth"),
             Self::Pom => Some("from left: flat, one offset, --relief, displaced geometry"),
             Self::Brick => Some("a flat wall: look along it to see where parallax ends"),
@@ -58,6 +63,12 @@ impl Scene {
             Self::Island => {
                 Pose { position_m: DVec3::new(-5200.0, 160.0, 1500.0), yaw_deg: 70.0, pitch_deg: -8.0 }
             }
+            Self::Grass => {
+                Pose { position_m: DVec3::new(-1460.0, 0.0, 1240.0), yaw_deg: 35.0, pitch_deg: -4.0 }
+            }
+            Self::Culling => {
+                Pose { position_m: DVec3::new(-1700.0, 0.0, 900.0), yaw_deg: 70.0, pitch_deg: -3.0 }
+            }
             Self::Water => Pose { position_m: DVec3::new(0.0, 7.5, 7.0), yaw_deg: 0.0, pitch_deg: -29.0 },
             // 16 degrees above the planes, looking at their middle.
             Self::Pom => Pose { position_m: DVec3::new(0.0, 3.64, 12.70), yaw_deg: 0.0, pitch_deg: -16.0 },
@@ -66,11 +77,34 @@ impl Scene {
         }
     }
 
+    /// Whether the scene makes its land itself where no server is named.
+    #[must_use]
+    pub fn has_own_land(self) -> bool {
+        matches!(self, Self::Grass | Self::Culling)
+    }
+
+    /// What grows in it.
+    #[must_use]
+    pub fn plants(self) -> PlantKnobs {
+        match self {
+            Self::Grass => PlantKnobs::STANDARD,
+            Self::Culling => PlantKnobs::SPARSE,
+            _ => PlantKnobs::NONE,
+        }
+    }
+
+    /// How much higher its land is than the true one.
+    #[must_use]
+    pub fn vertical_scale(self) -> f64 {
+        if self == Self::Culling { 1.8 } else { 1.0 }
+    }
+
     /// Distance to the point that the start camera circles in orbit mode, metres.
     #[must_use]
     pub fn orbit_radius_m(self) -> f64 {
         match self {
             Self::Island => 4600.0,
+            Self::Grass | Self::Culling => 60.0,
             Self::Water => 20.0,
             Self::Pom => 13.2,
             Self::Brick => 3.8,
@@ -82,7 +116,7 @@ impl Scene {
     #[must_use]
     pub fn light(self) -> Light {
         match self {
-            Self::Island => Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 1.0 },
+            Self::Island | Self::Grass | Self::Culling => Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 1.0 },
             Self::Water => Light { sun: Vec3::new(0.62, 0.58, -0.50).normalize(), exposure: 1.0 },
             // From beyond, and hardly from the side: all four planes are lit alike, however far left or right they are.
             Self::Pom => Light { sun: Vec3::new(-0.20, 0.50, -0.55).normalize(), exposure: 1.0 },

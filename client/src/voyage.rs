@@ -3,7 +3,7 @@
 
 use crate::feed::{Feed, FeedEvent};
 use crate::frame::Shot;
-use crate::world::{Fading, Resident, Selection, World, select_at};
+use crate::world::{Fading, Resident, Selection, World, select_at, stretch};
 use protocol::view::View;
 use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
@@ -64,6 +64,7 @@ pub struct Voyage<F> {
     strained_at: Duration,
     milestones: Milestones,
     fade: Duration,
+    stretch: i32,
 }
 
 impl<F: Feed> Voyage<F> {
@@ -84,6 +85,7 @@ impl<F: Feed> Voyage<F> {
             strained_at: Duration::ZERO,
             milestones: Milestones::default(),
             fade: Duration::ZERO,
+            stretch: stretch::ONE,
         }
     }
 
@@ -91,6 +93,14 @@ impl<F: Feed> Voyage<F> {
     #[must_use]
     pub fn fading(self, lasts: Duration) -> Self {
         Self { fade: lasts, ..self }
+    }
+
+    /// The voyage over land that is drawn so many times as high as it is, 0.25 to 4.
+    #[must_use]
+    pub fn stretched(mut self, times: f64) -> Self {
+        self.stretch = (times.clamp(0.25, 4.0) * f64::from(stretch::ONE)).round() as i32;
+        self.world.set_stretch(self.stretch);
+        self
     }
 
     /// Takes up to `limit` events, says what is seen, and chooses what to draw. `upload` is called for every chunk
@@ -107,7 +117,7 @@ impl<F: Feed> Voyage<F> {
             self.take(event, now, &mut upload);
         }
         let said = self.say_what_is_seen(shot, now);
-        let viewer = Shot { tolerance_px: self.tolerance_px(shot), ..*shot }.viewer();
+        let viewer = self.judging(shot).viewer();
         let selection = select_at(&mut self.world, &viewer, Fading { now, lasts: self.fade });
         if said && self.is_settled() {
             if !selection.is_complete() {
@@ -130,6 +140,7 @@ impl<F: Feed> Voyage<F> {
                 if self.digest.is_some_and(|known| known != world) {
                     // Another world: nothing that is here belongs to it.
                     self.world = World::new(self.world.capacity());
+                    self.world.set_stretch(self.stretch);
                 }
                 self.digest = Some(world);
                 self.world.set_seed(world_seed);
@@ -144,7 +155,7 @@ impl<F: Feed> Voyage<F> {
             FeedEvent::Chunk(chunk) => {
                 self.milestones.first_chunk.get_or_insert(now);
                 let key = chunk.key;
-                let arrival = self.world.insert(*chunk);
+                let arrival = self.world.insert(stretch::stretched(*chunk, self.stretch));
                 if let (Some(_), Some(resident)) = (arrival.slot, self.world.get(key)) {
                     upload(resident);
                 }
@@ -181,7 +192,7 @@ impl<F: Feed> Voyage<F> {
         if !matches!(self.link, Link::Connected(_)) {
             return false;
         }
-        let mut view = Shot { tolerance_px: self.tolerance_px(shot), ..*shot }.view(self.next_view);
+        let mut view = self.judging(shot).view(self.next_view);
         if let Some((sent, at)) = &self.sent {
             let same = View { id: view.id, velocity: view.velocity, ..*sent } == view;
             let elapsed = now.saturating_sub(*at);
@@ -199,6 +210,12 @@ impl<F: Feed> Voyage<F> {
         self.world.view_said();
         self.sent = Some((view, now));
         true
+    }
+
+    /// The shot by whose tolerance chunks are chosen: errors grow with the land, and the server knows the land as it is.
+    fn judging(&self, shot: &Shot) -> Shot {
+        let times = f64::from(self.stretch) / f64::from(stretch::ONE);
+        Shot { tolerance_px: self.tolerance_px(shot) / times.max(1.0), ..*shot }
     }
 
     /// Whether the server has sent everything for what was last said to be seen.

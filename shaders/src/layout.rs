@@ -596,6 +596,10 @@ pub struct Culling {
     pub archipelago_seed: u32,
     /// Seeds of the octaves, likewise.
     pub octave_seeds: [u32; OCTAVES],
+    /// How much higher than its noise the land is, Q8.
+    pub stretch: i32,
+    /// Unused; fills 16 bytes.
+    pub reserved: [u32; 3],
 }
 
 /// What grows in a field; `shared/culling.wesl` documents each field.

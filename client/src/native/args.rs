@@ -1,5 +1,6 @@
 //! The command line. Options are a contract: scripts call them.
 
+use super::plant_args::PlantArgs;
 use super::relief_args::ReliefArgs;
 use crate::camera::{Lens, Pose};
 use crate::headless::Options;
@@ -14,6 +15,9 @@ use terrain::WorldDigest;
 use terrain::lod::MAX_VIEW_DISTANCE_M;
 use tokio_tungstenite::tungstenite::http::Uri;
 
+/// Where a server listens if nobody says otherwise.
+const DEFAULT_SERVER: &str = "ws://127.0.0.1:7580/v1/stream";
+
 /// Largest side of a picture, pixels: what portable WebGPU promises for a texture.
 const MAX_SIDE: u32 = 8192;
 
@@ -21,9 +25,13 @@ const MAX_SIDE: u32 = 8192;
 #[derive(Clone, Debug, Parser)]
 #[command(name = "tombolo-view", version, about)]
 pub struct Args {
-    /// Stream of the server
-    #[arg(long, value_name = "URL", default_value = "ws://127.0.0.1:7580/v1/stream", value_parser = parse_url)]
-    pub connect: Uri,
+    /// Stream of the server [default: ws://127.0.0.1:7580/v1/stream; the scenes grass and culling make their land themselves]
+    #[arg(long, value_name = "URL", value_parser = parse_url)]
+    pub connect: Option<Uri>,
+
+    /// Seed of the land that a scene makes itself
+    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "connect")]
+    pub world_seed: u64,
 
     /// How chunks come: exact (all heights) or seed (a digest each; they are generated here and verified)
     #[arg(long, value_name = "exact|seed", default_value_t = Delivery::Exact)]
@@ -140,6 +148,10 @@ pub struct Args {
     #[command(flatten)]
     pub relief: ReliefArgs,
 
+    /// Plants.
+    #[command(flatten)]
+    pub plants: PlantArgs,
+
     /// File whose first line is the server's access token
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -166,10 +178,24 @@ impl Args {
             orbit_step_deg: self.orbit.unwrap_or(0.0) / 60.0,
             time_s: self.time as f32,
             looks: self.looks(),
+            vertical_scale: self.vertical_scale(),
             // Files are the edge's business: `native::textures`.
             materials: OwnMaterials::default(),
             timeout: Duration::from_secs(self.timeout),
         }
+    }
+
+    /// Where the server is, unless the scene makes its land itself.
+    #[must_use]
+    pub fn server(&self) -> Option<Uri> {
+        let own_land = self.scene.has_own_land() || self.scene.is_local();
+        self.connect.clone().or_else(|| (!own_land).then(|| Uri::from_static(DEFAULT_SERVER)))
+    }
+
+    /// How much higher the land is drawn than it is.
+    #[must_use]
+    pub fn vertical_scale(&self) -> f64 {
+        self.plants.vertical_scale.unwrap_or(self.scene.vertical_scale())
     }
 
     /// The knobs of the picture.
@@ -189,7 +215,7 @@ impl Args {
                 parallax_bias_m: self.parallax_bias as f32,
                 steepness: self.wave_steepness as f32,
             },
-            plants: crate::plants::PlantKnobs::default(),
+            plants: self.plants.knobs(self.scene),
             relief: self.relief.knobs(),
         }
     }
@@ -266,7 +292,7 @@ mod tests {
     #[test]
     fn the_defaults_are_a_window_over_the_island() {
         let args = parse(&[]).unwrap();
-        assert_eq!(args.connect.to_string(), "ws://127.0.0.1:7580/v1/stream");
+        assert_eq!(args.server().unwrap().to_string(), "ws://127.0.0.1:7580/v1/stream");
         assert_eq!((args.size, args.view_distance, args.tolerance), ((1280, 720), 8000, 2.0));
         assert_eq!(args.pose(), Scene::Island.start());
         assert_eq!((args.delivery, args.digest), (Delivery::Exact, None));

@@ -3,6 +3,7 @@
 pub mod app;
 pub mod args;
 pub mod backoff;
+pub mod plant_args;
 pub mod relief_args;
 pub mod shot;
 pub mod stream;

@@ -1,5 +1,6 @@
 //! `--shot`: a picture and its numbers as files, with a progress display for people.
 
+use crate::feed::{Feed, LocalFeed, NoFeed};
 use crate::headless::{self, Progress};
 use crate::native::args::Args;
 use crate::native::stream::{Settings, SocketFeed};
@@ -12,6 +13,7 @@ use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
 use protocol::limits::MAX_TEXT;
 use std::path::Path;
 use std::time::{Duration, Instant};
+use tokio_tungstenite::tungstenite::http::Uri;
 
 /// Connects, waits for the complete view, renders, writes.
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
@@ -29,7 +31,7 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
         let (picture, stats) = headless::render_local(&options, started)?;
         return write(args, path, &picture, &stats);
     }
-    let feed = SocketFeed::connect(settings(args)?).context("cannot start the network thread")?;
+    let feed = feed(args)?;
     // Hidden by itself where stderr is no terminal.
     let bar = ProgressBar::new_spinner();
     bar.set_style(ProgressStyle::with_template("{spinner} {elapsed} {msg}")?);
@@ -62,10 +64,19 @@ fn write(args: &Args, path: &Path, picture: &Picture, stats: &Stats) -> anyhow::
     Ok(())
 }
 
+/// What brings the land of a scene: a server, or the scene itself.
+pub fn feed(args: &Args) -> anyhow::Result<Box<dyn Feed>> {
+    let Some(url) = args.server() else {
+        return Ok(if args.scene.is_local() { Box::new(NoFeed) } else { Box::new(LocalFeed::new(args.world_seed)) });
+    };
+    let feed = SocketFeed::connect(settings(args, url)?).context("cannot start the network thread")?;
+    Ok(Box::new(feed))
+}
+
 /// Where to connect, as whom (with the token from its file) and for what.
-pub fn settings(args: &Args) -> anyhow::Result<Settings> {
+fn settings(args: &Args, url: Uri) -> anyhow::Result<Settings> {
     let token = args.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?;
-    Ok(Settings { url: args.connect.clone(), token, digest: args.digest, delivery: args.delivery })
+    Ok(Settings { url, token, digest: args.digest, delivery: args.delivery })
 }
 
 /// Writes the record of a run.

@@ -3,6 +3,7 @@
 use crate::plants::square::Square;
 use crate::plants::stand::{PlantFrame, Stand};
 use crate::render::pool::density_word;
+use crate::world::stretch::times;
 use crate::world::{Resident, World};
 use shaders::layout::{BLOCK_TEXELS, CULL_MARCH};
 use shaders::twin::march::chunk_is_hidden;
@@ -88,11 +89,11 @@ pub fn kept_of(world: &World, plants: &PlantFrame, stand: &Stand) -> Vec<Kept> {
 
 /// The height of the noise at a place of a square, fine units: what T2 marches over. The sea's floor where no seed is known.
 pub fn noise_of(world: &World, square: &Square) -> impl Fn(i32, i32) -> i32 {
-    let (land, corner) = (world.land().cloned(), square.corner);
+    let (land, corner, scale) = (world.land().cloned(), square.corner, world.stretch());
     move |x: i32, z: i32| {
         let at = Position::new(corner[0] + (x >> FINE_BITS), corner[1] + (z >> FINE_BITS));
         match (&land, at) {
-            (Some(land), Ok(at)) => land.height_at(at) << FINE_BITS,
+            (Some(land), Ok(at)) => times(land.height_at(at), scale) << FINE_BITS,
             _ => SEA_FLOOR << FINE_BITS,
         }
     }

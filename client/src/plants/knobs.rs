@@ -52,6 +52,8 @@ impl PlantKnobs {
     pub const MAX_DENSITY: u32 = 32;
     /// Farthest plant, metres.
     pub const MAX_RANGE_M: f32 = super::square::REACH_M as f32;
+    /// Most trees of a cell.
+    pub const MAX_TREES: u32 = 4;
     /// No plants.
     pub const NONE: Self = Self { density: 0, trees: 0, ..Self::STANDARD };
     /// A meadow with groves.
@@ -68,6 +70,8 @@ impl PlantKnobs {
         wind: 0.3,
         lean: 0.3,
     };
+    /// Fewer and nearer, so that the land shows.
+    pub const SPARSE: Self = Self { density: 8, range_m: 240.0, trees: 1, ..Self::STANDARD };
 
     /// Whether anything grows.
     #[must_use]
@@ -87,7 +91,7 @@ impl PlantKnobs {
             range_m: within(self.range_m, 0.0, Self::MAX_RANGE_M, standard.range_m),
             thin_from_m: within(self.thin_from_m, 1.0, Self::MAX_RANGE_M, standard.thin_from_m),
             widest: within(self.widest, 1.0, 16.0, standard.widest),
-            trees: self.trees.min(4),
+            trees: self.trees.min(Self::MAX_TREES),
             tree_range_m: within(self.tree_range_m, 0.0, Self::MAX_RANGE_M, standard.tree_range_m),
             cull: self.cull,
             stay: self.stay.min(60),

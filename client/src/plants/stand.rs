@@ -201,6 +201,8 @@ impl Shot {
             frame: 0,
             archipelago_seed: noise.map_or(0, |noise| noise.archipelago_seed),
             octave_seeds: noise.map_or([0; 8], |noise| noise.octave_seeds),
+            stretch: world.stretch(),
+            reserved: [0; 3],
         }
     }
 

@@ -6,6 +6,7 @@ pub mod error;
 pub mod resident;
 pub mod seams;
 pub mod select;
+pub mod stretch;
 
 pub use resident::{Arrival, Resident, World};
 pub use seams::Drawn;

@@ -73,6 +73,8 @@ pub struct World {
     split_since: FxHashMap<ChunkKey, Duration>,
     /// The land that is said to be served.
     land: Option<Land>,
+    /// How much higher than that the resident chunks are, Q8.
+    stretch: i32,
 }
 
 impl World {
@@ -90,6 +92,7 @@ impl World {
             covered: false,
             split_since: FxHashMap::default(),
             land: None,
+            stretch: super::stretch::ONE,
         }
     }
 
@@ -140,6 +143,17 @@ impl World {
             let rises = error::rises(key, &chunk.heights, &parent.heights);
             self.chunks.entry(key).and_modify(|chunk| chunk.rises = Some(rises));
         }
+    }
+
+    /// Notes that all chunks come stretched by so many 256ths.
+    pub fn set_stretch(&mut self, stretch: i32) {
+        self.stretch = stretch;
+    }
+
+    /// How much higher than the true land the resident chunks are, Q8.
+    #[must_use]
+    pub fn stretch(&self) -> i32 {
+        self.stretch
     }
 
     /// Notes the seed that the served land is said to be made from.

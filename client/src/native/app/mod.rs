@@ -5,11 +5,10 @@ pub mod overlay;
 pub mod panel;
 
 use crate::camera::Lens;
-use crate::feed::{Feed, NoFeed};
+use crate::feed::Feed;
 use crate::frame::{Shot, TRIANGLES_PER_INSTANCE};
 use crate::native::args::Args;
-use crate::native::shot::{settings, write_stats};
-use crate::native::stream::SocketFeed;
+use crate::native::shot::{feed, write_stats};
 use crate::native::textures;
 use crate::render::cast::PER_FRAME;
 use crate::render::pool::ChunkPool;
@@ -175,16 +174,12 @@ impl Running {
             format: surface.format,
             slots,
         };
-        let feed: Box<dyn Feed> = if args.scene.is_local() {
-            Box::new(NoFeed)
-        } else {
-            Box::new(SocketFeed::connect(settings(args)?).context("cannot start the network thread")?)
-        };
+        let feed = feed(args)?;
         let now = Instant::now();
         Ok(Self {
             renderer: Renderer::with_materials(&gpu, &options, &textures::own(args)?),
             overlay: Overlay::new(&gpu, &window, surface.format),
-            voyage: Voyage::new(feed, slots).fading(ARRIVAL_FADE),
+            voyage: Voyage::new(feed, slots).fading(ARRIVAL_FADE).stretched(args.vertical_scale()),
             controls: if args.scene.is_room() {
                 Controls::indoors(args.pose(), args.orbit, args.scene.orbit_radius_m())
             } else {

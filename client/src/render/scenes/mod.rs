@@ -49,7 +49,7 @@ impl LocalScene {
         samples: u32,
     ) -> Option<Self> {
         match scene {
-            Scene::Island => None,
+            Scene::Island | Scene::Grass | Scene::Culling => None,
             Scene::Water => Some(Self::Water(WaterScene::new(device, frame, waves, samples))),
             Scene::Pom | Scene::Brick | Scene::Spom => {
                 let scene = ReliefScene::new(device, queue, frame, materials, scene, samples);

@@ -153,7 +153,7 @@ pub fn tallest_m(scene: Scene) -> Option<f32> {
 #[must_use]
 pub fn of(scene: Scene) -> Vec<Object> {
     match scene {
-        Scene::Island | Scene::Water => Vec::new(),
+        Scene::Island | Scene::Grass | Scene::Culling | Scene::Water => Vec::new(),
         Scene::Pom => pom(),
         Scene::Brick => brick(),
         Scene::Spom => spom(),
