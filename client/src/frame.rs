@@ -40,6 +40,8 @@ pub struct FrameData {
     pub candidates: Vec<Candidate>,
     /// What is drawn where no land is.
     pub backdrop: Backdrop,
+    /// How often materials repeat on the objects of a scene of reliefs, along u and v, over the scene's own.
+    pub relief_tiling: [f32; 2],
 }
 
 /// What is drawn where no land is.
@@ -132,6 +134,7 @@ impl Shot {
                 Show::Picture => Backdrop::SkyAndSea,
                 _ => Backdrop::Sky,
             },
+            relief_tiling: self.looks.relief.sane().tiling,
         }
     }
 

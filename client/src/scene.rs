@@ -116,7 +116,9 @@ impl Scene {
     #[must_use]
     pub fn light(self) -> Light {
         match self {
-            Self::Island | Self::Grass | Self::Culling => Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 1.0 },
+            Self::Island | Self::Grass | Self::Culling => {
+                Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 1.0 }
+            }
             Self::Water => Light { sun: Vec3::new(0.62, 0.58, -0.50).normalize(), exposure: 1.0 },
             // From beyond, and hardly from the side: all four planes are lit alike, however far left or right they are.
             Self::Pom => Light { sun: Vec3::new(-0.20, 0.50, -0.55).normalize(), exposure: 1.0 },

@@ -48,9 +48,11 @@ impl Report {
     /// What must be wrong is.
     fn controls(&self) -> Result<()> {
         let sight = &self.sight;
-        for (name, score) in
-            [("T2", &sight.noise), ("T3 as first published", &sight.march), ("five points", &sight.five_points)]
-        {
+        for (name, score) in [
+            ("T2", &sight.noise),
+            ("T3 as first published", &sight.march),
+            ("five points", &sight.five_points),
+        ] {
             ensure!(score.false_culls > 0, "{name} lost nothing that is seen: the oracle could not tell");
         }
         Ok(())

@@ -1,6 +1,7 @@
 //! The shipped marches against the truth, on this machine's GPU. `cargo xtask measure pom` asks the same with more rays.
 
 use clap::ValueEnum as _;
+use client::relief::cones::relaxed_cones;
 use client::relief::knobs::{Heights, LoopForm, Refine, ReliefShadow, ReliefTier};
 use client::relief::{HeightMap, ReliefKnobs};
 use lab::relief::bench::ReliefBench;
@@ -58,6 +59,87 @@ fn both_loop_forms_find_the_same_to_the_last_bit() {
             assert_eq!(places(LoopForm::Exit), places(LoopForm::Flag), "{refine:?}");
         }
     }
+}
+
+/// The largest difference between two lists of cones, over the greater of both.
+fn apart(one: &[f32], other: &[f32]) -> f32 {
+    assert_eq!(one.len(), other.len());
+    one.iter().zip(other).map(|(a, b)| (a - b).abs() / a.max(*b).max(1e-9)).fold(0.0, f32::max)
+}
+
+#[test]
+fn cones_of_a_gpu_are_those_of_the_cpu_at_every_level_and_not_those_of_the_negative() {
+    let Some(bench) = bench() else { return };
+    // A map of bricks, each cone of which holds for a block of four texels, and one of hills, each of which holds for one.
+    let maps = [Kind::Brick.map(), Kind::Fbm.map().halved().halved()];
+    for (map, block) in maps.into_iter().zip([2, 1]) {
+        let uploaded = bench.upload(std::slice::from_ref(&map), true);
+        let (mut reduced, mut compared) = (map, 0);
+        // The CPU takes half a minute for the largest level.
+        for level in 0..uploaded.cones().mip_level_count() {
+            if reduced.side() <= 128 {
+                let baked = bench.cones(&uploaded, level).unwrap();
+                let own = relaxed_cones(&reduced, block);
+                // A GPU may round a division by 2.5 units in the last place.
+                assert!(apart(&baked, &own) < 1e-6, "level {level}: {}", apart(&baked, &own));
+            }
+            // A map of bricks ends as an even one, whose cones are as wide as can be either way.
+            if (64..=128).contains(&reduced.side()) {
+                let baked = bench.cones(&uploaded, level).unwrap();
+                let negative = reduced.heights().iter().map(|height| 1.0 - height).collect();
+                let control = relaxed_cones(&HeightMap::new(reduced.side(), negative).unwrap(), block);
+                assert!(apart(&baked, &control) > 0.01, "the control must fail at level {level}");
+                compared += 1;
+            }
+            reduced = reduced.halved();
+        }
+        assert_eq!(compared, 2, "levels");
+    }
+}
+
+#[test]
+fn cones_miss_less_than_as_many_even_steps_and_far_less_than_no_cones() {
+    let Some(bench) = bench() else { return };
+    let (stage, bare) = (Stage::new(&bench, true), Stage::new(&bench, false));
+    // 16 steps into the relief and 8 halvings.
+    let even = Relief {
+        steps_min: 16,
+        steps_max: 16,
+        refine: Refine::Bisection as u32,
+        refinements: 8,
+        ..relief(ReliefTier::Linear)
+    };
+    for angle in [60.0, 75.0] {
+        let condition = Condition::new(&stage, 1, angle, RAYS);
+        let score = |stage: &Stage, how: &Relief| condition.score(&bench, stage, how).unwrap();
+        let (cones, even) = (score(&stage, &relief(ReliefTier::Cones)), score(&stage, &even));
+        let control = score(&bare, &relief(ReliefTier::Cones));
+        println!("bricks at {angle} degrees: cones {cones:?}, even steps {even:?}");
+        assert!(cones.odd == 0 && cones.wrong < 0.02 && 2.0 * cones.wrong < even.wrong, "{cones:?} {even:?}");
+        assert!(control.wrong > 10.0 * cones.wrong, "the control must fail: {control:?}");
+    }
+}
+
+#[test]
+fn cones_of_a_mip_level_are_found_over_its_own_heights() {
+    let Some(bench) = bench() else { return };
+    let stage = Stage::new(&bench, true);
+    // Ridges of a texel: of level 0, their cones are so narrow that 16 steps lead nowhere.
+    let (layer, lod) = (3, 3);
+    let coarse = (0..lod).fold(stage.maps[layer].clone(), |map, _| map.halved());
+    let wrong = |lod: u32, map: &HeightMap| {
+        let probes: Vec<ReliefProbe> = probes(layer, RAYS, 75.0, AMPLITUDE)
+            .into_iter()
+            .map(|probe| ReliefProbe { lod, ..probe })
+            .collect();
+        let rays = rays(&probes, 0.5);
+        let (found, _) = bench.run(&stage.uploaded, &relief(ReliefTier::Cones), &probes, 1).unwrap();
+        Score::of(map, &rays, &found, &truths(map, &rays)).wrong
+    };
+    let (own, control) = (wrong(lod, &coarse), wrong(0, &stage.maps[layer]));
+    println!("ridges: {own} wrong at level {lod}, {control} at level 0");
+    assert!(own < 0.03, "{own}");
+    assert!(control > 0.1, "the control must fail: {control}");
 }
 
 /// Rays with everything that is odd about them.

@@ -182,6 +182,31 @@ pub struct ReliefReduction {
 /// Threads of a workgroup of `reduce_relief` along either side.
 pub const RELIEF_WORKGROUP: u32 = 8;
 
+/// One dispatch of the baking of cones; `bake_cones.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct ConeOrder {
+    /// Texels a side of the map.
+    pub side: u32,
+    /// Mip level.
+    pub lod: u32,
+    /// Layer of the map.
+    pub layer: u32,
+    /// Texels a side of the block that a cone holds for.
+    pub block: u32,
+    /// First cone, row by row.
+    pub first: u32,
+    /// Cones.
+    pub count: u32,
+    /// Unused.
+    pub reserved: [u32; 2],
+    /// Where cones look, 1/4096 texels along u and v.
+    pub directions: [[i32; 2]; 32],
+}
+
+/// Threads of a workgroup of `bake_cones`.
+pub const CONE_WORKGROUP: u32 = 64;
+
 /// One ray for `probe_relief`; that file documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -220,7 +245,7 @@ pub struct ReliefFinding {
     pub reserved: [u32; 2],
 }
 
-/// An object of the relief scenes; `draw_relief.wesl` documents each field.
+/// An object of the relief scenes; `shared/relief_object.wesl` documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct ReliefObject {
@@ -242,14 +267,16 @@ pub struct ReliefObject {
     pub layer: u32,
     /// Width and height; radius and half length; half side twice. Metres.
     pub size_m: [f32; 2],
-    /// Metres that a tile covers.
-    pub tile_m: f32,
-    /// Metres from height 0 to height 1.
-    pub relief_m: f32,
+    /// Metres that a tile covers along u and v.
+    pub tile_m: [f32; 2],
     /// Colour of a plain object, linear.
     pub tint: [f32; 3],
-    /// Tiles around a capsule.
-    pub around: f32,
+    /// Metres from height 0 to height 1.
+    pub relief_m: f32,
+    /// Tiles around a capsule, else over those of the mesh; over those of the mesh along v.
+    pub repeats: [f32; 2],
+    /// Unused.
+    pub reserved: [f32; 2],
 }
 
 /// A quarter of a drawn chunk.

@@ -8,10 +8,11 @@ use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInn
 
 use crate::layout::{
     Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CLUMP_BYTES,
-    CastTarget, Caster, ChunkFill, FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_TILT,
-    LEAF, MATERIALS, NOTHING, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode,
-    REDUCE_WORKGROUP, RELIEF_WORKGROUP, Relief, ReliefFinding, ReliefObject, ReliefProbe, ReliefReduction,
-    SKY_DARK, SKY_WALK, SUN_RADIUS, TILING_WORKGROUP, TerrainInstance, TilingProbe, WAVE_MAP_SIDE,
+    CONE_WORKGROUP, CastTarget, Caster, ChunkFill, ConeOrder, Culling, FILL_WORKGROUP, FINE_PER_METRE, Field,
+    Frame, GPU_SLOT_BYTES, GRASS_TILT, LEAF, Leaf, MATERIALS, NOTHING, PATTERN_PERIOD_M, PROBE_FIXED,
+    PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting, RECORD_WORDS, REDUCE_WORKGROUP, RELIEF_WORKGROUP,
+    Relief, ReliefFinding, ReliefObject, ReliefProbe, ReliefReduction, SKY_DARK, SKY_WALK, SQUARE_NODES,
+    SUN_RADIUS, TILING_WORKGROUP, TerrainInstance, Tile, TilingProbe, VERDICT_WORDS, WAVE_MAP_SIDE,
     WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
@@ -40,11 +41,15 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
     assert_eq!(
         names,
         [
+            "bake_cones",
             "bake_materials",
             "bake_waves",
             "cast_shadows",
+            "cull_blocks",
+            "cull_clumps",
             "fill_chunks",
             "measure_sky",
+            "order_plants",
             "probe_air",
             "probe_brdf",
             "probe_heights",
@@ -86,7 +91,7 @@ fn outside_the_ring_profile(name: &str, wgsl: &str) -> Vec<String> {
 
 #[test]
 fn integer_passes_keep_to_the_ring_profile_and_the_check_can_fail() {
-    for shader in [SHADERS.fill_chunks, SHADERS.probe_heights] {
+    for shader in [SHADERS.fill_chunks, SHADERS.probe_heights, SHADERS.cull_blocks, SHADERS.order_plants] {
         assert_eq!(
             outside_the_ring_profile(shader.name, shader.wgsl),
             Vec::<String>::new(),
@@ -156,13 +161,27 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
     assert_lies_alike!(SHADERS.probe_relief, ReliefProbe, uv, amplitude, lod, to_eye, layer, to_sun, reserved);
     assert_lies_alike!(SHADERS.probe_relief, ReliefFinding, uv, height, residual, sun, fetches, reserved);
     assert_lies_alike!(SHADERS.reduce_relief, ReliefReduction, side, lod, level, reserved);
+    assert_lies_alike!(
+        SHADERS.bake_cones,
+        ConeOrder,
+        side,
+        lod,
+        layer,
+        block,
+        first,
+        count,
+        reserved,
+        directions
+    );
     #[rustfmt::skip]
     assert_lies_alike!(
         SHADERS.draw_relief, ReliefObject,
-        origin_m, mode, tangent, silhouette, bitangent, shape, normal, layer, size_m, tile_m, relief_m, tint, around,
+        origin_m, mode, tangent, silhouette, bitangent, shape, normal, layer, size_m, tile_m, tint, relief_m, repeats, reserved,
     );
     let (module, _) = validate("reduce_relief", SHADERS.reduce_relief.wgsl).unwrap();
     assert_eq!(module.entry_points[0].workgroup_size, [RELIEF_WORKGROUP, RELIEF_WORKGROUP, 1]);
+    let (module, _) = validate("bake_cones", SHADERS.bake_cones.wgsl).unwrap();
+    assert_eq!(module.entry_points[0].workgroup_size, [CONE_WORKGROUP, 1, 1]);
 }
 
 #[test]
@@ -454,5 +473,59 @@ fn the_pattern_period_and_the_constants_of_the_land_are_the_same_in_both_languag
     assert!(SHADERS.draw_water.wgsl.contains(&format!("PATTERN_PERIOD_M: f32 = {PATTERN_PERIOD_M}.0;")));
     for line in ["VERTICES: u32 = 65u", "VERTEX_COUNT: u32 = 4225u", "CELLS: u32 = 64u"] {
         assert!(terrain.contains(line), "{line}");
+    }
+}
+
+#[test]
+fn what_plants_are_chosen_by_lies_where_the_shaders_read_it() {
+    for shader in [&SHADERS.cull_blocks, &SHADERS.cull_clumps] {
+        assert_lies_alike!(
+            shader,
+            Culling,
+            eye,
+            path,
+            planes,
+            start,
+            sees_land,
+            step,
+            stay,
+            corner,
+            frame,
+            archipelago_seed,
+            octave_seeds,
+            stretch,
+        );
+        assert_lies_alike!(
+            shader,
+            Planting,
+            kind,
+            seed,
+            cell_bits,
+            per_cell,
+            cell_x,
+            cell_z,
+            width_low,
+            width_span,
+            height_low,
+            height_span,
+            thin_from,
+            widest,
+            reach,
+            over,
+            detail,
+            stands_within,
+            vertices,
+            room,
+        );
+        assert_lies_alike!(shader, Tile, top, bottom, leaf, reserved);
+        assert_lies_alike!(shader, Leaf, slot, parent_slot, edges, corners, inside, place, x, z);
+        for constant in
+            [format!("SQUARE_NODES: i32 = {SQUARE_NODES}"), format!("RECORD_WORDS: u32 = {RECORD_WORDS}u")]
+        {
+            assert!(shader.wgsl.contains(&constant), "{}: {constant}", shader.name);
+        }
+    }
+    for shader in [&SHADERS.cull_clumps, &SHADERS.order_plants] {
+        assert!(shader.wgsl.contains(&format!("VERDICT_WORDS: u32 = {VERDICT_WORDS}u")), "{}", shader.name);
     }
 }

@@ -122,7 +122,10 @@ mod tests {
                         (((words[a] >> high) & 15) * 16 + ((words[b] >> low) & 15)) as usize
                     };
                     let off = chi_square(meadow.iter().map(pair), 256);
-                    assert!(off < REJECTED, "{first} >> {high}, {second} >> {low}: {off} standard deviations");
+                    assert!(
+                        off < REJECTED,
+                        "{first} >> {high}, {second} >> {low}: {off} standard deviations"
+                    );
                 }
             }
         }
@@ -135,9 +138,13 @@ mod tests {
     fn neighbours_in_cell_number_kind_and_seed_are_unrelated() {
         let of = |seed, kind, x, z, index| words(streams(seed, kind, x, z, index));
         let base = of(7, 0, 3, -4, 5);
-        for other in
-            [of(8, 0, 3, -4, 5), of(7, 1, 3, -4, 5), of(7, 0, 4, -4, 5), of(7, 0, 3, -5, 5), of(7, 0, 3, -4, 6)]
-        {
+        for other in [
+            of(8, 0, 3, -4, 5),
+            of(7, 1, 3, -4, 5),
+            of(7, 0, 4, -4, 5),
+            of(7, 0, 3, -5, 5),
+            of(7, 0, 3, -4, 6),
+        ] {
             for (a, b) in base.into_iter().zip(other) {
                 assert!((5..28).contains(&(a ^ b).count_ones()), "{a:08x} {b:08x}");
             }

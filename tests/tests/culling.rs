@@ -44,12 +44,18 @@ fn field(room: [u32; 3]) -> Option<Field> {
 
 impl Field {
     /// What the GPU keeps of a frame: of grass, then of trees.
-    fn choose(&self, world: &World, shot: &Shot, drawn: &[client::world::Drawn]) -> [(Vec<[u32; 4]>, Told); 2] {
+    fn choose(
+        &self,
+        world: &World,
+        shot: &Shot,
+        drawn: &[client::world::Drawn],
+    ) -> [(Vec<[u32; 4]>, Told); 2] {
         world.residents().for_each(|chunk| self.pool.upload(&self.gpu.queue, chunk));
         let plants = shot.plants(world, drawn).expect("something grows");
         self.passes.prepare(&self.gpu.queue, &plants.square);
         [(&self.grass, 0), (&self.trees, 1)].map(|(chosen, index)| {
-            let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            let mut encoder =
+                self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             self.passes.record(&self.gpu.queue, &plants, index, 1, chosen, &mut encoder);
             self.gpu.queue.submit([encoder.finish()]);
             let clumps = chosen.read(&self.gpu).unwrap().concat();
@@ -75,7 +81,8 @@ fn the_gpu_keeps_exactly_what_the_twin_keeps_in_the_same_order() {
     let few = PlantKnobs { density: 2, range_m: 160.0, tree_range_m: 800.0, ..PlantKnobs::STANDARD };
     let mut kept_by_path = Vec::new();
     for camera in ["-1700,60,900,70,-6", "300,60,900,200,-3", "-600,300,-600,10,-30"] {
-        for cull in [Cull::Distance, Cull::Frustum, Cull::Noise, Cull::March, Cull::Exact, Cull::Hierarchical] {
+        for cull in [Cull::Distance, Cull::Frustum, Cull::Noise, Cull::March, Cull::Exact, Cull::Hierarchical]
+        {
             let shot = shot(camera, PlantKnobs { cull, ..few });
             let mut world = World::new(SLOTS);
             world.set_seed(1);

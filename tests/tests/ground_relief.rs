@@ -60,6 +60,16 @@ fn without_amplitude_the_land_is_the_flat_one_to_the_last_byte_and_with_it_it_is
     assert!(differing(&flat, &raised, 8) > 2_000, "{}", differing(&flat, &raised, 8));
 }
 
+#[test]
+fn where_cones_are_asked_for_the_land_is_drawn_by_the_exact_walk_to_the_last_byte() {
+    let land =
+        |tier| drawn(LocalFeed::new(1), &options(CAMERA, ReliefKnobs { tier, ..ReliefKnobs::default() }));
+    let (Some(cones), Some(walk)) = (land(ReliefTier::Cones), land(ReliefTier::Pyramid)) else { return };
+    assert_eq!(differing(&cones, &walk, 0), 0);
+    let Some(control) = land(ReliefTier::Offset) else { return };
+    assert!(differing(&control, &walk, 0) > 200, "{}", differing(&control, &walk, 0));
+}
+
 fn level(_: ChunkKey, heights: &mut [i32; VERTEX_COUNT], _: u32) -> u32 {
     heights.fill(12 * UNITS_PER_METRE);
     0

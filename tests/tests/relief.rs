@@ -7,9 +7,12 @@ use client::relief::ReliefKnobs;
 use client::relief::knobs::{Heights, Horizon, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
 use client::render::Picture;
 use client::render::materials::{MATERIAL_TEXELS, OwnMaterial, OwnMaterials};
-use client::render::scenes::relief::objects::{self, LAYER, Mode};
+use client::render::scenes::relief::objects::{self, COMPARED, LAYER, Mode, Object, Shape};
 use client::scene::Scene;
-use lab::relief::pictures::{Light, ReliefStudio, around, cut_distance, plane, silhouette_overlap};
+use lab::relief::pictures::{
+    Light, RELIEF_M, ReliefStudio, SIDE_M, around, ball, cut_distance, line_distances, plane, quantile,
+    silhouette_overlap,
+};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -52,6 +55,12 @@ fn knobs(tier: ReliefTier) -> ReliefKnobs {
     ReliefKnobs { tier, ..ReliefKnobs::default() }
 }
 
+/// Mean difference of two pictures, all channels, of 255.
+fn apart(one: &Picture, other: &Picture) -> f64 {
+    let sum: u64 = one.rgba.iter().zip(&other.rgba).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+    sum as f64 / one.rgba.len().max(1) as f64
+}
+
 const TIERS: [ReliefTier; 6] = [
     ReliefTier::Flat,
     ReliefTier::Offset,
@@ -68,8 +77,8 @@ fn without_amplitude_every_tier_draws_the_flat_plane_byte_for_byte() {
     let mut of = |mode, relief| studio.shown(&[plane(mode)], pose, relief, Show::Picture).unwrap();
     for tier in TIERS {
         for silhouette in [Silhouette::None, Silhouette::Shell] {
-            for depth in [false, true] {
-                let none = ReliefKnobs { amplitude: 0.0, silhouette, depth, ..knobs(tier) };
+            for (depth, tiling) in [(false, [1.0; 2]), (true, [1.0; 2]), (true, [3.0, 0.7])] {
+                let none = ReliefKnobs { amplitude: 0.0, silhouette, depth, tiling, ..knobs(tier) };
                 let flat = of(Mode::Flat, none);
                 assert_eq!(of(Mode::Knobs, none).differing(&flat).count(), 0, "{none:?}");
             }
@@ -146,6 +155,7 @@ fn every_pixel_is_a_number_whatever_camera_amplitude_and_steps_are() {
                         shadow: shadows[index % 2],
                         depth: index % 3 == 0,
                         pivot: [0.5, 0.0, 1.0][index % 3],
+                        tiling: [[1.0, 1.0], [8.0, 0.25], [0.25, 8.0]][index / 3 % 3],
                         ..knobs(tier)
                     };
                     index += 1;
@@ -306,13 +316,153 @@ fn the_exact_walk_and_displaced_geometry_look_alike_and_flat_and_one_offset_do_n
         studio.picture().unwrap()
     };
     let truth = of(Mode::Geometry);
-    let apart = |picture: &Picture| {
-        let sum: u64 = picture.rgba.iter().zip(&truth.rgba).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
-        sum as f64 / truth.rgba.len() as f64
-    };
-    let [own, flat, offset] = [Mode::Knobs, Mode::Flat, Mode::Offset].map(|mode| apart(&of(mode)));
+    let [own, flat, offset] = [Mode::Knobs, Mode::Flat, Mode::Offset].map(|mode| apart(&of(mode), &truth));
     println!("mean difference to geometry: walk {own:.2}, flat {flat:.2}, offset {offset:.2}");
     assert!(own < 0.35 * flat && own < 0.35 * offset, "{own} against {flat} and {offset}");
+}
+
+#[test]
+fn every_scene_bakes_cones_when_they_are_asked_for() {
+    for scene in SCENES {
+        let Some(mut studio) = studio(scene, (192, 108)) else { return };
+        // The view of levels has a colour for each tier.
+        let mut of = |tier| {
+            let looks = Looks { relief: knobs(tier), show: Show::Levels, ..Looks::default() };
+            studio.light(&studio.frame(scene.start(), looks)).unwrap()
+        };
+        let walk = of(ReliefTier::Pyramid);
+        assert!(of(ReliefTier::Cones).differing(&walk).count() > 500, "{scene:?} has no cones");
+        assert_eq!(
+            of(ReliefTier::Pyramid).differing(&walk).count(),
+            0,
+            "{scene:?}: cones have changed the walk"
+        );
+    }
+}
+
+#[test]
+fn cones_of_a_scene_find_what_the_exact_walk_finds_and_one_offset_does_not() {
+    let Some(mut studio) = studio(Scene::Pom, (320, 180)) else { return };
+    // Of the finest mip level, and of coarser ones.
+    for distance_m in [3.0, 8.0] {
+        let mut of = |tier| {
+            let relief = ReliefKnobs { fade_px: 0.0, ..knobs(tier) };
+            studio
+                .shown(&[plane(Mode::Knobs)], around(25.0, 10.0, distance_m), relief, Show::Normals)
+                .unwrap();
+            studio.picture().unwrap()
+        };
+        let [walk, cones, offset] = [ReliefTier::Pyramid, ReliefTier::Cones, ReliefTier::Offset].map(&mut of);
+        let (own, control) = (apart(&cones, &walk), apart(&offset, &walk));
+        println!(
+            "{distance_m} m: normals of cones {own:.4} off those of the walk, of one offset {control:.4}"
+        );
+        assert!(own < 0.25 * control, "{own} against {control} from {distance_m} m");
+    }
+}
+
+/// Rows of what is seen, bit for bit, by objects and knobs.
+fn of_all(studio: &mut ReliefStudio, objects: &[Object], tiling: [f32; 2], show: Show) -> Light {
+    let relief =
+        ReliefKnobs { tiling, silhouette: Silhouette::Shell, depth: true, ..knobs(ReliefTier::Pyramid) };
+    studio.shown(objects, around(30.0, 20.0, 5.0), relief, show).unwrap()
+}
+
+#[test]
+fn a_material_tiled_twice_is_one_of_tiles_half_as_large_byte_for_byte() {
+    let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
+    // In sight one after another.
+    let position_m = plane(Mode::Knobs).position_m;
+    let solids = objects::of(Scene::Spom).into_iter().map(|object| vec![Object { position_m, ..object }]);
+    let shapes = COMPARED.map(|mode| vec![plane(mode)]).into_iter().chain(solids);
+    for whole in shapes.filter(|objects| objects[0].mode != Mode::Plain) {
+        let halved = [Object { tile_m: 0.5 * whole[0].tile_m, ..whole[0] }];
+        for show in [Show::Picture, Show::Wireframe] {
+            let tiled = of_all(&mut studio, &whole, [2.0; 2], show);
+            assert_eq!(
+                tiled.differing(&of_all(&mut studio, &halved, [1.0; 2], show)).count(),
+                0,
+                "{whole:?}"
+            );
+            for tiling in [[1.0, 1.0], [2.0, 1.0], [1.0, 2.0]] {
+                let control = of_all(&mut studio, &whole, tiling, show).differing(&tiled).count();
+                let is_seen = show == Show::Picture || whole[0].mode == Mode::Geometry;
+                assert!(!is_seen || control > 300, "{tiling:?} {whole:?}: {control}");
+            }
+        }
+    }
+}
+
+#[test]
+fn tiling_leaves_metres_of_height_as_they_are() {
+    let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
+    // Seen from twice as far, everything twice as large is the same picture; its material is tiled half as often, and its relief is twice as high.
+    let mut of = |scale: f32, relief_m: f32, tiling: f32, mode| {
+        let shape = Shape::Plane { width_m: SIDE_M * scale, height_m: SIDE_M * scale };
+        let object = Object { shape, relief_m, ..plane(mode) };
+        let relief = ReliefKnobs {
+            tiling: [tiling; 2],
+            fade_px: 0.0,
+            silhouette: Silhouette::Shell,
+            ..knobs(ReliefTier::Pyramid)
+        };
+        studio.shown(&[object], around(25.0, 10.0, 3.0 * f64::from(scale)), relief, Show::Normals).unwrap();
+        studio.picture().unwrap()
+    };
+    // The sky depends on the height of the eye, a little.
+    let differing = |one: &Picture, other: &Picture| {
+        let pixels = one.rgba.chunks_exact(4).zip(other.rgba.chunks_exact(4));
+        pixels.filter(|(a, b)| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > 4)).count()
+    };
+    for mode in [Mode::Knobs, Mode::Geometry] {
+        let small = of(1.0, RELIEF_M, 2.0, mode);
+        let same = differing(&of(2.0, 2.0 * RELIEF_M, 1.0, mode), &small);
+        let control = differing(&of(2.0, RELIEF_M, 1.0, mode), &small);
+        println!("{mode:?}: {same} pixels differ, {control} of a relief half as high");
+        assert!(same <= 192 * 108 / 500 && control > 1_000, "{mode:?}: {same}, {control}");
+    }
+}
+
+#[test]
+fn a_tiled_march_meets_displaced_geometry_in_outline_light_and_depth() {
+    let Some(mut studio) = studio(Scene::Pom, (320, 180)) else { return };
+    // Tiles half as long along u as along v, and a vertex for every texel of both.
+    let shape = Shape::Plane { width_m: 0.5 * SIDE_M, height_m: SIDE_M };
+    let object = |mode| Object { shape, ..plane(mode) };
+    let relief = ReliefKnobs {
+        tiling: [2.0, 1.0],
+        silhouette: Silhouette::Shell,
+        depth: true,
+        ..knobs(ReliefTier::Pyramid)
+    };
+    let pose = around(16.0, 30.0, 2.6);
+    let mut cover = |mode| studio.cover(&[object(mode)], pose, relief).unwrap();
+    let truth = cover(Mode::Geometry);
+    let (own, flat) = (cover(Mode::Knobs).overlap(&truth), cover(Mode::Flat).overlap(&truth));
+    println!("overlap: marched {own:.4}, flat {flat:.4}");
+    assert!(own >= 0.98 && flat < 0.98, "{own}, the control must fail: {flat}");
+
+    let pose = around(25.0, 10.0, 2.0);
+    let mut of = |mode, tiling| {
+        studio.shown(&[object(mode)], pose, ReliefKnobs { tiling, ..relief }, Show::Picture).unwrap();
+        studio.picture().unwrap()
+    };
+    let truth = of(Mode::Geometry, relief.tiling);
+    let own = apart(&of(Mode::Knobs, relief.tiling), &truth);
+    let control = apart(&of(Mode::Knobs, [1.0, 2.0]), &truth);
+    println!("mean difference to geometry: {own:.2}, of another tiling {control:.2}");
+    assert!(own < 0.35 * control, "{own} against {control}");
+
+    let ball = Object { shape: Shape::Capsule { radius_m: 0.35, half_length_m: 0.0 }, ..ball() };
+    let mut line = |mode, depth| {
+        let knobs = ReliefKnobs { depth, ..relief };
+        studio.cut_line(&object(mode), &ball, pose, knobs).unwrap()
+    };
+    let truth = line(Mode::Geometry, true);
+    let mut off = |depth| quantile(&line_distances(&line(Mode::Knobs, depth), &truth), 0.99);
+    let (own, control) = (off(true), off(false));
+    println!("line in which a ball is cut: {own} px off, without depth {control} px, {} pixels", truth.len());
+    assert!(own <= 1.0 && control > 1.0 && truth.len() > 30, "{own}, the control must fail: {control}");
 }
 
 #[test]

@@ -56,6 +56,10 @@ pub struct ReliefArgs {
     #[arg(long, value_name = "A", allow_negative_numbers = true, default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
     pub relief_amplitude: f64,
 
+    /// How often materials repeat on the objects of a scene of reliefs, over the scene's own, 0.25 to 8; F,F: along u and v. The relief stays as high
+    #[arg(long, value_name = "F[,F]", allow_negative_numbers = true, default_value = "1", value_parser = parse_tiling)]
+    pub relief_tiling: Tiles,
+
     /// Height on screen at which relief begins to sink, pixels, 0 to 16; 0: never
     #[arg(long, value_name = "PX", allow_negative_numbers = true, default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
     pub relief_fade: f64,
@@ -82,6 +86,7 @@ impl ReliefArgs {
             depth: self.relief_depth,
             pivot: self.relief_pivot as f32,
             amplitude: self.relief_amplitude as f32,
+            tiling: self.relief_tiling.0,
             fade_px: self.relief_fade as f32,
             horizon: self.horizon,
         }
@@ -95,6 +100,19 @@ fn parse_steps(text: &str) -> Result<(u32, u32), String> {
         .ok_or_else(|| {
             format!("expected MIN,MAX with 1 <= MIN <= MAX <= {}, such as 8,32", ReliefKnobs::MAX_STEPS)
         })
+}
+
+/// Repeats along u and v.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tiles(pub [f32; 2]);
+
+fn parse_tiling(text: &str) -> Result<Tiles, String> {
+    let (u, v) = text.split_once(',').unwrap_or((text, text));
+    let within = |word: &str| {
+        let (least, most) = (ReliefKnobs::MIN_TILING.into(), ReliefKnobs::MAX_TILING.into());
+        parse_within(word.trim(), least, most).map(|value| value as f32)
+    };
+    Ok(Tiles([within(u)?, within(v)?]))
 }
 
 fn parse_horizon(text: &str) -> Result<Horizon, String> {

@@ -67,7 +67,11 @@ fn write(args: &Args, path: &Path, picture: &Picture, stats: &Stats) -> anyhow::
 /// What brings the land of a scene: a server, or the scene itself.
 pub fn feed(args: &Args) -> anyhow::Result<Box<dyn Feed>> {
     let Some(url) = args.server() else {
-        return Ok(if args.scene.is_local() { Box::new(NoFeed) } else { Box::new(LocalFeed::new(args.world_seed)) });
+        return Ok(if args.scene.is_local() {
+            Box::new(NoFeed)
+        } else {
+            Box::new(LocalFeed::new(args.world_seed))
+        });
     };
     let feed = SocketFeed::connect(settings(args, url)?).context("cannot start the network thread")?;
     Ok(Box::new(feed))

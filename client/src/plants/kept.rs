@@ -74,16 +74,17 @@ pub fn kept_of(world: &World, plants: &PlantFrame, stand: &Stand) -> Vec<Kept> {
     let (culling, planting) = (&stand.culling, &stand.planting);
     let noise = noise_of(world, square);
     let marches = culling.path == CULL_MARCH && culling.sees_land != 0;
-    let patches = stand.patches.iter().copied().filter(|[column, row]| {
-        !marches || !chunk_is_hidden(&surface, culling, planting, *column, *row)
-    });
+    let patches = stand
+        .patches
+        .iter()
+        .copied()
+        .filter(|[column, row]| !marches || !chunk_is_hidden(&surface, culling, planting, *column, *row));
     let seen = patches
         .flat_map(blocks_of_patch)
         .filter(|[column, row]| block_is_kept(&surface, culling, planting, *column, *row));
     let clumps = seen.flat_map(|block| clumps_of(&surface, stand, block).collect::<Vec<_>>());
-    let keeps = |clump: Clump| {
-        kept(&surface, &noise, culling, planting, &clump).map(|detail| Kept { detail, clump })
-    };
+    let keeps =
+        |clump: Clump| kept(&surface, &noise, culling, planting, &clump).map(|detail| Kept { detail, clump });
     clumps.filter_map(keeps).collect()
 }
 
@@ -120,12 +121,6 @@ pub fn clumps_of<'a, S: Slots>(
     let cells = 1 << BLOCK_CELL_BITS;
     (0..stand.planting.per_cell * BLOCK_CELLS).filter_map(move |lane| {
         let (cell, index) = ((lane % BLOCK_CELLS) as i32, lane / BLOCK_CELLS);
-        clump_at(
-            surface,
-            &stand.planting,
-            column * cells + cell % cells,
-            row * cells + cell / cells,
-            index,
-        )
+        clump_at(surface, &stand.planting, column * cells + cell % cells, row * cells + cell / cells, index)
     })
 }

@@ -83,13 +83,13 @@ impl Square {
         for row in rows {
             for column in columns.clone() {
                 // Of a large chunk it would be enough to take the blocks under the tile; the walk takes those anyway.
-                self.tiles[(row * i64::from(SQUARE_TILES) + column) as usize] = Tile { top, bottom, leaf: index, reserved: 0 };
+                self.tiles[(row * i64::from(SQUARE_TILES) + column) as usize] =
+                    Tile { top, bottom, leaf: index, reserved: 0 };
             }
         }
         let (east, south) = key.quarter();
         let [edges, corners, inside] = TerrainInstance::seam_words(&drawn.seams);
-        let steps =
-            |low: i32, corner: i32| ((i64::from(low) - i64::from(corner)) >> SPACING_BITS) as i32;
+        let steps = |low: i32, corner: i32| ((i64::from(low) - i64::from(corner)) >> SPACING_BITS) as i32;
         self.leaves.push(Leaf {
             slot: chunk.slot,
             parent_slot: parent.slot,
@@ -114,7 +114,8 @@ impl Square {
             for index in 0..side * side {
                 let (column, row) = (index % side, index / side);
                 let below = first(2 * side) + 2 * row * 2 * side + 2 * column;
-                let four = [below, below + 1, below + 2 * side, below + 2 * side + 1].map(|at| self.tiles[at]);
+                let four =
+                    [below, below + 1, below + 2 * side, below + 2 * side + 1].map(|at| self.tiles[at]);
                 self.tiles[first(side) + index] = Tile {
                     top: four.iter().map(|tile| tile.top).max().unwrap_or(NOWHERE),
                     bottom: four.iter().map(|tile| tile.bottom).min().unwrap_or(NOWHERE),

@@ -1,5 +1,5 @@
-//! Knobs of parallax occlusion mapping. Each one is an option, a control of the panel and a word in the uniforms; their numbers are those of
-//! `shared/relief.wesl`.
+//! Knobs of parallax occlusion mapping. Each one is an option, a control of the panel and a word in the uniforms (the tiling: of the objects); their numbers are
+//! those of `shared/relief.wesl`.
 
 use clap::ValueEnum;
 use shaders::layout::Relief;
@@ -31,6 +31,9 @@ pub struct ReliefKnobs {
     pub pivot: f32,
     /// Multiplies the relief of every material, 0 to 16.
     pub amplitude: f32,
+    /// How often materials repeat on the objects of a scene of reliefs, along u and v, over the scene's own; 0.25 to 8. Heights stay as many metres as they are, so
+    /// the relief becomes as many times steeper. The land has a tiling of its own.
+    pub tiling: [f32; 2],
     /// Height of a relief on screen at which it begins to sink, pixels, 0 to 16; at half of that it is gone. 0: it never sinks.
     pub fade_px: f32,
     /// Of [`Silhouette::Horizon`].
@@ -52,6 +55,7 @@ impl Default for ReliefKnobs {
             depth: false,
             pivot: 0.5,
             amplitude: 1.0,
+            tiling: [1.0; 2],
             fade_px: 1.0,
             horizon: Horizon::default(),
         }
@@ -65,6 +69,10 @@ impl ReliefKnobs {
     pub const MAX_REFINEMENTS: u32 = 16;
     /// Largest amplitude.
     pub const MAX_AMPLITUDE: f32 = 16.0;
+    /// Least tiling.
+    pub const MIN_TILING: f32 = 0.25;
+    /// Most tiling.
+    pub const MAX_TILING: f32 = 8.0;
     /// Latest fade, pixels.
     pub const MAX_FADE_PX: f32 = 16.0;
     /// Texels of travel up to which the automatic tier displaces nothing, takes one offset, and searches linearly: where the curves of
@@ -85,6 +93,9 @@ impl ReliefKnobs {
             refinements: self.refinements.min(Self::MAX_REFINEMENTS),
             pivot: within(self.pivot, 1.0, standard.pivot),
             amplitude: within(self.amplitude, Self::MAX_AMPLITUDE, standard.amplitude),
+            tiling: self.tiling.map(|tiling| {
+                if tiling.is_nan() { 1.0 } else { tiling.clamp(Self::MIN_TILING, Self::MAX_TILING) }
+            }),
             fade_px: within(self.fade_px, Self::MAX_FADE_PX, standard.fade_px),
             horizon: self.horizon.sane(),
             ..self
@@ -173,7 +184,7 @@ pub enum ReliefTier {
     Offset,
     /// Steps of one length and a refinement.
     Linear,
-    /// Relaxed cones and halving; the pyramid where a map has no cones.
+    /// Relaxed cones and halving; baked for a scene of reliefs when it is first asked for. The land has none and is drawn by the pyramid.
     Cones,
     /// The exact walk over the max pyramid.
     Pyramid,
@@ -257,6 +268,7 @@ mod tests {
                 refinements: steps,
                 pivot: value,
                 amplitude: value,
+                tiling: [value, 2.0],
                 fade_px: value,
                 horizon,
                 ..ReliefKnobs::default()
@@ -276,6 +288,10 @@ mod tests {
         assert_eq!((low.horizon.falloff, high.horizon.safe_threshold), (0.5, 0.95));
         assert_eq!(ReliefKnobs::default().sane(), ReliefKnobs::default());
         assert_eq!([not_a_number, high, low].map(|knobs| knobs.fade_px), [1.0, 16.0, 0.0]);
+        assert_eq!(
+            [not_a_number, high, low].map(|knobs| knobs.tiling),
+            [[1.0, 2.0], [8.0, 2.0], [0.25, 2.0]]
+        );
         let crossed = ReliefKnobs { steps_min: 64, steps_max: 4, ..ReliefKnobs::default() }.sane();
         assert_eq!((crossed.steps_min, crossed.steps_max), (4, 4));
     }

@@ -91,10 +91,8 @@ impl CullPasses {
         let with_patches: Vec<_> = land.iter().copied().chain([uniform(7)]).collect();
         let land_layout = layout("land around the eye", &land);
         let patches_layout = layout("land and patches", &with_patches);
-        let blocks_layout = layout(
-            "choice of blocks",
-            &[storage_entry(0, compute, false), storage_entry(1, compute, false)],
-        );
+        let blocks_layout =
+            layout("choice of blocks", &[storage_entry(0, compute, false), storage_entry(1, compute, false)]);
         let clumps_layout = layout(
             "choice of clumps",
             &[
@@ -165,8 +163,7 @@ impl CullPasses {
         let planting = uniform("planting", size_of::<Planting>());
         let patches = uniform("patches", 4 * MAX_PATCHES);
         let size = uniform("number of patches", 16);
-        let choice =
-            storage("kept blocks", 4 * (CHOSEN + MAX_PATCHES * PATCH_BLOCK_COUNT), Usage::empty());
+        let choice = storage("kept blocks", 4 * (CHOSEN + MAX_PATCHES * PATCH_BLOCK_COUNT), Usage::empty());
         let verdicts = storage("verdicts", 4 * VERDICT_WORDS * MAX_BLOCKS, Usage::empty());
         let all: usize = room.iter().map(|room| *room as usize).sum();
         let clumps = storage("kept clumps", CLUMP_BYTES * all, Usage::VERTEX | Usage::COPY_SRC);
@@ -180,7 +177,11 @@ impl CullPasses {
                     resource: buffer.as_entire_binding(),
                 })
                 .collect();
-            device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some(label),
+                layout,
+                entries: &entries,
+            })
         };
         let land = [
             &culling,
@@ -265,18 +266,19 @@ impl CullPasses {
             label: Some("choose plants"),
             timestamp_writes: None,
         });
-        let mut one = |pipeline: &wgpu::ComputePipeline, groups: [Option<&wgpu::BindGroup>; 2], size: Size| {
-            pass.set_pipeline(pipeline);
-            for (index, group) in groups.into_iter().enumerate() {
-                if let Some(group) = group {
-                    pass.set_bind_group(index as u32, group, &[]);
+        let mut one =
+            |pipeline: &wgpu::ComputePipeline, groups: [Option<&wgpu::BindGroup>; 2], size: Size| {
+                pass.set_pipeline(pipeline);
+                for (index, group) in groups.into_iter().enumerate() {
+                    if let Some(group) = group {
+                        pass.set_bind_group(index as u32, group, &[]);
+                    }
                 }
-            }
-            match size {
-                Size::Groups(groups) => pass.dispatch_workgroups(groups, 1, 1),
-                Size::PerBlock => pass.dispatch_workgroups_indirect(&chosen.tally, 0),
-            }
-        };
+                match size {
+                    Size::Groups(groups) => pass.dispatch_workgroups(groups, 1, 1),
+                    Size::PerBlock => pass.dispatch_workgroups_indirect(&chosen.tally, 0),
+                }
+            };
         let of_clumps = [Some(&chosen.land), Some(&chosen.kept_clumps)];
         if !packed.is_empty() {
             let of_blocks = [Some(&chosen.patched), Some(&chosen.kept_blocks)];

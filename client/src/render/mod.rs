@@ -7,6 +7,7 @@ pub mod air;
 pub mod backdrop;
 pub mod cast;
 pub mod clock;
+pub mod cones;
 pub mod cull;
 pub mod fill;
 pub mod gpu;
@@ -267,7 +268,7 @@ impl Renderer {
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
         if let Some(scene) = &mut self.local {
-            scene.prepare(&gpu.queue, frame);
+            scene.prepare(gpu, frame);
         }
         if let Some(clock) = &self.clock {
             clock.begin(encoder);

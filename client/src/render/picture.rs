@@ -58,7 +58,20 @@ impl Canvas {
 
 /// Copies a texture of `pixel_bytes` bytes a pixel to the CPU, row by row from the top; blocks until it is drawn.
 pub fn read_texture(gpu: &Gpu, texture: &wgpu::Texture, pixel_bytes: usize) -> Result<Vec<u8>, GpuError> {
-    let (width, height) = (texture.width(), texture.height());
+    read_level(gpu, texture, 0, pixel_bytes)
+}
+
+/// The same of one mip level, of the first layer.
+///
+/// # Errors
+/// The device fails.
+pub fn read_level(
+    gpu: &Gpu,
+    texture: &wgpu::Texture,
+    level: u32,
+    pixel_bytes: usize,
+) -> Result<Vec<u8>, GpuError> {
+    let (width, height) = ((texture.width() >> level).max(1), (texture.height() >> level).max(1));
     let row = pixel_bytes * width as usize;
     let stride = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
     let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -69,7 +82,7 @@ pub fn read_texture(gpu: &Gpu, texture: &wgpu::Texture, pixel_bytes: usize) -> R
     });
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     encoder.copy_texture_to_buffer(
-        texture.as_image_copy(),
+        wgpu::TexelCopyTextureInfo { mip_level: level, ..texture.as_image_copy() },
         wgpu::TexelCopyBufferInfo {
             buffer: &buffer,
             layout: wgpu::TexelCopyBufferLayout {
@@ -78,7 +91,7 @@ pub fn read_texture(gpu: &Gpu, texture: &wgpu::Texture, pixel_bytes: usize) -> R
                 rows_per_image: None,
             },
         },
-        texture.size(),
+        wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
     );
     gpu.queue.submit([encoder.finish()]);
     let (told, tell) = mpsc::channel();

@@ -1,6 +1,7 @@
 //! What marches along reliefs read on the GPU: heights twice (exact, and for the sampler), the bounds of the pyramid, cones.
 
-use crate::relief::{HeightMap, cones};
+use crate::relief::HeightMap;
+use crate::render::cones;
 use crate::render::pipeline::{compute_pipelines, uniform_entry};
 use half::f16;
 use shaders::SHADERS;
@@ -8,85 +9,32 @@ use shaders::layout::{RELIEF_WORKGROUP, ReliefReduction};
 use wgpu::util::DeviceExt as _;
 
 /// Exact heights and bounds; not filterable everywhere.
-const EXACT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
+pub(super) const EXACT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
 /// Heights for the sampler, in alpha.
 const SMOOTH: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
-
-/// Maps up to this side get cones; larger ones would take minutes.
-pub const MOST_CONES: u32 = 256;
 
 /// The textures of an array of height maps of one side.
 #[derive(Debug)]
 pub struct ReliefMaps {
-    heights: wgpu::TextureView,
+    heights: wgpu::Texture,
     smooth: wgpu::TextureView,
     tops: wgpu::TextureView,
-    cones: wgpu::TextureView,
+    exact: wgpu::TextureView,
+    cones: wgpu::Texture,
+    cone_view: wgpu::TextureView,
+    has_cones: bool,
     sampler: wgpu::Sampler,
-    /// Whether every map has cones.
-    pub has_cones: bool,
 }
 
 impl ReliefMaps {
     /// Finds the bounds of heights that are on the GPU already: `heights` as R32Float with all mip levels, `smooth` the same in the alpha of a filterable
-    /// texture. There are no cones.
+    /// texture. There are no cones yet.
     #[must_use]
     pub fn over(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
         heights: &wgpu::Texture,
         smooth: &wgpu::Texture,
-    ) -> Self {
-        let none = texture(device, "no cones", EXACT, 1, 1, 1, 1);
-        Self::with(device, queue, heights, smooth, &none, false)
-    }
-
-    /// Uploads maps of one side. The first one's side counts; maps of other sides are left out. Sides up to [`MOST_CONES`] get cones.
-    #[must_use]
-    pub fn upload(device: &wgpu::Device, queue: &wgpu::Queue, maps: &[HeightMap]) -> Self {
-        let has_cones = maps.first().is_some_and(|map| map.side() <= MOST_CONES as usize);
-        Self::upload_with(device, queue, maps, has_cones)
-    }
-
-    /// The same, with or without cones.
-    #[must_use]
-    pub fn upload_with(
-        device: &wgpu::Device,
-        queue: &wgpu::Queue,
-        maps: &[HeightMap],
-        has_cones: bool,
-    ) -> Self {
-        let side = maps.first().map_or(1, HeightMap::side) as u32;
-        let maps: Vec<&HeightMap> = maps.iter().filter(|map| map.side() == side as usize).collect();
-        let layers = (maps.len() as u32).max(1);
-        let levels = side.ilog2() + 1;
-        let heights = texture(device, "heights", EXACT, side, side, layers, levels);
-        let smooth = texture(device, "heights to be filtered", SMOOTH, side, side, layers, levels);
-        let cone_side = if has_cones { side } else { 1 };
-        let cone_map = texture(device, "cones", EXACT, cone_side, cone_side, layers, 1);
-        for (layer, map) in maps.into_iter().enumerate() {
-            let layer = layer as u32;
-            if has_cones {
-                write(queue, &cone_map, layer, 0, &cones::relaxed_cones(map));
-            }
-            let mut map = map.clone();
-            for level in 0..levels {
-                write(queue, &heights, layer, level, map.heights());
-                let filtered = |height: &f32| [0, 0, 0, f16::from_f32(*height).to_bits()];
-                write(queue, &smooth, layer, level, &map.heights().iter().map(filtered).collect::<Vec<_>>());
-                map = map.halved();
-            }
-        }
-        Self::with(device, queue, &heights, &smooth, &cone_map, has_cones)
-    }
-
-    fn with(
-        device: &wgpu::Device,
-        queue: &wgpu::Queue,
-        heights: &wgpu::Texture,
-        smooth: &wgpu::Texture,
-        cones: &wgpu::Texture,
-        has_cones: bool,
     ) -> Self {
         let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
             label: Some("reliefs"),
@@ -96,9 +44,51 @@ impl ReliefMaps {
             min_filter: wgpu::FilterMode::Linear,
             ..Default::default()
         });
+        let cones = texture(device, "no cones", EXACT, 1, 1, 1, 1);
         let tops = tops(device, queue, heights);
-        let [heights, smooth, tops, cones] = [heights, smooth, &tops, cones].map(whole);
-        Self { heights, smooth, tops, cones, sampler, has_cones }
+        let [exact, smooth, tops, cone_view] = [heights, smooth, &tops, &cones].map(whole);
+        Self { heights: heights.clone(), smooth, tops, exact, cones, cone_view, has_cones: false, sampler }
+    }
+
+    /// Uploads maps of one side. The first one's side counts; maps of other sides are left out. There are no cones yet.
+    #[must_use]
+    pub fn upload(device: &wgpu::Device, queue: &wgpu::Queue, maps: &[HeightMap]) -> Self {
+        let side = maps.first().map_or(1, HeightMap::side) as u32;
+        let maps: Vec<&HeightMap> = maps.iter().filter(|map| map.side() == side as usize).collect();
+        let layers = (maps.len() as u32).max(1);
+        let levels = side.ilog2() + 1;
+        let heights = texture(device, "heights", EXACT, side, side, layers, levels);
+        let smooth = texture(device, "heights to be filtered", SMOOTH, side, side, layers, levels);
+        for (layer, map) in maps.into_iter().enumerate() {
+            let layer = layer as u32;
+            let mut map = map.clone();
+            for level in 0..levels {
+                write(queue, &heights, layer, level, map.heights());
+                let filtered = |height: &f32| [0, 0, 0, f16::from_f32(*height).to_bits()];
+                write(queue, &smooth, layer, level, &map.heights().iter().map(filtered).collect::<Vec<_>>());
+                map = map.halved();
+            }
+        }
+        Self::over(device, queue, &heights, &smooth)
+    }
+
+    /// Whether cones have been baked. What draws without them walks the pyramid instead.
+    #[must_use]
+    pub fn has_cones(&self) -> bool {
+        self.has_cones
+    }
+
+    /// Bakes the cones of some layers, and waits for them. Groups of bindings made before do not have them.
+    pub fn bake_cones(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, layers: &[u32]) {
+        self.cones = cones::bake(device, queue, &self.heights, &self.tops, layers);
+        self.cone_view = whole(&self.cones);
+        self.has_cones = true;
+    }
+
+    /// The cones: one picture for each mip level of the heights, as long as a block of theirs is there.
+    #[must_use]
+    pub fn cones(&self) -> &wgpu::Texture {
+        &self.cones
     }
 
     /// Layout of its five bindings, from `binding` on: heights, heights to be filtered, bounds, cones, sampler.
@@ -145,10 +135,10 @@ impl ReliefMaps {
             resource: wgpu::BindingResource::TextureView(view),
         };
         [
-            view(0, &self.heights),
+            view(0, &self.exact),
             view(1, &self.smooth),
             view(2, &self.tops),
-            view(3, &self.cones),
+            view(3, &self.cone_view),
             wgpu::BindGroupEntry {
                 binding: binding + 4,
                 resource: wgpu::BindingResource::Sampler(&self.sampler),
@@ -157,7 +147,7 @@ impl ReliefMaps {
     }
 }
 
-fn texture(
+pub(super) fn texture(
     device: &wgpu::Device,
     label: &str,
     format: wgpu::TextureFormat,
@@ -175,7 +165,7 @@ fn texture(
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
         format,
-        usage: Usage::TEXTURE_BINDING | Usage::COPY_DST | stored,
+        usage: Usage::TEXTURE_BINDING | Usage::COPY_DST | Usage::COPY_SRC | stored,
         view_formats: &[],
     })
 }
@@ -205,7 +195,7 @@ fn write<T: bytemuck::Pod>(
     );
 }
 
-fn whole(texture: &wgpu::Texture) -> wgpu::TextureView {
+pub(super) fn whole(texture: &wgpu::Texture) -> wgpu::TextureView {
     texture.create_view(&wgpu::TextureViewDescriptor {
         dimension: Some(wgpu::TextureViewDimension::D2Array),
         ..Default::default()

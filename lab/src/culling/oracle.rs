@@ -116,9 +116,7 @@ fn rises_above([a, b, c]: &[Point; 3], eye: Point, point: Point, (from, to): (f6
     // The track inside the triangle: three half planes.
     let (mut low, mut high) = (from, to);
     for (p, q) in [(a, b), (b, c), (c, a)] {
-        let side = |x: f64, z: f64| {
-            ((q[0] - p[0]) * (z - p[2]) - (x - p[0]) * (q[2] - p[2])) * area.signum()
-        };
+        let side = |x: f64, z: f64| ((q[0] - p[0]) * (z - p[2]) - (x - p[0]) * (q[2] - p[2])) * area.signum();
         let (at_eye, at_point) = (side(eye[0], eye[2]), side(point[0], point[2]));
         let change = at_point - at_eye;
         if change == 0.0 {

@@ -45,8 +45,7 @@ fn trial(land: &Land, index: u32, plants: PlantKnobs) -> Trial {
         let at = Position::new((x * 256.0) as i32, (z * 256.0) as i32);
         at.map_or(0.0, |at| f64::from(stretch::times(land.height_at(at), scale)) / 256.0)
     };
-    let (region, spread_m) =
-        if index % 5 == 4 { (REGIONS_M[1], 60_000.0) } else { (REGIONS_M[0], 9000.0) };
+    let (region, spread_m) = if index % 5 == 4 { (REGIONS_M[1], 60_000.0) } else { (REGIONS_M[0], 9000.0) };
     // The first place in a row of lots that is land where something grows.
     let places = (0..4000).map(|n| {
         (region.0 + (share(2 * n + 10) - 0.5) * spread_m, region.1 + (share(2 * n + 11) - 0.5) * spread_m)

@@ -9,7 +9,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 use shaders::layout::Culling;
 use shaders::twin::march::{chunk_is_hidden, is_hidden_by_vertices, marched_is_hidden};
-use shaders::twin::planting::{Clump, Extent, block_extent, clump_at, extent_of, may_be_in_view, tip_of};
+use shaders::twin::planting::{
+    Clump, Extent, block_extent, clump_at, extent_of, may_be_in_view, rise_at, tip_of,
+};
 use shaders::twin::sight::{Target, is_hidden};
 use shaders::twin::surface::{Slots, Surface};
 use std::cell::Cell;
@@ -182,13 +184,11 @@ struct Points {
 fn points_of(scene: &Scene, stand: &Stand, clump: &Clump, extent: &Extent) -> Points {
     let corner = scene.plants.square.corner;
     let metres = |fine: i32| f64::from(fine) / 4096.0;
-    let (x, z) = (
-        metres(clump.x) + f64::from(corner[0]) / 256.0,
-        metres(clump.z) + f64::from(corner[1]) / 256.0,
-    );
+    let (x, z) =
+        (metres(clump.x) + f64::from(corner[0]) / 256.0, metres(clump.z) + f64::from(corner[1]) / 256.0);
     let planting = &stand.planting;
-    let height = metres(planting.height_low)
-        + metres(planting.height_span) * f64::from(clump.looks >> 6 & 63) / 63.0;
+    let height =
+        metres(planting.height_low) + metres(planting.height_span) * f64::from(clump.looks >> 6 & 63) / 63.0;
     let ring = |radius: f64, top: f64| {
         (0..POINTS)
             .map(|n| TAU * f64::from(n) / f64::from(POINTS))
@@ -201,11 +201,13 @@ fn points_of(scene: &Scene, stand: &Stand, clump: &Clump, extent: &Extent) -> Po
     let root = metres(clump.y);
     let top = if planting.kind == shaders::layout::KIND_GRASS {
         // Tips of blades stand up to half the width from the middle and lean by a fifth of the height.
-        let width = metres(planting.width_low) + metres(planting.width_span) * f64::from(clump.looks & 63) / 63.0;
+        let width =
+            metres(planting.width_low) + metres(planting.width_span) * f64::from(clump.looks & 63) / 63.0;
         let eye = eye_of(&scene.shot.pose);
         let away = (x - eye[0]).hypot(root - eye[1]).hypot(z - eye[2]);
         let widening = (away / metres(planting.thin_from)).clamp(1.0, f64::from(planting.widest) / 256.0);
-        [ring(0.49 * width * widening + 0.2 * height, root + 0.95 * height), ring(0.0, root + height)].concat()
+        [ring(0.49 * width * widening + 0.2 * height, root + 0.95 * height), ring(0.0, root + height)]
+            .concat()
     } else {
         ring(0.1, root + height)
     };
@@ -226,7 +228,7 @@ fn of_scene(scene: &Scene) -> Findings {
         let sample = sample(&surface, stand);
         let hides = |target: &Target| is_hidden(&surface, culling.eye, target, culling.start);
         for clump in &sample {
-            let extent = extent_of(culling, &stand.planting, clump);
+            let extent = extent_of(culling, &stand.planting, clump, rise_at(&surface, clump.x, clump.z));
             let points = points_of(scene, stand, clump, &extent);
             let is_seen = points.top.iter().any(|point| oracle.sees(eye, *point));
             let is_bound_seen = is_seen || points.bound.iter().any(|point| oracle.sees(eye, *point));
@@ -236,7 +238,7 @@ fn of_scene(scene: &Scene) -> Findings {
             }
             let exact = culling.sees_land != 0 && hides(&extent.target);
             let bits = stand.planting.cell_bits + 2;
-            let block = block_extent(&surface, &stand.planting, clump.x >> bits, clump.z >> bits);
+            let block = block_extent(&surface, culling, &stand.planting, clump.x >> bits, clump.z >> bits);
             let in_block = culling.sees_land != 0 && block.is_none_or(|block| hides(&block.target));
             let hierarchical = exact || in_block;
             let tip = tip_of(&stand.planting, clump);
@@ -271,7 +273,7 @@ fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
         let (cell, index) = ((lane % 16) as i32, lane / 16);
         let (column, row) = (block[0] * 4 + cell % 4, block[1] * 4 + cell / 4);
         let Some(clump) = clump_at(surface, &stand.planting, column, row, index) else { continue };
-        let extent = extent_of(&stand.culling, &stand.planting, &clump);
+        let extent = extent_of(&stand.culling, &stand.planting, &clump, rise_at(surface, clump.x, clump.z));
         if may_be_in_view(&stand.culling, &extent) {
             found.push(clump);
         }
@@ -288,8 +290,10 @@ fn count_cost<S: Slots>(
     sample: &[Clump],
     fine: &Culling,
 ) {
-    let extents: Vec<Extent> =
-        sample.iter().map(|clump| extent_of(&stand.culling, &stand.planting, clump)).collect();
+    let extents: Vec<Extent> = sample
+        .iter()
+        .map(|clump| extent_of(&stand.culling, &stand.planting, clump, rise_at(surface, clump.x, clump.z)))
+        .collect();
     let counting = Counting { slots: surface.slots, reads: Cell::new(0) };
     let counted = Surface { slots: &counting, tiles: surface.tiles, leaves: surface.leaves };
     for extent in &extents {
@@ -325,13 +329,13 @@ fn judge_chunks<S: Slots>(
     for patch in stand.patches.iter().step_by(3) {
         let blocks: Vec<[i32; 2]> = blocks_of_patch(*patch).collect();
         let extents: Vec<Option<Extent>> =
-            blocks.iter().map(|block| block_extent(surface, planting, block[0], block[1])).collect();
+            blocks.iter().map(|block| block_extent(surface, culling, planting, block[0], block[1])).collect();
         let in_view = |extent: &Option<Extent>| extent.is_some_and(|extent| may_be_in_view(culling, &extent));
         let mut grows = false;
         let mut is_seen = false;
         for (block, _) in blocks.iter().zip(&extents).filter(|(_, extent)| in_view(extent)).step_by(2) {
             for clump in clumps_of(surface, stand, *block).step_by(37) {
-                let extent = extent_of(culling, planting, &clump);
+                let extent = extent_of(culling, planting, &clump, rise_at(surface, clump.x, clump.z));
                 if !may_be_in_view(culling, &extent) {
                     continue;
                 }
@@ -343,11 +347,9 @@ fn judge_chunks<S: Slots>(
         if !grows {
             continue;
         }
-        let is_kept = extents
-            .iter()
-            .filter(|extent| in_view(extent))
-            .flatten()
-            .any(|extent| culling.sees_land == 0 || !is_hidden(surface, culling.eye, &extent.target, culling.start));
+        let is_kept = extents.iter().filter(|extent| in_view(extent)).flatten().any(|extent| {
+            culling.sees_land == 0 || !is_hidden(surface, culling.eye, &extent.target, culling.start)
+        });
         found.chunks.count(is_seen, !is_kept);
         found.five_points.count(is_seen, chunk_is_hidden(surface, culling, planting, patch[0], patch[1]));
     }

@@ -103,7 +103,8 @@ impl DrawnChunk {
     pub fn triangles_over(&self, (x, z): (usize, usize)) -> impl Iterator<Item = [(i64, i64, i64); 3]> + '_ {
         let [north, east, south, west] = self.seams.is_coarser;
         let last = CELLS - 1;
-        let is_moved = (north && z <= 1) || (south && z + 1 >= last) || (west && x <= 1) || (east && x + 1 >= last);
+        let is_moved =
+            (north && z <= 1) || (south && z + 1 >= last) || (west && x <= 1) || (east && x + 1 >= last);
         let reach = usize::from(is_moved || self.seams.is_halved);
         let around = move |cell: usize| cell.saturating_sub(reach)..=(cell + reach).min(last);
         around(z).flat_map(move |z| around(x).map(move |x| (x, z))).flat_map(|cell| self.triangles(cell))

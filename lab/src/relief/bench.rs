@@ -5,10 +5,10 @@ use anyhow::Result;
 use client::relief::HeightMap;
 use client::render::pipeline::{compute_pipelines, storage_entry, uniform_entry};
 use client::render::relief::ReliefMaps;
-use client::render::{Gpu, gpu};
+use client::render::{Gpu, gpu, picture};
 use shaders::SHADERS;
 use shaders::layout::{Relief, ReliefFinding, ReliefProbe};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The bench: a device and height maps on it.
 pub struct ReliefBench {
@@ -51,7 +51,31 @@ impl ReliefBench {
     /// Puts maps of one side on the GPU, with or without cones; the layer of a probe is the place in this list.
     #[must_use]
     pub fn upload(&self, maps: &[HeightMap], has_cones: bool) -> ReliefMaps {
-        ReliefMaps::upload_with(&self.gpu.device, &self.gpu.queue, maps, has_cones)
+        let mut uploaded = ReliefMaps::upload(&self.gpu.device, &self.gpu.queue, maps);
+        if has_cones {
+            self.bake_cones(&mut uploaded, maps.len());
+        }
+        uploaded
+    }
+
+    /// Bakes the cones of the first so many layers; how long it took.
+    pub fn bake_cones(&self, maps: &mut ReliefMaps, layers: usize) -> Duration {
+        let start = Instant::now();
+        let layers: Vec<u32> = (0..layers as u32).collect();
+        maps.bake_cones(&self.gpu.device, &self.gpu.queue, &layers);
+        start.elapsed()
+    }
+
+    /// The baked cones of the first layer at a mip level, row by row.
+    ///
+    /// # Errors
+    /// The device fails.
+    pub fn cones(&self, maps: &ReliefMaps, level: u32) -> Result<Vec<f32>> {
+        let bytes = picture::read_level(&self.gpu, maps.cones(), level, size_of::<f32>())?;
+        Ok(bytes
+            .chunks_exact(4)
+            .map(|four| f32::from_le_bytes([four[0], four[1], four[2], four[3]]))
+            .collect())
     }
 
     /// Runs probes, `repeats` times for a time that outweighs what a submission costs; also how long the GPU took, upload and read-back excluded.

@@ -82,11 +82,7 @@ pub fn chunk_is_hidden<S: Slots>(
 
 /// Whether a march over the drawn vertices finds a thing hidden.
 #[must_use]
-pub fn is_hidden_by_vertices<S: Slots>(
-    surface: &Surface<'_, S>,
-    culling: &Culling,
-    goal: &Target,
-) -> bool {
+pub fn is_hidden_by_vertices<S: Slots>(surface: &Surface<'_, S>, culling: &Culling, goal: &Target) -> bool {
     let bilinear = |x: i32, z: i32| surface.bilinear_at(x, z);
     return marched_is_hidden(&bilinear, culling, goal, 0);
 }

@@ -6,7 +6,8 @@ use super::march::{Ground, is_hidden_by_vertices, marched_is_hidden};
 use super::sight::{Target, is_hidden};
 use super::surface::{FINE_BITS, NOWHERE, SQUARE_BITS, STEP_BITS, Slots, Surface, TILE_BITS};
 use crate::layout::{
-    CULL_DISTANCE, CULL_EXACT, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, KIND_GRASS, Planting, SQUARE_TILES,
+    CULL_DISTANCE, CULL_EXACT, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, KIND_GRASS, Planting,
+    SQUARE_TILES,
 };
 use terrain::hash::{hash2, mix};
 use terrain::streams::streams;
@@ -97,17 +98,40 @@ fn is_in_view(culling: &Culling, extent: &Extent) -> bool {
     return culling.path == CULL_DISTANCE || may_be_in_view(culling, extent);
 }
 
-/// What a clump takes up, as wide as its distance makes it.
+/// How much a plant of the kind is widened at a distance that is no farther than this, Q8.
+fn widening_at(planting: &Planting, bound: i32) -> i32 {
+    let from = (planting.thin_from >> COARSE_BITS).max(1);
+    return ((bound.min(FARTHEST) << 8) as u32 / from as u32).clamp(256, planting.widest) as i32;
+}
+
+/// How far the ground rises over 4 m around a place, along either axis, both together: twice its slope in fine units over 2 m, no less than the slope itself. The
+/// steepest that a foot follows where the land ends.
 #[must_use]
-pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump) -> Extent {
+pub fn rise_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> i32 {
+    let step = 1 << STEP_BITS;
+    let last = (1 << SQUARE_BITS) - 1;
+    let west = surface.height_at((x - step).max(0), z);
+    let east = surface.height_at((x + step).min(last), z);
+    let north = surface.height_at(x, (z - step).max(0));
+    let south = surface.height_at(x, (z + step).min(last));
+    if west.min(east).min(north).min(south) <= NOWHERE << FINE_BITS {
+        return 2 * step;
+    }
+    let (along, across) = ((east - west).abs(), (south - north).abs());
+    // The hypotenuse is at most the long side and half of the short one.
+    return (along.max(across) + (along.min(across) >> 1)).min(2 * step);
+}
+
+/// What a clump takes up, as wide as its distance makes it, on ground that rises by `rise` over 4 m.
+#[must_use]
+pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, rise: i32) -> Extent {
     let width = planting.width_low + ((planting.width_span * ((clump.looks & 63) as i32 + 1)) >> 6);
     let height = planting.height_low + ((planting.height_span * ((clump.looks >> 6 & 63) as i32 + 1)) >> 6);
-    let from = (planting.thin_from >> COARSE_BITS).max(1);
-    let bound = distance_bound(culling, clump.x, clump.y, clump.z).min(FARTHEST);
-    let widening = ((bound << 8) as u32 / from as u32).clamp(256, planting.widest) as i32;
+    let widening = widening_at(planting, distance_bound(culling, clump.x, clump.y, clump.z));
     let half = ((width * widening) >> 9) + 1;
     let (reach, over) = if planting.kind == KIND_GRASS {
-        (half + ((3 * height) >> 2) + 1, height + half)
+        // Feet follow the ground; its normal travels in bytes, hence the 64th. Both factors stay below 2^15.
+        (half + ((3 * height) >> 2) + 1, height + ((half * rise) >> (STEP_BITS + 1)) + (half >> 6) + 1)
     } else {
         (half, height)
     };
@@ -155,8 +179,7 @@ pub fn clump_at<S: Slots>(
     row: i32,
     index: u32,
 ) -> Option<Clump> {
-    let lots =
-        streams(planting.seed, planting.kind, planting.cell_x + column, planting.cell_z + row, index);
+    let lots = streams(planting.seed, planting.kind, planting.cell_x + column, planting.cell_z + row, index);
     let mask = (1 << planting.cell_bits) - 1;
     let x = (column << planting.cell_bits) + (lots.place & mask) as i32;
     let z = (row << planting.cell_bits) + (lots.place >> 16 & mask) as i32;
@@ -194,7 +217,7 @@ pub fn kept<S: Slots>(
     if far > stands_within(planting, clump.looks >> 24) {
         return None;
     }
-    let extent = extent_of(culling, planting, clump);
+    let extent = extent_of(culling, planting, clump, rise_at(surface, clump.x, clump.z));
     if !is_in_view(culling, &extent) {
         return None;
     }
@@ -202,9 +225,7 @@ pub fn kept<S: Slots>(
         let is_hidden = match culling.path {
             CULL_NOISE => marched_is_hidden(noise, culling, &tip_of(planting, clump), 0),
             CULL_MARCH => is_hidden_by_vertices(surface, culling, &tip_of(planting, clump)),
-            CULL_EXACT | CULL_HIERARCHICAL => {
-                is_hidden(surface, culling.eye, &extent.target, culling.start)
-            }
+            CULL_EXACT | CULL_HIERARCHICAL => is_hidden(surface, culling.eye, &extent.target, culling.start),
             _ => false,
         };
         if is_hidden {
@@ -252,6 +273,7 @@ fn block_bounds<S: Slots>(
 #[must_use]
 pub fn block_extent<S: Slots>(
     surface: &Surface<'_, S>,
+    culling: &Culling,
     planting: &Planting,
     column: i32,
     row: i32,
@@ -259,14 +281,18 @@ pub fn block_extent<S: Slots>(
     let bits = planting.cell_bits + BLOCK_CELL_BITS;
     let (top, bottom) = block_bounds(surface, planting, column, row)?;
     let half = 1 << (bits - 1);
-    // Half the diagonal, and what the outermost clump reaches beyond its root.
-    let radius = ((half >> 5) * 46) + planting.reach;
+    // Half the diagonal, and what the outermost clump reaches beyond its root: no wider than at the block's farthest point.
+    let diagonal = (half >> 5) * 46;
+    let (x, z) = ((column << bits) + half, (row << bits) + half);
+    let bound = distance_bound(culling, x, top, z).max(distance_bound(culling, x, bottom, z));
+    let widening = widening_at(planting, bound + (diagonal >> COARSE_BITS) + 1);
+    let saved = (planting.width_low + planting.width_span) * (planting.widest as i32 - widening) >> 9;
     return Some(Extent {
         target: Target {
-            x: (column << bits) + half,
-            top: top + planting.over,
-            z: (row << bits) + half,
-            radius,
+            x,
+            top: top + planting.over - if planting.kind == KIND_GRASS { saved } else { 0 },
+            z,
+            radius: diagonal + planting.reach - saved,
         },
         bottom: bottom - planting.reach,
     });
@@ -294,7 +320,7 @@ pub fn block_is_kept<S: Slots>(
     if block_distance_squared(culling, planting, column, row) > stands_within(planting, 0) {
         return false;
     }
-    let Some(extent) = block_extent(surface, planting, column, row) else { return false };
+    let Some(extent) = block_extent(surface, culling, planting, column, row) else { return false };
     if !is_in_view(culling, &extent) {
         return false;
     }

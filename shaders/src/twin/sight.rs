@@ -261,7 +261,10 @@ pub fn is_hidden<S: Slots>(surface: &Surface<'_, S>, eye: [i32; 3], target: &Tar
         if !is_clear {
             // All of the block is higher than the lower end of the ray.
             let at = if from < to { progress } else { end };
-            if bottom > NOWHERE && from.min(to) + ray.slack <= bottom << FINE_BITS && hides_at(surface, &ray, at) {
+            if bottom > NOWHERE
+                && from.min(to) + ray.slack <= bottom << FINE_BITS
+                && hides_at(surface, &ray, at)
+            {
                 return true;
             }
             if bits > finest.min(TILE_BITS) {

@@ -82,7 +82,7 @@ pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
                 detail(ui, readings, knobs);
             }
             ui.collapsing("Picture", |ui| picture(ui, &mut knobs.looks));
-            ui.collapsing("Relief", |ui| relief(ui, &mut knobs.looks.relief));
+            ui.collapsing("Relief", |ui| relief(ui, &mut knobs.looks.relief, has_land));
             ui.separator();
             if has_land {
                 histogram(ui, &readings.levels);
@@ -139,8 +139,8 @@ fn picture(ui: &mut egui::Ui, looks: &mut Looks) {
     });
 }
 
-/// The knobs of reliefs. All of them are words in the uniforms: moving one builds nothing.
-fn relief(ui: &mut egui::Ui, knobs: &mut ReliefKnobs) {
+/// The knobs of reliefs. Moving one builds no pipeline; the first choice of cones bakes them.
+fn relief(ui: &mut egui::Ui, knobs: &mut ReliefKnobs, has_land: bool) {
     fn row(ui: &mut egui::Ui, name: &str, slider: egui::Slider<'_>) {
         ui.weak(name);
         ui.add(slider);
@@ -148,6 +148,11 @@ fn relief(ui: &mut egui::Ui, knobs: &mut ReliefKnobs) {
     }
     egui::Grid::new("relief").num_columns(2).show(ui, |ui| {
         choice::<ReliefTier>(ui, "relief", &mut knobs.tier);
+        if knobs.tier == ReliefTier::Cones && has_land {
+            ui.weak("");
+            ui.weak("the land has no cones: drawn by pyramid");
+            ui.end_row();
+        }
         let steps = 1..=ReliefKnobs::MAX_STEPS;
         row(ui, "steps down", egui::Slider::new(&mut knobs.steps_min, steps.clone()).logarithmic(true));
         row(ui, "steps along", egui::Slider::new(&mut knobs.steps_max, steps).logarithmic(true));
@@ -159,6 +164,12 @@ fn relief(ui: &mut egui::Ui, knobs: &mut ReliefKnobs) {
         choice::<ReliefShadow>(ui, "shadow", &mut knobs.shadow);
         row(ui, "pivot", egui::Slider::new(&mut knobs.pivot, 0.0..=1.0));
         row(ui, "amplitude", egui::Slider::new(&mut knobs.amplitude, 0.0..=ReliefKnobs::MAX_AMPLITUDE));
+        if !has_land {
+            let tiling = ReliefKnobs::MIN_TILING..=ReliefKnobs::MAX_TILING;
+            let [u, v] = &mut knobs.tiling;
+            row(ui, "tiling along u", egui::Slider::new(u, tiling.clone()).logarithmic(true));
+            row(ui, "tiling along v", egui::Slider::new(v, tiling).logarithmic(true));
+        }
         let fade = 0.0..=ReliefKnobs::MAX_FADE_PX;
         row(ui, "fade below", egui::Slider::new(&mut knobs.fade_px, fade).suffix(" px"));
         ui.weak("depth");

@@ -7,6 +7,7 @@ pub mod water;
 
 use crate::frame::FrameData;
 use crate::relief::brick;
+use crate::render::Gpu;
 use crate::render::backdrop::BackdropPass;
 use crate::render::materials::{Materials, OwnMaterials};
 use crate::render::waves::WaveMap;
@@ -58,10 +59,10 @@ impl LocalScene {
     }
 
     /// Says what the next picture shows.
-    pub fn prepare(&mut self, queue: &wgpu::Queue, frame: &FrameData) {
+    pub fn prepare(&mut self, gpu: &Gpu, frame: &FrameData) {
         match self {
             Self::Water(_) => {}
-            Self::Relief(scene) => scene.prepare(queue, frame),
+            Self::Relief(scene) => scene.prepare(gpu, frame),
         }
     }
 

@@ -7,7 +7,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
-/// Segments along either side of displaced geometry. Equal to the constant of `draw_relief.wesl`.
+/// Segments along either side of displaced geometry. Equal to the constant of `shared/relief_object.wesl`.
 pub const GEOMETRY_SEGMENTS: u32 = 256;
 
 /// Segments around a capsule: its corners are within 0.08 % of the radius.
@@ -31,7 +31,7 @@ pub struct Vertex {
     pub tangent: [f32; 3],
     /// Along v.
     pub side_v: f32,
-    /// Tiles.
+    /// Tiles before the knob; around a capsule, the share of the way.
     pub uv: [f32; 2],
 }
 
@@ -54,7 +54,7 @@ impl Mesh {
                 Self::plane(Vec2::new(width_m, height_m), object.tile_m, segments)
             }
             Shape::Capsule { radius_m, half_length_m } => {
-                Self::capsule(radius_m, half_length_m, object.tile_m, object.around())
+                Self::capsule(radius_m, half_length_m, object.tile_m)
             }
             Shape::Cube { half_m } => Self::cube(half_m, object.tile_m),
         }
@@ -89,7 +89,7 @@ impl Mesh {
     }
 
     /// Rings from pole to pole.
-    fn capsule(radius_m: f32, half_length_m: f32, tile_m: f32, around: f32) -> Self {
+    fn capsule(radius_m: f32, half_length_m: f32, tile_m: f32) -> Self {
         let mut mesh = Self::default();
         // The middle ring twice: the length lies between.
         mesh.grid(AROUND, 2 * TO_POLE + 1, |column, row| {
@@ -106,7 +106,7 @@ impl Mesh {
                 end: 1.0,
                 normal: normal.into(),
                 tangent: east.perp().extend(0.0).into(),
-                uv: [column as f32 / AROUND as f32 * around, meridian / tile_m],
+                uv: [column as f32 / AROUND as f32, meridian / tile_m],
                 ..Vertex::default()
             }
         });

@@ -7,12 +7,14 @@ pub mod meshes;
 pub mod objects;
 
 use crate::frame::FrameData;
+use crate::relief::knobs::ReliefTier;
+use crate::render::Gpu;
 use crate::render::materials::Materials;
 use crate::render::pipeline::{Depth, LightPass, storage_entry, uniform_entry};
 use crate::render::relief::ReliefMaps;
 use crate::scene::Scene;
 use meshes::{Mesh, Vertex};
-use objects::{Mode, Object};
+use objects::{LAYER, Mode, Object};
 use shaders::SHADERS;
 use shaders::layout::ReliefObject;
 use wgpu::util::DeviceExt as _;
@@ -85,10 +87,17 @@ impl ReliefScene {
         self.stage = Stage::new(device, &self.layout, &self.frame, &self.maps, objects);
     }
 
-    /// Places the objects for the eye of the next frame.
-    pub fn prepare(&mut self, queue: &wgpu::Queue, frame: &FrameData) {
-        let instances: Vec<ReliefObject> =
-            self.stage.objects.iter().map(|object| object.layout(&frame.eye)).collect();
+    /// Places the objects for the eye of the next frame, and bakes cones when they are first asked for.
+    pub fn prepare(&mut self, gpu: &Gpu, frame: &FrameData) {
+        let Gpu { device, queue, .. } = gpu;
+        let is_marched = self.stage.objects.iter().any(|object| object.mode == Mode::Knobs);
+        if frame.uniforms.relief.tier == ReliefTier::Cones as u32 && is_marched && !self.maps.has_cones() {
+            self.maps.bake_cones(device, queue, &[LAYER]);
+            self.stage.bindings =
+                bindings(device, &self.layout, &self.frame, &self.stage.instances, &self.maps);
+        }
+        let place = |object: &Object| object.layout(&frame.eye, frame.relief_tiling.into());
+        let instances: Vec<ReliefObject> = self.stage.objects.iter().map(place).collect();
         queue.write_buffer(&self.stage.instances, 0, bytemuck::cast_slice(&instances));
         self.with_depth = frame.uniforms.relief.depth != 0;
     }
@@ -148,16 +157,26 @@ impl Stage {
             usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        let mut entries = vec![
-            wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 1, resource: instances.as_entire_binding() },
-        ];
-        entries.extend(maps.entries(2));
-        let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(SHADERS.draw_relief.name),
-            layout,
-            entries: &entries,
-        });
+        let bindings = bindings(device, layout, frame, &instances, maps);
         Self { objects, ranges, vertices, indices, instances, bindings }
     }
+}
+
+fn bindings(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    frame: &wgpu::Buffer,
+    instances: &wgpu::Buffer,
+    maps: &ReliefMaps,
+) -> wgpu::BindGroup {
+    let mut entries = vec![
+        wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
+        wgpu::BindGroupEntry { binding: 1, resource: instances.as_entire_binding() },
+    ];
+    entries.extend(maps.entries(2));
+    device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some(SHADERS.draw_relief.name),
+        layout,
+        entries: &entries,
+    })
 }

@@ -3,7 +3,7 @@
 use crate::camera::Eye;
 use crate::relief::knobs::Silhouette;
 use crate::scene::Scene;
-use glam::{DVec3, Quat, Vec3};
+use glam::{DVec3, Quat, Vec2, Vec3};
 use shaders::layout::ReliefObject;
 use std::f32::consts::{FRAC_PI_2, TAU};
 use terrain::constants::UNITS_PER_METRE;
@@ -69,7 +69,7 @@ pub struct Object {
     pub position_m: DVec3,
     /// From its axes to those of the world.
     pub turn: Quat,
-    /// Metres that a tile of the material covers.
+    /// Metres that a tile of the material covers, before the knob.
     pub tile_m: f32,
     /// Metres from height 0 to height 1, before the knob.
     pub relief_m: f32,
@@ -107,18 +107,17 @@ impl Object {
         }
     }
 
-    /// Tiles around a capsule: a whole number, so that they meet.
+    /// As the shader reads it for an eye, its material repeated `tiling` times as often as the object says: around a capsule a whole number of times, so that
+    /// tiles meet. Subtracted in f64, so that the place is exact however far both are from the origin.
     #[must_use]
-    pub fn around(&self) -> f32 {
-        match self.shape {
-            Shape::Capsule { radius_m, .. } => (TAU * radius_m / self.tile_m).round().max(1.0),
-            Shape::Plane { .. } | Shape::Cube { .. } => 1.0,
-        }
-    }
-
-    /// As the shader reads it for an eye. Subtracted in f64, so that the place is exact however far both are from the origin.
-    #[must_use]
-    pub fn layout(&self, eye: &Eye) -> ReliefObject {
+    pub fn layout(&self, eye: &Eye, tiling: Vec2) -> ReliefObject {
+        // What has no material has nothing to repeat.
+        let tiling = if self.mode == Mode::Plain { Vec2::ONE } else { tiling };
+        let tile_m = self.tile_m / tiling;
+        let around = match self.shape {
+            Shape::Capsule { radius_m, .. } => (TAU * radius_m / tile_m.x).round().max(1.0),
+            Shape::Plane { .. } | Shape::Cube { .. } => tiling.x,
+        };
         let whole = DVec3::from_array(eye.units.map(f64::from)) / f64::from(UNITS_PER_METRE);
         let (shape, size_m) = match self.shape {
             Shape::Plane { width_m, height_m } => (0, [width_m, height_m]),
@@ -135,10 +134,11 @@ impl Object {
             normal: (self.turn * Vec3::Z).into(),
             layer: LAYER,
             size_m,
-            tile_m: self.tile_m,
-            relief_m: self.relief_m,
+            tile_m: tile_m.into(),
             tint: self.tint.into(),
-            around: self.around(),
+            relief_m: self.relief_m,
+            repeats: [around, tiling.y],
+            reserved: [0.0; 2],
         }
     }
 }
@@ -251,12 +251,30 @@ mod tests {
     use crate::camera::Pose;
 
     #[test]
+    fn tiles_meet_around_every_capsule_and_what_has_no_material_is_not_tiled() {
+        let eye = Pose { position_m: DVec3::ZERO, yaw_deg: 0.0, pitch_deg: 0.0 }.eye();
+        for object in of(Scene::Spom) {
+            for tiling in [Vec2::ONE, Vec2::new(1.7, 0.3), Vec2::new(0.25, 8.0)] {
+                let layout = object.layout(&eye, tiling);
+                if object.mode == Mode::Plain {
+                    assert_eq!((layout.tile_m, layout.repeats), ([object.tile_m; 2], [1.0; 2]));
+                    continue;
+                }
+                assert_eq!(layout.tile_m, (object.tile_m / tiling).to_array());
+                let is_round = matches!(object.shape, Shape::Capsule { .. });
+                let expected = if is_round { layout.repeats[0].round().max(1.0) } else { tiling.x };
+                assert_eq!(layout.repeats, [expected, tiling.y], "{object:?}");
+            }
+        }
+    }
+
+    #[test]
     fn places_are_exact_however_far_from_the_origin_and_axes_are_right_handed() {
         for object in [Scene::Pom, Scene::Brick, Scene::Spom].into_iter().flat_map(of) {
             let seen = |away: DVec3| {
                 let position_m = DVec3::new(1.5, 2.25, 3.0) + away;
                 let eye = Pose { position_m, yaw_deg: 0.0, pitch_deg: 0.0 }.eye();
-                Object { position_m: object.position_m + away, ..object }.layout(&eye)
+                Object { position_m: object.position_m + away, ..object }.layout(&eye, Vec2::ONE)
             };
             assert_eq!(seen(DVec3::ZERO).origin_m, seen(DVec3::new(2e6, 0.0, -1e6)).origin_m);
             let layout = seen(DVec3::ZERO);
