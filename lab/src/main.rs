@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use cli::UsageError;
-use lab::{Args, Command, accuracy, digest, lod, pom, stability, timings};
+use lab::{Args, Command, accuracy, culling, digest, lod, pom, stability, timings};
 use std::process::ExitCode;
 
 const NAME: &str = "tombolo-lab";
@@ -26,6 +26,7 @@ fn measure(args: &Args) -> Result<()> {
         Command::Accuracy(options) => accuracy::run(options, &args.outputs),
         Command::Lod(options) => lod::run(options, &args.outputs),
         Command::Pom(options) => pom::run(options, &args.outputs),
+        Command::Culling(options) => culling::run(options, &args.outputs),
         Command::Stability(options) => stability::run(options, &args.outputs),
         Command::Timings(options) => timings::run(options, &args.outputs),
     }

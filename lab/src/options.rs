@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use crate::{accuracy, digest, lod, pom, stability, timings};
+use crate::{accuracy, culling, digest, lod, pom, stability, timings};
 
 /// Measures the land: digests of all backends, accuracy curves, stability sweeps, GPU timings.
 ///
@@ -35,6 +35,8 @@ pub enum Command {
     Lod(lod::Options),
     /// Measure parallax occlusion: every march against the truth
     Pom(pom::Options),
+    /// Measure culling: every test against what is seen
+    Culling(culling::Options),
     /// Sweep the ends of the world and every cell border
     Stability(stability::Options),
     /// Time chunk generation on GPU and CPU

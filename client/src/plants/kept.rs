@@ -104,7 +104,8 @@ pub fn blocks_of(stand: &Stand) -> impl Iterator<Item = [i32; 2]> {
     stand.patches.iter().copied().flat_map(blocks_of_patch)
 }
 
-fn blocks_of_patch([column, row]: [i32; 2]) -> impl Iterator<Item = [i32; 2]> {
+/// The blocks of a patch, column and row in the square.
+pub fn blocks_of_patch([column, row]: [i32; 2]) -> impl Iterator<Item = [i32; 2]> {
     let side = PATCH_BLOCKS as i32;
     let (west, north) = (column * side, row * side);
     (0..side * side).map(move |index| [west + index % side, north + index / side])

@@ -1,9 +1,11 @@
-//! Where culling is tried: valleys, ridges, peaks, level borders, one eye's height above the ground or many, near the origin and far from it.
+//! Where culling is tried: valleys, ridges, peaks, level borders and morphs, a person's height above the ground or a tower's, stretched land, near the origin and 10^6 m
+//! from it.
 
 use client::camera::{Lens, Pose};
 use client::frame::Shot;
 use client::looks::Looks;
 use client::plants::PlantKnobs;
+use client::world::stretch;
 use glam::DVec3;
 use terrain::hash::mix;
 use terrain::{Land, Position};
@@ -15,13 +17,21 @@ pub struct Trial {
     pub name: String,
     /// The shot.
     pub shot: Shot,
+    /// How much higher the land is drawn than it is, Q8.
+    pub stretch: i32,
 }
 
 /// Lens of all trials.
 pub const LENS: Lens = Lens { fov_deg: 70.0, width: 640, height: 360 };
 
-/// `count` seeded poses over the home island: every sixth on a peak, every sixth in a valley, the others anywhere on land between beach and rock; at the
-/// height of a person, of a roof or of a tower.
+/// How far land is drawn, metres: beyond all plants.
+const VIEW_M: u32 = 2600;
+
+/// Where land is looked for: the home island, and 10^6 m east and south of it.
+const REGIONS_M: [(f64, f64); 2] = [(0.0, 0.0), (1e6, 1e6)];
+
+/// `count` seeded poses. Of six one is on a peak, one in a valley, the others anywhere between beach and rock; every third is over land that is stretched, 1.8
+/// or 4 times; every fifth is far from the origin. Tolerances differ, so that level borders and morphs lie elsewhere each time.
 #[must_use]
 pub fn seeded(land: &Land, count: u32, plants: PlantKnobs) -> Vec<Trial> {
     (0..count).map(|index| trial(land, index, plants)).collect()
@@ -29,20 +39,22 @@ pub fn seeded(land: &Land, count: u32, plants: PlantKnobs) -> Vec<Trial> {
 
 fn trial(land: &Land, index: u32, plants: PlantKnobs) -> Trial {
     let lot = |n: u32| mix(index.wrapping_mul(0x9e37_79b9).wrapping_add(n));
-    let height = |x: f64, z: f64| {
+    let share = |n: u32| f64::from(lot(n)) / f64::from(u32::MAX);
+    let scale = [256, 256, [461, 1024][(lot(7) % 2) as usize]][(index % 3) as usize];
+    let height = |(x, z): (f64, f64)| {
         let at = Position::new((x * 256.0) as i32, (z * 256.0) as i32);
-        at.map_or(0.0, |at| f64::from(land.height_at(at)) / 256.0)
+        at.map_or(0.0, |at| f64::from(stretch::times(land.height_at(at), scale)) / 256.0)
     };
+    let (region, spread_m) =
+        if index % 5 == 4 { (REGIONS_M[1], 60_000.0) } else { (REGIONS_M[0], 9000.0) };
     // The first place in a row of lots that is land where something grows.
-    let places = (0..400).map(|n| {
-        let spread = |word: u32| (f64::from(word) / f64::from(u32::MAX) - 0.5) * 9000.0;
-        (spread(lot(2 * n + 10)), spread(lot(2 * n + 11)))
+    let places = (0..4000).map(|n| {
+        (region.0 + (share(2 * n + 10) - 0.5) * spread_m, region.1 + (share(2 * n + 11) - 0.5) * spread_m)
     });
-    let mut at = places
-        .filter(|(x, z)| (6.0..170.0).contains(&height(*x, *z)))
-        .next()
-        .unwrap_or((300.0, 900.0));
-    let kind = index % 6;
+    let times = f64::from(scale) / 256.0;
+    let grows = |at: &(f64, f64)| (6.0..170.0).contains(&(height(*at) / times));
+    let mut at = places.into_iter().find(grows).unwrap_or((300.0, 900.0));
+    let kind = (index / 2) % 6;
     if kind < 2 {
         // Up to the next peak, or down into the next valley.
         let sign = if kind == 0 { 1.0 } else { -1.0 };
@@ -51,33 +63,33 @@ fn trial(land: &Land, index: u32, plants: PlantKnobs) -> Trial {
                 let angle = f64::from(n) * std::f64::consts::FRAC_PI_4;
                 (at.0 + 8.0 * angle.cos(), at.1 + 8.0 * angle.sin())
             });
-            let best = around.max_by(|a, b| (sign * height(a.0, a.1)).total_cmp(&(sign * height(b.0, b.1))));
-            let Some(best) = best else { break };
-            if sign * height(best.0, best.1) <= sign * height(at.0, at.1) || height(best.0, best.1) < 5.0 {
+            let Some(best) = around.max_by(|a, b| (sign * height(*a)).total_cmp(&(sign * height(*b)))) else {
+                break;
+            };
+            if sign * height(best) <= sign * height(at) || height(best) < 5.0 {
                 break;
             }
             at = best;
         }
     }
     let above = [1.7, 1.7, 1.7, 6.0, 25.0][(lot(3) % 5) as usize];
-    let share = |n: u32| f64::from(lot(n)) / f64::from(u32::MAX);
     let pose = Pose {
-        position_m: DVec3::new(at.0, height(at.0, at.1) + above, at.1),
+        position_m: DVec3::new(at.0, height(at) + above, at.1),
         yaw_deg: 360.0 * share(4),
         pitch_deg: -12.0 + 14.0 * share(5),
     };
-    let place = ["peak", "valley", "slope"][kind.min(2) as usize];
-    // Several tolerances: level borders and morphs lie elsewhere with each.
+    let place = ["peak", "valley", "land"][kind.min(2) as usize];
     let tolerance_px = [0.7, 1.0, 2.0, 4.0][(lot(6) % 4) as usize];
     Trial {
-        name: format!("{index}: {place}, {above} m up, {tolerance_px} px"),
+        name: format!("{index}: {place}, {above} m up, x {times:.1}, {tolerance_px} px, {pose}"),
         shot: Shot {
             pose,
             lens: LENS,
-            view_distance_m: 4000,
+            view_distance_m: VIEW_M,
             tolerance_px,
             time_s: 0.0,
             looks: Looks { plants, ..Looks::default() },
         },
+        stretch: scale,
     }
 }

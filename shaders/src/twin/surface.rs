@@ -30,6 +30,8 @@ pub trait Slots {
     fn bottom(&self, slot: u32, texel: u32) -> i32;
     /// Word `word` of a slot's density grid: four texels of a byte.
     fn density(&self, slot: u32, word: u32) -> u32;
+    /// Told of every tile or node that is looked up: for those who count what a test reads.
+    fn note(&self) {}
 }
 
 /// The surface around the eye.
@@ -314,6 +316,7 @@ impl<S: Slots> Surface<'_, S> {
         let down = TILE_BITS - bits.min(TILE_BITS);
         let side = SQUARE_TILES >> above;
         let first = SQUARE_NODES as i32 - (4 * side * side - 1) / 3;
+        self.slots.note();
         let tile = &self.tiles[(first + (row >> down) * side + (column >> down)) as usize];
         if above > 0 {
             return Node { top: tile.top, bottom: tile.bottom, finest: 0 };

@@ -1,0 +1,345 @@
+//! The second oracle: samples of clumps and chunks, judged by every test and by sight over the drawn triangles in f64.
+
+use crate::culling::oracle::{Oracle, Point, eye_of};
+use crate::culling::poses::Trial;
+use crate::culling::scene::Scene;
+use client::plants::Stand;
+use client::plants::kept::{BySlot, blocks_of_patch, clumps_of, noise_of};
+use rayon::prelude::*;
+use serde::Serialize;
+use shaders::layout::Culling;
+use shaders::twin::march::{chunk_is_hidden, is_hidden_by_vertices, marched_is_hidden};
+use shaders::twin::planting::{Clump, Extent, block_extent, clump_at, extent_of, may_be_in_view};
+use shaders::twin::sight::{Target, is_hidden};
+use shaders::twin::surface::{Slots, Surface};
+use std::cell::Cell;
+use std::f64::consts::TAU;
+use std::time::{Duration, Instant};
+use terrain::Land;
+
+/// Clumps of each kind that are judged in a scene.
+const SAMPLE: usize = 500;
+
+/// Points of a clump's top that make it visible, besides the middle, and those of its bound.
+const POINTS: u32 = 8;
+
+/// How a test did.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Score {
+    /// Things that are seen.
+    pub visible: u64,
+    /// Of these, left out.
+    pub false_culls: u64,
+    /// Things that are hidden.
+    pub hidden: u64,
+    /// Of these, kept.
+    pub kept: u64,
+}
+
+impl Score {
+    fn count(&mut self, is_seen: bool, is_culled: bool) {
+        if is_seen {
+            self.visible += 1;
+            self.false_culls += u64::from(is_culled);
+        } else {
+            self.hidden += 1;
+            self.kept += u64::from(!is_culled);
+        }
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.visible += other.visible;
+        self.false_culls += other.false_culls;
+        self.hidden += other.hidden;
+        self.kept += other.kept;
+    }
+
+    /// Hidden things that were kept, of all hidden ones.
+    #[must_use]
+    pub fn kept_share(&self) -> f64 {
+        self.kept as f64 / (self.hidden as f64).max(1.0)
+    }
+}
+
+/// What was found in all scenes.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Findings {
+    /// Scenes judged.
+    pub scenes: u64,
+    /// T2, step of 2 m.
+    pub noise: Score,
+    /// T3 as first published, step of 2 m.
+    pub march: Score,
+    /// The same with a step of half a metre.
+    pub march_fine: Score,
+    /// T3.
+    pub exact: Score,
+    /// T4.
+    pub hierarchical: Score,
+    /// T3 and T4 where any point of a clump's bound is in sight, not its top alone: the bound is what they promise.
+    pub bound: Score,
+    /// Grass alone by T4, trees alone by T4.
+    pub grass: Score,
+    /// See `grass`.
+    pub trees: Score,
+    /// Chunks of 128 m by their blocks (T4).
+    pub chunks: Score,
+    /// Chunks by five points.
+    pub five_points: Score,
+    /// Reads of heights, bounds and tiles per ray: T3; a march in steps of half a metre.
+    pub fetches_exact: f64,
+    /// See `fetches_exact`.
+    pub fetches_march: f64,
+    /// Time of T3 over that of the march, the same rays one after the other.
+    pub time_ratio: f64,
+    /// Largest distance between a root and the drawn triangle under it, millimetres.
+    pub root_mm: f64,
+    #[serde(skip)]
+    rays: u64,
+    #[serde(skip)]
+    times: [Duration; 2],
+    /// The first few that were left out although they are seen, for people.
+    pub culprits: Vec<String>,
+}
+
+impl Findings {
+    fn join(mut self, other: Self) -> Self {
+        self.scenes += other.scenes;
+        for (own, others) in [
+            (&mut self.noise, &other.noise),
+            (&mut self.march, &other.march),
+            (&mut self.march_fine, &other.march_fine),
+            (&mut self.exact, &other.exact),
+            (&mut self.hierarchical, &other.hierarchical),
+            (&mut self.bound, &other.bound),
+            (&mut self.grass, &other.grass),
+            (&mut self.trees, &other.trees),
+            (&mut self.chunks, &other.chunks),
+            (&mut self.five_points, &other.five_points),
+        ] {
+            own.add(others);
+        }
+        self.fetches_exact += other.fetches_exact;
+        self.fetches_march += other.fetches_march;
+        self.root_mm = self.root_mm.max(other.root_mm);
+        self.rays += other.rays;
+        self.times = [self.times[0] + other.times[0], self.times[1] + other.times[1]];
+        self.culprits.extend(other.culprits);
+        self.culprits.truncate(8);
+        self
+    }
+}
+
+/// Judges all trials.
+#[must_use]
+pub fn judge(land: &Land, trials: &[Trial]) -> Findings {
+    let found = trials
+        .par_iter()
+        .filter_map(|trial| Some(of_scene(&Scene::of(land, trial, 4000)?)))
+        .reduce(Findings::default, Findings::join);
+    let rays = (found.rays as f64).max(1.0);
+    Findings {
+        fetches_exact: found.fetches_exact / rays,
+        fetches_march: found.fetches_march / rays,
+        time_ratio: found.times[0].as_secs_f64() / found.times[1].as_secs_f64().max(1e-12),
+        ..found
+    }
+}
+
+/// Counts what a test reads.
+struct Counting<'a, S> {
+    slots: &'a S,
+    reads: Cell<u64>,
+}
+
+impl<S: Slots> Slots for Counting<'_, S> {
+    fn height(&self, slot: u32, index: u32) -> i32 {
+        self.note();
+        self.slots.height(slot, index)
+    }
+    fn top(&self, slot: u32, texel: u32) -> i32 {
+        self.note();
+        self.slots.top(slot, texel)
+    }
+    fn bottom(&self, slot: u32, texel: u32) -> i32 {
+        self.note();
+        self.slots.bottom(slot, texel)
+    }
+    fn density(&self, slot: u32, word: u32) -> u32 {
+        self.slots.density(slot, word)
+    }
+    fn note(&self) {
+        self.reads.set(self.reads.get() + 1);
+    }
+}
+
+/// The points that a thing is seen by, and those of all that it may take up; metres.
+struct Points {
+    top: Vec<Point>,
+    bound: Vec<Point>,
+}
+
+fn points_of(scene: &Scene, stand: &Stand, clump: &Clump, extent: &Extent) -> Points {
+    let corner = scene.plants.square.corner;
+    let metres = |fine: i32| f64::from(fine) / 4096.0;
+    let (x, z) = (
+        metres(clump.x) + f64::from(corner[0]) / 256.0,
+        metres(clump.z) + f64::from(corner[1]) / 256.0,
+    );
+    let planting = &stand.planting;
+    let height = metres(planting.height_low)
+        + metres(planting.height_span) * f64::from(clump.looks >> 6 & 63) / 63.0;
+    let ring = |radius: f64, top: f64| {
+        (0..POINTS)
+            .map(|n| TAU * f64::from(n) / f64::from(POINTS))
+            .map(move |angle| [x + radius * angle.cos(), top, z + radius * angle.sin()])
+            .chain([[x, top, z]])
+            .collect::<Vec<_>>()
+    };
+    let reach = metres(extent.target.radius);
+    let bound_top = metres(extent.target.top);
+    // Blades lean by a quarter of their height; a tree's tip stands above its middle.
+    let lean = if planting.kind == shaders::layout::KIND_GRASS { 0.25 * height } else { 0.1 };
+    let root = metres(clump.y);
+    Points { top: ring(lean, root + height), bound: [ring(reach, bound_top), ring(0.5 * reach, bound_top)].concat() }
+}
+
+fn of_scene(scene: &Scene) -> Findings {
+    let mut found = Findings { scenes: 1, ..Findings::default() };
+    let oracle = Oracle::new(&scene.world, &scene.drawn);
+    let slots = BySlot::new(&scene.world);
+    let square = &scene.plants.square;
+    let surface = Surface { slots: &slots, tiles: &square.tiles, leaves: &square.leaves };
+    let noise = noise_of(&scene.world, square);
+    let eye = eye_of(&scene.shot.pose);
+    for stand in &scene.plants.stands {
+        let culling = &stand.culling;
+        let fine = Culling { step: 2048, ..*culling };
+        let sample = sample(&surface, stand);
+        let hides = |target: &Target| is_hidden(&surface, culling.eye, target, culling.start);
+        for clump in &sample {
+            let extent = extent_of(culling, &stand.planting, clump);
+            let points = points_of(scene, stand, clump, &extent);
+            let is_seen = points.top.iter().any(|point| oracle.sees(eye, *point));
+            let is_bound_seen = is_seen || points.bound.iter().any(|point| oracle.sees(eye, *point));
+            let [x, _, z] = points.top[points.top.len() - 1];
+            if let Some(height) = oracle.height(x, z) {
+                found.root_mm = found.root_mm.max((height - f64::from(clump.y) / 4096.0).abs() * 1e3);
+            }
+            let exact = culling.sees_land != 0 && hides(&extent.target);
+            let bits = stand.planting.cell_bits + 2;
+            let block = block_extent(&surface, &stand.planting, clump.x >> bits, clump.z >> bits);
+            let in_block = culling.sees_land != 0 && block.is_none_or(|block| hides(&block.target));
+            let hierarchical = exact || in_block;
+            found.noise.count(is_seen, marched_is_hidden(&noise, culling, &extent.target, 0));
+            found.march.count(is_seen, is_hidden_by_vertices(&surface, culling, &extent));
+            found.march_fine.count(is_seen, is_hidden_by_vertices(&surface, &fine, &extent));
+            found.exact.count(is_seen, exact);
+            found.hierarchical.count(is_seen, hierarchical);
+            found.bound.count(is_bound_seen, hierarchical);
+            let is_grass = stand.planting.kind == shaders::layout::KIND_GRASS;
+            if is_grass { &mut found.grass } else { &mut found.trees }.count(is_seen, hierarchical);
+            if is_bound_seen && hierarchical {
+                found.culprits.push(format!("{}: {clump:?}", scene.name));
+            }
+        }
+        count_cost(&mut found, &surface, stand, &sample, &fine);
+        if stand.planting.kind == shaders::layout::KIND_GRASS {
+            judge_chunks(&mut found, scene, &oracle, &surface, stand);
+        }
+    }
+    found
+}
+
+/// Clumps of a stand inside the view, evenly from all of its blocks.
+fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
+    let blocks: Vec<[i32; 2]> = stand.patches.iter().copied().flat_map(blocks_of_patch).collect();
+    let mut found = Vec::new();
+    // A stride that shares no factor with the blocks of a patch or with the cells of a block.
+    let stride = (blocks.len() / (3 * SAMPLE)).max(1) | 1;
+    for (n, block) in blocks.iter().step_by(stride).enumerate() {
+        let lane = (n * 7) as u32 % (16 * stand.planting.per_cell);
+        let (cell, index) = ((lane % 16) as i32, lane / 16);
+        let (column, row) = (block[0] * 4 + cell % 4, block[1] * 4 + cell / 4);
+        let Some(clump) = clump_at(surface, &stand.planting, column, row, index) else { continue };
+        let extent = extent_of(&stand.culling, &stand.planting, &clump);
+        if may_be_in_view(&stand.culling, &extent) {
+            found.push(clump);
+        }
+    }
+    found.truncate(SAMPLE);
+    found
+}
+
+/// What T3 and the fine march read and take for the same rays.
+fn count_cost<S: Slots>(
+    found: &mut Findings,
+    surface: &Surface<'_, S>,
+    stand: &Stand,
+    sample: &[Clump],
+    fine: &Culling,
+) {
+    let extents: Vec<Extent> =
+        sample.iter().map(|clump| extent_of(&stand.culling, &stand.planting, clump)).collect();
+    let counting = Counting { slots: surface.slots, reads: Cell::new(0) };
+    let counted = Surface { slots: &counting, tiles: surface.tiles, leaves: surface.leaves };
+    for extent in &extents {
+        let _ = is_hidden(&counted, fine.eye, &extent.target, fine.start);
+    }
+    found.fetches_exact += counting.reads.replace(0) as f64;
+    for extent in &extents {
+        let _ = is_hidden_by_vertices(&counted, fine, extent);
+    }
+    found.fetches_march += counting.reads.get() as f64;
+    found.rays += extents.len() as u64;
+    for part in extents.chunks(50) {
+        let begun = Instant::now();
+        let exact = part.iter().filter(|extent| is_hidden(surface, fine.eye, &extent.target, fine.start));
+        let some = std::hint::black_box(exact.count());
+        let between = Instant::now();
+        let march = part.iter().filter(|extent| is_hidden_by_vertices(surface, fine, extent)).count();
+        std::hint::black_box((some, march));
+        found.times[0] += between - begun;
+        found.times[1] += between.elapsed();
+    }
+}
+
+/// Chunks of 128 m, by their blocks and by five points; seen if any of a part of their clumps is.
+fn judge_chunks<S: Slots>(
+    found: &mut Findings,
+    scene: &Scene,
+    oracle: &Oracle,
+    surface: &Surface<'_, S>,
+    stand: &Stand,
+) {
+    let (culling, planting, eye) = (&stand.culling, &stand.planting, eye_of(&scene.shot.pose));
+    for patch in stand.patches.iter().step_by(3) {
+        let blocks: Vec<[i32; 2]> = blocks_of_patch(*patch).collect();
+        let extents: Vec<Option<Extent>> =
+            blocks.iter().map(|block| block_extent(surface, planting, block[0], block[1])).collect();
+        let in_view = |extent: &Option<Extent>| extent.is_some_and(|extent| may_be_in_view(culling, &extent));
+        let mut grows = false;
+        let mut is_seen = false;
+        for (block, _) in blocks.iter().zip(&extents).filter(|(_, extent)| in_view(extent)).step_by(2) {
+            for clump in clumps_of(surface, stand, *block).step_by(37) {
+                let extent = extent_of(culling, planting, &clump);
+                if !may_be_in_view(culling, &extent) {
+                    continue;
+                }
+                grows = true;
+                let points = points_of(scene, stand, &clump, &extent);
+                is_seen = is_seen || points.top.iter().any(|point| oracle.sees(eye, *point));
+            }
+        }
+        if !grows {
+            continue;
+        }
+        let is_kept = extents
+            .iter()
+            .filter(|extent| in_view(extent))
+            .flatten()
+            .any(|extent| culling.sees_land == 0 || !is_hidden(surface, culling.eye, &extent.target, culling.start));
+        found.chunks.count(is_seen, !is_kept);
+        found.five_points.count(is_seen, chunk_is_hidden(surface, culling, planting, patch[0], patch[1]));
+    }
+}
