@@ -1,15 +1,15 @@
 //! Plants chosen by the CPU twin and drawn, over land without a server: what the passes that draw plants are looked at and timed with.
 //!
-//! `cargo run -p client --example meadow -- --shot OUT.png [OPTIONS]` takes the viewer's own options. Environment: `GRASS` (clumps on 2 x 2 m), `TREES` (on
-//! 8 x 8 m), `RANGE`, `THIN` (metres), `WIDEST`, `WIND`, `LEAN`, `EYE` (metres above the ground), `DETAIL` (all grass at one level of detail). Prints
-//! how many clumps there are at each level and the time of the pass that gathers light without and with them.
+//! `cargo run -p client --example meadow -- --scene grass --shot OUT.png [OPTIONS]` takes the viewer's own options. Environment: `EYE` (metres above the
+//! ground), `DETAIL` (all grass at one level of detail). Prints how many clumps there are at each level and the least time of the pass that gathers
+//! light, without and with them.
 
 use anyhow::Context as _;
 use clap::Parser as _;
 use client::feed::LocalFeed;
 use client::native::args::Args;
 use client::plants::kept::{BySlot, kept_of};
-use client::plants::{Cull, PlantFrame, PlantKnobs, Stand};
+use client::plants::{Cull, PlantFrame, Stand};
 use client::render::grass::{KeptClumps, Plant};
 use client::render::materials::OwnMaterials;
 use client::render::{Canvas, Gpu, RenderOptions, Renderer, gpu, picture};
@@ -32,18 +32,8 @@ fn main() -> anyhow::Result<()> {
     let args = Args::parse();
     let path = args.shot.clone().context("--shot FILE is missing: where the picture goes")?;
     let mut options = args.shot_options();
-    let standard = PlantKnobs::STANDARD;
-    options.looks.plants = PlantKnobs {
-        density: number("GRASS").unwrap_or(standard.density),
-        trees: number("TREES").unwrap_or(standard.trees),
-        range_m: number("RANGE").unwrap_or(standard.range_m),
-        thin_from_m: number("THIN").unwrap_or(standard.thin_from_m),
-        widest: number("WIDEST").unwrap_or(standard.widest),
-        wind: number("WIND").unwrap_or(standard.wind),
-        lean: number("LEAN").unwrap_or(standard.lean),
-        cull: Cull::Frustum,
-        ..standard
-    };
+    // The twin finds what is hidden as the GPU does, but one clump after the other.
+    options.looks.plants.cull = Cull::Frustum;
     let gpu = pollster::block_on(Gpu::open_with(gpu::instance(None), None, wgpu::Features::TIMESTAMP_QUERY))?;
     let size = (options.lens.width, options.lens.height);
     let mut voyage = Voyage::new(LocalFeed::new(1), SLOTS);

@@ -13,19 +13,19 @@ const FARTHEST_M: f64 = PlantKnobs::MAX_RANGE_M as f64;
 #[derive(Clone, Debug, PartialEq, Args)]
 #[command(next_help_heading = "Plants")]
 pub struct PlantArgs {
-    /// Clumps of grass on 2 x 2 m where it is densest, 0 to 32 [default: 16 in the scene grass, 8 in culling, else 0]
+    /// Clumps of grass on 2 x 2 m where it is densest, 0 to 32 [default: 32 in the scene grass, 8 in culling, else 0]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(0..=MOST_GRASS))]
     pub grass: Option<u32>,
 
-    /// How far grass stands, metres, 0 to 1900 [default: 320]
+    /// How far grass stands, metres, 0 to 1900 [default: 260; 240 in culling]
     #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
     pub grass_range: Option<f64>,
 
-    /// How far all of it stands, metres, 1 to 1900; beyond, fewer clumps are wider [default: 80]
+    /// How far all of it stands, metres, 1 to 1900; beyond, fewer clumps are wider [default: 14; 80 in culling]
     #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 1.0, FARTHEST_M))]
     pub grass_thin_from: Option<f64>,
 
-    /// Most that a far clump is widened, 1 to 16 [default: 4]
+    /// Most that a far clump is widened, 1 to 16 [default: 6; 4 in culling]
     #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 1.0, 16.0))]
     pub grass_widest: Option<f64>,
 
@@ -49,11 +49,11 @@ pub struct PlantArgs {
     #[arg(long, value_name = "M", default_value_t = 2.0, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.25, 16.0))]
     pub cull_step: f64,
 
-    /// Wind, 0 to 1 [default: 0.3]
+    /// Wind, 0 to 1 [default: 0.4]
     #[arg(long, value_name = "W", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub wind: Option<f64>,
 
-    /// How far grass leans away from an eye above it, 0 to 1 [default: 0.3]
+    /// How far grass leans away from an eye above it, 0 to 1 [default: 0.6]
     #[arg(long, value_name = "L", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub lean: Option<f64>,
 

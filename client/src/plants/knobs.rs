@@ -43,7 +43,7 @@ pub struct PlantKnobs {
     pub step_m: f32,
     /// Wind, 0 to 1.
     pub wind: f32,
-    /// How far clumps lean towards the eye, 0 to 1.
+    /// How far clumps lean away from an eye above them, 0 to 1.
     pub lean: f32,
 }
 
@@ -56,7 +56,7 @@ impl PlantKnobs {
     pub const MAX_TREES: u32 = 4;
     /// No plants.
     pub const NONE: Self = Self { density: 0, trees: 0, ..Self::STANDARD };
-    /// A meadow with groves.
+    /// A meadow with groves: dense at the feet, and from there on thinned so that a blade stays wider than a pixel of 1/600.
     pub const STANDARD: Self = Self {
         density: 32,
         range_m: 260.0,
@@ -71,7 +71,7 @@ impl PlantKnobs {
         lean: 0.6,
     };
     /// Fewer and nearer, so that the land shows.
-    pub const SPARSE: Self = Self { density: 8, range_m: 240.0, trees: 1, ..Self::STANDARD };
+    pub const SPARSE: Self = Self { density: 8, range_m: 240.0, thin_from_m: 80.0, widest: 4.0, ..Self::STANDARD };
 
     /// Whether anything grows.
     #[must_use]
