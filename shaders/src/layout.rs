@@ -634,6 +634,10 @@ pub struct Planting {
     pub reach: i32,
     /// The most that any clump reaches above its root, fine units.
     pub over: i32,
+    /// Heights have sunk to nothing here, 1/16 m.
+    pub range: i32,
+    /// They begin to sink so much nearer, 1/16 m, at least 1.
+    pub collapse: i32,
     /// Squares of the distances beyond which clumps are drawn in the second and in the third level of detail, (1/16 m)².
     pub detail: [u32; 2],
     /// By rank, four to a row: the square of the distance up to which it stands, (1/16 m)².

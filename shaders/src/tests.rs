@@ -512,6 +512,8 @@ fn what_plants_are_chosen_by_lies_where_the_shaders_read_it() {
             widest,
             reach,
             over,
+            range,
+            collapse,
             detail,
             stands_within,
             vertices,

@@ -167,6 +167,8 @@ impl Kind {
             widest: (self.widest * 256.0).ceil() as u32,
             reach,
             over,
+            range: (self.range_m * COARSE).ceil() as i32,
+            collapse: (f64::from(COLLAPSE) * self.range_m * COARSE).ceil().max(1.0) as i32,
             detail: self.detail_m.map(squared),
             stands_within: std::array::from_fn(|row| {
                 std::array::from_fn(|column| stands_within(4 * row + column))
@@ -274,6 +276,8 @@ fn patches(square: &Square, culling: &Culling, planting: &Planting) -> Vec<[i32;
                     z: north + half,
                     top: top + planting.over,
                     radius: (half >> 5) * 46 + planting.reach,
+                    east_rise: 0,
+                    south_rise: 0,
                 },
                 bottom: bottom - planting.reach,
             };

@@ -8,9 +8,10 @@ use client::plants::kept::{BySlot, blocks_of_patch, clumps_of, noise_of};
 use rayon::prelude::*;
 use serde::Serialize;
 use shaders::layout::Culling;
+use shaders::twin::field::{field_standing, field_widening};
 use shaders::twin::march::{chunk_is_hidden, is_hidden_by_vertices, marched_is_hidden};
 use shaders::twin::planting::{
-    Clump, Extent, block_extent, clump_at, extent_of, may_be_in_view, rise_at, tip_of,
+    Clump, Extent, block_extent, clump_at, extent_of, may_be_in_view, slope_at, tip_of,
 };
 use shaders::twin::sight::{Target, is_hidden};
 use shaders::twin::surface::{Slots, Surface};
@@ -24,6 +25,9 @@ const SAMPLE: usize = 500;
 
 /// Points of a clump's top that make it visible, besides the middle, and those of its bound.
 const POINTS: u32 = 8;
+
+/// What is lower than this is not judged, metres: at the end of their range plants have sunk into the ground, where they are neither seen nor hidden.
+const LEAST_M: f64 = 0.1;
 
 /// How a test did.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -177,41 +181,63 @@ impl<S: Slots> Slots for Counting<'_, S> {
 
 /// The points that a thing is seen by, and those of all that it may take up; metres.
 struct Points {
+    /// As it is drawn, metres.
+    height: f64,
     top: Vec<Point>,
     bound: Vec<Point>,
 }
 
-fn points_of(scene: &Scene, stand: &Stand, clump: &Clump, extent: &Extent) -> Points {
+fn points_of<S: Slots>(
+    scene: &Scene,
+    surface: &Surface<'_, S>,
+    stand: &Stand,
+    clump: &Clump,
+    extent: &Extent,
+) -> Points {
     let corner = scene.plants.square.corner;
     let metres = |fine: i32| f64::from(fine) / 4096.0;
-    let (x, z) =
-        (metres(clump.x) + f64::from(corner[0]) / 256.0, metres(clump.z) + f64::from(corner[1]) / 256.0);
+    let (x, z) = (
+        metres(clump.x) + f64::from(corner[0]) / 256.0,
+        metres(clump.z) + f64::from(corner[1]) / 256.0,
+    );
     let planting = &stand.planting;
     let height =
         metres(planting.height_low) + metres(planting.height_span) * f64::from(clump.looks >> 6 & 63) / 63.0;
-    let ring = |radius: f64, top: f64| {
+    // Feet of grass follow the ground.
+    let rise = |east: i32, south: i32| {
+        let step = 1 << 13;
+        let at = |way: i32| f64::from(surface.height_at(clump.x + way * east * step, clump.z + way * south * step));
+        ((at(1) - at(-1)) / f64::from(2 * step)).clamp(-1.0, 1.0)
+    };
+    let eye = eye_of(&scene.shot.pose);
+    let root = metres(clump.y);
+    let away = (x - eye[0]).hypot(root - eye[1]).hypot(z - eye[2]) as f32;
+    let height = height * f64::from(field_standing(&stand.field, away));
+    let is_grass = planting.kind == shaders::layout::KIND_GRASS;
+    let slope = if is_grass { [rise(1, 0), rise(0, 1)] } else { [0.0; 2] };
+    let ring = |radius: f64, top: f64, slope: [f64; 2]| {
         (0..POINTS)
             .map(|n| TAU * f64::from(n) / f64::from(POINTS))
-            .map(move |angle| [x + radius * angle.cos(), top, z + radius * angle.sin()])
+            .map(move |angle| {
+                let (east, south) = (radius * angle.cos(), radius * angle.sin());
+                [x + east, top + slope[0] * east + slope[1] * south, z + south]
+            })
             .chain([[x, top, z]])
             .collect::<Vec<_>>()
     };
     let reach = metres(extent.target.radius);
     let bound_top = metres(extent.target.top);
-    let root = metres(clump.y);
-    let top = if planting.kind == shaders::layout::KIND_GRASS {
+    let top = if is_grass {
         // Tips of blades stand up to half the width from the middle and lean by a fifth of the height.
+        let widening = f64::from(field_widening(&stand.field, clump.looks >> 24, away));
         let width =
             metres(planting.width_low) + metres(planting.width_span) * f64::from(clump.looks & 63) / 63.0;
-        let eye = eye_of(&scene.shot.pose);
-        let away = (x - eye[0]).hypot(root - eye[1]).hypot(z - eye[2]);
-        let widening = (away / metres(planting.thin_from)).clamp(1.0, f64::from(planting.widest) / 256.0);
-        [ring(0.49 * width * widening + 0.2 * height, root + 0.95 * height), ring(0.0, root + height)]
-            .concat()
+        let tips = ring(0.49 * width * widening + 0.2 * height, root + 0.95 * height, slope);
+        [tips, ring(0.0, root + height, slope)].concat()
     } else {
-        ring(0.1, root + height)
+        ring(0.1, root + height, slope)
     };
-    Points { top, bound: [ring(reach, bound_top), ring(0.5 * reach, bound_top)].concat() }
+    Points { height, top, bound: [ring(reach, bound_top, [0.0; 2]), ring(0.5 * reach, bound_top, [0.0; 2])].concat() }
 }
 
 fn of_scene(scene: &Scene) -> Findings {
@@ -228,8 +254,11 @@ fn of_scene(scene: &Scene) -> Findings {
         let sample = sample(&surface, stand);
         let hides = |target: &Target| is_hidden(&surface, culling.eye, target, culling.start);
         for clump in &sample {
-            let extent = extent_of(culling, &stand.planting, clump, rise_at(&surface, clump.x, clump.z));
-            let points = points_of(scene, stand, clump, &extent);
+            let extent = extent_of(culling, &stand.planting, clump, slope_at(&surface, clump.x, clump.z));
+            let points = points_of(scene, &surface, stand, clump, &extent);
+            if points.height < LEAST_M {
+                continue;
+            }
             let is_seen = points.top.iter().any(|point| oracle.sees(eye, *point));
             let is_bound_seen = is_seen || points.bound.iter().any(|point| oracle.sees(eye, *point));
             let [x, _, z] = points.top[points.top.len() - 1];
@@ -273,7 +302,7 @@ fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
         let (cell, index) = ((lane % 16) as i32, lane / 16);
         let (column, row) = (block[0] * 4 + cell % 4, block[1] * 4 + cell / 4);
         let Some(clump) = clump_at(surface, &stand.planting, column, row, index) else { continue };
-        let extent = extent_of(&stand.culling, &stand.planting, &clump, rise_at(surface, clump.x, clump.z));
+        let extent = extent_of(&stand.culling, &stand.planting, &clump, slope_at(surface, clump.x, clump.z));
         if may_be_in_view(&stand.culling, &extent) {
             found.push(clump);
         }
@@ -292,7 +321,7 @@ fn count_cost<S: Slots>(
 ) {
     let extents: Vec<Extent> = sample
         .iter()
-        .map(|clump| extent_of(&stand.culling, &stand.planting, clump, rise_at(surface, clump.x, clump.z)))
+        .map(|clump| extent_of(&stand.culling, &stand.planting, clump, slope_at(surface, clump.x, clump.z)))
         .collect();
     let counting = Counting { slots: surface.slots, reads: Cell::new(0) };
     let counted = Surface { slots: &counting, tiles: surface.tiles, leaves: surface.leaves };
@@ -335,12 +364,15 @@ fn judge_chunks<S: Slots>(
         let mut is_seen = false;
         for (block, _) in blocks.iter().zip(&extents).filter(|(_, extent)| in_view(extent)).step_by(2) {
             for clump in clumps_of(surface, stand, *block).step_by(37) {
-                let extent = extent_of(culling, planting, &clump, rise_at(surface, clump.x, clump.z));
+                let extent = extent_of(culling, planting, &clump, slope_at(surface, clump.x, clump.z));
                 if !may_be_in_view(culling, &extent) {
                     continue;
                 }
+                let points = points_of(scene, surface, stand, &clump, &extent);
+                if points.height < LEAST_M {
+                    continue;
+                }
                 grows = true;
-                let points = points_of(scene, stand, &clump, &extent);
                 is_seen = is_seen || points.top.iter().any(|point| oracle.sees(eye, *point));
             }
         }

@@ -72,9 +72,11 @@ pub fn chunk_is_hidden<S: Slots>(
         let at = |middle: i32, toward: i32| (middle + toward * reach).clamp(0, last);
         let goal = Target {
             x: at((column << bits) + side / 2, toward[0]),
-            top: (surface.node(bits, column, row).top << FINE_BITS) + planting.over,
+            top: surface.node(bits, column, row).top << FINE_BITS,
             z: at((row << bits) + side / 2, toward[1]),
             radius: 0,
+            east_rise: 0,
+            south_rise: 0,
         };
         marched_is_hidden(&bilinear, culling, &goal, if corner == 4 { side / 2 } else { 0 })
     });

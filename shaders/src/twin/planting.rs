@@ -9,7 +9,7 @@ use crate::layout::{
     CULL_DISTANCE, CULL_EXACT, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, KIND_GRASS, Planting,
     SQUARE_TILES,
 };
-use terrain::hash::{hash2, mix};
+use terrain::hash::mix;
 use terrain::streams::streams;
 
 /// Blocks along a side of a patch.
@@ -22,8 +22,6 @@ pub const BLOCK_CELLS: u32 = 16;
 pub const COARSE_BITS: u32 = 8;
 /// Distances beyond this, 1/16 m, are outside every field: their squares fit.
 pub const FARTHEST: i32 = 1 << 15;
-/// Cells over which trees come in groves, log2 of fine units: 64 m.
-const GROVE_BITS: u32 = 18;
 
 /// A clump of a field, before it is asked whether it is seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -59,15 +57,23 @@ pub fn distance_squared(culling: &Culling, x: i32, y: i32, z: i32) -> u32 {
     return (east * east) as u32 + (up * up) as u32 + (south * south) as u32;
 }
 
-/// An upper bound of the distance between the eye and a place, 1/16 m, at most a quarter too large.
+/// The root of a square, rounded up.
+#[must_use]
+pub fn root_of(square: u32) -> i32 {
+    let mut root = 0u32;
+    for bit in 0..16 {
+        let more = root | (1 << (15 - bit));
+        if more * more <= square {
+            root = more;
+        }
+    }
+    return root as i32 + i32::from(root * root < square);
+}
+
+/// An upper bound of the distance between the eye and a place, 1/16 m: two more than the distance, which is counted in whole ones along each axis.
 #[must_use]
 pub fn distance_bound(culling: &Culling, x: i32, y: i32, z: i32) -> i32 {
-    let east = ((x - culling.eye[0]) >> COARSE_BITS).abs() + 1;
-    let up = ((y - culling.eye[1]) >> COARSE_BITS).abs() + 1;
-    let south = ((z - culling.eye[2]) >> COARSE_BITS).abs() + 1;
-    let longest = east.max(up).max(south);
-    // The hypotenuse of a long and a short side is at most the long one and half of the short one.
-    return longest + (east + up + south - longest) / 2;
+    return root_of(distance_squared(culling, x, y, z)) + 2;
 }
 
 /// Whether a ball touches the inside of all four planes of the view; errs on the side of yes.
@@ -104,10 +110,32 @@ fn widening_at(planting: &Planting, bound: i32) -> i32 {
     return ((bound.min(FARTHEST) << 8) as u32 / from as u32).clamp(256, planting.widest) as i32;
 }
 
-/// How far the ground rises over 4 m around a place, along either axis, both together: twice its slope in fine units over 2 m, no less than the slope itself. The
-/// steepest that a foot follows where the land ends.
+/// How much of its width the thinning leaves to a rank at a distance of at least `near`, 1/16 m; Q8, never too little. Integers for `field::field_presence`.
+fn presence_at(planting: &Planting, near: i32, rank: u32) -> i32 {
+    let begin = ((planting.thin_from >> COARSE_BITS) as u32) << 16;
+    let share = ((begin / near.max(1) as u32) as i32).min(1 << 16);
+    let band = (share >> 2).max(256).min(2 * ((1 << 16) - share));
+    let inside = share + (band >> 1) - (rank as i32 * 256 + 128) + 16;
+    if inside >= band {
+        return 256;
+    }
+    return ((((inside.max(0) as u32) << 8) / band.max(1) as u32) as i32 + 1).min(256);
+}
+
+/// How much of its height a plant still has at a distance of at least `near`, 1/16 m; Q8, never too little. Integers for `field::field_standing`.
+fn standing_at(planting: &Planting, near: i32) -> i32 {
+    let into = near - (planting.range - planting.collapse);
+    if into <= 0 {
+        return 256;
+    }
+    let part = ((((into as u32) << 8) / planting.collapse as u32) as i32).min(256);
+    // 1 - part² (3 - 2 part).
+    return 256 - ((part * part * (768 - 2 * part)) >> 16) + 1;
+}
+
+/// Slope of the ground around a place, east and south, Q14, over 4 m; none where it is steeper than 1, which is more than a foot follows, or where the land ends.
 #[must_use]
-pub fn rise_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> i32 {
+pub fn slope_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> Option<[i32; 2]> {
     let step = 1 << STEP_BITS;
     let last = (1 << SQUARE_BITS) - 1;
     let west = surface.height_at((x - step).max(0), z);
@@ -115,28 +143,57 @@ pub fn rise_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> i32 {
     let north = surface.height_at(x, (z - step).max(0));
     let south = surface.height_at(x, (z + step).min(last));
     if west.min(east).min(north).min(south) <= NOWHERE << FINE_BITS {
-        return 2 * step;
+        return None;
     }
-    let (along, across) = ((east - west).abs(), (south - north).abs());
-    // The hypotenuse is at most the long side and half of the short one.
-    return (along.max(across) + (along.min(across) >> 1)).min(2 * step);
+    let (along, across) = (east - west, south - north);
+    if steepness(along, across) > 2 * step {
+        return None;
+    }
+    return Some([along, across]);
 }
 
-/// What a clump takes up, as wide as its distance makes it, on ground that rises by `rise` over 4 m.
+/// No less than the length of a vector: the hypotenuse is at most the long side and half of the short one.
+fn steepness(along: i32, across: i32) -> i32 {
+    let (along, across) = (along.abs(), across.abs());
+    return along.max(across) + (along.min(across) >> 1);
+}
+
+/// How far the tip of a stem may be beside its root, on ground so steep (Q14). The horizontal part of its direction goes evenly from 0.45 of the ground's at the root to at most
+/// 0.75 at the tip, so on the way it is half of their sum: 3/8 and 0.225 of the ground's (15/64).
+fn lean_of(height: i32, steep: i32) -> i32 {
+    return ((3 * height) >> 3) + ((((15 * height) >> 6) * steep) >> 14) + (height >> 6) + 2;
+}
+
+/// What a clump takes up, as wide as its distance makes it, on ground of a slope.
 #[must_use]
-pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, rise: i32) -> Extent {
+pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: Option<[i32; 2]>) -> Extent {
     let width = planting.width_low + ((planting.width_span * ((clump.looks & 63) as i32 + 1)) >> 6);
     let height = planting.height_low + ((planting.height_span * ((clump.looks >> 6 & 63) as i32 + 1)) >> 6);
-    let widening = widening_at(planting, distance_bound(culling, clump.x, clump.y, clump.z));
-    let half = ((width * widening) >> 9) + 1;
-    let (reach, over) = if planting.kind == KIND_GRASS {
-        // Feet follow the ground; its normal travels in bytes, hence the 64th. Both factors stay below 2^15.
-        (half + ((3 * height) >> 2) + 1, height + ((half * rise) >> (STEP_BITS + 1)) + (half >> 6) + 1)
-    } else {
-        (half, height)
-    };
+    let bound = distance_bound(culling, clump.x, clump.y, clump.z);
+    // The bound is at most five too large.
+    let near = bound - 5;
+    let widening = (widening_at(planting, bound) * presence_at(planting, near, clump.looks >> 24)) >> 8;
+    let half = ((width * widening) >> 9) + 2;
+    let height = ((height * standing_at(planting, near)) >> 8) + 1;
+    if planting.kind != KIND_GRASS {
+        let target =
+            Target { x: clump.x, top: clump.y + height + 1, z: clump.z, radius: half, east_rise: 0, south_rise: 0 };
+        return Extent { target, bottom: clump.y - half };
+    }
+    // Feet follow the ground; its normal travels in bytes, hence the 64th. What leans does not follow it.
+    let known = slope.unwrap_or([0, 0]);
+    let steep = slope.map_or(1 << 14, |slope| steepness(slope[0], slope[1]));
+    let lean = lean_of(height, steep);
+    let foot = if slope.is_some() { (lean * steep) >> 14 } else { half };
     return Extent {
-        target: Target { x: clump.x, top: clump.y + over + 1, z: clump.z, radius: reach },
+        target: Target {
+            x: clump.x,
+            top: clump.y + height + foot + (half >> 6) + 2,
+            z: clump.z,
+            radius: half + lean,
+            east_rise: known[0],
+            south_rise: known[1],
+        },
         bottom: clump.y - half,
     };
 }
@@ -145,7 +202,7 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, rise: i3
 #[must_use]
 pub fn tip_of(planting: &Planting, clump: &Clump) -> Target {
     let height = planting.height_low + ((planting.height_span * ((clump.looks >> 6 & 63) as i32 + 1)) >> 6);
-    return Target { x: clump.x, top: clump.y + height, z: clump.z, radius: 0 };
+    return Target { x: clump.x, top: clump.y + height, z: clump.z, radius: 0, east_rise: 0, south_rise: 0 };
 }
 
 /// Density of a field at a place that is off by lot, so that its edges are soft: 0 to 256.
@@ -159,15 +216,8 @@ fn density_near<S: Slots>(surface: &Surface<'_, S>, planting: &Planting, x: i32,
     if planting.kind == KIND_GRASS {
         return full;
     }
-    // Trees: groves of 64 m with ragged edges, single trees between them.
-    let wide_east = x + ((lot >> 16 & 255) as i32 - 128) * 1024;
-    let wide_south = z + ((lot >> 24) as i32 - 128) * 1024;
-    let cells = GROVE_BITS - planting.cell_bits;
-    let column = (planting.cell_x >> cells) + (wide_east >> GROVE_BITS);
-    let row = (planting.cell_z >> cells) + (wide_south >> GROVE_BITS);
-    let grove = hash2(planting.seed ^ 0x7265_6573, column, row) & 255;
-    let part = if grove < 70 { 200 } else { 6 };
-    return (full * part) >> 8;
+    // Trees need less of a meadow than grass does; where the land is drawn without woods, they are not drawn either.
+    return (2 * full).min(256);
 }
 
 /// Clump number `index` of a cell of the square, if one stands there.
@@ -217,7 +267,7 @@ pub fn kept<S: Slots>(
     if far > stands_within(planting, clump.looks >> 24) {
         return None;
     }
-    let extent = extent_of(culling, planting, clump, rise_at(surface, clump.x, clump.z));
+    let extent = extent_of(culling, planting, clump, slope_at(surface, clump.x, clump.z));
     if !is_in_view(culling, &extent) {
         return None;
     }
@@ -293,6 +343,8 @@ pub fn block_extent<S: Slots>(
             top: top + planting.over - if planting.kind == KIND_GRASS { saved } else { 0 },
             z,
             radius: diagonal + planting.reach - saved,
+            east_rise: 0,
+            south_rise: 0,
         },
         bottom: bottom - planting.reach,
     });

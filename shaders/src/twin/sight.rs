@@ -32,6 +32,10 @@ pub struct Target {
     pub z: i32,
     /// All of it lies within this distance of the vertical through the place, fine units; below 2^17.
     pub radius: i32,
+    /// Growth of the highest point of it per fine unit east, Q14, within ±1: what stands on a slope is higher uphill.
+    pub east_rise: i32,
+    /// The same, south.
+    pub south_rise: i32,
 }
 
 /// A line of sight from the eye, by its progress along the axis that it crosses faster: the main one.
@@ -56,6 +60,8 @@ struct Ray {
     widening: i32,
     /// What the ray may be too low by, fine units: the eye is rounded.
     slack: i32,
+    /// Growth of the height of the highest ray with the other coordinate, Q14.
+    tilt: i32,
 }
 
 /// `part / whole`, Q24, rounded down. `whole` below 2^24, the quotient below 16.
@@ -75,17 +81,30 @@ pub fn quotient(part: u32, whole: u32) -> u32 {
 /// A point of the target that lies `a` beside its middle and `b` behind it is seen along a track that at the same progress `u` runs `u (a - drift b) / (length + b)` beside the
 /// middle's; `a² + b²` is at most the square of the radius.
 fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
-    let (east, up, south) = (target.x - eye[0], target.top - eye[1], target.z - eye[2]);
+    let (east, south) = (target.x - eye[0], target.z - eye[2]);
     let along_x = east.abs() >= south.abs();
     let (forward, sideways) = if along_x { (east, south) } else { (south, east) };
     let to_middle = forward.abs();
     let length = to_middle - target.radius - 1;
-    if length <= start || up.abs() >> 4 >= length {
+    if length <= start {
         return None;
     }
     let (at, other) = if along_x { (eye[0], eye[2]) } else { (eye[2], eye[0]) };
     let mirrored = forward < 0;
     let drift = quotient(sideways.unsigned_abs(), to_middle as u32) as i32;
+    // Of the slope of the target's top the part across the ray stays one at every progress; the part along it raises the whole.
+    let (ahead, tilt) = if along_x {
+        (target.east_rise, target.south_rise)
+    } else {
+        (target.south_rise, target.east_rise)
+    };
+    let ahead = if mirrored { -ahead } else { ahead };
+    let turned = mul_hi(tilt << 8, if sideways < 0 { -drift } else { drift });
+    let along = ahead + turned;
+    let up = target.top + (mul_hi(target.radius << 12, along.abs() << 6) + 1) - eye[1];
+    if up.abs() >> 4 >= length {
+        return None;
+    }
     // Of rays that rise the one to the nearest point is the highest, of those that fall the one to the farthest.
     let whole = if up < 0 { to_middle + target.radius + 1 } else { length };
     let rise = quotient(up.unsigned_abs(), whole as u32) as i32;
@@ -101,7 +120,8 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
         drift: if sideways < 0 { -drift } else { drift },
         rise: if up < 0 { -rise } else { rise + 1 },
         widening: (((half as u32) << 13) / length as u32) as i32 + 1,
-        slack: (rise >> 24) + 3,
+        slack: (rise >> 24) + 4,
+        tilt,
     });
 }
 
@@ -141,9 +161,10 @@ fn is_above<S: Slots>(
 ) -> bool {
     let last = (1 << SQUARE_BITS) - 1;
     let (low, high) = ((across - half).clamp(0, last), (across + half).clamp(0, last));
+    // How far the surface is above the highest ray that passes there.
     let lowest = |other: i32| {
         let (x, z) = if ray.along_x { (along, other) } else { (other, along) };
-        surface.lowest_at(x, z)
+        surface.lowest_at(x, z) - mul_hi((other - across) << 12, ray.tilt << 6) - 1
     };
     if lowest(low) < height || lowest(high) < height {
         return false;
