@@ -71,7 +71,8 @@ impl PlantKnobs {
         lean: 0.6,
     };
     /// Fewer and nearer, so that the land shows.
-    pub const SPARSE: Self = Self { density: 8, range_m: 240.0, thin_from_m: 80.0, widest: 4.0, ..Self::STANDARD };
+    pub const SPARSE: Self =
+        Self { density: 8, range_m: 240.0, thin_from_m: 80.0, widest: 4.0, ..Self::STANDARD };
 
     /// Whether anything grows.
     #[must_use]

@@ -11,7 +11,8 @@ use shaders::layout::Culling;
 use shaders::twin::field::{field_standing, field_widening};
 use shaders::twin::march::{chunk_is_hidden, is_hidden_by_vertices, marched_is_hidden};
 use shaders::twin::planting::{
-    Clump, Extent, block_extent, clump_at, extent_of, may_be_in_view, slope_at, tip_of,
+    Clump, Extent, block_extent, block_is_hidden, clump_at, distance_squared, extent_of, may_be_in_view,
+    slope_at, stands_at, tip_of,
 };
 use shaders::twin::sight::{Target, is_hidden};
 use shaders::twin::surface::{Slots, Surface};
@@ -196,17 +197,17 @@ fn points_of<S: Slots>(
 ) -> Points {
     let corner = scene.plants.square.corner;
     let metres = |fine: i32| f64::from(fine) / 4096.0;
-    let (x, z) = (
-        metres(clump.x) + f64::from(corner[0]) / 256.0,
-        metres(clump.z) + f64::from(corner[1]) / 256.0,
-    );
+    let (x, z) =
+        (metres(clump.x) + f64::from(corner[0]) / 256.0, metres(clump.z) + f64::from(corner[1]) / 256.0);
     let planting = &stand.planting;
     let height =
         metres(planting.height_low) + metres(planting.height_span) * f64::from(clump.looks >> 6 & 63) / 63.0;
     // Feet of grass follow the ground.
     let rise = |east: i32, south: i32| {
         let step = 1 << 13;
-        let at = |way: i32| f64::from(surface.height_at(clump.x + way * east * step, clump.z + way * south * step));
+        let at = |way: i32| {
+            f64::from(surface.height_at(clump.x + way * east * step, clump.z + way * south * step))
+        };
         ((at(1) - at(-1)) / f64::from(2 * step)).clamp(-1.0, 1.0)
     };
     let eye = eye_of(&scene.shot.pose);
@@ -237,7 +238,8 @@ fn points_of<S: Slots>(
     } else {
         ring(0.1, root + height, slope)
     };
-    Points { height, top, bound: [ring(reach, bound_top, [0.0; 2]), ring(0.5 * reach, bound_top, [0.0; 2])].concat() }
+    let tilt = [extent.target.east_rise, extent.target.south_rise].map(|rise| f64::from(rise) / 16_384.0);
+    Points { height, top, bound: [ring(reach, bound_top, tilt), ring(0.5 * reach, bound_top, tilt)].concat() }
 }
 
 fn of_scene(scene: &Scene) -> Findings {
@@ -267,8 +269,12 @@ fn of_scene(scene: &Scene) -> Findings {
             }
             let exact = culling.sees_land != 0 && hides(&extent.target);
             let bits = stand.planting.cell_bits + 2;
-            let block = block_extent(&surface, culling, &stand.planting, clump.x >> bits, clump.z >> bits);
-            let in_block = culling.sees_land != 0 && block.is_none_or(|block| hides(&block.target));
+            let (column, row) = (clump.x >> bits, clump.z >> bits);
+            let block = block_extent(&surface, culling, &stand.planting, column, row);
+            let in_block = culling.sees_land != 0
+                && block.is_none_or(|block| {
+                    block_is_hidden(&surface, culling, &stand.planting, column, row, &block)
+                });
             let hierarchical = exact || in_block;
             let tip = tip_of(&stand.planting, clump);
             found.noise.count(is_seen, marched_is_hidden(&noise, culling, &tip, 0));
@@ -296,19 +302,28 @@ fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
     let blocks: Vec<[i32; 2]> = stand.patches.iter().copied().flat_map(blocks_of_patch).collect();
     let mut found = Vec::new();
     // A stride that shares no factor with the blocks of a patch or with the cells of a block.
-    let stride = (blocks.len() / (3 * SAMPLE)).max(1) | 1;
+    let stride = (blocks.len() / (30 * SAMPLE)).max(1) | 1;
     for (n, block) in blocks.iter().step_by(stride).enumerate() {
         let lane = (n * 7) as u32 % (16 * stand.planting.per_cell);
         let (cell, index) = ((lane % 16) as i32, lane / 16);
         let (column, row) = (block[0] * 4 + cell % 4, block[1] * 4 + cell / 4);
-        let Some(clump) = clump_at(surface, &stand.planting, column, row, index) else { continue };
+        let clump = clump_at(surface, &stand.planting, column, row, index);
+        let Some(clump) = clump.filter(|clump| is_judged(stand, clump)) else { continue };
         let extent = extent_of(&stand.culling, &stand.planting, &clump, slope_at(surface, clump.x, clump.z));
         if may_be_in_view(&stand.culling, &extent) {
             found.push(clump);
         }
     }
+    let every = (found.len() / SAMPLE).max(1);
+    let mut found: Vec<Clump> = found.into_iter().step_by(every).collect();
     found.truncate(SAMPLE);
     found
+}
+
+/// Whether thinning leaves a clump standing.
+fn is_judged(stand: &Stand, clump: &Clump) -> bool {
+    let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
+    stands_at(&stand.planting, clump, far)
 }
 
 /// What T3 and the fine march read and take for the same rays.
@@ -362,25 +377,35 @@ fn judge_chunks<S: Slots>(
         let in_view = |extent: &Option<Extent>| extent.is_some_and(|extent| may_be_in_view(culling, &extent));
         let mut grows = false;
         let mut is_seen = false;
-        for (block, _) in blocks.iter().zip(&extents).filter(|(_, extent)| in_view(extent)).step_by(2) {
-            for clump in clumps_of(surface, stand, *block).step_by(37) {
-                let extent = extent_of(culling, planting, &clump, slope_at(surface, clump.x, clump.z));
-                if !may_be_in_view(culling, &extent) {
-                    continue;
-                }
-                let points = points_of(scene, surface, stand, &clump, &extent);
-                if points.height < LEAST_M {
-                    continue;
-                }
-                grows = true;
-                is_seen = is_seen || points.top.iter().any(|point| oracle.sees(eye, *point));
+        let clumps = blocks
+            .iter()
+            .zip(&extents)
+            .filter(|(_, extent)| in_view(extent))
+            .flat_map(|(block, _)| clumps_of(surface, stand, *block))
+            .filter(|clump| is_judged(stand, clump))
+            .step_by(3);
+        for clump in clumps {
+            let slope = slope_at(surface, clump.x, clump.z);
+            let extent = extent_of(culling, planting, &clump, slope);
+            if !may_be_in_view(culling, &extent) {
+                continue;
+            }
+            let points = points_of(scene, surface, stand, &clump, &extent);
+            if points.height < LEAST_M {
+                continue;
+            }
+            grows = true;
+            is_seen = points.top.iter().rev().any(|point| oracle.sees(eye, *point));
+            if is_seen {
+                break;
             }
         }
         if !grows {
             continue;
         }
-        let is_kept = extents.iter().filter(|extent| in_view(extent)).flatten().any(|extent| {
-            culling.sees_land == 0 || !is_hidden(surface, culling.eye, &extent.target, culling.start)
+        let is_kept = blocks.iter().zip(&extents).any(|(block, extent)| {
+            let Some(whole) = extent.filter(|_| in_view(extent)) else { return false };
+            culling.sees_land == 0 || !block_is_hidden(surface, culling, planting, block[0], block[1], &whole)
         });
         found.chunks.count(is_seen, !is_kept);
         found.five_points.count(is_seen, chunk_is_hidden(surface, culling, planting, patch[0], patch[1]));

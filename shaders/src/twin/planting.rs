@@ -176,8 +176,14 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: O
     let half = ((width * widening) >> 9) + 2;
     let height = ((height * standing_at(planting, near)) >> 8) + 1;
     if planting.kind != KIND_GRASS {
-        let target =
-            Target { x: clump.x, top: clump.y + height + 1, z: clump.z, radius: half, east_rise: 0, south_rise: 0 };
+        let target = Target {
+            x: clump.x,
+            top: clump.y + height + 1,
+            z: clump.z,
+            radius: half,
+            east_rise: 0,
+            south_rise: 0,
+        };
         return Extent { target, bottom: clump.y - half };
     }
     // Feet follow the ground; its normal travels in bytes, hence the 64th. What leans does not follow it.
@@ -254,6 +260,12 @@ fn stands_within(planting: &Planting, rank: u32) -> u32 {
     return planting.stands_within[(rank >> 2) as usize][(rank & 3) as usize];
 }
 
+/// Whether thinning leaves a clump standing at a squared distance.
+#[must_use]
+pub fn stands_at(planting: &Planting, clump: &Clump, far: u32) -> bool {
+    return far <= stands_within(planting, clump.looks >> 24);
+}
+
 /// The level of detail at which a clump is drawn, if it is kept. `noise` is the height between vertices too, fine units: for T2.
 #[must_use]
 pub fn kept<S: Slots>(
@@ -264,7 +276,7 @@ pub fn kept<S: Slots>(
     clump: &Clump,
 ) -> Option<u32> {
     let far = distance_squared(culling, clump.x, clump.y, clump.z);
-    if far > stands_within(planting, clump.looks >> 24) {
+    if !stands_at(planting, clump, far) {
         return None;
     }
     let extent = extent_of(culling, planting, clump, slope_at(surface, clump.x, clump.z));
@@ -285,14 +297,8 @@ pub fn kept<S: Slots>(
     return Some(u32::from(far > planting.detail[0]) + u32::from(far > planting.detail[1]));
 }
 
-/// The highest and the lowest drawn point of a block, fine units; none where nothing is drawn.
-fn block_bounds<S: Slots>(
-    surface: &Surface<'_, S>,
-    planting: &Planting,
-    column: i32,
-    row: i32,
-) -> Option<(i32, i32)> {
-    let bits = planting.cell_bits + BLOCK_CELL_BITS;
+/// The highest and the lowest drawn point of a square of side `2^bits`, at most that of a block, fine units; none where nothing is drawn.
+fn bounds_of<S: Slots>(surface: &Surface<'_, S>, bits: u32, column: i32, row: i32) -> Option<(i32, i32)> {
     let node = surface.node(bits, column, row);
     if node.top <= NOWHERE {
         return None;
@@ -319,6 +325,38 @@ fn block_bounds<S: Slots>(
     return Some((top + 2, bottom));
 }
 
+/// What all clumps take up that may stand in a square of side `2^bits`: a block or a cell.
+#[must_use]
+pub fn part_extent<S: Slots>(
+    surface: &Surface<'_, S>,
+    culling: &Culling,
+    planting: &Planting,
+    bits: u32,
+    column: i32,
+    row: i32,
+) -> Option<Extent> {
+    let (top, bottom) = bounds_of(surface, bits, column, row)?;
+    let half = 1 << (bits - 1);
+    let (x, z) = ((column << bits) + half, (row << bits) + half);
+    // Half the diagonal, by which roots are farther away or nearer than the middle.
+    let diagonal = (half >> 5) * 46;
+    let far = distance_bound(culling, x, top, z).max(distance_bound(culling, x, bottom, z));
+    let apart = ((diagonal + top - bottom) >> COARSE_BITS) + 2;
+    let wide = (planting.width_low + planting.width_span) * widening_at(planting, far + apart);
+    let leaf = (wide >> 9) + 2;
+    let tall = planting.height_low + planting.height_span;
+    let height = ((tall * standing_at(planting, far - apart - 5)) >> 8) + 1;
+    let (reach, over) = if planting.kind == KIND_GRASS {
+        (leaf + lean_of(height, 1 << 14), height + leaf + 1)
+    } else {
+        (leaf, height + 1)
+    };
+    return Some(Extent {
+        target: Target { x, top: top + over, z, radius: diagonal + reach, east_rise: 0, south_rise: 0 },
+        bottom: bottom - leaf,
+    });
+}
+
 /// What all clumps take up that may stand in a block.
 #[must_use]
 pub fn block_extent<S: Slots>(
@@ -328,26 +366,31 @@ pub fn block_extent<S: Slots>(
     column: i32,
     row: i32,
 ) -> Option<Extent> {
-    let bits = planting.cell_bits + BLOCK_CELL_BITS;
-    let (top, bottom) = block_bounds(surface, planting, column, row)?;
-    let half = 1 << (bits - 1);
-    // Half the diagonal, and what the outermost clump reaches beyond its root: no wider than at the block's farthest point.
-    let diagonal = (half >> 5) * 46;
-    let (x, z) = ((column << bits) + half, (row << bits) + half);
-    let bound = distance_bound(culling, x, top, z).max(distance_bound(culling, x, bottom, z));
-    let widening = widening_at(planting, bound + (diagonal >> COARSE_BITS) + 1);
-    let saved = (planting.width_low + planting.width_span) * (planting.widest as i32 - widening) >> 9;
-    return Some(Extent {
-        target: Target {
-            x,
-            top: top + planting.over - if planting.kind == KIND_GRASS { saved } else { 0 },
-            z,
-            radius: diagonal + planting.reach - saved,
-            east_rise: 0,
-            south_rise: 0,
-        },
-        bottom: bottom - planting.reach,
-    });
+    return part_extent(surface, culling, planting, planting.cell_bits + BLOCK_CELL_BITS, column, row);
+}
+
+/// Whether the land hides all that may stand in a block: in one, or cell by cell.
+#[must_use]
+pub fn block_is_hidden<S: Slots>(
+    surface: &Surface<'_, S>,
+    culling: &Culling,
+    planting: &Planting,
+    column: i32,
+    row: i32,
+    whole: &Extent,
+) -> bool {
+    if is_hidden(surface, culling.eye, &whole.target, culling.start) {
+        return true;
+    }
+    for cell in 0..BLOCK_CELLS as i32 {
+        let (x, z) = (4 * column + (cell & 3), 4 * row + (cell >> 2));
+        let part = part_extent(surface, culling, planting, planting.cell_bits, x, z);
+        let Some(part) = part else { continue };
+        if may_be_in_view(culling, &part) && !is_hidden(surface, culling.eye, &part.target, culling.start) {
+            return false;
+        }
+    }
+    return true;
 }
 
 /// Square of the least distance between the eye and a block, (1/16 m)², rounded down.
@@ -378,5 +421,5 @@ pub fn block_is_kept<S: Slots>(
     }
     return culling.path != CULL_HIERARCHICAL
         || culling.sees_land == 0
-        || !is_hidden(surface, culling.eye, &extent.target, culling.start);
+        || !block_is_hidden(surface, culling, planting, column, row, &extent);
 }

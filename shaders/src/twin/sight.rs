@@ -93,11 +93,8 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let mirrored = forward < 0;
     let drift = quotient(sideways.unsigned_abs(), to_middle as u32) as i32;
     // Of the slope of the target's top the part across the ray stays one at every progress; the part along it raises the whole.
-    let (ahead, tilt) = if along_x {
-        (target.east_rise, target.south_rise)
-    } else {
-        (target.south_rise, target.east_rise)
-    };
+    let (ahead, tilt) =
+        if along_x { (target.east_rise, target.south_rise) } else { (target.south_rise, target.east_rise) };
     let ahead = if mirrored { -ahead } else { ahead };
     let turned = mul_hi(tilt << 8, if sideways < 0 { -drift } else { drift });
     let along = ahead + turned;
