@@ -186,11 +186,12 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: O
         };
         return Extent { target, bottom: clump.y - half };
     }
-    // Feet follow the ground; its normal travels in bytes, hence the 64th. What leans does not follow it.
+    // Feet follow the ground; its normal travels in bytes, hence the 64th. What leans by a part l of its height does not follow it: downhill it is above the slope by g l, but lower by
+    // l² / 2 for having leant, so by no more than g² / 2.
     let known = slope.unwrap_or([0, 0]);
     let steep = slope.map_or(1 << 14, |slope| steepness(slope[0], slope[1]));
     let lean = lean_of(height, steep);
-    let foot = if slope.is_some() { (lean * steep) >> 14 } else { half };
+    let foot = if slope.is_some() { (((height * steep) >> 14) * steep) >> 15 } else { half };
     return Extent {
         target: Target {
             x: clump.x,
