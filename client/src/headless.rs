@@ -216,6 +216,7 @@ fn draw<F: Feed>(
         }
     }
     let picture = canvas.read(&gpu)?;
+    let told = renderer.garden().map(|garden| garden.told(&gpu)).transpose()?.unwrap_or_default();
     let milestones = voyage.milestones();
     let resident = voyage.world().len();
     let stats = Stats {
@@ -224,6 +225,8 @@ fn draw<F: Feed>(
         chunks_drawn: drawn,
         triangles: instances as u64 * TRIANGLES_PER_INSTANCE,
         terrain_draws: renderer.terrain_draws(),
+        plants_drawn: told.clumps,
+        plants_lost: told.clumps_lost,
         gpu_bytes_per_chunk: renderer.bytes_per_chunk(),
         delivery: if options.scene.is_local() { "none" } else { voyage.feed().delivery().name() },
         bytes_received: voyage.feed().traffic().bytes_received,

@@ -64,10 +64,10 @@ impl Scene {
                 Pose { position_m: DVec3::new(-5200.0, 160.0, 1500.0), yaw_deg: 70.0, pitch_deg: -8.0 }
             }
             Self::Grass => {
-                Pose { position_m: DVec3::new(-1460.0, 0.0, 1240.0), yaw_deg: 35.0, pitch_deg: -4.0 }
+                Pose { position_m: DVec3::new(-1460.0, 193.4, 1240.0), yaw_deg: 35.0, pitch_deg: -4.0 }
             }
             Self::Culling => {
-                Pose { position_m: DVec3::new(-1700.0, 0.0, 900.0), yaw_deg: 70.0, pitch_deg: -3.0 }
+                Pose { position_m: DVec3::new(-3900.0, 36.5, 1000.0), yaw_deg: 30.0, pitch_deg: -2.0 }
             }
             Self::Water => Pose { position_m: DVec3::new(0.0, 7.5, 7.0), yaw_deg: 0.0, pitch_deg: -29.0 },
             // 16 degrees above the planes, looking at their middle.

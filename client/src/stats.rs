@@ -58,6 +58,10 @@ pub struct Stats {
     pub triangles: u64,
     /// Draw calls that the land of the last frame took.
     pub terrain_draws: u32,
+    /// Clumps of grass and trees drawn in the last frame.
+    pub plants_drawn: u32,
+    /// Those left out of it for want of room.
+    pub plants_lost: u32,
     /// Bytes on the GPU that one more chunk takes.
     pub gpu_bytes_per_chunk: u64,
     /// How chunks came: `exact` or `seed`; `none` in a local scene.

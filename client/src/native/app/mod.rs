@@ -11,6 +11,7 @@ use crate::native::args::Args;
 use crate::native::shot::{feed, write_stats};
 use crate::native::textures;
 use crate::render::cast::PER_FRAME;
+use crate::render::cull::Told;
 use crate::render::pool::ChunkPool;
 use crate::render::surface::{NextTexture, WindowSurface};
 use crate::render::{Gpu, RenderOptions, Renderer, gpu};
@@ -38,6 +39,9 @@ const ARRIVAL_FADE: Duration = Duration::from_millis(250);
 
 /// How long to leave a window alone that cannot be drawn into.
 const HIDDEN_PAUSE: Duration = Duration::from_millis(50);
+
+/// Frames between two counts of the plants: reading one back waits for the GPU.
+const PLANTS_HEARD_EVERY: usize = 60;
 
 /// A longer step would jump; the camera pauses instead.
 const LONGEST_STEP: Duration = Duration::from_millis(200);
@@ -93,6 +97,8 @@ struct Running {
     first_picture: Option<Duration>,
     drawn: usize,
     instances: usize,
+    /// What was last heard of the plants.
+    plants: Told,
     started: Instant,
     last: Instant,
     /// Nothing is drawn before this.
@@ -199,6 +205,7 @@ impl Running {
             first_picture: None,
             drawn: 0,
             instances: 0,
+            plants: Told::default(),
             started,
             last: now,
             resume_at: now,
@@ -280,6 +287,7 @@ impl Running {
                 resident: self.voyage.world().len(),
                 capacity: self.slots,
                 triangles: self.instances as u64 * TRIANGLES_PER_INSTANCE,
+                plants: self.plants,
                 wanting: selection.wanting,
                 bytes_received: traffic.bytes_received,
                 delivery: self.args.delivery,
@@ -301,6 +309,9 @@ impl Running {
             self.overlay.paint(gpu, painted, &mut encoder, &view);
         }
         gpu.queue.submit([encoder.finish()]);
+        if self.frames.is_multiple_of(PLANTS_HEARD_EVERY) {
+            self.plants = self.hear_of_plants();
+        }
         self.window.pre_present_notify();
         gpu.queue.present(texture);
         self.times.push(step);
@@ -321,6 +332,12 @@ impl Running {
         step
     }
 
+    /// What the choice of plants came to; a GPU that cannot say so will be told of by the next frame.
+    fn hear_of_plants(&self) -> Told {
+        let garden = self.renderer.garden().filter(|_| self.knobs.looks.plants.any());
+        garden.and_then(|garden| garden.told(&self.gpu).ok()).unwrap_or_default()
+    }
+
     fn stats(&self) -> Stats {
         let milestones = self.voyage.milestones();
         let resident = self.voyage.world().len();
@@ -330,6 +347,8 @@ impl Running {
             chunks_drawn: self.drawn,
             triangles: self.instances as u64 * TRIANGLES_PER_INSTANCE,
             terrain_draws: self.renderer.terrain_draws(),
+            plants_drawn: self.plants.clumps,
+            plants_lost: self.plants.clumps_lost,
             gpu_bytes_per_chunk: self.renderer.bytes_per_chunk(),
             delivery: if self.args.scene.is_local() { "none" } else { self.args.delivery.name() },
             bytes_received: self.voyage.feed().traffic().bytes_received,

@@ -1,8 +1,10 @@
 //! The panel: numbers of the frame and of the session, and the two sliders that trade detail for speed.
 
 use crate::looks::{Diffuse, Looks, Shadows, Show, SunPlace, Tiling, Visibility, WaterTier};
+use crate::plants::{Cull, PlantKnobs};
 use crate::relief::ReliefKnobs;
 use crate::relief::knobs::{Heights, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
+use crate::render::cull::Told;
 use crate::stats::FrameTimes;
 use crate::voyage::Link;
 use clap::ValueEnum;
@@ -25,6 +27,8 @@ pub struct Readings<'a> {
     pub capacity: u32,
     /// Triangles of the frame.
     pub triangles: u64,
+    /// Clumps of grass and trees.
+    pub plants: Told,
     /// Chunks drawn coarser than wanted.
     pub wanting: usize,
     /// Bytes received.
@@ -82,6 +86,9 @@ pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
                 detail(ui, readings, knobs);
             }
             ui.collapsing("Picture", |ui| picture(ui, &mut knobs.looks));
+            if has_land {
+                ui.collapsing("Plants", |ui| plants(ui, &mut knobs.looks.plants));
+            }
             ui.collapsing("Relief", |ui| relief(ui, &mut knobs.looks.relief, has_land));
             ui.separator();
             if has_land {
@@ -136,6 +143,30 @@ fn picture(ui: &mut egui::Ui, looks: &mut Looks) {
         ui.weak("exposure");
         ui.add(egui::Slider::new(&mut looks.exposure_ev, -8.0..=8.0).suffix(" EV"));
         ui.end_row();
+    });
+}
+
+/// The knobs of plants and of what hides them.
+fn plants(ui: &mut egui::Ui, knobs: &mut PlantKnobs) {
+    fn row(ui: &mut egui::Ui, name: &str, slider: egui::Slider<'_>) {
+        ui.weak(name);
+        ui.add(slider);
+        ui.end_row();
+    }
+    egui::Grid::new("plants").num_columns(2).show(ui, |ui| {
+        row(ui, "grass", egui::Slider::new(&mut knobs.density, 0..=PlantKnobs::MAX_DENSITY));
+        row(ui, "range", egui::Slider::new(&mut knobs.range_m, 0.0..=1000.0).suffix(" m"));
+        let thin_from = egui::Slider::new(&mut knobs.thin_from_m, 1.0..=400.0).logarithmic(true);
+        row(ui, "thin from", thin_from.suffix(" m"));
+        row(ui, "widest", egui::Slider::new(&mut knobs.widest, 1.0..=16.0));
+        row(ui, "trees", egui::Slider::new(&mut knobs.trees, 0..=PlantKnobs::MAX_TREES));
+        let farthest = 0.0..=PlantKnobs::MAX_RANGE_M;
+        row(ui, "tree range", egui::Slider::new(&mut knobs.tree_range_m, farthest).suffix(" m"));
+        row(ui, "wind", egui::Slider::new(&mut knobs.wind, 0.0..=1.0));
+        row(ui, "lean", egui::Slider::new(&mut knobs.lean, 0.0..=1.0));
+        choice::<Cull>(ui, "cull", &mut knobs.cull);
+        row(ui, "stay", egui::Slider::new(&mut knobs.stay, 0..=60).suffix(" frames"));
+        row(ui, "step", egui::Slider::new(&mut knobs.step_m, 0.25..=16.0).logarithmic(true).suffix(" m"));
     });
 }
 
@@ -241,6 +272,7 @@ fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>) {
         ("chunks", format!("{} drawn, {} of {} here", readings.drawn, readings.resident, readings.capacity)),
         ("still coarse", readings.wanting.to_string()),
         ("triangles", format!("{:.2} M", readings.triangles as f64 / 1e6)),
+        ("plants", plants_of(&readings.plants)),
         (
             "received",
             format!(
@@ -262,6 +294,17 @@ fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>) {
             ui.end_row();
         }
     });
+}
+
+/// Plants drawn; those that found no room are told of too.
+fn plants_of(told: &Told) -> String {
+    let drawn = format!("{:.1} k", f64::from(told.clumps) / 1e3);
+    match told.clumps_lost + told.blocks_lost {
+        0 => drawn,
+        _ => {
+            format!("{drawn}; {} k clumps, {} blocks had no room", told.clumps_lost / 1000, told.blocks_lost)
+        }
+    }
 }
 
 /// One bar per level, finest on the left.
