@@ -112,3 +112,71 @@ fn the_gpu_keeps_exactly_what_the_twin_keeps_in_the_same_order() {
         assert!(paths[0] > paths[1] && paths[1] >= paths[4] && paths[4] >= paths[5], "{paths:?}");
     }
 }
+
+/// A frame of plants over land that is all here.
+fn frame_of(world: &mut World, shot: &Shot, cull: Cull, knobs: PlantKnobs) -> client::frame::FrameData {
+    let looks = Looks { plants: PlantKnobs { cull, ..knobs }, ..shot.looks };
+    let shot = Shot { looks, ..*shot };
+    let selection = select(world, &shot.viewer());
+    shot.frame(client::scene::Scene::Island, world, &selection)
+}
+
+#[test]
+fn a_picture_without_what_is_hidden_is_the_picture_with_it_byte_for_byte() {
+    let Ok(mut studio) = lab::studio::Studio::open((192, 108), SLOTS) else { return };
+    let land = Land::new(1);
+    let knobs = PlantKnobs { density: 3, range_m: 150.0, tree_range_m: 900.0, ..PlantKnobs::STANDARD };
+    for camera in ["-3900,36.5,1000,30,-2", "300,60,900,200,-3"] {
+        let shot = shot(camera, knobs);
+        let mut world = World::new(SLOTS);
+        world.set_seed(1);
+        for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
+            world.insert(land.chunk(needed.key));
+        }
+        let eye = shot.pose.eye();
+        let shot = Shot { pose: shot.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
+        studio.furnish(&world);
+        let mut picture = |cull, knobs| {
+            let frame = frame_of(&mut world, &shot, cull, knobs);
+            studio.picture(&frame).unwrap().rgba
+        };
+        let all = picture(Cull::Distance, knobs);
+        for cull in [Cull::Frustum, Cull::Exact, Cull::Hierarchical] {
+            let differing = all.iter().zip(picture(cull, knobs)).filter(|(a, b)| **a != *b).count();
+            assert_eq!(differing, 0, "{camera} {cull:?}");
+        }
+        let bare = picture(Cull::Hierarchical, PlantKnobs::NONE);
+        assert!(all != bare, "{camera}: plants are part of the picture");
+    }
+}
+
+#[test]
+fn a_block_that_was_seen_stays_as_long_as_it_is_told_to_and_no_longer() {
+    let Some(field) = field([20_000, 60_000, 90_000]) else { return };
+    let land = Land::new(1);
+    let knobs = PlantKnobs { density: 2, range_m: 120.0, trees: 1, tree_range_m: 400.0, ..PlantKnobs::STANDARD };
+    let kept = |stay: u32, camera: &str, frame: u32, world: &mut World| {
+        let shot = shot(camera, PlantKnobs { stay, cull: Cull::Frustum, ..knobs });
+        for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
+            world.insert(land.chunk(needed.key));
+        }
+        let selection = select(world, &shot.viewer());
+        world.residents().for_each(|chunk| field.pool.upload(&field.gpu.queue, chunk));
+        let plants = shot.plants(world, &selection.drawn).unwrap();
+        field.passes.prepare(&field.gpu.queue, &plants.square);
+        let mut encoder = field.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        field.passes.record(&field.gpu.queue, &plants, 0, frame, &field.grass, &mut encoder);
+        field.gpu.queue.submit([encoder.finish()]);
+        field.grass.told(&field.gpu).unwrap().blocks
+    };
+    let mut world = World::new(SLOTS);
+    world.set_seed(1);
+    let (here, turned) = ("-3900,60,1000,30,-10", "-3900,60,1000,75,-10");
+    let before = kept(3, here, 10, &mut world);
+    let alone = kept(0, turned, 11, &mut world);
+    let lingering = kept(3, turned, 12, &mut world);
+    let gone = kept(3, turned, 40, &mut world);
+    assert!(before > 50 && alone > 50);
+    assert!(lingering > alone, "{lingering} {alone}");
+    assert_eq!(gone, alone);
+}
