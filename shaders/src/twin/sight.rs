@@ -8,6 +8,8 @@
 //! farthest of it; where the surface is above that height all along the stretch, all of it is hidden. The surface along the stretch is lowest at an end, a grid line or a diagonal, and
 //! those are whole numbers.
 //!
+//! What is narrower at its top than at its foot, as a tree is, has a skirt: beyond the radius its highest point falls evenly. So does what the surface has to reach beside the ray.
+//!
 //! Everything errs on one side. A sample is a place *near* a crossing, taken on the surface as drawn, and heights are rounded so that the surface is never too high and the
 //! rays never too low: what is called hidden is hidden. What is missed is a target that is hidden by less than a few fine units.
 
@@ -30,8 +32,12 @@ pub struct Target {
     pub top: i32,
     /// Place in the square, fine units.
     pub z: i32,
-    /// All of it lies within this distance of the vertical through the place, fine units; below 2^17.
+    /// Within this distance of the vertical through the place it may be as high as that, fine units; below 2^17.
     pub radius: i32,
+    /// It reaches so much farther, ever lower; fine units below 2^14, 0 where all of it is within the radius.
+    pub skirt: i32,
+    /// So much lower its highest point is at the end of the skirt, fine units below 2^16.
+    pub fall: i32,
     /// Growth of the highest point of it per fine unit east, Q14, within ±1: what stands on a slope is higher uphill.
     pub east_rise: i32,
     /// The same, south.
@@ -58,6 +64,10 @@ struct Ray {
     rise: i32,
     /// Growth of half the stretch that rays to all of the target cross, per progress, Q13.
     widening: i32,
+    /// The same of what is within the radius.
+    core: i32,
+    /// Growth of what rays to the end of the skirt are lower by, per progress, Q24, rounded down.
+    fall: i32,
     /// What the ray may be too low by, fine units: the eye is rounded.
     slack: i32,
     /// Growth of the height of the highest ray with the other coordinate, Q14.
@@ -80,12 +90,16 @@ pub fn quotient(part: u32, whole: u32) -> u32 {
 ///
 /// A point of the target that lies `a` beside its middle and `b` behind it is seen along a track that at the same progress `u` runs `u (a - drift b) / (length + b)` beside the
 /// middle's; `a² + b²` is at most the square of the radius.
+///
+/// A top that grows by `g` per unit along the ray and falls by `k` per unit of the skirt is, at a distance `d` of the vertical beyond the radius `r`, higher than in the middle
+/// by at most `g d - k (d - r) = g r - (k - g) (d - r)`, and `d` is no less than what it lies beside the ray. So the skirt keeps a fall of `k - g`; if that is below zero, it has none.
 fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let (east, south) = (target.x - eye[0], target.z - eye[2]);
     let along_x = east.abs() >= south.abs();
     let (forward, sideways) = if along_x { (east, south) } else { (south, east) };
     let to_middle = forward.abs();
-    let length = to_middle - target.radius - 1;
+    let whole_radius = target.radius + target.skirt;
+    let length = to_middle - whole_radius - 1;
     if length <= start {
         return None;
     }
@@ -98,15 +112,21 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let ahead = if mirrored { -ahead } else { ahead };
     let turned = mul_hi(tilt << 8, if sideways < 0 { -drift } else { drift });
     let along = ahead + turned;
-    let up = target.top + (mul_hi(target.radius << 12, along.abs() << 6) + 1) - eye[1];
+    let fall = target.fall - (mul_hi(target.skirt << 12, along.abs() << 6) + 1);
+    let raised = if fall > 0 { target.radius } else { whole_radius };
+    let up = target.top + (mul_hi(raised << 12, along.abs() << 6) + 1) - eye[1];
     if up.abs() >> 4 >= length {
         return None;
     }
     // Of rays that rise the one to the nearest point is the highest, of those that fall the one to the farthest.
-    let whole = if up < 0 { to_middle + target.radius + 1 } else { length };
+    let farthest = to_middle + whole_radius + 1;
+    let whole = if up < 0 { farthest } else { length };
     let rise = quotient(up.unsigned_abs(), whole as u32) as i32;
     // sqrt(1 + drift²) is at most 1 + drift / 2.
-    let half = target.radius + (mul_hi(target.radius << 8, drift << 1) >> 2) + 2;
+    let widening = |radius: i32| {
+        let half = radius + (mul_hi(radius << 8, drift << 1) >> 2) + 2;
+        (((half as u32) << 13) / length as u32) as i32 + 1
+    };
     return Some(Ray {
         along_x,
         mirrored,
@@ -116,7 +136,9 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
         length,
         drift: if sideways < 0 { -drift } else { drift },
         rise: if up < 0 { -rise } else { rise + 1 },
-        widening: (((half as u32) << 13) / length as u32) as i32 + 1,
+        widening: widening(whole_radius),
+        core: widening(target.radius),
+        fall: quotient(fall.max(0) as u32, farthest as u32) as i32,
         slack: (rise >> 24) + 4,
         tilt,
     });
@@ -146,25 +168,35 @@ impl Ray {
     }
 }
 
-/// Whether the surface is above a height all along a stretch of the other axis that is centred at `across`, `half` each way. Places along the main axis are whole numbers, so those of grid
-/// lines and diagonals are too.
+/// Whether the surface is above a height all along a stretch of the other axis that is centred at `across`, `half` each way; beyond `core` from the centre the height falls, by `fall`
+/// at the ends. Places along the main axis are whole numbers, so those of grid lines and diagonals are too.
 fn is_above<S: Slots>(
     surface: &Surface<'_, S>,
     ray: &Ray,
     along: i32,
     across: i32,
-    half: i32,
+    [half, core]: [i32; 2],
     height: i32,
+    fall: i32,
 ) -> bool {
     let last = (1 << SQUARE_BITS) - 1;
     let (low, high) = ((across - half).clamp(0, last), (across + half).clamp(0, last));
     // How far the surface is above the highest ray that passes there.
     let lowest = |other: i32| {
         let (x, z) = if ray.along_x { (along, other) } else { (other, along) };
-        surface.lowest_at(x, z) - mul_hi((other - across) << 12, ray.tilt << 6) - 1
+        let beyond = ((other - across).abs() - core).max(0) as u32;
+        let fallen = (fall as u32 * beyond / (half - core).max(1) as u32) as i32;
+        surface.lowest_at(x, z) + fallen - mul_hi((other - across) << 12, ray.tilt << 6) - 1
     };
     if lowest(low) < height || lowest(high) < height {
         return false;
+    }
+    // Where the height begins to fall it bends upwards.
+    if fall > 0 && core < half {
+        let (left, right) = ((across - core).clamp(0, last), (across + core).clamp(0, last));
+        if lowest(left) < height || lowest(right) < height {
+            return false;
+        }
     }
     let cells = |other: i32| {
         let (x, z) = if ray.along_x { (along, other) } else { (other, along) };
@@ -201,7 +233,9 @@ fn hides_at<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, progress: i32) -> boo
     }
     // Three more for the eye and the track, which are rounded.
     let half = ((ray.widening * progress) >> 13) + 4;
-    return is_above(surface, ray, along, across, half, height);
+    let core = ((ray.core * progress) >> 13) + 4;
+    let fall = mul_hi(ray.fall << 2, progress << 6);
+    return is_above(surface, ray, along, across, [half, core], height, fall);
 }
 
 /// `span * part / whole` for numbers below 2^(bits + 1), cut to 14 bits.
