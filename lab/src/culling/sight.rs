@@ -14,7 +14,7 @@ use shaders::twin::planting::{
     BLOCK_CELL_BITS, Clump, Extent, block_extent, block_is_hidden, clump_at, distance_squared, extent_of, may_be_in_view,
     slope_at, stands_at, tip_of,
 };
-use shaders::twin::sight::{Target, is_hidden};
+use shaders::twin::sight::{Target, is_hidden, is_hidden_in_strips};
 use shaders::twin::surface::{Slots, Surface};
 use std::cell::Cell;
 use std::f64::consts::TAU;
@@ -253,7 +253,7 @@ fn of_scene(scene: &Scene) -> Findings {
                 found.culprits.push(format!("{}: {clump:?}", scene.name));
             }
             if is_grass && !is_seen && !hierarchical && culling.sees_land != 0 {
-                diagnose(&mut found, &surface, culling, &judged.extent, clump, &leaves.points);
+                diagnose(&mut found, &surface, culling, &judged.extent, clump, &leaves.points, hint_m);
             }
         }
         count_cost(&mut found, &surface, stand, &sample, &fine);
@@ -269,15 +269,16 @@ fn diagnose<S: Slots>(
     extent: &Extent,
     clump: &Clump,
     points: &[Point],
+    hint_m: f64,
 ) {
     let t = extent.target;
     let real_top = (points[0][1] * 4096.0) as i32;
     let tries = [
-        Target { fall: 0, skirt: 0, ..t },
+        Target { east_rise: 0, south_rise: 0, ..t },
         Target { radius: t.radius / 2, skirt: t.skirt / 2, ..t },
         Target { radius: 0, skirt: 0, fall: 0, ..t },
         Target { top: t.top.min(real_top), ..t },
-        Target { top: t.top - 200, ..t },
+        Target { top: t.top - (((t.radius >> 4) * t.east_rise.abs().max(t.south_rise.abs())) >> 10), ..t },
         Target { top: clump.y, ..t },
         Target { radius: t.radius / 2, skirt: t.skirt / 2, top: real_top, ..t },
         Target { radius: 0, skirt: 0, fall: 0, top: real_top, ..t },
@@ -287,6 +288,7 @@ fn diagnose<S: Slots>(
         found.diagnosis[n] += u64::from(is_hidden(surface, culling.eye, t, culling.start));
     }
     found.diagnosis[9] += 1;
+    if std::env::var_os("DIAG").is_some() { let e = culling.eye; eprintln!("d {:.0} r {:.2} skirt {:.2} top {:.2} real {:.2} rises {:.2} {:.2} radius0 {} rise0 {} wayout {:.2}", f64::from((t.x-e[0]) as i32).hypot(f64::from(t.z-e[2]))/4096.0, f64::from(t.radius)/4096.0, f64::from(t.skirt)/4096.0, f64::from(t.top-clump.y)/4096.0, f64::from(real_top-clump.y)/4096.0, f64::from(t.east_rise)/16384.0, f64::from(t.south_rise)/16384.0, is_hidden(surface, e, &tries[2], culling.start), is_hidden(surface, e, &tries[0], culling.start), f64::from((t.x-e[0]) as i32).hypot(f64::from(t.z-e[2]))/4096.0 - hint_m); }
 }
 
 /// What T3 says of a clump.
@@ -299,7 +301,7 @@ fn judged<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) -> J
     let culling = &stand.culling;
     let extent = extent_of(culling, &stand.planting, clump, slope_at(surface, clump.x, clump.z));
     let is_hidden =
-        culling.sees_land != 0 && is_hidden(surface, culling.eye, &extent.target, culling.start);
+        culling.sees_land != 0 && is_hidden_in_strips(surface, culling.eye, &extent.target, culling.start);
     Judged { extent, is_hidden }
 }
 
@@ -357,7 +359,7 @@ fn count_cost<S: Slots>(
     let counting = Counting { slots: surface.slots, reads: Cell::new(0) };
     let counted = Surface { slots: &counting, tiles: surface.tiles, leaves: surface.leaves };
     for extent in &extents {
-        let _ = is_hidden(&counted, fine.eye, &extent.target, fine.start);
+        let _ = is_hidden_in_strips(&counted, fine.eye, &extent.target, fine.start);
     }
     found.fetches_exact += counting.reads.replace(0) as f64;
     for extent in &extents {
@@ -367,7 +369,7 @@ fn count_cost<S: Slots>(
     found.rays += extents.len() as u64;
     for part in extents.chunks(50) {
         let begun = Instant::now();
-        let exact = part.iter().filter(|extent| is_hidden(surface, fine.eye, &extent.target, fine.start));
+        let exact = part.iter().filter(|extent| is_hidden_in_strips(surface, fine.eye, &extent.target, fine.start));
         let some = std::hint::black_box(exact.count());
         let between = Instant::now();
         let march = part.iter().filter(|extent| is_hidden_by_vertices(surface, fine, &extent.target)).count();

@@ -3,7 +3,7 @@
 //! Integers only, so every client grows the same field and keeps the same part of it.
 
 use super::march::{Ground, is_hidden_by_vertices, marched_is_hidden};
-use super::sight::{Target, is_hidden};
+use super::sight::{Target, is_hidden, is_hidden_in_strips};
 use super::surface::{FINE_BITS, NOWHERE, SQUARE_BITS, STEP_BITS, Slots, Surface, TILE_BITS};
 use crate::layout::{
     CULL_DISTANCE, CULL_EXACT, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, KIND_GRASS, Planting,
@@ -325,7 +325,7 @@ pub fn kept<S: Slots>(
         let is_hidden = match culling.path {
             CULL_NOISE => marched_is_hidden(noise, culling, &tip_of(culling, planting, clump), 0),
             CULL_MARCH => is_hidden_by_vertices(surface, culling, &tip_of(culling, planting, clump)),
-            CULL_EXACT | CULL_HIERARCHICAL => is_hidden(surface, culling.eye, &extent.target, culling.start),
+            CULL_EXACT | CULL_HIERARCHICAL => is_hidden_in_strips(surface, culling.eye, &extent.target, culling.start),
             _ => false,
         };
         if is_hidden {
