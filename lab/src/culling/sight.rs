@@ -288,7 +288,28 @@ fn diagnose<S: Slots>(
         found.diagnosis[n] += u64::from(is_hidden(surface, culling.eye, t, culling.start));
     }
     found.diagnosis[9] += 1;
-    if std::env::var_os("DIAG").is_some() { let e = culling.eye; eprintln!("d {:.0} r {:.2} skirt {:.2} top {:.2} real {:.2} rises {:.2} {:.2} radius0 {} rise0 {} wayout {:.2}", f64::from((t.x-e[0]) as i32).hypot(f64::from(t.z-e[2]))/4096.0, f64::from(t.radius)/4096.0, f64::from(t.skirt)/4096.0, f64::from(t.top-clump.y)/4096.0, f64::from(real_top-clump.y)/4096.0, f64::from(t.east_rise)/16384.0, f64::from(t.south_rise)/16384.0, is_hidden(surface, e, &tries[2], culling.start), is_hidden(surface, e, &tries[0], culling.start), f64::from((t.x-e[0]) as i32).hypot(f64::from(t.z-e[2]))/4096.0 - hint_m); }
+    if std::env::var_os("DIAG").is_some() {
+        let e = culling.eye;
+        let d = f64::from(t.x - e[0]).hypot(f64::from(t.z - e[2]));
+        let (ux, uz) = (f64::from(t.x - e[0]) / d, f64::from(t.z - e[2]) / d);
+        let at = |a: f64, b: f64, lower: i32| {
+            let (x, z) = ((a * -uz + b * ux) * f64::from(t.radius), (a * ux + b * uz) * f64::from(t.radius));
+            let rise = (x * f64::from(t.east_rise) + z * f64::from(t.south_rise)) / 16384.0;
+            let p = Target { x: t.x + x as i32, z: t.z + z as i32, top: t.top + rise as i32 - lower, radius: 0, skirt: 0, fall: 0, ..t };
+            u8::from(is_hidden(surface, e, &p, culling.start))
+        };
+        let raise = (ux * f64::from(t.east_rise) + uz * f64::from(t.south_rise)) / 16384.0 * f64::from(t.radius) / 4096.0;
+        let mut need = 0;
+        while need < 8000 && !is_hidden_in_strips(surface, e, &Target { top: t.top - need, ..t }, culling.start) { need += 40; }
+        eprintln!("d {:.0} r {:.2} raise {:.2} top {:.2} real {:.2} mid {} left {} {} right {} {} near {} far {} lower all by {:.2}", d / 4096.0, f64::from(t.radius) / 4096.0, raise, f64::from(t.top - clump.y) / 4096.0, f64::from(real_top - clump.y) / 4096.0,
+            at(0.0, 0.0, 0), at(-1.0, 0.0, 0), at(-0.5, 0.0, 0), at(1.0, 0.0, 0), at(0.5, 0.0, 0), at(0.0, -1.0, 0), at(0.0, 1.0, 0), f64::from(need) / 4096.0);
+        let _ = hint_m;
+        let g = (ux * f64::from(t.east_rise) + uz * f64::from(t.south_rise), -uz * f64::from(t.east_rise) + ux * f64::from(t.south_rise));
+        let across = Target { east_rise: (-uz * g.1) as i32, south_rise: (ux * g.1) as i32, ..t };
+        let flat = Target { east_rise: 0, south_rise: 0, ..t };
+        let h = |t: &Target| u8::from(is_hidden_in_strips(surface, e, t, culling.start));
+        eprintln!("   tilt {:.2} no raise {} flat {} half r {} third r {} half r no raise {} nofall {}", g.1 / 16384.0, h(&across), h(&flat), h(&Target { radius: t.radius / 2, skirt: 0, fall: 0, ..t }), h(&Target { radius: t.radius / 4, skirt: 0, fall: 0, ..t }), h(&Target { radius: t.radius / 2, skirt: 0, fall: 0, ..across }), h(&Target { skirt: 0, fall: 0, ..t }));
+    }
 }
 
 /// What T3 says of a clump.
