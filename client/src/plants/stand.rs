@@ -276,6 +276,7 @@ fn patches(square: &Square, culling: &Culling, planting: &Planting) -> Vec<[i32;
                     z: north + half,
                     top: top + planting.over,
                     radius: (half >> 5) * 46 + planting.reach,
+                    follow: (half >> 5) * 46 + planting.reach,
                     skirt: 0,
                     fall: 0,
                     east_rise: 0,

@@ -170,6 +170,7 @@ fn lean_of(height: i32, steep: i32) -> i32 {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Shape {
     radius: i32,
+    follow: i32,
     skirt: i32,
     fall: i32,
     /// Its highest point over its root; of grass, over the plane through the root that has the slope of the ground.
@@ -186,7 +187,13 @@ struct Shape {
 fn shape_of(planting: &Planting, half: i32, height: i32, is_far: bool, slope: Option<[i32; 2]>) -> Shape {
     if planting.kind != KIND_GRASS {
         let radius = ((half * 49) >> 8) + 1;
-        return Shape { radius, skirt: ((half * 277) >> 8) + 1 - radius, fall: height, over: height + 1 };
+        return Shape {
+            radius,
+            follow: radius,
+            skirt: ((half * 277) >> 8) + 1 - radius,
+            fall: height,
+            over: height + 1,
+        };
     }
     let steep = slope.map_or(1 << 14, |slope| steepness(slope[0], slope[1]));
     let lean = lean_of(height, steep);
@@ -194,12 +201,14 @@ fn shape_of(planting: &Planting, half: i32, height: i32, is_far: bool, slope: Op
     let foot = if slope.is_some() { (((height * steep) >> 14) * steep) >> 15 } else { half };
     let above = (half >> 6) + 2;
     let over = height + foot + above;
-    let tips = ((half * 154) >> 8) + 1 + lean;
-    let whole = half + lean;
-    if is_far && slope.is_some() && tips < half {
-        return Shape { radius: tips, skirt: half - tips, fall: height + foot, over };
+    let spread = if is_far { ((half * 154) >> 8) + 1 } else { half };
+    if is_far && slope.is_some() && spread + lean < half {
+        let radius = spread + lean;
+        return Shape { radius, follow: spread, skirt: half - radius, fall: height + foot, over };
     }
-    return Shape { radius: if is_far { tips.max(half) } else { whole }, skirt: 0, fall: 0, over };
+    let follow = if is_far { half } else { spread };
+    let radius = if is_far { half.max(spread + lean) } else { half + lean };
+    return Shape { radius, follow: follow.min(radius), skirt: 0, fall: 0, over };
 }
 
 /// What a clump takes up, as wide as its distance makes it, on ground of a slope.
@@ -222,6 +231,7 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: O
             top: clump.y + shape.over,
             z: clump.z,
             radius: shape.radius,
+            follow: shape.follow,
             skirt: shape.skirt,
             fall: shape.fall,
             east_rise: known[0],
@@ -242,6 +252,7 @@ pub fn tip_of(culling: &Culling, planting: &Planting, clump: &Clump) -> Target {
         top: clump.y + height,
         z: clump.z,
         radius: 0,
+        follow: 0,
         skirt: 0,
         fall: 0,
         east_rise: 0,
@@ -393,6 +404,7 @@ pub fn part_extent<S: Slots>(
             top: top + shape.over,
             z,
             radius: diagonal + shape.radius,
+            follow: diagonal + shape.radius,
             skirt: shape.skirt,
             fall: shape.fall,
             east_rise: 0,

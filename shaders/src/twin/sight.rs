@@ -42,6 +42,8 @@ pub struct Target {
     pub z: i32,
     /// Within this distance of the vertical through the place it may be as high as that, fine units; below 2^17.
     pub radius: i32,
+    /// Of the radius, what lies in a plane that has the slope of the top; the rest leans out of it and gets no higher by that. At most the radius.
+    pub follow: i32,
     /// It reaches so much farther, ever lower; fine units below 2^14, 0 where all of it is within the radius.
     pub skirt: i32,
     /// So much lower its highest point is at the end of the skirt, fine units below 2^16.
@@ -103,8 +105,13 @@ pub fn quotient(part: u32, whole: u32) -> u32 {
 /// A point of the target that lies `a` beside its middle and `b` behind it is seen along a track that at the same progress `u` runs `u (a - drift b) / (length + b)` beside the
 /// middle's; `a² + b²` is at most the square of the radius.
 ///
-/// A top that grows by `g` per unit along the ray and falls by `k` per unit of the skirt is, at a distance `d` of the vertical beyond the radius `r`, higher than in the middle
-/// by at most `g d - k (d - r) = g r - (k - g) (d - r)`, and `d` is no less than what it lies beside the ray. So the skirt keeps a fall of `k - g`; if that is below zero, it has none.
+/// The highest ray: a point whose foot lies `c` behind the middle in the plane of the top, and that leans by `l` from there, is seen at a rise of at most `(h + g c) / (D + c + l)`, `h` the
+/// height of the top over the eye, `g` the slope along the ray, `D` the way to the middle. That is a ratio of linear functions of `c`, so it is greatest at an end of `c`, and with `l` at the
+/// end that the sign of the height asks for.
+///
+/// The skirt: what is a share `t` of the way down to its end may lie farther out in that plane by `t` times what the end does, the rest of the radius and the skirt, and nearer by `t` of
+/// the skirt, which raises it by `g` times the one and by the rise of the ray, twice at most where the farthest point is no more than twice as far as the nearest, times the other. What is
+/// left of the fall is the fall of the requirement; if nothing is, all of it counts as following the plane.
 fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let (east, south) = (target.x - eye[0], target.z - eye[2]);
     let along_x = east.abs() >= south.abs();
@@ -124,16 +131,33 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let ahead = if mirrored { -ahead } else { ahead };
     let turned = mul_hi(tilt << 8, if sideways < 0 { -drift } else { drift });
     let along = ahead + turned;
-    let fall = target.fall - (mul_hi(target.skirt << 12, along.abs() << 6) + 1);
-    let raised = if fall > 0 { target.radius } else { whole_radius };
-    let up = target.top + (mul_hi(raised << 12, along.abs() << 6) + 1) - eye[1];
-    if up.abs() >> 4 >= length {
+    let lean = target.radius - target.follow;
+    // Heights over the eye of what follows the plane so far, nearest and farthest, rounded up.
+    let ends = |follow: i32| {
+        let raise = mul_hi(follow << 12, along.abs() << 6) + 2;
+        let middle = target.top - eye[1];
+        if along < 0 { [middle + raise, middle - raise + 2] } else { [middle - raise + 2, middle + raise] }
+    };
+    let rise_of = |[near, far]: [i32; 2], follow: i32| {
+        let of = |up: i32, to: i32| {
+            if up < 0 {
+                return -(quotient(up.unsigned_abs(), (to + lean + 1) as u32) as i32);
+            }
+            return quotient(up as u32, (to - lean - 1) as u32) as i32 + 1;
+        };
+        return of(near, to_middle - follow).max(of(far, to_middle + follow));
+    };
+    let highest = ends(whole_radius);
+    let steepest = highest[0].abs().max(highest[1].abs());
+    if steepest >> 4 >= length || length <= lean + start {
         return None;
     }
-    // Of rays that rise the one to the nearest point is the highest, of those that fall the one to the farthest.
     let farthest = to_middle + whole_radius + 1;
-    let whole = if up < 0 { farthest } else { length };
-    let rise = quotient(up.unsigned_abs(), whole as u32) as i32;
+    let most = quotient(steepest as u32, length as u32) as i32 + 1;
+    let lost = mul_hi((target.skirt + lean) << 12, along.abs() << 6) + mul_hi(target.skirt << 9, most) + 3;
+    let fall = if target.skirt > 0 && farthest >> 1 <= length { target.fall - lost } else { 0 };
+    let follow = if target.skirt == 0 || fall > 0 { target.follow } else { whole_radius };
+    let rise = rise_of(ends(follow), follow);
     // sqrt(1 + drift²) is at most 1 + drift / 2.
     let widening = |radius: i32| {
         let half = radius + (mul_hi(radius << 8, drift << 1) >> 2) + 2;
@@ -147,12 +171,12 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
         up: eye[1],
         length,
         drift: if sideways < 0 { -drift } else { drift },
-        rise: if up < 0 { -rise } else { rise + 1 },
+        rise,
         widening: widening(whole_radius),
         whole: widening(whole_radius),
         core: widening(target.radius),
         fall: quotient(fall.max(0) as u32, farthest as u32) as i32,
-        slack: (rise >> 24) + 4,
+        slack: (rise.abs() >> 24) + 4,
         tilt,
         shift: 0,
     });
