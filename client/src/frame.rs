@@ -2,6 +2,7 @@
 
 use crate::camera::{Eye, Lens, Pose};
 use crate::looks::{Looks, Show};
+use crate::plants::PlantFrame;
 use crate::render::scenes::relief::objects;
 use crate::scene::Scene;
 use crate::shadow::{Candidate, Page};
@@ -40,6 +41,8 @@ pub struct FrameData {
     pub candidates: Vec<Candidate>,
     /// What is drawn where no land is.
     pub backdrop: Backdrop,
+    /// What grows on the land, if anything does.
+    pub plants: Option<PlantFrame>,
     /// How often materials repeat on the objects of a scene of reliefs, along u and v, over the scene's own.
     pub relief_tiling: [f32; 2],
 }
@@ -134,6 +137,7 @@ impl Shot {
                 Show::Picture => Backdrop::SkyAndSea,
                 _ => Backdrop::Sky,
             },
+            plants: self.plants(world, &selection.drawn),
             relief_tiling: self.looks.relief.sane().tiling,
         }
     }

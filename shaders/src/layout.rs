@@ -640,6 +640,8 @@ pub struct Planting {
     pub collapse: i32,
     /// Squares of the distances beyond which clumps are drawn in the second and in the third level of detail, (1/16 m)².
     pub detail: [u32; 2],
+    /// Unused; the table begins at a multiple of 16 bytes.
+    pub reserved: [u32; 2],
     /// By rank, four to a row: the square of the distance up to which it stands, (1/16 m)².
     pub stands_within: [[u32; 4]; 64],
     /// Vertices of a clump in each level of detail.

@@ -99,7 +99,6 @@ fn the_gpu_keeps_exactly_what_the_twin_keeps_in_the_same_order() {
                 // The GPU gathers each level of detail by itself.
                 twin.sort_by_key(|kept| kept.detail);
                 assert_eq!((told.blocks_lost, told.clumps_lost), (0, 0), "{camera} {cull:?}");
-                println!("{camera} {cull:?} {} {} {told:?}", clumps.len(), twin.len());
                 let expected: Vec<_> = twin.iter().map(words).collect();
                 let found: Vec<_> = clumps.iter().map(without_normal).collect();
                 assert_eq!(found.len(), expected.len(), "{camera} {cull:?}");
@@ -108,7 +107,6 @@ fn the_gpu_keeps_exactly_what_the_twin_keeps_in_the_same_order() {
             kept_by_path.push(chosen[0].0.len());
         }
     }
-    println!("{kept_by_path:?}");
     assert!(kept_by_path.iter().any(|kept| *kept > 1000));
     for paths in kept_by_path.chunks(6) {
         assert!(paths[0] > paths[1] && paths[1] >= paths[4] && paths[4] >= paths[5], "{paths:?}");

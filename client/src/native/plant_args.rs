@@ -21,7 +21,7 @@ pub struct PlantArgs {
     #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
     pub grass_range: Option<f64>,
 
-    /// How far all of it stands, metres, 1 to 1900; beyond, fewer clumps are wider [default: 14; 80 in culling]
+    /// How far all of it stands, metres, 1 to 1900; beyond, fewer clumps are wider [default: 42; 80 in culling]
     #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 1.0, FARTHEST_M))]
     pub grass_thin_from: Option<f64>,
 

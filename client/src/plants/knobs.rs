@@ -60,7 +60,7 @@ impl PlantKnobs {
     pub const STANDARD: Self = Self {
         density: 32,
         range_m: 260.0,
-        thin_from_m: 14.0,
+        thin_from_m: 42.0,
         widest: 6.0,
         trees: 1,
         tree_range_m: 1500.0,

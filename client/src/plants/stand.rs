@@ -170,6 +170,7 @@ impl Kind {
             range: (self.range_m * COARSE).ceil() as i32,
             collapse: (f64::from(COLLAPSE) * self.range_m * COARSE).ceil().max(1.0) as i32,
             detail: self.detail_m.map(squared),
+            reserved: [0; 2],
             stands_within: std::array::from_fn(|row| {
                 std::array::from_fn(|column| stands_within(4 * row + column))
             }),

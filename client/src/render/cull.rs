@@ -31,6 +31,19 @@ pub struct Told {
     pub clumps_lost: u32,
 }
 
+impl Told {
+    /// Both together.
+    #[must_use]
+    pub fn with(self, other: Self) -> Self {
+        Self {
+            blocks: self.blocks + other.blocks,
+            blocks_lost: self.blocks_lost + other.blocks_lost,
+            clumps: self.clumps + other.clumps,
+            clumps_lost: self.clumps_lost + other.clumps_lost,
+        }
+    }
+}
+
 /// The passes.
 #[derive(Debug)]
 pub struct CullPasses {

@@ -138,5 +138,6 @@ impl Gpu {
 
 /// One line of a driver's message: errors are one line each.
 fn first_line(text: &str) -> String {
-    text.lines().map(str::trim).filter(|line| !line.is_empty()).take(3).collect::<Vec<_>>().join("; ")
+    let told = text.lines().map(str::trim).filter(|line| !line.is_empty() && *line != "Caused by:");
+    told.take(4).collect::<Vec<_>>().join("; ")
 }

@@ -10,6 +10,7 @@ pub mod clock;
 pub mod cones;
 pub mod cull;
 pub mod fill;
+pub mod garden;
 pub mod gpu;
 pub mod grass;
 pub mod materials;
@@ -41,7 +42,7 @@ use backdrop::BackdropPass;
 use cast::CastPass;
 use clock::{PassClock, TimedPass};
 use glam::Vec3;
-use grass::{KeptClumps, PlantPass};
+use garden::Garden;
 use materials::{Materials, OwnMaterials};
 use pool::ChunkPool;
 use scenes::LocalScene;
@@ -80,8 +81,8 @@ pub struct Renderer {
     materials: Materials,
     air: AirPass,
     terrain: TerrainPass,
-    /// What grows on the land, one for each field.
-    plants: Vec<(PlantPass, KeptClumps)>,
+    /// What grows on the land, once anything has.
+    garden: Option<Garden>,
     sky: BackdropPass,
     water: WaterPass,
     /// Drawn instead of land, sky and sea.
@@ -120,7 +121,7 @@ impl Renderer {
             shadows: Schedule::new(options.slots),
             cast: CastPass::new(device, &pool, options.slots),
             terrain: TerrainPass::new(device, &uniforms, &pool, &materials, options.slots, samples),
-            plants: Vec::new(),
+            garden: None,
             sky: BackdropPass::sky(device, &uniforms, samples),
             water: WaterPass::sea(device, &uniforms, &waves, samples),
             local: LocalScene::new(
@@ -174,11 +175,10 @@ impl Renderer {
         }
     }
 
-    /// Grows another field on the land. Whoever owns the buffers writes them before every frame: [`Field`](shaders::layout::Field), tiles, leaves, clumps and the
-    /// arguments of the draws.
-    pub fn plant(&mut self, gpu: &Gpu, kept: KeptClumps) {
-        let pass = PlantPass::new(&gpu.device, &self.uniforms, &self.pool, &kept, self.samples);
-        self.plants.push((pass, kept));
+    /// The plants of the last frame, once anything has grown.
+    #[must_use]
+    pub fn garden(&self) -> Option<&Garden> {
+        self.garden.as_ref()
     }
 
     /// Puts a chunk into its slot.
@@ -274,6 +274,13 @@ impl Renderer {
             clock.begin(encoder);
         }
         self.air.measure(encoder, &self.uniforms);
+        // Inspecting views show the land's machinery, and an eye under water sees no plants.
+        let is_shown = frame.uniforms.show == Show::Picture as u32 && frame.uniforms.eye_height_m > 0.0;
+        let plants = frame.plants.as_ref().filter(|_| is_shown);
+        if let Some(plants) = plants {
+            let garden = self.garden.get_or_insert_with(|| Garden::new(&gpu.device));
+            garden.choose(gpu, &self.uniforms, &self.pool, self.samples, plants, encoder);
+        }
         let behind = match frame.backdrop {
             Backdrop::Plain([r, g, b]) => wgpu::Color { r, g, b, a: 1.0 },
             Backdrop::SkyAndSea | Backdrop::Sky => wgpu::Color::BLACK,
@@ -305,11 +312,8 @@ impl Renderer {
                 scene.draw(&mut pass, &self.materials, &self.sky);
             } else {
                 self.terrain_draws = self.terrain.draw(&mut pass, &self.materials);
-                // Inspecting views show the land's machinery, and an eye under water sees no plants.
-                let shows_plants =
-                    frame.uniforms.show == Show::Picture as u32 && frame.uniforms.eye_height_m > 0.0;
-                for (plants, kept) in self.plants.iter().filter(|_| shows_plants) {
-                    plants.draw(&mut pass, kept);
+                if let Some(garden) = self.garden.as_ref().filter(|_| plants.is_some()) {
+                    garden.draw(&mut pass);
                 }
                 if !matches!(frame.backdrop, Backdrop::Plain(_)) {
                     self.sky.draw(&mut pass);

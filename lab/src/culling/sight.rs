@@ -14,7 +14,7 @@ use shaders::twin::planting::{
     BLOCK_CELL_BITS, Clump, Extent, block_extent, block_is_hidden, clump_at, distance_squared, extent_of, may_be_in_view,
     slope_at, stands_at, tip_of,
 };
-use shaders::twin::sight::{Target, is_hidden, is_hidden_in_strips};
+use shaders::twin::sight::{Target, is_hidden};
 use shaders::twin::surface::{Slots, Surface};
 use std::cell::Cell;
 use std::f64::consts::TAU;
@@ -300,14 +300,14 @@ fn diagnose<S: Slots>(
         };
         let raise = (ux * f64::from(t.east_rise) + uz * f64::from(t.south_rise)) / 16384.0 * f64::from(t.radius) / 4096.0;
         let mut need = 0;
-        while need < 8000 && !is_hidden_in_strips(surface, e, &Target { top: t.top - need, ..t }, culling.start) { need += 40; }
+        while need < 8000 && !is_hidden(surface, e, &Target { top: t.top - need, ..t }, culling.start) { need += 40; }
         eprintln!("d {:.0} r {:.2} raise {:.2} top {:.2} real {:.2} mid {} left {} {} right {} {} near {} far {} lower all by {:.2}", d / 4096.0, f64::from(t.radius) / 4096.0, raise, f64::from(t.top - clump.y) / 4096.0, f64::from(real_top - clump.y) / 4096.0,
             at(0.0, 0.0, 0), at(-1.0, 0.0, 0), at(-0.5, 0.0, 0), at(1.0, 0.0, 0), at(0.5, 0.0, 0), at(0.0, -1.0, 0), at(0.0, 1.0, 0), f64::from(need) / 4096.0);
         let _ = hint_m;
         let g = (ux * f64::from(t.east_rise) + uz * f64::from(t.south_rise), -uz * f64::from(t.east_rise) + ux * f64::from(t.south_rise));
         let across = Target { east_rise: (-uz * g.1) as i32, south_rise: (ux * g.1) as i32, ..t };
         let flat = Target { east_rise: 0, south_rise: 0, ..t };
-        let h = |t: &Target| u8::from(is_hidden_in_strips(surface, e, t, culling.start));
+        let h = |t: &Target| u8::from(is_hidden(surface, e, t, culling.start));
         eprintln!("   tilt {:.2} no raise {} flat {} half r {} third r {} half r no raise {} nofall {}", g.1 / 16384.0, h(&across), h(&flat), h(&Target { radius: t.radius / 2, skirt: 0, fall: 0, ..t }), h(&Target { radius: t.radius / 4, skirt: 0, fall: 0, ..t }), h(&Target { radius: t.radius / 2, skirt: 0, fall: 0, ..across }), h(&Target { skirt: 0, fall: 0, ..t }));
     }
 }
@@ -322,7 +322,7 @@ fn judged<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) -> J
     let culling = &stand.culling;
     let extent = extent_of(culling, &stand.planting, clump, slope_at(surface, clump.x, clump.z));
     let is_hidden =
-        culling.sees_land != 0 && is_hidden_in_strips(surface, culling.eye, &extent.target, culling.start);
+        culling.sees_land != 0 && is_hidden(surface, culling.eye, &extent.target, culling.start);
     Judged { extent, is_hidden }
 }
 
@@ -380,7 +380,7 @@ fn count_cost<S: Slots>(
     let counting = Counting { slots: surface.slots, reads: Cell::new(0) };
     let counted = Surface { slots: &counting, tiles: surface.tiles, leaves: surface.leaves };
     for extent in &extents {
-        let _ = is_hidden_in_strips(&counted, fine.eye, &extent.target, fine.start);
+        let _ = is_hidden(&counted, fine.eye, &extent.target, fine.start);
     }
     found.fetches_exact += counting.reads.replace(0) as f64;
     for extent in &extents {
@@ -390,7 +390,7 @@ fn count_cost<S: Slots>(
     found.rays += extents.len() as u64;
     for part in extents.chunks(50) {
         let begun = Instant::now();
-        let exact = part.iter().filter(|extent| is_hidden_in_strips(surface, fine.eye, &extent.target, fine.start));
+        let exact = part.iter().filter(|extent| is_hidden(surface, fine.eye, &extent.target, fine.start));
         let some = std::hint::black_box(exact.count());
         let between = Instant::now();
         let march = part.iter().filter(|extent| is_hidden_by_vertices(surface, fine, &extent.target)).count();

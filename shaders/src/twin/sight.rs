@@ -8,9 +8,6 @@
 //! farthest of it; where the surface is above that height all along the stretch, all of it is hidden. The surface along the stretch is lowest at an end, a grid line or a diagonal, and
 //! those are whole numbers.
 //!
-//! Where a ridge runs askew, rays to one side of a target end in it sooner than those to the other, and at no progress is all of the stretch covered. A point of the target is seen along
-//! a track that leaves the middle's evenly, so the target can be cut along tracks into strips, each of which may be hidden at a progress of its own.
-//!
 //! What is narrower at its top than at its foot, as a tree is, has a skirt: beyond the radius its highest point falls evenly. So does what the surface has to reach beside the ray.
 //!
 //! Everything errs on one side. A sample is a place *near* a crossing, taken on the surface as drawn, and heights are rounded so that the surface is never too high and the
@@ -25,11 +22,6 @@ pub const MAX_VISITS: u32 = 512;
 pub const STEEPEST: i32 = 16;
 /// Grid lines and diagonals that the stretch beside a ray may cross; beyond that nothing is hidden.
 pub const MAX_STRETCH: i32 = 160;
-
-/// log2 of the strips that a target is cut into.
-pub const STRIP_BITS: u32 = 2;
-/// Only rays to targets are cut into strips that spread by less than this, Q13: an eighth.
-pub const STRIP_SPREAD: i32 = 1 << 10;
 
 /// What a ray looks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,8 +66,6 @@ struct Ray {
     rise: i32,
     /// Growth of half the stretch that rays to all of the target cross, per progress, Q13.
     widening: i32,
-    /// The same of the whole target, of which this may be a strip.
-    whole: i32,
     /// The same of what is within the radius.
     core: i32,
     /// Growth of what rays to the end of the skirt are lower by, per progress, Q24, rounded down.
@@ -84,8 +74,6 @@ struct Ray {
     slack: i32,
     /// Growth of the height of the highest ray with the other coordinate, Q14.
     tilt: i32,
-    /// Growth of what the middle of a strip lies beside the middle of the target, per progress, Q24.
-    shift: i32,
 }
 
 /// `part / whole`, Q24, rounded down. `whole` below 2^24, the quotient below 16.
@@ -173,28 +161,14 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
         drift: if sideways < 0 { -drift } else { drift },
         rise,
         widening: widening(whole_radius),
-        whole: widening(whole_radius),
         core: widening(target.radius),
         fall: quotient(fall.max(0) as u32, farthest as u32) as i32,
         slack: (rise.abs() >> 24) + 4,
         tilt,
-        shift: 0,
     });
 }
 
 impl Ray {
-    /// The ray to a strip of the target: 0 to 2^STRIP_BITS - 1. The highest of its rays follows the tilt of the target's top.
-    fn strip(&self, strip: i32) -> Self {
-        let shift = (2 * strip + 1 - (1 << STRIP_BITS)) * (self.widening << (11 - STRIP_BITS));
-        return Self {
-            drift: self.drift + shift,
-            rise: self.rise + mul_hi(self.tilt << 9, shift << 9) + 1,
-            widening: (self.widening >> STRIP_BITS) + 1,
-            shift,
-            ..*self
-        };
-    }
-
     /// Height at a progress, fine units, never too low.
     fn height(&self, progress: i32) -> i32 {
         return self.up + mul_hi(self.rise << 2, progress << 6) + 1;
@@ -234,7 +208,7 @@ fn is_above<S: Slots>(
     // How far the surface is above the highest ray that passes there.
     let lowest = |other: i32| {
         let (x, z) = if ray.along_x { (along, other) } else { (other, along) };
-        let beyond = ((other - skirt.middle).abs() - skirt.core).clamp(0, skirt.width.max(0)) as u32;
+        let beyond = ((other - across).abs() - skirt.core).clamp(0, skirt.width.max(0)) as u32;
         let fallen = (skirt.fall as u32 * beyond / skirt.width.max(1) as u32) as i32;
         surface.lowest_at(x, z) + fallen - mul_hi((other - across) << 12, ray.tilt << 6) - 1
     };
@@ -243,7 +217,7 @@ fn is_above<S: Slots>(
     }
     // Where the height begins to fall it bends upwards.
     if skirt.fall > 0 {
-        let (left, right) = (skirt.middle - skirt.core, skirt.middle + skirt.core);
+        let (left, right) = (across - skirt.core, across + skirt.core);
         if (left > low && left < high && lowest(left) < height)
             || (right > low && right < high && lowest(right) < height)
         {
@@ -278,9 +252,7 @@ fn is_above<S: Slots>(
 /// The skirt of a target where rays to it cross a column of the main axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Skirt {
-    /// Of the target, on the other axis.
-    middle: i32,
-    /// Within this distance of it the height does not fall.
+    /// Within this distance of the middle the height does not fall.
     core: i32,
     /// It falls evenly over so much more.
     width: i32,
@@ -298,15 +270,9 @@ fn hides_at<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, progress: i32) -> boo
     }
     // Three more for the eye and the track, which are rounded.
     let half = ((ray.widening * progress) >> 13) + 4;
-    // The middle is rounded once more: four farther out.
-    let core = ((ray.core * progress) >> 13) + 8;
-    let width = ((ray.whole * progress) >> 13) + 8 - core;
-    let skirt = Skirt {
-        middle: across - mul_hi(ray.shift << 2, progress << 6),
-        core,
-        width,
-        fall: if width > 0 { mul_hi(ray.fall << 2, progress << 6) } else { 0 },
-    };
+    let core = ((ray.core * progress) >> 13) + 4;
+    let fall = if half > core { mul_hi(ray.fall << 2, progress << 6) } else { 0 };
+    let skirt = Skirt { core, width: half - core, fall };
     return is_above(surface, ray, along, across, half, height, skirt);
 }
 
@@ -360,34 +326,7 @@ fn hides_between<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, from: i32, to: i
 /// Whether the drawn land certainly hides all of a target from the eye (east, up, south; fine units). What is nearer than `start` hides nothing: it is cut by the near plane.
 #[must_use]
 pub fn is_hidden<S: Slots>(surface: &Surface<'_, S>, eye: [i32; 3], target: &Target, start: i32) -> bool {
-    return ray(eye, target, start).is_some_and(|ray| is_blocked(surface, &ray, start));
-}
-
-/// The same, strip by strip where the whole is not hidden at one progress.
-#[must_use]
-pub fn is_hidden_in_strips<S: Slots>(
-    surface: &Surface<'_, S>,
-    eye: [i32; 3],
-    target: &Target,
-    start: i32,
-) -> bool {
     let Some(ray) = ray(eye, target, start) else { return false };
-    if is_blocked(surface, &ray, start) {
-        return true;
-    }
-    if ray.widening >= STRIP_SPREAD {
-        return false;
-    }
-    for strip in 0..1 << STRIP_BITS {
-        if !is_blocked(surface, &ray.strip(strip), start) {
-            return false;
-        }
-    }
-    return true;
-}
-
-/// Whether the land blocks all of a ray.
-fn is_blocked<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, start: i32) -> bool {
     let mut progress = start;
     let mut bits = TILE_BITS - 3;
     for _ in 0..MAX_VISITS {
@@ -397,12 +336,12 @@ fn is_blocked<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, start: i32) -> bool
         let end = ray.leaves_column(progress, bits);
         let column = ray.along_column(progress, bits);
         let (near, far) = (ray.across(progress) >> bits, ray.across(end) >> bits);
-        let first = node(surface, ray, bits, column, near);
+        let first = node(surface, &ray, bits, column, near);
         let mut top = first.top;
         let mut bottom = first.bottom;
         let mut finest = first.finest;
         if far != near {
-            let second = node(surface, ray, bits, column, far);
+            let second = node(surface, &ray, bits, column, far);
             top = top.max(second.top);
             bottom = bottom.min(second.bottom);
             finest = finest.min(second.finest);
@@ -414,7 +353,7 @@ fn is_blocked<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, start: i32) -> bool
             let at = if from < to { progress } else { end };
             if bottom > NOWHERE
                 && from.min(to) + ray.slack <= bottom << FINE_BITS
-                && hides_at(surface, ray, at)
+                && hides_at(surface, &ray, at)
             {
                 return true;
             }
@@ -422,7 +361,7 @@ fn is_blocked<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, start: i32) -> bool
                 bits -= 1;
                 continue;
             }
-            if hides_between(surface, ray, progress, end, finest - 3) {
+            if hides_between(surface, &ray, progress, end, finest - 3) {
                 return true;
             }
             is_clear = true;

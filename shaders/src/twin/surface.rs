@@ -96,6 +96,10 @@ impl<S: Slots> Surface<'_, S> {
 
     /// Height at which a vertex is drawn, units. Twin of what `draw_terrain` does.
     fn drawn_vertex(&self, leaf: &Leaf, vertex: GridVertex) -> i32 {
+        // Nothing is morphed, so nothing beside it is coarser either, and no vertex is moved.
+        if leaf.edges | leaf.corners | leaf.inside == 0 {
+            return self.slots.height(leaf.slot, vertex.row * 65 + vertex.column);
+        }
         let seams = seams_of(leaf);
         let at = welded(&seams, vertex);
         let own = self.slots.height(leaf.slot, at.row * 65 + at.column);
