@@ -1,6 +1,7 @@
 //! `tombolo-lab culling`: what is left out although it is seen, what is kept although it is hidden, and what either costs. `cargo xtask measure culling` holds the figures against
 //! their bars; here only a control that fails to fail is an error.
 
+pub mod leaves;
 pub mod oracle;
 pub mod poses;
 pub mod scene;

@@ -38,10 +38,15 @@ impl Oracle {
     /// Whether the land leaves a point in sight of an eye.
     #[must_use]
     pub fn sees(&self, eye: Point, point: Point) -> bool {
+        self.first_in_the_way(eye, point).is_none()
+    }
+
+    /// The share of the way to a point where the land is first found above it.
+    fn first_in_the_way(&self, eye: Point, point: Point) -> Option<f64> {
         let (east, south) = (point[0] - eye[0], point[2] - eye[2]);
         let length = east.hypot(south).hypot(point[1] - eye[1]);
         if length <= self.near_m {
-            return true;
+            return None;
         }
         // Where the track crosses lines of the finest grid that is drawn: between two of them lies one cell of whatever is drawn there.
         let spacing = f64::from(2 << self.finest);
@@ -59,7 +64,29 @@ impl Oracle {
         }
         crossings.retain(|at| (self.near_m / length..=1.0).contains(at));
         crossings.sort_unstable_by(f64::total_cmp);
-        crossings.windows(2).all(|pair| !self.blocks(eye, point, (pair[0], pair[1])))
+        let blocked = crossings.windows(2).find(|pair| self.blocks(eye, point, (pair[0], pair[1])));
+        blocked.map(|pair| 0.5 * (pair[0] + pair[1]))
+    }
+
+    /// Whether any of some points is in sight. `hint_m`: how far from the eye over the ground the land was last found in the way, metres; the land there is asked first, because what hides
+    /// one point of a plant mostly hides the next.
+    #[must_use]
+    pub fn sees_any(&self, eye: Point, points: &[Point], hint_m: &mut f64) -> bool {
+        points.iter().any(|point| {
+            let length = (point[0] - eye[0]).hypot(point[2] - eye[2]).max(1e-9);
+            let (from, to) = ((*hint_m - 1.0) / length, (*hint_m + 1.0) / length);
+            let least = self.near_m / length.hypot(point[1] - eye[1]);
+            if from > least && to < 1.0 && self.blocks(eye, *point, (from, to)) {
+                return false;
+            }
+            match self.first_in_the_way(eye, *point) {
+                Some(part) => {
+                    *hint_m = part * length;
+                    false
+                }
+                None => true,
+            }
+        })
     }
 
     /// Height of the drawn land at a place, metres, if any is drawn there.

@@ -1,5 +1,6 @@
 //! The second oracle: samples of clumps and chunks, judged by every test and by sight over the drawn triangles in f64.
 
+use crate::culling::leaves::leaves_of;
 use crate::culling::oracle::{Oracle, Point, eye_of};
 use crate::culling::poses::Trial;
 use crate::culling::scene::Scene;
@@ -7,11 +8,10 @@ use client::plants::Stand;
 use client::plants::kept::{BySlot, blocks_of_patch, clumps_of, noise_of};
 use rayon::prelude::*;
 use serde::Serialize;
-use shaders::layout::Culling;
-use shaders::twin::field::{field_standing, field_widening};
+use shaders::layout::{Culling, KIND_GRASS};
 use shaders::twin::march::{chunk_is_hidden, is_hidden_by_vertices, marched_is_hidden};
 use shaders::twin::planting::{
-    Clump, Extent, block_extent, block_is_hidden, clump_at, distance_squared, extent_of, may_be_in_view,
+    BLOCK_CELL_BITS, Clump, Extent, block_extent, block_is_hidden, clump_at, distance_squared, extent_of, may_be_in_view,
     slope_at, stands_at, tip_of,
 };
 use shaders::twin::sight::{Target, is_hidden};
@@ -24,7 +24,7 @@ use terrain::Land;
 /// Clumps of each kind that are judged in a scene.
 const SAMPLE: usize = 500;
 
-/// Points of a clump's top that make it visible, besides the middle, and those of its bound.
+/// Points of a ring.
 const POINTS: u32 = 8;
 
 /// What is lower than this is not judged, metres: at the end of their range plants have sunk into the ground, where they are neither seen nor hidden.
@@ -89,8 +89,12 @@ pub struct Findings {
     pub grass: Score,
     /// See `grass`.
     pub trees: Score,
-    /// Chunks of 128 m by their blocks (T4).
+    /// Chunks of 128 m of grass by T4: kept if any clump of them is.
     pub chunks: Score,
+    /// The same chunks: kept if any block of them is.
+    pub chunks_by_blocks: Score,
+    /// Chunks of 512 m of trees by T4.
+    pub tree_chunks: Score,
     /// Chunks by five points.
     pub five_points: Score,
     /// Reads of heights, bounds and tiles per ray: T3; a march in steps of half a metre.
@@ -101,6 +105,7 @@ pub struct Findings {
     pub time_ratio: f64,
     /// Largest distance between a root and the drawn triangle under it, millimetres.
     pub root_mm: f64,
+    pub diagnosis: [u64; 10],
     #[serde(skip)]
     rays: u64,
     #[serde(skip)]
@@ -122,6 +127,8 @@ impl Findings {
             (&mut self.grass, &other.grass),
             (&mut self.trees, &other.trees),
             (&mut self.chunks, &other.chunks),
+            (&mut self.chunks_by_blocks, &other.chunks_by_blocks),
+            (&mut self.tree_chunks, &other.tree_chunks),
             (&mut self.five_points, &other.five_points),
         ] {
             own.add(others);
@@ -130,6 +137,7 @@ impl Findings {
         self.fetches_march += other.fetches_march;
         self.root_mm = self.root_mm.max(other.root_mm);
         self.rays += other.rays;
+        for (a, b) in self.diagnosis.iter_mut().zip(other.diagnosis) { *a += b; }
         self.times = [self.times[0] + other.times[0], self.times[1] + other.times[1]];
         self.culprits.extend(other.culprits);
         self.culprits.truncate(8);
@@ -180,66 +188,28 @@ impl<S: Slots> Slots for Counting<'_, S> {
     }
 }
 
-/// The points that a thing is seen by, and those of all that it may take up; metres.
-struct Points {
-    /// As it is drawn, metres.
-    height: f64,
-    top: Vec<Point>,
-    bound: Vec<Point>,
+/// Rings on the hull of all that a clump may take up, metres: what its test promises.
+fn hull_of(scene: &Scene, extent: &Extent) -> Vec<Point> {
+    let corner = scene.plants.square.corner.map(|units| f64::from(units) / 256.0);
+    let metres = |fine: i32| f64::from(fine) / 4096.0;
+    let target = &extent.target;
+    let (x, z) = (metres(target.x) + corner[0], metres(target.z) + corner[1]);
+    let tilt = [target.east_rise, target.south_rise].map(|rise| f64::from(rise) / 16_384.0);
+    let ring = |share: f64, beyond: f64| {
+        let radius = share * metres(target.radius) + beyond * metres(target.skirt);
+        let top = metres(target.top) - beyond * metres(target.fall);
+        (0..POINTS).map(move |n| TAU * f64::from(n) / f64::from(POINTS)).map(move |angle| {
+            let (east, south) = (radius * angle.cos(), radius * angle.sin());
+            [x + east, top + tilt[0] * east + tilt[1] * south, z + south]
+        })
+    };
+    ring(1.0, 0.0).chain(ring(0.5, 0.0)).chain(ring(1.0, 0.5)).chain(ring(1.0, 1.0)).collect()
 }
 
-fn points_of<S: Slots>(
-    scene: &Scene,
-    surface: &Surface<'_, S>,
-    stand: &Stand,
-    clump: &Clump,
-    extent: &Extent,
-) -> Points {
-    let corner = scene.plants.square.corner;
-    let metres = |fine: i32| f64::from(fine) / 4096.0;
-    let (x, z) =
-        (metres(clump.x) + f64::from(corner[0]) / 256.0, metres(clump.z) + f64::from(corner[1]) / 256.0);
-    let planting = &stand.planting;
-    let height =
-        metres(planting.height_low) + metres(planting.height_span) * f64::from(clump.looks >> 6 & 63) / 63.0;
-    // Feet of grass follow the ground.
-    let rise = |east: i32, south: i32| {
-        let step = 1 << 13;
-        let at = |way: i32| {
-            f64::from(surface.height_at(clump.x + way * east * step, clump.z + way * south * step))
-        };
-        ((at(1) - at(-1)) / f64::from(2 * step)).clamp(-1.0, 1.0)
-    };
-    let eye = eye_of(&scene.shot.pose);
-    let root = metres(clump.y);
-    let away = (x - eye[0]).hypot(root - eye[1]).hypot(z - eye[2]) as f32;
-    let height = height * f64::from(field_standing(&stand.field, away));
-    let is_grass = planting.kind == shaders::layout::KIND_GRASS;
-    let slope = if is_grass { [rise(1, 0), rise(0, 1)] } else { [0.0; 2] };
-    let ring = |radius: f64, top: f64, slope: [f64; 2]| {
-        (0..POINTS)
-            .map(|n| TAU * f64::from(n) / f64::from(POINTS))
-            .map(move |angle| {
-                let (east, south) = (radius * angle.cos(), radius * angle.sin());
-                [x + east, top + slope[0] * east + slope[1] * south, z + south]
-            })
-            .chain([[x, top, z]])
-            .collect::<Vec<_>>()
-    };
-    let reach = metres(extent.target.radius);
-    let bound_top = metres(extent.target.top);
-    let top = if is_grass {
-        // Tips of blades stand up to half the width from the middle and lean by a fifth of the height.
-        let widening = f64::from(field_widening(&stand.field, clump.looks >> 24, away));
-        let width =
-            metres(planting.width_low) + metres(planting.width_span) * f64::from(clump.looks & 63) / 63.0;
-        let tips = ring(0.49 * width * widening + 0.2 * height, root + 0.95 * height, slope);
-        [tips, ring(0.0, root + height, slope)].concat()
-    } else {
-        ring(0.1, root + height, slope)
-    };
-    let tilt = [extent.target.east_rise, extent.target.south_rise].map(|rise| f64::from(rise) / 16_384.0);
-    Points { height, top, bound: [ring(reach, bound_top, tilt), ring(0.5 * reach, bound_top, tilt)].concat() }
+/// The level of detail in which a clump is drawn.
+fn level_of(stand: &Stand, clump: &Clump) -> u32 {
+    let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
+    u32::from(far > stand.planting.detail[0]) + u32::from(far > stand.planting.detail[1])
 }
 
 fn of_scene(scene: &Scene) -> Findings {
@@ -254,47 +224,116 @@ fn of_scene(scene: &Scene) -> Findings {
         let culling = &stand.culling;
         let fine = Culling { step: 2048, ..*culling };
         let sample = sample(&surface, stand);
-        let hides = |target: &Target| is_hidden(&surface, culling.eye, target, culling.start);
+        let mut hint_m = 0.0;
         for clump in &sample {
-            let extent = extent_of(culling, &stand.planting, clump, slope_at(&surface, clump.x, clump.z));
-            let points = points_of(scene, &surface, stand, clump, &extent);
-            if points.height < LEAST_M {
+            let leaves = leaves_of(scene, &surface, stand, clump, level_of(stand, clump));
+            if leaves.height_m < LEAST_M {
                 continue;
             }
-            let is_seen = points.top.iter().any(|point| oracle.sees(eye, *point));
-            let is_bound_seen = is_seen || points.bound.iter().any(|point| oracle.sees(eye, *point));
-            let [x, _, z] = points.top[points.top.len() - 1];
-            if let Some(height) = oracle.height(x, z) {
+            let judged = judged(&surface, stand, clump);
+            let is_seen = oracle.sees_any(eye, &leaves.points, &mut hint_m);
+            let is_bound_seen =
+                is_seen || oracle.sees_any(eye, &hull_of(scene, &judged.extent), &mut hint_m);
+            let corner = square.corner.map(|units| f64::from(units) / 256.0);
+            let at = [clump.x, clump.z].map(|fine| f64::from(fine) / 4096.0);
+            if let Some(height) = oracle.height(at[0] + corner[0], at[1] + corner[1]) {
                 found.root_mm = found.root_mm.max((height - f64::from(clump.y) / 4096.0).abs() * 1e3);
             }
-            let exact = culling.sees_land != 0 && hides(&extent.target);
-            let bits = stand.planting.cell_bits + 2;
-            let (column, row) = (clump.x >> bits, clump.z >> bits);
-            let block = block_extent(&surface, culling, &stand.planting, column, row);
-            let in_block = culling.sees_land != 0
-                && block.is_none_or(|block| {
-                    block_is_hidden(&surface, culling, &stand.planting, column, row, &block)
-                });
-            let hierarchical = exact || in_block;
-            let tip = tip_of(&stand.planting, clump);
+            let hierarchical = judged.is_hidden || block_of(&surface, stand, clump);
+            let tip = tip_of(culling, &stand.planting, clump);
             found.noise.count(is_seen, marched_is_hidden(&noise, culling, &tip, 0));
             found.march.count(is_seen, is_hidden_by_vertices(&surface, culling, &tip));
             found.march_fine.count(is_seen, is_hidden_by_vertices(&surface, &fine, &tip));
-            found.exact.count(is_seen, exact);
+            found.exact.count(is_seen, judged.is_hidden);
             found.hierarchical.count(is_seen, hierarchical);
             found.bound.count(is_bound_seen, hierarchical);
-            let is_grass = stand.planting.kind == shaders::layout::KIND_GRASS;
+            let is_grass = stand.planting.kind == KIND_GRASS;
             if is_grass { &mut found.grass } else { &mut found.trees }.count(is_seen, hierarchical);
             if is_bound_seen && hierarchical {
                 found.culprits.push(format!("{}: {clump:?}", scene.name));
             }
+            if is_grass && !is_seen && !hierarchical && culling.sees_land != 0 {
+                diagnose(&mut found, &surface, culling, &judged.extent, clump, &leaves.points, hint_m);
+            }
         }
         count_cost(&mut found, &surface, stand, &sample, &fine);
-        if stand.planting.kind == shaders::layout::KIND_GRASS {
-            judge_chunks(&mut found, scene, &oracle, &surface, stand);
-        }
+        judge_chunks(&mut found, scene, &oracle, &surface, stand);
     }
     found
+}
+
+fn diagnose<S: Slots>(
+    found: &mut Findings,
+    surface: &Surface<'_, S>,
+    culling: &Culling,
+    extent: &Extent,
+    clump: &Clump,
+    points: &[Point],
+    hint_m: f64,
+) {
+    let t = extent.target;
+    let real_top = (points[0][1] * 4096.0) as i32;
+    let tries = [
+        Target { east_rise: 0, south_rise: 0, ..t },
+        Target { radius: t.radius / 2, skirt: t.skirt / 2, ..t },
+        Target { radius: 0, skirt: 0, fall: 0, ..t },
+        Target { top: t.top.min(real_top), ..t },
+        Target { top: t.top - (((t.radius >> 4) * t.east_rise.abs().max(t.south_rise.abs())) >> 10), ..t },
+        Target { top: clump.y, ..t },
+        Target { radius: t.radius / 2, skirt: t.skirt / 2, top: real_top, ..t },
+        Target { radius: 0, skirt: 0, fall: 0, top: real_top, ..t },
+        Target { radius: 0, skirt: 0, fall: 0, top: clump.y, ..t },
+    ];
+    for (n, t) in tries.iter().enumerate() {
+        found.diagnosis[n] += u64::from(is_hidden(surface, culling.eye, t, culling.start));
+    }
+    found.diagnosis[9] += 1;
+    if std::env::var_os("DIAG").is_some() {
+        let e = culling.eye;
+        let d = f64::from(t.x - e[0]).hypot(f64::from(t.z - e[2]));
+        let (ux, uz) = (f64::from(t.x - e[0]) / d, f64::from(t.z - e[2]) / d);
+        let at = |a: f64, b: f64, lower: i32| {
+            let (x, z) = ((a * -uz + b * ux) * f64::from(t.radius), (a * ux + b * uz) * f64::from(t.radius));
+            let rise = (x * f64::from(t.east_rise) + z * f64::from(t.south_rise)) / 16384.0;
+            let p = Target { x: t.x + x as i32, z: t.z + z as i32, top: t.top + rise as i32 - lower, radius: 0, skirt: 0, fall: 0, ..t };
+            u8::from(is_hidden(surface, e, &p, culling.start))
+        };
+        let raise = (ux * f64::from(t.east_rise) + uz * f64::from(t.south_rise)) / 16384.0 * f64::from(t.radius) / 4096.0;
+        let mut need = 0;
+        while need < 8000 && !is_hidden(surface, e, &Target { top: t.top - need, ..t }, culling.start) { need += 40; }
+        eprintln!("d {:.0} r {:.2} raise {:.2} top {:.2} real {:.2} mid {} left {} {} right {} {} near {} far {} lower all by {:.2}", d / 4096.0, f64::from(t.radius) / 4096.0, raise, f64::from(t.top - clump.y) / 4096.0, f64::from(real_top - clump.y) / 4096.0,
+            at(0.0, 0.0, 0), at(-1.0, 0.0, 0), at(-0.5, 0.0, 0), at(1.0, 0.0, 0), at(0.5, 0.0, 0), at(0.0, -1.0, 0), at(0.0, 1.0, 0), f64::from(need) / 4096.0);
+        let _ = hint_m;
+        let g = (ux * f64::from(t.east_rise) + uz * f64::from(t.south_rise), -uz * f64::from(t.east_rise) + ux * f64::from(t.south_rise));
+        let across = Target { east_rise: (-uz * g.1) as i32, south_rise: (ux * g.1) as i32, ..t };
+        let flat = Target { east_rise: 0, south_rise: 0, ..t };
+        let h = |t: &Target| u8::from(is_hidden(surface, e, t, culling.start));
+        eprintln!("   tilt {:.2} no raise {} flat {} half r {} third r {} half r no raise {} nofall {}", g.1 / 16384.0, h(&across), h(&flat), h(&Target { radius: t.radius / 2, skirt: 0, fall: 0, ..t }), h(&Target { radius: t.radius / 4, skirt: 0, fall: 0, ..t }), h(&Target { radius: t.radius / 2, skirt: 0, fall: 0, ..across }), h(&Target { skirt: 0, fall: 0, ..t }));
+    }
+}
+
+/// What T3 says of a clump.
+struct Judged {
+    extent: Extent,
+    is_hidden: bool,
+}
+
+fn judged<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) -> Judged {
+    let culling = &stand.culling;
+    let extent = extent_of(culling, &stand.planting, clump, slope_at(surface, clump.x, clump.z));
+    let is_hidden =
+        culling.sees_land != 0 && is_hidden(surface, culling.eye, &extent.target, culling.start);
+    Judged { extent, is_hidden }
+}
+
+/// Whether T4 hides the whole block that a clump stands in.
+fn block_of<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) -> bool {
+    let (culling, planting) = (&stand.culling, &stand.planting);
+    let bits = planting.cell_bits + BLOCK_CELL_BITS;
+    let (column, row) = (clump.x >> bits, clump.z >> bits);
+    let block = block_extent(surface, culling, planting, column, row);
+    let hides = |block: Extent| block_is_hidden(surface, culling, planting, column, row, &block);
+    culling.sees_land != 0 && block.is_none_or(hides)
 }
 
 /// Clumps of a stand inside the view, evenly from all of its blocks.
@@ -361,7 +400,7 @@ fn count_cost<S: Slots>(
     }
 }
 
-/// Chunks of 128 m, by their blocks and by five points; seen if any of a part of their clumps is.
+/// Chunks of 16 x 16 blocks - of grass 128 m, of trees 512 m -, by their clumps, by their blocks and by five points; seen if any vertex of any clump in them is.
 fn judge_chunks<S: Slots>(
     found: &mut Findings,
     scene: &Scene,
@@ -371,43 +410,40 @@ fn judge_chunks<S: Slots>(
 ) {
     let (culling, planting, eye) = (&stand.culling, &stand.planting, eye_of(&scene.shot.pose));
     for patch in stand.patches.iter().step_by(3) {
-        let blocks: Vec<[i32; 2]> = blocks_of_patch(*patch).collect();
-        let extents: Vec<Option<Extent>> =
-            blocks.iter().map(|block| block_extent(surface, culling, planting, block[0], block[1])).collect();
-        let in_view = |extent: &Option<Extent>| extent.is_some_and(|extent| may_be_in_view(culling, &extent));
-        let mut grows = false;
-        let mut is_seen = false;
-        let clumps = blocks
-            .iter()
-            .zip(&extents)
-            .filter(|(_, extent)| in_view(extent))
-            .flat_map(|(block, _)| clumps_of(surface, stand, *block))
-            .filter(|clump| is_judged(stand, clump))
-            .step_by(3);
-        for clump in clumps {
-            let slope = slope_at(surface, clump.x, clump.z);
-            let extent = extent_of(culling, planting, &clump, slope);
-            if !may_be_in_view(culling, &extent) {
-                continue;
-            }
-            let points = points_of(scene, surface, stand, &clump, &extent);
-            if points.height < LEAST_M {
-                continue;
-            }
-            grows = true;
-            is_seen = points.top.iter().rev().any(|point| oracle.sees(eye, *point));
-            if is_seen {
-                break;
-            }
-        }
+        let blocks: Vec<([i32; 2], Extent)> = blocks_of_patch(*patch)
+            .filter_map(|block| Some((block, block_extent(surface, culling, planting, block[0], block[1])?)))
+            .filter(|(_, extent)| may_be_in_view(culling, extent))
+            .collect();
+        let clumps = |block: [i32; 2]| {
+            clumps_of(surface, stand, block).filter(|clump| {
+                let slope = || slope_at(surface, clump.x, clump.z);
+                is_judged(stand, clump)
+                    && may_be_in_view(culling, &extent_of(culling, planting, clump, slope()))
+            })
+        };
+        let (mut grows, mut hint_m) = (false, 0.0);
+        let is_seen = blocks.iter().flat_map(|(block, _)| clumps(*block)).any(|clump| {
+            let leaves = leaves_of(scene, surface, stand, &clump, level_of(stand, &clump));
+            let is_judged = leaves.height_m >= LEAST_M;
+            grows |= is_judged;
+            is_judged && oracle.sees_any(eye, &leaves.points, &mut hint_m)
+        });
         if !grows {
             continue;
         }
-        let is_kept = blocks.iter().zip(&extents).any(|(block, extent)| {
-            let Some(whole) = extent.filter(|_| in_view(extent)) else { return false };
-            culling.sees_land == 0 || !block_is_hidden(surface, culling, planting, block[0], block[1], &whole)
+        let mut kept = blocks.iter().filter(|(block, extent)| {
+            culling.sees_land == 0 || !block_is_hidden(surface, culling, planting, block[0], block[1], extent)
         });
-        found.chunks.count(is_seen, !is_kept);
-        found.five_points.count(is_seen, chunk_is_hidden(surface, culling, planting, patch[0], patch[1]));
+        let by_blocks = kept.clone().next().is_some();
+        let by_clumps = kept
+            .any(|(block, _)| clumps(*block).any(|clump| !judged(surface, stand, &clump).is_hidden));
+        let five_points = chunk_is_hidden(surface, culling, planting, patch[0], patch[1]);
+        found.five_points.count(is_seen, five_points);
+        if planting.kind == KIND_GRASS {
+            found.chunks.count(is_seen, !by_clumps);
+            found.chunks_by_blocks.count(is_seen, !by_blocks);
+        } else {
+            found.tree_chunks.count(is_seen, !by_clumps);
+        }
     }
 }

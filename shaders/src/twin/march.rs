@@ -75,6 +75,9 @@ pub fn chunk_is_hidden<S: Slots>(
             top: surface.node(bits, column, row).top << FINE_BITS,
             z: at((row << bits) + side / 2, toward[1]),
             radius: 0,
+            follow: 0,
+            skirt: 0,
+            fall: 0,
             east_rise: 0,
             south_rise: 0,
         };

@@ -87,7 +87,7 @@ pub fn may_be_in_view(culling: &Culling, extent: &Extent) -> bool {
         return true;
     }
     let half = (extent.target.top - extent.bottom) >> (COARSE_BITS + 1);
-    let radius = (extent.target.radius >> COARSE_BITS) + half + 2;
+    let radius = ((extent.target.radius + extent.target.skirt) >> COARSE_BITS) + half + 2;
     // What the normals (Q14) and places are rounded by.
     let slack = east.abs() + up.abs() + south.abs() + (3 << 14);
     let reach = (radius.min(FARTHEST) << 14) + slack;
@@ -133,9 +133,9 @@ fn standing_at(planting: &Planting, near: i32) -> i32 {
     return 256 - ((part * part * (768 - 2 * part)) >> 16) + 1;
 }
 
-/// Slope of the ground around a place, east and south, Q14, over 4 m; none where it is steeper than 1, which is more than a foot follows, or where the land ends.
+/// Slope of the ground around a place, east and south, Q14, over 4 m: that by which a clump is drawn. None where the land ends.
 #[must_use]
-pub fn slope_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> Option<[i32; 2]> {
+pub fn gradient_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> Option<[i32; 2]> {
     let step = 1 << STEP_BITS;
     let last = (1 << SQUARE_BITS) - 1;
     let west = surface.height_at((x - step).max(0), z);
@@ -145,11 +145,13 @@ pub fn slope_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> Option<[i
     if west.min(east).min(north).min(south) <= NOWHERE << FINE_BITS {
         return None;
     }
-    let (along, across) = (east - west, south - north);
-    if steepness(along, across) > 2 * step {
-        return None;
-    }
-    return Some([along, across]);
+    return Some([east - west, south - north]);
+}
+
+/// The same; none also where it may be steeper than 1, which is more than a foot follows.
+#[must_use]
+pub fn slope_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> Option<[i32; 2]> {
+    return gradient_at(surface, x, z).filter(|[along, across]| steepness(*along, *across) <= 1 << 14);
 }
 
 /// No less than the length of a vector: the hypotenuse is at most the long side and half of the short one.
@@ -164,6 +166,63 @@ fn lean_of(height: i32, steep: i32) -> i32 {
     return ((3 * height) >> 3) + ((((15 * height) >> 6) * steep) >> 14) + (height >> 6) + 2;
 }
 
+/// Length of the longest of the six blades of a clump in the third level of detail, Q8, never too little, by its phase modulo 9: lengths follow `tuft_number`, which repeats with a ninth of a
+/// phase. A test of `twin::tuft` compares.
+pub const LONGEST: [i32; 9] = [251, 253, 245, 254, 256, 255, 247, 250, 241];
+
+/// By how much a clump in the third level of detail surely sinks into the ground, fine units: `tuft_vertex` takes the lesser of 0.04 heights and 0.14 widths. Widths are known to 12 % where
+/// the thinning leaves them whole, of which distances within a third of a metre, at more than 32 m, tell as much.
+fn sink_of(half: i32, height: i32, near: i32, presence: i32) -> i32 {
+    if near <= 512 || presence < 256 {
+        return 0;
+    }
+    return ((height * 10) >> 8).min((half * 56) >> 8);
+}
+
+/// What a plant takes up, from its root, fine units: see [`Target`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Shape {
+    radius: i32,
+    follow: i32,
+    skirt: i32,
+    fall: i32,
+    /// Its highest point over its root; of grass, over the plane through the root that has the slope of the ground.
+    over: i32,
+}
+
+/// What a plant takes up of half a width and a height. `slope` is that of the ground, none if it is not known or steeper than 1.
+///
+/// A tree is a cone: at a share `y` of its height no vertex of it is farther from the vertical than 1.08 - 0.89 y half widths, sway and all; `twin::conifer` proves it by trying.
+///
+/// Grass: feet follow the ground; its normal travels in bytes, hence the 64th. What leans by a part l of its height does not follow it: downhill it is above the slope by g l, but lower by
+/// l² / 2 for having leant, so by no more than g² / 2. Near by the blades spread up to their tips, which stand 0.49 of the width from the middle. In the third level of detail they close in:
+/// feet reach half the width, tips stand 0.3 (77/256) of it from the middle and lean; what is between is on straight lines from foot to tip, which the skirt holds.
+fn shape_of(planting: &Planting, half: i32, height: i32, is_far: bool, slope: Option<[i32; 2]>) -> Shape {
+    if planting.kind != KIND_GRASS {
+        let radius = ((half * 49) >> 8) + 1;
+        return Shape {
+            radius,
+            follow: radius,
+            skirt: ((half * 277) >> 8) + 1 - radius,
+            fall: height,
+            over: height + 1,
+        };
+    }
+    let steep = slope.map_or(1 << 14, |slope| steepness(slope[0], slope[1]));
+    let lean = lean_of(height, steep);
+    // Of a slope that is not known nothing is taken off: it is at most 1.
+    let foot = if slope.is_some() { (((height * steep) >> 14) * steep) >> 15 } else { half };
+    let above = (half >> 6) + 2;
+    let over = height + foot + above;
+    let spread = if is_far { ((half * 154) >> 8) + 1 } else { half };
+    if is_far && slope.is_some() && spread + lean < half {
+        let radius = spread + lean;
+        return Shape { radius, follow: spread, skirt: half - radius, fall: height + foot, over };
+    }
+    let radius = if is_far { half.max(spread + lean) } else { half + lean };
+    return Shape { radius, follow: half, skirt: 0, fall: 0, over };
+}
+
 /// What a clump takes up, as wide as its distance makes it, on ground of a slope.
 #[must_use]
 pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: Option<[i32; 2]>) -> Extent {
@@ -172,32 +231,25 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: O
     let bound = distance_bound(culling, clump.x, clump.y, clump.z);
     // The bound is at most five too large.
     let near = bound - 5;
-    let widening = (widening_at(planting, bound) * presence_at(planting, near, clump.looks >> 24)) >> 8;
+    let presence = presence_at(planting, near, clump.looks >> 24);
+    let widening = (widening_at(planting, bound) * presence) >> 8;
     let half = ((width * widening) >> 9) + 2;
     let height = ((height * standing_at(planting, near)) >> 8) + 1;
-    if planting.kind != KIND_GRASS {
-        let target = Target {
-            x: clump.x,
-            top: clump.y + height + 1,
-            z: clump.z,
-            radius: half,
-            east_rise: 0,
-            south_rise: 0,
-        };
-        return Extent { target, bottom: clump.y - half };
-    }
-    // Feet follow the ground; its normal travels in bytes, hence the 64th. What leans by a part l of its height does not follow it: downhill it is above the slope by g l, but lower by
-    // l² / 2 for having leant, so by no more than g² / 2.
-    let known = slope.unwrap_or([0, 0]);
-    let steep = slope.map_or(1 << 14, |slope| steepness(slope[0], slope[1]));
-    let lean = lean_of(height, steep);
-    let foot = if slope.is_some() { (((height * steep) >> 14) * steep) >> 15 } else { half };
+    let is_far = distance_squared(culling, clump.x, clump.y, clump.z) > planting.detail[1];
+    let is_low = is_far && planting.kind == KIND_GRASS;
+    let longest = if is_low { LONGEST[((clump.looks >> 18 & 63) % 9) as usize] } else { 256 };
+    let sink = if is_low { sink_of(half, height, near, presence) } else { 0 };
+    let shape = shape_of(planting, half, ((height * longest) >> 8) + 1, is_far, slope);
+    let known = slope.filter(|_| planting.kind == KIND_GRASS).unwrap_or([0, 0]);
     return Extent {
         target: Target {
             x: clump.x,
-            top: clump.y + height + foot + (half >> 6) + 2,
+            top: clump.y + shape.over - sink,
             z: clump.z,
-            radius: half + lean,
+            radius: shape.radius,
+            follow: shape.follow,
+            skirt: shape.skirt,
+            fall: shape.fall,
             east_rise: known[0],
             south_rise: known[1],
         },
@@ -205,11 +257,23 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: O
     };
 }
 
-/// The one point that the tests ask for that are kept to be measured against: the tip over the root.
+/// The one point that the tests ask for that are kept to be measured against: the tip over the root, as high as it is drawn.
 #[must_use]
-pub fn tip_of(planting: &Planting, clump: &Clump) -> Target {
-    let height = planting.height_low + ((planting.height_span * ((clump.looks >> 6 & 63) as i32 + 1)) >> 6);
-    return Target { x: clump.x, top: clump.y + height, z: clump.z, radius: 0, east_rise: 0, south_rise: 0 };
+pub fn tip_of(culling: &Culling, planting: &Planting, clump: &Clump) -> Target {
+    let whole = planting.height_low + ((planting.height_span * ((clump.looks >> 6 & 63) as i32 + 1)) >> 6);
+    let near = distance_bound(culling, clump.x, clump.y, clump.z) - 5;
+    let height = (whole * standing_at(planting, near)) >> 8;
+    return Target {
+        x: clump.x,
+        top: clump.y + height,
+        z: clump.z,
+        radius: 0,
+        follow: 0,
+        skirt: 0,
+        fall: 0,
+        east_rise: 0,
+        south_rise: 0,
+    };
 }
 
 /// Density of a field at a place that is off by lot, so that its edges are soft: 0 to 256.
@@ -286,8 +350,8 @@ pub fn kept<S: Slots>(
     }
     if culling.sees_land != 0 {
         let is_hidden = match culling.path {
-            CULL_NOISE => marched_is_hidden(noise, culling, &tip_of(planting, clump), 0),
-            CULL_MARCH => is_hidden_by_vertices(surface, culling, &tip_of(planting, clump)),
+            CULL_NOISE => marched_is_hidden(noise, culling, &tip_of(culling, planting, clump), 0),
+            CULL_MARCH => is_hidden_by_vertices(surface, culling, &tip_of(culling, planting, clump)),
             CULL_EXACT | CULL_HIERARCHICAL => is_hidden(surface, culling.eye, &extent.target, culling.start),
             _ => false,
         };
@@ -347,13 +411,21 @@ pub fn part_extent<S: Slots>(
     let leaf = (wide >> 9) + 2;
     let tall = planting.height_low + planting.height_span;
     let height = ((tall * standing_at(planting, far - apart - 5)) >> 8) + 1;
-    let (reach, over) = if planting.kind == KIND_GRASS {
-        (leaf + lean_of(height, 1 << 14), height + leaf + 1)
-    } else {
-        (leaf, height + 1)
-    };
+    let near = (far - apart - 5).max(0);
+    let is_far = (near * near) as u32 > planting.detail[1];
+    let shape = shape_of(planting, leaf, height, is_far, None);
     return Some(Extent {
-        target: Target { x, top: top + over, z, radius: diagonal + reach, east_rise: 0, south_rise: 0 },
+        target: Target {
+            x,
+            top: top + shape.over,
+            z,
+            radius: diagonal + shape.radius,
+            follow: diagonal + shape.radius,
+            skirt: shape.skirt,
+            fall: shape.fall,
+            east_rise: 0,
+            south_rise: 0,
+        },
         bottom: bottom - leaf,
     });
 }

@@ -8,6 +8,8 @@
 //! farthest of it; where the surface is above that height all along the stretch, all of it is hidden. The surface along the stretch is lowest at an end, a grid line or a diagonal, and
 //! those are whole numbers.
 //!
+//! What is narrower at its top than at its foot, as a tree is, has a skirt: beyond the radius its highest point falls evenly. So does what the surface has to reach beside the ray.
+//!
 //! Everything errs on one side. A sample is a place *near* a crossing, taken on the surface as drawn, and heights are rounded so that the surface is never too high and the
 //! rays never too low: what is called hidden is hidden. What is missed is a target that is hidden by less than a few fine units.
 
@@ -30,8 +32,14 @@ pub struct Target {
     pub top: i32,
     /// Place in the square, fine units.
     pub z: i32,
-    /// All of it lies within this distance of the vertical through the place, fine units; below 2^17.
+    /// Within this distance of the vertical through the place it may be as high as that, fine units; below 2^17.
     pub radius: i32,
+    /// Of the radius, what lies in a plane that has the slope of the top; the rest leans out of it and gets no higher by that. At most the radius.
+    pub follow: i32,
+    /// It reaches so much farther, ever lower; fine units below 2^14, 0 where all of it is within the radius.
+    pub skirt: i32,
+    /// So much lower its highest point is at the end of the skirt, fine units below 2^16.
+    pub fall: i32,
     /// Growth of the highest point of it per fine unit east, Q14, within ±1: what stands on a slope is higher uphill.
     pub east_rise: i32,
     /// The same, south.
@@ -58,6 +66,10 @@ struct Ray {
     rise: i32,
     /// Growth of half the stretch that rays to all of the target cross, per progress, Q13.
     widening: i32,
+    /// The same of what is within the radius.
+    core: i32,
+    /// Growth of what rays to the end of the skirt are lower by, per progress, Q24, rounded down.
+    fall: i32,
     /// What the ray may be too low by, fine units: the eye is rounded.
     slack: i32,
     /// Growth of the height of the highest ray with the other coordinate, Q14.
@@ -80,12 +92,21 @@ pub fn quotient(part: u32, whole: u32) -> u32 {
 ///
 /// A point of the target that lies `a` beside its middle and `b` behind it is seen along a track that at the same progress `u` runs `u (a - drift b) / (length + b)` beside the
 /// middle's; `a² + b²` is at most the square of the radius.
+///
+/// The highest ray: a point whose foot lies `c` behind the middle in the plane of the top, and that leans by `l` from there, is seen at a rise of at most `(h + g c) / (D + c + l)`, `h` the
+/// height of the top over the eye, `g` the slope along the ray, `D` the way to the middle. That is a ratio of linear functions of `c`, so it is greatest at an end of `c`, and with `l` at the
+/// end that the sign of the height asks for.
+///
+/// The skirt: what is a share `t` of the way down to its end may lie farther out in that plane by `t` times what the end does, the rest of the radius and the skirt, and nearer by `t` of
+/// the skirt, which raises it by `g` times the one and by the rise of the ray, twice at most where the farthest point is no more than twice as far as the nearest, times the other. What is
+/// left of the fall is the fall of the requirement; if nothing is, all of it counts as following the plane.
 fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let (east, south) = (target.x - eye[0], target.z - eye[2]);
     let along_x = east.abs() >= south.abs();
     let (forward, sideways) = if along_x { (east, south) } else { (south, east) };
     let to_middle = forward.abs();
-    let length = to_middle - target.radius - 1;
+    let whole_radius = target.radius + target.skirt;
+    let length = to_middle - whole_radius - 1;
     if length <= start {
         return None;
     }
@@ -98,15 +119,38 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let ahead = if mirrored { -ahead } else { ahead };
     let turned = mul_hi(tilt << 8, if sideways < 0 { -drift } else { drift });
     let along = ahead + turned;
-    let up = target.top + (mul_hi(target.radius << 12, along.abs() << 6) + 1) - eye[1];
-    if up.abs() >> 4 >= length {
+    let lean = target.radius - target.follow;
+    // Heights over the eye of what follows the plane so far, nearest and farthest, rounded up.
+    let ends = |follow: i32| {
+        let raise = mul_hi(follow << 12, along.abs() << 6) + 2;
+        let middle = target.top - eye[1];
+        if along < 0 { [middle + raise, middle - raise + 2] } else { [middle - raise + 2, middle + raise] }
+    };
+    let rise_of = |[near, far]: [i32; 2], follow: i32| {
+        let of = |up: i32, to: i32| {
+            if up < 0 {
+                return -(quotient(up.unsigned_abs(), (to + lean + 1) as u32) as i32);
+            }
+            return quotient(up as u32, (to - lean - 1) as u32) as i32 + 1;
+        };
+        return of(near, to_middle - follow).max(of(far, to_middle + follow));
+    };
+    let highest = ends(whole_radius);
+    let steepest = highest[0].abs().max(highest[1].abs());
+    if steepest >> 4 >= length || length <= lean + start {
         return None;
     }
-    // Of rays that rise the one to the nearest point is the highest, of those that fall the one to the farthest.
-    let whole = if up < 0 { to_middle + target.radius + 1 } else { length };
-    let rise = quotient(up.unsigned_abs(), whole as u32) as i32;
+    let farthest = to_middle + whole_radius + 1;
+    let most = quotient(steepest as u32, length as u32) as i32 + 1;
+    let lost = mul_hi((target.skirt + lean) << 12, along.abs() << 6) + mul_hi(target.skirt << 9, most) + 3;
+    let fall = if target.skirt > 0 && farthest >> 1 <= length { target.fall - lost } else { 0 };
+    let follow = if target.skirt == 0 || fall > 0 { target.follow } else { whole_radius };
+    let rise = rise_of(ends(follow), follow);
     // sqrt(1 + drift²) is at most 1 + drift / 2.
-    let half = target.radius + (mul_hi(target.radius << 8, drift << 1) >> 2) + 2;
+    let widening = |radius: i32| {
+        let half = radius + (mul_hi(radius << 8, drift << 1) >> 2) + 2;
+        (((half as u32) << 13) / length as u32) as i32 + 1
+    };
     return Some(Ray {
         along_x,
         mirrored,
@@ -115,9 +159,11 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
         up: eye[1],
         length,
         drift: if sideways < 0 { -drift } else { drift },
-        rise: if up < 0 { -rise } else { rise + 1 },
-        widening: (((half as u32) << 13) / length as u32) as i32 + 1,
-        slack: (rise >> 24) + 4,
+        rise,
+        widening: widening(whole_radius),
+        core: widening(target.radius),
+        fall: quotient(fall.max(0) as u32, farthest as u32) as i32,
+        slack: (rise.abs() >> 24) + 4,
         tilt,
     });
 }
@@ -146,8 +192,8 @@ impl Ray {
     }
 }
 
-/// Whether the surface is above a height all along a stretch of the other axis that is centred at `across`, `half` each way. Places along the main axis are whole numbers, so those of grid
-/// lines and diagonals are too.
+/// Whether the surface is above a height all along a stretch of the other axis that is centred at `across`, `half` each way; beyond `core` from the middle of the target the height falls,
+/// by `fall` over `skirt`. Places along the main axis are whole numbers, so those of grid lines and diagonals are too.
 fn is_above<S: Slots>(
     surface: &Surface<'_, S>,
     ray: &Ray,
@@ -155,16 +201,28 @@ fn is_above<S: Slots>(
     across: i32,
     half: i32,
     height: i32,
+    skirt: Skirt,
 ) -> bool {
     let last = (1 << SQUARE_BITS) - 1;
     let (low, high) = ((across - half).clamp(0, last), (across + half).clamp(0, last));
     // How far the surface is above the highest ray that passes there.
     let lowest = |other: i32| {
         let (x, z) = if ray.along_x { (along, other) } else { (other, along) };
-        surface.lowest_at(x, z) - mul_hi((other - across) << 12, ray.tilt << 6) - 1
+        let beyond = ((other - across).abs() - skirt.core).clamp(0, skirt.width.max(0)) as u32;
+        let fallen = (skirt.fall as u32 * beyond / skirt.width.max(1) as u32) as i32;
+        surface.lowest_at(x, z) + fallen - mul_hi((other - across) << 12, ray.tilt << 6) - 1
     };
     if lowest(low) < height || lowest(high) < height {
         return false;
+    }
+    // Where the height begins to fall it bends upwards.
+    if skirt.fall > 0 {
+        let (left, right) = (across - skirt.core, across + skirt.core);
+        if (left > low && left < high && lowest(left) < height)
+            || (right > low && right < high && lowest(right) < height)
+        {
+            return false;
+        }
     }
     let cells = |other: i32| {
         let (x, z) = if ray.along_x { (along, other) } else { (other, along) };
@@ -191,6 +249,17 @@ fn is_above<S: Slots>(
     return true;
 }
 
+/// The skirt of a target where rays to it cross a column of the main axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Skirt {
+    /// Within this distance of the middle the height does not fall.
+    core: i32,
+    /// It falls evenly over so much more.
+    width: i32,
+    /// By so much.
+    fall: i32,
+}
+
 /// Whether the surface as drawn hides the target at a progress.
 fn hides_at<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, progress: i32) -> bool {
     let (along, across) = (ray.along(progress), ray.across(progress));
@@ -201,7 +270,10 @@ fn hides_at<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, progress: i32) -> boo
     }
     // Three more for the eye and the track, which are rounded.
     let half = ((ray.widening * progress) >> 13) + 4;
-    return is_above(surface, ray, along, across, half, height);
+    let core = ((ray.core * progress) >> 13) + 4;
+    let fall = if half > core { mul_hi(ray.fall << 2, progress << 6) } else { 0 };
+    let skirt = Skirt { core, width: half - core, fall };
+    return is_above(surface, ray, along, across, half, height, skirt);
 }
 
 /// `span * part / whole` for numbers below 2^(bits + 1), cut to 14 bits.

@@ -1,0 +1,82 @@
+//! Where the vertices of a clump are drawn, by the twins of the shapes that `draw_grass` and `draw_trees` draw: what has to be in sight for the clump to be seen.
+
+use crate::culling::oracle::Point;
+use crate::culling::scene::Scene;
+use client::plants::Stand;
+use shaders::layout::{GRASS_VERTICES, KIND_GRASS, TREE_VERTICES};
+use shaders::twin::clump::{add, lean_push, root_offset_m, standing, unpacked_clump, wind_push};
+use shaders::twin::conifer::conifer_vertex;
+use shaders::twin::field::{field_size_m, field_standing, field_widening};
+use shaders::twin::planting::{Clump, gradient_at};
+use shaders::twin::surface::{Slots, Surface};
+use shaders::twin::tuft::tuft_vertex;
+
+/// Metres after which patterns of the world repeat.
+const PATTERN_PERIOD_M: f64 = shaders::layout::PATTERN_PERIOD_M as f64;
+
+/// A clump as it is drawn.
+#[derive(Clone, Debug, Default)]
+pub struct Leaves {
+    /// Height above the root without lean, metres.
+    pub height_m: f64,
+    /// The vertices, metres, highest first.
+    pub points: Vec<Point>,
+}
+
+/// The vertices of a clump in a level of detail, at time 0.
+#[must_use]
+pub fn leaves_of<S: Slots>(
+    scene: &Scene,
+    surface: &Surface<'_, S>,
+    stand: &Stand,
+    clump: &Clump,
+    level: u32,
+) -> Leaves {
+    let field = &stand.field;
+    let normal = gradient_at(surface, clump.x, clump.z).map_or([0; 2], |[east, south]| {
+        let [east, south] = [east, south].map(|rise| f64::from(rise) / 16_384.0);
+        let length = (1.0 + east * east + south * south).sqrt();
+        [-east, -south].map(|part| (127.0 * part / length).round() as i32)
+    });
+    let packed = unpacked_clump([
+        clump.x as u32 | (normal[0] as u32) << 24,
+        clump.z as u32 | (normal[1] as u32) << 24,
+        clump.y as u32,
+        clump.looks,
+    ]);
+    let eye = scene.shot.pose.eye();
+    let root_m = root_offset_m(field, &packed, eye.fraction_m.to_array());
+    let distance_m = root_m.iter().map(|axis| axis * axis).sum::<f32>().sqrt();
+    let corner = scene.plants.square.corner.map(|units| f64::from(units) / 256.0);
+    let at = [f64::from(clump.x) / 4096.0 + corner[0], f64::from(clump.z) / 4096.0 + corner[1]];
+    let turns = at.map(|metres| (metres / PATTERN_PERIOD_M).rem_euclid(1.0) as f32);
+    let wide = field_widening(field, packed.rank, distance_m);
+    let tall = field_standing(field, distance_m);
+    let [width, height] = field_size_m(field, packed.width, packed.height);
+    let size_m = [width * wide, height * tall];
+    let wind = wind_push(field.wind, turns, 0.0, packed.phase);
+    let offsets: Vec<[f32; 3]> = if stand.planting.kind == KIND_GRASS {
+        let grown = 0.08 + 0.16 * packed.hue;
+        let own = [(40.0 * packed.phase).cos() * grown, (40.0 * packed.phase).sin() * grown];
+        let push = add(add(own, wind), lean_push(field.lean, root_m, distance_m));
+        let stand = standing(packed.normal, push);
+        let vertices = 0..GRASS_VERTICES[level as usize];
+        vertices.map(|index| tuft_vertex(level, index, size_m, packed.phase, &stand).offset_m).collect()
+    } else {
+        let vertices = 0..TREE_VERTICES[level.min(1) as usize];
+        vertices.map(|index| conifer_vertex(level, index, size_m, packed.phase, wind)).collect()
+    };
+    let mut points: Vec<Point> = offsets
+        .into_iter()
+        .map(|[east, up, south]| {
+            [
+                at[0] + f64::from(east),
+                f64::from(clump.y) / 4096.0 + f64::from(up),
+                at[1] + f64::from(south),
+            ]
+        })
+        .collect();
+    points.sort_unstable_by(|a, b| b[1].total_cmp(&a[1]).then(a[0].total_cmp(&b[0])).then(a[2].total_cmp(&b[2])));
+    points.dedup();
+    Leaves { height_m: f64::from(size_m[1]), points }
+}
