@@ -154,7 +154,8 @@ fn a_picture_without_what_is_hidden_is_the_picture_with_it_byte_for_byte() {
 fn a_block_that_was_seen_stays_as_long_as_it_is_told_to_and_no_longer() {
     let Some(field) = field([20_000, 60_000, 90_000]) else { return };
     let land = Land::new(1);
-    let knobs = PlantKnobs { density: 2, range_m: 120.0, trees: 1, tree_range_m: 400.0, ..PlantKnobs::STANDARD };
+    let knobs =
+        PlantKnobs { density: 2, range_m: 120.0, trees: 1, tree_range_m: 400.0, ..PlantKnobs::STANDARD };
     let kept = |stay: u32, camera: &str, frame: u32, world: &mut World| {
         let shot = shot(camera, PlantKnobs { stay, cull: Cull::Frustum, ..knobs });
         for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
