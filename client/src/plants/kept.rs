@@ -90,7 +90,7 @@ pub fn kept_of(world: &World, plants: &PlantFrame, stand: &Stand) -> Vec<Kept> {
 
 /// The height of the noise at a place of a square, fine units: what T2 marches over. The sea's floor where no seed is known.
 pub fn noise_of(world: &World, square: &Square) -> impl Fn(i32, i32) -> i32 {
-    let (land, corner, scale) = (world.land().cloned(), square.corner, world.stretch());
+    let (land, corner, scale) = (world.land().copied(), square.corner, world.stretch());
     move |x: i32, z: i32| {
         let at = Position::new(corner[0] + (x >> FINE_BITS), corner[1] + (z >> FINE_BITS));
         match (&land, at) {

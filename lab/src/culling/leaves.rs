@@ -69,14 +69,12 @@ pub fn leaves_of<S: Slots>(
     let mut points: Vec<Point> = offsets
         .into_iter()
         .map(|[east, up, south]| {
-            [
-                at[0] + f64::from(east),
-                f64::from(clump.y) / 4096.0 + f64::from(up),
-                at[1] + f64::from(south),
-            ]
+            [at[0] + f64::from(east), f64::from(clump.y) / 4096.0 + f64::from(up), at[1] + f64::from(south)]
         })
         .collect();
-    points.sort_unstable_by(|a, b| b[1].total_cmp(&a[1]).then(a[0].total_cmp(&b[0])).then(a[2].total_cmp(&b[2])));
+    points.sort_unstable_by(|a, b| {
+        b[1].total_cmp(&a[1]).then(a[0].total_cmp(&b[0])).then(a[2].total_cmp(&b[2]))
+    });
     points.dedup();
     Leaves { height_m: f64::from(size_m[1]), points }
 }

@@ -390,16 +390,16 @@ fn bounds_of<S: Slots>(surface: &Surface<'_, S>, bits: u32, column: i32, row: i3
     return Some((top + 2, bottom));
 }
 
-/// What all clumps take up that may stand in a square of side `2^bits`: a block or a cell.
+/// What all clumps take up that may stand in a block.
 #[must_use]
-pub fn part_extent<S: Slots>(
+pub fn block_extent<S: Slots>(
     surface: &Surface<'_, S>,
     culling: &Culling,
     planting: &Planting,
-    bits: u32,
     column: i32,
     row: i32,
 ) -> Option<Extent> {
+    let bits = planting.cell_bits + BLOCK_CELL_BITS;
     let (top, bottom) = bounds_of(surface, bits, column, row)?;
     let half = 1 << (bits - 1);
     let (x, z) = ((column << bits) + half, (row << bits) + half);
@@ -430,42 +430,6 @@ pub fn part_extent<S: Slots>(
     });
 }
 
-/// What all clumps take up that may stand in a block.
-#[must_use]
-pub fn block_extent<S: Slots>(
-    surface: &Surface<'_, S>,
-    culling: &Culling,
-    planting: &Planting,
-    column: i32,
-    row: i32,
-) -> Option<Extent> {
-    return part_extent(surface, culling, planting, planting.cell_bits + BLOCK_CELL_BITS, column, row);
-}
-
-/// Whether the land hides all that may stand in a block: in one, or cell by cell.
-#[must_use]
-pub fn block_is_hidden<S: Slots>(
-    surface: &Surface<'_, S>,
-    culling: &Culling,
-    planting: &Planting,
-    column: i32,
-    row: i32,
-    whole: &Extent,
-) -> bool {
-    if is_hidden(surface, culling.eye, &whole.target, culling.start) {
-        return true;
-    }
-    for cell in 0..BLOCK_CELLS as i32 {
-        let (x, z) = (4 * column + (cell & 3), 4 * row + (cell >> 2));
-        let part = part_extent(surface, culling, planting, planting.cell_bits, x, z);
-        let Some(part) = part else { continue };
-        if may_be_in_view(culling, &part) && !is_hidden(surface, culling.eye, &part.target, culling.start) {
-            return false;
-        }
-    }
-    return true;
-}
-
 /// Square of the least distance between the eye and a block, (1/16 m)², rounded down.
 fn block_distance_squared(culling: &Culling, planting: &Planting, column: i32, row: i32) -> u32 {
     let bits = planting.cell_bits + BLOCK_CELL_BITS;
@@ -494,5 +458,5 @@ pub fn block_is_kept<S: Slots>(
     }
     return culling.path != CULL_HIERARCHICAL
         || culling.sees_land == 0
-        || !block_is_hidden(surface, culling, planting, column, row, &extent);
+        || !is_hidden(surface, culling.eye, &extent.target, culling.start);
 }
