@@ -14,7 +14,7 @@ use shaders::twin::planting::{
     BLOCK_CELL_BITS, Clump, Extent, block_extent, clump_at, distance_squared, extent_of, may_be_in_view,
     slope_at, stands_at, tip_of,
 };
-use shaders::twin::sight::{Target, is_hidden};
+use shaders::twin::sight::is_hidden;
 use shaders::twin::surface::{Slots, Surface, TILE_BITS};
 use std::cell::Cell;
 use std::collections::BTreeMap;
