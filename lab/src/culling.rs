@@ -2,14 +2,18 @@
 //! their bars; here only a control that fails to fail is an error.
 
 pub mod leaves;
+pub mod lots;
 pub mod oracle;
 pub mod poses;
+pub mod same;
 pub mod scene;
 pub mod sight;
 
 use crate::{Outputs, note};
 use anyhow::{Result, ensure};
 use client::plants::PlantKnobs;
+use lots::Lots;
+use same::Same;
 use serde::Serialize;
 use sight::Findings;
 use terrain::Land;
@@ -20,7 +24,14 @@ pub struct Options {
     /// Poses that are judged by sight in f64, 1 to 100000
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub poses: u32,
+    /// Poses at which the GPU's choice is compared with the twin's, 0 to 1000
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pub compared: u32,
 }
+
+/// Fewer and nearer plants, for comparing the GPU with the twin: a software driver chooses them too.
+const COMPARED: PlantKnobs =
+    PlantKnobs { density: 4, range_m: 160.0, tree_range_m: 800.0, ..PlantKnobs::STANDARD };
 
 /// The result. Field names are a contract with scripts.
 #[derive(Clone, Debug, Serialize)]
@@ -28,6 +39,9 @@ struct Report {
     /// Poses asked for.
     poses: u32,
     sight: Findings,
+    lots: Lots,
+    /// The GPU against the twin; none if it was not asked for.
+    same: Option<Same>,
 }
 
 /// Measures everything, prints it, and checks that every control fails.
@@ -40,7 +54,13 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let trials = poses::seeded(&land, options.poses, PlantKnobs::STANDARD);
     let sight = sight::judge(&land, &trials);
     println!("{}", serde_json::to_string_pretty(&sight)?);
-    let report = Report { poses: options.poses, sight };
+    let lots = lots::lots(7);
+    println!("{}", serde_json::to_string_pretty(&lots)?);
+    note("the GPU against the twin");
+    let compared = poses::seeded(&land, options.compared, COMPARED);
+    let same = (options.compared > 0).then(|| same::compare(&land, &compared)).transpose()?;
+    println!("{}", serde_json::to_string_pretty(&same)?);
+    let report = Report { poses: options.poses, sight, lots, same };
     outputs.write_json(&report)?;
     report.controls()
 }
@@ -56,6 +76,14 @@ impl Report {
         ] {
             ensure!(score.false_culls > 0, "{name} lost nothing that is seen: the oracle could not tell");
         }
+        ensure!(
+            self.lots.poor_stream_p < 0.001 && self.lots.poor_pair_p < 0.001,
+            "poor streams pass: the test could not tell"
+        );
+        ensure!(
+            self.same.as_ref().is_none_or(|same| same.differing_control > 0),
+            "a twin that does not ask the land keeps the same clumps: the comparison could not tell"
+        );
         Ok(())
     }
 }

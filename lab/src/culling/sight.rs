@@ -5,24 +5,28 @@ use crate::culling::oracle::{Oracle, Point, eye_of};
 use crate::culling::poses::Trial;
 use crate::culling::scene::Scene;
 use client::plants::Stand;
-use client::plants::kept::{BySlot, blocks_of_patch, clumps_of, noise_of};
+use client::plants::kept::{BySlot, blocks_of, blocks_of_patch, clumps_of, noise_of};
 use rayon::prelude::*;
 use serde::Serialize;
 use shaders::layout::{Culling, KIND_GRASS};
-use shaders::twin::march::{chunk_is_hidden, is_hidden_by_vertices, marched_is_hidden};
+use shaders::twin::march::{five_points_are_hidden, is_hidden_by_vertices, marched_is_hidden};
 use shaders::twin::planting::{
-    BLOCK_CELL_BITS, Clump, Extent, block_extent, block_is_hidden, clump_at, distance_squared, extent_of,
-    may_be_in_view, slope_at, stands_at, tip_of,
+    BLOCK_CELL_BITS, Clump, Extent, block_extent, clump_at, distance_squared, extent_of, may_be_in_view,
+    slope_at, stands_at, tip_of,
 };
 use shaders::twin::sight::is_hidden;
-use shaders::twin::surface::{Slots, Surface};
+use shaders::twin::surface::{Slots, Surface, TILE_BITS};
 use std::cell::Cell;
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::time::{Duration, Instant};
 use terrain::Land;
 
 /// Clumps of each kind that are judged in a scene.
 const SAMPLE: usize = 500;
+
+/// Of the chunks in view one in so many is judged.
+const EVERY_CHUNK: usize = 3;
 
 /// Points of a ring.
 const POINTS: u32 = 8;
@@ -93,8 +97,10 @@ pub struct Findings {
     pub chunks: Score,
     /// The same chunks: kept if any block of them is.
     pub chunks_by_blocks: Score,
-    /// Chunks of 512 m of trees by T4.
+    /// Chunks of trees likewise.
     pub tree_chunks: Score,
+    /// See `tree_chunks`.
+    pub tree_chunks_by_blocks: Score,
     /// Chunks by five points.
     pub five_points: Score,
     /// Reads of heights, bounds and tiles per ray: T3; a march in steps of half a metre.
@@ -128,6 +134,7 @@ impl Findings {
             (&mut self.chunks, &other.chunks),
             (&mut self.chunks_by_blocks, &other.chunks_by_blocks),
             (&mut self.tree_chunks, &other.tree_chunks),
+            (&mut self.tree_chunks_by_blocks, &other.tree_chunks_by_blocks),
             (&mut self.five_points, &other.five_points),
         ] {
             own.add(others);
@@ -275,7 +282,7 @@ fn block_of<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) ->
     let bits = planting.cell_bits + BLOCK_CELL_BITS;
     let (column, row) = (clump.x >> bits, clump.z >> bits);
     let block = block_extent(surface, culling, planting, column, row);
-    let hides = |block: Extent| block_is_hidden(surface, culling, planting, column, row, &block);
+    let hides = |block: Extent| is_hidden(surface, culling.eye, &block.target, culling.start);
     culling.sees_land != 0 && block.is_none_or(hides)
 }
 
@@ -343,7 +350,7 @@ fn count_cost<S: Slots>(
     }
 }
 
-/// Chunks of 16 x 16 blocks - of grass 128 m, of trees 512 m -, by their clumps, by their blocks and by five points; seen if any vertex of any clump in them is.
+/// Chunks of 128 m, by their clumps, by their blocks and by five points; seen if any vertex of any clump in them is.
 fn judge_chunks<S: Slots>(
     found: &mut Findings,
     scene: &Scene,
@@ -352,18 +359,20 @@ fn judge_chunks<S: Slots>(
     stand: &Stand,
 ) {
     let (culling, planting, eye) = (&stand.culling, &stand.planting, eye_of(&scene.shot.pose));
-    for patch in stand.patches.iter().step_by(3) {
-        let blocks: Vec<([i32; 2], Extent)> = blocks_of_patch(*patch)
-            .filter_map(|block| Some((block, block_extent(surface, culling, planting, block[0], block[1])?)))
-            .filter(|(_, extent)| may_be_in_view(culling, extent))
-            .collect();
-        let clumps = |block: [i32; 2]| {
-            clumps_of(surface, stand, block).filter(|clump| {
-                let slope = || slope_at(surface, clump.x, clump.z);
-                is_judged(stand, clump)
-                    && may_be_in_view(culling, &extent_of(culling, planting, clump, slope()))
-            })
-        };
+    let tile = |block: [i32; 2]| block.map(|at| (at << (planting.cell_bits + BLOCK_CELL_BITS)) >> TILE_BITS);
+    let mut chunks: BTreeMap<[i32; 2], Vec<([i32; 2], Extent)>> = BTreeMap::new();
+    for block in blocks_of(stand) {
+        let extent = block_extent(surface, culling, planting, block[0], block[1]);
+        let Some(extent) = extent.filter(|extent| may_be_in_view(culling, extent)) else { continue };
+        chunks.entry(tile(block)).or_default().push((block, extent));
+    }
+    let clumps = |block: [i32; 2]| {
+        clumps_of(surface, stand, block).filter(|clump| {
+            let slope = || slope_at(surface, clump.x, clump.z);
+            is_judged(stand, clump) && may_be_in_view(culling, &extent_of(culling, planting, clump, slope()))
+        })
+    };
+    for (chunk, blocks) in chunks.iter().step_by(EVERY_CHUNK) {
         let (mut grows, mut hint_m) = (false, 0.0);
         let is_seen = blocks.iter().flat_map(|(block, _)| clumps(*block)).any(|clump| {
             let leaves = leaves_of(scene, surface, stand, &clump, level_of(stand, &clump));
@@ -374,19 +383,23 @@ fn judge_chunks<S: Slots>(
         if !grows {
             continue;
         }
-        let mut kept = blocks.iter().filter(|(block, extent)| {
-            culling.sees_land == 0 || !block_is_hidden(surface, culling, planting, block[0], block[1], extent)
-        });
-        let by_blocks = kept.clone().next().is_some();
-        let by_clumps =
-            kept.any(|(block, _)| clumps(*block).any(|clump| !judged(surface, stand, &clump).is_hidden));
-        let five_points = chunk_is_hidden(surface, culling, planting, patch[0], patch[1]);
-        found.five_points.count(is_seen, five_points);
-        if planting.kind == KIND_GRASS {
-            found.chunks.count(is_seen, !by_clumps);
-            found.chunks_by_blocks.count(is_seen, !by_blocks);
+        let kept: Vec<[i32; 2]> = blocks
+            .iter()
+            .filter(|(_, extent)| {
+                culling.sees_land == 0 || !is_hidden(surface, culling.eye, &extent.target, culling.start)
+            })
+            .map(|(block, _)| *block)
+            .collect();
+        let is_kept =
+            kept.iter().any(|block| clumps(*block).any(|clump| !judged(surface, stand, &clump).is_hidden));
+        let five_points = five_points_are_hidden(surface, culling, TILE_BITS, chunk[0], chunk[1]);
+        found.five_points.count(is_seen, culling.sees_land != 0 && five_points);
+        let (by_clumps, by_blocks) = if planting.kind == KIND_GRASS {
+            (&mut found.chunks, &mut found.chunks_by_blocks)
         } else {
-            found.tree_chunks.count(is_seen, !by_clumps);
-        }
+            (&mut found.tree_chunks, &mut found.tree_chunks_by_blocks)
+        };
+        by_clumps.count(is_seen, !is_kept);
+        by_blocks.count(is_seen, kept.is_empty());
     }
 }
