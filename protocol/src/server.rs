@@ -99,7 +99,7 @@ struct ActiveView {
     chunks: u32,
     /// Not yet asked for, most urgent last.
     pending: Vec<(u64, ChunkKey)>,
-    /// Not needed yet but soon, most urgent last; asked for when nothing is pending.
+    /// Not needed yet but soon, most urgent last; asked for when the view is settled.
     ahead: Vec<(u64, ChunkKey)>,
     /// In how many views each pending chunk has been waiting.
     waited: FxHashMap<ChunkKey, u32>,
@@ -107,10 +107,10 @@ struct ActiveView {
 }
 
 impl ActiveView {
-    /// What to ask for next: what is needed before what will be.
+    /// What to ask for next: what is needed, and once all of that has been sent, what will be.
     fn next(&mut self) -> Option<(u64, ChunkKey)> {
-        // Whatever is needed is more urgent than whatever is not yet, in this session and beside others.
-        self.pending.pop().or_else(|| self.ahead.pop().map(|(_, key)| (0, key)))
+        let ahead = |ahead: &mut Vec<(u64, ChunkKey)>| ahead.pop().map(|(_, key)| (0, key));
+        self.pending.pop().or_else(|| if self.settled { ahead(&mut self.ahead) } else { None })
     }
 }
 
