@@ -46,6 +46,17 @@ pub struct Wanted {
     pub priority: u64,
 }
 
+/// What a session does next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Next {
+    /// Nothing is wanted, or there is no credit for it.
+    Nothing,
+    /// A ready chunk was queued for the client.
+    Delivered,
+    /// A chunk is to be made.
+    Make(Wanted),
+}
+
 /// Counts of what happened in a session, for metrics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionCounts {
@@ -338,6 +349,12 @@ impl ServerSession {
         }
     }
 
+    /// Requested chunks that wait for credit or for their turn.
+    #[must_use]
+    pub fn waiting_requests(&self) -> usize {
+        self.requests.len()
+    }
+
     /// Whether the client allows one more chunk.
     fn has_credit(&self) -> bool {
         self.credits > 0 && self.credit_bytes.is_none_or(|bytes| bytes >= self.frame_bound())
@@ -346,33 +363,51 @@ impl ServerSession {
     /// The next chunk to make, if there is credit for one. Every chunk named here must come back through
     /// [`ServerSession::deliver`], [`ServerSession::fail`] or [`ServerSession::withdraw`].
     pub fn next_chunk(&mut self) -> Option<Wanted> {
+        match self.next_chunk_with(|_| None) {
+            Next::Make(wanted) => Some(wanted),
+            Next::Nothing | Next::Delivered => None,
+        }
+    }
+
+    /// As [`ServerSession::next_chunk`], but first looks whether the chunk's frame is `ready`, made for
+    /// [`ServerSession::delivery`]; if so, queues it for the client.
+    pub fn next_chunk_with(&mut self, ready: impl FnOnce(ChunkKey) -> Option<Bytes>) -> Next {
         if !self.has_credit() {
-            return None;
+            return Next::Nothing;
         }
         let wanted = match self.requests.pop_front() {
             Some((id, key)) => Wanted { key, request: Some(id), priority: u64::MAX },
-            None => {
-                let (priority, key) = self.view.as_mut()?.next()?;
-                Wanted { key, request: None, priority }
-            }
+            None => match self.view.as_mut().and_then(ActiveView::next) {
+                Some((priority, key)) => Wanted { key, request: None, priority },
+                None => return Next::Nothing,
+            },
         };
         self.credits -= 1;
         let bound = self.frame_bound();
         if let Some(bytes) = &mut self.credit_bytes {
             *bytes -= bound;
         }
+        if let Some(frame) = ready(wanted.key) {
+            self.send_chunk(wanted.key, frame);
+            return Next::Delivered;
+        }
         let under_way =
             self.in_flight.entry(wanted.key).or_insert(UnderWay { askings: 0, request: wanted.request });
         under_way.askings += 1;
         under_way.request = wanted.request;
-        Some(wanted)
+        Next::Make(wanted)
     }
 
     /// Takes a finished chunk frame, made for [`ServerSession::delivery`], and queues it for the client.
     pub fn deliver(&mut self, wanted: Wanted, frame: Bytes) {
         self.land(wanted.key);
+        self.send_chunk(wanted.key, frame);
+    }
+
+    /// Queues a chunk whose credit is taken.
+    fn send_chunk(&mut self, key: ChunkKey, frame: Bytes) {
         self.return_bytes(self.frame_bound().saturating_sub(frame.len() as u32));
-        self.hold(wanted.key);
+        self.hold(key);
         self.counts.chunks += 1;
         self.counts.chunk_bytes += frame.len() as u64;
         self.outbox.push_back(frame);

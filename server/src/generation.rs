@@ -24,6 +24,7 @@ use queue::{Asked, FlowId, Queue, Waiter};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -34,7 +35,7 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 
 /// Work that a flow gets done in one turn, microseconds: several chunks of level 0, so that waking its session and writing cost
 /// little, and short enough that fifty flows are all served within some 10 ms.
-const QUANTUM_US: i64 = 250;
+const QUANTUM_US: i64 = 400;
 
 /// Why a frame cannot be had now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -154,7 +155,8 @@ impl Generation {
         }
         let mut flow = self.flow();
         flow.ask(wanted, delivery);
-        flow.answer().await.1
+        // One asking, one answer.
+        flow.answers().await.pop().map_or(Err(GenerationError::Failed), |(_, answer)| answer)
     }
 
     /// Further requests of one flow that can be made within the deadline, as far as the recent past tells. What exceeds it is
@@ -182,15 +184,15 @@ pub struct Flow {
     service: Generation,
     id: FlowId,
     /// Cloned into every asking.
-    answers: UnboundedSender<Done>,
+    answers: UnboundedSender<Vec<Done>>,
     /// Holds at most one answer for each asking, so whoever bounds the askings bounds this.
-    answered: UnboundedReceiver<Done>,
+    answered: UnboundedReceiver<Vec<Done>>,
     /// Askings without an answer taken.
     open: usize,
 }
 
 impl Flow {
-    /// Asks for a frame. The answer, exactly one, comes from [`Flow::answer`], unless the asking is withdrawn.
+    /// Asks for a frame. The answer, exactly one, comes from [`Flow::answers`], unless the asking is withdrawn.
     pub fn ask(&mut self, wanted: Wanted, delivery: Delivery) {
         self.open += 1;
         let Shared { cache, metrics, costs, limits, .. } = &*self.service.shared;
@@ -226,14 +228,14 @@ impl Flow {
 
     fn answer_now(&self, wanted: Wanted, answer: Answer) {
         // The receiver is in this very flow.
-        let _ = self.answers.send((wanted, answer));
+        let _ = self.answers.send(vec![(wanted, answer)]);
     }
 
-    /// Waits for the next answer; for ever while nothing is asked. Cancel safe.
-    pub async fn answer(&mut self) -> Done {
+    /// Waits for the next answers, at least one; for ever while nothing is asked. Cancel safe.
+    pub async fn answers(&mut self) -> Vec<Done> {
         loop {
             if let Some(done) = self.answered.recv().await {
-                self.open -= 1;
+                self.open -= done.len();
                 return done;
             }
             // Unreachable: this flow holds a sender itself.
@@ -241,10 +243,10 @@ impl Flow {
         }
     }
 
-    /// The next answer if it is there.
-    pub fn try_answer(&mut self) -> Option<Done> {
+    /// The next answers if they are there.
+    pub fn try_answers(&mut self) -> Option<Vec<Done>> {
         let done = self.answered.try_recv().ok()?;
-        self.open -= 1;
+        self.open -= done.len();
         Some(done)
     }
 
@@ -275,7 +277,6 @@ impl Drop for Flow {
 /// What a runner holds of a job between making and answering.
 struct Made {
     key: ChunkKey,
-    chunk: Option<Chunk>,
     answers: Vec<(Delivery, Answer)>,
 }
 
@@ -303,7 +304,7 @@ impl Shared {
             self.metrics.expired.inc_by(turn.expired.len() as u64);
             for waiter in turn.expired {
                 // An asker that left in the meantime is no error; the same below.
-                let _ = waiter.answers.send((waiter.wanted, Err(GenerationError::Overloaded)));
+                let _ = waiter.answers.send(vec![(waiter.wanted, Err(GenerationError::Overloaded))]);
             }
             if turn.keys.is_empty() {
                 return;
@@ -315,9 +316,11 @@ impl Shared {
 
     /// Makes what is asked for of a chunk; who asks for another form meanwhile is served by a further round.
     fn run_job(&self, key: ChunkKey) -> Made {
-        let mut made = Made { key, chunk: None, answers: Vec::with_capacity(1) };
+        // Dropped at the end of this job, so that the next one finds its memory warm.
+        let mut chunk = None;
+        let mut made = Made { key, answers: Vec::with_capacity(1) };
         while let Some(delivery) = { self.lock().missing(key, |delivery| made.has(delivery)) } {
-            let answer = self.make(key, delivery, &mut made.chunk);
+            let answer = self.make(key, delivery, &mut chunk);
             made.answers.push((delivery, answer));
         }
         made
@@ -345,23 +348,23 @@ impl Shared {
         Ok(frame)
     }
 
-    /// Answers a whole turn.
+    /// Answers a whole turn: each asker once, however many chunks it gets, since every answer may wake a session and cause a write.
     fn answer(&self, turn: &[Made]) {
-        let mut answered = Vec::with_capacity(turn.len());
+        let mut askers: FxHashMap<FlowId, (UnboundedSender<Vec<Done>>, Vec<Done>)> = FxHashMap::default();
         {
             let mut queue = self.lock();
             for made in turn {
                 for waiter in queue.finish(made.key, |delivery| made.has(delivery)) {
-                    answered.push((waiter, made));
+                    let answer = made.answers.iter().find(|(delivery, _)| *delivery == waiter.delivery);
+                    let answer = answer.map_or(Err(GenerationError::Failed), |(_, answer)| answer.clone());
+                    let (_, answers) = askers.entry(waiter.flow).or_insert((waiter.answers, Vec::new()));
+                    answers.push((waiter.wanted, answer));
                 }
             }
             self.metrics.queue.set(queue.jobs() as i64);
         }
-        // Outside the lock: the first answer to a session wakes it.
-        for (waiter, made) in answered {
-            let answer = made.answers.iter().find(|(delivery, _)| *delivery == waiter.delivery);
-            let answer = answer.map_or(Err(GenerationError::Failed), |(_, answer)| answer.clone());
-            let _ = waiter.answers.send((waiter.wanted, answer));
+        for (asker, answers) in askers.into_values() {
+            let _ = asker.send(answers);
         }
     }
 
@@ -537,9 +540,10 @@ mod tests {
         }
         let mut answers = Vec::new();
         while flow.open() > 0 {
-            let (wanted, answer) = flow.answer().await;
-            assert!(answer.is_ok());
-            answers.push(wanted.key.x());
+            for (wanted, answer) in flow.answers().await {
+                assert!(answer.is_ok());
+                answers.push(wanted.key.x());
+            }
         }
         answers.sort_unstable();
         assert_eq!(answers, [0, 1, 1, 2, 3]);
@@ -562,7 +566,7 @@ mod tests {
         }
         bench.permit.send(()).unwrap();
         bench.permit.send(()).unwrap();
-        assert!(patient.answer().await.1.is_ok());
+        assert!(patient.answers().await[0].1.is_ok());
         assert!(blocker.await.unwrap().is_ok());
         assert_eq!(bench.made.try_iter().collect::<Vec<_>>(), [0, 1].map(key));
         assert_eq!(bench.metrics.cancelled.get(), 100_000);
@@ -580,8 +584,8 @@ mod tests {
         assert_eq!(flow.withdraw(key(0)), [], "it is being made");
         assert_eq!(flow.withdraw(key(1)), [wanted(key(1), 1)]);
         bench.permit.send(()).unwrap();
-        assert_eq!(flow.answer().await.0.key, key(0));
-        assert_eq!((flow.open(), flow.try_answer().is_none()), (0, true));
+        assert_eq!(flow.answers().await[0].0.key, key(0));
+        assert_eq!((flow.open(), flow.try_answers().is_none()), (0, true));
     }
 
     #[tokio::test]
@@ -600,8 +604,8 @@ mod tests {
         }
         flow.ask(Wanted { request: Some(7), ..wanted(key(1), 9) }, Delivery::Exact);
         permit.send(()).unwrap();
-        assert_eq!(flow.answer().await.0.key, key(0));
-        assert_eq!(flow.answer().await.1, Err(GenerationError::Overloaded));
+        assert_eq!(flow.answers().await[0].0.key, key(0));
+        assert_eq!(flow.answers().await[0].1, Err(GenerationError::Overloaded));
         assert_eq!((made.try_iter().count(), metrics.expired.get()), (1, 1));
     }
 

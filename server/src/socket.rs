@@ -13,7 +13,7 @@ use crate::websocket::inbox::Message;
 use bytes::Bytes;
 use protocol::limits::MAX_CONTROL_FRAME;
 use protocol::message::RefusalReason;
-use protocol::server::{ServerSession, SessionCounts};
+use protocol::server::{Next, ServerSession, SessionCounts};
 use protocol::{CloseCode, Incoming};
 use std::io;
 use std::time::Duration;
@@ -113,10 +113,10 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                         return end;
                     }
                 }
-                done = self.flow.answer() => {
-                    self.finish(done);
-                    while let Some(done) = self.flow.try_answer() {
-                        self.finish(done);
+                done = self.flow.answers() => {
+                    done.into_iter().for_each(|done| self.finish(done));
+                    while let Some(done) = self.flow.try_answers() {
+                        done.into_iter().for_each(|done| self.finish(done));
                     }
                 }
                 () = self.shared.draining.cancelled() => return self.drain().await,
@@ -144,12 +144,10 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             if batch == BATCH {
                 return true;
             }
-            let Some(wanted) = self.session.next_chunk() else { return false };
-            if let Some(frame) = self.shared.generation.cached(wanted.key, delivery) {
-                self.session.deliver(wanted, frame);
-                batch += 1;
-            } else {
-                self.flow.ask(wanted, delivery);
+            match self.session.next_chunk_with(|key| self.shared.generation.cached(key, delivery)) {
+                Next::Nothing => return false,
+                Next::Delivered => batch += 1,
+                Next::Make(wanted) => self.flow.ask(wanted, delivery),
             }
         }
         false
@@ -157,6 +155,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
 
     /// Takes everything that was read, and then sees to what it made stale or what there is too much of.
     async fn receive(&mut self) -> Result<(), End> {
+        let admitted = self.session.waiting_requests();
         while self.receive_message().await? {}
         for key in self.session.take_stale() {
             for wanted in self.flow.withdraw(key) {
@@ -165,7 +164,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         }
         // Full window: what waits behind it waits for the service, not for credit.
         if self.start_jobs_until_full() {
-            self.session.shed(self.shared.generation.allowance());
+            // What was let in before stays: a refusal is worth something only if it comes at once.
+            self.session.shed(self.shared.generation.allowance().max(admitted));
         }
         Ok(())
     }

@@ -19,6 +19,9 @@ const CHUNKS: usize = 256;
 /// Requests outstanding on each connection.
 const WINDOW: usize = 16;
 
+/// The same where the server pushes: many chunks outstanding, asked for in requests of half as many.
+const PUSH_WINDOW: usize = 256;
+
 /// Connections.
 const CONNECTIONS: usize = 64;
 
@@ -39,10 +42,14 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let rival = if has_rival { Some(Rival::start(&plan.launch, &files)?) } else { None };
 
     let (mut ours, mut theirs, mut ratios, mut cpu) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut pushed, mut push_cpu) = (Vec::new(), Vec::new());
     for _ in 0..plan.rounds {
-        let round = measure(&host, &keys, plan.seconds).await?;
+        let round = measure(&host, &keys, plan.seconds, Asking::OneByOne).await?;
         ours.push(round.chunks_per_s);
         cpu.push(round.cpu_s_per_gb);
+        let round_pushed = measure(&host, &keys, plan.seconds, Asking::Together).await?;
+        pushed.push(round_pushed.chunks_per_s);
+        push_cpu.push(round_pushed.cpu_s_per_gb);
         if let Some(rival) = &rival {
             let rate = rival.measure(CONNECTIONS, WINDOW, files.len(), plan.seconds)?;
             ratios.push(round.chunks_per_s / rate.replies_per_s);
@@ -59,6 +66,10 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         "chunks_per_s_rounds": ours,
         "server_cpu_s_per_gb": median(cpu.clone()),
         "server_cpu_s_per_gb_rounds": cpu,
+        "push_window": PUSH_WINDOW,
+        "push_chunks_per_s": median(pushed),
+        "push_cpu_s_per_gb": median(push_cpu.clone()),
+        "push_cpu_s_per_gb_rounds": push_cpu,
         "nginx_replies_per_s": median(theirs.iter().map(|rate| rate.replies_per_s).collect()),
         "nginx_cpu_s_per_gb": median(theirs.iter().map(|rate| rate.cpu_s_per_gb).collect()),
         "ratio_to_nginx": median(ratios.clone()),
@@ -90,7 +101,16 @@ struct Round {
     cpu_s_per_gb: f64,
 }
 
-async fn measure(host: &Host, keys: &[ChunkKey], seconds: u64) -> Result<Round> {
+/// How a client keeps its window full.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Asking {
+    /// Like a browser or nginx's client: one request a chunk, as soon as one is answered.
+    OneByOne,
+    /// Like a viewer: half a window at once, when half is answered.
+    Together,
+}
+
+async fn measure(host: &Host, keys: &[ChunkKey], seconds: u64, asking: Asking) -> Result<Round> {
     let mut wires = Vec::new();
     for _ in 0..CONNECTIONS {
         wires.push(Wire::connect(host.address).await?);
@@ -100,7 +120,7 @@ async fn measure(host: &Host, keys: &[ChunkKey], seconds: u64) -> Result<Round> 
     let clients = wires.into_iter().enumerate().map(|(index, wire)| {
         // Each at another place of the list, so that the cache is asked for all of it.
         let keys = keys.iter().copied().cycle().skip(index * CHUNKS / CONNECTIONS).take(CHUNKS).collect::<Vec<_>>();
-        tokio::spawn(keep_asking(wire, keys, end))
+        tokio::spawn(keep_asking(wire, keys, end, asking))
     });
     let counts = to_end(clients.collect()).await?;
     let (seconds, cpu_s) = (started.elapsed().as_secs_f64(), host.process.cpu_s()? - cpu_before);
@@ -109,14 +129,26 @@ async fn measure(host: &Host, keys: &[ChunkKey], seconds: u64) -> Result<Round> 
 }
 
 /// Keeps the window full until the end. Returns chunks and their bytes.
-async fn keep_asking(mut wire: Wire, keys: Vec<ChunkKey>, end: Instant) -> Result<(u64, u64)> {
+async fn keep_asking(mut wire: Wire, keys: Vec<ChunkKey>, end: Instant, asking: Asking) -> Result<(u64, u64)> {
     let mut next = keys.iter().copied().cycle();
-    wire.request(next.by_ref().take(WINDOW)).await?;
+    let (window, at_once) = match asking {
+        Asking::OneByOne => (WINDOW, 1),
+        Asking::Together => (PUSH_WINDOW, PUSH_WINDOW / 2),
+    };
+    let mut free = window;
     let (mut chunks, mut bytes, mut refused) = (0, 0, 0u64);
     while Instant::now() < end {
-        let before = chunks;
+        if asking == Asking::OneByOne && free > 0 {
+            wire.request(next.by_ref().take(free)).await?;
+            free = 0;
+        }
+        while asking == Asking::Together && free >= at_once {
+            wire.request_together(next.by_ref().take(at_once)).await?;
+            free -= at_once;
+        }
         wire.receive(|arrived| match arrived {
             Arrived::Chunk(frame) => {
+                free += 1;
                 chunks += 1;
                 bytes += frame.len() as u64;
             }
@@ -124,10 +156,6 @@ async fn keep_asking(mut wire: Wire, keys: Vec<ChunkKey>, end: Instant) -> Resul
         })
         .await?;
         ensure!(refused == 0, "a cached chunk was refused");
-        let answered = (chunks - before) as usize;
-        if answered > 0 {
-            wire.request(next.by_ref().take(answered)).await?;
-        }
     }
     Ok((chunks, bytes))
 }

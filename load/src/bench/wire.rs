@@ -77,22 +77,38 @@ impl Wire {
         Ok(wire)
     }
 
-    /// Asks for chunks, one request for each key; grants more credit when little is left. Returns the id of the first request.
+    /// Asks for chunks, one request for each key; grants more credit when little is left.
     ///
     /// # Errors
     /// The connection broke.
-    pub async fn request(&mut self, keys: impl IntoIterator<Item = ChunkKey>) -> Result<u32> {
-        let (first, mut bytes) = (self.next_request, Vec::new());
+    pub async fn request(&mut self, keys: impl IntoIterator<Item = ChunkKey>) -> Result<()> {
+        let mut bytes = Vec::new();
         for key in keys {
-            push_request(&mut bytes, self.next_request, key);
+            push_request(&mut bytes, self.next_request, vec![key.into()])?;
             self.next_request = self.next_request.wrapping_add(1);
         }
+        self.refill(&mut bytes)?;
+        self.write(&bytes).await
+    }
+
+    /// Asks for different chunks in one request.
+    ///
+    /// # Errors
+    /// The connection broke, or there are more than 512 keys.
+    pub async fn request_together(&mut self, keys: impl IntoIterator<Item = ChunkKey>) -> Result<()> {
+        let mut bytes = Vec::new();
+        push_request(&mut bytes, self.next_request, keys.into_iter().map(WireKey::from).collect())?;
+        self.next_request = self.next_request.wrapping_add(1);
+        self.refill(&mut bytes)?;
+        self.write(&bytes).await
+    }
+
+    fn refill(&mut self, bytes: &mut Vec<u8>) -> Result<()> {
         if self.credits < MAX_CREDITS / 2 {
-            push(&mut bytes, &ClientMessage::Credit { chunks: MAX_CREDITS - self.credits })?;
+            push(bytes, &ClientMessage::Credit { chunks: MAX_CREDITS - self.credits })?;
             self.credits = MAX_CREDITS;
         }
-        self.write(&bytes).await?;
-        Ok(first)
+        Ok(())
     }
 
     /// Waits for bytes and gives every whole message among them.
@@ -187,12 +203,8 @@ fn push_frame(bytes: &mut Vec<u8>, payload: &[u8]) {
     bytes.extend_from_slice(payload);
 }
 
-fn push_request(bytes: &mut Vec<u8>, id: u32, key: ChunkKey) {
-    let request = ClientMessage::Request { id, keys: vec![WireKey::from(key)] };
-    // One key is within every limit.
-    if let Ok(payload) = control::encode(&request) {
-        push_frame(bytes, &payload);
-    }
+fn push_request(bytes: &mut Vec<u8>, id: u32, keys: Vec<WireKey>) -> Result<()> {
+    push(bytes, &ClientMessage::Request { id, keys })
 }
 
 /// The body of a GET, for metrics.
@@ -242,7 +254,7 @@ mod tests {
     fn requests_are_frames_that_the_protocol_reads() {
         let mut bytes = Vec::new();
         let key = ChunkKey::new(3, -5, 7).unwrap();
-        push_request(&mut bytes, 9, key);
+        push_request(&mut bytes, 9, vec![key.into()]).unwrap();
         let length = usize::from(bytes[1] & 0x7f);
         assert_eq!(bytes.len(), 6 + length);
         let expected = ClientMessage::Request { id: 9, keys: vec![key.into()] };

@@ -61,7 +61,7 @@ pub struct Waiter {
     /// Since when.
     pub since: Instant,
     /// Where the answer goes.
-    pub answers: UnboundedSender<Done>,
+    pub answers: UnboundedSender<Vec<Done>>,
 }
 
 #[derive(Debug, Default)]
@@ -279,7 +279,7 @@ mod tests {
         queue: Queue,
         now: Instant,
         /// Kept open, as long as the test does not drop them.
-        receivers: FxHashMap<FlowId, UnboundedReceiver<Done>>,
+        receivers: FxHashMap<FlowId, UnboundedReceiver<Vec<Done>>>,
     }
 
     impl Bench {
