@@ -26,7 +26,7 @@ use quick_cache::sync::Cache;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use terrain::{Chunk, ChunkKey, WorldDigest};
@@ -35,7 +35,7 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 
 /// Work that a flow gets done in one turn, microseconds: several chunks of level 0, so that waking its session and writing cost
 /// little, and short enough that fifty flows are all served within some 10 ms.
-const QUANTUM_US: i64 = 400;
+const QUANTUM_US: i64 = 250;
 
 /// Why a frame cannot be had now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -85,6 +85,8 @@ struct Shared {
     costs: Costs,
     limits: Limits,
     next_flow: AtomicU64,
+    /// Flows that wait for something: those that share the threads, whether or not a thread has just emptied their queue.
+    open_flows: AtomicUsize,
     metrics: Arc<Metrics>,
 }
 
@@ -123,6 +125,7 @@ impl Generation {
             costs: Costs::default(),
             limits,
             next_flow: AtomicU64::new(0),
+            open_flows: AtomicUsize::new(0),
             metrics,
         };
         Ok(Self { shared: Arc::new(shared), pool: Arc::new(pool) })
@@ -164,12 +167,11 @@ impl Generation {
     #[must_use]
     pub fn allowance(&self) -> usize {
         let Limits { threads, deadline, .. } = self.shared.limits;
-        let (flows, waiting) = {
-            let queue = self.shared.lock();
-            (queue.flows(), queue.waiting())
-        };
         // Nothing waits: whatever the estimate, there is no reason to refuse.
-        if waiting == 0 { usize::MAX } else { self.shared.costs.within(deadline, threads, flows) }
+        if self.shared.lock().waiting() == 0 {
+            return usize::MAX;
+        }
+        self.shared.costs.within(deadline, threads, self.shared.open_flows.load(Ordering::Relaxed))
     }
 
     /// Share of the queue in use, 0 to 1.
@@ -194,7 +196,7 @@ pub struct Flow {
 impl Flow {
     /// Asks for a frame. The answer, exactly one, comes from [`Flow::answers`], unless the asking is withdrawn.
     pub fn ask(&mut self, wanted: Wanted, delivery: Delivery) {
-        self.open += 1;
+        self.opened(1);
         let Shared { cache, metrics, costs, limits, .. } = &*self.service.shared;
         metrics.requested.inc();
         let mut queue = self.service.shared.lock();
@@ -226,6 +228,20 @@ impl Flow {
         }
     }
 
+    fn opened(&mut self, count: usize) {
+        if self.open == 0 && count > 0 {
+            self.service.shared.open_flows.fetch_add(1, Ordering::Relaxed);
+        }
+        self.open += count;
+    }
+
+    fn closed(&mut self, count: usize) {
+        self.open -= count;
+        if self.open == 0 && count > 0 {
+            self.service.shared.open_flows.fetch_sub(1, Ordering::Relaxed);
+        }
+    }
+
     fn answer_now(&self, wanted: Wanted, answer: Answer) {
         // The receiver is in this very flow.
         let _ = self.answers.send(vec![(wanted, answer)]);
@@ -235,7 +251,7 @@ impl Flow {
     pub async fn answers(&mut self) -> Vec<Done> {
         loop {
             if let Some(done) = self.answered.recv().await {
-                self.open -= done.len();
+                self.closed(done.len());
                 return done;
             }
             // Unreachable: this flow holds a sender itself.
@@ -246,7 +262,7 @@ impl Flow {
     /// The next answers if they are there.
     pub fn try_answers(&mut self) -> Option<Vec<Done>> {
         let done = self.answered.try_recv().ok()?;
-        self.open -= done.len();
+        self.closed(done.len());
         Some(done)
     }
 
@@ -259,7 +275,7 @@ impl Flow {
     /// Withdraws the askings for a key that no thread has taken up, and returns them; the others will be answered.
     pub fn withdraw(&mut self, key: ChunkKey) -> Vec<Wanted> {
         let withdrawn = self.service.shared.lock().withdraw(self.id, key);
-        self.open -= withdrawn.len();
+        self.closed(withdrawn.len());
         self.service.shared.metrics.cancelled.inc_by(withdrawn.len() as u64);
         withdrawn
     }
@@ -270,6 +286,7 @@ impl Drop for Flow {
         if self.open > 0 {
             let dropped = self.service.shared.lock().forget(self.id);
             self.service.shared.metrics.cancelled.inc_by(dropped);
+            self.closed(self.open);
         }
     }
 }
@@ -570,6 +587,8 @@ mod tests {
         assert!(blocker.await.unwrap().is_ok());
         assert_eq!(bench.made.try_iter().collect::<Vec<_>>(), [0, 1].map(key));
         assert_eq!(bench.metrics.cancelled.get(), 100_000);
+        drop(patient);
+        assert_eq!(bench.service.shared.open_flows.load(Ordering::Relaxed), 0);
     }
 
     #[tokio::test]

@@ -24,8 +24,8 @@ use tokio::time::{Instant, timeout};
 /// turn of the service.
 const JOB_WINDOW: usize = 16;
 
-/// Cached chunks collected before they are written out: about 256 KiB of exact frames, one write.
-const BATCH: usize = 48;
+/// Cached chunks collected before they are written out: about 300 KiB of exact frames, one write.
+const BATCH: usize = 64;
 
 /// The longest message that is read before it is refused by size. Above the protocol's limit, so that a client that
 /// exceeds the limit a little has its frame judged by the protocol.

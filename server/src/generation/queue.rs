@@ -122,12 +122,6 @@ impl Queue {
         self.waiting
     }
 
-    /// Flows that share the threads at the moment.
-    #[must_use]
-    pub fn flows(&self) -> usize {
-        self.flows.len()
-    }
-
     /// Whether a thread has the job of a key.
     #[must_use]
     pub fn is_running(&self, key: ChunkKey) -> bool {
@@ -355,7 +349,7 @@ mod tests {
         }
         let order: Vec<i32> = std::iter::from_fn(|| Some(bench.turn()).filter(|turn| !turn.is_empty())).flatten().collect();
         assert_eq!(order, [2, 4, 3, 1]);
-        assert_eq!((bench.queue.jobs(), bench.queue.flows(), bench.queue.waiting()), (0, 0, 0));
+        assert_eq!((bench.queue.jobs(), bench.queue.flows.len(), bench.queue.waiting()), (0, 0, 0));
     }
 
     #[test]
