@@ -1,6 +1,7 @@
 //! `tombolo-lab accuracy`: what every shortcut costs, against a truth in which nothing is rounded.
 //!
-//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of materials ([`tiling`]) and their relief ([`pom`], [`pom_pictures`]).
+//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of materials ([`tiling`]) and their relief ([`pom`], [`pom_pictures`]),
+//! what hides plants ([`mod@culling`]), and how many of them there are ([`grass`]).
 //!
 //! For the heightfield: how far the integers are from the formula in f64 ([`heightfield`], with the bars that are promised), and four curves: octaves kept
 //! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), and dropping octaves on coarse levels ([`levels`]).
@@ -8,8 +9,10 @@
 //! A missed bar, or a control that misses no bar, ends with an error.
 
 pub mod brdf;
+pub mod culling;
 pub mod distance;
 pub mod errors;
+pub mod grass;
 pub mod heightfield;
 pub mod levels;
 pub mod lod;
@@ -59,6 +62,10 @@ pub enum Subject {
     Tiling,
     /// Parallax occlusion mapping
     Pom,
+    /// Tests of what the land hides
+    Culling,
+    /// Density and thinning of grass
+    Grass,
 }
 
 /// The result. Field names are a contract with scripts.
@@ -111,6 +118,8 @@ impl Subject {
                 ("knobs of parallax occlusion", pom::knobs),
                 ("pictures of parallax occlusion", pom_pictures::measure),
             ],
+            Self::Culling => &[("tests of sight", culling::measure)],
+            Self::Grass => &[("grass", grass::measure)],
         }
     }
 }

@@ -1,29 +1,29 @@
 //! The second oracle: samples of clumps and chunks, judged by every test and by sight over the drawn triangles in f64.
 
+use crate::culling::chunks::chunks_of;
 use crate::culling::leaves::leaves_of;
 use crate::culling::oracle::{Oracle, Point, eye_of};
 use crate::culling::poses::Trial;
 use crate::culling::scene::Scene;
 use client::plants::Stand;
-use client::plants::kept::{BySlot, blocks_of, blocks_of_patch, clumps_of, noise_of};
+use client::plants::kept::{BySlot, blocks_of_patch, noise_of};
 use rayon::prelude::*;
 use serde::Serialize;
 use shaders::layout::{Culling, KIND_GRASS};
-use shaders::twin::march::{five_points_are_hidden, is_hidden_by_vertices, marched_is_hidden};
+use shaders::twin::march::{is_hidden_by_vertices, marched_is_hidden};
 use shaders::twin::planting::{
     BLOCK_CELL_BITS, Clump, Extent, block_extent, clump_at, distance_squared, extent_of, may_be_in_view,
     slope_at, stands_at, tip_of,
 };
 use shaders::twin::sight::is_hidden;
-use shaders::twin::surface::{Slots, Surface, TILE_BITS};
+use shaders::twin::surface::{Slots, Surface};
 use std::cell::Cell;
-use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::time::{Duration, Instant};
 use terrain::Land;
 
 /// Clumps of each kind that are judged in a scene.
-const SAMPLE: usize = 500;
+pub const SAMPLE: usize = 500;
 
 /// Of the chunks in view one in so many is judged.
 const EVERY_CHUNK: usize = 3;
@@ -32,7 +32,7 @@ const EVERY_CHUNK: usize = 3;
 const POINTS: u32 = 8;
 
 /// What is lower than this is not judged, metres: at the end of their range plants have sunk into the ground, where they are neither seen nor hidden.
-const LEAST_M: f64 = 0.1;
+pub const LEAST_M: f64 = 0.1;
 
 /// How a test did.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -48,7 +48,8 @@ pub struct Score {
 }
 
 impl Score {
-    fn count(&mut self, is_seen: bool, is_culled: bool) {
+    /// Counts one thing.
+    pub fn count(&mut self, is_seen: bool, is_culled: bool) {
         if is_seen {
             self.visible += 1;
             self.false_culls += u64::from(is_culled);
@@ -58,7 +59,8 @@ impl Score {
         }
     }
 
-    fn add(&mut self, other: &Self) {
+    /// Counts all that another one has counted.
+    pub fn add(&mut self, other: &Self) {
         self.visible += other.visible;
         self.false_culls += other.false_culls;
         self.hidden += other.hidden;
@@ -167,9 +169,12 @@ pub fn judge(land: &Land, trials: &[Trial]) -> Findings {
 }
 
 /// Counts what a test reads.
-struct Counting<'a, S> {
-    slots: &'a S,
-    reads: Cell<u64>,
+#[derive(Debug)]
+pub struct Counting<'a, S> {
+    /// What is read.
+    pub slots: &'a S,
+    /// How often.
+    pub reads: Cell<u64>,
 }
 
 impl<S: Slots> Slots for Counting<'_, S> {
@@ -212,7 +217,8 @@ fn hull_of(scene: &Scene, extent: &Extent) -> Vec<Point> {
 }
 
 /// The level of detail in which a clump is drawn.
-fn level_of(stand: &Stand, clump: &Clump) -> u32 {
+#[must_use]
+pub fn level_of(stand: &Stand, clump: &Clump) -> u32 {
     let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
     u32::from(far > stand.planting.detail[0]) + u32::from(far > stand.planting.detail[1])
 }
@@ -258,18 +264,33 @@ fn of_scene(scene: &Scene) -> Findings {
             }
         }
         count_cost(&mut found, &surface, stand, &sample, &fine);
-        judge_chunks(&mut found, scene, &oracle, &surface, stand);
+        let is_grass = stand.planting.kind == KIND_GRASS;
+        for chunk in chunks_of(scene, &oracle, &surface, stand, EVERY_CHUNK) {
+            let (by_clumps, by_blocks) = if is_grass {
+                (&mut found.chunks, &mut found.chunks_by_blocks)
+            } else {
+                (&mut found.tree_chunks, &mut found.tree_chunks_by_blocks)
+            };
+            by_clumps.count(chunk.is_seen, !chunk.has_clump);
+            by_blocks.count(chunk.is_seen, !chunk.has_block);
+            found.five_points.count(chunk.is_seen, !chunk.has_point);
+        }
     }
     found
 }
 
 /// What T3 says of a clump.
-struct Judged {
-    extent: Extent,
-    is_hidden: bool,
+#[derive(Clone, Copy, Debug)]
+pub struct Judged {
+    /// What the clump takes up.
+    pub extent: Extent,
+    /// Whether all of that is hidden.
+    pub is_hidden: bool,
 }
 
-fn judged<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) -> Judged {
+/// Asks T3 about a clump.
+#[must_use]
+pub fn judged<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) -> Judged {
     let culling = &stand.culling;
     let extent = extent_of(culling, &stand.planting, clump, slope_at(surface, clump.x, clump.z));
     let is_hidden = culling.sees_land != 0 && is_hidden(surface, culling.eye, &extent.target, culling.start);
@@ -286,8 +307,9 @@ fn block_of<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) ->
     culling.sees_land != 0 && block.is_none_or(hides)
 }
 
-/// Clumps of a stand inside the view, evenly from all of its blocks.
-fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
+/// Clumps of a stand inside the view, evenly from all of its blocks; at most [`SAMPLE`].
+#[must_use]
+pub fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
     let blocks: Vec<[i32; 2]> = stand.patches.iter().copied().flat_map(blocks_of_patch).collect();
     let mut found = Vec::new();
     // A stride that shares no factor with the blocks of a patch or with the cells of a block.
@@ -310,7 +332,8 @@ fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
 }
 
 /// Whether thinning leaves a clump standing.
-fn is_judged(stand: &Stand, clump: &Clump) -> bool {
+#[must_use]
+pub fn is_judged(stand: &Stand, clump: &Clump) -> bool {
     let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
     stands_at(&stand.planting, clump, far)
 }
@@ -347,59 +370,5 @@ fn count_cost<S: Slots>(
         std::hint::black_box((some, march));
         found.times[0] += between - begun;
         found.times[1] += between.elapsed();
-    }
-}
-
-/// Chunks of 128 m, by their clumps, by their blocks and by five points; seen if any vertex of any clump in them is.
-fn judge_chunks<S: Slots>(
-    found: &mut Findings,
-    scene: &Scene,
-    oracle: &Oracle,
-    surface: &Surface<'_, S>,
-    stand: &Stand,
-) {
-    let (culling, planting, eye) = (&stand.culling, &stand.planting, eye_of(&scene.shot.pose));
-    let tile = |block: [i32; 2]| block.map(|at| (at << (planting.cell_bits + BLOCK_CELL_BITS)) >> TILE_BITS);
-    let mut chunks: BTreeMap<[i32; 2], Vec<([i32; 2], Extent)>> = BTreeMap::new();
-    for block in blocks_of(stand) {
-        let extent = block_extent(surface, culling, planting, block[0], block[1]);
-        let Some(extent) = extent.filter(|extent| may_be_in_view(culling, extent)) else { continue };
-        chunks.entry(tile(block)).or_default().push((block, extent));
-    }
-    let clumps = |block: [i32; 2]| {
-        clumps_of(surface, stand, block).filter(|clump| {
-            let slope = || slope_at(surface, clump.x, clump.z);
-            is_judged(stand, clump) && may_be_in_view(culling, &extent_of(culling, planting, clump, slope()))
-        })
-    };
-    for (chunk, blocks) in chunks.iter().step_by(EVERY_CHUNK) {
-        let (mut grows, mut hint_m) = (false, 0.0);
-        let is_seen = blocks.iter().flat_map(|(block, _)| clumps(*block)).any(|clump| {
-            let leaves = leaves_of(scene, surface, stand, &clump, level_of(stand, &clump));
-            let is_judged = leaves.height_m >= LEAST_M;
-            grows |= is_judged;
-            is_judged && oracle.sees_any(eye, &leaves.points, &mut hint_m)
-        });
-        if !grows {
-            continue;
-        }
-        let kept: Vec<[i32; 2]> = blocks
-            .iter()
-            .filter(|(_, extent)| {
-                culling.sees_land == 0 || !is_hidden(surface, culling.eye, &extent.target, culling.start)
-            })
-            .map(|(block, _)| *block)
-            .collect();
-        let is_kept =
-            kept.iter().any(|block| clumps(*block).any(|clump| !judged(surface, stand, &clump).is_hidden));
-        let five_points = five_points_are_hidden(surface, culling, TILE_BITS, chunk[0], chunk[1]);
-        found.five_points.count(is_seen, culling.sees_land != 0 && five_points);
-        let (by_clumps, by_blocks) = if planting.kind == KIND_GRASS {
-            (&mut found.chunks, &mut found.chunks_by_blocks)
-        } else {
-            (&mut found.tree_chunks, &mut found.tree_chunks_by_blocks)
-        };
-        by_clumps.count(is_seen, !is_kept);
-        by_blocks.count(is_seen, kept.is_empty());
     }
 }
