@@ -140,7 +140,10 @@ impl Interest {
     fn is_needed_by_a_view(&self, key: ChunkKey) -> bool {
         // Newest first: it is nearly always the one.
         self.views.iter().rev().any(|(_, viewer, ahead)| {
-            [Some(viewer), ahead.as_ref()].into_iter().flatten().any(|viewer| is_needed(&self.land, viewer, key))
+            [Some(viewer), ahead.as_ref()]
+                .into_iter()
+                .flatten()
+                .any(|viewer| is_needed(&self.land, viewer, key))
         })
     }
 }

@@ -9,8 +9,8 @@ use crate::control;
 use crate::delivery::Delivery;
 use crate::error::{ControlError, PeerFault};
 use crate::limits::{
-    MAX_CHUNK_FRAME, MAX_CREDIT_BYTES, MAX_CREDITS, MAX_HELD, MAX_PENDING_REQUESTS, MAX_TEXT, MAX_VIEW_CHUNKS,
-    SEED_ONLY_FRAME,
+    MAX_CHUNK_FRAME, MAX_CREDIT_BYTES, MAX_CREDITS, MAX_HELD, MAX_PENDING_REQUESTS, MAX_TEXT,
+    MAX_VIEW_CHUNKS, SEED_ONLY_FRAME,
 };
 use crate::message::{
     ClientMessage, Hello, RefusalReason, Refused, Rejection, ServerMessage, Welcome, WireKey,
@@ -275,7 +275,12 @@ impl ServerSession {
     fn is_valid_credit(&mut self, granted: u32, most: u32) -> bool {
         let is_valid = (1..=most).contains(&granted);
         if !is_valid {
-            self.refuse(0, None, RefusalReason::InvalidCredit, format!("a grant of {granted} is not within 1 to {most}"));
+            self.refuse(
+                0,
+                None,
+                RefusalReason::InvalidCredit,
+                format!("a grant of {granted} is not within 1 to {most}"),
+            );
         }
         is_valid
     }
@@ -309,7 +314,8 @@ impl ServerSession {
 
     /// Notes what is under way for one asking only, of which `is_stale` says that it is not wanted any more.
     fn find_stale(&mut self, is_stale: impl Fn(ChunkKey, Option<u32>) -> bool) {
-        let stale = self.in_flight.iter().filter(|(key, asked)| asked.askings == 1 && is_stale(**key, asked.request));
+        let stale =
+            self.in_flight.iter().filter(|(key, asked)| asked.askings == 1 && is_stale(**key, asked.request));
         self.stale.extend(stale.map(|(key, _)| *key));
     }
 
@@ -332,7 +338,12 @@ impl ServerSession {
         for key in keys {
             match key.check() {
                 Ok(valid) if keys.len() > 1 && !seen.insert(valid) => {
-                    self.refuse(id, Some(*key), RefusalReason::Duplicate, "named twice in one request".into());
+                    self.refuse(
+                        id,
+                        Some(*key),
+                        RefusalReason::Duplicate,
+                        "named twice in one request".into(),
+                    );
                 }
                 Ok(valid) => self.requests.push_back((id, valid)),
                 Err(error) => self.refuse(id, Some(*key), RefusalReason::OutsideWorld, error.to_string()),
@@ -345,7 +356,12 @@ impl ServerSession {
     pub fn shed(&mut self, keep: usize) {
         while self.requests.len() > keep {
             let Some((id, key)) = self.requests.pop_back() else { return };
-            self.refuse(id, Some(key.into()), RefusalReason::Overloaded, "too much is waiting, ask again later".into());
+            self.refuse(
+                id,
+                Some(key.into()),
+                RefusalReason::Overloaded,
+                "too much is waiting, ask again later".into(),
+            );
         }
     }
 

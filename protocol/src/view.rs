@@ -76,9 +76,10 @@ impl View {
     #[must_use]
     pub fn viewer_ahead(&self) -> Option<Viewer> {
         let viewer = self.viewer();
-        let [east, _, south] = self.velocity.map(|velocity| i64::from(velocity) * AHEAD_S);
-        // At most 2^33 each.
-        let way = (east * east).saturating_add(south * south).isqrt();
+        // Faster than 2,000 km/s counts as that: it is beyond every view distance, and the squares stay in range.
+        let [east, _, south] =
+            self.velocity.map(|velocity| i64::from(velocity).clamp(-(1 << 29), 1 << 29) * AHEAD_S);
+        let way = (east * east + south * south).isqrt();
         // Less than a finest chunk in that time: the next view comes soon enough.
         if way < 1 << CHUNK_BITS {
             return None;

@@ -628,7 +628,8 @@ fn a_moving_view_is_settled_before_anything_ahead_is_sent_and_what_lies_ahead_co
     pair.run(usize::MAX);
     let (_, needed) = pair.settled()[0];
     let settled_at = pair.events.iter().position(|event| matches!(event, Event::Settled { .. })).unwrap();
-    let before = pair.events[..settled_at].iter().filter(|event| matches!(event, Event::Chunk { .. })).count();
+    let before =
+        pair.events[..settled_at].iter().filter(|event| matches!(event, Event::Chunk { .. })).count();
     assert_eq!(before, needed as usize);
     assert!(pair.delivered > before, "nothing was sent ahead");
     // Two seconds later everything is there already.
@@ -667,13 +668,16 @@ fn the_wildest_numbers_of_a_view_are_refused_or_served_and_never_panic() {
     for extreme in [i32::MIN, -1, 0, 1, i32::MAX] {
         let mut server = welcomed(4);
         for eye in [[0; 3], [1 << 30, extreme, -(1 << 30)], [extreme; 3]] {
-            say(&mut server, &ClientMessage::View(View {
-                eye,
-                velocity: [extreme; 3],
-                yaw_mdeg: extreme,
-                pitch_mdeg: extreme,
-                ..view(1, 65_536)
-            }));
+            say(
+                &mut server,
+                &ClientMessage::View(View {
+                    eye,
+                    velocity: [extreme; 3],
+                    yaw_mdeg: extreme,
+                    pitch_mdeg: extreme,
+                    ..view(1, 65_536)
+                }),
+            );
         }
         while server.next_chunk().is_some() {}
         let counts = server.counts();

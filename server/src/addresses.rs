@@ -72,7 +72,11 @@ mod tests {
         let [one, other] = ["10.0.0.1", "10.0.0.2"].map(|text| Some(text.parse().unwrap()));
         let places = [addresses.enter(one), addresses.enter(one)];
         assert!(places.iter().all(Option::is_some));
-        assert!(addresses.enter(one).is_none() && addresses.enter(other).is_some() && addresses.enter(None).is_some());
+        assert!(
+            addresses.enter(one).is_none()
+                && addresses.enter(other).is_some()
+                && addresses.enter(None).is_some()
+        );
         drop(places);
         assert!(addresses.enter(one).is_some());
         assert!(addresses.counts.lock().unwrap().is_empty());

@@ -33,9 +33,12 @@ use terrain::{Chunk, ChunkKey, WorldDigest};
 use thiserror::Error;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 
-/// Work that a flow gets done in one turn, microseconds: several chunks of level 0, so that waking its session and writing cost
-/// little, and short enough that fifty flows are all served within some 10 ms.
-const QUANTUM_US: i64 = 250;
+/// Time in which every waiting flow should have had a turn, microseconds of work.
+const ROUND_US: i64 = 4000;
+
+/// Bounds of the work that a flow gets done in one turn, microseconds. At least two cheap chunks or so, since each turn wakes a session
+/// and makes it write; at most some ten, since they are answered together.
+const QUANTUM_US: (i64, i64) = (80, 400);
 
 /// Why a frame cannot be had now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -171,7 +174,8 @@ impl Generation {
         if self.shared.lock().waiting() == 0 {
             return usize::MAX;
         }
-        self.shared.costs.within(deadline, threads, self.shared.open_flows.load(Ordering::Relaxed))
+        // Half of it: the other half is for what the estimate leaves out, sessions that write and machines that are shared.
+        self.shared.costs.within(deadline / 2, threads, self.shared.open_flows.load(Ordering::Relaxed))
     }
 
     /// Share of the queue in use, 0 to 1.
@@ -310,7 +314,7 @@ impl Shared {
         loop {
             let turn = {
                 let mut queue = self.lock();
-                let turn = queue.take(QUANTUM_US, deadline, Instant::now());
+                let turn = queue.take(self.quantum_us(), deadline, Instant::now());
                 if turn.keys.is_empty() {
                     queue.runners -= 1;
                 }
@@ -329,6 +333,12 @@ impl Shared {
             let made: Vec<Made> = turn.keys.into_iter().map(|key| self.run_job(key)).collect();
             self.answer(&made);
         }
+    }
+
+    /// Few flows get long turns, which cost less; many get short ones, so that none waits long for its own.
+    fn quantum_us(&self) -> i64 {
+        let flows = self.open_flows.load(Ordering::Relaxed).max(1) as i64;
+        (ROUND_US / flows).clamp(QUANTUM_US.0, QUANTUM_US.1)
     }
 
     /// Makes what is asked for of a chunk; who asks for another form meanwhile is served by a further round.
@@ -636,7 +646,10 @@ mod tests {
             tokio::task::yield_now().await;
         }
         let abandoned = ask(&bench.service, key(1), 1).await;
-        assert_eq!(bench.service.frame(wanted(key(2), 99), Delivery::Exact).await, Err(GenerationError::Overloaded));
+        assert_eq!(
+            bench.service.frame(wanted(key(2), 99), Delivery::Exact).await,
+            Err(GenerationError::Overloaded)
+        );
         assert_eq!(bench.metrics.shed.get(), 1);
         abandoned.abort();
         let _ = abandoned.await;

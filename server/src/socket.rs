@@ -193,7 +193,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             Ok(Some(Message::Pong)) => return Ok(true),
             Ok(Some(Message::Close(_))) => {
                 // RFC 6455, section 5.5.1: the answer to a good-bye is one. Nothing that goes wrong with it matters.
-                self.socket.queue_as(Opcode::Close, Bytes::copy_from_slice(&CloseCode::Normal.code().to_be_bytes()));
+                self.socket
+                    .queue_as(Opcode::Close, Bytes::copy_from_slice(&CloseCode::Normal.code().to_be_bytes()));
                 let _ = within(self.shared.config.write_timeout, self.socket.flush()).await;
                 self.socket.shut_down().await;
                 return Err(End { reason: "closed", close: None });

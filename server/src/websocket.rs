@@ -190,7 +190,11 @@ mod tests {
     }
 
     impl AsyncWrite for Trickle {
-        fn poll_write(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        fn poll_write(
+            mut self: Pin<&mut Self>,
+            context: &mut Context<'_>,
+            bytes: &[u8],
+        ) -> Poll<io::Result<usize>> {
             self.ready = !self.ready;
             if !self.ready {
                 context.waker().wake_by_ref();
@@ -234,8 +238,9 @@ mod tests {
         let (near, far) = tokio::join!(tokio::net::TcpStream::connect(address), listener.accept());
         let mut theirs = WebSocketStream::from_raw_socket(near.unwrap(), Role::Client, None).await;
         let mut ours = WebSocket::new(far.unwrap().0, &[], 1 << 20);
-        let payloads: Vec<Bytes> =
-            [0usize, 1, 125, 126, 5000, 65_535, 65_536, 200_000].map(|length| Bytes::from(vec![length as u8; length])).into();
+        let payloads: Vec<Bytes> = [0usize, 1, 125, 126, 5000, 65_535, 65_536, 200_000]
+            .map(|length| Bytes::from(vec![length as u8; length]))
+            .into();
         for payload in &payloads {
             ours.queue(payload.clone());
         }

@@ -235,9 +235,11 @@ async fn absurd_wishes_are_refused_one_by_one_counted_and_harm_nobody() {
     bystander.settle(view(2, 500)).await;
     drop(peer);
     let url = server.url("/metrics");
-    let text = tokio::task::spawn_blocking(move || ureq::get(url).call().unwrap().body_mut().read_to_string().unwrap())
-        .await
-        .unwrap();
+    let text = tokio::task::spawn_blocking(move || {
+        ureq::get(url).call().unwrap().body_mut().read_to_string().unwrap()
+    })
+    .await
+    .unwrap();
     for line in [
         "tombolo_refusals_by_reason_total{reason=\"outside world\"} 3",
         "tombolo_refusals_by_reason_total{reason=\"duplicate\"} 3",

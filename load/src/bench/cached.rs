@@ -119,17 +119,24 @@ async fn measure(host: &Host, keys: &[ChunkKey], seconds: u64, asking: Asking) -
     let end = started + Duration::from_secs(seconds);
     let clients = wires.into_iter().enumerate().map(|(index, wire)| {
         // Each at another place of the list, so that the cache is asked for all of it.
-        let keys = keys.iter().copied().cycle().skip(index * CHUNKS / CONNECTIONS).take(CHUNKS).collect::<Vec<_>>();
+        let keys =
+            keys.iter().copied().cycle().skip(index * CHUNKS / CONNECTIONS).take(CHUNKS).collect::<Vec<_>>();
         tokio::spawn(keep_asking(wire, keys, end, asking))
     });
     let counts = to_end(clients.collect()).await?;
     let (seconds, cpu_s) = (started.elapsed().as_secs_f64(), host.process.cpu_s()? - cpu_before);
-    let (chunks, bytes) = counts.iter().fold((0, 0), |(chunks, bytes), count| (chunks + count.0, bytes + count.1));
+    let (chunks, bytes) =
+        counts.iter().fold((0, 0), |(chunks, bytes), count| (chunks + count.0, bytes + count.1));
     Ok(Round { chunks_per_s: chunks as f64 / seconds, cpu_s_per_gb: cpu_s / (bytes as f64 / 1e9) })
 }
 
 /// Keeps the window full until the end. Returns chunks and their bytes.
-async fn keep_asking(mut wire: Wire, keys: Vec<ChunkKey>, end: Instant, asking: Asking) -> Result<(u64, u64)> {
+async fn keep_asking(
+    mut wire: Wire,
+    keys: Vec<ChunkKey>,
+    end: Instant,
+    asking: Asking,
+) -> Result<(u64, u64)> {
     let mut next = keys.iter().copied().cycle();
     let (window, at_once) = match asking {
         Asking::OneByOne => (WINDOW, 1),

@@ -7,8 +7,8 @@ use super::stats::{jain, median, ms, quantile};
 use super::wire::{Arrived, Wire};
 use super::{Plan, to_end};
 use anyhow::Result;
-use rustc_hash::FxHashMap;
 use protocol::chunk_codec;
+use rustc_hash::FxHashMap;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 use terrain::{ChunkKey, Land};
@@ -80,7 +80,8 @@ async fn round(plan: &Plan, keys: &[ChunkKey], greedy: usize) -> Result<Round> {
     let clients = wires.into_iter().enumerate().map(|(index, wire)| {
         let window = if index < POLITE { POLITE_WINDOW } else { GREEDY_WINDOW };
         // Far apart in the list: no client finds what another had made.
-        let own: Vec<_> = keys.iter().copied().cycle().skip(index * CHUNKS / n_clients).take(CHUNKS).collect();
+        let own: Vec<_> =
+            keys.iter().copied().cycle().skip(index * CHUNKS / n_clients).take(CHUNKS).collect();
         tokio::spawn(keep_asking(wire, own, window, from, end))
     });
     let latencies = to_end(clients.collect()).await?;

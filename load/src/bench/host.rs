@@ -62,7 +62,8 @@ impl Watched {
         let stat = self.proc("stat")?;
         // The name in parentheses may hold anything; user and system time are the 12th and 13th field behind it.
         let (_, fields) = stat.rsplit_once(')').context("/proc/PID/stat has no name")?;
-        let ticks = |index: usize| fields.split_whitespace().nth(index).and_then(|field| field.parse::<f64>().ok());
+        let ticks =
+            |index: usize| fields.split_whitespace().nth(index).and_then(|field| field.parse::<f64>().ok());
         let (user, system) = ticks(11).zip(ticks(12)).context("/proc/PID/stat is too short")?;
         Ok((user + system) / TICKS_PER_SECOND)
     }

@@ -46,12 +46,16 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     for load in LOADS {
         let calm = if load == LOADS[LOADS.len() - 1] { LOOK_FOR } else { Duration::ZERO };
         let outcome = arrivals(&host, &keys, &[(load * capacity, length), (CALM * capacity, calm)]).await?;
-        let mut answered: Vec<_> = outcome.answers.iter().filter(|answer| answer.is_in(length)).copied().collect();
+        let mut answered: Vec<_> =
+            outcome.answers.iter().filter(|answer| answer.is_in(length)).copied().collect();
         let goodput = answered.iter().filter(|answer| answer.is_chunk).count() as f64 / length.as_secs_f64();
         peak = peak.max(goodput);
         let p99 = |is_chunk: bool, answers: &mut Vec<Answer>| {
-            let mut waits: Vec<_> =
-                answers.iter().filter(|answer| answer.is_chunk == is_chunk).map(|answer| answer.wait).collect();
+            let mut waits: Vec<_> = answers
+                .iter()
+                .filter(|answer| answer.is_chunk == is_chunk)
+                .map(|answer| answer.wait)
+                .collect();
             quantile(&mut waits, 0.99).map(ms)
         };
         let (chunk_p99, refusal_p99) = (p99(true, &mut answered), p99(false, &mut answered));
@@ -82,10 +86,10 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     }))
 }
 
-/// Seconds from the end of the overload until chunks take no longer than twice the normal 99th percentile (at least 20 ms, what two
-/// shared cores' scheduler alone can take), window by window, for the rest of the run; none if that never comes.
+/// Seconds from the end of the overload until chunks take no longer than twice the normal 99th percentile (at least 50 ms, what the
+/// scheduler of two shared cores alone can take), window by window, for the rest of the run; none if that never comes.
 fn recovery(outcome: &Outcome, length: Duration, normal_p99_ms: f64) -> Option<f64> {
-    let bound_ms = (2.0 * normal_p99_ms).max(20.0);
+    let bound_ms = (2.0 * normal_p99_ms).max(50.0);
     let n_windows = (LOOK_FOR.as_millis() / LOOK.as_millis()) as u32;
     let is_calm = |window: u32| {
         let (from, to) = (length + LOOK * window, length + LOOK * (window + 1));
@@ -157,7 +161,8 @@ async fn arrivals(host: &Host, keys: &[ChunkKey], rates: &[(f64, Duration)]) -> 
     }
     let started = Instant::now() + BURST;
     let clients = wires.into_iter().enumerate().map(|(index, wire)| {
-        let own: Vec<_> = keys.iter().copied().cycle().skip(index * CHUNKS / CONNECTIONS).take(CHUNKS).collect();
+        let own: Vec<_> =
+            keys.iter().copied().cycle().skip(index * CHUNKS / CONNECTIONS).take(CHUNKS).collect();
         let rates: Vec<_> = rates.iter().map(|(rate, time)| (rate / CONNECTIONS as f64, *time)).collect();
         let phase = BURST * index as u32 / CONNECTIONS as u32;
         tokio::spawn(arrive(wire, own, rates, started + phase))
@@ -235,9 +240,10 @@ mod tests {
     fn arrivals_are_due_by_rate_and_time_and_stop_at_the_end() {
         let second = Duration::from_secs(1);
         let rates = [(100.0, second), (10.0, 2 * second)];
-        assert_eq!([0, 500, 1000, 2000, 3000, 9000].map(|ms| due(&rates, Duration::from_millis(ms))), [
-            0.0, 50.0, 100.0, 110.0, 120.0, 120.0
-        ]);
+        assert_eq!(
+            [0, 500, 1000, 2000, 3000, 9000].map(|ms| due(&rates, Duration::from_millis(ms))),
+            [0.0, 50.0, 100.0, 110.0, 120.0, 120.0]
+        );
     }
 
     #[test]
@@ -252,7 +258,8 @@ mod tests {
                 })
                 .collect()
         };
-        let seconds = |slow_until_ms| recovery(&Outcome { sent: 0, answers: answers(slow_until_ms) }, length, 5.0);
+        let seconds =
+            |slow_until_ms| recovery(&Outcome { sent: 0, answers: answers(slow_until_ms) }, length, 5.0);
         assert_eq!([0, 150, 1000].map(seconds), [Some(0.0), Some(0.2), Some(1.0)]);
         assert_eq!(seconds(10_000), None);
     }

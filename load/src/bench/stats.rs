@@ -19,7 +19,8 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
 /// Jain's fairness index: 1 if all shares are equal, 1/n if one has everything (Jain, Chiu and Hawe, DEC TR-301, 1984).
 #[must_use]
 pub fn jain(shares: &[f64]) -> f64 {
-    let (sum, squares) = shares.iter().fold((0.0, 0.0), |(sum, squares), share| (sum + share, squares + share * share));
+    let (sum, squares) =
+        shares.iter().fold((0.0, 0.0), |(sum, squares), share| (sum + share, squares + share * share));
     sum * sum / (shares.len() as f64 * squares)
 }
 

@@ -46,7 +46,8 @@ impl Wire {
     /// # Errors
     /// The server cannot be reached or does not admit.
     pub async fn connect(address: SocketAddr) -> Result<Self> {
-        let stream = TcpStream::connect(address).await.with_context(|| format!("cannot connect to {address}"))?;
+        let stream =
+            TcpStream::connect(address).await.with_context(|| format!("cannot connect to {address}"))?;
         stream.set_nodelay(true)?;
         let mut wire = Self { stream, rest: Vec::new(), credits: MAX_CREDITS, next_request: 0 };
         let request = format!(
@@ -72,7 +73,10 @@ impl Wire {
         wire.write(&bytes).await?;
         let mut welcomed = false;
         while !welcomed {
-            wire.receive(|arrived| welcomed |= matches!(arrived, Arrived::Message(ServerMessage::Welcome(_)))).await?;
+            wire.receive(|arrived| {
+                welcomed |= matches!(arrived, Arrived::Message(ServerMessage::Welcome(_)))
+            })
+            .await?;
         }
         Ok(wire)
     }
@@ -127,7 +131,10 @@ impl Wire {
                     take(Arrived::Chunk(payload));
                 }
                 2 => take(Arrived::Message(control::decode(payload).context("a control frame")?)),
-                8 => bail!("the server closed: {}", String::from_utf8_lossy(payload.get(2..).unwrap_or_default())),
+                8 => bail!(
+                    "the server closed: {}",
+                    String::from_utf8_lossy(payload.get(2..).unwrap_or_default())
+                ),
                 _ => {}
             }
         }

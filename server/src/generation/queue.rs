@@ -347,7 +347,8 @@ mod tests {
         for (x, priority) in [(1, 10), (2, 30), (3, 20), (4, 30)] {
             bench.ask(1, x, priority, 1000);
         }
-        let order: Vec<i32> = std::iter::from_fn(|| Some(bench.turn()).filter(|turn| !turn.is_empty())).flatten().collect();
+        let order: Vec<i32> =
+            std::iter::from_fn(|| Some(bench.turn()).filter(|turn| !turn.is_empty())).flatten().collect();
         assert_eq!(order, [2, 4, 3, 1]);
         assert_eq!((bench.queue.jobs(), bench.queue.flows.len(), bench.queue.waiting()), (0, 0, 0));
     }

@@ -215,7 +215,10 @@ mod tests {
             let bytes = frame(0x82, &vec![7; length], [1, 2, 3, 4]);
             let header = read_header(&bytes, LIMIT).unwrap().unwrap();
             assert_eq!((header.opcode, header.is_last, header.mask), (Opcode::Binary, true, [1, 2, 3, 4]));
-            assert_eq!((header.header_length + header.payload_length, header.payload_length), (bytes.len(), length));
+            assert_eq!(
+                (header.header_length + header.payload_length, header.payload_length),
+                (bytes.len(), length)
+            );
             for cut in 0..header.header_length {
                 assert_eq!(read_header(&bytes[..cut], LIMIT), Ok(None), "{length} cut to {cut}");
             }
