@@ -80,7 +80,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
     /// # Errors
     /// The client broke RFC 6455.
     pub fn next_message(&mut self) -> Result<Option<Message<'_>>, Fault> {
-        self.inbox.next()
+        self.inbox.next_message()
     }
 
     /// Queues a binary message for the next flush.

@@ -74,7 +74,7 @@ impl Wire {
         let mut welcomed = false;
         while !welcomed {
             wire.receive(|arrived| {
-                welcomed |= matches!(arrived, Arrived::Message(ServerMessage::Welcome(_)))
+                welcomed |= matches!(arrived, Arrived::Message(ServerMessage::Welcome(_)));
             })
             .await?;
         }

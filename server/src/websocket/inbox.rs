@@ -51,7 +51,7 @@ impl Inbox {
     ///
     /// # Errors
     /// The client broke RFC 6455; nothing after it can be understood.
-    pub fn next(&mut self) -> Result<Option<Message<'_>>, Fault> {
+    pub fn next_message(&mut self) -> Result<Option<Message<'_>>, Fault> {
         if std::mem::take(&mut self.is_whole) {
             self.parts = None;
         }
@@ -137,7 +137,7 @@ mod tests {
     /// Everything that comes out, as owned words.
     fn drain(inbox: &mut Inbox) -> Result<Vec<String>, Fault> {
         let mut out = Vec::new();
-        while let Some(message) = inbox.next()? {
+        while let Some(message) = inbox.next_message()? {
             out.push(format!("{message:?}"));
         }
         Ok(out)
@@ -180,11 +180,11 @@ mod tests {
     fn an_endless_message_of_small_parts_is_cut_off_at_the_limit() {
         let mut inbox = Inbox::new(100);
         inbox.extend(&frame(0x02, &[0; 60]));
-        assert_eq!(inbox.next(), Ok(None));
+        assert_eq!(inbox.next_message(), Ok(None));
         inbox.extend(&frame(0x00, &[0; 40]));
-        assert_eq!(inbox.next(), Ok(None));
+        assert_eq!(inbox.next_message(), Ok(None));
         inbox.extend(&frame(0x00, &[0; 1]));
-        assert_eq!(inbox.next(), Err(Fault::TooLong(100)));
+        assert_eq!(inbox.next_message(), Err(Fault::TooLong(100)));
     }
 
     #[test]
@@ -192,7 +192,7 @@ mod tests {
         for frames in [vec![frame(0x80, b"x")], vec![frame(0x02, b"x"), frame(0x82, b"y")]] {
             let mut inbox = Inbox::new(100);
             inbox.extend(&frames.concat());
-            assert_eq!(inbox.next(), Err(Fault::BadSequence));
+            assert_eq!(inbox.next_message(), Err(Fault::BadSequence));
         }
     }
 
