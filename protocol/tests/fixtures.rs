@@ -78,6 +78,8 @@ fn client_messages_are_frozen() {
     check("request", &ClientMessage::Request { id: 9, keys: keys.clone() });
     check("release", &ClientMessage::Release { keys: keys.clone() });
     check("holding", &ClientMessage::Holding { keys });
+    check("credit_bytes", &ClientMessage::CreditBytes { bytes: 1_000_000 });
+    check("cancel", &ClientMessage::Cancel { id: 9 });
 }
 
 #[test]
@@ -105,6 +107,8 @@ fn server_messages_are_frozen() {
         ("refused_too_many_requests", RefusalReason::TooManyRequests),
         ("refused_overloaded", RefusalReason::Overloaded),
         ("refused_failed", RefusalReason::Failed),
+        ("refused_duplicate", RefusalReason::Duplicate),
+        ("refused_invalid_credit", RefusalReason::InvalidCredit),
     ] {
         let key = (reason == RefusalReason::OutsideWorld).then_some(WireKey { level: 17, x: 1, z: -1 });
         check(name, &ServerMessage::Refused(Refused { id: 5, key, reason, detail: "why".into() }));
@@ -130,7 +134,7 @@ fn peers_of_version_1_are_refused_with_both_versions_named() {
     let fault = ServerSession::new(offer, 1).receive(Incoming::Binary(&old)).unwrap_err();
     let rejection = Rejection::WrongVersion { client: 1, server: PROTOCOL_VERSION };
     assert_eq!(fault, PeerFault::Rejected(rejection));
-    assert!(fault.to_string().contains("version 1, the server 2"), "{fault}");
+    assert!(fault.to_string().contains("version 1, the server 3"), "{fault}");
 
     let config = ClientConfig {
         digest: None,
@@ -140,7 +144,7 @@ fn peers_of_version_1_are_refused_with_both_versions_named() {
         window: 1,
     };
     let fault = ClientSession::new(config).receive(Incoming::Binary(&read("version_1/welcome"))).unwrap_err();
-    assert!(fault.to_string().contains("version 2, the server 1"), "{fault}");
+    assert!(fault.to_string().contains("version 3, the server 1"), "{fault}");
 }
 
 #[test]
