@@ -66,8 +66,9 @@ impl Scene {
             Self::Grass => {
                 Pose { position_m: DVec3::new(-1460.0, 193.4, 1240.0), yaw_deg: 35.0, pitch_deg: -4.0 }
             }
+            // The floor of a narrow valley: its sides hide nearly all that grows within the view.
             Self::Culling => {
-                Pose { position_m: DVec3::new(-3900.0, 36.5, 1000.0), yaw_deg: 30.0, pitch_deg: -2.0 }
+                Pose { position_m: DVec3::new(1003.6, 50.0, 3614.4), yaw_deg: 249.7, pitch_deg: -2.0 }
             }
             Self::Water => Pose { position_m: DVec3::new(0.0, 7.5, 7.0), yaw_deg: 0.0, pitch_deg: -29.0 },
             // 16 degrees above the planes, looking at their middle.
