@@ -27,8 +27,9 @@ pub struct Args {
     /// File for the report as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// How chunks come: exact (all heights) or seed (a digest each; every chunk is generated here and verified)
-    #[arg(long, value_name = "exact|seed", default_value_t = Delivery::Exact)]
+    /// How chunks come: exact (all heights), seed (a digest each; every chunk is generated here and verified) or
+    /// quantised:METRES (heights no farther off than that)
+    #[arg(long, value_name = "exact|seed|quantised:METRES", default_value_t = Delivery::Exact)]
     pub delivery: Delivery,
     /// View distance of every client in metres, 1 to 65536
     #[arg(long, value_name = "M", default_value_t = 2000,

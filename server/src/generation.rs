@@ -12,6 +12,7 @@
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use bytes::Bytes;
+use protocol::chunk_codec::Effort;
 use protocol::{Delivery, chunk_codec};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
@@ -103,8 +104,8 @@ impl Generation {
     ) -> Result<Self, ThreadPoolBuildError> {
         let pool =
             ThreadPoolBuilder::new().num_threads(threads).thread_name(|n| format!("generate-{n}")).build()?;
-        // About 5 KiB an exact frame; the estimate only sizes the first tables.
-        let cache = Cache::with_weighter((cache_bytes / 5120) as usize, cache_bytes, FrameWeight);
+        // About 4 KiB an exact frame; the estimate only sizes the first tables.
+        let cache = Cache::with_weighter((cache_bytes / 4096) as usize, cache_bytes, FrameWeight);
         let queue = Mutex::default();
         let world = source.world();
         let shared = Shared { source: Box::new(source), world, cache, queue, limit, metrics };
@@ -201,9 +202,11 @@ impl Shared {
     /// Encodes a frame and caches it; makes the chunk before that if this is the first of its frames.
     fn make(&self, key: ChunkKey, delivery: Delivery, chunk: &mut Option<Chunk>) -> Answer {
         let (started, is_first) = (Instant::now(), chunk.is_none());
+        // A queue that is half full is a server that falls behind: its time is worth more than the bytes.
+        let effort = if self.lock().jobs.len() * 2 > self.limit { Effort::Fast } else { Effort::Compact };
         let encoded = catch_unwind(AssertUnwindSafe(|| {
             let chunk = chunk.get_or_insert_with(|| self.source.chunk(key, self.known_error(key)));
-            chunk_codec::encode_for(delivery, chunk, &self.world)
+            chunk_codec::encode_with(delivery, effort, chunk, &self.world)
         }));
         let Ok(frame) = encoded else {
             self.metrics.failed.inc();

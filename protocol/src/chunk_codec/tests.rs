@@ -79,7 +79,7 @@ fn quantised_heights_are_within_the_stated_tolerance_and_the_error_grows_by_what
             assert!(moved <= u32::from(tolerance.units()), "{level}: {moved} for {tolerance:?}");
             assert_eq!(got.error, chunk.error + moved);
             assert_eq!((&got.grass, error(&frame)), (&chunk.grass, Some(got.error)));
-            assert!(frame.len() <= shorter + 8, "{level}: {} after {shorter}", frame.len());
+            assert!(frame.len() <= shorter.saturating_add(8), "{level}: {} after {shorter}", frame.len());
             shorter = frame.len();
             // Who asked for finer is told; who takes coarser is content; who wants exact heights takes none of it.
             if let Some(finer) = Tolerance::new(tolerance.units() / 2) {
