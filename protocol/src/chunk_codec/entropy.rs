@@ -236,7 +236,6 @@ mod tests {
             assert_eq!(decompress(&good[..length], &mut room), Err(ChunkError::Compression), "{length}");
         }
         assert_eq!(decompress(&[&good[..], &[0]].concat(), &mut room), Err(ChunkError::Compression));
-        // A second, empty frame behind it fills the room just as well and is still refused or harmless.
         for descriptor in [0x00, 0x21, 0x24, 0x28, 0x30, 0x64, 0xe1] {
             let mut other = good.clone();
             other[4] = descriptor;

@@ -5,7 +5,10 @@
 //!
 //! The only unsafe code of this crate: vector instructions may only run on CPUs that have them. A [`Kernel`] that needs a
 //! feature exists only where that feature was detected.
-#![expect(unsafe_code, reason = "vector instructions; every block says what it relies on")]
+#![cfg_attr(
+    target_arch = "x86_64",
+    expect(unsafe_code, reason = "vector instructions; every block says what it relies on")
+)]
 
 #[cfg(target_arch = "x86_64")]
 mod x86;
