@@ -1,6 +1,7 @@
 //! `tombolo-lab accuracy`: what every shortcut costs, against a truth in which nothing is rounded.
 //!
-//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of materials ([`tiling`]) and their relief ([`pom`], [`pom_pictures`]).
+//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of materials ([`tiling`]) and their relief ([`pom`], [`pom_pictures`]),
+//! what hides plants ([`mod@culling`]), and how many of them there are ([`grass`]).
 //!
 //! For the heightfield: how far the integers are from the formula in f64 ([`heightfield`], with the bars that are promised), and four curves: octaves kept
 //! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), and dropping octaves on coarse levels ([`levels`]).
@@ -11,8 +12,10 @@
 
 pub mod brdf;
 pub mod codec;
+pub mod culling;
 pub mod distance;
 pub mod errors;
+pub mod grass;
 pub mod heightfield;
 pub mod levels;
 pub mod lod;
@@ -64,6 +67,10 @@ pub enum Subject {
     Pom,
     /// Chunks on the wire
     Codec,
+    /// Tests of what the land hides
+    Culling,
+    /// Density and thinning of grass
+    Grass,
 }
 
 /// The result. Field names are a contract with scripts.
@@ -117,6 +124,8 @@ impl Subject {
                 ("pictures of parallax occlusion", pom_pictures::measure),
             ],
             Self::Codec => &[("codec of chunks", codec::measure)],
+            Self::Culling => &[("tests of sight", culling::measure)],
+            Self::Grass => &[("grass", grass::measure)],
         }
     }
 }

@@ -1,6 +1,9 @@
 //! A renderer that is opened once and takes many pictures: opening a device takes longer than drawing.
 
 use client::frame::FrameData;
+use client::render::cull::{Chosen, Told};
+use client::render::garden::Garden;
+use client::render::grass::KeptClumps;
 use client::render::pool::ChunkPool;
 use client::render::{Canvas, Gpu, GpuError, PassTimes, Picture, RenderOptions, Renderer, gpu, picture};
 use client::scene::Scene;
@@ -14,6 +17,17 @@ pub struct Studio {
     renderer: Renderer,
     canvas: Canvas,
     slots: u32,
+}
+
+/// What was chosen of one kind of plants.
+#[derive(Clone, Debug)]
+pub struct ChosenKind {
+    /// `shaders::layout::KIND_*`.
+    pub kind: u32,
+    /// Four words each, see `shaders/wgsl/shared/clump.wesl`; by level of detail, finest first.
+    pub clumps: Vec<[u32; 4]>,
+    /// What it came to.
+    pub told: Told,
 }
 
 impl Studio {
@@ -111,5 +125,41 @@ impl Studio {
         self.renderer.finish_shadows(&self.gpu, frame)?;
         self.draw(frame)?;
         self.canvas.read(&self.gpu)
+    }
+
+    /// Chooses a frame's plants and draws nothing; returns how long it took until the GPU was done.
+    ///
+    /// # Errors
+    /// The GPU failed.
+    pub fn choose(&mut self, frame: &FrameData) -> Result<Duration, GpuError> {
+        let begun = Instant::now();
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.renderer.choose(&self.gpu, frame, &mut encoder);
+        self.gpu.queue.submit([encoder.finish()]);
+        self.gpu.wait()?;
+        Ok(begun.elapsed())
+    }
+
+    /// Draws a frame's plants by their names at a size; see [`Renderer::names`].
+    ///
+    /// # Errors
+    /// The GPU failed.
+    pub fn names(&mut self, frame: &FrameData, size: (u32, u32)) -> Result<Vec<[u32; 2]>, GpuError> {
+        self.renderer.resize(&self.gpu, size);
+        let names = self.renderer.names(&self.gpu, frame)?;
+        names.ok_or_else(|| GpuError::Fault("names are drawn with one sample per pixel".into()))
+    }
+
+    /// What the last choice of plants kept, kind by kind.
+    ///
+    /// # Errors
+    /// The GPU failed.
+    pub fn chosen(&self) -> Result<Vec<ChosenKind>, GpuError> {
+        let kinds = self.renderer.garden().into_iter().flat_map(Garden::kept);
+        let read = |(kept, chosen): (&KeptClumps, &Chosen)| {
+            let (clumps, told) = (chosen.read(&self.gpu)?.concat(), chosen.told(&self.gpu)?);
+            Ok(ChosenKind { kind: kept.plant.kind(), clumps, told })
+        };
+        kinds.map(read).collect()
     }
 }

@@ -181,3 +181,52 @@ fn a_block_that_was_seen_stays_as_long_as_it_is_told_to_and_no_longer() {
     assert!(lingering > alone, "{lingering} {alone}");
     assert_eq!(gone, alone);
 }
+
+#[test]
+fn one_clump_none_and_more_than_there_is_room_for() {
+    let Some(field) = field([40, 40, 40]) else { return };
+    let land = Land::new(1);
+    let camera = "-1700,60,900,70,-6";
+    let mut choose = |range_m: f32| {
+        let knobs =
+            PlantKnobs { density: 1, trees: 0, range_m, cull: Cull::Distance, ..PlantKnobs::STANDARD };
+        let shot = shot(camera, knobs);
+        let mut world = World::new(SLOTS);
+        world.set_seed(1);
+        for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
+            world.insert(land.chunk(needed.key));
+        }
+        let eye = shot.pose.eye();
+        let shot = Shot { pose: shot.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
+        let selection = select(&mut world, &shot.viewer());
+        let plants = shot.plants(&world, &selection.drawn).unwrap();
+        let mut twin = kept_of(&world, &plants, &plants.stands[0]);
+        twin.sort_by_key(|kept| kept.detail);
+        world.residents().for_each(|chunk| field.pool.upload(&field.gpu.queue, chunk));
+        field.passes.prepare(&field.gpu.queue, &plants.square);
+        let mut encoder = field.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        field.passes.record(&field.gpu.queue, &plants, 0, 1, &field.grass, &mut encoder);
+        field.gpu.queue.submit([encoder.finish()]);
+        (twin, field.grass.read(&field.gpu).unwrap(), field.grass.told(&field.gpu).unwrap())
+    };
+    // Too near for any clump to stand there; then as far as it takes to hold exactly one.
+    let (twin, chosen, told) = choose(0.05);
+    assert_eq!((twin.len(), chosen.concat().len(), told.clumps, told.clumps_lost), (0, 0, 0, 0));
+    let one = (1..200).map(|step| 0.05 * step as f32).map(&mut choose).find(|(twin, ..)| !twin.is_empty());
+    let (twin, chosen, told) = one.expect("some grass within 10 m");
+    assert_eq!((twin.len(), told.clumps, told.clumps_lost), (1, 1, 0));
+    assert_eq!(without_normal(&chosen.concat()[0]), words(&twin[0]));
+    // The buffers are full: what there is room for is drawn, the rest is counted, and no other memory is touched.
+    let (twin, chosen, told) = choose(150.0);
+    let wanted = |level: u32| twin.iter().filter(|kept| kept.detail == level).count();
+    let room = [0, 1, 2].map(|level| wanted(level).min(40));
+    assert_eq!(chosen.each_ref().map(Vec::len), room);
+    assert_eq!(told.clumps as usize, room.iter().sum::<usize>());
+    assert_eq!(told.clumps_lost as usize, twin.len() - told.clumps as usize);
+    assert!(told.clumps_lost > 100, "the control: {told:?}");
+    for (level, clumps) in chosen.iter().enumerate() {
+        let nearest: Vec<_> =
+            twin.iter().filter(|kept| kept.detail as usize == level).take(40).map(words).collect();
+        assert_eq!(clumps.iter().map(without_normal).collect::<Vec<_>>(), nearest);
+    }
+}

@@ -47,7 +47,6 @@ impl Told {
 /// The passes.
 #[derive(Debug)]
 pub struct CullPasses {
-    judge_blocks: wgpu::ComputePipeline,
     blocks: wgpu::ComputePipeline,
     judge: wgpu::ComputePipeline,
     write: wgpu::ComputePipeline,
@@ -125,11 +124,11 @@ impl CullPasses {
                 storage_entry(4, compute, false),
             ],
         );
-        let [judge_blocks, blocks] = compute_pipelines(
+        let [blocks] = compute_pipelines(
             device,
             &SHADERS.cull_blocks,
             &[&patches_layout, &blocks_layout],
-            ["judge_blocks", "cull_blocks"],
+            ["cull_blocks"],
         );
         let [judge, write] = compute_pipelines(
             device,
@@ -145,7 +144,6 @@ impl CullPasses {
         );
         let storage = |label, size: usize| buffer(device, label, size, Usage::STORAGE | Usage::COPY_DST);
         Self {
-            judge_blocks,
             blocks,
             judge,
             write,
@@ -290,20 +288,18 @@ impl CullPasses {
                     }
                 }
                 match size {
-                    Size::Groups(columns, rows) => pass.dispatch_workgroups(columns, rows, 1),
+                    Size::Groups(groups) => pass.dispatch_workgroups(groups, 1, 1),
                     Size::PerBlock => pass.dispatch_workgroups_indirect(&chosen.tally, 0),
                 }
             };
         let of_clumps = [Some(&chosen.land), Some(&chosen.kept_clumps)];
         if !packed.is_empty() {
             let of_blocks = [Some(&chosen.patched), Some(&chosen.kept_blocks)];
-            let patches = packed.len() as u32;
-            one(&self.judge_blocks, of_blocks, Size::Groups(patches, PATCH_BLOCK_COUNT as u32 / 4));
-            one(&self.blocks, of_blocks, Size::Groups(patches, 1));
+            one(&self.blocks, of_blocks, Size::Groups(packed.len() as u32));
         }
-        one(&self.order_blocks, [Some(&chosen.order), None], Size::Groups(1, 1));
+        one(&self.order_blocks, [Some(&chosen.order), None], Size::Groups(1));
         one(&self.judge, of_clumps, Size::PerBlock);
-        one(&self.order_clumps, [Some(&chosen.order), None], Size::Groups(1, 1));
+        one(&self.order_clumps, [Some(&chosen.order), None], Size::Groups(1));
         one(&self.write, of_clumps, Size::PerBlock);
     }
 }
@@ -311,8 +307,8 @@ impl CullPasses {
 /// How much is dispatched.
 #[derive(Clone, Copy)]
 enum Size {
-    /// So many workgroups along x and y.
-    Groups(u32, u32),
+    /// So many workgroups.
+    Groups(u32),
     /// One for each kept block, as the GPU counted them.
     PerBlock,
 }

@@ -3,6 +3,7 @@
 use crate::plants::{PlantFrame, Stand};
 use crate::render::cull::{Chosen, CullPasses, Told};
 use crate::render::grass::{KeptClumps, Plant, PlantPass};
+use crate::render::pipeline;
 use crate::render::pool::ChunkPool;
 use crate::render::{Gpu, GpuError};
 use shaders::layout::Field;
@@ -26,6 +27,8 @@ struct Bed {
     chosen: Chosen,
     kept: KeptClumps,
     pass: PlantPass,
+    /// Draws names; built when a check first asks.
+    names: Option<PlantPass>,
 }
 
 impl Garden {
@@ -73,6 +76,23 @@ impl Garden {
         }
     }
 
+    /// Draws the names of what was chosen, one sample per pixel; for checks.
+    pub fn draw_names(
+        &mut self,
+        gpu: &Gpu,
+        uniforms: &wgpu::Buffer,
+        pool: &ChunkPool,
+        pass: &mut wgpu::RenderPass<'_>,
+    ) {
+        for bed in &mut self.beds {
+            let kept = &bed.kept;
+            let names = bed
+                .names
+                .get_or_insert_with(|| PlantPass::new(&gpu.device, uniforms, pool, kept, pipeline::NAMES, 1));
+            names.draw(pass, kept);
+        }
+    }
+
     /// What the last submitted choice came to, of all kinds together. Waits for the GPU.
     ///
     /// # Errors
@@ -109,8 +129,8 @@ impl Bed {
             mapped_at_creation: false,
         });
         let kept = chosen.kept(plant, field, passes);
-        let pass = PlantPass::new(&gpu.device, uniforms, pool, &kept, samples);
-        Self { plant, chosen, kept, pass }
+        let pass = PlantPass::new(&gpu.device, uniforms, pool, &kept, pipeline::LIGHT, samples);
+        Self { plant, chosen, kept, pass, names: None }
     }
 }
 

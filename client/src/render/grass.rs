@@ -2,7 +2,7 @@
 //!
 //! Owns pipelines and bindings. The buffers belong to whoever fills them; nothing here looks into them.
 
-use crate::render::pipeline::{Depth, LightPass, storage_entry, uniform_entry};
+use crate::render::pipeline::{Depth, LightPass, Output, storage_entry, uniform_entry};
 use crate::render::pool::ChunkPool;
 use shaders::layout::{CLUMP_BYTES, GRASS_VERTICES, TREE_VERTICES};
 use shaders::{SHADERS, Shader};
@@ -91,6 +91,7 @@ impl PlantPass {
         frame: &wgpu::Buffer,
         pool: &ChunkPool,
         kept: &KeptClumps,
+        output: Output<'_>,
         samples: u32,
     ) -> Self {
         let shader = kept.plant.shader();
@@ -122,8 +123,9 @@ impl PlantPass {
         })];
         let pass = LightPass { shader, layouts: &[&layout], buffers: &buffers, depth: Depth::Solid, samples };
         let levels = 0..kept.plant.vertices().len();
-        let pipelines =
-            levels.map(|level| pass.pipeline_of_leaves(device, kept.plant.topology(level), level)).collect();
+        let pipelines = levels
+            .map(|level| pass.pipeline_of_leaves(device, output, kept.plant.topology(level), level))
+            .collect();
         Self { pipelines, bindings }
     }
 

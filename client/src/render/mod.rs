@@ -257,6 +257,62 @@ impl Renderer {
         Ok(Some(bytes.chunks_exact(2).map(|half| u16::from_le_bytes([half[0], half[1]])).collect()))
     }
 
+    /// Records the choice of the frame's plants, which every picture begins with; alone for measuring.
+    pub fn choose(&mut self, gpu: &Gpu, frame: &FrameData, encoder: &mut wgpu::CommandEncoder) {
+        if let Some(plants) = &frame.plants {
+            let garden = self.garden.get_or_insert_with(|| Garden::new(&gpu.device));
+            garden.choose(gpu, &self.uniforms, &self.pool, self.samples, plants, encoder);
+        }
+    }
+
+    /// Draws the frame's plants by their names, with the land in front of them, and returns what each pixel shows, row by row from the top: see
+    /// `shaders/wgsl/shared/name.wesl`, zeros where no plant is seen. For checks; blocks until it is drawn. Nothing is returned with several samples per pixel.
+    ///
+    /// # Errors
+    /// The device fails.
+    pub fn names(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<Option<Vec<[u32; 2]>>, GpuError> {
+        if self.samples > 1 {
+            return Ok(None);
+        }
+        gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
+        self.terrain.prepare(&gpu.queue, &frame.instances);
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.choose(gpu, frame, &mut encoder);
+        let depth = |load, store| {
+            let ops = Some(wgpu::Operations { load, store });
+            let view = &self.targets.depth;
+            Some(wgpu::RenderPassDepthStencilAttachment { view, depth_ops: ops, stencil_ops: None })
+        };
+        let clear = |view, color| {
+            let ops = wgpu::Operations { load: wgpu::LoadOp::Clear(color), store: wgpu::StoreOp::Store };
+            Some(wgpu::RenderPassColorAttachment { view, depth_slice: None, resolve_target: None, ops })
+        };
+        {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("land before names"),
+                color_attachments: &[clear(&self.targets.gathered, wgpu::Color::BLACK)],
+                depth_stencil_attachment: depth(wgpu::LoadOp::Clear(0.0), wgpu::StoreOp::Store),
+                ..Default::default()
+            });
+            self.terrain.draw(&mut pass, &self.materials);
+        }
+        let names = targets::names(&gpu.device, self.targets.size);
+        if let Some(garden) = self.garden.as_mut().filter(|_| frame.plants.is_some()) {
+            let view = names.create_view(&wgpu::TextureViewDescriptor::default());
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("names"),
+                color_attachments: &[clear(&view, wgpu::Color::TRANSPARENT)],
+                depth_stencil_attachment: depth(wgpu::LoadOp::Load, wgpu::StoreOp::Discard),
+                ..Default::default()
+            });
+            garden.draw_names(gpu, &self.uniforms, &self.pool, &mut pass);
+        }
+        gpu.queue.submit([encoder.finish()]);
+        let bytes = picture::read_texture(gpu, &names, 8)?;
+        let word = |four: &[u8]| u32::from_le_bytes([four[0], four[1], four[2], four[3]]);
+        Ok(Some(bytes.chunks_exact(8).map(|pixel| [word(&pixel[..4]), word(&pixel[4..])]).collect()))
+    }
+
     /// Records one picture into `encoder`, to appear in `output`.
     pub fn draw(
         &mut self,
@@ -277,9 +333,8 @@ impl Renderer {
         // Inspecting views show the land's machinery, and an eye under water sees no plants.
         let is_shown = frame.uniforms.show == Show::Picture as u32 && frame.uniforms.eye_height_m > 0.0;
         let plants = frame.plants.as_ref().filter(|_| is_shown);
-        if let Some(plants) = plants {
-            let garden = self.garden.get_or_insert_with(|| Garden::new(&gpu.device));
-            garden.choose(gpu, &self.uniforms, &self.pool, self.samples, plants, encoder);
+        if plants.is_some() {
+            self.choose(gpu, frame, encoder);
         }
         let behind = match frame.backdrop {
             Backdrop::Plain([r, g, b]) => wgpu::Color { r, g, b, a: 1.0 },

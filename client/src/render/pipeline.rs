@@ -1,6 +1,6 @@
 //! What all passes' pipelines have in common: a linked shader, one bind group, the gathering targets.
 
-use crate::render::targets::{DEPTH_FORMAT, LIGHT_FORMAT};
+use crate::render::targets::{DEPTH_FORMAT, LIGHT_FORMAT, NAME_FORMAT};
 use shaders::{Shader, Stage};
 
 /// How a pass meets the depth buffer. Reversed-Z: nearer is greater, the far end is 0.
@@ -13,6 +13,21 @@ pub enum Depth {
     /// Drawn only where nothing solid is.
     Background,
 }
+
+/// What a pass writes, and by which entry points; the shader's first ones where none is named.
+#[derive(Clone, Copy, Debug)]
+pub struct Output<'a> {
+    vertex: Option<&'a str>,
+    fragment: Option<&'a str>,
+    format: wgpu::TextureFormat,
+}
+
+/// Light, by the first entry points.
+pub const LIGHT: Output<'static> = Output { vertex: None, fragment: None, format: LIGHT_FORMAT };
+
+/// Names of what is drawn, for passes whose shaders have entry points for that.
+pub const NAMES: Output<'static> =
+    Output { vertex: Some("named_vertex"), fragment: Some("named_fragment"), format: NAME_FORMAT };
 
 /// What differs between the passes that gather light.
 #[derive(Debug)]
@@ -33,13 +48,13 @@ impl LightPass<'_> {
     /// The pipeline of the pass.
     #[must_use]
     pub fn pipeline(&self, device: &wgpu::Device) -> wgpu::RenderPipeline {
-        self.build(device, None, SOLID, &[])
+        self.build(device, LIGHT, SOLID, &[])
     }
 
     /// The pipeline of one of several ways of writing what the pass draws.
     #[must_use]
     pub fn pipeline_of(&self, device: &wgpu::Device, fragment: &str) -> wgpu::RenderPipeline {
-        self.build(device, Some(fragment), SOLID, &[])
+        self.build(device, Output { fragment: Some(fragment), ..LIGHT }, SOLID, &[])
     }
 
     /// The pipeline of leaves, which are seen from both sides, at a level of detail that the shader takes as its constant `LEVEL`.
@@ -47,17 +62,18 @@ impl LightPass<'_> {
     pub fn pipeline_of_leaves(
         &self,
         device: &wgpu::Device,
+        output: Output<'_>,
         topology: wgpu::PrimitiveTopology,
         level: usize,
     ) -> wgpu::RenderPipeline {
         let leaves = wgpu::PrimitiveState { topology, cull_mode: None, ..Default::default() };
-        self.build(device, None, leaves, &[("LEVEL", level as f64)])
+        self.build(device, output, leaves, &[("LEVEL", level as f64)])
     }
 
     fn build(
         &self,
         device: &wgpu::Device,
-        fragment: Option<&str>,
+        output: Output<'_>,
         primitive: wgpu::PrimitiveState,
         constants: &[(&str, f64)],
     ) -> wgpu::RenderPipeline {
@@ -77,13 +93,13 @@ impl LightPass<'_> {
         };
         build(
             device,
-            (self.shader, fragment, constants),
+            (self.shader, output, constants),
             self.layouts,
             self.buffers,
             primitive,
             Some(depth_stencil),
             self.samples,
-            wgpu::ColorTargetState { format: LIGHT_FORMAT, blend, write_mask: wgpu::ColorWrites::ALL },
+            wgpu::ColorTargetState { format: output.format, blend, write_mask: wgpu::ColorWrites::ALL },
         )
     }
 }
@@ -96,7 +112,7 @@ pub fn flat_pipeline(
     layout: &wgpu::BindGroupLayout,
     format: wgpu::TextureFormat,
 ) -> wgpu::RenderPipeline {
-    build(device, (shader, None, &[]), &[layout], &[], SOLID, None, 1, format.into())
+    build(device, (shader, LIGHT, &[]), &[layout], &[], SOLID, None, 1, format.into())
 }
 
 /// Triangles that are seen from one side.
@@ -116,7 +132,7 @@ const SOLID: wgpu::PrimitiveState = wgpu::PrimitiveState {
 )]
 fn build(
     device: &wgpu::Device,
-    (shader, fragment, constants): (&Shader, Option<&str>, &[(&str, f64)]),
+    (shader, output, constants): (&Shader, Output<'_>, &[(&str, f64)]),
     layouts: &[&wgpu::BindGroupLayout],
     buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
     primitive: wgpu::PrimitiveState,
@@ -140,7 +156,7 @@ fn build(
         layout: Some(&pipeline_layout),
         vertex: wgpu::VertexState {
             module: &module,
-            entry_point: entry(Stage::Vertex),
+            entry_point: output.vertex.or_else(|| entry(Stage::Vertex)),
             compilation_options: options.clone(),
             buffers,
         },
@@ -149,7 +165,7 @@ fn build(
         multisample: wgpu::MultisampleState { count: samples, ..Default::default() },
         fragment: Some(wgpu::FragmentState {
             module: &module,
-            entry_point: fragment.or_else(|| entry(Stage::Fragment)),
+            entry_point: output.fragment.or_else(|| entry(Stage::Fragment)),
             compilation_options: options,
             targets: &[Some(target)],
         }),

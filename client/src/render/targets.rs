@@ -4,6 +4,8 @@
 pub const LIGHT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Reversed-Z needs floats: their fine steps near 0 are where the far land is.
 pub const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// Names of plants, see `shaders/wgsl/shared/name.wesl`; only checks draw them.
+pub const NAME_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
 
 /// The targets of one picture size.
 #[derive(Debug)]
@@ -49,4 +51,19 @@ impl Targets {
     pub fn light(&self) -> &wgpu::TextureView {
         self.resolved.as_ref().unwrap_or(&self.gathered)
     }
+}
+
+/// A texture of names of a size of at least 1 x 1, which can be copied.
+#[must_use]
+pub fn names(device: &wgpu::Device, (width, height): (u32, u32)) -> wgpu::Texture {
+    device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("names"),
+        size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: NAME_FORMAT,
+        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+        view_formats: &[],
+    })
 }

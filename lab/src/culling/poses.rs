@@ -15,10 +15,23 @@ use terrain::{Land, Position};
 pub struct Trial {
     /// What makes it worth trying, for people.
     pub name: String,
+    /// Where the eye is.
+    pub place: Place,
     /// The shot.
     pub shot: Shot,
     /// How much higher the land is drawn than it is, Q8.
     pub stretch: i32,
+}
+
+/// Where an eye is on the land.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// On a local peak.
+    Peak,
+    /// On the ground of a local valley.
+    Valley,
+    /// Anywhere between.
+    Land,
 }
 
 /// Lens of all trials.
@@ -77,10 +90,11 @@ fn trial(land: &Land, index: u32, plants: PlantKnobs) -> Trial {
         yaw_deg: 360.0 * share(4),
         pitch_deg: -12.0 + 14.0 * share(5),
     };
-    let place = ["peak", "valley", "land"][kind.min(2) as usize];
+    let place = [Place::Peak, Place::Valley, Place::Land][kind.min(2) as usize];
     let tolerance_px = [0.7, 1.0, 2.0, 4.0][(lot(6) % 4) as usize];
     Trial {
-        name: format!("{index}: {place}, {above} m up, x {times:.1}, {tolerance_px} px, {pose}"),
+        name: format!("{index}: {place:?}, {above} m up, x {times:.1}, {tolerance_px} px, {pose}"),
+        place,
         shot: Shot {
             pose,
             lens: LENS,

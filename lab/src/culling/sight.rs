@@ -1,18 +1,19 @@
 //! The second oracle: samples of clumps and chunks, judged by every test and by sight over the drawn triangles in f64.
 
+use crate::culling::chunks::chunks_of;
 use crate::culling::leaves::leaves_of;
 use crate::culling::oracle::{Oracle, Point, eye_of};
 use crate::culling::poses::Trial;
 use crate::culling::scene::Scene;
 use client::plants::Stand;
-use client::plants::kept::{BySlot, blocks_of_patch, clumps_of, noise_of};
+use client::plants::kept::{BySlot, blocks_of_patch, noise_of};
 use rayon::prelude::*;
 use serde::Serialize;
 use shaders::layout::{Culling, KIND_GRASS};
-use shaders::twin::march::{chunk_is_hidden, is_hidden_by_vertices, marched_is_hidden};
+use shaders::twin::march::{is_hidden_by_vertices, marched_is_hidden};
 use shaders::twin::planting::{
-    BLOCK_CELL_BITS, Clump, Extent, block_extent, block_is_hidden, clump_at, distance_squared, extent_of,
-    may_be_in_view, slope_at, stands_at, tip_of,
+    BLOCK_CELL_BITS, Clump, Extent, block_extent, clump_at, distance_squared, extent_of, may_be_in_view,
+    slope_at, stands_at, tip_of,
 };
 use shaders::twin::sight::is_hidden;
 use shaders::twin::surface::{Slots, Surface};
@@ -22,13 +23,16 @@ use std::time::{Duration, Instant};
 use terrain::Land;
 
 /// Clumps of each kind that are judged in a scene.
-const SAMPLE: usize = 500;
+pub const SAMPLE: usize = 500;
+
+/// Of the chunks in view one in so many is judged.
+const EVERY_CHUNK: usize = 3;
 
 /// Points of a ring.
 const POINTS: u32 = 8;
 
 /// What is lower than this is not judged, metres: at the end of their range plants have sunk into the ground, where they are neither seen nor hidden.
-const LEAST_M: f64 = 0.1;
+pub const LEAST_M: f64 = 0.1;
 
 /// How a test did.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -44,7 +48,8 @@ pub struct Score {
 }
 
 impl Score {
-    fn count(&mut self, is_seen: bool, is_culled: bool) {
+    /// Counts one thing.
+    pub fn count(&mut self, is_seen: bool, is_culled: bool) {
         if is_seen {
             self.visible += 1;
             self.false_culls += u64::from(is_culled);
@@ -54,7 +59,8 @@ impl Score {
         }
     }
 
-    fn add(&mut self, other: &Self) {
+    /// Counts all that another one has counted.
+    pub fn add(&mut self, other: &Self) {
         self.visible += other.visible;
         self.false_culls += other.false_culls;
         self.hidden += other.hidden;
@@ -93,8 +99,10 @@ pub struct Findings {
     pub chunks: Score,
     /// The same chunks: kept if any block of them is.
     pub chunks_by_blocks: Score,
-    /// Chunks of 512 m of trees by T4.
+    /// Chunks of trees likewise.
     pub tree_chunks: Score,
+    /// See `tree_chunks`.
+    pub tree_chunks_by_blocks: Score,
     /// Chunks by five points.
     pub five_points: Score,
     /// Reads of heights, bounds and tiles per ray: T3; a march in steps of half a metre.
@@ -128,6 +136,7 @@ impl Findings {
             (&mut self.chunks, &other.chunks),
             (&mut self.chunks_by_blocks, &other.chunks_by_blocks),
             (&mut self.tree_chunks, &other.tree_chunks),
+            (&mut self.tree_chunks_by_blocks, &other.tree_chunks_by_blocks),
             (&mut self.five_points, &other.five_points),
         ] {
             own.add(others);
@@ -160,9 +169,12 @@ pub fn judge(land: &Land, trials: &[Trial]) -> Findings {
 }
 
 /// Counts what a test reads.
-struct Counting<'a, S> {
-    slots: &'a S,
-    reads: Cell<u64>,
+#[derive(Debug)]
+pub struct Counting<'a, S> {
+    /// What is read.
+    pub slots: &'a S,
+    /// How often.
+    pub reads: Cell<u64>,
 }
 
 impl<S: Slots> Slots for Counting<'_, S> {
@@ -205,7 +217,8 @@ fn hull_of(scene: &Scene, extent: &Extent) -> Vec<Point> {
 }
 
 /// The level of detail in which a clump is drawn.
-fn level_of(stand: &Stand, clump: &Clump) -> u32 {
+#[must_use]
+pub fn level_of(stand: &Stand, clump: &Clump) -> u32 {
     let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
     u32::from(far > stand.planting.detail[0]) + u32::from(far > stand.planting.detail[1])
 }
@@ -251,18 +264,33 @@ fn of_scene(scene: &Scene) -> Findings {
             }
         }
         count_cost(&mut found, &surface, stand, &sample, &fine);
-        judge_chunks(&mut found, scene, &oracle, &surface, stand);
+        let is_grass = stand.planting.kind == KIND_GRASS;
+        for chunk in chunks_of(scene, &oracle, &surface, stand, EVERY_CHUNK) {
+            let (by_clumps, by_blocks) = if is_grass {
+                (&mut found.chunks, &mut found.chunks_by_blocks)
+            } else {
+                (&mut found.tree_chunks, &mut found.tree_chunks_by_blocks)
+            };
+            by_clumps.count(chunk.is_seen, !chunk.has_clump);
+            by_blocks.count(chunk.is_seen, !chunk.has_block);
+            found.five_points.count(chunk.is_seen, !chunk.has_point);
+        }
     }
     found
 }
 
 /// What T3 says of a clump.
-struct Judged {
-    extent: Extent,
-    is_hidden: bool,
+#[derive(Clone, Copy, Debug)]
+pub struct Judged {
+    /// What the clump takes up.
+    pub extent: Extent,
+    /// Whether all of that is hidden.
+    pub is_hidden: bool,
 }
 
-fn judged<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) -> Judged {
+/// Asks T3 about a clump.
+#[must_use]
+pub fn judged<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) -> Judged {
     let culling = &stand.culling;
     let extent = extent_of(culling, &stand.planting, clump, slope_at(surface, clump.x, clump.z));
     let is_hidden = culling.sees_land != 0 && is_hidden(surface, culling.eye, &extent.target, culling.start);
@@ -275,12 +303,13 @@ fn block_of<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) ->
     let bits = planting.cell_bits + BLOCK_CELL_BITS;
     let (column, row) = (clump.x >> bits, clump.z >> bits);
     let block = block_extent(surface, culling, planting, column, row);
-    let hides = |block: Extent| block_is_hidden(surface, culling, planting, column, row, &block);
+    let hides = |block: Extent| is_hidden(surface, culling.eye, &block.target, culling.start);
     culling.sees_land != 0 && block.is_none_or(hides)
 }
 
-/// Clumps of a stand inside the view, evenly from all of its blocks.
-fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
+/// Clumps of a stand inside the view, evenly from all of its blocks; at most [`SAMPLE`].
+#[must_use]
+pub fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
     let blocks: Vec<[i32; 2]> = stand.patches.iter().copied().flat_map(blocks_of_patch).collect();
     let mut found = Vec::new();
     // A stride that shares no factor with the blocks of a patch or with the cells of a block.
@@ -303,7 +332,8 @@ fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
 }
 
 /// Whether thinning leaves a clump standing.
-fn is_judged(stand: &Stand, clump: &Clump) -> bool {
+#[must_use]
+pub fn is_judged(stand: &Stand, clump: &Clump) -> bool {
     let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
     stands_at(&stand.planting, clump, far)
 }
@@ -340,53 +370,5 @@ fn count_cost<S: Slots>(
         std::hint::black_box((some, march));
         found.times[0] += between - begun;
         found.times[1] += between.elapsed();
-    }
-}
-
-/// Chunks of 16 x 16 blocks - of grass 128 m, of trees 512 m -, by their clumps, by their blocks and by five points; seen if any vertex of any clump in them is.
-fn judge_chunks<S: Slots>(
-    found: &mut Findings,
-    scene: &Scene,
-    oracle: &Oracle,
-    surface: &Surface<'_, S>,
-    stand: &Stand,
-) {
-    let (culling, planting, eye) = (&stand.culling, &stand.planting, eye_of(&scene.shot.pose));
-    for patch in stand.patches.iter().step_by(3) {
-        let blocks: Vec<([i32; 2], Extent)> = blocks_of_patch(*patch)
-            .filter_map(|block| Some((block, block_extent(surface, culling, planting, block[0], block[1])?)))
-            .filter(|(_, extent)| may_be_in_view(culling, extent))
-            .collect();
-        let clumps = |block: [i32; 2]| {
-            clumps_of(surface, stand, block).filter(|clump| {
-                let slope = || slope_at(surface, clump.x, clump.z);
-                is_judged(stand, clump)
-                    && may_be_in_view(culling, &extent_of(culling, planting, clump, slope()))
-            })
-        };
-        let (mut grows, mut hint_m) = (false, 0.0);
-        let is_seen = blocks.iter().flat_map(|(block, _)| clumps(*block)).any(|clump| {
-            let leaves = leaves_of(scene, surface, stand, &clump, level_of(stand, &clump));
-            let is_judged = leaves.height_m >= LEAST_M;
-            grows |= is_judged;
-            is_judged && oracle.sees_any(eye, &leaves.points, &mut hint_m)
-        });
-        if !grows {
-            continue;
-        }
-        let mut kept = blocks.iter().filter(|(block, extent)| {
-            culling.sees_land == 0 || !block_is_hidden(surface, culling, planting, block[0], block[1], extent)
-        });
-        let by_blocks = kept.clone().next().is_some();
-        let by_clumps =
-            kept.any(|(block, _)| clumps(*block).any(|clump| !judged(surface, stand, &clump).is_hidden));
-        let five_points = chunk_is_hidden(surface, culling, planting, patch[0], patch[1]);
-        found.five_points.count(is_seen, five_points);
-        if planting.kind == KIND_GRASS {
-            found.chunks.count(is_seen, !by_clumps);
-            found.chunks_by_blocks.count(is_seen, !by_blocks);
-        } else {
-            found.tree_chunks.count(is_seen, !by_clumps);
-        }
     }
 }

@@ -53,7 +53,7 @@ pub fn marched_is_hidden(ground: &impl Ground, culling: &Culling, goal: &Target,
     return false;
 }
 
-/// The test of a chunk as first published: four corners and the middle of a patch, at its highest point; its own ground hides nothing. True if all five are hidden.
+/// The test of a patch as first published: see [`five_points_are_hidden`].
 #[must_use]
 pub fn chunk_is_hidden<S: Slots>(
     surface: &Surface<'_, S>,
@@ -62,7 +62,18 @@ pub fn chunk_is_hidden<S: Slots>(
     column: i32,
     row: i32,
 ) -> bool {
-    let bits = planting.cell_bits + BLOCK_CELL_BITS + 4;
+    return five_points_are_hidden(surface, culling, planting.cell_bits + BLOCK_CELL_BITS + 4, column, row);
+}
+
+/// The test of a chunk of side `2^bits` as first published: four corners and the middle, at its highest point; its own ground hides nothing of the middle. True if all five are hidden.
+#[must_use]
+pub fn five_points_are_hidden<S: Slots>(
+    surface: &Surface<'_, S>,
+    culling: &Culling,
+    bits: u32,
+    column: i32,
+    row: i32,
+) -> bool {
     let side = 1 << bits;
     let last = (1 << SQUARE_BITS) - 1;
     let bilinear = |x: i32, z: i32| surface.bilinear_at(x, z);

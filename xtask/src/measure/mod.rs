@@ -2,6 +2,7 @@
 //! does, and leaves a dated record.
 
 mod bars;
+mod culling;
 mod first_voyage;
 mod heightfield;
 mod pom;
@@ -16,11 +17,12 @@ use std::path::Path;
 /// A measurement by name.
 type Measurement = (&'static str, fn() -> Result<()>);
 
-const MEASUREMENTS: [Measurement; 4] = [
+const MEASUREMENTS: [Measurement; 5] = [
     ("first-voyage", first_voyage::run),
     ("heightfield", heightfield::run),
     ("terrain", terrain::run),
     ("pom", pom::run),
+    ("culling", culling::run),
 ];
 
 /// Runs one measurement.
