@@ -135,7 +135,7 @@ mod tests {
             (&["--seconds", "0"], "--seconds"),
             (&["--view-distance", "65537"], "--view-distance"),
             (&["--path", "swim"], "swim"),
-            (&["--delivery", "lossy"], "exact or seed"),
+            (&["--delivery", "lossy"], "exact, seed"),
             (&["--colour", "red"], "--colour"),
         ] {
             let error = parse(args).unwrap_err();

@@ -74,7 +74,7 @@ async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
     let answer = peer.receive().await.expect("a rejection");
     let ServerMessage::Rejected(rejection) = control::decode(&answer).unwrap() else { panic!("{answer:?}") };
     assert!(
-        rejection.to_string().contains("42") && rejection.to_string().contains("server 2"),
+        rejection.to_string().contains("42") && rejection.to_string().contains("server 3"),
         "{rejection}"
     );
     assert_eq!(peer.closed().await, Some(CloseCode::WrongVersion.code()));
@@ -86,7 +86,7 @@ async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
     peer.send_bytes(&old).await;
     let answer = peer.receive().await.expect("a rejection");
     let ServerMessage::Rejected(rejection) = control::decode(&answer).unwrap() else { panic!("{answer:?}") };
-    assert!(rejection.to_string().contains("version 1, the server 2"), "{rejection}");
+    assert!(rejection.to_string().contains("version 1, the server 3"), "{rejection}");
     assert_eq!(peer.closed().await, Some(CloseCode::WrongVersion.code()));
 
     // A delivery that a later release may have: told as a fault of the frame, in words.
