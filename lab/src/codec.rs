@@ -118,15 +118,19 @@ pub(crate) struct Sample {
     pub(crate) above: Vec<u16>,
 }
 
+type Encode = Box<dyn FnMut(&Sample) -> Vec<u8>>;
+
+type Decode<T> = Box<dyn FnMut(&[u8], &Sample) -> T>;
+
 /// A way to code heights.
 struct Trial {
     codec: &'static str,
-    encode: Box<dyn FnMut(&Sample) -> Vec<u8>>,
+    encode: Encode,
     /// Bytes of an encoding that are not heights.
     extra: usize,
-    decode: Box<dyn FnMut(&[u8], &Sample) -> Vec<i32>>,
+    decode: Decode<Vec<i32>>,
     /// Ours only.
-    open: Option<Box<dyn FnMut(&[u8], &Sample) -> bool>>,
+    open: Option<Decode<bool>>,
 }
 
 /// Measures, prints, judges.

@@ -12,13 +12,12 @@ fn sample(level: u8, x: i32, z: i32) -> (Chunk, WorldDigest) {
     (land.chunk(ChunkKey::new(level, x, z).unwrap()), land.digest())
 }
 
+type Decode = Box<dyn Fn(&[u8]) -> Result<Chunk, ChunkError>>;
+
 /// A frame with heights of each kind, with what decodes it.
-fn kinds(
-    chunk: &Chunk,
-    world: &WorldDigest,
-) -> Vec<(Bytes, Box<dyn Fn(&[u8]) -> Result<Chunk, ChunkError>>)> {
+fn kinds(chunk: &Chunk, world: &WorldDigest) -> Vec<(Bytes, Decode)> {
     let (own, tolerance) = (*world, Tolerance::new(16).unwrap());
-    let mut kinds: Vec<(Bytes, Box<dyn Fn(&[u8]) -> Result<Chunk, ChunkError>>)> = Vec::new();
+    let mut kinds: Vec<(Bytes, Decode)> = Vec::new();
     for effort in [Effort::Fast, Effort::Compact] {
         let exact = encode_with(Delivery::Exact, effort, chunk, world);
         kinds.push((exact, Box::new(move |frame| decode(frame, &own))));
