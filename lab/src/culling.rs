@@ -41,8 +41,9 @@ pub struct Options {
 const COMPARED: PlantKnobs =
     PlantKnobs { density: 4, range_m: 160.0, tree_range_m: 800.0, ..PlantKnobs::STANDARD };
 
-/// Fewer plants than the standard, for pictures on a software driver; as far as all tests reach.
-const DRAWN: PlantKnobs = PlantKnobs { density: 6, tree_range_m: 1200.0, ..PlantKnobs::STANDARD };
+/// Fewer plants than the standard, for pictures on a software driver.
+const DRAWN: PlantKnobs =
+    PlantKnobs { density: 2, range_m: 200.0, tree_range_m: 1000.0, ..PlantKnobs::STANDARD };
 
 /// The result. Field names are a contract with scripts.
 #[derive(Clone, Debug, Serialize)]

@@ -140,7 +140,7 @@ impl Studio {
         Ok(begun.elapsed())
     }
 
-    /// Draws a frame's plants by their names at a size; see [`Renderer::names`].
+    /// Draws the plants that were last chosen by their names, at a size; see [`Renderer::names`].
     ///
     /// # Errors
     /// The GPU failed.

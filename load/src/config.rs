@@ -1,5 +1,6 @@
 //! From what was typed to what is meant, checked once. Nothing deeper reads options, files or the environment.
 
+use crate::bench::Bench;
 use crate::path::PathKind;
 use clap::Parser;
 use cli::UsageError;
@@ -45,6 +46,19 @@ pub struct Args {
     /// none, 1 all (one thread compares, so a small N slows the load)
     #[arg(long, value_name = "N", default_value_t = 32)]
     pub verify_every: u32,
+    /// Instead of a load, measures one promise of a server that is started for it in a process of its own; Linux only. With it, of
+    /// the options above only --seconds (of each timed part) and --json count
+    #[arg(long, value_name = "BENCH", value_enum)]
+    pub bench: Option<Bench>,
+    /// Rounds of a benchmark, 1 to 100; its figures are medians over them
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub rounds: u32,
+    /// Server program that a benchmark starts [default: tombolo-server beside this program]
+    #[arg(long, value_name = "FILE")]
+    pub server: Option<PathBuf>,
+    /// Processors for the benchmark's server (and for nginx beside it), as `taskset -c` takes them, such as 0 or 0-3 [default: all]
+    #[arg(long, value_name = "LIST")]
+    pub server_cpus: Option<String>,
     /// File whose first line is the access token, where the server asks for one
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,

@@ -28,8 +28,8 @@ const MAX_HELD: usize = 1024;
 #[derive(Debug)]
 pub struct Interest {
     land: Land,
-    /// Newest last, with the id that a Settled or a refusal will name.
-    views: VecDeque<(u32, Viewer)>,
+    /// Newest last, with the id that a Settled or a refusal will name, and the viewer that the server may look ahead for.
+    views: VecDeque<(u32, Viewer, Option<Viewer>)>,
     requests: FxHashMap<ChunkKey, OpenRequest>,
     /// Keys that arrived, oldest first, and the same as a set.
     order: VecDeque<ChunkKey>,
@@ -71,13 +71,13 @@ impl Interest {
         if self.views.len() == MAX_VIEWS {
             self.views.pop_front();
         }
-        self.views.push_back((view.id, view.viewer()));
+        self.views.push_back((view.id, view.viewer(), view.viewer_ahead()));
     }
 
     /// Notes that a view is settled: nothing of an older one is under way any more.
     pub fn settled(&mut self, view: u32) {
         // Ids only grow within a session; wrapping would take thirty years.
-        self.views.retain(|(id, _)| *id >= view);
+        self.views.retain(|(id, _, _)| *id >= view);
     }
 
     /// Whether a request for this key would measure the answer to the request: nothing else is going to bring the chunk.
@@ -128,7 +128,7 @@ impl Interest {
 
     /// Lets go of the oldest chunk that the current view does not need, or of the oldest if it needs them all.
     fn release_one(&mut self) -> Option<ChunkKey> {
-        let current = self.views.back().map(|(_, viewer)| *viewer);
+        let current = self.views.back().map(|(_, viewer, _)| *viewer);
         let spare = |key: &ChunkKey| !current.is_some_and(|viewer| is_needed(&self.land, &viewer, *key));
         // A view's coarse chunks are the oldest; looking at a few more is enough to pass over them.
         let index = self.order.iter().take(64).position(spare).unwrap_or(0);
@@ -139,7 +139,12 @@ impl Interest {
 
     fn is_needed_by_a_view(&self, key: ChunkKey) -> bool {
         // Newest first: it is nearly always the one.
-        self.views.iter().rev().any(|(_, viewer)| is_needed(&self.land, viewer, key))
+        self.views.iter().rev().any(|(_, viewer, ahead)| {
+            [Some(viewer), ahead.as_ref()]
+                .into_iter()
+                .flatten()
+                .any(|viewer| is_needed(&self.land, viewer, key))
+        })
     }
 }
 

@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
+use load::bench::{Bench, Plan};
 use load::{Args, LoadConfig, Report, Tally};
 use std::io::{IsTerminal, Write};
 use std::path::Path;
@@ -16,6 +17,12 @@ fn main() -> ExitCode {
         Ok(args) => args,
         Err(code) => return code,
     };
+    if let Some(bench) = args.bench {
+        return match measure(bench, args) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => cli::fail(NAME, format!("{error:#}"), cli::FAILED),
+        };
+    }
     let json = args.json.clone();
     let config = match args.resolve() {
         Ok(config) => config,
@@ -28,12 +35,7 @@ fn main() -> ExitCode {
 }
 
 fn drive(config: LoadConfig, json: Option<&Path>) -> Result<()> {
-    // Created before the run: a report that cannot be written should not cost the run.
-    let mut file = json
-        .map(|path| {
-            std::fs::File::create(path).with_context(|| format!("--json: cannot write `{}`", path.display()))
-        })
-        .transpose()?;
+    let mut file = create(json)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         // The default looks at the clock after 61 turns of work, here up to 0.1 s: too coarse for latencies.
@@ -48,6 +50,31 @@ fn drive(config: LoadConfig, json: Option<&Path>) -> Result<()> {
     // Nobody reading the table is no reason to fail; the exit code says what matters.
     let _ = write!(std::io::stdout(), "{report}");
     report.verdict().map_err(|problem| anyhow!(problem))
+}
+
+/// Runs a benchmark. One thread drives all of its connections, so that a core is left for the server.
+fn measure(bench: Bench, args: Args) -> Result<()> {
+    let mut file = create(args.json.as_deref())?;
+    let plan = Plan::new(bench, args.server, args.server_cpus, args.rounds, args.seconds)?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .context("cannot start the runtime")?;
+    let figures = serde_json::to_string_pretty(&runtime.block_on(load::bench::run(&plan))?)?;
+    if let Some(file) = &mut file {
+        writeln!(file, "{figures}").context("--json: cannot write the figures")?;
+    }
+    // Nobody reading them is no reason to fail.
+    let _ = writeln!(std::io::stdout(), "{figures}");
+    Ok(())
+}
+
+/// The file for the results, created before the run: one that cannot be written should not cost the run.
+fn create(json: Option<&Path>) -> Result<Option<std::fs::File>> {
+    json.map(|path| {
+        std::fs::File::create(path).with_context(|| format!("--json: cannot write `{}`", path.display()))
+    })
+    .transpose()
 }
 
 /// Runs with a progress bar where a person is watching.

@@ -15,6 +15,8 @@ fn what_cannot_be_used_ends_with_2_and_one_line() {
     for (args, word) in [
         (&["--colour", "red"][..], "--colour"),
         (&["--clients", "0"], "--clients"),
+        (&["--bench", "swim"], "swim"),
+        (&["--bench", "idle", "--rounds", "0"], "--rounds"),
         (&["--connect", "http://127.0.0.1/"], "--connect"),
         (&["--token-file", "/no/such/file"], "/no/such/file"),
     ] {
@@ -42,6 +44,15 @@ fn nobody_listening_ends_with_1_a_report_and_one_line() {
     assert!(text.contains("no chunk arrived") && text.contains(&address), "{text}");
     assert_eq!(text.lines().count(), 1, "{text}");
     assert!(report.contains("\"chunks\": 0"), "{report}");
+}
+
+#[test]
+fn a_benchmark_without_a_server_program_ends_with_1_and_one_line() {
+    let output = run(&["--bench", "idle", "--server", "/no/such/server"]);
+    let text = said(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("/no/such/server") && text.contains("--server"), "{text}");
+    assert_eq!(text.lines().count(), 1, "{text}");
 }
 
 #[test]

@@ -11,6 +11,9 @@ pub const MAX_KEYS: usize = 512;
 /// Chunks that a client may have granted and not yet received. A grant beyond it is cut to it.
 pub const MAX_CREDITS: u32 = 4096;
 
+/// Bytes of chunk frames that a client may have granted and not yet received. A grant beyond it is cut to it.
+pub const MAX_CREDIT_BYTES: u32 = 256 << 20;
+
 /// Requested keys that a server queues per session; a request that would exceed it is refused whole.
 pub const MAX_PENDING_REQUESTS: usize = 1024;
 

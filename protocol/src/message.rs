@@ -90,6 +90,17 @@ pub enum ClientMessage {
         #[serde(deserialize_with = "read_keys")]
         keys: Vec<WireKey>,
     },
+    /// Allows the server to send chunk frames of this many bytes more. The first one in a session puts a bound on bytes besides the
+    /// one on chunks; without any, only chunks are counted.
+    CreditBytes {
+        /// Bytes of chunk frames.
+        bytes: u32,
+    },
+    /// Chunks of a request that have not been sent yet are no longer wanted.
+    Cancel {
+        /// The request's id.
+        id: u32,
+    },
 }
 
 /// The client's half of the handshake.
@@ -227,6 +238,43 @@ pub enum RefusalReason {
     Overloaded,
     /// The server failed to make the chunk.
     Failed,
+    /// The request names the key more than once; it is sent once.
+    Duplicate,
+    /// A grant of nothing, or of more than may be outstanding. It changes nothing.
+    InvalidCredit,
+}
+
+impl RefusalReason {
+    /// All of them, in the order of the wire.
+    pub const ALL: [Self; 7] = [
+        Self::OutsideWorld,
+        Self::InvalidView,
+        Self::TooManyRequests,
+        Self::Overloaded,
+        Self::Failed,
+        Self::Duplicate,
+        Self::InvalidCredit,
+    ];
+
+    /// Its place in [`Self::ALL`].
+    #[must_use]
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
+    /// The word for it in metrics.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::OutsideWorld => "outside world",
+            Self::InvalidView => "invalid view",
+            Self::TooManyRequests => "too many requests",
+            Self::Overloaded => "overloaded",
+            Self::Failed => "failed",
+            Self::Duplicate => "duplicate",
+            Self::InvalidCredit => "invalid credit",
+        }
+    }
 }
 
 fn check_keys(keys: &[WireKey]) -> Result<(), ControlError> {
@@ -252,7 +300,7 @@ impl Limited for ClientMessage {
             }
             Self::Request { keys, .. } | Self::Release { keys } | Self::Holding { keys } => check_keys(keys),
             // A view's ranges are judged by the session, which refuses without disconnecting.
-            Self::View(_) | Self::Credit { .. } => Ok(()),
+            Self::View(_) | Self::Credit { .. } | Self::CreditBytes { .. } | Self::Cancel { .. } => Ok(()),
         }
     }
 }

@@ -8,7 +8,10 @@ use crate::Incoming;
 use crate::control;
 use crate::delivery::Delivery;
 use crate::error::{ControlError, PeerFault};
-use crate::limits::{MAX_CREDITS, MAX_HELD, MAX_PENDING_REQUESTS, MAX_TEXT, MAX_VIEW_CHUNKS};
+use crate::limits::{
+    MAX_CHUNK_FRAME, MAX_CREDIT_BYTES, MAX_CREDITS, MAX_HELD, MAX_PENDING_REQUESTS, MAX_TEXT,
+    MAX_VIEW_CHUNKS, SEED_ONLY_FRAME,
+};
 use crate::message::{
     ClientMessage, Hello, RefusalReason, Refused, Rejection, ServerMessage, Welcome, WireKey,
 };
@@ -43,6 +46,17 @@ pub struct Wanted {
     pub priority: u64,
 }
 
+/// What a session does next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Next {
+    /// Nothing is wanted, or there is no credit for it.
+    Nothing,
+    /// A ready chunk was queued for the client.
+    Delivered,
+    /// A chunk is to be made.
+    Make(Wanted),
+}
+
 /// Counts of what happened in a session, for metrics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionCounts {
@@ -50,8 +64,8 @@ pub struct SessionCounts {
     pub chunks: u64,
     /// Bytes of their frames.
     pub chunk_bytes: u64,
-    /// Refusals sent.
-    pub refusals: u64,
+    /// Refusals sent, by [`RefusalReason::index`].
+    pub refusals: [u64; RefusalReason::ALL.len()],
     /// Views accepted.
     pub views: u64,
 }
@@ -64,15 +78,28 @@ pub struct ServerSession {
     welcomed: bool,
     delivery: Delivery,
     credits: u32,
+    /// Bytes of chunk frames that the client still allows, less what is reserved for chunks under way; none while it counts chunks only.
+    credit_bytes: Option<u32>,
     /// Explicit requests that wait for credit, oldest first. At most [`MAX_PENDING_REQUESTS`]; more are refused.
     requests: VecDeque<(u32, ChunkKey)>,
     view: Option<ActiveView>,
     /// What the client has. At most [`MAX_HELD`]; dropped whole when full.
     held: FxHashSet<ChunkKey>,
-    /// Asked for by [`ServerSession::next_chunk`] and not yet delivered, by the number of askings.
-    in_flight: FxHashMap<ChunkKey, u32>,
+    /// Asked for by [`ServerSession::next_chunk`] and not yet delivered.
+    in_flight: FxHashMap<ChunkKey, UnderWay>,
+    /// Of these, what no view or request wants any more since the last [`ServerSession::take_stale`].
+    stale: Vec<ChunkKey>,
     outbox: VecDeque<Bytes>,
     counts: SessionCounts,
+}
+
+/// What was asked for and is being made.
+#[derive(Clone, Copy, Debug)]
+struct UnderWay {
+    /// How often: a view and several requests may want the same chunk.
+    askings: u32,
+    /// The request that asked last; none if it was the view.
+    request: Option<u32>,
 }
 
 /// The latest view and what it still needs.
@@ -83,9 +110,19 @@ struct ActiveView {
     chunks: u32,
     /// Not yet asked for, most urgent last.
     pending: Vec<(u64, ChunkKey)>,
+    /// Not needed yet but soon, most urgent last; asked for when the view is settled.
+    ahead: Vec<(u64, ChunkKey)>,
     /// In how many views each pending chunk has been waiting.
     waited: FxHashMap<ChunkKey, u32>,
     settled: bool,
+}
+
+impl ActiveView {
+    /// What to ask for next: what is needed, and once all of that has been sent, what will be.
+    fn next(&mut self) -> Option<(u64, ChunkKey)> {
+        let ahead = |ahead: &mut Vec<(u64, ChunkKey)>| ahead.pop().map(|(_, key)| (0, key));
+        self.pending.pop().or_else(|| if self.settled { ahead(&mut self.ahead) } else { None })
+    }
 }
 
 impl ServerSession {
@@ -98,6 +135,8 @@ impl ServerSession {
             welcomed: false,
             delivery: Delivery::default(),
             credits: 0,
+            credit_bytes: None,
+            stale: Vec::new(),
             requests: VecDeque::new(),
             view: None,
             held: FxHashSet::default(),
@@ -129,7 +168,19 @@ impl ServerSession {
                 Ok(())
             }
             (ClientMessage::Credit { chunks }, true) => {
-                self.credits = self.credits.saturating_add(chunks).min(MAX_CREDITS);
+                if self.is_valid_credit(chunks, MAX_CREDITS) {
+                    self.credits = self.credits.saturating_add(chunks).min(MAX_CREDITS);
+                }
+                Ok(())
+            }
+            (ClientMessage::CreditBytes { bytes }, true) => {
+                if self.is_valid_credit(bytes, MAX_CREDIT_BYTES) {
+                    self.grant_bytes(bytes);
+                }
+                Ok(())
+            }
+            (ClientMessage::Cancel { id }, true) => {
+                self.cancel(id);
                 Ok(())
             }
             (ClientMessage::Request { id, keys }, true) => {
@@ -189,6 +240,7 @@ impl ServerSession {
         let waited_before = self.view.take().map(|old| old.waited).unwrap_or_default();
         let selection = lod::select(&self.offer.land, &view.viewer(), MAX_VIEW_CHUNKS);
         let chunks = selection.len() as u32;
+        let mut needed_keys: FxHashSet<ChunkKey> = selection.iter().map(|needed| needed.key).collect();
         let mut waited = FxHashMap::default();
         let mut pending = Vec::new();
         for needed in selection {
@@ -200,8 +252,77 @@ impl ServerSession {
             pending.push((view.priority(&needed, views), needed.key));
         }
         pending.sort_unstable();
-        self.view = Some(ActiveView { view, chunks, pending, waited, settled: false });
+        let ahead = self.ahead(&view, &mut needed_keys);
+        self.find_stale(|key, request| request.is_none() && !needed_keys.contains(&key));
+        self.view = Some(ActiveView { view, chunks, pending, ahead, waited, settled: false });
         self.settle();
+    }
+
+    /// What the view will need soon if it goes on as it moves, least urgent first; adds it to what is needed.
+    fn ahead(&self, view: &View, needed_keys: &mut FxHashSet<ChunkKey>) -> Vec<(u64, ChunkKey)> {
+        let Some(viewer) = view.viewer_ahead() else { return Vec::new() };
+        let mut ahead: Vec<_> = lod::select(&self.offer.land, &viewer, MAX_VIEW_CHUNKS)
+            .into_iter()
+            .filter(|needed| needed_keys.insert(needed.key))
+            .filter(|needed| !self.held.contains(&needed.key) && !self.in_flight.contains_key(&needed.key))
+            .map(|needed| (u64::from(needed.gain_q4), needed.key))
+            .collect();
+        ahead.sort_unstable();
+        ahead
+    }
+
+    /// Judges a grant; refuses one of nothing and one beyond what may be outstanding.
+    fn is_valid_credit(&mut self, granted: u32, most: u32) -> bool {
+        let is_valid = (1..=most).contains(&granted);
+        if !is_valid {
+            self.refuse(
+                0,
+                None,
+                RefusalReason::InvalidCredit,
+                format!("a grant of {granted} is not within 1 to {most}"),
+            );
+        }
+        is_valid
+    }
+
+    fn grant_bytes(&mut self, bytes: u32) {
+        let before = match self.credit_bytes {
+            Some(bytes) => bytes,
+            // From here on bytes are counted, and what is under way already counts too.
+            None => {
+                let askings = self.in_flight.values().map(|under_way| under_way.askings).sum::<u32>();
+                let under_way = askings.saturating_mul(self.frame_bound());
+                self.credit_bytes = Some(bytes.saturating_sub(under_way));
+                return;
+            }
+        };
+        self.credit_bytes = Some(before.saturating_add(bytes).min(MAX_CREDIT_BYTES));
+    }
+
+    /// Bytes reserved for a chunk whose frame is not made yet.
+    const fn frame_bound(&self) -> u32 {
+        match self.delivery {
+            Delivery::SeedOnly => SEED_ONLY_FRAME as u32,
+            _ => MAX_CHUNK_FRAME as u32,
+        }
+    }
+
+    fn cancel(&mut self, id: u32) {
+        self.requests.retain(|(request, _)| *request != id);
+        self.find_stale(|_, request| request == Some(id));
+    }
+
+    /// Notes what is under way for one asking only, of which `is_stale` says that it is not wanted any more.
+    fn find_stale(&mut self, is_stale: impl Fn(ChunkKey, Option<u32>) -> bool) {
+        let stale =
+            self.in_flight.iter().filter(|(key, asked)| asked.askings == 1 && is_stale(**key, asked.request));
+        self.stale.extend(stale.map(|(key, _)| *key));
+    }
+
+    /// Chunks under way that are no longer wanted, each once. Whoever makes them may stop, and says so by
+    /// [`ServerSession::withdraw`]; what is made all the same must be delivered.
+    pub fn take_stale(&mut self) -> Vec<ChunkKey> {
+        std::mem::take(&mut self.stale)
     }
 
     fn request(&mut self, id: u32, keys: &[WireKey]) {
@@ -213,46 +334,124 @@ impl ServerSession {
             self.refuse(id, None, RefusalReason::TooManyRequests, detail);
             return;
         }
+        let mut seen = FxHashSet::default();
         for key in keys {
             match key.check() {
+                Ok(valid) if keys.len() > 1 && !seen.insert(valid) => {
+                    self.refuse(
+                        id,
+                        Some(*key),
+                        RefusalReason::Duplicate,
+                        "named twice in one request".into(),
+                    );
+                }
                 Ok(valid) => self.requests.push_back((id, valid)),
                 Err(error) => self.refuse(id, Some(*key), RefusalReason::OutsideWorld, error.to_string()),
             }
         }
     }
 
+    /// Refuses waiting requests as overloaded until at most `keep` are left, the latest first: those that came first have the best
+    /// chance to be answered in time. Requests that wait for credit alone should not be shed; see [`ServerSession::credits`].
+    pub fn shed(&mut self, keep: usize) {
+        while self.requests.len() > keep {
+            let Some((id, key)) = self.requests.pop_back() else { return };
+            self.refuse(
+                id,
+                Some(key.into()),
+                RefusalReason::Overloaded,
+                "too much is waiting, ask again later".into(),
+            );
+        }
+    }
+
+    /// Requested chunks that wait for credit or for their turn.
+    #[must_use]
+    pub fn waiting_requests(&self) -> usize {
+        self.requests.len()
+    }
+
+    /// Whether the client allows one more chunk.
+    fn has_credit(&self) -> bool {
+        self.credits > 0 && self.credit_bytes.is_none_or(|bytes| bytes >= self.frame_bound())
+    }
+
     /// The next chunk to make, if there is credit for one. Every chunk named here must come back through
-    /// [`ServerSession::deliver`] or [`ServerSession::fail`].
+    /// [`ServerSession::deliver`], [`ServerSession::fail`] or [`ServerSession::withdraw`].
     pub fn next_chunk(&mut self) -> Option<Wanted> {
-        if self.credits == 0 {
-            return None;
+        match self.next_chunk_with(|_| None) {
+            Next::Make(wanted) => Some(wanted),
+            Next::Nothing | Next::Delivered => None,
+        }
+    }
+
+    /// As [`ServerSession::next_chunk`], but first looks whether the chunk's frame is `ready`, made for
+    /// [`ServerSession::delivery`]; if so, queues it for the client.
+    pub fn next_chunk_with(&mut self, ready: impl FnOnce(ChunkKey) -> Option<Bytes>) -> Next {
+        if !self.has_credit() {
+            return Next::Nothing;
         }
         let wanted = match self.requests.pop_front() {
             Some((id, key)) => Wanted { key, request: Some(id), priority: u64::MAX },
-            None => {
-                let (priority, key) = self.view.as_mut()?.pending.pop()?;
-                Wanted { key, request: None, priority }
-            }
+            None => match self.view.as_mut().and_then(ActiveView::next) {
+                Some((priority, key)) => Wanted { key, request: None, priority },
+                None => return Next::Nothing,
+            },
         };
         self.credits -= 1;
-        *self.in_flight.entry(wanted.key).or_default() += 1;
-        Some(wanted)
+        let bound = self.frame_bound();
+        if let Some(bytes) = &mut self.credit_bytes {
+            *bytes -= bound;
+        }
+        if let Some(frame) = ready(wanted.key) {
+            self.send_chunk(wanted.key, frame);
+            return Next::Delivered;
+        }
+        let under_way =
+            self.in_flight.entry(wanted.key).or_insert(UnderWay { askings: 0, request: wanted.request });
+        under_way.askings += 1;
+        under_way.request = wanted.request;
+        Next::Make(wanted)
     }
 
     /// Takes a finished chunk frame, made for [`ServerSession::delivery`], and queues it for the client.
     pub fn deliver(&mut self, wanted: Wanted, frame: Bytes) {
         self.land(wanted.key);
-        self.hold(wanted.key);
+        self.send_chunk(wanted.key, frame);
+    }
+
+    /// Queues a chunk whose credit is taken.
+    fn send_chunk(&mut self, key: ChunkKey, frame: Bytes) {
+        self.return_bytes(self.frame_bound().saturating_sub(frame.len() as u32));
+        self.hold(key);
         self.counts.chunks += 1;
         self.counts.chunk_bytes += frame.len() as u64;
         self.outbox.push_back(frame);
         self.settle();
     }
 
+    /// Takes back a stale chunk that nobody makes; its credit is returned, and the client is told nothing.
+    pub fn withdraw(&mut self, wanted: Wanted) {
+        self.land(wanted.key);
+        self.return_credit();
+        self.settle();
+    }
+
+    fn return_credit(&mut self) {
+        self.credits = self.credits.saturating_add(1).min(MAX_CREDITS);
+        self.return_bytes(self.frame_bound());
+    }
+
+    fn return_bytes(&mut self, unused: u32) {
+        if let Some(bytes) = &mut self.credit_bytes {
+            *bytes = bytes.saturating_add(unused).min(MAX_CREDIT_BYTES);
+        }
+    }
+
     /// Reports that a wanted chunk cannot be had now; its credit is returned.
     pub fn fail(&mut self, wanted: Wanted, reason: RefusalReason, detail: String) {
         self.land(wanted.key);
-        self.credits = self.credits.saturating_add(1).min(MAX_CREDITS);
+        self.return_credit();
         let id = wanted.request.or(self.view.as_ref().map(|active| active.view.id)).unwrap_or(0);
         self.refuse(id, Some(wanted.key.into()), reason, detail);
         self.settle();
@@ -293,9 +492,9 @@ impl ServerSession {
     }
 
     fn land(&mut self, key: ChunkKey) {
-        if let Some(count) = self.in_flight.get_mut(&key) {
-            *count -= 1;
-            if *count == 0 {
+        if let Some(under_way) = self.in_flight.get_mut(&key) {
+            under_way.askings -= 1;
+            if under_way.askings == 0 {
                 self.in_flight.remove(&key);
             }
         }
@@ -320,7 +519,7 @@ impl ServerSession {
     }
 
     fn refuse(&mut self, id: u32, key: Option<WireKey>, reason: RefusalReason, mut detail: String) {
-        self.counts.refusals += 1;
+        self.counts.refusals[reason.index()] += 1;
         detail.truncate(detail.floor_char_boundary(MAX_TEXT));
         self.send(&ServerMessage::Refused(Refused { id, key, reason, detail }));
     }

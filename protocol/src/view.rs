@@ -2,8 +2,12 @@
 
 use crate::limits::MAX_VIEWPORT;
 use serde::{Deserialize, Serialize};
+use terrain::constants::{CHUNK_BITS, UNITS_PER_METRE, WORLD_HALF};
 use terrain::lod::{MAX_VIEW_DISTANCE_M, Needed, Viewer};
 use terrain::{ChunkKey, Position};
+
+/// How far ahead of a moving view the server fetches, seconds.
+pub const AHEAD_S: i64 = 2;
 
 /// One camera with its quality wish.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -65,6 +69,26 @@ impl View {
             pixels_per_radian: pixels_per_radian(self.viewport[1], self.fov_mdeg),
             tolerance_q4: u32::from(self.tolerance_q4),
         }
+    }
+
+    /// The viewer where it will be in [`AHEAD_S`] seconds at its present velocity; none if it hardly moves. At most half of the view
+    /// distance away, so that what is fetched ahead borders on what is seen. Integers, so that two machines choose alike.
+    #[must_use]
+    pub fn viewer_ahead(&self) -> Option<Viewer> {
+        let viewer = self.viewer();
+        // Faster than 2,000 km/s counts as that: it is beyond every view distance, and the squares stay in range.
+        let [east, _, south] =
+            self.velocity.map(|velocity| i64::from(velocity).clamp(-(1 << 29), 1 << 29) * AHEAD_S);
+        let way = (east * east + south * south).isqrt();
+        // Less than a finest chunk in that time: the next view comes soon enough.
+        if way < 1 << CHUNK_BITS {
+            return None;
+        }
+        let reach = way.min(i64::from(self.distance_m) * i64::from(UNITS_PER_METRE) / 2);
+        let limit = i64::from(WORLD_HALF - 1);
+        let moved = |from: i32, by: i64| (i64::from(from) + by * reach / way).clamp(-limit, limit) as i32;
+        let (x, y, z) = viewer.eye;
+        Some(Viewer { eye: (moved(x, east), y, moved(z, south)), ..viewer })
     }
 
     /// How much a needed chunk is worth now; larger is sooner. The gain in screen error times the chance of being
@@ -161,6 +185,23 @@ mod tests {
         assert!(ahead > behind);
         assert!(priority(20, 0, 0) < ahead, "east is outside a northward view");
         assert!(priority(0, 20, 40) > behind);
+    }
+
+    #[test]
+    fn a_moving_view_looks_ahead_at_most_half_its_distance_and_never_out_of_the_world() {
+        let ahead = |velocity, eye| View { velocity, eye, ..view() }.viewer_ahead().map(|viewer| viewer.eye);
+        assert_eq!(ahead([0; 3], [0; 3]), None);
+        assert_eq!(ahead([1000, i32::MAX, 0], [0; 3]), None, "walking, or falling");
+        let speed = 100 * UNITS_PER_METRE;
+        assert_eq!(ahead([speed, 5, 0], [7, 8, 9]), Some((7 + 2 * speed, 8, 9)));
+        let half = 4000 * UNITS_PER_METRE;
+        assert_eq!(ahead([0, 0, i32::MIN], [0; 3]), Some((0, 0, -half)));
+        for extreme in [i32::MIN, i32::MAX] {
+            for edge in [-WORLD_HALF, WORLD_HALF] {
+                let (x, _, z) = ahead([extreme; 3], [edge, 0, -edge]).unwrap();
+                assert!(Position::new(x, z).is_ok(), "{x} {z}");
+            }
+        }
     }
 
     #[test]

@@ -82,6 +82,8 @@ fn client_messages_are_frozen() {
     check("request", &ClientMessage::Request { id: 9, keys: keys.clone() });
     check("release", &ClientMessage::Release { keys: keys.clone() });
     check("holding", &ClientMessage::Holding { keys });
+    check("credit_bytes", &ClientMessage::CreditBytes { bytes: 1_000_000 });
+    check("cancel", &ClientMessage::Cancel { id: 9 });
 }
 
 #[test]
@@ -109,6 +111,8 @@ fn server_messages_are_frozen() {
         ("refused_too_many_requests", RefusalReason::TooManyRequests),
         ("refused_overloaded", RefusalReason::Overloaded),
         ("refused_failed", RefusalReason::Failed),
+        ("refused_duplicate", RefusalReason::Duplicate),
+        ("refused_invalid_credit", RefusalReason::InvalidCredit),
     ] {
         let key = (reason == RefusalReason::OutsideWorld).then_some(WireKey { level: 17, x: 1, z: -1 });
         check(name, &ServerMessage::Refused(Refused { id: 5, key, reason, detail: "why".into() }));

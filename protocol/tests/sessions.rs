@@ -467,6 +467,8 @@ fn every_truncation_and_one_extra_byte_of_every_control_frame_is_refused() {
         ClientMessage::Request { id: 1, keys: keys.clone() },
         ClientMessage::Release { keys: keys.clone() },
         ClientMessage::Holding { keys },
+        ClientMessage::CreditBytes { bytes: 1 },
+        ClientMessage::Cancel { id: 1 },
     ];
     for message in messages {
         let frame = control::encode(&message).unwrap();
@@ -498,12 +500,223 @@ fn a_list_length_beyond_the_frame_is_refused_without_allocating_it() {
     ));
 }
 
+/// Says something to a server as it stands on the wire.
+fn say(server: &mut ServerSession, message: &ClientMessage) {
+    server.receive(Incoming::Binary(&control::encode(message).unwrap())).unwrap();
+}
+
+/// A welcomed server with credit for so many chunks, and nothing left to send.
+fn welcomed(credits: u32) -> ServerSession {
+    let mut server = ServerSession::new(offer(), 1);
+    let mut client = ClientSession::new(config(credits));
+    while let Some(frame) = client.poll_transmit() {
+        server.receive(Incoming::Binary(&frame)).unwrap();
+    }
+    while server.poll_transmit().is_some() {}
+    server
+}
+
+fn wire_keys(count: i32) -> Vec<WireKey> {
+    (0..count).map(|x| WireKey { level: 0, x, z: 0 }).collect()
+}
+
+/// The refusals that a server has to say, by id and reason.
+fn refusals(server: &mut ServerSession) -> Vec<(u32, RefusalReason)> {
+    let refused = |frame: Bytes| match control::decode(&frame) {
+        Ok(ServerMessage::Refused(refused)) => Some((refused.id, refused.reason)),
+        _ => None,
+    };
+    std::iter::from_fn(|| server.poll_transmit()).filter_map(refused).collect()
+}
+
+#[test]
+fn bytes_owed_never_exceed_the_bytes_granted_whatever_frames_turn_out_to_be() {
+    let mut server = welcomed(64);
+    let largest = limits::MAX_CHUNK_FRAME as u32;
+    say(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(20) });
+    // Before the first grant only chunks are counted.
+    let uncounted = server.next_chunk().unwrap();
+    say(&mut server, &ClientMessage::CreditBytes { bytes: 4 * largest });
+    let under_way: Vec<_> = std::iter::from_fn(|| server.next_chunk()).collect();
+    assert_eq!(under_way.len(), 3, "one was under way already");
+    // A small frame gives back what was reserved for a large one.
+    server.deliver(uncounted, Bytes::from(vec![0; 1000]));
+    assert_eq!(server.next_chunk(), None, "a largest frame less 1000 bytes is not enough");
+    server.deliver(under_way[0], Bytes::from(vec![0; 1000]));
+    let next = server.next_chunk().expect("two give back more than one frame");
+    assert_eq!(server.next_chunk(), None);
+    // A largest frame gives nothing back, a failed one everything.
+    server.deliver(under_way[1], Bytes::from(vec![0; largest as usize]));
+    assert_eq!(server.next_chunk(), None);
+    server.fail(next, RefusalReason::Failed, String::new());
+    assert!(server.next_chunk().is_some());
+    say(&mut server, &ClientMessage::CreditBytes { bytes: 10 * largest });
+    assert_eq!(std::iter::from_fn(|| server.next_chunk()).count(), 10);
+}
+
+#[test]
+fn a_ready_chunk_costs_the_same_credit_as_one_that_is_made() {
+    use protocol::server::Next;
+    let mut server = welcomed(2);
+    say(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(3) });
+    let frame = Bytes::from_static(b"ready");
+    assert_eq!(server.next_chunk_with(|_| Some(frame.clone())), Next::Delivered);
+    assert_eq!(server.poll_transmit(), Some(frame.clone()));
+    assert!(matches!(server.next_chunk_with(|_| None), Next::Make(_)));
+    assert_eq!(server.next_chunk_with(|_| Some(frame)), Next::Nothing, "no credit is left");
+    assert_eq!((server.counts().chunks, server.credits()), (1, 0));
+}
+
+#[test]
+fn a_key_named_twice_in_one_request_is_refused_once_and_sent_once() {
+    let mut server = welcomed(64);
+    let twice = [wire_keys(3), wire_keys(2)].concat();
+    say(&mut server, &ClientMessage::Request { id: 5, keys: twice });
+    assert_eq!(refusals(&mut server), [(5, RefusalReason::Duplicate); 2]);
+    assert_eq!(std::iter::from_fn(|| server.next_chunk()).count(), 3);
+    // Another request may ask again: it has an id of its own to be answered under.
+    say(&mut server, &ClientMessage::Request { id: 6, keys: wire_keys(1) });
+    assert_eq!(server.next_chunk().map(|wanted| wanted.request), Some(Some(6)));
+    assert_eq!(server.counts().refusals[RefusalReason::Duplicate.index()], 2);
+}
+
+#[test]
+fn grants_of_nothing_and_absurd_ones_are_refused_and_change_nothing() {
+    let mut server = welcomed(7);
+    for chunks in [0, limits::MAX_CREDITS + 1, u32::MAX] {
+        say(&mut server, &ClientMessage::Credit { chunks });
+    }
+    for bytes in [0, limits::MAX_CREDIT_BYTES + 1, u32::MAX] {
+        say(&mut server, &ClientMessage::CreditBytes { bytes });
+    }
+    assert_eq!(refusals(&mut server), [(0, RefusalReason::InvalidCredit); 6]);
+    assert_eq!(server.credits(), 7);
+    for _ in 0..3 {
+        say(&mut server, &ClientMessage::Credit { chunks: limits::MAX_CREDITS });
+    }
+    assert_eq!((refusals(&mut server).len(), server.credits()), (0, limits::MAX_CREDITS));
+}
+
+#[test]
+fn a_cancelled_request_is_neither_made_nor_refused_and_its_credit_comes_back() {
+    let mut server = welcomed(4);
+    say(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(10) });
+    say(&mut server, &ClientMessage::Request { id: 2, keys: wire_keys(1) });
+    let under_way: Vec<_> = std::iter::from_fn(|| server.next_chunk()).collect();
+    say(&mut server, &ClientMessage::Cancel { id: 1 });
+    say(&mut server, &ClientMessage::Cancel { id: 77 });
+    let stale = server.take_stale();
+    assert_eq!(stale.len(), 4);
+    assert!(server.take_stale().is_empty(), "told once");
+    // Three can be stopped; the fourth was made all the same.
+    for wanted in &under_way[..3] {
+        server.withdraw(*wanted);
+    }
+    server.deliver(under_way[3], Bytes::from_static(b"made"));
+    assert_eq!(server.credits(), 3);
+    let left: Vec<_> = std::iter::from_fn(|| server.next_chunk()).map(|wanted| wanted.request).collect();
+    assert_eq!((left, refusals(&mut server).len()), (vec![Some(2)], 0));
+}
+
+#[test]
+fn a_chunk_that_a_second_request_waits_for_is_not_stale() {
+    let mut server = welcomed(4);
+    say(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(1) });
+    say(&mut server, &ClientMessage::Request { id: 2, keys: wire_keys(1) });
+    assert_eq!(std::iter::from_fn(|| server.next_chunk()).count(), 2);
+    say(&mut server, &ClientMessage::Cancel { id: 1 });
+    assert!(server.take_stale().is_empty());
+}
+
+#[test]
+fn what_an_old_view_wanted_and_the_next_does_not_is_stale() {
+    let mut server = welcomed(8);
+    say(&mut server, &ClientMessage::View(view(1, 300)));
+    let under_way: Vec<_> = std::iter::from_fn(|| server.next_chunk()).collect();
+    assert_eq!(under_way.len(), 8);
+    // The same place again: all of it is still wanted.
+    say(&mut server, &ClientMessage::View(view(2, 300)));
+    assert!(server.take_stale().is_empty());
+    say(&mut server, &ClientMessage::View(View { eye: [1 << 29, 25_600, 1 << 29], ..view(3, 300) }));
+    let stale: HashSet<_> = server.take_stale().into_iter().collect();
+    assert_eq!(stale, under_way.iter().map(|wanted| wanted.key).collect());
+}
+
+#[test]
+fn a_moving_view_is_settled_before_anything_ahead_is_sent_and_what_lies_ahead_comes_then() {
+    let moving = |id, metres: i32| View {
+        eye: [metres * 256, 25_600, 0],
+        velocity: [150 * 256, 0, 0],
+        ..view(id, 600)
+    };
+    let mut pair = Pair::new(64);
+    pair.client.set_view(moving(1, 0));
+    pair.run(usize::MAX);
+    let (_, needed) = pair.settled()[0];
+    let settled_at = pair.events.iter().position(|event| matches!(event, Event::Settled { .. })).unwrap();
+    let before =
+        pair.events[..settled_at].iter().filter(|event| matches!(event, Event::Chunk { .. })).count();
+    assert_eq!(before, needed as usize);
+    assert!(pair.delivered > before, "nothing was sent ahead");
+    // Two seconds later everything is there already.
+    let sent = pair.delivered;
+    pair.client.set_view(View { velocity: [0; 3], ..moving(2, 300) });
+    pair.run(usize::MAX);
+    assert_eq!((pair.delivered, pair.settled().len()), (sent, 2));
+    // The control: without a velocity it is not.
+    let mut still = Pair::new(64);
+    still.client.set_view(View { velocity: [0; 3], ..moving(1, 0) });
+    still.run(usize::MAX);
+    let sent = still.delivered;
+    still.client.set_view(View { velocity: [0; 3], ..moving(2, 300) });
+    still.run(usize::MAX);
+    assert!(still.delivered > sent);
+}
+
+#[test]
+fn shedding_refuses_the_latest_requests_and_keeps_the_first() {
+    let mut server = welcomed(64);
+    for id in 0..5 {
+        say(&mut server, &ClientMessage::Request { id, keys: wire_keys(2) });
+    }
+    server.shed(10);
+    assert_eq!(server.waiting_requests(), 10);
+    server.shed(4);
+    let refused = refusals(&mut server);
+    assert_eq!(refused.iter().map(|(id, _)| *id).collect::<Vec<_>>(), [4, 4, 3, 3, 2, 2]);
+    assert!(refused.iter().all(|(_, reason)| *reason == RefusalReason::Overloaded));
+    assert_eq!(server.credits(), 64, "what was shed had taken no credit");
+    assert_eq!(std::iter::from_fn(|| server.next_chunk()).count(), 4);
+}
+
+#[test]
+fn the_wildest_numbers_of_a_view_are_refused_or_served_and_never_panic() {
+    for extreme in [i32::MIN, -1, 0, 1, i32::MAX] {
+        let mut server = welcomed(4);
+        for eye in [[0; 3], [1 << 30, extreme, -(1 << 30)], [extreme; 3]] {
+            say(
+                &mut server,
+                &ClientMessage::View(View {
+                    eye,
+                    velocity: [extreme; 3],
+                    yaw_mdeg: extreme,
+                    pitch_mdeg: extreme,
+                    ..view(1, 65_536)
+                }),
+            );
+        }
+        while server.next_chunk().is_some() {}
+        let counts = server.counts();
+        assert_eq!(counts.views + counts.refusals[RefusalReason::InvalidView.index()], 3);
+    }
+}
+
 proptest! {
     #[test]
     fn garbage_panics_neither_session(frames in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..80), 1..8),
                                       framing in 0usize..4) {
         // Bare, as a control frame, as each kind of chunk frame.
-        let start = [&b""[..], b"TMBM\x02\x00", b"TMBC\x01\x00\x00", b"TMBC\x01\x00\x01"][framing];
+        let start = [&b""[..], b"TMBM\x03\x00", b"TMBC\x01\x00\x00", b"TMBC\x01\x00\x01"][framing];
         for config in [config(4), seed_only(4)] {
             let mut server = ServerSession::new(offer(), 1);
             let mut client = ClientSession::new(config);

@@ -11,6 +11,8 @@ use std::time::Duration;
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:7580";
 const DEFAULT_CACHE_MB: u64 = 128;
 const DEFAULT_MAX_SESSIONS: usize = 1024;
+/// Milliseconds.
+const DEFAULT_DEADLINE_MS: u64 = 500;
 const DEFAULT_LOG: &str = "info";
 
 /// Streams a procedural archipelago to viewers over WebSocket and HTTP.
@@ -41,6 +43,14 @@ pub struct Args {
     /// Sessions at once, 1 to 100000; one more is answered with 503 [default: 1024]
     #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS")]
     pub max_sessions: Option<usize>,
+    /// Sessions at once from one address (IPv6: one /64 network), 1 to 100000; one more is answered with 503 [default: as
+    /// --max-sessions]
+    #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS_PER_ADDRESS")]
+    pub max_sessions_per_address: Option<usize>,
+    /// Longest time in milliseconds that a requested chunk may wait to be generated, 10 to 60000; what would wait longer is
+    /// refused as overloaded [default: 500]
+    #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS")]
+    pub deadline_ms: Option<u64>,
     /// Log filter: error, warn, info, debug, trace, or per module as in `info,server=debug` [default: info]
     #[arg(long, value_name = "FILTER", env = "TOMBOLO_LOG")]
     pub log: Option<String>,
@@ -59,6 +69,8 @@ struct File {
     cache_mb: Option<u64>,
     token_file: Option<PathBuf>,
     max_sessions: Option<usize>,
+    max_sessions_per_address: Option<usize>,
+    deadline_ms: Option<u64>,
     log: Option<String>,
     log_json: Option<bool>,
 }
@@ -78,7 +90,11 @@ pub struct ServerConfig {
     pub token: Option<String>,
     /// Sessions at once. One more is refused before its upgrade with 503 and Retry-After.
     pub max_sessions: usize,
-    /// Generation jobs queued or running. One more is refused as overloaded; 4096 is about 10 s of work for two cores.
+    /// Sessions at once from one address. One more is refused as above.
+    pub max_sessions_per_address: usize,
+    /// Longest wait of a requested chunk for its generation.
+    pub deadline: Duration,
+    /// Generation jobs queued or running. One more is refused as overloaded.
     pub max_jobs: usize,
     /// Time for the handshake, and for the headers of an HTTP request.
     pub handshake_timeout: Duration,
@@ -104,7 +120,10 @@ impl Default for ServerConfig {
             cache_bytes: DEFAULT_CACHE_MB << 20,
             token: None,
             max_sessions: DEFAULT_MAX_SESSIONS,
-            max_jobs: 4096,
+            max_sessions_per_address: DEFAULT_MAX_SESSIONS,
+            deadline: Duration::from_millis(DEFAULT_DEADLINE_MS),
+            // A thousand sessions of 16 each.
+            max_jobs: 16_384,
             handshake_timeout: Duration::from_secs(5),
             write_timeout: Duration::from_secs(10),
             ping_interval: Duration::from_secs(20),
@@ -137,6 +156,11 @@ impl Args {
         in_range("threads", threads as u64, 1, 1024)?;
         in_range("cache-mb", cache_mb, 1, 65_536)?;
         in_range("max-sessions", max_sessions as u64, 1, 100_000)?;
+        let max_sessions_per_address =
+            self.max_sessions_per_address.or(file.max_sessions_per_address).unwrap_or(max_sessions);
+        in_range("max-sessions-per-address", max_sessions_per_address as u64, 1, 100_000)?;
+        let deadline_ms = self.deadline_ms.or(file.deadline_ms).unwrap_or(DEFAULT_DEADLINE_MS);
+        in_range("deadline-ms", deadline_ms, 10, 60_000)?;
         Ok(ServerConfig {
             listen,
             world_seed: self.world_seed.or(file.world_seed).unwrap_or(defaults.world_seed),
@@ -149,6 +173,8 @@ impl Args {
                 .map(|path| cli::read_token(path, protocol::limits::MAX_TEXT))
                 .transpose()?,
             max_sessions,
+            max_sessions_per_address,
+            deadline: Duration::from_millis(deadline_ms),
             log: self.log.or(file.log).unwrap_or(defaults.log),
             log_json: self.log_json || file.log_json.unwrap_or(false),
             ..defaults
@@ -209,6 +235,8 @@ mod tests {
             ("\nthreads = \"two\"", &["line 2", "usize"][..]),
             ("threads = 0", &["threads", "0", "1 to 1024"][..]),
             ("cache-mb = 70000", &["cache-mb", "70000", "65536"][..]),
+            ("deadline-ms = 9", &["deadline-ms", "9", "10 to 60000"][..]),
+            ("max-sessions-per-address = 0", &["max-sessions-per-address", "0", "1 to 100000"][..]),
             ("listen = \"nowhere\"", &["listen", "nowhere", "ADDR:PORT"][..]),
             ("token-file = \"/does/not/exist\"", &["token-file", "/does/not/exist"][..]),
             ("= broken", &["line 1"][..]),

@@ -1,40 +1,68 @@
-//! The generation service: one job per key however many ask, on a pool of compute threads behind a bounded queue.
+//! The generation service: one job per key however many ask, on a pool of compute threads behind a bounded, fair queue.
 //!
 //! A chunk has one frame per delivery. A job makes the chunk once and encodes only the frames that somebody waits for: a
 //! server whose clients all regenerate spends neither time nor cache on exact frames a hundred times the size. When another
 //! delivery of a cached chunk is asked for later, the heights are made again but the error, the costly part, is taken from the
 //! cached frame.
 //!
-//! A job belongs to the service, never to the asker, so an asker that vanishes harms nobody else; a queued job
-//! that nobody waits for any more is dropped unrun. Finished frames go into a byte-weighed cache before the job
-//! disappears, so a key is never made twice at the same time.
+//! Askers are [`Flow`]s: a session is one, a download another. A thread takes one flow's turn at a time ([`queue`]), which is several
+//! cheap chunks or one dear one, and answers it as a whole, so that a session wakes and writes once for all of them. A job belongs
+//! to the service, never to the asker, so an asker that vanishes harms nobody else; a queued job that nobody waits for any more is
+//! dropped unrun. Finished frames go into a byte-weighed cache before the job disappears, so a key is never made twice at the same
+//! time.
+
+pub mod cost;
+pub mod queue;
 
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use bytes::Bytes;
+use cost::Costs;
 use protocol::chunk_codec::Effort;
+use protocol::server::Wanted;
 use protocol::{Delivery, chunk_codec};
+use queue::{Asked, FlowId, Queue, Waiter};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use rustc_hash::FxHashMap;
-use std::collections::BinaryHeap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use terrain::{Chunk, ChunkKey, WorldDigest};
 use thiserror::Error;
-use tokio::sync::oneshot;
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+
+/// Time in which every waiting flow should have had a turn, microseconds of work.
+const ROUND_US: i64 = 4000;
+
+/// Bounds of the work that a flow gets done in one turn, microseconds. At least two cheap chunks or so, since each turn wakes a session
+/// and makes it write; at most some ten, since they are answered together.
+const QUANTUM_US: (i64, i64) = (80, 400);
 
 /// Why a frame cannot be had now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum GenerationError {
-    /// The queue is full.
-    #[error("the generation queue is full, ask again later")]
+    /// The queue is full, or the asking waited in it for too long.
+    #[error("the server is overloaded, ask again later")]
     Overloaded,
     /// The job panicked; the panic was contained and logged.
     #[error("the chunk could not be generated")]
     Failed,
+}
+
+/// How much the service may take on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Compute threads, at least 1.
+    pub threads: usize,
+    /// Memory for frames, bytes.
+    pub cache_bytes: u64,
+    /// Jobs that may wait or run. Asking for one more is refused with [`GenerationError::Overloaded`].
+    pub jobs: usize,
+    /// Longest wait of a request. One that has waited longer is refused instead of made: its asker has moved on.
+    pub deadline: Duration,
 }
 
 /// Makes, caches and shares chunk frames.
@@ -49,35 +77,21 @@ type FrameId = (ChunkKey, Delivery);
 
 type Answer = Result<Bytes, GenerationError>;
 
+/// An answer with the asking that it answers.
+pub type Done = (Wanted, Answer);
+
 struct Shared {
     source: Box<dyn ChunkSource>,
     world: WorldDigest,
     cache: Cache<FrameId, Bytes, FrameWeight>,
     /// A std mutex: held for map operations only, never across an await or a generation.
     queue: Mutex<Queue>,
-    /// Jobs that may be queued or running. Asking for one more is refused with [`GenerationError::Overloaded`].
-    limit: usize,
+    costs: Costs,
+    limits: Limits,
+    next_flow: AtomicU64,
+    /// Flows that wait for something: those that share the threads, whether or not a thread has just emptied their queue.
+    open_flows: AtomicUsize,
     metrics: Arc<Metrics>,
-}
-
-#[derive(Default)]
-struct Queue {
-    jobs: FxHashMap<ChunkKey, Job>,
-    /// Most urgent first. May hold stale entries of jobs that were raised or taken; they are skipped when popped and
-    /// swept out when they outnumber the jobs.
-    order: BinaryHeap<(u64, ChunkKey)>,
-}
-
-struct Job {
-    priority: u64,
-    running: bool,
-    /// One per asker. Bounded by the sessions' job windows and the HTTP connections.
-    waiters: Vec<Waiter>,
-}
-
-struct Waiter {
-    delivery: Delivery,
-    answer: oneshot::Sender<Answer>,
 }
 
 #[derive(Clone)]
@@ -91,24 +105,33 @@ impl Weighter<FrameId, Bytes> for FrameWeight {
 }
 
 impl Generation {
-    /// A service over a source with `threads` compute threads, a cache of `cache_bytes` and at most `limit` jobs.
+    /// A service over a source.
     ///
     /// # Errors
     /// The system refuses to start threads.
     pub fn new(
         source: impl ChunkSource,
-        threads: usize,
-        cache_bytes: u64,
-        limit: usize,
+        limits: Limits,
         metrics: Arc<Metrics>,
     ) -> Result<Self, ThreadPoolBuildError> {
-        let pool =
-            ThreadPoolBuilder::new().num_threads(threads).thread_name(|n| format!("generate-{n}")).build()?;
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(limits.threads)
+            .thread_name(|n| format!("generate-{n}"))
+            .build()?;
         // About 4 KiB an exact frame; the estimate only sizes the first tables.
-        let cache = Cache::with_weighter((cache_bytes / 4096) as usize, cache_bytes, FrameWeight);
-        let queue = Mutex::default();
-        let world = source.world();
-        let shared = Shared { source: Box::new(source), world, cache, queue, limit, metrics };
+        let cache =
+            Cache::with_weighter((limits.cache_bytes / 4096) as usize, limits.cache_bytes, FrameWeight);
+        let shared = Shared {
+            world: source.world(),
+            source: Box::new(source),
+            cache,
+            queue: Mutex::new(Queue::new(limits.jobs)),
+            costs: Costs::default(),
+            limits,
+            next_flow: AtomicU64::new(0),
+            open_flows: AtomicUsize::new(0),
+            metrics,
+        };
         Ok(Self { shared: Arc::new(shared), pool: Arc::new(pool) })
     }
 
@@ -121,89 +144,221 @@ impl Generation {
         Some(frame)
     }
 
-    /// The frame of a key for a delivery, made if need be. Dropping the future withdraws the interest.
+    /// A new asker. Dropping it withdraws everything that it waits for.
+    #[must_use]
+    pub fn flow(&self) -> Flow {
+        let (answers, answered) = unbounded_channel();
+        let id = self.shared.next_flow.fetch_add(1, Ordering::Relaxed);
+        Flow { service: self.clone(), id, answers, answered, open: 0 }
+    }
+
+    /// One frame for an asker that wants no other. Dropping the future withdraws the interest.
     ///
     /// # Errors
     /// See [`GenerationError`].
-    pub async fn frame(
-        &self,
-        key: ChunkKey,
-        delivery: Delivery,
-        priority: u64,
-    ) -> Result<Bytes, GenerationError> {
-        match self.enqueue(key, delivery, priority)? {
-            Asked::Cached(frame) => Ok(frame),
-            // The sender is dropped unsent only if the pool is torn down.
-            Asked::Waiting(result) => result.await.unwrap_or(Err(GenerationError::Failed)),
+    pub async fn frame(&self, wanted: Wanted, delivery: Delivery) -> Result<Bytes, GenerationError> {
+        if let Some(frame) = self.cached(wanted.key, delivery) {
+            return Ok(frame);
         }
+        let mut flow = self.flow();
+        flow.ask(wanted, delivery);
+        // One asking, one answer.
+        flow.answers().await.pop().map_or(Err(GenerationError::Failed), |(_, answer)| answer)
     }
 
-    fn enqueue(&self, key: ChunkKey, delivery: Delivery, priority: u64) -> Result<Asked, GenerationError> {
-        let Shared { cache, metrics, limit, .. } = &*self.shared;
-        metrics.requested.inc();
-        let mut queue = self.shared.lock();
-        // Under the lock: a job leaves the map only after its frames are in the cache.
-        if let Some(frame) = cache.get(&(key, delivery)) {
-            metrics.cache_hits.inc();
-            return Ok(Asked::Cached(frame));
+    /// Further requests of one flow that can be made within the deadline, as far as the recent past tells. What exceeds it is
+    /// better refused at once than after a wait.
+    #[must_use]
+    pub fn allowance(&self) -> usize {
+        let Limits { threads, deadline, .. } = self.shared.limits;
+        // Nothing waits: whatever the estimate, there is no reason to refuse.
+        if self.shared.lock().waiting() == 0 {
+            return usize::MAX;
         }
-        let (answer, result) = oneshot::channel();
-        let waiter = Waiter { delivery, answer };
-        if let Some(job) = queue.jobs.get_mut(&key) {
-            job.waiters.push(waiter);
-            metrics.coalesced.inc();
-            if !job.running && priority > job.priority {
-                job.priority = priority;
-                queue.push(priority, key);
-            }
-            return Ok(Asked::Waiting(result));
-        }
-        if queue.jobs.len() >= *limit {
-            metrics.shed.inc();
-            return Err(GenerationError::Overloaded);
-        }
-        queue.jobs.insert(key, Job { priority, running: false, waiters: vec![waiter] });
-        queue.push(priority, key);
-        metrics.queue.set(queue.jobs.len() as i64);
-        drop(queue);
-        // One pool task per job, but each takes whatever is most urgent when it starts.
-        let shared = Arc::clone(&self.shared);
-        self.pool.spawn(move || shared.run_most_urgent());
-        Ok(Asked::Waiting(result))
+        // Half of it: the other half is for what the estimate leaves out, sessions that write and machines that are shared.
+        self.shared.costs.within(deadline / 2, threads, self.shared.open_flows.load(Ordering::Relaxed))
     }
 
     /// Share of the queue in use, 0 to 1.
     #[must_use]
     pub fn load(&self) -> f64 {
-        self.shared.lock().jobs.len() as f64 / self.shared.limit as f64
+        self.shared.lock().jobs() as f64 / self.shared.limits.jobs as f64
     }
 }
 
-enum Asked {
-    Cached(Bytes),
-    Waiting(oneshot::Receiver<Answer>),
+/// One asker: a session or a download. Work is shared fairly between flows.
+pub struct Flow {
+    service: Generation,
+    id: FlowId,
+    /// Cloned into every asking.
+    answers: UnboundedSender<Vec<Done>>,
+    /// Holds at most one answer for each asking, so whoever bounds the askings bounds this.
+    answered: UnboundedReceiver<Vec<Done>>,
+    /// Askings without an answer taken.
+    open: usize,
+}
+
+impl Flow {
+    /// Asks for a frame. The answer, exactly one, comes from [`Flow::answers`], unless the asking is withdrawn.
+    pub fn ask(&mut self, wanted: Wanted, delivery: Delivery) {
+        self.opened(1);
+        let Shared { cache, metrics, costs, limits, .. } = &*self.service.shared;
+        metrics.requested.inc();
+        let mut queue = self.service.shared.lock();
+        // Under the lock: a job leaves the queue only after its frames are in the cache.
+        if let Some(frame) = cache.get(&(wanted.key, delivery)) {
+            metrics.cache_hits.inc();
+            self.answer_now(wanted, Ok(frame));
+            return;
+        }
+        let (since, answers) = (Instant::now(), self.answers.clone());
+        let waiter = Waiter { flow: self.id, wanted, delivery, since, answers };
+        match queue.ask(waiter, costs.expected_us(wanted.key)) {
+            Asked::Joined => {
+                metrics.coalesced.inc();
+            }
+            Asked::Full => {
+                metrics.shed.inc();
+                self.answer_now(wanted, Err(GenerationError::Overloaded));
+            }
+            Asked::Queued => {
+                metrics.queue.set(queue.jobs() as i64);
+                if queue.runners < limits.threads {
+                    // A runner takes turns until nothing waits, so there are never more of them than threads.
+                    queue.runners += 1;
+                    let shared = Arc::clone(&self.service.shared);
+                    self.service.pool.spawn(move || shared.run());
+                }
+            }
+        }
+    }
+
+    fn opened(&mut self, count: usize) {
+        if self.open == 0 && count > 0 {
+            self.service.shared.open_flows.fetch_add(1, Ordering::Relaxed);
+        }
+        self.open += count;
+    }
+
+    fn closed(&mut self, count: usize) {
+        self.open -= count;
+        if self.open == 0 && count > 0 {
+            self.service.shared.open_flows.fetch_sub(1, Ordering::Relaxed);
+        }
+    }
+
+    fn answer_now(&self, wanted: Wanted, answer: Answer) {
+        // The receiver is in this very flow.
+        let _ = self.answers.send(vec![(wanted, answer)]);
+    }
+
+    /// Waits for the next answers, at least one; for ever while nothing is asked. Cancel safe.
+    pub async fn answers(&mut self) -> Vec<Done> {
+        loop {
+            if let Some(done) = self.answered.recv().await {
+                self.closed(done.len());
+                return done;
+            }
+            // Unreachable: this flow holds a sender itself.
+            std::future::pending::<()>().await;
+        }
+    }
+
+    /// The next answers if they are there.
+    pub fn try_answers(&mut self) -> Option<Vec<Done>> {
+        let done = self.answered.try_recv().ok()?;
+        self.closed(done.len());
+        Some(done)
+    }
+
+    /// Askings without an answer taken.
+    #[must_use]
+    pub const fn open(&self) -> usize {
+        self.open
+    }
+
+    /// Withdraws the askings for a key that no thread has taken up, and returns them; the others will be answered.
+    pub fn withdraw(&mut self, key: ChunkKey) -> Vec<Wanted> {
+        let withdrawn = self.service.shared.lock().withdraw(self.id, key);
+        self.closed(withdrawn.len());
+        self.service.shared.metrics.cancelled.inc_by(withdrawn.len() as u64);
+        withdrawn
+    }
+}
+
+impl Drop for Flow {
+    fn drop(&mut self) {
+        if self.open > 0 {
+            let dropped = self.service.shared.lock().forget(self.id);
+            self.service.shared.metrics.cancelled.inc_by(dropped);
+            self.closed(self.open);
+        }
+    }
+}
+
+/// What a runner holds of a job between making and answering.
+struct Made {
+    key: ChunkKey,
+    answers: Vec<(Delivery, Answer)>,
+}
+
+impl Made {
+    fn has(&self, delivery: Delivery) -> bool {
+        self.answers.iter().any(|(made, _)| *made == delivery)
+    }
 }
 
 impl Shared {
-    fn run_most_urgent(&self) {
-        let Some(key) = self.take() else { return };
-        // Made by the first delivery, shared by the others. Who asks while a frame is being encoded finds the job still here
-        // and is served by a further round.
-        let mut chunk = None;
-        while let Some((delivery, waiters)) = self.next_delivery(key) {
-            let answer = self.make(key, delivery, &mut chunk);
-            for waiter in waiters {
-                // An asker that left in the meantime is no error.
-                let _ = waiter.answer.send(answer.clone());
+    /// Takes turns until nothing waits.
+    fn run(&self) {
+        let deadline = self.limits.deadline;
+        loop {
+            let turn = {
+                let mut queue = self.lock();
+                let turn = queue.take(self.quantum_us(), deadline, Instant::now());
+                if turn.keys.is_empty() {
+                    queue.runners -= 1;
+                }
+                self.metrics.queue.set(queue.jobs() as i64);
+                turn
+            };
+            self.metrics.cancelled.inc_by(turn.dropped);
+            self.metrics.expired.inc_by(turn.expired.len() as u64);
+            for waiter in turn.expired {
+                // An asker that left in the meantime is no error; the same below.
+                let _ = waiter.answers.send(vec![(waiter.wanted, Err(GenerationError::Overloaded))]);
             }
+            if turn.keys.is_empty() {
+                return;
+            }
+            let made: Vec<Made> = turn.keys.into_iter().map(|key| self.run_job(key)).collect();
+            self.answer(&made);
         }
+    }
+
+    /// Few flows get long turns, which cost less; many get short ones, so that none waits long for its own.
+    fn quantum_us(&self) -> i64 {
+        let flows = self.open_flows.load(Ordering::Relaxed).max(1) as i64;
+        (ROUND_US / flows).clamp(QUANTUM_US.0, QUANTUM_US.1)
+    }
+
+    /// Makes what is asked for of a chunk; who asks for another form meanwhile is served by a further round.
+    fn run_job(&self, key: ChunkKey) -> Made {
+        // Dropped at the end of this job, so that the next one finds its memory warm.
+        let mut chunk = None;
+        let mut made = Made { key, answers: Vec::with_capacity(1) };
+        while let Some(delivery) = { self.lock().missing(key, |delivery| made.has(delivery)) } {
+            let answer = self.make(key, delivery, &mut chunk);
+            made.answers.push((delivery, answer));
+        }
+        made
     }
 
     /// Encodes a frame and caches it; makes the chunk before that if this is the first of its frames.
     fn make(&self, key: ChunkKey, delivery: Delivery, chunk: &mut Option<Chunk>) -> Answer {
         let (started, is_first) = (Instant::now(), chunk.is_none());
         // A queue that is half full is a server that falls behind: its time is worth more than the bytes.
-        let effort = if self.lock().jobs.len() * 2 > self.limit { Effort::Fast } else { Effort::Compact };
+        let effort = if self.lock().jobs() * 2 > self.limits.jobs { Effort::Fast } else { Effort::Compact };
         let encoded = catch_unwind(AssertUnwindSafe(|| {
             let chunk = chunk.get_or_insert_with(|| self.source.chunk(key, self.known_error(key)));
             chunk_codec::encode_with(delivery, effort, chunk, &self.world)
@@ -214,11 +369,33 @@ impl Shared {
             return Err(GenerationError::Failed);
         };
         if is_first {
-            self.metrics.generation_seconds.observe(started.elapsed().as_secs_f64());
+            let took = started.elapsed();
+            self.costs.learn(key, took);
+            self.metrics.generation_seconds.observe(took.as_secs_f64());
             self.metrics.generated.inc();
         }
         self.cache.insert((key, delivery), frame.clone());
         Ok(frame)
+    }
+
+    /// Answers a whole turn: each asker once, however many chunks it gets, since every answer may wake a session and cause a write.
+    fn answer(&self, turn: &[Made]) {
+        let mut askers: FxHashMap<FlowId, (UnboundedSender<Vec<Done>>, Vec<Done>)> = FxHashMap::default();
+        {
+            let mut queue = self.lock();
+            for made in turn {
+                for waiter in queue.finish(made.key, |delivery| made.has(delivery)) {
+                    let answer = made.answers.iter().find(|(delivery, _)| *delivery == waiter.delivery);
+                    let answer = answer.map_or(Err(GenerationError::Failed), |(_, answer)| answer.clone());
+                    let (_, answers) = askers.entry(waiter.flow).or_insert((waiter.answers, Vec::new()));
+                    answers.push((waiter.wanted, answer));
+                }
+            }
+            self.metrics.queue.set(queue.jobs() as i64);
+        }
+        for (asker, answers) in askers.into_values() {
+            let _ = asker.send(answers);
+        }
     }
 
     /// The error of a chunk that was made before and is still cached for some delivery.
@@ -230,55 +407,9 @@ impl Shared {
         chunk_codec::error(&frame)
     }
 
-    /// Takes those askers off a job that wait for the same delivery as its first. When nobody waits any more there is none,
-    /// and the job is gone.
-    fn next_delivery(&self, key: ChunkKey) -> Option<(Delivery, Vec<Waiter>)> {
-        let mut queue = self.lock();
-        let job = queue.jobs.get_mut(&key)?;
-        let Some(delivery) = job.waiters.first().map(|waiter| waiter.delivery) else {
-            queue.jobs.remove(&key);
-            self.metrics.queue.set(queue.jobs.len() as i64);
-            return None;
-        };
-        let waiters = std::mem::take(&mut job.waiters);
-        let (now, later) = waiters.into_iter().partition(|waiter| waiter.delivery == delivery);
-        job.waiters = later;
-        Some((delivery, now))
-    }
-
-    /// Takes the most urgent job that somebody waits for and drops those that nobody does.
-    fn take(&self) -> Option<ChunkKey> {
-        let mut queue = self.lock();
-        while let Some((_, key)) = queue.order.pop() {
-            let Some(job) = queue.jobs.get_mut(&key).filter(|job| !job.running) else { continue };
-            job.waiters.retain(|waiter| !waiter.answer.is_closed());
-            if job.waiters.is_empty() {
-                queue.jobs.remove(&key);
-                self.metrics.cancelled.inc();
-                self.metrics.queue.set(queue.jobs.len() as i64);
-                continue;
-            }
-            job.running = true;
-            return Some(key);
-        }
-        None
-    }
-
     fn lock(&self) -> MutexGuard<'_, Queue> {
         // No code under the lock can panic half-way through a change, so a poisoned queue is still sound.
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Queue {
-    fn push(&mut self, priority: u64, key: ChunkKey) {
-        if self.order.len() > 2 * self.jobs.len() + 64 {
-            let jobs = &self.jobs;
-            self.order.retain(|(priority, key)| {
-                jobs.get(key).is_some_and(|job| !job.running && job.priority == *priority)
-            });
-        }
-        self.order.push((priority, key));
     }
 }
 
@@ -327,6 +458,10 @@ mod tests {
         ChunkKey::new(0, x, 0).unwrap()
     }
 
+    fn wanted(key: ChunkKey, priority: u64) -> Wanted {
+        Wanted { key, request: None, priority }
+    }
+
     struct Bench {
         service: Generation,
         metrics: Arc<Metrics>,
@@ -339,7 +474,8 @@ mod tests {
         let (made_sender, made) = mpsc::channel();
         let source = Gated { permits: Mutex::new(permits), made: Mutex::new(made_sender) };
         let metrics = Arc::new(Metrics::default());
-        let service = Generation::new(source, 1, cache_bytes, limit, Arc::clone(&metrics)).unwrap();
+        let limits = Limits { threads: 1, cache_bytes, jobs: limit, deadline: Duration::from_secs(3600) };
+        let service = Generation::new(source, limits, Arc::clone(&metrics)).unwrap();
         Bench { service, metrics, permit, made }
     }
 
@@ -357,7 +493,7 @@ mod tests {
     ) -> tokio::task::JoinHandle<Answer> {
         let (before, service) = (service.shared.metrics.requested.get(), service.clone());
         let metrics = Arc::clone(&service.shared.metrics);
-        let task = tokio::spawn(async move { service.frame(key, delivery, priority).await });
+        let task = tokio::spawn(async move { service.frame(wanted(key, priority), delivery).await });
         while metrics.requested.get() == before {
             tokio::task::yield_now().await;
         }
@@ -393,7 +529,7 @@ mod tests {
         assert_eq!(bench.metrics.coalesced.get(), 1);
 
         bench.permit.send(()).unwrap();
-        bench.service.frame(key(2), Delivery::SeedOnly, 1).await.unwrap();
+        bench.service.frame(wanted(key(2), 1), Delivery::SeedOnly).await.unwrap();
         assert!(bench.service.cached(key(2), Delivery::SeedOnly).is_some());
         assert!(bench.service.cached(key(2), Delivery::Exact).is_none());
     }
@@ -406,7 +542,7 @@ mod tests {
         {
             for (delivery, error) in [(first, MEASURED), (second, MEASURED + 1)] {
                 bench.permit.send(()).unwrap();
-                let frame = bench.service.frame(key(x), delivery, 1).await.unwrap();
+                let frame = bench.service.frame(wanted(key(x), 1), delivery).await.unwrap();
                 assert_eq!(chunk_codec::error(&frame), Some(error), "{delivery} of {x}");
                 // Until the job is gone a further asker would share its chunk instead.
                 while bench.service.load() > 0.0 {
@@ -417,34 +553,106 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_most_urgent_job_runs_first_and_an_asker_can_raise_one() {
+    async fn a_flow_gets_its_most_urgent_chunk_first_and_every_asking_is_answered_once() {
         let bench = bench(1 << 20, 10);
-        let mut asked = vec![ask(&bench.service, key(0), 0).await];
+        let mut flow = bench.service.flow();
+        flow.ask(wanted(key(0), 0), Delivery::Exact);
         // Let the only thread take the first job, so that the order of the rest is the queue's.
-        while bench.service.shared.lock().jobs.get(&key(0)).is_some_and(|job| !job.running) {
+        while !bench.service.shared.lock().is_running(key(0)) {
             tokio::task::yield_now().await;
         }
         for (x, priority) in [(1, 10), (2, 30), (3, 20), (1, 40)] {
-            asked.push(ask(&bench.service, key(x), priority).await);
+            flow.ask(wanted(key(x), priority), Delivery::Exact);
         }
+        assert_eq!(flow.open(), 5);
         for _ in 0..4 {
             bench.permit.send(()).unwrap();
         }
-        for task in asked {
-            task.await.unwrap().unwrap();
+        let mut answers = Vec::new();
+        while flow.open() > 0 {
+            for (wanted, answer) in flow.answers().await {
+                assert!(answer.is_ok());
+                answers.push(wanted.key.x());
+            }
         }
+        answers.sort_unstable();
+        assert_eq!(answers, [0, 1, 1, 2, 3]);
         assert_eq!(bench.made.try_iter().collect::<Vec<_>>(), [0, 1, 2, 3].map(key));
+    }
+
+    #[tokio::test]
+    async fn a_hundred_thousand_askers_that_hang_up_harm_nobody() {
+        let bench = bench(1 << 20, 10);
+        let blocker = ask(&bench.service, key(0), 1).await;
+        while !bench.service.shared.lock().is_running(key(0)) {
+            tokio::task::yield_now().await;
+        }
+        let mut patient = bench.service.flow();
+        patient.ask(wanted(key(1), 1), Delivery::Exact);
+        for _ in 0..100_000 {
+            let mut flow = bench.service.flow();
+            flow.ask(wanted(key(1), 1), Delivery::Exact);
+            flow.ask(wanted(key(2), 1), Delivery::Exact);
+        }
+        bench.permit.send(()).unwrap();
+        bench.permit.send(()).unwrap();
+        assert!(patient.answers().await[0].1.is_ok());
+        assert!(blocker.await.unwrap().is_ok());
+        assert_eq!(bench.made.try_iter().collect::<Vec<_>>(), [0, 1].map(key));
+        assert_eq!(bench.metrics.cancelled.get(), 100_000);
+        drop(patient);
+        assert_eq!(bench.service.shared.open_flows.load(Ordering::Relaxed), 0);
+    }
+
+    #[tokio::test]
+    async fn a_withdrawn_asking_is_not_answered_and_not_made() {
+        let bench = bench(1 << 20, 10);
+        let mut flow = bench.service.flow();
+        flow.ask(wanted(key(0), 9), Delivery::Exact);
+        while !bench.service.shared.lock().is_running(key(0)) {
+            tokio::task::yield_now().await;
+        }
+        flow.ask(wanted(key(1), 1), Delivery::Exact);
+        assert_eq!(flow.withdraw(key(0)), [], "it is being made");
+        assert_eq!(flow.withdraw(key(1)), [wanted(key(1), 1)]);
+        bench.permit.send(()).unwrap();
+        assert_eq!(flow.answers().await[0].0.key, key(0));
+        assert_eq!((flow.open(), flow.try_answers().is_none()), (0, true));
+    }
+
+    #[tokio::test]
+    async fn a_request_that_waited_beyond_the_deadline_is_refused_and_not_made() {
+        let (permit, permits) = mpsc::channel();
+        let (made_sender, made) = mpsc::channel();
+        let source = Gated { permits: Mutex::new(permits), made: Mutex::new(made_sender) };
+        let limits = Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::ZERO };
+        let metrics = Arc::new(Metrics::default());
+        let service = Generation::new(source, limits, Arc::clone(&metrics)).unwrap();
+        let mut flow = service.flow();
+        // What a view needs has no deadline, and holds the thread.
+        flow.ask(wanted(key(0), 9), Delivery::Exact);
+        while !service.shared.lock().is_running(key(0)) {
+            tokio::task::yield_now().await;
+        }
+        flow.ask(Wanted { request: Some(7), ..wanted(key(1), 9) }, Delivery::Exact);
+        permit.send(()).unwrap();
+        assert_eq!(flow.answers().await[0].0.key, key(0));
+        assert_eq!(flow.answers().await[0].1, Err(GenerationError::Overloaded));
+        assert_eq!((made.try_iter().count(), metrics.expired.get()), (1, 1));
     }
 
     #[tokio::test]
     async fn a_full_queue_refuses_and_a_queued_job_without_askers_never_runs() {
         let bench = bench(1 << 20, 2);
         let running = ask(&bench.service, key(0), 9).await;
-        while bench.service.shared.lock().jobs.values().all(|job| !job.running) {
+        while !bench.service.shared.lock().is_running(key(0)) {
             tokio::task::yield_now().await;
         }
         let abandoned = ask(&bench.service, key(1), 1).await;
-        assert_eq!(bench.service.frame(key(2), Delivery::Exact, 99).await, Err(GenerationError::Overloaded));
+        assert_eq!(
+            bench.service.frame(wanted(key(2), 99), Delivery::Exact).await,
+            Err(GenerationError::Overloaded)
+        );
         assert_eq!(bench.metrics.shed.get(), 1);
         abandoned.abort();
         let _ = abandoned.await;
@@ -475,7 +683,7 @@ mod tests {
         let bench = bench(budget, 100);
         for x in 0..50 {
             bench.permit.send(()).unwrap();
-            bench.service.frame(key(x), Delivery::Exact, 1).await.unwrap();
+            bench.service.frame(wanted(key(x), 1), Delivery::Exact).await.unwrap();
         }
         assert!(bench.service.shared.cache.weight() <= budget);
         assert!(bench.service.shared.cache.len() < 50);

@@ -2,13 +2,14 @@
 //!
 //! [`run`] is the whole of it: a bound listener, a checked configuration and a shutdown signal go in, and it
 //! returns when the last session is gone. Reading order: [`config`], [`listener`], [`routes`], [`socket`]
-//! (one task per client around the sans-IO session of the `protocol` crate), [`generation`] (one job per key
+//! (one task per client around the sans-IO session of the `protocol` crate, over a [`websocket`]), [`generation`] (one job per key
 //! however many ask), [`source`] (where chunks come from), [`metrics`].
 //!
 //! What it refuses: drawing (no GPU crate is in its dependency tree) and state that a reconnect cannot rebuild.
 
 #![forbid(unsafe_code)]
 
+pub mod addresses;
 pub mod config;
 pub mod generation;
 pub mod listener;
@@ -16,6 +17,8 @@ pub mod metrics;
 pub mod routes;
 pub mod socket;
 pub mod source;
+pub mod upgrade;
+pub mod websocket;
 
 pub use config::ServerConfig;
 pub use listener::run;

@@ -3,8 +3,9 @@
 //! An own accept loop around hyper instead of `axum::serve`: hyper enforces its header timeout only when it is given a
 //! timer, and upgraded sockets must be counted and drained by whoever owns them.
 
+use crate::addresses::Addresses;
 use crate::config::ServerConfig;
-use crate::generation::Generation;
+use crate::generation::{Generation, Limits};
 use crate::metrics::Metrics;
 use crate::source::Procedural;
 use crate::{SOFTWARE, routes};
@@ -15,6 +16,7 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use protocol::server::ServerOffer;
 use rayon::ThreadPoolBuildError;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::time::Duration;
@@ -48,6 +50,8 @@ pub struct Shared {
     pub sessions: TaskTracker,
     /// One permit per allowed session, held inside the session task.
     pub permits: Arc<Semaphore>,
+    /// Sessions by address.
+    pub addresses: Addresses,
     /// Number of the next session.
     pub next_session: AtomicU64,
 }
@@ -57,13 +61,13 @@ impl Shared {
         let land = Land::new(config.world_seed);
         let metrics = Arc::new(Metrics::default());
         let source = Procedural::new(land);
-        let generation = Generation::new(
-            source,
-            config.threads,
-            config.cache_bytes,
-            config.max_jobs,
-            Arc::clone(&metrics),
-        )?;
+        let limits = Limits {
+            threads: config.threads,
+            cache_bytes: config.cache_bytes,
+            jobs: config.max_jobs,
+            deadline: config.deadline,
+        };
+        let generation = Generation::new(source, limits, Arc::clone(&metrics))?;
         let token = config.token.clone();
         Ok(Self {
             offer: ServerOffer { land, digest: land.digest(), token, software: SOFTWARE.into() },
@@ -73,6 +77,7 @@ impl Shared {
             sessions: TaskTracker::new(),
             permits: Arc::new(Semaphore::new(config.max_sessions)),
             next_session: AtomicU64::new(1),
+            addresses: Addresses::new(config.max_sessions_per_address),
             config,
         })
     }
@@ -102,13 +107,13 @@ pub async fn run(
             // The semaphore is never closed.
             Ok(slot) = Arc::clone(&slots).acquire_owned() => slot,
         };
-        let stream = tokio::select! {
+        let (stream, peer) = tokio::select! {
             () = &mut shutdown => break,
             stream = accept(&listener) => stream,
         };
         let (router, shared) = (router.clone(), Arc::clone(&shared));
         connections.spawn(async move {
-            serve_connection(stream, router, &shared).await;
+            serve_connection(stream, peer, router, &shared).await;
             drop(slot);
         });
     }
@@ -130,13 +135,13 @@ pub async fn run(
 }
 
 /// Accepts one connection. A failure (most often: out of file descriptors) is waited out, since the cause outlives a retry.
-async fn accept(listener: &TcpListener) -> TcpStream {
+async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
     loop {
         match listener.accept().await {
-            Ok((stream, _)) => {
+            Ok((stream, peer)) => {
                 // Frames are written whole; waiting to fill packets would only delay the last one.
                 let _ = stream.set_nodelay(true);
-                return stream;
+                return (stream, peer);
             }
             Err(error) => {
                 tracing::warn!(%error, "cannot accept a connection");
@@ -146,9 +151,11 @@ async fn accept(listener: &TcpListener) -> TcpStream {
     }
 }
 
-async fn serve_connection(stream: TcpStream, router: axum::Router, shared: &Shared) {
-    let service =
-        service_fn(move |request: hyper::Request<Incoming>| router.clone().oneshot(request.map(Body::new)));
+async fn serve_connection(stream: TcpStream, peer: SocketAddr, router: axum::Router, shared: &Shared) {
+    let service = service_fn(move |mut request: hyper::Request<Incoming>| {
+        request.extensions_mut().insert(peer);
+        router.clone().oneshot(request.map(Body::new))
+    });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(shared.config.handshake_timeout)

@@ -7,6 +7,7 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::Registry;
+use protocol::message::RefusalReason;
 
 /// A label set of one reason.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -47,6 +48,8 @@ pub struct Metrics {
     pub chunk_bytes_delivered: Family<DeliveryLabel, Counter>,
     /// Refusals sent inside sessions.
     pub refusals: Counter,
+    /// The same by reason; every reason is there from the start, so that a rate can be taken of the first one.
+    refusals_by_reason: [Counter; RefusalReason::ALL.len()],
     /// Views accepted.
     pub views: Counter,
     /// Frames asked of the generation service.
@@ -57,6 +60,10 @@ pub struct Metrics {
     pub coalesced: Counter,
     /// Of these, refused because the queue was full.
     pub shed: Counter,
+    /// Of these, refused because they waited beyond the deadline.
+    pub expired: Counter,
+    /// Sessions refused because their address has too many.
+    pub address_refusals: Counter,
     /// Jobs run to the end.
     pub generated: Counter,
     /// Jobs dropped unrun because nobody waited any more.
@@ -82,6 +89,9 @@ impl Default for Metrics {
             chunks_delivered: Family::default(),
             chunk_bytes_delivered: Family::default(),
             refusals: Counter::default(),
+            refusals_by_reason: Default::default(),
+            expired: Counter::default(),
+            address_refusals: Counter::default(),
             views: Counter::default(),
             requested: Counter::default(),
             cache_hits: Counter::default(),
@@ -118,6 +128,17 @@ impl Metrics {
             self.chunk_bytes_delivered.clone(),
         );
         r.register("refusals", "Refusals sent inside sessions", self.refusals.clone());
+        let by_reason = Family::<Reason, Counter>::default();
+        for (reason, counter) in RefusalReason::ALL.iter().zip(&mut self.refusals_by_reason) {
+            *counter = by_reason.get_or_create_owned(&Reason { reason: reason.name() });
+        }
+        r.register("refusals_by_reason", "Refusals sent inside sessions, by reason", by_reason);
+        r.register("expired", "Frames refused because they waited beyond the deadline", self.expired.clone());
+        r.register(
+            "address_refusals",
+            "Sessions refused because their address has too many",
+            self.address_refusals.clone(),
+        );
         r.register("views", "Views accepted", self.views.clone());
         r.register("frames_requested", "Frames asked of the generation service", self.requested.clone());
         r.register("cache_hits", "Frames answered from the cache", self.cache_hits.clone());
@@ -129,6 +150,12 @@ impl Metrics {
         r.register("generation_queue", "Generation jobs queued or running", self.queue.clone());
         r.register("generation_seconds", "Seconds per generated chunk", self.generation_seconds.clone());
         r.register("http_responses", "HTTP responses, by status", self.http_responses.clone());
+    }
+
+    /// Counts refusals of one reason.
+    pub fn refused(&self, reason: RefusalReason, count: u64) {
+        self.refusals.inc_by(count);
+        self.refusals_by_reason[reason.index()].inc_by(count);
     }
 
     /// The OpenMetrics text of all values.

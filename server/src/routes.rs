@@ -4,17 +4,17 @@ use crate::SOFTWARE;
 use crate::listener::Shared;
 use crate::metrics::Status;
 use crate::socket;
+use crate::upgrade::Upgrade;
 use axum::Router;
-use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Json, Response};
-use axum::routing::get;
-use protocol::limits::MAX_CONTROL_FRAME;
+use axum::routing::{any, get};
+use protocol::server::Wanted;
 use protocol::{Delivery, PROTOCOL_VERSION, SUBPROTOCOL, chunk_codec};
 use serde_json::json;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use terrain::constants::{
@@ -22,21 +22,8 @@ use terrain::constants::{
 };
 use terrain::{ChunkKey, WorldDigest};
 
-/// The longest frame that is read before it is refused by size. Above the protocol's limit, so that a client that
-/// exceeds the limit a little is told so with a close code instead of a dropped connection.
-const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
-
-/// Read buffer per session. The library's default of 128 KiB would be taken at once by every idle client.
-const READ_BUFFER: usize = 4 * 1024;
-
-/// Bytes collected before the socket is written; a flush writes the rest.
-const WRITE_BUFFER: usize = 64 * 1024;
-
 /// Queue load above which the server calls itself not ready, so that a balancer sends new clients elsewhere.
 const READY_LOAD: f64 = 0.9;
-
-/// Urgency of an HTTP download: below every explicit request of a session, above every view.
-const DOWNLOAD_PRIORITY: u64 = u64::MAX - 1;
 
 /// All routes of a server.
 pub fn router(shared: Arc<Shared>) -> Router {
@@ -46,7 +33,7 @@ pub fn router(shared: Arc<Shared>) -> Router {
         .route("/metrics", get(metrics))
         .route("/v1/world", get(world))
         .route("/v1/{digest}/chunk/{level}/{x}/{z}", get(chunk))
-        .route("/v1/stream", get(stream))
+        .route("/v1/stream", any(stream))
         .fallback(|| async { problem(StatusCode::NOT_FOUND, "no such route; see GET /v1/world") })
         .layer(middleware::from_fn_with_state(Arc::clone(&shared), count))
         .with_state(shared)
@@ -128,7 +115,8 @@ async fn chunk(
         Err((status, sentence)) => return problem(status, sentence),
     };
     // Always exact: what is cached for ever must be of use to whoever has no generator.
-    let frame = match shared.generation.frame(key, Delivery::Exact, DOWNLOAD_PRIORITY).await {
+    let wanted = Wanted { key, request: Some(0), priority: u64::MAX };
+    let frame = match shared.generation.frame(wanted, Delivery::Exact).await {
         Ok(frame) => frame,
         Err(error) => {
             let mut response = problem(StatusCode::SERVICE_UNAVAILABLE, error.to_string());
@@ -159,16 +147,13 @@ fn is_authorised(shared: &Shared, headers: &HeaderMap) -> bool {
     protocol::server::token_matches(shared.offer.token.as_deref(), bearer)
 }
 
-async fn stream(
-    State(shared): State<Arc<Shared>>,
-    headers: HeaderMap,
-    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
-) -> Response {
-    let upgrade = match upgrade {
+async fn stream(State(shared): State<Arc<Shared>>, mut request: Request) -> Response {
+    let upgrade = match Upgrade::of(&mut request) {
         Ok(upgrade) => upgrade,
-        Err(rejection) => return rejection.into_response(),
+        Err((status, sentence)) => return problem(status, sentence),
     };
-    let offered: Vec<_> = headers
+    let offered: Vec<_> = request
+        .headers()
         .get_all(header::SEC_WEBSOCKET_PROTOCOL)
         .iter()
         .filter_map(|value| value.to_str().ok())
@@ -182,22 +167,32 @@ async fn stream(
     }
     let permit = Arc::clone(&shared.permits).try_acquire_owned();
     let (false, Ok(permit)) = (shared.draining.is_cancelled(), permit) else {
-        let mut response = problem(StatusCode::SERVICE_UNAVAILABLE, "no session is free, try again later");
-        response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("2"));
-        return response;
+        return come_back("no session is free, try again later");
     };
-    upgrade
-        .protocols([SUBPROTOCOL])
-        .max_message_size(READ_LIMIT)
-        .max_frame_size(READ_LIMIT)
-        .read_buffer_size(READ_BUFFER)
-        .write_buffer_size(WRITE_BUFFER)
-        .on_upgrade(move |socket| {
-            let number = shared.next_session.fetch_add(1, Ordering::Relaxed);
-            let tracker = shared.sessions.clone();
-            tracker.track_future(async move {
-                socket::serve(socket, &shared, number).await;
-                drop(permit);
-            })
-        })
+    let Some(place) = shared.addresses.enter(peer_address(&request)) else {
+        shared.metrics.address_refusals.inc();
+        return come_back("too many sessions from this address, end one or try again later");
+    };
+    let response = upgrade.response(SUBPROTOCOL);
+    let number = shared.next_session.fetch_add(1, Ordering::Relaxed);
+    let tracker = shared.sessions.clone();
+    tracker.spawn(async move {
+        if let Some(socket) = upgrade.socket().await {
+            socket::serve(socket, &shared, number).await;
+        }
+        drop((permit, place));
+    });
+    response
+}
+
+/// A refusal that says when to try again.
+fn come_back(sentence: &str) -> Response {
+    let mut response = problem(StatusCode::SERVICE_UNAVAILABLE, sentence);
+    response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("2"));
+    response
+}
+
+/// Where a request comes from; the accept loop tells.
+fn peer_address(request: &Request) -> Option<IpAddr> {
+    request.extensions().get::<SocketAddr>().map(SocketAddr::ip)
 }

@@ -1,33 +1,35 @@
-//! One client: a socket around the sans-IO session.
+//! One client: a WebSocket around the sans-IO session.
 //!
 //! The loop does three things in turn: asks the session what to make and hands that to the generation service, writes what the
 //! session has to say in one flush, and waits for whatever comes first. It reads nothing while a write is under way, so a
 //! client that does not read cannot make it collect answers; a write that takes too long ends the session.
 
-use crate::generation::GenerationError;
+use crate::generation::{Done, Flow, GenerationError};
 use crate::listener::Shared;
 use crate::metrics::{DeliveryLabel, Reason};
-use axum::extract::ws::{CloseFrame, Message};
+use crate::websocket::WebSocket;
+use crate::websocket::frame::{Fault, MAX_CONTROL_PAYLOAD, Opcode};
+use crate::websocket::inbox::Message;
 use bytes::Bytes;
-use futures_util::future::BoxFuture;
-use futures_util::stream::FuturesUnordered;
-use futures_util::{FutureExt, Sink, SinkExt, Stream, StreamExt};
 use protocol::limits::MAX_CONTROL_FRAME;
 use protocol::message::RefusalReason;
-use protocol::server::{ServerSession, SessionCounts, Wanted};
+use protocol::server::{Next, ServerSession, SessionCounts};
 use protocol::{CloseCode, Incoming};
+use std::io;
 use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::time::{Instant, timeout};
 
-/// Chunks of one session that may be in generation at once. More would let one client fill the queue and would order
-/// its chunks by an old view.
+/// Chunks of one session that may be in generation at once. More would order its chunks by an old view; fewer would not fill its
+/// turn of the service.
 const JOB_WINDOW: usize = 16;
 
-/// Chunks collected before they are written out: about 256 KiB of exact frames, one flush.
-const BATCH: usize = 48;
+/// Cached chunks collected before they are written out: about 300 KiB of exact frames, one write.
+const BATCH: usize = 64;
 
-/// Chunks in generation, each with the asking that it answers.
-type Jobs = FuturesUnordered<BoxFuture<'static, (Wanted, Result<Bytes, GenerationError>)>>;
+/// The longest message that is read before it is refused by size. Above the protocol's limit, so that a client that
+/// exceeds the limit a little has its frame judged by the protocol.
+pub const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
 
 /// Why a session ended, and what its peer is told.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -39,10 +41,9 @@ struct End {
 }
 
 /// Drives one session to its end and counts it.
-pub async fn serve<S, E>(socket: S, shared: &Shared, number: u64)
+pub async fn serve<S>(socket: WebSocket<S>, shared: &Shared, number: u64)
 where
-    S: Stream<Item = Result<Message, E>> + Sink<Message, Error = E> + Unpin,
-    E: std::fmt::Display,
+    S: AsyncRead + AsyncWrite + Unpin,
 {
     shared.metrics.sessions.inc();
     tracing::debug!(session = number, "session opened");
@@ -51,6 +52,7 @@ where
         shared,
         number,
         session: ServerSession::new(shared.offer.clone(), number),
+        flow: shared.generation.flow(),
         counted: SessionCounts::default(),
     };
     let end = driver.run().await;
@@ -58,24 +60,23 @@ where
     if let Some((code, text)) = end.close {
         driver.close(code, &text).await;
     }
+    driver.count();
     shared.metrics.session_ends.get_or_create(&Reason { reason: end.reason }).inc();
     shared.metrics.sessions.dec();
 }
 
 struct Driver<'a, S> {
-    socket: S,
+    socket: WebSocket<S>,
     shared: &'a Shared,
     number: u64,
     session: ServerSession,
+    /// Chunks in generation: at most [`JOB_WINDOW`]; the session asks for no more while it is full.
+    flow: Flow,
     /// What of the session's counts is in the metrics already.
     counted: SessionCounts,
 }
 
-impl<S, E> Driver<'_, S>
-where
-    S: Stream<Item = Result<Message, E>> + Sink<Message, Error = E> + Unpin,
-    E: std::fmt::Display,
-{
+impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     async fn run(&mut self) -> End {
         let config = &self.shared.config;
         let handshake_by = Instant::now() + config.handshake_timeout;
@@ -83,31 +84,39 @@ where
         let mut ping = tokio::time::interval(config.ping_interval);
         ping.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         ping.tick().await;
-        // At most JOB_WINDOW; the session asks for no more while it is full.
-        let mut jobs = Jobs::new();
+        // What came behind the upgrade's request is here already.
+        if let Err(end) = self.receive().await {
+            return end;
+        }
         loop {
             loop {
-                let more = self.start_jobs(&mut jobs);
+                let more = self.start_jobs();
                 if let Err(end) = self.flush().await {
                     return end;
                 }
                 if !more {
                     break;
                 }
+                // A client that takes cached chunks as fast as they can be written is one of many.
+                tokio::task::yield_now().await;
             }
             tokio::select! {
-                frame = self.socket.next() => {
+                read = self.socket.read() => {
                     heard = Instant::now();
-                    if let Err(end) = self.receive(frame) {
+                    let received = match read {
+                        Ok(()) => self.receive().await,
+                        Err(error) => Err(End::lost(&error)),
+                    };
+                    if let Err(end) = received {
                         // A last message may explain the close.
                         let _ = self.flush().await;
                         return end;
                     }
                 }
-                Some((wanted, result)) = jobs.next(), if !jobs.is_empty() => {
-                    self.finish(wanted, result);
-                    while let Some(Some((wanted, result))) = jobs.next().now_or_never() {
-                        self.finish(wanted, result);
+                done = self.flow.answers() => {
+                    done.into_iter().for_each(|done| self.finish(done));
+                    while let Some(done) = self.flow.try_answers() {
+                        done.into_iter().for_each(|done| self.finish(done));
                     }
                 }
                 () = self.shared.draining.cancelled() => return self.drain().await,
@@ -118,10 +127,9 @@ where
                     if heard.elapsed() >= 3 * config.ping_interval {
                         return End::tell("silent", CloseCode::Unresponsive);
                     }
-                    if heard.elapsed() >= config.ping_interval
-                        && let Err(end) = self.write(Message::Ping(Bytes::new())).await
-                    {
-                        return end;
+                    if heard.elapsed() >= config.ping_interval {
+                        // Written by the flush that follows.
+                        self.socket.queue_as(Opcode::Ping, Bytes::new());
                     }
                 }
             }
@@ -130,85 +138,108 @@ where
 
     /// Hands wanted chunks to the generation service, and cached ones straight back to the session. True if it stopped
     /// only to let a full batch be written.
-    fn start_jobs(&mut self, jobs: &mut Jobs) -> bool {
+    fn start_jobs(&mut self) -> bool {
         let (mut batch, delivery) = (0, self.session.delivery());
-        while jobs.len() < JOB_WINDOW {
+        while self.flow.open() < JOB_WINDOW {
             if batch == BATCH {
                 return true;
             }
-            let Some(wanted) = self.session.next_chunk() else { return false };
-            if let Some(frame) = self.shared.generation.cached(wanted.key, delivery) {
-                self.session.deliver(wanted, frame);
-                batch += 1;
-                continue;
+            match self.session.next_chunk_with(|key| self.shared.generation.cached(key, delivery)) {
+                Next::Nothing => return false,
+                Next::Delivered => batch += 1,
+                Next::Make(wanted) => self.flow.ask(wanted, delivery),
             }
-            let generation = self.shared.generation.clone();
-            let make = async move {
-                let frame = generation.frame(wanted.key, delivery, wanted.priority).await;
-                (wanted, frame)
-            };
-            jobs.push(make.boxed());
         }
         false
     }
 
-    fn receive(&mut self, frame: Option<Result<Message, E>>) -> Result<(), End> {
-        let result = match frame {
-            Some(Ok(Message::Binary(bytes))) if bytes.len() > MAX_CONTROL_FRAME => {
+    /// Takes everything that was read, and then sees to what it made stale or what there is too much of.
+    async fn receive(&mut self) -> Result<(), End> {
+        let admitted = self.session.waiting_requests();
+        while self.receive_message().await? {}
+        for key in self.session.take_stale() {
+            for wanted in self.flow.withdraw(key) {
+                self.session.withdraw(wanted);
+            }
+        }
+        // Full window: what waits behind it waits for the service, not for credit.
+        if self.start_jobs_until_full() {
+            // What was let in before stays: a refusal is worth something only if it comes at once.
+            self.session.shed(self.shared.generation.allowance().max(admitted));
+        }
+        Ok(())
+    }
+
+    /// Whether the window is full once what can be started is.
+    fn start_jobs_until_full(&mut self) -> bool {
+        // A batch that is full of cached chunks is no sign of overload.
+        !self.start_jobs() && self.flow.open() >= JOB_WINDOW
+    }
+
+    /// Takes one message; false when there is none.
+    async fn receive_message(&mut self) -> Result<bool, End> {
+        let incoming = match self.socket.next_message() {
+            Ok(None) => return Ok(false),
+            Ok(Some(Message::Binary(bytes))) if bytes.len() > MAX_CONTROL_FRAME => {
                 return Err(End::tell("too large", CloseCode::TooLarge));
             }
-            Some(Ok(Message::Binary(bytes))) => self.session.receive(Incoming::Binary(&bytes)),
-            Some(Ok(Message::Text(_))) => self.session.receive(Incoming::Text),
-            Some(Ok(Message::Ping(_) | Message::Pong(_))) => Ok(()),
-            Some(Ok(Message::Close(_))) | None => return Err(End { reason: "closed", close: None }),
-            // Not a WebSocket frame, one beyond the read limit, or a broken connection; the close frame may not arrive.
-            Some(Err(error)) => {
-                return Err(End {
-                    reason: "read failed",
-                    close: Some((CloseCode::Malformed, error.to_string())),
-                });
+            Ok(Some(Message::Binary(bytes))) => Incoming::Binary(bytes),
+            Ok(Some(Message::Text)) => Incoming::Text,
+            Ok(Some(Message::Ping(payload))) => {
+                let payload = Bytes::copy_from_slice(payload);
+                self.socket.queue_as(Opcode::Pong, payload);
+                return Ok(true);
+            }
+            Ok(Some(Message::Pong)) => return Ok(true),
+            Ok(Some(Message::Close(_))) => {
+                // RFC 6455, section 5.5.1: the answer to a good-bye is one. Nothing that goes wrong with it matters.
+                self.socket
+                    .queue_as(Opcode::Close, Bytes::copy_from_slice(&CloseCode::Normal.code().to_be_bytes()));
+                let _ = within(self.shared.config.write_timeout, self.socket.flush()).await;
+                self.socket.shut_down().await;
+                return Err(End { reason: "closed", close: None });
+            }
+            Err(fault) => {
+                let (reason, code) = match fault {
+                    Fault::TooLong(_) => ("too large", CloseCode::TooLarge),
+                    _ => ("malformed", CloseCode::Malformed),
+                };
+                return Err(End { reason, close: Some((code, fault.to_string())) });
             }
         };
-        result.map_err(|fault| {
+        self.session.receive(incoming).map(|()| true).map_err(|fault| {
             let code = fault.close_code();
             End { reason: reason(code), close: Some((code, fault.to_string())) }
         })
     }
 
-    fn finish(&mut self, wanted: Wanted, result: Result<Bytes, GenerationError>) {
+    fn finish(&mut self, (wanted, result): Done) {
         match result {
             Ok(frame) => self.session.deliver(wanted, frame),
-            Err(GenerationError::Overloaded) => {
-                self.session.fail(wanted, RefusalReason::Overloaded, GenerationError::Overloaded.to_string());
-            }
-            Err(GenerationError::Failed) => {
-                self.session.fail(wanted, RefusalReason::Failed, GenerationError::Failed.to_string());
+            Err(error) => {
+                let reason = match error {
+                    GenerationError::Overloaded => RefusalReason::Overloaded,
+                    GenerationError::Failed => RefusalReason::Failed,
+                };
+                self.session.fail(wanted, reason, error.to_string());
             }
         }
     }
 
     /// Writes everything that the session has to say, in one flush.
     async fn flush(&mut self) -> Result<(), End> {
-        let Some(first) = self.session.poll_transmit() else { return Ok(()) };
-        let (socket, session) = (&mut self.socket, &mut self.session);
         let mut bytes = 0;
-        let write = async {
-            let mut next = Some(first);
-            while let Some(frame) = next {
-                bytes += frame.len() as u64;
-                socket.feed(Message::Binary(frame)).await?;
-                next = session.poll_transmit();
-            }
-            socket.flush().await
-        };
-        let result = within(self.shared.config.write_timeout, write).await;
+        while let Some(frame) = self.session.poll_transmit() {
+            bytes += frame.len() as u64;
+            self.socket.queue(frame);
+        }
+        if !self.socket.has_queued() {
+            return Ok(());
+        }
+        let result = within(self.shared.config.write_timeout, self.socket.flush()).await;
         self.shared.metrics.bytes_sent.inc_by(bytes);
         self.count();
         result
-    }
-
-    async fn write(&mut self, message: Message) -> Result<(), End> {
-        within(self.shared.config.write_timeout, self.socket.send(message)).await
     }
 
     /// Says goodbye: when to come back, spread so that not all clients return at once.
@@ -219,16 +250,16 @@ where
         End::tell("drained", CloseCode::GoingAway)
     }
 
-    /// Sends the close frame and waits briefly for the peer's, so that what was written before it arrives.
+    /// Sends the close frame and waits briefly for the peer to go, so that what was written before it arrives.
     async fn close(&mut self, code: CloseCode, text: &str) {
-        // RFC 6455, section 5.5: a control frame holds 125 bytes, two of them the code.
-        let text = &text[..text.floor_char_boundary(123)];
-        let frame = Message::Close(Some(CloseFrame { code: code.code(), reason: text.into() }));
-        if self.write(frame).await.is_err() {
+        let text = &text[..text.floor_char_boundary(MAX_CONTROL_PAYLOAD - 2)];
+        let payload = [&code.code().to_be_bytes(), text.as_bytes()].concat();
+        self.socket.queue_as(Opcode::Close, payload.into());
+        if within(self.shared.config.write_timeout, self.socket.flush()).await.is_err() {
             return;
         }
-        let peer_closes = async { while let Some(Ok(_)) = self.socket.next().await {} };
-        let _ = timeout(Duration::from_secs(1), peer_closes).await;
+        self.socket.shut_down().await;
+        let _ = timeout(Duration::from_secs(1), self.socket.drain()).await;
     }
 
     /// Carries the session's counts into the server's metrics.
@@ -240,7 +271,12 @@ where
             metrics.chunks_delivered.get_or_create(&label).inc_by(now.chunks - before.chunks);
             metrics.chunk_bytes_delivered.get_or_create(&label).inc_by(now.chunk_bytes - before.chunk_bytes);
         }
-        metrics.refusals.inc_by(now.refusals - before.refusals);
+        if now.refusals != before.refusals {
+            for reason in RefusalReason::ALL {
+                let more = now.refusals[reason.index()] - before.refusals[reason.index()];
+                metrics.refused(reason, more);
+            }
+        }
         metrics.views.inc_by(now.views - before.views);
         self.counted = now;
     }
@@ -250,10 +286,15 @@ impl End {
     fn tell(reason: &'static str, code: CloseCode) -> Self {
         Self { reason, close: Some((code, code.to_string())) }
     }
+
+    fn lost(error: &io::Error) -> Self {
+        let reason = if error.kind() == io::ErrorKind::UnexpectedEof { "closed" } else { "read failed" };
+        Self { reason, close: None }
+    }
 }
 
 /// Runs a write under the deadline. A peer that does not read in time is not told: it would not read that either.
-async fn within<E>(deadline: Duration, write: impl Future<Output = Result<(), E>>) -> Result<(), End> {
+async fn within(deadline: Duration, write: impl Future<Output = io::Result<()>>) -> Result<(), End> {
     match timeout(deadline, write).await {
         Ok(Ok(())) => Ok(()),
         Ok(Err(_)) => Err(End { reason: "write failed", close: None }),

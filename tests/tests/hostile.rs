@@ -1,6 +1,6 @@
 //! Peers that break the rules: each is told by a typed close code, and the others do not notice.
 
-use protocol::message::{ClientMessage, Hello, ServerMessage};
+use protocol::message::{ClientMessage, Hello, RefusalReason, ServerMessage, WireKey};
 use protocol::{CloseCode, Delivery, SUBPROTOCOL, control, limits};
 use std::time::Duration;
 use tests::peer::{Guest, Peer, view};
@@ -49,7 +49,7 @@ async fn bad_frames_get_typed_close_codes_and_the_other_session_lives_on() {
         ("empty", binary(b""), CloseCode::Malformed),
         ("text", Message::Text("hello".into()), CloseCode::TextFrame),
         ("oversized", binary(&vec![0; limits::MAX_CONTROL_FRAME + 1]), CloseCode::TooLarge),
-        ("far oversized", binary(&vec![0; 1 << 20]), CloseCode::Malformed),
+        ("far oversized", binary(&vec![0; 1 << 20]), CloseCode::TooLarge),
         ("second hello", binary(&hello()), CloseCode::OutOfOrder),
         ("other version", binary(&wrong_version), CloseCode::WrongVersion),
         // A chunk frame is nothing that a client may send.
@@ -156,10 +156,17 @@ async fn a_client_that_stops_reading_is_closed_and_does_not_slow_the_others() {
     let mut deaf = Peer::connect(&server.stream_url()).await;
     deaf.send_bytes(hello()).await;
     deaf.send_bytes(control::encode(&ClientMessage::Credit { chunks: 4096 }).unwrap()).await;
-    let key = terrain::ChunkKey::new(0, 3, -7).unwrap();
-    for id in 0..16 {
-        let keys = vec![key.into(); limits::MAX_KEYS];
-        deaf.send_bytes(control::encode(&ClientMessage::Request { id, keys }).unwrap()).await;
+    let request = |id| {
+        let keys = vec![WireKey { level: 0, x: 3, z: -7 }];
+        control::encode(&ClientMessage::Request { id, keys }).unwrap()
+    };
+    // The Welcome and one chunk, which is cached from then on: what follows is written as fast as it is asked for.
+    deaf.send_bytes(request(0)).await;
+    for _ in 0..2 {
+        deaf.receive().await.expect("an answer");
+    }
+    for id in 1..4096 {
+        deaf.send_bytes(request(id)).await;
     }
     let mut guest = Guest::connect(&server.stream_url()).await;
     guest.settle(view(1, 500)).await;
@@ -178,6 +185,86 @@ async fn a_client_that_stops_reading_is_closed_and_does_not_slow_the_others() {
         }
     };
     tokio::time::timeout(Duration::from_secs(15), gone).await.expect("the deaf client is closed");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn absurd_wishes_are_refused_one_by_one_counted_and_harm_nobody() {
+    let server = RunningServer::start().await;
+    let mut bystander = Guest::connect(&server.stream_url()).await;
+    bystander.settle(view(1, 300)).await;
+
+    let mut peer = Peer::connect(&server.stream_url()).await;
+    peer.send_bytes(hello()).await;
+    peer.receive().await.expect("a welcome");
+    let far = WireKey { level: 0, x: i32::MIN, z: i32::MAX };
+    let sea = WireKey { level: 0, x: 30_000, z: 30_000 };
+    let wishes = [
+        ClientMessage::Credit { chunks: 0 },
+        ClientMessage::Credit { chunks: u32::MAX },
+        ClientMessage::CreditBytes { bytes: 0 },
+        ClientMessage::Request { id: 1, keys: vec![far; 3] },
+        ClientMessage::Request { id: 2, keys: vec![sea; 4] },
+        ClientMessage::View(protocol::view::View { eye: [i32::MAX; 3], ..view(3, 300) }),
+    ];
+    for wish in &wishes {
+        peer.send_bytes(control::encode(wish).unwrap()).await;
+    }
+    // A million keys, in as many messages as it takes; without credit they can only pile up.
+    for id in 0..2000 {
+        let keys = (0..limits::MAX_KEYS as i32).map(|x| WireKey { level: 0, x, z: 0 }).collect();
+        peer.send_bytes(control::encode(&ClientMessage::Request { id: 10 + id, keys }).unwrap()).await;
+    }
+    let mut refused = Vec::new();
+    while refused.len() < 3 + 3 + 3 + 1 + 1999 {
+        match control::decode(&peer.receive().await.expect("the session stays open")).unwrap() {
+            ServerMessage::Refused(refusal) => refused.push(refusal.reason),
+            other => panic!("{other:?}"),
+        }
+    }
+    let count = |reason| refused.iter().filter(|refused| **refused == reason).count();
+    for (reason, expected) in [
+        (RefusalReason::InvalidCredit, 3),
+        (RefusalReason::OutsideWorld, 3),
+        (RefusalReason::Duplicate, 3),
+        (RefusalReason::InvalidView, 1),
+        (RefusalReason::TooManyRequests, 1999),
+    ] {
+        assert_eq!(count(reason), expected, "{reason:?}");
+    }
+    bystander.settle(view(2, 500)).await;
+    drop(peer);
+    let url = server.url("/metrics");
+    let text = tokio::task::spawn_blocking(move || {
+        ureq::get(url).call().unwrap().body_mut().read_to_string().unwrap()
+    })
+    .await
+    .unwrap();
+    for line in [
+        "tombolo_refusals_by_reason_total{reason=\"outside world\"} 3",
+        "tombolo_refusals_by_reason_total{reason=\"duplicate\"} 3",
+        "tombolo_refusals_by_reason_total{reason=\"invalid credit\"} 3",
+        "tombolo_refusals_by_reason_total{reason=\"invalid view\"} 1",
+        "tombolo_refusals_by_reason_total{reason=\"too many requests\"} 1999",
+    ] {
+        assert!(text.contains(line), "{line} is not in\n{text}");
+    }
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_address_gets_no_more_sessions_than_its_share() {
+    let config = server::ServerConfig { max_sessions_per_address: 1, ..running::quick_config() };
+    let server = RunningServer::start_with(config).await;
+    let guest = Guest::connect(&server.stream_url()).await;
+    let Err(error) = Peer::try_connect(&server.stream_url(), Some(SUBPROTOCOL)).await else {
+        panic!("accepted")
+    };
+    let Error::Http(response) = *error else { panic!("{error}") };
+    assert_eq!(response.status(), 503);
+    let body = String::from_utf8(response.into_body().unwrap_or_default()).unwrap();
+    assert!(body.contains("from this address"), "{body}");
+    drop(guest);
     server.stop().await;
 }
 

@@ -265,7 +265,7 @@ impl Renderer {
         }
     }
 
-    /// Draws the frame's plants by their names, with the land in front of them, and returns what each pixel shows, row by row from the top: see
+    /// Draws the plants that were last chosen by their names, with the frame's land in front of them, and returns what each pixel shows, row by row from the top: see
     /// `shaders/wgsl/shared/name.wesl`, zeros where no plant is seen. For checks; blocks until it is drawn. Nothing is returned with several samples per pixel.
     ///
     /// # Errors
@@ -277,7 +277,6 @@ impl Renderer {
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.choose(gpu, frame, &mut encoder);
         let depth = |load, store| {
             let ops = Some(wgpu::Operations { load, store });
             let view = &self.targets.depth;

@@ -154,6 +154,7 @@ fn see(studio: &mut Studio, land: &Land, plants: PlantKnobs) -> Result<Seen> {
     let scene = Scene::of(land, &trial, studio.slots()).context("nothing grows in the scene `grass`")?;
     studio.furnish(&scene.world);
     let frame = frame_of(&scene, Cull::Frustum);
+    studio.choose(&frame)?;
     let names = studio.names(&frame, fine)?;
     let coverage = names.iter().filter(|name| name[1] != 0).count() as f64 / names.len() as f64;
     let chosen = studio.chosen()?;

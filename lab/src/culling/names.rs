@@ -79,6 +79,7 @@ pub fn look(land: &Land, trials: &[Trial]) -> Result<Shown> {
 fn one(studio: &mut Studio, scene: &Scene, shown: &mut Shown) -> Result<()> {
     let whole = frame_of(scene, Cull::Distance);
     let mut seen: BTreeSet<Name> = BTreeSet::new();
+    studio.choose(&whole)?;
     for (size, count) in SIZES.into_iter().zip(&mut shown.seen_by_width) {
         let pixels = studio.names(&whole, size)?;
         let names: BTreeSet<Name> = pixels.into_iter().filter(|name| name[1] != 0).map(name_of).collect();
@@ -86,8 +87,7 @@ fn one(studio: &mut Studio, scene: &Scene, shown: &mut Shown) -> Result<()> {
         seen.extend(names);
     }
     let all = clumps_by_name(studio)?;
-    // The last choice is read back, so it must be the one to be judged.
-    studio.names(&frame_of(scene, Cull::Hierarchical), SIZES[0])?;
+    studio.choose(&frame_of(scene, Cull::Hierarchical))?;
     let chosen = clumps_by_name(studio)?;
 
     let slots = BySlot::new(&scene.world);
