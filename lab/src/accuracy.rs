@@ -6,9 +6,12 @@
 //! For the heightfield: how far the integers are from the formula in f64 ([`heightfield`], with the bars that are promised), and four curves: octaves kept
 //! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), and dropping octaves on coarse levels ([`levels`]).
 //!
+//! For the wire: tolerances, efforts and seeds ([`codec`]).
+//!
 //! A missed bar, or a control that misses no bar, ends with an error.
 
 pub mod brdf;
+pub mod codec;
 pub mod culling;
 pub mod distance;
 pub mod errors;
@@ -62,6 +65,8 @@ pub enum Subject {
     Tiling,
     /// Parallax occlusion mapping
     Pom,
+    /// Chunks on the wire
+    Codec,
     /// Tests of what the land hides
     Culling,
     /// Density and thinning of grass
@@ -118,6 +123,7 @@ impl Subject {
                 ("knobs of parallax occlusion", pom::knobs),
                 ("pictures of parallax occlusion", pom_pictures::measure),
             ],
+            Self::Codec => &[("codec of chunks", codec::measure)],
             Self::Culling => &[("tests of sight", culling::measure)],
             Self::Grass => &[("grass", grass::measure)],
         }

@@ -1,7 +1,8 @@
 //! The measuring bench, behind `tombolo-lab`.
 //!
 //! Every promise about the land is measured here against a ground truth: [`digest`] (all backends compute the same integers),
-//! [`accuracy`] (what every shortcut costs), [`mod@lod`] (what the levels of detail draw), [`stability`] (the ends of the world), [`timings`] (GPU against CPU).
+//! [`accuracy`] (what every shortcut costs), [`mod@lod`] (what the levels of detail draw), [`stability`] (the ends of the world), [`timings`] (GPU against CPU),
+//! [`codec`] (chunks on the wire against other codecs).
 //!
 //! What it refuses: judging by eye. A measurement that does not hold its bar is an error, and the exit code says so.
 
@@ -10,6 +11,7 @@
 pub mod accuracy;
 pub mod adapters;
 pub mod chart;
+pub mod codec;
 pub mod cracks;
 pub mod culling;
 pub mod digest;

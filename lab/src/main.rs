@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use cli::UsageError;
-use lab::{Args, Command, accuracy, culling, digest, lod, pom, stability, timings};
+use lab::{Args, Command, accuracy, codec, culling, digest, lod, pom, stability, timings};
 use std::process::ExitCode;
 
 const NAME: &str = "tombolo-lab";
@@ -29,5 +29,6 @@ fn measure(args: &Args) -> Result<()> {
         Command::Culling(options) => culling::run(options, &args.outputs),
         Command::Stability(options) => stability::run(options, &args.outputs),
         Command::Timings(options) => timings::run(options, &args.outputs),
+        Command::Codec(options) => codec::run(options, &args.outputs),
     }
 }

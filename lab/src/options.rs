@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use crate::{accuracy, culling, digest, lod, pom, stability, timings};
+use crate::{accuracy, codec, culling, digest, lod, pom, stability, timings};
 
 /// Measures the land: digests of all backends, accuracy curves, stability sweeps, GPU timings.
 ///
@@ -41,6 +41,8 @@ pub enum Command {
     Stability(stability::Options),
     /// Time chunk generation on GPU and CPU
     Timings(timings::Options),
+    /// Measure chunks on the wire against other codecs, in bytes and in time
+    Codec(codec::Options),
 }
 
 /// Where results go besides standard output.

@@ -28,8 +28,9 @@ pub struct Args {
     /// File for the report as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// How chunks come: exact (all heights) or seed (a digest each; every chunk is generated here and verified)
-    #[arg(long, value_name = "exact|seed", default_value_t = Delivery::Exact)]
+    /// How chunks come: exact (all heights), seed (a digest each; every chunk is generated here and verified) or
+    /// quantised:METRES (heights no farther off than that)
+    #[arg(long, value_name = "exact|seed|quantised:METRES", default_value_t = Delivery::Exact)]
     pub delivery: Delivery,
     /// View distance of every client in metres, 1 to 65536
     #[arg(long, value_name = "M", default_value_t = 2000,
@@ -148,7 +149,7 @@ mod tests {
             (&["--seconds", "0"], "--seconds"),
             (&["--view-distance", "65537"], "--view-distance"),
             (&["--path", "swim"], "swim"),
-            (&["--delivery", "lossy"], "exact or seed"),
+            (&["--delivery", "lossy"], "exact, seed"),
             (&["--colour", "red"], "--colour"),
         ] {
             let error = parse(args).unwrap_err();

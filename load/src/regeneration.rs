@@ -5,6 +5,7 @@
 
 use crate::tally::Tally;
 use crate::verify;
+use protocol::Delivery;
 use std::sync::Arc;
 use terrain::{Chunk, Land};
 use tokio::sync::mpsc;
@@ -17,17 +18,17 @@ const QUEUE: usize = 64;
 /// The sessions' end of the queue.
 #[derive(Clone, Debug)]
 pub struct Regeneration {
-    queue: mpsc::Sender<(Land, Box<Chunk>)>,
+    queue: mpsc::Sender<(Land, Box<Chunk>, Delivery)>,
 }
 
 impl Regeneration {
     /// Starts the thread. It ends when the last clone of the first value is gone and everything queued is compared.
     #[must_use]
     pub fn start(tally: Arc<Tally>) -> (Self, JoinHandle<()>) {
-        let (queue, mut waiting) = mpsc::channel::<(Land, Box<Chunk>)>(QUEUE);
+        let (queue, mut waiting) = mpsc::channel::<(Land, Box<Chunk>, Delivery)>(QUEUE);
         let thread = tokio::task::spawn_blocking(move || {
-            while let Some((land, chunk)) = waiting.blocking_recv() {
-                if let Err(mismatch) = verify::regeneration(&land, &chunk) {
+            while let Some((land, chunk, delivery)) = waiting.blocking_recv() {
+                if let Err(mismatch) = verify::regeneration(&land, &chunk, delivery) {
                     tally.mismatch(&mismatch.to_string());
                 }
             }
@@ -35,9 +36,9 @@ impl Regeneration {
         (Self { queue }, thread)
     }
 
-    /// Queues a chunk of a world; waits while the queue is full.
-    pub async fn compare(&self, land: Land, chunk: Box<Chunk>) {
+    /// Queues a chunk of a world, with how it came; waits while the queue is full.
+    pub async fn compare(&self, land: Land, chunk: Box<Chunk>, delivery: Delivery) {
         // The other end is gone only if the thread panicked, which the run's end reports.
-        let _ = self.queue.send((land, chunk)).await;
+        let _ = self.queue.send((land, chunk, delivery)).await;
     }
 }

@@ -299,7 +299,7 @@ impl<'a> Client<'a> {
             self.tally.regenerated();
         }
         if sampled {
-            self.regeneration.compare(self.land, chunk).await;
+            self.regeneration.compare(self.land, chunk, delivery).await;
         }
     }
 

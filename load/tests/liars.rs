@@ -7,7 +7,7 @@ use futures_util::{SinkExt, StreamExt};
 use load::config::stream_address;
 use load::{LoadConfig, PathKind, Report};
 use protocol::server::{ServerOffer, ServerSession, Wanted};
-use protocol::{Delivery, Incoming, SUBPROTOCOL, chunk_codec};
+use protocol::{Delivery, Incoming, SUBPROTOCOL, Tolerance, chunk_codec};
 use terrain::{Chunk, ChunkKey, Land};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_tungstenite::accept_hdr_async;
@@ -139,7 +139,7 @@ async fn load_on(lie: Lie, delivery: Delivery, token: Option<&str>) -> Report {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_honest_server_passes_with_every_chunk_compared() {
-    for delivery in [Delivery::Exact, Delivery::SeedOnly] {
+    for delivery in [Delivery::Exact, Delivery::SeedOnly, Delivery::Quantised(Tolerance::COARSEST)] {
         let report = load_on(Lie::Nothing, delivery, None).await;
         assert_eq!(report.verdict(), Ok(()), "{report}");
         // How many arrive depends on the machine; that all are counted and compared does not.
@@ -147,7 +147,9 @@ async fn an_honest_server_passes_with_every_chunk_compared() {
         assert!(report.requests > 0, "{report}");
         assert_eq!((report.mismatches, report.dropped, report.refused), (0, 0, 0), "{report}");
         match delivery {
-            Delivery::Exact => assert!(report.bytes > report.chunks * 60, "{report}"),
+            Delivery::Exact | Delivery::Quantised(_) => {
+                assert!(report.bytes > report.chunks * 60, "{report}");
+            }
             Delivery::SeedOnly => assert_eq!(report.bytes, report.chunks * 36, "{report}"),
         }
         assert_eq!(report.delivery, delivery.name());
@@ -159,6 +161,7 @@ async fn every_falsified_chunk_is_a_mismatch_and_the_verdict_says_so() {
     for (lie, delivery, word) in [
         (Lie::Height, Delivery::Exact, "vertex"),
         (Lie::Error, Delivery::Exact, "error"),
+        (Lie::Error, Delivery::Quantised(Tolerance::COARSEST), "error"),
         (Lie::Bit, Delivery::Exact, "digest"),
         (Lie::Place, Delivery::Exact, "neither requested nor needed"),
         (Lie::World, Delivery::Exact, "announces world"),

@@ -1,22 +1,39 @@
-//! Chunk frames: one chunk as bytes, lossless.
+//! Chunk frames: one chunk as bytes.
 //!
-//! Every frame begins with the same 16 bytes: magic, version, kind, key. This file owns them and the kind that carries all
-//! heights; [`seed_only`] is the kind that carries none.
+//! Every frame begins with the same 16 bytes: magic, version, kind, key. This file owns them, the header that all kinds with heights
+//! share, and the digest; what differs between the kinds is theirs:
+//!
+//! - *exact*: every height, without loss ([`encode`], [`decode`]);
+//! - *quantised*: heights within a tolerance ([`quantised`]);
+//! - *refined*: exact, for who has the parent ([`refined`]);
+//! - *seed only*: no heights ([`seed_only`]).
 //!
 //! Heights are predicted from three neighbours (`left + above - above left`, the plane predictor), the residuals
-//! zigzag-mapped, split into byte planes and LZ4-compressed. Nothing that follows from the heights is sent:
-//! the decoder rebuilds the pyramids. Little-endian throughout; layout in `docs/protocol.md`.
+//! zigzag-mapped, split into byte planes and compressed. Nothing that follows from the heights is sent: the decoder rebuilds the
+//! pyramids, and the grass too where it grows by the land's own rule. Little-endian throughout; layout in `docs/protocol.md`.
 //!
-//! The digest at the end of the header covers the world, the header and the payload, so a chunk of another world, or a damaged one,
-//! is recognised. It identifies the content: equal digests mean equal chunks.
+//! The digest at the end of the header covers the world, the header and the payload as it travels, so a chunk of another world, or a
+//! damaged one, is refused before anything is decompressed. It identifies the bytes: equal digests mean equal frames.
 
+mod entropy;
+mod kernel;
+mod parts;
+pub mod quantised;
+pub mod refined;
 pub mod seed_only;
 
-use crate::delivery::Delivery;
+pub use entropy::Effort;
+pub use kernel::Kernel;
+
+use crate::delivery::{Delivery, Tolerance};
 use crate::error::ChunkError;
-use crate::limits::{CHUNK_HEADER, GRASS_RECORD, MAX_CHUNK_FRAME, MAX_RAW_PAYLOAD};
+use crate::limits::{CHUNK_HEADER, MAX_CHUNK_FRAME, MAX_PAYLOAD};
 use bytes::Bytes;
-use terrain::constants::{GRASS_GRID, HEIGHT_LIMIT, VERTEX_COUNT, VERTICES};
+use kernel::Heights;
+use parts::Room;
+use refined::Known;
+use std::cell::RefCell;
+use terrain::constants::{GRASS_GRID, HEIGHT_LIMIT, VERTEX_COUNT};
 use terrain::grass::PALETTES;
 use terrain::{Chunk, ChunkKey, GrassSeed, WorldDigest};
 
@@ -24,13 +41,19 @@ use terrain::{Chunk, ChunkKey, GrassSeed, WorldDigest};
 pub const MAGIC: [u8; 4] = *b"TMBC";
 
 /// Version of the chunk format. The predictor, the plane order and the compression are part of it.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 
-/// Exact heights: plane residuals, LZ4 block.
-pub const KIND_EXACT_LZ4: u8 = 0;
+/// Exact heights.
+pub const KIND_EXACT: u8 = 0;
 
 /// No heights: what is needed to generate the chunk and to verify it.
 pub const KIND_SEED_ONLY: u8 = 1;
+
+/// Heights within a tolerance of the exact ones.
+pub const KIND_QUANTISED: u8 = 2;
+
+/// Exact heights, less those that the parent has.
+pub const KIND_REFINED: u8 = 3;
 
 /// Bytes of a content digest: the first half of a blake3 hash.
 pub const DIGEST: usize = 16;
@@ -40,7 +63,13 @@ const DIGEST_AT: usize = CHUNK_HEADER - DIGEST;
 /// Bytes that all kinds begin with.
 const PREFIX: usize = 16;
 
-/// The longest frame that [`encode`] makes, bytes.
+/// Grass densities are in the payload.
+const GRASS_SENT: u8 = 0;
+
+/// Grass densities are [`GrassSeed::density_of`] the heights.
+const GRASS_BY_RULE: u8 = 1;
+
+/// The longest frame that any encoder of this module makes, bytes.
 #[must_use]
 pub const fn bound() -> usize {
     MAX_CHUNK_FRAME
@@ -49,64 +78,48 @@ pub const fn bound() -> usize {
 /// Encodes a chunk of a world for a delivery.
 #[must_use]
 pub fn encode_for(delivery: Delivery, chunk: &Chunk, world: &WorldDigest) -> Bytes {
+    encode_with(delivery, Effort::default(), chunk, world)
+}
+
+/// Encodes a chunk of a world for a delivery with an effort of one's choice. A chunk that cannot be delivered as asked comes exact.
+#[must_use]
+pub fn encode_with(delivery: Delivery, effort: Effort, chunk: &Chunk, world: &WorldDigest) -> Bytes {
+    let exact = || seal(KIND_EXACT, chunk, world, 0, effort, None);
     match delivery {
-        Delivery::Exact => encode(chunk, world),
+        Delivery::Exact => exact(),
         Delivery::SeedOnly => seed_only::encode(chunk, world),
+        Delivery::Quantised(tolerance) => {
+            quantised::encode(chunk, world, tolerance, effort).unwrap_or_else(exact)
+        }
     }
 }
 
 /// Encodes a chunk of a world with all its heights.
 #[must_use]
 pub fn encode(chunk: &Chunk, world: &WorldDigest) -> Bytes {
-    let residuals = residuals(&chunk.heights);
-    let widest = residuals.iter().fold(0, |all, residual| all | residual);
-    let planes = (4 - widest.leading_zeros() as usize / 8).max(1);
-
-    let mut raw = Vec::with_capacity(raw_length(planes));
-    raw.push(planes as u8);
-    for plane in 0..planes {
-        raw.extend(residuals.iter().map(|residual| residual.to_le_bytes()[plane]));
-    }
-    push_grass(&mut raw, &chunk.grass);
-    let coded = lz4_flex::block::compress(&raw);
-
-    let mut frame = Vec::with_capacity(CHUNK_HEADER + coded.len());
-    push_prefix(&mut frame, KIND_EXACT_LZ4, chunk.key);
-    let words = [chunk.heights[0], chunk.min(), chunk.max()];
-    frame.extend(words.into_iter().flat_map(i32::to_le_bytes));
-    let words = [chunk.error, chunk.slope, raw.len() as u32, coded.len() as u32];
-    frame.extend(words.into_iter().flat_map(u32::to_le_bytes));
-    let digest = content_digest(world, &frame, &raw);
-    frame.extend_from_slice(&digest);
-    frame.extend_from_slice(&coded);
-    frame.into()
+    encode_for(Delivery::Exact, chunk, world)
 }
 
 /// Decodes one whole exact frame of a world.
 ///
-/// Takes at most [`MAX_RAW_PAYLOAD`] bytes besides the chunk itself, whatever the frame says, and never panics.
+/// Takes at most [`MAX_DECODE_MEMORY`](crate::limits::MAX_DECODE_MEMORY) bytes, the chunk itself included, whatever the frame says, and never panics.
 ///
 /// # Errors
 /// See [`ChunkError`]. A chunk that is returned keeps every promise of its type: the key exists, heights are in
 /// range, extremes and slope are those of the heights.
 pub fn decode(frame: &[u8], world: &WorldDigest) -> Result<Chunk, ChunkError> {
-    let header = Header::read(frame)?;
-    let coded = &frame[CHUNK_HEADER..];
-    let mut raw = vec![0; header.raw_length];
-    match lz4_flex::block::decompress_into(coded, &mut raw) {
-        Ok(written) if written == raw.len() => {}
-        _ => return Err(ChunkError::Compression),
-    }
-    if content_digest(world, &frame[..DIGEST_AT], &raw) != frame[DIGEST_AT..CHUNK_HEADER] {
-        return Err(ChunkError::Digest);
-    }
-    let heights = heights(header.base, &raw)?;
-    let grass = grass(&raw[raw.len() - GRASS_RECORD..])?;
-    let chunk = Chunk::from_parts(header.key, heights, header.error, grass);
-    if (chunk.min(), chunk.max(), chunk.slope) != (header.min, header.max, header.slope) {
-        return Err(ChunkError::Content("extremes or slope differ from the heights"));
-    }
-    Ok(chunk)
+    open(&Frame::read(frame, KIND_EXACT)?, world, None, None)
+}
+
+/// Decodes nothing but the heights of an exact or quantised frame, units, on a kernel of one's choice, and verifies nothing that takes
+/// time: for measuring, and for who has checked the digest already.
+///
+/// # Errors
+/// See [`ChunkError`].
+pub fn heights_on(kernel: Kernel, frame: &[u8], heights: &mut [i32; VERTEX_COUNT]) -> Result<(), ChunkError> {
+    let (kind, _) = kind_and_key(frame)?;
+    let kind = if kind == KIND_QUANTISED { kind } else { KIND_EXACT };
+    Frame::read(frame, kind)?.heights(kernel, None, heights).map(|_| ())
 }
 
 /// The kind and the key of a frame, without looking further. A kind that this side does not know is returned as well.
@@ -127,53 +140,137 @@ pub fn kind_and_key(frame: &[u8]) -> Result<(u8, ChunkKey), ChunkError> {
     Ok((prefix[6], key))
 }
 
-/// The chunk's error (units) as a frame of either kind states it; none if the frame is no chunk frame.
+/// The chunk's error (units) as a frame of any kind states it; none if the frame is no chunk frame. That of a quantised frame
+/// includes what quantising added.
 #[must_use]
 pub fn error(frame: &[u8]) -> Option<u32> {
     match kind_and_key(frame).ok()?.0 {
-        KIND_EXACT_LZ4 => Header::read(frame).ok().map(|header| header.error),
         KIND_SEED_ONLY => seed_only::Header::read(frame).ok().map(|header| header.error),
+        kind @ (KIND_EXACT | KIND_QUANTISED | KIND_REFINED) => {
+            Frame::read(frame, kind).ok().map(|frame| frame.error)
+        }
         _ => None,
     }
 }
 
-/// The content digest of a frame made by [`encode`]; none if the frame is too short to hold one.
+/// The digest of a frame with heights; none if the frame is too short to hold one.
 #[must_use]
 pub fn digest(frame: &[u8]) -> Option<[u8; DIGEST]> {
     frame.get(DIGEST_AT..CHUNK_HEADER)?.try_into().ok()
 }
 
-struct Header {
+/// Makes a frame with heights. `tolerance` (units) is that to which the heights have been rounded, 0 for exact ones; `known` is what
+/// the receiver has of them.
+fn seal(
+    kind: u8,
+    chunk: &Chunk,
+    world: &WorldDigest,
+    tolerance: u16,
+    effort: Effort,
+    known: Option<&Known>,
+) -> Bytes {
+    let kernel = Kernel::best();
+    let mut frame = Vec::with_capacity(CHUNK_HEADER + VERTEX_COUNT * 2);
+    frame.resize(CHUNK_HEADER, 0);
+    frame.extend_from_slice(&chunk.grass.seed.to_le_bytes());
+    frame.push(chunk.grass.palette);
+    let width = match known {
+        Some(known) => known.push(kernel, &chunk.heights, effort, &mut frame),
+        None => {
+            let mut residuals = [0; VERTEX_COUNT];
+            let any = kernel::residuals(kernel, &chunk.heights, shift(tolerance), &mut residuals);
+            let width = parts::width(any);
+            parts::push(kernel, &residuals, width, effort, &mut frame);
+            width
+        }
+    };
+    let by_rule = chunk.grass.density == GrassSeed::density_of(chunk.key, &chunk.heights);
+    if !by_rule {
+        parts::push_part(&chunk.grass.density[..], effort, true, &mut frame);
+    }
+
+    let mut header = Vec::with_capacity(CHUNK_HEADER);
+    push_prefix(&mut header, kind, chunk.key);
+    let words = [chunk.heights[0], chunk.min(), chunk.max()];
+    header.extend(words.into_iter().flat_map(i32::to_le_bytes));
+    header.extend([chunk.error, chunk.slope].into_iter().flat_map(u32::to_le_bytes));
+    header.extend([width as u8, if by_rule { GRASS_BY_RULE } else { GRASS_SENT }]);
+    header.extend_from_slice(&tolerance.to_le_bytes());
+    header.extend_from_slice(&((frame.len() - CHUNK_HEADER) as u32).to_le_bytes());
+    let digest = frame_digest(world, &header, known, &frame[CHUNK_HEADER..]);
+    header.extend_from_slice(&digest);
+    frame[..CHUNK_HEADER].copy_from_slice(&header);
+    frame.into()
+}
+
+/// Verifies a frame with heights and makes its chunk. `tolerance` is the coarsest that the receiver takes; none for exact heights.
+fn open(
+    frame: &Frame<'_>,
+    world: &WorldDigest,
+    tolerance: Option<Tolerance>,
+    known: Option<&Known>,
+) -> Result<Chunk, ChunkError> {
+    match tolerance.map(Tolerance::units) {
+        None if frame.tolerance != 0 => {
+            return Err(ChunkError::Content("an exact frame states a tolerance"));
+        }
+        Some(_) if Tolerance::new(frame.tolerance).is_none() => {
+            return Err(ChunkError::Content("the tolerance is no power of two from 1 to 128 units"));
+        }
+        Some(ours) if frame.tolerance > ours => {
+            return Err(ChunkError::Tolerance { theirs: frame.tolerance, ours });
+        }
+        _ => {}
+    }
+    if frame_digest(world, &frame.header[..DIGEST_AT], known, frame.payload) != frame.header[DIGEST_AT..] {
+        return Err(ChunkError::Digest);
+    }
+    let mut heights = Box::new([0; VERTEX_COUNT]);
+    let (seed, palette, rest) = frame.heights(Kernel::best(), known, &mut heights)?;
+    let density = frame.density(&heights, rest)?;
+    let grass = GrassSeed { seed, palette, density };
+    let chunk = Chunk::from_parts(frame.key, heights, frame.error, grass);
+    if (chunk.min(), chunk.max(), chunk.slope) != (frame.min, frame.max, frame.slope) {
+        return Err(ChunkError::Content("extremes or slope differ from the heights"));
+    }
+    Ok(chunk)
+}
+
+/// A frame with heights whose lengths have been checked.
+struct Frame<'a> {
+    header: &'a [u8; CHUNK_HEADER],
+    payload: &'a [u8],
     key: ChunkKey,
-    base: i32,
+    first: i32,
     min: i32,
     max: i32,
     error: u32,
     slope: u32,
-    raw_length: usize,
+    /// Bits of the widest residual.
+    width: u32,
+    grass: u8,
+    /// Units.
+    tolerance: u16,
 }
 
-impl Header {
-    /// Reads and checks the header against the length of the whole frame.
-    fn read(frame: &[u8]) -> Result<Self, ChunkError> {
+impl<'a> Frame<'a> {
+    /// Reads the header of a frame of a kind and checks it against the length of the whole frame.
+    fn read(frame: &'a [u8], expected: u8) -> Result<Self, ChunkError> {
         if frame.len() > MAX_CHUNK_FRAME {
             return Err(ChunkError::TooLong(frame.len()));
         }
         let (kind, key) = kind_and_key(frame)?;
-        if kind != KIND_EXACT_LZ4 {
+        if kind != expected {
             return Err(ChunkError::UnknownKind(kind));
         }
         let truncated = ChunkError::Truncated { got: frame.len(), expected: CHUNK_HEADER };
-        let header: &[u8; CHUNK_HEADER] = frame.first_chunk().ok_or(truncated)?;
+        let (header, payload) = frame.split_first_chunk::<CHUNK_HEADER>().ok_or(truncated)?;
         let signed = |at: usize| word(header, at) as i32;
-        let (raw, coded) = (word(header, 36), word(header, 40));
-        if !(1..=4).any(|planes| raw as usize == raw_length(planes)) {
-            return Err(ChunkError::Length { field: "raw", value: raw });
+        let length = word(header, 40);
+        if length as usize > MAX_PAYLOAD {
+            return Err(ChunkError::Length { field: "payload", value: length });
         }
-        let expected = CHUNK_HEADER.saturating_add(coded as usize);
-        if expected > MAX_CHUNK_FRAME {
-            return Err(ChunkError::Length { field: "coded", value: coded });
-        }
+        let expected = CHUNK_HEADER + length as usize;
         if frame.len() < expected {
             return Err(ChunkError::Truncated { got: frame.len(), expected });
         }
@@ -181,15 +278,82 @@ impl Header {
             return Err(ChunkError::Trailing(frame.len() - expected));
         }
         Ok(Self {
+            header,
+            payload,
             key,
-            base: signed(16),
+            first: signed(16),
             min: signed(20),
             max: signed(24),
             error: word(header, 28),
             slope: word(header, 32),
-            raw_length: raw as usize,
+            width: u32::from(header[36]),
+            grass: header[37],
+            tolerance: u16::from_le_bytes([header[38], header[39]]),
         })
     }
+
+    /// Decodes the heights. Returns the seed and the palette of the grass, and what of the payload is left.
+    fn heights(
+        &self,
+        kernel: Kernel,
+        known: Option<&Known>,
+        heights: &mut Heights,
+    ) -> Result<(u32, u8, &'a [u8]), ChunkError> {
+        let (grass, mut rest) = self.payload.split_first_chunk::<5>().ok_or(ChunkError::Part)?;
+        let palette = grass[4];
+        if palette >= PALETTES {
+            return Err(ChunkError::Content("the grass palette does not exist"));
+        }
+        ROOM.with_borrow_mut(|room| match known {
+            Some(known) => known.take(kernel, room, self.width, &mut rest, heights),
+            None => {
+                let planes = room.take(kernel, self.width, VERTEX_COUNT, &mut rest)?;
+                let shift = shift(self.tolerance);
+                let (low, high) = kernel::restore(kernel, planes.get(), self.first >> shift, heights);
+                // Before the shift, which would hide what it pushes out.
+                if low <= -HEIGHT_LIMIT >> shift || high >= HEIGHT_LIMIT >> shift {
+                    return Err(ChunkError::Content("a height is out of range"));
+                }
+                if shift > 0 {
+                    heights.iter_mut().for_each(|height| *height <<= shift);
+                }
+                Ok(())
+            }
+        })?;
+        if heights[0] != self.first {
+            return Err(ChunkError::Content("the first height is not the one in the header"));
+        }
+        Ok((word(grass, 0), palette, rest))
+    }
+
+    /// The grass densities: those that follow from the heights, or the payload's last part.
+    fn density(
+        &self,
+        heights: &Heights,
+        mut rest: &[u8],
+    ) -> Result<Box<[u8; GRASS_GRID * GRASS_GRID]>, ChunkError> {
+        let density = match self.grass {
+            GRASS_BY_RULE => GrassSeed::density_of(self.key, heights),
+            GRASS_SENT => {
+                let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
+                let mut room = [0; GRASS_GRID * GRASS_GRID];
+                density.copy_from_slice(parts::take_part(&mut rest, &mut room)?);
+                density
+            }
+            _ => return Err(ChunkError::Content("grass comes in no such way")),
+        };
+        if rest.is_empty() { Ok(density) } else { Err(ChunkError::Trailing(rest.len())) }
+    }
+}
+
+thread_local! {
+    /// Where parts are decompressed to. Made once by every thread that decodes.
+    static ROOM: RefCell<Box<Room>> = RefCell::new(Box::new(Room::new()));
+}
+
+/// Bits that a height lost to a tolerance in units, 0 or a power of two.
+const fn shift(tolerance: u16) -> u32 {
+    if tolerance == 0 { 0 } else { tolerance.trailing_zeros() + 1 }
 }
 
 /// Magic, version, kind, key.
@@ -202,200 +366,28 @@ fn push_prefix(frame: &mut Vec<u8>, kind: u8, key: ChunkKey) {
     frame.extend_from_slice(&key.z().to_le_bytes());
 }
 
-/// The u32 at an offset below the header's end, which the caller has checked.
-fn word(header: &[u8], at: usize) -> u32 {
-    u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]])
+/// The u32 at an offset that the caller has checked.
+fn word(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
 }
 
-const fn raw_length(planes: usize) -> usize {
-    1 + planes * VERTEX_COUNT + GRASS_RECORD
+/// Digest of a frame with heights: the world, the header up to the digest, what the receiver must have, the payload.
+fn frame_digest(world: &WorldDigest, header: &[u8], known: Option<&Known>, payload: &[u8]) -> [u8; DIGEST] {
+    let known: Vec<u8> = known.map(|known| known.bytes().flatten().collect()).unwrap_or_default();
+    content_digest(world, [header, &known, payload])
 }
 
-const _: () = assert!(raw_length(4) == MAX_RAW_PAYLOAD);
-
-/// The plane predictor: what a height would be if the land were flat through three decoded neighbours.
-fn predict(heights: &[i32], index: usize) -> i32 {
-    let (x, z) = (index % VERTICES, index / VERTICES);
-    match (x, z) {
-        (0, 0) => heights[0],
-        (_, 0) => heights[index - 1],
-        (0, _) => heights[index - VERTICES],
-        _ => heights[index - 1]
-            .wrapping_add(heights[index - VERTICES])
-            .wrapping_sub(heights[index - VERTICES - 1]),
-    }
-}
-
-/// Zigzag residuals of all vertices; the first is zero because its height is in the header.
-fn residuals(heights: &[i32; VERTEX_COUNT]) -> Vec<u32> {
-    let residual = |index: usize| heights[index].wrapping_sub(predict(heights, index));
-    (0..VERTEX_COUNT).map(|index| zigzag(residual(index))).collect()
-}
-
-fn heights(base: i32, raw: &[u8]) -> Result<Box<[i32; VERTEX_COUNT]>, ChunkError> {
-    let planes = usize::from(raw[0]);
-    if raw.len() != raw_length(planes) {
-        return Err(ChunkError::Content("plane count does not fit the payload length"));
-    }
-    let mut heights = Box::new([base; VERTEX_COUNT]);
-    for index in 0..VERTEX_COUNT {
-        let byte = |plane: usize| u32::from(raw[1 + plane * VERTEX_COUNT + index]) << (8 * plane);
-        let residual = (0..planes).fold(0u32, |word, plane| word | byte(plane));
-        heights[index] = predict(&heights[..], index).wrapping_add(unzigzag(residual));
-    }
-    if heights.iter().any(|height| height.unsigned_abs() >= HEIGHT_LIMIT as u32) {
-        return Err(ChunkError::Content("a height is out of range"));
-    }
-    Ok(heights)
-}
-
-/// The grass record: [`GRASS_RECORD`] bytes.
-fn push_grass(raw: &mut Vec<u8>, grass: &GrassSeed) {
-    raw.extend_from_slice(&grass.seed.to_le_bytes());
-    raw.push(grass.palette);
-    raw.extend_from_slice(&grass.density[..]);
-}
-
-fn grass(record: &[u8]) -> Result<GrassSeed, ChunkError> {
-    let palette = record[4];
-    if palette >= PALETTES {
-        return Err(ChunkError::Content("the grass palette does not exist"));
-    }
-    let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
-    density.copy_from_slice(&record[5..]);
-    Ok(GrassSeed { seed: u32::from_le_bytes([record[0], record[1], record[2], record[3]]), palette, density })
-}
-
-/// Digest of a world, a header up to its digest, and what the frame stands for. The kind is in the header, so frames of
-/// two kinds never share one.
-fn content_digest(world: &WorldDigest, header: &[u8], content: &[u8]) -> [u8; DIGEST] {
+/// Digest of a world and what belongs to it. The kind is in the header, so frames of two kinds never share one.
+fn content_digest<const N: usize>(world: &WorldDigest, content: [&[u8]; N]) -> [u8; DIGEST] {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(&world.0).update(header).update(content);
+    hasher.update(&world.0);
+    content.iter().for_each(|bytes| {
+        hasher.update(bytes);
+    });
     let mut digest = [0; DIGEST];
     hasher.finalize_xof().fill(&mut digest);
     digest
 }
 
-const fn zigzag(value: i32) -> u32 {
-    ((value << 1) ^ (value >> 31)) as u32
-}
-
-const fn unzigzag(value: u32) -> i32 {
-    (value >> 1) as i32 ^ -((value & 1) as i32)
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-    use terrain::Land;
-
-    fn sample(level: u8, x: i32, z: i32) -> (Chunk, WorldDigest, Bytes) {
-        let land = Land::new(1);
-        let chunk = land.chunk(ChunkKey::new(level, x, z).unwrap());
-        let world = land.digest();
-        let frame = encode(&chunk, &world);
-        (chunk, world, frame)
-    }
-
-    #[test]
-    fn chunks_survive_the_wire_at_every_level() {
-        for (level, x, z) in [(0, 3, -7), (0, 60, 60), (1, -3, -3), (4, 0, -1), (9, 2, 2), (16, 0, 0)] {
-            let (chunk, world, frame) = sample(level, x, z);
-            assert!(frame.len() <= bound());
-            assert_eq!(decode(&frame, &world), Ok(chunk.clone()));
-            assert_eq!(kind_and_key(&frame), Ok((KIND_EXACT_LZ4, chunk.key)));
-            assert_eq!(error(&frame), Some(chunk.error));
-        }
-    }
-
-    #[test]
-    fn land_takes_about_a_byte_and_a_half_a_vertex_and_the_sea_next_to_nothing() {
-        assert!(sample(0, 3, -7).2.len() < VERTEX_COUNT * 2);
-        assert!(sample(0, 60, 60).2.len() < 200);
-    }
-
-    #[test]
-    fn every_truncation_and_every_extension_is_refused() {
-        let (_, world, frame) = sample(0, 3, -7);
-        for length in 0..frame.len() {
-            assert!(
-                matches!(decode(&frame[..length], &world), Err(ChunkError::Truncated { .. })),
-                "{length}"
-            );
-        }
-        let longer = [&frame[..], &[0]].concat();
-        assert_eq!(decode(&longer, &world), Err(ChunkError::Trailing(1)));
-        assert!(matches!(decode(&vec![0; MAX_CHUNK_FRAME + 1], &world), Err(ChunkError::TooLong(_))));
-    }
-
-    #[test]
-    fn every_flipped_bit_is_refused_or_changes_nothing() {
-        let (chunk, world, frame) = sample(1, 2, 2);
-        let mut refused = 0;
-        for bit in 0..frame.len() * 8 {
-            let mut damaged = frame.to_vec();
-            damaged[bit / 8] ^= 1 << (bit % 8);
-            // LZ4 can say the same payload in two ways; the digest covers the payload, not its coding.
-            match decode(&damaged, &world) {
-                Ok(same) => assert_eq!(same, chunk, "bit {bit}"),
-                Err(_) => refused += 1,
-            }
-        }
-        assert!(refused > frame.len() * 7, "{refused} of {} bits", frame.len() * 8);
-    }
-
-    #[test]
-    fn a_chunk_of_another_world_is_refused() {
-        let (_, _, frame) = sample(0, 3, -7);
-        assert_eq!(decode(&frame, &Land::new(2).digest()), Err(ChunkError::Digest));
-    }
-
-    #[test]
-    fn length_fields_at_their_extremes_are_refused_without_allocation() {
-        let (_, world, frame) = sample(0, 3, -7);
-        for (at, field) in [(36, "raw"), (40, "coded")] {
-            for value in [u32::MAX, MAX_CHUNK_FRAME as u32] {
-                let mut damaged = frame.to_vec();
-                damaged[at..at + 4].copy_from_slice(&value.to_le_bytes());
-                assert_eq!(decode(&damaged, &world), Err(ChunkError::Length { field, value }));
-            }
-        }
-    }
-
-    #[test]
-    fn a_well_signed_chunk_with_lying_extremes_is_refused() {
-        let (mut chunk, world, _) = sample(0, 3, -7);
-        chunk.slope += 1;
-        let lie = ChunkError::Content("extremes or slope differ from the heights");
-        assert_eq!(decode(&encode(&chunk, &world), &world), Err(lie));
-        chunk.slope -= 1;
-        chunk.grass.palette = PALETTES;
-        assert!(matches!(decode(&encode(&chunk, &world), &world), Err(ChunkError::Content(_))));
-    }
-
-    proptest! {
-        #[test]
-        fn any_heights_survive(seed: u32, amplitude in 0u32..24, palette in 0..PALETTES) {
-            let mut heights = Box::new([0; VERTEX_COUNT]);
-            for (index, height) in heights.iter_mut().enumerate() {
-                let word = terrain::hash::mix(seed.wrapping_add(index as u32)) as i32;
-                *height = word.checked_shr(32 - amplitude).unwrap_or(0).clamp(1 - HEIGHT_LIMIT, HEIGHT_LIMIT - 1);
-            }
-            let grass = GrassSeed { seed, palette, density: Box::new([seed as u8; 256]) };
-            let chunk = Chunk::from_parts(ChunkKey::new(0, 1, 1).unwrap(), heights, seed, grass);
-            let world = WorldDigest([7; 32]);
-            prop_assert_eq!(decode(&encode(&chunk, &world), &world), Ok(chunk));
-        }
-
-        #[test]
-        fn garbage_never_panics(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
-            prop_assert!(decode(&bytes, &WorldDigest([0; 32])).is_err());
-            let mut framed = sample(0, 60, 60).2.to_vec();
-            framed.truncate(CHUNK_HEADER);
-            framed.extend(&bytes);
-            framed[40..44].copy_from_slice(&(bytes.len() as u32).to_le_bytes());
-            prop_assert!(decode(&framed, &Land::new(1).digest()).is_err());
-        }
-    }
-}
+mod tests;

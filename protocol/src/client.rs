@@ -6,7 +6,7 @@
 
 use crate::Incoming;
 use crate::chunk_codec;
-use crate::chunk_codec::seed_only;
+use crate::chunk_codec::{quantised, seed_only};
 use crate::control;
 use crate::delivery::Delivery;
 use crate::error::{ControlError, PeerFault};
@@ -145,7 +145,7 @@ impl ClientSession {
                     }));
                 }
                 let land = match self.delivery {
-                    Delivery::Exact => None,
+                    Delivery::Exact | Delivery::Quantised(_) => None,
                     Delivery::SeedOnly => Some(own_land(&welcome)?),
                 };
                 self.world = Some(World { digest, land });
@@ -166,10 +166,14 @@ impl ClientSession {
             self.world.as_ref().ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
         self.credits = self.credits.checked_sub(1).ok_or(PeerFault::CreditOverrun)?;
         let (kind, _) = chunk_codec::kind_and_key(frame)?;
-        // Without a land of its own a client has not asked for seed-only frames; the exact decoder refuses them by kind.
-        let (chunk, delivery) = match land {
-            Some(land) if kind == chunk_codec::KIND_SEED_ONLY => {
+        // What a client has not asked for the exact decoder refuses by kind; a land of its own it has only for seed-only frames.
+        let (chunk, delivery) = match (self.delivery, land) {
+            (Delivery::SeedOnly, Some(land)) if kind == chunk_codec::KIND_SEED_ONLY => {
                 (seed_only::decode(frame, land, digest)?, Delivery::SeedOnly)
+            }
+            (Delivery::Quantised(asked), _) if kind == chunk_codec::KIND_QUANTISED => {
+                let chunk = quantised::decode(frame, digest, asked)?;
+                (chunk, Delivery::Quantised(quantised::tolerance(frame).unwrap_or(asked)))
             }
             _ => (chunk_codec::decode(frame, digest)?, Delivery::Exact),
         };

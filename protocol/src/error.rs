@@ -77,15 +77,29 @@ pub enum ChunkError {
         /// Its value.
         value: u32,
     },
-    /// The compressed payload does not decode to the declared length.
-    #[error("chunk payload does not decompress to its declared length")]
+    /// The payload ends inside a part, or a part is longer than what it stands for.
+    #[error("chunk payload is cut off inside a part, or a part is longer than its content")]
+    Part,
+    /// A part is no Zstandard frame that holds exactly what the layout says.
+    #[error("a part of the chunk payload does not decompress to the length that the header implies")]
     Compression,
-    /// The payload was made for another world, or was damaged.
+    /// A quantised chunk is coarser than what was asked for.
+    #[error("chunk is quantised to {theirs} units, the tolerance asked for is {ours}")]
+    Tolerance {
+        /// The tolerance in the frame, units.
+        theirs: u16,
+        /// The tolerance asked for, units.
+        ours: u16,
+    },
+    /// The frame was made for another world or from another parent, or was damaged.
     #[error("chunk digest does not match its content in this world")]
     Digest,
     /// The chunk that was generated here is not the one that the server describes.
     #[error("chunk {0} generated here does not have the digest that the server sent: use exact delivery")]
     Regenerated(ChunkKey),
+    /// A refined frame came with the wrong chunk to refine.
+    #[error("chunk {0} refines its parent, and another chunk was given")]
+    Parent(ChunkKey),
     /// A decoded value breaks a rule that the header or the format states.
     #[error("chunk content breaks a rule: {0}")]
     Content(&'static str),

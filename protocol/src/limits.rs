@@ -30,20 +30,29 @@ pub const MAX_TEXT: usize = 256;
 /// Largest viewport side in pixels.
 pub const MAX_VIEWPORT: u16 = 16_384;
 
-/// Bytes of an exact chunk frame's header.
+/// Bytes of the header of a chunk frame that carries heights.
 pub const CHUNK_HEADER: usize = 60;
 
 /// Bytes of a seed-only chunk frame: all of it.
 pub const SEED_ONLY_FRAME: usize = 36;
 
-/// Bytes of a chunk's payload before compression, with 4-byte residuals: plane count, planes, grass record.
-pub const MAX_RAW_PAYLOAD: usize = 1 + 4 * VERTEX_COUNT + GRASS_RECORD;
-
-/// Bytes of a grass record: seed, palette, density.
+/// Bytes of a grass record as the seed-only digest covers it: seed, palette, density.
 pub const GRASS_RECORD: usize = 4 + 1 + GRASS_GRID * GRASS_GRID;
 
-/// Longest chunk frame in bytes: the header and an incompressible payload with LZ4's worst expansion.
-pub const MAX_CHUNK_FRAME: usize = CHUNK_HEADER + MAX_RAW_PAYLOAD + MAX_RAW_PAYLOAD / 255 + 16;
+/// Bits that the widest zigzag residual of valid heights can have: four heights below 2^24 and a sign.
+pub const MAX_RESIDUAL_BITS: u32 = 27;
+
+/// Bytes of the longest payload: grass seed and palette, three whole byte planes and a packed one of up to 4 bits a vertex, the
+/// grass densities, and a length before each. Nothing is ever stored longer than it is.
+pub const MAX_PAYLOAD: usize =
+    5 + 3 * (2 + VERTEX_COUNT) + (2 + VERTEX_COUNT.div_ceil(2)) + (2 + GRASS_GRID * GRASS_GRID);
+
+/// Longest chunk frame in bytes.
+pub const MAX_CHUNK_FRAME: usize = CHUNK_HEADER + MAX_PAYLOAD;
+
+/// Most bytes that decoding one chunk frame takes from the heap, the chunk itself included, whatever the frame says. Each
+/// thread that decodes keeps a room of about as much besides, made once.
+pub const MAX_DECODE_MEMORY: usize = 96 * 1024;
 
 /// Longest frame of any kind that a client accepts, bytes.
 pub const MAX_SERVER_FRAME: usize =

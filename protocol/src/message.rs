@@ -6,7 +6,8 @@ use crate::delivery::Delivery;
 use crate::error::ControlError;
 use crate::limits::{MAX_KEYS, MAX_TEXT};
 use crate::view::View;
-use serde::{Deserialize, Serialize};
+use serde::de::{SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
 use terrain::{ChunkKey, InvalidKey, WorldDigest};
 
@@ -34,6 +35,29 @@ impl From<ChunkKey> for WireKey {
     }
 }
 
+/// Reads a list of keys. Serde's own reader takes up to 1 MiB for a length that a frame of 20 bytes merely claims.
+fn read_keys<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<WireKey>, D::Error> {
+    struct Keys;
+
+    impl<'de> Visitor<'de> for Keys {
+        type Value = Vec<WireKey>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a list of keys")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+            let mut keys = Vec::with_capacity(list.size_hint().unwrap_or(0).min(MAX_KEYS));
+            while let Some(key) = list.next_element()? {
+                keys.push(key);
+            }
+            Ok(keys)
+        }
+    }
+
+    from.deserialize_seq(Keys)
+}
+
 /// What a client says.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ClientMessage {
@@ -51,16 +75,19 @@ pub enum ClientMessage {
         /// Chosen by the client, repeated in refusals.
         id: u32,
         /// At most [`MAX_KEYS`].
+        #[serde(deserialize_with = "read_keys")]
         keys: Vec<WireKey>,
     },
     /// The client dropped these chunks and may need them again.
     Release {
         /// At most [`MAX_KEYS`].
+        #[serde(deserialize_with = "read_keys")]
         keys: Vec<WireKey>,
     },
     /// The client already has these chunks, from an earlier connection to the same world.
     Holding {
         /// At most [`MAX_KEYS`].
+        #[serde(deserialize_with = "read_keys")]
         keys: Vec<WireKey>,
     },
     /// Allows the server to send chunk frames of this many bytes more. The first one in a session puts a bound on bytes besides the

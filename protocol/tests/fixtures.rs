@@ -1,17 +1,19 @@
-//! The wire format, frozen: one file of hexadecimal bytes for every message and one chunk.
+//! The wire format, frozen: one file of hexadecimal bytes for every message and every kind of chunk.
 //!
 //! A failing test here means that deployed peers would no longer understand each other. If that is meant, bump
 //! `PROTOCOL_VERSION` (or the chunk `VERSION`) and write the new bytes with
 //! `TOMBOLO_BLESS=1 cargo test -p protocol --test fixtures`.
 
-use protocol::chunk_codec::seed_only;
+use protocol::chunk_codec::{Effort, quantised, refined, seed_only};
 use protocol::client::{ClientConfig, ClientSession};
 use protocol::message::{
     ClientMessage, Hello, Limited, RefusalReason, Refused, Rejection, ServerMessage, Welcome, WireKey,
 };
 use protocol::server::{ServerOffer, ServerSession};
 use protocol::view::View;
-use protocol::{ControlError, Delivery, Incoming, PROTOCOL_VERSION, PeerFault, chunk_codec, control};
+use protocol::{
+    ControlError, Delivery, Incoming, PROTOCOL_VERSION, PeerFault, Tolerance, chunk_codec, control,
+};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Debug;
@@ -59,7 +61,9 @@ fn client_messages_are_frozen() {
         }),
     );
     let bare = Hello { digest: None, delivery: Delivery::Exact, token: None, software: String::new() };
-    check("hello_bare", &ClientMessage::Hello(bare));
+    check("hello_bare", &ClientMessage::Hello(bare.clone()));
+    let delivery = Delivery::Quantised(Tolerance::new(16).unwrap());
+    check("hello_quantised", &ClientMessage::Hello(Hello { delivery, ..bare }));
     check(
         "view",
         &ClientMessage::View(View {
@@ -117,34 +121,39 @@ fn server_messages_are_frozen() {
 }
 
 #[test]
-fn peers_of_version_1_are_refused_with_both_versions_named() {
-    // Never blessed: these bytes are what the first release said.
+fn peers_of_older_versions_are_refused_with_both_versions_named() {
+    // Never blessed: these bytes are what those releases said.
     let read = |name: &str| {
         let text = std::fs::read_to_string(path(name)).unwrap();
         let digits: Vec<_> = text.chars().filter_map(|digit| digit.to_digit(16)).collect();
         digits.chunks(2).map(|pair| (pair[0] * 16 + pair[1]) as u8).collect::<Vec<_>>()
     };
-    let old = read("version_1/hello");
-    assert_eq!(
-        control::decode::<ClientMessage>(&old),
-        Err(ControlError::Version { theirs: 1, ours: PROTOCOL_VERSION })
-    );
-    let land = Land::new(1);
-    let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
-    let fault = ServerSession::new(offer, 1).receive(Incoming::Binary(&old)).unwrap_err();
-    let rejection = Rejection::WrongVersion { client: 1, server: PROTOCOL_VERSION };
-    assert_eq!(fault, PeerFault::Rejected(rejection));
-    assert!(fault.to_string().contains("version 1, the server 3"), "{fault}");
+    for version in 1..PROTOCOL_VERSION {
+        let old = read(&format!("version_{version}/hello"));
+        assert_eq!(
+            control::decode::<ClientMessage>(&old),
+            Err(ControlError::Version { theirs: version, ours: PROTOCOL_VERSION })
+        );
+        let land = Land::new(1);
+        let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
+        let fault = ServerSession::new(offer, 1).receive(Incoming::Binary(&old)).unwrap_err();
+        let rejection = Rejection::WrongVersion { client: version, server: PROTOCOL_VERSION };
+        assert_eq!(fault, PeerFault::Rejected(rejection));
+        let both = format!("version {version}, the server {PROTOCOL_VERSION}");
+        assert!(fault.to_string().contains(&both), "{fault}");
 
-    let config = ClientConfig {
-        digest: None,
-        delivery: Delivery::Exact,
-        token: None,
-        software: String::new(),
-        window: 1,
-    };
-    let fault = ClientSession::new(config).receive(Incoming::Binary(&read("version_1/welcome"))).unwrap_err();
-    assert!(fault.to_string().contains("version 3, the server 1"), "{fault}");
+        let config = ClientConfig {
+            digest: None,
+            delivery: Delivery::Exact,
+            token: None,
+            software: String::new(),
+            window: 1,
+        };
+        let welcome = read(&format!("version_{version}/welcome"));
+        let fault = ClientSession::new(config).receive(Incoming::Binary(&welcome)).unwrap_err();
+        let both = format!("version {PROTOCOL_VERSION}, the server {version}");
+        assert!(fault.to_string().contains(&both), "{fault}");
+    }
 }
 
 #[test]
@@ -158,10 +167,27 @@ fn a_seed_only_chunk_is_frozen() {
 }
 
 #[test]
-fn a_chunk_is_frozen() {
+fn chunks_with_heights_are_frozen() {
     let land = Land::new(42);
-    let chunk = land.chunk(ChunkKey::new(2, -3, 1).unwrap());
-    let bytes = frozen("chunk", &chunk_codec::encode(&chunk, &land.digest()));
+    let world = land.digest();
     // Only decoding is frozen: a better compressor may choose other bytes for the same chunk.
-    assert_eq!(chunk_codec::decode(&bytes, &land.digest()), Ok(chunk));
+    let chunk = land.chunk(ChunkKey::new(2, -3, 1).unwrap());
+    let bytes = frozen("chunk", &chunk_codec::encode(&chunk, &world));
+    assert_eq!(chunk_codec::decode(&bytes, &world), Ok(chunk.clone()));
+
+    let tolerance = Tolerance::new(16).unwrap();
+    let coarse = quantised::quantise(&chunk, tolerance).unwrap();
+    let frame = quantised::encode(&chunk, &world, tolerance, Effort::Compact).unwrap();
+    let bytes = frozen("chunk_quantised", &frame);
+    assert_eq!(quantised::decode(&bytes, &world, tolerance), Ok(coarse));
+
+    let child = land.chunk(chunk.key.children().unwrap()[2]);
+    let frame = refined::encode(&child, &chunk, &world, Effort::Compact).unwrap();
+    let bytes = frozen("chunk_refined", &frame);
+    assert_eq!(refined::decode(&bytes, &world, &chunk), Ok(child));
+
+    let mut meadow = chunk;
+    (0..=255).for_each(|block: u8| meadow.grass.density[usize::from(block)] = block);
+    let bytes = frozen("chunk_meadow", &chunk_codec::encode(&meadow, &world));
+    assert_eq!(chunk_codec::decode(&bytes, &world), Ok(meadow));
 }

@@ -7,8 +7,8 @@ use protocol::message::{ClientMessage, Hello, RefusalReason, Rejection, ServerMe
 use protocol::server::{ServerOffer, ServerSession};
 use protocol::view::View;
 use protocol::{
-    ChunkError, CloseCode, ControlError, Delivery, Incoming, PROTOCOL_VERSION, PeerFault, chunk_codec,
-    control, limits,
+    ChunkError, CloseCode, ControlError, Delivery, Incoming, PROTOCOL_VERSION, PeerFault, Tolerance,
+    chunk_codec, control, limits,
 };
 use std::collections::HashSet;
 use terrain::{Chunk, ChunkKey, Land, WorldDigest};
@@ -372,6 +372,32 @@ fn a_failed_chunk_returns_its_credit_and_lets_the_view_settle() {
 }
 
 #[test]
+fn quantised_frames_come_only_to_who_asked_and_no_coarser_than_asked() {
+    let (land, world) = (Land::new(1), offer().digest);
+    let chunk = land.chunk(ChunkKey::new(0, 3, -7).unwrap());
+    let [fine, asked, coarse] = [4, 8, 16].map(|units| Tolerance::new(units).unwrap());
+    let receive = |delivery, sent| {
+        let mut client = ClientSession::new(ClientConfig { delivery, ..config(4) });
+        client.receive(Incoming::Binary(&welcome_frame())).unwrap();
+        let frame = chunk_codec::encode_for(sent, &chunk, &world);
+        client.receive(Incoming::Binary(&frame))
+    };
+    for sent in [Delivery::Quantised(asked), Delivery::Quantised(fine), Delivery::Exact] {
+        let Ok(Event::Chunk { chunk: got, delivery, .. }) = receive(Delivery::Quantised(asked), sent) else {
+            panic!("{sent} was refused");
+        };
+        assert_eq!(delivery, sent);
+        assert_eq!(*got == chunk, sent == Delivery::Exact);
+    }
+    let fault = receive(Delivery::Quantised(asked), Delivery::Quantised(coarse)).unwrap_err();
+    assert_eq!(fault, ChunkError::Tolerance { theirs: 16, ours: 8 }.into());
+    for delivery in [Delivery::Exact, Delivery::SeedOnly] {
+        let fault = receive(delivery, Delivery::Quantised(fine)).unwrap_err();
+        assert_eq!(fault, ChunkError::UnknownKind(chunk_codec::KIND_QUANTISED).into(), "{delivery}");
+    }
+}
+
+#[test]
 fn handshakes_that_cannot_succeed_name_both_sides() {
     let wrong = WorldDigest([9; 32]);
     let mut client = ClientSession::new(ClientConfig { digest: Some(wrong), ..config(1) });
@@ -421,7 +447,7 @@ fn order_is_enforced_on_both_sides() {
     client.receive(Incoming::Binary(&welcome)).unwrap();
     assert!(matches!(client.receive(Incoming::Binary(&welcome)), Err(PeerFault::OutOfOrder(_))));
     assert!(matches!(
-        client.receive(Incoming::Binary(&chunk[..80])),
+        client.receive(Incoming::Binary(&chunk[..40])),
         Err(PeerFault::Chunk(ChunkError::Truncated { .. }))
     ));
 }

@@ -18,6 +18,7 @@ use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use bytes::Bytes;
 use cost::Costs;
+use protocol::chunk_codec::Effort;
 use protocol::server::Wanted;
 use protocol::{Delivery, chunk_codec};
 use queue::{Asked, FlowId, Queue, Waiter};
@@ -117,9 +118,9 @@ impl Generation {
             .num_threads(limits.threads)
             .thread_name(|n| format!("generate-{n}"))
             .build()?;
-        // About 5 KiB an exact frame; the estimate only sizes the first tables.
+        // About 4 KiB an exact frame; the estimate only sizes the first tables.
         let cache =
-            Cache::with_weighter((limits.cache_bytes / 5120) as usize, limits.cache_bytes, FrameWeight);
+            Cache::with_weighter((limits.cache_bytes / 4096) as usize, limits.cache_bytes, FrameWeight);
         let shared = Shared {
             world: source.world(),
             source: Box::new(source),
@@ -356,9 +357,11 @@ impl Shared {
     /// Encodes a frame and caches it; makes the chunk before that if this is the first of its frames.
     fn make(&self, key: ChunkKey, delivery: Delivery, chunk: &mut Option<Chunk>) -> Answer {
         let (started, is_first) = (Instant::now(), chunk.is_none());
+        // A queue that is half full is a server that falls behind: its time is worth more than the bytes.
+        let effort = if self.lock().jobs() * 2 > self.limits.jobs { Effort::Fast } else { Effort::Compact };
         let encoded = catch_unwind(AssertUnwindSafe(|| {
             let chunk = chunk.get_or_insert_with(|| self.source.chunk(key, self.known_error(key)));
-            chunk_codec::encode_for(delivery, chunk, &self.world)
+            chunk_codec::encode_with(delivery, effort, chunk, &self.world)
         }));
         let Ok(frame) = encoded else {
             self.metrics.failed.inc();

@@ -24,15 +24,25 @@ pub struct GrassSeed {
 
 impl GrassSeed {
     /// The record of a chunk from its own vertices.
+    #[must_use]
+    pub fn grow(world_seed: u64, key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Self {
+        let region = region(key);
+        let hash = hash2(stream_seed(world_seed, 0x6a56), region.x(), region.z());
+        Self {
+            seed: stream_seed(world_seed, 0x6a55),
+            palette: (hash >> 16) as u8 % PALETTES,
+            density: Self::density_of(key, heights),
+        }
+    }
+
+    /// The densities that a chunk's own vertices give; they depend on nothing else.
     ///
     /// Grass grows on gentle ground between the beach and the high rock: density falls linearly to zero from
     /// 4 m down to 2 m above the sea, from 180 m up to 260 m, and over slopes from 0.5 to 1. Integers only, so
-    /// that every machine grows the same field.
+    /// that every machine grows the same field. Heights are below 2^24 in magnitude.
     #[must_use]
-    pub fn grow(world_seed: u64, key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Self {
+    pub fn density_of(key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Box<[u8; GRASS_GRID * GRASS_GRID]> {
         const BLOCK: usize = CELLS / GRASS_GRID;
-        let region = region(key);
-        let hash = hash2(stream_seed(world_seed, 0x6a56), region.x(), region.z());
         let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
         for (index, share) in density.iter_mut().enumerate() {
             let (x, z) = (index % GRASS_GRID * BLOCK, index / GRASS_GRID * BLOCK);
@@ -45,7 +55,7 @@ impl GrassSeed {
             let gentle = 255 - ramp(slope_q8, 128, 256);
             *share = above_beach.min(below_rock).min(gentle) as u8;
         }
-        Self { seed: stream_seed(world_seed, 0x6a55), palette: (hash >> 16) as u8 % PALETTES, density }
+        density
     }
 }
 

@@ -7,10 +7,10 @@ use client::native::stream::{Settings, SocketFeed};
 use client::render::Picture;
 use client::scene::Scene;
 use client::stats::Stats;
-use protocol::Delivery;
-use protocol::chunk_codec::encode_for;
+use protocol::chunk_codec::{encode_for, quantised};
 use protocol::client::{ClientConfig, Event};
 use protocol::limits::SEED_ONLY_FRAME;
+use protocol::{Delivery, Tolerance};
 use std::time::{Duration, Instant};
 use terrain::{Chunk, Land, WorldDigest};
 use tests::RunningServer;
@@ -69,6 +69,25 @@ async fn both_deliveries_bring_the_land_and_seed_only_at_36_bytes_a_chunk() {
         let line = format!("tombolo_{name}_delivered_total{{delivery=\"{delivery}\"}} {count}\n");
         assert!(text.contains(&line), "{line}{text}");
     }
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn quantised_delivery_brings_every_height_within_the_tolerance_for_fewer_bytes() {
+    let server = RunningServer::start().await;
+    let tolerance = Tolerance::within_m(0.0625).unwrap();
+    let (exact, exact_bytes) = received(&server.stream_url(), Delivery::Exact).await;
+    let (coarse, bytes) = received(&server.stream_url(), Delivery::Quantised(tolerance)).await;
+    assert!(bytes * 4 < exact_bytes * 3, "{bytes} against {exact_bytes}");
+    assert_eq!(exact.len(), coarse.len());
+    let mut farthest = 0;
+    for (exact, coarse) in exact.iter().zip(&coarse) {
+        assert_eq!(Some(coarse), quantised::quantise(exact, tolerance).as_ref());
+        let apart = exact.heights.iter().zip(&coarse.heights[..]).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+        farthest = farthest.max(apart);
+    }
+    // Within the tolerance, and not exact after all.
+    assert!((1..=u32::from(tolerance.units())).contains(&farthest), "{farthest} units");
     server.stop().await;
 }
 

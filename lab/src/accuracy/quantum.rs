@@ -67,7 +67,7 @@ pub fn measure(world_seed: u64) -> Curve {
             x: log("quantum, m"),
             y: linear("bytes per vertex"),
             series: vec![measured(
-                "plane residuals, byte planes, LZ4",
+                "plane residuals, byte planes, zstd",
                 table.curve("quantum, m", "bytes per vertex"),
             )],
         },

@@ -1,0 +1,177 @@
+//! What others send heights as: u16 above the lowest vertex, 65 x 65.
+//!
+//! Each as its own format has it, with an encoder that is common in Rust. LERC is missing: its only crate compiles a C++ library.
+
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
+use image_webp::{ColorType, WebPDecoder, WebPEncoder};
+use std::cell::RefCell;
+use std::io::{Cursor, Read, Write};
+use terrain::constants::{VERTEX_COUNT, VERTICES};
+use zstd::bulk::{Compressor, Decompressor};
+
+/// A codec of u16 heights. Decoding answers nothing where it fails, which counts as a loss.
+#[derive(Clone, Copy)]
+pub(super) struct Rival {
+    pub(super) codec: &'static str,
+    pub(super) encode: fn(&[u16]) -> Vec<u8>,
+    pub(super) decode: fn(&[u8]) -> Vec<u16>,
+}
+
+/// Name of 16-bit PNG.
+pub(super) const PNG16: &str = "PNG, 16 bits, adaptive filters";
+
+/// Name of the coding of quantized-mesh heights (zigzag differences in scan order), as tile servers send it.
+pub(super) const SCAN_DELTA: &str = "scan deltas, zigzag, gzip 6 (quantized-mesh)";
+
+pub(super) fn all() -> Vec<Rival> {
+    vec![
+        Rival { codec: "u16 as it is", encode: words, decode: from_words },
+        Rival { codec: "plane, byte planes, one zstd 1 frame", encode: plane_zstd, decode: from_plane_zstd },
+        Rival { codec: PNG16, encode: png, decode: from_png },
+        Rival { codec: SCAN_DELTA, encode: scan_delta, decode: from_scan_delta },
+        Rival { codec: "WebP lossless, terrain-RGB", encode: webp, decode: from_webp },
+    ]
+}
+
+fn words(heights: &[u16]) -> Vec<u8> {
+    heights.iter().flat_map(|height| height.to_le_bytes()).collect()
+}
+
+fn from_words(bytes: &[u8]) -> Vec<u16> {
+    bytes.as_chunks().0.iter().map(|word| u16::from_le_bytes(*word)).collect()
+}
+
+const fn zigzag(difference: u16) -> u16 {
+    (difference << 1) ^ ((difference as i16 >> 15) as u16)
+}
+
+const fn unzigzag(word: u16) -> u16 {
+    (word >> 1) ^ (word & 1).wrapping_neg()
+}
+
+/// Contexts of a thread: what a server keeps too.
+struct Contexts {
+    compressor: Option<Compressor<'static>>,
+    decompressor: Option<Decompressor<'static>>,
+}
+
+thread_local! {
+    static CONTEXTS: RefCell<Contexts> =
+        RefCell::new(Contexts { compressor: Compressor::new(1).ok(), decompressor: Decompressor::new().ok() });
+}
+
+/// What the height at an index should be by those before it.
+fn predicted(heights: &[u16], index: usize) -> u16 {
+    match (index % VERTICES, index / VERTICES) {
+        (0, 0) => 0,
+        (_, 0) => heights[index - 1],
+        (0, _) => heights[index - VERTICES],
+        _ => heights[index - 1]
+            .wrapping_add(heights[index - VERTICES])
+            .wrapping_sub(heights[index - VERTICES - 1]),
+    }
+}
+
+fn plane_zstd(heights: &[u16]) -> Vec<u8> {
+    let mut planes = vec![0; 2 * heights.len()];
+    let (low, high) = planes.split_at_mut(heights.len());
+    for index in 0..heights.len() {
+        let [lower, upper] = zigzag(heights[index].wrapping_sub(predicted(heights, index))).to_le_bytes();
+        (low[index], high[index]) = (lower, upper);
+    }
+    CONTEXTS
+        .with_borrow_mut(|contexts| contexts.compressor.as_mut()?.compress(&planes).ok())
+        .unwrap_or_default()
+}
+
+fn from_plane_zstd(bytes: &[u8]) -> Vec<u16> {
+    let planes = CONTEXTS
+        .with_borrow_mut(|contexts| contexts.decompressor.as_mut()?.decompress(bytes, 2 * VERTEX_COUNT).ok());
+    let Some(planes) = planes else { return Vec::new() };
+    let (low, high) = planes.split_at(planes.len() / 2);
+    let mut heights = vec![0; low.len()];
+    for index in 0..heights.len() {
+        let word = u16::from_le_bytes([low[index], high[index]]);
+        heights[index] = predicted(&heights, index).wrapping_add(unzigzag(word));
+    }
+    heights
+}
+
+fn png(heights: &[u16]) -> Vec<u8> {
+    let big_endian: Vec<u8> = heights.iter().flat_map(|height| height.to_be_bytes()).collect();
+    let mut out = Vec::new();
+    let mut encoder = png::Encoder::new(&mut out, VERTICES as u32, VERTICES as u32);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    encoder.set_filter(png::Filter::Adaptive);
+    let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(&big_endian));
+    if written.is_ok() { out } else { Vec::new() }
+}
+
+fn from_png(bytes: &[u8]) -> Vec<u16> {
+    let read = || {
+        let mut reader = png::Decoder::new(Cursor::new(bytes)).read_info().ok()?;
+        let mut image = vec![0; reader.output_buffer_size()?];
+        reader.next_frame(&mut image).ok()?;
+        Some(image.as_chunks().0.iter().map(|word| u16::from_be_bytes(*word)).collect())
+    };
+    read().unwrap_or_default()
+}
+
+fn scan_delta(heights: &[u16]) -> Vec<u8> {
+    let mut before = 0;
+    let deltas: Vec<u16> = heights
+        .iter()
+        .map(|height| {
+            let delta = zigzag(height.wrapping_sub(before));
+            before = *height;
+            delta
+        })
+        .collect();
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::new(6));
+    // Writing to memory cannot fail.
+    encoder.write_all(&words(&deltas)).and_then(|()| encoder.finish()).unwrap_or_default()
+}
+
+fn from_scan_delta(bytes: &[u8]) -> Vec<u16> {
+    let mut deltas = Vec::new();
+    if GzDecoder::new(bytes).read_to_end(&mut deltas).is_err() {
+        return Vec::new();
+    }
+    let mut before = 0u16;
+    from_words(&deltas)
+        .into_iter()
+        .map(|delta| {
+            before = before.wrapping_add(unzigzag(delta));
+            before
+        })
+        .collect()
+}
+
+fn webp(heights: &[u16]) -> Vec<u8> {
+    let rgb: Vec<u8> = heights
+        .iter()
+        .flat_map(|height| {
+            let [high, low] = height.to_be_bytes();
+            [0, high, low]
+        })
+        .collect();
+    let mut out = Vec::new();
+    let (width, height) = (VERTICES as u32, VERTICES as u32);
+    match WebPEncoder::new(&mut out).encode(&rgb, width, height, ColorType::Rgb8) {
+        Ok(()) => out,
+        Err(_) => Vec::new(),
+    }
+}
+
+fn from_webp(bytes: &[u8]) -> Vec<u16> {
+    let read = || {
+        let mut decoder = WebPDecoder::new(Cursor::new(bytes)).ok()?;
+        let mut rgb = vec![0; decoder.output_buffer_size()?];
+        decoder.read_image(&mut rgb).ok()?;
+        Some(rgb.as_chunks::<3>().0.iter().map(|[_, high, low]| u16::from_be_bytes([*high, *low])).collect())
+    };
+    read().unwrap_or_default()
+}

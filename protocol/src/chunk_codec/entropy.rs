@@ -1,0 +1,257 @@
+//! Byte strings to fewer bytes and back: the only file that names a compressor.
+//!
+//! A coded string is one Zstandard frame (RFC 8878) of the plainest sort: single segment, content size stated, no dictionary, no
+//! checksum. Everything else is refused before a decoder sees it, so that a frame can neither ask for a window nor expand
+//! beyond the room that its reader has set aside.
+
+use crate::error::ChunkError;
+use std::cell::RefCell;
+
+/// What the sender of a frame has more of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Effort {
+    /// Time is short: level -5, which leaves literals as they are. About a quarter more bytes, decoded several times as fast.
+    Fast,
+    /// The frame will be sent more than once: level 1 with literals coded, or literals alone where that is shorter.
+    #[default]
+    Compact,
+}
+
+/// First bytes of a frame, RFC 8878 section 3.1.1.
+const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// The content size that a frame of the plainest sort states; none for any other frame.
+fn stated_size(frame: &[u8]) -> Option<u64> {
+    let (magic, rest) = frame.split_first_chunk()?;
+    let (descriptor, rest) = rest.split_first()?;
+    // Single segment; no reserved or unused bit, checksum or dictionary.
+    if *magic != MAGIC || descriptor & 0x3f != 0x20 {
+        return None;
+    }
+    match descriptor >> 6 {
+        0 => rest.first().map(|size| u64::from(*size)),
+        1 => rest.first_chunk().map(|size| u64::from(u16::from_le_bytes(*size)) + 256),
+        2 => rest.first_chunk().map(|size| u64::from(u32::from_le_bytes(*size))),
+        _ => rest.first_chunk().map(|size| u64::from_le_bytes(*size)),
+    }
+}
+
+/// Fills `room` from one frame that must hold exactly as much.
+///
+/// # Errors
+/// [`ChunkError::Compression`]: another size, another sort of frame, bytes after it, or damage.
+pub(super) fn decompress(frame: &[u8], room: &mut [u8]) -> Result<(), ChunkError> {
+    if stated_size(frame) != Some(room.len() as u64) {
+        return Err(ChunkError::Compression);
+    }
+    let filled = CODER.with_borrow_mut(|coder| coder.decompress(frame, room));
+    if filled == Some(room.len()) { Ok(()) } else { Err(ChunkError::Compression) }
+}
+
+/// Appends a string to `out`, as a frame if that is shorter, else as it is. Returns whether it is a frame.
+pub(super) fn compress(content: &[u8], effort: Effort, try_literals: bool, out: &mut Vec<u8>) -> bool {
+    CODER.with_borrow_mut(|coder| coder.compress(content, effort, try_literals, out))
+}
+
+thread_local! {
+    /// Contexts are large and costly to make; every thread that codes keeps its own.
+    static CODER: RefCell<Coder> = RefCell::default();
+}
+
+#[cfg(not(target_arch = "wasm32"))]
+mod native {
+    use super::Effort;
+    use zstd::zstd_safe::{CCtx, CParameter, DCtx, ParamSwitch};
+
+    /// Level at which the search for repetitions steps over everything: what is left is the coding of literals.
+    const LITERALS_ONLY: i32 = -100_000;
+
+    /// The contexts of one thread, each made when it is first used.
+    #[derive(Default)]
+    pub(super) struct Coder {
+        fast: Option<CCtx<'static>>,
+        compact: Option<CCtx<'static>>,
+        literals: Option<CCtx<'static>>,
+        reader: Option<DCtx<'static>>,
+        /// The shorter of two attempts is copied from here.
+        attempt: Vec<u8>,
+    }
+
+    /// A context of a level; none if the library refuses, which is answered by not compressing.
+    fn context(level: i32, literals: ParamSwitch) -> Option<CCtx<'static>> {
+        let mut context = CCtx::try_create()?;
+        context.set_parameter(CParameter::CompressionLevel(level)).ok()?;
+        context.set_parameter(CParameter::LiteralCompressionMode(literals)).ok()?;
+        Some(context)
+    }
+
+    fn kept<'a>(
+        slot: &'a mut Option<CCtx<'static>>,
+        level: i32,
+        literals: ParamSwitch,
+    ) -> Option<&'a mut CCtx<'static>> {
+        if slot.is_none() {
+            *slot = context(level, literals);
+        }
+        slot.as_mut()
+    }
+
+    /// Compresses behind what `out` holds into at most `most` bytes. Returns whether it did.
+    fn attempt(context: Option<&mut CCtx<'static>>, content: &[u8], most: usize, out: &mut Vec<u8>) -> bool {
+        let start = out.len();
+        out.resize(start + most, 0);
+        let written = context.and_then(|context| context.compress2(&mut out[start..], content).ok());
+        out.truncate(start + written.unwrap_or(0));
+        written.is_some()
+    }
+
+    impl Coder {
+        pub(super) fn compress(
+            &mut self,
+            content: &[u8],
+            effort: Effort,
+            try_literals: bool,
+            out: &mut Vec<u8>,
+        ) -> bool {
+            let start = out.len();
+            // A frame as long as its content would be taken for the content.
+            let most = content.len().saturating_sub(1);
+            let first = match effort {
+                Effort::Fast => kept(&mut self.fast, -5, ParamSwitch::Auto),
+                Effort::Compact => kept(&mut self.compact, 1, ParamSwitch::Enable),
+            };
+            let mut done = attempt(first, content, most, out);
+            if effort == Effort::Compact && try_literals {
+                self.attempt.clear();
+                let literals = kept(&mut self.literals, LITERALS_ONLY, ParamSwitch::Enable);
+                if attempt(literals, content, most, &mut self.attempt)
+                    && (!done || self.attempt.len() < out.len() - start)
+                {
+                    out.truncate(start);
+                    out.extend_from_slice(&self.attempt);
+                    done = true;
+                }
+            }
+            if !done {
+                out.extend_from_slice(content);
+            }
+            done
+        }
+
+        pub(super) fn decompress(&mut self, frame: &[u8], room: &mut [u8]) -> Option<usize> {
+            if self.reader.is_none() {
+                self.reader = DCtx::try_create();
+            }
+            self.reader.as_mut()?.decompress(room, frame).ok()
+        }
+    }
+}
+
+#[cfg(not(target_arch = "wasm32"))]
+use native::Coder;
+
+/// Decodes a frame without the C library.
+#[cfg(any(target_arch = "wasm32", test))]
+fn decompress_in_rust(frame: &[u8], room: &mut [u8]) -> Option<usize> {
+    ruzstd::decoding::FrameDecoder::new().decode_all(frame, room).ok()
+}
+
+/// Where there is no C library: reads what others compressed, and stores.
+#[cfg(target_arch = "wasm32")]
+#[derive(Default)]
+struct Coder;
+
+#[cfg(target_arch = "wasm32")]
+#[expect(clippy::unused_self, reason = "the shape of the other one")]
+impl Coder {
+    fn compress(&self, content: &[u8], _: Effort, _: bool, out: &mut Vec<u8>) -> bool {
+        out.extend_from_slice(content);
+        false
+    }
+
+    fn decompress(&self, frame: &[u8], room: &mut [u8]) -> Option<usize> {
+        decompress_in_rust(frame, room)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use terrain::hash::mix;
+
+    fn content(seed: u32, length: usize, mask: u8) -> Vec<u8> {
+        (0..length).map(|index| mix(seed ^ index as u32) as u8 & mask).collect()
+    }
+
+    fn frame(content: &[u8], effort: Effort) -> Option<Vec<u8>> {
+        let mut out = Vec::new();
+        compress(content, effort, true, &mut out).then_some(out)
+    }
+
+    proptest! {
+        #[test]
+        fn both_decoders_give_back_what_any_effort_took(seed: u32, length in 20usize..5000, mask: u8) {
+            let content = content(seed, length, mask);
+            for effort in [Effort::Fast, Effort::Compact] {
+                let mut out = vec![9];
+                if compress(&content, effort, true, &mut out) {
+                    let frame = &out[1..];
+                    prop_assert!(frame.len() < length);
+                    for decode in [|frame: &[u8], room: &mut [u8]| decompress(frame, room).ok().map(|()| room.len()), decompress_in_rust] {
+                        let mut room = vec![0; length];
+                        prop_assert_eq!(decode(frame, &mut room), Some(length));
+                        prop_assert_eq!(&room, &content);
+                    }
+                } else {
+                    prop_assert_eq!(&out[1..], &content[..]);
+                }
+            }
+        }
+
+        #[test]
+        fn both_decoders_agree_on_damaged_frames(seed: u32, at: prop::sample::Index, bit in 0u8..8) {
+            let content = content(seed, 3000, 0x1f);
+            let mut frame = frame(&content, Effort::Compact).unwrap();
+            let at = at.index(frame.len());
+            frame[at] ^= 1u8 << bit;
+            let (mut by_c, mut by_rust) = (vec![0; 3000], vec![0; 3000]);
+            // Neither panics; where both read something, they read the same.
+            if decompress(&frame, &mut by_c).is_ok() && decompress_in_rust(&frame, &mut by_rust) == Some(3000) {
+                prop_assert_eq!(by_c, by_rust);
+            }
+        }
+    }
+
+    #[test]
+    fn only_the_plainest_sort_of_frame_of_the_right_size_is_read() {
+        let content = content(1, 3000, 3);
+        let good = frame(&content, Effort::Compact).unwrap();
+        assert_eq!(stated_size(&good), Some(3000));
+        for wrong in [0, 1, 2999, 3001, 1 << 20] {
+            assert_eq!(decompress(&good, &mut vec![0; wrong]), Err(ChunkError::Compression), "{wrong}");
+        }
+        let mut room = vec![0; 3000];
+        for length in 0..good.len() {
+            assert_eq!(decompress(&good[..length], &mut room), Err(ChunkError::Compression), "{length}");
+        }
+        assert_eq!(decompress(&[&good[..], &[0]].concat(), &mut room), Err(ChunkError::Compression));
+        for descriptor in [0x00, 0x21, 0x24, 0x28, 0x30, 0x64, 0xe1] {
+            let mut other = good.clone();
+            other[4] = descriptor;
+            assert_eq!(decompress(&other, &mut room), Err(ChunkError::Compression), "{descriptor:#x}");
+        }
+        assert_eq!(decompress(&good, &mut room), Ok(()));
+        assert_eq!(room, content);
+    }
+
+    #[test]
+    fn literals_alone_are_tried_where_they_are_asked_for() {
+        // Noise with few values and no repetition worth its price.
+        let content = content(7, 4225, 0x0f);
+        let (mut without, mut with) = (Vec::new(), Vec::new());
+        assert!(compress(&content, Effort::Compact, false, &mut without));
+        assert!(compress(&content, Effort::Compact, true, &mut with));
+        assert!(with.len() <= without.len(), "{} against {}", with.len(), without.len());
+    }
+}

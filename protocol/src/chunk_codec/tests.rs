@@ -1,0 +1,394 @@
+//! What holds for every kind of chunk frame, and for frames of others' making.
+
+use super::*;
+use proptest::prelude::*;
+use terrain::Land;
+use terrain::hash::mix;
+
+const KEYS: [(u8, i32, i32); 6] = [(0, 3, -7), (0, 60, 60), (1, -3, -3), (4, 0, -1), (9, 2, 2), (16, 0, 0)];
+
+fn sample(level: u8, x: i32, z: i32) -> (Chunk, WorldDigest) {
+    let land = Land::new(1);
+    (land.chunk(ChunkKey::new(level, x, z).unwrap()), land.digest())
+}
+
+type Decode = Box<dyn Fn(&[u8]) -> Result<Chunk, ChunkError>>;
+
+/// A frame with heights of each kind, with what decodes it.
+fn kinds(chunk: &Chunk, world: &WorldDigest) -> Vec<(Bytes, Decode)> {
+    let (own, tolerance) = (*world, Tolerance::new(16).unwrap());
+    let mut kinds: Vec<(Bytes, Decode)> = Vec::new();
+    for effort in [Effort::Fast, Effort::Compact] {
+        let exact = encode_with(Delivery::Exact, effort, chunk, world);
+        kinds.push((exact, Box::new(move |frame| decode(frame, &own))));
+        let coarse = quantised::encode(chunk, world, tolerance, effort).unwrap();
+        kinds.push((coarse, Box::new(move |frame| quantised::decode(frame, &own, tolerance))));
+        let parent = chunk.key.parent().map(|key| Land::new(1).chunk(key));
+        if let Some(parent) = parent
+            && let Some(refined) = refined::encode(chunk, &parent, world, effort)
+        {
+            kinds.push((refined, Box::new(move |frame| refined::decode(frame, &own, &parent))));
+        }
+    }
+    kinds
+}
+
+/// Signs a frame anew after its header or payload was changed: what a hostile server does.
+fn signed(mut frame: Vec<u8>, world: &WorldDigest) -> Vec<u8> {
+    if frame.len() >= CHUNK_HEADER {
+        let digest = frame_digest(world, &frame[..DIGEST_AT], None, &frame[CHUNK_HEADER..]);
+        frame[DIGEST_AT..CHUNK_HEADER].copy_from_slice(&digest);
+    }
+    frame
+}
+
+/// A frame of another payload with the right length and digest.
+fn with_payload(frame: &[u8], payload: &[u8], world: &WorldDigest) -> Vec<u8> {
+    let mut frame = frame[..CHUNK_HEADER].to_vec();
+    frame[40..44].copy_from_slice(&(payload.len() as u32).to_le_bytes());
+    frame.extend_from_slice(payload);
+    signed(frame, world)
+}
+
+#[test]
+fn exact_chunks_survive_the_wire_at_every_level_and_effort() {
+    for (level, x, z) in KEYS {
+        let (chunk, world) = sample(level, x, z);
+        for effort in [Effort::Fast, Effort::Compact] {
+            let frame = encode_with(Delivery::Exact, effort, &chunk, &world);
+            assert!(frame.len() <= bound());
+            assert_eq!(decode(&frame, &world), Ok(chunk.clone()));
+            assert_eq!(kind_and_key(&frame), Ok((KIND_EXACT, chunk.key)));
+            assert_eq!(error(&frame), Some(chunk.error));
+        }
+    }
+}
+
+#[test]
+fn quantised_heights_are_within_the_stated_tolerance_and_the_error_grows_by_what_moved() {
+    for (level, x, z) in KEYS {
+        let (chunk, world) = sample(level, x, z);
+        let mut shorter = usize::MAX;
+        for tolerance in Tolerance::all() {
+            let frame = quantised::encode(&chunk, &world, tolerance, Effort::Compact).unwrap();
+            let got = quantised::decode(&frame, &world, tolerance).unwrap();
+            assert_eq!(Some(&got), quantised::quantise(&chunk, tolerance).as_ref());
+            let moved =
+                got.heights.iter().zip(&chunk.heights[..]).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+            assert!(moved <= u32::from(tolerance.units()), "{level}: {moved} for {tolerance:?}");
+            assert_eq!(got.error, chunk.error + moved);
+            assert_eq!((&got.grass, error(&frame)), (&chunk.grass, Some(got.error)));
+            assert!(frame.len() <= shorter.saturating_add(8), "{level}: {} after {shorter}", frame.len());
+            shorter = frame.len();
+            // Who asked for finer is told; who takes coarser is content; who wants exact heights takes none of it.
+            if let Some(finer) = Tolerance::new(tolerance.units() / 2) {
+                let fault = ChunkError::Tolerance { theirs: tolerance.units(), ours: finer.units() };
+                assert_eq!(quantised::decode(&frame, &world, finer), Err(fault));
+            }
+            assert!(quantised::decode(&frame, &world, Tolerance::COARSEST).is_ok());
+            assert_eq!(decode(&frame, &world), Err(ChunkError::UnknownKind(KIND_QUANTISED)));
+        }
+        // Not all of them can be a quarter of the heights' own distance: the coarsest did move land that is not flat.
+        let coarse = quantised::quantise(&chunk, Tolerance::COARSEST).unwrap();
+        assert!(coarse != chunk || chunk.min() == chunk.max());
+    }
+}
+
+#[test]
+fn neighbours_quantised_alike_stay_equal_on_the_border_they_share() {
+    let (here, _) = sample(0, 3, -7);
+    let (east, _) = sample(0, 4, -7);
+    for tolerance in Tolerance::all() {
+        let [here, east] = [&here, &east].map(|chunk| quantised::quantise(chunk, tolerance).unwrap());
+        assert!((0..65).all(|row| here.vertex(64, row) == east.vertex(0, row)), "{tolerance:?}");
+    }
+}
+
+#[test]
+fn a_height_that_rounding_would_take_out_of_range_is_delivered_exactly() {
+    let (chunk, world) = sample(0, 3, -7);
+    let mut heights = chunk.heights.clone();
+    heights[9] = HEIGHT_LIMIT - 1;
+    let tall = Chunk::from_parts(chunk.key, heights, 0, chunk.grass);
+    assert_eq!(quantised::encode(&tall, &world, Tolerance::FINEST, Effort::Compact), None);
+    let frame = encode_for(Delivery::Quantised(Tolerance::FINEST), &tall, &world);
+    assert_eq!(decode(&frame, &world), Ok(tall));
+}
+
+#[test]
+fn refined_chunks_need_their_own_parent_and_are_shorter_than_exact_ones() {
+    let land = Land::new(1);
+    let world = land.digest();
+    for (level, x, z) in [(0, 3, -7), (0, 2, -8), (0, 3, -8), (0, 2, -7), (1, -3, -3), (0, 60, 60)] {
+        let chunk = land.chunk(ChunkKey::new(level, x, z).unwrap());
+        let parent = land.chunk(chunk.key.parent().unwrap());
+        let frame = refined::encode(&chunk, &parent, &world, Effort::Compact).unwrap();
+        assert_eq!(refined::decode(&frame, &world, &parent), Ok(chunk.clone()));
+        let exact = encode(&chunk, &world).len();
+        assert!(
+            frame.len() <= exact && (chunk.slope == 0 || frame.len() * 4 < exact * 3),
+            "{level}: {} of {exact}",
+            frame.len()
+        );
+
+        let mut other = parent.clone();
+        other.heights.iter_mut().for_each(|height| *height += 1);
+        assert_eq!(refined::decode(&frame, &world, &other), Err(ChunkError::Digest));
+        assert_eq!(refined::encode(&chunk, &other, &world, Effort::Compact), None);
+        for stranger in [&chunk, &land.chunk(ChunkKey::new(level + 1, 9, 9).unwrap())] {
+            assert_eq!(refined::decode(&frame, &world, stranger), Err(ChunkError::Parent(chunk.key)));
+        }
+        assert_eq!(decode(&frame, &world), Err(ChunkError::UnknownKind(KIND_REFINED)));
+    }
+    // Above level 2 parents carry fewer octaves.
+    let chunk = land.chunk(ChunkKey::new(4, 0, -1).unwrap());
+    let parent = land.chunk(chunk.key.parent().unwrap());
+    assert_eq!(refined::encode(&chunk, &parent, &world, Effort::Compact), None);
+}
+
+#[test]
+fn grass_that_does_not_grow_by_the_rule_is_sent() {
+    let (mut chunk, world) = sample(0, 3, -7);
+    let by_rule = encode(&chunk, &world);
+    for index in 0..chunk.grass.density.len() {
+        chunk.grass.density[index] = mix(index as u32) as u8;
+    }
+    let sent = encode(&chunk, &world);
+    assert!(sent.len() > by_rule.len() + 200, "{} and {}", sent.len(), by_rule.len());
+    assert_eq!(decode(&sent, &world), Ok(chunk));
+}
+
+#[test]
+fn the_sea_takes_next_to_nothing_and_land_about_a_byte_a_vertex() {
+    let length = |(chunk, world): (Chunk, WorldDigest)| encode(&chunk, &world).len();
+    assert!(length(sample(0, 3, -7)) < VERTEX_COUNT * 5 / 4);
+    assert_eq!(length(sample(0, 60, 60)), CHUNK_HEADER + 5);
+}
+
+#[test]
+fn every_truncation_and_every_extension_is_refused() {
+    let (chunk, world) = sample(0, 3, -7);
+    for (frame, decode) in kinds(&chunk, &world) {
+        assert!(decode(&frame).is_ok());
+        for length in 0..frame.len() {
+            let cut = decode(&frame[..length]);
+            assert!(matches!(cut, Err(ChunkError::Truncated { .. })), "{length}: {cut:?}");
+            assert_eq!(error(&frame[..length]), None);
+        }
+        assert_eq!(decode(&[&frame[..], &[0]].concat()), Err(ChunkError::Trailing(1)));
+        assert!(matches!(decode(&vec![0; MAX_CHUNK_FRAME + 1]), Err(ChunkError::TooLong(_))));
+    }
+}
+
+#[test]
+fn every_flipped_bit_is_refused() {
+    let (chunk, world) = sample(1, 2, 2);
+    for (frame, decode) in kinds(&chunk, &world) {
+        for bit in 0..frame.len() * 8 {
+            let mut damaged = frame.to_vec();
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            assert!(decode(&damaged).is_err(), "bit {bit}");
+        }
+    }
+}
+
+#[test]
+fn a_chunk_of_another_world_is_refused() {
+    let (chunk, world) = sample(0, 3, -7);
+    for (frame, _) in kinds(&chunk, &world).iter().take(1) {
+        assert_eq!(decode(frame, &Land::new(2).digest()), Err(ChunkError::Digest));
+    }
+}
+
+#[test]
+fn frames_of_version_1_and_of_kinds_to_come_are_told_apart() {
+    let (chunk, world) = sample(0, 3, -7);
+    let frame = encode(&chunk, &world);
+    for version in [0, 1, VERSION + 1, u16::MAX] {
+        let mut other = frame.to_vec();
+        other[4..6].copy_from_slice(&version.to_le_bytes());
+        assert_eq!(decode(&signed(other, &world), &world), Err(ChunkError::UnknownVersion(version)));
+    }
+    for kind in [KIND_SEED_ONLY, KIND_QUANTISED, KIND_REFINED, 4, u8::MAX] {
+        let mut other = frame.to_vec();
+        other[6] = kind;
+        assert_eq!(decode(&signed(other, &world), &world), Err(ChunkError::UnknownKind(kind)));
+    }
+}
+
+#[test]
+fn the_length_of_the_payload_at_its_extremes_is_refused() {
+    let (chunk, world) = sample(0, 3, -7);
+    let frame = encode(&chunk, &world);
+    for value in [MAX_PAYLOAD as u32 + 1, i32::MAX as u32, u32::MAX] {
+        let mut damaged = frame.to_vec();
+        damaged[40..44].copy_from_slice(&value.to_le_bytes());
+        let fault = Err(ChunkError::Length { field: "payload", value });
+        assert_eq!(decode(&signed(damaged, &world), &world), fault);
+    }
+    let actual = (frame.len() - CHUNK_HEADER) as u32;
+    for value in [0, 1, actual - 1, actual + 1, MAX_PAYLOAD as u32] {
+        let mut damaged = frame.to_vec();
+        damaged[40..44].copy_from_slice(&value.to_le_bytes());
+        let fault = decode(&signed(damaged, &world), &world);
+        assert!(
+            matches!(fault, Err(ChunkError::Truncated { .. } | ChunkError::Trailing(_))),
+            "{value}: {fault:?}"
+        );
+    }
+}
+
+#[test]
+fn well_signed_payloads_with_wrong_part_lengths_are_refused() {
+    let (chunk, world) = sample(0, 3, -7);
+    for effort in [Effort::Fast, Effort::Compact] {
+        let frame = encode_with(Delivery::Exact, effort, &chunk, &world);
+        let payload = &frame[CHUNK_HEADER..];
+        let first = 5;
+        let second = first + 2 + usize::from(u16::from_le_bytes([payload[first], payload[first + 1]]));
+        for at in [first, second] {
+            let actual = u16::from_le_bytes([payload[at], payload[at + 1]]);
+            let most = VERTEX_COUNT as u16;
+            for value in [0, 1, actual - 1, actual + 1, most - 1, most, most + 1, u16::MAX] {
+                if value == actual {
+                    continue;
+                }
+                let mut lie = payload.to_vec();
+                lie[at..at + 2].copy_from_slice(&value.to_le_bytes());
+                let fault = decode(&with_payload(&frame, &lie, &world), &world);
+                assert!(fault.is_err(), "part at {at} of length {value} instead of {actual}");
+            }
+        }
+        for length in 0..payload.len() {
+            let fault = decode(&with_payload(&frame, &payload[..length], &world), &world);
+            assert!(matches!(fault, Err(ChunkError::Part | ChunkError::Compression)), "{length}: {fault:?}");
+        }
+        let longer = [payload, &[7]].concat();
+        assert_eq!(decode(&with_payload(&frame, &longer, &world), &world), Err(ChunkError::Trailing(1)));
+    }
+}
+
+#[test]
+fn well_signed_headers_that_lie_are_refused() {
+    let (chunk, world) = sample(0, 3, -7);
+    let frame = encode(&chunk, &world);
+    let changed = |at: usize, by: u8| {
+        let mut lie = frame.to_vec();
+        lie[at] = lie[at].wrapping_add(by);
+        decode(&signed(lie, &world), &world)
+    };
+    for (at, what) in [(16, "first height"), (20, "minimum"), (24, "maximum"), (32, "slope")] {
+        for by in [1, 255] {
+            assert!(matches!(changed(at, by), Err(ChunkError::Content(_))), "{what}: {:?}", changed(at, by));
+        }
+    }
+    for by in 1..=255 {
+        assert!(changed(36, by).is_err(), "width changed by {by}");
+        assert!(changed(37, by).is_err(), "way of grass changed by {by}");
+        assert!(changed(38, by).is_err() && changed(39, by).is_err(), "tolerance changed by {by}");
+    }
+    for palette in PALETTES..=u8::MAX {
+        let mut payload = frame[CHUNK_HEADER..].to_vec();
+        payload[4] = palette;
+        let fault = decode(&with_payload(&frame, &payload, &world), &world);
+        assert_eq!(fault, Err(ChunkError::Content("the grass palette does not exist")), "{palette}");
+    }
+    let coarse = quantised::encode(&chunk, &world, Tolerance::COARSEST, Effort::Compact).unwrap();
+    for tolerance in [0, 3, 129, 256, u16::MAX] {
+        let mut lie = coarse.to_vec();
+        lie[38..40].copy_from_slice(&tolerance.to_le_bytes());
+        let fault = quantised::decode(&signed(lie, &world), &world, Tolerance::COARSEST);
+        assert!(matches!(fault, Err(ChunkError::Content(_))), "{tolerance}: {fault:?}");
+    }
+}
+
+#[test]
+fn only_the_digest_of_the_frame_tells_one_error_from_another() {
+    // The error cannot be checked against the heights; all else about a chunk is.
+    let (chunk, world) = sample(0, 3, -7);
+    let mut lie = encode(&chunk, &world).to_vec();
+    lie[28] ^= 1;
+    assert_eq!(decode(&lie, &world), Err(ChunkError::Digest));
+    assert_eq!(decode(&signed(lie, &world), &world).unwrap().error, chunk.error ^ 1);
+}
+
+#[test]
+fn a_small_frame_that_would_expand_to_gigabytes_is_refused() {
+    let (chunk, world) = sample(0, 3, -7);
+    let frame = encode(&chunk, &world);
+    let grass = &frame[CHUNK_HEADER..CHUNK_HEADER + 5];
+    // Run-length blocks of 128 KiB, RFC 8878 section 3.1.1.2: 4 bytes each.
+    let runs =
+        |count: usize| [[0x02, 0x00, 0x10, 0xaa].repeat(count - 1), vec![0x03, 0x00, 0x10, 0xaa]].concat();
+    let zstd = [0x28, 0xb5, 0x2f, 0xfd];
+    let bombs: [(&str, Vec<u8>); 5] = [
+        ("states 4 GiB", [&zstd[..], &[0xa0, 0xff, 0xff, 0xff, 0xff], &runs(900)].concat()),
+        ("states 2^63 bytes", [&zstd[..], &[0xe0, 0, 0, 0, 0, 0, 0, 0, 0x80], &runs(900)].concat()),
+        ("states nothing", [&zstd[..], &[0x00, 0xff], &runs(900)].concat()),
+        ("asks for the largest window", [&zstd[..], &[0x40, 0xff, 0x81, 0x0f], &runs(900)].concat()),
+        ("states the right size and holds more", [&zstd[..], &[0x60, 0x81, 0x0f], &runs(900)].concat()),
+    ];
+    for (what, bomb) in bombs {
+        let length = (bomb.len() as u16).to_le_bytes();
+        let payload = [grass, &length, &bomb].concat();
+        let fault = decode(&with_payload(&frame, &payload, &world), &world);
+        assert_eq!(fault, Err(ChunkError::Compression), "{what}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn any_heights_survive_in_every_kind(seed: u32, amplitude in 0u32..26, palette in 0..PALETTES, tolerance in 0usize..8, fast: bool) {
+        let mut heights = Box::new([0; VERTEX_COUNT]);
+        for (index, height) in heights.iter_mut().enumerate() {
+            let word = mix(seed.wrapping_add(index as u32)) as i32;
+            *height = word.checked_shr(32 - amplitude).unwrap_or(0).clamp(1 - HEIGHT_LIMIT, HEIGHT_LIMIT - 1);
+        }
+        let effort = if fast { Effort::Fast } else { Effort::Compact };
+        let grass = GrassSeed { seed, palette, density: Box::new([seed as u8; 256]) };
+        let chunk = Chunk::from_parts(ChunkKey::new(0, 1, 1).unwrap(), heights, seed / 2, grass);
+        let world = WorldDigest([7; 32]);
+        let exact = encode_with(Delivery::Exact, effort, &chunk, &world);
+        prop_assert!(exact.len() <= bound());
+        for kernel in Kernel::available() {
+            let mut got = Box::new([0; VERTEX_COUNT]);
+            heights_on(kernel, &exact, &mut got).unwrap();
+            prop_assert_eq!(&got, &chunk.heights);
+        }
+        prop_assert_eq!(decode(&exact, &world), Ok(chunk.clone()));
+
+        let tolerance = Tolerance::all().nth(tolerance).unwrap();
+        if let Some(expected) = quantised::quantise(&chunk, tolerance) {
+            let frame = quantised::encode(&chunk, &world, tolerance, effort).unwrap();
+            prop_assert_eq!(quantised::decode(&frame, &world, tolerance), Ok(expected));
+        }
+
+        // A parent that agrees where it must, with anything elsewhere.
+        let key = chunk.key.parent().unwrap();
+        prop_assert_eq!(key.children().unwrap()[3], chunk.key);
+        let mut moved = chunk.heights.clone();
+        for index in 0..33 * 33 {
+            let (x, z) = (index % 33, index / 33);
+            moved[(z + 32) * 65 + x + 32] = chunk.heights[2 * z * 65 + 2 * x];
+        }
+        let parent = Chunk::from_parts(key, moved, 0, chunk.grass.clone());
+        let frame = refined::encode(&chunk, &parent, &world, effort).unwrap();
+        prop_assert!(frame.len() <= bound());
+        prop_assert_eq!(refined::decode(&frame, &world, &parent), Ok(chunk));
+    }
+
+    #[test]
+    fn well_signed_garbage_never_panics(bytes in proptest::collection::vec(any::<u8>(), 0..400), width in 0u8..40, kind in 0u8..4, tolerance: u16) {
+        let world = WorldDigest([0; 32]);
+        prop_assert!(decode(&bytes, &world).is_err());
+        let (chunk, _) = sample(0, 60, 60);
+        let mut frame = encode(&chunk, &world).to_vec();
+        frame[6] = kind;
+        frame[36] = width;
+        frame[38..40].copy_from_slice(&tolerance.to_le_bytes());
+        let frame = with_payload(&frame, &bytes, &world);
+        let _ = decode(&frame, &world);
+        let _ = quantised::decode(&frame, &world, Tolerance::COARSEST);
+        let _ = error(&frame);
+    }
+}

@@ -1,0 +1,111 @@
+//! What decoding takes from the heap, counted: never more than the stated cap, whatever a frame says.
+//!
+//! A test binary of its own, because it replaces the allocator.
+#![expect(unsafe_code, reason = "an allocator is unsafe by nature; this one counts and passes on")]
+
+use protocol::chunk_codec::{self, Effort, quantised, refined};
+use protocol::limits::MAX_DECODE_MEMORY;
+use protocol::message::{ClientMessage, ServerMessage};
+use protocol::{Tolerance, control};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use terrain::{ChunkKey, Land, WorldDigest};
+
+struct Counting;
+
+thread_local! {
+    static LIVE: Cell<isize> = const { Cell::new(0) };
+    static PEAK: Cell<isize> = const { Cell::new(0) };
+}
+
+// SAFETY: every call is passed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        LIVE.set(LIVE.get() + layout.size() as isize);
+        PEAK.set(PEAK.get().max(LIVE.get()));
+        // SAFETY: the caller keeps the contract; so below.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        LIVE.set(LIVE.get() - layout.size() as isize);
+        // SAFETY: see above.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Most bytes that were live at once during some work, beyond those before it.
+fn peak<T>(work: impl FnOnce() -> T) -> usize {
+    let before = LIVE.get();
+    PEAK.set(before);
+    let result = work();
+    let peak = PEAK.get() - before;
+    drop(result);
+    peak as usize
+}
+
+/// Every decoder on one input.
+fn decode_all(frame: &[u8], world: &WorldDigest, parent: &terrain::Chunk) {
+    let cap = MAX_DECODE_MEMORY;
+    let spent = [
+        peak(|| chunk_codec::decode(frame, world)),
+        peak(|| quantised::decode(frame, world, Tolerance::COARSEST)),
+        peak(|| refined::decode(frame, world, parent)),
+        peak(|| chunk_codec::error(frame)),
+        peak(|| control::decode::<ClientMessage>(frame)),
+        peak(|| control::decode::<ServerMessage>(frame)),
+    ];
+    assert!(spent.iter().all(|bytes| *bytes <= cap), "{spent:?} of {cap} for {} bytes", frame.len());
+}
+
+#[test]
+fn no_decoder_takes_more_than_the_cap_from_good_truncated_or_lying_frames() {
+    let land = Land::new(1);
+    let world = land.digest();
+    let chunk = land.chunk(ChunkKey::new(0, 3, -7).unwrap());
+    let parent = land.chunk(chunk.key.parent().unwrap());
+    let frames = [
+        chunk_codec::encode(&chunk, &world),
+        quantised::encode(&chunk, &world, Tolerance::FINEST, Effort::Fast).unwrap(),
+        refined::encode(&chunk, &parent, &world, Effort::Compact).unwrap(),
+    ];
+    // The threads' own rooms are made here, once.
+    frames.iter().for_each(|frame| {
+        let _ = (chunk_codec::decode(frame, &world), quantised::decode(frame, &world, Tolerance::COARSEST));
+        let _ = refined::decode(frame, &world, &parent);
+    });
+    assert!(peak(|| chunk_codec::decode(&frames[0], &world)) > 16_900, "the count sees a chunk's heights");
+    assert!(peak(|| vec![0u8; MAX_DECODE_MEMORY + 1]) > MAX_DECODE_MEMORY, "the count sees too much");
+    for frame in &frames {
+        for length in 0..=frame.len() {
+            decode_all(&frame[..length], &world, &parent);
+        }
+        for at in 0..frame.len().min(256) {
+            for value in [0, 1, 0x7f, 0x80, 0xff] {
+                let mut lie = frame.to_vec();
+                lie[at] = value;
+                decode_all(&lie, &world, &parent);
+            }
+        }
+    }
+    for message in ["hello", "request", "welcome", "holding"] {
+        let path = format!("{}/fixtures/{message}.hex", env!("CARGO_MANIFEST_DIR"));
+        let text = std::fs::read_to_string(path).unwrap();
+        let digits: Vec<_> = text.chars().filter_map(|digit| digit.to_digit(16)).collect();
+        let good: Vec<u8> = digits.chunks(2).map(|pair| (pair[0] * 16 + pair[1]) as u8).collect();
+        for length in 0..=good.len() {
+            decode_all(&good[..length], &world, &parent);
+        }
+        // Every aligned-or-not length field at its extremes: eight bytes at a time.
+        for at in 6..good.len().saturating_sub(8) {
+            for value in [0, 1, 512, 513, u64::from(u32::MAX), u64::MAX / 2, u64::MAX] {
+                let mut lie = good.clone();
+                lie[at..at + 8].copy_from_slice(&value.to_le_bytes());
+                decode_all(&lie, &world, &parent);
+            }
+        }
+    }
+}
