@@ -38,7 +38,8 @@ fn scene(shape: Shape, eye_m: [f64; 3], yaw_deg: f64, knobs: PlantKnobs) -> Scen
     let shot = Shot {
         pose: Pose { position_m: DVec3::from(eye_m), yaw_deg, pitch_deg: -4.0 },
         lens: Lens { fov_deg: 70.0, width: 640, height: 360 },
-        view_distance_m: 1000,
+        // An eye that is farther above the sea than it sees is shown nothing.
+        view_distance_m: if eye_m[1] > 900.0 { 6000 } else { 1000 },
         tolerance_px: 2.0,
         time_s: 0.0,
         looks: Looks { plants: knobs, ..Looks::default() },

@@ -48,9 +48,19 @@ fn values_out_of_range_are_named_with_what_is_allowed() {
     refused("tombolo-view", &["--camera", "1,2,3"], 2, &["--camera", "1,2,3"]);
     refused("tombolo-view", &["--camera", "NaN,0,0,0,0"], 2, &["--camera"]);
     refused("tombolo-view", &["--camera", "99999999,0,0,0,0"], 2, &["--camera", "99999999"]);
-    refused("tombolo-view", &["--delivery", "lossy"], 2, &["--delivery", "lossy", "exact or seed"]);
+    refused(
+        "tombolo-view",
+        &["--delivery", "lossy"],
+        2,
+        &["--delivery", "lossy", "exact, seed or quantised:METRES"],
+    );
     refused("tombolo-view", &["--digest", "abc"], 2, &["--digest", "abc", "64 hexadecimal digits"]);
-    refused("tombolo-load", &["--delivery", "lossy"], 2, &["--delivery", "lossy", "exact or seed"]);
+    refused(
+        "tombolo-load",
+        &["--delivery", "lossy"],
+        2,
+        &["--delivery", "lossy", "exact, seed or quantised:METRES"],
+    );
     refused("tombolo-view", &["--size", "0x0"], 2, &["--size", "0x0"]);
     refused("tombolo-view", &["--tolerance", "-1"], 2, &["--tolerance", "-1", "0.0625 to 1000"]);
     refused("tombolo-view", &["--chunk-mb", "-1"], 2, &["--chunk-mb", "-1"]);

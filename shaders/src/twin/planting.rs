@@ -411,8 +411,9 @@ pub fn block_extent<S: Slots>(
     let leaf = (wide >> 9) + 2;
     let tall = planting.height_low + planting.height_span;
     let height = ((tall * standing_at(planting, far - apart - 5)) >> 8) + 1;
-    let near = (far - apart - 5).max(0);
-    let is_far = (near * near) as u32 > planting.detail[1];
+    // Land may rise by kilometres within a block: squares of what is farther do not fit.
+    let near = (far - apart - 5).clamp(0, 0xffff) as u32;
+    let is_far = near * near > planting.detail[1];
     let shape = shape_of(planting, leaf, height, is_far, None);
     return Some(Extent {
         target: Target {
