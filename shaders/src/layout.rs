@@ -640,8 +640,10 @@ pub struct Planting {
     pub collapse: i32,
     /// Squares of the distances beyond which clumps are drawn in the second and in the third level of detail, (1/16 m)².
     pub detail: [u32; 2],
-    /// Unused; the table begins at a multiple of 16 bytes.
-    pub reserved: [u32; 2],
+    /// Most that the wind pushes the tip of a stem aside, a horizontal part of its direction, Q8.
+    pub wind_reach: i32,
+    /// The same of leaning away from the eye, where the eye is straight above; falls with the sine of its height.
+    pub lean_reach: i32,
     /// By rank, four to a row: the square of the distance up to which it stands, (1/16 m)².
     pub stands_within: [[u32; 4]; 64],
     /// Vertices of a clump in each level of detail.

@@ -515,6 +515,8 @@ fn what_plants_are_chosen_by_lies_where_the_shaders_read_it() {
             range,
             collapse,
             detail,
+            wind_reach,
+            lean_reach,
             stands_within,
             vertices,
             room,

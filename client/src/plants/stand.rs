@@ -10,7 +10,8 @@ use shaders::layout::{
     KIND_GRASS, KIND_TREES, Planting,
 };
 use shaders::twin::planting::{
-    BLOCK_CELL_BITS, COARSE_BITS, Extent, PATCH_BLOCKS, distance_squared, may_be_in_view,
+    BLOCK_CELL_BITS, COARSE_BITS, Extent, PATCH_BLOCKS, distance_squared, lean_reach, may_be_in_view,
+    wind_reach,
 };
 use shaders::twin::sight::Target;
 use shaders::twin::surface::{FINE_BITS, NOWHERE, SQUARE_BITS, STEP_BITS, Surface, TILE_BITS};
@@ -134,7 +135,7 @@ impl Kind {
         }
     }
 
-    fn planting(&self, square: &Square, seed: u32) -> Planting {
+    fn planting(&self, square: &Square, seed: u32, knobs: &PlantKnobs) -> Planting {
         let fine = |metres: f64| (metres * FINE).round() as i32;
         let [width_low, width_high] = self.width_m.map(fine);
         let [height_low, height_high] = self.height_m.map(fine);
@@ -170,7 +171,8 @@ impl Kind {
             range: (self.range_m * COARSE).ceil() as i32,
             collapse: (f64::from(COLLAPSE) * self.range_m * COARSE).ceil().max(1.0) as i32,
             detail: self.detail_m.map(squared),
-            reserved: [0; 2],
+            wind_reach: wind_reach(knobs.wind),
+            lean_reach: lean_reach(knobs.lean),
             stands_within: std::array::from_fn(|row| {
                 std::array::from_fn(|column| stands_within(4 * row + column))
             }),
@@ -197,7 +199,7 @@ impl Shot {
         let reach_m = f64::from(self.view_distance_m) * 0.8;
         let stands = kinds.into_iter().filter(grows).map(|kind| {
             let kind = Kind { range_m: kind.range_m.min(reach_m), ..kind };
-            let planting = kind.planting(&square, seed);
+            let planting = kind.planting(&square, seed, &knobs);
             let patches = patches(&square, &culling, &planting);
             Stand { culling, planting, field: kind.field(culling.eye, &knobs), patches }
         });

@@ -198,19 +198,31 @@ impl<S: Slots> Slots for Counting<'_, S> {
     }
 }
 
-/// Rings on the hull of all that a clump may take up, metres: what its test promises.
-fn hull_of(scene: &Scene, extent: &Extent) -> Vec<Point> {
+/// Rings on the hull of all that a clump may take up, metres, as it is seen from an eye: what its test promises. What follows the plane of the top does so up to a part of the radius; the rest
+/// leans out of it by that much at most, along the way to the eye too.
+fn hull_of(scene: &Scene, extent: &Extent, eye: Point) -> Vec<Point> {
     let corner = scene.plants.square.corner.map(|units| f64::from(units) / 256.0);
     let metres = |fine: i32| f64::from(fine) / 4096.0;
     let target = &extent.target;
     let (x, z) = (metres(target.x) + corner[0], metres(target.z) + corner[1]);
-    let tilt = [target.east_rise, target.south_rise].map(|rise| f64::from(rise) / 16_384.0);
+    let (radius, skirt, follow) = (metres(target.radius), metres(target.skirt), metres(target.follow));
+    let [east_rise, south_rise] =
+        [target.east_rise, target.south_rise].map(|rise| f64::from(rise) / 16_384.0);
+    let (away_x, away_z) = (x - eye[0], z - eye[2]);
+    let length = away_x.hypot(away_z).max(1e-9);
+    let away = [away_x / length, away_z / length];
+    // Growth of the top behind the middle, and beside it.
+    let ahead = east_rise * away[0] + south_rise * away[1];
+    let tilt = south_rise * away[0] - east_rise * away[1];
     let ring = |share: f64, beyond: f64| {
-        let radius = share * metres(target.radius) + beyond * metres(target.skirt);
-        let top = metres(target.top) - beyond * metres(target.fall);
+        let reach = share * radius + beyond * skirt;
+        let planar = follow + beyond * (radius + skirt - follow);
+        let lean = radius - follow;
         (0..POINTS).map(move |n| TAU * f64::from(n) / f64::from(POINTS)).map(move |angle| {
-            let (east, south) = (radius * angle.cos(), radius * angle.sin());
-            [x + east, top + tilt[0] * east + tilt[1] * south, z + south]
+            let (behind, beside) = (reach * angle.cos(), reach * angle.sin());
+            let foot = if ahead > 0.0 { (behind + lean).min(planar) } else { (behind - lean).max(-planar) };
+            let top = metres(target.top) - beyond * metres(target.fall) + ahead * foot + tilt * beside;
+            [x + behind * away[0] - beside * away[1], top, z + behind * away[1] + beside * away[0]]
         })
     };
     ring(1.0, 0.0).chain(ring(0.5, 0.0)).chain(ring(1.0, 0.5)).chain(ring(1.0, 1.0)).collect()
@@ -243,7 +255,8 @@ fn of_scene(scene: &Scene) -> Findings {
             }
             let judged = judged(&surface, stand, clump);
             let is_seen = oracle.sees_any(eye, &leaves.points, &mut hint_m);
-            let is_bound_seen = is_seen || oracle.sees_any(eye, &hull_of(scene, &judged.extent), &mut hint_m);
+            let is_bound_seen =
+                is_seen || oracle.sees_any(eye, &hull_of(scene, &judged.extent, eye), &mut hint_m);
             let corner = square.corner.map(|units| f64::from(units) / 256.0);
             let at = [clump.x, clump.z].map(|fine| f64::from(fine) / 4096.0);
             if let Some(height) = oracle.height(at[0] + corner[0], at[1] + corner[1]) {

@@ -160,10 +160,39 @@ fn steepness(along: i32, across: i32) -> i32 {
     return along.max(across) + (along.min(across) >> 1);
 }
 
-/// How far the tip of a stem may be beside its root, on ground so steep (Q14). The horizontal part of its direction goes evenly from 0.45 of the ground's at the root to at most
-/// 0.75 at the tip, so on the way it is half of their sum: 3/8 and 0.225 of the ground's (15/64).
-fn lean_of(height: i32, steep: i32) -> i32 {
-    return ((3 * height) >> 3) + ((((15 * height) >> 6) * steep) >> 14) + (height >> 6) + 2;
+/// How far the tip of a stem may be beside its root, on ground so steep (Q14), pushed aside by so much (Q8). The horizontal part of its direction goes evenly from 0.45 of the ground's at the
+/// root to that and the push at the tip, 0.75 at most, so on the way it is half of their sum.
+fn lean_of(height: i32, steep: i32, push: i32) -> i32 {
+    let tip = (push + ((116 * steep) >> 14) + 1).min(192);
+    return ((height * tip) >> 9) + ((((15 * height) >> 6) * steep) >> 14) + (height >> 6) + 2;
+}
+
+/// What is added to the direction of a tip at most, Q8: how the clump has grown, by its hue in 64ths, the wind, and leaning away from an eye that is higher by a part `tilt` (Q8) of the
+/// distance. That last one goes with sine and cosine of the eye's height, whose product is at most 1/2.
+fn push_of(planting: &Planting, hue: i32, tilt: i32) -> i32 {
+    return 21
+        + ((41 * (hue + 1)) >> 6)
+        + planting.wind_reach
+        + ((planting.lean_reach * tilt.min(128)) >> 8)
+        + 2;
+}
+
+/// [`Planting::wind_reach`] of a wind, 0 to 1: `clump::wind_push` is at most 0.55 of it.
+#[must_use]
+pub fn wind_reach(wind: f32) -> i32 {
+    (0.55 * 256.0 * wind).ceil() as i32
+}
+
+/// [`Planting::lean_reach`] of a lean, 0 to 1: `clump::lean_push` is at most 0.9 of it times sine and cosine of the eye's height.
+#[must_use]
+pub fn lean_reach(lean: f32) -> i32 {
+    (0.9 * 256.0 * lean).ceil() as i32
+}
+
+/// By how much of the distance the eye is above a place, Q8, never too little; `near` is no more than the distance, 1/16 m.
+fn tilt_of(culling: &Culling, y: i32, near: i32) -> i32 {
+    let up = ((culling.eye[1] - y) >> COARSE_BITS) + 1;
+    return (((up.clamp(0, FARTHEST) << 8) as u32 / near.max(1) as u32).min(256)) as i32 + 1;
 }
 
 /// Length of the longest of the six blades of a clump in the third level of detail, Q8, never too little, by its phase modulo 9: lengths follow `tuft_number`, which repeats with a ninth of a
@@ -197,7 +226,14 @@ struct Shape {
 /// Grass: feet follow the ground; its normal travels in bytes, hence the 64th. What leans by a part l of its height does not follow it: downhill it is above the slope by g l, but lower by
 /// l² / 2 for having leant, so by no more than g² / 2. Near by the blades spread up to their tips, which stand 0.49 of the width from the middle. In the third level of detail they close in:
 /// feet reach half the width, tips stand 0.3 (77/256) of it from the middle and lean; what is between is on straight lines from foot to tip, which the skirt holds.
-fn shape_of(planting: &Planting, half: i32, height: i32, is_far: bool, slope: Option<[i32; 2]>) -> Shape {
+fn shape_of(
+    planting: &Planting,
+    half: i32,
+    height: i32,
+    is_far: bool,
+    slope: Option<[i32; 2]>,
+    push: i32,
+) -> Shape {
     if planting.kind != KIND_GRASS {
         let radius = ((half * 49) >> 8) + 1;
         return Shape {
@@ -209,7 +245,7 @@ fn shape_of(planting: &Planting, half: i32, height: i32, is_far: bool, slope: Op
         };
     }
     let steep = slope.map_or(1 << 14, |slope| steepness(slope[0], slope[1]));
-    let lean = lean_of(height, steep);
+    let lean = lean_of(height, steep, push);
     // Of a slope that is not known nothing is taken off: it is at most 1.
     let foot = if slope.is_some() { (((height * steep) >> 14) * steep) >> 15 } else { half };
     let above = (half >> 6) + 2;
@@ -239,7 +275,8 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: O
     let is_low = is_far && planting.kind == KIND_GRASS;
     let longest = if is_low { LONGEST[((clump.looks >> 18 & 63) % 9) as usize] } else { 256 };
     let sink = if is_low { sink_of(half, height, near, presence) } else { 0 };
-    let shape = shape_of(planting, half, ((height * longest) >> 8) + 1, is_far, slope);
+    let push = push_of(planting, (clump.looks >> 12 & 63) as i32, tilt_of(culling, clump.y, near));
+    let shape = shape_of(planting, half, ((height * longest) >> 8) + 1, is_far, slope, push);
     let known = slope.filter(|_| planting.kind == KIND_GRASS).unwrap_or([0, 0]);
     return Extent {
         target: Target {
@@ -414,7 +451,7 @@ pub fn block_extent<S: Slots>(
     // Land may rise by kilometres within a block: squares of what is farther do not fit.
     let near = (far - apart - 5).clamp(0, 0xffff) as u32;
     let is_far = near * near > planting.detail[1];
-    let shape = shape_of(planting, leaf, height, is_far, None);
+    let shape = shape_of(planting, leaf, height, is_far, None, push_of(planting, 63, 128));
     return Some(Extent {
         target: Target {
             x,
@@ -498,6 +535,8 @@ mod tests {
             range: (range_m * 16.0) as i32,
             collapse: (range_m * 4.0) as i32,
             detail: lod_m.map(squared),
+            wind_reach: wind_reach(wind),
+            lean_reach: lean_reach(lean),
             ..Planting::zeroed()
         };
         let field = Field {
