@@ -199,30 +199,33 @@ impl<S: Slots> Slots for Counting<'_, S> {
 }
 
 /// Rings on the hull of all that a clump may take up, metres, as it is seen from an eye: what its test promises. What follows the plane of the top does so up to a part of the radius; the rest
-/// leans out of it by that much at most, along the way to the eye too.
+/// leans out of it by that much at most. Both are counted along the axis of the ground that the line of sight crosses faster, as the test does.
 fn hull_of(scene: &Scene, extent: &Extent, eye: Point) -> Vec<Point> {
     let corner = scene.plants.square.corner.map(|units| f64::from(units) / 256.0);
     let metres = |fine: i32| f64::from(fine) / 4096.0;
     let target = &extent.target;
     let (x, z) = (metres(target.x) + corner[0], metres(target.z) + corner[1]);
     let (radius, skirt, follow) = (metres(target.radius), metres(target.skirt), metres(target.follow));
-    let [east_rise, south_rise] =
-        [target.east_rise, target.south_rise].map(|rise| f64::from(rise) / 16_384.0);
-    let (away_x, away_z) = (x - eye[0], z - eye[2]);
-    let length = away_x.hypot(away_z).max(1e-9);
-    let away = [away_x / length, away_z / length];
-    // Growth of the top behind the middle, and beside it.
-    let ahead = east_rise * away[0] + south_rise * away[1];
-    let tilt = south_rise * away[0] - east_rise * away[1];
+    let rises = [target.east_rise, target.south_rise].map(|rise| f64::from(rise) / 16_384.0);
+    let away = [x - eye[0], z - eye[2]];
+    let main = usize::from(away[0].abs() < away[1].abs());
+    let forward = away[main].signum();
+    let drift = away[1 - main] / away[main].abs().max(1e-9);
+    // Growth of the top behind the middle, beside it, and along the line of sight.
+    let (ahead, tilt) = (rises[main] * forward, rises[1 - main]);
+    let along = ahead + tilt * drift;
     let ring = |share: f64, beyond: f64| {
         let reach = share * radius + beyond * skirt;
         let planar = follow + beyond * (radius + skirt - follow);
         let lean = radius - follow;
         (0..POINTS).map(move |n| TAU * f64::from(n) / f64::from(POINTS)).map(move |angle| {
             let (behind, beside) = (reach * angle.cos(), reach * angle.sin());
-            let foot = if ahead > 0.0 { (behind + lean).min(planar) } else { (behind - lean).max(-planar) };
-            let top = metres(target.top) - beyond * metres(target.fall) + ahead * foot + tilt * beside;
-            [x + behind * away[0] - beside * away[1], top, z + behind * away[1] + beside * away[0]]
+            let foot = if along > 0.0 { (behind + lean).min(planar) } else { (behind - lean).max(-planar) };
+            let plane = ahead * foot + tilt * (beside - drift * (behind - foot));
+            let mut place = [x, z];
+            place[main] += behind * forward;
+            place[1 - main] += beside;
+            [place[0], metres(target.top) - beyond * metres(target.fall) + plane, place[1]]
         })
     };
     ring(1.0, 0.0).chain(ring(0.5, 0.0)).chain(ring(1.0, 0.5)).chain(ring(1.0, 1.0)).collect()
