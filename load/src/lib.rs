@@ -3,7 +3,7 @@
 //! [`run`] is the whole of it: a checked [`LoadConfig`] goes in, a [`Report`] comes out, and [`Report::verdict`] says
 //! whether the server passed. Reading order: [`config`], [`path`] (where a client flies), [`interest`] (what it may be
 //! sent), [`verify`] (what a chunk must satisfy), [`regeneration`] (where samples are compared), [`session`] (one client),
-//! [`tally`] (what all clients count), [`report`]. Apart from all that, [`bench`] measures a server's promises one by one.
+//! [`tally`] (what all clients count), [`report`]. Apart from all that, [`mod@bench`] measures a server's promises one by one.
 //!
 //! What it refuses: drawing (no GPU crate is in its dependency tree), keeping chunks (a verified chunk is dropped), and
 //! deciding for itself what the wire looks like (the `protocol` crate's client machine does).

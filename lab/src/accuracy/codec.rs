@@ -1,6 +1,6 @@
 //! The codec of chunks: what a tolerance and an effort cost and save, and samples against seeds.
 //!
-//! Times are the shortest of [`TURNS`] for each chunk, in milliseconds; in a debug build they mean little.
+//! Times are the shortest of `TURNS` for each chunk, in milliseconds; in a debug build they mean little.
 
 use super::Curve;
 use crate::chart::{Panel, linear, log, measured, stated};
