@@ -467,6 +467,12 @@ impl ServerSession {
         self.outbox.pop_front()
     }
 
+    /// What the client sees, by its latest accepted view; none until it says.
+    #[must_use]
+    pub fn view(&self) -> Option<&View> {
+        self.view.as_ref().map(|active| &active.view)
+    }
+
     /// Whether the handshake is done.
     #[must_use]
     pub const fn is_welcomed(&self) -> bool {

@@ -6,9 +6,11 @@
 use crate::addresses::Addresses;
 use crate::config::ServerConfig;
 use crate::generation::{Generation, Limits};
+use crate::live::Live;
+use crate::map::Map;
 use crate::metrics::Metrics;
 use crate::source::Procedural;
-use crate::{SOFTWARE, routes};
+use crate::{SOFTWARE, http};
 use axum::body::Body;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
@@ -31,6 +33,9 @@ use tower::ServiceExt;
 /// the system's backlog holds the rest.
 const SPARE_CONNECTIONS: usize = 256;
 
+/// Of the memory for chunks, as much again as one part in so many for tiles of the map.
+const MAP_SHARE: u64 = 8;
+
 /// Bytes that hyper may hold of one request's headers.
 const HEADER_BUFFER: usize = 16 * 1024;
 
@@ -42,6 +47,10 @@ pub struct Shared {
     pub offer: ServerOffer,
     /// Makes chunk frames.
     pub generation: Generation,
+    /// Paints the map.
+    pub map: Map,
+    /// Who is where.
+    pub live: Live,
     /// Counts.
     pub metrics: Arc<Metrics>,
     /// Cancelled when the server begins to drain.
@@ -71,6 +80,8 @@ impl Shared {
         let token = config.token.clone();
         Ok(Self {
             offer: ServerOffer { land, digest: land.digest(), token, software: SOFTWARE.into() },
+            map: Map::new(land.digest(), config.cache_bytes / MAP_SHARE, config.threads),
+            live: Live::default(),
             generation,
             metrics,
             draining: CancellationToken::new(),
@@ -97,7 +108,7 @@ pub async fn run(
     let address = listener.local_addr().map_or_else(|_| "unknown".into(), |address| address.to_string());
     tracing::info!(%address, world_seed = shared.config.world_seed, digest = %shared.offer.digest, "listening");
 
-    let router = routes::router(Arc::clone(&shared));
+    let router = http::router(Arc::clone(&shared));
     let connections = TaskTracker::new();
     let slots = Arc::new(Semaphore::new(shared.config.max_sessions + SPARE_CONNECTIONS));
     tokio::pin!(shutdown);

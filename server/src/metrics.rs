@@ -1,5 +1,7 @@
 //! Counters of one server, in the OpenMetrics text format. No globals: two servers in one process count apart.
 
+use crate::http::problem::Kind;
+use crate::latency::Latency;
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
@@ -74,8 +76,18 @@ pub struct Metrics {
     pub queue: Gauge,
     /// Seconds per generated chunk.
     pub generation_seconds: Histogram,
+    /// From the moment that a session takes a chunk up to the moment that it is written.
+    pub latency: Latency,
+    /// Tiles of the map asked for.
+    pub tiles_requested: Counter,
+    /// Of these, answered from the cache.
+    pub tile_cache_hits: Counter,
+    /// Of these, painted.
+    pub tiles_painted: Counter,
     /// HTTP responses, by status.
     pub http_responses: Family<Status, Counter>,
+    /// HTTP requests refused, by kind; every kind is there from the start.
+    http_refusals: [Counter; Kind::ALL.len()],
 }
 
 impl Default for Metrics {
@@ -103,7 +115,12 @@ impl Default for Metrics {
             queue: Gauge::default(),
             // 0.1 ms to 0.8 s: a sea chunk takes the least, a coarse chunk with its measured error the most.
             generation_seconds: Histogram::new(exponential_buckets(0.0001, 2.0, 14)),
+            latency: Latency::default(),
+            tiles_requested: Counter::default(),
+            tile_cache_hits: Counter::default(),
+            tiles_painted: Counter::default(),
             http_responses: Family::default(),
+            http_refusals: Default::default(),
         };
         metrics.register();
         metrics
@@ -149,13 +166,35 @@ impl Metrics {
         r.register("failed", "Generation jobs that panicked", self.failed.clone());
         r.register("generation_queue", "Generation jobs queued or running", self.queue.clone());
         r.register("generation_seconds", "Seconds per generated chunk", self.generation_seconds.clone());
+        r.register(
+            "chunk_latency_seconds",
+            "From the moment that a session takes a chunk up to the moment that it is written",
+            self.latency.clone(),
+        );
+        r.register("map_tiles_requested", "Tiles of the map asked for", self.tiles_requested.clone());
+        r.register(
+            "map_tile_cache_hits",
+            "Tiles of the map answered from the cache",
+            self.tile_cache_hits.clone(),
+        );
+        r.register("map_tiles_painted", "Tiles of the map painted", self.tiles_painted.clone());
         r.register("http_responses", "HTTP responses, by status", self.http_responses.clone());
+        let by_kind = Family::<Reason, Counter>::default();
+        for (kind, counter) in Kind::ALL.iter().zip(&mut self.http_refusals) {
+            *counter = by_kind.get_or_create_owned(&Reason { reason: kind.name() });
+        }
+        r.register("http_refusals", "HTTP requests refused, by kind", by_kind);
     }
 
     /// Counts refusals of one reason.
     pub fn refused(&self, reason: RefusalReason, count: u64) {
         self.refusals.inc_by(count);
         self.refusals_by_reason[reason.index()].inc_by(count);
+    }
+
+    /// Counts a refused HTTP request.
+    pub fn http_refused(&self, kind: Kind) {
+        self.http_refusals[kind.index()].inc();
     }
 
     /// The OpenMetrics text of all values.

@@ -6,6 +6,7 @@
 
 use crate::generation::{Done, Flow, GenerationError};
 use crate::listener::Shared;
+use crate::live::Seated;
 use crate::metrics::{DeliveryLabel, Reason};
 use crate::websocket::WebSocket;
 use crate::websocket::frame::{Fault, MAX_CONTROL_PAYLOAD, Opcode};
@@ -17,6 +18,7 @@ use protocol::server::{Next, ServerSession, SessionCounts};
 use protocol::{CloseCode, Incoming};
 use std::io;
 use std::time::Duration;
+use terrain::ChunkKey;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::time::{Instant, timeout};
 
@@ -54,6 +56,9 @@ where
         session: ServerSession::new(shared.offer.clone(), number),
         flow: shared.generation.flow(),
         counted: SessionCounts::default(),
+        seat: shared.live.sit(number),
+        taken: Vec::new(),
+        unwritten: Vec::new(),
     };
     let end = driver.run().await;
     tracing::debug!(session = number, reason = end.reason, "session ended");
@@ -74,6 +79,12 @@ struct Driver<'a, S> {
     flow: Flow,
     /// What of the session's counts is in the metrics already.
     counted: SessionCounts,
+    /// What others may know of this session.
+    seat: Seated,
+    /// Since when each chunk in generation is taken up. At most [`JOB_WINDOW`].
+    taken: Vec<(ChunkKey, Instant)>,
+    /// Since when chunks that wait for the next flush were taken up, and how many. At most [`JOB_WINDOW`] and one batch.
+    unwritten: Vec<(Instant, u64)>,
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
@@ -139,18 +150,26 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     /// Hands wanted chunks to the generation service, and cached ones straight back to the session. True if it stopped
     /// only to let a full batch be written.
     fn start_jobs(&mut self) -> bool {
-        let (mut batch, delivery) = (0, self.session.delivery());
+        let (mut batch, delivery, now) = (0, self.session.delivery(), Instant::now());
+        let mut more = false;
         while self.flow.open() < JOB_WINDOW {
             if batch == BATCH {
-                return true;
+                more = true;
+                break;
             }
             match self.session.next_chunk_with(|key| self.shared.generation.cached(key, delivery)) {
-                Next::Nothing => return false,
+                Next::Nothing => break,
                 Next::Delivered => batch += 1,
-                Next::Make(wanted) => self.flow.ask(wanted, delivery),
+                Next::Make(wanted) => {
+                    self.taken.push((wanted.key, now));
+                    self.flow.ask(wanted, delivery);
+                }
             }
         }
-        false
+        if batch > 0 {
+            self.unwritten.push((now, batch as u64));
+        }
+        more
     }
 
     /// Takes everything that was read, and then sees to what it made stale or what there is too much of.
@@ -159,8 +178,14 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         while self.receive_message().await? {}
         for key in self.session.take_stale() {
             for wanted in self.flow.withdraw(key) {
+                self.take_off(wanted.key);
                 self.session.withdraw(wanted);
             }
+        }
+        if self.session.counts().views != self.counted.views
+            && let Some(view) = self.session.view()
+        {
+            self.seat.moved(view);
         }
         // Full window: what waits behind it waits for the service, not for credit.
         if self.start_jobs_until_full() {
@@ -214,8 +239,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     }
 
     fn finish(&mut self, (wanted, result): Done) {
+        let since = self.take_off(wanted.key);
         match result {
-            Ok(frame) => self.session.deliver(wanted, frame),
+            Ok(frame) => {
+                self.session.deliver(wanted, frame);
+                self.unwritten.extend(since.map(|since| (since, 1)));
+            }
             Err(error) => {
                 let reason = match error {
                     GenerationError::Overloaded => RefusalReason::Overloaded,
@@ -224,6 +253,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 self.session.fail(wanted, reason, error.to_string());
             }
         }
+    }
+
+    /// A chunk is in generation no more; tells since when it was.
+    fn take_off(&mut self, key: ChunkKey) -> Option<Instant> {
+        let index = self.taken.iter().position(|(taken, _)| *taken == key)?;
+        Some(self.taken.swap_remove(index).1)
     }
 
     /// Writes everything that the session has to say, in one flush.
@@ -238,6 +273,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         }
         let result = within(self.shared.config.write_timeout, self.socket.flush()).await;
         self.shared.metrics.bytes_sent.inc_by(bytes);
+        if result.is_ok() {
+            let now = Instant::now();
+            for (since, count) in self.unwritten.drain(..) {
+                self.shared.metrics.latency.observe(now - since, count);
+            }
+        }
         self.count();
         result
     }
@@ -278,6 +319,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             }
         }
         metrics.views.inc_by(now.views - before.views);
+        self.seat.sent(now.chunks, now.chunk_bytes);
         self.counted = now;
     }
 }

@@ -1,0 +1,145 @@
+//! Representations with a strong validator, and the requests that are made under a condition on it: RFC 9110, sections 8.8.3 and 13.
+
+use crate::http::problem::{Kind, Problem};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+
+/// What a resource is at the moment, with what caches need to know.
+#[derive(Clone, Debug)]
+pub struct Representation {
+    /// The strong validator, quotes included.
+    pub etag: HeaderValue,
+    /// Media type.
+    pub content_type: &'static str,
+    /// Value of `Cache-Control`.
+    pub caching: &'static str,
+    /// All of it.
+    pub body: Bytes,
+}
+
+/// A strong validator of content by its digest.
+#[must_use]
+pub fn etag(digest: &[u8]) -> HeaderValue {
+    let hex: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    // Hexadecimal digits and quotes are always a header value.
+    HeaderValue::from_str(&format!("\"{hex}\"")).unwrap_or(HeaderValue::from_static("\"\""))
+}
+
+/// How long what never changes may be kept, and by whom: what takes a token is no business of shared caches, which would give it
+/// to everybody (RFC 9111, section 3.5).
+#[must_use]
+pub const fn for_ever(takes_token: bool) -> &'static str {
+    if takes_token { "private, max-age=31536000, immutable" } else { "public, max-age=31536000, immutable" }
+}
+
+impl Representation {
+    /// Answers a GET or HEAD request. `If-Match` is judged before `If-None-Match` (RFC 9110, section 13.2.2); ranges are not offered.
+    #[must_use]
+    pub fn answer(self, request: &HeaderMap) -> Response {
+        let etag = self.etag.as_bytes();
+        if request.contains_key(header::IF_MATCH) && !is_matched(request, &header::IF_MATCH, etag, false) {
+            let shown = String::from_utf8_lossy(etag);
+            return Problem::new(Kind::PreconditionFailed, format!("`If-Match` does not name {shown}"))
+                .into_response();
+        }
+        let validators = [
+            (header::ETAG, self.etag.clone()),
+            (header::CACHE_CONTROL, HeaderValue::from_static(self.caching)),
+        ];
+        if is_matched(request, &header::IF_NONE_MATCH, etag, true) {
+            return (StatusCode::NOT_MODIFIED, validators).into_response();
+        }
+        (validators, [(header::CONTENT_TYPE, self.content_type)], self.body).into_response()
+    }
+}
+
+/// Whether a header that lists entity tags, perhaps over several lines, names this one. Weak tags count only where `weak_counts`.
+fn is_matched(headers: &HeaderMap, name: &HeaderName, etag: &[u8], weak_counts: bool) -> bool {
+    headers.get_all(name).iter().any(|line| {
+        let line = line.as_bytes().trim_ascii();
+        line == b"*" || Tags(line).any(|(is_weak, tag)| tag == etag && (weak_counts || !is_weak))
+    })
+}
+
+/// The entity tags of one line: whether weak, and the tag with its quotes. Ends at the first thing that is none.
+struct Tags<'a>(&'a [u8]);
+
+impl<'a> Iterator for Tags<'a> {
+    type Item = (bool, &'a [u8]);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let start = self.0.iter().position(|byte| !matches!(byte, b' ' | b'\t' | b','))?;
+        let rest = &self.0[start..];
+        let (is_weak, rest) = rest.strip_prefix(b"W/").map_or((false, rest), |rest| (true, rest));
+        let inside = rest.strip_prefix(b"\"")?;
+        let length = inside.iter().position(|byte| *byte == b'"')?;
+        let (tag, rest) = rest.split_at(length + 2);
+        self.0 = rest;
+        Some((is_weak, tag))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn status(name: &HeaderName, lines: &[&'static str]) -> StatusCode {
+        let mut request = HeaderMap::new();
+        for line in lines {
+            request.append(name.clone(), HeaderValue::from_static(line));
+        }
+        let representation = Representation {
+            etag: HeaderValue::from_static("\"abc\""),
+            content_type: "text/plain",
+            caching: "no-cache",
+            body: Bytes::from_static(b"body"),
+        };
+        representation.answer(&request).status()
+    }
+
+    #[test]
+    fn if_none_match_compares_weakly_in_lists_over_lines_and_with_commas_inside_tags() {
+        for lines in [
+            &["\"abc\""][..],
+            &["W/\"abc\""],
+            &["*"],
+            &[" * "],
+            &["\"x\", \"abc\""],
+            &["\"x\",,\t\"abc\" ,"],
+            &["\"x\"", "W/\"abc\""],
+            &["\"a,b\",\"abc\""],
+        ] {
+            assert_eq!(status(&header::IF_NONE_MATCH, lines), StatusCode::NOT_MODIFIED, "{lines:?}");
+        }
+        for lines in [
+            &["\"abd\""][..],
+            &["abc"],
+            &["W/W/\"abc\""],
+            &["w/\"abc\""],
+            &["\"x,\"abc\""],
+            &["\"\""],
+            &["\"abc"],
+            &[""],
+            &[",,"],
+            &["\"*\""],
+        ] {
+            assert_eq!(status(&header::IF_NONE_MATCH, lines), StatusCode::OK, "{lines:?}");
+        }
+    }
+
+    #[test]
+    fn if_match_compares_strongly_and_fails_with_412() {
+        for lines in [&["\"abc\""][..], &["*"], &["W/\"abc\", \"abc\""]] {
+            assert_eq!(status(&header::IF_MATCH, lines), StatusCode::OK, "{lines:?}");
+        }
+        for lines in [&["W/\"abc\""][..], &["\"abd\""], &["abc"], &[""]] {
+            assert_eq!(status(&header::IF_MATCH, lines), StatusCode::PRECONDITION_FAILED, "{lines:?}");
+        }
+    }
+
+    #[test]
+    fn a_validator_is_the_hexadecimal_digest_in_quotes() {
+        assert_eq!(etag(&[0, 0xab, 15]), "\"00ab0f\"");
+    }
+}

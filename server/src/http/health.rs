@@ -1,0 +1,32 @@
+//! Probes and metrics, for machines that watch.
+
+use crate::listener::Shared;
+use axum::extract::State;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use std::sync::Arc;
+
+/// Queue load above which the server calls itself not ready, so that a balancer sends new clients elsewhere.
+const READY_LOAD: f64 = 0.9;
+
+/// `GET /livez`.
+pub async fn livez() -> &'static str {
+    "ok\n"
+}
+
+/// `GET /readyz`.
+pub async fn readyz(State(shared): State<Arc<Shared>>) -> Response {
+    if shared.draining.is_cancelled() {
+        return (StatusCode::SERVICE_UNAVAILABLE, "draining\n").into_response();
+    }
+    if shared.generation.load() > READY_LOAD {
+        return (StatusCode::SERVICE_UNAVAILABLE, "generation queue is nearly full\n").into_response();
+    }
+    "ready\n".into_response()
+}
+
+/// `GET /metrics`.
+pub async fn metrics(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
+    const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+    ([(header::CONTENT_TYPE, OPEN_METRICS)], shared.metrics.render())
+}

@@ -1,0 +1,180 @@
+//! The relief map: pictures of the chunks that the server sends, one tile for the square of each chunk key.
+//!
+//! The map is a guest. All tiles together are one client of the generation service for every four of its threads, so that they get
+//! at most that share of its turns; tiles that wait are counted and bounded, and finished ones lie in a cache of bytes.
+//! Reading order: [`relief`] (heights from chunks), [`paint`] (colours from heights).
+
+pub mod paint;
+pub mod relief;
+
+use crate::generation::{Flow, Generation, GenerationError};
+use crate::metrics::Metrics;
+use bytes::Bytes;
+use protocol::server::Wanted;
+use protocol::{Delivery, chunk_codec};
+use quick_cache::Weighter;
+use quick_cache::sync::Cache;
+use relief::Relief;
+use std::time::Duration;
+use terrain::{Chunk, ChunkKey, WorldDigest};
+use thiserror::Error;
+use tokio::sync::Semaphore;
+use tokio::time::timeout;
+
+/// Pixels along one side of a tile.
+pub const TILE_PIXELS: usize = 256;
+
+/// Counts changes of colours and shading. Part of the tiles' addresses, since a tile may be kept for ever.
+pub const STYLE: u32 = 1;
+
+/// Tiles that may wait to be painted. About three browser windows full; one more is refused.
+const MAX_WAITING: usize = 96;
+
+/// Longest wait for a turn. Whoever asked has scrolled on.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Chunks of one tile in generation at once, as [`crate::socket`] has for a session: all at once would make the last wait for the
+/// first, and be refused where the deadline is short.
+const JOB_WINDOW: usize = 8;
+
+/// Bytes a tile takes besides its picture: key, digest, handle and the map's own share.
+const TILE_OVERHEAD: u64 = 160;
+
+/// Why a tile cannot be had now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum MapError {
+    /// Too many tiles wait already, or this one waited for too long.
+    #[error("too many tiles of the map are asked for at once, ask again later")]
+    Busy,
+    /// One of its chunks cannot be had.
+    #[error(transparent)]
+    Generation(#[from] GenerationError),
+}
+
+/// A finished tile.
+#[derive(Clone, Debug)]
+pub struct Tile {
+    /// The picture: PNG, RGB, [`TILE_PIXELS`] a side.
+    pub png: Bytes,
+    /// Of the picture's bytes.
+    pub digest: [u8; 16],
+}
+
+/// Paints and keeps tiles.
+pub struct Map {
+    world: WorldDigest,
+    cache: Cache<ChunkKey, Tile, TileWeight>,
+    /// One permit for each tile being painted.
+    painting: Semaphore,
+    /// One permit for each tile that is being painted or waits for it.
+    places: Semaphore,
+}
+
+#[derive(Clone)]
+struct TileWeight;
+
+impl Weighter<ChunkKey, Tile> for TileWeight {
+    fn weight(&self, _key: &ChunkKey, tile: &Tile) -> u64 {
+        tile.png.len() as u64 + TILE_OVERHEAD
+    }
+}
+
+impl Map {
+    /// A map whose tiles may take so many bytes; `threads` is that of the generation service.
+    #[must_use]
+    pub fn new(world: WorldDigest, cache_bytes: u64, threads: usize) -> Self {
+        // About 64 KiB a tile of land; the estimate only sizes the first tables.
+        let cache = Cache::with_weighter((cache_bytes >> 16) as usize, cache_bytes, TileWeight);
+        Self {
+            world,
+            cache,
+            painting: Semaphore::new(threads.div_ceil(4)),
+            places: Semaphore::new(MAX_WAITING),
+        }
+    }
+
+    /// The tile of a key. Dropping the future withdraws everything that it waits for.
+    ///
+    /// # Errors
+    /// See [`MapError`].
+    pub async fn tile(
+        &self,
+        key: ChunkKey,
+        generation: &Generation,
+        metrics: &Metrics,
+    ) -> Result<Tile, MapError> {
+        metrics.tiles_requested.inc();
+        if let Some(tile) = self.cache.get(&key) {
+            metrics.tile_cache_hits.inc();
+            return Ok(tile);
+        }
+        let _place = self.places.try_acquire().map_err(|_| MapError::Busy)?;
+        // The semaphore is never closed; both failures mean that there was no turn.
+        let turn = timeout(PATIENCE, self.painting.acquire()).await;
+        let Ok(Ok(_turn)) = turn else { return Err(MapError::Busy) };
+        // Whoever was painting may have painted this very tile.
+        if let Some(tile) = self.cache.get(&key) {
+            metrics.tile_cache_hits.inc();
+            return Ok(tile);
+        }
+        let frames = frames(&relief::sources(key), generation).await?;
+        let world = self.world;
+        // Milliseconds of computing: not for a thread that has sockets to serve.
+        let painted = tokio::task::spawn_blocking(move || paint_tile(key, &frames, &world)).await;
+        let Ok(Some(tile)) = painted else { return Err(GenerationError::Failed.into()) };
+        metrics.tiles_painted.inc();
+        self.cache.insert(key, tile.clone());
+        Ok(tile)
+    }
+}
+
+/// The frames of chunks, in their order, as any client would get them.
+async fn frames(keys: &[ChunkKey], generation: &Generation) -> Result<Vec<Bytes>, GenerationError> {
+    let mut frames: Vec<Option<Bytes>> =
+        keys.iter().map(|key| generation.cached(*key, Delivery::Exact)).collect();
+    let missing: Vec<usize> = (0..keys.len()).filter(|index| frames[*index].is_none()).collect();
+    let (mut flow, mut unasked): (Flow, _) = (generation.flow(), missing.into_iter());
+    loop {
+        while flow.open() < JOB_WINDOW {
+            let Some(index) = unasked.next() else { break };
+            // Named by its place, so that the answer finds its way.
+            let wanted = Wanted { key: keys[index], request: Some(index as u32), priority: u64::MAX };
+            flow.ask(wanted, Delivery::Exact);
+        }
+        if flow.open() == 0 {
+            break;
+        }
+        for (wanted, answer) in flow.answers().await {
+            if let Some(place) = wanted.request.and_then(|index| frames.get_mut(index as usize)) {
+                *place = Some(answer?);
+            }
+        }
+    }
+    frames.into_iter().collect::<Option<Vec<_>>>().ok_or(GenerationError::Failed)
+}
+
+/// Paints a tile; none if a frame is damaged, which would be a fault of this server.
+fn paint_tile(key: ChunkKey, frames: &[Bytes], world: &WorldDigest) -> Option<Tile> {
+    let chunks: Option<Vec<Chunk>> =
+        frames.iter().map(|frame| chunk_codec::decode(frame, world).ok()).collect();
+    let pixels = paint::paint(&Relief::of(key, &chunks?), key.level());
+    let png = encode(&pixels).ok()?;
+    let mut digest = [0; 16];
+    digest.copy_from_slice(&blake3::hash(&png).as_bytes()[..16]);
+    Some(Tile { png: png.into(), digest })
+}
+
+/// RGB pixels as PNG.
+fn encode(pixels: &[u8]) -> Result<Vec<u8>, png::EncodingError> {
+    let mut bytes = Vec::with_capacity(pixels.len() / 2);
+    let side = TILE_PIXELS as u32;
+    let mut encoder = png::Encoder::new(&mut bytes, side, side);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fast);
+    encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(pixels)?;
+    writer.finish()?;
+    Ok(bytes)
+}
