@@ -11,15 +11,18 @@ const HEIGHT_AFTER_MS = 120;
 const LIMIT_MS = 8000;
 
 const byId = (id) => document.getElementById(id);
-const token = { text: sessionStorage.getItem('token') };
+const token = { text: sessionStorage.getItem('token'), refused: false };
 
 // Everything that the page asks goes through here.
 async function ask(address, options = {}) {
+  if (token.refused) throw new Error('locked');
+  const { text } = token;
   const limit = AbortSignal.timeout(LIMIT_MS);
   const signal = options.signal ? AbortSignal.any([options.signal, limit]) : limit;
-  const headers = token.text ? { Authorization: `Bearer ${token.text}` } : {};
+  const headers = text ? { Authorization: `Bearer ${text}` } : {};
   const answer = await fetch(address, { ...options, headers, signal });
-  if (answer.status === 401) lock();
+  // Unless another token was entered meanwhile.
+  if (answer.status === 401 && text === token.text) lock();
   return answer;
 }
 
@@ -34,6 +37,7 @@ function say(state, text, notice = '') {
 }
 
 function lock() {
+  token.refused = true;
   byId('token').hidden = false;
   say('locked', 'Locked');
 }
@@ -66,6 +70,10 @@ async function watch(world, tiles, clients, panel) {
   for (;;) {
     if (document.hidden) await new Promise((seen) => { addEventListener('visibilitychange', seen, { once: true }); });
     const start = performance.now();
+    if (token.refused) {
+      await pause(ASK_EVERY_MS / 4);
+      continue;
+    }
     try {
       if (document.body.dataset.state === 'away') {
         const { digest } = await askWorld();
@@ -177,7 +185,7 @@ async function main() {
   byId('home').addEventListener('click', () => view.home());
   byId('token').addEventListener('submit', (event) => {
     event.preventDefault();
-    token.text = byId('token-text').value;
+    Object.assign(token, { text: byId('token-text').value, refused: false });
     sessionStorage.setItem('token', token.text);
     byId('token').hidden = true;
     say('starting', 'Connecting');

@@ -20,7 +20,8 @@ const bytesPerSecond = (value) => {
 const duration = (seconds) => {
   const [days, hours, minutes] = [Math.floor(seconds / 86400), Math.floor(seconds / 3600) % 24, Math.floor(seconds / 60) % 60];
   if (days > 0) return `${days} d ${hours} h`;
-  return hours > 0 ? `${hours} h ${minutes} min` : `${minutes} min ${Math.floor(seconds) % 60} s`;
+  if (hours > 0) return `${hours} h ${minutes} min`;
+  return minutes > 0 ? `${minutes} min ${Math.floor(seconds) % 60} s` : `${Math.floor(seconds)} s`;
 };
 
 const kilometres = (metres) => (metres < 10000 ? `${whole.format(metres)} m` : `${tenths.format(metres / 1000)} km`);

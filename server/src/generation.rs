@@ -182,7 +182,9 @@ impl Generation {
     /// Share of the queue in use, 0 to 1.
     #[must_use]
     pub fn load(&self) -> f64 {
-        self.shared.lock().jobs() as f64 / self.shared.limits.jobs as f64
+        let (jobs, limit) = (self.shared.lock().jobs(), self.shared.limits.jobs);
+        // A queue that takes nothing is full.
+        if jobs >= limit { 1.0 } else { jobs as f64 / limit as f64 }
     }
 }
 

@@ -34,14 +34,14 @@ const LAND: [(f32, Colour); 9] = [
 
 const SHORE: Colour = [52.0, 78.0, 96.0];
 const CONTOUR: Colour = [92.0, 66.0, 40.0];
-const SHADOW: Colour = [40.0, 44.0, 78.0];
+const SHADOW: Colour = [46.0, 48.0, 74.0];
 const LIGHT: Colour = [255.0, 250.0, 228.0];
 
 /// Towards the light: north-west, 45 degrees high, as maps have it by custom. East, up, south.
 const TOWARDS_LIGHT: [f32; 3] = [-0.5, std::f32::consts::FRAC_1_SQRT_2, -0.5];
 
 /// Metres between contours by level; none where they would merge.
-const CONTOUR_M: [f32; 6] = [5.0, 5.0, 10.0, 20.0, 25.0, 50.0];
+const CONTOUR_M: [f32; 4] = [5.0, 5.0, 10.0, 20.0];
 
 /// Times by which slopes are steepened before shading. Far away a pixel averages over the steep parts, so more is needed for the same look.
 fn exaggeration(level: u8) -> f32 {
@@ -85,7 +85,7 @@ fn shaded(tint: Colour, sample: Sample, exaggeration: f32, strength: f32) -> Col
     // 1 for level ground.
     let brightness = facing / light_up;
     if brightness < 1.0 {
-        mix(tint, SHADOW, strength * 0.78 * (1.0 - brightness).min(1.0))
+        mix(tint, SHADOW, strength * 0.72 * (1.0 - brightness).min(1.0))
     } else {
         mix(tint, LIGHT, strength * 1.3 * (brightness - 1.0).min(0.5))
     }

@@ -1,0 +1,315 @@
+//! The page in a real browser: headless Chromium, driven over its debugging protocol, against the real `tombolo-server`.
+//!
+//! | module | what it is |
+//! | --- | --- |
+//! | `chromium` | finding, starting and ending the browser; one tab and what it says |
+//! | `programs` | the server as a program, and clients that wander about |
+//!
+//! Where no browser is installed these tests are listed as ignored, which no runner takes for a pass, and the reason is said. Where
+//! `TOMBOLO_REQUIRE_BROWSER` is set they fail instead. `TOMBOLO_SCREENSHOTS` names a folder in which the pictures are left.
+
+mod chromium;
+mod programs;
+
+use chromium::{Browser, Tab};
+use libtest_mimic::{Arguments, Failed, Trial};
+use programs::{Program, Wanderer};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let arguments = Arguments::from_args();
+    let is_missing = chromium::program().is_none();
+    let is_required = std::env::var_os("TOMBOLO_REQUIRE_BROWSER").is_some();
+    if is_missing {
+        eprintln!("NOT TESTED: {}", chromium::MISSING);
+    }
+    let trial = |name: &str, test: fn(&tokio::runtime::Runtime) -> Result<(), Failed>| {
+        let run = move || {
+            if chromium::program().is_none() {
+                return Err(chromium::MISSING.into());
+            }
+            test(&tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?)
+        };
+        Trial::test(name, run).with_ignored_flag(is_missing && !is_required)
+    };
+    let trials = vec![
+        trial("a_visitor_sees_the_land_its_clients_and_its_load_and_can_go_everywhere", |runtime| {
+            runtime.block_on(visit());
+            Ok(())
+        }),
+        trial("a_server_that_goes_away_is_told_and_found_again", |runtime| {
+            runtime.block_on(outage());
+            Ok(())
+        }),
+        trial("a_server_with_a_token_lets_in_who_has_it", |runtime| {
+            runtime.block_on(token());
+            Ok(())
+        }),
+    ];
+    libtest_mimic::run(&arguments, trials).exit_code()
+}
+
+/// All tiles on the screen are there, and there are some.
+const PAINTED: &str = "(({ wanted, drawn }) => Number(wanted) > 3 && wanted === drawn)(document.getElementById('relief').dataset)";
+
+/// The page's own words.
+async fn text(tab: &mut Tab, id: &str) -> String {
+    let value = tab.evaluate(&format!("document.getElementById('{id}').textContent")).await;
+    value.as_str().unwrap().to_owned()
+}
+
+/// Where the arrow of a session is, in CSS pixels.
+async fn arrow(tab: &mut Tab, session: u64) -> (f64, f64) {
+    let script = format!(
+        "[...document.querySelectorAll('.client')].find((group) => group.querySelector('text').textContent === '{session}')
+            .getAttribute('transform').match(/-?[\\d.]+/g).map(Number)"
+    );
+    let place = tab.evaluate(&script).await;
+    (place[0].as_f64().unwrap(), place[1].as_f64().unwrap())
+}
+
+/// Colours on the canvas: how many there are among a grid of points, and how many of these are blue as the sea is.
+async fn colours(tab: &mut Tab) -> (u64, u64) {
+    let script = "(() => {
+        const canvas = document.getElementById('relief');
+        const { width, height } = canvas;
+        const copy = new OffscreenCanvas(width, height).getContext('2d', { willReadFrequently: true });
+        copy.drawImage(canvas, 0, 0);
+        const { data } = copy.getImageData(0, 0, width, height);
+        const seen = new Set();
+        let blue = 0;
+        for (let x = 8; x < width; x += 16) for (let y = 8; y < height; y += 16) {
+            const [r, g, b] = data.subarray(4 * (y * width + x));
+            seen.add((r << 16) | (g << 8) | b);
+            if (b > r + 30) blue += 1;
+        }
+        return [seen.size, blue];
+    })()";
+    let counts = tab.evaluate(script).await;
+    (counts[0].as_u64().unwrap(), counts[1].as_u64().unwrap())
+}
+
+async fn visit() {
+    let server = Program::start("127.0.0.1:0", &[]);
+    let still = Wanderer::start(&server, [-2600, 1400], 45_000, 0).await;
+    let others = [
+        Wanderer::start(&server, [-300, -900], 200_000, 90).await,
+        Wanderer::start(&server, [1900, 2300], -60_000, 120).await,
+        Wanderer::start(&server, [1500, -2700], 120_000, 60).await,
+    ];
+    let browser = Browser::start();
+    let mut tab = browser.tab().await;
+    tab.resize(1280, 800, false).await;
+    tab.open(&server.page()).await;
+
+    // What a visitor sees first.
+    tab.wait_for(PAINTED, "all tiles").await;
+    tab.wait_for("document.body.dataset.state === 'live'", "the server's figures").await;
+    tab.wait_for("document.getElementById('clients').dataset.shown === '4'", "an arrow for every client")
+        .await;
+    tab.wait_for("Number(document.getElementById('clients-open').value) === 4", "the number of clients")
+        .await;
+    tab.wait_for("parseFloat(document.getElementById('chunks').value) > 0", "chunks that flow").await;
+    tab.wait_for("parseFloat(document.getElementById('bytes').value) > 0", "bytes that flow").await;
+    tab.wait_for("parseFloat(document.getElementById('latency').value) > 0", "a latency").await;
+    tab.wait_for("document.querySelectorAll('#list li').length === 4", "a list of clients").await;
+    tab.wait_for(
+        "/ (high|deep)$/.test(document.getElementById('place').textContent)",
+        "the height of the middle",
+    )
+    .await;
+    let (colours_seen, blue) = colours(&mut tab).await;
+    assert!(colours_seen > 200 && blue > 300, "{colours_seen} colours, {blue} blue points");
+    let command = text(&mut tab, "command").await;
+    assert_eq!(command, format!("tombolo-view --connect {}", server.stream()));
+    let scale = text(&mut tab, "scale-text").await;
+    assert_eq!(scale, "2 km");
+
+    // Dragging moves the land and what stands on it alike.
+    let before = arrow(&mut tab, still.session).await;
+    tab.drag((600.0, 500.0), (480.0, 440.0)).await;
+    tab.wait_for(PAINTED, "all tiles after a drag").await;
+    let after = arrow(&mut tab, still.session).await;
+    let moved = (after.0 - before.0, after.1 - before.1);
+    assert!((moved.0 + 120.0).abs() < 1.0 && (moved.1 + 60.0).abs() < 1.0, "{moved:?}");
+
+    // The wheel zooms, and what is under the pointer stays there.
+    let level =
+        tab.evaluate("Number(document.getElementById('relief').dataset.level)").await.as_i64().unwrap();
+    tab.wheel(after, -480.0).await;
+    tab.wait_for(
+        &format!("Number(document.getElementById('relief').dataset.level) < {level}"),
+        "a finer level",
+    )
+    .await;
+    tab.wait_for(PAINTED, "all tiles after zooming").await;
+    let zoomed = arrow(&mut tab, still.session).await;
+    assert!((zoomed.0 - after.0).abs() < 1.0 && (zoomed.1 - after.1).abs() < 1.0, "{after:?} {zoomed:?}");
+
+    // Keys.
+    tab.evaluate("document.getElementById('map').focus()").await;
+    tab.key("ArrowRight").await;
+    tab.wait_for("true", "a frame").await;
+    let script = "document.querySelector('.client text') && location.hash.length > 5";
+    tab.wait_for(script, "a place in the address").await;
+    tab.wait_for(
+        &format!("{} < {}", ARROW_X.replace("SESSION", &still.session.to_string()), zoomed.0 - 50.0),
+        "a step to the east",
+    )
+    .await;
+    tab.key("0").await;
+    let home =
+        format!("Math.abs({} - {}) < 1", ARROW_X.replace("SESSION", &still.session.to_string()), before.0);
+    tab.wait_for(&home, "home by key").await;
+
+    // A place can be shared.
+    tab.open(&format!("{}#x=2000&z=-1500&level=2.50", server.page())).await;
+    tab.wait_for(PAINTED, "all tiles of a shared place").await;
+    assert_eq!(tab.evaluate("document.getElementById('relief').dataset.level").await, "2");
+    tab.wait_for(
+        "document.getElementById('scale-text').textContent === '200 m'",
+        "the scale of a shared place",
+    )
+    .await;
+    tab.wait_for(
+        "document.getElementById('place').textContent.startsWith('2,000 m E, 1,500 m N')",
+        "the place itself",
+    )
+    .await;
+    // By a button, and to where somebody is.
+    tab.evaluate("document.getElementById('closer').click()").await;
+    tab.wait_for("document.getElementById('relief').dataset.level === '1'", "the button that zooms in").await;
+    tab.wait_for("document.querySelectorAll('#list li').length === 4", "the list again").await;
+    tab.evaluate("document.querySelector('#list button').click()").await;
+    tab.wait_for(
+        "document.getElementById('place').textContent.startsWith('2,600 m W, 1,400 m S')",
+        "a client, by the list",
+    )
+    .await;
+
+    // Nothing was wrong on the way, and everything came from here.
+    let faults = tab.take_faults();
+    assert_eq!(faults, Vec::<String>::new());
+    assert!(
+        tab.requests.len() > 50 && tab.requests.iter().all(|url| url.starts_with(&server.page())),
+        "{:?}",
+        tab.requests
+    );
+    // The controls: a fault is noticed, and what the policy forbids does not happen.
+    tab.evaluate("console.error('a control')").await;
+    tab.wait_for("true", "a moment").await;
+    assert!(tab.take_faults().iter().any(|fault| fault.contains("a control")));
+    let foreign = "new Promise((done) => {
+        addEventListener('securitypolicyviolation', (event) => done(event.effectiveDirective), { once: true });
+        new Image().src = 'http://127.0.0.1:9/picture.png';
+    })";
+    assert_eq!(tab.evaluate(foreign).await, "img-src");
+
+    // For people to look at.
+    for (name, width, height, scheme, fragment) in [
+        ("wide", 1280, 800, "light", ""),
+        ("wide-dark", 1280, 800, "dark", ""),
+        ("narrow", 390, 844, "light", ""),
+        ("near", 1280, 800, "light", "#x=-1900&z=900&level=1.60"),
+        ("far", 1280, 800, "light", "#x=3000&z=-1500&level=8.60"),
+    ] {
+        tab.resize(width, height, width < 640).await;
+        tab.prefer(scheme).await;
+        tab.open(&format!("{}{fragment}", server.page())).await;
+        tab.wait_for(PAINTED, "all tiles of a picture").await;
+        tab.wait_for("document.querySelectorAll('#list li').length === 4", "the list of a picture").await;
+        // A curve needs a past.
+        let points = if folder().is_some() { 20 } else { 3 };
+        let curve = format!(
+            "(document.querySelector('#spark-chunks .curve').getAttribute('d') ?? '').split('L').length > {points}"
+        );
+        tab.wait_for(&curve, "a curve").await;
+        let overflows = tab.evaluate("document.documentElement.scrollWidth > innerWidth || document.documentElement.scrollHeight > innerHeight").await;
+        assert_eq!(overflows, false, "{name} fits its screen");
+        let picture = tab.screenshot().await;
+        let mut decoded = png::Decoder::new(std::io::Cursor::new(&picture)).read_info().unwrap();
+        assert_eq!((decoded.info().width, decoded.info().height), (width, height), "{name}");
+        let mut pixels = vec![0; decoded.output_buffer_size().unwrap()];
+        decoded.next_frame(&mut pixels).unwrap();
+        if let Some(folder) = folder() {
+            std::fs::write(folder.join(format!("page-{name}.png")), &picture).unwrap();
+        }
+    }
+    drop((still, others));
+}
+
+/// East coordinate of the arrow of SESSION.
+const ARROW_X: &str = "Number([...document.querySelectorAll('.client')].find((group) => group.querySelector('text').textContent === 'SESSION').getAttribute('transform').match(/-?[\\d.]+/)[0])";
+
+/// Where pictures are left, if anywhere.
+fn folder() -> Option<PathBuf> {
+    std::env::var_os("TOMBOLO_SCREENSHOTS").map(|folder| Path::new(&folder).to_owned())
+}
+
+async fn outage() {
+    let server = Program::start("127.0.0.1:0", &[]);
+    let (page, address) = (server.page(), server.address.clone());
+    let browser = Browser::start();
+    let mut tab = browser.tab().await;
+    tab.resize(390, 844, true).await;
+    tab.open(&page).await;
+    tab.wait_for("document.body.dataset.state === 'live'", "the server's figures").await;
+    tab.wait_for(PAINTED, "all tiles").await;
+    assert_eq!(tab.evaluate("document.getElementById('notice').hidden").await, true);
+    drop(server);
+    tab.wait_for(
+        "document.body.dataset.state === 'away' && !document.getElementById('notice').hidden",
+        "word of the outage",
+    )
+    .await;
+    assert!(text(&mut tab, "notice").await.contains("does not answer"));
+    // Somewhere whose tiles the page does not have; no server, no tiles.
+    tab.evaluate("location.hash = '#x=30000&z=9000&level=4.00'").await;
+    tab.wait_for("Number(document.getElementById('relief').dataset.drawn) === 0", "nothing to draw").await;
+    let _back = Program::start(&address, &[]);
+    tab.wait_for(
+        "document.body.dataset.state === 'live' && document.getElementById('notice').hidden",
+        "the server again",
+    )
+    .await;
+    tab.wait_for(PAINTED, "all tiles after the outage").await;
+}
+
+async fn token() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let file = folder.join(format!("token-{}", std::process::id()));
+    std::fs::write(&file, "sesame\n").unwrap();
+    let server = Program::start("127.0.0.1:0", &["--token-file", file.to_str().unwrap()]);
+    let browser = Browser::start();
+    let mut tab = browser.tab().await;
+    tab.resize(1280, 800, false).await;
+    tab.open(&server.page()).await;
+    tab.wait_for(
+        "document.body.dataset.state === 'locked' && !document.getElementById('token').hidden",
+        "the question",
+    )
+    .await;
+    let enter = |token: &str| {
+        format!(
+            "document.getElementById('token-text').value = {}; document.querySelector('#token button').click()",
+            json!(token)
+        )
+    };
+    tab.evaluate(&enter("wrong")).await;
+    tab.wait_for(
+        "document.body.dataset.state === 'locked' && !document.getElementById('token').hidden",
+        "the question again",
+    )
+    .await;
+    assert_eq!(tab.evaluate("document.getElementById('relief').dataset.drawn").await, Value::from("0"));
+    tab.evaluate(&enter("sesame")).await;
+    tab.wait_for(
+        "document.body.dataset.state === 'live' && document.getElementById('token').hidden",
+        "the figures",
+    )
+    .await;
+    tab.wait_for(PAINTED, "all tiles").await;
+    std::fs::remove_file(file).unwrap();
+}

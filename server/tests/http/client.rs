@@ -1,0 +1,113 @@
+//! A server in this process, and requests written out byte by byte, so that nothing between a test and the server mends them.
+
+use server::ServerConfig;
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::time::Duration;
+use terrain::Land;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::oneshot;
+
+/// Longest wait for anything; a test that hits it has failed.
+pub const PATIENCE: Duration = Duration::from_secs(30);
+
+pub struct Server {
+    pub address: SocketAddr,
+    /// Dropped, it stops the server.
+    _stop: oneshot::Sender<()>,
+}
+
+/// What came back.
+#[derive(Debug)]
+pub struct Reply {
+    pub status: u16,
+    headers: BTreeMap<String, String>,
+    pub body: Vec<u8>,
+}
+
+impl Server {
+    pub async fn start() -> Self {
+        Self::start_with(ServerConfig { threads: 2, ..ServerConfig::default() }).await
+    }
+
+    pub async fn start_with(config: ServerConfig) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let (stop, stopped) = oneshot::channel::<()>();
+        tokio::spawn(async move {
+            let stopped = async {
+                let _ = stopped.await;
+            };
+            server::run(listener, config, stopped).await.unwrap();
+        });
+        Self { address, _stop: stop }
+    }
+
+    /// The path of something of this server's world: `chunk/0/0/0`, say.
+    pub fn path(&self, rest: &str) -> String {
+        format!("/v1/{}/{rest}", Land::new(1).digest())
+    }
+
+    pub async fn get(&self, path: &str) -> Reply {
+        self.ask("GET", path, &[]).await
+    }
+
+    pub async fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> Reply {
+        let stream = TcpStream::connect(self.address).await.unwrap();
+        ask_over(stream, method, path, headers).await
+    }
+}
+
+/// One request over a fresh connection, read to the connection's end or, for an upgrade, to the end of the head.
+async fn ask_over(mut stream: TcpStream, method: &str, path: &str, headers: &[(&str, &str)]) -> Reply {
+    let mut request = format!("{method} {path} HTTP/1.1\r\nHost: test\r\n");
+    if !headers.iter().any(|(name, _)| name.eq_ignore_ascii_case("connection")) {
+        request += "Connection: close\r\n";
+    }
+    for (name, value) in headers {
+        request += &format!("{name}: {value}\r\n");
+    }
+    request += "\r\n";
+    stream.write_all(request.as_bytes()).await.unwrap();
+    let read = async {
+        let mut bytes = Vec::new();
+        while stream.read_buf(&mut bytes).await.unwrap() > 0 {
+            if bytes.starts_with(b"HTTP/1.1 101") && bytes.ends_with(b"\r\n\r\n") {
+                break;
+            }
+        }
+        bytes
+    };
+    let bytes = tokio::time::timeout(PATIENCE, read).await.expect("the server answers in time");
+    let end = bytes.windows(4).position(|four| four == b"\r\n\r\n").expect("a whole head");
+    let head = std::str::from_utf8(&bytes[..end]).unwrap();
+    let mut lines = head.lines();
+    let status = lines.next().unwrap().split(' ').nth(1).unwrap().parse().unwrap();
+    let headers = lines
+        .map(|line| line.split_once(": ").unwrap())
+        .map(|(name, value)| (name.to_ascii_lowercase(), value.to_owned()))
+        .collect();
+    Reply { status, headers, body: bytes[end + 4..].to_vec() }
+}
+
+impl Reply {
+    /// A header; empty if it is missing.
+    pub fn header(&self, name: &str) -> &str {
+        self.headers.get(name).map_or("", String::as_str)
+    }
+
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::from_slice(&self.body).unwrap()
+    }
+
+    /// The kind of a refusal, checked to be a whole problem document.
+    pub fn problem(&self) -> String {
+        assert_eq!(self.header("content-type"), "application/problem+json");
+        let problem = self.json();
+        assert_eq!(problem["status"], self.status);
+        assert!(["title", "detail"].iter().all(|part| !problem[part].as_str().unwrap().is_empty()));
+        let kind = problem["type"].as_str().unwrap();
+        kind.strip_prefix("/openapi.json#/components/examples/").unwrap().to_owned()
+    }
+}
