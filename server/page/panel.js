@@ -1,7 +1,8 @@
 // Figures with their recent past, and who is on the map.
 
 const SVG = 'http://www.w3.org/2000/svg';
-const REMEMBERED = 90;
+// A minute.
+const REMEMBERED = 60;
 const LISTED = 6;
 
 const byId = (id) => document.getElementById(id);

@@ -46,7 +46,7 @@ export class View {
 
   // The home island and some sea around it, in what the cards leave free.
   home(glides = true) {
-    const free = Math.min(this.width > 640 ? this.width - 330 : this.width, this.height > 500 ? this.height - 60 : this.height);
+    const free = Math.min(this.width > 640 ? this.width - 350 : this.width, this.height > 500 ? this.height - 60 : this.height);
     const level = Math.log2(13500 / Math.max(free, 100) / 0.5);
     const shift = this.width > 900 ? 160 * 0.5 * 2 ** level : 0;
     this.goTo({ x: shift, z: 0, level }, glides);

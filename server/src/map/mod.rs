@@ -178,3 +178,78 @@ fn encode(pixels: &[u8]) -> Result<Vec<u8>, png::EncodingError> {
     writer.finish()?;
     Ok(bytes)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generation::Limits;
+    use crate::source::Procedural;
+    use std::sync::Arc;
+    use terrain::Land;
+
+    fn service(metrics: &Arc<Metrics>, jobs: usize) -> (Land, Generation) {
+        let land = Land::new(1);
+        let limits = Limits { threads: 1, cache_bytes: 1 << 24, jobs, deadline: Duration::from_secs(30) };
+        (land, Generation::new(Procedural::new(land), limits, Arc::clone(metrics)).unwrap())
+    }
+
+    fn key(level: u8, x: i32, z: i32) -> ChunkKey {
+        ChunkKey::new(level, x, z).unwrap()
+    }
+
+    #[tokio::test]
+    async fn a_tile_asks_for_few_chunks_at_once_and_is_painted_once() {
+        let metrics = Arc::new(Metrics::default());
+        // No room for one job more than the window.
+        let (land, generation) = service(&metrics, JOB_WINDOW);
+        let map = Map::new(land.digest(), 1 << 20, 1);
+        let tile = map.tile(key(4, 0, -1), &generation, &metrics).await.unwrap();
+        assert_eq!(metrics.generated.get(), 36);
+        assert_eq!(map.tile(key(4, 0, -1), &generation, &metrics).await.unwrap().digest, tile.digest);
+        assert_eq!((metrics.tiles_painted.get(), metrics.tile_cache_hits.get()), (1, 1));
+        // Its neighbour to the east shares two columns of six chunks with it.
+        map.tile(key(4, 1, -1), &generation, &metrics).await.unwrap();
+        assert_eq!(metrics.generated.get(), 36 + 24);
+        // The control: with less room than the window it is refused.
+        let (_, small) = service(&metrics, 2);
+        let refused = map.tile(key(4, 5, 5), &small, &metrics).await;
+        assert_eq!(refused.err(), Some(MapError::Generation(GenerationError::Overloaded)));
+    }
+
+    #[tokio::test]
+    async fn one_tile_too_many_is_refused_and_the_others_go_on() {
+        let metrics = Arc::new(Metrics::default());
+        let (land, generation) = service(&metrics, 100);
+        let map = Arc::new(Map { places: Semaphore::new(2), ..Map::new(land.digest(), 1 << 20, 1) });
+        // Somebody paints, so that nobody else has a turn.
+        let painter = map.painting.acquire().await.unwrap();
+        let wait_for = |x| {
+            let (map, generation, metrics) = (Arc::clone(&map), generation.clone(), Arc::clone(&metrics));
+            tokio::spawn(async move { map.tile(key(0, x, 0), &generation, &metrics).await })
+        };
+        let waiting = [wait_for(1), wait_for(2)];
+        while map.places.available_permits() > 0 {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(wait_for(3).await.unwrap().err(), Some(MapError::Busy));
+        drop(painter);
+        for tile in waiting {
+            assert!(tile.await.unwrap().is_ok());
+        }
+        assert!(wait_for(3).await.unwrap().is_ok(), "places are given back");
+    }
+
+    #[tokio::test]
+    async fn tiles_stay_within_their_bytes() {
+        let metrics = Arc::new(Metrics::default());
+        let (land, generation) = service(&metrics, 100);
+        let budget = 300 << 10;
+        let map = Map::new(land.digest(), budget, 1);
+        let mut painted = 0;
+        for x in 0..12 {
+            painted += map.tile(key(0, x, 3), &generation, &metrics).await.unwrap().png.len() as u64;
+        }
+        assert!(painted > 2 * budget, "{painted} bytes are more than fit");
+        assert!(map.cache.weight() <= budget && map.cache.weight() > 0);
+    }
+}

@@ -41,7 +41,7 @@ const LIGHT: Colour = [255.0, 250.0, 228.0];
 const TOWARDS_LIGHT: [f32; 3] = [-0.5, std::f32::consts::FRAC_1_SQRT_2, -0.5];
 
 /// Metres between contours by level; none where they would merge.
-const CONTOUR_M: [f32; 4] = [5.0, 5.0, 10.0, 20.0];
+const CONTOUR_M: [f32; 4] = [5.0, 10.0, 20.0, 50.0];
 
 /// Times by which slopes are steepened before shading. Far away a pixel averages over the steep parts, so more is needed for the same look.
 fn exaggeration(level: u8) -> f32 {
@@ -91,7 +91,7 @@ fn shaded(tint: Colour, sample: Sample, exaggeration: f32, strength: f32) -> Col
     }
 }
 
-/// How much of a contour a pixel shows, 0 to a third.
+/// How much of a contour a pixel shows, 0 to a quarter.
 fn contour(height_m: f32, rise_m: f32, level: u8) -> f32 {
     let Some(interval_m) = CONTOUR_M.get(usize::from(level)) else { return 0.0 };
     let nearest_m = (height_m / interval_m).round() * interval_m;
@@ -101,7 +101,7 @@ fn contour(height_m: f32, rise_m: f32, level: u8) -> f32 {
     }
     // Contours closer than a few pixels would be a grey wash.
     let apart = ((interval_m / rise_m - 4.0) / 8.0).clamp(0.0, 1.0);
-    0.3 * apart * line((height_m - nearest_m).abs(), rise_m, 0.9)
+    0.25 * apart * line((height_m - nearest_m).abs(), rise_m, 0.9)
 }
 
 /// How much of a line at a vertical distance a pixel shows, 0 to 1: all within `half_width` pixels less a half, nothing a pixel further.
@@ -206,7 +206,7 @@ mod tests {
     fn a_shore_has_a_line_and_a_contour_lies_at_its_height_only() {
         let (shore, inland) = (at(0.01, 0.2, 0.0), at(3.0, 0.2, 0.0));
         assert!(brightness(shore) < brightness(inland) - 20.0);
-        assert!(contour(20.0, 0.5, 2) > 0.2 && contour(24.9, 0.5, 2) == 0.0);
+        assert!(contour(20.0, 0.5, 2) > 0.2 && contour(29.9, 0.5, 2) == 0.0);
         assert_eq!(contour(20.0, 0.5, 12), 0.0, "far away there are none");
         assert_eq!(contour(20.0, 8.0, 2), 0.0, "nor where they would merge");
         assert_eq!(contour(0.0, 0.5, 2), 0.0);

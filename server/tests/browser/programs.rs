@@ -15,7 +15,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 
 /// Chunks that a wanderer remembers.
-const HELD: usize = 150;
+const HELD: usize = 600;
 
 /// A running `tombolo-server`; killed when dropped.
 pub struct Program {
