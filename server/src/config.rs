@@ -34,7 +34,7 @@ pub struct Args {
     /// Threads that generate chunks, 1 to 1024 [default: one per core]
     #[arg(long, value_name = "N", env = "TOMBOLO_THREADS")]
     pub threads: Option<usize>,
-    /// Memory for encoded chunks in MiB, 1 to 65536 [default: 128]
+    /// Memory for encoded chunks in MiB, 1 to 65536; an eighth as much again for tiles of the map [default: 128]
     #[arg(long, value_name = "N", env = "TOMBOLO_CACHE_MB")]
     pub cache_mb: Option<u64>,
     /// File whose first line is the token that clients must present; without it everybody is admitted

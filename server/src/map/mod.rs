@@ -15,6 +15,7 @@ use protocol::{Delivery, chunk_codec};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
 use relief::Relief;
+use std::sync::Arc;
 use std::time::Duration;
 use terrain::{Chunk, ChunkKey, WorldDigest};
 use thiserror::Error;
@@ -64,8 +65,9 @@ pub struct Tile {
 pub struct Map {
     world: WorldDigest,
     cache: Cache<ChunkKey, Tile, TileWeight>,
-    /// One permit for each tile being painted.
-    painting: Semaphore,
+    /// One permit for each tile being painted. Whoever paints keeps it to the end, even if nobody waits for the tile any more: clients that
+    /// ask and leave must not get more painted at once than others.
+    painting: Arc<Semaphore>,
     /// One permit for each tile that is being painted or waits for it.
     places: Semaphore,
 }
@@ -88,7 +90,7 @@ impl Map {
         Self {
             world,
             cache,
-            painting: Semaphore::new(threads.div_ceil(4)),
+            painting: Arc::new(Semaphore::new(threads.div_ceil(4))),
             places: Semaphore::new(MAX_WAITING),
         }
     }
@@ -110,8 +112,8 @@ impl Map {
         }
         let _place = self.places.try_acquire().map_err(|_| MapError::Busy)?;
         // The semaphore is never closed; both failures mean that there was no turn.
-        let turn = timeout(PATIENCE, self.painting.acquire()).await;
-        let Ok(Ok(_turn)) = turn else { return Err(MapError::Busy) };
+        let turn = timeout(PATIENCE, Arc::clone(&self.painting).acquire_owned()).await;
+        let Ok(Ok(turn)) = turn else { return Err(MapError::Busy) };
         // Whoever was painting may have painted this very tile.
         if let Some(tile) = self.cache.get(&key) {
             metrics.tile_cache_hits.inc();
@@ -120,7 +122,12 @@ impl Map {
         let frames = frames(&relief::sources(key), generation).await?;
         let world = self.world;
         // Milliseconds of computing: not for a thread that has sockets to serve.
-        let painted = tokio::task::spawn_blocking(move || paint_tile(key, &frames, &world)).await;
+        let painted = tokio::task::spawn_blocking(move || {
+            let tile = paint_tile(key, &frames, &world);
+            drop(turn);
+            tile
+        })
+        .await;
         let Ok(Some(tile)) = painted else { return Err(GenerationError::Failed.into()) };
         metrics.tiles_painted.inc();
         self.cache.insert(key, tile.clone());
@@ -184,7 +191,6 @@ mod tests {
     use super::*;
     use crate::generation::Limits;
     use crate::source::Procedural;
-    use std::sync::Arc;
     use terrain::Land;
 
     fn service(metrics: &Arc<Metrics>, jobs: usize) -> (Land, Generation) {

@@ -224,9 +224,9 @@ impl Tab {
         self.call("Emulation.setDeviceMetricsOverride", params).await;
     }
 
-    /// Prefers `light` or `dark`.
-    pub async fn prefer(&mut self, scheme: &str) {
-        let features = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
+    /// Sets what the visitor prefers, as a media feature of CSS.
+    pub async fn prefer(&mut self, feature: &str, value: &str) {
+        let features = json!([{ "name": feature, "value": value }]);
         self.call("Emulation.setEmulatedMedia", json!({ "features": features })).await;
     }
 
@@ -244,6 +244,23 @@ impl Tab {
     /// Turns the wheel over a place; less than 0 is towards the screen.
     pub async fn wheel(&mut self, at: (f64, f64), units: f64) {
         self.mouse("mouseWheel", at, json!({ "deltaX": 0, "deltaY": units })).await;
+    }
+
+    /// Puts two fingers down on both sides of a place, so many pixels from it, and moves them apart or together.
+    pub async fn pinch(&mut self, (x, y): (f64, f64), from: f64, to: f64) {
+        self.call("Emulation.setTouchEmulationEnabled", json!({ "enabled": true, "maxTouchPoints": 2 }))
+            .await;
+        let fingers =
+            |away: f64| json!([{ "x": x - away, "y": y, "id": 1 }, { "x": x + away, "y": y, "id": 2 }]);
+        self.touch("touchStart", fingers(from)).await;
+        for step in 1..=4 {
+            self.touch("touchMove", fingers(from + (to - from) * f64::from(step) / 4.0)).await;
+        }
+        self.touch("touchEnd", json!([])).await;
+    }
+
+    async fn touch(&mut self, kind: &str, points: Value) {
+        self.call("Input.dispatchTouchEvent", json!({ "type": kind, "touchPoints": points })).await;
     }
 
     async fn mouse(&mut self, kind: &str, (x, y): (f64, f64), more: Value) {

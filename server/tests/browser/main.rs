@@ -189,6 +189,18 @@ async fn visit() {
     )
     .await;
 
+    // Who wants no motion gets the end of it at once; the control is that others do not.
+    let jumps = "(() => {
+        const width = () => document.getElementById('scale-bar').style.width + document.getElementById('scale-text').textContent;
+        const before = width();
+        document.getElementById('farther').click();
+        return width() !== before;
+    })()";
+    assert_eq!(tab.evaluate(jumps).await, false);
+    tab.prefer("prefers-reduced-motion", "reduce").await;
+    assert_eq!(tab.evaluate(jumps).await, true);
+    tab.prefer("prefers-reduced-motion", "no-preference").await;
+
     // Nothing was wrong on the way, and everything came from here.
     let faults = tab.take_faults();
     assert_eq!(faults, Vec::<String>::new());
@@ -206,6 +218,7 @@ async fn visit() {
         new Image().src = 'http://127.0.0.1:9/picture.png';
     })";
     assert_eq!(tab.evaluate(foreign).await, "img-src");
+    assert!(!tab.take_faults().is_empty(), "which the browser tells as a fault");
 
     // For people to look at.
     for (name, width, height, scheme, fragment) in [
@@ -216,7 +229,7 @@ async fn visit() {
         ("far", 1280, 800, "light", "#x=3000&z=-1500&level=8.60"),
     ] {
         tab.resize(width, height, width < 640).await;
-        tab.prefer(scheme).await;
+        tab.prefer("prefers-color-scheme", scheme).await;
         tab.open(&format!("{}{fragment}", server.page())).await;
         tab.wait_for(PAINTED, "all tiles of a picture").await;
         tab.wait_for("document.querySelectorAll('#list li').length === 4", "the list of a picture").await;
@@ -228,16 +241,39 @@ async fn visit() {
         tab.wait_for(&curve, "a curve").await;
         let overflows = tab.evaluate("document.documentElement.scrollWidth > innerWidth || document.documentElement.scrollHeight > innerHeight").await;
         assert_eq!(overflows, false, "{name} fits its screen");
-        let picture = tab.screenshot().await;
-        let mut decoded = png::Decoder::new(std::io::Cursor::new(&picture)).read_info().unwrap();
-        assert_eq!((decoded.info().width, decoded.info().height), (width, height), "{name}");
-        let mut pixels = vec![0; decoded.output_buffer_size().unwrap()];
-        decoded.next_frame(&mut pixels).unwrap();
-        if let Some(folder) = folder() {
-            std::fs::write(folder.join(format!("page-{name}.png")), &picture).unwrap();
-        }
+        leave_picture(&mut tab, name, width, height).await;
     }
+
+    // On a phone the rest is behind a button, and two fingers zoom.
+    tab.resize(390, 844, true).await;
+    tab.open(&server.page()).await;
+    tab.wait_for(PAINTED, "all tiles on a phone").await;
+    assert_eq!(tab.evaluate("document.getElementById('details').checkVisibility()").await, false);
+    tab.evaluate("document.getElementById('more').click()").await;
+    tab.wait_for("document.getElementById('details').checkVisibility()", "the rest").await;
+    assert_eq!(tab.evaluate("document.getElementById('more').getAttribute('aria-expanded')").await, "true");
+    tab.wait_for("document.querySelectorAll('#list li').length === 4", "the list on a phone").await;
+    leave_picture(&mut tab, "narrow-open", 390, 844).await;
+    tab.evaluate("document.getElementById('more').click()").await;
+    let level =
+        tab.evaluate("Number(document.getElementById('relief').dataset.level)").await.as_i64().unwrap();
+    tab.pinch((195.0, 400.0), 30.0, 150.0).await;
+    let finer = format!("Number(document.getElementById('relief').dataset.level) === {level} - 2");
+    tab.wait_for(&finer, "two levels finer at five times the distance of two fingers").await;
+    assert_eq!(tab.take_faults(), Vec::<String>::new());
     drop((still, others));
+}
+
+/// Takes the screen, checks that it is a picture of that size, and leaves it where it was asked for.
+async fn leave_picture(tab: &mut Tab, name: &str, width: u32, height: u32) {
+    let picture = tab.screenshot().await;
+    let mut decoded = png::Decoder::new(std::io::Cursor::new(&picture)).read_info().unwrap();
+    assert_eq!((decoded.info().width, decoded.info().height), (width, height), "{name}");
+    let mut pixels = vec![0; decoded.output_buffer_size().unwrap()];
+    decoded.next_frame(&mut pixels).unwrap();
+    if let Some(folder) = folder() {
+        std::fs::write(folder.join(format!("page-{name}.png")), &picture).unwrap();
+    }
 }
 
 /// East coordinate of the arrow of SESSION.

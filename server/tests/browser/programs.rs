@@ -15,7 +15,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 
 /// Chunks that a wanderer remembers.
-const HELD: usize = 600;
+const HELD: usize = 1200;
 
 /// A running `tombolo-server`; killed when dropped.
 pub struct Program {
@@ -110,7 +110,7 @@ impl Wanderer {
                 view.id += 1;
                 view.eye[0] += (heading.sin() * pace) as i32;
                 view.eye[2] -= (heading.cos() * pace) as i32;
-                view.yaw_mdeg += if pace_m == 0 { 0 } else { 1200 };
+                view.yaw_mdeg += if pace_m == 0 { 0 } else { 2000 };
                 // A small memory, so that there is always something to send to who moves.
                 if held.len() > HELD {
                     session.release(&held.drain(..held.len() - HELD).collect::<Vec<_>>());
