@@ -6,11 +6,13 @@ const REMEMBERED = 60;
 const LISTED = 6;
 
 const byId = (id) => document.getElementById(id);
-const figure = (digits) => new Intl.NumberFormat('en', { maximumFractionDigits: digits });
-const [whole, tenths] = [figure(0), figure(1)];
+const [whole, tenths] = [0, 1].map((digits) => new Intl.NumberFormat('en', { maximumFractionDigits: digits, minimumFractionDigits: digits }));
 const NONE = '–';
 
-const short = (value) => (value === null || value === undefined ? NONE : (value < 10 ? tenths : whole).format(value));
+const short = (value) => {
+  if (value === null || value === undefined) return NONE;
+  return (value > 0 && value < 9.95 ? tenths : whole).format(value);
+};
 
 const bytesPerSecond = (value) => {
   if (value === null || value === undefined) return [NONE, 'kB/s'];

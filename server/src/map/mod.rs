@@ -245,6 +245,36 @@ mod tests {
         assert!(wait_for(3).await.unwrap().is_ok(), "places are given back");
     }
 
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_stream_waits_for_a_turn_or_two_of_the_map_however_many_tiles_are_asked_for() {
+        let metrics = Arc::new(Metrics::default());
+        let (land, generation) = service(&metrics, 1000);
+        let map = Arc::new(Map::new(land.digest(), 1 << 24, 1));
+        // All over the home island: some thousand chunks that cost much.
+        let tiles: Vec<_> = (-4..4)
+            .flat_map(|x| (-4..4).map(move |z| key(4, x, z)))
+            .map(|key| {
+                let (map, generation, metrics) = (Arc::clone(&map), generation.clone(), Arc::clone(&metrics));
+                tokio::spawn(async move { map.tile(key, &generation, &metrics).await.map(drop) })
+            })
+            .collect();
+        while metrics.generated.get() < 10 || map.places.available_permits() > MAX_WAITING - 60 {
+            tokio::task::yield_now().await;
+        }
+        let mut worst = 0;
+        for z in 0..30 {
+            let before = metrics.generated.get();
+            let wanted = Wanted { key: key(0, 20, z), request: None, priority: 0 };
+            generation.frame(wanted, Delivery::Exact).await.unwrap();
+            worst = worst.max(metrics.generated.get() - before);
+        }
+        // Its own, what the map had in the window, and a window more that came behind.
+        assert!(worst <= 1 + 2 * JOB_WINDOW as u64, "{worst} chunks were made while one was waited for");
+        // The control: the map had far more to ask for all the time.
+        assert!(map.places.available_permits() < MAX_WAITING - 10, "{}", map.places.available_permits());
+        tiles.iter().for_each(tokio::task::JoinHandle::abort);
+    }
+
     #[tokio::test]
     async fn tiles_stay_within_their_bytes() {
         let metrics = Arc::new(Metrics::default());

@@ -224,6 +224,7 @@ async fn visit() {
     for (name, width, height, scheme, fragment) in [
         ("wide", 1280, 800, "light", ""),
         ("wide-dark", 1280, 800, "dark", ""),
+        ("low", 1000, 625, "light", ""),
         ("narrow", 390, 844, "light", ""),
         ("near", 1280, 800, "light", "#x=-1900&z=900&level=1.60"),
         ("far", 1280, 800, "light", "#x=3000&z=-1500&level=8.60"),
@@ -266,6 +267,7 @@ async fn visit() {
 
 /// Takes the screen, checks that it is a picture of that size, and leaves it where it was asked for.
 async fn leave_picture(tab: &mut Tab, name: &str, width: u32, height: u32) {
+    assert_eq!(tab.evaluate(OVERLAPS).await, json!([]), "{name}");
     let picture = tab.screenshot().await;
     let mut decoded = png::Decoder::new(std::io::Cursor::new(&picture)).read_info().unwrap();
     assert_eq!((decoded.info().width, decoded.info().height), (width, height), "{name}");
@@ -275,6 +277,14 @@ async fn leave_picture(tab: &mut Tab, name: &str, width: u32, height: u32) {
         std::fs::write(folder.join(format!("page-{name}.png")), &picture).unwrap();
     }
 }
+
+/// The cards that lie on each other.
+const OVERLAPS: &str = "(() => {
+    const cards = ['title', 'panel', 'controls', 'legend'].map((id) => [id, document.getElementById(id).getBoundingClientRect()]);
+    return cards.flatMap(([a, first], index) => cards.slice(index + 1)
+        .filter(([, second]) => first.left < second.right && second.left < first.right && first.top < second.bottom && second.top < first.bottom)
+        .map(([b]) => `${a} and ${b}`));
+})()";
 
 /// East coordinate of the arrow of SESSION.
 const ARROW_X: &str = "Number([...document.querySelectorAll('.client')].find((group) => group.querySelector('text').textContent === 'SESSION').getAttribute('transform').match(/-?[\\d.]+/)[0])";
