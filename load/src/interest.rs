@@ -3,6 +3,7 @@
 //!
 //! Everything in it is bounded, whatever the server sends or keeps back.
 
+use protocol::limits::MAX_PENDING_REQUESTS;
 use protocol::message::{Refused, WireKey};
 use protocol::view::View;
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -14,11 +15,11 @@ use tokio::time::Instant;
 
 /// Views that the server may still be serving. At four views a second 64 are 16 s; when it is full the oldest is forgotten,
 /// and a chunk of a view that old counts as unasked.
-const MAX_VIEWS: usize = 64;
+pub const MAX_VIEWS: usize = 64;
 
 /// Requests without an answer. When it is full no further request is made until one is answered; those that stay open are
-/// reported as unanswered.
-const MAX_OPEN_REQUESTS: usize = 64;
+/// reported as unanswered. Half of what a server takes.
+pub const MAX_OPEN_REQUESTS: usize = MAX_PENDING_REQUESTS / 2;
 
 /// Chunks that a client pretends to hold, about three views of 2 km. When it is full the oldest that the current view does
 /// not need is released, and the server may send it again.
@@ -30,7 +31,9 @@ pub struct Interest {
     land: Land,
     /// Newest last, with the id that a Settled or a refusal will name, and the viewer that the server may look ahead for.
     views: VecDeque<(u32, Viewer, Option<Viewer>)>,
-    requests: FxHashMap<ChunkKey, OpenRequest>,
+    /// By key, oldest first: two requests may name the same.
+    requests: FxHashMap<ChunkKey, VecDeque<OpenRequest>>,
+    n_requests: usize,
     /// Keys that arrived, oldest first, and the same as a set.
     order: VecDeque<ChunkKey>,
     held: FxHashSet<ChunkKey>,
@@ -61,6 +64,7 @@ impl Interest {
             land,
             views: VecDeque::new(),
             requests: FxHashMap::default(),
+            n_requests: 0,
             order: VecDeque::new(),
             held: FxHashSet::default(),
         }
@@ -83,32 +87,40 @@ impl Interest {
     /// Whether a request for this key would measure the answer to the request: nothing else is going to bring the chunk.
     #[must_use]
     pub fn can_request(&self, key: ChunkKey) -> bool {
-        self.requests.len() < MAX_OPEN_REQUESTS
+        self.n_requests < MAX_OPEN_REQUESTS
             && !self.requests.contains_key(&key)
             && !self.held.contains(&key)
             && !self.is_needed_by_a_view(key)
     }
 
-    /// Notes a request that was sent.
-    pub fn request(&mut self, id: u32, key: ChunkKey, now: Instant) {
-        self.requests.insert(key, OpenRequest { id, since: now });
+    /// Notes a request that was sent, and since when it counts.
+    pub fn request(&mut self, id: u32, key: ChunkKey, since: Instant) {
+        self.requests.entry(key).or_default().push_back(OpenRequest { id, since });
+        self.n_requests += 1;
     }
 
     /// Notes a refusal, so that a refused request does not stay open.
     pub fn refused(&mut self, refused: &Refused) {
+        let id = refused.id;
         match refused.key.map(WireKey::check) {
             Some(Ok(key)) => {
-                self.requests.remove(&key);
+                if let Some(open) = self.requests.get_mut(&key) {
+                    open.retain(|request| request.id != id);
+                }
             }
             Some(Err(_)) => {}
-            None => self.requests.retain(|_, request| request.id != refused.id),
+            None => {
+                self.requests.values_mut().for_each(|open| open.retain(|request| request.id != id));
+            }
         }
+        self.requests.retain(|_, open| !open.is_empty());
+        self.n_requests = self.requests.values().map(VecDeque::len).sum();
     }
 
     /// Judges a chunk that arrived and notes it as held. Returns what it answers, and a key to release if holding it
     /// is one too many.
     pub fn arrive(&mut self, key: ChunkKey, now: Instant) -> (Arrival, Option<ChunkKey>) {
-        let arrival = match self.requests.remove(&key) {
+        let arrival = match self.answered(key) {
             Some(request) => Arrival::Requested(now.saturating_duration_since(request.since)),
             None if self.is_needed_by_a_view(key) => Arrival::InView,
             None => Arrival::Unasked,
@@ -122,8 +134,24 @@ impl Interest {
 
     /// Requests without an answer.
     #[must_use]
-    pub fn open_requests(&self) -> usize {
-        self.requests.len()
+    pub const fn open_requests(&self) -> usize {
+        self.n_requests
+    }
+
+    /// Since when each of these counts.
+    pub fn waiting_since(&self) -> impl Iterator<Item = Instant> {
+        self.requests.values().flatten().map(|request| request.since)
+    }
+
+    /// Takes the oldest request for a key.
+    fn answered(&mut self, key: ChunkKey) -> Option<OpenRequest> {
+        let open = self.requests.get_mut(&key)?;
+        let request = open.pop_front()?;
+        if open.is_empty() {
+            self.requests.remove(&key);
+        }
+        self.n_requests -= 1;
+        Some(request)
     }
 
     /// Lets go of the oldest chunk that the current view does not need, or of the oldest if it needs them all.
@@ -273,6 +301,20 @@ mod tests {
         assert!(!interest.can_request(far), "already open");
         interest.arrive(far, now);
         assert!(!interest.can_request(far), "already held");
+    }
+
+    #[test]
+    fn two_requests_for_one_chunk_are_two_answers_each_from_its_own_time() {
+        let now = Instant::now();
+        let mut interest = Interest::new(land());
+        let far = key(0, 30_000, 30_000);
+        interest.request(0, far, now);
+        interest.request(1, far, now + Duration::from_millis(5));
+        assert_eq!(interest.open_requests(), 2);
+        let later = now + Duration::from_millis(9);
+        assert_eq!(interest.arrive(far, later).0, Arrival::Requested(Duration::from_millis(9)));
+        assert_eq!(interest.arrive(far, later).0, Arrival::Requested(Duration::from_millis(4)));
+        assert_eq!((interest.arrive(far, later).0, interest.open_requests()), (Arrival::Unasked, 0));
     }
 
     #[test]
