@@ -18,7 +18,7 @@ use rustc_hash::FxHashMap;
 use serde::Deserialize;
 use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
-use tokio::time::{Instant, sleep, timeout, timeout_at};
+use tokio::time::{Instant, sleep, sleep_until, timeout, timeout_at};
 
 /// Chunks whose tags a client remembers, about 200 KiB. When it is full no more are added, and those are asked for afresh.
 const MAX_VISITED: usize = 4096;
@@ -128,6 +128,8 @@ impl<'t, 'a, D: Dial> Browser<'t, 'a, D> {
                 break;
             }
         }
+        // An open loop that has nothing more to do is not over before its time.
+        sleep_until(task.end).await;
         End::Finished
     }
 

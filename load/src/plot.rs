@@ -19,8 +19,9 @@ const SIZE: (u32, u32) = (1280, 960);
 /// Height of the title, and of the line above each panel, pixels.
 const HEADS: (u32, u32) = (92, 40);
 
-/// Where the axes begin: pixels from the left, and from the right in the lower panel's scale of data.
-const SIDES: (u32, u32) = (96, 84);
+/// Free at the left and right edge, and where the axes begin within: pixels from the left, and from the right for the scale of data.
+const MARGIN: u32 = 18;
+const SIDES: (u32, u32) = (84, 78);
 
 /// Pixels below each panel for its axis.
 const FOOT: u32 = 58;
@@ -36,7 +37,8 @@ const BLUE: RGBColor = RGBColor(0, 114, 178);
 const ORANGE: RGBColor = RGBColor(213, 94, 0);
 const GREEN: RGBColor = RGBColor(0, 158, 115);
 const PURPLE: RGBColor = RGBColor(204, 121, 167);
-const GREY: RGBColor = RGBColor(140, 145, 152);
+/// Lies under the others, so it is wide and light.
+const GREY: RGBColor = RGBColor(190, 195, 203);
 
 type Area<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
 
@@ -47,6 +49,17 @@ struct Line<'a> {
     width: u32,
     /// Pieces without a gap. A second without a value is a gap.
     pieces: Vec<Vec<(f64, f64)>>,
+}
+
+impl Line<'_> {
+    /// Its pieces as what is drawn. A second between two gaps has no line, so each has a dot where it begins.
+    fn series(&self) -> impl Iterator<Item = LineSeries<BitMapBackend<'static>, (f64, f64)>> {
+        let style = self.colour.stroke_width(self.width).filled();
+        self.pieces.iter().map(move |piece| {
+            let size = if piece.len() == 1 { self.width / 2 + 2 } else { 0 };
+            LineSeries::new(piece.iter().copied(), style).point_size(size)
+        })
+    }
 }
 
 /// Draws a report and writes the PNG.
@@ -110,8 +123,13 @@ fn subtitle(report: &Report) -> String {
 /// What the axis of time shows.
 fn span(report: &Report) -> Range<f64> {
     let ends = report.phases.iter().map(|phase| phase.begins_s + phase.seconds);
-    let shown = report.timeline.last().map_or(0.0, |second| second.second as f64 + 1.0);
-    0.0..ends.fold(shown, f64::max).max(1.0)
+    0.0..ends.fold(1.0, f64::max)
+}
+
+/// Whether a second lies in a part of the run as a whole: what arrived in a piece of one would look like too little.
+fn is_whole(report: &Report, second: &Second) -> bool {
+    let (from, to) = (second.second as f64, second.second as f64 + 1.0);
+    report.phases.iter().any(|phase| phase.begins_s <= from && to <= phase.begins_s + phase.seconds + 1e-9)
 }
 
 fn latency(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<()> {
@@ -119,10 +137,12 @@ fn latency(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<()> 
         name,
         colour,
         width,
-        pieces: pieces(&report.timeline, pick),
+        pieces: pieces(&report.timeline, |second| {
+            pick(second).filter(|_| (second.second as f64) + 0.5 <= seconds.end)
+        }),
     };
     let lines = [
-        line("longest", GREY, 1, |second| second.max_ms),
+        line("longest", GREY, 6, |second| second.max_ms),
         line("p99", ORANGE, 2, |second| second.p99_ms),
         line("p50", BLUE, 2, |second| second.p50_ms),
     ];
@@ -131,7 +151,8 @@ fn latency(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<()> 
     let ticks = ticks(&ms);
     let panel = head(area, &format!("Latency, {}, of the answers of each second", report.measures), &lines)?;
     let mut chart = ChartBuilder::on(&panel)
-        .margin_right(SIDES.1)
+        .margin_left(MARGIN)
+        .margin_right(MARGIN + SIDES.1)
         .x_label_area_size(FOOT)
         .y_label_area_size(SIDES.0)
         .build_cartesian_2d(seconds, ms.clone().log_scale().with_key_points(ticks))
@@ -153,16 +174,9 @@ fn latency(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<()> 
         .draw()
         .map_err(|cause| anyhow!("{cause}"))?;
     for line in &lines {
-        for piece in &line.pieces {
-            chart
-                .draw_series(LineSeries::new(piece.iter().copied(), line.colour.stroke_width(line.width)))
-                .map_err(|cause| anyhow!("{cause}"))?;
+        for series in line.series() {
+            chart.draw_series(series).map_err(|cause| anyhow!("{cause}"))?;
         }
-        // A second between two gaps has no line.
-        let alone = line.pieces.iter().filter(|piece| piece.len() == 1).flatten();
-        chart
-            .draw_series(alone.map(|point| Circle::new(*point, 3, line.colour.filled())))
-            .map_err(|cause| anyhow!("{cause}"))?;
     }
     if report.phases.len() > 1 {
         let names = report.phases.iter().map(|phase| {
@@ -175,38 +189,47 @@ fn latency(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<()> 
 }
 
 fn throughput(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<()> {
-    let line = |name, colour, pick: fn(&Second) -> Option<f64>| Line {
+    let line = |name, colour, width, pick: fn(&Second) -> f64| Line {
         name,
         colour,
-        width: 2,
-        pieces: pieces(&report.timeline, pick),
+        width,
+        pieces: pieces(&report.timeline, |second| is_whole(report, second).then(|| pick(second))),
     };
+    // That nothing changed is an answer, and no chunk.
+    let (left, count): (_, fn(&Second) -> f64) = match report.mode {
+        "http" => ("answers a second", |second| second.answers as f64),
+        _ => ("chunks a second", |second| second.chunks as f64),
+    };
+    let name = format!("{left} (left)");
+    // The two often go together; the lower one shows beside the upper.
     let lines = [
-        line("chunks a second (left)", GREEN, |second| Some(second.chunks as f64)),
-        line("MB a second (right)", PURPLE, |second| Some(second.bytes as f64 / 1e6)),
+        line(&name, GREEN, 5, count),
+        line("MB a second (right)", PURPLE, 2, |second| second.bytes as f64 / 1e6),
     ];
     let most = |line: &Line<'_>| {
         let values = line.pieces.iter().flatten().map(|(_, value)| *value);
         // The scale of nothing is one.
         values.fold(0.0, f64::max).max(1e-3) * 1.08
     };
-    let (chunks, megabytes) = (most(&lines[0]), most(&lines[1]));
+    let (counts, megabytes) = (most(&lines[0]), most(&lines[1]));
     let panel = head(area, "Throughput", &lines)?;
     let mut chart = ChartBuilder::on(&panel)
+        .margin_left(MARGIN)
+        .margin_right(MARGIN)
         .x_label_area_size(FOOT)
         .y_label_area_size(SIDES.0)
         .right_y_label_area_size(SIDES.1)
-        .build_cartesian_2d(seconds.clone(), 0.0..chunks)
+        .build_cartesian_2d(seconds.clone(), 0.0..counts)
         .map_err(|cause| anyhow!("{cause}"))?
         .set_secondary_coord(seconds, 0.0..megabytes);
     mark(report, |phase| {
-        let bar = Rectangle::new([(phase.start, 0.0), (phase.end, chunks)], PART.filled());
+        let bar = Rectangle::new([(phase.start, 0.0), (phase.end, counts)], PART.filled());
         chart.draw_series([bar]).map(|_| ()).map_err(|cause| anyhow!("{cause}"))
     })?;
     chart
         .configure_mesh()
         .x_desc("seconds since the start of the run")
-        .y_desc("chunks a second")
+        .y_desc(left)
         .y_label_formatter(&|value| plain(*value))
         .x_label_formatter(&|second| plain(*second))
         .label_style((FONT, 17).into_font().color(&INK))
@@ -225,12 +248,10 @@ fn throughput(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<(
         .axis_style(INK)
         .draw()
         .map_err(|cause| anyhow!("{cause}"))?;
-    for piece in &lines[0].pieces {
-        let series = LineSeries::new(piece.iter().copied(), lines[0].colour.stroke_width(lines[0].width));
+    for series in lines[0].series() {
         chart.draw_series(series).map_err(|cause| anyhow!("{cause}"))?;
     }
-    for piece in &lines[1].pieces {
-        let series = LineSeries::new(piece.iter().copied(), lines[1].colour.stroke_width(lines[1].width));
+    for series in lines[1].series() {
         chart.draw_secondary_series(series).map_err(|cause| anyhow!("{cause}"))?;
     }
     Ok(())
@@ -239,15 +260,15 @@ fn throughput(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<(
 /// Writes the line above a panel, its name at the left and its legend at the right. Returns the rest of the area.
 fn head<'a>(area: &Area<'a>, name: &str, lines: &[Line<'_>]) -> Result<Area<'a>> {
     let (head, rest) = area.split_vertically(HEADS.1);
-    text(&head, name, (SIDES.0 as i32, 12), 21)?;
+    text(&head, name, ((MARGIN + SIDES.0) as i32, 12), 21)?;
     let font = (FONT, 18).into_font().color(&INK);
-    let mut right = (SIZE.0 - SIDES.1) as i32;
+    let mut right = (SIZE.0 - SIDES.1 - MARGIN) as i32;
     for line in lines.iter().rev() {
         let size = head.estimate_text_size(line.name, &font).map_err(|cause| anyhow!("{cause}"))?;
         let left = right - size.0 as i32;
         text(&head, line.name, (left, 14), 18)?;
         let stroke =
-            PathElement::new([(left - 38, 24), (left - 8, 24)], line.colour.stroke_width(line.width + 1));
+            PathElement::new([(left - 38, 18), (left - 8, 18)], line.colour.stroke_width(line.width));
         head.draw(&stroke).map_err(|cause| anyhow!("{cause}"))?;
         right = left - 62;
     }

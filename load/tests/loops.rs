@@ -42,9 +42,13 @@ async fn load_on(server: Server, config: LoadConfig) -> Report {
 }
 
 async fn stalled(mode: Mode, rate: Option<f64>) -> Report {
+    stalled_over(config(mode, rate)).await
+}
+
+async fn stalled_over(config: LoadConfig) -> Report {
     let now = Instant::now();
     let stall = now + Duration::from_secs(STALL_S.0)..now + Duration::from_secs(STALL_S.1);
-    let report = load_on(Server { stall, ..Server::new(speech(mode)) }, config(mode, rate)).await;
+    let report = load_on(Server { stall, ..Server::new(speech(config.mode)) }, config).await;
     assert_eq!(report.verdict(), Ok(()), "{report}");
     report
 }
@@ -57,32 +61,35 @@ async fn calm(mode: Mode, rate: Option<f64>) -> Report {
 
 #[tokio::test(start_paused = true)]
 async fn an_open_loop_shows_a_stall_that_a_closed_loop_hides() {
-    // A fifth of the run is stalled, so of arrivals at any time a tenth waits a second or more.
+    // A fifth of the run is stalled, so of arrivals at any time a tenth is expected to wait a second or more.
     let service_ms = SERVICE.as_secs_f64() * 1e3;
     for mode in [Mode::Http, Mode::Explicit] {
         let closed = stalled(mode, None).await;
         assert_eq!(closed.loop_, "closed");
-        let p99 = closed.latency_ms.p99.expect("answers");
-        assert!(p99 < 40.0 * service_ms, "a closed loop asks little while it waits: {closed}");
+        // 16 are open at a time where requests are made by key.
+        let p90 = closed.latency_ms.p90.expect("answers");
+        assert!(p90 < 17.0 * service_ms, "a closed loop asks little while it waits: {closed}");
         assert!(closed.latency_ms.max.expect("answers") > 1900.0, "though it was there: {closed}");
 
         let open = stalled(mode, Some(RATE)).await;
         assert_eq!((open.loop_, open.rate), ("open", Some(RATE)));
-        assert!(open.latency_ms.p90.expect("answers") > 700.0, "{open}");
+        assert!(open.latency_ms.p90.expect("answers") > 500.0, "{open}");
         assert!(open.latency_ms.p99.expect("answers") > 1500.0, "{open}");
 
         let control = calm(mode, Some(RATE)).await;
-        assert!(control.latency_ms.p99.expect("answers") < 10.0 * service_ms, "without a stall: {control}");
+        assert!(control.latency_ms.p99.expect("answers") < 5.0 * service_ms, "without a stall: {control}");
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn poses_of_an_open_loop_count_until_their_view_is_complete() {
-    let open = stalled(Mode::View, Some(RATE)).await;
+    // Whoever stays where he is needs nothing, and would not notice a stall.
+    let config = || LoadConfig { path: PathKind::Teleport, ..config(Mode::View, Some(RATE)) };
+    let open = stalled_over(config()).await;
     assert_eq!((open.measures, open.latency_ms), ("pose to settled view", open.settle_ms));
-    assert!(open.latency_ms.p90.expect("views") > 500.0, "{open}");
-    let control = calm(Mode::View, Some(RATE)).await;
-    assert!(control.latency_ms.p90.expect("views") < 500.0, "{control}");
+    assert!(open.latency_ms.p99.expect("views") > 1500.0, "{open}");
+    let control = load_on(Server::new(Speaks::WebSocket), config()).await;
+    assert!(control.latency_ms.p99.expect("views") < 800.0, "{control}");
 }
 
 #[tokio::test(start_paused = true)]

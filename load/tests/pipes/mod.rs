@@ -24,7 +24,7 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::handshake::server::{ErrorResponse, Response as Upgrade};
 
 /// Time that an answer takes.
-pub const SERVICE: Duration = Duration::from_millis(5);
+pub const SERVICE: Duration = Duration::from_millis(20);
 
 /// What a pipe holds, bytes.
 const PIPE: usize = 64 * 1024;
