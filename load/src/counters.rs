@@ -35,6 +35,7 @@ pub struct Counters {
     /// A mutex is right: some thousand records a second, nothing awaits under it.
     latencies: Mutex<Latencies>,
     settling: Mutex<Latencies>,
+    lateness: Mutex<Latencies>,
     /// Of slow and silent clients: what ended their connections, and how often.
     closed: Mutex<BTreeMap<String, u64>>,
     problems: Mutex<Vec<String>>,
@@ -106,9 +107,10 @@ impl Counters {
         lock(&self.settling).record(latency);
     }
 
-    /// A request was sent, or a pose that is measured.
-    pub fn request(&self) {
+    /// A request was sent, or a pose that is measured, so long after it was due.
+    pub fn request(&self, late: Duration) {
         add(&self.requests);
+        lock(&self.lateness).record(late);
     }
 
     /// What was asked is answered after this time.
@@ -156,6 +158,10 @@ impl Counters {
 
     pub(crate) fn settling(&self) -> Latencies {
         lock(&self.settling).clone()
+    }
+
+    pub(crate) fn lateness(&self) -> Latencies {
+        lock(&self.lateness).clone()
     }
 
     pub(crate) fn closes(&self) -> BTreeMap<String, u64> {

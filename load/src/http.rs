@@ -106,7 +106,7 @@ impl<'t, 'a, D: Dial> Browser<'t, 'a, D> {
             let Errand::Ask(since, _) = agenda.next(0).await else { continue };
             let seconds = since.saturating_duration_since(task.epoch).as_secs_f64();
             let key = self.keys.key(agenda.number(), seconds);
-            task.counters.request();
+            task.counters.request(since.elapsed());
             let (end, pause) = match timeout_at(stop, self.fetch(key, visited)).await {
                 Ok(Ok(Fetched::Answered)) => {
                     task.counters.answered(since.elapsed());

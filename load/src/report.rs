@@ -49,6 +49,9 @@ pub struct Report {
     pub latency_ms: LatencyMs,
     /// From a pose to its view being complete, or a newer one; only in view mode.
     pub settle_ms: LatencyMs,
+    /// From when something was due to when it was sent; only in an open loop. Late is what waited behind others on its connection, or
+    /// for this machine: a run that is late without a slow server measures itself.
+    pub sent_late_ms: LatencyMs,
     /// Chunks that were compared with local generation: a sample, in seed-only delivery all.
     pub regenerated: u64,
     /// Views that the server reported complete.
@@ -134,11 +137,11 @@ impl Report {
         let phases: Vec<_> =
             tally.phases.iter().map(|(phase, counters)| PhaseReport::new(phase, counters, took)).collect();
         let counters = || tally.phases.iter().map(|(_, counters)| counters);
-        let (mut latencies, mut settling) = (Latencies::default(), Latencies::default());
-        for counters in counters() {
-            latencies.add(&counters.latencies());
-            settling.add(&counters.settling());
-        }
+        let all = |pick: fn(&Counters) -> Latencies| {
+            let mut all = Latencies::default();
+            counters().for_each(|counters| all.add(&pick(counters)));
+            all.quantiles()
+        };
         let mut problems: Vec<String> = Vec::new();
         for problem in counters().flat_map(|counters| counters.problems()) {
             if problems.len() < MAX_PROBLEMS && !problems.contains(&problem) {
@@ -163,8 +166,9 @@ impl Report {
             dropped: sum(|phase| phase.dropped),
             refused: sum(|phase| phase.refused),
             measures: config.mode.measures(is_open),
-            latency_ms: latencies.quantiles(),
-            settle_ms: settling.quantiles(),
+            latency_ms: all(Counters::latencies),
+            settle_ms: all(Counters::settling),
+            sent_late_ms: if is_open { all(Counters::lateness) } else { LatencyMs::default() },
             regenerated: counters().map(|counters| get(&counters.regenerated)).sum(),
             views_settled: counters().map(|counters| get(&counters.views_settled)).sum(),
             requests: sum(|phase| phase.requests),
@@ -318,7 +322,7 @@ mod tests {
         let report = report(&config, |tally| {
             for (index, (_, counters)) in tally.phases.iter().enumerate() {
                 (0..=index).for_each(|_| counters.chunk(10));
-                counters.request();
+                counters.request(Duration::ZERO);
                 counters.answered(Duration::from_millis(100 - 90 * index as u64));
             }
         });

@@ -76,6 +76,10 @@ async fn an_open_loop_shows_a_stall_that_a_closed_loop_hides() {
         assert!(open.latency_ms.p90.expect("answers") > 500.0, "{open}");
         assert!(open.latency_ms.p99.expect("answers") > 1500.0, "{open}");
 
+        // One GET waits for the one before it; requests by key do not.
+        let late = open.sent_late_ms.p99.expect("requests") > 1000.0;
+        assert_eq!((late, closed.sent_late_ms.p99), (mode == Mode::Http, None), "{open}");
+
         let control = calm(mode, Some(RATE)).await;
         assert!(control.latency_ms.p99.expect("answers") < 5.0 * service_ms, "without a stall: {control}");
     }

@@ -40,6 +40,7 @@ impl fmt::Display for Report {
             ("latency p99", format!("{} ms", ms(p99))),
             ("latency p99.9", format!("{} ms", ms(p999))),
             ("latency max", format!("{} ms", ms(max))),
+            ("sent late p99", format!("{} ms", ms(self.sent_late_ms.p99))),
             ("settle p50", format!("{} ms", ms(self.settle_ms.p50))),
             ("settle p99", format!("{} ms", ms(self.settle_ms.p99))),
             ("regenerated", self.regenerated.to_string()),
@@ -51,6 +52,7 @@ impl fmt::Display for Report {
         rows.retain(|(name, _)| match *name {
             "unchanged" => self.mode == "http",
             "views settled" => self.mode == "view",
+            "sent late p99" => self.rate.is_some(),
             "settle p50" | "settle p99" => self.mode == "view" && self.rate.is_none(),
             _ => true,
         });

@@ -98,7 +98,7 @@ impl<D: Dial> Session<'_, '_, D> {
         self.interest.view(&view);
         self.machine.set_view(view);
         if is_open {
-            self.task.counters.request();
+            self.task.counters.request(since.elapsed());
         }
     }
 
@@ -113,7 +113,7 @@ impl<D: Dial> Session<'_, '_, D> {
             .find(|key| self.interest.can_request(*key));
         if let Some(key) = candidate {
             self.interest.request(self.machine.request(&[key]), key, since);
-            self.task.counters.request();
+            self.task.counters.request(since.elapsed());
         }
     }
 
@@ -122,7 +122,7 @@ impl<D: Dial> Session<'_, '_, D> {
         for _ in 0..chunks {
             let key = self.keys.key(agenda.number(), self.seconds(since));
             self.interest.request(self.machine.request(&[key]), key, since);
-            self.task.counters.request();
+            self.task.counters.request(since.elapsed());
         }
     }
 
