@@ -4,7 +4,7 @@
 
 use crate::arrivals::Arrivals;
 use crate::config::LoadConfig;
-use crate::interest::{MAX_OPEN_REQUESTS, MAX_VIEWS};
+use crate::interest::{MAX_OPEN_REQUESTS, MAX_VIEWS, MAX_VIEWS_SLOW};
 use crate::mode::Mode;
 use std::time::Duration;
 use terrain::hash::mix;
@@ -64,7 +64,7 @@ impl Agenda {
         Self { pacing, asked: 0 }
     }
 
-    /// Nothing but looks.
+    /// Nothing but looks, by one who reads slowly.
     #[must_use]
     pub fn watching(index: u32, epoch: Instant) -> Self {
         Self { pacing: Pacing::Clock { views: views(index, epoch), probes: None }, asked: 0 }
@@ -76,10 +76,20 @@ impl Agenda {
         matches!(self.pacing, Pacing::Open { .. })
     }
 
+    /// Whether poses count as outstanding until their views are complete.
+    #[must_use]
+    pub const fn waits_for_views(&self) -> bool {
+        matches!(self.pacing, Pacing::Open { .. } | Pacing::Clock { probes: None, .. })
+    }
+
     /// The next thing to do, with so many answers outstanding. Waits until it is due and, where a bound is reached, for ever:
     /// call again when an answer has come. Dropping it loses nothing.
     pub async fn next(&mut self, outstanding: usize) -> Errand {
         match &mut self.pacing {
+            // As in an open loop: no view is forgotten that may still be served.
+            Pacing::Clock { probes: None, .. } if outstanding >= MAX_VIEWS_SLOW - 1 => {
+                std::future::pending().await
+            }
             Pacing::Clock { views, probes: None } => {
                 views.tick().await;
                 Errand::Look(Instant::now())

@@ -13,9 +13,12 @@ use terrain::lod::{self, Viewer};
 use terrain::{ChunkKey, Land};
 use tokio::time::Instant;
 
-/// Views that the server may still be serving. At four views a second 64 are 16 s; when it is full the oldest is forgotten,
-/// and a chunk of a view that old counts as unasked.
+/// Views that the server may still be serving to one who reads what comes. At four views a second 64 are 16 s; when it is full the
+/// oldest is forgotten, and a chunk of a view that old counts as unasked.
 pub const MAX_VIEWS: usize = 64;
+
+/// The same for one who reads slowly: what arrives was asked for long ago. At four views a second 17 minutes.
+pub const MAX_VIEWS_SLOW: usize = 4096;
 
 /// Requests without an answer. When it is full no further request is made until one is answered; those that stay open are
 /// reported as unanswered. Half of what a server takes.
@@ -29,6 +32,7 @@ const MAX_HELD: usize = 1024;
 #[derive(Debug)]
 pub struct Interest {
     land: Land,
+    max_views: usize,
     /// Newest last, with the id that a Settled or a refusal will name, and the viewer that the server may look ahead for.
     views: VecDeque<(u32, Viewer, Option<Viewer>)>,
     /// By key, oldest first: two requests may name the same.
@@ -57,11 +61,12 @@ pub enum Arrival {
 }
 
 impl Interest {
-    /// Nothing asked for yet.
+    /// Nothing asked for yet. So many views are remembered: [`MAX_VIEWS`] or [`MAX_VIEWS_SLOW`].
     #[must_use]
-    pub fn new(land: Land) -> Self {
+    pub fn new(land: Land, max_views: usize) -> Self {
         Self {
             land,
+            max_views,
             views: VecDeque::new(),
             requests: FxHashMap::default(),
             n_requests: 0,
@@ -72,7 +77,7 @@ impl Interest {
 
     /// Notes a view that was sent.
     pub fn view(&mut self, view: &View) {
-        if self.views.len() == MAX_VIEWS {
+        if self.views.len() == self.max_views {
             self.views.pop_front();
         }
         self.views.push_back((view.id, view.viewer(), view.viewer_ahead()));
@@ -262,7 +267,7 @@ mod tests {
     #[test]
     fn a_chunk_that_nobody_asked_for_is_unasked_until_it_is_requested() {
         let now = Instant::now();
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         interest.view(&view(1, 0, 2000));
         let far = key(0, 30_000, 30_000);
         assert_eq!(interest.arrive(far, now).0, Arrival::Unasked);
@@ -277,7 +282,7 @@ mod tests {
     #[test]
     fn older_views_count_until_a_newer_one_is_settled() {
         let now = Instant::now();
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         let (old, new) = (view(1, 0, 300), view(2, 1, 300));
         let of_old = lod::select(&land(), &old.viewer(), usize::MAX).last().unwrap().key;
         assert!(!is_needed(&land(), &new.viewer(), of_old));
@@ -291,7 +296,7 @@ mod tests {
     #[test]
     fn only_keys_that_nothing_else_brings_are_requested() {
         let now = Instant::now();
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         interest.view(&view(1, 0, 2000));
         let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
         let far = key(0, 30_000, 30_000);
@@ -306,7 +311,7 @@ mod tests {
     #[test]
     fn two_requests_for_one_chunk_are_two_answers_each_from_its_own_time() {
         let now = Instant::now();
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         let far = key(0, 30_000, 30_000);
         interest.request(0, far, now);
         interest.request(1, far, now + Duration::from_millis(5));
@@ -319,7 +324,7 @@ mod tests {
 
     #[test]
     fn refusals_close_requests_by_key_or_by_id() {
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         interest.request(5, key(0, 1, 1), Instant::now());
         interest.request(6, key(0, 2, 2), Instant::now());
         let refusal = |id, key: Option<ChunkKey>| Refused {
@@ -337,7 +342,7 @@ mod tests {
     #[test]
     fn what_is_held_is_bounded_and_the_current_view_is_kept() {
         let now = Instant::now();
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         interest.view(&view(1, 0, 2000));
         let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
         interest.arrive(near, now);

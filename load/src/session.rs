@@ -14,13 +14,14 @@ use crate::agenda::Agenda;
 use crate::client::{End, GRACE, HANDSHAKE_TIMEOUT, Task};
 use crate::dial::Dial;
 use crate::inspection::Inspection;
-use crate::interest::{Arrival, Interest};
+use crate::interest::{Arrival, Interest, MAX_VIEWS, MAX_VIEWS_SLOW};
 use crate::keys::Keys;
 use crate::path::FlightPath;
 use crate::verify::{self, Mismatch};
 use errands::Poses;
 use futures_util::StreamExt;
 use protocol::client::{ClientConfig, ClientSession, Event};
+use protocol::limits::MAX_CREDITS;
 use protocol::message::Welcome;
 use protocol::{CloseCode, Delivery, Incoming, PeerFault};
 use socket::lost;
@@ -30,6 +31,9 @@ use tokio_tungstenite::tungstenite::{Error, Message};
 
 /// Chunks that may be under way to one client. Enough to hide a round trip, few enough that a view change counts.
 const WINDOW: u32 = 64;
+
+/// The same for one who reads slowly: all that there can be, or credit would keep the server from ever owing more than a socket holds.
+const WINDOW_SLOW: u32 = MAX_CREDITS;
 
 /// Frames that a session takes before others get their turn. A frame costs about 0.1 ms to decode or generate and verify; without
 /// turns a burst would hold up the clocks of all.
@@ -71,7 +75,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             delivery: config.delivery,
             token: config.token.clone(),
             software: SOFTWARE.into(),
-            window: WINDOW,
+            window: if task.reads.is_some() { WINDOW_SLOW } else { WINDOW },
         });
         transmit(&mut socket, &mut machine).await.map_err(End::not_admitted)?;
         let welcome = timeout(HANDSHAKE_TIMEOUT, welcome(&mut socket, &mut machine))
@@ -86,7 +90,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             socket,
             machine,
             land,
-            interest: Interest::new(land),
+            interest: Interest::new(land, if task.reads.is_some() { MAX_VIEWS_SLOW } else { MAX_VIEWS }),
             inspection: Inspection::new(land, config.delivery, sample, task.counters, task.regeneration),
             path,
             keys: Keys::new(config.path, config.seed, task.index, path),
@@ -102,7 +106,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             if let Err(problem) = transmit(&mut self.socket, &mut self.machine).await {
                 return End::Lost(problem);
             }
-            let outstanding = self.outstanding(agenda.is_open());
+            let outstanding = self.outstanding(agenda.waits_for_views());
             if agenda.is_done() && outstanding == 0 && Instant::now() >= self.task.end {
                 self.close(CloseCode::Normal).await;
                 return End::Finished;

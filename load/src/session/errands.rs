@@ -3,6 +3,7 @@
 use super::Session;
 use crate::agenda::{Agenda, Errand};
 use crate::dial::Dial;
+use crate::interest::MAX_VIEWS_SLOW;
 use crate::path::Pose;
 use protocol::view::View;
 use std::collections::VecDeque;
@@ -14,8 +15,8 @@ const PROBE_TRIES: usize = 8;
 /// Probes without an answer at most.
 const MAX_PROBES: usize = 64;
 
-/// Poses of a closed loop whose views are waited for. When it is full the oldest is forgotten.
-const MAX_POSES: usize = 1024;
+/// Poses whose views are waited for. When it is full, as only a closed loop can make it, the oldest is forgotten.
+const MAX_POSES: usize = MAX_VIEWS_SLOW;
 
 /// The view that a client at a pose has: 1280 x 720 at 60 degrees, 4 pixels of tolerance.
 #[must_use]
@@ -73,9 +74,9 @@ impl<D: Dial> Session<'_, '_, D> {
         }
     }
 
-    /// What is outstanding: requests, and in an open loop poses.
-    pub(super) fn outstanding(&self, is_open: bool) -> usize {
-        self.interest.open_requests() + if is_open { self.poses.waiting.len() } else { 0 }
+    /// What is outstanding: requests, and poses where these are waited for.
+    pub(super) fn outstanding(&self, with_poses: bool) -> usize {
+        self.interest.open_requests() + if with_poses { self.poses.waiting.len() } else { 0 }
     }
 
     /// A view is complete, and with it the poses up to its own.
