@@ -10,6 +10,7 @@ use shaders::layout::{
     CLUMP_BYTES, Culling, Leaf, MAX_LEAVES, MAX_PATCHES, MEMORY_WORDS, PATCH_BLOCK_COUNT, Planting,
     SQUARE_NODES, TALLY_DRAWS, TALLY_TOLD, TALLY_WORDS, Tile, VERDICT_WORDS,
 };
+use std::ops::Range;
 use wgpu::BufferUsages as Usage;
 
 /// Words of the choice before its blocks.
@@ -335,7 +336,7 @@ impl Chosen {
     /// # Errors
     /// The GPU failed.
     pub fn told(&self, gpu: &Gpu) -> Result<Told, GpuError> {
-        let words = read_words(gpu, &self.tally, TALLY_WORDS)?;
+        let words = read_words(gpu, &self.tally, 0..TALLY_WORDS)?;
         let told = &words[TALLY_TOLD..];
         Ok(Told { blocks: told[0], blocks_lost: told[1], clumps: told[2], clumps_lost: told[3] })
     }
@@ -345,16 +346,16 @@ impl Chosen {
     /// # Errors
     /// The GPU failed.
     pub fn read(&self, gpu: &Gpu) -> Result<[Vec<[u32; 4]>; 3], GpuError> {
-        let tally = read_words(gpu, &self.tally, TALLY_WORDS)?;
-        let all: usize = self.room.iter().map(|room| *room as usize).sum();
-        let words = read_words(gpu, &self.clumps, 4 * all)?;
-        let clumps: Vec<[u32; 4]> =
-            words.chunks_exact(4).map(|four| [four[0], four[1], four[2], four[3]]).collect();
-        let begins = [0, self.room[0] as usize, (self.room[0] + self.room[1]) as usize];
-        Ok(std::array::from_fn(|level| {
+        let tally = read_words(gpu, &self.tally, 0..TALLY_WORDS)?;
+        let mut begin = 0;
+        let mut clumps = [const { Vec::new() }; 3];
+        for (level, (clumps, room)) in clumps.iter_mut().zip(self.room).enumerate() {
             let count = tally[TALLY_DRAWS + 4 * level + 1] as usize;
-            clumps[begins[level]..begins[level] + count].to_vec()
-        }))
+            let words = read_words(gpu, &self.clumps, 4 * begin..4 * (begin + count))?;
+            clumps.extend(words.chunks_exact(4).map(|four| [four[0], four[1], four[2], four[3]]));
+            begin += room as usize;
+        }
+        Ok(clumps)
     }
 }
 
@@ -367,9 +368,13 @@ fn buffer(device: &wgpu::Device, label: &str, size: usize, usage: Usage) -> wgpu
     })
 }
 
-fn read_words(gpu: &Gpu, buffer: &wgpu::Buffer, words: usize) -> Result<Vec<u32>, GpuError> {
+fn read_words(gpu: &Gpu, buffer: &wgpu::Buffer, words: Range<usize>) -> Result<Vec<u32>, GpuError> {
     let failed = |error: &dyn std::fmt::Display| GpuError::Fault(error.to_string());
-    let size = 4 * words as u64;
+    let size = 4 * words.len() as u64;
+    // Nothing cannot be mapped.
+    if size == 0 {
+        return Ok(Vec::new());
+    }
     let landing = gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("plants on the CPU"),
         size,
@@ -377,7 +382,7 @@ fn read_words(gpu: &Gpu, buffer: &wgpu::Buffer, words: usize) -> Result<Vec<u32>
         mapped_at_creation: false,
     });
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    encoder.copy_buffer_to_buffer(buffer, 0, &landing, 0, size);
+    encoder.copy_buffer_to_buffer(buffer, 4 * words.start as u64, &landing, 0, size);
     gpu.queue.submit([encoder.finish()]);
     let slice = landing.slice(..);
     slice.map_async(wgpu::MapMode::Read, |_| ());

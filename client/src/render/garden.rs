@@ -20,15 +20,22 @@ pub struct Garden {
     frame: u32,
 }
 
-/// Buffers and pass of one kind.
+/// Passes and buffers of one kind.
 #[derive(Debug)]
 struct Bed {
     plant: Plant,
-    chosen: Chosen,
-    kept: KeptClumps,
     pass: PlantPass,
     /// Draws names; built when a check first asks.
     names: Option<PlantPass>,
+    soil: Soil,
+}
+
+/// What has to be made anew when more clumps are to fit. Pipelines are not: they take seconds to compile on some drivers.
+#[derive(Debug)]
+struct Soil {
+    chosen: Chosen,
+    kept: KeptClumps,
+    bindings: wgpu::BindGroup,
 }
 
 impl Garden {
@@ -52,44 +59,45 @@ impl Garden {
         self.passes.prepare(&gpu.queue, &plants.square);
         for stand in &plants.stands {
             let plant = if stand.field.kind == Plant::Grass.kind() { Plant::Grass } else { Plant::Tree };
-            let room = room_for(stand);
-            let fits = |bed: &Bed| bed.chosen.room.iter().zip(room).all(|(has, needs)| *has >= needs);
-            if !self.beds.iter().any(|bed| bed.plant == plant && fits(bed)) {
-                self.beds.retain(|bed| bed.plant != plant);
-                self.beds.push(Bed::new(gpu, &self.passes, uniforms, pool, samples, plant, room));
+            let needed = room_for(stand);
+            let soil = |pass: &PlantPass, room| {
+                Soil::new(&gpu.device, &self.passes, uniforms, pool, (plant, pass), room)
+            };
+            if let Some(bed) = self.beds.iter_mut().find(|bed| bed.plant == plant) {
+                let had = bed.soil.chosen.room;
+                let room = std::array::from_fn(|level| needed[level].max(had[level]));
+                if room != had {
+                    bed.soil = soil(&bed.pass, room);
+                }
+            } else {
+                let pass = PlantPass::new(&gpu.device, plant, pipeline::LIGHT, samples);
+                let soil = soil(&pass, needed);
+                self.beds.push(Bed { plant, pass, names: None, soil });
             }
         }
         for bed in &self.beds {
             let index = plants.stands.iter().position(|stand| stand.field.kind == bed.plant.kind());
             let index = index.unwrap_or(plants.stands.len());
             if let Some(stand) = plants.stands.get(index) {
-                gpu.queue.write_buffer(&bed.kept.field, 0, bytemuck::bytes_of(&stand.field));
+                gpu.queue.write_buffer(&bed.soil.kept.field, 0, bytemuck::bytes_of(&stand.field));
             }
-            self.passes.record(&gpu.queue, plants, index, self.frame, &bed.chosen, encoder);
+            self.passes.record(&gpu.queue, plants, index, self.frame, &bed.soil.chosen, encoder);
         }
     }
 
     /// Draws what was chosen.
     pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>) {
         for bed in &self.beds {
-            bed.pass.draw(pass, &bed.kept);
+            bed.pass.draw(pass, &bed.soil.bindings, &bed.soil.kept);
         }
     }
 
     /// Draws the names of what was chosen, one sample per pixel; for checks.
-    pub fn draw_names(
-        &mut self,
-        gpu: &Gpu,
-        uniforms: &wgpu::Buffer,
-        pool: &ChunkPool,
-        pass: &mut wgpu::RenderPass<'_>,
-    ) {
-        for bed in &mut self.beds {
-            let kept = &bed.kept;
-            let names = bed
-                .names
-                .get_or_insert_with(|| PlantPass::new(&gpu.device, uniforms, pool, kept, pipeline::NAMES, 1));
-            names.draw(pass, kept);
+    pub fn draw_names(&mut self, gpu: &Gpu, pass: &mut wgpu::RenderPass<'_>) {
+        for Bed { plant, names, soil, .. } in &mut self.beds {
+            let names =
+                names.get_or_insert_with(|| PlantPass::new(&gpu.device, *plant, pipeline::NAMES, 1));
+            names.draw(pass, &soil.bindings, &soil.kept);
         }
     }
 
@@ -98,39 +106,38 @@ impl Garden {
     /// # Errors
     /// The GPU failed.
     pub fn told(&self, gpu: &Gpu) -> Result<Told, GpuError> {
-        self.beds.iter().try_fold(Told::default(), |told, bed| Ok(told.with(bed.chosen.told(gpu)?)))
+        self.beds.iter().try_fold(Told::default(), |told, bed| Ok(told.with(bed.soil.chosen.told(gpu)?)))
     }
 
     /// The buffers of each kind, for checks.
     pub fn kept(&self) -> impl Iterator<Item = (&KeptClumps, &Chosen)> {
-        self.beds.iter().map(|bed| (&bed.kept, &bed.chosen))
+        self.beds.iter().map(|bed| (&bed.soil.kept, &bed.soil.chosen))
     }
 }
 
-impl Bed {
+impl Soil {
     fn new(
-        gpu: &Gpu,
+        device: &wgpu::Device,
         passes: &CullPasses,
         uniforms: &wgpu::Buffer,
         pool: &ChunkPool,
-        samples: u32,
-        plant: Plant,
+        (plant, pass): (Plant, &PlantPass),
         room: [u32; 3],
     ) -> Self {
         let mut vertices = [0; 3];
         for (own, given) in vertices.iter_mut().zip(plant.vertices()) {
             *own = *given;
         }
-        let chosen = passes.room_for(&gpu.device, pool, room, vertices);
-        let field = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        let chosen = passes.room_for(device, pool, room, vertices);
+        let field = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("field"),
             size: size_of::<Field>() as u64,
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
         let kept = chosen.kept(plant, field, passes);
-        let pass = PlantPass::new(&gpu.device, uniforms, pool, &kept, pipeline::LIGHT, samples);
-        Self { plant, chosen, kept, pass, names: None }
+        let bindings = pass.bind(device, uniforms, pool, &kept);
+        Self { chosen, kept, bindings }
     }
 }
 

@@ -75,26 +75,20 @@ pub struct KeptClumps {
 /// Bytes of the arguments of one indirect draw.
 const ARGUMENT_BYTES: u64 = 16;
 
-/// The pass that draws a field.
+/// The pass that draws fields of one kind.
 #[derive(Debug)]
 pub struct PlantPass {
+    shader: &'static Shader,
     /// One for each level of detail.
     pipelines: Vec<wgpu::RenderPipeline>,
-    bindings: wgpu::BindGroup,
+    layout: wgpu::BindGroupLayout,
 }
 
 impl PlantPass {
-    /// The pass for these clumps and no others.
+    /// The pass for plants of a kind.
     #[must_use]
-    pub fn new(
-        device: &wgpu::Device,
-        frame: &wgpu::Buffer,
-        pool: &ChunkPool,
-        kept: &KeptClumps,
-        output: Output<'_>,
-        samples: u32,
-    ) -> Self {
-        let shader = kept.plant.shader();
+    pub fn new(device: &wgpu::Device, plant: Plant, output: Output<'_>, samples: u32) -> Self {
+        let shader = plant.shader();
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some(shader.name),
             entries: &[
@@ -105,9 +99,31 @@ impl PlantPass {
                 storage_entry(4, wgpu::ShaderStages::VERTEX, true),
             ],
         });
-        let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(shader.name),
-            layout: &layout,
+        let buffers = [Some(wgpu::VertexBufferLayout {
+            array_stride: CLUMP_BYTES as u64,
+            step_mode: wgpu::VertexStepMode::Instance,
+            attributes: &wgpu::vertex_attr_array![0 => Uint32x4],
+        })];
+        let pass = LightPass { shader, layouts: &[&layout], buffers: &buffers, depth: Depth::Solid, samples };
+        let levels = 0..plant.vertices().len();
+        let pipelines = levels
+            .map(|level| pass.pipeline_of_leaves(device, output, plant.topology(level), level))
+            .collect();
+        Self { shader, pipelines, layout }
+    }
+
+    /// What drawing these clumps reads.
+    #[must_use]
+    pub fn bind(
+        &self,
+        device: &wgpu::Device,
+        frame: &wgpu::Buffer,
+        pool: &ChunkPool,
+        kept: &KeptClumps,
+    ) -> wgpu::BindGroup {
+        device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(self.shader.name),
+            layout: &self.layout,
             entries: &[
                 wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
                 wgpu::BindGroupEntry { binding: 1, resource: kept.field.as_entire_binding() },
@@ -115,23 +131,12 @@ impl PlantPass {
                 wgpu::BindGroupEntry { binding: 3, resource: kept.leaves.as_entire_binding() },
                 wgpu::BindGroupEntry { binding: 4, resource: pool.clearances().as_entire_binding() },
             ],
-        });
-        let buffers = [Some(wgpu::VertexBufferLayout {
-            array_stride: CLUMP_BYTES as u64,
-            step_mode: wgpu::VertexStepMode::Instance,
-            attributes: &wgpu::vertex_attr_array![0 => Uint32x4],
-        })];
-        let pass = LightPass { shader, layouts: &[&layout], buffers: &buffers, depth: Depth::Solid, samples };
-        let levels = 0..kept.plant.vertices().len();
-        let pipelines = levels
-            .map(|level| pass.pipeline_of_leaves(device, output, kept.plant.topology(level), level))
-            .collect();
-        Self { pipelines, bindings }
+        })
     }
 
-    /// Draws the clumps that the buffers hold when the commands run.
-    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, kept: &KeptClumps) {
-        pass.set_bind_group(0, &self.bindings, &[]);
+    /// Draws the clumps that the buffers hold when the commands run; `bindings` are theirs.
+    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, bindings: &wgpu::BindGroup, kept: &KeptClumps) {
+        pass.set_bind_group(0, bindings, &[]);
         for (level, (pipeline, region)) in self.pipelines.iter().zip(&kept.regions).enumerate() {
             let [start, end] = [region.start, region.end].map(|clump| u64::from(clump) * CLUMP_BYTES as u64);
             pass.set_pipeline(pipeline);

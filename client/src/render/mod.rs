@@ -282,29 +282,32 @@ impl Renderer {
             let view = &self.targets.depth;
             Some(wgpu::RenderPassDepthStencilAttachment { view, depth_ops: ops, stencil_ops: None })
         };
-        let clear = |view, color| {
-            let ops = wgpu::Operations { load: wgpu::LoadOp::Clear(color), store: wgpu::StoreOp::Store };
-            Some(wgpu::RenderPassColorAttachment { view, depth_slice: None, resolve_target: None, ops })
-        };
         {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("land before names"),
-                color_attachments: &[clear(&self.targets.gathered, wgpu::Color::BLACK)],
                 depth_stencil_attachment: depth(wgpu::LoadOp::Clear(0.0), wgpu::StoreOp::Store),
                 ..Default::default()
             });
-            self.terrain.draw(&mut pass, &self.materials);
+            self.terrain.draw_depth(&mut pass, &self.materials);
         }
         let names = targets::names(&gpu.device, self.targets.size);
         if let Some(garden) = self.garden.as_mut().filter(|_| frame.plants.is_some()) {
             let view = names.create_view(&wgpu::TextureViewDescriptor::default());
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("names"),
-                color_attachments: &[clear(&view, wgpu::Color::TRANSPARENT)],
+                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                    view: &view,
+                    depth_slice: None,
+                    resolve_target: None,
+                    ops: wgpu::Operations {
+                        load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+                        store: wgpu::StoreOp::Store,
+                    },
+                })],
                 depth_stencil_attachment: depth(wgpu::LoadOp::Load, wgpu::StoreOp::Discard),
                 ..Default::default()
             });
-            garden.draw_names(gpu, &self.uniforms, &self.pool, &mut pass);
+            garden.draw_names(gpu, &mut pass);
         }
         gpu.queue.submit([encoder.finish()]);
         let bytes = picture::read_texture(gpu, &names, 8)?;

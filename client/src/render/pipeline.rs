@@ -19,15 +19,19 @@ pub enum Depth {
 pub struct Output<'a> {
     vertex: Option<&'a str>,
     fragment: Option<&'a str>,
-    format: wgpu::TextureFormat,
+    /// Of the one target beside depth; none where depth is all.
+    format: Option<wgpu::TextureFormat>,
 }
 
 /// Light, by the first entry points.
-pub const LIGHT: Output<'static> = Output { vertex: None, fragment: None, format: LIGHT_FORMAT };
+pub const LIGHT: Output<'static> = Output { vertex: None, fragment: None, format: Some(LIGHT_FORMAT) };
+
+/// Depth alone: no fragment is shaded.
+pub const DEPTH: Output<'static> = Output { vertex: None, fragment: None, format: None };
 
 /// Names of what is drawn, for passes whose shaders have entry points for that.
 pub const NAMES: Output<'static> =
-    Output { vertex: Some("named_vertex"), fragment: Some("named_fragment"), format: NAME_FORMAT };
+    Output { vertex: Some("named_vertex"), fragment: Some("named_fragment"), format: Some(NAME_FORMAT) };
 
 /// What differs between the passes that gather light.
 #[derive(Debug)]
@@ -49,6 +53,12 @@ impl LightPass<'_> {
     #[must_use]
     pub fn pipeline(&self, device: &wgpu::Device) -> wgpu::RenderPipeline {
         self.build(device, LIGHT, SOLID, &[])
+    }
+
+    /// The pipeline that leaves nothing but depth.
+    #[must_use]
+    pub fn depth_pipeline(&self, device: &wgpu::Device) -> wgpu::RenderPipeline {
+        self.build(device, DEPTH, SOLID, &[])
     }
 
     /// The pipeline of one of several ways of writing what the pass draws.
@@ -99,7 +109,11 @@ impl LightPass<'_> {
             primitive,
             Some(depth_stencil),
             self.samples,
-            wgpu::ColorTargetState { format: output.format, blend, write_mask: wgpu::ColorWrites::ALL },
+            output.format.map(|format| wgpu::ColorTargetState {
+                format,
+                blend,
+                write_mask: wgpu::ColorWrites::ALL,
+            }),
         )
     }
 }
@@ -112,7 +126,7 @@ pub fn flat_pipeline(
     layout: &wgpu::BindGroupLayout,
     format: wgpu::TextureFormat,
 ) -> wgpu::RenderPipeline {
-    build(device, (shader, LIGHT, &[]), &[layout], &[], SOLID, None, 1, format.into())
+    build(device, (shader, LIGHT, &[]), &[layout], &[], SOLID, None, 1, Some(format.into()))
 }
 
 /// Triangles that are seen from one side.
@@ -138,7 +152,7 @@ fn build(
     primitive: wgpu::PrimitiveState,
     depth_stencil: Option<wgpu::DepthStencilState>,
     samples: u32,
-    target: wgpu::ColorTargetState,
+    target: Option<wgpu::ColorTargetState>,
 ) -> wgpu::RenderPipeline {
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some(shader.name),
@@ -163,11 +177,11 @@ fn build(
         primitive,
         depth_stencil,
         multisample: wgpu::MultisampleState { count: samples, ..Default::default() },
-        fragment: Some(wgpu::FragmentState {
+        fragment: target.is_some().then_some(wgpu::FragmentState {
             module: &module,
             entry_point: output.fragment.or_else(|| entry(Stage::Fragment)),
             compilation_options: options,
-            targets: &[Some(target)],
+            targets: &[target],
         }),
         multiview_mask: None,
         cache: None,

@@ -12,6 +12,7 @@ use wgpu::util::DeviceExt as _;
 #[derive(Debug)]
 pub struct TerrainPass {
     pipeline: wgpu::RenderPipeline,
+    depth: wgpu::RenderPipeline,
     bindings: wgpu::BindGroup,
     indices: wgpu::Buffer,
     instances: wgpu::Buffer,
@@ -61,14 +62,14 @@ impl TerrainPass {
             step_mode: wgpu::VertexStepMode::Instance,
             attributes: &attributes,
         })];
-        let pipeline = LightPass {
+        let pass = LightPass {
             shader: &SHADERS.draw_terrain,
             layouts: &[&layout, materials.layout()],
             buffers: &buffers,
             depth: Depth::Solid,
             samples,
-        }
-        .pipeline(device);
+        };
+        let (pipeline, depth) = (pass.pipeline(device), pass.depth_pipeline(device));
         let indices = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some("chunk indices"),
             contents: bytemuck::cast_slice(&mesh::indices()),
@@ -80,7 +81,7 @@ impl TerrainPass {
             usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        Self { pipeline, bindings, indices, instances, capacity: 4 * capacity as usize, count: 0 }
+        Self { pipeline, depth, bindings, indices, instances, capacity: 4 * capacity as usize, count: 0 }
     }
 
     /// Sets the chunks of the next frame.
@@ -98,11 +99,25 @@ impl TerrainPass {
 
     /// Draws them; returns how many draw calls that took.
     pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) -> u32 {
+        self.draw_with(&self.pipeline, pass, materials)
+    }
+
+    /// Draws their depth and nothing else, into a pass without colours; for checks.
+    pub fn draw_depth(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) {
+        self.draw_with(&self.depth, pass, materials);
+    }
+
+    fn draw_with(
+        &self,
+        pipeline: &wgpu::RenderPipeline,
+        pass: &mut wgpu::RenderPass<'_>,
+        materials: &Materials,
+    ) -> u32 {
         let mut draws = 0;
         if self.count == 0 {
             return draws;
         }
-        pass.set_pipeline(&self.pipeline);
+        pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &self.bindings, &[]);
         pass.set_bind_group(1, materials.bindings(), &[]);
         pass.set_vertex_buffer(0, self.instances.slice(..));
