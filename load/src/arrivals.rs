@@ -84,11 +84,11 @@ mod tests {
 
     #[test]
     fn arrivals_are_a_poisson_process_of_the_rate() {
-        // 100 clients of 10 a second for 20 s: 20,000 expected, with a standard deviation of 141.
-        let all: Vec<Vec<f64>> = (0..100).map(|index| times(1, index, 10.0, 20)).collect();
-        let n: usize = all.iter().map(Vec::len).sum();
-        assert!((19_400..20_600).contains(&n), "{n}");
+        // 1,000 clients of 10 a second for 100 s: a million expected, with a standard deviation of a thousand.
+        let n: usize = (0..1000).map(|index| times(1, index, 10.0, 100).len()).sum();
+        assert!((996_000..1_004_000).contains(&n), "{n}");
         // Variance and mean of the counts in one second are equal; a clock would have no variance.
+        let all: Vec<Vec<f64>> = (0..100).map(|index| times(1, index, 10.0, 20)).collect();
         let mut counts = vec![0.0f64; 2000];
         for (index, times) in all.iter().enumerate() {
             for at in times {

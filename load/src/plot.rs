@@ -133,13 +133,21 @@ fn is_whole(report: &Report, second: &Second) -> bool {
 }
 
 fn latency(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<()> {
+    // What an open loop still waits for after its end comes in seconds of few answers, which have no part in the lines.
+    let late = |pick: fn(&Second) -> Option<f64>| {
+        let end = seconds.end;
+        move |second: &Second| {
+            pick(second).filter(|_| !is_whole(report, second) && second.second as f64 + 0.5 <= end)
+        }
+    };
     let line = |name, colour, width, pick: fn(&Second) -> Option<f64>| Line {
         name,
         colour,
         width,
-        pieces: pieces(&report.timeline, |second| {
-            pick(second).filter(|_| (second.second as f64) + 0.5 <= seconds.end)
-        }),
+        pieces: pieces(&report.timeline, |second| pick(second).filter(|_| is_whole(report, second)))
+            .into_iter()
+            .chain(pieces(&report.timeline, late(pick)))
+            .collect(),
     };
     let lines = [
         line("longest", GREY, 6, |second| second.max_ms),

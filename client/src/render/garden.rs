@@ -95,8 +95,7 @@ impl Garden {
     /// Draws the names of what was chosen, one sample per pixel; for checks.
     pub fn draw_names(&mut self, gpu: &Gpu, pass: &mut wgpu::RenderPass<'_>) {
         for Bed { plant, names, soil, .. } in &mut self.beds {
-            let names =
-                names.get_or_insert_with(|| PlantPass::new(&gpu.device, *plant, pipeline::NAMES, 1));
+            let names = names.get_or_insert_with(|| PlantPass::new(&gpu.device, *plant, pipeline::NAMES, 1));
             names.draw(pass, &soil.bindings, &soil.kept);
         }
     }

@@ -10,6 +10,7 @@ use hyper::client::conn::http1::{self, SendRequest};
 use hyper::header::{AUTHORIZATION, ETAG, HOST, HeaderMap, IF_NONE_MATCH, RETRY_AFTER, USER_AGENT};
 use hyper::{Request, StatusCode};
 use hyper_util::rt::TokioIo;
+use serde::Deserialize;
 use std::fmt::Write;
 use std::time::Duration;
 use tokio::task::JoinHandle;
@@ -30,10 +31,17 @@ pub(super) struct Answer {
     pub body: Bytes,
 }
 
+#[derive(Deserialize)]
+struct Problem {
+    error: String,
+}
+
 impl Answer {
-    /// Status and the first line of the body.
+    /// Status and what the body says, in one line.
     pub fn problem(&self) -> String {
-        let text = String::from_utf8_lossy(&self.body);
+        // A Tombolo server says it as JSON with one sentence; a proxy before it says what it likes.
+        let told = serde_json::from_slice::<Problem>(&self.body).map(|problem| problem.error);
+        let text = told.unwrap_or_else(|_| String::from_utf8_lossy(&self.body).into_owned());
         let line: String = text.lines().next().unwrap_or_default().chars().take(200).collect();
         if line.is_empty() { self.status.to_string() } else { format!("{}: {line}", self.status) }
     }
@@ -129,6 +137,24 @@ mod tests {
 
     fn headers(tag: &str) -> HeaderMap {
         HeaderMap::from_iter([(ETAG, tag.parse().unwrap())])
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_in_one_line_whoever_answers() {
+        let answer = |body: &'static str| Answer {
+            status: StatusCode::SERVICE_UNAVAILABLE,
+            tag: None,
+            retry_after: DEFAULT_PAUSE,
+            body: body.into(),
+        };
+        let status = "503 Service Unavailable";
+        for (body, line) in [
+            (r#"{"error": "come back"}"#, format!("{status}: come back")),
+            ("<html>\nproxy", format!("{status}: <html>")),
+            ("", status.into()),
+        ] {
+            assert_eq!(answer(body).problem(), line);
+        }
     }
 
     #[test]
