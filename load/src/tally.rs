@@ -25,7 +25,7 @@ pub struct Tally {
 pub struct Progress {
     /// Time since its start.
     pub elapsed: Duration,
-    /// The part that it is in, or that comes next.
+    /// The part that it is in, or `pause` before the next.
     pub phase: &'static str,
     /// Chunks so far.
     pub chunks: u64,
@@ -56,14 +56,34 @@ impl Tally {
     #[must_use]
     pub fn progress(&self) -> Progress {
         let elapsed = self.timeline.elapsed();
-        let phase = self.phases.iter().find(|(phase, _)| elapsed < phase.ends()).or(self.phases.last());
+        let phase = self.phases.iter().map(|(phase, _)| phase).find(|phase| elapsed < phase.ends());
+        let phase = phase.or(self.phases.last().map(|(phase, _)| phase));
         let all = || self.phases.iter().map(|(_, counters)| counters);
         Progress {
             elapsed,
-            phase: phase.map_or("", |(phase, _)| phase.name),
+            phase: phase.map_or("", |phase| if elapsed < phase.begins { "pause" } else { phase.name }),
             chunks: all().map(|counters| get(&counters.chunks)).sum(),
             faults: all().map(|counters| get(&counters.mismatches) + get(&counters.dropped)).sum(),
             last: self.timeline.last(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::time::advance;
+
+    #[tokio::test(start_paused = true)]
+    async fn progress_names_the_part_that_a_run_is_in() {
+        let address = "ws://127.0.0.1:1/v1/stream".parse().unwrap();
+        let tally = Tally::new(&LoadConfig { warm_up_s: 3, seconds: 5, ..LoadConfig::new(address) });
+        let mut names = Vec::new();
+        for _ in 0..tally.lasts().as_secs() + 2 {
+            names.push(tally.progress().phase);
+            advance(Duration::from_secs(1)).await;
+        }
+        names.dedup();
+        assert_eq!(names, ["cold", "pause", "warm"]);
     }
 }
