@@ -137,7 +137,9 @@ impl<'t, 'a, D: Dial> Browser<'t, 'a, D> {
     async fn fetch(&mut self, key: ChunkKey, visited: &mut Visited) -> Result<Fetched, End> {
         if !self.connection.is_usable().await {
             // A server may end an idle connection at any time; a client opens another and says nothing.
-            self.connection = Connection::open(self.task).await.map_err(End::Lost)?;
+            let address = &self.task.config.connect;
+            let lost = |problem| End::Lost(format!("cannot connect to {address} again: {problem}"));
+            self.connection = Connection::open(self.task).await.map_err(lost)?;
         }
         let known = visited.get(&key).copied();
         let path = format!("/v1/{}/chunk/{}/{}/{}", self.digest, key.level(), key.x(), key.z());

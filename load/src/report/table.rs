@@ -67,8 +67,12 @@ impl fmt::Display for Report {
                 apart(name, aside, f)?;
             }
         }
-        let aside = [&self.slow, &self.silent].into_iter().flatten().flat_map(|aside| &aside.problems);
-        self.problems.iter().chain(aside).try_for_each(|problem| writeln!(f, "  ! {problem}"))
+        self.problems.iter().try_for_each(|problem| writeln!(f, "  ! {problem}"))?;
+        for (name, aside) in [("slow", &self.slow), ("silent", &self.silent)] {
+            let problems = aside.iter().flat_map(|aside| &aside.problems);
+            problems.into_iter().try_for_each(|problem| writeln!(f, "  ! {name}: {problem}"))?;
+        }
+        Ok(())
     }
 }
 
