@@ -9,7 +9,7 @@
 //! - *seed only*: no heights ([`seed_only`]).
 //!
 //! Heights are predicted from three neighbours (`left + above - above left`, the plane predictor), the residuals
-//! zigzag-mapped, split into byte planes and compressed. Nothing that follows from the heights is sent: the decoder rebuilds the
+//! zigzag-mapped, split into plain low bits and byte planes, and these compressed. Nothing that follows from the heights is sent: the decoder rebuilds the
 //! pyramids, and the grass too where it grows by the land's own rule. Little-endian throughout; layout in `docs/protocol.md`.
 //!
 //! The digest at the end of the header covers the world, the header and the payload as it travels, so a chunk of another world, or a
@@ -41,7 +41,7 @@ use terrain::{Chunk, ChunkKey, GrassSeed, WorldDigest};
 pub const MAGIC: [u8; 4] = *b"TMBC";
 
 /// Version of the chunk format. The predictor, the plane order and the compression are part of it.
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;
 
 /// Exact heights.
 pub const KIND_EXACT: u8 = 0;
@@ -180,13 +180,13 @@ fn seal(
             let mut residuals = [0; VERTEX_COUNT];
             let any = kernel::residuals(kernel, &chunk.heights, shift(tolerance), &mut residuals);
             let width = parts::width(any);
-            parts::push(kernel, &residuals, width, effort, &mut frame);
+            parts::push(kernel, &mut residuals, width, effort, &mut frame);
             width
         }
     };
     let by_rule = chunk.grass.density == GrassSeed::density_of(chunk.key, &chunk.heights);
     if !by_rule {
-        parts::push_part(&chunk.grass.density[..], effort, true, &mut frame);
+        parts::push_part(&chunk.grass.density[..], effort, &mut frame);
     }
 
     let mut header = Vec::with_capacity(CHUNK_HEADER);

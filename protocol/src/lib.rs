@@ -30,7 +30,7 @@ pub const SUBPROTOCOL: &str = "tombolo.v1";
 
 /// Version of the control messages and of the session rules. Carried in every control frame; peers of different
 /// versions refuse each other.
-pub const PROTOCOL_VERSION: u16 = 3;
+pub const PROTOCOL_VERSION: u16 = 4;
 
 /// A data frame as a transport delivers it. Ping, pong and close frames stay in the transport.
 #[derive(Clone, Copy, Debug)]

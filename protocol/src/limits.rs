@@ -42,10 +42,10 @@ pub const GRASS_RECORD: usize = 4 + 1 + GRASS_GRID * GRASS_GRID;
 /// Bits that the widest zigzag residual of valid heights can have: four heights below 2^24 and a sign.
 pub const MAX_RESIDUAL_BITS: u32 = 27;
 
-/// Bytes of the longest payload: grass seed and palette, three whole byte planes and a packed one of up to 4 bits a vertex, the
-/// grass densities, and a length before each. Nothing is ever stored longer than it is.
+/// Bytes of the longest payload: grass seed and palette, the number of plain bits, three whole byte planes and a packed one of up to 4 bits a vertex (plain bits only ever
+/// take the place of as many others), the grass densities, and a length before each. Nothing is ever stored longer than it is.
 pub const MAX_PAYLOAD: usize =
-    5 + 3 * (2 + VERTEX_COUNT) + (2 + VERTEX_COUNT.div_ceil(2)) + (2 + GRASS_GRID * GRASS_GRID);
+    6 + 3 * (2 + VERTEX_COUNT) + (2 + VERTEX_COUNT.div_ceil(2)) + (2 + GRASS_GRID * GRASS_GRID);
 
 /// Longest chunk frame in bytes.
 pub const MAX_CHUNK_FRAME: usize = CHUNK_HEADER + MAX_PAYLOAD;

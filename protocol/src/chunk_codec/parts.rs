@@ -1,8 +1,8 @@
-//! Residuals as parts: whole byte planes, and the bits above them packed.
+//! Residuals as parts: low bits as they are, whole byte planes above them, and the bits above those packed.
 //!
-//! The width of the widest residual says everything about the layout. Its whole bytes but the last become planes of one byte a
-//! residual; the 1 to 8 bits above them are packed into fields of 1, 2, 4 or 8 bits, because a Huffman code cannot spend less than
-//! a bit on a symbol, and the upper bits of most residuals are worth less.
+//! The low bits of noise are noise: a code of them is as long as they are, and takes time to read. So the lowest 0, 1, 2, 4 or 8 bits of every residual travel plain. The width of
+//! the widest residual says how the rest lies. Its whole bytes but the last become planes of one byte a residual; the 1 to 8 bits above them are packed into fields of 1, 2, 4 or 8
+//! bits, because a Huffman code cannot spend less than a bit on a symbol, and the upper bits of most residuals are worth less.
 //!
 //! A part travels behind its length (u16). A part as long as its content is the content itself, a shorter one is a frame of
 //! [`super::entropy`].
@@ -40,7 +40,7 @@ impl Layout {
 
     /// Bytes of the packed plane of so many residuals.
     const fn packed(self, count: usize) -> usize {
-        (count * self.field as usize).div_ceil(8)
+        packed_bytes(count, self.field)
     }
 }
 
@@ -49,30 +49,68 @@ pub(super) const fn width(any: u32) -> u32 {
     u32::BITS - any.leading_zeros()
 }
 
-/// Appends the parts of residuals below `2^width`.
-pub(super) fn push(kernel: Kernel, residuals: &[u32], width: u32, effort: Effort, out: &mut Vec<u8>) {
-    let Some(layout) = Layout::of_width(width).filter(|layout| layout.field > 0) else { return };
+/// Appends the parts of residuals below `2^width`, which are used up.
+pub(super) fn push(kernel: Kernel, residuals: &mut [u32], width: u32, effort: Effort, out: &mut Vec<u8>) {
+    if width == 0 {
+        return;
+    }
+    let plain = plain_bits(residuals, width, effort);
+    let Some(layout) = Layout::of_width(width - plain) else { return };
     let mut plane = [0; VERTEX_COUNT];
     let plane = &mut plane[..residuals.len()];
+    out.push(plain as u8);
+    if plain > 0 {
+        kernel::split(kernel, residuals, 0, plane);
+        plane.iter_mut().for_each(|byte| *byte &= (0xff_u16 >> (8 - plain)) as u8);
+        pack(plane, plain, out);
+        residuals.iter_mut().for_each(|residual| *residual >>= plain);
+    }
     for index in 0..layout.whole {
         kernel::split(kernel, residuals, index, plane);
-        push_part(plane, effort, false, out);
+        push_part(plane, effort, out);
     }
     kernel::split(kernel, residuals, layout.whole, plane);
-    let mut packed = [0; VERTEX_COUNT];
-    let packed = &mut packed[..layout.packed(residuals.len())];
-    for (field, values) in plane.chunks(packed.len()).enumerate() {
-        let shift = field as u32 * layout.field;
+    let mut packed = Vec::with_capacity(layout.packed(residuals.len()));
+    pack(plane, layout.field, &mut packed);
+    push_part(&packed, effort, out);
+}
+
+/// How many low bits of residuals below `2^width` travel plain; less than `width`.
+fn plain_bits(residuals: &[u32], width: u32, effort: Effort) -> u32 {
+    // Magnitudes fall off about exponentially. Where the mean is `m` times what the plain bits can say, leaving them out of the code costs 0.06 / m^2 bits a residual: a thirtieth
+    // of a bit at the most.
+    let sum: u64 = residuals.iter().map(|residual| u64::from(*residual)).sum();
+    let mean = sum / residuals.len().max(1) as u64;
+    let enough = match effort {
+        Effort::Compact => [(8, 384), (4, 24), (2, 6), (1, 3)],
+        // Nothing of the low byte would be coded anyway.
+        Effort::Fast => [(8, 12), (4, 6), (2, 3), (1, 2)],
+    };
+    let fits = |(bits, least): &&(u32, u64)| *bits < width && mean >= *least;
+    enough.iter().find(fits).map_or(0, |(bits, _)| *bits)
+}
+
+/// Appends values below `2^bits` in fields of `bits` (1, 2, 4 or 8) bits, as [`kernel::unpack`] takes them.
+fn pack(values: &[u8], bits: u32, out: &mut Vec<u8>) {
+    let start = out.len();
+    out.resize(start + packed_bytes(values.len(), bits), 0);
+    let packed = &mut out[start..];
+    for (field, values) in values.chunks(packed.len().max(1)).enumerate() {
+        let shift = field as u32 * bits;
         packed.iter_mut().zip(values).for_each(|(byte, value)| *byte |= value << shift);
     }
-    push_part(packed, effort, true, out);
+}
+
+/// Bytes that so many fields take.
+const fn packed_bytes(count: usize, bits: u32) -> usize {
+    (count * bits as usize).div_ceil(8)
 }
 
 /// Appends one part behind its length.
-pub(super) fn push_part(content: &[u8], effort: Effort, try_literals: bool, out: &mut Vec<u8>) {
+pub(super) fn push_part(content: &[u8], effort: Effort, out: &mut Vec<u8>) {
     let at = out.len();
     out.extend_from_slice(&[0; 2]);
-    entropy::compress(content, effort, try_literals, out);
+    entropy::compress(content, effort, out);
     // At most the content's length, which is below 2^13.
     let length = (out.len() - at - 2) as u16;
     out[at..at + 2].copy_from_slice(&length.to_le_bytes());
@@ -82,18 +120,20 @@ pub(super) fn push_part(content: &[u8], effort: Effort, try_literals: bool, out:
 pub(super) struct Room {
     planes: [[u8; VERTEX_COUNT]; MAX_PLANES],
     packed: [u8; VERTEX_COUNT],
+    merged: [[u8; VERTEX_COUNT]; MAX_PLANES],
 }
 
 impl Room {
     pub(super) const fn new() -> Self {
-        Self { planes: [[0; VERTEX_COUNT]; MAX_PLANES], packed: [0; VERTEX_COUNT] }
+        let planes = [[0; VERTEX_COUNT]; MAX_PLANES];
+        Self { planes, packed: [0; VERTEX_COUNT], merged: planes }
     }
 
     /// Takes the parts of `count` residuals below `2^width` off a payload: their byte planes, lowest first; none where all
     /// residuals are 0.
     ///
     /// # Errors
-    /// [`ChunkError::Content`] for an impossible width, else as [`take_part`].
+    /// [`ChunkError::Content`] for an impossible width or number of plain bits, else as [`take_part`].
     pub(super) fn take<'a, 'p: 'a>(
         &'a mut self,
         kernel: Kernel,
@@ -101,25 +141,50 @@ impl Room {
         count: usize,
         payload: &mut &'p [u8],
     ) -> Result<Planes<'a>, ChunkError> {
-        let layout =
-            Layout::of_width(width).ok_or(ChunkError::Content("no residual of a chunk is so wide"))?;
+        let too_wide = ChunkError::Content("no residual of a chunk is so wide");
         let mut planes = Planes { planes: [&[]; MAX_PLANES], count: 0 };
-        if layout.field == 0 {
+        if width == 0 {
             return Ok(planes);
         }
-        planes.count = layout.whole + 1;
-        let (whole, top) = self.planes.split_at_mut(layout.whole);
-        for (plane, room) in planes.planes.iter_mut().zip(whole) {
+        let (plain, rest) = payload.split_first().ok_or(ChunkError::Part)?;
+        let plain = u32::from(*plain);
+        let rest_bits =
+            width.checked_sub(plain).filter(|rest| *rest > 0 && matches!(plain, 0 | 1 | 2 | 4 | 8));
+        let rest_bits = rest_bits.ok_or(ChunkError::Content("no residual has so many plain bits"))?;
+        let layout = Layout::of_width(rest_bits).filter(|_| width <= MAX_RESIDUAL_BITS).ok_or(too_wide)?;
+        let (low, rest) = rest.split_at_checked(packed_bytes(count, plain)).ok_or(ChunkError::Part)?;
+        *payload = rest;
+
+        let Self { planes: rooms, packed, merged } = self;
+        let (whole, top) = rooms.split_at_mut(layout.whole);
+        let mut above: [&[u8]; MAX_PLANES] = [&[]; MAX_PLANES];
+        for (plane, room) in above.iter_mut().zip(whole) {
             *plane = take_part(payload, &mut room[..count])?;
         }
-        let packed = take_part(payload, &mut self.packed[..layout.packed(count)])?;
-        planes.planes[layout.whole] = if layout.field == 8 {
+        let packed = take_part(payload, &mut packed[..layout.packed(count)])?;
+        above[layout.whole] = if layout.field == 8 {
             packed
         } else {
             let room = &mut top[0][..count];
             kernel::unpack(kernel, packed, layout.field, room);
             room
         };
+        let above = &above[..=layout.whole];
+        let any = above[layout.whole].iter().fold(0, |any, byte| any | byte);
+        if rest_bits != 8 * layout.whole as u32 + u8::BITS - any.leading_zeros() {
+            return Err(ChunkError::Content("the width is not that of the widest residual"));
+        }
+        match plain {
+            0 => planes.set(above.iter().copied()),
+            8 => planes.set([low].into_iter().chain(above.iter().copied())),
+            bits => {
+                let needed = width.div_ceil(8) as usize;
+                for (index, room) in merged[..needed].iter_mut().enumerate() {
+                    kernel::merge(kernel, low, bits, above, index, &mut room[..count]);
+                }
+                planes.set(merged[..needed].iter().map(|plane| &plane[..count]));
+            }
+        }
         Ok(planes)
     }
 }
@@ -131,6 +196,13 @@ pub(super) struct Planes<'a> {
 }
 
 impl<'a> Planes<'a> {
+    fn set(&mut self, planes: impl Iterator<Item = &'a [u8]>) {
+        for (own, plane) in self.planes.iter_mut().zip(planes) {
+            *own = plane;
+            self.count += 1;
+        }
+    }
+
     /// The planes, lowest first; none where all residuals are 0.
     pub(super) fn get(&self) -> &[&'a [u8]] {
         &self.planes[..self.count]
@@ -186,7 +258,7 @@ mod tests {
             for kernel in Kernel::available() {
                 for effort in [Effort::Fast, Effort::Compact] {
                     let mut payload = Vec::new();
-                    push(kernel, &residuals, width, effort, &mut payload);
+                    push(kernel, &mut residuals.clone(), width, effort, &mut payload);
                     let (mut rest, mut out) = (&payload[..], vec![1; count]);
                     let mut room = Room::new();
                     let planes = room.take(kernel, width, count, &mut rest).unwrap();

@@ -201,10 +201,10 @@ fn a_chunk_of_another_world_is_refused() {
 }
 
 #[test]
-fn frames_of_version_1_and_of_kinds_to_come_are_told_apart() {
+fn frames_of_other_versions_and_of_kinds_to_come_are_told_apart() {
     let (chunk, world) = sample(0, 3, -7);
     let frame = encode(&chunk, &world);
-    for version in [0, 1, VERSION + 1, u16::MAX] {
+    for version in (0..VERSION).chain([VERSION + 1, u16::MAX]) {
         let mut other = frame.to_vec();
         other[4..6].copy_from_slice(&version.to_le_bytes());
         assert_eq!(decode(&signed(other, &world), &world), Err(ChunkError::UnknownVersion(version)));
@@ -238,15 +238,41 @@ fn the_length_of_the_payload_at_its_extremes_is_refused() {
     }
 }
 
+/// Where the first part of an exact frame's payload begins: behind grass seed, palette, number of plain bits and those bits.
+fn parts_at(payload: &[u8]) -> usize {
+    6 + (VERTEX_COUNT * usize::from(payload[5])).div_ceil(8)
+}
+
 #[test]
-fn well_signed_payloads_with_wrong_part_lengths_are_refused() {
+fn well_signed_payloads_with_another_number_of_plain_bits_are_refused() {
     let (chunk, world) = sample(0, 3, -7);
     for effort in [Effort::Fast, Effort::Compact] {
         let frame = encode_with(Delivery::Exact, effort, &chunk, &world);
         let payload = &frame[CHUNK_HEADER..];
-        let first = 5;
-        let second = first + 2 + usize::from(u16::from_le_bytes([payload[first], payload[first + 1]]));
-        for at in [first, second] {
+        assert!([1, 2, 4, 8].contains(&payload[5]), "{} plain bits", payload[5]);
+        for plain in (0..=255).filter(|plain| *plain != payload[5]) {
+            let mut lie = payload.to_vec();
+            lie[5] = plain;
+            let fault = decode(&with_payload(&frame, &lie, &world), &world);
+            assert!(fault.is_err(), "{plain} plain bits instead of {}", payload[5]);
+        }
+    }
+}
+
+#[test]
+fn well_signed_payloads_with_wrong_part_lengths_are_refused() {
+    let mut parts = 0;
+    let (flat, world) = sample(0, 3, -7);
+    let mut heights = flat.heights.clone();
+    heights[VERTEX_COUNT / 2] += 1 << 20;
+    let spiky = Chunk::from_parts(flat.key, heights, flat.error, flat.grass.clone());
+    for (chunk, effort) in
+        [&flat, &spiky].into_iter().flat_map(|chunk| [(chunk, Effort::Fast), (chunk, Effort::Compact)])
+    {
+        let frame = encode_with(Delivery::Exact, effort, chunk, &world);
+        let payload = &frame[CHUNK_HEADER..];
+        let mut at = parts_at(payload);
+        while at < payload.len() {
             let actual = u16::from_le_bytes([payload[at], payload[at + 1]]);
             let most = VERTEX_COUNT as u16;
             for value in [0, 1, actual - 1, actual + 1, most - 1, most, most + 1, u16::MAX] {
@@ -258,6 +284,8 @@ fn well_signed_payloads_with_wrong_part_lengths_are_refused() {
                 let fault = decode(&with_payload(&frame, &lie, &world), &world);
                 assert!(fault.is_err(), "part at {at} of length {value} instead of {actual}");
             }
+            parts += 1;
+            at += 2 + usize::from(actual);
         }
         for length in 0..payload.len() {
             let fault = decode(&with_payload(&frame, &payload[..length], &world), &world);
@@ -266,6 +294,7 @@ fn well_signed_payloads_with_wrong_part_lengths_are_refused() {
         let longer = [payload, &[7]].concat();
         assert_eq!(decode(&with_payload(&frame, &longer, &world), &world), Err(ChunkError::Trailing(1)));
     }
+    assert!(parts > 4, "some of the chunks have several parts: {parts}");
 }
 
 #[test]
@@ -330,7 +359,8 @@ fn a_small_frame_that_would_expand_to_gigabytes_is_refused() {
     ];
     for (what, bomb) in bombs {
         let length = (bomb.len() as u16).to_le_bytes();
-        let payload = [grass, &length, &bomb].concat();
+        let no_plain_bits = [0];
+        let payload = [grass, &no_plain_bits, &length, &bomb].concat();
         let fault = decode(&with_payload(&frame, &payload, &world), &world);
         assert_eq!(fault, Err(ChunkError::Compression), "{what}");
     }

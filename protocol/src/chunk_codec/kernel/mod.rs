@@ -127,6 +127,13 @@ entry! {
 }
 
 entry! {
+    /// The byte plane `index` of numbers whose lowest `bits` (1, 2 or 4) come packed, as [`unpack`] takes them, and whose other bits come as byte planes, lowest first. All planes
+    /// are as long as `out`.
+    merge(packed: &[u8], bits: u32, planes: &[&[u8]], index: usize, out: &mut [u8]) -> ();
+    merge_on, merge_on, merge_on
+}
+
+entry! {
     /// Byte planes, lowest first, to residuals with their sign.
     join(planes: &[&[u8]], out: &mut [i32]) -> ();
     join_on, join_on, join_on
@@ -175,6 +182,34 @@ fn unpack_on(packed: &[u8], bits: u32, out: &mut [u8]) {
         let shift = field as u32 * bits;
         for (value, byte) in out.iter_mut().zip(packed) {
             *value = (byte >> shift) & mask;
+        }
+    }
+}
+
+#[inline(always)]
+fn merge_on(packed: &[u8], bits: u32, planes: &[&[u8]], index: usize, out: &mut [u8]) {
+    match (index, planes.get(index)) {
+        (0, Some(plane)) => {
+            let mask = (0xff_u16 >> (8 - bits)) as u8;
+            let chunks = out.chunks_mut(packed.len().max(1)).zip(plane.chunks(packed.len().max(1)));
+            for (field, (out, plane)) in chunks.enumerate() {
+                let shift = field as u32 * bits;
+                for ((out, byte), low) in out.iter_mut().zip(plane).zip(packed) {
+                    *out = byte << bits | (low >> shift & mask);
+                }
+            }
+        }
+        (0, None) => unpack_on(packed, bits, out),
+        (_, Some(plane)) => {
+            for ((out, byte), below) in out.iter_mut().zip(*plane).zip(planes[index - 1]) {
+                *out = byte << bits | below >> (8 - bits);
+            }
+        }
+        (_, None) => {
+            let below = planes.get(index - 1).copied().unwrap_or_default();
+            for (out, below) in out.iter_mut().zip(below) {
+                *out = below >> (8 - bits);
+            }
         }
     }
 }
@@ -322,6 +357,30 @@ mod tests {
                     for (index, value) in out.iter().enumerate() {
                         let field = packed[index % count] >> (index / count * bits);
                         prop_assert_eq!(*value, field & (0xff_u16 >> (8 - bits)) as u8);
+                    }
+                }
+
+                let words: Vec<_> = got[..count].iter().map(|word| word >> 4).collect();
+                for bits in [1, 2, 4] {
+                    let mut low = vec![0; (count * bits).div_ceil(8)];
+                    let fields = low.len();
+                    for (index, word) in words.iter().enumerate() {
+                        low[index % fields] |= ((word & ((1 << bits) - 1)) << (index / fields * bits)) as u8;
+                    }
+                    let above: Vec<_> = words.iter().map(|word| word >> bits).collect();
+                    let mut planes = [(); 4].map(|()| vec![0; count]);
+                    planes.iter_mut().enumerate().for_each(|(plane, out)| split(kernel, &above, plane, out));
+                    let planes: Vec<_> = planes.iter().map(|plane| &plane[..]).collect();
+                    for (used, index) in (0..=4).flat_map(|used| (0..4).map(move |index| (used, index))) {
+                        let mut out = vec![0xaa; count];
+                        if index > used {
+                            continue;
+                        }
+                        merge(kernel, &low, bits as u32, &planes[..used], index, &mut out);
+                        let kept = ((1u64 << (8 * used + bits)) - 1) as u32;
+                        for (out, word) in out.iter().zip(&words) {
+                            prop_assert_eq!(*out, ((word & kept) >> (8 * index)) as u8, "{} {} {}", bits, used, index);
+                        }
                     }
                 }
             }
