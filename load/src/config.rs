@@ -1,6 +1,7 @@
 //! From what was typed to what is meant, checked once. Nothing deeper reads options, files or the environment.
 
 use crate::bench::Bench;
+use crate::mode::Mode;
 use crate::path::PathKind;
 use clap::Parser;
 use cli::UsageError;
@@ -36,9 +37,35 @@ pub struct Args {
     #[arg(long, value_name = "M", default_value_t = 2000,
           value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_VIEW_DISTANCE_M)))]
     pub view_distance: u32,
-    /// How clients move: fly (50 to 120 m/s), walk (1 to 3 m/s) or teleport (a new place every 2 s)
+    /// How clients move
     #[arg(long, value_name = "PATH", value_enum, default_value_t = PathKind::Fly)]
     pub path: PathKind,
+    /// How clients ask for chunks
+    #[arg(long, value_name = "MODE", value_enum, default_value_t = Mode::View)]
+    pub mode: Mode,
+    /// Requests (in view mode poses) a second over all clients, 0.01 to 1000000, at times fixed beforehand whatever the server does
+    /// (an open loop); latency counts from them, so a late send counts [default: a closed loop, in which each client waits for answers]
+    #[arg(long, value_name = "R", value_parser = rate)]
+    pub rate: Option<f64>,
+    /// Before the run, fly the first S seconds of the same paths, 0 to 86400. Reported apart: this part is `cold`, the run itself, in
+    /// which all begin again with new sessions and empty hands, `warm`
+    #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=86_400))]
+    pub warm_up: u64,
+    /// Further clients that read only --slow-rate bytes a second, 0 to 10000; reported apart
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=10_000))]
+    pub slow: u32,
+    /// What each of these reads, bytes a second, 1 to 1000000
+    #[arg(long, value_name = "BYTES", default_value_t = 2048, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub slow_rate: u32,
+    /// Further clients that connect and say nothing, every other one once it has asked for a view, 0 to 10000; reported apart
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=10_000))]
+    pub silent: u32,
+    /// File for a picture of latency and throughput over time, .png
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
+    /// Say nothing while the run goes on
+    #[arg(long)]
+    pub quiet: bool,
     /// Seed of the paths; the same seed flies the same paths
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u32,
@@ -79,7 +106,19 @@ pub struct LoadConfig {
     pub view_distance_m: u32,
     /// How clients move.
     pub path: PathKind,
-    /// Seed of the paths.
+    /// How clients ask.
+    pub mode: Mode,
+    /// Requests or poses a second over all clients in an open loop; none is a closed loop.
+    pub rate: Option<f64>,
+    /// Seconds of a first part that is reported apart; 0 is none.
+    pub warm_up_s: u64,
+    /// Further clients that read slowly.
+    pub slow: u32,
+    /// What each of them reads, bytes a second, at least 1.
+    pub slow_bytes_per_s: u32,
+    /// Further clients that say nothing.
+    pub silent: u32,
+    /// Seed of the paths, of what is asked for and of the arrivals.
     pub seed: u32,
     /// One in so many chunks is generated again and compared; 0 is none.
     pub verify_every: u32,
@@ -87,12 +126,45 @@ pub struct LoadConfig {
     pub token: Option<String>,
 }
 
+impl LoadConfig {
+    /// A small load on a server: the defaults of the command line.
+    #[must_use]
+    pub const fn new(connect: Uri) -> Self {
+        Self {
+            connect,
+            clients: 16,
+            seconds: 10,
+            delivery: Delivery::Exact,
+            view_distance_m: 2000,
+            path: PathKind::Fly,
+            mode: Mode::View,
+            rate: None,
+            warm_up_s: 0,
+            slow: 0,
+            slow_bytes_per_s: 2048,
+            silent: 0,
+            seed: 1,
+            verify_every: 32,
+            token: None,
+        }
+    }
+}
+
 impl Args {
     /// Checks what clap cannot, and reads the token.
     ///
     /// # Errors
-    /// An address that is no `ws://` address, or a token file that cannot be used.
+    /// An address that is no `ws://` address, options that exclude each other, or a token file that cannot be used.
     pub fn resolve(self) -> Result<LoadConfig, UsageError> {
+        if self.mode == Mode::Http && self.delivery != Delivery::Exact {
+            return Err(UsageError::new(format!(
+                "--delivery {}: chunks come exact over HTTP; leave it out or use --mode view or explicit",
+                self.delivery
+            )));
+        }
+        if let Some(plot) = self.plot.filter(|plot| plot.extension().is_none_or(|end| end != "png")) {
+            return Err(UsageError::new(format!("--plot: `{}` is no .png file", plot.display())));
+        }
         Ok(LoadConfig {
             connect: stream_address(&self.connect)?,
             clients: self.clients,
@@ -100,10 +172,24 @@ impl Args {
             delivery: self.delivery,
             view_distance_m: self.view_distance,
             path: self.path,
+            mode: self.mode,
+            rate: self.rate,
+            warm_up_s: self.warm_up,
+            slow: self.slow,
+            slow_bytes_per_s: self.slow_rate,
+            silent: self.silent,
             seed: self.seed,
             verify_every: self.verify_every,
             token: self.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?,
         })
+    }
+}
+
+/// Parses a rate.
+fn rate(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(rate) if (0.01..=1e6).contains(&rate) => Ok(rate),
+        _ => Err("give a number from 0.01 to 1000000 a second".into()),
     }
 }
 
@@ -139,7 +225,12 @@ mod tests {
         assert_eq!(config.connect.to_string(), "ws://127.0.0.1:7580/v1/stream");
         assert_eq!((config.clients, config.seconds, config.view_distance_m), (16, 10, 2000));
         assert_eq!(config.delivery, Delivery::Exact);
-        assert_eq!((config.path, config.verify_every, config.token), (PathKind::Fly, 32, None));
+        assert_eq!((config.path, config.verify_every, &config.token), (PathKind::Fly, 32, &None));
+        assert_eq!((config.mode, config.rate, config.warm_up_s), (Mode::View, None, 0));
+        assert_eq!((config.slow, config.silent), (0, 0));
+        // What a test begins with is what the command line begins with.
+        let plain = LoadConfig::new(config.connect.clone());
+        assert_eq!(format!("{config:?}"), format!("{plain:?}"));
     }
 
     #[test]
@@ -150,6 +241,10 @@ mod tests {
             (&["--view-distance", "65537"], "--view-distance"),
             (&["--path", "swim"], "swim"),
             (&["--delivery", "lossy"], "exact, seed"),
+            (&["--mode", "ftp"], "ftp"),
+            (&["--rate", "0"], "0.01 to 1000000"),
+            (&["--rate", "NaN"], "0.01 to 1000000"),
+            (&["--slow-rate", "0"], "--slow-rate"),
             (&["--colour", "red"], "--colour"),
         ] {
             let error = parse(args).unwrap_err();
@@ -166,6 +261,12 @@ mod tests {
             assert!(error.starts_with("--connect: ") && error.lines().count() == 1, "{bad}: {error}");
         }
         assert!(stream_address("ws://[::1]:7/v1/stream").is_ok());
+    }
+
+    #[test]
+    fn seed_only_over_http_is_refused_with_what_to_do() {
+        let args = parse(&["--mode", "http", "--delivery", "seed"]).unwrap();
+        assert!(args.resolve().unwrap_err().to_string().contains("--mode view"));
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //!
 //! Everything in it is bounded, whatever the server sends or keeps back.
 
+use protocol::limits::MAX_PENDING_REQUESTS;
 use protocol::message::{Refused, WireKey};
 use protocol::view::View;
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -12,13 +13,16 @@ use terrain::lod::{self, Viewer};
 use terrain::{ChunkKey, Land};
 use tokio::time::Instant;
 
-/// Views that the server may still be serving. At four views a second 64 are 16 s; when it is full the oldest is forgotten,
-/// and a chunk of a view that old counts as unasked.
-const MAX_VIEWS: usize = 64;
+/// Views that the server may still be serving to one who reads what comes. At four views a second 64 are 16 s; when it is full the
+/// oldest is forgotten, and a chunk of a view that old counts as unasked.
+pub const MAX_VIEWS: usize = 64;
+
+/// The same for one who reads slowly: what arrives was asked for long ago. At four views a second 17 minutes.
+pub const MAX_VIEWS_SLOW: usize = 4096;
 
 /// Requests without an answer. When it is full no further request is made until one is answered; those that stay open are
-/// reported as unanswered.
-const MAX_OPEN_REQUESTS: usize = 64;
+/// reported as unanswered. Half of what a server takes.
+pub const MAX_OPEN_REQUESTS: usize = MAX_PENDING_REQUESTS / 2;
 
 /// Chunks that a client pretends to hold, about three views of 2 km. When it is full the oldest that the current view does
 /// not need is released, and the server may send it again.
@@ -28,9 +32,12 @@ const MAX_HELD: usize = 1024;
 #[derive(Debug)]
 pub struct Interest {
     land: Land,
+    max_views: usize,
     /// Newest last, with the id that a Settled or a refusal will name, and the viewer that the server may look ahead for.
     views: VecDeque<(u32, Viewer, Option<Viewer>)>,
-    requests: FxHashMap<ChunkKey, OpenRequest>,
+    /// By key, oldest first: two requests may name the same.
+    requests: FxHashMap<ChunkKey, VecDeque<OpenRequest>>,
+    n_requests: usize,
     /// Keys that arrived, oldest first, and the same as a set.
     order: VecDeque<ChunkKey>,
     held: FxHashSet<ChunkKey>,
@@ -54,13 +61,15 @@ pub enum Arrival {
 }
 
 impl Interest {
-    /// Nothing asked for yet.
+    /// Nothing asked for yet. So many views are remembered: [`MAX_VIEWS`] or [`MAX_VIEWS_SLOW`].
     #[must_use]
-    pub fn new(land: Land) -> Self {
+    pub fn new(land: Land, max_views: usize) -> Self {
         Self {
             land,
+            max_views,
             views: VecDeque::new(),
             requests: FxHashMap::default(),
+            n_requests: 0,
             order: VecDeque::new(),
             held: FxHashSet::default(),
         }
@@ -68,7 +77,7 @@ impl Interest {
 
     /// Notes a view that was sent.
     pub fn view(&mut self, view: &View) {
-        if self.views.len() == MAX_VIEWS {
+        if self.views.len() == self.max_views {
             self.views.pop_front();
         }
         self.views.push_back((view.id, view.viewer(), view.viewer_ahead()));
@@ -83,32 +92,40 @@ impl Interest {
     /// Whether a request for this key would measure the answer to the request: nothing else is going to bring the chunk.
     #[must_use]
     pub fn can_request(&self, key: ChunkKey) -> bool {
-        self.requests.len() < MAX_OPEN_REQUESTS
+        self.n_requests < MAX_OPEN_REQUESTS
             && !self.requests.contains_key(&key)
             && !self.held.contains(&key)
             && !self.is_needed_by_a_view(key)
     }
 
-    /// Notes a request that was sent.
-    pub fn request(&mut self, id: u32, key: ChunkKey, now: Instant) {
-        self.requests.insert(key, OpenRequest { id, since: now });
+    /// Notes a request that was sent, and since when it counts.
+    pub fn request(&mut self, id: u32, key: ChunkKey, since: Instant) {
+        self.requests.entry(key).or_default().push_back(OpenRequest { id, since });
+        self.n_requests += 1;
     }
 
     /// Notes a refusal, so that a refused request does not stay open.
     pub fn refused(&mut self, refused: &Refused) {
+        let id = refused.id;
         match refused.key.map(WireKey::check) {
             Some(Ok(key)) => {
-                self.requests.remove(&key);
+                if let Some(open) = self.requests.get_mut(&key) {
+                    open.retain(|request| request.id != id);
+                }
             }
             Some(Err(_)) => {}
-            None => self.requests.retain(|_, request| request.id != refused.id),
+            None => {
+                self.requests.values_mut().for_each(|open| open.retain(|request| request.id != id));
+            }
         }
+        self.requests.retain(|_, open| !open.is_empty());
+        self.n_requests = self.requests.values().map(VecDeque::len).sum();
     }
 
     /// Judges a chunk that arrived and notes it as held. Returns what it answers, and a key to release if holding it
     /// is one too many.
     pub fn arrive(&mut self, key: ChunkKey, now: Instant) -> (Arrival, Option<ChunkKey>) {
-        let arrival = match self.requests.remove(&key) {
+        let arrival = match self.answered(key) {
             Some(request) => Arrival::Requested(now.saturating_duration_since(request.since)),
             None if self.is_needed_by_a_view(key) => Arrival::InView,
             None => Arrival::Unasked,
@@ -122,8 +139,24 @@ impl Interest {
 
     /// Requests without an answer.
     #[must_use]
-    pub fn open_requests(&self) -> usize {
-        self.requests.len()
+    pub const fn open_requests(&self) -> usize {
+        self.n_requests
+    }
+
+    /// Since when each of these counts.
+    pub fn waiting_since(&self) -> impl Iterator<Item = Instant> {
+        self.requests.values().flatten().map(|request| request.since)
+    }
+
+    /// Takes the oldest request for a key.
+    fn answered(&mut self, key: ChunkKey) -> Option<OpenRequest> {
+        let open = self.requests.get_mut(&key)?;
+        let request = open.pop_front()?;
+        if open.is_empty() {
+            self.requests.remove(&key);
+        }
+        self.n_requests -= 1;
+        Some(request)
     }
 
     /// Lets go of the oldest chunk that the current view does not need, or of the oldest if it needs them all.
@@ -234,7 +267,7 @@ mod tests {
     #[test]
     fn a_chunk_that_nobody_asked_for_is_unasked_until_it_is_requested() {
         let now = Instant::now();
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         interest.view(&view(1, 0, 2000));
         let far = key(0, 30_000, 30_000);
         assert_eq!(interest.arrive(far, now).0, Arrival::Unasked);
@@ -249,7 +282,7 @@ mod tests {
     #[test]
     fn older_views_count_until_a_newer_one_is_settled() {
         let now = Instant::now();
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         let (old, new) = (view(1, 0, 300), view(2, 1, 300));
         let of_old = lod::select(&land(), &old.viewer(), usize::MAX).last().unwrap().key;
         assert!(!is_needed(&land(), &new.viewer(), of_old));
@@ -263,7 +296,7 @@ mod tests {
     #[test]
     fn only_keys_that_nothing_else_brings_are_requested() {
         let now = Instant::now();
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         interest.view(&view(1, 0, 2000));
         let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
         let far = key(0, 30_000, 30_000);
@@ -276,8 +309,22 @@ mod tests {
     }
 
     #[test]
+    fn two_requests_for_one_chunk_are_two_answers_each_from_its_own_time() {
+        let now = Instant::now();
+        let mut interest = Interest::new(land(), MAX_VIEWS);
+        let far = key(0, 30_000, 30_000);
+        interest.request(0, far, now);
+        interest.request(1, far, now + Duration::from_millis(5));
+        assert_eq!(interest.open_requests(), 2);
+        let later = now + Duration::from_millis(9);
+        assert_eq!(interest.arrive(far, later).0, Arrival::Requested(Duration::from_millis(9)));
+        assert_eq!(interest.arrive(far, later).0, Arrival::Requested(Duration::from_millis(4)));
+        assert_eq!((interest.arrive(far, later).0, interest.open_requests()), (Arrival::Unasked, 0));
+    }
+
+    #[test]
     fn refusals_close_requests_by_key_or_by_id() {
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         interest.request(5, key(0, 1, 1), Instant::now());
         interest.request(6, key(0, 2, 2), Instant::now());
         let refusal = |id, key: Option<ChunkKey>| Refused {
@@ -295,7 +342,7 @@ mod tests {
     #[test]
     fn what_is_held_is_bounded_and_the_current_view_is_kept() {
         let now = Instant::now();
-        let mut interest = Interest::new(land());
+        let mut interest = Interest::new(land(), MAX_VIEWS);
         interest.view(&view(1, 0, 2000));
         let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
         interest.arrive(near, now);

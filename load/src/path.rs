@@ -1,6 +1,13 @@
 //! Where a client is at a time: deterministic paths over the home island.
 //!
-//! A pose is a function of the path and the time alone, so that a slow client skips poses instead of falling behind.
+//! A pose is a function of the path and the time alone, so that a slow client skips poses instead of falling behind, and so that
+//! a second flight asks for what the first one asked for. Each kind of path has a file of its own; all of them only move on the map,
+//! and the height follows from the land here.
+
+mod fly;
+mod spawn;
+mod teleport;
+mod walk;
 
 use clap::ValueEnum;
 use std::f64::consts::TAU;
@@ -11,20 +18,38 @@ use terrain::{Land, Position};
 /// How clients move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PathKind {
-    /// Circles of 0.5 to 2.5 km at 50 to 120 m/s, 100 to 400 m above the ground.
-    Fly,
-    /// Circles of 50 to 300 m at 1 to 3 m/s, 2 m above the ground.
+    /// 1.4 m/s on the ground around a place of each client's own, with turns
     Walk,
-    /// A new place every [`TELEPORT_S`] seconds: no two views share fine chunks.
+    /// Circles of 0.5 to 2.5 km at 50 to 120 m/s, 100 to 400 m above the ground
+    Fly,
+    /// Elsewhere on the island about every 2 s, at times of each client's own
     Teleport,
+    /// All begin at one place in the same moment, stay for 3 s and then go apart at 10 to 40 m/s
+    Spawn,
 }
 
-/// Seconds that a teleporting client stays.
-pub const TELEPORT_S: f64 = 2.0;
+impl PathKind {
+    /// All of them, in the order of `--help`.
+    pub const ALL: [Self; 4] = [Self::Walk, Self::Fly, Self::Teleport, Self::Spawn];
 
-/// Circles' centres lie within this distance of the origin on each axis, metres. With the largest radius that keeps every
-/// path over the home island (6,656 m).
+    /// As it is written on the command line.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Walk => "walk",
+            Self::Fly => "fly",
+            Self::Teleport => "teleport",
+            Self::Spawn => "spawn",
+        }
+    }
+}
+
+/// Middles of paths lie within this distance of the origin on each axis, metres. With the farthest that a path leads from
+/// its middle (2,500 m) it stays over the home island (6,656 m).
 const REACH_M: f64 = 3_000.0;
+
+/// Height of a standing person's eyes, metres.
+const EYES_M: f64 = 1.7;
 
 /// A camera at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,78 +62,107 @@ pub struct Pose {
     pub yaw_mdeg: i32,
 }
 
+/// Movement on the map at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Motion {
+    /// East and south of the origin, metres.
+    place_m: (f64, f64),
+    /// Metres a second, same axes.
+    velocity: (f64, f64),
+    /// 0 is north, clockwise, radians.
+    heading: f64,
+}
+
+impl Motion {
+    /// Looking where it goes.
+    fn along(place_m: (f64, f64), velocity: (f64, f64)) -> Self {
+        Self { place_m, velocity, heading: velocity.0.atan2(-velocity.1) }
+    }
+}
+
+/// Random numbers of one path, by name.
+#[derive(Clone, Copy, Debug)]
+struct Draw(u32);
+
+impl Draw {
+    /// From 0 to 1.
+    fn share(self, stream: u32) -> f64 {
+        f64::from(mix(self.0 ^ stream)) / f64::from(u32::MAX)
+    }
+
+    fn between(self, stream: u32, low: f64, high: f64) -> f64 {
+        low + self.share(stream) * (high - low)
+    }
+
+    /// A place within a distance of the origin on each axis, metres.
+    fn place_m(self, streams: (u32, u32), reach_m: f64) -> (f64, f64) {
+        (self.between(streams.0, -reach_m, reach_m), self.between(streams.1, -reach_m, reach_m))
+    }
+}
+
 /// One client's path.
 #[derive(Clone, Copy, Debug)]
 pub struct FlightPath {
-    kind: PathKind,
-    /// Chooses the places of a teleporting client.
-    seed: u32,
-    /// Centre of the circle, metres east and south of the origin.
-    centre_m: (f64, f64),
-    radius_m: f64,
+    course: Course,
     /// Height above the ground, or above the sea where that is higher, metres.
     clearance_m: f64,
-    /// Radians a second, signed: half of the clients turn left.
-    turn: f64,
-    /// Angle at time zero, radians.
-    start: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one a client, and 0.4 KiB is little beside its buffers"
+)]
+enum Course {
+    Walk(walk::Round),
+    Fly(fly::Circle),
+    Teleport(teleport::Stays),
+    Spawn(spawn::Dispersal),
 }
 
 impl FlightPath {
     /// The path of client `index`. The same three arguments give the same path.
     #[must_use]
     pub fn new(kind: PathKind, seed: u32, index: u32) -> Self {
-        let seed = hash2(mix(seed), index as i32, 0x70);
-        let share = |stream: u32| f64::from(mix(seed ^ stream)) / f64::from(u32::MAX);
-        let between = |stream: u32, low: f64, high: f64| low + share(stream) * (high - low);
-        let (radius_m, speed_m, clearance_m) = match kind {
-            PathKind::Fly => (between(1, 500.0, 2_500.0), between(2, 50.0, 120.0), between(3, 100.0, 400.0)),
-            PathKind::Walk => (between(1, 50.0, 300.0), between(2, 1.0, 3.0), 2.0),
-            // The circle only says which way a standing client looks.
-            PathKind::Teleport => (1.0, 0.0, between(3, 10.0, 200.0)),
+        let draw = Draw(hash2(mix(seed), index as i32, 0x70));
+        let (course, clearance_m) = match kind {
+            PathKind::Walk => (Course::Walk(walk::Round::new(draw)), EYES_M),
+            PathKind::Fly => (Course::Fly(fly::Circle::new(draw)), draw.between(3, 100.0, 400.0)),
+            PathKind::Teleport => {
+                (Course::Teleport(teleport::Stays::new(draw)), draw.between(3, 10.0, 200.0))
+            }
+            // The place is that of all clients; only the way from it is one's own.
+            PathKind::Spawn => (Course::Spawn(spawn::Dispersal::new(Draw(mix(seed)), draw)), EYES_M),
         };
-        let direction = if share(4) < 0.5 { -1.0 } else { 1.0 };
-        Self {
-            kind,
-            seed,
-            centre_m: (between(5, -REACH_M, REACH_M), between(6, -REACH_M, REACH_M)),
-            radius_m,
-            clearance_m,
-            turn: direction * speed_m / radius_m,
-            start: between(7, 0.0, TAU),
-        }
+        Self { course, clearance_m }
     }
 
     /// The place at a time in seconds, metres east and south of the origin.
     #[must_use]
     pub fn place_m(&self, seconds: f64) -> (f64, f64) {
-        if self.kind == PathKind::Teleport {
-            let stay = (seconds / TELEPORT_S) as i32;
-            let axis = |stream| {
-                let share = f64::from(hash2(self.seed, stay, stream)) / f64::from(u32::MAX);
-                (share * 2.0 - 1.0) * REACH_M
-            };
-            return (axis(0), axis(1));
-        }
-        let (sin, cos) = (self.start + self.turn * seconds).sin_cos();
-        (self.centre_m.0 + self.radius_m * cos, self.centre_m.1 + self.radius_m * sin)
+        self.motion(seconds).place_m
     }
 
     /// The pose at a time in seconds.
     #[must_use]
     pub fn pose(&self, land: &Land, seconds: f64) -> Pose {
-        let (east_m, south_m) = self.place_m(seconds);
-        let (east, south) = (units(east_m), units(south_m));
+        let Motion { place_m, velocity, heading } = self.motion(seconds);
+        let (east, south) = (units(place_m.0), units(place_m.1));
         // Paths stay far inside the world; beyond it there would be only sea.
         let ground = Position::new(east, south).map_or(0, |place| land.height_at(place));
-        let speed_m = self.turn * self.radius_m;
-        let (sin, cos) = (self.start + self.turn * seconds).sin_cos();
-        let (v_east, v_south) = (-sin * speed_m, cos * speed_m);
-        let heading = if self.turn == 0.0 { self.start } else { v_east.atan2(-v_south) };
         Pose {
             eye: [east, ground.max(0) + units(self.clearance_m), south],
-            velocity: [units(v_east), 0, units(v_south)],
-            yaw_mdeg: (heading.to_degrees() * 1000.0) as i32,
+            velocity: [units(velocity.0), 0, units(velocity.1)],
+            yaw_mdeg: (heading.rem_euclid(TAU).to_degrees() * 1000.0) as i32,
+        }
+    }
+
+    fn motion(&self, seconds: f64) -> Motion {
+        match &self.course {
+            Course::Walk(round) => round.motion(seconds),
+            Course::Fly(circle) => circle.motion(seconds),
+            Course::Teleport(stays) => stays.motion(seconds),
+            Course::Spawn(dispersal) => dispersal.motion(seconds),
         }
     }
 }
@@ -120,59 +174,58 @@ fn units(metres: f64) -> i32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
     use terrain::constants::{HOME_RADIUS_STEPS, ISLAND_RADIUS_STEP_M};
 
-    const KINDS: [PathKind; 3] = [PathKind::Fly, PathKind::Walk, PathKind::Teleport];
-
-    #[test]
-    fn the_same_seed_flies_the_same_path_and_another_client_another() {
-        let land = Land::new(1);
-        for kind in KINDS {
-            let pose = |seed, index| FlightPath::new(kind, seed, index).pose(&land, 12.5);
-            assert_eq!(pose(7, 3), pose(7, 3));
-            assert_ne!(pose(7, 3), pose(7, 4));
-            assert_ne!(pose(7, 3), pose(8, 3));
-        }
+    fn kinds() -> impl Strategy<Value = PathKind> {
+        prop::sample::select(PathKind::ALL.to_vec())
     }
 
-    #[test]
-    fn every_path_stays_over_the_home_island_and_above_ground() {
-        let land = Land::new(1);
-        let radius_m = f64::from(HOME_RADIUS_STEPS) * f64::from(ISLAND_RADIUS_STEP_M);
-        for kind in KINDS {
-            for index in 0..200 {
-                let path = FlightPath::new(kind, 1, index);
-                for step in 0..20 {
-                    let seconds = f64::from(step) * 7.3;
-                    let (east, south) = path.place_m(seconds);
-                    assert!(east.hypot(south) <= radius_m + 100.0, "{kind:?} {index}: {east} {south}");
-                    let pose = path.pose(&land, seconds);
-                    let ground = land.height_at(Position::new(pose.eye[0], pose.eye[2]).unwrap());
-                    assert!(pose.eye[1] >= ground + units(2.0));
-                }
+    proptest! {
+        #[test]
+        fn a_pose_is_a_function_of_kind_seed_client_and_time(
+            kind in kinds(), seed: u32, index in 0..100_000u32, seconds in 0.0..86_400.0f64,
+        ) {
+            let land = Land::new(1);
+            let pose = |index| FlightPath::new(kind, seed, index).pose(&land, seconds);
+            prop_assert_eq!(pose(index), pose(index));
+            // Everybody's first seconds at the spawn point are the same; no other two clients are at one place.
+            if kind != PathKind::Spawn {
+                prop_assert_ne!(pose(index).eye, pose(index + 1).eye);
             }
         }
-    }
 
-    #[test]
-    fn velocity_is_the_motion_between_poses_and_yaw_points_along_it() {
-        let land = Land::new(1);
-        let path = FlightPath::new(PathKind::Fly, 1, 0);
-        let (now, next) = (path.pose(&land, 5.0), path.pose(&land, 5.01));
-        for axis in [0, 2] {
-            let moved = f64::from(next.eye[axis] - now.eye[axis]) * 100.0;
-            assert!((moved - f64::from(now.velocity[axis])).abs() < 500.0, "{moved} {:?}", now.velocity);
+        #[test]
+        fn every_path_stays_over_the_home_island_and_above_ground(
+            kind in kinds(), seed: u32, index in 0..100_000u32, seconds in 0.0..86_400.0f64,
+        ) {
+            let land = Land::new(1);
+            let radius_m = f64::from(HOME_RADIUS_STEPS) * f64::from(ISLAND_RADIUS_STEP_M);
+            let path = FlightPath::new(kind, seed, index);
+            let (east, south) = path.place_m(seconds);
+            prop_assert!(east.hypot(south) <= radius_m + 100.0, "{east} {south}");
+            let pose = path.pose(&land, seconds);
+            let ground = land.height_at(Position::new(pose.eye[0], pose.eye[2]).unwrap());
+            prop_assert!(pose.eye[1] >= ground.max(0) + units(EYES_M));
         }
-        let yaw = (f64::from(now.yaw_mdeg) / 1000.0).to_radians();
-        let speed = f64::from(now.velocity[0]).hypot(f64::from(now.velocity[2]));
-        assert!((yaw.sin() * speed - f64::from(now.velocity[0])).abs() < speed * 0.001);
-        assert!((-yaw.cos() * speed - f64::from(now.velocity[2])).abs() < speed * 0.001);
-    }
 
-    #[test]
-    fn a_teleporting_client_stays_and_then_is_elsewhere() {
-        let path = FlightPath::new(PathKind::Teleport, 1, 0);
-        assert_eq!(path.place_m(0.1), path.place_m(1.9));
-        assert_ne!(path.place_m(1.9), path.place_m(2.1));
+        #[test]
+        fn velocity_is_the_motion_between_poses_and_yaw_points_along_it(
+            kind in kinds(), seed: u32, index in 0..1000u32, seconds in 0.0..1000.0f64,
+        ) {
+            let path = FlightPath::new(kind, seed, index);
+            let (now, next) = (path.motion(seconds), path.motion(seconds + 1e-3));
+            // Where a leg ends or a stay does, the way changes between the two.
+            prop_assume!(now.velocity == path.motion(seconds + 2e-3).velocity || kind == PathKind::Fly || kind == PathKind::Spawn);
+            let moved = (next.place_m.0 - now.place_m.0, next.place_m.1 - now.place_m.1);
+            let speed = now.velocity.0.hypot(now.velocity.1);
+            let jumped = kind == PathKind::Teleport && moved != (0.0, 0.0);
+            let departed = speed == 0.0 && next.velocity != (0.0, 0.0);
+            prop_assume!(!jumped && !departed);
+            prop_assert!((moved.0 * 1e3 - now.velocity.0).abs() < 0.02 + speed * 1e-3, "{moved:?} {now:?}");
+            prop_assert!((moved.1 * 1e3 - now.velocity.1).abs() < 0.02 + speed * 1e-3, "{moved:?} {now:?}");
+            prop_assert!((now.heading.sin() * speed - now.velocity.0).abs() < 1e-6 + speed * 1e-6);
+            prop_assert!((-now.heading.cos() * speed - now.velocity.1).abs() < 1e-6 + speed * 1e-6);
+        }
     }
 }

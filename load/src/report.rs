@@ -1,53 +1,187 @@
-//! What a run found: as JSON, as a table, and as a verdict.
+//! What a run found: as JSON and as a verdict. The table for a person is in `table`.
 
+mod table;
+
+use crate::config::LoadConfig;
+use crate::counters::{Counters, MAX_PROBLEMS, get};
+use crate::latency::{Latencies, LatencyMs};
+use crate::phases::Phase;
+use crate::tally::Tally;
+use crate::timeline::Second;
 use serde::Serialize;
-use std::fmt;
+use std::collections::BTreeMap;
+use std::time::Duration;
 
-/// The result of a run. Field names are a contract with scripts.
+/// The result of a run. Field names are a contract with scripts. The figures are those of all parts together and of the measured
+/// clients only.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Clients that were run.
+    /// Clients that were run, without the slow and the silent ones.
     pub clients: u32,
     /// Length of the run, seconds.
     pub seconds: f64,
-    /// How chunks were to come: `exact` or `seed`.
+    /// How chunks were to come: `exact`, `seed` or `quantised`.
     pub delivery: &'static str,
+    /// How clients asked: `view`, `explicit` or `http`.
+    pub mode: &'static str,
+    /// How clients moved.
+    pub path: &'static str,
+    /// `closed` or `open`.
+    #[serde(rename = "loop")]
+    pub loop_: &'static str,
+    /// Intended requests or poses a second over all clients; none in a closed loop.
+    pub rate: Option<f64>,
     /// Chunks received.
     pub chunks: u64,
     /// Bytes of the chunks' frames.
     pub bytes: u64,
+    /// Answers that what the client has is still right; only over HTTP.
+    pub not_modified: u64,
     /// Things that arrived and were not what they should be.
     pub mismatches: u64,
     /// Sessions that ended before their time.
     pub dropped: u64,
     /// Sessions not admitted, and chunks or views refused inside sessions.
     pub refused: u64,
-    /// From request to chunk.
+    /// From what to what [`Report::latency_ms`] is measured. In an open loop from when it was due.
+    pub measures: &'static str,
+    /// See [`Report::measures`]. What an open loop got no answer to counts with the time that it waited.
     pub latency_ms: LatencyMs,
+    /// From a pose to its view being complete, or a newer one; only in view mode.
+    pub settle_ms: LatencyMs,
+    /// From when something was due to when it was sent; only in an open loop. Late is what waited behind others on its connection, or
+    /// for this machine: a run that is late without a slow server measures itself.
+    pub sent_late_ms: LatencyMs,
     /// Chunks that were compared with local generation: a sample, in seed-only delivery all.
     pub regenerated: u64,
     /// Views that the server reported complete.
     pub views_settled: u64,
-    /// Explicit requests sent.
+    /// Requests sent; in an open loop in view mode, poses.
     pub requests: u64,
     /// Of these, without an answer when their session ended.
     pub unanswered: u64,
+    /// What an open loop should have sent and could not.
+    pub unsent: u64,
     /// The first distinct troubles, in words; they are in the counts above.
+    pub problems: Vec<String>,
+    /// The parts of the run.
+    pub phases: Vec<PhaseReport>,
+    /// Clients that read slowly, if there were any.
+    pub slow: Option<Aside>,
+    /// Clients that said nothing, if there were any.
+    pub silent: Option<Aside>,
+    /// The run second by second.
+    pub timeline: Vec<Second>,
+}
+
+/// One part of a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PhaseReport {
+    /// `run`, or `cold` and `warm`.
+    pub name: &'static str,
+    /// Seconds from the start of the run.
+    pub begins_s: f64,
+    /// Length, seconds.
+    pub seconds: f64,
+    /// As in [`Report`], like all that follows.
+    pub chunks: u64,
+    /// Bytes of the chunks' frames.
+    pub bytes: u64,
+    /// Answers that nothing changed.
+    pub not_modified: u64,
+    /// Things that were not what they should be.
+    pub mismatches: u64,
+    /// Sessions that ended before their time.
+    pub dropped: u64,
+    /// Not admitted or refused.
+    pub refused: u64,
+    /// Latency.
+    pub latency_ms: LatencyMs,
+    /// Time to complete views.
+    pub settle_ms: LatencyMs,
+    /// Requests sent.
+    pub requests: u64,
+    /// Without an answer.
+    pub unanswered: u64,
+    /// Due and not sent.
+    pub unsent: u64,
+}
+
+/// Clients whose figures are kept apart.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Aside {
+    /// How many there were.
+    pub clients: u32,
+    /// Of these, let in by the server.
+    pub admitted: u64,
+    /// Refused, in the handshake or afterwards.
+    pub refused: u64,
+    /// Ended by the server, by what it said.
+    pub closed: BTreeMap<String, u64>,
+    /// Still connected at the end of the run.
+    pub stayed: u64,
+    /// Chunks received.
+    pub chunks: u64,
+    /// Bytes of their frames.
+    pub bytes: u64,
+    /// Things that were not what they should be; a fault of the server here too.
+    pub mismatches: u64,
+    /// The first distinct troubles, in words.
     pub problems: Vec<String>,
 }
 
-/// Latency from an explicit request to its chunk, milliseconds; none where no request was answered.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct LatencyMs {
-    /// Median.
-    pub p50: Option<f64>,
-    /// 99th percentile.
-    pub p99: Option<f64>,
-    /// 99.9th percentile.
-    pub p999: Option<f64>,
-}
-
 impl Report {
+    /// Everything counted in a run with these options that took so long.
+    #[must_use]
+    pub fn new(config: &LoadConfig, tally: &Tally, took: Duration) -> Self {
+        let phases: Vec<_> =
+            tally.phases.iter().map(|(phase, counters)| PhaseReport::new(phase, counters, took)).collect();
+        let counters = || tally.phases.iter().map(|(_, counters)| counters);
+        let all = |pick: fn(&Counters) -> Latencies| {
+            let mut all = Latencies::default();
+            counters().for_each(|counters| all.add(&pick(counters)));
+            all.quantiles()
+        };
+        let mut problems: Vec<String> = Vec::new();
+        for problem in counters().flat_map(|counters| counters.problems()) {
+            if problems.len() < MAX_PROBLEMS && !problems.contains(&problem) {
+                problems.push(problem);
+            }
+        }
+        let sum = |pick: fn(&PhaseReport) -> u64| phases.iter().map(pick).sum();
+        let is_open = config.rate.is_some();
+        let aside = |clients: u32, counters: &Counters| (clients > 0).then(|| Aside::new(clients, counters));
+        Self {
+            clients: config.clients,
+            seconds: phases.iter().map(|phase| phase.seconds).sum(),
+            delivery: config.delivery.name(),
+            mode: config.mode.name(),
+            path: config.path.name(),
+            loop_: if is_open { "open" } else { "closed" },
+            rate: config.rate,
+            chunks: sum(|phase| phase.chunks),
+            bytes: sum(|phase| phase.bytes),
+            not_modified: sum(|phase| phase.not_modified),
+            mismatches: sum(|phase| phase.mismatches),
+            dropped: sum(|phase| phase.dropped),
+            refused: sum(|phase| phase.refused),
+            measures: config.mode.measures(is_open),
+            latency_ms: all(Counters::latencies),
+            settle_ms: all(Counters::settling),
+            sent_late_ms: if is_open { all(Counters::lateness) } else { LatencyMs::default() },
+            regenerated: counters().map(|counters| get(&counters.regenerated)).sum(),
+            views_settled: counters().map(|counters| get(&counters.views_settled)).sum(),
+            requests: sum(|phase| phase.requests),
+            unanswered: sum(|phase| phase.unanswered),
+            unsent: sum(|phase| phase.unsent),
+            problems,
+            slow: aside(config.slow, &tally.slow),
+            silent: aside(config.silent, &tally.silent),
+            timeline: timeline(tally),
+            phases,
+        }
+    }
+
     /// Whether the server passed.
     ///
     /// # Errors
@@ -57,66 +191,99 @@ impl Report {
         if self.mismatches > 0 {
             return Err(format!("{} mismatches in {} chunks{because}", self.mismatches, self.chunks));
         }
+        let aside = [("slow", &self.slow), ("silent", &self.silent)];
+        for (name, aside) in aside.into_iter().filter_map(|(name, aside)| Some((name, aside.as_ref()?))) {
+            if aside.mismatches > 0 {
+                let first = aside.problems.first().map(String::as_str).unwrap_or_default();
+                return Err(format!("{} mismatches of {name} clients; first: {first}", aside.mismatches));
+            }
+        }
         if self.dropped > 0 {
             return Err(format!("{} sessions ended before their time{because}", self.dropped));
         }
-        if self.chunks == 0 {
+        if self.chunks + self.not_modified == 0 {
             let because = if because.is_empty() { "; is the run long enough?".into() } else { because };
             return Err(format!("no chunk arrived in {:.0} s{because}", self.seconds));
         }
         Ok(())
     }
+}
 
-    fn per_second(&self, count: f64) -> f64 {
-        count / self.seconds.max(f64::MIN_POSITIVE)
+/// All seconds, but for idle ones after the end of the run, in which comparisons were waited for.
+fn timeline(tally: &Tally) -> Vec<Second> {
+    let mut seconds = tally.timeline.seconds();
+    let is_idle = |second: &Second| second.chunks + second.answers == 0;
+    let lasts = tally.lasts().as_secs();
+    while seconds.last().is_some_and(|second| second.second >= lasts && is_idle(second)) {
+        seconds.pop();
+    }
+    seconds
+}
+
+impl PhaseReport {
+    /// A part of a run that took so long altogether.
+    fn new(phase: &Phase, counters: &Counters, took: Duration) -> Self {
+        // Good-byes and late comparisons are not load; the answers that an open loop waited for are.
+        let lasted = took.saturating_sub(phase.begins).min(phase.lasts);
+        let until = counters.last_chunk().saturating_sub(phase.begins);
+        Self {
+            name: phase.name,
+            begins_s: phase.begins.as_secs_f64(),
+            seconds: lasted.max(until).as_secs_f64(),
+            chunks: get(&counters.chunks),
+            bytes: get(&counters.bytes),
+            not_modified: get(&counters.not_modified),
+            mismatches: get(&counters.mismatches),
+            dropped: get(&counters.dropped),
+            refused: get(&counters.refused),
+            latency_ms: counters.latencies().quantiles(),
+            settle_ms: counters.settling().quantiles(),
+            requests: get(&counters.requests),
+            unanswered: get(&counters.unanswered),
+            unsent: get(&counters.unsent),
+        }
     }
 }
 
-impl fmt::Display for Report {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let megabytes = self.bytes as f64 / 1e6;
-        let ms = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1}"));
-        let LatencyMs { p50, p99, p999 } = self.latency_ms;
-        let rows = [
-            ("clients", format!("{} for {:.1} s", self.clients, self.seconds)),
-            ("delivery", self.delivery.to_owned()),
-            ("chunks", format!("{} ({:.0} a second)", self.chunks, self.per_second(self.chunks as f64))),
-            ("data", format!("{megabytes:.1} MB ({:.2} MB/s)", self.per_second(megabytes))),
-            ("views settled", self.views_settled.to_string()),
-            ("requests", format!("{} ({} unanswered)", self.requests, self.unanswered)),
-            ("latency p50", format!("{} ms", ms(p50))),
-            ("latency p99", format!("{} ms", ms(p99))),
-            ("latency p99.9", format!("{} ms", ms(p999))),
-            ("regenerated", self.regenerated.to_string()),
-            ("refused", self.refused.to_string()),
-            ("dropped", self.dropped.to_string()),
-            ("mismatches", self.mismatches.to_string()),
-        ];
-        for (name, value) in rows {
-            writeln!(f, "{name:<14} {value}")?;
+impl Aside {
+    fn new(clients: u32, counters: &Counters) -> Self {
+        Self {
+            clients,
+            admitted: get(&counters.admitted),
+            refused: get(&counters.refused),
+            closed: counters.closes(),
+            stayed: get(&counters.stayed),
+            chunks: get(&counters.chunks),
+            bytes: get(&counters.bytes),
+            mismatches: get(&counters.mismatches),
+            problems: counters.problems(),
         }
-        self.problems.iter().try_for_each(|problem| writeln!(f, "  ! {problem}"))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Tally;
-    use protocol::Delivery;
+
+    fn config() -> LoadConfig {
+        LoadConfig { clients: 2, ..LoadConfig::new("ws://127.0.0.1:1/v1/stream".parse().unwrap()) }
+    }
+
+    fn report(config: &LoadConfig, count: impl Fn(&Tally)) -> Report {
+        let tally = Tally::new(config);
+        count(&tally);
+        Report::new(config, &tally, Duration::from_secs(3600))
+    }
 
     fn good() -> Report {
-        let tally = Tally::default();
-        tally.chunk(1000);
-        tally.report(2, 10.0, Delivery::Exact)
+        report(&config(), |tally| tally.phases[0].1.chunk(1000))
     }
 
     #[test]
     fn a_run_passes_only_with_chunks_and_without_faults() {
         assert_eq!(good().verdict(), Ok(()));
-        let silent = Tally::default();
-        silent.refused("connection refused");
-        let verdict = silent.report(2, 10.0, Delivery::Exact).verdict().unwrap_err();
+        let silent = report(&config(), |tally| tally.phases[0].1.refused("connection refused"));
+        let verdict = silent.verdict().unwrap_err();
         assert!(verdict.contains("no chunk") && verdict.contains("connection refused"), "{verdict}");
         let mismatched = Report { mismatches: 1, ..good() };
         assert!(mismatched.verdict().unwrap_err().contains("1 mismatches"));
@@ -124,6 +291,45 @@ mod tests {
         assert!(dropped.verdict().unwrap_err().contains("3 sessions"));
         let refused = Report { refused: 3, ..good() };
         assert_eq!(refused.verdict(), Ok(()), "shedding load is allowed");
+        let unchanged = Report { chunks: 0, not_modified: 1, ..good() };
+        assert_eq!(unchanged.verdict(), Ok(()), "that nothing changed is an answer");
+    }
+
+    #[test]
+    fn slow_and_silent_clients_are_apart_from_the_others_and_only_wrong_chunks_are_faults() {
+        let config = LoadConfig { slow: 3, silent: 2, ..config() };
+        let count = |tally: &Tally| {
+            tally.phases[0].1.chunk(1000);
+            tally.slow.chunk(7);
+            tally.slow.closed("the connection ended without a close frame");
+            tally.silent.closed("handshake timed out (4408)");
+        };
+        let with = report(&config, count);
+        assert_eq!((with.chunks, with.bytes, with.dropped), (1, 1000, 0));
+        assert_eq!(with.timeline.iter().map(|second| second.chunks).sum::<u64>(), 1);
+        assert_eq!(with.silent.as_ref().unwrap().closed["handshake timed out (4408)"], 1);
+        assert_eq!(with.verdict(), Ok(()));
+        let wrong = report(&config, |tally| {
+            count(tally);
+            tally.slow.mismatch("a bit");
+        });
+        assert!(wrong.verdict().unwrap_err().contains("slow clients; first: a bit"));
+    }
+
+    #[test]
+    fn the_whole_is_the_sum_of_its_parts() {
+        let config = LoadConfig { warm_up_s: 5, ..config() };
+        let report = report(&config, |tally| {
+            for (index, (_, counters)) in tally.phases.iter().enumerate() {
+                (0..=index).for_each(|_| counters.chunk(10));
+                counters.request(Duration::ZERO);
+                counters.answered(Duration::from_millis(100 - 90 * index as u64));
+            }
+        });
+        assert_eq!((report.chunks, report.bytes, report.requests, report.seconds), (3, 30, 2, 15.0));
+        let max: Vec<_> = report.phases.iter().map(|phase| phase.latency_ms.max.map(f64::round)).collect();
+        assert_eq!(max, [Some(100.0), Some(10.0)]);
+        assert_eq!(report.latency_ms.max.map(f64::round), Some(100.0));
     }
 
     #[test]
@@ -132,16 +338,17 @@ mod tests {
         for field in ["clients", "seconds", "chunks", "bytes", "mismatches", "dropped", "refused"] {
             assert!(json[field].is_number(), "{field}");
         }
-        assert_eq!(json["delivery"], "exact");
-        for field in ["p50", "p99", "p999"] {
+        assert_eq!((&json["delivery"], &json["loop"]), (&"exact".into(), &"closed".into()));
+        for field in ["p50", "p90", "p99", "p999", "max"] {
             assert!(json["latency_ms"].as_object().unwrap().contains_key(field), "{field}");
         }
+        assert!(json["phases"][0]["latency_ms"].is_object() && json["timeline"][0]["chunks"].is_number());
     }
 
     #[test]
-    fn the_table_names_rates_and_units() {
-        let table = good().to_string();
-        assert!(table.contains("1 (0 a second)") && table.contains("MB/s"), "{table}");
-        assert!(table.contains("latency p99.9  - ms"), "no answer is not zero: {table}");
+    fn a_run_is_as_long_as_it_took_and_at_most_as_it_should() {
+        let tally = Tally::new(&config());
+        let seconds = |took| Report::new(&config(), &tally, Duration::from_secs(took)).seconds;
+        assert_eq!((seconds(3), seconds(11)), (3.0, 10.0));
     }
 }

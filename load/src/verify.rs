@@ -56,18 +56,26 @@ pub enum Mismatch {
     },
 }
 
-/// The land that a server announces, if it is what the announced digest says.
+/// The land that a Welcome announces, if it is what the announced digest says.
 ///
 /// # Errors
 /// [`Mismatch::Generator`] or [`Mismatch::World`].
 pub fn world(welcome: &Welcome) -> Result<Land, Mismatch> {
-    if welcome.generator_version != GENERATOR_VERSION {
-        return Err(Mismatch::Generator { theirs: welcome.generator_version });
+    announced(welcome.world_seed, welcome.generator_version, WorldDigest(welcome.digest))
+}
+
+/// The land of a seed, if it is what a server says of it.
+///
+/// # Errors
+/// [`Mismatch::Generator`] or [`Mismatch::World`].
+pub fn announced(seed: u64, generator_version: u32, announced: WorldDigest) -> Result<Land, Mismatch> {
+    if generator_version != GENERATOR_VERSION {
+        return Err(Mismatch::Generator { theirs: generator_version });
     }
-    let land = Land::new(welcome.world_seed);
-    let (announced, ours) = (WorldDigest(welcome.digest), land.digest());
+    let land = Land::new(seed);
+    let ours = land.digest();
     if announced != ours {
-        return Err(Mismatch::World { announced, seed: welcome.world_seed, ours });
+        return Err(Mismatch::World { announced, seed, ours });
     }
     Ok(land)
 }

@@ -122,15 +122,12 @@ async fn load_on(lie: Lie, delivery: Delivery, token: Option<&str>) -> Report {
         }
     });
     let report = load::run(LoadConfig {
-        connect: stream_address(&format!("ws://{address}/v1/stream")).expect("a stream"),
         clients: 3,
         seconds: 2,
         delivery,
         view_distance_m: 500,
-        path: PathKind::Fly,
-        seed: 1,
         verify_every: 1,
-        token: None,
+        ..LoadConfig::new(stream_address(&format!("ws://{address}/v1/stream")).expect("a stream"))
     })
     .await;
     server.abort();
@@ -204,15 +201,10 @@ async fn shed_chunks_are_refusals_and_no_faults() {
 async fn no_server_at_all_is_said_in_one_line() {
     let free = TcpListener::bind("127.0.0.1:0").await.expect("a free port").local_addr().expect("bound");
     let config = LoadConfig {
-        connect: stream_address(&format!("ws://{free}/v1/stream")).expect("a stream"),
         clients: 1,
         seconds: 1,
-        delivery: Delivery::Exact,
-        view_distance_m: 500,
         path: PathKind::Walk,
-        seed: 1,
-        verify_every: 0,
-        token: None,
+        ..LoadConfig::new(stream_address(&format!("ws://{free}/v1/stream")).expect("a stream"))
     };
     let verdict = load::run(config).await.verdict().expect_err("nobody is there");
     assert!(verdict.contains(&free.to_string()) && verdict.lines().count() == 1, "{verdict}");

@@ -17,6 +17,9 @@ fn what_cannot_be_used_ends_with_2_and_one_line() {
         (&["--clients", "0"], "--clients"),
         (&["--bench", "swim"], "swim"),
         (&["--bench", "idle", "--rounds", "0"], "--rounds"),
+        (&["--rate", "0"], "--rate"),
+        (&["--plot", "plot.jpg"], "plot.jpg"),
+        (&["--mode", "http", "--delivery", "seed"], "--delivery"),
         (&["--connect", "http://127.0.0.1/"], "--connect"),
         (&["--token-file", "/no/such/file"], "/no/such/file"),
     ] {
@@ -36,7 +39,13 @@ fn nobody_listening_ends_with_1_a_report_and_one_line() {
     let url = format!("ws://{address}/v1/stream");
     let json = std::env::temp_dir().join(format!("tombolo-load-options-{}.json", std::process::id()));
     let path = json.to_str().expect("a plain path");
-    let output = run(&["--connect", &url, "--clients", "2", "--seconds", "1", "--json", path]);
+    let picture = json.with_extension("png");
+    let plot = picture.to_str().expect("a plain path");
+    let output =
+        run(&["--connect", &url, "--clients", "2", "--seconds", "1", "--json", path, "--plot", plot]);
+    let is_picture = std::fs::read(&picture).expect("a picture is left too").starts_with(b"\x89PNG");
+    let _ = std::fs::remove_file(&picture);
+    assert!(is_picture);
     let report = std::fs::read_to_string(&json).expect("a report is left even of a failed run");
     let _ = std::fs::remove_file(&json);
     let text = said(&output);
@@ -60,6 +69,8 @@ fn a_report_that_cannot_be_written_is_said_before_the_run() {
     let output = run(&["--json", "/no/such/folder/report.json", "--seconds", "3600"]);
     assert_eq!(output.status.code(), Some(1));
     assert!(said(&output).contains("/no/such/folder/report.json"), "{}", said(&output));
+    let output = run(&["--plot", "/no/such/folder/plot.png", "--seconds", "3600"]);
+    assert!(said(&output).contains("--plot: cannot write `/no/such/folder/plot.png`"), "{}", said(&output));
 }
 
 #[test]
@@ -67,7 +78,9 @@ fn help_names_units_and_defaults_and_ends_with_0() {
     let output = run(&["--help"]);
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert_eq!(output.status.code(), Some(0));
-    for part in ["seconds", "metres", "[default: 2000]", "ws://127.0.0.1:7580/v1/stream"] {
+    for part in
+        ["seconds", "metres", "[default: 2000]", "1.4 m/s", "conditionally", "ws://127.0.0.1:7580/v1/stream"]
+    {
         assert!(text.contains(part), "{part} is not in:\n{text}");
     }
     assert_eq!(run(&["--version"]).status.code(), Some(0));

@@ -8,6 +8,7 @@ mod heightfield;
 mod pom;
 mod record;
 mod report;
+mod streaming;
 mod terrain;
 
 use anyhow::{Result, bail};
@@ -17,12 +18,13 @@ use std::path::Path;
 /// A measurement by name.
 type Measurement = (&'static str, fn() -> Result<()>);
 
-const MEASUREMENTS: [Measurement; 5] = [
+const MEASUREMENTS: [Measurement; 6] = [
     ("first-voyage", first_voyage::run),
     ("heightfield", heightfield::run),
     ("terrain", terrain::run),
     ("pom", pom::run),
     ("culling", culling::run),
+    ("streaming", streaming::run),
 ];
 
 /// Runs one measurement.

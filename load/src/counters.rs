@@ -1,0 +1,235 @@
+//! What clients of one sort count in one part of a run, together, while they run.
+
+use crate::latency::Latencies;
+use crate::timeline::Timeline;
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Distinct troubles that are kept in words; all of them are counted.
+pub const MAX_PROBLEMS: usize = 8;
+
+/// Live counters. Relaxed atomics: nobody orders anything by them.
+#[derive(Debug, Default)]
+pub struct Counters {
+    /// Where the same is told second by second; nowhere for clients whose figures are kept apart.
+    timeline: Option<Arc<Timeline>>,
+    /// Sessions that were admitted, or connections over HTTP that told their world.
+    pub(crate) admitted: AtomicU64,
+    pub(crate) chunks: AtomicU64,
+    pub(crate) bytes: AtomicU64,
+    pub(crate) not_modified: AtomicU64,
+    pub(crate) mismatches: AtomicU64,
+    pub(crate) dropped: AtomicU64,
+    pub(crate) refused: AtomicU64,
+    pub(crate) regenerated: AtomicU64,
+    pub(crate) views_settled: AtomicU64,
+    pub(crate) requests: AtomicU64,
+    pub(crate) unanswered: AtomicU64,
+    pub(crate) unsent: AtomicU64,
+    /// When the last chunk came, microseconds since the start of the run.
+    last_chunk_us: AtomicU64,
+    /// Of slow and silent clients: still connected at the end of the run.
+    pub(crate) stayed: AtomicU64,
+    /// A mutex is right: some thousand records a second, nothing awaits under it.
+    latencies: Mutex<Latencies>,
+    settling: Mutex<Latencies>,
+    lateness: Mutex<Latencies>,
+    /// Of slow and silent clients: what ended their connections, and how often.
+    closed: Mutex<BTreeMap<String, u64>>,
+    problems: Mutex<Vec<String>>,
+}
+
+impl Counters {
+    /// Counters that tell a timeline too.
+    #[must_use]
+    pub fn telling(timeline: Arc<Timeline>) -> Self {
+        Self { timeline: Some(timeline), ..Self::default() }
+    }
+
+    /// A client was let in.
+    pub fn admitted(&self) {
+        add(&self.admitted);
+    }
+
+    /// A chunk arrived, right or wrong.
+    pub fn chunk(&self, bytes: usize) {
+        add(&self.chunks);
+        self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
+        if let Some(timeline) = &self.timeline {
+            timeline.chunk(bytes);
+            let us = u64::try_from(timeline.elapsed().as_micros()).unwrap_or(u64::MAX);
+            self.last_chunk_us.fetch_max(us, Ordering::Relaxed);
+        }
+    }
+
+    /// When the last chunk came, from the start of the run.
+    pub(crate) fn last_chunk(&self) -> Duration {
+        Duration::from_micros(get(&self.last_chunk_us))
+    }
+
+    /// The server said that what the client has is still right.
+    pub fn not_modified(&self) {
+        add(&self.not_modified);
+    }
+
+    /// A chunk is compared with local generation.
+    pub fn regenerated(&self) {
+        add(&self.regenerated);
+    }
+
+    /// Something arrived that is not what it should be.
+    pub fn mismatch(&self, problem: &str) {
+        add(&self.mismatches);
+        self.note(problem);
+    }
+
+    /// A session ended before its time.
+    pub fn dropped(&self, problem: &str) {
+        add(&self.dropped);
+        self.note(problem);
+    }
+
+    /// A session was not admitted, or something asked for was refused.
+    pub fn refused(&self, problem: &str) {
+        add(&self.refused);
+        self.note(problem);
+    }
+
+    /// A view was reported complete.
+    pub fn view_settled(&self) {
+        add(&self.views_settled);
+    }
+
+    /// A pose's view, or a newer one, was complete after this time.
+    pub fn settled(&self, latency: Duration) {
+        lock(&self.settling).record(latency);
+    }
+
+    /// A request was sent, or a pose that is measured, so long after it was due.
+    pub fn request(&self, late: Duration) {
+        add(&self.requests);
+        lock(&self.lateness).record(late);
+    }
+
+    /// What was asked is answered after this time.
+    pub fn answered(&self, latency: Duration) {
+        lock(&self.latencies).record(latency);
+        if let Some(timeline) = &self.timeline {
+            timeline.answered(latency);
+        }
+    }
+
+    /// This many requests were without an answer when their session ended.
+    pub fn unanswered(&self, requests: usize) {
+        self.unanswered.fetch_add(requests as u64, Ordering::Relaxed);
+    }
+
+    /// A request of an open loop was without an answer after this time, at the end of the run or of its session. It counts with
+    /// the time that it has waited, which is less than what an answer would have taken.
+    pub fn abandoned(&self, waited: Duration) {
+        add(&self.unanswered);
+        lock(&self.latencies).record(waited);
+    }
+
+    /// As [`Counters::abandoned`], of a request that was due and never sent.
+    pub fn unsent(&self, waited: Duration) {
+        add(&self.unsent);
+        lock(&self.latencies).record(waited);
+    }
+
+    /// A slow or silent client's connection was ended by the server.
+    pub fn closed(&self, why: &str) {
+        let mut closed = lock(&self.closed);
+        // Reasons are few; a server that makes up a new one each time is told as the others.
+        let why = if closed.len() < MAX_PROBLEMS || closed.contains_key(why) { why } else { "other reasons" };
+        *closed.entry(why.into()).or_default() += 1;
+    }
+
+    /// A slow or silent client was still connected at the end of the run.
+    pub fn stayed(&self) {
+        add(&self.stayed);
+    }
+
+    pub(crate) fn latencies(&self) -> Latencies {
+        lock(&self.latencies).clone()
+    }
+
+    pub(crate) fn settling(&self) -> Latencies {
+        lock(&self.settling).clone()
+    }
+
+    pub(crate) fn lateness(&self) -> Latencies {
+        lock(&self.lateness).clone()
+    }
+
+    pub(crate) fn closes(&self) -> BTreeMap<String, u64> {
+        lock(&self.closed).clone()
+    }
+
+    pub(crate) fn problems(&self) -> Vec<String> {
+        lock(&self.problems).clone()
+    }
+
+    fn note(&self, problem: &str) {
+        let mut problems = lock(&self.problems);
+        if problems.len() < MAX_PROBLEMS && !problems.iter().any(|known| known == problem) {
+            problems.push(problem.into());
+        }
+    }
+}
+
+/// A count so far.
+pub(crate) fn get(counter: &AtomicU64) -> u64 {
+    counter.load(Ordering::Relaxed)
+}
+
+fn add(counter: &AtomicU64) {
+    counter.fetch_add(1, Ordering::Relaxed);
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_problem_is_told_once_and_counted_always() {
+        let counters = Counters::default();
+        for index in 0..100 {
+            counters.dropped("gone");
+            counters.refused(&format!("refusal {index}"));
+        }
+        assert_eq!((get(&counters.dropped), get(&counters.refused)), (100, 100));
+        let problems = counters.problems();
+        assert_eq!(problems.len(), MAX_PROBLEMS);
+        assert_eq!(problems.iter().filter(|problem| *problem == "gone").count(), 1);
+    }
+
+    #[test]
+    fn reasons_are_counted_one_by_one_and_bounded() {
+        let counters = Counters::default();
+        for index in 0..100 {
+            counters.closed("silent");
+            counters.closed(&format!("reason {index}"));
+        }
+        let closed = counters.closes();
+        assert_eq!(
+            (closed["silent"], closed.len(), closed.values().sum::<u64>()),
+            (100, MAX_PROBLEMS + 1, 200)
+        );
+    }
+
+    #[test]
+    fn what_an_open_loop_never_got_counts_with_the_time_it_waited() {
+        let counters = Counters::default();
+        counters.answered(Duration::from_millis(1));
+        counters.abandoned(Duration::from_secs(2));
+        counters.unsent(Duration::from_secs(3));
+        assert_eq!((get(&counters.unanswered), get(&counters.unsent), counters.latencies().len()), (1, 1, 3));
+    }
+}

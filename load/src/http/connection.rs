@@ -1,0 +1,176 @@
+//! One kept HTTP/1.1 connection: a request out, an answer in, and how big that may be.
+
+use crate::SOFTWARE;
+use crate::client::Task;
+use crate::dial::Dial;
+use crate::throttle::Throttled;
+use bytes::Bytes;
+use http_body_util::{BodyExt, Empty, Limited};
+use hyper::client::conn::http1::{self, SendRequest};
+use hyper::header::{AUTHORIZATION, ETAG, HOST, HeaderMap, IF_NONE_MATCH, RETRY_AFTER, USER_AGENT};
+use hyper::{Request, StatusCode};
+use hyper_util::rt::TokioIo;
+use serde::Deserialize;
+use std::fmt::Write;
+use std::time::Duration;
+use tokio::task::JoinHandle;
+
+/// Longest body that is taken, bytes. A chunk frame is shorter; the world's description and errors are too.
+const MAX_BODY: usize = 64 * 1024;
+
+/// What a refusal without Retry-After asks for.
+const DEFAULT_PAUSE: Duration = Duration::from_secs(1);
+
+/// An answer, taken whole.
+#[derive(Debug)]
+pub(super) struct Answer {
+    pub status: StatusCode,
+    /// The strong tag, where it is a digest.
+    pub tag: Option<[u8; 16]>,
+    pub retry_after: Duration,
+    pub body: Bytes,
+}
+
+#[derive(Deserialize)]
+struct Problem {
+    error: String,
+}
+
+impl Answer {
+    /// Status and what the body says, in one line.
+    pub fn problem(&self) -> String {
+        // A Tombolo server says it as JSON with one sentence; a proxy before it says what it likes.
+        let told = serde_json::from_slice::<Problem>(&self.body).map(|problem| problem.error);
+        let text = told.unwrap_or_else(|_| String::from_utf8_lossy(&self.body).into_owned());
+        let line: String = text.lines().next().unwrap_or_default().chars().take(200).collect();
+        if line.is_empty() { self.status.to_string() } else { format!("{}: {line}", self.status) }
+    }
+}
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct Connection {
+    sender: SendRequest<Empty<Bytes>>,
+    /// Moves the bytes; ends with the connection.
+    driver: JoinHandle<()>,
+    host: String,
+    authorization: Option<String>,
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        self.driver.abort();
+    }
+}
+
+impl Connection {
+    pub async fn open<D: Dial>(task: &Task<'_, D>) -> Result<Self, String> {
+        let stream = task.dial.dial(None).await.map_err(|error| error.to_string())?;
+        let io = TokioIo::new(Throttled::new(stream, task.reads));
+        let (sender, connection) = http1::handshake(io).await.map_err(|error| error.to_string())?;
+        // How it ends is told to whoever waits for an answer.
+        let driver = tokio::spawn(async move { _ = connection.await });
+        let config = task.config;
+        let host = config.connect.authority().map_or_else(String::new, ToString::to_string);
+        let authorization = config.token.as_ref().map(|token| format!("Bearer {token}"));
+        Ok(Self { sender, driver, host, authorization })
+    }
+
+    /// Whether the server has not ended it.
+    pub async fn is_usable(&mut self) -> bool {
+        self.sender.ready().await.is_ok()
+    }
+
+    /// Asks for a path, conditionally if a tag is known.
+    pub async fn get(&mut self, path: &str, known: Option<[u8; 16]>) -> Result<Answer, String> {
+        let mut request = Request::get(path).header(HOST, &self.host).header(USER_AGENT, SOFTWARE);
+        if let Some(authorization) = &self.authorization {
+            request = request.header(AUTHORIZATION, authorization);
+        }
+        if let Some(tag) = known {
+            request = request.header(IF_NONE_MATCH, tag_text(tag));
+        }
+        let request = request.body(Empty::new()).map_err(|error| error.to_string())?;
+        let answer = self.sender.send_request(request).await.map_err(|error| explain(&error))?;
+        let (status, headers) = (answer.status(), answer.headers());
+        let (tag, retry_after) = (tag_of(headers), retry_after(headers));
+        let body =
+            Limited::new(answer.into_body(), MAX_BODY).collect().await.map_err(|error| explain(&*error))?;
+        Ok(Answer { status, tag, retry_after, body: body.to_bytes() })
+    }
+}
+
+/// An error with its causes, as one line.
+fn explain(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    let causes: Vec<_> = causes.map(ToString::to_string).collect();
+    format!("the connection broke: {}", causes.join(": "))
+}
+
+fn tag_text(tag: [u8; 16]) -> String {
+    let mut text = String::from("\"");
+    // Writing to a text cannot fail.
+    tag.iter().for_each(|byte| _ = write!(text, "{byte:02x}"));
+    text + "\""
+}
+
+fn tag_of(headers: &HeaderMap) -> Option<[u8; 16]> {
+    let text = headers.get(ETAG)?.to_str().ok()?.strip_prefix('"')?.strip_suffix('"')?;
+    let mut tag = [0; 16];
+    if text.len() != 2 * tag.len() || !text.is_ascii() {
+        return None;
+    }
+    for (index, byte) in tag.iter_mut().enumerate() {
+        *byte = u8::from_str_radix(&text[2 * index..2 * index + 2], 16).ok()?;
+    }
+    Some(tag)
+}
+
+fn retry_after(headers: &HeaderMap) -> Duration {
+    let seconds = headers.get(RETRY_AFTER).and_then(|value| value.to_str().ok()?.parse().ok());
+    seconds.map_or(DEFAULT_PAUSE, Duration::from_secs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(tag: &str) -> HeaderMap {
+        HeaderMap::from_iter([(ETAG, tag.parse().unwrap())])
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_in_one_line_whoever_answers() {
+        let answer = |body: &'static str| Answer {
+            status: StatusCode::SERVICE_UNAVAILABLE,
+            tag: None,
+            retry_after: DEFAULT_PAUSE,
+            body: body.into(),
+        };
+        let status = "503 Service Unavailable";
+        for (body, line) in [
+            (r#"{"error": "come back"}"#, format!("{status}: come back")),
+            ("<html>\nproxy", format!("{status}: <html>")),
+            ("", status.into()),
+        ] {
+            assert_eq!(answer(body).problem(), line);
+        }
+    }
+
+    #[test]
+    fn tags_are_digests_in_quotes_and_nothing_else() {
+        let tag = std::array::from_fn(|index| index as u8 * 17);
+        assert_eq!(tag_of(&headers(&tag_text(tag))), Some(tag));
+        for bad in [
+            "",
+            "\"\"",
+            "\"00\"",
+            "W/\"00112233445566778899aabbccddeeff\"",
+            "00112233445566778899aabbccddeeff",
+            "\"0011223344556677889 aabbccddeeff\"",
+            "\"zz112233445566778899aabbccddeeff\"",
+        ] {
+            assert_eq!(tag_of(&headers(bad)), None, "{bad}");
+        }
+    }
+}

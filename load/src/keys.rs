@@ -1,0 +1,79 @@
+//! Which chunk is asked for by key: a fine one near the path.
+//!
+//! Pure in seed, number and place, so that the second flight of a path asks for what the first did, and so that those who stand at
+//! one place ask for the same.
+
+use crate::path::{FlightPath, PathKind};
+use terrain::ChunkKey;
+use terrain::constants::UNITS_PER_METRE;
+use terrain::hash::{hash2, mix};
+
+/// Asked for are levels below this: the fine ones, which a view needs only near the eye.
+const LEVELS: u32 = 4;
+
+/// How far from the place a chunk is at most, on each axis, metres. A power of two, so that bits of a hash do.
+const REACH_M: f64 = 2_048.0;
+
+/// What one client asks for.
+#[derive(Clone, Copy, Debug)]
+pub struct Keys {
+    path: FlightPath,
+    seed: u32,
+}
+
+impl Keys {
+    /// What client `index` on this path asks for.
+    #[must_use]
+    pub fn new(kind: PathKind, seed: u32, index: u32, path: FlightPath) -> Self {
+        // A stampede is one of people who want the same.
+        let own = if kind == PathKind::Spawn { 0 } else { index };
+        Self { path, seed: hash2(seed, own as i32, 0x72) }
+    }
+
+    /// The chunk with a number, asked for at a time in seconds.
+    #[must_use]
+    pub fn key(&self, number: u32, seconds: f64) -> ChunkKey {
+        let (east_m, south_m) = self.path.place_m(seconds);
+        let bits = mix(self.seed.wrapping_add(number));
+        let offset_m = |shift: u32| f64::from((bits >> shift) & 0xfff) - REACH_M;
+        let units = |metres: f64| (metres * f64::from(UNITS_PER_METRE)) as i32;
+        let level = (bits % LEVELS) as u8;
+        ChunkKey::containing(level, units(east_m + offset_m(4)), units(south_m + offset_m(18)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn keys(kind: PathKind, seed: u32, index: u32) -> Keys {
+        Keys::new(kind, seed, index, FlightPath::new(kind, seed, index))
+    }
+
+    proptest! {
+        #[test]
+        fn a_key_is_a_function_of_seed_client_number_and_time_and_lies_near_the_path(
+            kind in prop::sample::select(PathKind::ALL.to_vec()), seed: u32, index in 0..1000u32, number: u32,
+            seconds in 0.0..3600.0f64,
+        ) {
+            let key = keys(kind, seed, index).key(number, seconds);
+            prop_assert_eq!(key, keys(kind, seed, index).key(number, seconds));
+            prop_assert!(u32::from(key.level()) < LEVELS);
+            let place = FlightPath::new(kind, seed, index).place_m(seconds);
+            let metres = |units: i32| f64::from(units) / f64::from(UNITS_PER_METRE);
+            let (low, side) = ((metres(key.origin().0), metres(key.origin().1)), metres(key.side() as i32));
+            for (low, at) in [(low.0, place.0), (low.1, place.1)] {
+                prop_assert!(low <= at + REACH_M && low + side >= at - REACH_M);
+            }
+        }
+    }
+
+    #[test]
+    fn a_stampede_asks_for_the_same_and_others_do_not() {
+        let asked =
+            |kind, index| (0..50).map(|number| keys(kind, 1, index).key(number, 1.0)).collect::<Vec<_>>();
+        assert_eq!(asked(PathKind::Spawn, 1), asked(PathKind::Spawn, 2));
+        assert_ne!(asked(PathKind::Fly, 1), asked(PathKind::Fly, 2));
+    }
+}

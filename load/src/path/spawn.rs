@@ -1,0 +1,73 @@
+//! A stampede: everybody at one place in the same moment, then apart.
+
+use super::{Draw, Motion, REACH_M};
+use std::f64::consts::TAU;
+
+/// Time at the spawn point, seconds.
+pub(super) const STAY_S: f64 = 3.0;
+
+/// How far one goes in the end, metres: least and most.
+const FAR_M: (f64, f64) = (500.0, 2_500.0);
+
+/// Speed on leaving, metres a second: least and most.
+const SPEED: (f64, f64) = (10.0, 40.0);
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Dispersal {
+    /// East and south of the origin, metres; the same for all.
+    spawn_m: (f64, f64),
+    /// Direction as a vector of length 1.
+    away: (f64, f64),
+    far_m: f64,
+    speed: f64,
+}
+
+impl Dispersal {
+    /// From the place that all share and the way that is one's own.
+    pub(super) fn new(all: Draw, own: Draw) -> Self {
+        let (sin, cos) = own.between(7, 0.0, TAU).sin_cos();
+        Self {
+            spawn_m: all.place_m((5, 6), REACH_M),
+            away: (cos, sin),
+            far_m: own.between(1, FAR_M.0, FAR_M.1),
+            speed: own.between(2, SPEED.0, SPEED.1),
+        }
+    }
+
+    /// The speed falls with what is left of the way, so that the end is never quite reached and nothing jerks.
+    pub(super) fn motion(&self, seconds: f64) -> Motion {
+        let left = (-self.speed * (seconds - STAY_S).max(0.0) / self.far_m).exp();
+        let (gone, speed) = (self.far_m * (1.0 - left), self.speed * left);
+        let heading = self.away.0.atan2(-self.away.1);
+        let speed = if seconds < STAY_S { 0.0 } else { speed };
+        Motion {
+            place_m: (self.spawn_m.0 + self.away.0 * gone, self.spawn_m.1 + self.away.1 * gone),
+            velocity: (self.away.0 * speed, self.away.1 * speed),
+            heading,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::path::{FlightPath, PathKind};
+
+    #[test]
+    fn everybody_begins_at_one_place_and_disperses() {
+        let clients: Vec<_> = (0..100).map(|index| FlightPath::new(PathKind::Spawn, 5, index)).collect();
+        let place = clients[0].place_m(0.0);
+        for path in &clients {
+            assert_eq!((path.place_m(0.0), path.place_m(STAY_S)), (place, place));
+        }
+        let far = |seconds: f64| {
+            let from = |path: &FlightPath| {
+                let (east, south) = path.place_m(seconds);
+                (east - place.0).hypot(south - place.1)
+            };
+            clients.iter().map(from).fold(f64::MAX, f64::min)
+        };
+        assert!(far(10.0) > 50.0 && far(10.0) < far(60.0), "{} {}", far(10.0), far(60.0));
+        assert_ne!(place, FlightPath::new(PathKind::Spawn, 6, 0).place_m(0.0), "another seed, another place");
+    }
+}

@@ -1,0 +1,137 @@
+//! A report for a person.
+
+use super::{Aside, PhaseReport, Report};
+use crate::latency::LatencyMs;
+use std::fmt;
+
+fn ms(value: Option<f64>) -> String {
+    value.map_or("-".into(), |value| format!("{value:.1}"))
+}
+
+fn rate(count: f64, seconds: f64) -> f64 {
+    count / seconds.max(f64::MIN_POSITIVE)
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let megabytes = self.bytes as f64 / 1e6;
+        let LatencyMs { p50, p90, p99, p999, max } = self.latency_ms;
+        let pace = match self.rate {
+            Some(rate) if self.mode == "view" => format!("open loop, {rate} poses a second"),
+            Some(rate) => format!("open loop, {rate} requests a second"),
+            None => "closed loop".into(),
+        };
+        let requests = match self.unsent {
+            0 => format!("{} ({} unanswered)", self.requests, self.unanswered),
+            unsent => format!("{} ({} unanswered), {unsent} more never sent", self.requests, self.unanswered),
+        };
+        let mut rows = vec![
+            ("clients", format!("{} for {:.1} s", self.clients, self.seconds)),
+            ("load", format!("{} mode, path {}, {pace}", self.mode, self.path)),
+            ("delivery", self.delivery.to_owned()),
+            ("chunks", format!("{} ({:.0} a second)", self.chunks, rate(self.chunks as f64, self.seconds))),
+            ("data", format!("{megabytes:.1} MB ({:.2} MB/s)", rate(megabytes, self.seconds))),
+            ("views settled", self.views_settled.to_string()),
+            ("unchanged", self.not_modified.to_string()),
+            ("requests", requests),
+            ("latency", format!("{}, in ms", self.measures)),
+            ("latency p50", format!("{} ms", ms(p50))),
+            ("latency p90", format!("{} ms", ms(p90))),
+            ("latency p99", format!("{} ms", ms(p99))),
+            ("latency p99.9", format!("{} ms", ms(p999))),
+            ("latency max", format!("{} ms", ms(max))),
+            ("sent late p99", format!("{} ms", ms(self.sent_late_ms.p99))),
+            ("settle p50", format!("{} ms", ms(self.settle_ms.p50))),
+            ("settle p99", format!("{} ms", ms(self.settle_ms.p99))),
+            ("regenerated", self.regenerated.to_string()),
+            ("refused", self.refused.to_string()),
+            ("dropped", self.dropped.to_string()),
+            ("mismatches", self.mismatches.to_string()),
+        ];
+        // What a mode does not have is left out.
+        rows.retain(|(name, _)| match *name {
+            "unchanged" => self.mode == "http",
+            "views settled" => self.mode == "view",
+            "sent late p99" => self.rate.is_some(),
+            "settle p50" | "settle p99" => self.mode == "view" && self.rate.is_none(),
+            _ => true,
+        });
+        for (name, value) in rows {
+            writeln!(f, "{name:<14} {value}")?;
+        }
+        if self.phases.len() > 1 {
+            phases(&self.phases, f)?;
+        }
+        for (name, aside) in [("slow", &self.slow), ("silent", &self.silent)] {
+            if let Some(aside) = aside {
+                apart(name, aside, f)?;
+            }
+        }
+        self.problems.iter().try_for_each(|problem| writeln!(f, "  ! {problem}"))?;
+        for (name, aside) in [("slow", &self.slow), ("silent", &self.silent)] {
+            let problems = aside.iter().flat_map(|aside| &aside.problems);
+            problems.into_iter().try_for_each(|problem| writeln!(f, "  ! {name}: {problem}"))?;
+        }
+        Ok(())
+    }
+}
+
+fn phases(phases: &[PhaseReport], f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    writeln!(
+        f,
+        "{:<14} {:>8} {:>10} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9}",
+        "part", "seconds", "chunks/s", "MB/s", "p50 ms", "p90 ms", "p99 ms", "p99.9 ms", "max ms"
+    )?;
+    for phase in phases {
+        let LatencyMs { p50, p90, p99, p999, max } = phase.latency_ms;
+        let [p50, p90, p99, p999, max] = [p50, p90, p99, p999, max].map(ms);
+        let (chunks, megabytes) = (phase.chunks as f64, phase.bytes as f64 / 1e6);
+        writeln!(
+            f,
+            "{:<14} {:>8.1} {:>10.0} {:>9.2} {p50:>9} {p90:>9} {p99:>9} {p999:>9} {max:>9}",
+            phase.name,
+            phase.seconds,
+            rate(chunks, phase.seconds),
+            rate(megabytes, phase.seconds),
+        )?;
+    }
+    Ok(())
+}
+
+fn apart(name: &str, aside: &Aside, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    let Aside { clients, admitted, stayed, closed, chunks, .. } = aside;
+    write!(f, "{name:<14} {clients} besides, {admitted} let in, {chunks} chunks; ")?;
+    writeln!(f, "{} ended by the server, {stayed} still connected at the end", closed.values().sum::<u64>())?;
+    closed.iter().try_for_each(|(why, count)| writeln!(f, "{:<14} {count} x {why}", ""))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{LoadConfig, Report, Tally};
+    use std::time::Duration;
+
+    fn report(warm_up_s: u64, slow: u32) -> Report {
+        let address = "ws://127.0.0.1:1/v1/stream".parse().unwrap();
+        let config = LoadConfig { warm_up_s, slow, ..LoadConfig::new(address) };
+        let tally = Tally::new(&config);
+        tally.phases[0].1.chunk(1000);
+        tally.slow.closed("too slow");
+        Report::new(&config, &tally, Duration::from_secs(3600))
+    }
+
+    #[test]
+    fn the_table_names_rates_units_and_the_loop() {
+        let table = report(0, 0).to_string();
+        assert!(table.contains("1 (0 a second)") && table.contains("MB/s"), "{table}");
+        assert!(table.contains("latency p99.9  - ms"), "no answer is not zero: {table}");
+        assert!(table.contains("closed loop") && !table.contains("part"), "{table}");
+    }
+
+    #[test]
+    fn parts_and_slow_clients_have_rows_of_their_own() {
+        let table = report(3, 2).to_string();
+        let rows = |name: &str| table.lines().filter(|line| line.starts_with(name)).count();
+        assert_eq!(["part", "cold", "warm", "slow"].map(rows), [1; 4], "{table}");
+        assert!(table.contains("1 x too slow"), "{table}");
+    }
+}

@@ -1,0 +1,134 @@
+//! What happened in every second of a run.
+//!
+//! One histogram is enough for it: the clock only goes forward, so a second is summed up when the first event of a later one comes.
+
+use crate::latency::Latencies;
+use serde::Serialize;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// One second. A second in which nothing arrived has zeros and no latencies: a stall is seen as such.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Second {
+    /// Seconds since the start of the run.
+    pub second: u64,
+    /// Chunks received.
+    pub chunks: u64,
+    /// Bytes of their frames.
+    pub bytes: u64,
+    /// What was answered in this second, whenever it was asked.
+    pub answers: u64,
+    /// Median of their latencies, milliseconds.
+    pub p50_ms: Option<f64>,
+    /// 99th percentile, milliseconds.
+    pub p99_ms: Option<f64>,
+    /// Longest, milliseconds.
+    pub max_ms: Option<f64>,
+}
+
+#[derive(Debug)]
+struct Seconds {
+    done: Vec<Second>,
+    current: Second,
+    latencies: Latencies,
+}
+
+/// See the module. Time zero is when it is made.
+#[derive(Debug)]
+pub struct Timeline {
+    started: Instant,
+    /// A mutex is right: the sections are tiny and nothing awaits under it.
+    seconds: Mutex<Seconds>,
+}
+
+impl Timeline {
+    /// An empty timeline that begins now.
+    #[must_use]
+    pub fn starting_now() -> Self {
+        let seconds =
+            Seconds { done: Vec::new(), current: Second::default(), latencies: Latencies::default() };
+        Self { started: Instant::now(), seconds: Mutex::new(seconds) }
+    }
+
+    /// Time since the start.
+    #[must_use]
+    pub fn elapsed(&self) -> Duration {
+        self.started.elapsed()
+    }
+
+    /// A chunk arrived.
+    pub fn chunk(&self, bytes: usize) {
+        let mut seconds = self.at_present();
+        seconds.current.chunks += 1;
+        seconds.current.bytes += bytes as u64;
+    }
+
+    /// Something was answered.
+    pub fn answered(&self, latency: Duration) {
+        let mut seconds = self.at_present();
+        seconds.current.answers += 1;
+        seconds.latencies.record(latency);
+    }
+
+    /// All seconds until now. The last one is not over yet.
+    #[must_use]
+    pub fn seconds(&self) -> Vec<Second> {
+        let seconds = self.at_present();
+        let mut all = seconds.done.clone();
+        all.push(seconds.so_far());
+        all
+    }
+
+    /// The last whole second, if one is over.
+    #[must_use]
+    pub fn last(&self) -> Option<Second> {
+        self.at_present().done.last().copied()
+    }
+
+    /// The state with the present second as the current one.
+    fn at_present(&self) -> MutexGuard<'_, Seconds> {
+        let mut seconds = self.seconds.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = self.started.elapsed().as_secs();
+        while seconds.current.second < now {
+            let over = seconds.so_far();
+            seconds.done.push(over);
+            seconds.latencies.clear();
+            seconds.current = Second { second: over.second + 1, ..Second::default() };
+        }
+        seconds
+    }
+}
+
+impl Seconds {
+    fn so_far(&self) -> Second {
+        if self.latencies.is_empty() {
+            return self.current;
+        }
+        let quantiles = self.latencies.quantiles();
+        Second { p50_ms: quantiles.p50, p99_ms: quantiles.p99, max_ms: quantiles.max, ..self.current }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn every_second_has_its_row_and_an_idle_one_is_empty() {
+        let timeline = Timeline::starting_now();
+        timeline.chunk(100);
+        timeline.answered(Duration::from_millis(5));
+        tokio::time::advance(Duration::from_millis(2500)).await;
+        timeline.chunk(7);
+        timeline.chunk(8);
+        let rows = timeline.seconds();
+        assert_eq!(
+            rows.iter().map(|row| (row.second, row.chunks, row.bytes)).collect::<Vec<_>>(),
+            [(0, 1, 100), (1, 0, 0), (2, 2, 15)]
+        );
+        assert_eq!((rows[0].answers, rows[0].p50_ms.map(f64::round)), (1, Some(5.0)));
+        assert_eq!((rows[1].answers, rows[1].max_ms), (0, None), "no latency of an earlier second is left");
+        assert_eq!(timeline.last(), Some(rows[1]));
+    }
+}
