@@ -31,16 +31,17 @@ pub(super) struct Answer {
     pub body: Bytes,
 }
 
+/// Of a problem document (RFC 9457), what tells the occasion.
 #[derive(Deserialize)]
 struct Problem {
-    error: String,
+    detail: String,
 }
 
 impl Answer {
     /// Status and what the body says, in one line.
     pub fn problem(&self) -> String {
-        // A Tombolo server says it as JSON with one sentence; a proxy before it says what it likes.
-        let told = serde_json::from_slice::<Problem>(&self.body).map(|problem| problem.error);
+        // A Tombolo server says it as a problem document with one sentence; a proxy before it says what it likes.
+        let told = serde_json::from_slice::<Problem>(&self.body).map(|problem| problem.detail);
         let text = told.unwrap_or_else(|_| String::from_utf8_lossy(&self.body).into_owned());
         let line: String = text.lines().next().unwrap_or_default().chars().take(200).collect();
         if line.is_empty() { self.status.to_string() } else { format!("{}: {line}", self.status) }
@@ -149,7 +150,7 @@ mod tests {
         };
         let status = "503 Service Unavailable";
         for (body, line) in [
-            (r#"{"error": "come back"}"#, format!("{status}: come back")),
+            (r#"{"status": 503, "detail": "come back"}"#, format!("{status}: come back")),
             ("<html>\nproxy", format!("{status}: <html>")),
             ("", status.into()),
         ] {
