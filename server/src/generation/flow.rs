@@ -1,0 +1,202 @@
+//! Asking: what a session or a download holds of the service.
+//!
+//! Every asking has exactly one answer or is withdrawn. A flow that is dropped withdraws everything.
+
+use super::queue::{Asked, FlowId, Waiter};
+use super::{Answer, Done, Generation, GenerationError, Shared};
+use protocol::Delivery;
+use protocol::server::Wanted;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+use terrain::ChunkKey;
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+
+/// One asker: a session or a download. Work is shared fairly between flows.
+pub struct Flow {
+    service: Generation,
+    id: FlowId,
+    /// Cloned into every asking.
+    answers: UnboundedSender<Vec<Done>>,
+    /// Holds at most one answer for each asking, so whoever bounds the askings bounds this.
+    answered: UnboundedReceiver<Vec<Done>>,
+    /// Askings without an answer taken.
+    open: usize,
+}
+
+impl Flow {
+    pub(super) fn new(service: Generation, id: FlowId) -> Self {
+        let (answers, answered) = unbounded_channel();
+        Self { service, id, answers, answered, open: 0 }
+    }
+
+    /// Asks for a frame. The answer, exactly one, comes from [`Flow::answers`], unless the asking is withdrawn.
+    pub fn ask(&mut self, wanted: Wanted, delivery: Delivery) {
+        self.opened(1);
+        let Shared { frames, metrics, costs, limits, .. } = &*self.service.shared;
+        metrics.requested.inc();
+        let mut queue = self.service.shared.lock();
+        // Under the lock: a job leaves the queue only after its frames are in the cache.
+        if let Some(frame) = frames.get(wanted.key, delivery) {
+            metrics.cache_hits.inc();
+            self.answer_now(wanted, Ok(frame));
+            return;
+        }
+        let (since, answers) = (Instant::now(), self.answers.clone());
+        let waiter = Waiter { flow: self.id, wanted, delivery, since, answers };
+        match queue.ask(waiter, costs.expected_us(wanted.key)) {
+            Asked::Joined => {
+                metrics.coalesced.inc();
+            }
+            Asked::Full => {
+                metrics.shed.inc();
+                self.answer_now(wanted, Err(GenerationError::Overloaded));
+            }
+            Asked::Queued => {
+                metrics.queue.set(queue.jobs() as i64);
+                if queue.runners < limits.threads {
+                    // A runner takes turns until nothing waits, so there are never more of them than threads.
+                    queue.runners += 1;
+                    let shared = Arc::clone(&self.service.shared);
+                    self.service.pool.spawn(move || shared.run());
+                }
+            }
+        }
+    }
+
+    fn opened(&mut self, count: usize) {
+        if self.open == 0 && count > 0 {
+            self.service.shared.open_flows.fetch_add(1, Ordering::Relaxed);
+        }
+        self.open += count;
+    }
+
+    fn closed(&mut self, count: usize) {
+        self.open -= count;
+        if self.open == 0 && count > 0 {
+            self.service.shared.open_flows.fetch_sub(1, Ordering::Relaxed);
+        }
+    }
+
+    fn answer_now(&self, wanted: Wanted, answer: Answer) {
+        // The receiver is in this very flow.
+        let _ = self.answers.send(vec![(wanted, answer)]);
+    }
+
+    /// Waits for the next answers, at least one; for ever while nothing is asked. Cancel safe.
+    pub async fn answers(&mut self) -> Vec<Done> {
+        loop {
+            if let Some(done) = self.answered.recv().await {
+                self.closed(done.len());
+                return done;
+            }
+            // Unreachable: this flow holds a sender itself.
+            std::future::pending::<()>().await;
+        }
+    }
+
+    /// The next answers if they are there.
+    pub fn try_answers(&mut self) -> Option<Vec<Done>> {
+        let done = self.answered.try_recv().ok()?;
+        self.closed(done.len());
+        Some(done)
+    }
+
+    /// Askings without an answer taken.
+    #[must_use]
+    pub const fn open(&self) -> usize {
+        self.open
+    }
+
+    /// Withdraws the askings for a key that no thread has taken up, and returns them; the others will be answered.
+    pub fn withdraw(&mut self, key: ChunkKey) -> Vec<Wanted> {
+        let withdrawn = self.service.shared.lock().withdraw(self.id, key);
+        self.closed(withdrawn.len());
+        self.service.shared.metrics.cancelled.inc_by(withdrawn.len() as u64);
+        withdrawn
+    }
+}
+
+impl Drop for Flow {
+    fn drop(&mut self) {
+        if self.open > 0 {
+            let dropped = self.service.shared.lock().forget(self.id);
+            self.service.shared.metrics.cancelled.inc_by(dropped);
+            self.closed(self.open);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generation::gated::{ask, bench, key, wanted};
+
+    #[tokio::test]
+    async fn a_flow_gets_its_most_urgent_chunk_first_and_every_asking_is_answered_once() {
+        let bench = bench(1 << 20, 10);
+        let mut flow = bench.service.flow();
+        flow.ask(wanted(key(0), 0), Delivery::Exact);
+        // Let the only thread take the first job, so that the order of the rest is the queue's.
+        while !bench.service.shared.lock().is_running(key(0)) {
+            tokio::task::yield_now().await;
+        }
+        for (x, priority) in [(1, 10), (2, 30), (3, 20), (1, 40)] {
+            flow.ask(wanted(key(x), priority), Delivery::Exact);
+        }
+        assert_eq!(flow.open(), 5);
+        for _ in 0..4 {
+            bench.permit.send(()).unwrap();
+        }
+        let mut answers = Vec::new();
+        while flow.open() > 0 {
+            for (wanted, answer) in flow.answers().await {
+                assert!(answer.is_ok());
+                answers.push(wanted.key.x());
+            }
+        }
+        answers.sort_unstable();
+        assert_eq!(answers, [0, 1, 1, 2, 3]);
+        assert_eq!(bench.made.try_iter().collect::<Vec<_>>(), [0, 1, 2, 3].map(key));
+    }
+
+    #[tokio::test]
+    async fn a_hundred_thousand_askers_that_hang_up_harm_nobody() {
+        let bench = bench(1 << 20, 10);
+        let blocker = ask(&bench.service, key(0), 1).await;
+        while !bench.service.shared.lock().is_running(key(0)) {
+            tokio::task::yield_now().await;
+        }
+        let mut patient = bench.service.flow();
+        patient.ask(wanted(key(1), 1), Delivery::Exact);
+        for _ in 0..100_000 {
+            let mut flow = bench.service.flow();
+            flow.ask(wanted(key(1), 1), Delivery::Exact);
+            flow.ask(wanted(key(2), 1), Delivery::Exact);
+        }
+        bench.permit.send(()).unwrap();
+        bench.permit.send(()).unwrap();
+        assert!(patient.answers().await[0].1.is_ok());
+        assert!(blocker.await.unwrap().is_ok());
+        assert_eq!(bench.made.try_iter().collect::<Vec<_>>(), [0, 1].map(key));
+        assert_eq!(bench.metrics.cancelled.get(), 100_000);
+        drop(patient);
+        assert_eq!(bench.service.shared.open_flows.load(Ordering::Relaxed), 0);
+    }
+
+    #[tokio::test]
+    async fn a_withdrawn_asking_is_not_answered_and_not_made() {
+        let bench = bench(1 << 20, 10);
+        let mut flow = bench.service.flow();
+        flow.ask(wanted(key(0), 9), Delivery::Exact);
+        while !bench.service.shared.lock().is_running(key(0)) {
+            tokio::task::yield_now().await;
+        }
+        flow.ask(wanted(key(1), 1), Delivery::Exact);
+        assert_eq!(flow.withdraw(key(0)), [], "it is being made");
+        assert_eq!(flow.withdraw(key(1)), [wanted(key(1), 1)]);
+        bench.permit.send(()).unwrap();
+        assert_eq!(flow.answers().await[0].0.key, key(0));
+        assert_eq!((flow.open(), flow.try_answers().is_none()), (0, true));
+    }
+}
