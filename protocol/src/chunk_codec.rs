@@ -111,6 +111,28 @@ pub fn decode(frame: &[u8], world: &WorldDigest) -> Result<Chunk, ChunkError> {
     open(&Frame::read(frame, KIND_EXACT)?, world, None, None)
 }
 
+/// Verifies a whole exact or quantised frame of a world by its lengths and its digest, without decoding it, and says what it is. Enough for
+/// bytes that an encoder of this module made and that lay somewhere since; from a peer, decode.
+///
+/// # Errors
+/// See [`ChunkError`].
+pub fn verify(frame: &[u8], world: &WorldDigest) -> Result<(ChunkKey, Delivery), ChunkError> {
+    let (kind, key) = kind_and_key(frame)?;
+    if ![KIND_EXACT, KIND_QUANTISED].contains(&kind) {
+        return Err(ChunkError::UnknownKind(kind));
+    }
+    let frame = Frame::read(frame, kind)?;
+    let delivery = match (kind, Tolerance::new(frame.tolerance)) {
+        (KIND_QUANTISED, Some(tolerance)) => Delivery::Quantised(tolerance),
+        (KIND_EXACT, None) if frame.tolerance == 0 => Delivery::Exact,
+        _ => return Err(ChunkError::Content("the tolerance is not one of this kind")),
+    };
+    if frame_digest(world, &frame.header[..DIGEST_AT], None, frame.payload) != frame.header[DIGEST_AT..] {
+        return Err(ChunkError::Digest);
+    }
+    Ok((key, delivery))
+}
+
 /// Decodes nothing but the heights of an exact or quantised frame, units, on a kernel of one's choice, and verifies nothing that takes
 /// time: for measuring, and for who has checked the digest already.
 ///

@@ -1,5 +1,6 @@
 //! From what was typed to what is meant: flags over environment over file over defaults, checked once.
 
+use crate::disk::DiskConfig;
 use clap::Parser;
 use cli::UsageError;
 use serde::Deserialize;
@@ -10,6 +11,7 @@ use std::time::Duration;
 /// The address that clients try by default.
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:7580";
 const DEFAULT_CACHE_MB: u64 = 128;
+const DEFAULT_DISK_MB: u64 = 1024;
 const DEFAULT_MAX_SESSIONS: usize = 1024;
 /// Milliseconds.
 const DEFAULT_DEADLINE_MS: u64 = 500;
@@ -37,6 +39,12 @@ pub struct Args {
     /// Memory for encoded chunks in MiB, 1 to 65536; an eighth as much again for tiles of the map [default: 128]
     #[arg(long, value_name = "N", env = "TOMBOLO_CACHE_MB")]
     pub cache_mb: Option<u64>,
+    /// Folder for encoded chunks that were dear to make, kept over restarts; without it there is none
+    #[arg(long, value_name = "DIR", env = "TOMBOLO_DISK_CACHE")]
+    pub disk_cache: Option<PathBuf>,
+    /// Disk space for them in MiB, 64 to 262144 [default: 1024]
+    #[arg(long, value_name = "N", env = "TOMBOLO_DISK_MB")]
+    pub disk_mb: Option<u64>,
     /// File whose first line is the token that clients must present; without it everybody is admitted
     #[arg(long, value_name = "FILE", env = "TOMBOLO_TOKEN_FILE")]
     pub token_file: Option<PathBuf>,
@@ -67,6 +75,8 @@ struct File {
     world_seed: Option<u64>,
     threads: Option<usize>,
     cache_mb: Option<u64>,
+    disk_cache: Option<PathBuf>,
+    disk_mb: Option<u64>,
     token_file: Option<PathBuf>,
     max_sessions: Option<usize>,
     max_sessions_per_address: Option<usize>,
@@ -86,6 +96,8 @@ pub struct ServerConfig {
     pub threads: usize,
     /// Memory for encoded chunks, bytes.
     pub cache_bytes: u64,
+    /// Where encoded chunks outlive the process; none for nowhere.
+    pub disk: Option<DiskConfig>,
     /// Token that clients must present.
     pub token: Option<String>,
     /// Sessions at once. One more is refused before its upgrade with 503 and Retry-After.
@@ -118,6 +130,7 @@ impl Default for ServerConfig {
             world_seed: 1,
             threads: std::thread::available_parallelism().map_or(1, usize::from),
             cache_bytes: DEFAULT_CACHE_MB << 20,
+            disk: None,
             token: None,
             max_sessions: DEFAULT_MAX_SESSIONS,
             max_sessions_per_address: DEFAULT_MAX_SESSIONS,
@@ -152,9 +165,17 @@ impl Args {
         };
         let threads = self.threads.or(file.threads).unwrap_or(defaults.threads);
         let cache_mb = self.cache_mb.or(file.cache_mb).unwrap_or(DEFAULT_CACHE_MB);
+        let disk_mb = self.disk_mb.or(file.disk_mb);
+        let disk_folder = self.disk_cache.or(file.disk_cache);
         let max_sessions = self.max_sessions.or(file.max_sessions).unwrap_or(DEFAULT_MAX_SESSIONS);
         in_range("threads", threads as u64, 1, 1024)?;
         in_range("cache-mb", cache_mb, 1, 65_536)?;
+        in_range("disk-mb", disk_mb.unwrap_or(DEFAULT_DISK_MB), 64, 262_144)?;
+        if let (None, Some(given)) = (&disk_folder, disk_mb) {
+            return Err(UsageError::new(format!(
+                "disk-mb: {given} MiB of which disk is not said; give disk-cache DIR too, or leave it out"
+            )));
+        }
         in_range("max-sessions", max_sessions as u64, 1, 100_000)?;
         let max_sessions_per_address =
             self.max_sessions_per_address.or(file.max_sessions_per_address).unwrap_or(max_sessions);
@@ -166,6 +187,8 @@ impl Args {
             world_seed: self.world_seed.or(file.world_seed).unwrap_or(defaults.world_seed),
             threads,
             cache_bytes: cache_mb << 20,
+            disk: disk_folder
+                .map(|folder| DiskConfig { folder, bytes: disk_mb.unwrap_or(DEFAULT_DISK_MB) << 20 }),
             token: self
                 .token_file
                 .or(file.token_file)
@@ -219,6 +242,7 @@ mod tests {
         let config = Args::default().resolve().unwrap();
         assert_eq!(config.listen.to_string(), DEFAULT_LISTEN);
         assert_eq!((config.world_seed, config.cache_bytes, config.max_sessions), (1, 128 << 20, 1024));
+        assert_eq!(config.disk, None);
     }
 
     #[test]
@@ -229,12 +253,20 @@ mod tests {
     }
 
     #[test]
+    fn a_folder_alone_gets_the_default_budget() {
+        let config = with_file("disk-cache = \"/var/cache/x\"\n", Args::default()).unwrap();
+        assert_eq!(config.disk, Some(DiskConfig { folder: "/var/cache/x".into(), bytes: 1 << 30 }));
+    }
+
+    #[test]
     fn mistakes_are_one_line_with_option_value_and_what_is_allowed() {
         for (file, words) in [
             ("cahce-mb = 1", &["line 1", "cahce-mb", "cache-mb"][..]),
             ("\nthreads = \"two\"", &["line 2", "usize"][..]),
             ("threads = 0", &["threads", "0", "1 to 1024"][..]),
             ("cache-mb = 70000", &["cache-mb", "70000", "65536"][..]),
+            ("disk-cache = \"/tmp/x\"\ndisk-mb = 63", &["disk-mb", "63", "64 to 262144"][..]),
+            ("disk-mb = 64", &["disk-mb", "64", "disk-cache"][..]),
             ("deadline-ms = 9", &["deadline-ms", "9", "10 to 60000"][..]),
             ("max-sessions-per-address = 0", &["max-sessions-per-address", "0", "1 to 100000"][..]),
             ("listen = \"nowhere\"", &["listen", "nowhere", "ADDR:PORT"][..]),

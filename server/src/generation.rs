@@ -8,7 +8,7 @@
 //! Askers are [`Flow`]s: a session is one, a download another. A thread takes one flow's turn at a time ([`queue`]), which is several
 //! cheap chunks or one dear one, and answers it as a whole, so that a session wakes and writes once for all of them. A job belongs
 //! to the service, never to the asker, so an asker that vanishes harms nobody else; a queued job that nobody waits for any more is
-//! dropped unrun. Finished frames go into a byte-weighed cache before the job disappears, so a key is never made twice at the same
+//! dropped unrun. What is not in memory may be on disk ([`crate::disk`]): a job looks there first. Finished frames go into a byte-weighed cache before the job disappears, so a key is never made twice at the same
 //! time.
 //!
 //! Reading order: [`flow`] (asking), [`queue`] (whose turn it is), [`cost`] (what a turn is measured in), `runner` (making), [`frames`] (what
@@ -24,6 +24,7 @@ mod runner;
 
 pub use flow::Flow;
 
+use crate::disk::Disk;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use bytes::Bytes;
@@ -79,6 +80,8 @@ struct Shared {
     source: Box<dyn ChunkSource>,
     world: WorldDigest,
     frames: Frames,
+    /// What is looked at before a chunk is made, and where it goes after.
+    disk: Option<Disk>,
     /// A std mutex: held for map operations only, never across an await or a generation.
     queue: Mutex<Queue>,
     costs: Costs,
@@ -97,13 +100,26 @@ impl Shared {
 }
 
 impl Generation {
-    /// A service over a source.
+    /// A service over a source, with memory only.
     ///
     /// # Errors
     /// The system refuses to start threads.
     pub fn new(
         source: impl ChunkSource,
         limits: Limits,
+        metrics: Arc<Metrics>,
+    ) -> Result<Self, ThreadPoolBuildError> {
+        Self::with_disk(source, limits, None, metrics)
+    }
+
+    /// As [`Generation::new`]; what memory lacks is looked for on a disk, if there is one, before it is made.
+    ///
+    /// # Errors
+    /// The system refuses to start threads.
+    pub fn with_disk(
+        source: impl ChunkSource,
+        limits: Limits,
+        disk: Option<Disk>,
         metrics: Arc<Metrics>,
     ) -> Result<Self, ThreadPoolBuildError> {
         let pool = ThreadPoolBuilder::new()
@@ -114,6 +130,7 @@ impl Generation {
             world: source.world(),
             source: Box::new(source),
             frames: Frames::new(limits.cache_bytes),
+            disk,
             queue: Mutex::new(Queue::new(limits.jobs)),
             costs: Costs::default(),
             limits,
@@ -164,6 +181,13 @@ impl Generation {
         }
         // Half of it: the other half is for what the estimate leaves out, sessions that write and machines that are shared.
         self.shared.costs.within(deadline / 2, threads, self.shared.open_flows.load(Ordering::Relaxed))
+    }
+
+    /// Waits a little until what goes to disk is there, and lets go of the folder. For the end.
+    pub async fn close(&self) {
+        if let Some(disk) = &self.shared.disk {
+            disk.close().await;
+        }
     }
 
     /// Share of the queue in use, 0 to 1.

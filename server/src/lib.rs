@@ -3,7 +3,7 @@
 //! [`run`] is the whole of it: a bound listener, a checked configuration and a shutdown signal go in, and it
 //! returns when the last session is gone. Reading order: [`config`], [`listener`], [`http`], [`socket`]
 //! (one task per client around the sans-IO session of the `protocol` crate, over a [`websocket`]), [`generation`] (one job per key
-//! however many ask), [`source`] (where chunks come from), [`map`] (pictures of them), [`live`] (what happens at the moment),
+//! however many ask), [`disk`] (what outlives the process), [`source`] (where chunks come from), [`map`] (pictures of them), [`live`] (what happens at the moment),
 //! [`latency`], [`metrics`].
 //!
 //! What it refuses: drawing (no GPU crate is in its dependency tree) and state that a reconnect cannot rebuild.
@@ -12,6 +12,7 @@
 
 pub mod addresses;
 pub mod config;
+pub mod disk;
 pub mod generation;
 pub mod http;
 pub mod latency;

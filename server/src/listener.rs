@@ -5,6 +5,7 @@
 
 use crate::addresses::Addresses;
 use crate::config::ServerConfig;
+use crate::disk::Disk;
 use crate::generation::{Generation, Limits};
 use crate::live::Live;
 use crate::map::Map;
@@ -76,7 +77,12 @@ impl Shared {
             jobs: config.max_jobs,
             deadline: config.deadline,
         };
-        let generation = Generation::new(source, limits, Arc::clone(&metrics))?;
+        let disk = config.disk.clone().and_then(|disk| {
+            Disk::new(disk, &land.digest(), Arc::clone(&metrics))
+                .inspect_err(|error| tracing::warn!(%error, "no thread for the disk cache; the server goes on without"))
+                .ok()
+        });
+        let generation = Generation::with_disk(source, limits, disk, Arc::clone(&metrics))?;
         let token = config.token.clone();
         Ok(Self {
             offer: ServerOffer { land, digest: land.digest(), token, software: SOFTWARE.into() },
@@ -141,6 +147,7 @@ pub async fn run(
     if tokio::time::timeout(shared.config.drain_timeout, all_gone).await.is_err() {
         tracing::warn!(sessions = shared.sessions.len(), "drain timed out, leaving sessions behind");
     }
+    shared.generation.close().await;
     tracing::info!("stopped");
     Ok(())
 }

@@ -76,6 +76,24 @@ pub struct Metrics {
     pub queue: Gauge,
     /// Seconds per generated chunk.
     pub generation_seconds: Histogram,
+    /// Frames found on disk.
+    pub disk_hits: Counter,
+    /// Frames looked for on disk in vain.
+    pub disk_misses: Counter,
+    /// Frames written to disk.
+    pub disk_writes: Counter,
+    /// Frames not written: the queue was full or the folder cannot be used.
+    pub disk_dropped: Counter,
+    /// Frames on disk that were not what this server would send.
+    pub disk_damaged: Counter,
+    /// Frames deleted to keep the budget.
+    pub disk_evicted: Counter,
+    /// Errors of the system about the folder.
+    pub disk_faults: Counter,
+    /// Bytes on disk as far as they are counted, in whole blocks.
+    pub disk_bytes: Gauge,
+    /// 1 while frames can be written.
+    pub disk_working: Gauge,
     /// From the moment that a session takes a chunk up to the moment that it is written.
     pub latency: Latency,
     /// Tiles of the map asked for.
@@ -115,6 +133,15 @@ impl Default for Metrics {
             queue: Gauge::default(),
             // 0.1 ms to 0.8 s: a sea chunk takes the least, a coarse chunk with its measured error the most.
             generation_seconds: Histogram::new(exponential_buckets(0.0001, 2.0, 14)),
+            disk_hits: Counter::default(),
+            disk_misses: Counter::default(),
+            disk_writes: Counter::default(),
+            disk_dropped: Counter::default(),
+            disk_damaged: Counter::default(),
+            disk_evicted: Counter::default(),
+            disk_faults: Counter::default(),
+            disk_bytes: Gauge::default(),
+            disk_working: Gauge::default(),
             latency: Latency::default(),
             tiles_requested: Counter::default(),
             tile_cache_hits: Counter::default(),
@@ -166,6 +193,19 @@ impl Metrics {
         r.register("failed", "Generation jobs that panicked", self.failed.clone());
         r.register("generation_queue", "Generation jobs queued or running", self.queue.clone());
         r.register("generation_seconds", "Seconds per generated chunk", self.generation_seconds.clone());
+        r.register("disk_hits", "Frames found on disk", self.disk_hits.clone());
+        r.register("disk_misses", "Frames looked for on disk in vain", self.disk_misses.clone());
+        r.register("disk_writes", "Frames written to disk", self.disk_writes.clone());
+        r.register(
+            "disk_dropped",
+            "Frames not written: queue full or folder unusable",
+            self.disk_dropped.clone(),
+        );
+        r.register("disk_damaged", "Frames on disk that were refused and deleted", self.disk_damaged.clone());
+        r.register("disk_evicted", "Frames deleted to keep the budget", self.disk_evicted.clone());
+        r.register("disk_faults", "Errors of the system about the folder", self.disk_faults.clone());
+        r.register("disk_bytes", "Bytes on disk in whole blocks, as far as counted", self.disk_bytes.clone());
+        r.register("disk_working", "Whether frames can be written to disk", self.disk_working.clone());
         r.register(
             "chunk_latency_seconds",
             "From the moment that a session takes a chunk up to the moment that it is written",

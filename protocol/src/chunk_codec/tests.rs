@@ -193,6 +193,29 @@ fn every_flipped_bit_is_refused() {
 }
 
 #[test]
+fn a_frame_is_verified_without_decoding_by_kind_length_and_digest() {
+    let (chunk, world) = sample(1, -3, -3);
+    for delivery in [Delivery::Exact, Delivery::Quantised(Tolerance::new(16).unwrap())] {
+        let frame = encode_for(delivery, &chunk, &world);
+        assert_eq!(verify(&frame, &world), Ok((chunk.key, delivery)));
+        assert_eq!(verify(&frame, &Land::new(2).digest()), Err(ChunkError::Digest));
+        for length in 0..frame.len() {
+            assert!(matches!(verify(&frame[..length], &world), Err(ChunkError::Truncated { .. })));
+        }
+        for byte in 0..frame.len() {
+            let mut damaged = frame.to_vec();
+            damaged[byte] ^= 0x10;
+            assert!(verify(&damaged, &world).is_err(), "byte {byte}");
+        }
+    }
+    let seed = encode_for(Delivery::SeedOnly, &chunk, &world);
+    assert_eq!(verify(&seed, &world), Err(ChunkError::UnknownKind(KIND_SEED_ONLY)));
+    let mut coarse = encode_for(Delivery::Quantised(Tolerance::FINEST), &chunk, &world).to_vec();
+    coarse[38] = 3;
+    assert!(matches!(verify(&signed(coarse, &world), &world), Err(ChunkError::Content(_))));
+}
+
+#[test]
 fn a_chunk_of_another_world_is_refused() {
     let (chunk, world) = sample(0, 3, -7);
     for (frame, _) in kinds(&chunk, &world).iter().take(1) {

@@ -1,9 +1,10 @@
-//! What a generation thread does: takes turns, makes what is asked for, answers.
+//! What a generation thread does: takes turns, finds on disk or makes what is asked for, answers.
 //!
 //! A panic while making fails its own job only.
 
 use super::queue::FlowId;
 use super::{Answer, Done, GenerationError, Shared};
+use bytes::Bytes;
 use protocol::chunk_codec::Effort;
 use protocol::{Delivery, chunk_codec};
 use rustc_hash::FxHashMap;
@@ -78,28 +79,70 @@ impl Shared {
         made
     }
 
-    /// Encodes a frame and caches it; makes the chunk before that if this is the first of its frames.
+    /// Takes a frame from disk, or encodes it; makes the chunk before that if this is the first of its frames.
     fn make(&self, key: ChunkKey, delivery: Delivery, chunk: &mut Option<Chunk>) -> Answer {
         let (started, is_first) = (Instant::now(), chunk.is_none());
         // A queue that is half full is a server that falls behind: its time is worth more than the bytes.
         let effort = if self.lock().jobs() * 2 > self.limits.jobs { Effort::Fast } else { Effort::Compact };
-        let encoded = catch_unwind(AssertUnwindSafe(|| {
-            let chunk = chunk.get_or_insert_with(|| self.source.chunk(key, self.frames.known_error(key)));
-            chunk_codec::encode_with(delivery, effort, chunk, &self.world)
+        let had = catch_unwind(AssertUnwindSafe(|| {
+            // Once there is a chunk, to encode it is the shorter way.
+            if chunk.is_none()
+                && let Some(frame) = self.stored(key, delivery)
+            {
+                return (frame, true);
+            }
+            let known_error = || self.frames.known_error(key).or_else(|| self.stored_error(key, delivery));
+            let chunk = chunk.get_or_insert_with(|| self.source.chunk(key, known_error()));
+            (chunk_codec::encode_with(delivery, effort, chunk, &self.world), false)
         }));
-        let Ok(frame) = encoded else {
+        let Ok((frame, is_stored)) = had else {
             self.metrics.failed.inc();
             tracing::error!(%key, %delivery, "generation panicked");
             return Err(GenerationError::Failed);
         };
+        let took = started.elapsed();
         if is_first {
-            let took = started.elapsed();
+            // A job costs what it takes, wherever its frame comes from.
             self.costs.learn(key, took);
+        }
+        if is_first && !is_stored {
             self.metrics.generation_seconds.observe(took.as_secs_f64());
             self.metrics.generated.inc();
         }
         self.frames.insert(key, delivery, frame.clone());
+        if let Some(disk) = self.disk.as_ref().filter(|_| !is_stored) {
+            disk.write(key, delivery, frame.clone());
+        }
         Ok(frame)
+    }
+
+    /// A frame from disk.
+    fn stored(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
+        self.disk.as_ref()?.read(key, delivery, |frame| self.is_genuine(key, delivery, frame))
+    }
+
+    /// The error of a chunk that is on disk for another delivery. As in memory, not from a quantised frame, whose error is larger.
+    fn stored_error(&self, key: ChunkKey, not: Delivery) -> Option<u32> {
+        let others = [Delivery::Exact, Delivery::SeedOnly].into_iter().filter(|delivery| *delivery != not);
+        let frame = others.into_iter().find_map(|delivery| self.stored(key, delivery))?;
+        chunk_codec::error(&frame)
+    }
+
+    /// Whether bytes are a frame that answers an asking.
+    fn is_genuine(&self, key: ChunkKey, delivery: Delivery, frame: &[u8]) -> bool {
+        match delivery {
+            // Its digest covers the heights, which are not in it. To make them is cheap when the error is known, and what comes out of it can be
+            // compared whole.
+            Delivery::SeedOnly => chunk_codec::error(frame).is_some_and(|error| {
+                let chunk = self.source.chunk(key, Some(error));
+                chunk_codec::encode_for(delivery, &chunk, &self.world) == frame
+            }),
+            Delivery::Exact | Delivery::Quantised(_) => {
+                let found = chunk_codec::verify(frame, &self.world).ok();
+                // An exact frame may come in every delivery.
+                found == Some((key, delivery)) || found == Some((key, Delivery::Exact))
+            }
+        }
     }
 
     /// Answers a whole turn: each asker once, however many chunks it gets, since every answer may wake a session and cause a write.
@@ -126,13 +169,19 @@ impl Shared {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::disk::{Disk, DiskConfig};
     use crate::generation::gated::{Gated, MEASURED, ask, ask_for, bench, flat_frame, key, wanted};
     use crate::generation::{Generation, Limits};
     use crate::metrics::Metrics;
+    use crate::source::{ChunkSource, Procedural};
+    use protocol::delivery::Tolerance;
     use protocol::limits::SEED_ONLY_FRAME;
     use protocol::server::Wanted;
+    use std::path::{Path, PathBuf};
+    use std::sync::atomic::AtomicUsize;
     use std::sync::{Arc, Mutex, mpsc};
     use std::time::Duration;
+    use terrain::{Land, WorldDigest};
 
     #[tokio::test]
     async fn both_deliveries_of_a_key_share_one_job_and_only_what_is_asked_for_is_encoded() {
@@ -200,5 +249,75 @@ mod tests {
         assert_eq!(bad.await.unwrap(), Err(GenerationError::Failed));
         assert!(good.await.unwrap().is_ok());
         assert_eq!(bench.metrics.failed.get(), 1);
+    }
+
+    /// The land, with a count of the errors that had to be measured.
+    struct Watched(Procedural, Arc<AtomicUsize>);
+
+    impl ChunkSource for Watched {
+        fn world(&self) -> WorldDigest {
+            self.0.world()
+        }
+
+        fn chunk(&self, key: ChunkKey, known_error: Option<u32>) -> Chunk {
+            self.1.fetch_add(usize::from(known_error.is_none()), Ordering::Relaxed);
+            self.0.chunk(key, known_error)
+        }
+    }
+
+    /// A service over a folder, as a process that has just started has it.
+    fn started(folder: &Path) -> (Generation, Arc<Metrics>, Arc<AtomicUsize>) {
+        let (metrics, measured) = (Arc::new(Metrics::default()), Arc::new(AtomicUsize::new(0)));
+        let source = Watched(Procedural::new(Land::new(1)), Arc::clone(&measured));
+        let config = DiskConfig { folder: folder.into(), bytes: 64 << 20 };
+        let disk = Disk::new(config, &source.world(), Arc::clone(&metrics)).unwrap();
+        let limits =
+            Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::from_secs(3600) };
+        let service = Generation::with_disk(source, limits, Some(disk), Arc::clone(&metrics)).unwrap();
+        (service, metrics, measured)
+    }
+
+    #[tokio::test]
+    async fn every_delivery_is_found_on_disk_and_a_measured_error_serves_them_all() {
+        let folder = std::env::temp_dir().join(format!("tombolo-runner-disk-{}", std::process::id()));
+        let key = ChunkKey::new(3, 1, -1).unwrap();
+        let quantised = Delivery::Quantised(Tolerance::COARSEST);
+        let mut frames = Vec::new();
+        // Each by a process of its own: the first measures, the others find what it measured.
+        for (delivery, measurings) in [(Delivery::SeedOnly, 1), (Delivery::Exact, 0), (quantised, 0)] {
+            let (service, metrics, measured) = started(&folder);
+            let frame = service.frame(wanted(key, 1), delivery).await.unwrap();
+            assert_eq!(metrics.generated.get(), 1, "{delivery}");
+            assert_eq!(measured.load(Ordering::Relaxed), measurings, "{delivery}");
+            service.close().await;
+            frames.push((delivery, frame));
+        }
+        let (service, metrics, measured) = started(&folder);
+        for (delivery, frame) in &frames {
+            assert_eq!(&service.frame(wanted(key, 1), *delivery).await.unwrap(), frame, "{delivery}");
+        }
+        assert_eq!((metrics.generated.get(), metrics.disk_hits.get()), (0, 3));
+        assert_eq!(measured.load(Ordering::Relaxed), 0);
+        service.close().await;
+
+        // The control: with its error changed, which no digest over the file alone would notice, the seed's frame is refused.
+        let seed = files(&folder).into_iter().find(|path| path.to_string_lossy().contains(".seed.")).unwrap();
+        let mut bytes = std::fs::read(&seed).unwrap();
+        bytes[16] ^= 1;
+        std::fs::write(&seed, bytes).unwrap();
+        let (service, metrics, _) = started(&folder);
+        let again = service.frame(wanted(key, 1), Delivery::SeedOnly).await.unwrap();
+        assert_eq!(again, frames[0].1);
+        assert_eq!((metrics.disk_damaged.get(), metrics.generated.get()), (1, 1));
+        service.close().await;
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    fn files(folder: &Path) -> Vec<PathBuf> {
+        let shards = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let shards = shards.filter(|path| path.is_dir());
+        shards
+            .flat_map(|shard| std::fs::read_dir(shard).unwrap().map(|entry| entry.unwrap().path()))
+            .collect()
     }
 }

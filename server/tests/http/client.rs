@@ -8,6 +8,7 @@ use terrain::Land;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
 
 /// Longest wait for anything; a test that hits it has failed.
 pub const PATIENCE: Duration = Duration::from_secs(30);
@@ -15,7 +16,8 @@ pub const PATIENCE: Duration = Duration::from_secs(30);
 pub struct Server {
     pub address: SocketAddr,
     /// Dropped, it stops the server.
-    _stop: oneshot::Sender<()>,
+    stop: oneshot::Sender<()>,
+    running: JoinHandle<()>,
 }
 
 /// What came back.
@@ -35,13 +37,26 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel::<()>();
-        tokio::spawn(async move {
+        let running = tokio::spawn(async move {
             let stopped = async {
                 let _ = stopped.await;
             };
             server::run(listener, config, stopped).await.unwrap();
         });
-        Self { address, _stop: stop }
+        Self { address, stop, running }
+    }
+
+    /// Stops the server and waits until it has ended as it does by itself.
+    pub async fn stop(self) {
+        drop(self.stop);
+        tokio::time::timeout(PATIENCE, self.running).await.expect("the server ends in time").unwrap();
+    }
+
+    /// What a counter or gauge without labels says in `/metrics`.
+    pub async fn metric(&self, name: &str) -> f64 {
+        let text = String::from_utf8(self.get("/metrics").await.body).unwrap();
+        let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+        line.unwrap_or_else(|| panic!("{name} is not in {text}")).parse().unwrap()
     }
 
     /// The path of something of this server's world: `chunk/0/0/0`, say.

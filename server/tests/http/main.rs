@@ -5,6 +5,7 @@
 //! | `caching` | validators, conditional requests, what caches are told |
 //! | `origins` | what pages of other origins may do |
 //! | `refusals` | typed refusals, counted, and that nothing else suffers |
+//! | `disk` | what a restart finds again, and what it must not serve |
 //! | `map` | tiles of the relief map |
 //! | `live` | who is where |
 //! | `page` | the page's parts and its policy |
@@ -12,6 +13,7 @@
 
 mod caching;
 mod client;
+mod disk;
 mod live;
 mod map;
 mod openapi;

@@ -1,0 +1,278 @@
+//! The tier without a server around it, on a folder of each test's own, with the keeper's clock in the test's hand.
+
+use super::*;
+use crate::disk::keeper::Keeper;
+use protocol::chunk_codec;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Instant;
+
+const WORLD: WorldDigest = WorldDigest([7; 32]);
+
+/// A path of its own for each, removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> Self {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        Self(std::env::temp_dir().join(format!("tombolo-disk-{}-{number}", std::process::id())))
+    }
+
+    fn config(&self, bytes: u64) -> DiskConfig {
+        DiskConfig { folder: self.0.clone(), bytes }
+    }
+
+    fn path(&self, key: ChunkKey) -> PathBuf {
+        self.0.join(Names::new(&WORLD).path(key, Delivery::Exact))
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+fn key(x: i32) -> ChunkKey {
+    ChunkKey::new(2, x, -5).unwrap()
+}
+
+fn frame(x: i32) -> Bytes {
+    Bytes::from(format!("frame {x}"))
+}
+
+/// A tier with its thread.
+fn disk(folder: &Folder) -> (Disk, Arc<Metrics>) {
+    let metrics = Arc::new(Metrics::default());
+    (Disk::new(folder.config(1 << 30), &WORLD, Arc::clone(&metrics)).unwrap(), metrics)
+}
+
+/// A keeper whose orders the test carries out itself.
+fn keeper(folder: &Folder, bytes: u64) -> (Keeper, Arc<Metrics>) {
+    let metrics = Arc::new(Metrics::default());
+    (Keeper::new(folder.config(bytes), Arc::clone(&metrics)), metrics)
+}
+
+fn put(keeper: &mut Keeper, x: i32, now: Instant) {
+    keeper.write(&Names::new(&WORLD).path(key(x), Delivery::Exact), &frame(x), now);
+}
+
+fn files(folder: &Folder) -> Vec<PathBuf> {
+    let shards = fs::read_dir(&folder.0).unwrap().map(|entry| entry.unwrap().path());
+    let shards = shards.filter(|path| path.is_dir());
+    shards.flat_map(|shard| fs::read_dir(shard).unwrap().map(|entry| entry.unwrap().path())).collect()
+}
+
+#[tokio::test]
+async fn what_was_written_is_read_by_the_next_process_and_by_nobody_under_another_name() {
+    let folder = Folder::new();
+    let (first, metrics) = disk(&folder);
+    first.write(key(1), Delivery::Exact, frame(1));
+    first.close().await;
+    assert_eq!((metrics.disk_writes.get(), metrics.disk_working.get()), (1, 1));
+    first.write(key(3), Delivery::Exact, frame(3));
+    assert_eq!(metrics.disk_dropped.get(), 1, "the folder may be another server's by then");
+
+    let (second, metrics) = disk(&folder);
+    assert_eq!(second.read(key(1), Delivery::Exact, |bytes| bytes == frame(1)), Some(frame(1)));
+    assert_eq!(second.read(key(2), Delivery::Exact, |_| true), None);
+    assert_eq!(second.read(key(1), Delivery::SeedOnly, |_| true), None);
+    assert_eq!((metrics.disk_hits.get(), metrics.disk_misses.get()), (1, 2));
+    let elsewhere = Disk::new(folder.config(1 << 30), &WorldDigest([8; 32]), metrics).unwrap();
+    assert_eq!(elsewhere.read(key(1), Delivery::Exact, |_| true), None);
+}
+
+#[tokio::test]
+async fn chunks_that_are_cheap_to_make_are_neither_written_nor_looked_for() {
+    let folder = Folder::new();
+    let (disk, metrics) = disk(&folder);
+    let keys = [0, FINEST_LEVEL - 1, FINEST_LEVEL].map(|level| ChunkKey::new(level, 1, 1).unwrap());
+    for key in keys {
+        disk.write(key, Delivery::Exact, frame(1));
+    }
+    disk.close().await;
+    for key in keys {
+        let level = key.level();
+        assert_eq!(disk.read(key, Delivery::Exact, |_| true).is_some(), level == FINEST_LEVEL);
+    }
+    assert_eq!((metrics.disk_writes.get(), metrics.disk_misses.get()), (1, 0));
+}
+
+#[tokio::test]
+async fn what_is_not_genuine_is_deleted_and_counted_and_never_read_again() {
+    let folder = Folder::new();
+    let (disk, metrics) = disk(&folder);
+    disk.write(key(1), Delivery::Exact, frame(1));
+    disk.close().await;
+    assert_eq!(disk.read(key(1), Delivery::Exact, |_| false), None);
+    assert!(!folder.path(key(1)).exists());
+    assert_eq!((metrics.disk_damaged.get(), metrics.disk_misses.get()), (1, 1));
+    assert_eq!(disk.read(key(1), Delivery::Exact, |_| true), None);
+    assert_eq!(metrics.disk_damaged.get(), 1);
+
+    // Longer than any frame: seen as such without being read whole.
+    fs::write(folder.path(key(1)), vec![0; 4 * MAX_CHUNK_FRAME]).unwrap();
+    let read = disk.read(key(1), Delivery::Exact, |bytes| {
+        assert_eq!(bytes.len(), MAX_CHUNK_FRAME + 1);
+        chunk_codec::verify(bytes, &WORLD).is_ok()
+    });
+    assert_eq!((read, metrics.disk_damaged.get()), (None, 2));
+}
+
+#[tokio::test]
+async fn a_full_queue_drops_writes_and_nothing_waits_for_it() {
+    let folder = Folder::new();
+    // Nobody obeys.
+    let (orders, mut ordered) = mpsc::channel(2);
+    let metrics = Arc::new(Metrics::default());
+    let disk =
+        Disk { folder: folder.0.clone(), names: Names::new(&WORLD), orders, metrics: Arc::clone(&metrics) };
+    for x in 0..5 {
+        disk.write(key(x), Delivery::Exact, frame(x));
+    }
+    assert_eq!(metrics.disk_dropped.get(), 3);
+    assert!(ordered.try_recv().is_ok());
+    disk.write(key(9), Delivery::Exact, frame(9));
+    assert_eq!(metrics.disk_dropped.get(), 3, "there is room again");
+}
+
+#[test]
+fn the_oldest_by_use_go_and_the_budget_is_kept_and_counted_again_after_a_restart() {
+    let folder = Folder::new();
+    // Four blocks a shard.
+    let budget = 4 * 4096 * names::SHARDS as u64;
+    let (mut first, metrics) = keeper(&folder, budget);
+    let now = Instant::now();
+    let day = Duration::from_secs(24 * 3600);
+    // Half of what fits, and all of it old; a few of them are read again.
+    let (old, popular, count) = (512, 16, 4000);
+    for x in 0..old {
+        put(&mut first, x, now);
+        let file = File::options().write(true).open(folder.path(key(x))).unwrap();
+        file.set_modified(SystemTime::now() - day).unwrap();
+    }
+    for x in 0..popular {
+        load(&folder.path(key(x))).unwrap();
+    }
+    for x in old..count {
+        put(&mut first, x, now);
+    }
+    let kept = files(&folder);
+    let bytes = 4096 * kept.len() as u64;
+    assert!(bytes <= budget && bytes > budget / 2, "{bytes} of {budget}");
+    assert_eq!(metrics.disk_evicted.get() + kept.len() as u64, count as u64);
+    assert_eq!(metrics.disk_bytes.get(), bytes as i64);
+    let left = (popular..old).filter(|x| folder.path(key(*x)).exists()).count();
+    assert_eq!(left, 0, "what was written and not used goes first");
+    drop(first);
+
+    // A smaller budget after a restart is kept before anything is written.
+    let (mut second, metrics) = keeper(&folder, budget / 2);
+    second.wake(now);
+    while second.has_uncounted() {
+        second.count_next();
+    }
+    let kept = files(&folder).len() as u64;
+    assert!(kept * 4096 <= budget / 2 && kept > 0);
+    assert_eq!(metrics.disk_bytes.get() as u64, kept * 4096);
+}
+
+#[test]
+fn reading_moves_a_file_on_in_age_but_not_more_often_than_it_matters() {
+    let folder = Folder::new();
+    let (mut keeper, _) = keeper(&folder, 1 << 30);
+    put(&mut keeper, 1, Instant::now());
+    let path = folder.path(key(1));
+    let file = File::options().write(true).open(&path).unwrap();
+    let age = |then: SystemTime| SystemTime::now().duration_since(then).unwrap();
+    for (old, is_moved) in [(AGE_STEP * 2, true), (AGE_STEP / 2, false)] {
+        file.set_modified(SystemTime::now() - old).unwrap();
+        load(&path).unwrap();
+        let seen = age(fs::metadata(&path).unwrap().modified().unwrap());
+        assert_eq!(seen < AGE_STEP / 4, is_moved, "{seen:?}");
+    }
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_left_alone_and_tried_again_after_a_minute() {
+    let folder = Folder::new();
+    let now = Instant::now();
+    let (mut keeper, metrics) = keeper(&folder, 1 << 30);
+    // A file where the folder should be: as unwritable as a read-only disk, for every user.
+    fs::write(&folder.0, "in the way").unwrap();
+    put(&mut keeper, 1, now);
+    assert_eq!((metrics.disk_faults.get(), metrics.disk_dropped.get()), (1, 1));
+    fs::remove_file(&folder.0).unwrap();
+    put(&mut keeper, 2, now + Duration::from_secs(59));
+    assert_eq!((metrics.disk_faults.get(), metrics.disk_dropped.get()), (1, 2), "not tried before its time");
+    put(&mut keeper, 3, now + Duration::from_secs(61));
+    assert_eq!((metrics.disk_writes.get(), metrics.disk_working.get()), (1, 1));
+    assert!(folder.path(key(3)).exists() && !folder.path(key(1)).exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_folder_without_the_right_to_write_is_read_and_not_written() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = Folder::new();
+    let now = Instant::now();
+    let (mut first, _) = keeper(&folder, 1 << 30);
+    put(&mut first, 1, now);
+    drop(first);
+    fs::set_permissions(&folder.0, fs::Permissions::from_mode(0o555)).unwrap();
+    // A superuser may write whatever the permissions say; for others this is the real thing.
+    let is_bound = fs::write(folder.0.join("probe"), "").is_err();
+    let (mut second, metrics) = keeper(&folder, 1 << 30);
+    put(&mut second, 2, now);
+    assert_eq!(folder.path(key(2)).exists(), !is_bound);
+    assert_eq!(metrics.disk_working.get(), i64::from(!is_bound));
+    assert_eq!(load(&folder.path(key(1))).unwrap(), frame(1));
+    fs::set_permissions(&folder.0, fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+#[test]
+fn a_folder_that_vanishes_is_not_made_again_and_used_again_when_it_is_back() {
+    let folder = Folder::new();
+    let now = Instant::now();
+    let (mut keeper, metrics) = keeper(&folder, 1 << 30);
+    put(&mut keeper, 1, now);
+    assert_eq!((metrics.disk_writes.get(), metrics.disk_bytes.get()), (1, 4096));
+    fs::remove_dir_all(&folder.0).unwrap();
+    put(&mut keeper, 2, now);
+    put(&mut keeper, 3, now + Duration::from_secs(61));
+    assert!(!folder.0.exists(), "a mount point that lost its disk must not be filled");
+    assert_eq!(
+        (metrics.disk_faults.get(), metrics.disk_dropped.get(), metrics.disk_working.get()),
+        (2, 2, 0)
+    );
+    fs::create_dir(&folder.0).unwrap();
+    put(&mut keeper, 4, now + Duration::from_secs(122));
+    assert_eq!((metrics.disk_working.get(), metrics.disk_bytes.get()), (1, 4096));
+    assert!(folder.path(key(4)).exists());
+}
+
+#[test]
+fn a_folder_is_one_servers_at_a_time() {
+    let folder = Folder::new();
+    let now = Instant::now();
+    let (mut first, _) = keeper(&folder, 1 << 30);
+    let (mut second, metrics) = keeper(&folder, 1 << 30);
+    put(&mut first, 1, now);
+    put(&mut second, 2, now);
+    assert_eq!((metrics.disk_faults.get(), metrics.disk_dropped.get()), (1, 1));
+    drop(first);
+    put(&mut second, 2, now + Duration::from_secs(61));
+    assert_eq!((metrics.disk_writes.get(), metrics.disk_working.get()), (1, 1));
+}
+
+#[test]
+fn what_a_crash_left_half_written_is_written_over() {
+    let folder = Folder::new();
+    let (mut keeper, _) = keeper(&folder, 1 << 30);
+    fs::create_dir(&folder.0).unwrap();
+    fs::write(folder.0.join("unfinished"), vec![1; 100_000]).unwrap();
+    put(&mut keeper, 1, Instant::now());
+    assert_eq!(load(&folder.path(key(1))).unwrap(), frame(1));
+    let names: Vec<_> = fs::read_dir(&folder.0).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert!(!names.iter().any(|name| name == "unfinished"), "{names:?}");
+}
