@@ -44,7 +44,8 @@ impl GrassSeed {
     pub fn density_of(key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Box<[u8; GRASS_GRID * GRASS_GRID]> {
         const BLOCK: usize = CELLS / GRASS_GRID;
         // A block's side is a power of two of metres: shifting by it is a division that costs nothing.
-        let side_bits = (key.spacing().unsigned_abs() * BLOCK as u32 / UNITS_PER_METRE as u32).trailing_zeros();
+        let side_bits =
+            (key.spacing().unsigned_abs() * BLOCK as u32 / UNITS_PER_METRE as u32).trailing_zeros();
         let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
         for (index, share) in density.iter_mut().enumerate() {
             let (x, z) = (index % GRASS_GRID * BLOCK, index / GRASS_GRID * BLOCK);
