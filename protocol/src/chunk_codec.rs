@@ -222,7 +222,8 @@ fn seal(
     let digest = frame_digest(world, &header, known, &frame[CHUNK_HEADER..]);
     header.extend_from_slice(&digest);
     frame[..CHUNK_HEADER].copy_from_slice(&header);
-    frame.into()
+    // Frames stay in caches for long: no more than they need.
+    Bytes::copy_from_slice(&frame)
 }
 
 /// Verifies a frame with heights and makes its chunk. `tolerance` is the coarsest that the receiver takes; none for exact heights.

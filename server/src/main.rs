@@ -8,6 +8,10 @@ use tracing_subscriber::EnvFilter;
 
 const NAME: &str = "tombolo-server";
 
+/// A chunk is made in blocks of some 20 KiB that live for microseconds. The system's allocator gives such memory back to the kernel and asks for it again, page by page.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn main() -> ExitCode {
     let args: Args = match cli::parse() {
         Ok(args) => args,

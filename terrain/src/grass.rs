@@ -43,13 +43,16 @@ impl GrassSeed {
     #[must_use]
     pub fn density_of(key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Box<[u8; GRASS_GRID * GRASS_GRID]> {
         const BLOCK: usize = CELLS / GRASS_GRID;
+        // A block's side is a power of two of metres: shifting by it is a division that costs nothing.
+        let side_bits =
+            (key.spacing().unsigned_abs() * BLOCK as u32 / UNITS_PER_METRE as u32).trailing_zeros();
         let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
         for (index, share) in density.iter_mut().enumerate() {
             let (x, z) = (index % GRASS_GRID * BLOCK, index / GRASS_GRID * BLOCK);
             let at = |dx: usize, dz: usize| heights[(z + dz) * VERTICES + x + dx];
             let middle = at(BLOCK / 2, BLOCK / 2);
             let rise = (at(BLOCK, 0) - at(0, 0)).abs().max((at(0, BLOCK) - at(0, 0)).abs());
-            let slope_q8 = rise / ((key.spacing() * BLOCK as i32) >> 8);
+            let slope_q8 = rise >> side_bits;
             let above_beach = ramp(middle, 2 * UNITS_PER_METRE, 4 * UNITS_PER_METRE);
             let below_rock = 255 - ramp(middle, 180 * UNITS_PER_METRE, 260 * UNITS_PER_METRE);
             let gentle = 255 - ramp(slope_q8, 128, 256);

@@ -1,6 +1,6 @@
 //! What others send heights as: u16 above the lowest vertex, 65 x 65.
 //!
-//! Each as its own format has it, with an encoder that is common in Rust. LERC is missing: its only crate compiles a C++ library.
+//! Each as its own format has it, with an encoder that is common in Rust. LERC, whose only crate compiles a C++ library, is in `benches/lerc`.
 
 use flate2::Compression;
 use flate2::read::GzDecoder;

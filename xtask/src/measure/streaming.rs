@@ -1,4 +1,6 @@
 //! `streaming`: what a chunk costs in bytes and time, to make and to send, and what a server does when too many ask at once.
+//!
+//! Needs `nginx` and `wrk` for the rival server, and for LERC what `benches/lerc` says: a C++ compiler and libclang.
 
 use super::bars::{Bar, Row, worst};
 use super::record::{self, Heading};
@@ -41,6 +43,7 @@ pub fn run() -> Result<()> {
     let mut lab = process::command(process::program("tombolo-lab"));
     lab.args(["codec", "--json"]).arg(&json);
     let mut measured = json!({ "codec": report::of(lab, &json, &mut notes)? });
+    measured["lerc"] = lerc(&folder, &mut notes)?;
     let apart = cores_apart();
     for bench in BENCHES {
         let json = folder.join(format!("{bench}.json"));
@@ -52,6 +55,21 @@ pub fn run() -> Result<()> {
     notes.splice(0..0, how(&measured, apart));
     let path = record::write(&Heading { name: "streaming", adapter: None, notes: &notes }, &rows)?;
     super::judge(&rows, &path)
+}
+
+/// The rival whose library is C++ and bound with libclang: in a package of its own. Where it cannot be built its row misses and a note says why.
+fn lerc(folder: &Path, notes: &mut Vec<String>) -> Result<Value> {
+    let target = process::target().join("lerc");
+    let mut build = process::cargo("build --release --locked --target-dir");
+    build.arg(&target).current_dir(process::root().join("benches/lerc"));
+    if !process::status(&mut build)?.success() {
+        notes.push("LERC was not built: it needs a C++ compiler and libclang; run: apt-get install --no-install-recommends g++ libclang-dev".into());
+        return Ok(Value::Null);
+    }
+    let json = folder.join("lerc.json");
+    let mut bench = process::command(target.join("release/lerc-bench"));
+    bench.arg(&json);
+    report::of(bench, &json, notes)
 }
 
 /// The last core, if there are several and a way to keep to some: then the first is the server's alone.
@@ -101,6 +119,14 @@ fn rows(measured: &Value) -> Vec<Row> {
         Row::new(
             "quantized-mesh: the same (control)",
             codec(SCAN_DELTA, "of_entropy"),
+            Bar::AtLeast(1.08),
+            "x",
+        ),
+        Row::new(
+            "LERC: the same (control)",
+            at("/lerc/bytes_per_sample")
+                .zip(at("/codec/entropy_bytes_per_sample"))
+                .map(|(bytes, entropy)| bytes / entropy),
             Bar::AtLeast(1.08),
             "x",
         ),
@@ -178,13 +204,13 @@ fn how(measured: &Value, apart: Option<usize>) -> Vec<String> {
             at("/codec/entropy_bytes_per_sample")
         ),
     ];
-    for row in codecs(measured) {
+    for row in codecs(measured).iter().chain(measured.get("lerc").filter(|row| row.is_object())) {
         let of = |field: &str| number(row, field).unwrap_or(f64::NAN);
         notes.push(format!(
             "{}: {:.3} bytes a sample, {:.3} of the entropy; encoded in {:.1} us, decoded in {:.1} us ({:.2} GB/s).",
             row.get("codec").and_then(Value::as_str).unwrap_or("unknown"),
             of("bytes_per_sample"),
-            of("of_entropy"),
+            of("bytes_per_sample") / at("/codec/entropy_bytes_per_sample"),
             of("encode_ns") / 1e3,
             of("decode_ns") / 1e3,
             of("decode_gb_per_s")
@@ -240,8 +266,10 @@ mod tests {
         json!({
             "codec": {
                 "optimised": true,
+                "entropy_bytes_per_sample": 0.8,
                 "rows": [codec(COMPACT, 1.03, 1.6, true), codec(FAST, 1.3, 4.0, true), codec(SCAN_DELTA, 1.7, 0.2, true), codec(PNG, 1.8, 0.2, true), codec(LOSSY, 0.9, 1.6, false)],
             },
+            "lerc": { "bytes_per_sample": 1.4 },
             "cold": { "chunks_per_core_s": 26_000.0 },
             "cached": { "ratio_to_nginx": 2.9, "push_cpu_s_per_gb": 0.3, "server_cpu_s_per_gb": 0.5 },
             "stampede": { "generations": 1.0, "answers": 10_000 },
@@ -253,7 +281,7 @@ mod tests {
 
     fn missed(measured: &Value) -> usize {
         let rows = rows(measured);
-        assert_eq!(rows.len(), 20);
+        assert_eq!(rows.len(), 21);
         rows.iter().filter(|row| !row.is_met()).count()
     }
 
@@ -265,7 +293,9 @@ mod tests {
     #[test]
     fn every_missing_field_is_a_miss() {
         for (path, field, expected) in [
-            ("", "codec", 7),
+            ("", "codec", 8),
+            ("", "lerc", 1),
+            ("/codec", "entropy_bytes_per_sample", 1),
             ("/codec", "optimised", 5),
             ("/codec", "rows", 7),
             ("/codec/rows/0", "of_entropy", 1),
@@ -290,7 +320,7 @@ mod tests {
                 assert_eq!(missed(&measured), expected, "{path} {field}");
             }
         }
-        assert_eq!(missed(&Value::Null), 20);
+        assert_eq!(missed(&Value::Null), 21);
     }
 
     #[test]
@@ -298,6 +328,7 @@ mod tests {
         for (path, value) in [
             ("/codec/rows/0/of_entropy", json!(1.09)),
             ("/codec/rows/2/of_entropy", json!(1.0)),
+            ("/lerc/bytes_per_sample", json!(0.8)),
             ("/codec/rows/1/lossless", json!(false)),
             ("/codec/rows/4/lossless", json!(true)),
             ("/codec/rows/0/decode_gb_per_s", json!(1.19)),

@@ -1,0 +1,66 @@
+//! Sizes and times chunks coded by LERC, and says them as JSON.
+
+use anyhow::{Context, Result, ensure};
+use serde_json::json;
+use std::hint::black_box;
+use std::time::Instant;
+use terrain::constants::{VERTEX_COUNT, VERTICES};
+use terrain::{ChunkKey, Land};
+
+/// Chunks and turns of `tombolo-lab codec`.
+const CHUNKS: usize = 48;
+const TURNS: usize = 25;
+
+fn main() -> Result<()> {
+    let file = std::env::args_os().nth(1).context("name a file for the figures, such as lerc.json")?;
+    let chunks = chunks();
+    ensure!(chunks.len() == CHUNKS, "{} chunks instead of {CHUNKS}", chunks.len());
+    let (mut bytes, mut best) = (0, vec![[f64::INFINITY; 2]; chunks.len()]);
+    for turn in 0..TURNS {
+        for (heights, best) in chunks.iter().zip(&mut best) {
+            let began = Instant::now();
+            let coded = black_box(lerc::encode(black_box(heights), None, VERTICES, VERTICES, 1, 1, 0, 0.0))?;
+            best[0] = best[0].min(began.elapsed().as_secs_f64());
+            let began = Instant::now();
+            let (decoded, _) = black_box(lerc::decode::<u16>(black_box(&coded), VERTICES, VERTICES, 1, 1, 0))?;
+            best[1] = best[1].min(began.elapsed().as_secs_f64());
+            ensure!(decoded == *heights, "a chunk does not come back");
+            if turn == 0 {
+                bytes += coded.len();
+            }
+        }
+    }
+    let mean_ns = |which: usize| 1e9 * best.iter().map(|best| best[which]).sum::<f64>() / CHUNKS as f64;
+    let report = json!({
+        "codec": "LERC, no error",
+        "bytes_per_sample": bytes as f64 / (CHUNKS * VERTEX_COUNT) as f64,
+        "encode_ns": mean_ns(0),
+        "decode_ns": mean_ns(1),
+        "decode_gb_per_s": 2.0 * VERTEX_COUNT as f64 / mean_ns(1),
+    });
+    println!("{report}");
+    std::fs::write(&file, report.to_string()).with_context(|| format!("cannot write {}", file.to_string_lossy()))
+}
+
+/// Heights of the chunks that `tombolo-lab codec` takes: spread evenly over the home island, no open sea, each above its lowest vertex.
+fn chunks() -> Vec<Vec<u16>> {
+    let land = Land::new(1);
+    let near = (-24..24).flat_map(|z| (-24..24).map(move |x| (x, z)));
+    let keys: Vec<_> = near
+        .filter_map(|(x, z)| ChunkKey::new(0, x, z).ok())
+        .filter(|key| {
+            let (x, z) = key.origin();
+            !land.archipelago().is_open_sea(x, z, key.side())
+        })
+        .collect();
+    let step = (keys.len() / CHUNKS).max(1);
+    keys.into_iter()
+        .step_by(step)
+        .filter_map(|key| {
+            let chunk = land.chunk(key);
+            let low = chunk.min();
+            chunk.heights.iter().map(|height| u16::try_from(height - low).ok()).collect()
+        })
+        .take(CHUNKS)
+        .collect()
+}
