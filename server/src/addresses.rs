@@ -55,7 +55,7 @@ impl Drop for Place {
 }
 
 /// What counts as one address: an IPv6 customer is given at least a /64 (RFC 6177), so that is one; IPv4 in IPv6 is IPv4.
-fn group(address: IpAddr) -> IpAddr {
+pub fn group(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(six) => IpAddr::V6((u128::from(six) >> 64 << 64).into()),
         four => four,

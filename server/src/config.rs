@@ -55,6 +55,10 @@ pub struct Args {
     /// --max-sessions]
     #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS_PER_ADDRESS")]
     pub max_sessions_per_address: Option<usize>,
+    /// Milliseconds of work a second (chunks made, bytes sent) that one address may cost (IPv6: one /64 network), 1 to 1000000; 1000
+    /// is one thread [default: no limit]
+    #[arg(long, value_name = "MS", env = "TOMBOLO_COST_PER_SECOND")]
+    pub cost_per_second: Option<u64>,
     /// Longest time in milliseconds that a requested chunk may wait to be generated, 10 to 60000; what would wait longer is
     /// refused as overloaded [default: 500]
     #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS")]
@@ -80,6 +84,7 @@ struct File {
     token_file: Option<PathBuf>,
     max_sessions: Option<usize>,
     max_sessions_per_address: Option<usize>,
+    cost_per_second: Option<u64>,
     deadline_ms: Option<u64>,
     log: Option<String>,
     log_json: Option<bool>,
@@ -104,6 +109,8 @@ pub struct ServerConfig {
     pub max_sessions: usize,
     /// Sessions at once from one address. One more is refused as above.
     pub max_sessions_per_address: usize,
+    /// Milliseconds of work a second that one address may cost; none for no limit.
+    pub cost_per_second: Option<u64>,
     /// Longest wait of a requested chunk for its generation.
     pub deadline: Duration,
     /// Generation jobs queued or running. One more is refused as overloaded.
@@ -134,6 +141,7 @@ impl Default for ServerConfig {
             token: None,
             max_sessions: DEFAULT_MAX_SESSIONS,
             max_sessions_per_address: DEFAULT_MAX_SESSIONS,
+            cost_per_second: None,
             deadline: Duration::from_millis(DEFAULT_DEADLINE_MS),
             // A thousand sessions of 16 each.
             max_jobs: 16_384,
@@ -180,6 +188,8 @@ impl Args {
         let max_sessions_per_address =
             self.max_sessions_per_address.or(file.max_sessions_per_address).unwrap_or(max_sessions);
         in_range("max-sessions-per-address", max_sessions_per_address as u64, 1, 100_000)?;
+        let cost_per_second = self.cost_per_second.or(file.cost_per_second);
+        in_range("cost-per-second", cost_per_second.unwrap_or(1), 1, 1_000_000)?;
         let deadline_ms = self.deadline_ms.or(file.deadline_ms).unwrap_or(DEFAULT_DEADLINE_MS);
         in_range("deadline-ms", deadline_ms, 10, 60_000)?;
         Ok(ServerConfig {
@@ -197,6 +207,7 @@ impl Args {
                 .transpose()?,
             max_sessions,
             max_sessions_per_address,
+            cost_per_second,
             deadline: Duration::from_millis(deadline_ms),
             log: self.log.or(file.log).unwrap_or(defaults.log),
             log_json: self.log_json || file.log_json.unwrap_or(false),
@@ -267,6 +278,7 @@ mod tests {
             ("cache-mb = 70000", &["cache-mb", "70000", "65536"][..]),
             ("disk-cache = \"/tmp/x\"\ndisk-mb = 63", &["disk-mb", "63", "64 to 262144"][..]),
             ("disk-mb = 64", &["disk-mb", "64", "disk-cache"][..]),
+            ("cost-per-second = 0", &["cost-per-second", "0", "1 to 1000000"][..]),
             ("deadline-ms = 9", &["deadline-ms", "9", "10 to 60000"][..]),
             ("max-sessions-per-address = 0", &["max-sessions-per-address", "0", "1 to 100000"][..]),
             ("listen = \"nowhere\"", &["listen", "nowhere", "ADDR:PORT"][..]),

@@ -26,6 +26,7 @@ pub use flow::Flow;
 
 use crate::disk::Disk;
 use crate::metrics::Metrics;
+use crate::purse::Purse;
 use crate::source::ChunkSource;
 use bytes::Bytes;
 use cost::Costs;
@@ -150,24 +151,16 @@ impl Generation {
         Some(frame)
     }
 
-    /// A new asker. Dropping it withdraws everything that it waits for.
+    /// A new asker that nobody counts against. Dropping it withdraws everything that it waits for.
     #[must_use]
     pub fn flow(&self) -> Flow {
-        Flow::new(self.clone(), self.shared.next_flow.fetch_add(1, Ordering::Relaxed))
+        self.flow_paid_by(Purse::default())
     }
 
-    /// One frame for an asker that wants no other. Dropping the future withdraws the interest.
-    ///
-    /// # Errors
-    /// See [`GenerationError`].
-    pub async fn frame(&self, wanted: Wanted, delivery: Delivery) -> Result<Bytes, GenerationError> {
-        if let Some(frame) = self.cached(wanted.key, delivery) {
-            return Ok(frame);
-        }
-        let mut flow = self.flow();
-        flow.ask(wanted, delivery);
-        // One asking, one answer.
-        flow.answers().await.pop().map_or(Err(GenerationError::Failed), |(_, answer)| answer)
+    /// As [`Generation::flow`], paid for.
+    #[must_use]
+    pub fn flow_paid_by(&self, purse: Purse) -> Flow {
+        Flow::new(self.clone(), self.shared.next_flow.fetch_add(1, Ordering::Relaxed), purse)
     }
 
     /// Further requests of one flow that can be made within the deadline, as far as the recent past tells. What exceeds it is
@@ -230,7 +223,7 @@ mod tests {
         }
         let abandoned = ask(&bench.service, key(1), 1).await;
         assert_eq!(
-            bench.service.frame(wanted(key(2), 99), Delivery::Exact).await,
+            bench.service.flow().frame(wanted(key(2), 99), Delivery::Exact).await,
             Err(GenerationError::Overloaded)
         );
         assert_eq!(bench.metrics.shed.get(), 1);

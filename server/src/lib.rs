@@ -3,7 +3,7 @@
 //! [`run`] is the whole of it: a bound listener, a checked configuration and a shutdown signal go in, and it
 //! returns when the last session is gone. Reading order: [`config`], [`listener`], [`http`], [`socket`]
 //! (one task per client around the sans-IO session of the `protocol` crate, over a [`websocket`]), [`generation`] (one job per key
-//! however many ask), [`disk`] (what outlives the process), [`source`] (where chunks come from), [`map`] (pictures of them), [`live`] (what happens at the moment),
+//! however many ask), [`disk`] (what outlives the process), [`source`] (where chunks come from), [`map`] (pictures of them), [`live`] (what happens at the moment), [`addresses`] and [`purse`] (what one address may take),
 //! [`latency`], [`metrics`].
 //!
 //! What it refuses: drawing (no GPU crate is in its dependency tree) and state that a reconnect cannot rebuild.
@@ -20,6 +20,8 @@ pub mod listener;
 pub mod live;
 pub mod map;
 pub mod metrics;
+pub mod purse;
+pub mod silence;
 pub mod socket;
 pub mod source;
 pub mod upgrade;

@@ -10,6 +10,7 @@ use crate::generation::{Generation, Limits};
 use crate::live::Live;
 use crate::map::Map;
 use crate::metrics::Metrics;
+use crate::purse::Purses;
 use crate::source::Procedural;
 use crate::{SOFTWARE, http};
 use axum::body::Body;
@@ -62,12 +63,18 @@ pub struct Shared {
     pub permits: Arc<Semaphore>,
     /// Sessions by address.
     pub addresses: Addresses,
+    /// What addresses may cost.
+    pub purses: Purses,
     /// Number of the next session.
     pub next_session: AtomicU64,
 }
 
 impl Shared {
-    fn new(config: ServerConfig) -> Result<Self, ThreadPoolBuildError> {
+    /// All of a server but its doors.
+    ///
+    /// # Errors
+    /// The system refuses to start the generation threads.
+    pub fn new(config: ServerConfig) -> Result<Self, ThreadPoolBuildError> {
         let land = Land::new(config.world_seed);
         let metrics = Arc::new(Metrics::default());
         let source = Procedural::new(land);
@@ -94,6 +101,7 @@ impl Shared {
             sessions: TaskTracker::new(),
             permits: Arc::new(Semaphore::new(config.max_sessions)),
             next_session: AtomicU64::new(1),
+            purses: Purses::new(config.cost_per_second),
             addresses: Addresses::new(config.max_sessions_per_address),
             config,
         })

@@ -66,6 +66,10 @@ pub struct Metrics {
     pub expired: Counter,
     /// Sessions refused because their address has too many.
     pub address_refusals: Counter,
+    /// Requests refused because their address has spent what it may cost.
+    pub cost_refusals: Counter,
+    /// Times that somebody had to wait for that reason.
+    pub cost_waits: Counter,
     /// Jobs run to the end.
     pub generated: Counter,
     /// Jobs dropped unrun because nobody waited any more.
@@ -122,6 +126,8 @@ impl Default for Metrics {
             refusals_by_reason: Default::default(),
             expired: Counter::default(),
             address_refusals: Counter::default(),
+            cost_refusals: Counter::default(),
+            cost_waits: Counter::default(),
             views: Counter::default(),
             requested: Counter::default(),
             cache_hits: Counter::default(),
@@ -182,6 +188,16 @@ impl Metrics {
             "address_refusals",
             "Sessions refused because their address has too many",
             self.address_refusals.clone(),
+        );
+        r.register(
+            "cost_refusals",
+            "Requests refused because their address has spent what it may cost",
+            self.cost_refusals.clone(),
+        );
+        r.register(
+            "cost_waits",
+            "Waits because an address has spent what it may cost",
+            self.cost_waits.clone(),
         );
         r.register("views", "Views accepted", self.views.clone());
         r.register("frames_requested", "Frames asked of the generation service", self.requested.clone());

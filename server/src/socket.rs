@@ -8,6 +8,8 @@ use crate::generation::{Done, Flow, GenerationError};
 use crate::listener::Shared;
 use crate::live::Seated;
 use crate::metrics::{DeliveryLabel, Reason};
+use crate::purse::Purse;
+use crate::silence::{Due, Silence};
 use crate::websocket::WebSocket;
 use crate::websocket::frame::{Fault, MAX_CONTROL_PAYLOAD, Opcode};
 use crate::websocket::inbox::Message;
@@ -42,8 +44,8 @@ struct End {
     close: Option<(CloseCode, String)>,
 }
 
-/// Drives one session to its end and counts it.
-pub async fn serve<S>(socket: WebSocket<S>, shared: &Shared, number: u64)
+/// Drives one session to its end and counts it. What it costs is taken out of a purse.
+pub async fn serve<S>(socket: WebSocket<S>, shared: &Shared, number: u64, purse: Purse)
 where
     S: AsyncRead + AsyncWrite + Unpin,
 {
@@ -54,7 +56,8 @@ where
         shared,
         number,
         session: ServerSession::new(shared.offer.clone(), number),
-        flow: shared.generation.flow(),
+        flow: shared.generation.flow_paid_by(purse),
+        broke_until: None,
         counted: SessionCounts::default(),
         seat: shared.live.sit(number),
         taken: Vec::new(),
@@ -77,6 +80,8 @@ struct Driver<'a, S> {
     session: ServerSession,
     /// Chunks in generation: at most [`JOB_WINDOW`]; the session asks for no more while it is full.
     flow: Flow,
+    /// Until when nothing more is asked for, because the purse is empty.
+    broke_until: Option<Instant>,
     /// What of the session's counts is in the metrics already.
     counted: SessionCounts,
     /// What others may know of this session.
@@ -91,10 +96,10 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     async fn run(&mut self) -> End {
         let config = &self.shared.config;
         let handshake_by = Instant::now() + config.handshake_timeout;
-        let mut heard = Instant::now();
-        let mut ping = tokio::time::interval(config.ping_interval);
-        ping.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        ping.tick().await;
+        let mut silence = Silence::new(config.ping_interval, Instant::now());
+        // Moved on only when it is reached: a peer that speaks often must not cost a timer each time.
+        let look = tokio::time::sleep_until(silence.at(Instant::now()).1);
+        tokio::pin!(look);
         // What came behind the upgrade's request is here already.
         if let Err(end) = self.receive().await {
             return end;
@@ -113,7 +118,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             }
             tokio::select! {
                 read = self.socket.read() => {
-                    heard = Instant::now();
+                    silence.broken(Instant::now());
                     let received = match read {
                         Ok(()) => self.receive().await,
                         Err(error) => Err(End::lost(&error)),
@@ -134,14 +139,18 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 () = tokio::time::sleep_until(handshake_by), if !self.session.is_welcomed() => {
                     return End::tell("handshake timeout", CloseCode::HandshakeTimeout);
                 }
-                _ = ping.tick() => {
-                    if heard.elapsed() >= 3 * config.ping_interval {
-                        return End::tell("silent", CloseCode::Unresponsive);
-                    }
-                    if heard.elapsed() >= config.ping_interval {
+                () = sleep_until(self.broke_until), if self.broke_until.is_some() => {
+                    self.shared.metrics.cost_waits.inc();
+                }
+                () = &mut look => {
+                    let (due, next) = silence.at(Instant::now());
+                    match due {
+                        Due::Nothing => {}
                         // Written by the flush that follows.
-                        self.socket.queue_as(Opcode::Ping, Bytes::new());
+                        Due::Ping => self.socket.queue_as(Opcode::Ping, Bytes::new()),
+                        Due::End => return End::tell("silent", CloseCode::Unresponsive),
                     }
+                    look.as_mut().reset(next);
                 }
             }
         }
@@ -152,12 +161,17 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     fn start_jobs(&mut self) -> bool {
         let (mut batch, delivery, now) = (0, self.session.delivery(), Instant::now());
         let mut more = false;
+        self.broke_until = None;
         while self.flow.open() < JOB_WINDOW {
             if batch == BATCH {
                 more = true;
                 break;
             }
-            match self.session.next_chunk_with(|key| self.shared.generation.cached(key, delivery)) {
+            if let Some(wait) = self.flow.purse().wait(now) {
+                self.broke_until = Some(now + wait);
+                break;
+            }
+            match self.session.next_chunk_with(|key| self.flow.cached(key, delivery)) {
                 Next::Nothing => break,
                 Next::Delivered => batch += 1,
                 Next::Make(wanted) => {
@@ -191,6 +205,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         if self.start_jobs_until_full() {
             // What was let in before stays: a refusal is worth something only if it comes at once.
             self.session.shed(self.shared.generation.allowance().max(admitted));
+        }
+        if self.flow.purse().is_limited() {
+            let (waiting, deadline) = (self.session.waiting_requests(), self.shared.config.deadline);
+            self.session.shed(self.flow.purse().affords(deadline, Instant::now()).max(admitted));
+            let refused = waiting - self.session.waiting_requests();
+            self.shared.metrics.cost_refusals.inc_by(refused as u64);
         }
         Ok(())
     }
@@ -341,6 +361,14 @@ async fn within(deadline: Duration, write: impl Future<Output = io::Result<()>>)
         Ok(Ok(())) => Ok(()),
         Ok(Err(_)) => Err(End { reason: "write failed", close: None }),
         Err(_) => Err(End { reason: "not reading", close: None }),
+    }
+}
+
+/// Waits until a moment; for ever without one.
+async fn sleep_until(moment: Option<Instant>) {
+    match moment {
+        Some(moment) => tokio::time::sleep_until(moment).await,
+        None => std::future::pending().await,
     }
 }
 

@@ -4,6 +4,8 @@
 
 use super::queue::{Asked, FlowId, Waiter};
 use super::{Answer, Done, Generation, GenerationError, Shared};
+use crate::purse::Purse;
+use bytes::Bytes;
 use protocol::Delivery;
 use protocol::server::Wanted;
 use std::sync::Arc;
@@ -22,12 +24,47 @@ pub struct Flow {
     answered: UnboundedReceiver<Vec<Done>>,
     /// Askings without an answer taken.
     open: usize,
+    /// Who pays for what is made and sent. Looking whether there is anything in it is the asker's part.
+    purse: Purse,
 }
 
 impl Flow {
-    pub(super) fn new(service: Generation, id: FlowId) -> Self {
+    pub(super) fn new(service: Generation, id: FlowId, purse: Purse) -> Self {
         let (answers, answered) = unbounded_channel();
-        Self { service, id, answers, answered, open: 0 }
+        Self { service, id, answers, answered, open: 0, purse }
+    }
+
+    /// One frame for an asker that wants no other. Dropping the future withdraws the interest.
+    ///
+    /// # Errors
+    /// See [`GenerationError`].
+    pub async fn frame(mut self, wanted: Wanted, delivery: Delivery) -> Result<Bytes, GenerationError> {
+        if let Some(frame) = self.cached(wanted.key, delivery) {
+            return Ok(frame);
+        }
+        self.ask(wanted, delivery);
+        // One asking, one answer.
+        self.answers().await.pop().map_or(Err(GenerationError::Failed), |(_, answer)| answer)
+    }
+
+    /// As [`Generation::cached`], paid for.
+    #[must_use]
+    pub fn cached(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
+        let frame = self.service.cached(key, delivery)?;
+        self.pay_bytes(frame.len());
+        Some(frame)
+    }
+
+    /// Who pays.
+    #[must_use]
+    pub const fn purse(&self) -> &Purse {
+        &self.purse
+    }
+
+    fn pay_bytes(&self, bytes: usize) {
+        if self.purse.is_limited() {
+            self.purse.pay_bytes(bytes, tokio::time::Instant::now());
+        }
     }
 
     /// Asks for a frame. The answer, exactly one, comes from [`Flow::answers`], unless the asking is withdrawn.
@@ -44,7 +81,8 @@ impl Flow {
         }
         let (since, answers) = (Instant::now(), self.answers.clone());
         let waiter = Waiter { flow: self.id, wanted, delivery, since, answers };
-        match queue.ask(waiter, costs.expected_us(wanted.key)) {
+        let cost_us = costs.expected_us(wanted.key);
+        match queue.ask(waiter, cost_us) {
             Asked::Joined => {
                 metrics.coalesced.inc();
             }
@@ -53,6 +91,10 @@ impl Flow {
                 self.answer_now(wanted, Err(GenerationError::Overloaded));
             }
             Asked::Queued => {
+                // Beforehand, so that what is under way is paid for. Who joins causes no work.
+                if self.purse.is_limited() {
+                    self.purse.pay_work(cost_us, tokio::time::Instant::now());
+                }
                 metrics.queue.set(queue.jobs() as i64);
                 if queue.runners < limits.threads {
                     // A runner takes turns until nothing waits, so there are never more of them than threads.
@@ -87,7 +129,7 @@ impl Flow {
     pub async fn answers(&mut self) -> Vec<Done> {
         loop {
             if let Some(done) = self.answered.recv().await {
-                self.closed(done.len());
+                self.take(&done);
                 return done;
             }
             // Unreachable: this flow holds a sender itself.
@@ -98,8 +140,14 @@ impl Flow {
     /// The next answers if they are there.
     pub fn try_answers(&mut self) -> Option<Vec<Done>> {
         let done = self.answered.try_recv().ok()?;
-        self.closed(done.len());
+        self.take(&done);
         Some(done)
+    }
+
+    /// Answers are taken, and paid for by their bytes.
+    fn take(&mut self, done: &[Done]) {
+        self.closed(done.len());
+        self.pay_bytes(done.iter().filter_map(|(_, answer)| answer.as_ref().ok()).map(Bytes::len).sum());
     }
 
     /// Askings without an answer taken.

@@ -65,7 +65,7 @@ mod tests {
         let bench = bench(budget, 100);
         for x in 0..50 {
             bench.permit.send(()).unwrap();
-            bench.service.frame(wanted(key(x), 1), Delivery::Exact).await.unwrap();
+            bench.service.flow().frame(wanted(key(x), 1), Delivery::Exact).await.unwrap();
         }
         assert!(bench.service.shared.frames.cache.weight() <= budget);
         assert!(bench.service.shared.frames.cache.len() < 50);

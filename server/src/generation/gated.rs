@@ -81,7 +81,7 @@ pub async fn ask_for(
 ) -> tokio::task::JoinHandle<Answer> {
     let (before, service) = (service.shared.metrics.requested.get(), service.clone());
     let metrics = Arc::clone(&service.shared.metrics);
-    let task = tokio::spawn(async move { service.frame(wanted(key, priority), delivery).await });
+    let task = tokio::spawn(async move { service.flow().frame(wanted(key, priority), delivery).await });
     while metrics.requested.get() == before {
         tokio::task::yield_now().await;
     }

@@ -195,7 +195,7 @@ mod tests {
         assert_eq!(bench.metrics.coalesced.get(), 1);
 
         bench.permit.send(()).unwrap();
-        bench.service.frame(wanted(key(2), 1), Delivery::SeedOnly).await.unwrap();
+        bench.service.flow().frame(wanted(key(2), 1), Delivery::SeedOnly).await.unwrap();
         assert!(bench.service.cached(key(2), Delivery::SeedOnly).is_some());
         assert!(bench.service.cached(key(2), Delivery::Exact).is_none());
     }
@@ -208,7 +208,7 @@ mod tests {
         {
             for (delivery, error) in [(first, MEASURED), (second, MEASURED + 1)] {
                 bench.permit.send(()).unwrap();
-                let frame = bench.service.frame(wanted(key(x), 1), delivery).await.unwrap();
+                let frame = bench.service.flow().frame(wanted(key(x), 1), delivery).await.unwrap();
                 assert_eq!(chunk_codec::error(&frame), Some(error), "{delivery} of {x}");
                 // Until the job is gone a further asker would share its chunk instead.
                 while bench.service.load() > 0.0 {
@@ -286,7 +286,7 @@ mod tests {
         // Each by a process of its own: the first measures, the others find what it measured.
         for (delivery, measurings) in [(Delivery::SeedOnly, 1), (Delivery::Exact, 0), (quantised, 0)] {
             let (service, metrics, measured) = started(&folder);
-            let frame = service.frame(wanted(key, 1), delivery).await.unwrap();
+            let frame = service.flow().frame(wanted(key, 1), delivery).await.unwrap();
             assert_eq!(metrics.generated.get(), 1, "{delivery}");
             assert_eq!(measured.load(Ordering::Relaxed), measurings, "{delivery}");
             service.close().await;
@@ -294,7 +294,7 @@ mod tests {
         }
         let (service, metrics, measured) = started(&folder);
         for (delivery, frame) in &frames {
-            assert_eq!(&service.frame(wanted(key, 1), *delivery).await.unwrap(), frame, "{delivery}");
+            assert_eq!(&service.flow().frame(wanted(key, 1), *delivery).await.unwrap(), frame, "{delivery}");
         }
         assert_eq!((metrics.generated.get(), metrics.disk_hits.get()), (0, 3));
         assert_eq!(measured.load(Ordering::Relaxed), 0);
@@ -306,7 +306,7 @@ mod tests {
         bytes[16] ^= 1;
         std::fs::write(&seed, bytes).unwrap();
         let (service, metrics, _) = started(&folder);
-        let again = service.frame(wanted(key, 1), Delivery::SeedOnly).await.unwrap();
+        let again = service.flow().frame(wanted(key, 1), Delivery::SeedOnly).await.unwrap();
         assert_eq!(again, frames[0].1);
         assert_eq!((metrics.disk_damaged.get(), metrics.generated.get()), (1, 1));
         service.close().await;

@@ -1,11 +1,14 @@
-//! From a path to what it names: whose world, which chunk, and whether the client may ask at all.
+//! From a request to what it names: whose world, which chunk, and whether the client may ask at all.
 
 use crate::http::problem::{Kind, Problem};
 use crate::listener::Shared;
-use axum::extract::Path;
+use crate::purse::Purse;
 use axum::extract::rejection::PathRejection;
+use axum::extract::{Extension, Path};
 use axum::http::{HeaderMap, header};
+use std::net::SocketAddr;
 use terrain::{ChunkKey, WorldDigest};
+use tokio::time::{Instant, sleep};
 
 /// Digest, level, x and z as they stand in the path.
 pub type RawAddress = Result<Path<(String, String, String, String)>, PathRejection>;
@@ -43,6 +46,27 @@ pub fn check_world(shared: &Shared, digest: &str) -> Result<(), Problem> {
     }
     let shown: String = digest.chars().take(64).collect();
     Err(Problem::new(Kind::WrongWorld, format!("world {shown} is not served here; this server has {ours}")))
+}
+
+/// The purse of whoever asks, as soon as there is something in it.
+///
+/// # Errors
+/// That would take longer than a requested chunk may wait.
+pub async fn purse(shared: &Shared, peer: Option<Extension<SocketAddr>>) -> Result<Purse, Problem> {
+    let purse = shared.purses.of(peer.map(|Extension(peer)| peer.ip()));
+    let by = Instant::now() + shared.config.deadline;
+    loop {
+        let now = Instant::now();
+        // Of many that wait for the same moment the first spends what came; the others wait on.
+        let Some(wait) = purse.wait(now) else { return Ok(purse) };
+        if now + wait > by {
+            shared.metrics.cost_refusals.inc();
+            let sentence = "this address has spent what it may cost, ask again later";
+            return Err(Problem::new(Kind::Overloaded, sentence));
+        }
+        shared.metrics.cost_waits.inc();
+        sleep(wait).await;
+    }
 }
 
 /// Admits a request that carries the token, or any where none is set.

@@ -6,23 +6,26 @@ use crate::http::conditional::{Representation, etag, for_ever};
 use crate::http::problem::{Kind, Problem};
 use crate::listener::Shared;
 use crate::map::MapError;
-use axum::extract::State;
+use axum::extract::{Extension, State};
 use axum::http::HeaderMap;
 use axum::response::Response;
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 /// `GET /v1/{digest}/map/{level}/{x}/{z}.png`.
 pub async fn get(
     State(shared): State<Arc<Shared>>,
     headers: HeaderMap,
+    peer: Option<Extension<SocketAddr>>,
     raw: RawAddress,
 ) -> Result<Response, Problem> {
     let key = address::key(&shared, &headers, raw, ".png")?;
-    let tile =
-        shared.map.tile(key, &shared.generation, &shared.metrics).await.map_err(|error| match error {
-            MapError::Busy => Problem::new(Kind::MapBusy, error.to_string()),
-            MapError::Generation(error) => refusal(error),
-        })?;
+    let purse = address::purse(&shared, peer).await?;
+    let tile = shared.map.tile(key, &shared.generation, &purse, &shared.metrics).await;
+    let tile = tile.map_err(|error| match error {
+        MapError::Busy => Problem::new(Kind::MapBusy, error.to_string()),
+        MapError::Generation(error) => refusal(error),
+    })?;
     let representation = Representation {
         etag: etag(&tile.digest),
         content_type: "image/png",

@@ -35,7 +35,8 @@ pub async fn stream(State(shared): State<Arc<Shared>>, mut request: Request) -> 
     let (false, Ok(permit)) = (shared.draining.is_cancelled(), permit) else {
         return Problem::new(Kind::NoSession, "no session is free, try again later").into_response();
     };
-    let Some(place) = shared.addresses.enter(peer_address(&request)) else {
+    let peer = peer_address(&request);
+    let Some(place) = shared.addresses.enter(peer) else {
         shared.metrics.address_refusals.inc();
         let sentence = "too many sessions from this address, end one or try again later";
         return Problem::new(Kind::AddressFull, sentence).into_response();
@@ -45,7 +46,7 @@ pub async fn stream(State(shared): State<Arc<Shared>>, mut request: Request) -> 
     let tracker = shared.sessions.clone();
     tracker.spawn(async move {
         if let Some(socket) = upgrade.socket().await {
-            socket::serve(socket, &shared, number).await;
+            socket::serve(socket, &shared, number, shared.purses.of(peer)).await;
         }
         drop((permit, place));
     });

@@ -9,6 +9,7 @@ pub mod relief;
 
 use crate::generation::{Flow, Generation, GenerationError};
 use crate::metrics::Metrics;
+use crate::purse::Purse;
 use bytes::Bytes;
 use protocol::server::Wanted;
 use protocol::{Delivery, chunk_codec};
@@ -20,7 +21,7 @@ use std::time::Duration;
 use terrain::{Chunk, ChunkKey, WorldDigest};
 use thiserror::Error;
 use tokio::sync::Semaphore;
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 
 /// Pixels along one side of a tile.
 pub const TILE_PIXELS: usize = 256;
@@ -95,7 +96,8 @@ impl Map {
         }
     }
 
-    /// The tile of a key. Dropping the future withdraws everything that it waits for.
+    /// The tile of a key; what it costs to make and to send is taken out of a purse. Dropping the future withdraws everything that it
+    /// waits for.
     ///
     /// # Errors
     /// See [`MapError`].
@@ -103,6 +105,19 @@ impl Map {
         &self,
         key: ChunkKey,
         generation: &Generation,
+        purse: &Purse,
+        metrics: &Metrics,
+    ) -> Result<Tile, MapError> {
+        let tile = self.tile_unsent(key, generation, purse, metrics).await?;
+        purse.pay_bytes(tile.png.len(), Instant::now());
+        Ok(tile)
+    }
+
+    async fn tile_unsent(
+        &self,
+        key: ChunkKey,
+        generation: &Generation,
+        purse: &Purse,
         metrics: &Metrics,
     ) -> Result<Tile, MapError> {
         metrics.tiles_requested.inc();
@@ -119,11 +134,15 @@ impl Map {
             metrics.tile_cache_hits.inc();
             return Ok(tile);
         }
-        let frames = frames(&relief::sources(key), generation).await?;
-        let world = self.world;
+        let frames = frames(&relief::sources(key), generation, purse).await?;
+        let (world, purse) = (self.world, purse.clone());
         // Milliseconds of computing: not for a thread that has sockets to serve.
         let painted = tokio::task::spawn_blocking(move || {
+            let started = Instant::now();
             let tile = paint_tile(key, &frames, &world);
+            let now = Instant::now();
+            // Milliseconds.
+            purse.pay_work((now - started).as_micros() as i64, now);
             drop(turn);
             tile
         })
@@ -136,11 +155,15 @@ impl Map {
 }
 
 /// The frames of chunks, in their order, as any client would get them.
-async fn frames(keys: &[ChunkKey], generation: &Generation) -> Result<Vec<Bytes>, GenerationError> {
+async fn frames(
+    keys: &[ChunkKey],
+    generation: &Generation,
+    purse: &Purse,
+) -> Result<Vec<Bytes>, GenerationError> {
     let mut frames: Vec<Option<Bytes>> =
         keys.iter().map(|key| generation.cached(*key, Delivery::Exact)).collect();
     let missing: Vec<usize> = (0..keys.len()).filter(|index| frames[*index].is_none()).collect();
-    let (mut flow, mut unasked): (Flow, _) = (generation.flow(), missing.into_iter());
+    let (mut flow, mut unasked): (Flow, _) = (generation.flow_paid_by(purse.clone()), missing.into_iter());
     loop {
         while flow.open() < JOB_WINDOW {
             let Some(index) = unasked.next() else { break };
@@ -209,16 +232,19 @@ mod tests {
         // No room for one job more than the window.
         let (land, generation) = service(&metrics, JOB_WINDOW);
         let map = Map::new(land.digest(), 1 << 20, 1);
-        let tile = map.tile(key(4, 0, -1), &generation, &metrics).await.unwrap();
+        let tile = map.tile(key(4, 0, -1), &generation, &Purse::default(), &metrics).await.unwrap();
         assert_eq!(metrics.generated.get(), 36);
-        assert_eq!(map.tile(key(4, 0, -1), &generation, &metrics).await.unwrap().digest, tile.digest);
+        assert_eq!(
+            map.tile(key(4, 0, -1), &generation, &Purse::default(), &metrics).await.unwrap().digest,
+            tile.digest
+        );
         assert_eq!((metrics.tiles_painted.get(), metrics.tile_cache_hits.get()), (1, 1));
         // Its neighbour to the east shares two columns of six chunks with it.
-        map.tile(key(4, 1, -1), &generation, &metrics).await.unwrap();
+        map.tile(key(4, 1, -1), &generation, &Purse::default(), &metrics).await.unwrap();
         assert_eq!(metrics.generated.get(), 36 + 24);
         // The control: with less room than the window it is refused.
         let (_, small) = service(&metrics, 2);
-        let refused = map.tile(key(4, 5, 5), &small, &metrics).await;
+        let refused = map.tile(key(4, 5, 5), &small, &Purse::default(), &metrics).await;
         assert_eq!(refused.err(), Some(MapError::Generation(GenerationError::Overloaded)));
     }
 
@@ -231,7 +257,9 @@ mod tests {
         let painter = map.painting.acquire().await.unwrap();
         let wait_for = |x| {
             let (map, generation, metrics) = (Arc::clone(&map), generation.clone(), Arc::clone(&metrics));
-            tokio::spawn(async move { map.tile(key(0, x, 0), &generation, &metrics).await })
+            tokio::spawn(
+                async move { map.tile(key(0, x, 0), &generation, &Purse::default(), &metrics).await },
+            )
         };
         let waiting = [wait_for(1), wait_for(2)];
         while map.places.available_permits() > 0 {
@@ -255,7 +283,9 @@ mod tests {
             .flat_map(|x| (-4..4).map(move |z| key(4, x, z)))
             .map(|key| {
                 let (map, generation, metrics) = (Arc::clone(&map), generation.clone(), Arc::clone(&metrics));
-                tokio::spawn(async move { map.tile(key, &generation, &metrics).await.map(drop) })
+                tokio::spawn(async move {
+                    map.tile(key, &generation, &Purse::default(), &metrics).await.map(drop)
+                })
             })
             .collect();
         while metrics.generated.get() < 10 || map.places.available_permits() > MAX_WAITING - 60 {
@@ -265,7 +295,7 @@ mod tests {
         for z in 0..30 {
             let before = metrics.generated.get();
             let wanted = Wanted { key: key(0, 20, z), request: None, priority: 0 };
-            generation.frame(wanted, Delivery::Exact).await.unwrap();
+            generation.flow().frame(wanted, Delivery::Exact).await.unwrap();
             worst = worst.max(metrics.generated.get() - before);
         }
         // Its own, what the map had in the window, and a window more that came behind.
@@ -283,7 +313,9 @@ mod tests {
         let map = Map::new(land.digest(), budget, 1);
         let mut painted = 0;
         for x in 0..12 {
-            painted += map.tile(key(0, x, 3), &generation, &metrics).await.unwrap().png.len() as u64;
+            painted +=
+                map.tile(key(0, x, 3), &generation, &Purse::default(), &metrics).await.unwrap().png.len()
+                    as u64;
         }
         assert!(painted > 2 * budget, "{painted} bytes are more than fit");
         assert!(map.cache.weight() <= budget && map.cache.weight() > 0);

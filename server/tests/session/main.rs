@@ -1,0 +1,10 @@
+//! Sessions without a network, in virtual time: minutes pass as soon as everybody waits.
+//!
+//! | module | what belongs there |
+//! | --- | --- |
+//! | `silence` | when a peer that says nothing is ended |
+//! | `cost` | what an address that has spent its share gets |
+
+mod cost;
+mod peer;
+mod silence;
