@@ -77,3 +77,33 @@ async fn an_overloaded_server_says_when_to_come_back() {
     assert_eq!(server.get(&server.path("height/0/0")).await.status, 200);
     assert_eq!(server.get("/").await.status, 200);
 }
+
+#[tokio::test]
+async fn an_address_that_has_spent_what_it_may_cost_is_refused_though_nobody_else_asks() {
+    let config = ServerConfig { threads: 1, cost_per_second: Some(1), ..ServerConfig::default() };
+    let server = Server::start_with(config).await;
+    let mut served = 0;
+    // Ten milliseconds are in the purse, a chunk costs one or more, and a millisecond comes each second.
+    let refused = loop {
+        let reply = server.get(&server.path(&format!("chunk/4/{served}/-1"))).await;
+        if reply.status != 200 {
+            break reply;
+        }
+        served += 1;
+        assert!(served < 200, "the purse has no bottom");
+    };
+    assert!(served > 0);
+    assert_eq!((refused.status, refused.problem().as_str()), (503, "overloaded"));
+    assert_eq!(refused.header("retry-after"), "1");
+    // Should enough have come in this moment, the first of them spends it many times over.
+    server.get(&server.path("map/4/9/9.png")).await;
+    let tile = server.get(&server.path("map/4/19/9.png")).await;
+    assert_eq!((tile.status, tile.problem().as_str()), (503, "overloaded"), "tiles cost too");
+    assert!(server.metric("tombolo_cost_refusals_total").await >= 2.0);
+    assert_eq!(server.get("/v1/world").await.status, 200, "what costs nothing is for all");
+
+    let free = Server::start_with(ServerConfig { threads: 1, ..ServerConfig::default() }).await;
+    for x in 0..=served {
+        assert_eq!(free.get(&free.path(&format!("chunk/4/{x}/-1"))).await.status, 200, "the control");
+    }
+}
