@@ -47,16 +47,26 @@ impl GrassSeed {
         let side_bits =
             (key.spacing().unsigned_abs() * BLOCK as u32 / UNITS_PER_METRE as u32).trailing_zeros();
         let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
-        for (index, share) in density.iter_mut().enumerate() {
-            let (x, z) = (index % GRASS_GRID * BLOCK, index / GRASS_GRID * BLOCK);
-            let at = |dx: usize, dz: usize| heights[(z + dz) * VERTICES + x + dx];
-            let middle = at(BLOCK / 2, BLOCK / 2);
-            let rise = (at(BLOCK, 0) - at(0, 0)).abs().max((at(0, BLOCK) - at(0, 0)).abs());
-            let slope_q8 = rise >> side_bits;
-            let above_beach = ramp(middle, 2 * UNITS_PER_METRE, 4 * UNITS_PER_METRE);
-            let below_rock = 255 - ramp(middle, 180 * UNITS_PER_METRE, 260 * UNITS_PER_METRE);
-            let gentle = 255 - ramp(slope_q8, 128, 256);
-            *share = above_beach.min(below_rock).min(gentle) as u8;
+        let (vertices, _) = heights.as_chunks::<VERTICES>();
+        let rows = density
+            .as_chunks_mut::<GRASS_GRID>()
+            .0
+            .iter_mut()
+            .zip(vertices.windows(BLOCK + 1).step_by(BLOCK));
+        for (shares, rows) in rows {
+            // Whole rows of vertices side by side, which compilers make vectors of.
+            let (north, middle, south) = (&rows[0], &rows[BLOCK / 2], &rows[BLOCK]);
+            let corners: [i32; GRASS_GRID + 1] = std::array::from_fn(|x| north[x * BLOCK]);
+            let beyond: [i32; GRASS_GRID] = std::array::from_fn(|x| south[x * BLOCK]);
+            let middles: [i32; GRASS_GRID] = std::array::from_fn(|x| middle[x * BLOCK + BLOCK / 2]);
+            for (x, share) in shares.iter_mut().enumerate() {
+                let rise = (corners[x + 1] - corners[x]).abs().max((beyond[x] - corners[x]).abs());
+                let slope_q8 = rise >> side_bits;
+                let above_beach = ramp(middles[x], 2 * UNITS_PER_METRE, 4 * UNITS_PER_METRE);
+                let below_rock = 255 - ramp(middles[x], 180 * UNITS_PER_METRE, 260 * UNITS_PER_METRE);
+                let gentle = 255 - ramp(slope_q8, 128, 256);
+                *share = above_beach.min(below_rock).min(gentle) as u8;
+            }
         }
         density
     }
@@ -70,6 +80,7 @@ fn region(key: ChunkKey) -> ChunkKey {
 }
 
 /// 0 at or below `low`, 255 at or above `high`, linear between.
+#[inline(always)]
 fn ramp(value: i32, low: i32, high: i32) -> i32 {
     let (value, span) = ((value.clamp(low, high) - low) as u32, (high - low) as u32);
     (value * 255 / span) as i32
