@@ -1,7 +1,7 @@
 //! Frames on disk: what outlives memory and the process, where making it again would be dearer than reading a file.
 //!
 //! A chunk has one content for ever, so the folder holds nothing that cannot be lost: a frame that is missing, damaged or foreign is
-//! made again. From that follows the rest. Generation threads read, one thread writes behind them ([`keeper`]), and neither ever fails a
+//! made again. From that follows the rest. Generation threads read, one thread writes behind them (`keeper`), and neither ever fails a
 //! client: a full queue drops the write, a folder that cannot be used is left alone and tried again later. Files are not synced; what a
 //! crash leaves half-written is refused by its digest, as is everything else that is not what this server would send.
 //!
