@@ -153,7 +153,10 @@ impl Keeper {
     fn store(&mut self, path: &Path, frame: &[u8]) -> io::Result<()> {
         let (folder, shard) = (&self.config.folder, shard_of(path));
         let (unfinished, path) = (folder.join(UNFINISHED), folder.join(path));
-        fs::write(&unfinished, frame)?;
+        fs::write(&unfinished, frame).inspect_err(|_| {
+            // On a full disk it would take some of the last room.
+            let _ = fs::remove_file(&unfinished);
+        })?;
         if let Err(error) = fs::rename(&unfinished, &path) {
             if error.kind() != io::ErrorKind::NotFound {
                 return Err(error);

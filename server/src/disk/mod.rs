@@ -84,8 +84,25 @@ impl Disk {
         if key.level() < FINEST_LEVEL {
             return None;
         }
+        let found = self.peek(key, delivery, is_genuine);
+        let counter = if found.is_some() { &self.metrics.disk_hits } else { &self.metrics.disk_misses };
+        counter.inc();
+        found
+    }
+
+    /// As [`Disk::read`], but neither a hit nor a miss: for what is not going to be served.
+    #[must_use]
+    pub fn peek(
+        &self,
+        key: ChunkKey,
+        delivery: Delivery,
+        is_genuine: impl FnOnce(&[u8]) -> bool,
+    ) -> Option<Bytes> {
+        if key.level() < FINEST_LEVEL {
+            return None;
+        }
         let path = self.folder.join(self.names.path(key, delivery));
-        let found = match load(&path) {
+        match load(&path) {
             Ok(frame) if is_genuine(&frame) => Some(frame.into()),
             Ok(_) => {
                 self.metrics.disk_damaged.inc();
@@ -100,10 +117,7 @@ impl Disk {
                 }
                 None
             }
-        };
-        let counter = if found.is_some() { &self.metrics.disk_hits } else { &self.metrics.disk_misses };
-        counter.inc();
-        found
+        }
     }
 
     /// Has a frame written, soon, if there is room in the queue and making it was dear.

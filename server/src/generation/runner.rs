@@ -124,7 +124,10 @@ impl Shared {
     /// The error of a chunk that is on disk for another delivery. As in memory, not from a quantised frame, whose error is larger.
     fn stored_error(&self, key: ChunkKey, not: Delivery) -> Option<u32> {
         let others = [Delivery::Exact, Delivery::SeedOnly].into_iter().filter(|delivery| *delivery != not);
-        let frame = others.into_iter().find_map(|delivery| self.stored(key, delivery))?;
+        let disk = self.disk.as_ref()?;
+        let frame = others
+            .into_iter()
+            .find_map(|delivery| disk.peek(key, delivery, |frame| self.is_genuine(key, delivery, frame)))?;
         chunk_codec::error(&frame)
     }
 

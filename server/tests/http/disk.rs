@@ -75,7 +75,8 @@ async fn a_server_finds_again_what_the_one_before_it_made_and_another_world_does
     for x in -2..2 {
         made.push(chunk(&first, 1, x).await);
     }
-    assert_eq!(counts(&first, ["generated_total", "disk_hits_total"]).await, [4.0, 0.0]);
+    let names = ["generated_total", "disk_hits_total", "disk_misses_total"];
+    assert_eq!(counts(&first, names).await, [4.0, 0.0, 4.0]);
     first.stop().await;
     assert_eq!(folder.frames().len(), 4);
 
