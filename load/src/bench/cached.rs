@@ -72,6 +72,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         "push_cpu_s_per_gb_rounds": push_cpu,
         "nginx_replies_per_s": median(theirs.iter().map(|rate| rate.replies_per_s).collect()),
         "nginx_cpu_s_per_gb": median(theirs.iter().map(|rate| rate.cpu_s_per_gb).collect()),
+        "nginx_busy": median(theirs.iter().map(|rate| rate.busy).collect()),
         "ratio_to_nginx": median(ratios.clone()),
         "ratio_to_nginx_rounds": ratios,
     }))

@@ -138,6 +138,12 @@ fn rows(measured: &Value) -> Vec<Row> {
         Row::new("new chunks a second and core", at("/cold/chunks_per_core_s"), Bar::AtLeast(25_000.0), ""),
         Row::new("cached chunks over nginx's replies", at("/cached/ratio_to_nginx"), Bar::AtLeast(2.0), "x"),
         Row::new(
+            "share of nginx's time in which it was busy (control)",
+            at("/cached/nginx_busy"),
+            Bar::AtLeast(0.8),
+            "",
+        ),
+        Row::new(
             "server CPU per GB, 64 clients, pushed",
             at("/cached/push_cpu_s_per_gb"),
             Bar::AtMost(0.35),
@@ -271,7 +277,7 @@ mod tests {
             },
             "lerc": { "bytes_per_sample": 1.4 },
             "cold": { "chunks_per_core_s": 26_000.0 },
-            "cached": { "ratio_to_nginx": 2.9, "push_cpu_s_per_gb": 0.3, "server_cpu_s_per_gb": 0.5 },
+            "cached": { "ratio_to_nginx": 2.9, "nginx_busy": 0.97, "push_cpu_s_per_gb": 0.3, "server_cpu_s_per_gb": 0.5 },
             "stampede": { "generations": 1.0, "answers": 10_000 },
             "idle": { "rss_kib_per_client": 5.0, "sessions": 1050.0 },
             "fair": { "p99_ratio": 1.1, "jain_index": 0.98 },
@@ -281,7 +287,7 @@ mod tests {
 
     fn missed(measured: &Value) -> usize {
         let rows = rows(measured);
-        assert_eq!(rows.len(), 21);
+        assert_eq!(rows.len(), 22);
         rows.iter().filter(|row| !row.is_met()).count()
     }
 
@@ -302,7 +308,7 @@ mod tests {
             ("/codec/rows/1", "decode_gb_per_s", 1),
             ("/codec/rows/3", "lossless", 1),
             ("", "cold", 1),
-            ("", "cached", 3),
+            ("", "cached", 4),
             ("", "stampede", 2),
             ("", "idle", 1),
             ("/idle", "sessions", 1),
@@ -320,7 +326,7 @@ mod tests {
                 assert_eq!(missed(&measured), expected, "{path} {field}");
             }
         }
-        assert_eq!(missed(&Value::Null), 21);
+        assert_eq!(missed(&Value::Null), 22);
     }
 
     #[test]
@@ -336,6 +342,7 @@ mod tests {
             ("/codec/rows/3/decode_gb_per_s", json!(1.2)),
             ("/cold/chunks_per_core_s", json!(24_999.0)),
             ("/cached/ratio_to_nginx", json!(1.99)),
+            ("/cached/nginx_busy", json!(0.18)),
             ("/cached/push_cpu_s_per_gb", json!(0.36)),
             ("/stampede/generations", json!(2)),
             ("/stampede/answers", json!(9_999)),
