@@ -202,7 +202,7 @@ fn seal(
             let mut residuals = [0; VERTEX_COUNT];
             let any = kernel::residuals(kernel, &chunk.heights, shift(tolerance), &mut residuals);
             let width = parts::width(any);
-            parts::push(kernel, &mut residuals, width, effort, &mut frame);
+            parts::push(kernel, &residuals, width, effort, &mut frame);
             width
         }
     };
@@ -402,13 +402,13 @@ fn frame_digest(world: &WorldDigest, header: &[u8], known: Option<&Known>, paylo
 
 /// Digest of a world and what belongs to it. The kind is in the header, so frames of two kinds never share one.
 fn content_digest<const N: usize>(world: &WorldDigest, content: [&[u8]; N]) -> [u8; DIGEST] {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(&world.0);
-    content.iter().for_each(|bytes| {
-        hasher.update(bytes);
-    });
+    // In one piece: given in parts, what does not end at a multiple of 1 KiB keeps the hash from its vectors.
+    let mut whole =
+        Vec::with_capacity(world.0.len() + content.iter().map(|bytes| bytes.len()).sum::<usize>());
+    whole.extend_from_slice(&world.0);
+    content.iter().for_each(|bytes| whole.extend_from_slice(bytes));
     let mut digest = [0; DIGEST];
-    hasher.finalize_xof().fill(&mut digest);
+    blake3::Hasher::new().update(&whole).finalize_xof().fill(&mut digest);
     digest
 }
 

@@ -3,6 +3,7 @@
 use crate::constants::{CELLS, GRASS_GRID, UNITS_PER_METRE, VERTEX_COUNT, VERTICES};
 use crate::hash::{hash2, stream_seed};
 use crate::key::ChunkKey;
+use crate::simd::{self, Kernel};
 
 /// Number of colour palettes that [`GrassSeed::palette`] chooses from.
 pub const PALETTES: u8 = 4;
@@ -42,33 +43,42 @@ impl GrassSeed {
     /// that every machine grows the same field. Heights are below 2^24 in magnitude.
     #[must_use]
     pub fn density_of(key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Box<[u8; GRASS_GRID * GRASS_GRID]> {
-        const BLOCK: usize = CELLS / GRASS_GRID;
         // A block's side is a power of two of metres: shifting by it is a division that costs nothing.
         let side_bits =
             (key.spacing().unsigned_abs() * BLOCK as u32 / UNITS_PER_METRE as u32).trailing_zeros();
         let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
-        let (vertices, _) = heights.as_chunks::<VERTICES>();
-        let rows = density
-            .as_chunks_mut::<GRASS_GRID>()
-            .0
-            .iter_mut()
-            .zip(vertices.windows(BLOCK + 1).step_by(BLOCK));
-        for (shares, rows) in rows {
-            // Whole rows of vertices side by side, which compilers make vectors of.
-            let (north, middle, south) = (&rows[0], &rows[BLOCK / 2], &rows[BLOCK]);
-            let corners: [i32; GRASS_GRID + 1] = std::array::from_fn(|x| north[x * BLOCK]);
-            let beyond: [i32; GRASS_GRID] = std::array::from_fn(|x| south[x * BLOCK]);
-            let middles: [i32; GRASS_GRID] = std::array::from_fn(|x| middle[x * BLOCK + BLOCK / 2]);
-            for (x, share) in shares.iter_mut().enumerate() {
-                let rise = (corners[x + 1] - corners[x]).abs().max((beyond[x] - corners[x]).abs());
-                let slope_q8 = rise >> side_bits;
-                let above_beach = ramp(middles[x], 2 * UNITS_PER_METRE, 4 * UNITS_PER_METRE);
-                let below_rock = 255 - ramp(middles[x], 180 * UNITS_PER_METRE, 260 * UNITS_PER_METRE);
-                let gentle = 255 - ramp(slope_q8, 128, 256);
-                *share = above_beach.min(below_rock).min(gentle) as u8;
-            }
-        }
+        simd::densities(Kernel::best().for_short_rows(), heights, side_bits, &mut density);
         density
+    }
+}
+
+/// Cells along the side of a block.
+const BLOCK: usize = CELLS / GRASS_GRID;
+
+/// The densities of blocks whose side is `2^side_bits` metres. For [`crate::simd`]: whole rows side by side, of which compilers make vectors.
+#[inline(always)]
+pub(crate) fn densities(
+    heights: &[i32; VERTEX_COUNT],
+    side_bits: u32,
+    density: &mut [u8; GRASS_GRID * GRASS_GRID],
+) {
+    let (vertices, _) = heights.as_chunks::<VERTICES>();
+    let (shares, _) = density.as_chunks_mut::<GRASS_GRID>();
+    for (shares, rows) in shares.iter_mut().zip(vertices.windows(BLOCK + 1).step_by(BLOCK)) {
+        let (north, middle, south) = (&rows[0], &rows[BLOCK / 2], &rows[BLOCK]);
+        let corners: [i32; GRASS_GRID + 1] = std::array::from_fn(|x| north[x * BLOCK]);
+        let beyond: [i32; GRASS_GRID] = std::array::from_fn(|x| south[x * BLOCK]);
+        let middles: [i32; GRASS_GRID] = std::array::from_fn(|x| middle[x * BLOCK + BLOCK / 2]);
+        for (x, share) in shares.iter_mut().enumerate() {
+            // Heights are below 2^24, so that nothing wraps; checking it would keep this from becoming vectors.
+            let [east, south] =
+                [corners[x + 1], beyond[x]].map(|end| end.wrapping_sub(corners[x]).wrapping_abs());
+            let slope_q8 = east.max(south).wrapping_shr(side_bits);
+            let above_beach = ramp(middles[x], 2 * UNITS_PER_METRE, 4 * UNITS_PER_METRE);
+            let below_rock = 255 - ramp(middles[x], 180 * UNITS_PER_METRE, 260 * UNITS_PER_METRE);
+            let gentle = 255 - ramp(slope_q8, 128, 256);
+            *share = above_beach.min(below_rock.min(gentle)) as u8;
+        }
     }
 }
 
@@ -79,11 +89,11 @@ fn region(key: ChunkKey) -> ChunkKey {
         .unwrap_or(key)
 }
 
-/// 0 at or below `low`, 255 at or above `high`, linear between.
+/// 0 at or below `low`, 255 at or above `high`, linear between; `high - low` is at most 2^15.
 #[inline(always)]
-fn ramp(value: i32, low: i32, high: i32) -> i32 {
-    let (value, span) = ((value.clamp(low, high) - low) as u32, (high - low) as u32);
-    (value * 255 / span) as i32
+fn ramp(value: i32, low: i32, high: i32) -> u32 {
+    let above = value.max(low).min(high).wrapping_sub(low) as u32;
+    above.wrapping_mul(255) / (high - low) as u32
 }
 
 #[cfg(test)]

@@ -49,38 +49,45 @@ pub(super) const fn width(any: u32) -> u32 {
     u32::BITS - any.leading_zeros()
 }
 
-/// Appends the parts of residuals below `2^width`, which are used up.
-pub(super) fn push(kernel: Kernel, residuals: &mut [u32], width: u32, effort: Effort, out: &mut Vec<u8>) {
+/// Appends the parts of residuals below `2^width`.
+pub(super) fn push(kernel: Kernel, residuals: &[u32], width: u32, effort: Effort, out: &mut Vec<u8>) {
     if width == 0 {
         return;
     }
     let plain = plain_bits(residuals, width, effort);
     let Some(layout) = Layout::of_width(width - plain) else { return };
-    let mut plane = [0; VERTEX_COUNT];
+    let (mut plane, mut packed) = ([0; VERTEX_COUNT], [0; VERTEX_COUNT]);
     let plane = &mut plane[..residuals.len()];
     out.push(plain as u8);
     if plain > 0 {
-        kernel::split(kernel, residuals, 0, plane);
-        plane.iter_mut().for_each(|byte| *byte &= (0xff_u16 >> (8 - plain)) as u8);
-        pack(plane, plain, out);
-        residuals.iter_mut().for_each(|residual| *residual >>= plain);
+        kernel::split(kernel, residuals, 0, (0xff_u16 >> (8 - plain)) as u8, plane);
+        let packed = &mut packed[..packed_bytes(residuals.len(), plain)];
+        kernel::pack(kernel, plane, plain, packed);
+        out.extend_from_slice(packed);
     }
-    for index in 0..layout.whole {
-        kernel::split(kernel, residuals, index, plane);
+    for index in 0..layout.whole as u32 {
+        kernel::split(kernel, residuals, plain + 8 * index, 0xff, plane);
         push_part(plane, effort, out);
     }
-    kernel::split(kernel, residuals, layout.whole, plane);
-    let mut packed = Vec::with_capacity(layout.packed(residuals.len()));
-    pack(plane, layout.field, &mut packed);
-    push_part(&packed, effort, out);
+    kernel::split(kernel, residuals, plain + 8 * layout.whole as u32, 0xff, plane);
+    if layout.field == 8 {
+        push_part(plane, effort, out);
+        return;
+    }
+    let packed = &mut packed[..layout.packed(residuals.len())];
+    kernel::pack(kernel, plane, layout.field, packed);
+    push_part(packed, effort, out);
 }
+
+/// Every so many residuals one is looked at to choose how many bits travel plain: the choice costs little, and a poor one a few bytes.
+const SAMPLED: usize = 7;
 
 /// How many low bits of residuals below `2^width` travel plain; less than `width`.
 fn plain_bits(residuals: &[u32], width: u32, effort: Effort) -> u32 {
     // Magnitudes fall off about exponentially. Where the mean is `m` times what the plain bits can say, leaving them out of the code costs 0.06 / m^2 bits a residual: a thirtieth
     // of a bit at the most.
-    let sum: u64 = residuals.iter().map(|residual| u64::from(*residual)).sum();
-    let mean = sum / residuals.len().max(1) as u64;
+    let sampled = residuals.iter().step_by(SAMPLED).map(|residual| u64::from(*residual));
+    let mean = sampled.clone().sum::<u64>() / sampled.count().max(1) as u64;
     let enough = match effort {
         Effort::Compact => [(8, 384), (4, 24), (2, 6), (1, 3)],
         // Nothing of the low byte would be coded anyway.
@@ -88,17 +95,6 @@ fn plain_bits(residuals: &[u32], width: u32, effort: Effort) -> u32 {
     };
     let fits = |(bits, least): &&(u32, u64)| *bits < width && mean >= *least;
     enough.iter().find(fits).map_or(0, |(bits, _)| *bits)
-}
-
-/// Appends values below `2^bits` in fields of `bits` (1, 2, 4 or 8) bits, as [`kernel::unpack`] takes them.
-fn pack(values: &[u8], bits: u32, out: &mut Vec<u8>) {
-    let start = out.len();
-    out.resize(start + packed_bytes(values.len(), bits), 0);
-    let packed = &mut out[start..];
-    for (field, values) in values.chunks(packed.len().max(1)).enumerate() {
-        let shift = field as u32 * bits;
-        packed.iter_mut().zip(values).for_each(|(byte, value)| *byte |= value << shift);
-    }
 }
 
 /// Bytes that so many fields take.
@@ -260,7 +256,7 @@ mod tests {
             for kernel in Kernel::available() {
                 for effort in [Effort::Fast, Effort::Compact] {
                     let mut payload = Vec::new();
-                    push(kernel, &mut residuals.clone(), width, effort, &mut payload);
+                    push(kernel, &residuals, width, effort, &mut payload);
                     let (mut rest, mut out) = (&payload[..], vec![1; count]);
                     let mut room = Room::new();
                     let planes = room.take(kernel, width, count, &mut rest).unwrap();

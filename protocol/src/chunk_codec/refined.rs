@@ -74,7 +74,7 @@ impl Known {
             residuals.push(zigzag(heights[index].wrapping_sub(predict(heights, index))));
         }
         let width = parts::width(residuals.iter().fold(0, |all, residual| all | residual));
-        parts::push(kernel, &mut residuals, width, effort, out);
+        parts::push(kernel, &residuals, width, effort, out);
         width
     }
 

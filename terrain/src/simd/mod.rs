@@ -17,7 +17,8 @@ mod wasm;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-use crate::constants::VERTEX_COUNT;
+use crate::constants::{GRASS_GRID, VERTEX_COUNT};
+use crate::grass;
 use crate::grid::Grid;
 use crate::island::Archipelago;
 use crate::noise::Fbm;
@@ -89,7 +90,7 @@ impl Kernel {
 
     /// The kernel for rows of 64 and less: 16 lanes are too many for the upper levels of a pyramid, and a CPU that has them has
     /// 8 too.
-    fn for_short_rows(self) -> Self {
+    pub(crate) fn for_short_rows(self) -> Self {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
             Set::Avx512 => Self(Set::Avx2),
@@ -194,6 +195,11 @@ entry! {
     steepest_into(heights: &[i32; VERTEX_COUNT], worst: &mut i32) => steepest_on
 }
 
+entry! {
+    /// See [`grass::densities`].
+    densities(heights: &[i32; VERTEX_COUNT], side_bits: u32, density: &mut [u8; GRASS_GRID * GRASS_GRID]) => densities_on
+}
+
 /// Largest sum of squares of a triangle's two legs, units squared, of heights that lie within 2^15 of each other.
 pub(crate) fn steepest(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> i32 {
     let mut worst = 0;
@@ -269,6 +275,16 @@ unsafe fn heights_on<L: Lanes>(fbm: &Fbm, archipelago: &Archipelago, grid: &Grid
 unsafe fn steepest_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], worst: &mut i32) {
     // SAFETY: vouched for by the caller.
     unsafe { slope::steepest::<L>(heights, worst) }
+}
+
+/// Vectors are the compiler's here: the body is compiled for each instruction set, whatever its lanes are called.
+#[inline(always)]
+unsafe fn densities_on<L: Lanes>(
+    heights: &[i32; VERTEX_COUNT],
+    side_bits: u32,
+    density: &mut [u8; GRASS_GRID * GRASS_GRID],
+) {
+    grass::densities(heights, side_bits, density);
 }
 
 #[inline(always)]

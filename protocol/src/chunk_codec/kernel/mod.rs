@@ -114,9 +114,15 @@ entry! {
 }
 
 entry! {
-    /// One byte plane: bits `8 * plane` and up of every residual.
-    split(residuals: &[u32], plane: usize, out: &mut [u8]) -> ();
+    /// The lowest 8 bits of every residual above its lowest `shift` bits, as far as `mask` has them.
+    split(residuals: &[u32], shift: u32, mask: u8, out: &mut [u8]) -> ();
     split_on, split_on, split_on
+}
+
+entry! {
+    /// Undoes [`unpack`]: `packed` has room for all fields.
+    pack(values: &[u8], bits: u32, packed: &mut [u8]) -> ();
+    pack_on, pack_on, pack_on
 }
 
 entry! {
@@ -169,9 +175,20 @@ fn residuals_on(heights: &Heights, shift: u32, out: &mut [u32; VERTEX_COUNT]) ->
 }
 
 #[inline(always)]
-fn split_on(residuals: &[u32], plane: usize, out: &mut [u8]) {
+fn split_on(residuals: &[u32], shift: u32, mask: u8, out: &mut [u8]) {
     for (byte, residual) in out.iter_mut().zip(residuals) {
-        *byte = (residual >> (8 * plane)) as u8;
+        *byte = (residual >> shift) as u8 & mask;
+    }
+}
+
+#[inline(always)]
+fn pack_on(values: &[u8], bits: u32, packed: &mut [u8]) {
+    packed.fill(0);
+    for (field, values) in values.chunks(packed.len().max(1)).enumerate() {
+        let shift = field as u32 * bits;
+        for (byte, value) in packed.iter_mut().zip(values) {
+            *byte |= value << shift;
+        }
     }
 }
 
@@ -326,7 +343,7 @@ mod tests {
                 prop_assert_eq!(&got, &expected);
 
                 let mut planes = [(); 4].map(|()| vec![0; VERTEX_COUNT]);
-                planes.iter_mut().enumerate().for_each(|(plane, out)| split(kernel, &got[..], plane, out));
+                planes.iter_mut().zip([0, 8, 16, 24]).for_each(|(out, shift)| split(kernel, &got[..], shift, 0xff, out));
                 let planes: Vec<_> = planes.iter().map(|plane| &plane[..]).collect();
                 for used in 1..=4 {
                     let mut signed = Box::new([0; VERTEX_COUNT]);
@@ -358,6 +375,13 @@ mod tests {
                         let field = packed[index % count] >> (index / count * bits);
                         prop_assert_eq!(*value, field & (0xff_u16 >> (8 - bits)) as u8);
                     }
+                    let (mut again, mut portable) = (vec![1; count], vec![2; count]);
+                    pack(kernel, &out, bits as u32, &mut again);
+                    pack(Kernel::PORTABLE, &out, bits as u32, &mut portable);
+                    prop_assert_eq!(&again, &portable);
+                    let mut back = vec![0; values];
+                    unpack(kernel, &again, bits as u32, &mut back);
+                    prop_assert_eq!(back, out);
                 }
 
                 let words: Vec<_> = got[..count].iter().map(|word| word >> 4).collect();
@@ -369,7 +393,7 @@ mod tests {
                     }
                     let above: Vec<_> = words.iter().map(|word| word >> bits).collect();
                     let mut planes = [(); 4].map(|()| vec![0; count]);
-                    planes.iter_mut().enumerate().for_each(|(plane, out)| split(kernel, &above, plane, out));
+                    planes.iter_mut().zip([0, 8, 16, 24]).for_each(|(out, shift)| split(kernel, &above, shift, 0xff, out));
                     let planes: Vec<_> = planes.iter().map(|plane| &plane[..]).collect();
                     for (used, index) in (0..=4).flat_map(|used| (0..4).map(move |index| (used, index))) {
                         let mut out = vec![0xaa; count];
