@@ -11,6 +11,9 @@ const FIRST_GUESS: [u64; 2] = [100_000, 1_000_000];
 /// Weight of the past against one job: a mean over about the last 32.
 const MEMORY: u64 = 32;
 
+/// A job counts for at most so many times what was expected of it.
+const MOST: u64 = 8;
+
 /// Running means. Relaxed atomics: a lost update changes an estimate by a thirtieth of one job.
 #[derive(Debug)]
 pub struct Costs {
@@ -31,8 +34,9 @@ impl Costs {
         let took = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
         for mean in [&self.by_level[usize::from(key.level())], &self.all] {
             let before = mean.load(Ordering::Relaxed);
-            // A machine that was suspended must not close the doors for the next hundred jobs.
-            let after = before - before / MEMORY + took.min(100 * before) / MEMORY;
+            // Neither a machine that was suspended nor a thread that had to wait for its core, which takes a hundred jobs' time, may close the doors: one job moves an estimate
+            // by a quarter at most.
+            let after = before - before / MEMORY + took.min(MOST * before) / MEMORY;
             mean.store(after.max(1), Ordering::Relaxed);
         }
     }
@@ -64,7 +68,15 @@ mod tests {
         }
         assert!((40..=42).contains(&costs.expected_us(key)), "{}", costs.expected_us(key));
         costs.learn(key, Duration::from_secs(3600));
-        assert!(costs.expected_us(key) < 200);
+        assert!(costs.expected_us(key) <= 51, "{}", costs.expected_us(key));
+        for _ in 0..30 {
+            costs.learn(key, Duration::from_millis(4));
+        }
+        assert!(
+            costs.expected_us(key) > 1000,
+            "what all jobs take is what a job takes: {}",
+            costs.expected_us(key)
+        );
     }
 
     #[test]
