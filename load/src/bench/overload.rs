@@ -2,7 +2,7 @@
 
 use super::host::Host;
 use super::land_keys::{WORLD_SEED, land_keys};
-use super::stats::{ms, quantile};
+use super::stats::{median, ms, quantile};
 use super::wire::{Arrived, Wire};
 use super::{Plan, to_end};
 use anyhow::{Context, Result};
@@ -32,20 +32,58 @@ const BURST: Duration = Duration::from_millis(10);
 const LOOK: Duration = Duration::from_millis(100);
 const LOOK_FOR: Duration = Duration::from_secs(4);
 
-/// Runs the benchmark.
+/// Runs the benchmark: every round in a fresh server. Figures are medians; the loads are those of the last round.
 ///
 /// # Errors
 /// The server fails.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let keys = land_keys(&Land::new(WORLD_SEED), CHUNKS);
+    let mut rounds = Vec::new();
+    for _ in 0..plan.rounds {
+        rounds.push(round(plan, &keys).await?);
+    }
+    let all = |figure: fn(&Round) -> Option<f64>| rounds.iter().filter_map(figure).collect::<Vec<_>>();
+    let goodput_of_peak = all(|round| Some(round.goodput_of_peak));
+    // A round in which nothing was refused, or that never became normal again, has no such figure, and then there is none.
+    let whole = |figures: Vec<f64>| median(figures.clone()).filter(|_| figures.len() == rounds.len());
+    let last = rounds.last().context("no round was run")?;
+    Ok(json!({
+        "connections": CONNECTIONS,
+        "rounds": plan.rounds,
+        "capacity_per_s": last.capacity,
+        "loads": last.loads,
+        "peak_goodput_per_s": last.peak,
+        "goodput_of_peak": median(goodput_of_peak.clone()),
+        "goodput_of_peak_rounds": goodput_of_peak,
+        "refusal_p99_ms": whole(all(|round| round.refusal_p99_ms)),
+        "normal_p99_ms": whole(all(|round| Some(round.normal_p99_ms))),
+        "recovery_s": whole(all(|round| round.recovery_s)),
+    }))
+}
+
+/// What one round came to.
+struct Round {
+    /// Chunks a second with full windows.
+    capacity: f64,
+    /// One value for each of [`LOADS`].
+    loads: Vec<Value>,
+    /// The most chunks a second at any load.
+    peak: f64,
+    goodput_of_peak: f64,
+    refusal_p99_ms: Option<f64>,
+    normal_p99_ms: f64,
+    recovery_s: Option<f64>,
+}
+
+async fn round(plan: &Plan, keys: &[ChunkKey]) -> Result<Round> {
     let host = Host::start(&plan.launch, &["--cache-mb", "1"])?;
     let length = Duration::from_secs(plan.seconds);
-    let capacity = capacity(&host, &keys, length).await?;
+    let capacity = capacity(&host, keys, length).await?;
     let (mut loads, mut peak, mut normal_p99) = (Vec::new(), 0.0f64, f64::NAN);
     let mut last = None;
     for load in LOADS {
         let calm = if load == LOADS[LOADS.len() - 1] { LOOK_FOR } else { Duration::ZERO };
-        let outcome = arrivals(&host, &keys, &[(load * capacity, length), (CALM * capacity, calm)]).await?;
+        let outcome = arrivals(&host, keys, &[(load * capacity, length), (CALM * capacity, calm)]).await?;
         let mut answered: Vec<_> =
             outcome.answers.iter().filter(|answer| answer.is_in(length)).copied().collect();
         let goodput = answered.iter().filter(|answer| answer.is_chunk).count() as f64 / length.as_secs_f64();
@@ -74,16 +112,15 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         last = Some((goodput, refusal_p99, outcome));
     }
     let (goodput, refusal_p99, outcome) = last.context("no load was run")?;
-    Ok(json!({
-        "connections": CONNECTIONS,
-        "capacity_per_s": capacity,
-        "loads": loads,
-        "peak_goodput_per_s": peak,
-        "goodput_of_peak": goodput / peak,
-        "refusal_p99_ms": refusal_p99,
-        "normal_p99_ms": normal_p99,
-        "recovery_s": recovery(&outcome, length, normal_p99),
-    }))
+    Ok(Round {
+        capacity,
+        loads,
+        peak,
+        goodput_of_peak: goodput / peak,
+        refusal_p99_ms: refusal_p99,
+        normal_p99_ms: normal_p99,
+        recovery_s: recovery(&outcome, length, normal_p99),
+    })
 }
 
 /// Seconds from the end of the overload until chunks take no longer than twice the normal 99th percentile (at least 50 ms, what the
