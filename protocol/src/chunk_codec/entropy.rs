@@ -119,8 +119,8 @@ mod native {
             };
             let done = attempt(first, content, most, out);
             // Noise does not repeat itself. What a code of single bytes makes this short may be worth looking at again.
-            let is_plain = done && out.len() - start < content.len() / REPEATS_BELOW;
-            if effort == Effort::Compact && is_plain {
+            let may_repeat = done && out.len() - start < content.len() / REPEATS_BELOW;
+            if effort == Effort::Compact && may_repeat {
                 self.attempt.clear();
                 let repeats = kept(&mut self.compact, 1, ParamSwitch::Enable);
                 if attempt(repeats, content, most, &mut self.attempt)

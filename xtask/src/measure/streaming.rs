@@ -203,7 +203,7 @@ fn how(measured: &Value, apart: Option<usize>) -> Vec<String> {
     };
     let mut notes = vec![
         format!(
-            "`tombolo-load --bench NAME --rounds {ROUNDS} --seconds {SECONDS}`, {cores}; figures are medians of the rounds. `tombolo-lab codec` for the codecs: level-0 chunks with land, the shortest of 25 interleaved turns of each chunk."
+            "`tombolo-load --bench NAME --rounds {ROUNDS} --seconds {SECONDS}`, {cores}; figures are medians of the rounds, but for the counts and the memory, which are taken once, and the loads of the overload, which are those of the last round. `tombolo-lab codec` for the codecs: level-0 chunks with land, the shortest of 25 interleaved turns of each chunk."
         ),
         format!(
             "Entropy: order 0, of each chunk's plane residuals, {:.3} bytes a sample.",
