@@ -288,7 +288,7 @@ impl Renderer {
                 depth_stencil_attachment: depth(wgpu::LoadOp::Clear(0.0), wgpu::StoreOp::Store),
                 ..Default::default()
             });
-            self.terrain.draw_depth(&mut pass, &self.materials);
+            self.terrain.draw_depth(&gpu.device, &mut pass, &self.materials);
         }
         let names = targets::names(&gpu.device, self.targets.size);
         if let Some(garden) = self.garden.as_mut().filter(|_| frame.plants.is_some()) {

@@ -12,7 +12,10 @@ use wgpu::util::DeviceExt as _;
 #[derive(Debug)]
 pub struct TerrainPass {
     pipeline: wgpu::RenderPipeline,
-    depth: wgpu::RenderPipeline,
+    /// Leaves depth alone; built when a check first asks.
+    depth: Option<wgpu::RenderPipeline>,
+    layout: wgpu::BindGroupLayout,
+    samples: u32,
     bindings: wgpu::BindGroup,
     indices: wgpu::Buffer,
     instances: wgpu::Buffer,
@@ -48,28 +51,7 @@ impl TerrainPass {
                 wgpu::BindGroupEntry { binding: 2, resource: pool.clearances().as_entire_binding() },
             ],
         });
-        let attributes = TerrainInstance::ATTRIBUTES.map(|attribute| wgpu::VertexAttribute {
-            shader_location: attribute.location,
-            offset: attribute.offset as u64,
-            format: match (attribute.float, attribute.components) {
-                (true, _) => wgpu::VertexFormat::Float32x4,
-                (false, 2) => wgpu::VertexFormat::Uint32x2,
-                (false, _) => wgpu::VertexFormat::Uint32x4,
-            },
-        });
-        let buffers = [Some(wgpu::VertexBufferLayout {
-            array_stride: size_of::<TerrainInstance>() as u64,
-            step_mode: wgpu::VertexStepMode::Instance,
-            attributes: &attributes,
-        })];
-        let pass = LightPass {
-            shader: &SHADERS.draw_terrain,
-            layouts: &[&layout, materials.layout()],
-            buffers: &buffers,
-            depth: Depth::Solid,
-            samples,
-        };
-        let (pipeline, depth) = (pass.pipeline(device), pass.depth_pipeline(device));
+        let pipeline = with_pass(&[&layout, materials.layout()], samples, |pass| pass.pipeline(device));
         let indices = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some("chunk indices"),
             contents: bytemuck::cast_slice(&mesh::indices()),
@@ -81,7 +63,17 @@ impl TerrainPass {
             usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        Self { pipeline, depth, bindings, indices, instances, capacity: 4 * capacity as usize, count: 0 }
+        Self {
+            pipeline,
+            depth: None,
+            layout,
+            samples,
+            bindings,
+            indices,
+            instances,
+            capacity: 4 * capacity as usize,
+            count: 0,
+        }
     }
 
     /// Sets the chunks of the next frame.
@@ -103,8 +95,17 @@ impl TerrainPass {
     }
 
     /// Draws their depth and nothing else, into a pass without colours; for checks.
-    pub fn draw_depth(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) {
-        self.draw_with(&self.depth, pass, materials);
+    pub fn draw_depth(
+        &mut self,
+        device: &wgpu::Device,
+        pass: &mut wgpu::RenderPass<'_>,
+        materials: &Materials,
+    ) {
+        let layouts = [&self.layout, materials.layout()];
+        let build = || with_pass(&layouts, self.samples, |pass| pass.depth_pipeline(device));
+        let depth = self.depth.take().unwrap_or_else(build);
+        self.draw_with(&depth, pass, materials);
+        self.depth = Some(depth);
     }
 
     fn draw_with(
@@ -126,4 +127,33 @@ impl TerrainPass {
         draws += 1;
         draws
     }
+}
+
+/// What both pipelines have in common.
+fn with_pass<T>(
+    layouts: &[&wgpu::BindGroupLayout],
+    samples: u32,
+    build: impl FnOnce(LightPass<'_>) -> T,
+) -> T {
+    let attributes = TerrainInstance::ATTRIBUTES.map(|attribute| wgpu::VertexAttribute {
+        shader_location: attribute.location,
+        offset: attribute.offset as u64,
+        format: match (attribute.float, attribute.components) {
+            (true, _) => wgpu::VertexFormat::Float32x4,
+            (false, 2) => wgpu::VertexFormat::Uint32x2,
+            (false, _) => wgpu::VertexFormat::Uint32x4,
+        },
+    });
+    let buffers = [Some(wgpu::VertexBufferLayout {
+        array_stride: size_of::<TerrainInstance>() as u64,
+        step_mode: wgpu::VertexStepMode::Instance,
+        attributes: &attributes,
+    })];
+    build(LightPass {
+        shader: &SHADERS.draw_terrain,
+        layouts,
+        buffers: &buffers,
+        depth: Depth::Solid,
+        samples,
+    })
 }
