@@ -20,6 +20,9 @@ pub const MAGIC: [u8; 4] = *b"TMBM";
 /// Bytes before the body: the magic and the protocol version (u16).
 pub const HEADER: usize = 6;
 
+/// Longer than nearly all: requests and views of several keys alone are longer, and texts.
+const TYPICAL_FRAME: usize = 128;
+
 const CONFIG: Configuration<LittleEndian, Fixint, Limit<MAX_CONTROL_FRAME>> =
     bincode::config::standard().with_fixed_int_encoding().with_limit::<MAX_CONTROL_FRAME>();
 
@@ -29,7 +32,7 @@ const CONFIG: Configuration<LittleEndian, Fixint, Limit<MAX_CONTROL_FRAME>> =
 /// A message beyond the protocol's limits; one that this crate's sessions built never is.
 pub fn encode<M: Serialize + Limited>(message: &M) -> Result<Bytes, ControlError> {
     message.check_limits()?;
-    let mut frame = Vec::with_capacity(64);
+    let mut frame = Vec::with_capacity(TYPICAL_FRAME);
     frame.extend_from_slice(&MAGIC);
     frame.extend_from_slice(&PROTOCOL_VERSION.to_le_bytes());
     let written = bincode::serde::encode_into_std_write(message, &mut frame, CONFIG)

@@ -176,6 +176,12 @@ impl Generation {
         self.shared.costs.within(deadline / 2, threads, self.shared.open_flows.load(Ordering::Relaxed))
     }
 
+    /// How many flows share a thread at the moment, at least 1.
+    #[must_use]
+    pub fn sharers(&self) -> usize {
+        self.shared.open_flows.load(Ordering::Relaxed).div_ceil(self.shared.limits.threads).max(1)
+    }
+
     /// Waits a little until what goes to disk is there, and lets go of the folder. For the end.
     pub async fn close(&self) {
         if let Some(disk) = &self.shared.disk {

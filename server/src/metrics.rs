@@ -70,6 +70,8 @@ pub struct Metrics {
     pub cost_refusals: Counter,
     /// Times that somebody had to wait for that reason.
     pub cost_waits: Counter,
+    /// Times that a session was not listened to for a while because it was refused much.
+    pub refusal_pauses: Counter,
     /// Jobs run to the end.
     pub generated: Counter,
     /// Jobs dropped unrun because nobody waited any more.
@@ -128,6 +130,7 @@ impl Default for Metrics {
             address_refusals: Counter::default(),
             cost_refusals: Counter::default(),
             cost_waits: Counter::default(),
+            refusal_pauses: Counter::default(),
             views: Counter::default(),
             requested: Counter::default(),
             cache_hits: Counter::default(),
@@ -198,6 +201,11 @@ impl Metrics {
             "cost_waits",
             "Waits because an address has spent what it may cost",
             self.cost_waits.clone(),
+        );
+        r.register(
+            "refusal_pauses",
+            "Pauses in listening to a session that was refused much",
+            self.refusal_pauses.clone(),
         );
         r.register("views", "Views accepted", self.views.clone());
         r.register("frames_requested", "Frames asked of the generation service", self.requested.clone());

@@ -5,6 +5,7 @@
 //! client that does not read cannot make it collect answers; a write that takes too long ends the session.
 
 use crate::generation::{Done, Flow, GenerationError};
+use crate::heed::Heed;
 use crate::listener::Shared;
 use crate::live::Seated;
 use crate::metrics::{DeliveryLabel, Reason};
@@ -58,6 +59,7 @@ where
         session: ServerSession::new(shared.offer.clone(), number),
         flow: shared.generation.flow_paid_by(purse),
         broke_until: None,
+        heed: Heed::new(Instant::now()),
         counted: SessionCounts::default(),
         seat: shared.live.sit(number),
         taken: Vec::new(),
@@ -82,6 +84,8 @@ struct Driver<'a, S> {
     flow: Flow,
     /// Until when nothing more is asked for, because the purse is empty.
     broke_until: Option<Instant>,
+    /// Whether it is listened to.
+    heed: Heed,
     /// What of the session's counts is in the metrics already.
     counted: SessionCounts,
     /// What others may know of this session.
@@ -116,8 +120,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 // A client that takes cached chunks as fast as they can be written is one of many.
                 tokio::task::yield_now().await;
             }
+            let pause = self.heed.pause(Instant::now());
             tokio::select! {
-                read = self.socket.read() => {
+                read = self.socket.read(), if pause.is_none() => {
                     silence.broken(Instant::now());
                     let received = match read {
                         Ok(()) => self.receive().await,
@@ -139,6 +144,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 () = tokio::time::sleep_until(handshake_by), if !self.session.is_welcomed() => {
                     return End::tell("handshake timeout", CloseCode::HandshakeTimeout);
                 }
+                () = sleep_until(pause), if pause.is_some() => {}
                 () = sleep_until(self.broke_until), if self.broke_until.is_some() => {
                     self.shared.metrics.cost_waits.inc();
                 }
@@ -333,6 +339,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             metrics.chunk_bytes_delivered.get_or_create(&label).inc_by(now.chunk_bytes - before.chunk_bytes);
         }
         if now.refusals != before.refusals {
+            let more = now.refusals.iter().sum::<u64>() - before.refusals.iter().sum::<u64>();
+            let begins = self.heed.refused(more, self.shared.generation.sharers(), Instant::now());
+            metrics.refusal_pauses.inc_by(u64::from(begins));
             for reason in RefusalReason::ALL {
                 let more = now.refusals[reason.index()] - before.refusals[reason.index()];
                 metrics.refused(reason, more);

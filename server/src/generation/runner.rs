@@ -17,9 +17,9 @@ use tokio::sync::mpsc::UnboundedSender;
 /// Time in which every waiting flow should have had a turn, microseconds of work.
 const ROUND_US: i64 = 4000;
 
-/// Bounds of the work that a flow gets done in one turn, microseconds. At least two cheap chunks or so, since each turn wakes a session
-/// and makes it write; at most some ten, since they are answered together.
-const QUANTUM_US: (i64, i64) = (80, 400);
+/// Bounds of the work that a flow gets done in one turn, microseconds. At least four cheap chunks or so, since each turn wakes a session
+/// and makes it write, which costs about as much as a chunk; at most some ten, since they are answered together.
+const QUANTUM_US: (i64, i64) = (160, 400);
 
 /// What a runner holds of a job between making and answering.
 struct Made {

@@ -1,0 +1,61 @@
+//! How long a session that is refused much is not listened to.
+
+use crate::peer::{BINARY, PING, PONG, Peer};
+use protocol::control;
+use protocol::limits::MAX_KEYS;
+use protocol::message::{ClientMessage, RefusalReason, ServerMessage, WireKey};
+use server::ServerConfig;
+use server::listener::Shared;
+use server::purse::Purse;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+fn shared() -> Arc<Shared> {
+    Arc::new(Shared::new(ServerConfig { threads: 1, ..ServerConfig::default() }).unwrap())
+}
+
+/// Says a number of requests that must all be refused, and a ping behind them. Returns after what time the pong came; by then, or
+/// right behind it, everything must be refused.
+async fn ask_for_nothing(peer: &mut Peer, requests: u32, keys: usize) -> Duration {
+    let start = Instant::now();
+    let nowhere = |z| WireKey { level: 0, x: i32::MAX, z };
+    for id in 0..requests {
+        peer.say(&ClientMessage::Request { id, keys: (0..keys as i32).map(nowhere).collect() }).await;
+    }
+    // Behind what is read in one go with the requests.
+    tokio::time::sleep(Duration::from_millis(1)).await;
+    peer.send(PING, b"?").await;
+    let (mut refusals, mut answered) = (0, None);
+    while refusals < requests as usize * keys || answered.is_none() {
+        match peer.next().await.expect("a frame") {
+            (BINARY, payload) => {
+                let message = control::decode(&payload).unwrap();
+                let ServerMessage::Refused(refused) = message else { panic!("{message:?}") };
+                assert_eq!(refused.reason, RefusalReason::OutsideWorld);
+                refusals += 1;
+            }
+            (PONG, _) => answered = Some(start.elapsed()),
+            (opcode, _) => panic!("a frame of opcode {opcode}"),
+        }
+    }
+    answered.unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn whoever_is_refused_much_is_heard_again_after_a_while_and_others_at_once() {
+    let shared = shared();
+    let mut other = Peer::welcome(&shared, Purse::default()).await;
+    let mut flood = Peer::welcome(&shared, Purse::default()).await;
+    let took = ask_for_nothing(&mut flood, 40, MAX_KEYS).await;
+    assert!((5..=200).contains(&took.as_millis()), "{took:?}");
+    assert!(shared.metrics.refusal_pauses.get() > 0);
+
+    let before = shared.metrics.refusal_pauses.get();
+    let took = ask_for_nothing(&mut other, 1, 100).await;
+    assert!(took.as_millis() < 5, "one request of a hundred is nothing: {took:?}");
+    assert_eq!(shared.metrics.refusal_pauses.get(), before);
+
+    let took = ask_for_nothing(&mut flood, 1, 100).await;
+    assert!(took.as_millis() < 5, "it is forgiven: {took:?}");
+}
