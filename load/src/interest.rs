@@ -331,7 +331,7 @@ mod tests {
             id,
             key: key.map(Into::into),
             reason: RefusalReason::Overloaded,
-            detail: String::new(),
+            detail: "".into(),
         };
         interest.refused(&refusal(5, Some(key(0, 1, 1))));
         assert_eq!(interest.open_requests(), 1);

@@ -75,15 +75,15 @@ async fn serve(socket: TcpStream, offer: ServerOffer, lie: Lie) {
                 return;
             }
         }
-        if let Some(wanted) = session.next_chunk() {
+        if let Some((wanted, delivery)) = session.next_chunk() {
             sent += 1;
             match lie {
                 Lie::HangUp if sent > 5 => return,
                 Lie::Refusal => {
-                    session.fail(wanted, protocol::message::RefusalReason::Overloaded, "try later".into());
+                    session.fail(wanted, protocol::message::RefusalReason::Overloaded, "try later");
                 }
                 _ => {
-                    let frame = frame(lie, &land, wanted, session.delivery());
+                    let frame = frame(lie, &land, wanted, delivery);
                     session.deliver(wanted, frame);
                 }
             }
@@ -136,7 +136,8 @@ async fn load_on(lie: Lie, delivery: Delivery, token: Option<&str>) -> Report {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_honest_server_passes_with_every_chunk_compared() {
-    for delivery in [Delivery::Exact, Delivery::SeedOnly, Delivery::Quantised(Tolerance::COARSEST)] {
+    let quantised = Delivery::Quantised(Tolerance::COARSEST);
+    for delivery in [Delivery::Exact, Delivery::SeedOnly, quantised, Delivery::Refined] {
         let report = load_on(Lie::Nothing, delivery, None).await;
         assert_eq!(report.verdict(), Ok(()), "{report}");
         // How many arrive depends on the machine; that all are counted and compared does not.
@@ -144,7 +145,7 @@ async fn an_honest_server_passes_with_every_chunk_compared() {
         assert!(report.requests > 0, "{report}");
         assert_eq!((report.mismatches, report.dropped, report.refused), (0, 0, 0), "{report}");
         match delivery {
-            Delivery::Exact | Delivery::Quantised(_) => {
+            Delivery::Exact | Delivery::Quantised(_) | Delivery::Refined => {
                 assert!(report.bytes > report.chunks * 60, "{report}");
             }
             Delivery::SeedOnly => assert_eq!(report.bytes, report.chunks * 36, "{report}"),
@@ -162,6 +163,8 @@ async fn every_falsified_chunk_is_a_mismatch_and_the_verdict_says_so() {
         (Lie::Bit, Delivery::Exact, "digest"),
         (Lie::Place, Delivery::Exact, "neither requested nor needed"),
         (Lie::World, Delivery::Exact, "announces world"),
+        (Lie::Bit, Delivery::Refined, "digest"),
+        (Lie::Error, Delivery::Refined, "error"),
         (Lie::Height, Delivery::SeedOnly, "generated here"),
         (Lie::Error, Delivery::SeedOnly, "error"),
         (Lie::Bit, Delivery::SeedOnly, "generated here"),

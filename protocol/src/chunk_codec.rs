@@ -91,6 +91,7 @@ pub fn encode_with(delivery: Delivery, effort: Effort, chunk: &Chunk, world: &Wo
         Delivery::Quantised(tolerance) => {
             quantised::encode(chunk, world, tolerance, effort).unwrap_or_else(exact)
         }
+        Delivery::Refined => refined::encode_alone(chunk, world, effort).unwrap_or_else(exact),
     }
 }
 

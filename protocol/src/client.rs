@@ -6,15 +6,17 @@
 
 use crate::Incoming;
 use crate::chunk_codec;
-use crate::chunk_codec::{quantised, seed_only};
+use crate::chunk_codec::{quantised, refined, seed_only};
 use crate::control;
 use crate::delivery::Delivery;
-use crate::error::{ControlError, PeerFault};
+use crate::error::{ChunkError, ControlError, PeerFault};
 use crate::limits::{MAX_CREDITS, MAX_KEYS, MAX_TEXT};
 use crate::message::{ClientMessage, Hello, Refused, Rejection, ServerMessage, Welcome, WireKey};
+use crate::parents::Parents;
 use crate::view::View;
 use bytes::Bytes;
 use std::collections::VecDeque;
+use terrain::constants::VERTEX_COUNT;
 use terrain::{Chunk, ChunkKey, Land, WorldDigest};
 
 /// What a client brings to a session.
@@ -81,6 +83,8 @@ pub struct ClientSession {
     /// Granted and not yet used.
     credits: u32,
     next_request: u32,
+    /// In refined delivery: heights of what later frames may refine.
+    parents: Parents<Box<[i32; VERTEX_COUNT]>>,
     /// Frames to send. Bounded by what the caller asks between two polls.
     outbox: VecDeque<Bytes>,
 }
@@ -97,6 +101,7 @@ impl ClientSession {
             window,
             credits: window,
             next_request: 0,
+            parents: Parents::default(),
             outbox: VecDeque::new(),
         };
         session.send(&ClientMessage::Hello(Hello {
@@ -145,7 +150,7 @@ impl ClientSession {
                     }));
                 }
                 let land = match self.delivery {
-                    Delivery::Exact | Delivery::Quantised(_) => None,
+                    Delivery::Exact | Delivery::Quantised(_) | Delivery::Refined => None,
                     Delivery::SeedOnly => Some(own_land(&welcome)?),
                 };
                 self.world = Some(World { digest, land });
@@ -165,7 +170,7 @@ impl ClientSession {
         let World { digest, land } =
             self.world.as_ref().ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
         self.credits = self.credits.checked_sub(1).ok_or(PeerFault::CreditOverrun)?;
-        let (kind, _) = chunk_codec::kind_and_key(frame)?;
+        let (kind, key) = chunk_codec::kind_and_key(frame)?;
         // What a client has not asked for the exact decoder refuses by kind; a land of its own it has only for seed-only frames.
         let (chunk, delivery) = match (self.delivery, land) {
             (Delivery::SeedOnly, Some(land)) if kind == chunk_codec::KIND_SEED_ONLY => {
@@ -175,8 +180,15 @@ impl ClientSession {
                 let chunk = quantised::decode(frame, digest, asked)?;
                 (chunk, Delivery::Quantised(quantised::tolerance(frame).unwrap_or(asked)))
             }
+            (Delivery::Refined, _) if kind == chunk_codec::KIND_REFINED => {
+                let parent = self.parents.of(key).ok_or(ChunkError::Parent(key))?;
+                (refined::decode_over(frame, digest, parent)?, Delivery::Refined)
+            }
             _ => (chunk_codec::decode(frame, digest)?, Delivery::Exact),
         };
+        if self.delivery == Delivery::Refined {
+            self.parents.remember(key, || chunk.heights.clone());
+        }
         Ok(Event::Chunk { chunk: Box::new(chunk), bytes: frame.len(), delivery })
     }
 

@@ -83,6 +83,9 @@ pub enum Delivery {
     SeedOnly,
     /// All heights, none farther from the exact one than the tolerance: half to a fifth of the bytes.
     Quantised(Tolerance),
+    /// All heights, exact, and of a chunk whose parent this session brought before only those that the parent lacks: a quarter fewer bytes
+    /// over a whole view. The client remembers the parents ([`crate::parents`]).
+    Refined,
 }
 
 impl Delivery {
@@ -93,17 +96,18 @@ impl Delivery {
             Self::Exact => "exact",
             Self::SeedOnly => "seed",
             Self::Quantised(_) => "quantised",
+            Self::Refined => "refined",
         }
     }
 }
 
-/// As options take it: `exact`, `seed`, or `quantised:METRES`.
+/// As options take it: `exact`, `refined`, `seed`, or `quantised:METRES`.
 impl fmt::Display for Delivery {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())?;
         match self {
             Self::Quantised(tolerance) => write!(f, ":{}", tolerance.metres()),
-            Self::Exact | Self::SeedOnly => Ok(()),
+            Self::Exact | Self::SeedOnly | Self::Refined => Ok(()),
         }
     }
 }
@@ -112,12 +116,16 @@ impl FromStr for Delivery {
     type Err = &'static str;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let expected = "expected exact, seed or quantised:METRES, METRES at least 0.00390625 (1/256)";
+        let expected =
+            "expected exact, refined, seed or quantised:METRES, METRES at least 0.00390625 (1/256)";
         if let Some(metres) = text.strip_prefix("quantised:") {
             let tolerance = metres.parse().ok().filter(|metres: &f64| metres.is_finite());
             return tolerance.and_then(Tolerance::within_m).map(Self::Quantised).ok_or(expected);
         }
-        [Self::Exact, Self::SeedOnly].into_iter().find(|delivery| delivery.name() == text).ok_or(expected)
+        [Self::Exact, Self::Refined, Self::SeedOnly]
+            .into_iter()
+            .find(|delivery| delivery.name() == text)
+            .ok_or(expected)
     }
 }
 
@@ -128,7 +136,8 @@ mod tests {
     #[test]
     fn deliveries_are_read_by_the_text_that_they_print() {
         let quantised = Tolerance::all().map(Delivery::Quantised);
-        for delivery in [Delivery::Exact, Delivery::SeedOnly].into_iter().chain(quantised) {
+        for delivery in [Delivery::Exact, Delivery::Refined, Delivery::SeedOnly].into_iter().chain(quantised)
+        {
             assert_eq!(delivery.to_string().parse(), Ok(delivery));
         }
         for stranger in [

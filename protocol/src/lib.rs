@@ -17,6 +17,7 @@ pub mod delivery;
 pub mod error;
 pub mod limits;
 pub mod message;
+pub mod parents;
 pub mod server;
 pub mod view;
 

@@ -24,6 +24,9 @@ pub const MAX_VIEW_CHUNKS: usize = 16 * 1024;
 /// consequence is that chunks may be sent again.
 pub const MAX_HELD: usize = 64 * 1024;
 
+/// Parents that both ends of a session in refined delivery remember: 17 MiB of heights in the client, some KiB of keys in the server.
+pub const MAX_PARENTS: usize = 1024;
+
 /// Longest text field (software name, token, detail) in bytes.
 pub const MAX_TEXT: usize = 256;
 

@@ -8,6 +8,7 @@ use crate::limits::{MAX_KEYS, MAX_TEXT};
 use crate::view::View;
 use serde::de::{SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
+use std::borrow::Cow;
 use std::fmt;
 use terrain::{ChunkKey, InvalidKey, WorldDigest};
 
@@ -222,7 +223,7 @@ pub struct Refused {
     /// Why.
     pub reason: RefusalReason,
     /// One sentence for a person.
-    pub detail: String,
+    pub detail: Cow<'static, str>,
 }
 
 /// Why something is not delivered.

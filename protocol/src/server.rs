@@ -5,6 +5,7 @@
 //! chunks than the client granted credits, and nothing in it grows beyond the limits.
 
 use crate::Incoming;
+use crate::chunk_codec;
 use crate::control;
 use crate::delivery::Delivery;
 use crate::error::{ControlError, PeerFault};
@@ -15,9 +16,11 @@ use crate::limits::{
 use crate::message::{
     ClientMessage, Hello, RefusalReason, Refused, Rejection, ServerMessage, Welcome, WireKey,
 };
+use crate::parents::Parents;
 use crate::view::View;
 use bytes::Bytes;
 use rustc_hash::{FxHashMap, FxHashSet};
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use terrain::constants::GENERATOR_VERSION;
 use terrain::{ChunkKey, Land, WorldDigest, lod};
@@ -53,8 +56,8 @@ pub enum Next {
     Nothing,
     /// A ready chunk was queued for the client.
     Delivered,
-    /// A chunk is to be made.
-    Make(Wanted),
+    /// A chunk is to be made, and its frame for this delivery: that of the session, or exact where the session's cannot serve.
+    Make(Wanted, Delivery),
 }
 
 /// Counts of what happened in a session, for metrics.
@@ -80,11 +83,13 @@ pub struct ServerSession {
     credits: u32,
     /// Bytes of chunk frames that the client still allows, less what is reserved for chunks under way; none while it counts chunks only.
     credit_bytes: Option<u32>,
-    /// Explicit requests that wait for credit, oldest first. At most [`MAX_PENDING_REQUESTS`]; more are refused.
+    /// Explicit requests that wait for credit, oldest first. At most [`MAX_PENDING_REQUESTS`], more are refused; and what was put back.
     requests: VecDeque<(u32, ChunkKey)>,
     view: Option<ActiveView>,
     /// What the client has. At most [`MAX_HELD`]; dropped whole when full.
     held: FxHashSet<ChunkKey>,
+    /// In refined delivery: what the client remembers, and what may be refined for it.
+    parents: Parents<()>,
     /// Asked for by [`ServerSession::next_chunk`] and not yet delivered.
     in_flight: FxHashMap<ChunkKey, UnderWay>,
     /// Of these, what no view or request wants any more since the last [`ServerSession::take_stale`].
@@ -140,6 +145,7 @@ impl ServerSession {
             requests: VecDeque::new(),
             view: None,
             held: FxHashSet::default(),
+            parents: Parents::default(),
             in_flight: FxHashMap::default(),
             outbox: VecDeque::new(),
             counts: SessionCounts::default(),
@@ -338,12 +344,7 @@ impl ServerSession {
         for key in keys {
             match key.check() {
                 Ok(valid) if keys.len() > 1 && !seen.insert(valid) => {
-                    self.refuse(
-                        id,
-                        Some(*key),
-                        RefusalReason::Duplicate,
-                        "named twice in one request".into(),
-                    );
+                    self.refuse(id, Some(*key), RefusalReason::Duplicate, "named twice in one request");
                 }
                 Ok(valid) => self.requests.push_back((id, valid)),
                 Err(error) => self.refuse(id, Some(*key), RefusalReason::OutsideWorld, error.to_string()),
@@ -360,7 +361,7 @@ impl ServerSession {
                 id,
                 Some(key.into()),
                 RefusalReason::Overloaded,
-                "too much is waiting, ask again later".into(),
+                "too much is waiting, ask again later",
             );
         }
     }
@@ -376,18 +377,19 @@ impl ServerSession {
         self.credits > 0 && self.credit_bytes.is_none_or(|bytes| bytes >= self.frame_bound())
     }
 
-    /// The next chunk to make, if there is credit for one. Every chunk named here must come back through
-    /// [`ServerSession::deliver`], [`ServerSession::fail`] or [`ServerSession::withdraw`].
-    pub fn next_chunk(&mut self) -> Option<Wanted> {
-        match self.next_chunk_with(|_| None) {
-            Next::Make(wanted) => Some(wanted),
+    /// The next chunk to make, if there is credit for one, and for which delivery its frame is to be: that of the session, or exact where the
+    /// session's cannot serve. Every chunk named here must come back through [`ServerSession::deliver`], [`ServerSession::fail`] or
+    /// [`ServerSession::withdraw`].
+    pub fn next_chunk(&mut self) -> Option<(Wanted, Delivery)> {
+        match self.next_chunk_with(|_, _| None) {
+            Next::Make(wanted, delivery) => Some((wanted, delivery)),
             Next::Nothing | Next::Delivered => None,
         }
     }
 
-    /// As [`ServerSession::next_chunk`], but first looks whether the chunk's frame is `ready`, made for
-    /// [`ServerSession::delivery`]; if so, queues it for the client.
-    pub fn next_chunk_with(&mut self, ready: impl FnOnce(ChunkKey) -> Option<Bytes>) -> Next {
+    /// As [`ServerSession::next_chunk`], but first looks whether the chunk's frame is `ready`, made for the delivery that it is asked with; if
+    /// so, queues it for the client.
+    pub fn next_chunk_with(&mut self, ready: impl FnOnce(ChunkKey, Delivery) -> Option<Bytes>) -> Next {
         if !self.has_credit() {
             return Next::Nothing;
         }
@@ -403,7 +405,8 @@ impl ServerSession {
         if let Some(bytes) = &mut self.credit_bytes {
             *bytes -= bound;
         }
-        if let Some(frame) = ready(wanted.key) {
+        let form = self.form_of(wanted.key);
+        if let Some(frame) = ready(wanted.key, form) {
             self.send_chunk(wanted.key, frame);
             return Next::Delivered;
         }
@@ -411,19 +414,48 @@ impl ServerSession {
             self.in_flight.entry(wanted.key).or_insert(UnderWay { askings: 0, request: wanted.request });
         under_way.askings += 1;
         under_way.request = wanted.request;
-        Next::Make(wanted)
+        Next::Make(wanted, form)
     }
 
-    /// Takes a finished chunk frame, made for [`ServerSession::delivery`], and queues it for the client.
+    /// How a chunk is to go: in the delivery of the session, but in refined delivery exact if the client does not remember its parent.
+    fn form_of(&self, key: ChunkKey) -> Delivery {
+        match self.delivery {
+            Delivery::Refined if self.parents.of(key).is_none() => Delivery::Exact,
+            delivery => delivery,
+        }
+    }
+
+    /// Takes a finished chunk frame, made for the delivery that it was asked with, and queues it for the client.
     pub fn deliver(&mut self, wanted: Wanted, frame: Bytes) {
         self.land(wanted.key);
-        self.send_chunk(wanted.key, frame);
+        let is_refined =
+            chunk_codec::kind_and_key(&frame).is_ok_and(|(kind, _)| kind == chunk_codec::KIND_REFINED);
+        if is_refined && self.form_of(wanted.key) != Delivery::Refined {
+            // While it was made the client has forgotten the parent: once more, exact.
+            self.return_credit();
+            self.put_back(wanted);
+        } else {
+            self.send_chunk(wanted.key, frame);
+        }
+    }
+
+    /// Wants a chunk again, before all others that wait.
+    fn put_back(&mut self, wanted: Wanted) {
+        match (wanted.request, &mut self.view) {
+            (Some(id), _) => self.requests.push_front((id, wanted.key)),
+            (None, Some(active)) => active.pending.push((wanted.priority, wanted.key)),
+            // No view is ever taken back.
+            (None, None) => {}
+        }
     }
 
     /// Queues a chunk whose credit is taken.
     fn send_chunk(&mut self, key: ChunkKey, frame: Bytes) {
         self.return_bytes(self.frame_bound().saturating_sub(frame.len() as u32));
         self.hold(key);
+        if self.delivery == Delivery::Refined {
+            self.parents.remember(key, || ());
+        }
         self.counts.chunks += 1;
         self.counts.chunk_bytes += frame.len() as u64;
         self.outbox.push_back(frame);
@@ -449,7 +481,7 @@ impl ServerSession {
     }
 
     /// Reports that a wanted chunk cannot be had now; its credit is returned.
-    pub fn fail(&mut self, wanted: Wanted, reason: RefusalReason, detail: String) {
+    pub fn fail(&mut self, wanted: Wanted, reason: RefusalReason, detail: impl Into<Cow<'static, str>>) {
         self.land(wanted.key);
         self.return_credit();
         let id = wanted.request.or(self.view.as_ref().map(|active| active.view.id)).unwrap_or(0);
@@ -524,9 +556,19 @@ impl ServerSession {
         self.send(&ServerMessage::Settled { view, chunks });
     }
 
-    fn refuse(&mut self, id: u32, key: Option<WireKey>, reason: RefusalReason, mut detail: String) {
+    fn refuse(
+        &mut self,
+        id: u32,
+        key: Option<WireKey>,
+        reason: RefusalReason,
+        detail: impl Into<Cow<'static, str>>,
+    ) {
         self.counts.refusals[reason.index()] += 1;
-        detail.truncate(detail.floor_char_boundary(MAX_TEXT));
+        let mut detail = detail.into();
+        if detail.len() > MAX_TEXT {
+            let end = detail.floor_char_boundary(MAX_TEXT);
+            detail.to_mut().truncate(end);
+        }
         self.send(&ServerMessage::Refused(Refused { id, key, reason, detail }));
     }
 

@@ -63,7 +63,8 @@ fn client_messages_are_frozen() {
     let bare = Hello { digest: None, delivery: Delivery::Exact, token: None, software: String::new() };
     check("hello_bare", &ClientMessage::Hello(bare.clone()));
     let delivery = Delivery::Quantised(Tolerance::new(16).unwrap());
-    check("hello_quantised", &ClientMessage::Hello(Hello { delivery, ..bare }));
+    check("hello_quantised", &ClientMessage::Hello(Hello { delivery, ..bare.clone() }));
+    check("hello_refined", &ClientMessage::Hello(Hello { delivery: Delivery::Refined, ..bare }));
     check(
         "view",
         &ClientMessage::View(View {

@@ -165,7 +165,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     /// Hands wanted chunks to the generation service, and cached ones straight back to the session. True if it stopped
     /// only to let a full batch be written.
     fn start_jobs(&mut self) -> bool {
-        let (mut batch, delivery, now) = (0, self.session.delivery(), Instant::now());
+        let (mut batch, now) = (0, Instant::now());
         let mut more = false;
         self.broke_until = None;
         while self.flow.open() < JOB_WINDOW {
@@ -177,10 +177,10 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 self.broke_until = Some(now + wait);
                 break;
             }
-            match self.session.next_chunk_with(|key| self.flow.cached(key, delivery)) {
+            match self.session.next_chunk_with(|key, delivery| self.flow.cached(key, delivery)) {
                 Next::Nothing => break,
                 Next::Delivered => batch += 1,
-                Next::Make(wanted) => {
+                Next::Make(wanted, delivery) => {
                     self.taken.push((wanted.key, now));
                     self.flow.ask(wanted, delivery);
                 }

@@ -52,8 +52,8 @@ async fn serve(socket: TcpStream, offer: ServerOffer, frames: Frames) {
                 return;
             }
         }
-        if let Some(wanted) = session.next_chunk() {
-            let frame = frames(&land, wanted.key, session.delivery());
+        if let Some((wanted, delivery)) = session.next_chunk() {
+            let frame = frames(&land, wanted.key, delivery);
             session.deliver(wanted, frame);
             continue;
         }

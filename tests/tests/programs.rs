@@ -52,14 +52,14 @@ fn values_out_of_range_are_named_with_what_is_allowed() {
         "tombolo-view",
         &["--delivery", "lossy"],
         2,
-        &["--delivery", "lossy", "exact, seed or quantised:METRES"],
+        &["--delivery", "lossy", "exact, refined, seed or quantised:METRES"],
     );
     refused("tombolo-view", &["--digest", "abc"], 2, &["--digest", "abc", "64 hexadecimal digits"]);
     refused(
         "tombolo-load",
         &["--delivery", "lossy"],
         2,
-        &["--delivery", "lossy", "exact, seed or quantised:METRES"],
+        &["--delivery", "lossy", "exact, refined, seed or quantised:METRES"],
     );
     refused("tombolo-view", &["--size", "0x0"], 2, &["--size", "0x0"]);
     refused("tombolo-view", &["--tolerance", "-1"], 2, &["--tolerance", "-1", "0.0625 to 1000"]);

@@ -33,9 +33,9 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "connect")]
     pub world_seed: u64,
 
-    /// How chunks come: exact (all heights), seed (a digest each; they are generated here and verified) or quantised:METRES
-    /// (heights no farther off than that)
-    #[arg(long, value_name = "exact|seed|quantised:METRES", default_value_t = Delivery::Exact)]
+    /// How chunks come: exact (all heights), refined (all heights in fewer bytes, for up to 17 MiB of memory), seed (a digest each; they are
+    /// generated here and verified) or quantised:METRES (heights no farther off than that)
+    #[arg(long, value_name = "exact|refined|seed|quantised:METRES", default_value_t = Delivery::Exact)]
     pub delivery: Delivery,
 
     /// Insists on the world of this digest, 64 hexadecimal digits; a server of another world is refused
@@ -433,7 +433,7 @@ mod tests {
         for (option, value, allowed) in [
             ("--connect", "http://x", "ws://HOST:PORT"),
             ("--connect", "wss://x/y", "TLS"),
-            ("--delivery", "quantised", "exact, seed or quantised:METRES"),
+            ("--delivery", "quantised", "exact, refined, seed or quantised:METRES"),
             ("--digest", "0a", "64 hexadecimal digits"),
             ("--scene", "moon", "island"),
             ("--camera", "1,2,3", "X,Y,Z,YAW,PITCH"),

@@ -315,7 +315,7 @@ impl Worker {
                 }
                 Event::Chunk { chunk, .. } => FeedEvent::Chunk(chunk),
                 Event::Settled { view, .. } => FeedEvent::Settled { view },
-                Event::Refused(refused) => FeedEvent::Refused { detail: refused.detail },
+                Event::Refused(refused) => FeedEvent::Refused { detail: refused.detail.into_owned() },
                 Event::Draining { reconnect_after_ms } => {
                     hint = Some(Duration::from_millis(reconnect_after_ms.into()));
                     continue;

@@ -180,7 +180,7 @@ impl Server {
                     return;
                 }
             }
-            if let Some(wanted) = session.next_chunk() {
+            if let Some((wanted, _)) = session.next_chunk() {
                 answered += 1;
                 if self.lie == Lie::HangUp && answered > 5 {
                     let _ = socket.into_inner().shutdown().await;

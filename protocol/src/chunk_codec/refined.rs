@@ -11,12 +11,16 @@ use super::kernel::{self, Heights, Kernel, zigzag};
 use super::parts::{self, Room};
 use super::{Frame, KIND_REFINED, open, seal};
 use crate::error::ChunkError;
+use crate::parents;
 use bytes::Bytes;
 use terrain::constants::{CELLS, HEIGHT_LIMIT, VERTEX_COUNT, VERTICES};
 use terrain::{Chunk, ChunkKey, WorldDigest};
 
 /// Vertices along a side that the parent has.
 pub(super) const KNOWN: usize = CELLS / 2 + 1;
+
+/// Vertices between two known ones, along a side.
+const HALF: usize = CELLS / 2;
 
 /// Vertices that the parent lacks.
 const LACKING: usize = VERTEX_COUNT - KNOWN * KNOWN;
@@ -25,8 +29,18 @@ const LACKING: usize = VERTEX_COUNT - KNOWN * KNOWN;
 /// chunk's vertices in even columns and rows.
 #[must_use]
 pub fn encode(chunk: &Chunk, parent: &Chunk, world: &WorldDigest, effort: Effort) -> Option<Bytes> {
-    let known = Known::of(chunk.key, parent)?;
-    known.is_of(&chunk.heights).then(|| seal(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
+    let known = Known::of(chunk.key, &parent.heights).filter(|_| chunk.key.parent() == Some(parent.key))?;
+    (known == Known::in_chunk(&chunk.heights))
+        .then(|| seal(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
+}
+
+/// As [`encode`] without the parent, for chunks of a land: below the finest of [`parents::LEVELS`](crate::parents::LEVELS) a chunk's vertices in even columns
+/// and rows are its parent's. None for a chunk of another level.
+#[must_use]
+pub fn encode_alone(chunk: &Chunk, world: &WorldDigest, effort: Effort) -> Option<Bytes> {
+    let parent = chunk.key.parent()?;
+    let known = parents::LEVELS.contains(&parent.level()).then(|| Known::in_chunk(&chunk.heights))?;
+    Some(seal(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
 }
 
 /// Decodes one whole refined frame of a world with the help of the chunk's parent.
@@ -35,31 +49,49 @@ pub fn encode(chunk: &Chunk, parent: &Chunk, world: &WorldDigest, effort: Effort
 /// As [`super::decode`]; [`ChunkError::Parent`] if `parent` is the chunk of another key, [`ChunkError::Digest`] if it is not the one that the
 /// frame was made from.
 pub fn decode(frame: &[u8], world: &WorldDigest, parent: &Chunk) -> Result<Chunk, ChunkError> {
+    let Frame { key, .. } = Frame::read(frame, KIND_REFINED)?;
+    if key.parent() != Some(parent.key) {
+        return Err(ChunkError::Parent(key));
+    }
+    decode_over(frame, world, &parent.heights)
+}
+
+/// As [`decode`], with nothing of the parent but its heights.
+///
+/// # Errors
+/// As [`decode`]; heights of another chunk are refused by the digest.
+pub fn decode_over(frame: &[u8], world: &WorldDigest, parent: &Heights) -> Result<Chunk, ChunkError> {
     let frame = Frame::read(frame, KIND_REFINED)?;
     let known = Known::of(frame.key, parent).ok_or(ChunkError::Parent(frame.key))?;
     open(&frame, world, None, Some(&known))
 }
 
 /// The vertices of a chunk that its parent has, row by row.
+#[derive(PartialEq, Eq)]
 pub(super) struct Known(Box<[i32; KNOWN * KNOWN]>);
 
 impl Known {
-    /// The quadrant of a parent that a chunk covers; none if it is not the parent.
-    fn of(key: ChunkKey, parent: &Chunk) -> Option<Self> {
-        let quadrant = parent.key.children()?.iter().position(|child| *child == key)?;
+    /// The quadrant of a parent that a chunk covers; none if the chunk has no parent.
+    fn of(key: ChunkKey, parent: &Heights) -> Option<Self> {
+        let quadrant = key.parent()?.children()?.iter().position(|child| *child == key)?;
         let (x, z) = (quadrant % 2 * (KNOWN - 1), quadrant / 2 * (KNOWN - 1));
         let mut known = Box::new([0; KNOWN * KNOWN]);
         for (row, to) in known.as_chunks_mut::<KNOWN>().0.iter_mut().enumerate() {
-            to.copy_from_slice(&parent.heights[(z + row) * VERTICES + x..][..KNOWN]);
+            to.copy_from_slice(&parent[(z + row) * VERTICES + x..][..KNOWN]);
         }
         Some(Self(known))
     }
 
-    fn is_of(&self, heights: &Heights) -> bool {
-        self.0.iter().enumerate().all(|(index, known)| {
-            let (x, z) = (index % KNOWN, index / KNOWN);
-            heights[2 * z * VERTICES + 2 * x] == *known
-        })
+    /// The same as the chunk itself has them.
+    fn in_chunk(heights: &Heights) -> Self {
+        let mut known = Box::new([0; KNOWN * KNOWN]);
+        let rows = heights.as_chunks::<VERTICES>().0.iter().step_by(2);
+        for (to, row) in known.as_chunks_mut::<KNOWN>().0.iter_mut().zip(rows) {
+            for (to, height) in to.iter_mut().zip(row.iter().step_by(2)) {
+                *to = *height;
+            }
+        }
+        Self(known)
     }
 
     /// The known heights as the digest covers them.
@@ -69,9 +101,14 @@ impl Known {
 
     /// Appends the parts of what the parent lacks. Returns the width of the residuals.
     pub(super) fn push(&self, kernel: Kernel, heights: &Heights, effort: Effort, out: &mut Vec<u8>) -> u32 {
+        let lacking = Lacking::in_chunk(heights);
         let mut residuals = Vec::with_capacity(LACKING);
-        for index in lacking() {
-            residuals.push(zigzag(heights[index].wrapping_sub(predict(heights, index))));
+        for group in [Group::Rows, Group::Columns, Group::Middles] {
+            for row in 0..group.rows() {
+                let (actual, predicted) = (group.row(&lacking, row), group.predict(self, &lacking, row));
+                let pairs = actual.iter().zip(&predicted);
+                residuals.extend(pairs.map(|(height, predicted)| zigzag(height.wrapping_sub(*predicted))));
+            }
         }
         let width = parts::width(residuals.iter().fold(0, |all, residual| all | residual));
         parts::push(kernel, &residuals, width, effort, out);
@@ -89,43 +126,156 @@ impl Known {
     ) -> Result<(), ChunkError> {
         let mut residuals = [0; LACKING];
         kernel::join(kernel, room.take(kernel, width, LACKING, payload)?.get(), &mut residuals);
-        for (index, known) in self.0.iter().enumerate() {
-            heights[2 * (index / KNOWN) * VERTICES + 2 * (index % KNOWN)] = *known;
+        let mut lacking = Lacking::default();
+        let mut residuals = &residuals[..];
+        for group in [Group::Rows, Group::Columns, Group::Middles] {
+            for row in 0..group.rows() {
+                let predicted = group.predict(self, &lacking, row);
+                let heights = group.row_mut(&mut lacking, row);
+                let (of_row, rest) = residuals.split_at(heights.len());
+                for ((height, predicted), residual) in heights.iter_mut().zip(&predicted).zip(of_row) {
+                    *height = predicted.wrapping_add(*residual);
+                }
+                residuals = rest;
+            }
         }
-        for (index, residual) in lacking().zip(residuals) {
-            heights[index] = predict(heights, index).wrapping_add(residual);
-        }
+        self.interleave(&lacking, heights);
         if heights.iter().fold(false, |any, height| any | (height.unsigned_abs() >= HEIGHT_LIMIT as u32)) {
             return Err(ChunkError::Content("a height is out of range"));
         }
         Ok(())
     }
-}
 
-/// Indices of the vertices that the parent lacks in the order of their residuals: between two known ones of a row, of a column,
-/// middles; each row by row.
-fn lacking() -> impl Iterator<Item = usize> {
-    [(1, 0), (0, 1), (1, 1)].into_iter().flat_map(|(x, z)| {
-        (z..VERTICES).step_by(2).flat_map(move |z| (x..VERTICES).step_by(2).map(move |x| z * VERTICES + x))
-    })
-}
+    /// A row of known vertices.
+    fn row(&self, row: usize) -> &[i32; KNOWN] {
+        &self.0.as_chunks().0[row]
+    }
 
-/// What a vertex that the parent lacks should be by its neighbours, all of them decoded before it.
-fn predict(heights: &Heights, index: usize) -> i32 {
-    let (x, z) = (index % VERTICES, index / VERTICES);
-    let sum = |by: usize| heights[index - by].wrapping_add(heights[index + by]);
-    let between = |place: usize, step: usize| {
-        // The outermost have one neighbour a side.
-        let far = if place > 1 && place < CELLS - 1 { sum(3 * step) } else { sum(step) };
-        (sum(step).wrapping_mul(9).wrapping_sub(far).wrapping_add(8)) >> 4
-    };
-    match (x % 2, z % 2) {
-        (1, 0) => between(x, 1),
-        (0, _) => between(z, VERTICES),
-        _ => {
-            let sides = sum(1).wrapping_add(sum(VERTICES));
-            let corners = sum(VERTICES - 1).wrapping_add(sum(VERTICES + 1));
-            sides.wrapping_mul(2).wrapping_sub(corners).wrapping_add(2) >> 2
+    /// Puts known and lacking vertices where they belong.
+    fn interleave(&self, lacking: &Lacking, heights: &mut Heights) {
+        for (z, to) in heights.as_chunks_mut::<VERTICES>().0.iter_mut().enumerate() {
+            let half = z / 2;
+            let (even, odd) = match z % 2 {
+                0 => (self.row(half), &lacking.rows[half]),
+                _ => (&lacking.columns[half], &lacking.middles[half]),
+            };
+            for ((pair, even), odd) in to.as_chunks_mut::<2>().0.iter_mut().zip(even).zip(odd) {
+                *pair = [*even, *odd];
+            }
+            to[CELLS] = even[KNOWN - 1];
         }
     }
+}
+
+/// The vertices that the parent lacks, apart by where they lie, so that each lies beside its like in memory.
+struct Lacking {
+    /// Between two known vertices of a row.
+    rows: [[i32; HALF]; KNOWN],
+    /// Between two known vertices of a column.
+    columns: [[i32; KNOWN]; HALF],
+    /// Amid four known vertices.
+    middles: [[i32; HALF]; HALF],
+}
+
+impl Default for Lacking {
+    fn default() -> Self {
+        Self { rows: [[0; HALF]; KNOWN], columns: [[0; KNOWN]; HALF], middles: [[0; HALF]; HALF] }
+    }
+}
+
+impl Lacking {
+    fn in_chunk(heights: &Heights) -> Self {
+        let mut lacking = Self::default();
+        for (z, row) in heights.as_chunks::<VERTICES>().0.iter().enumerate() {
+            let half = z / 2;
+            let odd = match z % 2 {
+                0 => &mut lacking.rows[half],
+                _ => {
+                    let even = row.iter().step_by(2);
+                    lacking.columns[half].iter_mut().zip(even).for_each(|(to, height)| *to = *height);
+                    &mut lacking.middles[half]
+                }
+            };
+            odd.iter_mut().zip(row[1..].iter().step_by(2)).for_each(|(to, height)| *to = *height);
+        }
+        lacking
+    }
+}
+
+/// Which of [`Lacking`]'s vertices, in the order in which they are coded: those of a group are predicted from the groups before it alone.
+#[derive(Clone, Copy)]
+enum Group {
+    Rows,
+    Columns,
+    Middles,
+}
+
+impl Group {
+    const fn rows(self) -> usize {
+        match self {
+            Self::Rows => KNOWN,
+            Self::Columns | Self::Middles => HALF,
+        }
+    }
+
+    fn row(self, lacking: &Lacking, row: usize) -> &[i32] {
+        match self {
+            Self::Rows => &lacking.rows[row],
+            Self::Columns => &lacking.columns[row],
+            Self::Middles => &lacking.middles[row],
+        }
+    }
+
+    fn row_mut(self, lacking: &mut Lacking, row: usize) -> &mut [i32] {
+        match self {
+            Self::Rows => &mut lacking.rows[row],
+            Self::Columns => &mut lacking.columns[row],
+            Self::Middles => &mut lacking.middles[row],
+        }
+    }
+
+    /// What the vertices of a row should be by their neighbours; of the last group but one, and of middles, one more than there are.
+    fn predict(self, known: &Known, lacking: &Lacking, row: usize) -> [i32; KNOWN] {
+        let mut predicted = [0; KNOWN];
+        match self {
+            Self::Rows => {
+                let known = known.row(row);
+                let sum = |place: usize| known[place].wrapping_add(known[place + 1]);
+                for (place, predicted) in predicted[..HALF].iter_mut().enumerate() {
+                    // The outermost have one neighbour a side.
+                    let is_inner = (1..HALF - 1).contains(&place);
+                    let far =
+                        if is_inner { known[place - 1].wrapping_add(known[place + 2]) } else { sum(place) };
+                    *predicted = between(sum(place), far);
+                }
+            }
+            Self::Columns => {
+                let (above, below) = (known.row(row), known.row(row + 1));
+                let is_inner = (1..HALF - 1).contains(&row);
+                let (far_above, far_below) =
+                    if is_inner { (known.row(row - 1), known.row(row + 2)) } else { (above, below) };
+                for (place, predicted) in predicted.iter_mut().enumerate() {
+                    let near = above[place].wrapping_add(below[place]);
+                    *predicted = between(near, far_above[place].wrapping_add(far_below[place]));
+                }
+            }
+            Self::Middles => {
+                let (above, below) = (known.row(row), known.row(row + 1));
+                let (sides, over, under) =
+                    (&lacking.columns[row], &lacking.rows[row], &lacking.rows[row + 1]);
+                for (place, predicted) in predicted[..HALF].iter_mut().enumerate() {
+                    let pair = |row: &[i32; KNOWN]| row[place].wrapping_add(row[place + 1]);
+                    let sides = pair(sides).wrapping_add(over[place].wrapping_add(under[place]));
+                    let corners = pair(above).wrapping_add(pair(below));
+                    *predicted = sides.wrapping_mul(2).wrapping_sub(corners).wrapping_add(2) >> 2;
+                }
+            }
+        }
+        predicted
+    }
+}
+
+/// Four points of a line by the sums of the near two and the far two.
+const fn between(near: i32, far: i32) -> i32 {
+    near.wrapping_mul(9).wrapping_sub(far).wrapping_add(8) >> 4
 }

@@ -29,7 +29,7 @@ impl Names {
     pub fn path(&self, key: ChunkKey, delivery: Delivery) -> PathBuf {
         let tolerance = match delivery {
             Delivery::Quantised(tolerance) => tolerance.units().to_string(),
-            Delivery::Exact | Delivery::SeedOnly => String::new(),
+            Delivery::Exact | Delivery::SeedOnly | Delivery::Refined => String::new(),
         };
         let (world, delivery, level) = (&self.world, delivery.name(), key.level());
         let name = format!("{world}.{VERSION}.{delivery}{tolerance}.{level}.{}.{}", key.x(), key.z());

@@ -47,7 +47,7 @@ impl Frames {
     #[must_use]
     pub fn known_error(&self, key: ChunkKey) -> Option<u32> {
         // A peek: this use of a frame is no reason to keep it.
-        let frame = [Delivery::Exact, Delivery::SeedOnly]
+        let frame = [Delivery::Exact, Delivery::Refined, Delivery::SeedOnly]
             .into_iter()
             .find_map(|delivery| self.cache.peek(&(key, delivery)))?;
         chunk_codec::error(&frame)

@@ -21,6 +21,9 @@ const ROUND_US: i64 = 4000;
 /// and makes it write, which costs about as much as a chunk; at most some ten, since they are answered together.
 const QUANTUM_US: (i64, i64) = (160, 400);
 
+/// Jobs waiting for each flow from which on all are taken to have much waiting: half of what a session may have.
+const CROWD: usize = 8;
+
 /// What a runner holds of a job between making and answering.
 struct Made {
     key: ChunkKey,
@@ -40,7 +43,8 @@ impl Shared {
         loop {
             let turn = {
                 let mut queue = self.lock();
-                let turn = queue.take(self.quantum_us(), deadline, Instant::now());
+                let quantum_us = self.quantum_us(queue.waiting());
+                let turn = queue.take(quantum_us, deadline, Instant::now());
                 if turn.keys.is_empty() {
                     queue.runners -= 1;
                 }
@@ -61,10 +65,14 @@ impl Shared {
         }
     }
 
-    /// Few flows get long turns, which cost less; many get short ones, so that none waits long for its own.
-    fn quantum_us(&self) -> i64 {
-        let flows = self.open_flows.load(Ordering::Relaxed).max(1) as i64;
-        (ROUND_US / flows).clamp(QUANTUM_US.0, QUANTUM_US.1)
+    /// Few flows get long turns, which cost less; many get short ones, so that none waits long for its own. Where all have much waiting, short
+    /// turns would make nobody's wait shorter, and a server that falls behind must not spend its time on writes.
+    fn quantum_us(&self, waiting: usize) -> i64 {
+        let flows = self.open_flows.load(Ordering::Relaxed).max(1);
+        if waiting >= CROWD * flows {
+            return QUANTUM_US.1;
+        }
+        (ROUND_US / flows as i64).clamp(QUANTUM_US.0, QUANTUM_US.1)
     }
 
     /// Makes what is asked for of a chunk; who asks for another form meanwhile is served by a further round.
@@ -140,7 +148,7 @@ impl Shared {
                 let chunk = self.source.chunk(key, Some(error));
                 chunk_codec::encode_for(delivery, &chunk, &self.world) == frame
             }),
-            Delivery::Exact | Delivery::Quantised(_) => {
+            Delivery::Exact | Delivery::Quantised(_) | Delivery::Refined => {
                 let found = chunk_codec::verify(frame, &self.world).ok();
                 // An exact frame may come in every delivery.
                 found == Some((key, delivery)) || found == Some((key, Delivery::Exact))

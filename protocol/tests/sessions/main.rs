@@ -1,6 +1,15 @@
 //! Both session machines against each other, frame by frame, without any transport.
+//!
+//! | module | what belongs there |
+//! | --- | --- |
+//! | here | the handshake, views, requests, credit, refusals |
+//! | `refined` | frames that refine what came before |
+
+mod pair;
+mod refined;
 
 use bytes::Bytes;
+use pair::{Pair, config, next_wanted, offer, view};
 use proptest::prelude::*;
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::message::{ClientMessage, Hello, RefusalReason, Rejection, ServerMessage, WireKey};
@@ -12,101 +21,6 @@ use protocol::{
 };
 use std::collections::HashSet;
 use terrain::{Chunk, ChunkKey, Land, WorldDigest};
-
-struct Pair {
-    client: ClientSession,
-    server: ServerSession,
-    land: Land,
-    digest: WorldDigest,
-    events: Vec<Event>,
-    delivered: usize,
-}
-
-fn offer() -> ServerOffer {
-    let land = Land::new(1);
-    ServerOffer { land, digest: land.digest(), token: None, software: "test server".into() }
-}
-
-fn config(window: u32) -> ClientConfig {
-    ClientConfig {
-        digest: None,
-        delivery: Delivery::Exact,
-        token: None,
-        software: "test client".into(),
-        window,
-    }
-}
-
-fn view(id: u32, distance_m: u32) -> View {
-    View {
-        id,
-        eye: [0, 25_600, 0],
-        velocity: [0; 3],
-        yaw_mdeg: 0,
-        pitch_mdeg: 0,
-        fov_mdeg: 60_000,
-        viewport: [640, 360],
-        tolerance_q4: 64,
-        distance_m,
-    }
-}
-
-impl Pair {
-    fn new(window: u32) -> Self {
-        Self::with(config(window))
-    }
-
-    fn with(config: ClientConfig) -> Self {
-        let offer = offer();
-        let (land, digest) = (offer.land, offer.digest);
-        let (client, server) = (ClientSession::new(config), ServerSession::new(offer, 1));
-        Self { client, server, land, digest, events: Vec::new(), delivered: 0 }
-    }
-
-    /// Carries frames until both sides are silent; makes at most `chunks` chunks.
-    fn run(&mut self, mut chunks: usize) {
-        loop {
-            let mut moved = false;
-            while let Some(frame) = self.client.poll_transmit() {
-                self.server.receive(Incoming::Binary(&frame)).unwrap();
-                moved = true;
-            }
-            while chunks > 0
-                && let Some(wanted) = self.server.next_chunk()
-            {
-                let delivery = self.server.delivery();
-                let frame = chunk_codec::encode_for(delivery, &self.land.chunk(wanted.key), &self.digest);
-                self.server.deliver(wanted, frame);
-                self.delivered += 1;
-                chunks -= 1;
-                moved = true;
-            }
-            while let Some(frame) = self.server.poll_transmit() {
-                self.events.push(self.client.receive(Incoming::Binary(&frame)).unwrap());
-                moved = true;
-            }
-            if !moved {
-                return;
-            }
-        }
-    }
-
-    fn chunk_keys(&self) -> Vec<ChunkKey> {
-        let key = |event: &Event| match event {
-            Event::Chunk { chunk, .. } => Some(chunk.key),
-            _ => None,
-        };
-        self.events.iter().filter_map(key).collect()
-    }
-
-    fn settled(&self) -> Vec<(u32, u32)> {
-        let settled = |event: &Event| match event {
-            Event::Settled { view, chunks } => Some((*view, *chunks)),
-            _ => None,
-        };
-        self.events.iter().filter_map(settled).collect()
-    }
-}
 
 #[test]
 fn a_view_is_delivered_whole_once_and_settled() {
@@ -266,7 +180,7 @@ fn a_server_never_owes_more_than_the_credits() {
     while let Some(frame) = pair.client.poll_transmit() {
         pair.server.receive(Incoming::Binary(&frame)).unwrap();
     }
-    let asked = std::iter::from_fn(|| pair.server.next_chunk()).count();
+    let asked = std::iter::from_fn(|| next_wanted(&mut pair.server)).count();
     assert_eq!((asked, pair.server.credits()), (5, 0));
 }
 
@@ -363,8 +277,8 @@ fn a_failed_chunk_returns_its_credit_and_lets_the_view_settle() {
     let mut pair = Pair::new(64);
     pair.client.set_view(view(1, 200));
     pair.run(0);
-    while let Some(wanted) = pair.server.next_chunk() {
-        pair.server.fail(wanted, RefusalReason::Overloaded, "try later".into());
+    while let Some(wanted) = next_wanted(&mut pair.server) {
+        pair.server.fail(wanted, RefusalReason::Overloaded, "try later");
     }
     assert_eq!(pair.server.credits(), 64);
     pair.run(0);
@@ -536,23 +450,23 @@ fn bytes_owed_never_exceed_the_bytes_granted_whatever_frames_turn_out_to_be() {
     let largest = limits::MAX_CHUNK_FRAME as u32;
     say(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(20) });
     // Before the first grant only chunks are counted.
-    let uncounted = server.next_chunk().unwrap();
+    let uncounted = next_wanted(&mut server).unwrap();
     say(&mut server, &ClientMessage::CreditBytes { bytes: 4 * largest });
-    let under_way: Vec<_> = std::iter::from_fn(|| server.next_chunk()).collect();
+    let under_way: Vec<_> = std::iter::from_fn(|| next_wanted(&mut server)).collect();
     assert_eq!(under_way.len(), 3, "one was under way already");
     // A small frame gives back what was reserved for a large one.
     server.deliver(uncounted, Bytes::from(vec![0; 1000]));
-    assert_eq!(server.next_chunk(), None, "a largest frame less 1000 bytes is not enough");
+    assert_eq!(next_wanted(&mut server), None, "a largest frame less 1000 bytes is not enough");
     server.deliver(under_way[0], Bytes::from(vec![0; 1000]));
-    let next = server.next_chunk().expect("two give back more than one frame");
-    assert_eq!(server.next_chunk(), None);
+    let next = next_wanted(&mut server).expect("two give back more than one frame");
+    assert_eq!(next_wanted(&mut server), None);
     // A largest frame gives nothing back, a failed one everything.
     server.deliver(under_way[1], Bytes::from(vec![0; largest as usize]));
-    assert_eq!(server.next_chunk(), None);
+    assert_eq!(next_wanted(&mut server), None);
     server.fail(next, RefusalReason::Failed, String::new());
-    assert!(server.next_chunk().is_some());
+    assert!(next_wanted(&mut server).is_some());
     say(&mut server, &ClientMessage::CreditBytes { bytes: 10 * largest });
-    assert_eq!(std::iter::from_fn(|| server.next_chunk()).count(), 10);
+    assert_eq!(std::iter::from_fn(|| next_wanted(&mut server)).count(), 10);
 }
 
 #[test]
@@ -561,10 +475,10 @@ fn a_ready_chunk_costs_the_same_credit_as_one_that_is_made() {
     let mut server = welcomed(2);
     say(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(3) });
     let frame = Bytes::from_static(b"ready");
-    assert_eq!(server.next_chunk_with(|_| Some(frame.clone())), Next::Delivered);
+    assert_eq!(server.next_chunk_with(|_, _| Some(frame.clone())), Next::Delivered);
     assert_eq!(server.poll_transmit(), Some(frame.clone()));
-    assert!(matches!(server.next_chunk_with(|_| None), Next::Make(_)));
-    assert_eq!(server.next_chunk_with(|_| Some(frame)), Next::Nothing, "no credit is left");
+    assert!(matches!(server.next_chunk_with(|_, _| None), Next::Make(..)));
+    assert_eq!(server.next_chunk_with(|_, _| Some(frame)), Next::Nothing, "no credit is left");
     assert_eq!((server.counts().chunks, server.credits()), (1, 0));
 }
 
@@ -574,10 +488,10 @@ fn a_key_named_twice_in_one_request_is_refused_once_and_sent_once() {
     let twice = [wire_keys(3), wire_keys(2)].concat();
     say(&mut server, &ClientMessage::Request { id: 5, keys: twice });
     assert_eq!(refusals(&mut server), [(5, RefusalReason::Duplicate); 2]);
-    assert_eq!(std::iter::from_fn(|| server.next_chunk()).count(), 3);
+    assert_eq!(std::iter::from_fn(|| next_wanted(&mut server)).count(), 3);
     // Another request may ask again: it has an id of its own to be answered under.
     say(&mut server, &ClientMessage::Request { id: 6, keys: wire_keys(1) });
-    assert_eq!(server.next_chunk().map(|wanted| wanted.request), Some(Some(6)));
+    assert_eq!(next_wanted(&mut server).map(|wanted| wanted.request), Some(Some(6)));
     assert_eq!(server.counts().refusals[RefusalReason::Duplicate.index()], 2);
 }
 
@@ -603,7 +517,7 @@ fn a_cancelled_request_is_neither_made_nor_refused_and_its_credit_comes_back() {
     let mut server = welcomed(4);
     say(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(10) });
     say(&mut server, &ClientMessage::Request { id: 2, keys: wire_keys(1) });
-    let under_way: Vec<_> = std::iter::from_fn(|| server.next_chunk()).collect();
+    let under_way: Vec<_> = std::iter::from_fn(|| next_wanted(&mut server)).collect();
     say(&mut server, &ClientMessage::Cancel { id: 1 });
     say(&mut server, &ClientMessage::Cancel { id: 77 });
     let stale = server.take_stale();
@@ -615,7 +529,7 @@ fn a_cancelled_request_is_neither_made_nor_refused_and_its_credit_comes_back() {
     }
     server.deliver(under_way[3], Bytes::from_static(b"made"));
     assert_eq!(server.credits(), 3);
-    let left: Vec<_> = std::iter::from_fn(|| server.next_chunk()).map(|wanted| wanted.request).collect();
+    let left: Vec<_> = std::iter::from_fn(|| next_wanted(&mut server)).map(|wanted| wanted.request).collect();
     assert_eq!((left, refusals(&mut server).len()), (vec![Some(2)], 0));
 }
 
@@ -624,7 +538,7 @@ fn a_chunk_that_a_second_request_waits_for_is_not_stale() {
     let mut server = welcomed(4);
     say(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(1) });
     say(&mut server, &ClientMessage::Request { id: 2, keys: wire_keys(1) });
-    assert_eq!(std::iter::from_fn(|| server.next_chunk()).count(), 2);
+    assert_eq!(std::iter::from_fn(|| next_wanted(&mut server)).count(), 2);
     say(&mut server, &ClientMessage::Cancel { id: 1 });
     assert!(server.take_stale().is_empty());
 }
@@ -633,7 +547,7 @@ fn a_chunk_that_a_second_request_waits_for_is_not_stale() {
 fn what_an_old_view_wanted_and_the_next_does_not_is_stale() {
     let mut server = welcomed(8);
     say(&mut server, &ClientMessage::View(view(1, 300)));
-    let under_way: Vec<_> = std::iter::from_fn(|| server.next_chunk()).collect();
+    let under_way: Vec<_> = std::iter::from_fn(|| next_wanted(&mut server)).collect();
     assert_eq!(under_way.len(), 8);
     // The same place again: all of it is still wanted.
     say(&mut server, &ClientMessage::View(view(2, 300)));
@@ -687,7 +601,7 @@ fn shedding_refuses_the_latest_requests_and_keeps_the_first() {
     assert_eq!(refused.iter().map(|(id, _)| *id).collect::<Vec<_>>(), [4, 4, 3, 3, 2, 2]);
     assert!(refused.iter().all(|(_, reason)| *reason == RefusalReason::Overloaded));
     assert_eq!(server.credits(), 64, "what was shed had taken no credit");
-    assert_eq!(std::iter::from_fn(|| server.next_chunk()).count(), 4);
+    assert_eq!(std::iter::from_fn(|| next_wanted(&mut server)).count(), 4);
 }
 
 #[test]
@@ -706,7 +620,7 @@ fn the_wildest_numbers_of_a_view_are_refused_or_served_and_never_panic() {
                 }),
             );
         }
-        while server.next_chunk().is_some() {}
+        while next_wanted(&mut server).is_some() {}
         let counts = server.counts();
         assert_eq!(counts.views + counts.refusals[RefusalReason::InvalidView.index()], 3);
     }
@@ -727,7 +641,7 @@ proptest! {
                 let frame = [start, frame].concat();
                 let _ = server.receive(Incoming::Binary(&frame));
                 let _ = client.receive(Incoming::Binary(&frame));
-                while server.next_chunk().is_some() {}
+                while next_wanted(&mut server).is_some() {}
             }
         }
     }
