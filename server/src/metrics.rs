@@ -74,6 +74,8 @@ pub struct Metrics {
     pub refusal_pauses: Counter,
     /// Jobs run to the end.
     pub generated: Counter,
+    /// Frames coded in haste, because much was waiting.
+    pub hasty: Counter,
     /// Jobs dropped unrun because nobody waited any more.
     pub cancelled: Counter,
     /// Jobs that panicked.
@@ -137,6 +139,7 @@ impl Default for Metrics {
             coalesced: Counter::default(),
             shed: Counter::default(),
             generated: Counter::default(),
+            hasty: Counter::default(),
             cancelled: Counter::default(),
             failed: Counter::default(),
             queue: Gauge::default(),
@@ -213,6 +216,7 @@ impl Metrics {
         r.register("coalesced", "Frames joined to a job under way", self.coalesced.clone());
         r.register("shed", "Frames refused because the queue was full", self.shed.clone());
         r.register("generated", "Generation jobs run to the end", self.generated.clone());
+        r.register("hasty", "Frames coded in haste because much was waiting", self.hasty.clone());
         r.register("cancelled", "Generation jobs dropped because nobody waited", self.cancelled.clone());
         r.register("failed", "Generation jobs that panicked", self.failed.clone());
         r.register("generation_queue", "Generation jobs queued or running", self.queue.clone());

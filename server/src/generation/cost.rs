@@ -47,6 +47,12 @@ impl Costs {
         (self.by_level[usize::from(key.level())].load(Ordering::Relaxed) / 1000).max(1) as i64
     }
 
+    /// What a job takes by the recent mix of levels, microseconds, at least 1.
+    #[must_use]
+    pub fn mean_us(&self) -> i64 {
+        (self.all.load(Ordering::Relaxed) / 1000).max(1) as i64
+    }
+
     /// Jobs that `threads` threads finish within a time for each of `flows` flows, by the recent mix of levels.
     #[must_use]
     pub fn within(&self, time: Duration, threads: usize, flows: usize) -> usize {

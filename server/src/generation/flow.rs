@@ -74,7 +74,7 @@ impl Flow {
         metrics.requested.inc();
         let mut queue = self.service.shared.lock();
         // Under the lock: a job leaves the queue only after its frames are in the cache.
-        if let Some(frame) = frames.get(wanted.key, delivery) {
+        if let Some(frame) = frames.get(wanted.key, delivery, || queue.jobs() == 0) {
             metrics.cache_hits.inc();
             self.answer_now(wanted, Ok(frame));
             return;

@@ -11,16 +11,25 @@ type FrameId = (ChunkKey, Delivery);
 
 /// Frames by chunk and delivery.
 pub struct Frames {
-    cache: Cache<FrameId, Bytes, FrameWeight>,
+    cache: Cache<FrameId, Kept, FrameWeight>,
+}
+
+/// A finished frame.
+#[derive(Clone)]
+pub struct Kept {
+    /// The frame.
+    pub frame: Bytes,
+    /// Whether it was coded in haste and is longer than it need be. The first who asks for it when nothing waits has it made again, with care.
+    pub is_hasty: bool,
 }
 
 #[derive(Clone)]
 struct FrameWeight;
 
-impl Weighter<FrameId, Bytes> for FrameWeight {
-    fn weight(&self, _id: &FrameId, frame: &Bytes) -> u64 {
+impl Weighter<FrameId, Kept> for FrameWeight {
+    fn weight(&self, _id: &FrameId, kept: &Kept) -> u64 {
         // The key, the handle and the map's own share, besides the bytes; for a seed-only frame most of it.
-        frame.len() as u64 + 128
+        kept.frame.len() as u64 + 128
     }
 }
 
@@ -32,25 +41,26 @@ impl Frames {
         Self { cache: Cache::with_weighter((bytes / 4096) as usize, bytes, FrameWeight) }
     }
 
-    /// The frame of a chunk for a delivery.
+    /// The frame of a chunk for a delivery; none if it was made in haste and there `is_time` to make a better one.
     #[must_use]
-    pub fn get(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
-        self.cache.get(&(key, delivery))
+    pub fn get(&self, key: ChunkKey, delivery: Delivery, is_time: impl FnOnce() -> bool) -> Option<Bytes> {
+        let Kept { frame, is_hasty } = self.cache.get(&(key, delivery))?;
+        (!is_hasty || !is_time()).then_some(frame)
     }
 
     /// Keeps a frame; others may have to go.
-    pub fn insert(&self, key: ChunkKey, delivery: Delivery, frame: Bytes) {
-        self.cache.insert((key, delivery), frame);
+    pub fn insert(&self, key: ChunkKey, delivery: Delivery, kept: Kept) {
+        self.cache.insert((key, delivery), kept);
     }
 
     /// The error of a chunk that was made before and is still kept for some delivery.
     #[must_use]
     pub fn known_error(&self, key: ChunkKey) -> Option<u32> {
         // A peek: this use of a frame is no reason to keep it.
-        let frame = [Delivery::Exact, Delivery::Refined, Delivery::SeedOnly]
+        let kept = [Delivery::Exact, Delivery::Refined, Delivery::SeedOnly]
             .into_iter()
             .find_map(|delivery| self.cache.peek(&(key, delivery)))?;
-        chunk_codec::error(&frame)
+        chunk_codec::error(&kept.frame)
     }
 }
 

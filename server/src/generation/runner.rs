@@ -2,6 +2,7 @@
 //!
 //! A panic while making fails its own job only.
 
+use super::frames::Kept;
 use super::queue::FlowId;
 use super::{Answer, Done, GenerationError, Shared};
 use bytes::Bytes;
@@ -14,7 +15,7 @@ use std::time::Instant;
 use terrain::{Chunk, ChunkKey};
 use tokio::sync::mpsc::UnboundedSender;
 
-/// Time in which every waiting flow should have had a turn, microseconds of work.
+/// Time in which every waiting flow should have had a turn, microseconds of work. A thread that has more than that before it is behind.
 const ROUND_US: i64 = 4000;
 
 /// Bounds of the work that a flow gets done in one turn, microseconds. At least four cheap chunks or so, since each turn wakes a session
@@ -90,8 +91,7 @@ impl Shared {
     /// Takes a frame from disk, or encodes it; makes the chunk before that if this is the first of its frames.
     fn make(&self, key: ChunkKey, delivery: Delivery, chunk: &mut Option<Chunk>) -> Answer {
         let (started, is_first) = (Instant::now(), chunk.is_none());
-        // A queue that is half full is a server that falls behind: its time is worth more than the bytes.
-        let effort = if self.lock().jobs() * 2 > self.limits.jobs { Effort::Fast } else { Effort::Compact };
+        let effort = self.effort(key);
         let had = catch_unwind(AssertUnwindSafe(|| {
             // Once there is a chunk, to encode it is the shorter way.
             if chunk.is_none()
@@ -117,11 +117,20 @@ impl Shared {
             self.metrics.generation_seconds.observe(took.as_secs_f64());
             self.metrics.generated.inc();
         }
-        self.frames.insert(key, delivery, frame.clone());
+        // What is hasty in seed-only delivery? Nothing of it is coded.
+        let is_hasty = effort == Effort::Fast && delivery != Delivery::SeedOnly && !is_stored;
+        self.metrics.hasty.inc_by(u64::from(is_hasty));
+        self.frames.insert(key, delivery, Kept { frame: frame.clone(), is_hasty });
         if let Some(disk) = self.disk.as_ref().filter(|_| !is_stored) {
             disk.write(key, delivery, frame.clone());
         }
         Ok(frame)
+    }
+
+    /// A server that falls behind has less time than bytes. Of a coarser chunk coding is a small part of the making, so that is not where to save.
+    fn effort(&self, key: ChunkKey) -> Effort {
+        let backlog_us = || self.lock().waiting() as i64 * self.costs.mean_us() / self.limits.threads as i64;
+        if key.level() == 0 && backlog_us() > ROUND_US { Effort::Fast } else { Effort::Compact }
     }
 
     /// A frame from disk.
@@ -248,6 +257,45 @@ mod tests {
         assert_eq!(flow.answers().await[0].0.key, key(0));
         assert_eq!(flow.answers().await[0].1, Err(GenerationError::Overloaded));
         assert_eq!((made.try_iter().count(), metrics.expired.get()), (1, 1));
+    }
+
+    #[tokio::test]
+    async fn what_was_coded_in_haste_is_made_again_for_the_first_who_asks_when_nothing_waits() {
+        let bench = bench(1 << 20, 1000);
+        let mut flow = bench.service.flow();
+        // By the first guess, work for some twenty milliseconds.
+        for x in 0..200 {
+            flow.ask(wanted(key(x), 1), Delivery::Exact);
+        }
+        (0..200).for_each(|_| bench.permit.send(()).unwrap());
+        while flow.open() > 0 {
+            flow.answers().await;
+        }
+        let (hasty, generated) = (bench.metrics.hasty.get(), bench.metrics.generated.get());
+        assert!((1..200).contains(&hasty), "{hasty}");
+        let idle = async || {
+            while bench.service.load() > 0.0 {
+                tokio::task::yield_now().await;
+            }
+        };
+        idle().await;
+
+        // The tenth was made when all had been asked for, and in haste; the last was not. While something else runs both are good enough.
+        let blocker = ask(&bench.service, key(1000), 1).await;
+        for x in [10, 199] {
+            assert!(bench.service.cached(key(x), Delivery::Exact).is_some());
+        }
+        bench.permit.send(()).unwrap();
+        blocker.await.unwrap().unwrap();
+        idle().await;
+        assert!(bench.service.cached(key(199), Delivery::Exact).is_some());
+        for _ in 0..2 {
+            // A permit for the one job that there should be.
+            bench.permit.send(()).unwrap();
+            bench.service.flow().frame(wanted(key(10), 1), Delivery::Exact).await.unwrap();
+            idle().await;
+        }
+        assert_eq!((bench.metrics.hasty.get(), bench.metrics.generated.get()), (hasty, generated + 2));
     }
 
     #[tokio::test]
