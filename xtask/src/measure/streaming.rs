@@ -16,7 +16,7 @@ use std::process::{Command, Stdio};
 const BENCHES: [&str; 6] = ["cached", "cold", "stampede", "idle", "fair", "overload"];
 
 /// Rounds of each; figures are medians over them.
-const ROUNDS: &str = "3";
+const ROUNDS: &str = "5";
 
 /// Length of each timed part, seconds.
 const SECONDS: &str = "3";
@@ -223,13 +223,15 @@ fn how(measured: &Value, apart: Option<usize>) -> Vec<String> {
         ));
     }
     notes.push(format!(
-        "New chunks: {:.1} us of CPU each, of which heights {:.1}, grass {:.1}, pyramids {:.1}, coding {:.1} and all the rest (requests, queues, sockets, and what is slower in a busy server) {:.1}.",
+        "New chunks: {:.1} us of CPU each, of which heights {:.1}, grass {:.1}, pyramids {:.1}, coding {:.1} and all the rest (requests, queues, sockets, and what is slower in a busy server) {:.1}. {:.0} bytes each; {:.0} % coded in haste, since much was waiting.",
         at("/cold/total_us"),
         at("/cold/stages/generate_us"),
         at("/cold/stages/grass_us"),
         at("/cold/stages/pyramids_us"),
         at("/cold/stages/encode_us"),
-        at("/cold/stages/serve_us")
+        at("/cold/stages/serve_us"),
+        at("/cold/frame_bytes"),
+        100.0 * at("/cold/hasty_share")
     ));
     notes.push(format!(
         "Cached, one by one: {:.0} chunks a second of {:.0} bytes, {:.2} CPU seconds a GB; nginx {:.0} replies a second, {:.2} CPU seconds a GB. Pushed, {:.0} outstanding: {:.0} chunks a second.",
@@ -250,16 +252,29 @@ fn how(measured: &Value, apart: Option<usize>) -> Vec<String> {
     ));
     for load in measured.pointer("/overload/loads").and_then(Value::as_array).into_iter().flatten() {
         let of = |field: &str| number(load, field).unwrap_or(f64::NAN);
+        let refused = match number(load, "refusal_p99_ms") {
+            Some(p99) => format!("{:.0} refused, p99 {p99:.1} ms", of("refused")),
+            None => "none refused".into(),
+        };
         notes.push(format!(
-            "Load {} (of {:.0} a second): {:.0} chunks a second, p99 {:.1} ms; {:.0} refused, p99 {:.1} ms.",
+            "Load {} (of {:.0} a second): {:.0} chunks a second, p99 {:.1} ms; {refused}.",
             of("load"),
             at("/overload/capacity_per_s"),
             of("goodput_per_s"),
-            of("chunk_p99_ms"),
-            of("refused"),
-            of("refusal_p99_ms")
+            of("chunk_p99_ms")
         ));
     }
+    let rounds = |path: &str, digits: usize| {
+        let rounds =
+            measured.pointer(path).and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64);
+        rounds.map(|figure| format!("{figure:.digits$}")).collect::<Vec<_>>().join(", ")
+    };
+    notes.push(format!(
+        "Round by round: new chunks a second and core {}; polite p99 over alone {}; goodput over peak {}.",
+        rounds("/cold/chunks_per_core_s_rounds", 0),
+        rounds("/fair/p99_ratio_rounds", 2),
+        rounds("/overload/goodput_of_peak_rounds", 2)
+    ));
     notes
 }
 
