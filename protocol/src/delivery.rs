@@ -83,8 +83,8 @@ pub enum Delivery {
     SeedOnly,
     /// All heights, none farther from the exact one than the tolerance: half to a fifth of the bytes.
     Quantised(Tolerance),
-    /// All heights, exact, and of a chunk whose parent this session brought before only those that the parent lacks: a quarter fewer bytes
-    /// over a whole view. The client remembers the parents ([`crate::parents`]).
+    /// All heights, exact, and of a chunk whose parent this session brought before only those that the parent lacks: a sixth to a quarter fewer
+    /// bytes over a whole view. The client remembers the parents ([`crate::parents`]).
     Refined,
 }
 

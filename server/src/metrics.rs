@@ -102,6 +102,8 @@ pub struct Metrics {
     pub disk_bytes: Gauge,
     /// 1 while frames can be written.
     pub disk_working: Gauge,
+    /// Reads that took too long.
+    pub disk_slow: Counter,
     /// From the moment that a session takes a chunk up to the moment that it is written.
     pub latency: Latency,
     /// Tiles of the map asked for.
@@ -154,6 +156,7 @@ impl Default for Metrics {
             disk_faults: Counter::default(),
             disk_bytes: Gauge::default(),
             disk_working: Gauge::default(),
+            disk_slow: Counter::default(),
             latency: Latency::default(),
             tiles_requested: Counter::default(),
             tile_cache_hits: Counter::default(),
@@ -224,6 +227,11 @@ impl Metrics {
         r.register("disk_hits", "Frames found on disk", self.disk_hits.clone());
         r.register("disk_misses", "Frames looked for on disk in vain", self.disk_misses.clone());
         r.register("disk_writes", "Frames written to disk", self.disk_writes.clone());
+        r.register(
+            "disk_slow",
+            "Reads from disk that were given up because they took too long",
+            self.disk_slow.clone(),
+        );
         r.register(
             "disk_dropped",
             "Frames not written: queue full or folder unusable",

@@ -1,8 +1,8 @@
 //! Frames on disk: what outlives memory and the process, where making it again would be dearer than reading a file.
 //!
 //! A chunk has one content for ever, so the folder holds nothing that cannot be lost: a frame that is missing, damaged or foreign is
-//! made again. From that follows the rest. Generation threads read, one thread writes behind them (`keeper`), and neither ever fails a
-//! client: a full queue drops the write, a folder that cannot be used is left alone and tried again later. Files are not synced; what a
+//! made again. From that follows the rest. One thread reads for the generation threads (`reader`), one writes behind them (`keeper`), and neither ever fails or
+//! holds up a client: a slow read is given up, a full queue drops the write, a folder that cannot be used is left alone and tried again later. Files are not synced; what a
 //! crash leaves half-written is refused by its digest, as is everything else that is not what this server would send.
 //!
 //! An own few hundred lines rather than a crate, because nothing that exists does this little: cacache 13 verifies, but has no budget and
@@ -12,18 +12,19 @@
 
 mod keeper;
 mod names;
+mod reader;
 
 use crate::metrics::Metrics;
 use bytes::Bytes;
 use keeper::{Keeper, Order};
 use names::Names;
 use protocol::Delivery;
-use protocol::limits::MAX_CHUNK_FRAME;
-use std::fs::{self, File};
-use std::io::{self, Read};
-use std::path::{Path, PathBuf};
+use reader::Reader;
+use std::fs;
+use std::io;
+use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
 use tokio::sync::{mpsc, oneshot};
 
@@ -34,9 +35,6 @@ pub const FINEST_LEVEL: u8 = 2;
 
 /// Frames that wait to be written. About 1 MiB of them, 6 MiB if they were all as long as frames can be; one more is dropped.
 const WAITING: usize = 256;
-
-/// A file's time is moved on by a read only when it is older than this, so that a popular chunk does not cost a write a read.
-const AGE_STEP: Duration = Duration::from_secs(3600);
 
 /// Longest wait for the last writes when the server stops.
 const LAST_WRITES: Duration = Duration::from_secs(2);
@@ -55,6 +53,7 @@ pub struct DiskConfig {
 pub struct Disk {
     folder: PathBuf,
     names: Names,
+    reader: Reader,
     orders: mpsc::Sender<Order>,
     metrics: Arc<Metrics>,
 }
@@ -63,13 +62,14 @@ impl Disk {
     /// A tier over a folder. Touches nothing yet: the thread that writes opens the folder, so that a slow disk delays no start.
     ///
     /// # Errors
-    /// The system refuses to start a thread.
+    /// The system refuses to start threads.
     pub fn new(config: DiskConfig, world: &WorldDigest, metrics: Arc<Metrics>) -> io::Result<Self> {
         let (orders, ordered) = mpsc::channel(WAITING);
         let keeper = Keeper::new(config.clone(), Arc::clone(&metrics));
         // Ends when the last sender is gone.
         std::thread::Builder::new().name("disk".into()).spawn(move || keeper.run(ordered))?;
-        Ok(Self { folder: config.folder, names: Names::new(world), orders, metrics })
+        let reader = Reader::new(Arc::clone(&metrics))?;
+        Ok(Self { folder: config.folder, names: Names::new(world), reader, orders, metrics })
     }
 
     /// The frame of a chunk for a delivery, if it is kept and `is_genuine` says that it is what this server would send. What is not is
@@ -102,7 +102,7 @@ impl Disk {
             return None;
         }
         let path = self.folder.join(self.names.path(key, delivery));
-        match load(&path) {
+        match self.reader.read(path.clone()) {
             Ok(frame) if is_genuine(&frame) => Some(frame.into()),
             Ok(_) => {
                 self.metrics.disk_damaged.inc();
@@ -112,7 +112,7 @@ impl Disk {
                 None
             }
             Err(error) => {
-                if error.kind() != io::ErrorKind::NotFound {
+                if !matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::TimedOut) {
                     self.metrics.disk_faults.inc();
                 }
                 None
@@ -143,22 +143,6 @@ impl Disk {
             tracing::warn!("the disk cache did not finish its writes in time; what is missing is made again");
         }
     }
-}
-
-/// The bytes of a file, and a note that it is in use. A longer file than any frame is read no further than to be seen as one.
-fn load(path: &Path) -> io::Result<Vec<u8>> {
-    let mut file = File::open(path)?;
-    let about = file.metadata()?;
-    let mut bytes = Vec::with_capacity((about.len() as usize).min(MAX_CHUNK_FRAME) + 1);
-    file.by_ref().take(MAX_CHUNK_FRAME as u64 + 1).read_to_end(&mut bytes)?;
-    let now = SystemTime::now();
-    // A time in the future is as wrong as an old one.
-    if about.modified().ok().is_none_or(|then| now.duration_since(then).is_ok_and(|age| age < AGE_STEP)) {
-        return Ok(bytes);
-    }
-    // Where times cannot be set, frames go by the age of their writing.
-    let _ = file.set_modified(now);
-    Ok(bytes)
 }
 
 #[cfg(test)]

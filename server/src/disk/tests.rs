@@ -2,9 +2,12 @@
 
 use super::*;
 use crate::disk::keeper::Keeper;
+use crate::disk::reader::{AGE_STEP, load};
 use protocol::chunk_codec;
+use protocol::limits::MAX_CHUNK_FRAME;
+use std::fs::File;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::Instant;
+use std::time::{Instant, SystemTime};
 
 const WORLD: WorldDigest = WorldDigest([7; 32]);
 
@@ -125,8 +128,13 @@ async fn a_full_queue_drops_writes_and_nothing_waits_for_it() {
     // Nobody obeys.
     let (orders, mut ordered) = mpsc::channel(2);
     let metrics = Arc::new(Metrics::default());
-    let disk =
-        Disk { folder: folder.0.clone(), names: Names::new(&WORLD), orders, metrics: Arc::clone(&metrics) };
+    let disk = Disk {
+        folder: folder.0.clone(),
+        names: Names::new(&WORLD),
+        reader: Reader::new(Arc::clone(&metrics)).unwrap(),
+        orders,
+        metrics: Arc::clone(&metrics),
+    };
     for x in 0..5 {
         disk.write(key(x), Delivery::Exact, frame(x));
     }
@@ -275,4 +283,33 @@ fn what_a_crash_left_half_written_is_written_over() {
     assert_eq!(load(&folder.path(key(1))).unwrap(), frame(1));
     let names: Vec<_> = fs::read_dir(&folder.0).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     assert!(!names.iter().any(|name| name == "unfinished"), "{names:?}");
+}
+
+/// A file that hangs whoever opens it: a pipe without a writer.
+#[cfg(unix)]
+#[test]
+fn a_disk_that_hangs_costs_one_wait_and_is_used_again_when_it_answers() {
+    let folder = Folder::new();
+    let (disk, metrics) = disk(&folder);
+    disk.write(key(1), Delivery::Exact, frame(1));
+    while metrics.disk_writes.get() == 0 {
+        std::thread::yield_now();
+    }
+    let hanging = folder.path(key(2));
+    fs::create_dir_all(hanging.parent().unwrap()).unwrap();
+    assert!(std::process::Command::new("mkfifo").arg(&hanging).status().unwrap().success());
+    let read = |x| disk.read(key(x), Delivery::Exact, |bytes| bytes == frame(x));
+    assert_eq!(read(1), Some(frame(1)));
+    assert_eq!((read(2), metrics.disk_slow.get()), (None, 1));
+    for _ in 0..1000 {
+        assert_eq!(read(1), None, "nobody waits behind it");
+    }
+    assert_eq!((metrics.disk_slow.get(), metrics.disk_faults.get()), (1, 0));
+    // A writer that says nothing ends the wait of who reads, and that file is no frame.
+    drop(File::options().write(true).open(&hanging).unwrap());
+    let again = (0..10_000).find_map(|_| {
+        std::thread::sleep(Duration::from_millis(1));
+        read(1)
+    });
+    assert_eq!(again, Some(frame(1)));
 }
