@@ -34,8 +34,8 @@ pub fn encode(chunk: &Chunk, parent: &Chunk, world: &WorldDigest, effort: Effort
         .then(|| seal(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
 }
 
-/// As [`encode`] without the parent, for chunks of a land: below the finest of [`parents::LEVELS`](crate::parents::LEVELS) a chunk's vertices in even columns
-/// and rows are its parent's. None for a chunk of another level.
+/// As [`encode`] without the parent, for chunks of a land: where the parent is of one of [`parents::LEVELS`], the chunk's vertices in even
+/// columns and rows are the parent's. None where it is not.
 #[must_use]
 pub fn encode_alone(chunk: &Chunk, world: &WorldDigest, effort: Effort) -> Option<Bytes> {
     let parent = chunk.key.parent()?;
