@@ -49,7 +49,7 @@ pub struct Args {
     pub rate: Option<f64>,
     /// Before the run, fly the first S seconds of the same paths, 0 to 86400. Reported apart: this part is `cold`, the run itself, in
     /// which all begin again with new sessions and empty hands, `warm`
-    #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=86_400))]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=86_400))]
     pub warm_up: u64,
     /// Further clients that read only --slow-rate bytes a second, 0 to 10000; reported apart
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=10_000))]
@@ -78,13 +78,13 @@ pub struct Args {
     #[arg(long, value_name = "BENCH", value_enum)]
     pub bench: Option<Bench>,
     /// Rounds of a benchmark, 1 to 100; its figures are medians over them
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    #[arg(long, value_name = "N", requires = "bench", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
     /// Server program that a benchmark starts [default: tombolo-server beside this program]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "bench")]
     pub server: Option<PathBuf>,
     /// Processors for the benchmark's server (and for nginx beside it), as `taskset -c` takes them, such as 0 or 0-3 [default: all]
-    #[arg(long, value_name = "LIST")]
+    #[arg(long, value_name = "LIST", requires = "bench")]
     pub server_cpus: Option<String>,
     /// File whose first line is the access token, where the server asks for one
     #[arg(long, value_name = "FILE")]
@@ -245,6 +245,9 @@ mod tests {
             (&["--rate", "0"], "0.01 to 1000000"),
             (&["--rate", "NaN"], "0.01 to 1000000"),
             (&["--slow-rate", "0"], "--slow-rate"),
+            (&["--warm-up", "-1"], "--warm-up"),
+            (&["--rounds", "5"], "--bench"),
+            (&["--server-cpus", "0"], "--bench"),
             (&["--colour", "red"], "--colour"),
         ] {
             let error = parse(args).unwrap_err();

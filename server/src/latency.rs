@@ -94,7 +94,7 @@ impl EncodeMetric for Latency {
             .map(|octave| {
                 let range = octave << FINE_BITS..(octave + 1) << FINE_BITS;
                 // The last bucket holds everything beyond, which OpenMetrics wants under +Inf.
-                let bound = if octave + 1 == OCTAVES { f64::MAX } else { low_ns(range.end) / 1e9 };
+                let bound = if octave + 1 == OCTAVES { f64::INFINITY } else { low_ns(range.end) / 1e9 };
                 (bound, counts[range].iter().sum())
             })
             .collect();

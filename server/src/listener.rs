@@ -10,6 +10,7 @@ use crate::generation::{Generation, Limits};
 use crate::live::Live;
 use crate::map::Map;
 use crate::metrics::Metrics;
+use crate::patient::Patient;
 use crate::purse::Purses;
 use crate::source::Procedural;
 use crate::{SOFTWARE, http};
@@ -34,6 +35,9 @@ use tower::ServiceExt;
 /// Connections beyond the sessions, for probes, metrics and chunk downloads. When all are taken, accepting pauses and
 /// the system's backlog holds the rest.
 const SPARE_CONNECTIONS: usize = 256;
+
+/// Connections that one address may have beyond its sessions: a quarter of the spare ones, so that nobody takes them all.
+const SPARE_OF_ADDRESS: usize = SPARE_CONNECTIONS / 4;
 
 /// Of the memory for chunks, as much again as one part in so many for tiles of the map.
 const MAP_SHARE: u64 = 8;
@@ -125,6 +129,8 @@ pub async fn run(
     let router = http::router(Arc::clone(&shared));
     let connections = TaskTracker::new();
     let slots = Arc::new(Semaphore::new(shared.config.max_sessions + SPARE_CONNECTIONS));
+    // A session leaves its connection's place when it begins, so these are requests, downloads, and who has not said what it wants.
+    let places = Addresses::new(shared.config.max_sessions_per_address.saturating_add(SPARE_OF_ADDRESS));
     tokio::pin!(shutdown);
     loop {
         let slot = tokio::select! {
@@ -136,10 +142,17 @@ pub async fn run(
             () = &mut shutdown => break,
             stream = accept(&listener) => stream,
         };
+        let Some(place) = places.enter(Some(peer.ip())) else {
+            // Closed without a word: whoever has so many is not waiting for one.
+            shared.metrics.connection_refusals.inc();
+            continue;
+        };
         let (router, shared) = (router.clone(), Arc::clone(&shared));
         connections.spawn(async move {
+            shared.metrics.connections.inc();
             serve_connection(stream, peer, router, &shared).await;
-            drop(slot);
+            shared.metrics.connections.dec();
+            drop((slot, place));
         });
     }
 
@@ -186,7 +199,7 @@ async fn serve_connection(stream: TcpStream, peer: SocketAddr, router: axum::Rou
         .timer(TokioTimer::new())
         .header_read_timeout(shared.config.handshake_timeout)
         .max_buf_size(HEADER_BUFFER)
-        .serve_connection(TokioIo::new(stream), service)
+        .serve_connection(TokioIo::new(Patient::new(stream, shared.config.write_timeout)), service)
         .with_upgrades();
     tokio::pin!(connection);
     let result = tokio::select! {

@@ -66,6 +66,10 @@ pub struct Metrics {
     pub expired: Counter,
     /// Sessions refused because their address has too many.
     pub address_refusals: Counter,
+    /// Connections open that are no sessions.
+    pub connections: Gauge,
+    /// Connections closed at once because their address has too many.
+    pub connection_refusals: Counter,
     /// Requests refused because their address has spent what it may cost.
     pub cost_refusals: Counter,
     /// Times that somebody had to wait for that reason.
@@ -132,6 +136,8 @@ impl Default for Metrics {
             refusals_by_reason: Default::default(),
             expired: Counter::default(),
             address_refusals: Counter::default(),
+            connections: Gauge::default(),
+            connection_refusals: Counter::default(),
             cost_refusals: Counter::default(),
             cost_waits: Counter::default(),
             refusal_pauses: Counter::default(),
@@ -198,6 +204,12 @@ impl Metrics {
             "Sessions refused because their address has too many",
             self.address_refusals.clone(),
         );
+        r.register("connections", "Connections open that are no sessions", self.connections.clone());
+        r.register(
+            "connection_refusals",
+            "Connections closed at once because their address has too many",
+            self.connection_refusals.clone(),
+        );
         r.register(
             "cost_refusals",
             "Requests refused because their address has spent what it may cost",
@@ -217,7 +229,7 @@ impl Metrics {
         r.register("frames_requested", "Frames asked of the generation service", self.requested.clone());
         r.register("cache_hits", "Frames answered from the cache", self.cache_hits.clone());
         r.register("coalesced", "Frames joined to a job under way", self.coalesced.clone());
-        r.register("shed", "Frames refused because the queue was full", self.shed.clone());
+        r.register("shed", "Frames refused because the generation queue was full", self.shed.clone());
         r.register("generated", "Generation jobs run to the end", self.generated.clone());
         r.register("hasty", "Frames coded in haste because much was waiting", self.hasty.clone());
         r.register("cancelled", "Generation jobs dropped because nobody waited", self.cancelled.clone());

@@ -89,6 +89,12 @@ impl Purse {
         self.of.is_some()
     }
 
+    /// Among how many a thread would have to be shared for each to get what this purse is filled with; 1 where nothing is counted.
+    #[must_use]
+    pub fn sharers(&self) -> usize {
+        self.of.as_ref().map_or(1, |(_, shared)| (1e6 / shared.rate).ceil().max(1.0) as usize)
+    }
+
     /// Takes out what a chunk costs to make, microseconds.
     pub fn pay_work(&self, us: i64, now: Instant) {
         self.with(now, |account, _| {

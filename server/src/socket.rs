@@ -340,7 +340,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         }
         if now.refusals != before.refusals {
             let more = now.refusals.iter().sum::<u64>() - before.refusals.iter().sum::<u64>();
-            let begins = self.heed.refused(more, self.shared.generation.sharers(), Instant::now());
+            // Where an address has a purse, what it is refused is bounded by it as well.
+            let sharers = self.shared.generation.sharers().max(self.flow.purse().sharers());
+            let begins = self.heed.refused(more, sharers, Instant::now());
             metrics.refusal_pauses.inc_by(u64::from(begins));
             for reason in RefusalReason::ALL {
                 let more = now.refusals[reason.index()] - before.refusals[reason.index()];

@@ -2,6 +2,7 @@
 //!
 //! What it refuses: everything that is no such request, in one sentence, before the connection changes hands.
 
+use crate::patient::Patient;
 use crate::socket::READ_LIMIT;
 use crate::websocket::WebSocket;
 use axum::extract::Request;
@@ -67,8 +68,9 @@ impl Upgrade {
     pub async fn socket(self) -> Option<WebSocket<TcpStream>> {
         let upgraded: Upgraded = self.on_upgrade.await.ok()?;
         // The accept loop gives hyper nothing else.
-        let parts = upgraded.downcast::<TokioIo<TcpStream>>().ok()?;
-        Some(WebSocket::new(parts.io.into_inner(), &parts.read_buf, READ_LIMIT))
+        let parts = upgraded.downcast::<TokioIo<Patient<TcpStream>>>().ok()?;
+        // A session has deadlines of its own.
+        Some(WebSocket::new(parts.io.into_inner().into_inner(), &parts.read_buf, READ_LIMIT))
     }
 }
 

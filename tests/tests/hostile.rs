@@ -278,6 +278,7 @@ async fn a_full_server_answers_503_and_admits_again_when_a_session_ends() {
     let Error::Http(response) = *error else { panic!("{error}") };
     assert_eq!(response.status(), 503);
     assert!(response.headers().contains_key("retry-after"));
+    assert_eq!(status(&server, "/readyz").await, 503, "a balancer should send nobody here");
     drop(guest);
     let admitted = async {
         while Peer::try_connect(&server.stream_url(), Some(SUBPROTOCOL)).await.is_err() {
@@ -285,6 +286,70 @@ async fn a_full_server_answers_503_and_admits_again_when_a_session_ends() {
         }
     };
     tokio::time::timeout(Duration::from_secs(10), admitted).await.expect("the place becomes free");
+    server.stop().await;
+}
+
+/// The status of a page.
+async fn status(server: &RunningServer, path: &str) -> u16 {
+    let url = server.url(path);
+    let get = move || match ureq::get(url).call() {
+        Ok(reply) => reply.status().as_u16(),
+        Err(ureq::Error::StatusCode(status)) => status,
+        Err(error) => panic!("{error}"),
+    };
+    tokio::task::spawn_blocking(get).await.unwrap()
+}
+
+fn address(server: &RunningServer) -> std::net::SocketAddr {
+    server.url("").trim_start_matches("http://").parse().unwrap()
+}
+
+/// Other addresses of the loopback device are Linux's.
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_address_cannot_take_every_connection() {
+    let patient = Duration::from_secs(60);
+    let config = server::ServerConfig {
+        max_sessions: 100,
+        max_sessions_per_address: 1,
+        handshake_timeout: patient,
+        ..running::quick_config()
+    };
+    let server = RunningServer::start_with(config).await;
+    // More than there are places for all.
+    let mut silent = Vec::new();
+    for _ in 0..400 {
+        silent.push(TcpStream::connect(address(&server)).await.unwrap());
+    }
+    let elsewhere = tokio::net::TcpSocket::new_v4().unwrap();
+    elsewhere.bind("127.0.0.2:0".parse().unwrap()).unwrap();
+    let mut elsewhere = elsewhere.connect(address(&server)).await.unwrap();
+    elsewhere.write_all(b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n").await.unwrap();
+    let mut reply = String::new();
+    let read = tokio::time::timeout(patient / 2, elsewhere.read_to_string(&mut reply));
+    read.await.expect("somebody else is served").unwrap();
+    assert!(reply.starts_with("HTTP/1.1 200"), "{reply}");
+    assert!(reply.contains("tombolo_connection_refusals_total 335\n"), "{reply}");
+    assert!(reply.contains("tombolo_connections 66\n"), "{reply}");
+    drop(silent);
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_asks_without_end_and_reads_nothing_is_cut_off() {
+    let server = RunningServer::start().await;
+    let mut deaf = TcpStream::connect(address(&server)).await.unwrap();
+    // Megabytes of answers, more than any buffer between takes.
+    let requests = b"GET /openapi.json HTTP/1.1\r\nHost: a\r\n\r\n".repeat(2000);
+    let asking = async {
+        // An error means that it is over, which is what is waited for.
+        let _ = deaf.write_all(&requests).await;
+        while deaf.writable().await.is_ok() && deaf.try_write(b"G").is_ok() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(30), asking).await.expect("cut off");
+    assert_eq!(status(&server, "/livez").await, 200);
     server.stop().await;
 }
 

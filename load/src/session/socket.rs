@@ -95,6 +95,8 @@ pub(super) fn lost(last: Option<Result<Message, Error>>) -> String {
     match last {
         Some(Ok(Message::Close(Some(frame)))) => match CloseCode::from_code(frame.code.into()) {
             Some(code) if frame.reason.is_empty() => format!("the server closed: {code}"),
+            // A close code says its number in its words.
+            Some(code) if frame.reason.as_str() == code.to_string() => format!("the server closed: {code}"),
             _ => format!("the server closed: {} ({})", frame.reason, u16::from(frame.code)),
         },
         Some(Ok(_)) => "the server closed without a reason".into(),

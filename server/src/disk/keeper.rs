@@ -158,8 +158,14 @@ impl Keeper {
             let _ = fs::remove_file(&unfinished);
         })?;
         if let Err(error) = fs::rename(&unfinished, &path) {
-            if error.kind() != io::ErrorKind::NotFound {
-                return Err(error);
+            match error.kind() {
+                io::ErrorKind::NotFound => {}
+                // A folder that somebody put there. One frame that cannot be kept is no reason to keep none.
+                io::ErrorKind::IsADirectory | io::ErrorKind::DirectoryNotEmpty => {
+                    self.metrics.disk_faults.inc();
+                    return fs::remove_file(&unfinished);
+                }
+                _ => return Err(error),
             }
             fs::create_dir(folder.join(shard_name(shard)))?;
             fs::rename(&unfinished, &path)?;

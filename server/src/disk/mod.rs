@@ -22,7 +22,7 @@ use protocol::Delivery;
 use reader::Reader;
 use std::fs;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
@@ -104,13 +104,8 @@ impl Disk {
         let path = self.folder.join(self.names.path(key, delivery));
         match self.reader.read(path.clone()) {
             Ok(frame) if is_genuine(&frame) => Some(frame.into()),
-            Ok(_) => {
-                self.metrics.disk_damaged.inc();
-                tracing::debug!(path = %path.display(), "a damaged or foreign frame on disk, deleted");
-                // Gone already, or not ours to delete: it will be replaced by a rename, or refused again.
-                let _ = fs::remove_file(&path);
-                None
-            }
+            Ok(_) => self.throw_away(&path),
+            Err(error) if error.kind() == io::ErrorKind::InvalidData => self.throw_away(&path),
             Err(error) => {
                 if !matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::TimedOut) {
                     self.metrics.disk_faults.inc();
@@ -118,6 +113,15 @@ impl Disk {
                 None
             }
         }
+    }
+
+    /// Deletes what is no frame of this server's. Finds nothing.
+    fn throw_away(&self, path: &Path) -> Option<Bytes> {
+        self.metrics.disk_damaged.inc();
+        tracing::debug!(path = %path.display(), "damaged or foreign on disk, deleted");
+        // Gone already, or not ours to delete: it will be replaced by a rename, or refused again. A folder goes only if it is empty.
+        let _ = fs::remove_file(path).or_else(|_| fs::remove_dir(path));
+        None
     }
 
     /// Has a frame written, soon, if there is room in the queue and making it was dear.

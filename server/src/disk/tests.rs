@@ -285,31 +285,47 @@ fn what_a_crash_left_half_written_is_written_over() {
     assert!(!names.iter().any(|name| name == "unfinished"), "{names:?}");
 }
 
-/// A file that hangs whoever opens it: a pipe without a writer.
 #[cfg(unix)]
 #[test]
-fn a_disk_that_hangs_costs_one_wait_and_is_used_again_when_it_answers() {
+fn what_is_no_file_is_deleted_or_left_and_the_rest_is_kept() {
     let folder = Folder::new();
     let (disk, metrics) = disk(&folder);
-    disk.write(key(1), Delivery::Exact, frame(1));
-    while metrics.disk_writes.get() == 0 {
+    let place = |x| {
+        let path = folder.path(key(x));
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        path
+    };
+    let outside = folder.0.join("outside");
+    let (pipe, link, empty, full) = (place(1), place(2), place(3), place(4));
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    fs::write(&outside, frame(2)).unwrap();
+    File::options().write(true).open(&outside).unwrap().set_modified(SystemTime::UNIX_EPOCH).unwrap();
+    std::os::unix::fs::symlink(&outside, &link).unwrap();
+    fs::create_dir(&empty).unwrap();
+    fs::create_dir_all(full.join("something")).unwrap();
+    for x in 1..=4 {
+        assert_eq!(disk.read(key(x), Delivery::Exact, |bytes| bytes == frame(x)), None);
+    }
+    assert_eq!((metrics.disk_damaged.get(), metrics.disk_slow.get()), (4, 0));
+    assert_eq!(
+        [&pipe, &link, &empty, &full].map(|path| fs::symlink_metadata(path).is_ok()),
+        [false, false, false, true]
+    );
+    assert_eq!(
+        fs::metadata(&outside).unwrap().modified().unwrap(),
+        SystemTime::UNIX_EPOCH,
+        "not ours to touch"
+    );
+
+    // All but the last can be written again, and that one harms no other.
+    for x in [4, 1, 2, 3] {
+        disk.write(key(x), Delivery::Exact, frame(x));
+    }
+    while metrics.disk_writes.get() < 4 {
         std::thread::yield_now();
     }
-    let hanging = folder.path(key(2));
-    fs::create_dir_all(hanging.parent().unwrap()).unwrap();
-    assert!(std::process::Command::new("mkfifo").arg(&hanging).status().unwrap().success());
-    let read = |x| disk.read(key(x), Delivery::Exact, |bytes| bytes == frame(x));
-    assert_eq!(read(1), Some(frame(1)));
-    assert_eq!((read(2), metrics.disk_slow.get()), (None, 1));
-    for _ in 0..1000 {
-        assert_eq!(read(1), None, "nobody waits behind it");
+    assert_eq!(metrics.disk_working.get(), 1);
+    for x in 1..=3 {
+        assert_eq!(disk.read(key(x), Delivery::Exact, |bytes| bytes == frame(x)), Some(frame(x)));
     }
-    assert_eq!((metrics.disk_slow.get(), metrics.disk_faults.get()), (1, 0));
-    // A writer that says nothing ends the wait of who reads, and that file is no frame.
-    drop(File::options().write(true).open(&hanging).unwrap());
-    let again = (0..10_000).find_map(|_| {
-        std::thread::sleep(Duration::from_millis(1));
-        read(1)
-    });
-    assert_eq!(again, Some(frame(1)));
 }

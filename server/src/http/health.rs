@@ -22,6 +22,9 @@ pub async fn readyz(State(shared): State<Arc<Shared>>) -> Response {
     if shared.generation.load() > READY_LOAD {
         return (StatusCode::SERVICE_UNAVAILABLE, "generation queue is nearly full\n").into_response();
     }
+    if shared.permits.available_permits() == 0 {
+        return (StatusCode::SERVICE_UNAVAILABLE, "no session is free\n").into_response();
+    }
     "ready\n".into_response()
 }
 
