@@ -7,6 +7,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path};
 use axum::http::{HeaderMap, header};
 use std::net::SocketAddr;
+use std::str::FromStr;
 use terrain::{ChunkKey, WorldDigest};
 use tokio::time::{Instant, sleep};
 
@@ -26,13 +27,18 @@ pub fn key(shared: &Shared, headers: &HeaderMap, raw: RawAddress, ending: &str) 
     let Some(z) = z.strip_suffix(ending) else {
         return Err(Problem::new(Kind::NoRoute, format!("a picture's address ends with `{ending}`")));
     };
-    let (Ok(level), Ok(x), Ok(z)) = (level.parse(), x.parse(), z.parse()) else {
+    let (Some(level), Some(x), Some(z)) = (number(&level), number(&x), number(z)) else {
         return Err(Problem::new(
             Kind::Malformed,
-            "level, x and z must be whole numbers (level 0 to 255, x and z 32-bit)",
+            "level, x and z must be whole numbers in their shortest form (level 0 to 255, x and z 32-bit)",
         ));
     };
     ChunkKey::new(level, x, z).map_err(|error| Problem::new(Kind::OutsideWorld, error.to_string()))
+}
+
+/// A number as this server would write it: with `+1`, `01` and `-0` a cache would keep one chunk under many addresses.
+fn number<N: FromStr + ToString>(text: &str) -> Option<N> {
+    text.parse().ok().filter(|number: &N| number.to_string() == text)
 }
 
 /// Checks that a path names this server's world.
