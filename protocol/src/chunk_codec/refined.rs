@@ -234,7 +234,7 @@ impl Group {
         }
     }
 
-    /// What the vertices of a row should be by their neighbours; of the last group but one, and of middles, one more than there are.
+    /// What the vertices of a row should be by their neighbours. Rows and middles have one less than is returned; the last means nothing there.
     fn predict(self, known: &Known, lacking: &Lacking, row: usize) -> [i32; KNOWN] {
         let mut predicted = [0; KNOWN];
         match self {

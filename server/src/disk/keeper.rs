@@ -122,7 +122,13 @@ impl Keeper {
             self.metrics.disk_dropped.inc();
         } else if let Err(error) = self.store(path, frame) {
             self.metrics.disk_dropped.inc();
-            self.rest(&error, now);
+            match error.kind() {
+                // A folder that somebody put in the place of a file: one frame that cannot be kept is no reason to keep none.
+                io::ErrorKind::IsADirectory | io::ErrorKind::DirectoryNotEmpty => {
+                    self.metrics.disk_faults.inc();
+                }
+                _ => self.rest(&error, now),
+            }
         } else {
             self.metrics.disk_writes.inc();
         }
@@ -158,14 +164,8 @@ impl Keeper {
             let _ = fs::remove_file(&unfinished);
         })?;
         if let Err(error) = fs::rename(&unfinished, &path) {
-            match error.kind() {
-                io::ErrorKind::NotFound => {}
-                // A folder that somebody put there. One frame that cannot be kept is no reason to keep none.
-                io::ErrorKind::IsADirectory | io::ErrorKind::DirectoryNotEmpty => {
-                    self.metrics.disk_faults.inc();
-                    return fs::remove_file(&unfinished);
-                }
-                _ => return Err(error),
+            if error.kind() != io::ErrorKind::NotFound {
+                return Err(error);
             }
             fs::create_dir(folder.join(shard_name(shard)))?;
             fs::rename(&unfinished, &path)?;

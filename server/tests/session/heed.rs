@@ -12,7 +12,12 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 fn shared() -> Arc<Shared> {
-    Arc::new(Shared::new(ServerConfig { threads: 1, ..ServerConfig::default() }).unwrap())
+    shared_at(None)
+}
+
+/// A server that grants an address so many milliseconds of work a second.
+fn shared_at(cost_per_second: Option<u64>) -> Arc<Shared> {
+    Arc::new(Shared::new(ServerConfig { threads: 1, cost_per_second, ..ServerConfig::default() }).unwrap())
 }
 
 /// Says a number of requests that must all be refused, and a ping behind them. Returns after what time the pong came; by then, or
@@ -59,4 +64,16 @@ async fn whoever_is_refused_much_is_heard_again_after_a_while_and_others_at_once
     tokio::time::sleep(Duration::from_millis(100)).await;
     let took = ask_for_nothing(&mut flood, 1, 100).await;
     assert!(took.as_millis() < 5, "it is forgiven: {took:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_refused_is_bounded_by_the_purse_as_well() {
+    for (cost_per_second, is_paused) in [(None, false), (Some(1), true)] {
+        let shared = shared_at(cost_per_second);
+        let purse = shared.purses.of(Some("10.0.0.1".parse().unwrap()));
+        let mut peer = Peer::welcome(&shared, purse).await;
+        let took = ask_for_nothing(&mut peer, 1, 100).await;
+        assert_eq!(took.as_millis() >= 10, is_paused, "{cost_per_second:?}: {took:?}");
+        assert_eq!(shared.metrics.refusal_pauses.get() > 0, is_paused);
+    }
 }
