@@ -7,6 +7,7 @@
 pub mod cached;
 pub mod cold;
 pub mod fair;
+pub mod flood;
 pub mod host;
 pub mod idle;
 pub mod land_keys;
@@ -35,6 +36,8 @@ pub enum Bench {
     Idle,
     /// One client with 1,000 requests outstanding beside 50 with 4 each
     Fair,
+    /// Sessions that send views without pause, beside a polite client and a probe
+    Flood,
     /// Arrivals at up to five times what the server can do, and afterwards
     Overload,
 }
@@ -85,6 +88,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         Bench::Stampede => ("stampede", stampede::run(plan).await?),
         Bench::Idle => ("idle", idle::run(plan).await?),
         Bench::Fair => ("fair", fair::run(plan).await?),
+        Bench::Flood => ("flood", flood::run(plan).await?),
         Bench::Overload => ("overload", overload::run(plan).await?),
     };
     Ok(json!({ "bench": name, "server_cpus": plan.launch.cpus, "seconds": plan.seconds, "figures": figures }))

@@ -20,6 +20,7 @@ pub mod message;
 pub mod parents;
 pub mod server;
 pub mod view;
+pub mod view_selection;
 
 pub use close::CloseCode;
 pub use delivery::{Delivery, Tolerance};

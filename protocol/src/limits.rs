@@ -20,6 +20,10 @@ pub const MAX_PENDING_REQUESTS: usize = 1024;
 /// Chunks selected for one view. A view that needs more gets the coarsest of them.
 pub const MAX_VIEW_CHUNKS: usize = 16 * 1024;
 
+/// Estimated chunks of a view ([`terrain::lod::estimated_chunks`]) beyond which a server refuses it as
+/// [`crate::message::RefusalReason::InvalidView`]. Views between [`MAX_VIEW_CHUNKS`] and this get the coarsest chunks.
+pub const MAX_VIEW_ESTIMATE: u64 = 16 * MAX_VIEW_CHUNKS as u64;
+
 /// Keys that a server remembers as held by a client (about 1 MiB). When it is full the memory is dropped whole; the only
 /// consequence is that chunks may be sent again.
 pub const MAX_HELD: usize = 64 * 1024;

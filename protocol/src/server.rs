@@ -11,13 +11,14 @@ use crate::delivery::Delivery;
 use crate::error::{ControlError, PeerFault};
 use crate::limits::{
     MAX_CHUNK_FRAME, MAX_CREDIT_BYTES, MAX_CREDITS, MAX_HELD, MAX_PENDING_REQUESTS, MAX_TEXT,
-    MAX_VIEW_CHUNKS, SEED_ONLY_FRAME,
+    MAX_VIEW_ESTIMATE, SEED_ONLY_FRAME,
 };
 use crate::message::{
     ClientMessage, Hello, RefusalReason, Refused, Rejection, ServerMessage, Welcome, WireKey,
 };
 use crate::parents::Parents;
 use crate::view::View;
+use crate::view_selection::{Selected, ViewSelection};
 use bytes::Bytes;
 use rustc_hash::{FxHashMap, FxHashSet};
 use std::borrow::Cow;
@@ -69,8 +70,10 @@ pub struct SessionCounts {
     pub chunk_bytes: u64,
     /// Refusals sent, by [`RefusalReason::index`].
     pub refusals: [u64; RefusalReason::ALL.len()],
-    /// Views accepted.
+    /// Views selected.
     pub views: u64,
+    /// Views replaced by a newer one before they were selected.
+    pub superseded_views: u64,
 }
 
 /// One session, from the first frame to the close.
@@ -86,6 +89,10 @@ pub struct ServerSession {
     /// Explicit requests that wait for credit, oldest first. At most [`MAX_PENDING_REQUESTS`], more are refused; and what was put back.
     requests: VecDeque<(u32, ChunkKey)>,
     view: Option<ActiveView>,
+    /// The newest view that is not selected yet. A newer one replaces it.
+    queued_view: Option<View>,
+    /// Whether a selection was taken and not given back.
+    is_selecting: bool,
     /// What the client has. At most [`MAX_HELD`]; dropped whole when full.
     held: FxHashSet<ChunkKey>,
     /// In refined delivery: what the client remembers, and what may be refined for it.
@@ -113,9 +120,9 @@ struct ActiveView {
     view: View,
     /// Chunks of the whole selection.
     chunks: u32,
-    /// Not yet asked for, most urgent last.
+    /// Not yet requested, most urgent last. May hold chunks that the client has or that are in flight.
     pending: Vec<(u64, ChunkKey)>,
-    /// Not needed yet but soon, most urgent last; asked for when the view is settled.
+    /// Not needed yet but soon, most urgent last; requested when the view is settled.
     ahead: Vec<(u64, ChunkKey)>,
     /// In how many views each pending chunk has been waiting.
     waited: FxHashMap<ChunkKey, u32>,
@@ -123,10 +130,21 @@ struct ActiveView {
 }
 
 impl ActiveView {
-    /// What to ask for next: what is needed, and once all of that has been sent, what will be.
-    fn next(&mut self) -> Option<(u64, ChunkKey)> {
-        let ahead = |ahead: &mut Vec<(u64, ChunkKey)>| ahead.pop().map(|(_, key)| (0, key));
-        self.pending.pop().or_else(|| if self.settled { ahead(&mut self.ahead) } else { None })
+    /// The next chunk to request: one that is needed, and once all of those were sent, one that will be.
+    fn next(&mut self, is_known: impl Fn(&ChunkKey) -> bool) -> Option<(u64, ChunkKey)> {
+        while let Some((priority, key)) = self.pending.pop() {
+            if !is_known(&key) {
+                return Some((priority, key));
+            }
+        }
+        while self.settled
+            && let Some((_, key)) = self.ahead.pop()
+        {
+            if !is_known(&key) {
+                return Some((0, key));
+            }
+        }
+        None
     }
 }
 
@@ -144,6 +162,8 @@ impl ServerSession {
             stale: Vec::new(),
             requests: VecDeque::new(),
             view: None,
+            queued_view: None,
+            is_selecting: false,
             held: FxHashSet::default(),
             parents: Parents::default(),
             in_flight: FxHashMap::default(),
@@ -203,6 +223,7 @@ impl ServerSession {
                 for key in keys.into_iter().filter_map(|key| key.check().ok()) {
                     self.hold(key);
                 }
+                self.settle();
                 Ok(())
             }
         }
@@ -242,39 +263,45 @@ impl ServerSession {
             self.refuse(view.id, None, RefusalReason::InvalidView, detail);
             return;
         }
-        self.counts.views += 1;
-        let waited_before = self.view.take().map(|old| old.waited).unwrap_or_default();
-        let selection = lod::select(&self.offer.land, &view.viewer(), MAX_VIEW_CHUNKS);
-        let chunks = selection.len() as u32;
-        let mut needed_keys: FxHashSet<ChunkKey> = selection.iter().map(|needed| needed.key).collect();
-        let mut waited = FxHashMap::default();
-        let mut pending = Vec::new();
-        for needed in selection {
-            if self.held.contains(&needed.key) || self.in_flight.contains_key(&needed.key) {
-                continue;
-            }
-            let views = waited_before.get(&needed.key).map_or(0, |views| views.saturating_add(1));
-            waited.insert(needed.key, views);
-            pending.push((view.priority(&needed, views), needed.key));
+        let estimate = lod::estimated_chunks(&view.viewer());
+        if estimate > MAX_VIEW_ESTIMATE {
+            let detail = format!(
+                "the view needs about {estimate} chunks, the limit is {MAX_VIEW_ESTIMATE}; raise the tolerance or \
+                 lower the view distance"
+            );
+            self.refuse(view.id, None, RefusalReason::InvalidView, detail);
+            return;
         }
-        pending.sort_unstable();
-        let ahead = self.ahead(&view, &mut needed_keys);
-        self.find_stale(|key, request| request.is_none() && !needed_keys.contains(&key));
-        self.view = Some(ActiveView { view, chunks, pending, ahead, waited, settled: false });
-        self.settle();
+        self.counts.superseded_views += u64::from(self.queued_view.replace(view).is_some());
     }
 
-    /// What the view will need soon if it goes on as it moves, least urgent first; adds it to what is needed.
-    fn ahead(&self, view: &View, needed_keys: &mut FxHashSet<ChunkKey>) -> Vec<(u64, ChunkKey)> {
-        let Some(viewer) = view.viewer_ahead() else { return Vec::new() };
-        let mut ahead: Vec<_> = lod::select(&self.offer.land, &viewer, MAX_VIEW_CHUNKS)
-            .into_iter()
-            .filter(|needed| needed_keys.insert(needed.key))
-            .filter(|needed| !self.held.contains(&needed.key) && !self.in_flight.contains_key(&needed.key))
-            .map(|needed| (u64::from(needed.gain_q4), needed.key))
-            .collect();
-        ahead.sort_unstable();
-        ahead
+    /// Whether a view waits for its selection.
+    #[must_use]
+    pub const fn has_queued_view(&self) -> bool {
+        self.queued_view.is_some()
+    }
+
+    /// The selection of the newest view, to be run by a worker; none if no view waits or one is being selected. It must come
+    /// back through [`ServerSession::apply_view`].
+    pub fn take_view(&mut self) -> Option<ViewSelection> {
+        if self.is_selecting {
+            return None;
+        }
+        let view = self.queued_view.take()?;
+        self.is_selecting = true;
+        let waited = self.view.as_mut().map(|old| std::mem::take(&mut old.waited)).unwrap_or_default();
+        Some(ViewSelection::new(&self.offer.land, view, waited))
+    }
+
+    /// Takes back a selection: its view replaces the active one. A selection that is not done is finished here.
+    pub fn apply_view(&mut self, selection: ViewSelection) {
+        self.is_selecting = false;
+        self.counts.views += 1;
+        let (view, selected) = selection.finish(&self.offer.land);
+        let Selected { chunks, keys, needed, ahead, waited } = selected;
+        self.find_stale(|key, request| request.is_none() && !keys.contains(&key));
+        self.view = Some(ActiveView { view, chunks, pending: needed, ahead, waited, settled: false });
+        self.settle();
     }
 
     /// Judges a grant; refuses one of nothing and one beyond what may be outstanding.
@@ -395,10 +422,18 @@ impl ServerSession {
         }
         let wanted = match self.requests.pop_front() {
             Some((id, key)) => Wanted { key, request: Some(id), priority: u64::MAX },
-            None => match self.view.as_mut().and_then(ActiveView::next) {
-                Some((priority, key)) => Wanted { key, request: None, priority },
-                None => return Next::Nothing,
-            },
+            None => {
+                let Self { view, held, in_flight, .. } = &mut *self;
+                let is_known = |key: &ChunkKey| held.contains(key) || in_flight.contains_key(key);
+                match view.as_mut().and_then(|active| active.next(is_known)) {
+                    Some((priority, key)) => Wanted { key, request: None, priority },
+                    None => {
+                        // The client may hold what was pending.
+                        self.settle();
+                        return Next::Nothing;
+                    }
+                }
+            }
         };
         self.credits -= 1;
         let bound = self.frame_bound();
@@ -545,11 +580,17 @@ impl ServerSession {
         self.held.insert(key);
     }
 
-    /// Announces a view once nothing of it is pending or under way.
+    /// Announces a view once nothing of it is pending or in flight.
     fn settle(&mut self) {
         let Some(active) = &mut self.view else { return };
-        if active.settled || !active.pending.is_empty() || !self.in_flight.is_empty() {
+        if active.settled || !self.in_flight.is_empty() {
             return;
+        }
+        while let Some((_, key)) = active.pending.last() {
+            if !self.held.contains(key) {
+                return;
+            }
+            active.pending.pop();
         }
         active.settled = true;
         let (view, chunks) = (active.view.id, active.chunks);

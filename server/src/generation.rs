@@ -11,7 +11,8 @@
 //! dropped unrun. What is not in memory may be on disk ([`crate::disk`]): a job looks there first. Finished frames go into a byte-weighed cache before the job disappears, so a key is never made twice at the same
 //! time.
 //!
-//! Reading order: [`flow`] (asking), [`queue`] (whose turn it is), [`cost`] (what a turn is measured in), `runner` (making), [`frames`] (what
+//! Reading order: [`flow`] (asking), [`queue`] (whose turn it is), [`cost`] (what a turn is measured in), `runner` (making), [`views`] (selecting),
+//! [`frames`] (what
 //! is made already). This file owns what they share.
 
 pub mod cost;
@@ -21,8 +22,9 @@ pub mod frames;
 mod gated;
 pub mod queue;
 mod runner;
+pub mod views;
 
-pub use flow::Flow;
+pub use flow::{Flow, FlowAnswer};
 
 use crate::disk::Disk;
 use crate::metrics::Metrics;
@@ -150,6 +152,16 @@ impl Generation {
         self.shared.metrics.requested.inc();
         self.shared.metrics.cache_hits.inc();
         Some(frame)
+    }
+
+    /// Starts a thread's work unless all threads are at work.
+    fn start_runner(&self, queue: &mut Queue) {
+        if queue.runners < self.shared.limits.threads {
+            // A runner takes turns until nothing waits, so there are never more of them than threads.
+            queue.runners += 1;
+            let shared = Arc::clone(&self.shared);
+            self.pool.spawn(move || shared.run());
+        }
     }
 
     /// A new asker that nobody counts against. Dropping it withdraws everything that it waits for.

@@ -104,6 +104,11 @@ impl Purse {
         });
     }
 
+    /// Takes out the time that the selection of a view took, microseconds. The mean cost of a chunk does not change.
+    pub fn pay_view(&self, us: i64, now: Instant) {
+        self.with(now, |account, _| account.balance -= us as f64);
+    }
+
     /// Takes out what it costs to send bytes.
     pub fn pay_bytes(&self, bytes: usize, now: Instant) {
         self.with(now, |account, _| account.balance -= bytes as f64 / 1024.0 * US_PER_KIB);

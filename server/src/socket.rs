@@ -4,7 +4,7 @@
 //! session has to say in one flush, and waits for whatever comes first. It reads nothing while a write is under way, so a
 //! client that does not read cannot make it collect answers; a write that takes too long ends the session.
 
-use crate::generation::{Done, Flow, GenerationError};
+use crate::generation::{Done, Flow, FlowAnswer, GenerationError};
 use crate::heed::Heed;
 use crate::listener::Shared;
 use crate::live::Seated;
@@ -18,6 +18,7 @@ use bytes::Bytes;
 use protocol::limits::MAX_CONTROL_FRAME;
 use protocol::message::RefusalReason;
 use protocol::server::{Next, ServerSession, SessionCounts};
+use protocol::view_selection::ViewSelection;
 use protocol::{CloseCode, Incoming};
 use std::io;
 use std::time::Duration;
@@ -134,8 +135,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                         return end;
                     }
                 }
-                done = self.flow.answers() => {
-                    done.into_iter().for_each(|done| self.finish(done));
+                answer = self.flow.next_answer() => {
+                    match answer {
+                        FlowAnswer::View(selection) => self.apply_view(*selection),
+                        FlowAnswer::Chunks(done) => done.into_iter().for_each(|done| self.finish(done)),
+                    }
                     while let Some(done) = self.flow.try_answers() {
                         done.into_iter().for_each(|done| self.finish(done));
                     }
@@ -167,7 +171,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     fn start_jobs(&mut self) -> bool {
         let (mut batch, now) = (0, Instant::now());
         let mut more = false;
-        self.broke_until = None;
+        self.broke_until = self.flow.purse().wait(now).map(|wait| now + wait);
+        if self.broke_until.is_none()
+            && let Some(selection) = self.session.take_view()
+        {
+            self.flow.select(selection, self.shared.offer.land);
+        }
         while self.flow.open() < JOB_WINDOW {
             if batch == BATCH {
                 more = true;
@@ -195,18 +204,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     /// Takes everything that was read, and then sees to what it made stale or what there is too much of.
     async fn receive(&mut self) -> Result<(), End> {
         let admitted = self.session.waiting_requests();
-        while self.receive_message().await? {}
-        for key in self.session.take_stale() {
-            for wanted in self.flow.withdraw(key) {
-                self.take_off(wanted.key);
-                self.session.withdraw(wanted);
-            }
+        while self.receive_message().await? {
+            // Whatever a peer sends, other tasks of this thread run between two of its messages.
+            tokio::task::yield_now().await;
         }
-        if self.session.counts().views != self.counted.views
-            && let Some(view) = self.session.view()
-        {
-            self.seat.moved(view);
-        }
+        self.withdraw_stale();
         // Full window: what waits behind it waits for the service, not for credit.
         if self.start_jobs_until_full() {
             // What was let in before stays: a refusal is worth something only if it comes at once.
@@ -218,7 +220,27 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             let refused = waiting - self.session.waiting_requests();
             self.shared.metrics.cost_refusals.inc_by(refused as u64);
         }
+        // Views may be replaced without anything to write.
+        if self.session.counts() != self.counted {
+            self.count();
+        }
         Ok(())
+    }
+
+    /// Takes a finished selection, and withdraws what only the view before it needed.
+    fn apply_view(&mut self, selection: ViewSelection) {
+        self.seat.moved(selection.view());
+        self.session.apply_view(selection);
+        self.withdraw_stale();
+    }
+
+    fn withdraw_stale(&mut self) {
+        for key in self.session.take_stale() {
+            for wanted in self.flow.withdraw(key) {
+                self.take_off(wanted.key);
+                self.session.withdraw(wanted);
+            }
+        }
     }
 
     /// Whether the window is full once what can be started is.
@@ -338,8 +360,10 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             metrics.chunks_delivered.get_or_create(&label).inc_by(now.chunks - before.chunks);
             metrics.chunk_bytes_delivered.get_or_create(&label).inc_by(now.chunk_bytes - before.chunk_bytes);
         }
-        if now.refusals != before.refusals {
-            let more = now.refusals.iter().sum::<u64>() - before.refusals.iter().sum::<u64>();
+        let superseded = now.superseded_views - before.superseded_views;
+        if now.refusals != before.refusals || superseded > 0 {
+            // A view that nobody selects costs what a refusal costs.
+            let more = superseded + now.refusals.iter().sum::<u64>() - before.refusals.iter().sum::<u64>();
             // Where an address has a purse, what it is refused is bounded by it as well.
             let sharers = self.shared.generation.sharers().max(self.flow.purse().sharers());
             let begins = self.heed.refused(more, sharers, Instant::now());
@@ -350,6 +374,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             }
         }
         metrics.views.inc_by(now.views - before.views);
+        metrics.superseded_views.inc_by(superseded);
         self.seat.sent(now.chunks, now.chunk_bytes);
         self.counted = now;
     }

@@ -4,10 +4,13 @@
 //! distance `D`, with `K = height / (2 tan(fov / 2))` pixels (Ulrich, "Rendering Massive Terrains using Chunked
 //! Level of Detail Control", SIGGRAPH 2002). A chunk is refined while that exceeds the tolerance.
 
+mod selector;
+
+pub use selector::Selector;
+
 use crate::constants::{CHUNK_BITS, TOP_LEVEL, UNITS_PER_METRE, WORLD_HALF};
 use crate::key::ChunkKey;
 use crate::land::Land;
-use std::cmp::Reverse;
 
 /// Upper bound of the land's height, units; lets a high eye count its height as distance.
 pub const SUMMIT: i32 = 600 * UNITS_PER_METRE;
@@ -70,40 +73,23 @@ pub struct Needed {
 /// Stops at `limit` chunks (coarse ones are found first).
 #[must_use]
 pub fn select(land: &Land, viewer: &Viewer, limit: usize) -> Vec<Needed> {
-    let tops = viewer.tops();
-    let mut splits = Splits::default();
-    let mut level = tops.clone();
-    let mut count = level.len();
-    while !level.is_empty() && count < limit {
-        let mut below = Vec::new();
-        for key in level {
-            let error = viewer.screen_error_q4(error_bound(land, key), viewer.distance_to(key));
-            if error > viewer.tolerance() {
-                splits.insert(key, error);
-                below.extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
-            }
-        }
-        count += below.len();
-        level = below;
-    }
-    balance(&mut splits, viewer);
+    Selector::new(land, viewer, limit).finish()
+}
 
-    let needed = |key: ChunkKey, error: u32, urgency: u32| {
-        let distance = viewer.distance_to(key);
-        Needed { key, distance, gain_q4: viewer.screen_error_q4(error, distance).max(urgency) }
+/// Estimate of the chunks that a viewer needs over land without open sea, eye at the ground: the number of chunks of each level
+/// within the distance at which its parent is split. Saturating.
+///
+/// It reads no land and costs nanoseconds, so a server can refuse a view before it selects any chunk of it.
+#[must_use]
+pub fn estimated_chunks(viewer: &Viewer) -> u64 {
+    let reach = viewer.reach();
+    let at_level = |level: u8| {
+        let scaled = u64::from(level_error(level + 1)) * u64::from(viewer.pixels_per_radian) * 16;
+        // Chunks are counted within a square: a split chunk has all four children.
+        let side = 2 * (scaled / u64::from(viewer.tolerance())).min(reach) / (1 << (CHUNK_BITS + u32::from(level))) + 2;
+        side.saturating_mul(side)
     };
-    let mut found: Vec<Needed> =
-        tops.iter().map(|key| needed(*key, level_error((key.level() + 1).min(TOP_LEVEL)), 0)).collect();
-    for (key, urgency) in splits.coarse_first() {
-        if found.len() >= limit {
-            break;
-        }
-        let error = error_bound(land, key);
-        let children = key.children().into_iter().flatten().filter(|child| viewer.sees(*child));
-        found.extend(children.map(|child| needed(child, error, urgency)));
-    }
-    found.truncate(limit);
-    found
+    (0..viewer.top_level()).map(at_level).fold(viewer.tops().len() as u64, u64::saturating_add)
 }
 
 /// Chunks to be drawn by their children, each with the urgency of the most urgent chunk that needs it to be, 1/16 pixel.
@@ -130,17 +116,15 @@ impl Splits {
 ///
 /// The smallest such set, hence monotone: who splits more to begin with, splits at least as much in the end.
 pub fn balance(splits: &mut Splits, viewer: &Viewer) {
-    for level in 0..=usize::from(viewer.top_level()) {
-        let mut fine = std::mem::take(&mut splits.levels[level]);
-        // The most urgent of equals first: that one stays.
-        fine.sort_unstable_by_key(|(key, urgency)| (*key, Reverse(*urgency)));
-        fine.dedup_by_key(|(key, _)| *key);
+    for level in 0..=viewer.top_level() {
+        splits.sort(level);
+        let fine = std::mem::take(&mut splits.levels[usize::from(level)]);
         for (key, urgency) in &fine {
             for above in required(*key, viewer) {
                 splits.insert(above, *urgency);
             }
         }
-        splits.levels[level] = fine;
+        splits.levels[usize::from(level)] = fine;
     }
 }
 

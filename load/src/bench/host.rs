@@ -5,6 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 /// Clock ticks a second in `/proc`: a constant of Linux's interface to programs (proc(5), `USER_HZ`).
 const TICKS_PER_SECOND: f64 = 100.0;
@@ -77,6 +78,25 @@ impl Watched {
         let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("no VmRSS")?;
         let kib: u64 = line.trim().trim_end_matches(" kB").parse().context("VmRSS")?;
         Ok(kib * 1024)
+    }
+
+    /// Sends SIGTERM and waits for the end. Returns the time that it took; none if it was longer than `limit`.
+    ///
+    /// # Errors
+    /// The signal cannot be sent.
+    pub async fn stop(&mut self, limit: Duration) -> Result<Option<Duration>> {
+        let started = Instant::now();
+        let killed = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status();
+        if !killed.context("cannot run kill")?.success() {
+            bail!("cannot send SIGTERM to the server");
+        }
+        while started.elapsed() < limit {
+            if self.child.try_wait().context("cannot wait for the server")?.is_some() {
+                return Ok(Some(started.elapsed()));
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        Ok(None)
     }
 
     fn proc(&self, file: &str) -> Result<String> {

@@ -159,6 +159,47 @@ impl Wire {
         }
     }
 
+    /// Sends one message.
+    ///
+    /// # Errors
+    /// The connection broke, or the message exceeds the protocol's limits.
+    pub async fn send(&mut self, message: &ClientMessage) -> Result<()> {
+        let mut bytes = Vec::new();
+        push(&mut bytes, message)?;
+        self.write(&bytes).await
+    }
+
+    /// Sends messages and drops what arrives meanwhile, so that neither end waits for the other.
+    ///
+    /// # Errors
+    /// As [`Wire::send`].
+    pub async fn send_while_reading(&mut self, messages: &[ClientMessage]) -> Result<()> {
+        let mut bytes = Vec::new();
+        for message in messages {
+            push(&mut bytes, message)?;
+        }
+        let mut written = 0;
+        while written < bytes.len() {
+            let ready = self.stream.ready(tokio::io::Interest::READABLE | tokio::io::Interest::WRITABLE).await?;
+            if ready.is_readable() {
+                let read = SCRATCH.with_borrow_mut(|scratch| self.stream.try_read(scratch));
+                match read {
+                    Ok(0) => bail!("the server ended the connection"),
+                    Err(error) if error.kind() != ErrorKind::WouldBlock => return Err(error.into()),
+                    _ => {}
+                }
+            }
+            if ready.is_writable() {
+                match self.stream.try_write(&bytes[written..]) {
+                    Ok(count) => written += count,
+                    Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                    Err(error) => return Err(error.into()),
+                }
+            }
+        }
+        Ok(())
+    }
+
     async fn write(&mut self, bytes: &[u8]) -> Result<()> {
         write_all(&self.stream, bytes).await
     }

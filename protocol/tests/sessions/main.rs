@@ -9,7 +9,7 @@ mod pair;
 mod refined;
 
 use bytes::Bytes;
-use pair::{Pair, config, next_wanted, offer, view};
+use pair::{Pair, config, next_wanted, offer, select_views, view};
 use proptest::prelude::*;
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::message::{ClientMessage, Hello, RefusalReason, Rejection, ServerMessage, WireKey};
@@ -180,6 +180,7 @@ fn a_server_never_owes_more_than_the_credits() {
     while let Some(frame) = pair.client.poll_transmit() {
         pair.server.receive(Incoming::Binary(&frame)).unwrap();
     }
+    select_views(&mut pair.server);
     let asked = std::iter::from_fn(|| next_wanted(&mut pair.server)).count();
     assert_eq!((asked, pair.server.credits()), (5, 0));
 }
@@ -418,6 +419,7 @@ fn a_list_length_beyond_the_frame_is_refused_without_allocating_it() {
 /// Says something to a server as it stands on the wire.
 fn say(server: &mut ServerSession, message: &ClientMessage) {
     server.receive(Incoming::Binary(&control::encode(message).unwrap())).unwrap();
+    select_views(server);
 }
 
 /// A welcomed server with credit for so many chunks, and nothing left to send.
@@ -589,6 +591,64 @@ fn a_moving_view_is_settled_before_anything_ahead_is_sent_and_what_lies_ahead_co
 }
 
 #[test]
+fn only_the_newest_queued_view_is_selected_and_none_while_another_is() {
+    let mut server = welcomed(64);
+    let receive = |server: &mut ServerSession, id| {
+        let message = ClientMessage::View(view(id, 300));
+        server.receive(Incoming::Binary(&control::encode(&message).unwrap())).unwrap();
+    };
+    (1..=1000).for_each(|id| receive(&mut server, id));
+    let selection = server.take_view().unwrap();
+    assert_eq!(selection.view().id, 1000);
+    (1001..=1003).for_each(|id| receive(&mut server, id));
+    assert!(server.take_view().is_none() && server.has_queued_view(), "one selection at a time");
+    server.apply_view(selection);
+    assert_eq!(server.view().map(|view| view.id), Some(1000));
+    let selection = server.take_view().unwrap();
+    assert_eq!(selection.view().id, 1003);
+    server.apply_view(selection);
+    assert!(server.take_view().is_none() && !server.has_queued_view());
+    let counts = server.counts();
+    assert_eq!((counts.views, counts.superseded_views), (2, 1001));
+}
+
+#[test]
+fn a_selection_in_steps_finds_what_one_in_one_piece_finds() {
+    let moving = View { velocity: [150 * 256, 0, 0], ..view(1, 2000) };
+    let mut found = Vec::new();
+    for chunks in [1, 50, usize::MAX] {
+        let mut server = welcomed(4096);
+        server
+            .receive(Incoming::Binary(&control::encode(&ClientMessage::View(moving)).unwrap()))
+            .unwrap();
+        let mut selection = server.take_view().unwrap();
+        let mut steps = 1;
+        while !selection.step(&offer().land, chunks) {
+            steps += 1;
+        }
+        assert!(chunks > 50 || steps > 10, "{steps} steps");
+        server.apply_view(selection);
+        found.push(std::iter::from_fn(|| next_wanted(&mut server)).collect::<Vec<_>>());
+    }
+    assert!(found[0].len() > 30 && found[0] == found[1] && found[1] == found[2]);
+}
+
+#[test]
+fn a_view_of_too_many_chunks_is_refused_and_changes_nothing() {
+    let largest = View { viewport: [limits::MAX_VIEWPORT; 2], tolerance_q4: 1, ..view(2, 65_536) };
+    let mut server = welcomed(64);
+    say(&mut server, &ClientMessage::View(view(1, 300)));
+    say(&mut server, &ClientMessage::View(largest));
+    assert_eq!(refusals(&mut server), [(2, RefusalReason::InvalidView)]);
+    assert_eq!(server.view().map(|view| view.id), Some(1));
+    // The control: views that viewers send, up to a picture of 3840 x 2160 at half a pixel and 20 km.
+    for (distance_m, viewport, tolerance_q4) in [(8000, [1920, 1080], 16), (20_000, [3840, 2160], 8)] {
+        say(&mut server, &ClientMessage::View(View { viewport, tolerance_q4, ..view(3, distance_m) }));
+    }
+    assert_eq!((refusals(&mut server), server.counts().views), (vec![], 3));
+}
+
+#[test]
 fn shedding_refuses_the_latest_requests_and_keeps_the_first() {
     let mut server = welcomed(64);
     for id in 0..5 {
@@ -641,6 +701,7 @@ proptest! {
                 let frame = [start, frame].concat();
                 let _ = server.receive(Incoming::Binary(&frame));
                 let _ = client.receive(Incoming::Binary(&frame));
+                select_views(&mut server);
                 while next_wanted(&mut server).is_some() {}
             }
         }

@@ -65,6 +65,7 @@ impl Pair {
                 self.server.receive(Incoming::Binary(&frame)).unwrap();
                 moved = true;
             }
+            select_views(&mut self.server);
             while chunks > 0
                 && let Some((wanted, delivery)) = self.server.next_chunk()
             {
@@ -98,6 +99,13 @@ impl Pair {
             _ => None,
         };
         self.events.iter().filter_map(settled).collect()
+    }
+}
+
+/// Runs the selections that a worker would run.
+pub fn select_views(server: &mut ServerSession) {
+    while let Some(selection) = server.take_view() {
+        server.apply_view(selection);
     }
 }
 

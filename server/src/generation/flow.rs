@@ -3,16 +3,26 @@
 //! Every asking has exactly one answer or is withdrawn. A flow that is dropped withdraws everything.
 
 use super::queue::{Asked, FlowId, Waiter};
+use super::views::ViewJob;
 use super::{Answer, Done, Generation, GenerationError, Shared};
 use crate::purse::Purse;
 use bytes::Bytes;
 use protocol::Delivery;
 use protocol::server::Wanted;
-use std::sync::Arc;
+use protocol::view_selection::ViewSelection;
 use std::sync::atomic::Ordering;
-use std::time::Instant;
-use terrain::ChunkKey;
+use std::time::{Duration, Instant};
+use terrain::{ChunkKey, Land};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+
+/// What a flow has asked for and got.
+#[derive(Debug)]
+pub enum FlowAnswer {
+    /// Chunks, or why they cannot be had.
+    Chunks(Vec<Done>),
+    /// A finished selection.
+    View(Box<ViewSelection>),
+}
 
 /// One asker: a session or a download. Work is shared fairly between flows.
 pub struct Flow {
@@ -22,8 +32,12 @@ pub struct Flow {
     answers: UnboundedSender<Vec<Done>>,
     /// Holds at most one answer for each asking, so whoever bounds the askings bounds this.
     answered: UnboundedReceiver<Vec<Done>>,
-    /// Askings without an answer taken.
+    /// Where finished view selections arrive: at most one, since a session has one at a time.
+    selections: (UnboundedSender<ViewSelection>, UnboundedReceiver<ViewSelection>),
+    /// Askings without an answer taken, a view among them.
     open: usize,
+    /// Whether a view is being selected.
+    is_selecting: bool,
     /// Who pays for what is made and sent. Looking whether there is anything in it is the asker's part.
     purse: Purse,
 }
@@ -31,7 +45,8 @@ pub struct Flow {
 impl Flow {
     pub(super) fn new(service: Generation, id: FlowId, purse: Purse) -> Self {
         let (answers, answered) = unbounded_channel();
-        Self { service, id, answers, answered, open: 0, purse }
+        let selections = unbounded_channel();
+        Self { service, id, answers, answered, selections, open: 0, is_selecting: false, purse }
     }
 
     /// One frame for an asker that wants no other. Dropping the future withdraws the interest.
@@ -70,7 +85,7 @@ impl Flow {
     /// Asks for a frame. The answer, exactly one, comes from [`Flow::answers`], unless the asking is withdrawn.
     pub fn ask(&mut self, wanted: Wanted, delivery: Delivery) {
         self.opened(1);
-        let Shared { frames, metrics, costs, limits, .. } = &*self.service.shared;
+        let Shared { frames, metrics, costs, .. } = &*self.service.shared;
         metrics.requested.inc();
         let mut queue = self.service.shared.lock();
         // Under the lock: a job leaves the queue only after its frames are in the cache.
@@ -96,13 +111,37 @@ impl Flow {
                     self.purse.pay_work(cost_us, tokio::time::Instant::now());
                 }
                 metrics.queue.set(queue.jobs() as i64);
-                if queue.runners < limits.threads {
-                    // A runner takes turns until nothing waits, so there are never more of them than threads.
-                    queue.runners += 1;
-                    let shared = Arc::clone(&self.service.shared);
-                    self.service.pool.spawn(move || shared.run());
-                }
+                self.service.start_runner(&mut queue);
             }
+        }
+    }
+
+    /// Selects a view's chunks on the generation threads, in this flow's turns. One at a time: the selection comes from
+    /// [`Flow::next_answer`].
+    pub fn select(&mut self, selection: ViewSelection, land: Land) {
+        self.opened(1);
+        self.is_selecting = true;
+        let (purse, answers) = (self.purse.clone(), self.selections.0.clone());
+        let job = ViewJob { selection, land, purse, spent: Duration::ZERO, answers };
+        let mut queue = self.service.shared.lock();
+        queue.add_view(self.id, job);
+        self.service.start_runner(&mut queue);
+    }
+
+    /// Waits for chunks or for the selection under way; for ever while nothing is asked. Cancel safe.
+    pub async fn next_answer(&mut self) -> FlowAnswer {
+        tokio::select! {
+            Some(selection) = self.selections.1.recv() => {
+                self.closed(1);
+                self.is_selecting = false;
+                FlowAnswer::View(Box::new(selection))
+            }
+            Some(done) = self.answered.recv() => {
+                self.take(&done);
+                FlowAnswer::Chunks(done)
+            }
+            // Unreachable: this flow holds both senders itself.
+            else => std::future::pending().await,
         }
     }
 
@@ -150,10 +189,10 @@ impl Flow {
         self.pay_bytes(done.iter().filter_map(|(_, answer)| answer.as_ref().ok()).map(Bytes::len).sum());
     }
 
-    /// Askings without an answer taken.
+    /// Chunks asked for without an answer taken.
     #[must_use]
     pub const fn open(&self) -> usize {
-        self.open
+        self.open - self.is_selecting as usize
     }
 
     /// Withdraws the askings for a key that no thread has taken up, and returns them; the others will be answered.

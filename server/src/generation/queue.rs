@@ -4,8 +4,13 @@
 //! round by cost: surplus round robin (Shreedhar and Varghese, "Efficient fair queueing using deficit round robin", SIGCOMM 1995,
 //! with the variant that lets a flow overdraw its turn by one job and pays it back in the next). Within a flow the most urgent key
 //! comes first, among equals the oldest. So a flow with a thousand keys waiting gets as much work done as one with two.
+//!
+//! A flow that was idle has its first turn before all others (the new queues of FQ-CoDel, RFC 8290, section 4.2), so that a client
+//! that asks for little does not wait for a whole round of clients that ask for much. It counts as idle only when a round has passed
+//! it without work and without debt.
 
 use super::Done;
+use super::views::ViewJob;
 use protocol::Delivery;
 use protocol::server::Wanted;
 use rustc_hash::FxHashMap;
@@ -32,7 +37,9 @@ pub struct Queue {
     waiting: usize,
     /// Flows with something to run. A flow is dropped when it has nothing left.
     flows: FxHashMap<FlowId, Flow>,
-    /// The same flows, next turn first.
+    /// Flows that were idle before and had no turn since; they come first.
+    new_turns: VecDeque<FlowId>,
+    /// Other flows, next turn first. A flow stands in one of both at most once.
     turns: VecDeque<FlowId>,
     /// Orders equals by age.
     next_number: u64,
@@ -69,8 +76,20 @@ struct Flow {
     /// Most urgent first. Holds stale entries of jobs that another flow's turn has run; they are skipped when popped and
     /// swept out when there are many.
     entries: BinaryHeap<(u64, Reverse<u64>, ChunkKey)>,
+    /// A view whose chunks are to be selected. It comes before the chunks, since it decides which are needed.
+    view: Option<ViewJob>,
+    /// Whether a thread runs the flow's view.
+    is_selecting: bool,
+    /// Whether it stands in [`Queue::new_turns`] or [`Queue::turns`].
+    has_turn: bool,
     /// Microseconds of work left in this turn; below zero what was overdrawn.
     credit_us: i64,
+}
+
+impl Flow {
+    fn is_runnable(&self) -> bool {
+        !self.entries.is_empty() || self.view.is_some()
+    }
 }
 
 /// What became of an asking.
@@ -87,6 +106,8 @@ pub enum Asked {
 /// What a thread does next.
 #[derive(Debug, Default)]
 pub struct Turn {
+    /// A view to select chunks for, with the microseconds that the turn allows.
+    pub view: Option<(FlowId, ViewJob, i64)>,
     /// Jobs to run, all of one flow's turn.
     pub keys: Vec<ChunkKey>,
     /// Askings that waited beyond the deadline; to be refused.
@@ -104,6 +125,7 @@ impl Queue {
             jobs: FxHashMap::default(),
             waiting: 0,
             flows: FxHashMap::default(),
+            new_turns: VecDeque::new(),
             turns: VecDeque::new(),
             next_number: 0,
             runners: 0,
@@ -152,14 +174,54 @@ impl Queue {
         asked
     }
 
+    /// Adds a flow's view. A flow has one at a time.
+    pub fn add_view(&mut self, id: FlowId, view: ViewJob) {
+        self.active_flow(id).view = Some(view);
+        self.add_turn(id);
+    }
+
+    /// Takes back a view after a turn that took `spent_us`, to be continued; or none if it is done. A view of a flow that has gone
+    /// is dropped.
+    pub fn return_view(&mut self, id: FlowId, view: Option<ViewJob>, spent_us: i64) {
+        let Some(flow) = self.flows.get_mut(&id) else { return };
+        flow.credit_us -= spent_us;
+        flow.is_selecting = false;
+        if view.is_some() {
+            flow.view = view;
+        }
+        self.add_turn(id);
+    }
+
+    /// Views that wait for a turn.
+    #[cfg(test)]
+    pub fn waiting_views(&self) -> usize {
+        self.flows.values().filter(|flow| flow.view.is_some()).count()
+    }
+
+    /// The flow, created if it was idle.
+    fn active_flow(&mut self, id: FlowId) -> &mut Flow {
+        let new_turns = &mut self.new_turns;
+        self.flows.entry(id).or_insert_with(|| {
+            new_turns.push_back(id);
+            Flow { has_turn: true, ..Flow::default() }
+        })
+    }
+
+    /// Puts a flow behind the others, unless it has its place.
+    fn add_turn(&mut self, id: FlowId) {
+        let Some(flow) = self.flows.get_mut(&id) else { return };
+        if !std::mem::replace(&mut flow.has_turn, true) {
+            self.turns.push_back(id);
+        }
+    }
+
     fn add_entry(&mut self, id: FlowId, priority: u64, key: ChunkKey) {
         let number = self.next_number;
         self.next_number += 1;
-        let Self { flows, turns, jobs, .. } = self;
-        let flow = flows.entry(id).or_insert_with(|| {
-            turns.push_back(id);
-            Flow::default()
-        });
+        self.active_flow(id);
+        self.add_turn(id);
+        let Self { flows, jobs, .. } = self;
+        let Some(flow) = flows.get_mut(&id) else { return };
         if flow.entries.len() >= STALE_ENTRIES && flow.entries.len() > 2 * jobs.len() {
             flow.entries.retain(|(_, _, key)| jobs.get(key).is_some_and(|job| !job.is_running));
         }
@@ -170,10 +232,22 @@ impl Queue {
     /// are taken off; what views need stays, since a view that does not change is not said again.
     pub fn take(&mut self, quantum_us: i64, deadline: Duration, now: Instant) -> Turn {
         let mut turn = Turn::default();
-        while let Some(id) = self.turns.pop_front() {
+        while let Some(id) = self.next_turn() {
             let Some(flow) = self.flows.get_mut(&id) else { continue };
+            flow.has_turn = false;
+            let was_runnable = flow.is_runnable();
             if flow.credit_us <= 0 {
                 flow.credit_us += quantum_us;
+            }
+            if flow.credit_us > 0
+                && let Some(view) = flow.view.take()
+            {
+                flow.is_selecting = true;
+                turn.view = Some((id, view, flow.credit_us));
+                if flow.is_runnable() {
+                    self.add_turn(id);
+                }
+                return turn;
             }
             while flow.credit_us > 0 {
                 let Some((_, _, key)) = flow.entries.pop() else { break };
@@ -194,17 +268,22 @@ impl Queue {
                 flow.credit_us -= job.cost_us;
                 turn.keys.push(key);
             }
-            if flow.entries.is_empty() {
-                // An idle flow saves nothing up, and its debt of at most one job is forgiven.
+            if was_runnable || flow.credit_us < 0 {
+                // One that has nothing more stays for a round: otherwise it would be a new flow at once.
+                self.add_turn(id);
+            } else if !flow.is_selecting {
+                // An idle flow saves nothing up.
                 self.flows.remove(&id);
-            } else {
-                self.turns.push_back(id);
             }
             if !turn.keys.is_empty() {
                 return turn;
             }
         }
         turn
+    }
+
+    fn next_turn(&mut self) -> Option<FlowId> {
+        self.new_turns.pop_front().or_else(|| self.turns.pop_front())
     }
 
     /// A delivery that somebody waits for and that is not among those made; none if all are.
@@ -248,7 +327,10 @@ impl Queue {
     /// Forgets a flow that has gone, with everything that only it waited for. Returns the number of jobs dropped.
     pub fn forget(&mut self, id: FlowId) -> u64 {
         let Some(flow) = self.flows.remove(&id) else { return 0 };
-        self.turns.retain(|other| *other != id);
+        if flow.has_turn {
+            self.new_turns.retain(|other| *other != id);
+            self.turns.retain(|other| *other != id);
+        }
         let before = self.jobs.len();
         for (_, _, key) in flow.entries {
             self.withdraw(id, key);
@@ -260,6 +342,10 @@ impl Queue {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::purse::Purse;
+    use protocol::message::{ClientMessage, Hello};
+    use protocol::server::{ServerOffer, ServerSession};
+    use protocol::view::View;
     use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 
     const QUANTUM: i64 = 100;
@@ -267,6 +353,31 @@ mod tests {
 
     fn key(x: i32) -> ChunkKey {
         ChunkKey::new(0, x, 0).unwrap()
+    }
+
+    /// A view that nobody runs.
+    fn view() -> ViewJob {
+        let land = terrain::Land::new(1);
+        let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
+        let mut session = ServerSession::new(offer, 1);
+        let hello = Hello { digest: None, delivery: Delivery::Exact, token: None, software: String::new() };
+        let view = View {
+            id: 1,
+            eye: [0; 3],
+            velocity: [0; 3],
+            yaw_mdeg: 0,
+            pitch_mdeg: 0,
+            fov_mdeg: 60_000,
+            viewport: [640, 360],
+            tolerance_q4: 16,
+            distance_m: 500,
+        };
+        for message in [ClientMessage::Hello(hello), ClientMessage::View(view)] {
+            session.receive(protocol::Incoming::Binary(&protocol::control::encode(&message).unwrap())).unwrap();
+        }
+        let selection = session.take_view().unwrap();
+        let (answers, _) = unbounded_channel();
+        ViewJob { selection, land, purse: Purse::default(), spent: Duration::ZERO, answers }
     }
 
     struct Bench {
@@ -339,6 +450,84 @@ mod tests {
         }
         let ratio = f64::from(cheap_us) / f64::from(dear_us);
         assert!((0.9..1.1).contains(&ratio), "{cheap_us} against {dear_us}");
+    }
+
+    #[test]
+    fn a_flow_that_was_idle_comes_before_a_round_of_busy_ones_and_cannot_have_that_twice_in_a_round() {
+        let mut bench = Bench::new(10_000);
+        for flow in 1..=50 {
+            for x in 0..20 {
+                bench.ask(flow, flow as i32 * 100 + x, 1, 100);
+            }
+        }
+        // Their first turns: all are in the round then.
+        for _ in 0..60 {
+            bench.turn();
+        }
+        bench.ask(99, 7, 1, 10);
+        assert_eq!(bench.turn(), [7]);
+        // It comes back at once, again and again: from now on it waits as long as all others.
+        let mut others = 0;
+        for _ in 0..5 {
+            bench.ask(99, 8, 1, 10);
+            while bench.turn() != [8] {
+                others += 1;
+            }
+        }
+        assert!(others >= 4 * 49, "{others} turns of others");
+    }
+
+    #[test]
+    fn a_debt_of_a_view_is_paid_by_rounds_even_if_nothing_else_of_its_flow_waits() {
+        let mut bench = Bench::new(10_000);
+        let mut turns_of_other = 0;
+        for _ in 0..10 {
+            bench.queue.add_view(1, view());
+            for x in 0..1000 {
+                bench.ask(2, x, 1, 100);
+            }
+            loop {
+                let turn = bench.queue.take(QUANTUM, PATIENT, bench.now);
+                if let Some((flow, _, budget_us)) = turn.view {
+                    assert!(flow == 1 && budget_us > 0);
+                    // It takes ten turns' worth.
+                    bench.queue.return_view(1, None, 10 * QUANTUM);
+                    break;
+                }
+                turn.keys.iter().for_each(|key| drop(bench.queue.finish(*key, |_| true)));
+                turns_of_other += 1;
+            }
+        }
+        assert!(turns_of_other >= 9 * 9, "{turns_of_other} turns of the other flow");
+        // The control: nobody else waits, and the debt delays nothing.
+        let mut alone = Bench::new(10);
+        for _ in 0..10 {
+            alone.queue.add_view(1, view());
+            assert!(alone.queue.take(QUANTUM, PATIENT, alone.now).view.is_some());
+            alone.queue.return_view(1, None, 10 * QUANTUM);
+        }
+        assert_eq!(alone.queue.take(QUANTUM, PATIENT, alone.now).keys, []);
+        assert_eq!((alone.queue.flows.len(), alone.queue.waiting_views()), (0, 0));
+    }
+
+    #[test]
+    fn a_view_that_comes_back_unfinished_waits_for_the_next_turn_and_one_of_a_gone_flow_is_dropped() {
+        let mut bench = Bench::new(10);
+        bench.queue.add_view(1, view());
+        bench.queue.add_view(2, view());
+        let mut order = Vec::new();
+        for _ in 0..6 {
+            let (flow, job, _) = bench.queue.take(QUANTUM, PATIENT, bench.now).view.unwrap();
+            order.push(flow);
+            bench.queue.return_view(flow, Some(job), QUANTUM);
+        }
+        assert_eq!(order, [1, 2, 1, 2, 1, 2]);
+        let (flow, job, _) = bench.queue.take(QUANTUM, PATIENT, bench.now).view.unwrap();
+        bench.queue.forget(flow);
+        bench.queue.return_view(flow, Some(job), QUANTUM);
+        bench.queue.forget(2);
+        assert!(bench.queue.take(QUANTUM, PATIENT, bench.now).view.is_none());
+        assert_eq!(bench.queue.flows.len(), 0);
     }
 
     #[test]

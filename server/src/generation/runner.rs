@@ -46,7 +46,7 @@ impl Shared {
                 let mut queue = self.lock();
                 let quantum_us = self.quantum_us(queue.waiting());
                 let turn = queue.take(quantum_us, deadline, Instant::now());
-                if turn.keys.is_empty() {
+                if turn.keys.is_empty() && turn.view.is_none() {
                     queue.runners -= 1;
                 }
                 self.metrics.queue.set(queue.jobs() as i64);
@@ -57,6 +57,10 @@ impl Shared {
             for waiter in turn.expired {
                 // An asker that left in the meantime is no error; the same below.
                 let _ = waiter.answers.send(vec![(waiter.wanted, Err(GenerationError::Overloaded))]);
+            }
+            if let Some((flow, view, budget_us)) = turn.view {
+                self.select_view(flow, view, budget_us);
+                continue;
             }
             if turn.keys.is_empty() {
                 return;

@@ -1,0 +1,127 @@
+//! The selection of one view's chunks: pure work that a server does apart from its sessions.
+//!
+//! [`crate::server::ServerSession::take_view`] yields one, a worker thread calls [`ViewSelection::step`] until it is done, and
+//! [`crate::server::ServerSession::apply_view`] takes it back. One step is bounded, so that many sessions can share a thread.
+
+use crate::limits::MAX_VIEW_CHUNKS;
+use crate::view::View;
+use rustc_hash::{FxHashMap, FxHashSet};
+use terrain::lod::{Needed, Selector};
+use terrain::{ChunkKey, Land};
+
+/// One view with the chunks found so far.
+#[derive(Debug)]
+pub struct ViewSelection {
+    view: View,
+    phase: Phase,
+    /// Number of earlier views in which each chunk was pending.
+    waited_before: FxHashMap<ChunkKey, u32>,
+    selected: Selected,
+}
+
+/// What a finished selection found.
+#[derive(Debug, Default)]
+pub(crate) struct Selected {
+    /// Chunks of the whole selection.
+    pub chunks: u32,
+    /// All of them and those ahead.
+    pub keys: FxHashSet<ChunkKey>,
+    /// The selection by priority, most urgent last.
+    pub needed: Vec<(u64, ChunkKey)>,
+    /// Chunks that the view will need soon, most urgent last.
+    pub ahead: Vec<(u64, ChunkKey)>,
+    /// Number of views, this one included, in which each chunk was pending, less 1.
+    pub waited: FxHashMap<ChunkKey, u32>,
+}
+
+#[derive(Debug)]
+enum Phase {
+    Select(Selector),
+    Rank { found: Vec<Needed>, ranked: usize },
+    SelectAhead(Selector),
+    RankAhead { found: Vec<Needed>, ranked: usize },
+    Done,
+}
+
+impl ViewSelection {
+    /// A selection for a checked view.
+    pub(crate) fn new(land: &Land, view: View, waited_before: FxHashMap<ChunkKey, u32>) -> Self {
+        let phase = Phase::Select(Selector::new(land, &view.viewer(), MAX_VIEW_CHUNKS));
+        Self { view, phase, waited_before, selected: Selected::default() }
+    }
+
+    /// The view.
+    #[must_use]
+    pub const fn view(&self) -> &View {
+        &self.view
+    }
+
+    /// Whether all steps are done.
+    #[must_use]
+    pub const fn is_done(&self) -> bool {
+        matches!(self.phase, Phase::Done)
+    }
+
+    /// Examines about `chunks` chunks; a few hundred take some 100 us. Sorting is one step, of at most
+    /// [`MAX_VIEW_CHUNKS`] entries. Returns whether the selection is done.
+    pub fn step(&mut self, land: &Land, chunks: usize) -> bool {
+        let chunks = chunks.max(1);
+        self.phase = match std::mem::replace(&mut self.phase, Phase::Done) {
+            Phase::Select(mut selector) => {
+                if selector.step(chunks) {
+                    Phase::Rank { found: selector.finish(), ranked: 0 }
+                } else {
+                    Phase::Select(selector)
+                }
+            }
+            Phase::Rank { found, ranked } if ranked < found.len() => {
+                let end = ranked.saturating_add(chunks).min(found.len());
+                found[ranked..end].iter().for_each(|needed| self.rank(needed));
+                Phase::Rank { found, ranked: end }
+            }
+            Phase::Rank { found, .. } => {
+                self.selected.chunks = found.len() as u32;
+                self.selected.needed.sort_unstable();
+                match self.view.viewer_ahead() {
+                    Some(viewer) => Phase::SelectAhead(Selector::new(land, &viewer, MAX_VIEW_CHUNKS)),
+                    None => Phase::Done,
+                }
+            }
+            Phase::SelectAhead(mut selector) => {
+                if selector.step(chunks) {
+                    Phase::RankAhead { found: selector.finish(), ranked: 0 }
+                } else {
+                    Phase::SelectAhead(selector)
+                }
+            }
+            Phase::RankAhead { found, ranked } if ranked < found.len() => {
+                let end = ranked.saturating_add(chunks).min(found.len());
+                for needed in &found[ranked..end] {
+                    if self.selected.keys.insert(needed.key) {
+                        self.selected.ahead.push((u64::from(needed.gain_q4), needed.key));
+                    }
+                }
+                Phase::RankAhead { found, ranked: end }
+            }
+            Phase::RankAhead { .. } => {
+                self.selected.ahead.sort_unstable();
+                Phase::Done
+            }
+            Phase::Done => Phase::Done,
+        };
+        self.is_done()
+    }
+
+    /// The view and its chunks. Runs what is left of the steps.
+    pub(crate) fn finish(mut self, land: &Land) -> (View, Selected) {
+        while !self.step(land, usize::MAX) {}
+        (self.view, self.selected)
+    }
+
+    fn rank(&mut self, needed: &Needed) {
+        let views = self.waited_before.get(&needed.key).map_or(0, |views| views.saturating_add(1));
+        self.selected.waited.insert(needed.key, views);
+        self.selected.keys.insert(needed.key);
+        self.selected.needed.push((self.view.priority(needed, views), needed.key));
+    }
+}
