@@ -1,8 +1,9 @@
 //! Links every pass with its shared modules, validates it and writes `SHADERS` as Rust.
 //!
-//! A pass is a file directly under `wgsl/`, a shared module one under `wgsl/shared/`; modules under `wgsl/bound/` may declare bindings, for passes that read the same buffers. The shared module `constants` is
-//! no file: it is written here from `terrain::constants`, so no number exists twice. Errors of all passes are collected
-//! before the build fails.
+//! A pass is a file directly under `wgsl/`, a shared module one under `wgsl/shared/`; modules under
+//! `wgsl/bound/` may declare bindings, for passes that read the same buffers. The shared module
+//! `constants` is no file: it is written here from `terrain::constants`, so no number exists twice.
+//! Errors of all passes are collected before the build fails.
 
 use std::error::Error;
 use std::fmt::Write as _;
@@ -117,8 +118,8 @@ fn table(name: &str, pairs: &[(i32, i32)]) -> String {
     format!("const {name} = array<vec2i, {}>({rows});\n", pairs.len())
 }
 
-/// One self-contained WGSL source. Names stay as written: two modules with the same name are an error that naga
-/// reports, and a capture in a graphics debugger stays readable.
+/// One self-contained WGSL source. Names stay as written: two modules with the same name are an
+/// error that naga reports, and a capture in a graphics debugger stays readable.
 fn link(stem: &str, source: &str, modules: &[(ModulePath, String)]) -> Result<String, String> {
     let mut resolver = VirtualResolver::new();
     for (path, text) in modules {

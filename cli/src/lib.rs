@@ -1,7 +1,7 @@
 //! What the command-line programs share: the exit codes, and errors in one line.
 //!
-//! A script reads the exit code, a person reads the line. 0: the thing asked for happened. 1: it could not be done. 2: it was asked
-//! for wrongly (option, variable or file).
+//! A script reads the exit code, a person reads the line. 0: the thing asked for happened. 1: it
+//! could not be done. 2: it was asked for wrongly (option, variable or file).
 
 #![forbid(unsafe_code)]
 
@@ -19,8 +19,8 @@ pub const FAILED: u8 = 1;
 /// An option, variable or file cannot be used.
 pub const USAGE: u8 = 2;
 
-/// Parses the command line. `--help` and `--version` print and end with 0; a mistake ends with one line that names the option,
-/// its value and what is allowed.
+/// Parses the command line. `--help` and `--version` print and end with 0; a mistake ends with one
+/// line that names the option, its value and what is allowed.
 ///
 /// # Errors
 /// The exit code to return from `main`; everything has been printed.

@@ -3,7 +3,8 @@
 use std::fmt;
 use std::path::Path;
 
-/// An option, variable or file that cannot be used: one line with its name, its value and what is allowed.
+/// An option, variable or file that cannot be used: one line with its name, its value and what is
+/// allowed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UsageError(String);
 

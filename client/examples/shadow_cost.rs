@@ -1,5 +1,6 @@
-//! What the land's shadow costs: `cargo run -p client --example shadow_cost -- [CAMERA] [AZIMUTH]`. For several heights of the sun, milliseconds of one
-//! chunk's casting and of one frame, and what the vertices have come out as.
+//! What the land's shadow costs: `cargo run -p client --example shadow_cost -- [CAMERA] [AZIMUTH]`.
+//! For several heights of the sun, milliseconds of one chunk's casting and of one frame, and what
+//! the vertices have come out as.
 
 use client::camera::Lens;
 use client::feed::LocalFeed;

@@ -1,6 +1,8 @@
-//! Where the eye is and how it looks: poses, lenses, flying and orbiting. Pure arithmetic; time comes in as steps.
+//! Where the eye is and how it looks: poses, lenses, flying and orbiting. Pure arithmetic; time
+//! comes in as steps.
 //!
-//! Axes of the world: x east, y up, z south. Yaw 0 looks north (-z) and grows to the right (east); pitch grows upward.
+//! Axes of the world: x east, y up, z south. Yaw 0 looks north (-z) and grows to the right (east);
+//! pitch grows upward.
 
 use glam::camera::rh::{proj::directx::perspective_infinite_reverse, view::look_to_mat4};
 use glam::{DVec3, Mat4, Vec3};
@@ -14,7 +16,8 @@ pub const MAX_EYE_HEIGHT_M: f64 = 20_000.0;
 pub const MIN_EYE_HEIGHT_M: f64 = -64.0;
 /// Largest |x| and |z| of an eye, metres.
 pub const WORLD_HALF_M: f64 = (WORLD_HALF / UNITS_PER_METRE) as f64;
-/// Least height of an eye above the ground, metres: twice the near plane's distance, so that this never cuts the ground below.
+/// Least height of an eye above the ground, metres: twice the near plane's distance, so that this
+/// never cuts the ground below.
 pub const CLEARANCE_M: f64 = 0.5;
 /// Steepest gaze in degrees: straight up or down. The heading stays what the yaw says.
 pub const MAX_PITCH_DEG: f64 = 90.0;
@@ -72,8 +75,8 @@ impl Pose {
         }
     }
 
-    /// The pose lifted out of the ground if it is below the ground's height (units): inside the land there is nothing to see. An eye under
-    /// water stays there.
+    /// The pose lifted out of the ground if it is below the ground's height (units): inside the
+    /// land there is nothing to see. An eye under water stays there.
     #[must_use]
     pub fn above(self, ground: Option<i32>) -> Self {
         let floor_m =
@@ -173,7 +176,8 @@ pub struct Lens {
     pub height: u32,
 }
 
-/// Distance of the near plane, metres. Infinite reversed-Z spends its precision by ratio, so a close plane costs nothing.
+/// Distance of the near plane, metres. Infinite reversed-Z spends its precision by ratio, so a
+/// close plane costs nothing.
 pub const NEAR_M: f32 = 0.25;
 
 impl Lens {
@@ -251,7 +255,8 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// The orbit that passes through a pose and circles the point on the sea that it looks towards, `ahead_m` away.
+    /// The orbit that passes through a pose and circles the point on the sea that it looks towards,
+    /// `ahead_m` away.
     #[must_use]
     pub fn through(pose: &Pose, ahead_m: f64) -> Self {
         let level = DVec3::new(pose.yaw_deg.to_radians().sin(), 0.0, -pose.yaw_deg.to_radians().cos());

@@ -1,4 +1,5 @@
-//! From a pose and a selection to what the GPU is told: uniforms, instances in drawing order, counts.
+//! From a pose and a selection to what the GPU is told: uniforms, instances in drawing order,
+//! counts.
 
 use crate::camera::{Eye, Lens, Pose};
 use crate::looks::{Looks, Show};
@@ -19,11 +20,13 @@ use terrain::lod::{MAX_VIEW_DISTANCE_M, Viewer};
 /// Triangles of one instance, a quarter of a chunk or all of a halved one.
 pub const TRIANGLES_PER_INSTANCE: u64 = (CELLS * CELLS / 2) as u64;
 
-/// Share of the tolerance that server and viewer judge chunks by. The rest is kept for the row of cells beside a coarser chunk, where a part of its error adds to
-/// the chunk's own: at most 0.051 tolerances in all that was looked at, measured and not proved.
+/// Share of the tolerance that server and viewer judge chunks by. The rest is kept for the row of
+/// cells beside a coarser chunk, where a part of its error adds to the chunk's own: at most 0.051
+/// tolerances in all that was looked at, measured and not proved.
 const JUDGED: f64 = 15.0 / 16.0;
 
-/// The quarters of a chunk: 0 or 1 east, 0 or 1 south. The first one alone stands for all of a halved chunk.
+/// The quarters of a chunk: 0 or 1 east, 0 or 1 south. The first one alone stands for all of a
+/// halved chunk.
 const QUARTERS: [(i32, i32); 4] = [(0, 0), (1, 0), (0, 1), (1, 1)];
 
 /// One picture, ready to draw.
@@ -33,7 +36,8 @@ pub struct FrameData {
     pub uniforms: Frame,
     /// The eye, for what is placed relative to it.
     pub eye: Eye,
-    /// The quarters of chunks in sight, and halved chunks, nearest chunks first, so that hidden land behind near hills costs no shading.
+    /// The quarters of chunks in sight, and halved chunks, nearest chunks first, so that hidden
+    /// land behind near hills costs no shading.
     pub instances: Vec<TerrainInstance>,
     /// Chunks of which any quarter is in sight.
     pub chunks: usize,
@@ -43,7 +47,8 @@ pub struct FrameData {
     pub backdrop: Backdrop,
     /// What grows on the land, if anything does.
     pub plants: Option<PlantFrame>,
-    /// How often materials repeat on the objects of a scene of reliefs, along u and v, over the scene's own.
+    /// How often materials repeat on the objects of a scene of reliefs, along u and v, over the
+    /// scene's own.
     pub relief_tiling: [f32; 2],
 }
 
@@ -142,8 +147,8 @@ impl Shot {
         }
     }
 
-    /// The knobs of reliefs for the shaders. The reliefs of a small scene sink all together, so that what is marched and what is displaced stay alike; those of
-    /// the land sink one by one.
+    /// The knobs of reliefs for the shaders. The reliefs of a small scene sink all together, so
+    /// that what is marched and what is displaced stay alike; those of the land sink one by one.
     fn relief(&self, scene: Scene) -> Relief {
         let knobs = self.looks.relief;
         let relief = knobs.layout();
@@ -200,7 +205,8 @@ fn metres(units: f64) -> f64 {
     units / f64::from(UNITS_PER_METRE)
 }
 
-/// Squared horizontal distance from the eye to the middle of a chunk, square metres: an order, not a measure.
+/// Squared horizontal distance from the eye to the middle of a chunk, square metres: an order, not
+/// a measure.
 fn nearness(eye: &Eye, key: ChunkKey) -> i64 {
     let (x, z) = key.origin();
     let half = i64::from(key.side() / 2);
@@ -212,7 +218,8 @@ fn nearness(eye: &Eye, key: ChunkKey) -> i64 {
 fn quarter_of(key: ChunkKey, (east, south): (i32, i32)) -> ((i32, i32), u32) {
     let side = key.side() / 2;
     let (x, z) = key.origin();
-    // Halves of chunks inside the world; only the root's side does not fit a signed number, and its half does.
+    // Halves of chunks inside the world; only the root's side does not fit a signed number, and its
+    // half does.
     ((x + east * side as i32, z + south * side as i32), side)
 }
 
@@ -227,7 +234,8 @@ fn instance(
     let (x, z) = key.origin();
     let (east, south) = key.quarter();
     let [edges, corners, inside] = TerrainInstance::seam_words(&drawn.seams);
-    // Integers first, so that the distance to a near chunk is exact however far both are from the origin.
+    // Integers first, so that the distance to a near chunk is exact however far both are from the
+    // origin.
     let relative = |low: i32, eye: i32| metres((i64::from(low) - i64::from(eye)) as f64) as f32;
     let period = PATTERN_PERIOD_M * UNITS_PER_METRE;
     TerrainInstance {
@@ -270,7 +278,8 @@ impl Sight {
         }
     }
 
-    /// Whether any of the box over a square of a chunk may lie inside all four planes. Errs on the side of drawing.
+    /// Whether any of the box over a square of a chunk may lie inside all four planes. Errs on the
+    /// side of drawing.
     ///
     /// The box holds the parent's extremes too: a morphed vertex lies between the two surfaces.
     fn may_show(
@@ -306,8 +315,9 @@ pub struct Light {
 }
 
 impl Light {
-    /// The light with what the knobs change about it. A place of the sun that is not a number leaves the sun where it is, an exposure that is none
-    /// changes nothing; both are cut to their ranges.
+    /// The light with what the knobs change about it. A place of the sun that is not a number
+    /// leaves the sun where it is, an exposure that is none changes nothing; both are cut to their
+    /// ranges.
     #[must_use]
     pub fn under(self, looks: &Looks) -> Self {
         let asked =
@@ -324,8 +334,9 @@ impl Light {
     }
 }
 
-/// Stops by which the eye opens when the sun sinks to the sine `rise` above the horizon: from none at 12 degrees up to 3.5 at 12 degrees below, where the
-/// light has fallen by more than ten. Nights stay dark.
+/// Stops by which the eye opens when the sun sinks to the sine `rise` above the horizon: from none
+/// at 12 degrees up to 3.5 at 12 degrees below, where the light has fallen by more than ten. Nights
+/// stay dark.
 fn adaptation_ev(rise: f32) -> f32 {
     let dusk = ((0.2 - rise) / 0.4).clamp(0.0, 1.0);
     3.5 * dusk * dusk * (3.0 - 2.0 * dusk)
@@ -378,7 +389,8 @@ mod tests {
         };
         assert!(frame.instances.is_sorted_by(|a, b| distance(a) <= distance(b) + 2.0));
         for instance in &frame.instances {
-            // Whole units only: the fraction of the eye is subtracted in the shader, after exact sums.
+            // Whole units only: the fraction of the eye is subtracted in the shader, after exact
+            // sums.
             assert!(instance.origin_m.iter().all(|value| (value * 256.0).fract() == 0.0));
         }
     }

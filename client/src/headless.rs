@@ -1,4 +1,5 @@
-//! Pictures without a window: fill the view from a feed, draw it, time it, read it back. Local scenes need no feed.
+//! Pictures without a window: fill the view from a feed, draw it, time it, read it back. Local
+//! scenes need no feed.
 
 use crate::camera::{Lens, Pose};
 use crate::feed::{Feed, NoFeed};
@@ -147,13 +148,14 @@ pub fn render(
     }
     draw(options, feed, started, |voyage| {
         fill(voyage, options, started, &mut progress)?;
-        // How high the ground is under the eye is known now; an eye that has to be lifted sees other chunks.
+        // How high the ground is under the eye is known now; an eye that has to be lifted sees
+        // other chunks.
         fill(voyage, options, started, &mut progress)
     })
 }
 
-/// Lets `fill` bring what is to be drawn, builds the renderer, draws, times and reads back. In this order: a view that cannot be had is told without waiting for
-/// materials and pipelines.
+/// Lets `fill` bring what is to be drawn, builds the renderer, draws, times and reads back. In this
+/// order: a view that cannot be had is told without waiting for materials and pipelines.
 fn draw<F: Feed>(
     options: &Options,
     feed: F,
@@ -194,7 +196,8 @@ fn draw<F: Feed>(
         (drawn, instances) = (frame.chunks, frame.instances.len());
         camera = format!("{:.4}", shot.pose);
         if timed.is_none() {
-            // What a camera that stands still has seen long ago. Shadows that change while frames are timed are part of them.
+            // What a camera that stands still has seen long ago. Shadows that change while frames
+            // are timed are part of them.
             renderer.finish_shadows(&gpu, &frame)?;
         }
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

@@ -1,11 +1,11 @@
 //! Tombolo's viewer, as a library.
 //!
-//! The core draws what a [`feed`] brings and needs no thread, clock or file: [`camera`], [`scene`], [`world`] (resident chunks
-//! and what to draw of them), [`frame`] (what the GPU is told), [`render`] (how it draws), [`voyage`] (the driver that
-//! links them).
+//! The core draws what a [`feed`] brings and needs no thread, clock or file: [`camera`], [`scene`],
+//! [`world`] (resident chunks and what to draw of them), [`frame`] (what the GPU is told),
+//! [`render`] (how it draws), [`voyage`] (the driver that links them).
 //!
-//! The edge belongs to the native program: [`headless`] (pictures without a window), [`native`] (options, sockets, files, the
-//! window).
+//! The edge belongs to the native program: [`headless`] (pictures without a window), [`native`]
+//! (options, sockets, files, the window).
 
 #![forbid(unsafe_code)]
 

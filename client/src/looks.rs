@@ -1,5 +1,6 @@
-//! Knobs that trade accuracy for speed in a picture, and views that show its machinery instead. Each one is an option of the
-//! viewer, a control of the panel and a word in the uniforms; their numbers are those of `shared/frame.wesl`.
+//! Knobs that trade accuracy for speed in a picture, and views that show its machinery instead.
+//! Each one is an option of the viewer, a control of the panel and a word in the uniforms; their
+//! numbers are those of `shared/frame.wesl`.
 
 use crate::plants::PlantKnobs;
 use crate::relief::ReliefKnobs;
@@ -35,7 +36,8 @@ pub struct Looks {
 /// Shape of the waves and depth of their parallax.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WaveKnobs {
-    /// Depth of the parallax, 0 to 1: 0 shows flat water, 0.2 displaces the waves by their true height, 1 by five times that.
+    /// Depth of the parallax, 0 to 1: 0 shows flat water, 0.2 displaces the waves by their true
+    /// height, 1 by five times that.
     pub parallax_factor: f32,
     /// Raises the surface, metres, -2 to 2; what is seen of it shifts with the slope of the view.
     pub parallax_bias_m: f32,
@@ -55,7 +57,8 @@ impl WaveKnobs {
     /// Largest steepness.
     pub const MAX_STEEPNESS: f32 = 4.0;
 
-    /// The knobs within their ranges; what is no number becomes the default. The shaders rely on it.
+    /// The knobs within their ranges; what is no number becomes the default. The shaders rely on
+    /// it.
     #[must_use]
     pub fn sane(self) -> Self {
         let standard = Self::default();
@@ -84,7 +87,8 @@ pub struct SunPlace {
 pub enum Diffuse {
     /// The same in every direction.
     Lambert,
-    /// Brighter towards the light at grazing angles (Burley, "Physically-Based Shading at Disney", 2012).
+    /// Brighter towards the light at grazing angles (Burley, "Physically-Based Shading at Disney",
+    /// 2012).
     #[default]
     Burley,
 }
@@ -153,7 +157,8 @@ pub enum Show {
     Levels,
     /// Normals as colours.
     Normals,
-    /// How far the drawn land may be from the true one on screen: green for nothing, red for the tolerance, white beyond.
+    /// How far the drawn land may be from the true one on screen: green for nothing, red for the
+    /// tolerance, white beyond.
     Error,
 }
 

@@ -11,13 +11,17 @@ pub enum Scene {
     /// The streamed archipelago, seen over the home island.
     #[default]
     Island,
-    /// The island at eye height in a meadow, with grass and trees. Makes its land itself unless --connect is given
+    /// The island at eye height in a meadow, with grass and trees. Makes its land itself unless
+    /// --connect is given
     Grass,
-    /// The island 1.8 times as high, so that hills hide what grows behind them. Makes its land itself unless --connect is given
+    /// The island 1.8 times as high, so that hills hide what grows behind them. Makes its land
+    /// itself unless --connect is given
     Culling,
-    /// A bay, three times side by side: plain parallax, the chosen tier of --water, the marched truth. Needs no server
+    /// A bay, three times side by side: plain parallax, the chosen tier of --water, the marched
+    /// truth. Needs no server
     Water,
-    /// Cobbles on four planes: flat, by a single offset, as the knobs say, and as displaced geometry. Needs no server
+    /// Cobbles on four planes: flat, by a single offset, as the knobs say, and as displaced
+    /// geometry. Needs no server
     Pom,
     /// A wall of bricks whose depth is all parallax. Needs no server
     Brick,
@@ -35,7 +39,8 @@ impl Scene {
         }
     }
 
-    /// Whether all of the scene fits into a room, so that a camera over land would be too fast and too far for it.
+    /// Whether all of the scene fits into a room, so that a camera over land would be too fast and
+    /// too far for it.
     #[must_use]
     pub fn is_room(self) -> bool {
         match self {
@@ -113,7 +118,8 @@ impl Scene {
         }
     }
 
-    /// The light of the scene: a late morning sun in the south-east; over the bay one that stands beyond it, so that the waves glitter.
+    /// The light of the scene: a late morning sun in the south-east; over the bay one that stands
+    /// beyond it, so that the waves glitter.
     #[must_use]
     pub fn light(self) -> Light {
         match self {
@@ -121,7 +127,8 @@ impl Scene {
                 Light { sun: Vec3::new(0.66, 0.43, 0.50).normalize(), exposure: 1.0 }
             }
             Self::Water => Light { sun: Vec3::new(0.62, 0.58, -0.50).normalize(), exposure: 1.0 },
-            // From beyond, and hardly from the side: all four planes are lit alike, however far left or right they are.
+            // From beyond, and hardly from the side: all four planes are lit alike, however far
+            // left or right they are.
             Self::Pom => Light { sun: Vec3::new(-0.20, 0.50, -0.55).normalize(), exposure: 1.0 },
             // Low and from the side, so that stones throw shadows.
             Self::Spom => Light { sun: Vec3::new(-0.62, 0.50, 0.30).normalize(), exposure: 0.85 },

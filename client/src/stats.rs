@@ -34,7 +34,8 @@ impl FrameTimes {
         self.times.is_empty()
     }
 
-    /// The time in milliseconds that a share `q` (0 to 1) of the latest `window` frames did not exceed; 0 without frames.
+    /// The time in milliseconds that a share `q` (0 to 1) of the latest `window` frames did not
+    /// exceed; 0 without frames.
     #[must_use]
     pub fn quantile_ms(&self, q: f64, window: usize) -> f64 {
         let mut sorted: Vec<Duration> = self.times.iter().rev().take(window).copied().collect();
@@ -72,7 +73,8 @@ pub struct Stats {
     pub seconds_to_first_chunk: Option<f64>,
     /// From the start of the program until the view had all its detail.
     pub seconds_to_complete_view: Option<f64>,
-    /// From the start of the program until the first picture was drawn: the view and, in a shot, after it the renderer with its materials.
+    /// From the start of the program until the first picture was drawn: the view and, in a shot,
+    /// after it the renderer with its materials.
     pub seconds_to_first_picture: Option<f64>,
     /// Median time of a frame, until the GPU was done with it.
     pub frame_ms_p50: f64,
@@ -84,9 +86,11 @@ pub struct Stats {
     pub chunk_bytes_resident: usize,
     /// Memory of all slots: the bound.
     pub chunk_bytes_budget: usize,
-    /// The tolerance that was drawn with: above the one asked for if the budget was too small for it.
+    /// The tolerance that was drawn with: above the one asked for if the budget was too small for
+    /// it.
     pub tolerance_px: f64,
-    /// The last frame's camera as `--camera` takes it: above the one asked for if that was in the ground.
+    /// The last frame's camera as `--camera` takes it: above the one asked for if that was in the
+    /// ground.
     pub camera: String,
 }
 

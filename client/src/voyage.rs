@@ -1,5 +1,5 @@
-//! The driver: moves chunks from a feed into the world, tells the feed what is seen, and knows when the view is
-//! complete. No clock of its own: the caller says what time it is.
+//! The driver: moves chunks from a feed into the world, tells the feed what is seen, and knows when
+//! the view is complete. No clock of its own: the caller says what time it is.
 
 use crate::feed::{Feed, FeedEvent};
 use crate::frame::Shot;
@@ -17,8 +17,8 @@ const STRAIN_STEP: f64 = 1.25;
 /// Beyond this even a whole island is a few chunks.
 const MAX_STRAIN: f64 = 1000.0;
 
-/// Time for a strained tolerance to show its effect before it is strained again: chunks that were asked for with the old one
-/// are still arriving.
+/// Time for a strained tolerance to show its effect before it is strained again: chunks that were
+/// asked for with the old one are still arriving.
 const STRAIN_INTERVAL: Duration = Duration::from_millis(400);
 
 /// How the feed is doing.
@@ -103,8 +103,8 @@ impl<F: Feed> Voyage<F> {
         self
     }
 
-    /// Takes up to `limit` events, says what is seen, and chooses what to draw. `upload` is called for every chunk
-    /// that got a slot; `now` counts from the start of the program.
+    /// Takes up to `limit` events, says what is seen, and chooses what to draw. `upload` is called
+    /// for every chunk that got a slot; `now` counts from the start of the program.
     pub fn update(
         &mut self,
         shot: &Shot,
@@ -212,7 +212,8 @@ impl<F: Feed> Voyage<F> {
         true
     }
 
-    /// The shot by whose tolerance chunks are chosen: errors grow with the land, and the server knows the land as it is.
+    /// The shot by whose tolerance chunks are chosen: errors grow with the land, and the server
+    /// knows the land as it is.
     fn judging(&self, shot: &Shot) -> Shot {
         let times = f64::from(self.stretch) / f64::from(stretch::ONE);
         Shot { tolerance_px: self.tolerance_px(shot) / times.max(1.0), ..*shot }
@@ -224,7 +225,8 @@ impl<F: Feed> Voyage<F> {
         self.sent.as_ref().is_some_and(|(view, _)| self.settled == Some(view.id))
     }
 
-    /// Tolerated screen error in pixels: what is asked for, or more while the budget is too small for it.
+    /// Tolerated screen error in pixels: what is asked for, or more while the budget is too small
+    /// for it.
     #[must_use]
     pub fn tolerance_px(&self, shot: &Shot) -> f64 {
         shot.tolerance_px * self.strain

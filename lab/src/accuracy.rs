@@ -1,10 +1,13 @@
 //! `tombolo-lab accuracy`: what every shortcut costs, against a truth in which nothing is rounded.
 //!
-//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of materials ([`tiling`]) and their relief ([`pom`], [`pom_pictures`]),
-//! what hides plants ([`mod@culling`]), and how many of them there are ([`grass`]).
+//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]),
+//! repetition of materials ([`tiling`]) and their relief ([`pom`], [`pom_pictures`]), what hides
+//! plants ([`mod@culling`]), and how many of them there are ([`grass`]).
 //!
-//! For the heightfield: how far the integers are from the formula in f64 ([`heightfield`], with the bars that are promised), and four curves: octaves kept
-//! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), and dropping octaves on coarse levels ([`levels`]).
+//! For the heightfield: how far the integers are from the formula in f64 ([`heightfield`], with the
+//! bars that are promised), and four curves: octaves kept ([`octaves`]), height quantum
+//! ([`quantum`]), distance from the origin ([`distance`]), and dropping octaves on coarse levels
+//! ([`levels`]).
 //!
 //! For the wire: tolerances, efforts and seeds ([`codec`]).
 //!

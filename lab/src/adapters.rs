@@ -15,7 +15,8 @@ pub struct OpenGpu {
     faults: Arc<Mutex<Option<String>>>,
 }
 
-/// Every adapter of some backends. Environment variables of the drivers' loaders decide what there is to find.
+/// Every adapter of some backends. Environment variables of the drivers' loaders decide what there
+/// is to find.
 #[must_use]
 pub fn all(backends: wgpu::Backends) -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();

@@ -1,4 +1,5 @@
-//! Charts: panels of curves as one PNG, with the fonts that the viewer embeds. No system font is looked for.
+//! Charts: panels of curves as one PNG, with the fonts that the viewer embeds. No system font is
+//! looked for.
 
 use anyhow::{Context, Result, anyhow};
 use plotters::coord::Shift;
@@ -15,13 +16,15 @@ const PANEL: (u32, u32) = (860, 660);
 /// Pixels above the panels for the title.
 const TITLE: u32 = 64;
 
-/// Height of a line of the legend, width of the stroke that it shows, and what is free around its text, pixels.
+/// Height of a line of the legend, width of the stroke that it shows, and what is free around its
+/// text, pixels.
 const LEGEND: (u32, i32, i32) = (28, 30, 14);
 
 /// Distance from the left end of a panel to its legend: that of the axis.
 const LEGEND_LEFT: i32 = 108;
 
-/// Width of a line that covers no other, and what it gains with every line that it would vanish under, pixels.
+/// Width of a line that covers no other, and what it gains with every line that it would vanish
+/// under, pixels.
 const LINE: (u32, u32) = (2, 4);
 
 /// Radius of the ring around what ships, pixels.
@@ -151,7 +154,8 @@ fn named(label: &str, stroke: Stroke, choices: impl IntoIterator<Item = Choice>)
     Series { label: label.into(), stroke, points, names }
 }
 
-/// The front that none beats, joined by a line, the others in grey, and a ring around what ships. Choices that could not be measured are left out.
+/// The front that none beats, joined by a line, the others in grey, and a ring around what ships.
+/// Choices that could not be measured are left out.
 pub fn front(choices: &[Choice]) -> Vec<Series> {
     let known = |choice: &&Choice| choice.at.0.is_finite() && choice.at.1.is_finite();
     let choices: Vec<&Choice> = choices.iter().filter(known).collect();
@@ -365,8 +369,8 @@ impl Bounds {
     }
 }
 
-/// Upper left corner of a name beside its dot, where it covers neither a dot nor another name, and takes the place. Lines may pass under it. A dot in a crowd
-/// keeps the first place.
+/// Upper left corner of a name beside its dot, where it covers neither a dot nor another name, and
+/// takes the place. Lines may pass under it. A dot in a crowd keeps the first place.
 fn free(
     (x, y): (i32, i32),
     (width, height): (i32, i32),
@@ -396,7 +400,8 @@ impl Panel {
         fits(x, self.x.scale) && fits(y, self.y.scale)
     }
 
-    /// The lines of the legend, below the plot: there it covers no curve. A single curve is named by its axis.
+    /// The lines of the legend, below the plot: there it covers no curve. A single curve is named
+    /// by its axis.
     fn legend(&self, area: &Area<'_>) -> Result<Vec<Vec<Entry>>> {
         let mut rows: Vec<Vec<Entry>> = Vec::new();
         if self.series.len() < 2 {
@@ -457,7 +462,8 @@ fn log_ticks(range: &Range<f64>) -> Vec<f64> {
         .collect()
 }
 
-/// The range of an axis: whole decades upwards, else a little air around the values, a little more above them.
+/// The range of an axis: whole decades upwards, else a little air around the values, a little more
+/// above them.
 fn range(panel: &Panel, scale: Scale, is_up: bool, pick: impl Fn(&(f64, f64)) -> f64) -> Result<Range<f64>> {
     let shown = panel.series.iter().flat_map(|series| &series.points).filter(|point| panel.shows(**point));
     let (low, high) = shown.map(pick).fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
@@ -486,7 +492,8 @@ fn range(panel: &Panel, scale: Scale, is_up: bool, pick: impl Fn(&(f64, f64)) ->
     })
 }
 
-/// A number on an axis. On a logarithmic one, plain from 0.001 to 10,000 and else by its power of ten, so that neighbours look alike.
+/// A number on an axis. On a logarithmic one, plain from 0.001 to 10,000 and else by its power of
+/// ten, so that neighbours look alike.
 fn tick(scale: Scale, value: f64) -> String {
     let magnitude = value.abs();
     // Computed powers of ten are off by their last bits.

@@ -1,8 +1,10 @@
-//! `codec`: chunks on the wire against the codecs that others use, in bytes and in time, all interleaved in one run.
+//! `codec`: chunks on the wire against the codecs that others use, in bytes and in time, all
+//! interleaved in one run.
 //!
-//! Every codec gets the heights of the same level-0 chunks with land and must give them back; one that does not has no rate. Bytes are
-//! those of the heights alone: for ours the frame without its header and grass, so that nobody's container counts. A time is the
-//! shortest of all turns for each chunk, summed: what the code takes where nothing disturbs it. Decoding times are of the
+//! Every codec gets the heights of the same level-0 chunks with land and must give them back; one
+//! that does not has no rate. Bytes are those of the heights alone: for ours the frame without its
+//! header and grass, so that nobody's container counts. A time is the shortest of all turns for
+//! each chunk, summed: what the code takes where nothing disturbs it. Decoding times are of the
 //! heights alone too; those of whole frames, digest and pyramids included, stand beside them.
 
 mod rivals;
@@ -26,7 +28,8 @@ const GRASS_SEED: usize = 5;
 /// Bytes of a chunk's heights as u16, to which rates refer.
 const U16_BYTES: f64 = 2.0 * VERTEX_COUNT as f64;
 
-/// Largest allowed size of a compact frame's heights over the order-0 entropy of their plane residuals.
+/// Largest allowed size of a compact frame's heights over the order-0 entropy of their plane
+/// residuals.
 pub const SIZE_BAR: f64 = 1.08;
 
 /// Slowest allowed decoding of heights at the two efforts, GB/s of u16.
@@ -70,7 +73,8 @@ pub struct Row {
     pub lossless: bool,
 }
 
-/// A promise, what was measured of it, and a codec that must break it. Field names are a contract with scripts.
+/// A promise, what was measured of it, and a codec that must break it. Field names are a contract
+/// with scripts.
 #[derive(Clone, Debug, Serialize)]
 pub struct Bar {
     /// What is promised.
@@ -120,7 +124,8 @@ pub(crate) struct Sample {
 
 type Encode = Box<dyn FnMut(&Sample) -> Vec<u8>>;
 
-/// Writes the heights into the room it is given, so that nobody's allocations are timed; leaves it empty where it fails.
+/// Writes the heights into the room it is given, so that nobody's allocations are timed; leaves it
+/// empty where it fails.
 type Decode = Box<dyn FnMut(&[u8], &Sample, &mut Vec<i32>)>;
 
 type Open = Box<dyn FnMut(&[u8], &Sample) -> bool>;
@@ -210,7 +215,8 @@ fn samples(land: &Land, count: usize) -> Vec<Sample> {
         .collect()
 }
 
-/// Bits of information in the plane residuals of a chunk if each were coded alone by its share in this chunk; bytes.
+/// Bits of information in the plane residuals of a chunk if each were coded alone by its share in
+/// this chunk; bytes.
 pub(crate) fn entropy(heights: &[i32; VERTEX_COUNT]) -> f64 {
     let mut shares = HashMap::<i32, u32>::new();
     for index in 0..VERTEX_COUNT {
@@ -384,7 +390,8 @@ fn bars(rows: &[Row]) -> Vec<Bar> {
 }
 
 impl Report {
-    /// Whether every codec gives back what it got, the promises are kept, and no control keeps them.
+    /// Whether every codec gives back what it got, the promises are kept, and no control keeps
+    /// them.
     ///
     /// # Errors
     /// One line with the first that does not.
@@ -476,7 +483,8 @@ mod tests {
     #[test]
     fn entropy_is_that_of_the_symbols() {
         assert!(entropy(&[7; VERTEX_COUNT]).abs() < 1e-9);
-        // Two equally frequent residuals are a bit each: a row of steps that change at every vertex.
+        // Two equally frequent residuals are a bit each: a row of steps that change at every
+        // vertex.
         let mut heights = [0; VERTEX_COUNT];
         let mut height = 0;
         for (index, out) in heights.iter_mut().enumerate() {

@@ -1,8 +1,10 @@
 //! Cracks: does anything behind the land show through it?
 //!
-//! Land is drawn without sky and sea before a magenta backdrop that no land can have. A view ray that comes below the lowest land well within the view
-//! distance has met the land, if the eye is above it; so its pixel must not be magenta. What can open a gap is met on purpose: eyes on borders and
-//! corners of chunks, level gazes along them, places up to 4 * 10^6 m out, and views whose chunks have only partly arrived.
+//! Land is drawn without sky and sea before a magenta backdrop that no land can have. A view ray
+//! that comes below the lowest land well within the view distance has met the land, if the eye is
+//! above it; so its pixel must not be magenta. What can open a gap is met on purpose: eyes on
+//! borders and corners of chunks, level gazes along them, places up to 4 * 10^6 m out, and views
+//! whose chunks have only partly arrived.
 //!
 //! The same poses with a fault on purpose ([`Fault`]) must show magenta, or the count sees nothing.
 
@@ -32,7 +34,8 @@ const SURE_SHARE: f64 = 0.9;
 /// No land lies deeper, metres: the shelf of an island dips a little below the open sea floor.
 const LOWEST_M: f64 = (SEA_FLOOR_M + 16) as f64;
 
-/// Least height of an eye over the drawn ground, metres: the near plane must not cut the ground beside it.
+/// Least height of an eye over the drawn ground, metres: the near plane must not cut the ground
+/// beside it.
 const CLEARANCE_M: f64 = 2.0;
 
 /// Slots of a world; more than any of these views needs.
@@ -97,7 +100,8 @@ fn viewpoint((x, z): (i32, i32), index: u32, stream: u32) -> Viewpoint {
     let pick = |part: u32, choices: &[f64]| choices[word(part) as usize % choices.len()];
     let metres = |units: i32, part: u32| {
         let free = f64::from(units) / f64::from(UNITS_PER_METRE) + (unit(part) - 0.5) * 2_000.0;
-        // Two eyes in three stand on a line between chunks of some level, or a hair's breadth beside it.
+        // Two eyes in three stand on a line between chunks of some level, or a hair's breadth
+        // beside it.
         match word(part + 1) % 3 {
             0 => free,
             kind => {
@@ -163,7 +167,8 @@ pub fn count(
 }
 
 impl Viewpoint {
-    /// How the picture is taken from a pose. Normals as colours: cheap, never without green, and never dissolved in haze.
+    /// How the picture is taken from a pose. Normals as colours: cheap, never without green, and
+    /// never dissolved in haze.
     fn shot(&self, pose: Pose) -> Shot {
         Shot {
             pose,
@@ -211,8 +216,8 @@ impl Viewpoint {
     }
 }
 
-/// No drawn ground near an eye is higher than this, metres: the highest of its cell and the cells around, of the drawn chunk and of its
-/// parent, between which a morph moves it.
+/// No drawn ground near an eye is higher than this, metres: the highest of its cell and the cells
+/// around, of the drawn chunk and of its parent, between which a morph moves it.
 fn drawn_ceiling(world: &World, selection: &Selection, pose: Pose) -> f64 {
     let [x, _, z] = pose.eye().units;
     let over = |key: ChunkKey| {
@@ -262,7 +267,8 @@ fn judge(shot: &Shot, picture: &Picture) -> (u64, u64) {
     (pixels, magenta)
 }
 
-/// Whether a pixel is the backdrop. Dither adds half a step, and no normal of the land is without green.
+/// Whether a pixel is the backdrop. Dither adds half a step, and no normal of the land is without
+/// green.
 fn is_magenta(rgba: &[u8]) -> bool {
     rgba[0] > 128 && rgba[1] < 3 && rgba[2] > 128
 }

@@ -1,5 +1,6 @@
-//! `tombolo-lab culling`: what is left out although it is seen, what is kept although it is hidden, and what either costs. `cargo xtask measure culling` holds the figures against
-//! their bars; here only a control that fails to fail is an error.
+//! `tombolo-lab culling`: what is left out although it is seen, what is kept although it is hidden,
+//! and what either costs. `cargo xtask measure culling` holds the figures against their bars; here
+//! only a control that fails to fail is an error.
 
 pub mod chunks;
 pub mod frames;
@@ -37,7 +38,8 @@ pub struct Options {
     pub compared: u32,
 }
 
-/// Fewer and nearer plants, for comparing the GPU with the twin: a software driver chooses them too.
+/// Fewer and nearer plants, for comparing the GPU with the twin: a software driver chooses them
+/// too.
 const COMPARED: PlantKnobs =
     PlantKnobs { density: 4, range_m: 160.0, tree_range_m: 800.0, ..PlantKnobs::STANDARD };
 

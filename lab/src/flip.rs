@@ -1,7 +1,9 @@
-//! FLIP: the difference between two pictures as seen when they alternate in place, 0 (none) to 1 (greatest) for each pixel.
+//! FLIP: the difference between two pictures as seen when they alternate in place, 0 (none) to 1
+//! (greatest) for each pixel.
 //!
-//! After Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström and Fairchild, "FLIP: A Difference Evaluator for Alternating Images", Proceedings of
-//! the ACM on Computer Graphics and Interactive Techniques 3(2) (HPG), 2020; numbers and section names are theirs. Low dynamic range only.
+//! After Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström and Fairchild, "FLIP: A Difference
+//! Evaluator for Alternating Images", Proceedings of the ACM on Computer Graphics and Interactive
+//! Techniques 3(2) (HPG), 2020; numbers and section names are theirs. Low dynamic range only.
 
 use client::render::Picture;
 use rayon::prelude::*;
@@ -61,7 +63,8 @@ const PERCEIVED_SHARE: f64 = 0.95;
 /// Width of the detectors for edges and points, degrees.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
 
-/// Contrast sensitivity as sums of Gaussians, one row per opponent channel: a1, b1, a2, b2; b in square degrees.
+/// Contrast sensitivity as sums of Gaussians, one row per opponent channel: a1, b1, a2, b2; b in
+/// square degrees.
 const SENSITIVITY: [[f64; 4]; 3] =
     [[1.0, 0.0047, 0.0, 1e-5], [1.0, 0.0053, 0.0, 1e-5], [34.1, 0.04, 13.5, 0.025]];
 
@@ -268,7 +271,8 @@ mod tests {
     #[test]
     fn black_and_white_and_green_and_blue_lie_where_the_paper_puts_them() {
         let plain = |colour: [u8; 3]| picture(move |_, _| colour);
-        // HyAB of black and white is 100, so by the paper's own steps 100^0.7 = 25.12 of 41.28: 0.967.
+        // HyAB of black and white is 100, so by the paper's own steps 100^0.7 = 25.12 of 41.28:
+        // 0.967.
         let contrast = mean(&plain([0; 3]), &plain([255; 3]), PIXELS_PER_DEGREE);
         assert!((contrast - 0.967).abs() < 0.002, "{contrast}");
         let greatest = mean(&plain([0, 255, 0]), &plain([0, 0, 255]), PIXELS_PER_DEGREE);

@@ -1,8 +1,9 @@
 //! Float noise: the rivals that the integers are compared with.
 //!
-//! Two kinds. [`FloatLand`] is our own formula said in f32, as a shader or an engine would say it: absolute f32 metres, `floor`, fractions. [`Rival`] is a
-//! named field in metres with its own slope bound: ours in fixed point, ours in f32, and the `noise` crate (0.9) fed with f64 coordinates and with
-//! coordinates that went through f32, as those of a vertex buffer have.
+//! Two kinds. [`FloatLand`] is our own formula said in f32, as a shader or an engine would say it:
+//! absolute f32 metres, `floor`, fractions. [`Rival`] is a named field in metres with its own slope
+//! bound: ours in fixed point, ours in f32, and the `noise` crate (0.9) fed with f64 coordinates
+//! and with coordinates that went through f32, as those of a vertex buffer have.
 
 use crate::stability::bounds::NOISE_SLOPE;
 use crate::truth::{amplitude_m, cell_m};
@@ -15,7 +16,8 @@ use terrain::constants::{
 use terrain::hash::{hash2, stream_seed};
 use terrain::island::Archipelago;
 
-/// Periods of the `noise` crate: its lattice hash keeps eight bits of a cell, so every field repeats after 256 cells, here of 1,024 m.
+/// Periods of the `noise` crate: its lattice hash keeps eight bits of a cell, so every field
+/// repeats after 256 cells, here of 1,024 m.
 pub const RIVAL_PERIOD_M: i32 = 256 * 1024;
 
 /// Sum of all amplitudes, metres: what the `noise` crate divides its sum by.
@@ -52,7 +54,8 @@ impl FloatLand {
         (hills, folds)
     }
 
-    /// The height at a place, metres. The island's integers are granted; only the arithmetic is float.
+    /// The height at a place, metres. The island's integers are granted; only the arithmetic is
+    /// float.
     #[must_use]
     pub fn height_m(&self, x_m: f32, z_m: f32) -> f32 {
         let units = |metres: f32| (metres * UNITS_PER_METRE as f32) as i32;
@@ -117,7 +120,8 @@ pub fn metres_f32(units: i32) -> f32 {
     metres(units) as f32
 }
 
-/// The `noise` crate's sum with our octaves, in metres. Its single octave reaches `√2` in theory and is cut at 1.
+/// The `noise` crate's sum with our octaves, in metres. Its single octave reaches `√2` in theory
+/// and is cut at 1.
 #[must_use]
 pub fn noise_crate(seed: u32) -> Fbm<Perlin> {
     Fbm::<Perlin>::new(seed)

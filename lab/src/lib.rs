@@ -1,10 +1,12 @@
 //! The measuring bench, behind `tombolo-lab`.
 //!
-//! Every promise about the land is measured here against a ground truth: [`digest`] (all backends compute the same integers),
-//! [`accuracy`] (what every shortcut costs), [`mod@lod`] (what the levels of detail draw), [`stability`] (the ends of the world), [`timings`] (GPU against CPU),
+//! Every promise about the land is measured here against a ground truth: [`digest`] (all backends
+//! compute the same integers), [`accuracy`] (what every shortcut costs), [`mod@lod`] (what the
+//! levels of detail draw), [`stability`] (the ends of the world), [`timings`] (GPU against CPU),
 //! [`codec`] (chunks on the wire against other codecs).
 //!
-//! What it refuses: judging by eye. A measurement that does not hold its bar is an error, and the exit code says so.
+//! What it refuses: judging by eye. A measurement that does not hold its bar is an error, and the
+//! exit code says so.
 
 #![forbid(unsafe_code)]
 

@@ -1,8 +1,9 @@
 //! `tombolo-lab lod`: levels of detail as they are drawn, against the land that they stand for.
 //!
-//! Screen error at every vertex of level 0 ([`screen`], on the drawn surface of [`drawn`]), triangles ([`triangles`]), gaps ([`crate::cracks`]), popping
-//! ([`popping`]), draw calls, memory and time ([`frames`]). `cargo xtask measure terrain` holds the figures against their bars; here only a control that
-//! fails to fail is an error.
+//! Screen error at every vertex of level 0 ([`screen`], on the drawn surface of [`drawn`]),
+//! triangles ([`triangles`]), gaps ([`crate::cracks`]), popping ([`popping`]), draw calls, memory
+//! and time ([`frames`]). `cargo xtask measure terrain` holds the figures against their bars; here
+//! only a control that fails to fail is an error.
 
 pub mod drawn;
 pub mod frames;

@@ -31,7 +31,8 @@ pub enum Command {
     Digest(digest::Options),
     /// Measure what every shortcut costs in accuracy
     Accuracy(accuracy::Options),
-    /// Measure the drawn levels of detail: screen error, triangles, gaps, popping, draw calls, memory, time
+    /// Measure the drawn levels of detail: screen error, triangles, gaps, popping, draw calls,
+    /// memory, time
     Lod(lod::Options),
     /// Measure parallax occlusion: every march against the truth
     Pom(pom::Options),

@@ -1,5 +1,5 @@
-//! `tombolo-lab pom`: parallax occlusion mapping against its truth. `cargo xtask measure pom` holds the figures against their bars; here only a control that
-//! fails to fail is an error.
+//! `tombolo-lab pom`: parallax occlusion mapping against its truth. `cargo xtask measure pom` holds
+//! the figures against their bars; here only a control that fails to fail is an error.
 
 pub mod pictures;
 

@@ -73,7 +73,8 @@ pub fn output<T: Pod>(gpu: &impl Opened, label: &str, count: usize) -> wgpu::Buf
     })
 }
 
-/// Dispatches a row of workgroups, `repeats` times for a time that outweighs what a submission costs; how long the GPU took, uploads excluded.
+/// Dispatches a row of workgroups, `repeats` times for a time that outweighs what a submission
+/// costs; how long the GPU took, uploads excluded.
 ///
 /// # Errors
 /// The device failed.

@@ -1,4 +1,5 @@
-//! Where measurements look: reproducible pseudo-random places. The same arguments give the same places on every machine.
+//! Where measurements look: reproducible pseudo-random places. The same arguments give the same
+//! places on every machine.
 
 use terrain::constants::{ISLAND_CELL_BITS, SPACING_BITS, UNITS_PER_METRE, WORLD_HALF};
 use terrain::hash::mix;
@@ -21,8 +22,8 @@ pub fn world_points(count: u32, stream: u32) -> impl Iterator<Item = (i32, i32)>
     (0..count).map(move |n| (word(stream, 2 * n) as i32 >> 1, word(stream, 2 * n + 1) as i32 >> 1))
 }
 
-/// Level-0 vertices (units) inside islands: half of them on the home island, half on islands all over the world. Even over the
-/// area of an island, so that rims and tops are both met.
+/// Level-0 vertices (units) inside islands: half of them on the home island, half on islands all
+/// over the world. Even over the area of an island, so that rims and tops are both met.
 pub fn land_vertices(world_seed: u64, count: u32, stream: u32) -> impl Iterator<Item = (i32, i32)> {
     land_points(world_seed, count, stream).map(|(x, z)| (on_grid(x), on_grid(z)))
 }

@@ -20,7 +20,8 @@ impl Scenery {
         Self { land, chunks: HashMap::new() }
     }
 
-    /// A world of `slots` slots with what a server sends for a view, as far as `has_arrived` says so.
+    /// A world of `slots` slots with what a server sends for a view, as far as `has_arrived` says
+    /// so.
     pub fn world(&mut self, viewer: &Viewer, slots: u32, has_arrived: impl Fn(ChunkKey) -> bool) -> World {
         let keys: Vec<ChunkKey> =
             lod::select(&self.land, viewer, usize::MAX).into_iter().map(|needed| needed.key).collect();

@@ -1,10 +1,13 @@
 //! `tombolo-lab stability`: the land at the ends of the world.
 //!
-//! Sweeps every line where an implementation could break and holds every step against a proved bound ([`bounds`], [`places`], [`continuity`]), checks that seams
-//! are zero at every level and that no height depends on who computes it ([`seams`]), and that remainders and lattice cells are right at both signs
-//! ([`arithmetic`]). Then it shows what float noise does at the same distances ([`floats`]).
+//! Sweeps every line where an implementation could break and holds every step against a proved
+//! bound ([`bounds`], [`places`], [`continuity`]), checks that seams are zero at every level and
+//! that no height depends on who computes it ([`seams`]), and that remainders and lattice cells are
+//! right at both signs ([`arithmetic`]). Then it shows what float noise does at the same distances
+//! ([`floats`]).
 //!
-//! Every sweep is also run on something that must fail it. A control that holds means that the sweep sees nothing, and is as much of a failure.
+//! Every sweep is also run on something that must fail it. A control that holds means that the
+//! sweep sees nothing, and is as much of a failure.
 
 pub mod arithmetic;
 pub mod bounds;
@@ -28,7 +31,8 @@ use terrain::{Land, Octaves, Position};
 /// Options of `stability`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// Worlds to sweep, seeds 0 to N - 1, 1 to 1000; what lies at a corner of the world differs between them
+    /// Worlds to sweep, seeds 0 to N - 1, 1 to 1000; what lies at a corner of the world differs
+    /// between them
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub worlds: u32,
 }
@@ -63,7 +67,8 @@ pub fn measure(worlds: u32) -> Report {
 
 /// The same sweeps over what must fail them.
 fn controls() -> Vec<Check> {
-    // f32 is fine at vertices, whose coordinates it holds exactly up to 2^24 vertices; between them it is not.
+    // f32 is fine at vertices, whose coordinates it holds exactly up to 2^24 vertices; between them
+    // it is not.
     let of_f32 = continuity::sweep(1, |seed| {
         let land = FloatLand::new(seed);
         Box::new(move |x, z| {

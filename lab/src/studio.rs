@@ -1,4 +1,5 @@
-//! A renderer that is opened once and takes many pictures: opening a device takes longer than drawing.
+//! A renderer that is opened once and takes many pictures: opening a device takes longer than
+//! drawing.
 
 use client::frame::FrameData;
 use client::render::cull::{Chosen, Told};
@@ -104,7 +105,8 @@ impl Studio {
         self.gpu.queue.submit([]);
     }
 
-    /// Draws a frame with the shadows that have been found; returns how long it took until the GPU was done.
+    /// Draws a frame with the shadows that have been found; returns how long it took until the GPU
+    /// was done.
     ///
     /// # Errors
     /// The GPU failed.

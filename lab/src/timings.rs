@@ -1,7 +1,7 @@
 //! `timings`: chunks per second of the GPU against one thread of the CPU of the same machine.
 //!
-//! Both generate heights and both pyramids of the same level-0 chunks with land. Their turns alternate, so that a machine that
-//! warms up or is disturbed slows both; the median turn counts.
+//! Both generate heights and both pyramids of the same level-0 chunks with land. Their turns
+//! alternate, so that a machine that warms up or is disturbed slows both; the median turn counts.
 
 use crate::Outputs;
 use anyhow::{Context, Result, anyhow};
@@ -52,7 +52,8 @@ struct CpuRate {
 /// Times both and prints the rates.
 ///
 /// # Errors
-/// There is no GPU, or what it fills differs from the CPU's chunks: a rate of wrong chunks means nothing.
+/// There is no GPU, or what it fills differs from the CPU's chunks: a rate of wrong chunks means
+/// nothing.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let land = Land::new(WORLD_SEED);
     let keys = land_chunks(&land, options.chunks as usize);
@@ -102,7 +103,8 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     outputs.write_json(&report)
 }
 
-/// Chunks of the home island, nearest rows first: none of them is open sea, where nothing is to be computed.
+/// Chunks of the home island, nearest rows first: none of them is open sea, where nothing is to be
+/// computed.
 fn land_chunks(land: &Land, count: usize) -> Vec<ChunkKey> {
     let near = (-16..16).flat_map(|z| (-16..16).map(move |x| (x, z)));
     let keys = near.filter_map(|(x, z)| ChunkKey::new(0, x, z).ok());

@@ -1,11 +1,12 @@
 //! The height formula in f64, where nothing is rounded: what the integers are measured against.
 //!
-//! The choices (gradients, islands) are the land's own integers, through its public hash; every number that follows from them is
-//! real arithmetic. An f64 keeps 52 bits of values below 512 m, so its own error is below a nanometre. Positions are integers (units), and cell
-//! and fraction are cut from them as integers, so the truth is as good at the border of the world as at the origin.
+//! The choices (gradients, islands) are the land's own integers, through its public hash; every
+//! number that follows from them is real arithmetic. An f64 keeps 52 bits of values below 512 m, so
+//! its own error is below a nanometre. Positions are integers (units), and cell and fraction are
+//! cut from them as integers, so the truth is as good at the border of the world as at the origin.
 //!
-//! The formula, for octaves `o` of cell `c = 1024 m / 2^o` and amplitude `a = 128 m / 2^o`, with `t` the fraction in a cell and
-//! `s = 6t⁵ - 15t⁴ + 10t³` its fade:
+//! The formula, for octaves `o` of cell `c = 1024 m / 2^o` and amplitude `a = 128 m / 2^o`, with
+//! `t` the fraction in a cell and `s = 6t⁵ - 15t⁴ + 10t³` its fade:
 //!
 //! ```text
 //! line = [t (1 - s), (t - 1) s]      step = [s - 1, -s]          (negated steps, as the integers keep them)
@@ -29,7 +30,8 @@ use terrain::island::{Archipelago, Island};
 pub struct Truth {
     seeds: [u32; OCTAVES],
     archipelago: Archipelago,
-    /// Rounds every weight to so many fraction bits: a control that must miss the bars. None for the truth.
+    /// Rounds every weight to so many fraction bits: a control that must miss the bars. None for
+    /// the truth.
     weight_bits: Option<u32>,
 }
 
@@ -59,7 +61,8 @@ impl Truth {
         }
     }
 
-    /// The same formula with every weight rounded to `bits` fraction bits: what a careless fixed-point design would give.
+    /// The same formula with every weight rounded to `bits` fraction bits: what a careless
+    /// fixed-point design would give.
     #[must_use]
     pub fn with_coarse_weights(self, bits: u32) -> Self {
         Self { weight_bits: Some(bits), ..self }

@@ -17,7 +17,8 @@ pub struct FoundWave {
     pub place_m: [f32; 2],
     /// Height on the ray above the mean plane, metres.
     pub at_m: f32,
-    /// How far the waves at that place are above that height, metres: 0 where the ray truly meets them.
+    /// How far the waves at that place are above that height, metres: 0 where the ray truly meets
+    /// them.
     pub residual_m: f32,
 }
 
@@ -57,8 +58,8 @@ impl WaveBench {
         self.gpu.name()
     }
 
-    /// Runs probes under some knobs at a moment, `repeats` times for a time that outweighs what a submission costs; also how long the GPU took,
-    /// upload and read-back excluded.
+    /// Runs probes under some knobs at a moment, `repeats` times for a time that outweighs what a
+    /// submission costs; also how long the GPU took, upload and read-back excluded.
     ///
     /// # Errors
     /// The device fails.

@@ -20,13 +20,15 @@ fn open() -> Option<Gpu> {
     }
 }
 
-/// A few hundred chunks: around the home island, at all four corners of the world, in the open sea, and anywhere.
+/// A few hundred chunks: around the home island, at all four corners of the world, in the open sea,
+/// and anywhere.
 fn keys() -> Vec<ChunkKey> {
     let mut keys = vec![ROOT];
     for level in 0..TOP_LEVEL {
         let ends = [-WORLD_HALF, WORLD_HALF];
         let corners = ends.into_iter().flat_map(|x| ends.map(|z| (x, z)));
-        // Both sides of both axes at the origin; the beach of the home island; between four islands.
+        // Both sides of both axes at the origin; the beach of the home island; between four
+        // islands.
         let near = [(0, 0), (-1, -1), (-1, 0), (0, -1), (1_600_000, 300_000), (2_097_152, 2_097_152)];
         keys.extend(corners.chain(near).map(|(x, z)| ChunkKey::containing(level, x, z)));
         let anywhere = (0..8u32).map(|n| {

@@ -1,4 +1,5 @@
-//! Baked materials, read back: that they tile, that their mips keep what they must, and that they can be told from what does not.
+//! Baked materials, read back: that they tile, that their mips keep what they must, and that they
+//! can be told from what does not.
 
 use client::looks::Tiling;
 use client::render::materials::{MATERIAL_SIZE, MATERIAL_TEXELS, Materials, OwnMaterial, OwnMaterials};
@@ -100,7 +101,8 @@ fn mean(values: impl ExactSizeIterator<Item = f32>) -> f32 {
     (values.map(f64::from).sum::<f64>() / count) as f32
 }
 
-/// Mean difference of neighbours across the seam over that inside, the larger of both directions: 1 for what tiles.
+/// Mean difference of neighbours across the seam over that inside, the larger of both directions: 1
+/// for what tiles.
 fn seam(map: &[f32]) -> f32 {
     let side = MATERIAL_SIZE as usize;
     let row = |y: usize| &map[y * side..(y + 1) * side];

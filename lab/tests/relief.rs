@@ -1,4 +1,5 @@
-//! The shipped marches against the truth, on this machine's GPU. `cargo xtask measure pom` asks the same with more rays.
+//! The shipped marches against the truth, on this machine's GPU. `cargo xtask measure pom` asks the
+//! same with more rays.
 
 use clap::ValueEnum as _;
 use client::relief::cones::relaxed_cones;
@@ -70,7 +71,8 @@ fn apart(one: &[f32], other: &[f32]) -> f32 {
 #[test]
 fn cones_of_a_gpu_are_those_of_the_cpu_at_every_level_and_not_those_of_the_negative() {
     let Some(bench) = bench() else { return };
-    // A map of bricks, each cone of which holds for a block of four texels, and one of hills, each of which holds for one.
+    // A map of bricks, each cone of which holds for a block of four texels, and one of hills, each
+    // of which holds for one.
     let maps = [Kind::Brick.map(), Kind::Fbm.map().halved().halved()];
     for (map, block) in maps.into_iter().zip([2, 1]) {
         let uploaded = bench.upload(std::slice::from_ref(&map), true);

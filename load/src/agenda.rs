@@ -1,6 +1,8 @@
-//! When a client does what: in a closed loop as its answers come, in an open loop at times fixed beforehand.
+//! When a client does what: in a closed loop as its answers come, in an open loop at times fixed
+//! beforehand.
 //!
-//! It outlives sessions: what was due while a client was thrown out is done when it is back, and counts from when it was due.
+//! It outlives sessions: what was due while a client was thrown out is done when it is back, and
+//! counts from when it was due.
 
 use crate::arrivals::Arrivals;
 use crate::config::LoadConfig;
@@ -82,8 +84,8 @@ impl Agenda {
         matches!(self.pacing, Pacing::Open { .. } | Pacing::Clock { probes: None, .. })
     }
 
-    /// The next thing to do, with so many answers outstanding. Waits until it is due and, where a bound is reached, for ever:
-    /// call again when an answer has come. Dropping it loses nothing.
+    /// The next thing to do, with so many answers outstanding. Waits until it is due and, where a
+    /// bound is reached, for ever: call again when an answer has come. Dropping it loses nothing.
     pub async fn next(&mut self, outstanding: usize) -> Errand {
         match &mut self.pacing {
             // As in an open loop: no view is forgotten that may still be served.
@@ -103,7 +105,8 @@ impl Agenda {
             }
             Pacing::Eager { .. } => std::future::pending().await,
             Pacing::Open { arrivals, mode } => {
-                // A view that may still be served must not be forgotten, so fewer may be open than are remembered.
+                // A view that may still be served must not be forgotten, so fewer may be open than
+                // are remembered.
                 let most = if *mode == Mode::View { MAX_VIEWS - 1 } else { MAX_OPEN_REQUESTS };
                 let Some(at) = arrivals.next().filter(|_| outstanding < most) else {
                     return std::future::pending().await;

@@ -1,8 +1,9 @@
 //! When an open loop wants something to happen: fixed before the run, whatever the server does.
 //!
-//! A closed loop waits for an answer before it asks again, so a server that stalls is asked less while it stalls, and the stall
-//! counts once instead of as often as it was felt ("coordinated omission", a term of G. Tene). Here the times are a Poisson
-//! process, the arrivals of many people who do not know of each other; latency counts from them, also where the sending was late.
+//! A closed loop waits for an answer before it asks again, so a server that stalls is asked less
+//! while it stalls, and the stall counts once instead of as often as it was felt ("coordinated
+//! omission", a term of G. Tene). Here the times are a Poisson process, the arrivals of many people
+//! who do not know of each other; latency counts from them, also where the sending was late.
 
 use std::time::Duration;
 use terrain::hash::{hash2, mix};
@@ -24,8 +25,8 @@ pub struct Arrivals {
 }
 
 impl Arrivals {
-    /// The arrivals of client `index` from an epoch to an end, `rate` a second on average. Poisson processes add up: all clients
-    /// together have the sum of their rates.
+    /// The arrivals of client `index` from an epoch to an end, `rate` a second on average. Poisson
+    /// processes add up: all clients together have the sum of their rates.
     #[must_use]
     pub fn new(seed: u32, index: u32, rate: f64, epoch: Instant, end: Instant) -> Self {
         let seed = hash2(mix(seed ^ 0x6f70_656e), index as i32, 0);
@@ -84,7 +85,8 @@ mod tests {
 
     #[test]
     fn arrivals_are_a_poisson_process_of_the_rate() {
-        // 1,000 clients of 10 a second for 100 s: a million expected, with a standard deviation of a thousand.
+        // 1,000 clients of 10 a second for 100 s: a million expected, with a standard deviation of
+        // a thousand.
         let n: usize = (0..1000).map(|index| times(1, index, 10.0, 100).len()).sum();
         assert!((996_000..1_004_000).contains(&n), "{n}");
         // Variance and mean of the counts in one second are equal; a clock would have no variance.

@@ -1,8 +1,10 @@
-//! Benchmarks of a server: each starts the real program in a process of its own, measures one promise and says the figures as JSON.
+//! Benchmarks of a server: each starts the real program in a process of its own, measures one
+//! promise and says the figures as JSON.
 //!
-//! Reading order: [`host`] (the server and what is read from `/proc`), [`wire`] (a connection that costs the client little),
-//! [`land_keys`] (what is asked for), then one file a benchmark. They measure; whether a figure is good enough is judged by whoever
-//! reads the JSON, beside the machine that it was measured on.
+//! Reading order: [`host`] (the server and what is read from `/proc`), [`wire`] (a connection that
+//! costs the client little), [`land_keys`] (what is asked for), then one file a benchmark. They
+//! measure; whether a figure is good enough is judged by whoever reads the JSON, beside the machine
+//! that it was measured on.
 
 pub mod cached;
 pub mod cold;
@@ -26,7 +28,8 @@ use tokio::task::JoinHandle;
 /// What is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Bench {
-    /// Cached chunks over 64 connections, 16 outstanding each, beside nginx where it and wrk are installed
+    /// Cached chunks over 64 connections, 16 outstanding each, beside nginx where it and wrk are
+    /// installed
     Cached,
     /// Chunks that must be made, stage by stage
     Cold,
@@ -80,7 +83,8 @@ impl Plan {
 /// Runs one benchmark.
 ///
 /// # Errors
-/// What it measures could not be measured: the server does not start, fails, or sends something wrong.
+/// What it measures could not be measured: the server does not start, fails, or sends something
+/// wrong.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let (name, figures) = match plan.bench {
         Bench::Cached => ("cached", cached::run(plan).await?),

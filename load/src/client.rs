@@ -1,4 +1,5 @@
-//! One client through one part of a run: it comes, does its errands, and comes back when it is thrown out.
+//! One client through one part of a run: it comes, does its errands, and comes back when it is
+//! thrown out.
 
 use crate::agenda::Agenda;
 use crate::config::LoadConfig;
@@ -16,7 +17,8 @@ use tokio::time::{Instant, sleep, timeout_at};
 /// Time for a connection with its handshake, and again for the Welcome.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Time after the end in which an open loop still waits for answers. What has none by then counts with the time that it has waited.
+/// Time after the end in which an open loop still waits for answers. What has none by then counts
+/// with the time that it has waited.
 pub const GRACE: Duration = Duration::from_secs(2);
 
 /// First and longest pause before connecting again; doubled after each failure.
@@ -69,7 +71,8 @@ impl End {
     }
 }
 
-/// Runs a measured client to the end of its part, reconnecting with growing pauses. What was visited is kept for the next part.
+/// Runs a measured client to the end of its part, reconnecting with growing pauses. What was
+/// visited is kept for the next part.
 pub async fn run<D: Dial>(task: &Task<'_, D>, visited: &mut Visited) {
     let mut agenda = Agenda::new(task.config, task.index, task.epoch, task.end);
     let mut pause = BACKOFF.0;
@@ -96,7 +99,8 @@ pub async fn run<D: Dial>(task: &Task<'_, D>, visited: &mut Visited) {
         }
         // A session that lasted starts over with the shortest pause.
         pause = if began.elapsed() > BACKOFF.1 { BACKOFF.0 } else { (pause * 2).min(BACKOFF.1) };
-        // Half of the pause is spread by client, so that those thrown out together do not return together.
+        // Half of the pause is spread by client, so that those thrown out together do not return
+        // together.
         let spread = pause.mul_f64(0.5 + f64::from(mix(task.index)) / f64::from(u32::MAX) / 2.0);
         if timeout_at(task.end, sleep(spread)).await.is_err() || Instant::now() >= task.end {
             break;

@@ -1,4 +1,5 @@
-//! From what was typed to what is meant, checked once. Nothing deeper reads options, files or the environment.
+//! From what was typed to what is meant, checked once. Nothing deeper reads options, files or the
+//! environment.
 
 use crate::bench::Bench;
 use crate::mode::Mode;
@@ -29,8 +30,9 @@ pub struct Args {
     /// File for the report as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// How chunks come: exact (all heights), refined (all heights in fewer bytes, for memory: up to 17 MiB a client), seed (a digest each; every
-    /// chunk is generated here and verified) or quantised:METRES (heights no farther off than that)
+    /// How chunks come: exact (all heights), refined (all heights in fewer bytes, for memory: up to
+    /// 17 MiB a client), seed (a digest each; every chunk is generated here and verified) or
+    /// quantised:METRES (heights no farther off than that)
     #[arg(long, value_name = "exact|refined|seed|quantised:METRES", default_value_t = Delivery::Exact)]
     pub delivery: Delivery,
     /// View distance of every client in metres, 1 to 65536
@@ -43,12 +45,14 @@ pub struct Args {
     /// How clients ask for chunks
     #[arg(long, value_name = "MODE", value_enum, default_value_t = Mode::View)]
     pub mode: Mode,
-    /// Requests (in view mode poses) a second over all clients, 0.01 to 1000000, at times fixed beforehand whatever the server does
-    /// (an open loop); latency counts from them, so a late send counts [default: a closed loop, in which each client waits for answers]
+    /// Requests (in view mode poses) a second over all clients, 0.01 to 1000000, at times fixed
+    /// beforehand whatever the server does (an open loop); latency counts from them, so a late send
+    /// counts [default: a closed loop, in which each client waits for answers]
     #[arg(long, value_name = "R", value_parser = rate)]
     pub rate: Option<f64>,
-    /// Before the run, fly the first S seconds of the same paths, 0 to 86400. Reported apart: this part is `cold`, the run itself, in
-    /// which all begin again with new sessions and empty hands, `warm`
+    /// Before the run, fly the first S seconds of the same paths, 0 to 86400. Reported apart: this
+    /// part is `cold`, the run itself, in which all begin again with new sessions and empty hands,
+    /// `warm`
     #[arg(long, value_name = "S", allow_negative_numbers = true, default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=86_400))]
     pub warm_up: u64,
     /// Further clients that read only --slow-rate bytes a second, 0 to 10000; reported apart
@@ -57,7 +61,8 @@ pub struct Args {
     /// What each of these reads, bytes a second, 1 to 1000000
     #[arg(long, value_name = "BYTES", default_value_t = 2048, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub slow_rate: u32,
-    /// Further clients that connect and say nothing, every other one once it has asked for a view, 0 to 10000; reported apart
+    /// Further clients that connect and say nothing, every other one once it has asked for a view,
+    /// 0 to 10000; reported apart
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=10_000))]
     pub silent: u32,
     /// File for a picture of latency and throughput over time, .png
@@ -69,12 +74,13 @@ pub struct Args {
     /// Seed of the paths; the same seed flies the same paths
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u32,
-    /// Compare one in N chunks of each client with the same chunk generated here, its measured error included; 0 compares
-    /// none, 1 all (one thread compares, so a small N slows the load)
+    /// Compare one in N chunks of each client with the same chunk generated here, its measured
+    /// error included; 0 compares none, 1 all (one thread compares, so a small N slows the load)
     #[arg(long, value_name = "N", default_value_t = 32)]
     pub verify_every: u32,
-    /// Instead of a load, measures one promise of a server that is started for it in a process of its own; Linux only. With it, of
-    /// the options above only --seconds (of each timed part) and --json count
+    /// Instead of a load, measures one promise of a server that is started for it in a process of
+    /// its own; Linux only. With it, of the options above only --seconds (of each timed part) and
+    /// --json count
     #[arg(long, value_name = "BENCH", value_enum)]
     pub bench: Option<Bench>,
     /// Rounds of a benchmark, 1 to 100; its figures are medians over them
@@ -83,7 +89,8 @@ pub struct Args {
     /// Server program that a benchmark starts [default: tombolo-server beside this program]
     #[arg(long, value_name = "FILE", requires = "bench")]
     pub server: Option<PathBuf>,
-    /// Processors for the benchmark's server (and for nginx beside it), as `taskset -c` takes them, such as 0 or 0-3 [default: all]
+    /// Processors for the benchmark's server (and for nginx beside it), as `taskset -c` takes them,
+    /// such as 0 or 0-3 [default: all]
     #[arg(long, value_name = "LIST", requires = "bench")]
     pub server_cpus: Option<String>,
     /// File whose first line is the access token, where the server asks for one
@@ -154,7 +161,8 @@ impl Args {
     /// Checks what clap cannot, and reads the token.
     ///
     /// # Errors
-    /// An address that is no `ws://` address, options that exclude each other, or a token file that cannot be used.
+    /// An address that is no `ws://` address, options that exclude each other, or a token file that
+    /// cannot be used.
     pub fn resolve(self) -> Result<LoadConfig, UsageError> {
         if self.mode == Mode::Http && self.delivery != Delivery::Exact {
             return Err(UsageError::new(format!(

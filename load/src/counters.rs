@@ -126,8 +126,9 @@ impl Counters {
         self.unanswered.fetch_add(requests as u64, Ordering::Relaxed);
     }
 
-    /// A request of an open loop was without an answer after this time, at the end of the run or of its session. It counts with
-    /// the time that it has waited, which is less than what an answer would have taken.
+    /// A request of an open loop was without an answer after this time, at the end of the run or of
+    /// its session. It counts with the time that it has waited, which is less than what an answer
+    /// would have taken.
     pub fn abandoned(&self, waited: Duration) {
         add(&self.unanswered);
         lock(&self.latencies).record(waited);

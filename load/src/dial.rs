@@ -1,4 +1,5 @@
-//! How a connection comes about: the one seam between the clients and the network, so that tests can put a pipe in its place.
+//! How a connection comes about: the one seam between the clients and the network, so that tests
+//! can put a pipe in its place.
 
 use std::future::Future;
 use std::io;
@@ -15,7 +16,8 @@ pub trait Dial: Send + Sync + 'static {
     /// A connection.
     type Stream: AsyncRead + AsyncWrite + Send + Unpin + 'static;
 
-    /// Opens one. `receive_buffer`, bytes, bounds what the system takes in for a reader who does not read; none leaves it to it.
+    /// Opens one. `receive_buffer`, bytes, bounds what the system takes in for a reader who does
+    /// not read; none leaves it to it.
     fn dial(&self, receive_buffer: Option<u32>) -> impl Future<Output = io::Result<Self::Stream>> + Send;
 }
 

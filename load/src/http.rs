@@ -1,5 +1,5 @@
-//! A client that asks over HTTP, as a browser's cache or a proxy does: one kept connection, one GET at a time, and what it has had
-//! before it asks for conditionally.
+//! A client that asks over HTTP, as a browser's cache or a proxy does: one kept connection, one GET
+//! at a time, and what it has had before it asks for conditionally.
 
 mod connection;
 
@@ -20,7 +20,8 @@ use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
 use tokio::time::{Instant, sleep, sleep_until, timeout, timeout_at};
 
-/// Chunks whose tags a client remembers, about 200 KiB. When it is full no more are added, and those are asked for afresh.
+/// Chunks whose tags a client remembers, about 200 KiB. When it is full no more are added, and
+/// those are asked for afresh.
 const MAX_VISITED: usize = 4096;
 
 /// Longest pause that a refusal can ask a closed loop for. An open loop makes none.
@@ -136,7 +137,8 @@ impl<'t, 'a, D: Dial> Browser<'t, 'a, D> {
     /// One GET, verified.
     async fn fetch(&mut self, key: ChunkKey, visited: &mut Visited) -> Result<Fetched, End> {
         if !self.connection.is_usable().await {
-            // A server may end an idle connection at any time; a client opens another and says nothing.
+            // A server may end an idle connection at any time; a client opens another and says
+            // nothing.
             let address = &self.task.config.connect;
             let lost = |problem| End::Lost(format!("cannot connect to {address} again: {problem}"));
             self.connection = Connection::open(self.task).await.map_err(lost)?;

@@ -1,4 +1,5 @@
-//! What every chunk goes through that arrives, whichever way: the pyramids always, the whole chunk for a sample.
+//! What every chunk goes through that arrives, whichever way: the pyramids always, the whole chunk
+//! for a sample.
 
 use crate::counters::Counters;
 use crate::regeneration::Regeneration;
@@ -22,7 +23,8 @@ pub struct Inspection {
 }
 
 impl Inspection {
-    /// The inspection of client `index`. Clients start at different places of the count, so that short sessions are sampled too.
+    /// The inspection of client `index`. Clients start at different places of the count, so that
+    /// short sessions are sampled too.
     #[must_use]
     pub fn new(
         land: Land,
@@ -46,8 +48,9 @@ impl Inspection {
         if let Err(mismatch) = verify::pyramids(&chunk) {
             self.counters.mismatch(&mismatch.to_string());
         }
-        // A seed-only frame was generated and verified by the session; its error is the server's word until it is sampled. An
-        // exact frame may come in seed-only delivery too, where every chunk is promised to be compared.
+        // A seed-only frame was generated and verified by the session; its error is the server's
+        // word until it is sampled. An exact frame may come in seed-only delivery too, where every
+        // chunk is promised to be compared.
         let regenerated = delivery == Delivery::SeedOnly;
         let sampled = self.is_sampled() || (self.asked == Delivery::SeedOnly && !regenerated);
         if sampled || regenerated {

@@ -1,5 +1,5 @@
-//! What one client has asked for: views, requests, held chunks. It says whether a chunk may arrive at all, and how long a
-//! request took.
+//! What one client has asked for: views, requests, held chunks. It says whether a chunk may arrive
+//! at all, and how long a request took.
 //!
 //! Everything in it is bounded, whatever the server sends or keeps back.
 
@@ -13,19 +13,21 @@ use terrain::lod::{self, Viewer};
 use terrain::{ChunkKey, Land};
 use tokio::time::Instant;
 
-/// Views that the server may still be serving to one who reads what comes. At four views a second 64 are 16 s; when it is full the
-/// oldest is forgotten, and a chunk of a view that old counts as unasked.
+/// Views that the server may still be serving to one who reads what comes. At four views a second
+/// 64 are 16 s; when it is full the oldest is forgotten, and a chunk of a view that old counts as
+/// unasked.
 pub const MAX_VIEWS: usize = 64;
 
-/// The same for one who reads slowly: what arrives was asked for long ago. At four views a second 17 minutes.
+/// The same for one who reads slowly: what arrives was asked for long ago. At four views a second
+/// 17 minutes.
 pub const MAX_VIEWS_SLOW: usize = 4096;
 
-/// Requests without an answer. When it is full no further request is made until one is answered; those that stay open are
-/// reported as unanswered. Half of what a server takes.
+/// Requests without an answer. When it is full no further request is made until one is answered;
+/// those that stay open are reported as unanswered. Half of what a server takes.
 pub const MAX_OPEN_REQUESTS: usize = MAX_PENDING_REQUESTS / 2;
 
-/// Chunks that a client pretends to hold, about three views of 2 km. When it is full the oldest that the current view does
-/// not need is released, and the server may send it again.
+/// Chunks that a client pretends to hold, about three views of 2 km. When it is full the oldest
+/// that the current view does not need is released, and the server may send it again.
 const MAX_HELD: usize = 1024;
 
 /// See the module.
@@ -33,7 +35,8 @@ const MAX_HELD: usize = 1024;
 pub struct Interest {
     land: Land,
     max_views: usize,
-    /// Newest last, with the id that a Settled or a refusal will name, and the viewer that the server may look ahead for.
+    /// Newest last, with the id that a Settled or a refusal will name, and the viewer that the
+    /// server may look ahead for.
     views: VecDeque<(u32, Viewer, Option<Viewer>)>,
     /// By key, oldest first: two requests may name the same.
     requests: FxHashMap<ChunkKey, VecDeque<OpenRequest>>,
@@ -89,7 +92,8 @@ impl Interest {
         self.views.retain(|(id, _, _)| *id >= view);
     }
 
-    /// Whether a request for this key would measure the answer to the request: nothing else is going to bring the chunk.
+    /// Whether a request for this key would measure the answer to the request: nothing else is
+    /// going to bring the chunk.
     #[must_use]
     pub fn can_request(&self, key: ChunkKey) -> bool {
         self.n_requests < MAX_OPEN_REQUESTS
@@ -122,8 +126,8 @@ impl Interest {
         self.n_requests = self.requests.values().map(VecDeque::len).sum();
     }
 
-    /// Judges a chunk that arrived and notes it as held. Returns what it answers, and a key to release if holding it
-    /// is one too many.
+    /// Judges a chunk that arrived and notes it as held. Returns what it answers, and a key to
+    /// release if holding it is one too many.
     pub fn arrive(&mut self, key: ChunkKey, now: Instant) -> (Arrival, Option<ChunkKey>) {
         let arrival = match self.answered(key) {
             Some(request) => Arrival::Requested(now.saturating_duration_since(request.since)),
@@ -159,7 +163,8 @@ impl Interest {
         Some(request)
     }
 
-    /// Lets go of the oldest chunk that the current view does not need, or of the oldest if it needs them all.
+    /// Lets go of the oldest chunk that the current view does not need, or of the oldest if it
+    /// needs them all.
     fn release_one(&mut self) -> Option<ChunkKey> {
         let current = self.views.back().map(|(_, viewer, _)| *viewer);
         let spare = |key: &ChunkKey| !current.is_some_and(|viewer| is_needed(&self.land, &viewer, *key));
@@ -181,8 +186,8 @@ impl Interest {
     }
 }
 
-/// Whether a viewer needs a chunk, by the rule of [`lod::select`] asked for one key: it is within the distance, and the chunk above
-/// it is split.
+/// Whether a viewer needs a chunk, by the rule of [`lod::select`] asked for one key: it is within
+/// the distance, and the chunk above it is split.
 ///
 /// Cheaper than a selection per view (nearly always one test), and said independently of it.
 #[must_use]
@@ -193,8 +198,8 @@ pub fn is_needed(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
             || key.parent().is_some_and(|parent| is_split(land, viewer, parent)))
 }
 
-/// Whether a chunk is split: it is too coarse itself, or one of its children or of the chunks around these is split, beside which
-/// it would be two levels too coarse.
+/// Whether a chunk is split: it is too coarse itself, or one of its children or of the chunks
+/// around these is split, beside which it would be two levels too coarse.
 fn is_split(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
     if is_too_coarse(land, viewer, key) {
         return true;
@@ -202,7 +207,8 @@ fn is_split(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
     let ring = |key: ChunkKey| {
         (-1..=1).flat_map(move |east| (-1..=1).filter_map(move |south| key.neighbour(east, south)))
     };
-    // A chain of such demands never leaves the chunks around the first one's ancestors, which are too coarse as it is.
+    // A chain of such demands never leaves the chunks around the first one's ancestors, which are
+    // too coarse as it is.
     if !ring(key).any(|near| is_too_coarse(land, viewer, near)) {
         return false;
     }
@@ -243,7 +249,8 @@ mod tests {
             let selected: HashSet<_> =
                 lod::select(&land(), &viewer, usize::MAX).into_iter().map(|needed| needed.key).collect();
             assert!(!selected.is_empty());
-            // Every selected key, its children, its parent and its eastern neighbour: both sides of every border.
+            // Every selected key, its children, its parent and its eastern neighbour: both sides of
+            // every border.
             let around = |key: &ChunkKey| {
                 let east = ChunkKey::new(key.level(), key.x() + 1, key.z()).ok();
                 key.children()

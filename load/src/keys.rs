@@ -1,7 +1,7 @@
 //! Which chunk is asked for by key: a fine one near the path.
 //!
-//! Pure in seed, number and place, so that the second flight of a path asks for what the first did, and so that those who stand at
-//! one place ask for the same.
+//! Pure in seed, number and place, so that the second flight of a path asks for what the first did,
+//! and so that those who stand at one place ask for the same.
 
 use crate::path::{FlightPath, PathKind};
 use terrain::ChunkKey;
@@ -11,7 +11,8 @@ use terrain::hash::{hash2, mix};
 /// Asked for are levels below this: the fine ones, which a view needs only near the eye.
 const LEVELS: u32 = 4;
 
-/// How far from the place a chunk is at most, on each axis, metres. A power of two, so that bits of a hash do.
+/// How far from the place a chunk is at most, on each axis, metres. A power of two, so that bits of
+/// a hash do.
 const REACH_M: f64 = 2_048.0;
 
 /// What one client asks for.

@@ -1,4 +1,5 @@
-//! Latencies as HDR histograms (G. Tene, HdrHistogram): every value counts, at three significant digits.
+//! Latencies as HDR histograms (G. Tene, HdrHistogram): every value counts, at three significant
+//! digits.
 
 use hdrhistogram::Histogram;
 use serde::Serialize;
@@ -14,7 +15,8 @@ pub struct Latencies(Histogram<u64>);
 impl Default for Latencies {
     fn default() -> Self {
         Self(Histogram::new_with_bounds(1, MAX_US, 3).unwrap_or_else(|_| {
-            // Unreachable with these constants; a histogram that grows by itself would serve as well.
+            // Unreachable with these constants; a histogram that grows by itself would serve as
+            // well.
             let mut growing = Histogram::new(3).unwrap_or_else(|_| unreachable!("3 digits are allowed"));
             growing.auto(true);
             growing

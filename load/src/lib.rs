@@ -1,14 +1,18 @@
 //! The load test: many sessions on flight paths, every chunk verified.
 //!
-//! [`run()`] is the whole of it: a checked [`LoadConfig`] goes in, a [`Report`] comes out, and [`Report::verdict`] says
-//! whether the server passed. Reading order: [`config`], [`phases`] (the parts of a run), [`path`] (where a client flies), [`keys`]
-//! (which chunks it asks for), [`arrivals`] and [`agenda`] (when it does what), [`client`] (one client through one part), [`session`]
-//! (over WebSocket) and [`http`], [`slow`] and [`silent`] (the unpleasant ones); [`interest`] (what may be sent), [`verify`] (what a
-//! chunk must satisfy), [`inspection`] and [`regeneration`] (who looks); [`counters`], [`latency`], [`timeline`] and [`tally`] (what is
-//! counted), [`report`] and [`plot`]. Apart from all that, [`mod@bench`] measures a server's promises one by one.
+//! [`run()`] is the whole of it: a checked [`LoadConfig`] goes in, a [`Report`] comes out, and
+//! [`Report::verdict`] says whether the server passed. Reading order: [`config`], [`phases`] (the
+//! parts of a run), [`path`] (where a client flies), [`keys`] (which chunks it asks for),
+//! [`arrivals`] and [`agenda`] (when it does what), [`client`] (one client through one part),
+//! [`session`] (over WebSocket) and [`http`], [`slow`] and [`silent`] (the unpleasant ones);
+//! [`interest`] (what may be sent), [`verify`] (what a chunk must satisfy), [`inspection`] and
+//! [`regeneration`] (who looks); [`counters`], [`latency`], [`timeline`] and [`tally`] (what is
+//! counted), [`report`] and [`plot`]. Apart from all that, [`mod@bench`] measures a server's
+//! promises one by one.
 //!
-//! What it refuses: drawing the land (no GPU crate is in its dependency tree), keeping chunks (a verified chunk is dropped), and
-//! deciding for itself what the wire looks like (the `protocol` crate's client machine does).
+//! What it refuses: drawing the land (no GPU crate is in its dependency tree), keeping chunks (a
+//! verified chunk is dropped), and deciding for itself what the wire looks like (the `protocol`
+//! crate's client machine does).
 
 #![forbid(unsafe_code)]
 

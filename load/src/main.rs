@@ -1,4 +1,5 @@
-//! `tombolo-load`: reads the options, runs the load and says how it goes, prints the report, exits by its verdict.
+//! `tombolo-load`: reads the options, runs the load and says how it goes, prints the report, exits
+//! by its verdict.
 
 mod progress;
 
@@ -41,7 +42,8 @@ fn drive(config: LoadConfig, json: Option<&Path>, picture: Option<&Path>, quiet:
     let picture = create("--plot", picture)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
-        // The default looks at the clock after 61 turns of work, here up to 0.1 s: too coarse for latencies.
+        // The default looks at the clock after 61 turns of work, here up to 0.1 s: too coarse for
+        // latencies.
         .event_interval(4)
         .build()
         .context("cannot start the runtime")?;
@@ -58,7 +60,8 @@ fn drive(config: LoadConfig, json: Option<&Path>, picture: Option<&Path>, quiet:
     report.verdict().map_err(|problem| anyhow!(problem))
 }
 
-/// Runs a benchmark. One thread drives all of its connections, so that a core is left for the server.
+/// Runs a benchmark. One thread drives all of its connections, so that a core is left for the
+/// server.
 fn measure(bench: Bench, args: Args) -> Result<()> {
     let mut file = create("--json", args.json.as_deref())?;
     let plan = Plan::new(bench, args.server, args.server_cpus, args.rounds, args.seconds)?;

@@ -9,7 +9,8 @@ pub enum Mode {
     View,
     /// Requests by key over WebSocket
     Explicit,
-    /// GETs of the chunk route over one kept connection a client; what a client has had before it asks for conditionally
+    /// GETs of the chunk route over one kept connection a client; what a client has had before it
+    /// asks for conditionally
     Http,
 }
 

@@ -1,8 +1,9 @@
 //! Where a client is at a time: deterministic paths over the home island.
 //!
-//! A pose is a function of the path and the time alone, so that a slow client skips poses instead of falling behind, and so that
-//! a second flight asks for what the first one asked for. Each kind of path has a file of its own; all of them only move on the map,
-//! and the height follows from the land here.
+//! A pose is a function of the path and the time alone, so that a slow client skips poses instead
+//! of falling behind, and so that a second flight asks for what the first one asked for. Each kind
+//! of path has a file of its own; all of them only move on the map, and the height follows from the
+//! land here.
 
 mod fly;
 mod spawn;
@@ -44,8 +45,8 @@ impl PathKind {
     }
 }
 
-/// Middles of paths lie within this distance of the origin on each axis, metres. With the farthest that a path leads from
-/// its middle (2,500 m) it stays over the home island (6,656 m).
+/// Middles of paths lie within this distance of the origin on each axis, metres. With the farthest
+/// that a path leads from its middle (2,500 m) it stays over the home island (6,656 m).
 const REACH_M: f64 = 3_000.0;
 
 /// Height of a standing person's eyes, metres.
@@ -189,7 +190,8 @@ mod tests {
             let land = Land::new(1);
             let pose = |index| FlightPath::new(kind, seed, index).pose(&land, seconds);
             prop_assert_eq!(pose(index), pose(index));
-            // Everybody's first seconds at the spawn point are the same; no other two clients are at one place.
+            // Everybody's first seconds at the spawn point are the same; no other two clients are
+            // at one place.
             if kind != PathKind::Spawn {
                 prop_assert_ne!(pose(index).eye, pose(index + 1).eye);
             }

@@ -1,11 +1,13 @@
 //! The parts of a run: when each begins and ends, and when each client begins in it.
 //!
-//! With a warm-up there are two. In the first everybody flies the beginning of the paths (cold: nobody asked before), in the second
-//! everybody begins again, with sessions and hands empty, and flies the same paths (warm: the server has made it before).
+//! With a warm-up there are two. In the first everybody flies the beginning of the paths (cold:
+//! nobody asked before), in the second everybody begins again, with sessions and hands empty, and
+//! flies the same paths (warm: the server has made it before).
 
 use std::time::Duration;
 
-/// Pause between two parts: the first one's last answers and good-byes come in it, not in the second.
+/// Pause between two parts: the first one's last answers and good-byes come in it, not in the
+/// second.
 const PAUSE: Duration = Duration::from_secs(4);
 
 /// Time between two clients' first connections, unless the part is too short for it.
@@ -42,8 +44,9 @@ impl Phase {
         self.begins + self.lasts
     }
 
-    /// When a client begins, from the start of the run. All at once would measure the accept queue, not the streaming, so the
-    /// first fifth of the part is for coming, except where all at once is what was asked for.
+    /// When a client begins, from the start of the run. All at once would measure the accept queue,
+    /// not the streaming, so the first fifth of the part is for coming, except where all at once is
+    /// what was asked for.
     #[must_use]
     pub fn begin_of(&self, index: u32, n_clients: u32, at_once: bool) -> Duration {
         let step = if at_once { Duration::ZERO } else { RAMP_STEP.min(self.lasts / 5 / n_clients.max(1)) };

@@ -1,4 +1,5 @@
-//! A picture of a run: latency above, throughput below, over the same seconds, the parts of the run marked.
+//! A picture of a run: latency above, throughput below, over the same seconds, the parts of the run
+//! marked.
 //!
 //! Text is set in the font that the viewer embeds; no system font is looked for.
 
@@ -19,7 +20,8 @@ const SIZE: (u32, u32) = (1280, 960);
 /// Height of the title, and of the line above each panel, pixels.
 const HEADS: (u32, u32) = (92, 40);
 
-/// Free at the left and right edge, and where the axes begin within: pixels from the left, and from the right for the scale of data.
+/// Free at the left and right edge, and where the axes begin within: pixels from the left, and from
+/// the right for the scale of data.
 const MARGIN: u32 = 18;
 const SIDES: (u32, u32) = (84, 78);
 
@@ -52,7 +54,8 @@ struct Line<'a> {
 }
 
 impl Line<'_> {
-    /// Its pieces as what is drawn. A second between two gaps has no line, so each has a dot where it begins.
+    /// Its pieces as what is drawn. A second between two gaps has no line, so each has a dot where
+    /// it begins.
     fn series(&self) -> impl Iterator<Item = LineSeries<BitMapBackend<'static>, (f64, f64)>> {
         let style = self.colour.stroke_width(self.width).filled();
         self.pieces.iter().map(move |piece| {
@@ -126,14 +129,16 @@ fn span(report: &Report) -> Range<f64> {
     0.0..ends.fold(1.0, f64::max)
 }
 
-/// Whether a second lies in a part of the run as a whole: what arrived in a piece of one would look like too little.
+/// Whether a second lies in a part of the run as a whole: what arrived in a piece of one would look
+/// like too little.
 fn is_whole(report: &Report, second: &Second) -> bool {
     let (from, to) = (second.second as f64, second.second as f64 + 1.0);
     report.phases.iter().any(|phase| phase.begins_s <= from && to <= phase.begins_s + phase.seconds + 1e-9)
 }
 
 fn latency(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<()> {
-    // What an open loop still waits for after its end comes in seconds of few answers, which have no part in the lines.
+    // What an open loop still waits for after its end comes in seconds of few answers, which have
+    // no part in the lines.
     let late = |pick: fn(&Second) -> Option<f64>| {
         let end = seconds.end;
         move |second: &Second| {
@@ -265,7 +270,8 @@ fn throughput(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<(
     Ok(())
 }
 
-/// Writes the line above a panel, its name at the left and its legend at the right. Returns the rest of the area.
+/// Writes the line above a panel, its name at the left and its legend at the right. Returns the
+/// rest of the area.
 fn head<'a>(area: &Area<'a>, name: &str, lines: &[Line<'_>]) -> Result<Area<'a>> {
     let (head, rest) = area.split_vertically(HEADS.1);
     text(&head, name, ((MARGIN + SIDES.0) as i32, 12), 21)?;
@@ -319,7 +325,8 @@ fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
     10f64.powf(low)..10f64.powf((high.log10() - 1e-6).ceil().max(low + 1.0))
 }
 
-/// Ticks of a logarithmic axis over whole decades: with their halves and fifths where there are few.
+/// Ticks of a logarithmic axis over whole decades: with their halves and fifths where there are
+/// few.
 fn ticks(range: &Range<f64>) -> Vec<f64> {
     let (low, high) = (range.start.log10().round() as i32, range.end.log10().round() as i32);
     let leads: &[f64] = if high - low > 2 { &[1.0] } else { &[1.0, 2.0, 5.0] };

@@ -1,4 +1,5 @@
-//! What is said while a run goes on: one line that is rewritten every second where a person watches, else a line every ten seconds.
+//! What is said while a run goes on: one line that is rewritten every second where a person
+//! watches, else a line every ten seconds.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use load::tally::Progress;

@@ -1,7 +1,8 @@
-//! Compares sampled chunks with local generation whole, measured error included, off the threads that drive the sessions.
+//! Compares sampled chunks with local generation whole, measured error included, off the threads
+//! that drive the sessions.
 //!
-//! A coarse chunk takes milliseconds to generate. On the threads that drive the sessions that would hold up their clocks, and
-//! the load test would measure itself.
+//! A coarse chunk takes milliseconds to generate. On the threads that drive the sessions that would
+//! hold up their clocks, and the load test would measure itself.
 
 use crate::counters::Counters;
 use crate::verify;
@@ -11,8 +12,9 @@ use terrain::{Chunk, Land};
 use tokio::sync::mpsc;
 use tokio::task::{JoinHandle, spawn_blocking};
 
-/// Chunks waiting for their comparison, about 60 KiB each. While it is full a session that wants to add one waits, so a
-/// sample larger than one thread can compare slows the load instead of growing without end.
+/// Chunks waiting for their comparison, about 60 KiB each. While it is full a session that wants to
+/// add one waits, so a sample larger than one thread can compare slows the load instead of growing
+/// without end.
 const QUEUE: usize = 64;
 
 struct Waiting {
@@ -29,10 +31,11 @@ pub struct Regeneration {
 }
 
 impl Regeneration {
-    /// Starts the comparing. It ends when the last clone of the first value is gone and everything queued is compared.
+    /// Starts the comparing. It ends when the last clone of the first value is gone and everything
+    /// queued is compared.
     ///
-    /// One chunk at a time is compared on a thread for blocking work. The task that feeds it ends with the first comparison that
-    /// panics, which the run's end reports.
+    /// One chunk at a time is compared on a thread for blocking work. The task that feeds it ends
+    /// with the first comparison that panics, which the run's end reports.
     #[must_use]
     pub fn start() -> (Self, JoinHandle<()>) {
         let (queue, mut waiting) = mpsc::channel::<Waiting>(QUEUE);

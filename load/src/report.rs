@@ -12,8 +12,8 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// The result of a run. Field names are a contract with scripts. The figures are those of all parts together and of the measured
-/// clients only.
+/// The result of a run. Field names are a contract with scripts. The figures are those of all parts
+/// together and of the measured clients only.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// Clients that were run, without the slow and the silent ones.
@@ -45,12 +45,14 @@ pub struct Report {
     pub refused: u64,
     /// From what to what [`Report::latency_ms`] is measured. In an open loop from when it was due.
     pub measures: &'static str,
-    /// See [`Report::measures`]. What an open loop got no answer to counts with the time that it waited.
+    /// See [`Report::measures`]. What an open loop got no answer to counts with the time that it
+    /// waited.
     pub latency_ms: LatencyMs,
     /// From a pose to its view being complete, or a newer one; only in view mode.
     pub settle_ms: LatencyMs,
-    /// From when something was due to when it was sent; only in an open loop. Late is what waited behind others on its connection, or
-    /// for this machine: a run that is late without a slow server measures itself.
+    /// From when something was due to when it was sent; only in an open loop. Late is what waited
+    /// behind others on its connection, or for this machine: a run that is late without a slow
+    /// server measures itself.
     pub sent_late_ms: LatencyMs,
     /// Chunks that were compared with local generation: a sample, in seed-only delivery all.
     pub regenerated: u64,
@@ -223,7 +225,8 @@ fn timeline(tally: &Tally) -> Vec<Second> {
 impl PhaseReport {
     /// A part of a run that took so long altogether.
     fn new(phase: &Phase, counters: &Counters, took: Duration) -> Self {
-        // Good-byes and late comparisons are not load; the answers that an open loop waited for are.
+        // Good-byes and late comparisons are not load; the answers that an open loop waited for
+        // are.
         let lasted = took.saturating_sub(phase.begins).min(phase.lasts);
         let until = counters.last_chunk().saturating_sub(phase.begins);
         Self {

@@ -18,13 +18,15 @@ use tokio::time::{Instant, sleep_until};
 /// Time over which slow and silent clients come.
 const COMING: Duration = Duration::from_secs(1);
 
-/// Runs a load test to its end. Never fails: whatever goes wrong is counted, and the report's verdict says so.
+/// Runs a load test to its end. Never fails: whatever goes wrong is counted, and the report's
+/// verdict says so.
 pub async fn run(config: LoadConfig) -> Report {
     let tally = Arc::new(Tally::new(&config));
     run_counting(config, tally).await
 }
 
-/// As [`run`], counting into a tally that was made for this configuration and that the caller can watch meanwhile.
+/// As [`run`], counting into a tally that was made for this configuration and that the caller can
+/// watch meanwhile.
 pub async fn run_counting(config: LoadConfig, tally: Arc<Tally>) -> Report {
     let dial = Tcp::to(&config.connect);
     run_over(dial, config, tally).await
@@ -47,7 +49,8 @@ pub async fn run_over<D: Dial>(dial: D, config: LoadConfig, tally: Arc<Tally>) -
     }
     while let Some(joined) = clients.join_next().await {
         if let Err(error) = joined {
-            // A panic in one client is a fault of this program; it must not pass for a good session.
+            // A panic in one client is a fault of this program; it must not pass for a good
+            // session.
             shared.fault().dropped(&format!("a client task failed: {error}"));
         }
     }

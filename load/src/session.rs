@@ -1,7 +1,7 @@
 //! One session over WebSocket: admission, the loop, the good-bye.
 //!
-//! The protocol itself runs in [`ClientSession`]; this file moves its frames, keeps the clock, and says how a session ended. What is
-//! said and asked is in `errands`, the socket in `socket`.
+//! The protocol itself runs in [`ClientSession`]; this file moves its frames, keeps the clock, and
+//! says how a session ended. What is said and asked is in `errands`, the socket in `socket`.
 
 mod errands;
 mod socket;
@@ -29,14 +29,16 @@ use terrain::{Chunk, Land};
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::{Error, Message};
 
-/// Chunks that may be under way to one client. Enough to hide a round trip, few enough that a view change counts.
+/// Chunks that may be under way to one client. Enough to hide a round trip, few enough that a view
+/// change counts.
 const WINDOW: u32 = 64;
 
-/// The same for one who reads slowly: all that there can be, or credit would keep the server from ever owing more than a socket holds.
+/// The same for one who reads slowly: all that there can be, or credit would keep the server from
+/// ever owing more than a socket holds.
 const WINDOW_SLOW: u32 = MAX_CREDITS;
 
-/// Frames that a session takes before others get their turn. A frame costs about 0.1 ms to decode or generate and verify; without
-/// turns a burst would hold up the clocks of all.
+/// Frames that a session takes before others get their turn. A frame costs about 0.1 ms to decode
+/// or generate and verify; without turns a burst would hold up the clocks of all.
 const TURN: u32 = 16;
 
 /// One session from connect to close.
@@ -177,7 +179,8 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         self.inspection.inspect(chunk, delivery).await;
     }
 
-    /// Says why the session ends and gives the server a moment to answer. Nothing that arrives meanwhile is counted.
+    /// Says why the session ends and gives the server a moment to answer. Nothing that arrives
+    /// meanwhile is counted.
     async fn close(&mut self, code: CloseCode) {
         socket::close(&mut self.socket, code).await;
     }

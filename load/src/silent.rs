@@ -1,7 +1,8 @@
-//! A client that is silent: it opens the WebSocket and never says Hello, or asks for a view and then neither speaks nor answers.
+//! A client that is silent: it opens the WebSocket and never says Hello, or asks for a view and
+//! then neither speaks nor answers.
 //!
-//! The bytes that come are taken, so that silence is all that there is against it, but no ping is answered. How the server ends it is
-//! read from its close frame.
+//! The bytes that come are taken, so that silence is all that there is against it, but no ping is
+//! answered. How the server ends it is read from its close frame.
 
 use crate::SOFTWARE;
 use crate::client::{End, Task};
@@ -71,7 +72,8 @@ async fn last_words(mut stream: impl AsyncRead + Unpin) -> String {
 /// Walks over WebSocket frames (RFC 6455, section 5.2) without keeping them, looking for a close.
 #[derive(Debug, Default)]
 struct Scan {
-    /// The beginning of a frame: opcode, length, and of a close the two bytes of its code. At most 12 bytes.
+    /// The beginning of a frame: opcode, length, and of a close the two bytes of its code. At most
+    /// 12 bytes.
     head: Vec<u8>,
     /// Bytes of the present frame still to be passed over.
     skip: u64,
@@ -102,7 +104,8 @@ impl Scan {
         None
     }
 
-    /// Where the payload begins and its length, once that is known. A server's frames are not masked.
+    /// Where the payload begins and its length, once that is known. A server's frames are not
+    /// masked.
     fn frame(&self) -> Option<(usize, u64)> {
         let [_, second, rest @ ..] = self.head.as_slice() else { return None };
         match second & 127 {

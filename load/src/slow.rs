@@ -1,8 +1,9 @@
 //! A client that reads slowly: a viewer on a bad link, or an attack that costs its owner nothing.
 //!
-//! It looks like any other viewer and verifies what it gets; only its reading is bounded, and it grants all the credit there can be, so
-//! that the server may have much to say to it. The server may end it, and that is no fault:
-//! how many were ended and why is what is counted. None comes back.
+//! It looks like any other viewer and verifies what it gets; only its reading is bounded, and it
+//! grants all the credit there can be, so that the server may have much to say to it. The server
+//! may end it, and that is no fault: how many were ended and why is what is counted. None comes
+//! back.
 
 use crate::agenda::Agenda;
 use crate::client::{End, Task};

@@ -1,4 +1,5 @@
-//! What all clients count: the measured ones by parts of the run, the slow and the silent ones apart.
+//! What all clients count: the measured ones by parts of the run, the slow and the silent ones
+//! apart.
 
 use crate::config::LoadConfig;
 use crate::counters::{Counters, get};

@@ -1,6 +1,7 @@
 //! What happened in every second of a run.
 //!
-//! One histogram is enough for it: the clock only goes forward, so a second is summed up when the first event of a later one comes.
+//! One histogram is enough for it: the clock only goes forward, so a second is summed up when the
+//! first event of a later one comes.
 
 use crate::latency::Latencies;
 use serde::Serialize;
@@ -8,7 +9,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// One second. A second in which nothing arrived has zeros and no latencies: a stall is seen as such.
+/// One second. A second in which nothing arrived has zeros and no latencies: a stall is seen as
+/// such.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Second {
     /// Seconds since the start of the run.

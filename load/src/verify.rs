@@ -1,6 +1,8 @@
-//! What a chunk must satisfy beyond what the protocol's decoder already refuses (digest, key, ranges, extremes).
+//! What a chunk must satisfy beyond what the protocol's decoder already refuses (digest, key,
+//! ranges, extremes).
 //!
-//! Pure functions over a chunk: no counting, no session state. What may be sent at all is judged in [`crate::interest`].
+//! Pure functions over a chunk: no counting, no session state. What may be sent at all is judged in
+//! [`crate::interest`].
 
 use protocol::Delivery;
 use protocol::chunk_codec::quantised;
@@ -80,7 +82,8 @@ pub fn announced(seed: u64, generator_version: u32, announced: WorldDigest) -> R
     Ok(land)
 }
 
-/// Checks both pyramids: every base texel bounds the four corners of its cell, every other the four texels below it.
+/// Checks both pyramids: every base texel bounds the four corners of its cell, every other the four
+/// texels below it.
 ///
 /// # Errors
 /// The first texel that does not hold.
@@ -93,7 +96,8 @@ pub fn pyramids(chunk: &Chunk) -> Result<(), Mismatch> {
     report("min", first_failure(&chunk.heights, |level| min.level(level), |bound, value| bound <= value))
 }
 
-/// Compares a chunk with the same one generated here, and quantised here if it came so: heights, error, slope, pyramids and grass.
+/// Compares a chunk with the same one generated here, and quantised here if it came so: heights,
+/// error, slope, pyramids and grass.
 ///
 /// # Errors
 /// The first thing that differs.
@@ -120,8 +124,8 @@ pub fn regeneration(land: &Land, chunk: &Chunk, delivery: Delivery) -> Result<()
 
 /// The level and index of the first texel that does not bound what is under it.
 ///
-/// Every chunk of every client comes through here, so a row is first judged whole, without a branch that would keep the
-/// compiler from vectorising it; only a failing row is searched.
+/// Every chunk of every client comes through here, so a row is first judged whole, without a branch
+/// that would keep the compiler from vectorising it; only a failing row is searched.
 fn first_failure<'a>(
     heights: &[i32; VERTEX_COUNT],
     texels: impl Fn(usize) -> &'a [i32],
@@ -238,7 +242,8 @@ mod tests {
         let (honest, other) = (chunk(0, 3, -7), chunk(0, 60, 60));
         let lie = Chunk { max_pyramid: other.max_pyramid.clone(), ..honest.clone() };
         assert!(matches!(pyramids(&lie), Err(Mismatch::Pyramid { which: "max", level: 0, texel: 0, .. })));
-        // A sea floor lies below the land, so as a lower bound it holds: loose, not wrong. A hill above it does not.
+        // A sea floor lies below the land, so as a lower bound it holds: loose, not wrong. A hill
+        // above it does not.
         let lie = Chunk { min_pyramid: honest.min_pyramid.clone(), ..other };
         assert!(matches!(pyramids(&lie), Err(Mismatch::Pyramid { which: "min", .. })));
     }

@@ -1,4 +1,5 @@
-//! The load test against small servers of known honesty: it must pass the honest one and catch every liar.
+//! The load test against small servers of known honesty: it must pass the honest one and catch
+//! every liar.
 //!
 //! The servers run the protocol's own server machine over real sockets on port 0.
 

@@ -1,19 +1,23 @@
 //! Chunk frames: one chunk as bytes.
 //!
-//! Every frame begins with the same 16 bytes: magic, version, kind, key. This file owns them, the header that all kinds with heights
-//! share, and the digest; what differs between the kinds is theirs:
+//! Every frame begins with the same 16 bytes: magic, version, kind, key. This file owns them, the
+//! header that all kinds with heights share, and the digest; what differs between the kinds is
+//! theirs:
 //!
 //! - *exact*: every height, without loss ([`encode`], [`decode`]);
 //! - *quantised*: heights within a tolerance ([`quantised`]);
 //! - *refined*: exact, for who has the parent ([`refined`]);
 //! - *seed only*: no heights ([`seed_only`]).
 //!
-//! Heights are predicted from three neighbours (`left + above - above left`, the plane predictor), the residuals
-//! zigzag-mapped, split into plain low bits and byte planes, and these compressed. Nothing that follows from the heights is sent: the decoder rebuilds the
-//! pyramids, and the grass too where it grows by the land's own rule. Little-endian throughout; layout in `docs/protocol.md`.
+//! Heights are predicted from three neighbours (`left + above - above left`, the plane predictor),
+//! the residuals zigzag-mapped, split into plain low bits and byte planes, and these compressed.
+//! Nothing that follows from the heights is sent: the decoder rebuilds the pyramids, and the grass
+//! too where it grows by the land's own rule. Little-endian throughout; layout in
+//! `docs/protocol.md`.
 //!
-//! The digest at the end of the header covers the world, the header and the payload as it travels, so a chunk of another world, or a
-//! damaged one, is refused before anything is decompressed. It identifies the bytes: equal digests mean equal frames.
+//! The digest at the end of the header covers the world, the header and the payload as it travels,
+//! so a chunk of another world, or a damaged one, is refused before anything is decompressed. It
+//! identifies the bytes: equal digests mean equal frames.
 
 mod entropy;
 mod kernel;
@@ -81,7 +85,8 @@ pub fn encode_for(delivery: Delivery, chunk: &Chunk, world: &WorldDigest) -> Byt
     encode_with(delivery, Effort::default(), chunk, world)
 }
 
-/// Encodes a chunk of a world for a delivery with an effort of one's choice. A chunk that cannot be delivered as asked comes exact.
+/// Encodes a chunk of a world for a delivery with an effort of one's choice. A chunk that cannot be
+/// delivered as asked comes exact.
 #[must_use]
 pub fn encode_with(delivery: Delivery, effort: Effort, chunk: &Chunk, world: &WorldDigest) -> Bytes {
     let exact = || seal(KIND_EXACT, chunk, world, 0, effort, None);
@@ -103,17 +108,19 @@ pub fn encode(chunk: &Chunk, world: &WorldDigest) -> Bytes {
 
 /// Decodes one whole exact frame of a world.
 ///
-/// Takes at most [`MAX_DECODE_MEMORY`](crate::limits::MAX_DECODE_MEMORY) bytes, the chunk itself included, whatever the frame says, and never panics.
+/// Takes at most [`MAX_DECODE_MEMORY`](crate::limits::MAX_DECODE_MEMORY) bytes, the chunk itself
+/// included, whatever the frame says, and never panics.
 ///
 /// # Errors
-/// See [`ChunkError`]. A chunk that is returned keeps every promise of its type: the key exists, heights are in
-/// range, extremes and slope are those of the heights.
+/// See [`ChunkError`]. A chunk that is returned keeps every promise of its type: the key exists,
+/// heights are in range, extremes and slope are those of the heights.
 pub fn decode(frame: &[u8], world: &WorldDigest) -> Result<Chunk, ChunkError> {
     open(&Frame::read(frame, KIND_EXACT)?, world, None, None)
 }
 
-/// Verifies a whole exact or quantised frame of a world by its lengths and its digest, without decoding it, and says what it is. Enough for
-/// bytes that an encoder of this module made and that lay somewhere since; from a peer, decode.
+/// Verifies a whole exact or quantised frame of a world by its lengths and its digest, without
+/// decoding it, and says what it is. Enough for bytes that an encoder of this module made and that
+/// lay somewhere since; from a peer, decode.
 ///
 /// # Errors
 /// See [`ChunkError`].
@@ -134,8 +141,9 @@ pub fn verify(frame: &[u8], world: &WorldDigest) -> Result<(ChunkKey, Delivery),
     Ok((key, delivery))
 }
 
-/// Decodes nothing but the heights of an exact or quantised frame, units, on a kernel of one's choice, and verifies nothing that takes
-/// time: for measuring, and for who has checked the digest already.
+/// Decodes nothing but the heights of an exact or quantised frame, units, on a kernel of one's
+/// choice, and verifies nothing that takes time: for measuring, and for who has checked the digest
+/// already.
 ///
 /// # Errors
 /// See [`ChunkError`].
@@ -145,7 +153,8 @@ pub fn heights_on(kernel: Kernel, frame: &[u8], heights: &mut [i32; VERTEX_COUNT
     Frame::read(frame, kind)?.heights(kernel, None, heights).map(|_| ())
 }
 
-/// The kind and the key of a frame, without looking further. A kind that this side does not know is returned as well.
+/// The kind and the key of a frame, without looking further. A kind that this side does not know is
+/// returned as well.
 ///
 /// # Errors
 /// As [`decode`], for what the first 16 bytes can tell.
@@ -163,8 +172,8 @@ pub fn kind_and_key(frame: &[u8]) -> Result<(u8, ChunkKey), ChunkError> {
     Ok((prefix[6], key))
 }
 
-/// The chunk's error (units) as a frame of any kind states it; none if the frame is no chunk frame. That of a quantised frame
-/// includes what quantising added.
+/// The chunk's error (units) as a frame of any kind states it; none if the frame is no chunk frame.
+/// That of a quantised frame includes what quantising added.
 #[must_use]
 pub fn error(frame: &[u8]) -> Option<u32> {
     match kind_and_key(frame).ok()?.0 {
@@ -182,8 +191,8 @@ pub fn digest(frame: &[u8]) -> Option<[u8; DIGEST]> {
     frame.get(DIGEST_AT..CHUNK_HEADER)?.try_into().ok()
 }
 
-/// Makes a frame with heights. `tolerance` (units) is that to which the heights have been rounded, 0 for exact ones; `known` is what
-/// the receiver has of them.
+/// Makes a frame with heights. `tolerance` (units) is that to which the heights have been rounded,
+/// 0 for exact ones; `known` is what the receiver has of them.
 fn seal(
     kind: u8,
     chunk: &Chunk,
@@ -227,7 +236,8 @@ fn seal(
     Bytes::copy_from_slice(&frame)
 }
 
-/// Verifies a frame with heights and makes its chunk. `tolerance` is the coarsest that the receiver takes; none for exact heights.
+/// Verifies a frame with heights and makes its chunk. `tolerance` is the coarsest that the receiver
+/// takes; none for exact heights.
 fn open(
     frame: &Frame<'_>,
     world: &WorldDigest,
@@ -316,7 +326,8 @@ impl<'a> Frame<'a> {
         })
     }
 
-    /// Decodes the heights. Returns the seed and the palette of the grass, and what of the payload is left.
+    /// Decodes the heights. Returns the seed and the palette of the grass, and what of the payload
+    /// is left.
     fn heights(
         &self,
         kernel: Kernel,
@@ -395,15 +406,18 @@ fn word(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
 }
 
-/// Digest of a frame with heights: the world, the header up to the digest, what the receiver must have, the payload.
+/// Digest of a frame with heights: the world, the header up to the digest, what the receiver must
+/// have, the payload.
 fn frame_digest(world: &WorldDigest, header: &[u8], known: Option<&Known>, payload: &[u8]) -> [u8; DIGEST] {
     let known: Vec<u8> = known.map(|known| known.bytes().flatten().collect()).unwrap_or_default();
     content_digest(world, [header, &known, payload])
 }
 
-/// Digest of a world and what belongs to it. The kind is in the header, so frames of two kinds never share one.
+/// Digest of a world and what belongs to it. The kind is in the header, so frames of two kinds
+/// never share one.
 fn content_digest<const N: usize>(world: &WorldDigest, content: [&[u8]; N]) -> [u8; DIGEST] {
-    // In one piece: given in parts, what does not end at a multiple of 1 KiB keeps the hash from its vectors.
+    // In one piece: given in parts, what does not end at a multiple of 1 KiB keeps the hash from
+    // its vectors.
     let mut whole =
         Vec::with_capacity(world.0.len() + content.iter().map(|bytes| bytes.len()).sum::<usize>());
     whole.extend_from_slice(&world.0);

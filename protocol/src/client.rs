@@ -1,8 +1,8 @@
 //! The client's side of a session, without IO.
 //!
-//! Feed it frames with [`ClientSession::receive`], send what [`ClientSession::poll_transmit`] yields, and act on the
-//! events. It grants credits by itself: a fixed window, refilled when half of it is used, so that the server never
-//! owes more than the window and grants cost little.
+//! Feed it frames with [`ClientSession::receive`], send what [`ClientSession::poll_transmit`]
+//! yields, and act on the events. It grants credits by itself: a fixed window, refilled when half
+//! of it is used, so that the server never owes more than the window and grants cost little.
 
 use crate::Incoming;
 use crate::chunk_codec;
@@ -39,7 +39,8 @@ pub struct ClientConfig {
 pub enum Event {
     /// The handshake succeeded.
     Welcome(Welcome),
-    /// A chunk arrived, or was generated from what arrived, and was verified against the digest in its frame.
+    /// A chunk arrived, or was generated from what arrived, and was verified against the digest in
+    /// its frame.
     Chunk {
         /// The chunk.
         chunk: Box<Chunk>,
@@ -114,8 +115,8 @@ impl ClientSession {
         session
     }
 
-    /// The next frame to send, if any. Grants new credit when half of the window is used: it counts from here, since a server
-    /// cannot use what was never sent.
+    /// The next frame to send, if any. Grants new credit when half of the window is used: it counts
+    /// from here, since a server cannot use what was never sent.
     pub fn poll_transmit(&mut self) -> Option<Bytes> {
         if self.credits <= self.window / 2 && self.world.is_some() {
             let chunks = self.window - self.credits;
@@ -171,7 +172,8 @@ impl ClientSession {
             self.world.as_ref().ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
         self.credits = self.credits.checked_sub(1).ok_or(PeerFault::CreditOverrun)?;
         let (kind, key) = chunk_codec::kind_and_key(frame)?;
-        // What a client has not asked for the exact decoder refuses by kind; a land of its own it has only for seed-only frames.
+        // What a client has not asked for the exact decoder refuses by kind; a land of its own it
+        // has only for seed-only frames.
         let (chunk, delivery) = match (self.delivery, land) {
             (Delivery::SeedOnly, Some(land)) if kind == chunk_codec::KIND_SEED_ONLY => {
                 (seed_only::decode(frame, land, digest)?, Delivery::SeedOnly)
@@ -197,7 +199,8 @@ impl ClientSession {
         self.send(&ClientMessage::View(view));
     }
 
-    /// Asks for chunks by key. Returns the id of the first of the requests made: one for every [`MAX_KEYS`] keys.
+    /// Asks for chunks by key. Returns the id of the first of the requests made: one for every
+    /// [`MAX_KEYS`] keys.
     pub fn request(&mut self, keys: &[ChunkKey]) -> u32 {
         let first = self.next_request;
         for part in keys.chunks(MAX_KEYS) {
@@ -215,7 +218,8 @@ impl ClientSession {
         }
     }
 
-    /// Says that chunks of this world are already here, so that a new session does not send them again.
+    /// Says that chunks of this world are already here, so that a new session does not send them
+    /// again.
     pub fn holding(&mut self, keys: &[ChunkKey]) {
         for part in keys.chunks(MAX_KEYS) {
             self.send(&ClientMessage::Holding { keys: wire(part) });
@@ -242,7 +246,8 @@ impl ClientSession {
     }
 }
 
-/// The announced land, if generation here makes the announced world of it. Takes about a millisecond.
+/// The announced land, if generation here makes the announced world of it. Takes about a
+/// millisecond.
 fn own_land(welcome: &Welcome) -> Result<Land, PeerFault> {
     let land = Land::new(welcome.world_seed);
     let (server, client) = (WorldDigest(welcome.digest), land.digest());

@@ -1,8 +1,8 @@
 //! Control frames: a six-byte header and a bincode body.
 //!
-//! The only module that names bincode. Its encoding (fixed-width little-endian integers, u32 variant index, u64
-//! lengths) is frozen by the fixtures and written down in `docs/protocol.md`, so that it can be replaced by
-//! hand-written code without a change on the wire.
+//! The only module that names bincode. Its encoding (fixed-width little-endian integers, u32
+//! variant index, u64 lengths) is frozen by the fixtures and written down in `docs/protocol.md`, so
+//! that it can be replaced by hand-written code without a change on the wire.
 
 use crate::PROTOCOL_VERSION;
 use crate::error::ControlError;
@@ -22,8 +22,9 @@ pub const MAGIC: [u8; 4] = *b"TMBM";
 pub const HEADER: usize = 6;
 
 thread_local! {
-    /// Where frames are put together, so that each takes exactly one allocation of its own length: a server under load refuses a hundred thousand
-    /// requests a second. Grows to the longest message that this thread has encoded.
+    /// Where frames are put together, so that each takes exactly one allocation of its own length:
+    /// a server under load refuses a hundred thousand requests a second. Grows to the longest
+    /// message that this thread has encoded.
     static SCRATCH: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
 }
 

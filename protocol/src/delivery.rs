@@ -5,10 +5,11 @@ use std::fmt;
 use std::str::FromStr;
 use terrain::constants::UNITS_PER_METRE;
 
-/// How far a quantised height may be from the exact one: a power of two from 1 unit (2^-8 m) to 128 units (0.5 m).
+/// How far a quantised height may be from the exact one: a power of two from 1 unit (2^-8 m) to 128
+/// units (0.5 m).
 ///
-/// Few values, so that the frames of a chunk that a server may be asked for are few. Heights are rounded to multiples of twice
-/// the tolerance.
+/// Few values, so that the frames of a chunk that a server may be asked for are few. Heights are
+/// rounded to multiples of twice the tolerance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "u16", into = "u16")]
 pub struct Tolerance(u16);
@@ -70,21 +71,24 @@ impl From<Tolerance> for u16 {
 
 /// The client's choice for a whole session, made in its Hello.
 ///
-/// It says which frames the client can use besides exact ones; an exact frame may come in every delivery, so that a server
-/// can send what no seed makes. The order of the variants is their index on the wire. New ones go to the end; a server that
-/// does not know one refuses the Hello as malformed.
+/// It says which frames the client can use besides exact ones; an exact frame may come in every
+/// delivery, so that a server can send what no seed makes. The order of the variants is their index
+/// on the wire. New ones go to the end; a server that does not know one refuses the Hello as
+/// malformed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Delivery {
     /// All heights, compressed without loss: about 4 KiB a chunk of land.
     #[default]
     Exact,
-    /// Key, error and a digest, 36 bytes a chunk: the client generates the chunk from the world's seed and verifies the
-    /// digest. For clients whose generator makes the server's world.
+    /// Key, error and a digest, 36 bytes a chunk: the client generates the chunk from the world's
+    /// seed and verifies the digest. For clients whose generator makes the server's world.
     SeedOnly,
-    /// All heights, none farther from the exact one than the tolerance: half to a fifth of the bytes.
+    /// All heights, none farther from the exact one than the tolerance: half to a fifth of the
+    /// bytes.
     Quantised(Tolerance),
-    /// All heights, exact, and of a chunk whose parent this session brought before only those that the parent lacks: a sixth to a quarter fewer
-    /// bytes over a whole view. The client remembers the parents ([`crate::parents`]).
+    /// All heights, exact, and of a chunk whose parent this session brought before only those that
+    /// the parent lacks: a sixth to a quarter fewer bytes over a whole view. The client remembers
+    /// the parents ([`crate::parents`]).
     Refined,
 }
 

@@ -123,7 +123,8 @@ pub enum PeerFault {
     /// More chunks arrived than credits were granted.
     #[error("the server sent a chunk without credit")]
     CreditOverrun,
-    /// Seed-only delivery was asked for, and the announced seed does not make the announced world here.
+    /// Seed-only delivery was asked for, and the announced seed does not make the announced world
+    /// here.
     #[error(
         "the server serves world {server} (seed {seed}, generator version {generator}), generation here gives {client}: \
          use exact delivery"

@@ -1,4 +1,5 @@
-//! Every limit of the protocol, in one place. A peer that exceeds one is refused or closed; nothing grows.
+//! Every limit of the protocol, in one place. A peer that exceeds one is refused or closed; nothing
+//! grows.
 
 use terrain::constants::{GRASS_GRID, VERTEX_COUNT};
 
@@ -11,24 +12,28 @@ pub const MAX_KEYS: usize = 512;
 /// Chunks that a client may have granted and not yet received. A grant beyond it is cut to it.
 pub const MAX_CREDITS: u32 = 4096;
 
-/// Bytes of chunk frames that a client may have granted and not yet received. A grant beyond it is cut to it.
+/// Bytes of chunk frames that a client may have granted and not yet received. A grant beyond it is
+/// cut to it.
 pub const MAX_CREDIT_BYTES: u32 = 256 << 20;
 
-/// Requested keys that a server queues per session; a request that would exceed it is refused whole.
+/// Requested keys that a server queues per session; a request that would exceed it is refused
+/// whole.
 pub const MAX_PENDING_REQUESTS: usize = 1024;
 
 /// Chunks selected for one view. A view that needs more gets the coarsest of them.
 pub const MAX_VIEW_CHUNKS: usize = 16 * 1024;
 
-/// Estimated chunks of a view ([`terrain::lod::estimated_chunks`]) beyond which a server refuses it as
-/// [`crate::message::RefusalReason::InvalidView`]. Views between [`MAX_VIEW_CHUNKS`] and this get the coarsest chunks.
+/// Estimated chunks of a view ([`terrain::lod::estimated_chunks`]) beyond which a server refuses it
+/// as [`crate::message::RefusalReason::InvalidView`]. Views between [`MAX_VIEW_CHUNKS`] and this
+/// get the coarsest chunks.
 pub const MAX_VIEW_ESTIMATE: u64 = 16 * MAX_VIEW_CHUNKS as u64;
 
-/// Keys that a server remembers as held by a client (about 1 MiB). When it is full the memory is dropped whole; the only
-/// consequence is that chunks may be sent again.
+/// Keys that a server remembers as held by a client (about 1 MiB). When it is full the memory is
+/// dropped whole; the only consequence is that chunks may be sent again.
 pub const MAX_HELD: usize = 64 * 1024;
 
-/// Parents that both ends of a session in refined delivery remember: 17 MiB of heights in the client, some KiB of keys in the server.
+/// Parents that both ends of a session in refined delivery remember: 17 MiB of heights in the
+/// client, some KiB of keys in the server.
 pub const MAX_PARENTS: usize = 1024;
 
 /// Longest text field (software name, token, detail) in bytes.
@@ -46,19 +51,23 @@ pub const SEED_ONLY_FRAME: usize = 36;
 /// Bytes of a grass record as the seed-only digest covers it: seed, palette, density.
 pub const GRASS_RECORD: usize = 4 + 1 + GRASS_GRID * GRASS_GRID;
 
-/// Bits that the widest zigzag residual of valid heights can have: four heights below 2^24 and a sign.
+/// Bits that the widest zigzag residual of valid heights can have: four heights below 2^24 and a
+/// sign.
 pub const MAX_RESIDUAL_BITS: u32 = 27;
 
-/// Bytes of the longest payload: grass seed and palette, the number of plain bits, three whole byte planes and a packed one of up to 4 bits a vertex (plain bits only ever
-/// take the place of as many others), the grass densities, and a length before each. Nothing is ever stored longer than it is.
+/// Bytes of the longest payload: grass seed and palette, the number of plain bits, three whole byte
+/// planes and a packed one of up to 4 bits a vertex (plain bits only ever take the place of as many
+/// others), the grass densities, and a length before each. Nothing is ever stored longer than it
+/// is.
 pub const MAX_PAYLOAD: usize =
     6 + 3 * (2 + VERTEX_COUNT) + (2 + VERTEX_COUNT.div_ceil(2)) + (2 + GRASS_GRID * GRASS_GRID);
 
 /// Longest chunk frame in bytes.
 pub const MAX_CHUNK_FRAME: usize = CHUNK_HEADER + MAX_PAYLOAD;
 
-/// Most bytes that decoding one chunk frame takes from the heap, the chunk itself included, whatever the frame says. Each
-/// thread that decodes keeps a room of about as much besides, made once.
+/// Most bytes that decoding one chunk frame takes from the heap, the chunk itself included,
+/// whatever the frame says. Each thread that decodes keeps a room of about as much besides, made
+/// once.
 pub const MAX_DECODE_MEMORY: usize = 96 * 1024;
 
 /// Longest frame of any kind that a client accepts, bytes.

@@ -1,5 +1,5 @@
-//! The control messages. Field order and variant order are the wire order: see `docs/protocol.md` before
-//! touching either, and the frozen bytes under `fixtures/`.
+//! The control messages. Field order and variant order are the wire order: see `docs/protocol.md`
+//! before touching either, and the frozen bytes under `fixtures/`.
 
 use crate::close::CloseCode;
 use crate::delivery::Delivery;
@@ -36,7 +36,8 @@ impl From<ChunkKey> for WireKey {
     }
 }
 
-/// Reads a list of keys. Serde's own reader takes up to 1 MiB for a length that a frame of 20 bytes merely claims.
+/// Reads a list of keys. Serde's own reader takes up to 1 MiB for a length that a frame of 20 bytes
+/// merely claims.
 fn read_keys<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<WireKey>, D::Error> {
     struct Keys;
 
@@ -91,8 +92,8 @@ pub enum ClientMessage {
         #[serde(deserialize_with = "read_keys")]
         keys: Vec<WireKey>,
     },
-    /// Allows the server to send chunk frames of this many bytes more. The first one in a session puts a bound on bytes besides the
-    /// one on chunks; without any, only chunks are counted.
+    /// Allows the server to send chunk frames of this many bytes more. The first one in a session
+    /// puts a bound on bytes besides the one on chunks; without any, only chunks are counted.
     CreditBytes {
         /// Bytes of chunk frames.
         bytes: u32,
@@ -159,7 +160,8 @@ pub struct Welcome {
     pub software: String,
 }
 
-/// Why a handshake failed. Both sides' values are named, so that a person can tell which one to change.
+/// Why a handshake failed. Both sides' values are named, so that a person can tell which one to
+/// change.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Rejection {
     /// The protocol versions differ.

@@ -1,9 +1,10 @@
 //! The parents that both ends of a session remember in refined delivery.
 //!
-//! A refined frame is of use only to who has the parent, and only the client knows what it has kept. Asking would cost a round trip and
-//! guessing would fail now and then, so neither is done: as with the window of a compressor, both ends remember the latest
-//! [`MAX_PARENTS`] chunks that can be parents, in the order of their frames, whatever the client does with them afterwards. The connection keeps the
-//! order, so both remember the same. Nothing of it outlives the session.
+//! A refined frame is of use only to who has the parent, and only the client knows what it has
+//! kept. Asking would cost a round trip and guessing would fail now and then, so neither is done:
+//! as with the window of a compressor, both ends remember the latest [`MAX_PARENTS`] chunks that
+//! can be parents, in the order of their frames, whatever the client does with them afterwards. The
+//! connection keeps the order, so both remember the same. Nothing of it outlives the session.
 
 use crate::limits::MAX_PARENTS;
 use rustc_hash::FxHashMap;
@@ -11,7 +12,8 @@ use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 use terrain::ChunkKey;
 
-/// Levels whose vertices their children share bit for bit. Above them a level draws a smoother land.
+/// Levels whose vertices their children share bit for bit. Above them a level draws a smoother
+/// land.
 pub const LEVELS: RangeInclusive<u8> = 1..=2;
 
 /// See the module. The server remembers that a chunk went out, the client its heights.
@@ -30,7 +32,8 @@ impl<T> Default for Parents<T> {
 }
 
 impl<T> Parents<T> {
-    /// Takes note of a chunk's frame, if the chunk can be a parent. One that is remembered already stays as it is and where it is.
+    /// Takes note of a chunk's frame, if the chunk can be a parent. One that is remembered already
+    /// stays as it is and where it is.
     pub fn remember(&mut self, key: ChunkKey, what: impl FnOnce() -> T) {
         if !LEVELS.contains(&key.level()) || self.by_key.contains_key(&key) {
             return;
@@ -44,7 +47,8 @@ impl<T> Parents<T> {
         self.by_key.insert(key, what());
     }
 
-    /// What is remembered of a chunk's parent; none if that is forgotten, was never sent, or cannot be refined.
+    /// What is remembered of a chunk's parent; none if that is forgotten, was never sent, or cannot
+    /// be refined.
     #[must_use]
     pub fn of(&self, child: ChunkKey) -> Option<&T> {
         self.by_key.get(&child.parent()?)

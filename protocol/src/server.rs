@@ -1,8 +1,9 @@
 //! The server's side of a session, without IO.
 //!
-//! Feed it frames with [`ServerSession::receive`]; ask [`ServerSession::next_chunk`] what to make next and hand the
-//! result to [`ServerSession::deliver`]; send what [`ServerSession::poll_transmit`] yields. It never asks for more
-//! chunks than the client granted credits, and nothing in it grows beyond the limits.
+//! Feed it frames with [`ServerSession::receive`]; ask [`ServerSession::next_chunk`] what to make
+//! next and hand the result to [`ServerSession::deliver`]; send what
+//! [`ServerSession::poll_transmit`] yields. It never asks for more chunks than the client granted
+//! credits, and nothing in it grows beyond the limits.
 
 use crate::Incoming;
 use crate::chunk_codec;
@@ -57,7 +58,8 @@ pub enum Next {
     Nothing,
     /// A ready chunk was queued for the client.
     Delivered,
-    /// A chunk is to be made, and its frame for this delivery: that of the session, or exact where the session's cannot serve.
+    /// A chunk is to be made, and its frame for this delivery: that of the session, or exact where
+    /// the session's cannot serve.
     Make(Wanted, Delivery),
 }
 
@@ -84,9 +86,11 @@ pub struct ServerSession {
     welcomed: bool,
     delivery: Delivery,
     credits: u32,
-    /// Bytes of chunk frames that the client still allows, less what is reserved for chunks under way; none while it counts chunks only.
+    /// Bytes of chunk frames that the client still allows, less what is reserved for chunks under
+    /// way; none while it counts chunks only.
     credit_bytes: Option<u32>,
-    /// Explicit requests that wait for credit, oldest first. At most [`MAX_PENDING_REQUESTS`], more are refused; and what was put back.
+    /// Explicit requests that wait for credit, oldest first. At most [`MAX_PENDING_REQUESTS`], more
+    /// are refused; and what was put back.
     requests: VecDeque<(u32, ChunkKey)>,
     view: Option<ActiveView>,
     /// The newest view that is not selected yet. A newer one replaces it.
@@ -99,7 +103,8 @@ pub struct ServerSession {
     parents: Parents<()>,
     /// Asked for by [`ServerSession::next_chunk`] and not yet delivered.
     in_flight: FxHashMap<ChunkKey, UnderWay>,
-    /// Of these, what no view or request wants any more since the last [`ServerSession::take_stale`].
+    /// Of these, what no view or request wants any more since the last
+    /// [`ServerSession::take_stale`].
     stale: Vec<ChunkKey>,
     outbox: VecDeque<Bytes>,
     counts: SessionCounts,
@@ -120,7 +125,8 @@ struct ActiveView {
     view: View,
     /// Chunks of the whole selection.
     chunks: u32,
-    /// Not yet requested, most urgent last. May hold chunks that the client has or that are in flight.
+    /// Not yet requested, most urgent last. May hold chunks that the client has or that are in
+    /// flight.
     pending: Vec<(u64, ChunkKey)>,
     /// Not needed yet but soon, most urgent last; requested when the view is settled.
     ahead: Vec<(u64, ChunkKey)>,
@@ -130,7 +136,8 @@ struct ActiveView {
 }
 
 impl ActiveView {
-    /// The next chunk to request: one that is needed, and once all of those were sent, one that will be.
+    /// The next chunk to request: one that is needed, and once all of those were sent, one that
+    /// will be.
     fn next(&mut self, is_known: impl Fn(&ChunkKey) -> bool) -> Option<(u64, ChunkKey)> {
         while let Some((priority, key)) = self.pending.pop() {
             if !is_known(&key) {
@@ -172,7 +179,8 @@ impl ServerSession {
         }
     }
 
-    /// Takes one frame from the client. Even after an error the outbox may hold a last message to send.
+    /// Takes one frame from the client. Even after an error the outbox may hold a last message to
+    /// send.
     ///
     /// # Errors
     /// The client broke the protocol or is not admitted: close with the fault's code.
@@ -281,8 +289,8 @@ impl ServerSession {
         self.queued_view.is_some()
     }
 
-    /// The selection of the newest view, to be run by a worker; none if no view waits or one is being selected. It must come
-    /// back through [`ServerSession::apply_view`].
+    /// The selection of the newest view, to be run by a worker; none if no view waits or one is
+    /// being selected. It must come back through [`ServerSession::apply_view`].
     pub fn take_view(&mut self) -> Option<ViewSelection> {
         if self.is_selecting {
             return None;
@@ -293,7 +301,8 @@ impl ServerSession {
         Some(ViewSelection::new(&self.offer.land, view, waited))
     }
 
-    /// Takes back a selection: its view replaces the active one. A selection that is not done is finished here.
+    /// Takes back a selection: its view replaces the active one. A selection that is not done is
+    /// finished here.
     pub fn apply_view(&mut self, selection: ViewSelection) {
         self.is_selecting = false;
         self.counts.views += 1;
@@ -345,15 +354,16 @@ impl ServerSession {
         self.find_stale(|_, request| request == Some(id));
     }
 
-    /// Notes what is under way for one asking only, of which `is_stale` says that it is not wanted any more.
+    /// Notes what is under way for one asking only, of which `is_stale` says that it is not wanted
+    /// any more.
     fn find_stale(&mut self, is_stale: impl Fn(ChunkKey, Option<u32>) -> bool) {
         let stale =
             self.in_flight.iter().filter(|(key, asked)| asked.askings == 1 && is_stale(**key, asked.request));
         self.stale.extend(stale.map(|(key, _)| *key));
     }
 
-    /// Chunks under way that are no longer wanted, each once. Whoever makes them may stop, and says so by
-    /// [`ServerSession::withdraw`]; what is made all the same must be delivered.
+    /// Chunks under way that are no longer wanted, each once. Whoever makes them may stop, and says
+    /// so by [`ServerSession::withdraw`]; what is made all the same must be delivered.
     pub fn take_stale(&mut self) -> Vec<ChunkKey> {
         std::mem::take(&mut self.stale)
     }
@@ -379,8 +389,9 @@ impl ServerSession {
         }
     }
 
-    /// Refuses waiting requests as overloaded until at most `keep` are left, the latest first: those that came first have the best
-    /// chance to be answered in time. Requests that wait for credit alone should not be shed; see [`ServerSession::credits`].
+    /// Refuses waiting requests as overloaded until at most `keep` are left, the latest first:
+    /// those that came first have the best chance to be answered in time. Requests that wait for
+    /// credit alone should not be shed; see [`ServerSession::credits`].
     pub fn shed(&mut self, keep: usize) {
         while self.requests.len() > keep {
             let Some((id, key)) = self.requests.pop_back() else { return };
@@ -404,8 +415,9 @@ impl ServerSession {
         self.credits > 0 && self.credit_bytes.is_none_or(|bytes| bytes >= self.frame_bound())
     }
 
-    /// The next chunk to make, if there is credit for one, and for which delivery its frame is to be: that of the session, or exact where the
-    /// session's cannot serve. Every chunk named here must come back through [`ServerSession::deliver`], [`ServerSession::fail`] or
+    /// The next chunk to make, if there is credit for one, and for which delivery its frame is to
+    /// be: that of the session, or exact where the session's cannot serve. Every chunk named here
+    /// must come back through [`ServerSession::deliver`], [`ServerSession::fail`] or
     /// [`ServerSession::withdraw`].
     pub fn next_chunk(&mut self) -> Option<(Wanted, Delivery)> {
         match self.next_chunk_with(|_, _| None) {
@@ -414,8 +426,8 @@ impl ServerSession {
         }
     }
 
-    /// As [`ServerSession::next_chunk`], but first looks whether the chunk's frame is `ready`, made for the delivery that it is asked with; if
-    /// so, queues it for the client.
+    /// As [`ServerSession::next_chunk`], but first looks whether the chunk's frame is `ready`, made
+    /// for the delivery that it is asked with; if so, queues it for the client.
     pub fn next_chunk_with(&mut self, ready: impl FnOnce(ChunkKey, Delivery) -> Option<Bytes>) -> Next {
         if !self.has_credit() {
             return Next::Nothing;
@@ -452,7 +464,8 @@ impl ServerSession {
         Next::Make(wanted, form)
     }
 
-    /// How a chunk is to go: in the delivery of the session, but in refined delivery exact if the client does not remember its parent.
+    /// How a chunk is to go: in the delivery of the session, but in refined delivery exact if the
+    /// client does not remember its parent.
     fn form_of(&self, key: ChunkKey) -> Delivery {
         match self.delivery {
             Delivery::Refined if self.parents.of(key).is_none() => Delivery::Exact,
@@ -460,7 +473,8 @@ impl ServerSession {
         }
     }
 
-    /// Takes a finished chunk frame, made for the delivery that it was asked with, and queues it for the client.
+    /// Takes a finished chunk frame, made for the delivery that it was asked with, and queues it
+    /// for the client.
     pub fn deliver(&mut self, wanted: Wanted, frame: Bytes) {
         self.land(wanted.key);
         let is_refined =
@@ -497,7 +511,8 @@ impl ServerSession {
         self.settle();
     }
 
-    /// Takes back a stale chunk that nobody makes; its credit is returned, and the client is told nothing.
+    /// Takes back a stale chunk that nobody makes; its credit is returned, and the client is told
+    /// nothing.
     pub fn withdraw(&mut self, wanted: Wanted) {
         self.land(wanted.key);
         self.return_credit();
@@ -546,7 +561,8 @@ impl ServerSession {
         self.welcomed
     }
 
-    /// How the client wants its chunks: one choice for the whole session, exact before the handshake.
+    /// How the client wants its chunks: one choice for the whole session, exact before the
+    /// handshake.
     #[must_use]
     pub const fn delivery(&self) -> Delivery {
         self.delivery
@@ -623,7 +639,8 @@ impl ServerSession {
 
 /// Whether a presented token satisfies a requirement; none required admits everybody.
 ///
-/// Compares without stopping at the first difference, so that timing tells nothing about the secret.
+/// Compares without stopping at the first difference, so that timing tells nothing about the
+/// secret.
 #[must_use]
 pub fn token_matches(required: Option<&str>, presented: Option<&str>) -> bool {
     let Some(required) = required else { return true };

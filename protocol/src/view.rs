@@ -71,12 +71,14 @@ impl View {
         }
     }
 
-    /// The viewer where it will be in [`AHEAD_S`] seconds at its present velocity; none if it hardly moves. At most half of the view
-    /// distance away, so that what is fetched ahead borders on what is seen. Integers, so that two machines choose alike.
+    /// The viewer where it will be in [`AHEAD_S`] seconds at its present velocity; none if it
+    /// hardly moves. At most half of the view distance away, so that what is fetched ahead borders
+    /// on what is seen. Integers, so that two machines choose alike.
     #[must_use]
     pub fn viewer_ahead(&self) -> Option<Viewer> {
         let viewer = self.viewer();
-        // Faster than 2,000 km/s counts as that: it is beyond every view distance, and the squares stay in range.
+        // Faster than 2,000 km/s counts as that: it is beyond every view distance, and the squares
+        // stay in range.
         let [east, _, south] =
             self.velocity.map(|velocity| i64::from(velocity).clamp(-(1 << 29), 1 << 29) * AHEAD_S);
         let way = (east * east + south * south).isqrt();
@@ -91,9 +93,9 @@ impl View {
         Some(Viewer { eye: (moved(x, east), y, moved(z, south)), ..viewer })
     }
 
-    /// How much a needed chunk is worth now; larger is sooner. The gain in screen error times the chance of being
-    /// seen (outside the horizontal field of view a quarter) times age (a chunk that has waited through many views
-    /// counts up to four times).
+    /// How much a needed chunk is worth now; larger is sooner. The gain in screen error times the
+    /// chance of being seen (outside the horizontal field of view a quarter) times age (a chunk
+    /// that has waited through many views counts up to four times).
     #[must_use]
     pub fn priority(&self, needed: &Needed, views_waited: u32) -> u64 {
         let seen = if self.faces(needed.key) { 4 } else { 1 };
@@ -101,8 +103,8 @@ impl View {
         u64::from(needed.gain_q4) * seen * age
     }
 
-    /// Whether any of a chunk's bounding circle lies within the horizontal field of view. A float test is good
-    /// enough: it only orders.
+    /// Whether any of a chunk's bounding circle lies within the horizontal field of view. A float
+    /// test is good enough: it only orders.
     fn faces(&self, key: ChunkKey) -> bool {
         let half_side = f64::from(key.side()) / 2.0;
         let (x, z) = key.origin();
@@ -122,7 +124,8 @@ impl View {
     }
 }
 
-/// `K` of the screen-error rule in whole pixels, at least 1; rounded up, so that no error is taken for smaller than it is.
+/// `K` of the screen-error rule in whole pixels, at least 1; rounded up, so that no error is taken
+/// for smaller than it is.
 #[must_use]
 pub fn pixels_per_radian(viewport_height: u16, fov_mdeg: u32) -> u32 {
     let k = f64::from(viewport_height) / (2.0 * (mdeg(fov_mdeg as i32) / 2.0).tan());

@@ -1,7 +1,8 @@
 //! The selection of one view's chunks: pure work that a server does apart from its sessions.
 //!
-//! [`crate::server::ServerSession::take_view`] yields one, a worker thread calls [`ViewSelection::step`] until it is done, and
-//! [`crate::server::ServerSession::apply_view`] takes it back. One step is bounded, so that many sessions can share a thread.
+//! [`crate::server::ServerSession::take_view`] yields one, a worker thread calls
+//! [`ViewSelection::step`] until it is done, and [`crate::server::ServerSession::apply_view`] takes
+//! it back. One step is bounded, so that many sessions can share a thread.
 
 use crate::limits::MAX_VIEW_CHUNKS;
 use crate::view::View;
@@ -62,8 +63,8 @@ impl ViewSelection {
         matches!(self.phase, Phase::Done)
     }
 
-    /// Examines about `chunks` chunks; a few hundred take some 100 us. Sorting is one step, of at most
-    /// [`MAX_VIEW_CHUNKS`] entries. Returns whether the selection is done.
+    /// Examines about `chunks` chunks; a few hundred take some 100 us. Sorting is one step, of at
+    /// most [`MAX_VIEW_CHUNKS`] entries. Returns whether the selection is done.
     pub fn step(&mut self, land: &Land, chunks: usize) -> bool {
         let chunks = chunks.max(1);
         self.phase = match std::mem::replace(&mut self.phase, Phase::Done) {

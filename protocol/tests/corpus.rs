@@ -1,8 +1,10 @@
 //! Every decoder against a committed corpus, whole and mutated.
 //!
-//! The corpus is the frozen frames under `fixtures/`. The short run mutates each for a fixed number of rounds from a fixed seed; the long
-//! one is `TOMBOLO_FUZZ_ROUNDS=100000000 cargo test --release -p protocol --test corpus`, and `TOMBOLO_FUZZ_SEED` continues
-//! where an earlier one has not been. A finding prints the bytes that make it.
+//! The corpus is the frozen frames under `fixtures/`. The short run mutates each for a fixed number
+//! of rounds from a fixed seed; the long one is
+//! `TOMBOLO_FUZZ_ROUNDS=100000000 cargo test --release -p protocol --test corpus`, and
+//! `TOMBOLO_FUZZ_SEED` continues where an earlier one has not been. A finding prints the bytes that
+//! make it.
 
 use protocol::chunk_codec::{self, Kernel, quantised, refined, seed_only};
 use protocol::limits::{CHUNK_HEADER, MAX_CHUNK_FRAME};
@@ -80,7 +82,8 @@ fn mutate(frame: &mut Vec<u8>, corpus: &[Vec<u8>], dice: &mut Dice) {
     }
 }
 
-/// Signs a chunk frame with heights anew, as a hostile server does; without it the digest stops nearly everything.
+/// Signs a chunk frame with heights anew, as a hostile server does; without it the digest stops
+/// nearly everything.
 fn sign(frame: &mut [u8], world: &WorldDigest) {
     if frame.len() < CHUNK_HEADER {
         return;

@@ -1,7 +1,8 @@
-//! The wire format, frozen: one file of hexadecimal bytes for every message and every kind of chunk.
+//! The wire format, frozen: one file of hexadecimal bytes for every message and every kind of
+//! chunk.
 //!
-//! A failing test here means that deployed peers would no longer understand each other. If that is meant, bump
-//! `PROTOCOL_VERSION` (or the chunk `VERSION`) and write the new bytes with
+//! A failing test here means that deployed peers would no longer understand each other. If that is
+//! meant, bump `PROTOCOL_VERSION` (or the chunk `VERSION`) and write the new bytes with
 //! `TOMBOLO_BLESS=1 cargo test -p protocol --test fixtures`.
 
 use protocol::chunk_codec::{Effort, quantised, refined, seed_only};

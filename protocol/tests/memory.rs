@@ -1,4 +1,5 @@
-//! What decoding takes from the heap, counted: never more than the stated cap, whatever a frame says.
+//! What decoding takes from the heap, counted: never more than the stated cap, whatever a frame
+//! says.
 //!
 //! A test binary of its own, because it replaces the allocator.
 #![expect(unsafe_code, reason = "an allocator is unsafe by nature; this one counts and passes on")]

@@ -25,7 +25,8 @@ impl Addresses {
         Self { limit, counts: Arc::default() }
     }
 
-    /// A place for one more session from an address; none if it has its share. A peer without an address is not limited.
+    /// A place for one more session from an address; none if it has its share. A peer without an
+    /// address is not limited.
     #[must_use]
     pub fn enter(&self, address: Option<IpAddr>) -> Option<Place> {
         let address = address.map(group);
@@ -54,7 +55,8 @@ impl Drop for Place {
     }
 }
 
-/// What counts as one address: an IPv6 customer is given at least a /64 (RFC 6177), so that is one; IPv4 in IPv6 is IPv4.
+/// What counts as one address: an IPv6 customer is given at least a /64 (RFC 6177), so that is one;
+/// IPv4 in IPv6 is IPv4.
 pub fn group(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(six) => IpAddr::V6((u128::from(six) >> 64 << 64).into()),

@@ -1,4 +1,5 @@
-//! From what was typed to what is meant: flags over environment over file over defaults, checked once.
+//! From what was typed to what is meant: flags over environment over file over defaults, checked
+//! once.
 
 use crate::disk::DiskConfig;
 use clap::Parser;
@@ -19,12 +20,13 @@ const DEFAULT_LOG: &str = "info";
 
 /// Streams a procedural archipelago to viewers over WebSocket and HTTP.
 ///
-/// Every option can also be set by an environment variable or in the configuration file; a flag wins over the
-/// environment, the environment over the file.
+/// Every option can also be set by an environment variable or in the configuration file; a flag
+/// wins over the environment, the environment over the file.
 #[derive(Clone, Debug, Default, Parser)]
 #[command(name = "tombolo-server", version)]
 pub struct Args {
-    /// Address and port to listen on; port 0 picks a free one and prints it [default: 127.0.0.1:7580]
+    /// Address and port to listen on; port 0 picks a free one and prints it [default:
+    /// 127.0.0.1:7580]
     #[arg(long, value_name = "ADDR", env = "TOMBOLO_LISTEN")]
     pub listen: Option<String>,
     /// Seed of the world, 0 to 18446744073709551615 [default: 1]
@@ -36,34 +38,38 @@ pub struct Args {
     /// Threads that generate chunks, 1 to 1024 [default: one per core]
     #[arg(long, value_name = "N", env = "TOMBOLO_THREADS")]
     pub threads: Option<usize>,
-    /// Memory for encoded chunks in MiB, 1 to 65536; an eighth as much again for tiles of the map [default: 128]
+    /// Memory for encoded chunks in MiB, 1 to 65536; an eighth as much again for tiles of the map
+    /// [default: 128]
     #[arg(long, value_name = "N", env = "TOMBOLO_CACHE_MB")]
     pub cache_mb: Option<u64>,
-    /// Folder for encoded chunks that were dear to make, kept over restarts; without it there is none
+    /// Folder for encoded chunks that were dear to make, kept over restarts; without it there is
+    /// none
     #[arg(long, value_name = "DIR", env = "TOMBOLO_DISK_CACHE")]
     pub disk_cache: Option<PathBuf>,
     /// Disk space for them in MiB, 64 to 262144 [default: 1024]
     #[arg(long, value_name = "N", env = "TOMBOLO_DISK_MB")]
     pub disk_mb: Option<u64>,
-    /// File whose first line is the token that clients must present; without it everybody is admitted
+    /// File whose first line is the token that clients must present; without it everybody is
+    /// admitted
     #[arg(long, value_name = "FILE", env = "TOMBOLO_TOKEN_FILE")]
     pub token_file: Option<PathBuf>,
     /// Sessions at once, 1 to 100000; one more is answered with 503 [default: 1024]
     #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS")]
     pub max_sessions: Option<usize>,
-    /// Sessions at once from one address (IPv6: one /64 network), 1 to 100000; one more is answered with 503 [default: as
-    /// --max-sessions]
+    /// Sessions at once from one address (IPv6: one /64 network), 1 to 100000; one more is answered
+    /// with 503 [default: as --max-sessions]
     #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS_PER_ADDRESS")]
     pub max_sessions_per_address: Option<usize>,
-    /// Milliseconds of work a second (chunks made, bytes sent) that one address may cost (IPv6: one /64 network), 1 to 1000000; 1000
-    /// is one thread [default: no limit]
+    /// Milliseconds of work a second (chunks made, bytes sent) that one address may cost (IPv6: one
+    /// /64 network), 1 to 1000000; 1000 is one thread [default: no limit]
     #[arg(long, value_name = "MS", env = "TOMBOLO_COST_PER_SECOND")]
     pub cost_per_second: Option<u64>,
-    /// Longest time in milliseconds that a requested chunk may wait to be generated, 10 to 60000; what would wait longer is
-    /// refused as overloaded [default: 500]
+    /// Longest time in milliseconds that a requested chunk may wait to be generated, 10 to 60000;
+    /// what would wait longer is refused as overloaded [default: 500]
     #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS")]
     pub deadline_ms: Option<u64>,
-    /// Log filter: error, warn, info, debug, trace, or per module as in `info,server=debug` [default: info]
+    /// Log filter: error, warn, info, debug, trace, or per module as in `info,server=debug`
+    /// [default: info]
     #[arg(long, value_name = "FILTER", env = "TOMBOLO_LOG")]
     pub log: Option<String>,
     /// Log lines as JSON instead of text

@@ -1,19 +1,22 @@
-//! The generation service: one job per key however many ask, on a pool of compute threads behind a bounded, fair queue.
+//! The generation service: one job per key however many ask, on a pool of compute threads behind a
+//! bounded, fair queue.
 //!
-//! A chunk has one frame per delivery. A job makes the chunk once and encodes only the frames that somebody waits for: a
-//! server whose clients all regenerate spends neither time nor cache on exact frames a hundred times the size. When another
-//! delivery of a cached chunk is asked for later, the heights are made again but the error, the costly part, is taken from the
-//! cached frame.
+//! A chunk has one frame per delivery. A job makes the chunk once and encodes only the frames that
+//! somebody waits for: a server whose clients all regenerate spends neither time nor cache on exact
+//! frames a hundred times the size. When another delivery of a cached chunk is asked for later, the
+//! heights are made again but the error, the costly part, is taken from the cached frame.
 //!
-//! Askers are [`Flow`]s: a session is one, a download another. A thread takes one flow's turn at a time ([`queue`]), which is several
-//! cheap chunks or one dear one, and answers it as a whole, so that a session wakes and writes once for all of them. A job belongs
-//! to the service, never to the asker, so an asker that vanishes harms nobody else; a queued job that nobody waits for any more is
-//! dropped unrun. What is not in memory may be on disk ([`crate::disk`]): a job looks there first. Finished frames go into a byte-weighed cache before the job disappears, so a key is never made twice at the same
-//! time.
+//! Askers are [`Flow`]s: a session is one, a download another. A thread takes one flow's turn at a
+//! time ([`queue`]), which is several cheap chunks or one dear one, and answers it as a whole, so
+//! that a session wakes and writes once for all of them. A job belongs to the service, never to the
+//! asker, so an asker that vanishes harms nobody else; a queued job that nobody waits for any more
+//! is dropped unrun. What is not in memory may be on disk ([`crate::disk`]): a job looks there
+//! first. Finished frames go into a byte-weighed cache before the job disappears, so a key is never
+//! made twice at the same time.
 //!
-//! Reading order: [`flow`] (asking), [`queue`] (whose turn it is), [`cost`] (what a turn is measured in), `runner` (making), [`views`] (selecting),
-//! [`frames`] (what
-//! is made already). This file owns what they share.
+//! Reading order: [`flow`] (asking), [`queue`] (whose turn it is), [`cost`] (what a turn is
+//! measured in), `runner` (making), [`views`] (selecting), [`frames`] (what is made already). This
+//! file owns what they share.
 
 pub mod cost;
 pub mod flow;
@@ -61,9 +64,11 @@ pub struct Limits {
     pub threads: usize,
     /// Memory for frames, bytes.
     pub cache_bytes: u64,
-    /// Jobs that may wait or run. Asking for one more is refused with [`GenerationError::Overloaded`].
+    /// Jobs that may wait or run. Asking for one more is refused with
+    /// [`GenerationError::Overloaded`].
     pub jobs: usize,
-    /// Longest wait of a request. One that has waited longer is refused instead of made: its asker has moved on.
+    /// Longest wait of a request. One that has waited longer is refused instead of made: its asker
+    /// has moved on.
     pub deadline: Duration,
 }
 
@@ -90,14 +95,16 @@ struct Shared {
     costs: Costs,
     limits: Limits,
     next_flow: AtomicU64,
-    /// Flows that wait for something: those that share the threads, whether or not a thread has just emptied their queue.
+    /// Flows that wait for something: those that share the threads, whether or not a thread has
+    /// just emptied their queue.
     open_flows: AtomicUsize,
     metrics: Arc<Metrics>,
 }
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, Queue> {
-        // No code under the lock can panic half-way through a change, so a poisoned queue is still sound.
+        // No code under the lock can panic half-way through a change, so a poisoned queue is still
+        // sound.
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -115,7 +122,8 @@ impl Generation {
         Self::with_disk(source, limits, None, metrics)
     }
 
-    /// As [`Generation::new`]; what memory lacks is looked for on a disk, if there is one, before it is made.
+    /// As [`Generation::new`]; what memory lacks is looked for on a disk, if there is one, before
+    /// it is made.
     ///
     /// # Errors
     /// The system refuses to start threads.
@@ -157,7 +165,8 @@ impl Generation {
     /// Starts a thread's work unless all threads are at work.
     fn start_runner(&self, queue: &mut Queue) {
         if queue.runners < self.shared.limits.threads {
-            // A runner takes turns until nothing waits, so there are never more of them than threads.
+            // A runner takes turns until nothing waits, so there are never more of them than
+            // threads.
             queue.runners += 1;
             let shared = Arc::clone(&self.shared);
             self.pool.spawn(move || shared.run());
@@ -176,8 +185,8 @@ impl Generation {
         Flow::new(self.clone(), self.shared.next_flow.fetch_add(1, Ordering::Relaxed), purse)
     }
 
-    /// Further requests of one flow that can be made within the deadline, as far as the recent past tells. What exceeds it is
-    /// better refused at once than after a wait.
+    /// Further requests of one flow that can be made within the deadline, as far as the recent past
+    /// tells. What exceeds it is better refused at once than after a wait.
     #[must_use]
     pub fn allowance(&self) -> usize {
         let Limits { threads, deadline, .. } = self.shared.limits;
@@ -185,7 +194,8 @@ impl Generation {
         if self.shared.lock().waiting() == 0 {
             return usize::MAX;
         }
-        // Half of it: the other half is for what the estimate leaves out, sessions that write and machines that are shared.
+        // Half of it: the other half is for what the estimate leaves out, sessions that write and
+        // machines that are shared.
         self.shared.costs.within(deadline / 2, threads, self.shared.open_flows.load(Ordering::Relaxed))
     }
 

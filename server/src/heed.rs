@@ -1,21 +1,26 @@
-//! How long a session is not listened to after it was refused something. Plain data: the socket has the clock.
+//! How long a session is not listened to after it was refused something. Plain data: the socket has
+//! the clock.
 //!
-//! To read, judge and refuse a request is work as well, and no turn of the generation service bounds it: a client that asks again the
-//! moment it is refused could keep a core busy with nothing else, at the cost of everybody's chunks. So a session gets its share of that
-//! work too. What it was refused is counted in time, that of all who share the server, and for as long nothing is read from it;
-//! what it is owed it gets meanwhile. The rest waits in the socket's buffers, and in the end in the client.
+//! To read, judge and refuse a request is work as well, and no turn of the generation service
+//! bounds it: a client that asks again the moment it is refused could keep a core busy with nothing
+//! else, at the cost of everybody's chunks. So a session gets its share of that work too. What it
+//! was refused is counted in time, that of all who share the server, and for as long nothing is
+//! read from it; what it is owed it gets meanwhile. The rest waits in the socket's buffers, and in
+//! the end in the client.
 
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// What one refusal costs a thread: reading, judging and writing. Rather too much than too little: it is a client's part not to ask again at once.
+/// What one refusal costs a thread: reading, judging and writing. Rather too much than too little:
+/// it is a client's part not to ask again at once.
 const REFUSAL: Duration = Duration::from_micros(4);
 
-/// The longest pause. A cancellation or a new view behind the refused requests should not wait for longer.
+/// The longest pause. A cancellation or a new view behind the refused requests should not wait for
+/// longer.
 const MOST: Duration = Duration::from_millis(100);
 
-/// Shorter pauses are not worth a timer, and whoever asks a hundred times a second hardly notices them. They are not forgotten: they add up as long
-/// as time does not pass over them.
+/// Shorter pauses are not worth a timer, and whoever asks a hundred times a second hardly notices
+/// them. They are not forgotten: they add up as long as time does not pass over them.
 const LEAST: Duration = Duration::from_millis(10);
 
 /// See the module.
@@ -83,7 +88,8 @@ mod tests {
     #[test]
     fn whoever_is_refused_now_and_then_is_always_heard_and_whoever_is_refused_without_end_is_not() {
         let start = Instant::now();
-        // A refusal among ten sharers takes 40 us from everybody: one in 50 us is within its share, one in 30 is not.
+        // A refusal among ten sharers takes 40 us from everybody: one in 50 us is within its share,
+        // one in 30 is not.
         for (every_us, is_paused) in [(50, false), (30, true)] {
             let (mut heed, mut pauses) = (Heed::new(start), 0);
             for number in 0..1000 {

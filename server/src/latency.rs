@@ -1,6 +1,8 @@
-//! A histogram of durations that costs one relaxed addition to count in, and that tells quantiles of any span between two looks.
+//! A histogram of durations that costs one relaxed addition to count in, and that tells quantiles
+//! of any span between two looks.
 //!
-//! Buckets are eighths of octaves from 16 µs to 69 s, so a quantile is off by at most 6 percent. In the metrics they are merged to octaves.
+//! Buckets are eighths of octaves from 16 µs to 69 s, so a quantile is off by at most 6 percent. In
+//! the metrics they are merged to octaves.
 
 use prometheus_client::encoding::{EncodeMetric, MetricEncoder, NoLabelSet};
 use prometheus_client::metrics::MetricType;
@@ -52,7 +54,8 @@ impl Latency {
     }
 }
 
-/// The value, in milliseconds, that a share of the events between two looks did not exceed; none if there were none.
+/// The value, in milliseconds, that a share of the events between two looks did not exceed; none if
+/// there were none.
 #[must_use]
 pub fn quantile_ms(before: &Counts, after: &Counts, share: f64) -> Option<f64> {
     let between = || before.iter().zip(after).map(|(before, after)| after.saturating_sub(*before));

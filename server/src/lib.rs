@@ -1,13 +1,16 @@
 //! The server: chunks made on demand, streamed to many.
 //!
-//! [`run`] is the whole of it: a bound listener, a checked configuration and a shutdown signal go in, and it
-//! returns when the last session is gone. Reading order: [`config`], [`listener`] (over [`patient`] connections), [`http`], [`socket`]
-//! (one task per client around the sans-IO session of the `protocol` crate, over a [`websocket`]), [`generation`] (one job per key
-//! however many ask), [`disk`] (what outlives the process), [`source`] (where chunks come from), [`map`] (pictures of them), [`live`] (what happens at the moment), [`addresses`] and [`purse`] (what one address may take), [`silence`] and [`heed`] (who is
-//! not heard, and who is not listened to),
+//! [`run`] is the whole of it: a bound listener, a checked configuration and a shutdown signal go
+//! in, and it returns when the last session is gone. Reading order: [`config`], [`listener`] (over
+//! [`patient`] connections), [`http`], [`socket`] (one task per client around the sans-IO session
+//! of the `protocol` crate, over a [`websocket`]), [`generation`] (one job per key however many
+//! ask), [`disk`] (what outlives the process), [`source`] (where chunks come from), [`map`]
+//! (pictures of them), [`live`] (what happens at the moment), [`addresses`] and [`purse`] (what one
+//! address may take), [`silence`] and [`heed`] (who is not heard, and who is not listened to),
 //! [`latency`], [`metrics`].
 //!
-//! What it refuses: drawing (no GPU crate is in its dependency tree) and state that a reconnect cannot rebuild.
+//! What it refuses: drawing (no GPU crate is in its dependency tree) and state that a reconnect
+//! cannot rebuild.
 
 #![forbid(unsafe_code)]
 

@@ -1,7 +1,7 @@
 //! Accepting connections, and letting go of them.
 //!
-//! An own accept loop around hyper instead of `axum::serve`: hyper enforces its header timeout only when it is given a
-//! timer, and upgraded sockets must be counted and drained by whoever owns them.
+//! An own accept loop around hyper instead of `axum::serve`: hyper enforces its header timeout only
+//! when it is given a timer, and upgraded sockets must be counted and drained by whoever owns them.
 
 use crate::addresses::Addresses;
 use crate::config::ServerConfig;
@@ -32,11 +32,12 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
-/// Connections beyond the sessions, for probes, metrics and chunk downloads. When all are taken, accepting pauses and
-/// the system's backlog holds the rest.
+/// Connections beyond the sessions, for probes, metrics and chunk downloads. When all are taken,
+/// accepting pauses and the system's backlog holds the rest.
 const SPARE_CONNECTIONS: usize = 256;
 
-/// Connections that one address may have beyond its sessions: a quarter of the spare ones, so that nobody takes them all.
+/// Connections that one address may have beyond its sessions: a quarter of the spare ones, so that
+/// nobody takes them all.
 const SPARE_OF_ADDRESS: usize = SPARE_CONNECTIONS / 4;
 
 /// Of the memory for chunks, as much again as one part in so many for tiles of the map.
@@ -112,8 +113,8 @@ impl Shared {
     }
 }
 
-/// Serves until `shutdown` completes, then drains: no new connections, a notice and a close frame to every session,
-/// and at most [`ServerConfig::drain_timeout`] for them to end.
+/// Serves until `shutdown` completes, then drains: no new connections, a notice and a close frame
+/// to every session, and at most [`ServerConfig::drain_timeout`] for them to end.
 ///
 /// # Errors
 /// The system refuses to start the generation threads. Accept errors are logged and survived.
@@ -129,7 +130,8 @@ pub async fn run(
     let router = http::router(Arc::clone(&shared));
     let connections = TaskTracker::new();
     let slots = Arc::new(Semaphore::new(shared.config.max_sessions + SPARE_CONNECTIONS));
-    // A session leaves its connection's place when it begins, so these are requests, downloads, and who has not said what it wants.
+    // A session leaves its connection's place when it begins, so these are requests, downloads, and
+    // who has not said what it wants.
     let places = Addresses::new(shared.config.max_sessions_per_address.saturating_add(SPARE_OF_ADDRESS));
     tokio::pin!(shutdown);
     loop {
@@ -173,7 +175,8 @@ pub async fn run(
     Ok(())
 }
 
-/// Accepts one connection. A failure (most often: out of file descriptors) is waited out, since the cause outlives a retry.
+/// Accepts one connection. A failure (most often: out of file descriptors) is waited out, since the
+/// cause outlives a retry.
 async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
     loop {
         match listener.accept().await {

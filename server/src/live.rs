@@ -1,8 +1,9 @@
-//! What happens at the moment: who is where, and how fast chunks flow. Sampled when somebody asks, at most once a second.
+//! What happens at the moment: who is where, and how fast chunks flow. Sampled when somebody asks,
+//! at most once a second.
 //!
-//! Sessions leave their place and counts in a [`Seat`], which costs them a few relaxed stores; nothing else happens until somebody
-//! looks. What it refuses: addresses, names, tokens. A session is its number and where it looks from, which all clients may know of each
-//! other.
+//! Sessions leave their place and counts in a [`Seat`], which costs them a few relaxed stores;
+//! nothing else happens until somebody looks. What it refuses: addresses, names, tokens. A session
+//! is its number and where it looks from, which all clients may know of each other.
 
 use crate::generation::Generation;
 use crate::latency::{self, Counts, Latency};
@@ -19,10 +20,12 @@ use terrain::constants::UNITS_PER_METRE;
 /// Sessions told one by one, the longest open first; the others are counted.
 pub const MAX_LISTED: usize = 256;
 
-/// Youngest age of a sample that is replaced when somebody asks. A little under the second at which pages ask.
+/// Youngest age of a sample that is replaced when somebody asks. A little under the second at which
+/// pages ask.
 const REFRESH: Duration = Duration::from_millis(900);
 
-/// A look longer ago is none to compare with: a mean over minutes is not what happens at the moment.
+/// A look longer ago is none to compare with: a mean over minutes is not what happens at the
+/// moment.
 const MAX_SPAN: Duration = Duration::from_secs(10);
 
 /// One session as others see it.

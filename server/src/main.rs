@@ -8,7 +8,8 @@ use tracing_subscriber::EnvFilter;
 
 const NAME: &str = "tombolo-server";
 
-/// A chunk is made in blocks of some 20 KiB that live for microseconds. The system's allocator gives such memory back to the kernel and asks for it again, page by page.
+/// A chunk is made in blocks of some 20 KiB that live for microseconds. The system's allocator
+/// gives such memory back to the kernel and asks for it again, page by page.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
@@ -43,7 +44,8 @@ async fn serve(config: ServerConfig) -> Result<(), String> {
     let bound = listener.local_addr().map_err(|error| format!("cannot tell the bound address: {error}"))?;
     // Before the address is told: who knows the address may already want to stop the server.
     let interrupted = interruption().map_err(|error| format!("cannot listen for signals: {error}"))?;
-    // On standard output, for scripts that start a server on port 0. Nobody reading it is no reason to stop.
+    // On standard output, for scripts that start a server on port 0. Nobody reading it is no reason
+    // to stop.
     let _ = writeln!(std::io::stdout(), "listening on http://{bound}");
     server::run(listener, config, interrupted)
         .await

@@ -1,4 +1,5 @@
-//! Counters of one server, in the OpenMetrics text format. No globals: two servers in one process count apart.
+//! Counters of one server, in the OpenMetrics text format. No globals: two servers in one process
+//! count apart.
 
 use crate::http::problem::Kind;
 use crate::latency::Latency;
@@ -51,13 +52,15 @@ pub struct Metrics {
     pub chunk_bytes_delivered: Family<DeliveryLabel, Counter>,
     /// Refusals sent inside sessions.
     pub refusals: Counter,
-    /// The same by reason; every reason is there from the start, so that a rate can be taken of the first one.
+    /// The same by reason; every reason is there from the start, so that a rate can be taken of the
+    /// first one.
     refusals_by_reason: [Counter; RefusalReason::ALL.len()],
     /// Views selected.
     pub views: Counter,
     /// Views replaced by a newer one before they were selected.
     pub superseded_views: Counter,
-    /// Seconds that generation threads spent on views, those that nobody waited for in the end included.
+    /// Seconds that generation threads spent on views, those that nobody waited for in the end
+    /// included.
     pub view_seconds: Counter<f64, AtomicU64>,
     /// Seconds per selected view.
     pub view_selection_seconds: Histogram,
@@ -151,7 +154,8 @@ impl Default for Metrics {
             views: Counter::default(),
             superseded_views: Counter::default(),
             view_seconds: Counter::default(),
-            // 50 us to 0.4 s: a still view of 1 km takes the least, one of 16,384 chunks that moves the most.
+            // 50 us to 0.4 s: a still view of 1 km takes the least, one of 16,384 chunks that moves
+            // the most.
             view_selection_seconds: Histogram::new(exponential_buckets(0.00005, 2.0, 14)),
             requested: Counter::default(),
             cache_hits: Counter::default(),
@@ -162,7 +166,8 @@ impl Default for Metrics {
             cancelled: Counter::default(),
             failed: Counter::default(),
             queue: Gauge::default(),
-            // 0.1 ms to 0.8 s: a sea chunk takes the least, a coarse chunk with its measured error the most.
+            // 0.1 ms to 0.8 s: a sea chunk takes the least, a coarse chunk with its measured error
+            // the most.
             generation_seconds: Histogram::new(exponential_buckets(0.0001, 2.0, 14)),
             disk_hits: Counter::default(),
             disk_misses: Counter::default(),

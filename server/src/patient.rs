@@ -1,7 +1,8 @@
 //! A connection whose peer must read: a write that makes no progress for too long breaks it.
 //!
-//! hyper waits for a reader without end, and a connection that waits holds one of the places that everybody shares. Sessions have a deadline
-//! of their own for a whole write; this is for what comes before them and beside them.
+//! hyper waits for a reader without end, and a connection that waits holds one of the places that
+//! everybody shares. Sessions have a deadline of their own for a whole write; this is for what
+//! comes before them and beside them.
 
 use std::io::{self, ErrorKind, IoSlice};
 use std::pin::Pin;

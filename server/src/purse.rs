@@ -1,12 +1,14 @@
 //! What one address may cost: a bucket of work that fills at a rate.
 //!
-//! Turns by cost share the threads between those who wait; they slow nobody who is alone. Where a server's time or traffic is paid for, or the
-//! machine has other work, an address can be bounded besides: by the microseconds of generation that it causes and the bytes that it is sent,
-//! in one currency. Whoever has spent what it has waits until there is something again: views for as long as it takes, requests as
-//! long as the deadline allows, and what would wait longer is refused as overloaded at once.
+//! Turns by cost share the threads between those who wait; they slow nobody who is alone. Where a
+//! server's time or traffic is paid for, or the machine has other work, an address can be bounded
+//! besides: by the microseconds of generation that it causes and the bytes that it is sent, in one
+//! currency. Whoever has spent what it has waits until there is something again: views for as long
+//! as it takes, requests as long as the deadline allows, and what would wait longer is refused as
+//! overloaded at once.
 //!
-//! By address, since sessions are free: a limit on one would be a limit on none. An address may overdraw by one chunk, so that any
-//! chunk can be had at any rate.
+//! By address, since sessions are free: a limit on one would be a limit on none. An address may
+//! overdraw by one chunk, so that any chunk can be had at any rate.
 
 use crate::addresses::group;
 use rustc_hash::FxHashMap;
@@ -15,10 +17,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// What a purse holds when full, as time of filling: a first view at once, seconds after nothing was asked for.
+/// What a purse holds when full, as time of filling: a first view at once, seconds after nothing
+/// was asked for.
 const DEPTH_S: f64 = 10.0;
 
-/// Microseconds that sending a KiB counts. One server thread writes some GB a second of processor time.
+/// Microseconds that sending a KiB counts. One server thread writes some GB a second of processor
+/// time.
 const US_PER_KIB: f64 = 1.0;
 
 /// Addresses with something spent before those that have it back are looked for.
@@ -37,8 +41,8 @@ pub struct Purses {
 struct Shared {
     /// Microseconds of work a second.
     rate: f64,
-    /// Only of addresses whose purse is not full, and of those not yet swept out: at most twice as many as spent anything within [`DEPTH_S`], and
-    /// [`SWEEP_AT`].
+    /// Only of addresses whose purse is not full, and of those not yet swept out: at most twice as
+    /// many as spent anything within [`DEPTH_S`], and [`SWEEP_AT`].
     accounts: Mutex<Accounts>,
 }
 
@@ -89,7 +93,8 @@ impl Purse {
         self.of.is_some()
     }
 
-    /// Among how many a thread would have to be shared for each to get what this purse is filled with; 1 where nothing is counted.
+    /// Among how many a thread would have to be shared for each to get what this purse is filled
+    /// with; 1 where nothing is counted.
     #[must_use]
     pub fn sharers(&self) -> usize {
         self.of.as_ref().map_or(1, |(_, shared)| (1e6 / shared.rate).ceil().max(1.0) as usize)
@@ -104,7 +109,8 @@ impl Purse {
         });
     }
 
-    /// Takes out the time that the selection of a view took, microseconds. The mean cost of a chunk does not change.
+    /// Takes out the time that the selection of a view took, microseconds. The mean cost of a chunk
+    /// does not change.
     pub fn pay_view(&self, us: i64, now: Instant) {
         self.with(now, |account, _| account.balance -= us as f64);
     }
@@ -130,7 +136,8 @@ impl Purse {
     pub fn affords(&self, time: Duration, now: Instant) -> usize {
         let affords = |account: &mut Account, rate: f64| {
             let means = (account.balance + rate * time.as_secs_f64()).max(0.0);
-            // As a cast of more than fits does, what costs nothing can be had as often as one likes.
+            // As a cast of more than fits does, what costs nothing can be had as often as one
+            // likes.
             (means / account.mean.max(1.0)) as usize
         };
         self.with(now, affords).unwrap_or(usize::MAX)
@@ -154,7 +161,8 @@ impl Purse {
 }
 
 impl Account {
-    /// What it has become by a moment. Moments may come in any order: threads read the clock before they have the lock.
+    /// What it has become by a moment. Moments may come in any order: threads read the clock before
+    /// they have the lock.
     fn filled(self, rate: f64, full: f64, now: Instant) -> Self {
         let gained = rate * now.saturating_duration_since(self.at).as_secs_f64();
         Self { balance: (self.balance + gained).min(full), at: self.at.max(now), ..self }

@@ -17,8 +17,8 @@ pub enum Due {
     End,
 }
 
-/// The silence of one peer, measured from the last that was heard of it and not by a clock of its own: a beat that just misses the limit would
-/// see it a whole interval late.
+/// The silence of one peer, measured from the last that was heard of it and not by a clock of its
+/// own: a beat that just misses the limit would see it a whole interval late.
 #[derive(Clone, Copy, Debug)]
 pub struct Silence {
     interval: Duration,
@@ -57,7 +57,8 @@ mod tests {
 
     const INTERVAL: Duration = Duration::from_secs(20);
 
-    /// Follows a peer that is heard at these milliseconds, in order, and then never again. Returns the pings and the end.
+    /// Follows a peer that is heard at these milliseconds, in order, and then never again. Returns
+    /// the pings and the end.
     fn follow(heard: &[u64]) -> (Vec<u64>, u64) {
         let start = Instant::now();
         let at = |milliseconds| start + Duration::from_millis(milliseconds);

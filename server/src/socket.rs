@@ -1,8 +1,9 @@
 //! One client: a WebSocket around the sans-IO session.
 //!
-//! The loop does three things in turn: asks the session what to make and hands that to the generation service, writes what the
-//! session has to say in one flush, and waits for whatever comes first. It reads nothing while a write is under way, so a
-//! client that does not read cannot make it collect answers; a write that takes too long ends the session.
+//! The loop does three things in turn: asks the session what to make and hands that to the
+//! generation service, writes what the session has to say in one flush, and waits for whatever
+//! comes first. It reads nothing while a write is under way, so a client that does not read cannot
+//! make it collect answers; a write that takes too long ends the session.
 
 use crate::generation::{Done, Flow, FlowAnswer, GenerationError};
 use crate::heed::Heed;
@@ -26,15 +27,15 @@ use terrain::ChunkKey;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::time::{Instant, timeout};
 
-/// Chunks of one session that may be in generation at once. More would order its chunks by an old view; fewer would not fill its
-/// turn of the service.
+/// Chunks of one session that may be in generation at once. More would order its chunks by an old
+/// view; fewer would not fill its turn of the service.
 const JOB_WINDOW: usize = 16;
 
 /// Cached chunks collected before they are written out: about 300 KiB of exact frames, one write.
 const BATCH: usize = 64;
 
-/// The longest message that is read before it is refused by size. Above the protocol's limit, so that a client that
-/// exceeds the limit a little has its frame judged by the protocol.
+/// The longest message that is read before it is refused by size. Above the protocol's limit, so
+/// that a client that exceeds the limit a little has its frame judged by the protocol.
 pub const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
 
 /// Why a session ended, and what its peer is told.
@@ -93,7 +94,8 @@ struct Driver<'a, S> {
     seat: Seated,
     /// Since when each chunk in generation is taken up. At most [`JOB_WINDOW`].
     taken: Vec<(ChunkKey, Instant)>,
-    /// Since when chunks that wait for the next flush were taken up, and how many. At most [`JOB_WINDOW`] and one batch.
+    /// Since when chunks that wait for the next flush were taken up, and how many. At most
+    /// [`JOB_WINDOW`] and one batch.
     unwritten: Vec<(Instant, u64)>,
 }
 
@@ -102,7 +104,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let config = &self.shared.config;
         let handshake_by = Instant::now() + config.handshake_timeout;
         let mut silence = Silence::new(config.ping_interval, Instant::now());
-        // Moved on only when it is reached: a peer that speaks often must not cost a timer each time.
+        // Moved on only when it is reached: a peer that speaks often must not cost a timer each
+        // time.
         let look = tokio::time::sleep_until(silence.at(Instant::now()).1);
         tokio::pin!(look);
         // What came behind the upgrade's request is here already.
@@ -166,8 +169,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         }
     }
 
-    /// Hands wanted chunks to the generation service, and cached ones straight back to the session. True if it stopped
-    /// only to let a full batch be written.
+    /// Hands wanted chunks to the generation service, and cached ones straight back to the session.
+    /// True if it stopped only to let a full batch be written.
     fn start_jobs(&mut self) -> bool {
         let (mut batch, now) = (0, Instant::now());
         let mut more = false;
@@ -201,7 +204,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         more
     }
 
-    /// Takes everything that was read, and then sees to what it made stale or what there is too much of.
+    /// Takes everything that was read, and then sees to what it made stale or what there is too
+    /// much of.
     async fn receive(&mut self) -> Result<(), End> {
         let admitted = self.session.waiting_requests();
         while self.receive_message().await? {
@@ -265,7 +269,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             }
             Ok(Some(Message::Pong)) => return Ok(true),
             Ok(Some(Message::Close(_))) => {
-                // RFC 6455, section 5.5.1: the answer to a good-bye is one. Nothing that goes wrong with it matters.
+                // RFC 6455, section 5.5.1: the answer to a good-bye is one. Nothing that goes wrong
+                // with it matters.
                 self.socket
                     .queue_as(Opcode::Close, Bytes::copy_from_slice(&CloseCode::Normal.code().to_be_bytes()));
                 let _ = within(self.shared.config.write_timeout, self.socket.flush()).await;
@@ -339,7 +344,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         End::tell("drained", CloseCode::GoingAway)
     }
 
-    /// Sends the close frame and waits briefly for the peer to go, so that what was written before it arrives.
+    /// Sends the close frame and waits briefly for the peer to go, so that what was written before
+    /// it arrives.
     async fn close(&mut self, code: CloseCode, text: &str) {
         let text = &text[..text.floor_char_boundary(MAX_CONTROL_PAYLOAD - 2)];
         let payload = [&code.code().to_be_bytes(), text.as_bytes()].concat();
@@ -391,7 +397,8 @@ impl End {
     }
 }
 
-/// Runs a write under the deadline. A peer that does not read in time is not told: it would not read that either.
+/// Runs a write under the deadline. A peer that does not read in time is not told: it would not
+/// read that either.
 async fn within(deadline: Duration, write: impl Future<Output = io::Result<()>>) -> Result<(), End> {
     match timeout(deadline, write).await {
         Ok(Ok(())) => Ok(()),

@@ -1,5 +1,5 @@
-//! Where chunks come from: one narrow seam, so that a baked store or real elevation data can take the place of
-//! the generator.
+//! Where chunks come from: one narrow seam, so that a baked store or real elevation data can take
+//! the place of the generator.
 
 use protocol::chunk_codec::seed_only;
 use terrain::{Chunk, ChunkKey, Land, WorldDigest};
@@ -11,8 +11,9 @@ pub trait ChunkSource: Send + Sync + 'static {
 
     /// The chunk of a key. Pure: the same key always gives the same chunk.
     ///
-    /// `known_error` is the chunk's error in units where it is known from an earlier making. A source that would have to
-    /// measure it, which costs many times what the heights do, takes it from there.
+    /// `known_error` is the chunk's error in units where it is known from an earlier making. A
+    /// source that would have to measure it, which costs many times what the heights do, takes it
+    /// from there.
     fn chunk(&self, key: ChunkKey, known_error: Option<u32>) -> Chunk;
 }
 

@@ -1,6 +1,7 @@
 //! From an HTTP request to a WebSocket: RFC 6455, section 4.2.
 //!
-//! What it refuses: everything that is no such request, in one sentence, before the connection changes hands.
+//! What it refuses: everything that is no such request, in one sentence, before the connection
+//! changes hands.
 
 use crate::patient::Patient;
 use crate::socket::READ_LIMIT;

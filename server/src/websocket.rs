@@ -1,9 +1,11 @@
-//! A WebSocket over a byte stream, as a server needs it: many frames out in one vectored write, many messages in from one read.
+//! A WebSocket over a byte stream, as a server needs it: many frames out in one vectored write,
+//! many messages in from one read.
 //!
-//! Payloads are shared, never copied: a cached chunk goes from the cache to the kernel. Reading uses one buffer a thread, so that
-//! a silent connection costs no buffer at all. What libraries offer instead was measured: one that copies each payload and
-//! reserves buffers for each connection needs more memory than the rest of a session, and 1.3 to 1.9 times the CPU for answers
-//! to small requests.
+//! Payloads are shared, never copied: a cached chunk goes from the cache to the kernel. Reading
+//! uses one buffer a thread, so that a silent connection costs no buffer at all. What libraries
+//! offer instead was measured: one that copies each payload and reserves buffers for each
+//! connection needs more memory than the rest of a session, and 1.3 to 1.9 times the CPU for
+//! answers to small requests.
 //!
 //! What it refuses: extensions, text (told apart, not read), and messages beyond its limit.
 
@@ -21,10 +23,12 @@ use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-/// Bytes taken from a connection at once. About 400 requests of one key; what they cause is written before more is read.
+/// Bytes taken from a connection at once. About 400 requests of one key; what they cause is written
+/// before more is read.
 const READ_BUFFER: usize = 16 * 1024;
 
-/// Pieces given to one write: header and payload of 64 messages, about 300 KiB of exact chunks. Linux takes up to 1,024.
+/// Pieces given to one write: header and payload of 64 messages, about 300 KiB of exact chunks.
+/// Linux takes up to 1,024.
 const PIECES: usize = 128;
 
 thread_local! {
@@ -44,8 +48,8 @@ pub struct WebSocket<S> {
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
-    /// A WebSocket whose upgrade is done; `early` is what the client sent behind its request. Messages longer than `limit` bytes
-    /// are refused.
+    /// A WebSocket whose upgrade is done; `early` is what the client sent behind its request.
+    /// Messages longer than `limit` bytes are refused.
     #[must_use]
     pub fn new(stream: S, early: &[u8], limit: usize) -> Self {
         let mut inbox = Inbox::new(limit);
@@ -99,7 +103,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         !self.outbox.is_empty()
     }
 
-    /// Writes everything that is queued. When it is cancelled, a later call goes on where it stopped.
+    /// Writes everything that is queued. When it is cancelled, a later call goes on where it
+    /// stopped.
     ///
     /// # Errors
     /// The connection broke.
@@ -151,7 +156,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         }
     }
 
-    /// Reads and forgets until the peer ends the connection, so that what was written last is not lost to a reset.
+    /// Reads and forgets until the peer ends the connection, so that what was written last is not
+    /// lost to a reset.
     pub async fn drain(&mut self) {
         while poll_fn(|context| {
             SCRATCH.with_borrow_mut(|scratch| {

@@ -1,4 +1,5 @@
-//! What the CPU hands to the shaders, byte for byte. Tests compare every offset with naga's reflection of the WGSL.
+//! What the CPU hands to the shaders, byte for byte. Tests compare every offset with naga's
+//! reflection of the WGSL.
 
 use crate::twin::morph::Seams;
 use bytemuck::{Pod, Zeroable};
@@ -65,7 +66,8 @@ pub struct Frame {
     pub air: Air,
 }
 
-/// What sun and sky give in a frame; `shared/frame.wesl` documents each field. Three components and a gap each.
+/// What sun and sky give in a frame; `shared/frame.wesl` documents each field. Three components and
+/// a gap each.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Air {
@@ -91,7 +93,8 @@ pub struct Air {
     pub sky_south: [f32; 4],
 }
 
-/// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant of `shared/frame.wesl`.
+/// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant
+/// of `shared/frame.wesl`.
 pub const PATTERN_PERIOD_M: i32 = 8192;
 
 /// One ray for `probe_waves`; that file documents each field.
@@ -283,7 +286,8 @@ pub struct ReliefObject {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct TerrainInstance {
-    /// Low corner minus the eye's whole units, metres; the vertical part is minus the eye's height. Exact below 65 km.
+    /// Low corner minus the eye's whole units, metres; the vertical part is minus the eye's height.
+    /// Exact below 65 km.
     pub origin_m: [f32; 3],
     /// Distance between vertices, metres.
     pub spacing_m: f32,
@@ -299,17 +303,20 @@ pub struct TerrainInstance {
     pub parent_slot: u32,
     /// Morphs of the edges, a byte each: north (lowest), east, south, west.
     pub edges: u32,
-    /// Morphs of the corners, a byte each: (low, low), (high x, low z), (low x, high z), (high, high).
+    /// Morphs of the corners, a byte each: (low, low), (high x, low z), (low x, high z), (high,
+    /// high).
     pub corners: u32,
-    /// Morph of the inside in the lowest byte; bits 8 to 11: the neighbour north, east, south, west is coarser; [`Self::HALVED`].
+    /// Morph of the inside in the lowest byte; bits 8 to 11: the neighbour north, east, south, west
+    /// is coarser; [`Self::HALVED`].
     pub inside: u32,
-    /// Level in the lowest byte; bit 8: the chunk is an eastern quarter of its parent, bit 9: a southern one; bits 10 and 11: likewise which quarter of the chunk
-    /// this is.
+    /// Level in the lowest byte; bit 8: the chunk is an eastern quarter of its parent, bit 9: a
+    /// southern one; bits 10 and 11: likewise which quarter of the chunk this is.
     pub place: u32,
 }
 
 impl TerrainInstance {
-    /// The bit of [`Self::inside`] that says that the instance is all of a chunk, drawn with every other vertex.
+    /// The bit of [`Self::inside`] that says that the instance is all of a chunk, drawn with every
+    /// other vertex.
     pub const HALVED: u32 = 1 << 12;
 
     /// The three words in which seams travel: edges, corners, inside.
@@ -325,7 +332,8 @@ impl TerrainInstance {
     }
 }
 
-/// One vertex attribute: shader location, byte offset, number of 32-bit components, float or unsigned.
+/// One vertex attribute: shader location, byte offset, number of 32-bit components, float or
+/// unsigned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Attribute {
     /// `@location` in the shader.
@@ -363,7 +371,8 @@ impl TerrainInstance {
     ];
 }
 
-/// Vertices of the `draw_water` call: eight sectors of a plane, and a triangle behind everything for an eye under water.
+/// Vertices of the `draw_water` call: eight sectors of a plane, and a triangle behind everything
+/// for an eye under water.
 pub const WATER_VERTICES: u32 = 27;
 
 /// Texels along a side of the waves' distortion map. Equal to the constant of `shared/waves.wesl`.
@@ -470,26 +479,30 @@ pub struct CastTarget {
     pub level: u32,
 }
 
-/// Words of a slot that hold the sun's clearances: a byte per vertex, rows padded to whole words. `shared/shadow.wesl` says what a byte means.
+/// Words of a slot that hold the sun's clearances: a byte per vertex, rows padded to whole words.
+/// `shared/shadow.wesl` says what a byte means.
 pub const CLEARANCE_WORDS: usize = VERTICES.div_ceil(4) * VERTICES;
 
 /// A word of clearances that says: the sun is well clear of the land.
 pub const CLEAR_WORD: u32 = u32::MAX;
 
-/// Apparent radius of the sun, radians; the unit of clearances. Equal to the constant of `shared/shadow.wesl`.
+/// Apparent radius of the sun, radians; the unit of clearances. Equal to the constant of
+/// `shared/shadow.wesl`.
 pub const SUN_RADIUS: f64 = 0.004651;
 
 /// Clearances are kept up to so many radii. Equal to the constant of `shared/shadow.wesl`.
 pub const CLEARANCE_RANGE: f64 = 8.0;
 
-/// The clearance in radii of the sun that a byte means; the inverse of `clearance_byte` in `shared/shadow.wesl`.
+/// The clearance in radii of the sun that a byte means; the inverse of `clearance_byte` in
+/// `shared/shadow.wesl`.
 #[must_use]
 pub fn clearance_of_byte(byte: u8) -> f64 {
     let part = (f64::from(byte) - 128.0) / 127.0;
     CLEARANCE_RANGE * part * part.abs()
 }
 
-/// Share of the sun's disc above a straight edge so many radii below its middle; `disc_share` of `shared/shadow.wesl`.
+/// Share of the sun's disc above a straight edge so many radii below its middle; `disc_share` of
+/// `shared/shadow.wesl`.
 #[must_use]
 pub fn disc_share(clearance: f64) -> f64 {
     let x = clearance.clamp(-1.0, 1.0);
@@ -536,7 +549,8 @@ pub struct Leaf {
     pub corners: u32,
     /// As in [`TerrainInstance::inside`].
     pub inside: u32,
-    /// Level in the lowest byte, bits 8 and 9 as in [`TerrainInstance::place`]; bits 16 and 17: palette of its plants.
+    /// Level in the lowest byte, bits 8 and 9 as in [`TerrainInstance::place`]; bits 16 and 17:
+    /// palette of its plants.
     pub place: u32,
     /// Low corner east of that of the square, steps of 2 m.
     pub x: i32,
@@ -549,7 +563,8 @@ impl Leaf {
     pub const HALVED: u32 = TerrainInstance::HALVED;
 }
 
-/// Words of a slot beside its heights that plants and their sight read: lower bounds as many as upper ones, then 16 x 16 densities of a byte.
+/// Words of a slot beside its heights that plants and their sight read: lower bounds as many as
+/// upper ones, then 16 x 16 densities of a byte.
 pub const RECORD_WORDS: usize = BLOCK_TEXELS + 64;
 
 /// [`Culling::path`]: what stands within its distance (T0).
@@ -570,7 +585,8 @@ pub const KIND_GRASS: u32 = 0;
 /// Kinds of fields: trees.
 pub const KIND_TREES: u32 = 1;
 
-/// From where a field is looked at; `shared/culling.wesl` documents each field. Fine units are 2^-12 m.
+/// From where a field is looked at; `shared/culling.wesl` documents each field. Fine units are
+/// 2^-12 m.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Culling {
@@ -638,11 +654,13 @@ pub struct Planting {
     pub range: i32,
     /// They begin to sink so much nearer, 1/16 m, at least 1.
     pub collapse: i32,
-    /// Squares of the distances beyond which clumps are drawn in the second and in the third level of detail, (1/16 m)².
+    /// Squares of the distances beyond which clumps are drawn in the second and in the third level
+    /// of detail, (1/16 m)².
     pub detail: [u32; 2],
     /// Most that the wind pushes the tip of a stem aside, a horizontal part of its direction, Q8.
     pub wind_reach: i32,
-    /// The same of leaning away from the eye, where the eye is straight above; falls with the sine of its height.
+    /// The same of leaning away from the eye, where the eye is straight above; falls with the sine
+    /// of its height.
     pub lean_reach: i32,
     /// By rank, four to a row: the square of the distance up to which it stands, (1/16 m)².
     pub stands_within: [[u32; 4]; 64],
@@ -665,7 +683,8 @@ pub const VERDICT_WORDS: usize = 35;
 pub const TALLY_WORDS: usize = 20;
 /// First word of the draws' arguments in a tally.
 pub const TALLY_DRAWS: usize = 4;
-/// First word of the counts in a tally: blocks kept, blocks without room, clumps kept, clumps without room.
+/// First word of the counts in a tally: blocks kept, blocks without room, clumps kept, clumps
+/// without room.
 pub const TALLY_TOLD: usize = 16;
 /// Words of the memory of blocks, for all kinds.
 pub const MEMORY_WORDS: usize = 2 << 18;
@@ -673,17 +692,20 @@ pub const MEMORY_WORDS: usize = 2 << 18;
 /// Words of a slot that hold the top of its max pyramid: 8 x 8 blocks, 4 x 4, 2 x 2, 1.
 pub const BLOCK_TEXELS: usize = 64 + 16 + 4 + 1;
 
-/// Nodes of the page table that there is room for besides [`MAX_ROOTS`], per slot. A balanced cover of the view needs 4/3 of a node per drawn chunk.
+/// Nodes of the page table that there is room for besides [`MAX_ROOTS`], per slot. A balanced cover
+/// of the view needs 4/3 of a node per drawn chunk.
 pub const NODES_PER_SLOT: usize = 8;
 
 /// Roots of the page table at most.
 pub const MAX_ROOTS: usize = 64;
 
-/// Memory on the GPU that a resident chunk costs, bytes: heights, clearances, bounds, densities, its part of the page table.
+/// Memory on the GPU that a resident chunk costs, bytes: heights, clearances, bounds, densities,
+/// its part of the page table.
 pub const GPU_SLOT_BYTES: usize = 4 * (VERTEX_COUNT + CLEARANCE_WORDS + BLOCK_TEXELS + RECORD_WORDS)
     + NODES_PER_SLOT * size_of::<PageNode>();
 
-/// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, hills, folds, height.
+/// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, hills, folds,
+/// height.
 pub const PROBE_WORDS: usize = 5;
 
 /// Invocations of a workgroup of `probe_heights` and of `fill_heights`, in x.
@@ -769,15 +791,16 @@ pub struct BrdfProbe {
     pub gap: f32,
 }
 
-/// Words per probe that `probe_brdf` writes: distribution, the naive one, exact and fast visibility, Fresnel term, diffuse term, specular albedo,
-/// cosine to the light.
+/// Words per probe that `probe_brdf` writes: distribution, the naive one, exact and fast
+/// visibility, Fresnel term, diffuse term, specular albedo, cosine to the light.
 pub const BRDF_TERMS: usize = 8;
 
 /// One kind of plant in a frame; `shared/field.wesl` documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Field {
-    /// Eye east of the low corner of the square of clumps, fine units ([`FINE_PER_METRE`]), rounded.
+    /// Eye east of the low corner of the square of clumps, fine units ([`FINE_PER_METRE`]),
+    /// rounded.
     pub eye_x: i32,
     /// Above the sea.
     pub eye_y: i32,
@@ -793,7 +816,8 @@ pub struct Field {
     pub height_low_m: f32,
     /// Highest plant, metres.
     pub height_high_m: f32,
-    /// Distance up to which every clump stands, metres; beyond it the share of them falls with the distance.
+    /// Distance up to which every clump stands, metres; beyond it the share of them falls with the
+    /// distance.
     pub thin_from_m: f32,
     /// Most that a clump is widened to make up for those that were left out, at least 1.
     pub widest: f32,
@@ -812,16 +836,19 @@ pub struct Field {
 /// Fine units, in which clumps are placed, per metre.
 pub const FINE_PER_METRE: i32 = 4096;
 
-/// Vertices of one clump of grass at each level of detail, finest first: 9 blades of 3 segments as a strip of triangles, then 9 and 6 single triangles.
+/// Vertices of one clump of grass at each level of detail, finest first: 9 blades of 3 segments as
+/// a strip of triangles, then 9 and 6 single triangles.
 pub const GRASS_VERTICES: [u32; 3] = [9 * 9, 9 * 3, 6 * 3];
 
 /// Vertices of one tree at each level of detail, finest first: triangles.
 pub const TREE_VERTICES: [u32; 2] = [3 * 114, 3 * 24];
 
-/// Longest horizontal part of the direction in which grass stands. Equal to `MAX_TILT` of `shared/clump.wesl`.
+/// Longest horizontal part of the direction in which grass stands. Equal to `MAX_TILT` of
+/// `shared/clump.wesl`.
 pub const GRASS_TILT: f32 = 0.75;
 
-/// No vertex of a clump of grass is farther from its root horizontally, metres; width and height as drawn, widened and collapsed.
+/// No vertex of a clump of grass is farther from its root horizontally, metres; width and height as
+/// drawn, widened and collapsed.
 #[must_use]
 pub fn grass_reach_m(width_m: f32, height_m: f32) -> f32 {
     0.5 * width_m + GRASS_TILT * height_m

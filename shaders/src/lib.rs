@@ -1,12 +1,14 @@
 //! The shaders: WGSL passes linked and validated at build time, and the Rust side of their data.
 //!
-//! `wgsl/shared/` holds modules without bindings, `wgsl/bound/` those over buffers that several passes read, `wgsl/<verb_noun>.wesl` one pass each. `build.rs` links a pass with the
-//! modules it imports (WESL), validates the result with naga as portable WebGPU and puts it into [`SHADERS`].
+//! `wgsl/shared/` holds modules without bindings, `wgsl/bound/` those over buffers that several
+//! passes read, `wgsl/<verb_noun>.wesl` one pass each. `build.rs` links a pass with the modules it
+//! imports (WESL), validates the result with naga as portable WebGPU and puts it into [`SHADERS`].
 //!
-//! What this crate refuses: a GPU API (nothing here depends on wgpu), reading files at run time, and native-only shader
-//! features.
+//! What this crate refuses: a GPU API (nothing here depends on wgpu), reading files at run time,
+//! and native-only shader features.
 //!
-//! Reading order: [`SHADERS`], [`layout`] (uniforms and instances, as bytes), [`twin`] (integer modules in Rust).
+//! Reading order: [`SHADERS`], [`layout`] (uniforms and instances, as bytes), [`twin`] (integer
+//! modules in Rust).
 
 #![forbid(unsafe_code)]
 

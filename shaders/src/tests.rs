@@ -1,4 +1,5 @@
-//! Every shader against naga and Tint, every layout against reflection, and the control that must fail.
+//! Every shader against naga and Tint, every layout against reflection, and the control that must
+//! fail.
 
 use std::io::Write as _;
 use std::mem::offset_of;
@@ -31,7 +32,8 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
     }
     for shader in passes(false) {
         let stages: Vec<Stage> = shader.entry_points.iter().map(|entry| entry.stage).collect();
-        // A pass may have several ways of writing what it draws; the first of each stage is the usual one.
+        // A pass may have several ways of writing what it draws; the first of each stage is the
+        // usual one.
         let vertices = stages.iter().take_while(|stage| **stage == Stage::Vertex).count();
         let fragments = &stages[vertices..];
         let is_whole = !fragments.is_empty() && fragments.iter().all(|stage| *stage == Stage::Fragment);
@@ -63,7 +65,8 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
     );
 }
 
-/// Everything in a shader that the ring profile forbids: arithmetic on floats, and `/` or `%` on signed integers.
+/// Everything in a shader that the ring profile forbids: arithmetic on floats, and `/` or `%` on
+/// signed integers.
 fn outside_the_ring_profile(name: &str, wgsl: &str) -> Vec<String> {
     let (module, info) = validate(name, wgsl).unwrap_or_else(|complaint| panic!("{complaint}"));
     let functions = module.functions.iter().map(|(handle, function)| (function, &info[handle]));

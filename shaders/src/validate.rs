@@ -1,11 +1,12 @@
 //! The one gate that every shader passes: naga, restricted to what WebGPU promises everywhere.
 //!
-//! Compiled twice, into the build script and into the tests, so that the check that a build relies on is the check
-//! that the tests prove able to fail.
+//! Compiled twice, into the build script and into the tests, so that the check that a build relies
+//! on is the check that the tests prove able to fail.
 
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 
-/// Parses and validates WGSL without any native-only capability; the error shows the offending lines.
+/// Parses and validates WGSL without any native-only capability; the error shows the offending
+/// lines.
 pub fn validate(name: &str, wgsl: &str) -> Result<(naga::Module, ModuleInfo), String> {
     let module =
         naga::front::wgsl::parse_str(wgsl).map_err(|error| error.emit_to_string_with_path(wgsl, name))?;

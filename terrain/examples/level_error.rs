@@ -1,7 +1,7 @@
 //! Measures the vertical error of every level against level 0 by brute force.
 //!
-//! For each level, chunks over the home islands of several seeds are compared with every level-0 vertex under
-//! them. The worst value found, plus a quarter, is the table in `terrain::lod`.
+//! For each level, chunks over the home islands of several seeds are compared with every level-0
+//! vertex under them. The worst value found, plus a quarter, is the table in `terrain::lod`.
 //!
 //! Run: `cargo run --release -p terrain --example level_error`
 
@@ -9,9 +9,11 @@ use terrain::chunk::drawn_height_scaled;
 use terrain::constants::{CELLS, VERTICES};
 use terrain::{ChunkKey, Land};
 
-/// Seeds per level whose home island is searched all over: fewer where one chunk covers most of an island.
+/// Seeds per level whose home island is searched all over: fewer where one chunk covers most of an
+/// island.
 const SEEDS: [u64; 7] = [0, 64, 64, 48, 24, 12, 6];
-/// Seeds per level of which only the four chunks around the origin are searched, where ridges are highest.
+/// Seeds per level of which only the four chunks around the origin are searched, where ridges are
+/// highest.
 const SUMMITS: [u64; 7] = [0, 12_000, 8_000, 3_000, 1_000, 250, 60];
 
 fn main() {

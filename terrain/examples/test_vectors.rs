@@ -7,8 +7,9 @@ use terrain::hash::{hash2, mix, stream_seed};
 use terrain::weights::weights;
 use terrain::{Land, Octaves, Position};
 
-/// Seed, x and z in units, octaves kept: lattice lines, both signs, single octaves, the beach from both sides and at its edges,
-/// rims, islands of other cells, an empty cell, open sea, the corners of the world.
+/// Seed, x and z in units, octaves kept: lattice lines, both signs, single octaves, the beach from
+/// both sides and at its edges, rims, islands of other cells, an empty cell, open sea, the corners
+/// of the world.
 const PLACES: [(u64, i32, i32, usize); 30] = [
     (0, 0, 0, 8),
     (0, 0, 0, 0),

@@ -9,13 +9,15 @@ use crate::lod;
 use crate::pyramid::Pyramid;
 use crate::simd::{self, Kernel};
 
-/// Levels below a chunk's own that its error is measured over; [`Chunk::error`] is exact up to this level.
+/// Levels below a chunk's own that its error is measured over; [`Chunk::error`] is exact up to this
+/// level.
 pub const MEASURED_DEPTH: u8 = 3;
 
 /// One chunk of the land.
 ///
-/// A vertex is the height at its place with the octaves that its level carries ([`Octaves::at_level`]): levels 0 to 2 share
-/// every octave and so agree bit for bit where they share a vertex, coarser ones up to [`Octaves::dropped_bound`].
+/// A vertex is the height at its place with the octaves that its level carries
+/// ([`Octaves::at_level`]): levels 0 to 2 share every octave and so agree bit for bit where they
+/// share a vertex, coarser ones up to [`Octaves::dropped_bound`].
 ///
 /// [`Octaves::at_level`]: crate::Octaves::at_level
 /// [`Octaves::dropped_bound`]: crate::Octaves::dropped_bound
@@ -25,9 +27,10 @@ pub struct Chunk {
     pub key: ChunkKey,
     /// Heights in units of 2^-8 m: row by row from the low corner, x fastest.
     pub heights: Box<[i32; VERTEX_COUNT]>,
-    /// Bound, in units, of the vertical distance between this chunk's drawn triangles and any level-0
-    /// vertex under them. Exact (measured) at levels 0 to [`MEASURED_DEPTH`]; above, the measured distance to the
-    /// level [`MEASURED_DEPTH`] below plus that level's own empirical bound, which can exceed [`lod::level_error`].
+    /// Bound, in units, of the vertical distance between this chunk's drawn triangles and any
+    /// level-0 vertex under them. Exact (measured) at levels 0 to [`MEASURED_DEPTH`]; above, the
+    /// measured distance to the level [`MEASURED_DEPTH`] below plus that level's own empirical
+    /// bound, which can exceed [`lod::level_error`].
     pub error: u32,
     /// Upper bound of the gradient of the drawn triangles, Q8 (256 is 45 degrees), rounded up.
     pub slope: u32,
@@ -40,7 +43,8 @@ pub struct Chunk {
 }
 
 impl Chunk {
-    /// Completes a chunk from what cannot be derived: pyramids, extremes and slope follow from the heights.
+    /// Completes a chunk from what cannot be derived: pyramids, extremes and slope follow from the
+    /// heights.
     #[must_use]
     pub fn from_parts(
         key: ChunkKey,
@@ -83,7 +87,8 @@ impl Land {
         Chunk::from_parts(key, heights, error, grass)
     }
 
-    /// The heights of one chunk alone: what the digest, the load test's comparison and timings need.
+    /// The heights of one chunk alone: what the digest, the load test's comparison and timings
+    /// need.
     #[must_use]
     pub fn chunk_heights(&self, key: ChunkKey) -> Box<[i32; VERTEX_COUNT]> {
         let mut heights = Box::new([0; VERTEX_COUNT]);
@@ -115,10 +120,11 @@ impl Land {
     }
 }
 
-/// Height of the drawn surface at a point of the grid that is `2^depth` times finer, in units times `2^depth`.
+/// Height of the drawn surface at a point of the grid that is `2^depth` times finer, in units times
+/// `2^depth`.
 ///
-/// `column` and `row` count points of the finer grid from the low corner, up to `64 * 2^depth`. The diagonal rule: every cell is
-/// cut from its low corner to its high corner.
+/// `column` and `row` count points of the finer grid from the low corner, up to `64 * 2^depth`. The
+/// diagonal rule: every cell is cut from its low corner to its high corner.
 #[must_use]
 pub fn drawn_height_scaled(heights: &[i32; VERTEX_COUNT], column: usize, row: usize, depth: u8) -> i64 {
     let step = 1usize << depth;
@@ -136,8 +142,9 @@ pub fn drawn_height_scaled(heights: &[i32; VERTEX_COUNT], column: usize, row: us
     }
 }
 
-/// Largest distance between the drawn surface and one row of the grid that is `2^depth` times finer, in units times
-/// `2^depth`. The same surface as [`drawn_height_scaled`], whole cells at a time.
+/// Largest distance between the drawn surface and one row of the grid that is `2^depth` times
+/// finer, in units times `2^depth`. The same surface as [`drawn_height_scaled`], whole cells at a
+/// time.
 fn farthest_in_row(heights: &[i32; VERTEX_COUNT], row: usize, depth: u8, fine: &[i32]) -> u32 {
     let step = 1i32 << depth;
     let z = (row >> depth).min(CELLS - 1);
@@ -262,7 +269,8 @@ mod tests {
         }
     }
 
-    /// Brute force over every level-0 vertex under the chunk, in f64, with the diagonal rule said another way.
+    /// Brute force over every level-0 vertex under the chunk, in f64, with the diagonal rule said
+    /// another way.
     fn naive_error(land: &Land, chunk: &Chunk) -> f64 {
         let (x0, z0) = chunk.key.origin();
         let step = 1usize << chunk.key.level();
@@ -324,7 +332,8 @@ mod tests {
             let low = -20_000 + seed * 5_000;
             let mut heights = Box::new([0; VERTEX_COUNT]);
             for (index, height) in heights.iter_mut().enumerate() {
-                // The whole range that vectors may be given: 2^15 - 1 between the lowest and the highest.
+                // The whole range that vectors may be given: 2^15 - 1 between the lowest and the
+                // highest.
                 *height = low + (mix(index as u32 ^ (seed as u32) << 16) >> 17) as i32;
             }
             (heights[0], heights[1]) = (low, low + (1 << 15) - 1);

@@ -34,7 +34,8 @@ pub const TOP_LEVEL: u8 = 16;
 
 /// Octaves of the fractal sum.
 pub const OCTAVES: usize = 8;
-/// log2 of the first octave's lattice cell in units (1,024 m); every further octave halves it (last: 8 m).
+/// log2 of the first octave's lattice cell in units (1,024 m); every further octave halves it
+/// (last: 8 m).
 pub const FIRST_CELL_BITS: u32 = 18;
 /// log2 of the amplitude of the first octave in metres (128 m); every further octave halves it.
 pub const FIRST_AMPLITUDE_BITS: u32 = 7;
@@ -45,9 +46,9 @@ pub const SPLIT_BITS: u32 = 8;
 
 /// Lattice shift of each octave in units, odd multiples of 1 m below the cell size.
 ///
-/// Gradient noise is zero on its lattice points. Without the shift all octaves would vanish together every
-/// 1,024 m, and vertices (multiples of 2 m) would sit on the zeros of the last octaves; odd metres keep every
-/// vertex off every lattice line.
+/// Gradient noise is zero on its lattice points. Without the shift all octaves would vanish
+/// together every 1,024 m, and vertices (multiples of 2 m) would sit on the zeros of the last
+/// octaves; odd metres keep every vertex off every lattice line.
 pub const OCTAVE_SHIFT: [(i32, i32); OCTAVES] = [
     (633 << 8, 391 << 8),
     (195 << 8, 317 << 8),
@@ -64,8 +65,8 @@ pub const FRACTION_BITS: u32 = 18;
 /// Fraction bits of a gradient component.
 pub const GRADIENT_BITS: u32 = 15;
 
-/// 32 unit directions in Q15, at angles `(i + 1/2) * 360/32` degrees: none along an axis or a diagonal, so
-/// no lattice direction is privileged.
+/// 32 unit directions in Q15, at angles `(i + 1/2) * 360/32` degrees: none along an axis or a
+/// diagonal, so no lattice direction is privileged.
 pub const GRADIENTS: [(i16, i16); 32] = [
     (32610, 3212),
     (31357, 9512),
@@ -101,13 +102,16 @@ pub const GRADIENTS: [(i16, i16); 32] = [
     (32610, -3212),
 ];
 
-/// Fraction bits of a height while it is being composed: 2^-16 m, rounded once at the end to 2^-8 m.
+/// Fraction bits of a height while it is being composed: 2^-16 m, rounded once at the end to 2^-8
+/// m.
 pub const FINE_BITS: u32 = 16;
 
-/// Depth of the open sea floor in metres below sea level (height 0). Exactly flat outside every island.
+/// Depth of the open sea floor in metres below sea level (height 0). Exactly flat outside every
+/// island.
 pub const SEA_FLOOR_M: i32 = 64;
 
-/// log2 of the archipelago cell in units (16,384 m): each cell holds at most one island, wholly inside it.
+/// log2 of the archipelago cell in units (16,384 m): each cell holds at most one island, wholly
+/// inside it.
 pub const ISLAND_CELL_BITS: u32 = 22;
 /// Island radii are multiples of this many metres.
 pub const ISLAND_RADIUS_STEP_M: i32 = 64;
@@ -118,7 +122,8 @@ pub const HOME_DOME_M: i32 = 264;
 
 /// Half height of the beach shelf in metres: raw heights within it are flattened towards sea level.
 pub const BEACH_M: i32 = 8;
-/// Crest height of the ridges over the hills at an island's centre, and the folds at which they end; metres, a power of two.
+/// Crest height of the ridges over the hills at an island's centre, and the folds at which they
+/// end; metres, a power of two.
 pub const RIDGE_M: i32 = 64;
 
 /// Side of the grass density grid of a chunk.

@@ -1,7 +1,7 @@
 //! The world digest: one name for "the same generator with the same parameters".
 //!
-//! Peers compare digests before any chunk is exchanged, and chunk addresses contain it, so a cached chunk can
-//! never be served to another world.
+//! Peers compare digests before any chunk is exchanged, and chunk addresses contain it, so a cached
+//! chunk can never be served to another world.
 
 use crate::constants::{FIRST_CELL_BITS, GENERATOR_VERSION, OCTAVE_SHIFT, WORLD_HALF};
 use crate::hash::mix;
@@ -14,8 +14,8 @@ use std::fmt;
 pub struct WorldDigest(pub [u8; 32]);
 
 impl Land {
-    /// The digest of this world: blake3 of the generator version (u32), the seed (u64) and the height (i32) of
-    /// every probe in order, all little-endian. Takes about a millisecond.
+    /// The digest of this world: blake3 of the generator version (u32), the seed (u64) and the
+    /// height (i32) of every probe in order, all little-endian. Takes about a millisecond.
     #[must_use]
     pub fn digest(&self) -> WorldDigest {
         let mut hasher = blake3::Hasher::new();
@@ -28,8 +28,8 @@ impl Land {
     }
 }
 
-/// The probe set, the same for every world: first all pairs of the edge values, then points that spread
-/// over the home island and over the whole world.
+/// The probe set, the same for every world: first all pairs of the edge values, then points that
+/// spread over the home island and over the whole world.
 pub fn probes() -> impl Iterator<Item = Position> {
     let edges = edge_values();
     let pairs = edges.clone().into_iter().flat_map(move |x| edges.clone().into_iter().map(move |z| (x, z)));
@@ -40,8 +40,8 @@ pub fn probes() -> impl Iterator<Item = Position> {
     pairs.chain(scattered).filter_map(|(x, z)| Position::new(x, z).ok())
 }
 
-/// Coordinates where an implementation is most likely to go wrong: zero, the world's border, and one unit
-/// around the first lattice line of every octave on both sides of the origin.
+/// Coordinates where an implementation is most likely to go wrong: zero, the world's border, and
+/// one unit around the first lattice line of every octave on both sides of the origin.
 fn edge_values() -> Vec<i32> {
     let mut values = vec![-WORLD_HALF, -WORLD_HALF + 1, WORLD_HALF - 1, WORLD_HALF, 0];
     for (octave, (shift_x, shift_z)) in OCTAVE_SHIFT.into_iter().enumerate() {
@@ -91,7 +91,8 @@ mod tests {
 
     #[test]
     fn the_digest_of_seed_zero_is_frozen() {
-        // A change here is a change of the world: bump GENERATOR_VERSION and say so in the CHANGELOG.
+        // A change here is a change of the world: bump GENERATOR_VERSION and say so in the
+        // CHANGELOG.
         assert_eq!(
             Land::new(0).digest().to_string(),
             "5ad21aa9652d905e9070b8a3d7977f87557074f214bb9e9e7b8247d56e34523c"

@@ -14,8 +14,9 @@ const PALETTE_LEVEL: u8 = 5;
 /// What a client needs to expand the grass of one chunk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrassSeed {
-    /// Seed of the clump streams ([`crate::streams`]). The same in every chunk of a world: a clump follows from it and from the place of its cell, so that chunks of
-    /// all levels grow the same clumps.
+    /// Seed of the clump streams ([`crate::streams`]). The same in every chunk of a world: a clump
+    /// follows from it and from the place of its cell, so that chunks of all levels grow the same
+    /// clumps.
     pub seed: u32,
     /// Colour palette, below [`PALETTES`]; the same in all chunks of a region of 4 km.
     pub palette: u8,
@@ -38,12 +39,14 @@ impl GrassSeed {
 
     /// The densities that a chunk's own vertices give; they depend on nothing else.
     ///
-    /// Grass grows on gentle ground between the beach and the high rock: density falls linearly to zero from
-    /// 4 m down to 2 m above the sea, from 180 m up to 260 m, and over slopes from 0.5 to 1. Integers only, so
-    /// that every machine grows the same field. Heights are below 2^24 in magnitude.
+    /// Grass grows on gentle ground between the beach and the high rock: density falls linearly to
+    /// zero from 4 m down to 2 m above the sea, from 180 m up to 260 m, and over slopes from 0.5 to
+    /// 1. Integers only, so that every machine grows the same field. Heights are below 2^24 in
+    /// magnitude.
     #[must_use]
     pub fn density_of(key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Box<[u8; GRASS_GRID * GRASS_GRID]> {
-        // A block's side is a power of two of metres: shifting by it is a division that costs nothing.
+        // A block's side is a power of two of metres: shifting by it is a division that costs
+        // nothing.
         let side_bits =
             (key.spacing().unsigned_abs() * BLOCK as u32 / UNITS_PER_METRE as u32).trailing_zeros();
         let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
@@ -55,7 +58,8 @@ impl GrassSeed {
 /// Cells along the side of a block.
 const BLOCK: usize = CELLS / GRASS_GRID;
 
-/// The densities of blocks whose side is `2^side_bits` metres. For [`crate::simd`]: whole rows side by side, of which compilers make vectors.
+/// The densities of blocks whose side is `2^side_bits` metres. For [`crate::simd`]: whole rows side
+/// by side, of which compilers make vectors.
 #[inline(always)]
 pub(crate) fn densities(
     heights: &[i32; VERTEX_COUNT],
@@ -70,7 +74,8 @@ pub(crate) fn densities(
         let beyond: [i32; GRASS_GRID] = std::array::from_fn(|x| south[x * BLOCK]);
         let middles: [i32; GRASS_GRID] = std::array::from_fn(|x| middle[x * BLOCK + BLOCK / 2]);
         for (x, share) in shares.iter_mut().enumerate() {
-            // Heights are below 2^24, so that nothing wraps; checking it would keep this from becoming vectors.
+            // Heights are below 2^24, so that nothing wraps; checking it would keep this from
+            // becoming vectors.
             let [east, south] =
                 [corners[x + 1], beyond[x]].map(|end| end.wrapping_sub(corners[x]).wrapping_abs());
             let slope_q8 = east.max(south).wrapping_shr(side_bits);

@@ -19,8 +19,9 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// `columns` by `rows` vertices of a level from a low corner (units); refused if any vertex lies outside the world,
-    /// there is no such level, or no machine word counts them. A grid without vertices is allowed if its corner lies in the world.
+    /// `columns` by `rows` vertices of a level from a low corner (units); refused if any vertex
+    /// lies outside the world, there is no such level, or no machine word counts them. A grid
+    /// without vertices is allowed if its corner lies in the world.
     pub fn new(x: i32, z: i32, level: u8, columns: usize, rows: usize) -> Result<Self, InvalidGrid> {
         if level > TOP_LEVEL {
             return Err(InvalidGrid::NoSuchLevel(level));
@@ -56,7 +57,8 @@ impl Grid {
         }
     }
 
-    /// The same vertices with fewer octaves, for measuring what they are worth; never more than the level carries.
+    /// The same vertices with fewer octaves, for measuring what they are worth; never more than the
+    /// level carries.
     #[must_use]
     pub fn keeping(self, octaves: Octaves) -> Self {
         Self { octaves: octaves.min(self.octaves), ..self }
@@ -86,7 +88,8 @@ impl Grid {
         self.columns * self.rows
     }
 
-    /// Position of a vertex, units. At the root the offset reaches 2^31 and wraps; the sum is right modulo 2^32.
+    /// Position of a vertex, units. At the root the offset reaches 2^31 and wraps; the sum is right
+    /// modulo 2^32.
     #[must_use]
     pub(crate) fn position(&self, column: usize, row: usize) -> (i32, i32) {
         let step = |low: i32, index: usize| low.wrapping_add((index as i32) << self.spacing_bits);

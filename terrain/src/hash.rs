@@ -1,8 +1,9 @@
 //! The integer hash behind lattice gradients, islands and grass.
 //!
-//! `mix` is the two-round xorshift-multiply permutation with the constants of the low-bias search published by
-//! Chris Wellons ("Prospecting for hash functions", 2018; constants 0x21f0aaad and 0xd35a2d97 from the
-//! follow-up thread). It is a bijection of u32, hence loses nothing, and every operation is in the ring profile.
+//! `mix` is the two-round xorshift-multiply permutation with the constants of the low-bias search
+//! published by Chris Wellons ("Prospecting for hash functions", 2018; constants 0x21f0aaad and
+//! 0xd35a2d97 from the follow-up thread). It is a bijection of u32, hence loses nothing, and every
+//! operation is in the ring profile.
 
 /// One permutation of u32 with full avalanche.
 #[must_use]
@@ -15,8 +16,8 @@ pub const fn mix(mut h: u32) -> u32 {
     h ^ (h >> 15)
 }
 
-/// Hash of a lattice point under a seed. The two coordinates enter in turn, each behind a full mix, so that
-/// no line of lattice points shares a pattern.
+/// Hash of a lattice point under a seed. The two coordinates enter in turn, each behind a full mix,
+/// so that no line of lattice points shares a pattern.
 #[must_use]
 #[inline]
 pub const fn hash2(seed: u32, x: i32, z: i32) -> u32 {
@@ -25,8 +26,8 @@ pub const fn hash2(seed: u32, x: i32, z: i32) -> u32 {
 
 /// The seed of one use (`stream`) of a 64-bit world seed.
 ///
-/// The stream enters between the two halves, so that two worlds that share the seed of one stream by chance differ in the
-/// others: all 64 bits count.
+/// The stream enters between the two halves, so that two worlds that share the seed of one stream
+/// by chance differ in the others: all 64 bits count.
 #[must_use]
 pub const fn stream_seed(world_seed: u64, stream: u32) -> u32 {
     let low = world_seed as u32;

@@ -1,8 +1,9 @@
 //! The archipelago: where islands lie and how land rises from the sea inside one.
 //!
-//! The world is cut into square cells of 16,384 m, the first centred on the origin. A cell holds at most one
-//! island, wholly inside it, so a point asks one cell only. The falloff is `(1 - d²/r²)²`: no square root, flat
-//! at the centre, and zero with zero slope at the rim, where the exactly flat sea floor begins.
+//! The world is cut into square cells of 16,384 m, the first centred on the origin. A cell holds at
+//! most one island, wholly inside it, so a point asks one cell only. The falloff is `(1 - d²/r²)²`:
+//! no square root, flat at the centre, and zero with zero slope at the rim, where the exactly flat
+//! sea floor begins.
 
 use crate::constants::{
     HOME_DOME_M, HOME_RADIUS_STEPS, ISLAND_CELL_BITS, ISLAND_RADIUS_STEP_M, UNIT_BITS, UNITS_PER_METRE,
@@ -11,10 +12,11 @@ use crate::constants::{
 use crate::hash::{hash2, mix, stream_seed};
 use crate::ring::mul_hi_u;
 
-/// Distances are squared at 1/4 m here, so that their squares fit in u32; what is finer enters to first order. Vertices are
-/// multiples of 2 m and lose nothing.
+/// Distances are squared at 1/4 m here, so that their squares fit in u32; what is finer enters to
+/// first order. Vertices are multiples of 2 m and lose nothing.
 const QUARTER_METRE_BITS: u32 = UNIT_BITS - 2;
-/// Beyond this distance along an axis (8,192 m in quarter metres) a point is outside every island of its cell.
+/// Beyond this distance along an axis (8,192 m in quarter metres) a point is outside every island
+/// of its cell.
 const REACH: u32 = 1 << 15;
 
 /// One island.
@@ -26,7 +28,8 @@ pub struct Island {
     pub radius_m: i32,
     /// Rise of the dome at the centre over the sea floor, metres.
     pub dome_m: i32,
-    /// `floor(2^24 / r²)` in Q16 of square quarter metres: distance squared to Q24 of the radius squared.
+    /// `floor(2^24 / r²)` in Q16 of square quarter metres: distance squared to Q24 of the radius
+    /// squared.
     inverse: u32,
 }
 
@@ -55,7 +58,8 @@ impl Archipelago {
         (coordinate + (1 << (ISLAND_CELL_BITS - 1))) >> ISLAND_CELL_BITS
     }
 
-    /// The island of a cell, both coordinates within ±256; three cells in four hold one, and the cell of the origin always does.
+    /// The island of a cell, both coordinates within ±256; three cells in four hold one, and the
+    /// cell of the origin always does.
     #[must_use]
     pub fn island(&self, cell_x: i32, cell_z: i32) -> Option<Island> {
         let middle = (cell_x << ISLAND_CELL_BITS, cell_z << ISLAND_CELL_BITS);
@@ -82,8 +86,9 @@ impl Archipelago {
         self.island(Self::cell(x), Self::cell(z))
     }
 
-    /// Whether the square `[x, x + side] x [z, z + side]` (units) touches no island. Conservative: a false
-    /// answer may still be open sea. Answers false at once for squares over more than 3 x 3 cells.
+    /// Whether the square `[x, x + side] x [z, z + side]` (units) touches no island. Conservative:
+    /// a false answer may still be open sea. Answers false at once for squares over more than 3 x 3
+    /// cells.
     #[must_use]
     pub fn is_open_sea(&self, x: i32, z: i32, side: u32) -> bool {
         let last = |v: i32| Self::cell(v.saturating_add_unsigned(side).min(WORLD_HALF));
@@ -106,14 +111,15 @@ impl Archipelago {
 
 impl Island {
     fn new(centre: (i32, i32), radius_steps: u32, dome_m: i32) -> Self {
-        // r² in square quarter metres is 2^16 n², so 2^24/r² in Q16 times 2^32 for `mul_hi_u` is 2^40/n².
-        // Long division in two steps keeps to 32 bits; both quotients are exact.
+        // r² in square quarter metres is 2^16 n², so 2^24/r² in Q16 times 2^32 for `mul_hi_u` is
+        // 2^40/n². Long division in two steps keeps to 32 bits; both quotients are exact.
         let n2 = radius_steps * radius_steps;
         let inverse = (((1u32 << 31) / n2) << 9) + (((1u32 << 31) % n2) << 9) / n2;
         Self { centre, radius_m: radius_steps as i32 * ISLAND_RADIUS_STEP_M, dome_m, inverse }
     }
 
-    /// The falloff at a point inside the world: Q31, 0 at and beyond the rim, below 2^31 at the centre.
+    /// The falloff at a point inside the world: Q31, 0 at and beyond the rim, below 2^31 at the
+    /// centre.
     #[must_use]
     #[inline]
     pub fn falloff(&self, x: i32, z: i32) -> i32 {
@@ -122,12 +128,14 @@ impl Island {
         (mul_hi_u(inside, inside) >> 1) as i32
     }
 
-    /// The share of one axis in `d²/r²`, Q24. Computed per axis, so that a grid needs it once per column and per row.
+    /// The share of one axis in `d²/r²`, Q24. Computed per axis, so that a grid needs it once per
+    /// column and per row.
     #[inline]
     pub(crate) fn distance(&self, coordinate: i32, centre: i32) -> i32 {
         let units = (coordinate - centre).unsigned_abs().min((REACH << QUARTER_METRE_BITS) - 1);
         let (quarters, rest) = (units >> QUARTER_METRE_BITS, units & ((1 << QUARTER_METRE_BITS) - 1));
-        // (q + rest/64)² without its last term, which is below one: the land is whole between vertices too.
+        // (q + rest/64)² without its last term, which is below one: the land is whole between
+        // vertices too.
         let squared = quarters * quarters + ((quarters * rest) >> (QUARTER_METRE_BITS - 1));
         mul_hi_u(squared, self.inverse) as i32
     }

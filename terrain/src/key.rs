@@ -1,7 +1,8 @@
 //! Chunk keys: a quadtree over the world.
 //!
-//! Level 0 chunks are 128 m wide; level `k` doubles the side `k` times; level 16 is one chunk over the whole
-//! world. Coordinates count chunks from the origin (signed): `(0, 0, 0)` has its low corner at the origin for every level up to
+//! Level 0 chunks are 128 m wide; level `k` doubles the side `k` times; level 16 is one chunk over
+//! the whole world. Coordinates count chunks from the origin (signed): `(0, 0, 0)` has its low
+//! corner at the origin for every level up to
 //! 15. The single chunk of level 16 is `(16, 0, 0)` with its low corner at the world's.
 
 use crate::constants::{CELLS, CHUNK_BITS, SPACING_BITS, TOP_LEVEL, WORLD_HALF};
@@ -28,8 +29,8 @@ impl ChunkKey {
         if exists { Ok(Self { level, x, z }) } else { Err(InvalidKey { level, x, z }) }
     }
 
-    /// The key of the chunk of `level` that holds a coordinate pair (units, inside the world). Points on the
-    /// world's far border belong to the last chunk.
+    /// The key of the chunk of `level` that holds a coordinate pair (units, inside the world).
+    /// Points on the world's far border belong to the last chunk.
     #[must_use]
     pub fn containing(level: u8, x: i32, z: i32) -> Self {
         let level = level.min(TOP_LEVEL);
@@ -107,8 +108,8 @@ impl ChunkKey {
         ((self.x - start) & 1, (self.z - start) & 1)
     }
 
-    /// The four chunks one level down, in the order (low, low), (high x, low z), (low x, high z), (high, high);
-    /// none at level 0.
+    /// The four chunks one level down, in the order (low, low), (high x, low z), (low x, high z),
+    /// (high, high); none at level 0.
     #[must_use]
     pub fn children(self) -> Option<[Self; 4]> {
         let level = self.level.checked_sub(1)?;

@@ -69,7 +69,8 @@ impl Land {
         self.heights_on(Kernel::best(), grid, out);
     }
 
-    /// The same by a kernel of one's choice: every kernel and [`Land::height_keeping`] agree bit for bit.
+    /// The same by a kernel of one's choice: every kernel and [`Land::height_keeping`] agree bit
+    /// for bit.
     ///
     /// # Panics
     /// If `out` does not hold exactly the grid's vertices.
@@ -79,11 +80,13 @@ impl Land {
     }
 }
 
-/// Composes the height of a point of an island from the noise there; the noise is not asked for at sea.
+/// Composes the height of a point of an island from the noise there; the noise is not asked for at
+/// sea.
 ///
-/// With the falloff `w` the height over the sea floor is `w dome + (2 w - w²) hills + w² ridge`: hills rise twice as fast at the
-/// rim as the dome, ridges only far inland. Written as `w (dome + 2 hills) + w² (ridge - hills)`, which takes one product
-/// less. A ridge is `64 m (1 - |folds| / 64 m)²`: sharp at its crest, without an edge at its foot.
+/// With the falloff `w` the height over the sea floor is `w dome + (2 w - w²) hills + w² ridge`:
+/// hills rise twice as fast at the rim as the dome, ridges only far inland. Written as
+/// `w (dome + 2 hills) + w² (ridge - hills)`, which takes one product less. A ridge is
+/// `64 m (1 - |folds| / 64 m)²`: sharp at its crest, without an edge at its foot.
 fn shape(island: &Island, x: i32, z: i32, relief: impl FnOnce() -> Relief) -> i32 {
     let weight = island.falloff(x, z);
     if weight == 0 {
@@ -101,13 +104,15 @@ fn shape(island: &Island, x: i32, z: i32, relief: impl FnOnce() -> Relief) -> i3
 /// Left shift that makes 2^-16 m a fraction of [`RIDGE_M`] in Q30.
 pub(crate) const CREST_SHIFT: u32 = 30 - FINE_BITS - RIDGE_M.trailing_zeros();
 
-// The beach's coefficients in Q30; products with Q31 powers are Q29. 0.2, 1.6, 0.8 rounded to nearest.
+// The beach's coefficients in Q30; products with Q31 powers are Q29. 0.2, 1.6, 0.8 rounded to
+// nearest.
 pub(crate) const LINEAR_Q29: i32 = 107_374_182;
 pub(crate) const CUBIC_Q30: i32 = 1_717_986_918;
 pub(crate) const QUINTIC_Q30: i32 = 858_993_459;
 
-/// Flattens the land within [`BEACH_M`] of sea level: the odd polynomial `0.2 r + 1.6 r³ - 0.8 r⁵` (`r` in beach
-/// heights) has slope 0.2 at the water line and joins the untouched land with equal value and slope at `|r| = 1`.
+/// Flattens the land within [`BEACH_M`] of sea level: the odd polynomial `0.2 r + 1.6 r³ - 0.8 r⁵`
+/// (`r` in beach heights) has slope 0.2 at the water line and joins the untouched land with equal
+/// value and slope at `|r| = 1`.
 fn beach(fine: i32) -> i32 {
     const EDGE: i32 = BEACH_M << FINE_BITS;
     if fine.abs() >= EDGE {

@@ -1,17 +1,20 @@
 //! The land.
 //!
-//! This crate defines one thing: the integer height of every vertex of the world, and what follows from it
-//! (chunks, height pyramids, grass seeds, level-of-detail choice). A server, a client and a GPU that follow
-//! the same rules compute the same integers, so collision equals picture and a chunk can be cached for ever.
+//! This crate defines one thing: the integer height of every vertex of the world, and what follows
+//! from it (chunks, height pyramids, grass seeds, level-of-detail choice). A server, a client and a
+//! GPU that follow the same rules compute the same integers, so collision equals picture and a
+//! chunk can be cached for ever.
 //!
 //! What it refuses: input and output, clocks, threads, async, GPU, serialisation, and floats on any
-//! path that decides a height; `unsafe` lives in [`simd`] alone. Nothing in it fails; the only errors are [`OutsideWorld`],
-//! [`key::InvalidKey`], [`grid::InvalidGrid`] and [`octaves::TooManyOctaves`], returned where a caller turns raw numbers into
-//! a position, a key, a grid or a number of octaves.
+//! path that decides a height; `unsafe` lives in [`simd`] alone. Nothing in it fails; the only
+//! errors are [`OutsideWorld`], [`key::InvalidKey`], [`grid::InvalidGrid`] and
+//! [`octaves::TooManyOctaves`], returned where a caller turns raw numbers into a position, a key, a
+//! grid or a number of octaves.
 //!
-//! Reading order: [`constants`] (every number), [`ring`] (the allowed arithmetic), [`hash`], [`weights`], [`octaves`],
-//! [`noise`], [`island`], [`land`] (the height of a point), [`grid`] and [`simd`] (many points, fast), [`key`] (the
-//! quadtree), [`pyramid`], [`grass`], [`streams`], [`chunk`], [`digest`], [`lod`].
+//! Reading order: [`constants`] (every number), [`ring`] (the allowed arithmetic), [`hash`],
+//! [`weights`], [`octaves`], [`noise`], [`island`], [`land`] (the height of a point), [`grid`] and
+//! [`simd`] (many points, fast), [`key`] (the quadtree), [`pyramid`], [`grass`], [`streams`],
+//! [`chunk`], [`digest`], [`lod`].
 
 pub mod chunk;
 pub mod constants;

@@ -1,8 +1,9 @@
 //! Level of detail by screen error: which chunks a viewer needs.
 //!
-//! A chunk whose drawn surface is at most `e` away from the truth looks wrong by at most `e * K / D` pixels from
-//! distance `D`, with `K = height / (2 tan(fov / 2))` pixels (Ulrich, "Rendering Massive Terrains using Chunked
-//! Level of Detail Control", SIGGRAPH 2002). A chunk is refined while that exceeds the tolerance.
+//! A chunk whose drawn surface is at most `e` away from the truth looks wrong by at most
+//! `e * K / D` pixels from distance `D`, with `K = height / (2 tan(fov / 2))` pixels (Ulrich,
+//! "Rendering Massive Terrains using Chunked Level of Detail Control", SIGGRAPH 2002). A chunk is
+//! refined while that exceeds the tolerance.
 
 mod selector;
 
@@ -18,11 +19,13 @@ pub const SUMMIT: i32 = 600 * UNITS_PER_METRE;
 /// Largest view distance that a selection serves, metres.
 pub const MAX_VIEW_DISTANCE_M: u32 = 65_536;
 
-/// Empirical bound of the vertical error of a level against level 0 in units: a search with a margin, not a proof.
+/// Empirical bound of the vertical error of a level against level 0 in units: a search with a
+/// margin, not a proof.
 ///
-/// Levels 1 to 6: the worst value that `cargo run --release -p terrain --example level_error` finds by brute force
-/// (2.5, 5.5, 10.1, 18.5, 31.3, 44.3 m), plus a quarter, and a little more at levels 4 to 6, where a longer search of summits found 19.4, 35.0
-/// and 57.1 m. A test repeats part of that search. From level 7 on a cell is wider than the hills, and the bound is the whole relief.
+/// Levels 1 to 6: the worst value that `cargo run --release -p terrain --example level_error` finds
+/// by brute force (2.5, 5.5, 10.1, 18.5, 31.3, 44.3 m), plus a quarter, and a little more at levels
+/// 4 to 6, where a longer search of summits found 19.4, 35.0 and 57.1 m. A test repeats part of
+/// that search. From level 7 on a cell is wider than the hills, and the bound is the whole relief.
 const LEVEL_ERROR: [u32; TOP_LEVEL as usize + 1] = {
     let mut bounds = [SUMMIT as u32 + 64 * 256; TOP_LEVEL as usize + 1];
     let measured = [0, 815, 1_775, 3_222, 6_199, 11_198, 18_275];
@@ -45,7 +48,8 @@ pub const fn level_error(level: u8) -> u32 {
 pub struct Viewer {
     /// Eye, units: east, up, south.
     pub eye: (i32, i32, i32),
-    /// Chunks farther than this (metres, horizontal) are not needed. At most [`MAX_VIEW_DISTANCE_M`].
+    /// Chunks farther than this (metres, horizontal) are not needed. At most
+    /// [`MAX_VIEW_DISTANCE_M`].
     pub distance_m: u32,
     /// `K` in pixels: viewport height / (2 tan(vertical field of view / 2)).
     pub pixels_per_radian: u32,
@@ -60,26 +64,28 @@ pub struct Needed {
     pub key: ChunkKey,
     /// Distance from the eye, units.
     pub distance: u64,
-    /// Screen error in 1/16 pixel while this chunk's *parent* is drawn instead of it, saturating: how much
-    /// better the picture becomes when it arrives.
+    /// Screen error in 1/16 pixel while this chunk's *parent* is drawn instead of it, saturating:
+    /// how much better the picture becomes when it arrives.
     pub gain_q4: u32,
 }
 
 /// The chunks a viewer needs, parents before children.
 ///
-/// A chunk that is too coarse for the viewer is split into its four children, and so is every chunk that would otherwise be drawn
-/// beside one two levels finer ([`balance`]): level borders can then be closed vertex by vertex. Contains every ancestor of a
-/// needed chunk up to [`Viewer::top_level`], so that something coarse can be drawn while the fine chunks are under way.
-/// Stops at `limit` chunks (coarse ones are found first).
+/// A chunk that is too coarse for the viewer is split into its four children, and so is every chunk
+/// that would otherwise be drawn beside one two levels finer ([`balance`]): level borders can then
+/// be closed vertex by vertex. Contains every ancestor of a needed chunk up to
+/// [`Viewer::top_level`], so that something coarse can be drawn while the fine chunks are under
+/// way. Stops at `limit` chunks (coarse ones are found first).
 #[must_use]
 pub fn select(land: &Land, viewer: &Viewer, limit: usize) -> Vec<Needed> {
     Selector::new(land, viewer, limit).finish()
 }
 
-/// Estimate of the chunks that a viewer needs over land without open sea, eye at the ground: the number of chunks of each level
-/// within the distance at which its parent is split. Saturating.
+/// Estimate of the chunks that a viewer needs over land without open sea, eye at the ground: the
+/// number of chunks of each level within the distance at which its parent is split. Saturating.
 ///
-/// It reads no land and costs nanoseconds, so a server can refuse a view before it selects any chunk of it.
+/// It reads no land and costs nanoseconds, so a server can refuse a view before it selects any
+/// chunk of it.
 #[must_use]
 pub fn estimated_chunks(viewer: &Viewer) -> u64 {
     let reach = viewer.reach();
@@ -92,7 +98,8 @@ pub fn estimated_chunks(viewer: &Viewer) -> u64 {
     (0..viewer.top_level()).map(at_level).fold(viewer.tops().len() as u64, u64::saturating_add)
 }
 
-/// Chunks to be drawn by their children, each with the urgency of the most urgent chunk that needs it to be, 1/16 pixel.
+/// Chunks to be drawn by their children, each with the urgency of the most urgent chunk that needs
+/// it to be, 1/16 pixel.
 #[derive(Clone, Debug, Default)]
 pub struct Splits {
     /// By level; sorted and without repetition once balanced.
@@ -111,10 +118,11 @@ impl Splits {
     }
 }
 
-/// Adds what must be split besides: every chunk above a split one, and every chunk that would be drawn beside, or corner to corner
-/// with, one that is two levels finer.
+/// Adds what must be split besides: every chunk above a split one, and every chunk that would be
+/// drawn beside, or corner to corner with, one that is two levels finer.
 ///
-/// The smallest such set, hence monotone: who splits more to begin with, splits at least as much in the end.
+/// The smallest such set, hence monotone: who splits more to begin with, splits at least as much in
+/// the end.
 pub fn balance(splits: &mut Splits, viewer: &Viewer) {
     for level in 0..=viewer.top_level() {
         splits.sort(level);
@@ -128,8 +136,9 @@ pub fn balance(splits: &mut Splits, viewer: &Viewer) {
     }
 }
 
-/// What must be split if `key` is: its parent and those of the neighbours outside it, as far as they are seen. The chunk's children
-/// touch all its neighbours, so these must not be drawn by anything coarser than themselves.
+/// What must be split if `key` is: its parent and those of the neighbours outside it, as far as
+/// they are seen. The chunk's children touch all its neighbours, so these must not be drawn by
+/// anything coarser than themselves.
 pub fn required(key: ChunkKey, viewer: &Viewer) -> impl Iterator<Item = ChunkKey> + '_ {
     let (east, south) = key.quarter();
     // Towards the outside of the parent: the neighbours on the other sides are its siblings.
@@ -155,19 +164,22 @@ pub fn error_bound(land: &Land, key: ChunkKey) -> u32 {
 }
 
 impl Viewer {
-    /// Distance from the eye to the box of a chunk: the square of the chunk, from below the sea up to [`SUMMIT`]. Units.
+    /// Distance from the eye to the box of a chunk: the square of the chunk, from below the sea up
+    /// to [`SUMMIT`]. Units.
     #[must_use]
     pub fn distance_to(&self, key: ChunkKey) -> u64 {
         self.distance_to_box(key, i32::MIN, SUMMIT)
     }
 
-    /// The same for a chunk that is known to lie between two heights. Never less, wherever these are within those bounds. Units.
+    /// The same for a chunk that is known to lie between two heights. Never less, wherever these
+    /// are within those bounds. Units.
     #[must_use]
     pub fn distance_to_box(&self, key: ChunkKey, lowest: i32, highest: i32) -> u64 {
         self.distance_to_block(key.origin(), key.side(), lowest, highest)
     }
 
-    /// Distance to the box over any square: low corner and side in units, between two heights. Units.
+    /// Distance to the box over any square: low corner and side in units, between two heights.
+    /// Units.
     #[must_use]
     pub fn distance_to_block(&self, (x, z): (i32, i32), side: u32, lowest: i32, highest: i32) -> u64 {
         let gap = |eye: i32, low: i32| {
@@ -180,8 +192,8 @@ impl Viewer {
         (dx * dx + dz * dz + dy * dy).isqrt()
     }
 
-    /// Screen error of a vertical error at a distance (both units), 1/16 pixel, saturating. Rounded up: what is within a tolerance in
-    /// these steps is within it.
+    /// Screen error of a vertical error at a distance (both units), 1/16 pixel, saturating. Rounded
+    /// up: what is within a tolerance in these steps is within it.
     #[must_use]
     pub fn screen_error_q4(&self, error: u32, distance: u64) -> u32 {
         let scaled = u64::from(error) * u64::from(self.pixels_per_radian) * 16;
@@ -200,7 +212,8 @@ impl Viewer {
         self.distance_to(key) <= self.reach()
     }
 
-    /// The coarsest level that is drawn: the last whose side does not exceed the view distance, or 0.
+    /// The coarsest level that is drawn: the last whose side does not exceed the view distance, or
+    /// 0.
     #[must_use]
     pub fn top_level(&self) -> u8 {
         let chunks = self.reach() >> CHUNK_BITS;
@@ -366,7 +379,8 @@ mod tests {
             for level in 1..=4 {
                 for (x, z) in [(500, 700), (-3000, 2000), (2500, -1500), (-900, -2800)] {
                     let chunk = land.chunk(ChunkKey::containing(level, x * 256, z * 256));
-                    // Above level 2 an error is a bound itself, with that of the grid that it was measured on.
+                    // Above level 2 an error is a bound itself, with that of the grid that it was
+                    // measured on.
                     let allowed = level_error(level) + if level > 2 { level_error(level - 2) } else { 0 };
                     assert!(chunk.error <= allowed, "{}: {}", chunk.key, chunk.error);
                 }

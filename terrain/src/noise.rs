@@ -1,12 +1,13 @@
 //! Fixed-point gradient noise and its fractal sum.
 //!
-//! Perlin's gradient noise (2002 form: quintic fade) on a square lattice, in products of 16 by 16 bits. A lattice cell
-//! of octave `o` is `2^(18 - o)` units wide; cell and fraction are `p >> s` and `p & mask`, exact for both signs.
+//! Perlin's gradient noise (2002 form: quintic fade) on a square lattice, in products of 16 by 16
+//! bits. A lattice cell of octave `o` is `2^(18 - o)` units wide; cell and fraction are `p >> s`
+//! and `p & mask`, exact for both signs.
 //!
-//! [`weights`](crate::weights) says what is summed. It is summed in two steps, so that a whole row of points can share
-//! the first: along z into one edge per lattice column, then along x. Tall octaves carry eight more
-//! bits through both steps; the low ones round them away, because 16 bits are enough below 16 m. The sum over
-//! all octaves stays within 2 mm of real arithmetic (tested).
+//! [`weights`](crate::weights) says what is summed. It is summed in two steps, so that a whole row
+//! of points can share the first: along z into one edge per lattice column, then along x. Tall
+//! octaves carry eight more bits through both steps; the low ones round them away, because 16 bits
+//! are enough below 16 m. The sum over all octaves stays within 2 mm of real arithmetic (tested).
 
 use crate::constants::{
     FINE_BITS, FIRST_AMPLITUDE_BITS, FIRST_CELL_BITS, FRACTION_BITS, GRADIENTS, OCTAVES, SPLIT_BITS,
@@ -40,8 +41,9 @@ impl Fbm {
         Self { seeds: std::array::from_fn(|octave| stream_seed(world_seed, octave as u32)) }
     }
 
-    /// The sum at one point: the definition. Total over all of i32, wrapping at its ends, so that implementations can be compared
-    /// there too; heights exist inside the world only. Whole grids ([`crate::simd`]) and GPUs must agree with it bit for bit.
+    /// The sum at one point: the definition. Total over all of i32, wrapping at its ends, so that
+    /// implementations can be compared there too; heights exist inside the world only. Whole grids
+    /// ([`crate::simd`]) and GPUs must agree with it bit for bit.
     #[must_use]
     pub fn at(&self, x: i32, z: i32, octaves: Octaves) -> Relief {
         let mut relief = Relief::default();
@@ -63,7 +65,8 @@ impl Fbm {
         relief
     }
 
-    /// The sums of a grid, row by row, by a kernel of one's choice: equal to [`Fbm::at`] bit for bit. 2^-16 m.
+    /// The sums of a grid, row by row, by a kernel of one's choice: equal to [`Fbm::at`] bit for
+    /// bit. 2^-16 m.
     ///
     /// # Panics
     /// If `hills` or `folds` does not hold exactly the grid's vertices.
@@ -139,8 +142,9 @@ impl Edge {
 
 const HALF_Q15: i32 = 1 << 14;
 
-/// The value of one octave between two lattice columns, Q31 of its amplitude. No sum overflows: slopes and values
-/// are below 0.996 and 0.498, and all the weights of a row of products add up to less than that leaves.
+/// The value of one octave between two lattice columns, Q31 of its amplitude. No sum overflows:
+/// slopes and values are below 0.996 and 0.498, and all the weights of a row of products add up to
+/// less than that leaves.
 #[inline]
 fn value(octave: usize, low: Edge, high: Edge, east: Weights) -> i32 {
     if octave < WIDE_OCTAVES {
@@ -208,7 +212,8 @@ mod tests {
         assert!(worst > 0.0001, "a difference of {worst} m would mean that the integers were not looked at");
     }
 
-    /// The extreme of the products: all four gradients along the worst direction, at every pair of fractions.
+    /// The extreme of the products: all four gradients along the worst direction, at every pair of
+    /// fractions.
     #[test]
     fn no_sum_of_products_can_overflow() {
         let extreme = [(32_610, 3_212), (20_788, 25_330), (3_212, 32_610)];

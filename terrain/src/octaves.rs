@@ -21,9 +21,9 @@ impl Octaves {
 
     /// What a grid of a level can carry: octaves whose cell is at least the vertex spacing.
     ///
-    /// A finer octave would put every vertex into a cell of its own and so add white noise, which shimmers, costs two lattice
-    /// columns per vertex and moves the drawn triangles away from the land (docs/heightfield.md, section 6). Levels 0 to 2
-    /// keep all octaves.
+    /// A finer octave would put every vertex into a cell of its own and so add white noise, which
+    /// shimmers, costs two lattice columns per vertex and moves the drawn triangles away from the
+    /// land (docs/heightfield.md, section 6). Levels 0 to 2 keep all octaves.
     #[must_use]
     pub const fn at_level(level: u8) -> Self {
         let carried = (FIRST_CELL_BITS - SPACING_BITS + 1).saturating_sub(level as u32);
@@ -43,10 +43,11 @@ impl Octaves {
 
     /// Upper bound, in units, of the height that the octaves beyond these can add or take anywhere.
     ///
-    /// Proof. One octave of amplitude `a` stays below `0.7072 a`: its gradients are unit vectors, so it is at most the
-    /// mean of the four distances to the corners, weighted by the steps, which is largest (`√½`) in the middle of a cell.
-    /// The falloff scales hills and ridges by at most 1. A ridge is `64 m (1 - |folds| / 64 m)²`, so it changes by at
-    /// most 64 m and twice the change of the folds (octaves 1 and 2). The beach multiplies a difference by at most 1.64, its
+    /// Proof. One octave of amplitude `a` stays below `0.7072 a`: its gradients are unit vectors,
+    /// so it is at most the mean of the four distances to the corners, weighted by the steps, which
+    /// is largest (`√½`) in the middle of a cell. The falloff scales hills and ridges by at most 1.
+    /// A ridge is `64 m (1 - |folds| / 64 m)²`, so it changes by at most 64 m and twice the change
+    /// of the folds (octaves 1 and 2). The beach multiplies a difference by at most 1.64, its
     /// greatest slope (at `r² = 0.6`). One unit covers the two roundings.
     #[must_use]
     pub fn dropped_bound(self) -> u32 {
@@ -95,7 +96,8 @@ mod tests {
         assert_eq!(Octaves::new(0).map(Octaves::count), Ok(0));
     }
 
-    /// Brute force against the proof, and the proof must not be empty: the worst found has to come near it.
+    /// Brute force against the proof, and the proof must not be empty: the worst found has to come
+    /// near it.
     #[test]
     fn dropped_octaves_stay_below_the_proved_bound() {
         for kept in (0..=OCTAVES).map(|count| Octaves::new(count).unwrap()) {
@@ -113,7 +115,8 @@ mod tests {
         }
     }
 
-    /// The largest value of one octave, on which the proof rests: distances to the corners under the step weights.
+    /// The largest value of one octave, on which the proof rests: distances to the corners under
+    /// the step weights.
     #[test]
     fn an_octave_is_largest_in_the_middle_of_a_cell() {
         let step = |t: f64| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);

@@ -3,7 +3,8 @@
 use crate::constants::OCTAVES;
 use crate::land::Land;
 
-/// Everything that a 64-bit world seed decides: a GPU has no 64-bit integers to derive it from the seed itself.
+/// Everything that a 64-bit world seed decides: a GPU has no 64-bit integers to derive it from the
+/// seed itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parameters {
     /// Seed of each octave, coarsest first.

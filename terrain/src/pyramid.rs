@@ -1,8 +1,9 @@
-//! Height pyramids: for every cell, block of cells and the whole chunk, a bound on the drawn surface.
+//! Height pyramids: for every cell, block of cells and the whole chunk, a bound on the drawn
+//! surface.
 //!
-//! A base texel holds the maximum (or minimum) of the four corner vertices of one cell. The cell is drawn as two
-//! triangles, so that is the exact extreme of the drawn surface over the cell, never the noise between vertices.
-//! Each further level reduces 2 x 2 texels, up to one.
+//! A base texel holds the maximum (or minimum) of the four corner vertices of one cell. The cell is
+//! drawn as two triangles, so that is the exact extreme of the drawn surface over the cell, never
+//! the noise between vertices. Each further level reduces 2 x 2 texels, up to one.
 
 use crate::constants::{CELLS, VERTEX_COUNT};
 use crate::simd::{self, Kernel};
@@ -19,7 +20,8 @@ pub struct Pyramid {
     texels: Box<Texels>,
 }
 
-/// The texels of all levels, base first. Aligned to cache lines: vectors stored across two of them cost twice.
+/// The texels of all levels, base first. Aligned to cache lines: vectors stored across two of them
+/// cost twice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[repr(C, align(64))]
 pub(crate) struct Texels(pub(crate) [i32; PYRAMID_TEXELS]);

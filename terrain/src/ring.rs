@@ -1,12 +1,13 @@
 //! The ring profile: the only arithmetic allowed on the way to a height.
 //!
-//! Wrapping add, subtract and multiply, bitwise operations, shifts by constants below 32, compare, select,
-//! minimum and maximum. All of them mean the same in Rust, in WGSL (integer overflow is modulo 2^32 there) and
-//! in every SIMD instruction set. No float, and no signed `/` or `%`: drivers are known to get those wrong for
-//! negative operands, and `%` means different things in different languages.
+//! Wrapping add, subtract and multiply, bitwise operations, shifts by constants below 32, compare,
+//! select, minimum and maximum. All of them mean the same in Rust, in WGSL (integer overflow is
+//! modulo 2^32 there) and in every SIMD instruction set. No float, and no signed `/` or `%`:
+//! drivers are known to get those wrong for negative operands, and `%` means different things in
+//! different languages.
 //!
-//! The high halves of products below are part of the ring profile because they can be put together from
-//! 16-bit products; Rust states them through a 64-bit product.
+//! The high halves of products below are part of the ring profile because they can be put together
+//! from 16-bit products; Rust states them through a 64-bit product.
 
 /// High 32 bits of the signed 64-bit product: `floor(a * b / 2^32)`.
 #[must_use]
@@ -22,12 +23,12 @@ pub const fn mul_hi_u(a: u32, b: u32) -> u32 {
     ((a as u64 * b as u64) >> 32) as u32
 }
 
-/// Remainder of truncated division: the result keeps the sign of the dividend `a`, as `%` does in JavaScript,
-/// HLSL and WGSL ("sign-preserving mod").
+/// Remainder of truncated division: the result keeps the sign of the dividend `a`, as `%` does in
+/// JavaScript, HLSL and WGSL ("sign-preserving mod").
 ///
-/// Total over all of i32: the sign of `m` does not matter, and `m == 0` gives 0 (WGSL defines `x % 0` so).
-/// Built on an unsigned remainder of magnitudes because a signed `%` is not portable across GPU drivers;
-/// `i32::MIN` works because its magnitude fits in u32.
+/// Total over all of i32: the sign of `m` does not matter, and `m == 0` gives 0 (WGSL defines
+/// `x % 0` so). Built on an unsigned remainder of magnitudes because a signed `%` is not portable
+/// across GPU drivers; `i32::MIN` works because its magnitude fits in u32.
 #[must_use]
 pub const fn mod_trunc(a: i32, m: i32) -> i32 {
     if m == 0 {
@@ -37,11 +38,11 @@ pub const fn mod_trunc(a: i32, m: i32) -> i32 {
     if a < 0 { (magnitude as i32).wrapping_neg() } else { magnitude as i32 }
 }
 
-/// Remainder of floored division by the magnitude of `m`: the result lies in `[0, |m|)`, so that cells keep
-/// their width across zero.
+/// Remainder of floored division by the magnitude of `m`: the result lies in `[0, |m|)`, so that
+/// cells keep their width across zero.
 ///
-/// Total over all of i32: `m == 0` gives 0, a negative `m` acts like its magnitude (`|i32::MIN|` included:
-/// the result is then `a` for `a >= 0`, and for `a < 0` the value `a + 2^31`).
+/// Total over all of i32: `m == 0` gives 0, a negative `m` acts like its magnitude (`|i32::MIN|`
+/// included: the result is then `a` for `a >= 0`, and for `a < 0` the value `a + 2^31`).
 #[must_use]
 pub const fn mod_floor(a: i32, m: i32) -> i32 {
     let remainder = mod_trunc(a, m);

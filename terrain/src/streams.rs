@@ -1,11 +1,13 @@
-//! The random streams of a clump of plants: what is drawn by lot about it, from its cell and its number there.
+//! The random streams of a clump of plants: what is drawn by lot about it, from its cell and its
+//! number there.
 //!
-//! Clumps are counted per cell of a grid that lies fixed in the world, not per chunk, so that chunks of every level hold the same clumps. `shared/streams.wesl` is the
-//! twin on the GPU.
+//! Clumps are counted per cell of a grid that lies fixed in the world, not per chunk, so that
+//! chunks of every level hold the same clumps. `shared/streams.wesl` is the twin on the GPU.
 
 use crate::hash::mix;
 
-/// What is drawn by lot about a clump: words that look unrelated to each other and to those of every other clump.
+/// What is drawn by lot about a clump: words that look unrelated to each other and to those of
+/// every other clump.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Streams {
     /// Where in its cell.
@@ -24,8 +26,8 @@ pub struct Streams {
 
 /// The streams of clump number `index` of the cell `(x, z)`; `kind` tells fields of one seed apart.
 ///
-/// Four words come out of the permutation pcg4d (Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 9(3), 2020), the others are hashes of
-/// two of them each.
+/// Four words come out of the permutation pcg4d (Jarzynski and Olano, "Hash Functions for GPU
+/// Rendering", JCGT 9(3), 2020), the others are hashes of two of them each.
 #[must_use]
 pub const fn streams(seed: u32, kind: u32, x: i32, z: i32, index: u32) -> Streams {
     let [a, b, c, d] = pcg4d([x as u32, z as u32, index ^ (kind << 16), seed]);
@@ -39,8 +41,9 @@ pub const fn streams(seed: u32, kind: u32, x: i32, z: i32, index: u32) -> Stream
     }
 }
 
-/// A permutation of four words in which every output bit depends on every input bit: a linear congruential step each, then twice every word plus the
-/// product of two others, with a shift between.
+/// A permutation of four words in which every output bit depends on every input bit: a linear
+/// congruential step each, then twice every word plus the product of two others, with a shift
+/// between.
 const fn pcg4d(words: [u32; 4]) -> [u32; 4] {
     let mut v = [step(words[0]), step(words[1]), step(words[2]), step(words[3])];
     v = stir(v);
@@ -77,7 +80,8 @@ mod tests {
         cells.flat_map(|(x, z)| (0..16).map(move |index| words(streams(7, 0, x, z, index)))).collect()
     }
 
-    /// Upper tail of the chi-square distribution by the cube-root approximation (Wilson and Hilferty, PNAS 17, 1931), as a standard deviation.
+    /// Upper tail of the chi-square distribution by the cube-root approximation (Wilson and
+    /// Hilferty, PNAS 17, 1931), as a standard deviation.
     fn deviation(chi_square: f64, degrees: f64) -> f64 {
         let spread = 2.0 / (9.0 * degrees);
         ((chi_square / degrees).cbrt() - (1.0 - spread)) / spread.sqrt()

@@ -1,12 +1,14 @@
 //! How much each side of a lattice cell counts at a place inside it.
 //!
-//! Gradient noise is separable. With the quintic fade `s` of a fraction `t`, the side at the low end of a cell
-//! has the *step* `1 - s` and the *line* `t (1 - s)`, the side at the high end `s` and `(t - 1) s`, and the noise is
+//! Gradient noise is separable. With the quintic fade `s` of a fraction `t`, the side at the low
+//! end of a cell has the *step* `1 - s` and the *line* `t (1 - s)`, the side at the high end `s`
+//! and `(t - 1) s`, and the noise is
 //!
 //! `sum over the four corners of  gx * line_x * step_z + gz * step_x * line_z`.
 //!
-//! Steps are kept negated, because -1 fits a signed fixed-point number and +1 does not. Every product has one step, so
-//! the sum is the negative of that noise: hills for valleys, the same family of lands.
+//! Steps are kept negated, because -1 fits a signed fixed-point number and +1 does not. Every
+//! product has one step, so the sum is the negative of that noise: hills for valleys, the same
+//! family of lands.
 
 use crate::constants::{FRACTION_BITS, SPLIT_BITS};
 use crate::ring::{mul_hi, mul_hi_u};
@@ -35,8 +37,8 @@ pub fn weights(fraction: i32) -> Weights {
     Weights { line, step }
 }
 
-/// The quintic fade 6t^5 - 15t^4 + 10t^3 of a Q18 fraction, in Q31. Every step rounds down, so the result stays
-/// below 2^31 (tested over all 2^18 fractions).
+/// The quintic fade 6t^5 - 15t^4 + 10t^3 of a Q18 fraction, in Q31. Every step rounds down, so the
+/// result stays below 2^31 (tested over all 2^18 fractions).
 #[inline]
 #[must_use]
 pub fn fade(fraction: i32) -> i32 {
@@ -47,7 +49,8 @@ pub fn fade(fraction: i32) -> i32 {
     mul_hi(t3, inner_q27) << 5
 }
 
-/// An operand with [`SPLIT_BITS`] extra bits, as two numbers of 16 bits: high part (signed) and low part (`[0, 256)`).
+/// An operand with [`SPLIT_BITS`] extra bits, as two numbers of 16 bits: high part (signed) and low
+/// part (`[0, 256)`).
 #[inline]
 #[must_use]
 pub const fn split(wide: i32) -> (i32, i32) {

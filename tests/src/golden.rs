@@ -1,7 +1,7 @@
 //! Comparing pictures with golden ones.
 //!
-//! A golden picture lies under `tests/golden/`. `TOMBOLO_BLESS=1` writes it; a failure writes what was drawn and says
-//! where.
+//! A golden picture lies under `tests/golden/`. `TOMBOLO_BLESS=1` writes it; a failure writes what
+//! was drawn and says where.
 
 use client::render::Picture;
 use std::path::{Path, PathBuf};
@@ -16,9 +16,9 @@ pub struct Difference {
     pub outliers: f64,
 }
 
-/// What is still called the same picture: drivers may round, fuse and reorder float arithmetic and place the edges of
-/// triangles differently by a fraction of a pixel. That moves single pixels at silhouettes a lot and all others
-/// hardly; a wrong shade, place or shape moves many.
+/// What is still called the same picture: drivers may round, fuse and reorder float arithmetic and
+/// place the edges of triangles differently by a fraction of a pixel. That moves single pixels at
+/// silhouettes a lot and all others hardly; a wrong shade, place or shape moves many.
 pub const TOLERANCE: Difference = Difference { mean: 1.5, outliers: 0.01 };
 
 impl Difference {

@@ -1,7 +1,8 @@
 //! The land's horizon by its definition, in f64: what shadows on the GPU are compared with.
 //!
-//! Every drawn chunk that a track crosses is tested at every crossing of its mesh. No pyramid, no page table, no stepping, nothing shared with the
-//! shader but the rule that a cell is cut from its low to its high corner.
+//! Every drawn chunk that a track crosses is tested at every crossing of its mesh. No pyramid, no
+//! page table, no stepping, nothing shared with the shader but the rule that a cell is cut from its
+//! low to its high corner.
 
 use client::world::Resident;
 use shaders::layout::{CLEARANCE_RANGE, SUN_RADIUS};
@@ -15,12 +16,13 @@ pub struct Drawn<'a> {
     pub chunks: Vec<(ChunkKey, &'a Resident)>,
 }
 
-/// Units of the nearest crossing that is looked at. The nearest there is lies 0.35 vertex spacings of level 0 away.
+/// Units of the nearest crossing that is looked at. The nearest there is lies 0.35 vertex spacings
+/// of level 0 away.
 const NEAREST: f64 = 128.0;
 
 impl Drawn<'_> {
-    /// How far the middle of the sun stands above the horizon at a place (units), in radii of the sun, within the kept range. `azimuth` clockwise
-    /// from north and `elevation` are radians.
+    /// How far the middle of the sun stands above the horizon at a place (units), in radii of the
+    /// sun, within the kept range. `azimuth` clockwise from north and `elevation` are radians.
     #[must_use]
     pub fn clearance(&self, place: (i64, i64), azimuth: f64, elevation: f64) -> f64 {
         let toward = (azimuth.sin(), -azimuth.cos());

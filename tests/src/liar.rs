@@ -1,5 +1,5 @@
-//! A server that keeps the protocol and lies about the land: the session machine over real sockets, with frames of a
-//! suite's choice.
+//! A server that keeps the protocol and lies about the land: the session machine over real sockets,
+//! with frames of a suite's choice.
 
 use bytes::Bytes;
 use futures_util::{SinkExt, StreamExt};

@@ -1,4 +1,5 @@
-//! The harness of the suites under `tests/tests`: a server on port 0, a raw WebSocket peer, HTTP, and picture comparison.
+//! The harness of the suites under `tests/tests`: a server on port 0, a raw WebSocket peer, HTTP,
+//! and picture comparison.
 //!
 //! | suite | what belongs there |
 //! | --- | --- |
@@ -29,8 +30,9 @@ pub mod running;
 pub use peer::Peer;
 pub use running::RunningServer;
 
-/// Whether a missing GPU adapter is a failure instead of a visible skip. Continuous integration installs a software
-/// driver and sets `TOMBOLO_REQUIRE_GPU`, so that the pictures cannot go untested there.
+/// Whether a missing GPU adapter is a failure instead of a visible skip. Continuous integration
+/// installs a software driver and sets `TOMBOLO_REQUIRE_GPU`, so that the pictures cannot go
+/// untested there.
 #[must_use]
 pub fn gpu_is_required() -> bool {
     std::env::var_os("TOMBOLO_REQUIRE_GPU").is_some()

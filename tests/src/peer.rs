@@ -49,7 +49,8 @@ impl Peer {
         self.send(Message::Binary(bytes.as_ref().to_vec().into())).await;
     }
 
-    /// The next binary frame, or the close frame that ended the connection (none if it broke without one).
+    /// The next binary frame, or the close frame that ended the connection (none if it broke
+    /// without one).
     ///
     /// # Errors
     /// The connection ended.

@@ -10,13 +10,15 @@ use std::sync::OnceLock;
 pub fn command(name: &str) -> Command {
     static BUILT: OnceLock<()> = OnceLock::new();
     BUILT.get_or_init(|| {
-        // The whole workspace, as continuous integration builds it: a part would be built with other features.
+        // The whole workspace, as continuous integration builds it: a part would be built with
+        // other features.
         let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
         let built = Command::new(cargo).args(["build", "--quiet", "--workspace", "--all-targets"]).status();
         assert!(built.is_ok_and(|status| status.success()), "the programs build");
     });
     let mut command = Command::new(directory().join(name));
-    // A Vulkan layer of Mesa complains on standard error where it is unset; that line is not the program's.
+    // A Vulkan layer of Mesa complains on standard error where it is unset; that line is not the
+    // program's.
     command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
     // What a developer has set must not decide a test.
     for (variable, _) in std::env::vars_os() {

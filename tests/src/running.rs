@@ -15,7 +15,8 @@ pub struct RunningServer {
     task: JoinHandle<()>,
 }
 
-/// The defaults with one generation thread and short timeouts, so that suites about silence end soon.
+/// The defaults with one generation thread and short timeouts, so that suites about silence end
+/// soon.
 #[must_use]
 pub fn quick_config() -> ServerConfig {
     ServerConfig {

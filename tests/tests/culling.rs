@@ -216,7 +216,8 @@ fn one_clump_none_and_more_than_there_is_room_for() {
     let (twin, chosen, told) = one.expect("some grass within 10 m");
     assert_eq!((twin.len(), told.clumps, told.clumps_lost), (1, 1, 0));
     assert_eq!(without_normal(&chosen.concat()[0]), words(&twin[0]));
-    // The buffers are full: what there is room for is drawn, the rest is counted, and no other memory is touched.
+    // The buffers are full: what there is room for is drawn, the rest is counted, and no other
+    // memory is touched.
     let (twin, chosen, told) = choose(150.0);
     let wanted = |level: u32| twin.iter().filter(|kept| kept.detail == level).count();
     let room = [0, 1, 2].map(|level| wanted(level).min(40));

@@ -1,5 +1,6 @@
-//! The test of sight at its extremes: where the eye stands, and what shape the land has. Everywhere the same is asked: that nothing is left out of which the drawn triangles
-//! leave a vertex in sight, and that something hidden is left out wherever there is any.
+//! The test of sight at its extremes: where the eye stands, and what shape the land has. Everywhere
+//! the same is asked: that nothing is left out of which the drawn triangles leave a vertex in
+//! sight, and that something hidden is left out wherever there is any.
 
 use client::camera::{Lens, Pose};
 use client::frame::Shot;
@@ -32,7 +33,8 @@ type Shape = fn(i64, i64) -> i32;
 
 const METRE: i64 = 256;
 
-/// Land of a shape, covered with grass and trees, as it is drawn from an eye (east, up, south; metres) that looks along a yaw (degrees).
+/// Land of a shape, covered with grass and trees, as it is drawn from an eye (east, up, south;
+/// metres) that looks along a yaw (degrees).
 fn scene(shape: Shape, eye_m: [f64; 3], yaw_deg: f64, knobs: PlantKnobs) -> Scene {
     let land = Land::new(1);
     let shot = Shot {

@@ -134,7 +134,8 @@ const RAISED: Frames = |land, key, delivery| {
 
 const HONEST: Frames = |land, key, delivery| encode_for(delivery, &land.chunk(key), &land.digest());
 
-/// What ends a viewer's session with a server: the cause and whether it tries again. None if the view settles.
+/// What ends a viewer's session with a server: the cause and whether it tries again. None if the
+/// view settles.
 fn viewers_fate(url: &str, change: impl FnOnce(&mut Settings)) -> Option<(String, bool)> {
     let mut settings = Settings::new(url.parse().unwrap());
     change(&mut settings);
@@ -165,7 +166,8 @@ async fn a_viewer_that_regenerates_notices_a_lying_server() {
     let liar = Liar::start(world, RAISED).await;
     let (cause, retry) = fate(&liar.stream_url, Delivery::SeedOnly).await.expect("noticed");
     assert!(cause.contains("generated here") && !retry, "{cause}");
-    // The controls: the same frames pass where nobody regenerates, and honest ones pass in both deliveries.
+    // The controls: the same frames pass where nobody regenerates, and honest ones pass in both
+    // deliveries.
     assert_eq!(fate(&liar.stream_url, Delivery::Exact).await, None);
     let honest = Liar::start(world, HONEST).await;
     for delivery in DELIVERIES {

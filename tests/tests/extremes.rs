@@ -178,7 +178,8 @@ fn flat_land_is_drawn_coarse_and_whole() {
     assert!((1..=25).contains(&stats.chunks_drawn), "nothing asks for detail: {stats:?}");
     let levels = Options { looks: Looks { show: Show::Levels, ..Looks::default() }, ..options };
     let Some((levels, _)) = drawn_from(Molded::new(1, flat), &levels) else { return };
-    // One level, lit alike everywhere: below the horizon all pixels are of one colour but for dither.
+    // One level, lit alike everywhere: below the horizon all pixels are of one colour but for
+    // dither.
     let low = &levels.rgba[levels.rgba.len() / 2..];
     assert!(low.chunks_exact(4).all(|pixel| (0..3).all(|i| pixel[i].abs_diff(low[i]) <= 2)));
     assert!(mean(&picture, 1) > 10.0);

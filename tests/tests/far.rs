@@ -1,8 +1,10 @@
 //! Far from the origin the picture is the same, pixel for pixel.
 //!
-//! The land differs from place to place, so no two places look alike by themselves. Here the home island's chunks are carried to another place: a feed
-//! answers every view from the land at the origin and shifts the keys by whole chunks of level 13 (2^20 m, a multiple of every drawn chunk's side and of the period
-//! of all patterns). Camera, culling, selection, patterns and the GPU see nothing but far coordinates, and must not notice.
+//! The land differs from place to place, so no two places look alike by themselves. Here the home
+//! island's chunks are carried to another place: a feed answers every view from the land at the
+//! origin and shifts the keys by whole chunks of level 13 (2^20 m, a multiple of every drawn
+//! chunk's side and of the period of all patterns). Camera, culling, selection, patterns and the
+//! GPU see nothing but far coordinates, and must not notice.
 
 use client::camera::{Lens, Pose};
 use client::feed::{Feed, FeedEvent, LocalFeed, Traffic};
@@ -75,7 +77,8 @@ impl Feed for Carried {
     }
 }
 
-/// Views of the home island. The last has an eye between two units (1/1024 m, held exactly by an f64 anywhere in the world).
+/// Views of the home island. The last has an eye between two units (1/1024 m, held exactly by an
+/// f64 anywhere in the world).
 const CAMERAS: [&str; 3] =
     ["-5200,160,1500,70,-8", "4700,25,500,-60,-8", "300.0009765625,420.125,899.9990234375,20,-12"];
 
@@ -135,7 +138,8 @@ fn a_quarter_of_a_metre_is_seen_far_out_and_so_is_an_eye_that_went_through_f32()
     let Some(moved) = drawn(moved, place) else { return };
     assert!(differing(&home, &moved) > 1_000, "{} pixels", differing(&home, &moved));
 
-    // 1/16 m is half of what an f32 can tell apart at 2^20 m: the camera of an engine in absolute floats.
+    // 1/16 m is half of what an f32 can tell apart at 2^20 m: the camera of an engine in absolute
+    // floats.
     let shifted = |place| {
         let mut pose = pose(camera, place);
         pose.position_m.x += 0.0625;
@@ -158,7 +162,8 @@ fn pixels_f32(matrix: [[f32; 4]; 4], point: [f32; 3], lens: &Lens) -> [f64; 2] {
     [f64::from(clip[0] / clip[2]) * half[0], f64::from(clip[1] / clip[2]) * half[1]]
 }
 
-/// What the integers spare us, without a GPU: the same points, 20 to 500 m away, through a camera-relative matrix and through an absolute one.
+/// What the integers spare us, without a GPU: the same points, 20 to 500 m away, through a
+/// camera-relative matrix and through an absolute one.
 #[test]
 fn an_absolute_f32_transform_misses_by_pixels_where_a_relative_one_does_not() {
     let lens = Lens { width: 1280, height: 720, fov_deg: 60.0 };
@@ -166,7 +171,8 @@ fn an_absolute_f32_transform_misses_by_pixels_where_a_relative_one_does_not() {
         let pose = pose("300.0009765625,420.125,899.9990234375,20,-12", place);
         let relative = lens.clip_from_camera(&pose).to_cols_array_2d();
         let eye = pose.position_m.to_array();
-        // clip_from_world = clip_from_camera * translation by the negated eye, as an engine would multiply it in f32.
+        // clip_from_world = clip_from_camera * translation by the negated eye, as an engine would
+        // multiply it in f32.
         let mut absolute = relative;
         absolute[3] = [0, 1, 2, 3].map(|row| {
             let turned = |axis: usize| relative[axis][row] * -(eye[axis] as f32);

@@ -1,4 +1,5 @@
-//! Parallax on the streamed land: gone without a trace where there is no relief, and blind to the borders of chunks and levels.
+//! Parallax on the streamed land: gone without a trace where there is no relief, and blind to the
+//! borders of chunks and levels.
 
 use client::camera::Lens;
 use client::feed::{Feed, LocalFeed};
@@ -88,7 +89,8 @@ fn borders_of_chunks_and_levels_do_not_show() {
     let options = options("0,13.7,0.5,0,-14", relief);
     let Some(whole) = drawn(Molded::new(1, level), &options) else { return };
     let Some(pieces) = drawn(Molded::new(1, level_in_small_pieces), &options) else { return };
-    // Positions are interpolated over other triangles: a few rays pass the edge of a leaf on its other side.
+    // Positions are interpolated over other triangles: a few rays pass the edge of a leaf on its
+    // other side.
     let pixels = whole.rgba.len() / 4;
     let seams = differing(&whole, &pieces, 8);
     assert!(seams <= pixels / 100, "{seams} of {pixels}");

@@ -57,7 +57,8 @@ async fn bad_frames_get_typed_close_codes_and_the_other_session_lives_on() {
     ];
     for (name, message, code) in cases {
         let got = fate(&server, message).await;
-        // A far oversized frame is cut off while it is still being sent; the close frame may be lost with it.
+        // A far oversized frame is cut off while it is still being sent; the close frame may be
+        // lost with it.
         assert!(got == Some(code.code()) || (name == "far oversized" && got.is_none()), "{name}: {got:?}");
     }
     bystander.settle(view(2, 500)).await;
@@ -159,7 +160,8 @@ async fn a_client_that_stops_reading_is_closed_and_does_not_slow_the_others() {
         let keys = vec![WireKey { level: 0, x: 3, z: -7 }];
         control::encode(&ClientMessage::Request { id, keys }).unwrap()
     };
-    // The Welcome and one chunk, which is cached from then on: what follows is written as fast as it is asked for.
+    // The Welcome and one chunk, which is cached from then on: what follows is written as fast as
+    // it is asked for.
     deaf.send_bytes(request(0)).await;
     for _ in 0..2 {
         deaf.receive().await.expect("an answer");

@@ -1,7 +1,7 @@
 //! Light that is a number in every pixel, wherever the sun stands, the eye is and looks.
 //!
-//! Judged before the tone curve, which would turn what is no number into some colour: the half floats of the gathered light are read back and
-//! their bits looked at.
+//! Judged before the tone curve, which would turn what is no number into some colour: the half
+//! floats of the gathered light are read back and their bits looked at.
 
 use client::camera::Lens;
 use client::feed::LocalFeed;

@@ -1,4 +1,5 @@
-//! Scenes of reliefs: what must be the same byte for byte, knobs and cameras at the ends of their ranges, and edges and depths against displaced geometry.
+//! Scenes of reliefs: what must be the same byte for byte, knobs and cameras at the ends of their
+//! ranges, and edges and depths against displaced geometry.
 
 use client::camera::Pose;
 use client::headless::{self, HeadlessError, Options};
@@ -122,7 +123,8 @@ fn a_loop_that_runs_to_its_end_draws_what_one_that_leaves_draws_byte_for_byte() 
     }
 }
 
-/// Cameras that ask for what has no answer: straight down, along the plane, at its height, in the relief, under it.
+/// Cameras that ask for what has no answer: straight down, along the plane, at its height, in the
+/// relief, under it.
 fn odd_poses() -> Vec<Pose> {
     let texts = [
         "0,3,0,0,-90",
@@ -396,7 +398,8 @@ fn a_material_tiled_twice_is_one_of_tiles_half_as_large_byte_for_byte() {
 #[test]
 fn tiling_leaves_metres_of_height_as_they_are() {
     let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
-    // Seen from twice as far, everything twice as large is the same picture; its material is tiled half as often, and its relief is twice as high.
+    // Seen from twice as far, everything twice as large is the same picture; its material is tiled
+    // half as often, and its relief is twice as high.
     let mut of = |scale: f32, relief_m: f32, tiling: f32, mode| {
         let shape = Shape::Plane { width_m: SIDE_M * scale, height_m: SIDE_M * scale };
         let object = Object { shape, relief_m, ..plane(mode) };

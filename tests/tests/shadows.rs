@@ -112,11 +112,11 @@ fn place(key: ChunkKey, index: usize) -> (i64, i64) {
     (at(x, index % VERTICES), at(z, index / VERTICES))
 }
 
-/// Share of some vertices whose share of the sun is off by more than a tolerance, and the share of those that are neither
-/// fully lit nor fully dark by definition.
+/// Share of some vertices whose share of the sun is off by more than a tolerance, and the share of
+/// those that are neither fully lit nor fully dark by definition.
 ///
-/// Tolerance: a byte holds a clearance near the rim to 1/45 of a radius, the share changes by 2/pi per radius, and corners of cells that are cut by
-/// less than 16 mm may be missed.
+/// Tolerance: a byte holds a clearance near the rim to 1/45 of a radius, the share changes by 2/pi
+/// per radius, and corners of cells that are cut by less than 16 mm may be missed.
 fn disagreement(
     truth: &horizon::Drawn<'_>,
     cast: &HashMap<ChunkKey, Vec<u8>>,

@@ -1,4 +1,5 @@
-//! The sea and the scene of the water: identities, the order of the tiers, and cameras at the ends of their ranges.
+//! The sea and the scene of the water: identities, the order of the tiers, and cameras at the ends
+//! of their ranges.
 
 use client::camera::{Lens, Pose};
 use client::feed::{LocalFeed, NoFeed};
@@ -56,7 +57,8 @@ fn between_panels(picture: &Picture, one: u32, other: u32) -> f64 {
     sum / f64::from(3 * (width - 2) * picture.height)
 }
 
-/// Why a picture cannot be one, if it cannot: the tone pass writes magenta, which nothing natural is, where light is no number.
+/// Why a picture cannot be one, if it cannot: the tone pass writes magenta, which nothing natural
+/// is, where light is no number.
 fn broken(picture: &Picture) -> Option<String> {
     let wrong = picture.rgba.chunks_exact(4).position(|pixel| pixel == [255, 0, 255, 255] || pixel[3] != 255);
     wrong.map(|index| format!("pixel {index} is no number"))
@@ -114,7 +116,8 @@ fn the_sea_is_defined_wherever_the_eye_is_and_whatever_the_knobs_say() {
         WaveKnobs { parallax_factor: f32::NAN, parallax_bias_m: f32::NAN, steepness: f32::NAN },
     ];
     let cameras = [
-        // At the plane, a hair above and below it, under water; looking level, straight down and straight up.
+        // At the plane, a hair above and below it, under water; looking level, straight down and
+        // straight up.
         "4700,0,500,120,0",
         "4700,0.004,500,120,-5",
         "4700,-0.004,500,120,5",
@@ -146,7 +149,8 @@ fn light_that_is_no_number_is_called_broken() {
     let options = options(Scene::Water, BAY);
     let Some((picture, _)) = drawn(&options) else { return };
     assert_eq!(broken(&picture), None);
-    // The control: an exposure that is no number makes all light so. No option can do it, so the uniforms are spoilt.
+    // The control: an exposure that is no number makes all light so. No option can do it, so the
+    // uniforms are spoilt.
     let gpu = Gpu::open_blocking().unwrap();
     let size = (options.lens.width, options.lens.height);
     let format = picture::PICTURE_FORMAT;

@@ -1,4 +1,5 @@
-//! The architecture, said as what must not be there: asks cargo for each crate's dependency tree and expects no forbidden name.
+//! The architecture, said as what must not be there: asks cargo for each crate's dependency tree
+//! and expects no forbidden name.
 
 use crate::process;
 use anyhow::{Context, Result, bail};
@@ -74,7 +75,8 @@ pub fn check() -> Result<()> {
     Ok(())
 }
 
-/// The first forbidden name in a tree of one `name version` a line. A tree without the package itself is no answer.
+/// The first forbidden name in a tree of one `name version` a line. A tree without the package
+/// itself is no answer.
 fn violation(package: &str, forbidden: &[&str], tree: &str) -> Result<Option<String>> {
     let names: BTreeSet<_> = tree.lines().filter_map(|line| line.split_whitespace().next()).collect();
     if !names.contains(package) {

@@ -1,4 +1,5 @@
-//! `bless`: rewrites what tests compare with from what the code does now. The diff is for a person to judge.
+//! `bless`: rewrites what tests compare with from what the code does now. The diff is for a person
+//! to judge.
 
 use crate::process;
 use anyhow::{Context, Result};

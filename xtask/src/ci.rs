@@ -110,7 +110,8 @@ fn advisories() -> Result<Outcome> {
     process::run(process::cargo("deny check --disable-fetch advisories")).map(|()| Outcome::Passed)
 }
 
-/// Every backend of this machine computes the same integers; the table says which were skipped, and why.
+/// Every backend of this machine computes the same integers; the table says which were skipped, and
+/// why.
 fn digest() -> Result<Outcome> {
     // Without --package: one package alone would be built anew with other features.
     let mut lab = process::cargo("run --quiet --bin tombolo-lab -- digest");
@@ -119,7 +120,8 @@ fn digest() -> Result<Outcome> {
     process::run(lab).map(|()| Outcome::Passed)
 }
 
-/// The crates that a browser will run, with and without its vectors; the land's kernels are run too where Node is installed.
+/// The crates that a browser will run, with and without its vectors; the land's kernels are run too
+/// where Node is installed.
 fn webassembly() -> Result<Outcome> {
     const TARGET: &str = "wasm32-unknown-unknown";
     let mut add = process::command("rustup");
@@ -166,8 +168,8 @@ fn node_version() -> Command {
     node
 }
 
-/// The shaders' own tests once more by themselves: naga always, Tint where it is installed. Which of them looked must be said
-/// here, because the output of passing tests is not shown.
+/// The shaders' own tests once more by themselves: naga always, Tint where it is installed. Which
+/// of them looked must be said here, because the output of passing tests is not shown.
 fn shaders() -> Result<Outcome> {
     // Whether it can be started at all; its exit code for a question about itself means nothing.
     let tint = process::command("tint").arg("--help").stdout(Stdio::null()).stderr(Stdio::null()).status();

@@ -94,7 +94,8 @@ fn fly(server: &Server, options: Options) -> Result<()> {
 }
 
 impl Shot {
-    /// `X,Y,Z,YAW,PITCH` as the viewer takes it: metres and degrees, above whatever ground is there.
+    /// `X,Y,Z,YAW,PITCH` as the viewer takes it: metres and degrees, above whatever ground is
+    /// there.
     fn camera(&self, land: &Land) -> String {
         let (east, south) = self.place_m;
         let units = |metres: f64| (metres * f64::from(UNITS_PER_METRE)) as i32;

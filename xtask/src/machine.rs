@@ -38,7 +38,8 @@ impl Machine {
     }
 }
 
-/// Largest memory that a running process has had resident, MiB; none if it is gone or the system does not say.
+/// Largest memory that a running process has had resident, MiB; none if it is gone or the system
+/// does not say.
 pub fn peak_resident_mib(pid: u32) -> Option<f64> {
     let status = read_to_string(format!("/proc/{pid}/status")).ok()?;
     kib(&status, "VmHWM").map(|kib| kib as f64 / 1024.0)

@@ -1,7 +1,8 @@
 //! The project's chores, one file per command.
 //!
-//! `cargo xtask <command>`; `cargo demo` and `cargo ci` are short for two of them. Nothing in here is part of the product:
-//! a command runs the built programs and the toolchain from outside, as a user would.
+//! `cargo xtask <command>`; `cargo demo` and `cargo ci` are short for two of them. Nothing in here
+//! is part of the product: a command runs the built programs and the toolchain from outside, as a
+//! user would.
 
 #![forbid(unsafe_code)]
 
@@ -63,7 +64,8 @@ fn main() -> ExitCode {
     ExitCode::FAILURE
 }
 
-/// Drops the first `--`: in `cargo demo -- --headless` cargo hands it on, and the user means the option.
+/// Drops the first `--`: in `cargo demo -- --headless` cargo hands it on, and the user means the
+/// option.
 fn without_separator(args: impl Iterator<Item = String>) -> Vec<String> {
     let mut seen = false;
     args.filter(|arg| arg != "--" || std::mem::replace(&mut seen, true)).collect()

@@ -1,4 +1,5 @@
-//! Child processes: run one to its end, capture what it says, stop it politely. Nothing outlives an interrupt.
+//! Child processes: run one to its end, capture what it says, stop it politely. Nothing outlives an
+//! interrupt.
 
 use anyhow::{Context, Result, bail};
 use std::path::{Path, PathBuf};
@@ -12,7 +13,8 @@ const POLL: Duration = Duration::from_millis(20);
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// From now on SIGINT and SIGTERM set a flag instead of killing this process, so that children can be stopped first.
+/// From now on SIGINT and SIGTERM set a flag instead of killing this process, so that children can
+/// be stopped first.
 pub fn catch_interrupts() -> Result<()> {
     ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::Relaxed)).context("cannot catch Ctrl-C")
 }
@@ -22,7 +24,8 @@ pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
-/// The workspace's root folder: of the checkout that cargo runs this from, which need not be where it was built.
+/// The workspace's root folder: of the checkout that cargo runs this from, which need not be where
+/// it was built.
 pub fn root() -> PathBuf {
     let here = std::env::var_os("CARGO_MANIFEST_DIR")
         .map_or_else(|| env!("CARGO_MANIFEST_DIR").into(), PathBuf::from);
@@ -53,8 +56,8 @@ pub fn viewer() -> Command {
     viewer
 }
 
-/// For a program that opens a GPU: a Vulkan layer of Mesa looks for a Wayland socket in the runtime directory and complains
-/// where that variable is unset, as in containers.
+/// For a program that opens a GPU: a Vulkan layer of Mesa looks for a Wayland socket in the runtime
+/// directory and complains where that variable is unset, as in containers.
 pub fn quiet_drivers(command: &mut Command) {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
@@ -92,7 +95,8 @@ pub fn status(command: &mut Command) -> Result<ExitStatus> {
 /// What a command writes to standard output.
 ///
 /// # Errors
-/// The command cannot start or fails; the message carries the last line that it wrote to standard error.
+/// The command cannot start or fails; the message carries the last line that it wrote to standard
+/// error.
 pub fn output(mut command: Command) -> Result<String> {
     let output = command
         .stdin(Stdio::null())

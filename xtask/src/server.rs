@@ -1,4 +1,5 @@
-//! A running `tombolo-server` that is stopped when it goes out of scope, whatever happened meanwhile.
+//! A running `tombolo-server` that is stopped when it goes out of scope, whatever happened
+//! meanwhile.
 
 use crate::process;
 use anyhow::{Context, Result, bail};
@@ -81,7 +82,8 @@ impl Drop for Server {
     }
 }
 
-/// A port that is free now. Somebody may take it before the server does; then the server says so and ends.
+/// A port that is free now. Somebody may take it before the server does; then the server says so
+/// and ends.
 fn free_address() -> Result<SocketAddr> {
     let listener = TcpListener::bind("127.0.0.1:0").context("no free port on 127.0.0.1")?;
     listener.local_addr().context("no free port on 127.0.0.1")

@@ -1,7 +1,8 @@
 //! `setup`: installs what the programs need and the system lacks.
 //!
-//! A Rust toolchain with its linker must be there already, or this program could not have been built. Looks first and touches
-//! nothing that is present; installs through apt-get when root, else names the one command to run.
+//! A Rust toolchain with its linker must be there already, or this program could not have been
+//! built. Looks first and touches nothing that is present; installs through apt-get when root, else
+//! names the one command to run.
 
 use crate::process;
 use anyhow::{Context, Result, bail};
@@ -10,7 +11,8 @@ use std::path::Path;
 /// How much this run is going to use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extent {
-    /// Pictures without a window: a Vulkan loader and a driver. Lacking window libraries are only mentioned.
+    /// Pictures without a window: a Vulkan loader and a driver. Lacking window libraries are only
+    /// mentioned.
     Headless,
     /// Windows too.
     Everything,

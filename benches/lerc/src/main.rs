@@ -42,7 +42,8 @@ fn main() -> Result<()> {
     std::fs::write(&file, report.to_string()).with_context(|| format!("cannot write {}", file.to_string_lossy()))
 }
 
-/// Heights of the chunks that `tombolo-lab codec` takes: spread evenly over the home island, no open sea, each above its lowest vertex.
+/// Heights of the chunks that `tombolo-lab codec` takes: spread evenly over the home island, no
+/// open sea, each above its lowest vertex.
 fn chunks() -> Vec<Vec<u16>> {
     let land = Land::new(1);
     let near = (-24..24).flat_map(|z| (-24..24).map(move |x| (x, z)));

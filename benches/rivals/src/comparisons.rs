@@ -167,8 +167,8 @@ fn timed(
 
 /// Refuses a comparison of different noises: fewer octaves or larger cells would be less work.
 ///
-/// How rough samples are at a distance of 1, of how rough they are at 16, depends on octaves, cells, lacunarity and gain but
-/// not on amplitude.
+/// How rough samples are at a distance of 1, of how rough they are at 16, depends on octaves,
+/// cells, lacunarity and gain but not on amplitude.
 fn check_same_noise(contenders: &mut [Contender<'_>]) -> Result<()> {
     const TOLERANCE: f64 = 0.12;
     let expected = roughness(&mut contenders[0]);

@@ -1,4 +1,5 @@
-//! Times the land's noise against other noise libraries, in one process and interleaved: see README.md beside this package.
+//! Times the land's noise against other noise libraries, in one process and interleaved: see
+//! README.md beside this package.
 
 mod comparisons;
 mod ours;
@@ -20,8 +21,8 @@ struct Args {
     /// Rounds of the small comparisons; the large ones take a quarter of them
     #[arg(long, default_value_t = 201, value_parser = clap::value_parser!(u16).range(9..))]
     rounds: u16,
-    /// Shift everything on the heap by this many times 16 bytes: where buffers lie decides some percent, and a program that
-    /// is started again with another shift shows how many
+    /// Shift everything on the heap by this many times 16 bytes: where buffers lie decides some
+    /// percent, and a program that is started again with another shift shows how many
     #[arg(long, default_value_t = 0)]
     shift: u8,
     /// Also write the figures to this file
@@ -46,7 +47,8 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Args) -> Result<bool> {
-    // Large enough to be cut from the heap's end, where the buffers that follow come from too. Never freed.
+    // Large enough to be cut from the heap's end, where the buffers that follow come from too.
+    // Never freed.
     std::mem::forget(black_box(vec![1u8; 4096 + 16 * usize::from(args.shift)]));
     let report = comparisons::run(args.rounds.into())?;
     print!("{report}");

@@ -79,7 +79,8 @@ pub fn copy<'a>(name: impl Into<String>) -> Result<Contender<'a>> {
     Ok(Contender::new(name, VERTEX_COUNT, move |_, out: &mut [i32]| out.copy_from_slice(chunks.next())))
 }
 
-/// The heights of one chunk into a buffer, with everything that a server computes of them; for many threads at once.
+/// The heights of one chunk into a buffer, with everything that a server computes of them; for many
+/// threads at once.
 pub fn produce(kernel: Kernel, corner: Corner, heights: &mut [i32; VERTEX_COUNT]) {
     let land = Land::new(WORLD_SEED);
     land.heights_on(kernel, &grid(corner, VERTICES, VERTICES), heights);
@@ -105,7 +106,8 @@ fn grid(corner: Corner, columns: usize, rows: usize) -> Grid {
     Grid::new(units(corner.x), units(corner.z), 0, columns, rows).expect("corners lie around the origin")
 }
 
-/// Finished chunks that come round. Only two, because a chunk's pyramids are built while it is still in a near cache.
+/// Finished chunks that come round. Only two, because a chunk's pyramids are built while it is
+/// still in a near cache.
 struct Finished {
     chunks: Vec<Box<[i32; VERTEX_COUNT]>>,
     next: usize,

@@ -1,15 +1,16 @@
 //! Whether other programs took the core away meanwhile.
 //!
-//! Linux counts for how long a thread stood ready and got no core. A measurement in which that was more than a trifle
-//! measures the neighbours. The count knows nothing of what the thread computed, so leaving such measurements out favours
-//! nobody.
+//! Linux counts for how long a thread stood ready and got no core. A measurement in which that was
+//! more than a trifle measures the neighbours. The count knows nothing of what the thread computed,
+//! so leaving such measurements out favours nobody.
 
 use std::time::Duration;
 
 /// Share of its time that a thread may stand ready without a core.
 const DISTURBANCE: f64 = 0.01;
 
-/// How long this thread has stood ready without a core. Where the system does not say, never: every measurement counts.
+/// How long this thread has stood ready without a core. Where the system does not say, never: every
+/// measurement counts.
 pub fn ready_time() -> Duration {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
     let nanoseconds = text.split_whitespace().nth(1).and_then(|field| field.parse().ok());

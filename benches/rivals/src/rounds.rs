@@ -1,8 +1,10 @@
-//! Interleaved timing: every round times every contender once, and only figures of the same round are compared.
+//! Interleaved timing: every round times every contender once, and only figures of the same round
+//! are compared.
 //!
-//! A machine that others use changes its speed by tens of percent within seconds. Contenders that are timed one after the
-//! other would be compared across such changes; contenders of one round share them. A slice in which the scheduler took the
-//! core away is repeated, and the median over many rounds forgets what that does not catch.
+//! A machine that others use changes its speed by tens of percent within seconds. Contenders that
+//! are timed one after the other would be compared across such changes; contenders of one round
+//! share them. A slice in which the scheduler took the core away is repeated, and the median over
+//! many rounds forgets what that does not catch.
 
 use crate::quiet;
 use anyhow::{Result, ensure};
@@ -10,8 +12,9 @@ use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-/// Time that one contender gets in one round, unless a single call takes longer. Below a scheduler's time slice, so that
-/// most slices are not interrupted; long enough that reading the clock does not count.
+/// Time that one contender gets in one round, unless a single call takes longer. Below a
+/// scheduler's time slice, so that most slices are not interrupted; long enough that reading the
+/// clock does not count.
 const SLICE: Duration = Duration::from_micros(1500);
 
 /// Slices tried for one that other programs did not disturb.
@@ -27,8 +30,9 @@ pub struct Corner {
 }
 
 impl Corner {
-    /// Chunks along one side of the square that corners are taken from: 3.4 km around the origin, all of it on the home
-    /// island, so that nothing is timed over the sea, where the land is flat and nearly free.
+    /// Chunks along one side of the square that corners are taken from: 3.4 km around the origin,
+    /// all of it on the home island, so that nothing is timed over the sea, where the land is flat
+    /// and nearly free.
     const SIDE: i32 = 52;
 
     /// Corners that differ.
@@ -71,7 +75,8 @@ impl<T: Copy + Into<f64>, F: FnMut(Corner, &mut [T])> Body for Filling<T, F> {
 }
 
 impl<'a> Contender<'a> {
-    /// A contender that fills a buffer of `len` values, allocated once, from a corner that changes with every call.
+    /// A contender that fills a buffer of `len` values, allocated once, from a corner that changes
+    /// with every call.
     pub fn new<T: Copy + Default + Into<f64> + 'a>(
         name: impl Into<String>,
         len: usize,
@@ -115,7 +120,8 @@ impl<'a> Contender<'a> {
         }
     }
 
-    /// One slice. One call before it is not counted: it brings code and buffers back into the caches.
+    /// One slice. One call before it is not counted: it brings code and buffers back into the
+    /// caches.
     fn slice(&mut self, first: usize) -> Slice {
         self.body.run(Corner::of(first));
         let before = quiet::ready_time();
@@ -125,7 +131,8 @@ impl<'a> Contender<'a> {
         }
         let elapsed = began.elapsed();
         let waited = quiet::ready_time().saturating_sub(before);
-        // Without the wait, or whoever needs long for one call, and so is interrupted in every slice, would look slower.
+        // Without the wait, or whoever needs long for one call, and so is interrupted in every
+        // slice, would look slower.
         Slice { seconds: elapsed.saturating_sub(waited).as_secs_f64(), waited }
     }
 
@@ -170,7 +177,8 @@ pub fn run(contenders: &mut [Contender<'_>], rounds: usize) -> (Times, usize) {
     let (mut times, mut disturbed) = (Times::of_rounds(rounds), 0);
     for round in 0..rounds {
         for turn in 0..contenders.len() {
-            // Whoever runs after AVX-512 code may find the core slowed; taking turns spreads that over everybody.
+            // Whoever runs after AVX-512 code may find the core slowed; taking turns spreads that
+            // over everybody.
             let contender = &mut contenders[(turn + round) % contenders.len()];
             let slice = contender.quiet_slice(round * 131);
             disturbed += usize::from(slice.is_disturbed());
@@ -191,7 +199,8 @@ impl Times {
         self.seconds.entry(name.into()).or_default().push(seconds);
     }
 
-    /// A figure of every round and its spread; `figure` is given the times of one round by contender.
+    /// A figure of every round and its spread; `figure` is given the times of one round by
+    /// contender.
     ///
     /// # Panics
     /// If `figure` asks for a contender that was not timed.

@@ -1,6 +1,7 @@
 //! Scaling: the same chunks by one thread and by two, in turns.
 //!
-//! Two threads need two free cores. Rounds in which other programs took one are run again, for a while.
+//! Two threads need two free cores. Rounds in which other programs took one are run again, for a
+//! while.
 
 use crate::ours;
 use crate::quiet;
@@ -25,7 +26,8 @@ const TWO: &str = "2 threads";
 
 /// What came out.
 pub struct Scaling {
-    /// Chunks per second on two threads, of those on one; not a number if too few rounds were undisturbed.
+    /// Chunks per second on two threads, of those on one; not a number if too few rounds were
+    /// undisturbed.
     pub ratio: Spread,
     /// Chunks per second on one thread, median.
     pub per_second: f64,
@@ -82,7 +84,8 @@ fn produce(threads: usize, kernel: Kernel) -> Run {
                 loop {
                     let first = next.fetch_add(BATCH, Ordering::Relaxed);
                     if first >= CHUNKS {
-                        // All its life, so that a thread that got its first core late counts as disturbed.
+                        // All its life, so that a thread that got its first core late counts as
+                        // disturbed.
                         return quiet::ready_time();
                     }
                     (first..first + BATCH).for_each(|n| ours::produce(kernel, Corner::of(n), &mut heights));

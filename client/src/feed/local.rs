@@ -1,5 +1,5 @@
-//! Chunks without a server: generated when asked for. What tests render from, and the reference that a streamed
-//! picture must equal.
+//! Chunks without a server: generated when asked for. What tests render from, and the reference
+//! that a streamed picture must equal.
 
 use crate::feed::{Feed, FeedEvent, Traffic};
 use protocol::Delivery;

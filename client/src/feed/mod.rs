@@ -1,6 +1,8 @@
-//! The seam between the viewer and whatever brings chunks: a server over a socket, or the land itself.
+//! The seam between the viewer and whatever brings chunks: a server over a socket, or the land
+//! itself.
 //!
-//! A feed is polled once a frame and never blocks. How it waits, reconnects or generates is its own affair.
+//! A feed is polled once a frame and never blocks. How it waits, reconnects or generates is its own
+//! affair.
 
 pub mod local;
 pub mod none;

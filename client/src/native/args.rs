@@ -25,7 +25,8 @@ const MAX_SIDE: u32 = 8192;
 #[derive(Clone, Debug, Parser)]
 #[command(name = "tombolo-view", version, about)]
 pub struct Args {
-    /// Stream of the server [default: ws://127.0.0.1:7580/v1/stream; the scenes grass and culling make their land themselves]
+    /// Stream of the server [default: ws://127.0.0.1:7580/v1/stream; the scenes grass and culling
+    /// make their land themselves]
     #[arg(long, value_name = "URL", value_parser = parse_url)]
     pub connect: Option<Uri>,
 
@@ -33,12 +34,14 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "connect")]
     pub world_seed: u64,
 
-    /// How chunks come: exact (all heights), refined (all heights in fewer bytes, for up to 17 MiB of memory), seed (a digest each; they are
-    /// generated here and verified) or quantised:METRES (heights no farther off than that)
+    /// How chunks come: exact (all heights), refined (all heights in fewer bytes, for up to 17 MiB
+    /// of memory), seed (a digest each; they are generated here and verified) or quantised:METRES
+    /// (heights no farther off than that)
     #[arg(long, value_name = "exact|refined|seed|quantised:METRES", default_value_t = Delivery::Exact)]
     pub delivery: Delivery,
 
-    /// Insists on the world of this digest, 64 hexadecimal digits; a server of another world is refused
+    /// Insists on the world of this digest, 64 hexadecimal digits; a server of another world is
+    /// refused
     #[arg(long, value_name = "HEX", value_parser = parse_digest)]
     pub digest: Option<WorldDigest>,
 
@@ -46,8 +49,8 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     pub scene: Scene,
 
-    /// Start position in metres (east, up, south of the origin) and gaze in degrees (yaw clockwise from north, pitch
-    /// upward) [default: a view of the scene]
+    /// Start position in metres (east, up, south of the origin) and gaze in degrees (yaw clockwise
+    /// from north, pitch upward) [default: a view of the scene]
     #[arg(long, value_name = "X,Y,Z,YAW,PITCH", allow_hyphen_values = true)]
     pub camera: Option<Pose>,
 
@@ -80,7 +83,8 @@ pub struct Args {
     #[arg(long, value_name = "DEG", default_value_t = 60.0, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 1.0, 170.0))]
     pub fov: f64,
 
-    /// Memory for chunks in MiB, main and GPU memory together, 8 to 256; a view that needs more is drawn coarser
+    /// Memory for chunks in MiB, main and GPU memory together, 8 to 256; a view that needs more is
+    /// drawn coarser
     #[arg(long, value_name = "N", default_value_t = 128, allow_negative_numbers = true, value_parser = RangedU64ValueParser::<usize>::new().range(8..=256))]
     pub chunk_mb: usize,
 
@@ -100,7 +104,8 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     pub show: Show,
 
-    /// Place of the sun in degrees: azimuth clockwise from north, elevation -90 to 90 [default: that of the scene]
+    /// Place of the sun in degrees: azimuth clockwise from north, elevation -90 to 90 [default:
+    /// that of the scene]
     #[arg(long, value_name = "AZIMUTH,ELEVATION", allow_hyphen_values = true, value_parser = parse_sun)]
     pub sun: Option<SunPlace>,
 
@@ -128,8 +133,9 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     pub water: WaterTier,
 
-    /// Folder of own materials: PNG files such as sand_albedo.png, sand_normal.png, sand_height.png, sand_roughness.png and
-    /// sand_ao.png, for sand, meadow, dry_grass, thicket, cliff, scree and cobbles; what has no file stays as it is
+    /// Folder of own materials: PNG files such as sand_albedo.png, sand_normal.png,
+    /// sand_height.png, sand_roughness.png and sand_ao.png, for sand, meadow, dry_grass, thicket,
+    /// cliff, scree and cobbles; what has no file stays as it is
     #[arg(long, value_name = "DIR")]
     pub textures: Option<PathBuf>,
 

@@ -25,8 +25,8 @@ impl Backoff {
         self.attempt = 0;
     }
 
-    /// How long to wait before the next attempt: doubled each time, then between half and all of it, so that the viewers of a
-    /// server that restarts do not all return at once.
+    /// How long to wait before the next attempt: doubled each time, then between half and all of
+    /// it, so that the viewers of a server that restarts do not all return at once.
     pub fn next_delay(&mut self) -> Duration {
         let full = FIRST.saturating_mul(1 << self.attempt.min(16)).min(LONGEST);
         self.attempt += 1;

@@ -1,4 +1,5 @@
-//! The edge: everything that needs an operating system. Options, sockets and threads, files, the window.
+//! The edge: everything that needs an operating system. Options, sockets and threads, files, the
+//! window.
 
 pub mod app;
 pub mod args;

@@ -13,7 +13,8 @@ const FARTHEST_M: f64 = PlantKnobs::MAX_RANGE_M as f64;
 #[derive(Clone, Debug, PartialEq, Args)]
 #[command(next_help_heading = "Plants")]
 pub struct PlantArgs {
-    /// Clumps of grass on 2 x 2 m where it is densest, 0 to 32 [default: 32 in the scene grass, 8 in culling, else 0]
+    /// Clumps of grass on 2 x 2 m where it is densest, 0 to 32 [default: 32 in the scene grass, 8
+    /// in culling, else 0]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(0..=MOST_GRASS))]
     pub grass: Option<u32>,
 
@@ -21,7 +22,8 @@ pub struct PlantArgs {
     #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
     pub grass_range: Option<f64>,
 
-    /// How far all of it stands, metres, 1 to 1900; beyond, fewer clumps are wider [default: 42; 80 in culling]
+    /// How far all of it stands, metres, 1 to 1900; beyond, fewer clumps are wider [default: 42; 80
+    /// in culling]
     #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 1.0, FARTHEST_M))]
     pub grass_thin_from: Option<f64>,
 
@@ -29,7 +31,8 @@ pub struct PlantArgs {
     #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 1.0, 16.0))]
     pub grass_widest: Option<f64>,
 
-    /// Trees on 8 x 8 m where they are densest, 0 to 4 [default: 1 in the scenes grass and culling, else 0]
+    /// Trees on 8 x 8 m where they are densest, 0 to 4 [default: 1 in the scenes grass and culling,
+    /// else 0]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(0..=MOST_TREES))]
     pub trees: Option<u32>,
 
@@ -41,7 +44,8 @@ pub struct PlantArgs {
     #[arg(long, value_enum, default_value_t)]
     pub cull: Cull,
 
-    /// Frames for which a block of plants stays after it was last seen, 0 to 60; the exact tests need none
+    /// Frames for which a block of plants stays after it was last seen, 0 to 60; the exact tests
+    /// need none
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(0..=60))]
     pub cull_stay: u32,
 
@@ -57,7 +61,8 @@ pub struct PlantArgs {
     #[arg(long, value_name = "L", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub lean: Option<f64>,
 
-    /// Stretches all heights of the land as it arrives, 0.25 to 4 [default: 1.8 in the scene culling, else 1]
+    /// Stretches all heights of the land as it arrives, 0.25 to 4 [default: 1.8 in the scene
+    /// culling, else 1]
     #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.25, 4.0))]
     pub vertical_scale: Option<f64>,
 }

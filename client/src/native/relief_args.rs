@@ -56,7 +56,8 @@ pub struct ReliefArgs {
     #[arg(long, value_name = "A", allow_negative_numbers = true, default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
     pub relief_amplitude: f64,
 
-    /// How often materials repeat on the objects of a scene of reliefs, over the scene's own, 0.25 to 8; F,F: along u and v. The relief stays as high
+    /// How often materials repeat on the objects of a scene of reliefs, over the scene's own, 0.25
+    /// to 8; F,F: along u and v. The relief stays as high
     #[arg(long, value_name = "F[,F]", allow_negative_numbers = true, default_value = "1", value_parser = parse_tiling)]
     pub relief_tiling: Tiles,
 
@@ -64,7 +65,8 @@ pub struct ReliefArgs {
     #[arg(long, value_name = "PX", allow_negative_numbers = true, default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
     pub relief_fade: f64,
 
-    /// Of the silhouette `horizon`: strength 0 to 4, height bias 0 to 1, safe threshold 0 to 0.95, falloff power 0.5 to 8
+    /// Of the silhouette `horizon`: strength 0 to 4, height bias 0 to 1, safe threshold 0 to 0.95,
+    /// falloff power 0.5 to 8
     #[arg(long, value_name = "S,B,T,F", default_value = "1,0,0.3,2", value_parser = parse_horizon)]
     pub horizon: Horizon,
 }

@@ -1,7 +1,8 @@
 //! The feed of a server: a WebSocket session on a thread of its own, restarted whenever it ends.
 //!
-//! The protocol is `protocol::client`; this file only moves its frames, keeps the connection alive and decides about
-//! reconnecting. Chunks are decoded (or, in seed-only delivery, generated) and verified here, off the drawing thread.
+//! The protocol is `protocol::client`; this file only moves its frames, keeps the connection alive
+//! and decides about reconnecting. Chunks are decoded (or, in seed-only delivery, generated) and
+//! verified here, off the drawing thread.
 
 use crate::feed::{Feed, FeedEvent, Traffic};
 use crate::native::backoff::Backoff;
@@ -21,10 +22,12 @@ use tokio::time::{Instant, sleep, timeout};
 use tokio_tungstenite::tungstenite::{self, ClientRequestBuilder, Message, http::Uri, protocol as ws};
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 
-/// Events on their way to the drawing thread. When it is full the session stops reading: no more credit is granted, and the
-/// server waits. At most this many decoded chunks (a few MiB) lie between the threads.
+/// Events on their way to the drawing thread. When it is full the session stops reading: no more
+/// credit is granted, and the server waits. At most this many decoded chunks (a few MiB) lie
+/// between the threads.
 const EVENTS: usize = 256;
-/// Commands on their way to the session. When it is full they stay with the caller until the next poll.
+/// Commands on their way to the session. When it is full they stay with the caller until the next
+/// poll.
 const COMMANDS: usize = 64;
 /// Chunks that may be under way: enough to keep a fast server busy over a round trip of 100 ms.
 const WINDOW: u32 = 256;
@@ -63,7 +66,8 @@ impl Settings {
 pub struct SocketFeed {
     events: Option<mpsc::Receiver<FeedEvent>>,
     commands: mpsc::Sender<Command>,
-    /// Commands that found the channel full. Bounded by what happens between two polls: keys of evicted chunks, one view.
+    /// Commands that found the channel full. Bounded by what happens between two polls: keys of
+    /// evicted chunks, one view.
     waiting: VecDeque<Command>,
     counters: Arc<Counters>,
     delivery: Delivery,

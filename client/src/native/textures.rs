@@ -1,7 +1,8 @@
 //! `--textures`: a folder of images becomes material sets.
 //!
-//! Every file that is bad or missing is named in one line with what is used instead; none of them is a reason to stop. An image is never trusted:
-//! its size and the memory of its decoder are limited before anything is allocated.
+//! Every file that is bad or missing is named in one line with what is used instead; none of them
+//! is a reason to stop. An image is never trusted: its size and the memory of its decoder are
+//! limited before anything is allocated.
 
 use crate::native::args::Args;
 use crate::render::materials::{MATERIAL_SIZE, MATERIAL_TEXELS, OwnMaterial, OwnMaterials};
@@ -33,7 +34,8 @@ enum Map {
 impl Map {
     const ALL: [Self; 5] = [Self::Albedo, Self::Normal, Self::Height, Self::Roughness, Self::Occlusion];
 
-    /// What its files are called after the name of the set and an underscore; the first name is the usual one.
+    /// What its files are called after the name of the set and an underscore; the first name is the
+    /// usual one.
     const fn names(self) -> &'static [&'static str] {
         match self {
             Self::Albedo => &["albedo", "basecolor", "base_color", "diffuse", "diff", "color", "col"],
@@ -69,7 +71,8 @@ pub fn own(args: &Args) -> anyhow::Result<OwnMaterials> {
     Ok(materials)
 }
 
-/// Reads a folder: the sets with at least one file, and a line for each file that is bad or missing.
+/// Reads a folder: the sets with at least one file, and a line for each file that is bad or
+/// missing.
 ///
 /// # Errors
 /// The folder itself cannot be read.
@@ -175,7 +178,8 @@ fn checker(at: usize) -> [f32; 3] {
     if (square(at % side) + square(at / side)).is_multiple_of(2) { [0.8, 0.0, 0.8] } else { [0.02; 3] }
 }
 
-/// The horizontal part of an encoded normal, made unit where filtering or the file has shortened it.
+/// The horizontal part of an encoded normal, made unit where filtering or the file has shortened
+/// it.
 fn unit_part(encoded: [f32; 3]) -> [f32; 2] {
     let [x, y, z] = encoded.map(|channel| channel.mul_add(2.0, -1.0));
     let z = z.max(0.05);
@@ -200,8 +204,9 @@ fn decode(path: &Path) -> Result<DynamicImage, String> {
     Ok(image)
 }
 
-/// Pixels in [0, 1] at the size of the textures; `colour` ones are decoded from sRGB first. Averages where the image is larger, interpolates where it is
-/// smaller; opposite edges meet, because a texture repeats.
+/// Pixels in [0, 1] at the size of the textures; `colour` ones are decoded from sRGB first.
+/// Averages where the image is larger, interpolates where it is smaller; opposite edges meet,
+/// because a texture repeats.
 fn resampled(image: &DynamicImage, colour: bool) -> Vec<[f32; 3]> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let side = MATERIAL_SIZE as usize;
@@ -372,7 +377,8 @@ mod tests {
         let folder = Folder::new("huge");
         complete(&folder);
         let mut claim = std::fs::read(folder.path("sand_BaseColor.png")).unwrap();
-        // Width and height of the header, and its checksum (CRC-32 of chunk type and data; PNG, section 5.3).
+        // Width and height of the header, and its checksum (CRC-32 of chunk type and data; PNG,
+        // section 5.3).
         claim[16..24].copy_from_slice(&[0x7f, 0xff, 0xff, 0xff, 0x7f, 0xff, 0xff, 0xff]);
         let crc = !claim[12..29].iter().fold(!0u32, |crc, byte| {
             (0..8).fold(crc ^ u32::from(*byte), |crc, _| {

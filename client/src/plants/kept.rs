@@ -1,4 +1,5 @@
-//! Which clumps are kept, on the CPU: the twin of the passes that choose on the GPU, in the same order.
+//! Which clumps are kept, on the CPU: the twin of the passes that choose on the GPU, in the same
+//! order.
 
 use crate::plants::square::Square;
 use crate::plants::stand::{PlantFrame, Stand};
@@ -88,7 +89,8 @@ pub fn kept_of(world: &World, plants: &PlantFrame, stand: &Stand) -> Vec<Kept> {
     clumps.filter_map(keeps).collect()
 }
 
-/// The height of the noise at a place of a square, fine units: what T2 marches over. The sea's floor where no seed is known.
+/// The height of the noise at a place of a square, fine units: what T2 marches over. The sea's
+/// floor where no seed is known.
 pub fn noise_of(world: &World, square: &Square) -> impl Fn(i32, i32) -> i32 {
     let (land, corner, scale) = (world.land().copied(), square.corner, world.stretch());
     move |x: i32, z: i32| {
@@ -112,7 +114,8 @@ pub fn blocks_of_patch([column, row]: [i32; 2]) -> impl Iterator<Item = [i32; 2]
     (0..side * side).map(move |index| [west + index % side, north + index / side])
 }
 
-/// All clumps that stand in a block, whether seen or not, in the order in which the passes look at them.
+/// All clumps that stand in a block, whether seen or not, in the order in which the passes look at
+/// them.
 pub fn clumps_of<'a, S: Slots>(
     surface: &'a Surface<'a, S>,
     stand: &'a Stand,

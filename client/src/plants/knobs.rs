@@ -9,9 +9,11 @@ pub enum Cull {
     Distance,
     /// Of those, what is inside the view (T1).
     Frustum,
-    /// Of those, what a march over the noise between vertices does not find hidden (T2). Loses what is seen
+    /// Of those, what a march over the noise between vertices does not find hidden (T2). Loses what
+    /// is seen
     Noise,
-    /// Of those, what a march over the drawn vertices does not find hidden; chunks by five points (T3 as first published). Loses what is seen
+    /// Of those, what a march over the drawn vertices does not find hidden; chunks by five points
+    /// (T3 as first published). Loses what is seen
     March,
     /// Of those, what the drawn triangles do not provably hide (T3)
     Exact,
@@ -23,7 +25,8 @@ pub enum Cull {
 /// Knobs of plants.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlantKnobs {
-    /// Clumps of grass on a cell of 2 x 2 m where it is densest, 0 to [`PlantKnobs::MAX_DENSITY`]; 0 for none.
+    /// Clumps of grass on a cell of 2 x 2 m where it is densest, 0 to [`PlantKnobs::MAX_DENSITY`];
+    /// 0 for none.
     pub density: u32,
     /// Grass stands up to here, metres, 0 to [`PlantKnobs::MAX_RANGE_M`].
     pub range_m: f32,
@@ -56,7 +59,8 @@ impl PlantKnobs {
     pub const MAX_TREES: u32 = 4;
     /// No plants.
     pub const NONE: Self = Self { density: 0, trees: 0, ..Self::STANDARD };
-    /// A meadow with groves: dense at the feet, and from there on thinned so that a blade stays wider than a pixel of 1/600.
+    /// A meadow with groves: dense at the feet, and from there on thinned so that a blade stays
+    /// wider than a pixel of 1/600.
     pub const STANDARD: Self = Self {
         density: 32,
         range_m: 260.0,

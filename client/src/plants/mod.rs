@@ -1,7 +1,8 @@
 //! Plants: what grows around the eye, and what of it is seen.
 //!
-//! [`square`] is the drawn land around the eye in the form in which sight is tested over it, [`knobs`] what a person can choose, [`stand`] what the shaders are told, and
-//! [`kept`] the whole choice once more on the CPU.
+//! [`square`] is the drawn land around the eye in the form in which sight is tested over it,
+//! [`knobs`] what a person can choose, [`stand`] what the shaders are told, and [`kept`] the whole
+//! choice once more on the CPU.
 
 pub mod kept;
 pub mod knobs;

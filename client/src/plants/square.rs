@@ -1,6 +1,8 @@
-//! The drawn land within 2 km of the eye: 32 x 32 tiles of 128 m, each with the chunk that is drawn there, and bounds over them.
+//! The drawn land within 2 km of the eye: 32 x 32 tiles of 128 m, each with the chunk that is drawn
+//! there, and bounds over them.
 //!
-//! Made anew for every frame from what the frame draws, so that what hides a thing is what is drawn before it.
+//! Made anew for every frame from what the frame draws, so that what hides a thing is what is drawn
+//! before it.
 
 use crate::camera::Eye;
 use crate::world::{Drawn, Resident, World};
@@ -12,7 +14,8 @@ use terrain::constants::{SPACING_BITS, UNITS_PER_METRE};
 /// log2 of the side of a tile, units: that of a chunk of level 0.
 const TILE_UNIT_BITS: u32 = TILE_BITS - FINE_BITS;
 
-/// Plants stand and sight is tested up to so far from the eye, metres: the square without the tile that the eye stands in.
+/// Plants stand and sight is tested up to so far from the eye, metres: the square without the tile
+/// that the eye stands in.
 pub const REACH_M: f64 = 1900.0;
 
 /// The square.
@@ -82,7 +85,8 @@ impl Square {
         let (top, bottom) = bounds_of(drawn, chunk, parent);
         for row in rows {
             for column in columns.clone() {
-                // Of a large chunk it would be enough to take the blocks under the tile; the walk takes those anyway.
+                // Of a large chunk it would be enough to take the blocks under the tile; the walk
+                // takes those anyway.
                 self.tiles[(row * i64::from(SQUARE_TILES) + column) as usize] =
                     Tile { top, bottom, leaf: index, reserved: 0 };
             }

@@ -1,4 +1,5 @@
-//! One kind of plants in a frame, as the shaders are told of it: what grows, from where it is looked at, and on which patches.
+//! One kind of plants in a frame, as the shaders are told of it: what grows, from where it is
+//! looked at, and on which patches.
 
 use crate::frame::Shot;
 use crate::plants::knobs::{Cull, PlantKnobs};
@@ -26,7 +27,8 @@ const COARSE: f64 = FINE / (1 << COARSE_BITS) as f64;
 /// Share of the range over whose end heights sink to nothing.
 const COLLAPSE: f32 = 0.25;
 
-/// What is as near as the near plane is cut away; this much more for what is beside the middle of a target.
+/// What is as near as the near plane is cut away; this much more for what is beside the middle of a
+/// target.
 const NEAR_ALLOWANCE: f64 = 1.5;
 
 /// The plants of a frame.
@@ -49,7 +51,8 @@ pub struct Stand {
     pub planting: Planting,
     /// The same for the pass that draws it.
     pub field: Field,
-    /// Patches of 16 x 16 blocks that may hold any of it: column and row in the square, nearest first.
+    /// Patches of 16 x 16 blocks that may hold any of it: column and row in the square, nearest
+    /// first.
     pub patches: Vec<[i32; 2]>,
 }
 
@@ -148,7 +151,8 @@ impl Kind {
         let cell = |low: i32| low >> (self.cell_bits - FINE_BITS);
         let squared = |metres: f64| ((metres * COARSE + 2.0).powi(2)).clamp(0.0, 3e9) as u32;
         let stands_within = |rank: usize| {
-            // The widest clump of a rank vanishes where the thinning of `shared/field.wesl` leaves nothing of it.
+            // The widest clump of a rank vanishes where the thinning of `shared/field.wesl` leaves
+            // nothing of it.
             let share = (rank as f64 + 0.5) / 256.0;
             let least = (share / 1.125).min(share - 0.5 / 256.0).max(1e-9);
             squared((self.thin_from_m / least).min(self.range_m))
@@ -259,7 +263,8 @@ impl Shot {
     }
 }
 
-/// The patches of a kind within its distance and, unless the path does without, inside the view; nearest first.
+/// The patches of a kind within its distance and, unless the path does without, inside the view;
+/// nearest first.
 fn patches(square: &Square, culling: &Culling, planting: &Planting) -> Vec<[i32; 2]> {
     let bits = planting.cell_bits + BLOCK_CELL_BITS + PATCH_BLOCKS.trailing_zeros();
     let side = 1 << bits;

@@ -1,4 +1,5 @@
-//! Bricks in running bond, six wide and twelve courses high, for the scene of the brick wall: its steep edges are what a march along a relief is tested by.
+//! Bricks in running bond, six wide and twelve courses high, for the scene of the brick wall: its
+//! steep edges are what a march along a relief is tested by.
 
 use crate::render::materials::{MATERIAL_SIZE, MATERIAL_TEXELS, OwnMaterial};
 use glam::{Vec2, Vec3};
@@ -6,10 +7,12 @@ use shaders::layout::BakeTexel;
 
 /// Bricks along u and courses along v of a tile; an even number of courses, so that it repeats.
 const BRICKS: Vec2 = Vec2::new(6.0, 12.0);
-/// Share of a brick's cell over which its edge falls to the mortar, along u and along v, from the middle of the joint.
+/// Share of a brick's cell over which its edge falls to the mortar, along u and along v, from the
+/// middle of the joint.
 const EDGE: Vec2 = Vec2::new(0.06, 0.10);
 
-/// Which brick a place of the tile belongs to, and where in its cell it is, 0 to 1 in both directions.
+/// Which brick a place of the tile belongs to, and where in its cell it is, 0 to 1 in both
+/// directions.
 fn cell(uv: Vec2) -> (Vec2, Vec2) {
     let scaled = uv * BRICKS;
     let course = scaled.y.floor();
@@ -30,7 +33,8 @@ pub fn height(uv: Vec2) -> f32 {
     edge(within.x, EDGE.x) * edge(within.y, EDGE.y)
 }
 
-/// Tiles from height 0 to height 1 that the normals are made for: those of the cobbles whose place the bricks take. Whoever draws them steeper steepens them.
+/// Tiles from height 0 to height 1 that the normals are made for: those of the cobbles whose place
+/// the bricks take. Whoever draws them steeper steepens them.
 const RELIEF: f32 = 0.025;
 
 /// The set.

@@ -1,5 +1,6 @@
-//! Relaxed cones over a height map (Policarpo and Oliveira, GPU Gems 3, chapter 18): for each block of texels the widest cone, tip down on the surface, within
-//! which no ray that comes from above enters the relief and leaves it again.
+//! Relaxed cones over a height map (Policarpo and Oliveira, GPU Gems 3, chapter 18): for each block
+//! of texels the widest cone, tip down on the surface, within which no ray that comes from above
+//! enters the relief and leaves it again.
 //!
 //! The definition, on the CPU; `bake_cones.wesl` is its twin and what is drawn with.
 
@@ -9,7 +10,8 @@ use std::f64::consts::TAU;
 /// Wider cones would step over a whole tile.
 pub const WIDEST: f32 = 1.0;
 
-/// Cones along a side at most; of larger maps a cone holds for a block of texels. The work grows with the cube of the map's side.
+/// Cones along a side at most; of larger maps a cone holds for a block of texels. The work grows
+/// with the cube of the map's side.
 pub const MOST_CONES: u32 = 256;
 
 /// Directions in which a cone looks for what limits it.
@@ -18,7 +20,8 @@ pub const DIRECTIONS: usize = 32;
 /// Fraction bits of a direction.
 const STEP_BITS: u32 = 12;
 
-/// Unit vectors all around, 1/4096 texels along u and v: integers, so that the CPU and a GPU look at the same texels.
+/// Unit vectors all around, 1/4096 texels along u and v: integers, so that the CPU and a GPU look
+/// at the same texels.
 #[must_use]
 pub fn directions() -> [[i32; 2]; DIRECTIONS] {
     std::array::from_fn(|index| {
@@ -27,20 +30,25 @@ pub fn directions() -> [[i32; 2]; DIRECTIONS] {
     })
 }
 
-/// Texels a side of the block that one cone of a map holds for: 1 up to [`MOST_CONES`] texels a side.
+/// Texels a side of the block that one cone of a map holds for: 1 up to [`MOST_CONES`] texels a
+/// side.
 #[must_use]
 pub fn block(side: u32) -> u32 {
     (side / MOST_CONES).max(1)
 }
 
-/// Radius over height of each block's cone, tiles over the whole height of the relief, row by row. Costs `32 * cones * side` lookups at most.
+/// Radius over height of each block's cone, tiles over the whole height of the relief, row by row.
+/// Costs `32 * cones * side` lookups at most.
 ///
-/// A lower tip makes a narrower cone, so the tip is the block's lowest texel. What limits it is looked for at full resolution: the highest texel of each block
-/// would close the gaps between what stands in two blocks, and a gap is where a ray comes out.
+/// A lower tip makes a narrower cone, so the tip is the block's lowest texel. What limits it is
+/// looked for at full resolution: the highest texel of each block would close the gaps between what
+/// stands in two blocks, and a gap is where a ray comes out.
 ///
-/// Heights are taken as steps, each texel as wide as it is, not as the bilinear surface between centres of texels that is marched. So a cone is safe for that
-/// surface along its 32 directions, for rays through the block's middle and but for what happens within a texel; between two directions it may step over what
-/// is narrower than their gap. That is what makes cones nearly safe only.
+/// Heights are taken as steps, each texel as wide as it is, not as the bilinear surface between
+/// centres of texels that is marched. So a cone is safe for that surface along its 32 directions,
+/// for rays through the block's middle and but for what happens within a texel; between two
+/// directions it may step over what is narrower than their gap. That is what makes cones nearly
+/// safe only.
 #[must_use]
 pub fn relaxed_cones(map: &HeightMap, block: u32) -> Vec<f32> {
     let (block, side) = (i64::from(block), map.side() as i64);
@@ -59,15 +67,17 @@ pub fn relaxed_cones(map: &HeightMap, block: u32) -> Vec<f32> {
                     [0, 1].map(|axis| (middle[axis] + steps * i64::from(along[axis])) >> (STEP_BITS + 1));
                 map.texel(column, row)
             };
-            // Through centres of texels: a block's middle is one if it is a single texel, else a corner.
+            // Through centres of texels: a block's middle is one if it is a single texel, else a
+            // corner.
             narrowed((tip, top), side, if block == 1 { 2 } else { 1 }, widest, height)
         })
     };
     (0..cones * cones).map(cone).collect()
 }
 
-/// The cone after one direction, whose heights are asked for by half texels. A ray limits it where it has gone through something and comes out again below the
-/// tip's cone: the narrowest such cone passes through the edge where the relief falls off.
+/// The cone after one direction, whose heights are asked for by half texels. A ray limits it where
+/// it has gone through something and comes out again below the tip's cone: the narrowest such cone
+/// passes through the edge where the relief falls off.
 fn narrowed((tip, top): (f32, f32), side: i64, first: i64, widest: f32, height: impl Fn(i64) -> f32) -> f32 {
     let per_half_texel = 0.5 / side as f32;
     let mut ratio = widest;
@@ -111,7 +121,8 @@ mod tests {
 
     #[test]
     fn a_gap_between_two_blocks_is_not_closed_and_a_slope_that_only_rises_limits_nothing() {
-        // Walls of a texel at columns 8 and 10: in blocks of two, the highest texels of both stand side by side.
+        // Walls of a texel at columns 8 and 10: in blocks of two, the highest texels of both stand
+        // side by side.
         let walls =
             HeightMap::of(32, |u, _| f64::from(u8::from([8, 10].contains(&((u * 32.0) as u32))))).unwrap();
         let highest =

@@ -1,5 +1,5 @@
-//! Knobs of parallax occlusion mapping. Each one is an option, a control of the panel and a word in the uniforms (the tiling: of the objects); their numbers are
-//! those of `shared/relief.wesl`.
+//! Knobs of parallax occlusion mapping. Each one is an option, a control of the panel and a word in
+//! the uniforms (the tiling: of the objects); their numbers are those of `shared/relief.wesl`.
 
 use clap::ValueEnum;
 use shaders::layout::Relief;
@@ -31,10 +31,12 @@ pub struct ReliefKnobs {
     pub pivot: f32,
     /// Multiplies the relief of every material, 0 to 16.
     pub amplitude: f32,
-    /// How often materials repeat on the objects of a scene of reliefs, along u and v, over the scene's own; 0.25 to 8. Heights stay as many metres as they are, so
-    /// the relief becomes as many times steeper. The land has a tiling of its own.
+    /// How often materials repeat on the objects of a scene of reliefs, along u and v, over the
+    /// scene's own; 0.25 to 8. Heights stay as many metres as they are, so the relief becomes as
+    /// many times steeper. The land has a tiling of its own.
     pub tiling: [f32; 2],
-    /// Height of a relief on screen at which it begins to sink, pixels, 0 to 16; at half of that it is gone. 0: it never sinks.
+    /// Height of a relief on screen at which it begins to sink, pixels, 0 to 16; at half of that it
+    /// is gone. 0: it never sinks.
     pub fade_px: f32,
     /// Of [`Silhouette::Horizon`].
     pub horizon: Horizon,
@@ -75,11 +77,12 @@ impl ReliefKnobs {
     pub const MAX_TILING: f32 = 8.0;
     /// Latest fade, pixels.
     pub const MAX_FADE_PX: f32 = 16.0;
-    /// Texels of travel up to which the automatic tier displaces nothing, takes one offset, and searches linearly: where the curves of
-    /// `tombolo-lab accuracy --only pom` cross.
+    /// Texels of travel up to which the automatic tier displaces nothing, takes one offset, and
+    /// searches linearly: where the curves of `tombolo-lab accuracy --only pom` cross.
     pub const TRAVELS: [f32; 3] = [0.5, 2.0, 4.0];
 
-    /// The knobs within their ranges; what is no number becomes the default. The shaders rely on it.
+    /// The knobs within their ranges; what is no number becomes the default. The shaders rely on
+    /// it.
     #[must_use]
     pub fn sane(self) -> Self {
         let standard = Self::default();
@@ -102,7 +105,8 @@ impl ReliefKnobs {
         }
     }
 
-    /// Share that is left of a relief that is so many pixels high on screen. Twin: `relief_left` in `shared/relief.wesl`.
+    /// Share that is left of a relief that is so many pixels high on screen. Twin: `relief_left` in
+    /// `shared/relief.wesl`.
     #[must_use]
     pub fn left(self, height_px: f32) -> f32 {
         let fade_px = self.sane().fade_px;
@@ -184,7 +188,8 @@ pub enum ReliefTier {
     Offset,
     /// Steps of one length and a refinement.
     Linear,
-    /// Relaxed cones and halving; baked for a scene of reliefs when it is first asked for. The land has none and is drawn by the pyramid.
+    /// Relaxed cones and halving; baked for a scene of reliefs when it is first asked for. The land
+    /// has none and is drawn by the pyramid.
     Cones,
     /// The exact walk over the max pyramid.
     Pyramid,

@@ -2,7 +2,8 @@
 
 use thiserror::Error;
 
-/// Sides up to this fit the textures that every WebGPU device has, the picture of all bounds included.
+/// Sides up to this fit the textures that every WebGPU device has, the picture of all bounds
+/// included.
 pub const LARGEST_SIDE: usize = 4096;
 
 /// Why numbers are no height map.
@@ -19,7 +20,8 @@ pub enum MapError {
     NotANumber(usize),
 }
 
-/// Heights from 0 to 1, row by row; texel centres lie at half-integers and the surface between them is bilinear.
+/// Heights from 0 to 1, row by row; texel centres lie at half-integers and the surface between them
+/// is bilinear.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeightMap {
     side: usize,
@@ -30,7 +32,8 @@ impl HeightMap {
     /// A map. Heights beyond 0 to 1 are cut to it.
     ///
     /// # Errors
-    /// The side is no power of two up to [`LARGEST_SIDE`], the heights are not as many as its square, or one is not a number.
+    /// The side is no power of two up to [`LARGEST_SIDE`], the heights are not as many as its
+    /// square, or one is not a number.
     pub fn new(side: usize, mut heights: Vec<f32>) -> Result<Self, MapError> {
         if !side.is_power_of_two() || side > LARGEST_SIDE {
             return Err(MapError::Side(side));

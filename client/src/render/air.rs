@@ -1,4 +1,5 @@
-//! The pass before all others: what sun and sky give in a frame, measured on the GPU and written into the frame's uniforms.
+//! The pass before all others: what sun and sky give in a frame, measured on the GPU and written
+//! into the frame's uniforms.
 
 use crate::render::pipeline::compute_pipelines;
 use shaders::SHADERS;
@@ -52,7 +53,8 @@ impl AirPass {
         Self { pipeline, bindings, measured }
     }
 
-    /// Records the measurement; passes that are recorded later read it from `frame`, the buffer that the pass was made for.
+    /// Records the measurement; passes that are recorded later read it from `frame`, the buffer
+    /// that the pass was made for.
     pub fn measure(&self, encoder: &mut wgpu::CommandEncoder, frame: &wgpu::Buffer) {
         let mut pass = encoder
             .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("air"), timestamp_writes: None });
@@ -111,7 +113,8 @@ mod tests {
         shot.frame(Scene::Island, &world, &selection).uniforms
     }
 
-    /// Measures the sky of a frame, then asks for stretches of `(direction, distance in metres)`. Returns what was measured too.
+    /// Measures the sky of a frame, then asks for stretches of `(direction, distance in metres)`.
+    /// Returns what was measured too.
     fn ask(gpu: &Gpu, frame: &Frame, stretches: &[([f32; 3], f32)]) -> (Air, Vec<Stretch>) {
         use wgpu::BufferUsages as Usage;
         let device = &gpu.device;
@@ -189,7 +192,8 @@ mod tests {
     const SUNS_DEG: [f32; 10] = [-90.0, -30.0, -10.0, -3.0, -1.0, 0.0, 1.0, 10.0, 45.0, 90.0];
     const DISTANCES_M: [f32; 9] = [0.01, 1.0, 30.0, 1e3, 8e3, 4e4, 2e5, 1e6, 1e7];
 
-    /// Directions all around, close to each other at the horizon, exactly level, straight up and straight down.
+    /// Directions all around, close to each other at the horizon, exactly level, straight up and
+    /// straight down.
     fn directions() -> Vec<[f32; 3]> {
         let rises = [
             -90.0, -60.0, -20.0, -5.0, -3.0, -1.0, -0.3, -0.01, 0.0, 0.01, 0.3, 1.0, 5.0, 20.0, 60.0, 90.0f32,
@@ -237,7 +241,8 @@ mod tests {
                         assert!(ray.is_sorted_by(grows), "{}", told());
                         let (far, sky) = (ray[7].added[channel], ray[7].sky[channel]);
                         assert!((far - sky).abs() <= 1e-4 + 0.01 * sky, "{}", told());
-                        // The control: a stretch that does not reach through the air is not the sky.
+                        // The control: a stretch that does not reach through the air is not the
+                        // sky.
                         assert!((ray[2].added[channel] - sky).abs() > 0.05 * sky, "{}", told());
                     }
                 }
@@ -245,7 +250,8 @@ mod tests {
         }
     }
 
-    /// Share of light left after a stretch, by 20,000 steps in f64 on a round earth, for one channel.
+    /// Share of light left after a stretch, by 20,000 steps in f64 on a round earth, for one
+    /// channel.
     fn truth(height_m: f64, rise: f64, distance_m: f64, scattering: f64, extinction: f64) -> f64 {
         const STEPS: u32 = 20_000;
         let (mut air, mut haze) = (0.0, 0.0);

@@ -1,4 +1,5 @@
-//! The shadow pass: finds how far the sun clears the land's horizon, for a few chunks at a time, and keeps it beside their heights.
+//! The shadow pass: finds how far the sun clears the land's horizon, for a few chunks at a time,
+//! and keeps it beside their heights.
 
 use crate::render::pipeline::{compute_pipelines, storage_entry, uniform_entry};
 use crate::render::pool::ChunkPool;
@@ -11,8 +12,9 @@ use shaders::layout::{
 /// Chunks of one dispatch at most.
 pub const MAX_CASTS: usize = 64;
 
-/// What is done before a frame that is to be smooth: 34,000 walks. At 60 frames a second, what is seen of a usual view (some 50 chunks) is up to date
-/// within an eighth of a second, the rest of it within a few.
+/// What is done before a frame that is to be smooth: 34,000 walks. At 60 frames a second, what is
+/// seen of a usual view (some 50 chunks) is up to date within an eighth of a second, the rest of it
+/// within a few.
 pub const PER_FRAME: Quota = Quota { chunks: 8, ahead: 2 };
 
 /// What is done at once when only the finished picture counts.
@@ -77,7 +79,8 @@ impl CastPass {
         self.nodes.size()
     }
 
-    /// Records a casting of at most [`MAX_CASTS`] chunks. One per submission: the next one overwrites what this one reads.
+    /// Records a casting of at most [`MAX_CASTS`] chunks. One per submission: the next one
+    /// overwrites what this one reads.
     pub fn record(&self, queue: &wgpu::Queue, casting: &Casting<'_>, encoder: &mut wgpu::CommandEncoder) {
         let targets = &casting.targets[..casting.targets.len().min(MAX_CASTS)];
         queue.write_buffer(&self.caster, 0, bytemuck::bytes_of(&casting.caster));

@@ -1,4 +1,5 @@
-//! The GPU's own clock: when the passes of a frame began and ended. Only where the device was opened with timestamp queries.
+//! The GPU's own clock: when the passes of a frame began and ended. Only where the device was
+//! opened with timestamp queries.
 
 use crate::render::gpu::{Gpu, GpuError};
 use std::sync::mpsc;
@@ -24,7 +25,8 @@ pub struct PassTimes {
     pub light_ns: f64,
     /// Tone curve and encoding.
     pub tone_ns: f64,
-    /// From the beginning of the frame to the end of its last pass, passes that are not timed by themselves included.
+    /// From the beginning of the frame to the end of its last pass, passes that are not timed by
+    /// themselves included.
     pub whole_ns: f64,
 }
 

@@ -1,4 +1,5 @@
-//! Baking of relaxed cones on the GPU. The definition is `relief::cones`; here is the work cut into pieces that every driver bears.
+//! Baking of relaxed cones on the GPU. The definition is `relief::cones`; here is the work cut into
+//! pieces that every driver bears.
 
 use crate::relief::cones::{self, MOST_CONES};
 use crate::render::pipeline::{compute_pipelines, uniform_entry};
@@ -7,11 +8,13 @@ use shaders::SHADERS;
 use shaders::layout::{CONE_WORKGROUP, ConeOrder};
 use wgpu::util::DeviceExt as _;
 
-/// Heights that a dispatch looks up at most; two cores of a software driver take no more than a quarter of a second for them.
+/// Heights that a dispatch looks up at most; two cores of a software driver take no more than a
+/// quarter of a second for them.
 const LOOKUPS: u32 = 1 << 25;
 
-/// Cones over some layers of exact heights with all mip levels and their bounds, [`MOST_CONES`] a side at most; those of other layers are 0. Each dispatch is submitted alone and
-/// waited for: several long ones in one queue make some drivers give up on the device.
+/// Cones over some layers of exact heights with all mip levels and their bounds, [`MOST_CONES`] a
+/// side at most; those of other layers are 0. Each dispatch is submitted alone and waited for:
+/// several long ones in one queue make some drivers give up on the device.
 #[must_use]
 pub fn bake(
     device: &wgpu::Device,

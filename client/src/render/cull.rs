@@ -1,4 +1,5 @@
-//! The passes that choose plants: blocks, clumps, and the sums between, all on the GPU; nothing comes back before the draw.
+//! The passes that choose plants: blocks, clumps, and the sums between, all on the GPU; nothing
+//! comes back before the draw.
 
 use crate::plants::{PlantFrame, Square};
 use crate::render::grass::{KeptClumps, Plant};
@@ -161,7 +162,8 @@ impl CullPasses {
         }
     }
 
-    /// Buffers for a kind of which so many clumps are kept in each level of detail; `vertices` is what one of them is drawn with.
+    /// Buffers for a kind of which so many clumps are kept in each level of detail; `vertices` is
+    /// what one of them is drawn with.
     #[must_use]
     pub fn room_for(
         &self,
@@ -341,7 +343,8 @@ impl Chosen {
         Ok(Told { blocks: told[0], blocks_lost: told[1], clumps: told[2], clumps_lost: told[3] })
     }
 
-    /// The clumps that the last submitted choice kept: four words each, by level of detail. Waits for the GPU; for checks.
+    /// The clumps that the last submitted choice kept: four words each, by level of detail. Waits
+    /// for the GPU; for checks.
     ///
     /// # Errors
     /// The GPU failed.

@@ -1,6 +1,7 @@
 //! Whole chunks on the GPU: heights and pyramids, equal to the CPU's bit for bit.
 //!
-//! Owns one batch of buffers, allocated once. Needs a device and a queue only; windows, pools and sessions are others' business.
+//! Owns one batch of buffers, allocated once. Needs a device and a queue only; windows, pools and
+//! sessions are others' business.
 
 use crate::render::pipeline::compute_pipelines;
 use shaders::SHADERS;
@@ -15,7 +16,8 @@ const PYRAMID_BYTES: u64 = 4 * PYRAMID_TEXELS as u64;
 /// Bytes of one chunk: heights, maxima, minima.
 const CHUNK_BYTES: u64 = HEIGHT_BYTES + 2 * PYRAMID_BYTES;
 
-/// Most chunks of one batch, 15 MB; a larger one gains nothing, since one chunk already fills many a GPU.
+/// Most chunks of one batch, 15 MB; a larger one gains nothing, since one chunk already fills many
+/// a GPU.
 pub const MAX_BATCH: usize = 256;
 
 /// Fills chunks of one world, at most a batch at a time.
@@ -161,7 +163,8 @@ impl ChunkFiller {
         self.read(device, keys)
     }
 
-    /// Fills chunks and leaves them on the GPU: what the filling alone costs. Blocks until the GPU is done.
+    /// Fills chunks and leaves them on the GPU: what the filling alone costs. Blocks until the GPU
+    /// is done.
     ///
     /// # Errors
     /// As [`ChunkFiller::fill`].

@@ -1,4 +1,5 @@
-//! Plants of a frame on the GPU: chosen, then drawn. Built when the first frame comes in which something grows, so that scenes without plants pay nothing.
+//! Plants of a frame on the GPU: chosen, then drawn. Built when the first frame comes in which
+//! something grows, so that scenes without plants pay nothing.
 
 use crate::plants::{PlantFrame, Stand};
 use crate::render::cull::{Chosen, CullPasses, Told};
@@ -8,7 +9,8 @@ use crate::render::pool::ChunkPool;
 use crate::render::{Gpu, GpuError};
 use shaders::layout::Field;
 
-/// Clumps of a kind that there is room for at most in each level of detail: 77 MB. More are left out, farthest first, and counted.
+/// Clumps of a kind that there is room for at most in each level of detail: 77 MB. More are left
+/// out, farthest first, and counted.
 pub const MOST_ROOM: [u32; 3] = [1 << 17, 1 << 19, 1 << 22];
 
 /// The plants.
@@ -30,7 +32,8 @@ struct Bed {
     soil: Soil,
 }
 
-/// What has to be made anew when more clumps are to fit. Pipelines are not: they take seconds to compile on some drivers.
+/// What has to be made anew when more clumps are to fit. Pipelines are not: they take seconds to
+/// compile on some drivers.
 #[derive(Debug)]
 struct Soil {
     chosen: Chosen,
@@ -140,14 +143,15 @@ impl Soil {
     }
 }
 
-/// Clumps of a stand that may stand in each level of detail, all around the eye: its densest everywhere, a tenth more, and no more than [`MOST_ROOM`].
+/// Clumps of a stand that may stand in each level of detail, all around the eye: its densest
+/// everywhere, a tenth more, and no more than [`MOST_ROOM`].
 fn room_for(stand: &Stand) -> [u32; 3] {
     let field = &stand.field;
     let cell_m = f64::from(1u32 << stand.planting.cell_bits) / 4096.0;
     let per_m2 = f64::from(stand.planting.per_cell) / (cell_m * cell_m);
     let (thin, range) = (f64::from(field.thin_from_m), f64::from(field.range_m));
-    // Clumps within a distance: all up to `thin`, beyond it a share that falls with the distance, and those that are narrowing before they are left out: an eighth more,
-    // and one rank of 256.
+    // Clumps within a distance: all up to `thin`, beyond it a share that falls with the distance,
+    // and those that are narrowing before they are left out: an eighth more, and one rank of 256.
     let within = |distance: f64| {
         let distance = distance.min(range);
         let near = distance.min(thin);

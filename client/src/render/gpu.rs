@@ -61,7 +61,8 @@ impl Gpu {
         Self::open_with(instance, surface, wgpu::Features::empty()).await
     }
 
-    /// The same with features that measuring can use and drawing does without; what the adapter lacks is left out.
+    /// The same with features that measuring can use and drawing does without; what the adapter
+    /// lacks is left out.
     pub async fn open_with(
         instance: wgpu::Instance,
         surface: Option<&wgpu::Surface<'_>>,
@@ -119,7 +120,8 @@ impl Gpu {
         format!("{} ({})", info.name, info.backend)
     }
 
-    /// The first fault since the device was opened, if any: what was drawn since is not to be trusted.
+    /// The first fault since the device was opened, if any: what was drawn since is not to be
+    /// trusted.
     pub fn check(&self) -> Result<(), GpuError> {
         match &*self.faults.lock().unwrap_or_else(PoisonError::into_inner) {
             Some(fault) => Err(GpuError::Fault(fault.clone())),

@@ -1,6 +1,8 @@
-//! The passes that draw plants: what culling has kept of a field of clumps, one indirect draw for each level of detail.
+//! The passes that draw plants: what culling has kept of a field of clumps, one indirect draw for
+//! each level of detail.
 //!
-//! Owns pipelines and bindings. The buffers belong to whoever fills them; nothing here looks into them.
+//! Owns pipelines and bindings. The buffers belong to whoever fills them; nothing here looks into
+//! them.
 
 use crate::render::pipeline::{Depth, LightPass, Output, storage_entry, uniform_entry};
 use crate::render::pool::ChunkPool;
@@ -27,7 +29,8 @@ impl Plant {
         }
     }
 
-    /// Vertices of a clump at each level of detail, finest first: what the arguments of the draws have to say.
+    /// Vertices of a clump at each level of detail, finest first: what the arguments of the draws
+    /// have to say.
     #[must_use]
     pub fn vertices(self) -> &'static [u32] {
         match self {

@@ -8,7 +8,8 @@ use shaders::SHADERS;
 use shaders::layout::{BAKE_WORKGROUP, Bake, BakeTexel, MATERIALS, REDUCE_WORKGROUP};
 use std::sync::Arc;
 
-/// Texels a side of every set, a power of two. A set covers 4 or 8 metres, so a texel is 8 or 16 millimetres.
+/// Texels a side of every set, a power of two. A set covers 4 or 8 metres, so a texel is 8 or 16
+/// millimetres.
 pub const MATERIAL_SIZE: u32 = 512;
 
 /// Texels of a set.
@@ -24,7 +25,8 @@ pub const SHAPE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 /// Height once more, exact and not filterable: for what marches along it.
 pub const HEIGHT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
 
-/// Most samples along the longer side of a pixel's footprint. On a software driver 1: there each of them costs as much as the whole pixel.
+/// Most samples along the longer side of a pixel's footprint. On a software driver 1: there each of
+/// them costs as much as the whole pixel.
 const ANISOTROPY: u16 = 8;
 
 /// A set that replaces a procedural one.
@@ -61,7 +63,8 @@ pub struct Materials {
 }
 
 impl Materials {
-    /// Bakes all sets. An own set of another size than [`MATERIAL_TEXELS`] is left out. `software`: the driver has no GPU.
+    /// Bakes all sets. An own set of another size than [`MATERIAL_TEXELS`] is left out. `software`:
+    /// the driver has no GPU.
     #[must_use]
     pub fn new(device: &wgpu::Device, queue: &wgpu::Queue, own: &OwnMaterials, software: bool) -> Self {
         let colours = array(device, "material colours", COLOUR_FORMAT);
@@ -127,7 +130,8 @@ impl Materials {
         Self { colours, shapes, heights, layout, bindings }
     }
 
-    /// Layout of the group: colours, shapes, sampler, exact heights, the bounds that their relief is walked by.
+    /// Layout of the group: colours, shapes, sampler, exact heights, the bounds that their relief
+    /// is walked by.
     #[must_use]
     pub fn layout(&self) -> &wgpu::BindGroupLayout {
         &self.layout

@@ -1,7 +1,8 @@
 //! The renderer: everything between a [`FrameData`] and a picture.
 //!
-//! Owns pipelines, targets, the pool of chunks and the state of their shadows. Knows nothing of windows, sessions or time: a frame goes in, commands
-//! come out, into whatever view the caller gives.
+//! Owns pipelines, targets, the pool of chunks and the state of their shadows. Knows nothing of
+//! windows, sessions or time: a frame goes in, commands come out, into whatever view the caller
+//! gives.
 
 pub mod air;
 pub mod backdrop;
@@ -154,13 +155,15 @@ impl Renderer {
         self.terrain_draws
     }
 
-    /// Bytes on the GPU that one more chunk takes: the buffers that grow with the number of slots, by their real sizes.
+    /// Bytes on the GPU that one more chunk takes: the buffers that grow with the number of slots,
+    /// by their real sizes.
     #[must_use]
     pub fn bytes_per_chunk(&self) -> u64 {
         (self.pool.bytes() + self.terrain.bytes() + self.cast.bytes()).div_ceil(u64::from(self.pool.slots()))
     }
 
-    /// What the passes of the last submitted frame took by the GPU's clock; none if the device was opened without one.
+    /// What the passes of the last submitted frame took by the GPU's clock; none if the device was
+    /// opened without one.
     ///
     /// # Errors
     /// The GPU failed.
@@ -168,7 +171,8 @@ impl Renderer {
         self.clock.as_ref().map(|clock| clock.read(gpu)).transpose()
     }
 
-    /// Puts other objects into a scene of reliefs; other scenes have none. For measuring: the scene's own objects are there from the start.
+    /// Puts other objects into a scene of reliefs; other scenes have none. For measuring: the
+    /// scene's own objects are there from the start.
     pub fn arrange(&mut self, gpu: &Gpu, objects: Vec<Object>) {
         if let Some(LocalScene::Relief(scene)) = &mut self.local {
             scene.arrange(&gpu.device, objects);
@@ -187,9 +191,10 @@ impl Renderer {
         self.shadows.forget(chunk.slot);
     }
 
-    /// Records the finding of shadows that the frame lacks, as many as `quota` (and [`MAX_CASTS`]) allows, to be submitted before or with its picture
-    /// and before the next call. Returns how many chunks in sight are still left: 0 when the picture will be right. Chunks whose shadow was never
-    /// found are drawn in full sun.
+    /// Records the finding of shadows that the frame lacks, as many as `quota` (and [`MAX_CASTS`])
+    /// allows, to be submitted before or with its picture and before the next call. Returns how
+    /// many chunks in sight are still left: 0 when the picture will be right. Chunks whose shadow
+    /// was never found are drawn in full sun.
     ///
     /// [`MAX_CASTS`]: cast::MAX_CASTS
     pub fn cast(
@@ -220,7 +225,8 @@ impl Renderer {
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             let pending = self.cast(gpu, frame, cast::ALL_IN_SIGHT, &mut encoder);
             gpu.queue.submit([encoder.finish()]);
-            // One at a time: many long dispatches in one queue make some drivers give up on the device.
+            // One at a time: many long dispatches in one queue make some drivers give up on the
+            // device.
             gpu.wait()?;
             if pending == 0 {
                 return Ok(());
@@ -236,8 +242,9 @@ impl Renderer {
         }
     }
 
-    /// Draws a picture and returns its linear light, row by row from the top: RGBA as half floats. For checks that look behind the tone
-    /// curve. Blocks until it is drawn; nothing is returned with several samples per pixel.
+    /// Draws a picture and returns its linear light, row by row from the top: RGBA as half floats.
+    /// For checks that look behind the tone curve. Blocks until it is drawn; nothing is returned
+    /// with several samples per pixel.
     ///
     /// # Errors
     /// The device fails.
@@ -257,7 +264,8 @@ impl Renderer {
         Ok(Some(bytes.chunks_exact(2).map(|half| u16::from_le_bytes([half[0], half[1]])).collect()))
     }
 
-    /// Records the choice of the frame's plants, which every picture begins with; alone for measuring.
+    /// Records the choice of the frame's plants, which every picture begins with; alone for
+    /// measuring.
     pub fn choose(&mut self, gpu: &Gpu, frame: &FrameData, encoder: &mut wgpu::CommandEncoder) {
         if let Some(plants) = &frame.plants {
             let garden = self.garden.get_or_insert_with(|| Garden::new(&gpu.device));
@@ -265,8 +273,10 @@ impl Renderer {
         }
     }
 
-    /// Draws the plants that were last chosen by their names, with the frame's land in front of them, and returns what each pixel shows, row by row from the top: see
-    /// `shaders/wgsl/shared/name.wesl`, zeros where no plant is seen. For checks; blocks until it is drawn. Nothing is returned with several samples per pixel.
+    /// Draws the plants that were last chosen by their names, with the frame's land in front of
+    /// them, and returns what each pixel shows, row by row from the top: see
+    /// `shaders/wgsl/shared/name.wesl`, zeros where no plant is seen. For checks; blocks until it
+    /// is drawn. Nothing is returned with several samples per pixel.
     ///
     /// # Errors
     /// The device fails.

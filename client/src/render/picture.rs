@@ -56,7 +56,8 @@ impl Canvas {
     }
 }
 
-/// Copies a texture of `pixel_bytes` bytes a pixel to the CPU, row by row from the top; blocks until it is drawn.
+/// Copies a texture of `pixel_bytes` bytes a pixel to the CPU, row by row from the top; blocks
+/// until it is drawn.
 pub fn read_texture(gpu: &Gpu, texture: &wgpu::Texture, pixel_bytes: usize) -> Result<Vec<u8>, GpuError> {
     read_level(gpu, texture, 0, pixel_bytes)
 }

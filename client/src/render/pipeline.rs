@@ -1,4 +1,5 @@
-//! What all passes' pipelines have in common: a linked shader, one bind group, the gathering targets.
+//! What all passes' pipelines have in common: a linked shader, one bind group, the gathering
+//! targets.
 
 use crate::render::targets::{DEPTH_FORMAT, LIGHT_FORMAT, NAME_FORMAT};
 use shaders::{Shader, Stage};
@@ -67,7 +68,8 @@ impl LightPass<'_> {
         self.build(device, Output { fragment: Some(fragment), ..LIGHT }, SOLID, &[])
     }
 
-    /// The pipeline of leaves, which are seen from both sides, at a level of detail that the shader takes as its constant `LEVEL`.
+    /// The pipeline of leaves, which are seen from both sides, at a level of detail that the shader
+    /// takes as its constant `LEVEL`.
     #[must_use]
     pub fn pipeline_of_leaves(
         &self,
@@ -188,7 +190,8 @@ fn build(
     })
 }
 
-/// The pipelines of a pass's compute entry points, over bind groups of these layouts, group 0 first. The shader is compiled once for all of them.
+/// The pipelines of a pass's compute entry points, over bind groups of these layouts, group 0
+/// first. The shader is compiled once for all of them.
 #[must_use]
 pub fn compute_pipelines<const N: usize>(
     device: &wgpu::Device,

@@ -62,8 +62,8 @@ impl ChunkPool {
         self.heights.size() + self.maxima.size() + self.records.size() + self.clearances.size()
     }
 
-    /// Fills a chunk's slot; the sun shines on all of it until its shadow is found. A slot beyond the pool is ignored: it could only come from a
-    /// pool of another size.
+    /// Fills a chunk's slot; the sun shines on all of it until its shadow is found. A slot beyond
+    /// the pool is ignored: it could only come from a pool of another size.
     pub fn upload(&self, queue: &wgpu::Queue, chunk: &Resident) {
         if chunk.slot < self.slots {
             let slot = u64::from(chunk.slot);
@@ -75,7 +75,8 @@ impl ChunkPool {
         }
     }
 
-    /// A slot's clearances as bytes, row by row without padding: what shadows are compared by. Waits for the GPU.
+    /// A slot's clearances as bytes, row by row without padding: what shadows are compared by.
+    /// Waits for the GPU.
     ///
     /// # Errors
     /// The device failed, or the pool has no such slot.

@@ -1,4 +1,5 @@
-//! What marches along reliefs read on the GPU: heights twice (exact, and for the sampler), the bounds of the pyramid, cones.
+//! What marches along reliefs read on the GPU: heights twice (exact, and for the sampler), the
+//! bounds of the pyramid, cones.
 
 use crate::relief::HeightMap;
 use crate::render::cones;
@@ -27,8 +28,8 @@ pub struct ReliefMaps {
 }
 
 impl ReliefMaps {
-    /// Finds the bounds of heights that are on the GPU already: `heights` as R32Float with all mip levels, `smooth` the same in the alpha of a filterable
-    /// texture. There are no cones yet.
+    /// Finds the bounds of heights that are on the GPU already: `heights` as R32Float with all mip
+    /// levels, `smooth` the same in the alpha of a filterable texture. There are no cones yet.
     #[must_use]
     pub fn over(
         device: &wgpu::Device,
@@ -50,7 +51,8 @@ impl ReliefMaps {
         Self { heights: heights.clone(), smooth, tops, exact, cones, cone_view, has_cones: false, sampler }
     }
 
-    /// Uploads maps of one side. The first one's side counts; maps of other sides are left out. There are no cones yet.
+    /// Uploads maps of one side. The first one's side counts; maps of other sides are left out.
+    /// There are no cones yet.
     #[must_use]
     pub fn upload(device: &wgpu::Device, queue: &wgpu::Queue, maps: &[HeightMap]) -> Self {
         let side = maps.first().map_or(1, HeightMap::side) as u32;
@@ -78,20 +80,23 @@ impl ReliefMaps {
         self.has_cones
     }
 
-    /// Bakes the cones of some layers, and waits for them. Groups of bindings made before do not have them.
+    /// Bakes the cones of some layers, and waits for them. Groups of bindings made before do not
+    /// have them.
     pub fn bake_cones(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, layers: &[u32]) {
         self.cones = cones::bake(device, queue, &self.heights, &self.tops, layers);
         self.cone_view = whole(&self.cones);
         self.has_cones = true;
     }
 
-    /// The cones: one picture for each mip level of the heights, as long as a block of theirs is there.
+    /// The cones: one picture for each mip level of the heights, as long as a block of theirs is
+    /// there.
     #[must_use]
     pub fn cones(&self) -> &wgpu::Texture {
         &self.cones
     }
 
-    /// Layout of its five bindings, from `binding` on: heights, heights to be filtered, bounds, cones, sampler.
+    /// Layout of its five bindings, from `binding` on: heights, heights to be filtered, bounds,
+    /// cones, sampler.
     #[must_use]
     pub const fn layout_entries(
         binding: u32,

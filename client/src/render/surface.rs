@@ -17,7 +17,8 @@ pub struct WindowSurface {
 pub enum NextTexture {
     /// Draw into the view, then present.
     Ready(wgpu::SurfaceTexture, wgpu::TextureView),
-    /// Nothing to draw into now: the window is hidden, has no size, or was just reconfigured. Try with the next redraw.
+    /// Nothing to draw into now: the window is hidden, has no size, or was just reconfigured. Try
+    /// with the next redraw.
     Skip,
     /// The surface is gone: make a new one from the window.
     Lost,
@@ -87,7 +88,8 @@ impl WindowSurface {
                 NextTexture::Skip
             }
             Current::Lost => NextTexture::Lost,
-            // A validation error has reached the device's error handler, where the frame loop finds it.
+            // A validation error has reached the device's error handler, where the frame loop finds
+            // it.
             Current::Timeout | Current::Occluded | Current::Validation => NextTexture::Skip,
         }
     }

@@ -13,7 +13,8 @@ pub struct TonePass {
 }
 
 impl TonePass {
-    /// The pass from `targets` to pictures of `format`, which must not encode sRGB by itself: the shader does.
+    /// The pass from `targets` to pictures of `format`, which must not encode sRGB by itself: the
+    /// shader does.
     #[must_use]
     pub fn new(
         device: &wgpu::Device,

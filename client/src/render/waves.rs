@@ -6,7 +6,8 @@ use shaders::layout::{WAVE_MAP_SIDE, WAVE_WORKGROUP};
 /// Levels of the map, down to one texel.
 pub const WAVE_LEVELS: u32 = WAVE_MAP_SIDE.ilog2() + 1;
 
-/// Writable by compute and filterable everywhere; eleven bits of height are 0.4 mm of the highest crest.
+/// Writable by compute and filterable everywhere; eleven bits of height are 0.4 mm of the highest
+/// crest.
 const WAVE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 
 /// The map with the sampler that its readers share.

@@ -1,7 +1,9 @@
-//! The land's shadow on itself, as far as no GPU is needed: where the sun stands ([`caster`]), what may cast a shadow ([`table`]) and whose
-//! shadow is to be found next ([`schedule`]). `shaders/wgsl/cast_shadows.wesl` does the finding.
+//! The land's shadow on itself, as far as no GPU is needed: where the sun stands ([`caster`]), what
+//! may cast a shadow ([`table`]) and whose shadow is to be found next ([`schedule`]).
+//! `shaders/wgsl/cast_shadows.wesl` does the finding.
 //!
-//! What comes out depends on the drawn chunks and the sun only: not on arrival, slots or what else is resident.
+//! What comes out depends on the drawn chunks and the sun only: not on arrival, slots or what else
+//! is resident.
 
 pub mod schedule;
 pub mod table;
@@ -13,7 +15,8 @@ use glam::Vec3;
 use shaders::layout::{CLEARANCE_RANGE, Caster, SKY_DARK, SKY_LIT, SKY_WALK, SUN_RADIUS};
 use std::f64::consts::FRAC_PI_2;
 
-/// Directions are rounded so finely, 2^-16 rad (1 mm over 65 m): a track that all but follows a column or row follows it.
+/// Directions are rounded so finely, 2^-16 rad (1 mm over 65 m): a track that all but follows a
+/// column or row follows it.
 const AXIS_SLACK: f64 = 1.0 / 65_536.0;
 
 /// Horizons steeper than this are no different: 89.9 degrees.

@@ -1,7 +1,8 @@
 //! Whose shadow is found next. Knows neither clock nor GPU.
 //!
-//! A shadow is up to date if it was found for the chunks that are drawn and for the sun that shines. Chunks in sight come before others, those
-//! without any shadow before those whose shadow is old, old ones in the order of their age, equals nearest first: no chunk waits for ever while
+//! A shadow is up to date if it was found for the chunks that are drawn and for the sun that
+//! shines. Chunks in sight come before others, those without any shadow before those whose shadow
+//! is old, old ones in the order of their age, equals nearest first: no chunk waits for ever while
 //! the camera moves.
 
 use crate::shadow::caster;
@@ -23,7 +24,8 @@ pub struct Candidate {
 pub struct Quota {
     /// Chunks at most.
     pub chunks: usize,
-    /// Of these, chunks at most that are out of sight, so that a turning camera finds their shadows there.
+    /// Of these, chunks at most that are out of sight, so that a turning camera finds their shadows
+    /// there.
     pub ahead: usize,
 }
 
@@ -74,7 +76,8 @@ impl Schedule {
         }
     }
 
-    /// Takes note of what is drawn (nearest first) and where the sun is. Free if nothing has changed, but for the comparison.
+    /// Takes note of what is drawn (nearest first) and where the sun is. Free if nothing has
+    /// changed, but for the comparison.
     pub fn update(&mut self, candidates: &[Candidate], sun: Vec3) {
         let mut pages: Vec<Page> = candidates.iter().map(|candidate| candidate.page).collect();
         pages.sort_unstable();

@@ -1,7 +1,8 @@
 //! The page table: from a place to the chunk that is drawn there, and how high anything there is.
 //!
-//! A quadtree over the drawn chunks, from one level of equal roots down. It goes on above a chunk what the chunk's max pyramid is inside it, so
-//! one rule skips chunks and empty land. It counts from its own low corner, a multiple of the roots' side.
+//! A quadtree over the drawn chunks, from one level of equal roots down. It goes on above a chunk
+//! what the chunk's max pyramid is inside it, so one rule skips chunks and empty land. It counts
+//! from its own low corner, a multiple of the roots' side.
 
 use rustc_hash::{FxHashMap, FxHashSet};
 use shaders::layout::{CastTarget, LEAF, MAX_ROOTS, NODES_PER_SLOT, NOTHING, PageNode};
@@ -39,8 +40,8 @@ const EMPTY: PageNode = PageNode { link: NOTHING, top: i32::MIN };
 impl PageTable {
     /// The table of chunks none of which lies above or below another.
     ///
-    /// Holds [`MAX_ROOTS`] and [`NODES_PER_SLOT`] nodes for each of `slots`; beyond that, which a balanced cover of a view never reaches, fine chunks are
-    /// left out and cast no shadow.
+    /// Holds [`MAX_ROOTS`] and [`NODES_PER_SLOT`] nodes for each of `slots`; beyond that, which a
+    /// balanced cover of a view never reaches, fine chunks are left out and cast no shadow.
     #[must_use]
     pub fn of(pages: &[Page], slots: u32) -> Self {
         let Some(coarsest) = pages.iter().map(|page| page.key.level()).max() else { return Self::default() };

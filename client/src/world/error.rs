@@ -1,8 +1,9 @@
 //! The error of a chunk on screen, from where in the chunk it is.
 //!
-//! A chunk's stated error is the largest anywhere in it. Once its children are here, the land between their vertices and the chunk's own triangles is known
-//! block by block, and an error far from the eye counts by its own distance. That leaves more chunks whole and keeps the promise: in every block the drawn
-//! surface is no farther from the land than what the block is judged by.
+//! A chunk's stated error is the largest anywhere in it. Once its children are here, the land
+//! between their vertices and the chunk's own triangles is known block by block, and an error far
+//! from the eye counts by its own distance. That leaves more chunks whole and keeps the promise: in
+//! every block the drawn surface is no farther from the land than what the block is judged by.
 
 use crate::world::{Resident, World};
 use shaders::twin::grid::GridVertex;
@@ -17,7 +18,8 @@ const BLOCKS: usize = 8;
 /// Cells along one side of a block.
 const BLOCK_CELLS: usize = CELLS / BLOCKS;
 
-/// Largest vertical distance between a chunk's vertices and its parent's surface in each block, units, row by row.
+/// Largest vertical distance between a chunk's vertices and its parent's surface in each block,
+/// units, row by row.
 pub type Rises = [u32; BLOCKS * BLOCKS];
 
 /// The rises of the chunk `key` over its parent.
@@ -55,15 +57,16 @@ pub fn tolerance(viewer: &Viewer) -> f64 {
     f64::from(viewer.tolerance())
 }
 
-/// Whether a chunk is too coarse for a viewer. Never one that the server, which judges by the level's bound, does not split.
+/// Whether a chunk is too coarse for a viewer. Never one that the server, which judges by the
+/// level's bound, does not split.
 #[must_use]
 pub fn is_too_coarse(world: &World, viewer: &Viewer, key: ChunkKey, chunk: &Resident) -> bool {
     let bound = viewer.screen_error_q4(lod::level_error(key.level()), viewer.distance_to(key));
     bound > viewer.tolerance() && on_screen(world, viewer, key, chunk) > tolerance(viewer)
 }
 
-/// Error on screen of drawing a chunk, 1/16 pixel, not rounded: a bound for every place in it. Never more than what the server judges the chunk by, so that less is
-/// wanted than is sent.
+/// Error on screen of drawing a chunk, 1/16 pixel, not rounded: a bound for every place in it.
+/// Never more than what the server judges the chunk by, so that less is wanted than is sent.
 #[must_use]
 pub fn on_screen(world: &World, viewer: &Viewer, key: ChunkKey, chunk: &Resident) -> f64 {
     let judge = Judge::new(viewer, key, chunk);
@@ -78,8 +81,9 @@ pub fn on_screen(world: &World, viewer: &Viewer, key: ChunkKey, chunk: &Resident
 /// A chunk with all its borders, for [`of_parent`].
 pub const INSIDE: (i32, i32) = (0, 0);
 
-/// Error on screen of drawing the parent of `child` in the place of it, 1/16 pixel: what of [`on_screen`] of the parent is in this quarter. None
-/// without a parent that is here. Of [`INSIDE`], all of it; of a step east and south, the blocks that touch the neighbour there.
+/// Error on screen of drawing the parent of `child` in the place of it, 1/16 pixel: what of
+/// [`on_screen`] of the parent is in this quarter. None without a parent that is here. Of
+/// [`INSIDE`], all of it; of a step east and south, the blocks that touch the neighbour there.
 #[must_use]
 pub fn of_parent(world: &World, viewer: &Viewer, child: ChunkKey, toward: (i32, i32)) -> Option<f64> {
     let key = child.parent()?;
@@ -101,7 +105,8 @@ struct Judge<'a> {
 
 impl<'a> Judge<'a> {
     fn new(viewer: &'a Viewer, key: ChunkKey, chunk: &Resident) -> Self {
-        // The level's bound is empirical: a chunk whose own error exceeds it would want children that no server sends.
+        // The level's bound is empirical: a chunk whose own error exceeds it would want children
+        // that no server sends.
         let stated = chunk.error.min(lod::level_error(key.level()));
         let judge = Self { viewer, stated, nearest: viewer.distance_to(key), whole: 0.0 };
         let whole = judge.seen(stated, distance(viewer, key.origin(), key.side(), chunk, chunk.max));
@@ -118,7 +123,8 @@ impl<'a> Judge<'a> {
         scaled / distance.max(self.nearest).max(1) as f64
     }
 
-    /// The largest error in the quarter that a child covers, or along a side of it, block by block, if the child is here.
+    /// The largest error in the quarter that a child covers, or along a side of it, block by block,
+    /// if the child is here.
     fn portion(&self, world: &World, key: ChunkKey, (east, south): (i32, i32)) -> Option<f64> {
         let child = world.get(key)?;
         let rises = child.rises.as_ref()?;
@@ -145,7 +151,8 @@ fn rows_toward(way: i32) -> std::ops::Range<usize> {
     }
 }
 
-/// Bound of a chunk's own error in one of its blocks, units: what it states of itself, or what its children, if they are here, and their stated errors say.
+/// Bound of a chunk's own error in one of its blocks, units: what it states of itself, or what its
+/// children, if they are here, and their stated errors say.
 fn error_in_block(world: &World, key: ChunkKey, chunk: &Resident, block: usize) -> u32 {
     let Some(children) = key.children() else { return chunk.error };
     // A block is two by two blocks of one child.
@@ -159,7 +166,8 @@ fn error_in_block(world: &World, key: ChunkKey, chunk: &Resident, block: usize) 
     rise.into_iter().max().unwrap_or(0).saturating_add(child.error).min(chunk.error)
 }
 
-/// Distance from the eye to where the true land of a square can be that lies in a chunk and whose drawn surface rises no higher than `highest`, units.
+/// Distance from the eye to where the true land of a square can be that lies in a chunk and whose
+/// drawn surface rises no higher than `highest`, units.
 fn distance(viewer: &Viewer, corner: (i32, i32), side: u32, chunk: &Resident, highest: i32) -> u64 {
     let error = i32::try_from(chunk.error).unwrap_or(i32::MAX);
     viewer.distance_to_block(corner, side, chunk.min.saturating_sub(error), highest.saturating_add(error))

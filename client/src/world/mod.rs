@@ -1,4 +1,5 @@
-//! The chunks that are here: kept within a budget ([`resident`]), chosen for drawing ([`mod@select`]) and joined without a gap ([`seams`]).
+//! The chunks that are here: kept within a budget ([`resident`]), chosen for drawing
+//! ([`mod@select`]) and joined without a gap ([`seams`]).
 //!
 //! Knows slots but no GPU, and time only as a frame number.
 

@@ -1,6 +1,7 @@
 //! Resident chunks: a fixed number of slots, filled and emptied by least recent use.
 //!
-//! The number of slots comes from the memory budget and never changes; nothing that a peer sends makes this grow.
+//! The number of slots comes from the memory budget and never changes; nothing that a peer sends
+//! makes this grow.
 
 use crate::world::error::{self, Rises};
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -10,7 +11,8 @@ use terrain::constants::VERTEX_COUNT;
 use terrain::pyramid::PYRAMID_LEVELS;
 use terrain::{Chunk, ChunkKey, GrassSeed, Land, Pyramid};
 
-/// Memory that one slot stands for, bytes: heights, bounds, rises and grass here, and what the GPU holds of a chunk.
+/// Memory that one slot stands for, bytes: heights, bounds, rises and grass here, and what the GPU
+/// holds of a chunk.
 pub const SLOT_BYTES: usize = 4 * (VERTEX_COUNT + 2 * BLOCK_TEXELS)
     + size_of::<Rises>()
     + terrain::constants::GRASS_GRID.pow(2)
@@ -53,8 +55,8 @@ pub struct Arrival {
     pub slot: Option<u32>,
     /// Chunks that had to leave, to be released at the server.
     pub evicted: Vec<ChunkKey>,
-    /// Whether a chunk had to leave that the current picture uses, or that was sent for the current view: the budget is
-    /// too small for it, and the same chunks would come and go without end.
+    /// Whether a chunk had to leave that the current picture uses, or that was sent for the current
+    /// view: the budget is too small for it, and the same chunks would come and go without end.
     pub starved: bool,
 }
 
@@ -102,7 +104,8 @@ impl World {
         u32::try_from(budget / SLOT_BYTES).unwrap_or(u32::MAX).max(1)
     }
 
-    /// Takes a chunk in, making room if needed. The caller uploads the heights and releases the evicted keys.
+    /// Takes a chunk in, making room if needed. The caller uploads the heights and releases the
+    /// evicted keys.
     pub fn insert(&mut self, chunk: Chunk) -> Arrival {
         if self.chunks.contains_key(&chunk.key) {
             return Arrival { slot: None, evicted: Vec::new(), starved: false };
@@ -161,7 +164,8 @@ impl World {
         self.land = Some(Land::new(world_seed));
     }
 
-    /// The noise behind the land, as far as the server tells the truth: for comparisons, never for what is drawn.
+    /// The noise behind the land, as far as the server tells the truth: for comparisons, never for
+    /// what is drawn.
     #[must_use]
     pub fn land(&self) -> Option<&Land> {
         self.land.as_ref()
@@ -232,8 +236,9 @@ impl World {
         self.view_said = self.frame + 1;
     }
 
-    /// Starts the selection of a new frame, of whose coarsest chunks all or not all are here. Whether the land can be shown: not before
-    /// it once covered a whole view, because a part of it would end in mid-air. Later on what is missing is new at the far end of the view.
+    /// Starts the selection of a new frame, of whose coarsest chunks all or not all are here.
+    /// Whether the land can be shown: not before it once covered a whole view, because a part of it
+    /// would end in mid-air. Later on what is missing is new at the far end of the view.
     pub(super) fn begin_frame(&mut self, all_tops_are_here: bool) -> bool {
         self.frame += 1;
         self.covered |= all_tops_are_here;
@@ -260,11 +265,12 @@ impl World {
         }
     }
 
-    /// Evicts the least useful chunk and, as far as they are not in use, up to 1/64 of the others with it: the search is
-    /// linear, so it pays to do it rarely.
+    /// Evicts the least useful chunk and, as far as they are not in use, up to 1/64 of the others
+    /// with it: the search is linear, so it pays to do it rarely.
     ///
-    /// In use are the drawn chunks and those above them, which stand in when a drawn one goes. Only when nothing else is left
-    /// one of them is taken, the finest first: the picture gets coarser there, and no hole.
+    /// In use are the drawn chunks and those above them, which stand in when a drawn one goes. Only
+    /// when nothing else is left one of them is taken, the finest first: the picture gets coarser
+    /// there, and no hole.
     fn make_room(&mut self) -> (Vec<ChunkKey>, bool) {
         let (frame, view_said) = (self.frame, self.view_said);
         let mut order: Vec<(bool, u64, u8, ChunkKey, bool)> = self

@@ -1,14 +1,18 @@
-//! How drawn chunks join: how far each one has morphed into its parent, inside, along its edges and at its corners.
+//! How drawn chunks join: how far each one has morphed into its parent, inside, along its edges and
+//! at its corners.
 //!
-//! A chunk of level k is drawn between its own surface and that of its parent, by one number inside it (Ulrich, "Rendering Massive Terrains
-//! using Chunked Level of Detail Control", SIGGRAPH 2002). What two chunks share must come out the same from both, so an edge or a corner has a
-//! number of its own, made from those of all chunks that touch it. Where something coarser touches, it is entirely the parent's surface; where
-//! something finer touches, entirely the chunk's own: both are the integers of the same level. `shaders/wgsl/shared/morph.wesl` blends
-//! from the border to the inside.
+//! A chunk of level k is drawn between its own surface and that of its parent, by one number inside
+//! it (Ulrich, "Rendering Massive Terrains using Chunked Level of Detail Control", SIGGRAPH 2002).
+//! What two chunks share must come out the same from both, so an edge or a corner has a number of
+//! its own, made from those of all chunks that touch it. Where something coarser touches, it is
+//! entirely the parent's surface; where something finer touches, entirely the chunk's own: both are
+//! the integers of the same level. `shaders/wgsl/shared/morph.wesl` blends from the border to the
+//! inside.
 //!
-//! A chunk that is there only because a sibling is needed, or a neighbour, is *halved*: drawn with the parent's vertices, a quarter of its own. To what
-//! touches it, it is a coarser chunk. Nothing that touches it is split, so drawn levels still differ by one at most; and what touches it can bear the
-//! parent's border.
+//! A chunk that is there only because a sibling is needed, or a neighbour, is *halved*: drawn with
+//! the parent's vertices, a quarter of its own. To what touches it, it is a coarser chunk. Nothing
+//! that touches it is split, so drawn levels still differ by one at most; and what touches it can
+//! bear the parent's border.
 
 use crate::world::World;
 use crate::world::error;
@@ -18,13 +22,15 @@ use shaders::twin::morph::{MORPH_ONE, Seams};
 use terrain::ChunkKey;
 use terrain::lod::Viewer;
 
-/// Morphing begins when the parent's error on screen has come down to this many tolerances; at one, the parent takes over.
+/// Morphing begins when the parent's error on screen has come down to this many tolerances; at one,
+/// the parent takes over.
 const MORPH_FROM: f64 = 1.5;
 
 /// Edges in the order of [`Seams::edges`]: north, east, south, west.
 const EDGES: [(i32, i32); 4] = [(0, -1), (1, 0), (0, 1), (-1, 0)];
 
-/// Corners in the order of [`Seams::corners`]: (low, low), (high x, low z), (low x, high z), (high, high).
+/// Corners in the order of [`Seams::corners`]: (low, low), (high x, low z), (low x, high z), (high,
+/// high).
 const CORNERS: [(i32, i32); 4] = [(-1, -1), (1, -1), (-1, 1), (1, 1)];
 
 /// A chunk to draw.
@@ -67,7 +73,8 @@ pub fn close(
             (*key, Inside { morph: morph.max(unfinished(world, *key, fading)), is_parent })
         })
         .collect();
-    // Beside the parent's vertices a neighbour's outermost cells are drawn from both surfaces: both errors count there.
+    // Beside the parent's vertices a neighbour's outermost cells are drawn from both surfaces: both
+    // errors count there.
     let bears = |key: ChunkKey, toward: (i32, i32)| {
         let is_parent = inside.get(&key).is_none_or(|inside| inside.is_parent);
         is_parent || error::of_parent(world, viewer, key, toward).is_some_and(|error| error <= tolerance)
@@ -124,11 +131,13 @@ fn above(world: &World, viewer: &Viewer, key: ChunkKey) -> Option<f64> {
     (key.level() < viewer.top_level()).then(|| error::of_parent(world, viewer, key, error::INSIDE)).flatten()
 }
 
-/// How far a chunk has morphed into its parent, 0 to 1, by the parent's error on screen in its place.
+/// How far a chunk has morphed into its parent, 0 to 1, by the parent's error on screen in its
+/// place.
 ///
-/// With the errors of chunk and parent, `own <= tolerance < parent`, a share m of the parent leaves at most (1 - m) own + m parent:
-/// within the tolerance up to (tolerance - own) / (parent - own). That is 0 where the chunk is about to be split and 1 where the parent is
-/// about to take over, so neither moment shows. A chunk that is split for others' sake alone is its parent.
+/// With the errors of chunk and parent, `own <= tolerance < parent`, a share m of the parent leaves
+/// at most (1 - m) own + m parent: within the tolerance up to (tolerance - own) / (parent - own).
+/// That is 0 where the chunk is about to be split and 1 where the parent is about to take over, so
+/// neither moment shows. A chunk that is split for others' sake alone is its parent.
 fn morph(world: &World, viewer: &Viewer, key: ChunkKey, parent: f64) -> f64 {
     let Some(chunk) = world.get(key) else { return 0.0 };
     let own = error::on_screen(world, viewer, key, chunk);
@@ -141,7 +150,8 @@ fn morph(world: &World, viewer: &Viewer, key: ChunkKey, parent: f64) -> f64 {
     within.min(late).clamp(0.0, 1.0)
 }
 
-/// How much of its parent a chunk still is because its siblings and it have only now arrived, 1 to 0.
+/// How much of its parent a chunk still is because its siblings and it have only now arrived, 1 to
+/// 0.
 fn unfinished(world: &World, key: ChunkKey, fading: Fading) -> f64 {
     let since = key.parent().and_then(|parent| world.split_since(parent)).filter(|_| !fading.lasts.is_zero());
     since.map_or(0.0, |since| {
@@ -160,13 +170,15 @@ fn shared(own: f64, met: &[Meets]) -> u8 {
     }
     let equals = met.iter().filter_map(|met| if let Meets::Equal(morph) = met { Some(*morph) } else { None });
     let mut morphs: Vec<f64> = std::iter::once(own).chain(equals).collect();
-    // All who share it must get the same bits, so the order of the products must not depend on who asks.
+    // All who share it must get the same bits, so the order of the products must not depend on who
+    // asks.
     morphs.sort_unstable_by(f64::total_cmp);
     steps(combined(&morphs))
 }
 
-/// One number of several: the product of their odds. A chunk that is about to be its parent (1) or about to be split (0) decides
-/// alone, because its next state would; equal numbers on the fence stay there. Two that disagree entirely give 1/2.
+/// One number of several: the product of their odds. A chunk that is about to be its parent (1) or
+/// about to be split (0) decides alone, because its next state would; equal numbers on the fence
+/// stay there. Two that disagree entirely give 1/2.
 fn combined(morphs: &[f64]) -> f64 {
     let (yes, no) = morphs.iter().fold((1.0, 1.0), |(yes, no), morph| (yes * morph, no * (1.0 - morph)));
     if yes + no > 0.0 { yes / (yes + no) } else { 0.5 }
@@ -189,7 +201,8 @@ mod tests {
     use terrain::constants::VERTICES;
     use terrain::{Chunk, Land, lod};
 
-    /// Over a coast, so that levels differ by much within a short way; tight, so that all levels occur.
+    /// Over a coast, so that levels differ by much within a short way; tight, so that all levels
+    /// occur.
     const VIEWER: Viewer = Viewer {
         eye: (1_150_000, 30_000, 40_000),
         distance_m: 4000,
@@ -238,7 +251,8 @@ mod tests {
         (0..=last).map(point).collect()
     }
 
-    /// The vertices within the view distance. Beyond it land has dissolved, and levels are balanced only as far as the view reaches.
+    /// The vertices within the view distance. Beyond it land has dissolved, and levels are balanced
+    /// only as far as the view reaches.
     fn seen(side: &BTreeSet<(i32, i32, i32)>) -> BTreeSet<(i32, i32, i32)> {
         let reach = i64::from(VIEWER.distance_m) * i64::from(terrain::constants::UNITS_PER_METRE);
         let is_near = |(x, z, _): &&(i32, i32, i32)| {

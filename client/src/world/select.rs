@@ -1,9 +1,10 @@
-//! Which resident chunks to draw: the finest cover of the view that has no hole and no overlap, and whose neighbours differ by one
-//! level at most.
+//! Which resident chunks to draw: the finest cover of the view that has no hole and no overlap, and
+//! whose neighbours differ by one level at most.
 //!
-//! The rule is that of `terrain::lod`: split what is too coarse on screen, and what would be drawn beside something two levels
-//! finer. The server judges by the level's bound, before anything is generated; this judges by the chunk's own error but never beyond
-//! that bound, and both rules are monotone, so whatever this wants, the server sends.
+//! The rule is that of `terrain::lod`: split what is too coarse on screen, and what would be drawn
+//! beside something two levels finer. The server judges by the level's bound, before anything is
+//! generated; this judges by the chunk's own error but never beyond that bound, and both rules are
+//! monotone, so whatever this wants, the server sends.
 
 use crate::world::seams::{self, Drawn};
 use crate::world::{World, error};
@@ -17,14 +18,15 @@ use terrain::lod::{self, Splits, Viewer};
 pub struct Selection {
     /// Chunks to draw, none above or below another.
     pub drawn: Vec<Drawn>,
-    /// Chunks drawn coarser than wanted because their children have not all arrived, and before anything can be drawn the coarsest chunks
-    /// that are missing.
+    /// Chunks drawn coarser than wanted because their children have not all arrived, and before
+    /// anything can be drawn the coarsest chunks that are missing.
     pub wanting: usize,
 }
 
 impl Selection {
-    /// Whether all that is here is drawn with the detail that the view asks for. Says nothing about what has not arrived at
-    /// all: an eye above the view distance needs no chunk, a new session has none.
+    /// Whether all that is here is drawn with the detail that the view asks for. Says nothing about
+    /// what has not arrived at all: an eye above the view distance needs no chunk, a new session
+    /// has none.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.wanting == 0
@@ -41,7 +43,8 @@ pub fn select(world: &mut World, viewer: &Viewer) -> Selection {
 pub struct Fading {
     /// The moment, on a clock that never goes back.
     pub now: Duration,
-    /// How long chunks take from their parent's surface to their own once all four are here. Zero: at once.
+    /// How long chunks take from their parent's surface to their own once all four are here. Zero:
+    /// at once.
     pub lasts: Duration,
 }
 
@@ -81,8 +84,8 @@ fn wanted(world: &World, viewer: &Viewer, tops: &[ChunkKey]) -> Splits {
     wanted
 }
 
-/// What of it can be split: all seen children are here, and so is all that balance asks for. Decided from the coarsest level down,
-/// because a chunk depends on coarser ones only.
+/// What of it can be split: all seen children are here, and so is all that balance asks for.
+/// Decided from the coarsest level down, because a chunk depends on coarser ones only.
 fn possible(world: &World, viewer: &Viewer, wanted: &Splits) -> FxHashSet<ChunkKey> {
     let mut split = FxHashSet::default();
     for (key, _) in wanted.coarse_first() {
@@ -158,7 +161,8 @@ mod tests {
             excessive(|chunk| lod::level_error(chunk.key.level()).min(chunk.error * 1000));
         let (world, beyond) = excessive(|chunk| if chunk.error > 0 { u32::MAX } else { 0 });
         assert!(beyond.is_complete() && beyond.drawn.len() >= at_the_bound.drawn.len());
-        // Judged by what they say of themselves, drawn chunks would want children, and those were not sent.
+        // Judged by what they say of themselves, drawn chunks would want children, and those were
+        // not sent.
         let wants = |key: &ChunkKey| {
             let error = world.get(*key).unwrap().error;
             key.level() > 0 && VIEWER.screen_error_q4(error, VIEWER.distance_to(*key)) > VIEWER.tolerance()

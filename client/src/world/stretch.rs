@@ -1,5 +1,6 @@
-//! Land drawn higher than it is: heights are multiplied as a chunk arrives, so that everything behind it (levels, shadows, plants, what hides them) is that of the stretched
-//! land without knowing.
+//! Land drawn higher than it is: heights are multiplied as a chunk arrives, so that everything
+//! behind it (levels, shadows, plants, what hides them) is that of the stretched land without
+//! knowing.
 
 use terrain::Chunk;
 use terrain::constants::HEIGHT_LIMIT;
@@ -7,7 +8,8 @@ use terrain::constants::HEIGHT_LIMIT;
 /// No stretch, Q8.
 pub const ONE: i32 = 256;
 
-/// A chunk so many 256ths as high, heights rounded down. Its error grows with it and by the rounding.
+/// A chunk so many 256ths as high, heights rounded down. Its error grows with it and by the
+/// rounding.
 #[must_use]
 pub fn stretched(chunk: Chunk, scale: i32) -> Chunk {
     if scale == ONE {

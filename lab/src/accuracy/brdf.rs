@@ -1,7 +1,9 @@
 //! Reflection: what the fast visibility term and fewer digits cost, against f64.
 //!
-//! A pass evaluates the functions that the viewer draws with (`shared/brdf.wesl`) for directions that lie where the lobes of GGX are; the truth is the exact form
-//! in f64 for the same directions. Half precision is emulated here, since few devices compute in it: every intermediate result is rounded.
+//! A pass evaluates the functions that the viewer draws with (`shared/brdf.wesl`) for directions
+//! that lie where the lobes of GGX are; the truth is the exact form in f64 for the same directions.
+//! Half precision is emulated here, since few devices compute in it: every intermediate result is
+//! rounded.
 
 use super::Curve;
 use super::octaves::ratios;
@@ -25,7 +27,8 @@ const FLOOR: f64 = 0.045;
 const ROUGHNESSES: [f64; 16] =
     [0.005, 0.01, 0.02, 0.03, 0.045, 0.07, 0.089, 0.12, 0.17, 0.25, 0.35, 0.45, 0.6, 0.75, 0.9, 1.0];
 
-/// Angles of the eye to the normal, half vectors by their share of the lobe, and their turns about the normal.
+/// Angles of the eye to the normal, half vectors by their share of the lobe, and their turns about
+/// the normal.
 const EYES: u32 = 18;
 const LOBES: u32 = 12;
 const TURNS: u32 = 12;
@@ -65,7 +68,8 @@ fn widened(v: [f32; 3]) -> Vector {
     unit(v.map(f64::from))
 }
 
-/// A surface that is aligned with no axis, so that no product is exact by luck: normal and two tangents.
+/// A surface that is aligned with no axis, so that no product is exact by luck: normal and two
+/// tangents.
 fn surface() -> [Vector; 3] {
     let normal = unit([0.36, 0.81, -0.47]);
     let east = unit(cross(normal, [0.1, 0.2, 0.9]));
@@ -76,7 +80,8 @@ fn narrow(v: Vector) -> [f32; 3] {
     v.map(|component| component as f32)
 }
 
-/// The directions of one roughness: half vectors by equal shares of the lobe's facets, eyes by equal steps of angle.
+/// The directions of one roughness: half vectors by equal shares of the lobe's facets, eyes by
+/// equal steps of angle.
 fn probes(roughness: f64) -> Vec<BrdfProbe> {
     let [normal, east, south] = surface();
     let place = |polar: f64, turn: f64| {
@@ -123,7 +128,8 @@ enum Form {
     Naive,
 }
 
-/// The sun's reflection, exact visibility, each result passed through `round`: identity for the truth.
+/// The sun's reflection, exact visibility, each result passed through `round`: identity for the
+/// truth.
 fn reflection(probe: &BrdfProbe, form: Form, round: impl Fn(f64) -> f64 + Copy) -> f64 {
     let vector = |v: Vector| v.map(round);
     let product = |a: Vector, b: Vector| {
@@ -172,7 +178,8 @@ fn half(value: f64) -> f64 {
     if rounded.abs() > 65_504.0 { f64::INFINITY.copysign(value) } else { rounded }
 }
 
-/// A relative error beyond which it makes no difference how wrong a value is; what is no number counts as this wrong.
+/// A relative error beyond which it makes no difference how wrong a value is; what is no number
+/// counts as this wrong.
 const HOPELESS: f64 = 1000.0;
 
 /// Largest, root mean square and 99th percentile of relative errors.
@@ -238,8 +245,8 @@ impl Bench {
         probe::read(&self.gpu, &job.output)
     }
 
-    /// Costs of the variants over that of the first, in their order: medians over rounds in which they take turns, so that a change of the machine's
-    /// speed meets all.
+    /// Costs of the variants over that of the first, in their order: medians over rounds in which
+    /// they take turns, so that a change of the machine's speed meets all.
     fn costs(&self) -> Result<Vec<f64>> {
         let probes = probes(0.5);
         let jobs: Vec<Job> =
@@ -482,8 +489,9 @@ mod tests {
         assert!(max > 0.02, "the control must fail: {max}");
     }
 
-    /// Share of white light from everywhere that a surface gives back to an eye at the cosine `nv`: the lobe for a Fresnel term of 1, the lobe with
-    /// the shipped Fresnel term, the same plus the body below it, and the first without masking and shadowing.
+    /// Share of white light from everywhere that a surface gives back to an eye at the cosine `nv`:
+    /// the lobe for a Fresnel term of 1, the lobe with the shipped Fresnel term, the same plus the
+    /// body below it, and the first without masking and shadowing.
     fn furnace(bench: &Bench, roughness: f64, nv: f64) -> [f64; 4] {
         const SAMPLES: u32 = 1 << 14;
         let [normal, east, south] = surface();

@@ -1,6 +1,7 @@
 //! The codec of chunks: what a tolerance and an effort cost and save, and samples against seeds.
 //!
-//! Times are the shortest of `TURNS` for each chunk, in milliseconds; in a debug build they mean little.
+//! Times are the shortest of `TURNS` for each chunk, in milliseconds; in a debug build they mean
+//! little.
 
 use super::Curve;
 use crate::chart::{Panel, linear, log, measured, stated};
@@ -23,7 +24,8 @@ const PLACES: u32 = 32;
 /// Measures a world.
 ///
 /// # Errors
-/// A quantised height is farther off than its frame states, or a frame does not give back its chunk.
+/// A quantised height is farther off than its frame states, or a frame does not give back its
+/// chunk.
 pub fn measure(world_seed: u64) -> Result<Curve> {
     let land = Land::new(world_seed);
     let world = land.digest();
@@ -220,8 +222,8 @@ fn deliveries(land: &Land, world: &WorldDigest) -> Result<Table> {
     Ok(table)
 }
 
-/// What sending the pyramids would cost instead of rebuilding them: every base texel follows from four heights, so whatever is
-/// sent of them is too much.
+/// What sending the pyramids would cost instead of rebuilding them: every base texel follows from
+/// four heights, so whatever is sent of them is too much.
 fn pyramids(land: &Land, world: &WorldDigest) -> Table {
     let chunks = chunks(land, 0);
     let mut table = Table::new(

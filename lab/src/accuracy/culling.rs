@@ -1,5 +1,5 @@
-//! Culling: what every test of sight loses and keeps for what it reads, by the second oracle; steps of the marches, frames that blocks stay, and what the ways of
-//! choosing cost in frames.
+//! Culling: what every test of sight loses and keeps for what it reads, by the second oracle; steps
+//! of the marches, frames that blocks stay, and what the ways of choosing cost in frames.
 
 use super::Curve;
 use crate::chart::{Choice, Panel, front, linear, log, measured};
@@ -40,7 +40,8 @@ const STEPS_M: [f64; 7] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
 /// Frames that a chunk stays after it was last found in sight.
 const STAYS: [usize; 6] = [0, 1, 2, 4, 8, 16];
 
-/// Frames of a walk, and their distance: a brisk walk at 6 frames a second, so that little stays as it is.
+/// Frames of a walk, and their distance: a brisk walk at 6 frames a second, so that little stays as
+/// it is.
 const FRAMES: usize = 24;
 const STRIDE_M: f64 = 0.5;
 
@@ -106,7 +107,8 @@ impl Outcome {
         self.time.as_secs_f64() * 1e9 / self.rays as f64
     }
 
-    /// What a logarithmic axis can show of the losses: of none, what may be there unseen with 95 % certainty (Hanley and Lippman-Hand, JAMA 249(13), 1983).
+    /// What a logarithmic axis can show of the losses: of none, what may be there unseen with 95 %
+    /// certainty (Hanley and Lippman-Hand, JAMA 249(13), 1983).
     fn shown_percent(&self) -> f64 {
         self.lost_percent().max(300.0 / self.score.visible as f64)
     }

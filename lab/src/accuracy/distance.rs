@@ -1,7 +1,8 @@
 //! Distance from the origin: integers know none, floats lose a bit with every doubling.
 //!
-//! Relief alone is compared (no islands), so that every place of the world counts. Each field has its own truth: for our formula f64 on exact
-//! cells; for the `noise` crate in f32 coordinates itself in f64 coordinates; for it in f64 coordinates itself one or more periods of its lattice
+//! Relief alone is compared (no islands), so that every place of the world counts. Each field has
+//! its own truth: for our formula f64 on exact cells; for the `noise` crate in f32 coordinates
+//! itself in f64 coordinates; for it in f64 coordinates itself one or more periods of its lattice
 //! (262,144 m) nearer to the origin, where a perfect one would be equal.
 
 use super::Curve;
@@ -121,7 +122,8 @@ fn all_zero(curve: &[(f64, f64)]) -> &'static str {
     if curve.iter().all(|point| point.1 == 0.0) { " (0 everywhere)" } else { "" }
 }
 
-/// Points (units) in a square ring: one axis within 20 % of the distance, the other anywhere up to it, both signs.
+/// Points (units) in a square ring: one axis within 20 % of the distance, the other anywhere up to
+/// it, both signs.
 fn points(distance_m: f64, stream: u32) -> Vec<(i32, i32)> {
     let distance = distance_m * f64::from(UNITS_PER_METRE);
     (0..POINTS)

@@ -1,4 +1,5 @@
-//! Grass: fewer clumps, and thinning with the distance, against the full field: how much of the picture they cover, how different it looks (FLIP), and what is drawn for it.
+//! Grass: fewer clumps, and thinning with the distance, against the full field: how much of the
+//! picture they cover, how different it looks (FLIP), and what is drawn for it.
 
 use super::Curve;
 use crate::chart::{Choice, Panel, front, log};
@@ -17,7 +18,8 @@ use client::render::Picture;
 use client::world::stretch;
 use terrain::Land;
 
-/// Size of the pictures that are compared, pixels; each is drawn so many times as fine and averaged.
+/// Size of the pictures that are compared, pixels; each is drawn so many times as fine and
+/// averaged.
 const SIZE: (u32, u32) = (240, 135);
 const FINER: u32 = 4;
 
@@ -142,7 +144,8 @@ fn see(studio: &mut Studio, land: &Land, plants: PlantKnobs) -> Result<Seen> {
         place: Place::Land,
         shot: Shot {
             pose: start.start(),
-            // Levels of detail as for the small picture: the land does not change with how finely it is drawn.
+            // Levels of detail as for the small picture: the land does not change with how finely
+            // it is drawn.
             lens: Lens { width: SIZE.0, height: SIZE.1, ..LENS },
             view_distance_m: 2600,
             tolerance_px: 2.0,

@@ -1,13 +1,16 @@
 //! Levels: do coarse levels keep all octaves, or drop those that their grid cannot carry?
 //!
-//! Three rules are compared on the same chunks: keep **all**; keep an octave while its **cell** is at least the vertex spacing (the land's rule,
-//! [`Octaves::at_level`]); keep it while **half** its cell is (the sampling theorem's). For each:
+//! Three rules are compared on the same chunks: keep **all**; keep an octave while its **cell** is
+//! at least the vertex spacing (the land's rule, [`Octaves::at_level`]); keep it while **half** its
+//! cell is (the sampling theorem's). For each:
 //!
 //! - how far its vertices are from the full heights at the same places, beside the proved bound;
-//! - how far they are from the land's local mean (a box of one spacing), which is what a vertex that stands for its surroundings should show:
-//!   what is left of it is aliasing;
-//! - how far the drawn triangles are from the level-0 land under them: what screen error is charged for;
-//! - roughness: the second difference of neighbouring vertices over their spacing, which flickers when a camera moves;
+//! - how far they are from the land's local mean (a box of one spacing), which is what a vertex
+//!   that stands for its surroundings should show: what is left of it is aliasing;
+//! - how far the drawn triangles are from the level-0 land under them: what screen error is charged
+//!   for;
+//! - roughness: the second difference of neighbouring vertices over their spacing, which flickers
+//!   when a camera moves;
 //! - bytes of a chunk on the wire, and time.
 
 use super::Curve;
@@ -146,7 +149,8 @@ fn panels(accuracy: &Table, price: &Table) -> Vec<Panel> {
         let curve = |rule: &str| table.curve("level", &format!("{prefix} {rule}{suffix}"));
         NAMES.map(|(rule, name)| measured(name, curve(rule))).to_vec()
     };
-    // The rules differ by parts of a tenth over four decades: as shares of keeping all, the difference can be seen.
+    // The rules differ by parts of a tenth over four decades: as shares of keeping all, the
+    // difference can be seen.
     let shares = |prefix: &str| {
         let curve = |rule: &str| accuracy.curve("level", &format!("{prefix} {rule}, m"));
         let all = curve("all");
@@ -250,7 +254,8 @@ fn vertex(key: ChunkKey, column: usize, row: usize) -> (i64, i64) {
     (step(x, column), step(z, row))
 }
 
-/// Distances, metres, of some vertices from the mean of the full land over a box of one spacing around each.
+/// Distances, metres, of some vertices from the mean of the full land over a box of one spacing
+/// around each.
 fn distances_from_mean(land: &Land, key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Vec<f64> {
     (0..MEAN_VERTICES)
         .into_par_iter()
@@ -297,8 +302,9 @@ fn second_differences(key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Vec<f64> 
         .collect()
 }
 
-/// Time per vertex against all octaves, of the definition point by point: grids above level 2 cannot carry more than their level keeps, so their kernels
-/// cannot be timed with all. Interleaved, medians.
+/// Time per vertex against all octaves, of the definition point by point: grids above level 2
+/// cannot carry more than their level keeps, so their kernels cannot be timed with all.
+/// Interleaved, medians.
 fn cost(land: &Land, chunks: &[ChunkKey], octaves: Octaves) -> f64 {
     const ROUNDS: usize = 15;
     if octaves.count() == OCTAVES {

@@ -1,4 +1,5 @@
-//! Levels of detail: what the tolerance costs in triangles and time, and what error it leaves on screen.
+//! Levels of detail: what the tolerance costs in triangles and time, and what error it leaves on
+//! screen.
 
 use super::Curve;
 use crate::chart::{Choice, Panel, Series, front, linear, log, measured, stated};
@@ -14,7 +15,8 @@ use terrain::Land;
 /// Tolerances, pixels.
 const TOLERANCES_PX: [f64; 9] = [0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
 
-/// Tolerances from here on are timed: what a finer one needs does not fit into the slots of the timed world.
+/// Tolerances from here on are timed: what a finer one needs does not fit into the slots of the
+/// timed world.
 const TIMED_FROM_PX: f64 = 0.75;
 
 /// Rounds of the timing and frames of a turn; the medians count.
@@ -91,8 +93,8 @@ struct Times {
     ratios: Vec<(f64, f64)>,
 }
 
-/// Times tolerances, the reference before and after each of them, in several rounds: what slows the machine for longer than a turn slows both, and what
-/// slows it for shorter spoils one round.
+/// Times tolerances, the reference before and after each of them, in several rounds: what slows the
+/// machine for longer than a turn slows both, and what slows it for shorter spoils one round.
 fn times(land: Land) -> Result<Times> {
     let timed: Vec<f64> =
         TOLERANCES_PX.into_iter().filter(|px| *px >= TIMED_FROM_PX && *px != REFERENCE_PX).collect();

@@ -98,8 +98,8 @@ pub fn measure(world_seed: u64) -> Curve {
 const CHUNKS: [(i32, i32); 9] =
     [(-9, -9), (0, -9), (9, -9), (-9, 0), (0, 0), (9, 0), (-9, 9), (0, 9), (9, 9)];
 
-/// Median time over all chunks for 0 to 8 octaves. The numbers of octaves take turns in every round, so that a change of the machine's
-/// speed meets all of them.
+/// Median time over all chunks for 0 to 8 octaves. The numbers of octaves take turns in every
+/// round, so that a change of the machine's speed meets all of them.
 fn times(land: &Land) -> Vec<Duration> {
     let grids = CHUNKS.map(|(x, z)| Grid::of_chunk(ChunkKey::new(0, x, z).expect("a chunk near the origin")));
     let mut heights = vec![0; VERTEX_COUNT];
@@ -118,8 +118,8 @@ fn times(land: &Land) -> Vec<Duration> {
     times.into_iter().map(median).collect()
 }
 
-/// Medians, over rounds in which all take turns, of each one's time over the first one's time in the same round: whatever slows the machine for longer than a
-/// round slows both.
+/// Medians, over rounds in which all take turns, of each one's time over the first one's time in
+/// the same round: whatever slows the machine for longer than a round slows both.
 pub(crate) fn ratios(times: &[Vec<Duration>]) -> Vec<f64> {
     let first = times.first().map_or(&[][..], Vec::as_slice);
     let ratio = |(own, first): (&Duration, &Duration)| own.as_secs_f64() / first.as_secs_f64().max(1e-9);

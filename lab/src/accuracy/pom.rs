@@ -1,5 +1,6 @@
-//! Parallax occlusion: every way to march over every map under every angle against the f64 truth, the knees of the automatic tier, and what filtering heights by
-//! the sampler costs in accuracy when a texel fills the picture.
+//! Parallax occlusion: every way to march over every map under every angle against the f64 truth,
+//! the knees of the automatic tier, and what filtering heights by the sampler costs in accuracy
+//! when a texel fills the picture.
 //!
 //! A search that must miss narrow features has to miss them, or the measurement is refused.
 
@@ -26,7 +27,8 @@ const NONE: f64 = 100.0 / RAYS as f64;
 const TRAVELS: [f32; 11] = [0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0];
 /// Rays that are asked for the sun; each takes hundreds of shadow rays.
 const SUNNY: u32 = 1_000;
-/// Rays to the disc of the sun, and its radius as a share of the distance: that of the sun, four times over, so that penumbras are met.
+/// Rays to the disc of the sun, and its radius as a share of the distance: that of the sun, four
+/// times over, so that penumbras are met.
 const DISC: u32 = 64;
 const DISC_RADIUS: f64 = 0.0187;
 
@@ -142,7 +144,8 @@ fn words(kind: Kind) -> (&'static str, &'static str, [&'static str; 5]) {
     }
 }
 
-/// Measures the knobs that are no march: thresholds of the automatic tier, filtering of heights, shadow.
+/// Measures the knobs that are no march: thresholds of the automatic tier, filtering of heights,
+/// shadow.
 ///
 /// # Errors
 /// There is no GPU, it failed, or a control is no worse than what it controls.
@@ -230,7 +233,8 @@ fn travels(bench: &ReliefBench, stage: &Stage) -> Result<(Table, Vec<Panel>)> {
     Ok((table, panels))
 }
 
-/// Error of the height at the found place when a texel fills many pixels: rays through a patch of a quarter texel.
+/// Error of the height at the found place when a texel fills many pixels: rays through a patch of a
+/// quarter texel.
 fn filtering(bench: &ReliefBench, stage: &Stage) -> Result<(Table, Panel)> {
     let mut table = Table::new(
         "pom_filter",

@@ -1,5 +1,5 @@
-//! Parallax occlusion in pictures: every way of marching beside displaced geometry by mean FLIP, from several heights and distances; edges and lines of
-//! intersection.
+//! Parallax occlusion in pictures: every way of marching beside displaced geometry by mean FLIP,
+//! from several heights and distances; edges and lines of intersection.
 //!
 //! A flat plane must be farther from geometry than the exact march, or the measurement is refused.
 
@@ -21,7 +21,8 @@ use client::scene::Scene;
 const SIZE: (u32, u32) = (480, 270);
 /// Camera above the plane, degrees.
 const ELEVATIONS_DEG: [f64; 5] = [75.0, 45.0, 25.0, 12.0, 5.0];
-/// Camera from the middle of the plane, metres; the plane has sides of 2.5 m, a texel of 9.8 mm and a relief of 0.1 m.
+/// Camera from the middle of the plane, metres; the plane has sides of 2.5 m, a texel of 9.8 mm and
+/// a relief of 0.1 m.
 const DISTANCES_M: [f64; 6] = [3.0, 6.0, 12.0, 24.0, 48.0, 96.0];
 /// Elevation of the pictures from a distance.
 const SLANT_DEG: f64 = 25.0;
@@ -46,7 +47,8 @@ fn ways() -> [(&'static str, Mode, ReliefKnobs); 7] {
     ]
 }
 
-/// The ways in the diagrams, by their place in [`ways`]: at most six lines can be told apart, and the last two coincide.
+/// The ways in the diagrams, by their place in [`ways`]: at most six lines can be told apart, and
+/// the last two coincide.
 const SHOWN: [usize; 6] = [0, 1, 2, 3, 4, 6];
 
 /// Measures it; the world does not matter.

@@ -1,7 +1,8 @@
 //! Repetition of materials: what hides it, against the same recipe without its period.
 //!
-//! The shader code that ships is asked for a field of whole tiles, a sample a texel. A texture that repeats correlates with itself one tile farther; what
-//! hides that blends samples, which costs contrast and time.
+//! The shader code that ships is asked for a field of whole tiles, a sample a texel. A texture that
+//! repeats correlates with itself one tile farther; what hides that blends samples, which costs
+//! contrast and time.
 
 use super::Curve;
 use super::octaves::ratios;
@@ -25,7 +26,8 @@ const KNOB: [(Tiling, f64); 3] = [(Tiling::Off, 1.0), (Tiling::TwoScale, 2.0), (
 /// What they are called in diagrams.
 const NAMES: [&str; 3] = ["off", "two scales", "hexagons"];
 
-/// The sets that are measured, one of small equal parts and one of large different ones: name, table, titles of diagrams.
+/// The sets that are measured, one of small equal parts and one of large different ones: name,
+/// table, titles of diagrams.
 const MEASURED: [(&str, &str, &str, &str); 2] = [
     ("meadow", "tiling_meadow", "Meadow: repetition", "Meadow: contrast"),
     ("cliff", "tiling_cliff", "Cliff: repetition", "Cliff: contrast"),
@@ -159,7 +161,8 @@ impl Seen {
         Self { repetition, deviation: variance.sqrt(), sorted }
     }
 
-    /// Mean distance of the two histograms: what has to be moved how far to make one from the other.
+    /// Mean distance of the two histograms: what has to be moved how far to make one from the
+    /// other.
     fn apart(&self, other: &Self) -> f64 {
         let differences = self.sorted.iter().zip(&other.sorted).map(|(a, b)| f64::from((a - b).abs()));
         differences.sum::<f64>() / self.sorted.len() as f64

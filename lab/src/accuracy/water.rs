@@ -1,8 +1,10 @@
-//! Waves: every tier of parallax against the marched truth of the same height function, as places and as pictures.
+//! Waves: every tier of parallax against the marched truth of the same height function, as places
+//! and as pictures.
 //!
-//! Places are measured by the shipped functions in texels of the distortion map's finer displaced scale (0.186 m), pictures of the scene of the
-//! water by mean FLIP. Two controls must be worse than the tiers that they mimic, or the measurement is refused: the plain parallax of
-//! a fixed view, and flat water.
+//! Places are measured by the shipped functions in texels of the distortion map's finer displaced
+//! scale (0.186 m), pictures of the scene of the water by mean FLIP. Two controls must be worse
+//! than the tiers that they mimic, or the measurement is refused: the plain parallax of a fixed
+//! view, and flat water.
 
 use super::Curve;
 use super::errors::quantile;
@@ -30,10 +32,12 @@ const STEEPNESS: [f32; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
 const ANGLES_DEG: [f32; 6] = [0.0, 20.0, 40.0, 55.0, 65.0, 75.0];
 /// The condition of the front: about the scene's view.
 const FRONT: (f32, f32) = (1.0, 65.0);
-/// Width of a texel of the finer displaced scale: 8192 m over the length of its turn (151, -83) over the side of the map.
+/// Width of a texel of the finer displaced scale: 8192 m over the length of its turn (151, -83)
+/// over the side of the map.
 const TEXEL_M: f64 = 8192.0 / 172.308 / WAVE_MAP_SIDE as f64;
-/// Differences below this are rounding of places in f32, texels: at 512 to 1024 m from the origin of the pattern a place is a multiple of 0.06 mm, and the march ends
-/// within a few of those of the truth. Diagrams end here.
+/// Differences below this are rounding of places in f32, texels: at 512 to 1024 m from the origin
+/// of the pattern a place is a multiple of 0.06 mm, and the march ends within a few of those of the
+/// truth. Diagrams end here.
 const RESOLUTION: f64 = 1e-3;
 /// Rounds of the timing, rays of each, and how often each round finds them.
 const ROUNDS: usize = 15;
@@ -81,13 +85,15 @@ const METHODS: [Method; 8] = [
     Method::tier("march", WaterTier::March),
 ];
 
-/// Methods of the curves, by their place in [`METHODS`]: at most six lines can be told apart. The march, which is left out, runs along the resolution.
+/// Methods of the curves, by their place in [`METHODS`]: at most six lines can be told apart. The
+/// march, which is left out, runs along the resolution.
 const CURVES: [usize; 6] = [1, 0, 2, 3, 4, 5];
 
 /// Measures it; the world does not matter.
 ///
 /// # Errors
-/// There is no GPU, a control is no worse than what it controls, or the truth does not lie on the waves.
+/// There is no GPU, a control is no worse than what it controls, or the truth does not lie on the
+/// waves.
 pub fn measure(_: u64) -> Result<Curve> {
     let bench = WaveBench::open()?;
     let places = measured_places(&bench)?;
@@ -269,8 +275,9 @@ fn measured_places(bench: &WaveBench) -> Result<Table> {
 
 /// Time of each method over that of flat water; the methods take turns in every round.
 ///
-/// All methods are branches of one pipeline, as in the viewer. A driver that runs both sides of a branch under a mask, as software rasterisers do, makes
-/// the cheap ones dearer than they need be and the differences small.
+/// All methods are branches of one pipeline, as in the viewer. A driver that runs both sides of a
+/// branch under a mask, as software rasterisers do, makes the cheap ones dearer than they need be
+/// and the differences small.
 fn measured_costs(bench: &WaveBench) -> Result<Vec<f64>> {
     let rays = rays(TIMED_RAYS, FRONT.0, FRONT.1);
     let mut times = vec![Vec::new(); METHODS.len()];
@@ -297,7 +304,8 @@ fn measured_pictures() -> Result<Table> {
         &columns,
     );
     for steepness in STEEPNESS {
-        // The middle panel shows each tier at the same pixels, so that dither is no difference; only the fixed view stands elsewhere.
+        // The middle panel shows each tier at the same pixels, so that dither is no difference;
+        // only the fixed view stands elsewhere.
         let marched = scene(WaterTier::March, steepness)?;
         let truth = panel(&marched, 1);
         let beside = mean(&truth, &panel(&marched, 2), PIXELS_PER_DEGREE);

@@ -1,6 +1,7 @@
 //! What others send heights as: u16 above the lowest vertex, 65 x 65.
 //!
-//! Each as its own format has it, with an encoder that is common in Rust. LERC, whose only crate compiles a C++ library, is in `benches/lerc`.
+//! Each as its own format has it, with an encoder that is common in Rust. LERC, whose only crate
+//! compiles a C++ library, is in `benches/lerc`.
 
 use flate2::Compression;
 use flate2::read::GzDecoder;
@@ -22,7 +23,8 @@ pub(super) struct Rival {
 /// Name of 16-bit PNG.
 pub(super) const PNG16: &str = "PNG, 16 bits, adaptive filters";
 
-/// Name of the coding of quantized-mesh heights (zigzag differences in scan order), as tile servers send it.
+/// Name of the coding of quantized-mesh heights (zigzag differences in scan order), as tile servers
+/// send it.
 pub(super) const SCAN_DELTA: &str = "scan deltas, zigzag, gzip 6 (quantized-mesh)";
 
 pub(super) fn all() -> Vec<Rival> {

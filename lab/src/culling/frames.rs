@@ -1,4 +1,5 @@
-//! What each way of choosing plants costs in frames of the valley scene: choice alone and whole picture, one interleaved run.
+//! What each way of choosing plants costs in frames of the valley scene: choice alone and whole
+//! picture, one interleaved run.
 
 use crate::culling::names::frame_of;
 use crate::culling::poses::{LENS, Place, Trial};

@@ -1,4 +1,5 @@
-//! Where the vertices of a clump are drawn, by the twins of the shapes that `draw_grass` and `draw_trees` draw: what has to be in sight for the clump to be seen.
+//! Where the vertices of a clump are drawn, by the twins of the shapes that `draw_grass` and
+//! `draw_trees` draw: what has to be in sight for the clump to be seen.
 
 use crate::culling::oracle::Point;
 use crate::culling::scene::Scene;

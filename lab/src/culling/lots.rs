@@ -1,4 +1,5 @@
-//! Whether the lots that plants are drawn by are even, and unrelated to each other: chi-square tests of every stream and of every pair of them.
+//! Whether the lots that plants are drawn by are even, and unrelated to each other: chi-square
+//! tests of every stream and of every pair of them.
 
 use serde::Serialize;
 use terrain::hash::mix;
@@ -57,7 +58,8 @@ pub fn lots(seed: u32) -> Lots {
     }
 }
 
-/// Probability of counts in 256 bins that are as uneven as these or more, by the cube-root approximation (Wilson and Hilferty, PNAS 17, 1931).
+/// Probability of counts in 256 bins that are as uneven as these or more, by the cube-root
+/// approximation (Wilson and Hilferty, PNAS 17, 1931).
 fn probability(values: impl Iterator<Item = usize>) -> f64 {
     let mut counts = [0u32; 256];
     values.for_each(|value| counts[value] += 1);

@@ -1,5 +1,6 @@
-//! The first oracle: pictures of which plant is seen where, drawn without culling by the renderer itself. Whatever shows in any of them has to be in the set that a
-//! test keeps; what no pixel happens to show is left to the second oracle.
+//! The first oracle: pictures of which plant is seen where, drawn without culling by the renderer
+//! itself. Whatever shows in any of them has to be in the set that a test keeps; what no pixel
+//! happens to show is left to the second oracle.
 
 use crate::culling::poses::Trial;
 use crate::culling::scene::Scene;

@@ -1,5 +1,6 @@
-//! What is seen of a point, in f64, by nothing but the drawn triangles: every one along the way is clipped against the line of sight. Shares no code with the test that it
-//! judges: no pyramid, no rounding, no bound.
+//! What is seen of a point, in f64, by nothing but the drawn triangles: every one along the way is
+//! clipped against the line of sight. Shares no code with the test that it judges: no pyramid, no
+//! rounding, no bound.
 
 use crate::lod::drawn::DrawnChunk;
 use client::camera::Pose;
@@ -48,7 +49,8 @@ impl Oracle {
         if length <= self.near_m {
             return None;
         }
-        // Where the track crosses lines of the finest grid that is drawn: between two of them lies one cell of whatever is drawn there.
+        // Where the track crosses lines of the finest grid that is drawn: between two of them lies
+        // one cell of whatever is drawn there.
         let spacing = f64::from(2 << self.finest);
         let mut crossings = vec![self.near_m / length, 1.0];
         for (from, by) in [(eye[0], east), (eye[2], south)] {
@@ -68,7 +70,8 @@ impl Oracle {
         blocked.map(|pair| 0.5 * (pair[0] + pair[1]))
     }
 
-    /// Whether any of some points is in sight. `hint_m`: how far from the eye over the ground the land was last found in the way, metres; the land there is asked first, because what hides
+    /// Whether any of some points is in sight. `hint_m`: how far from the eye over the ground the
+    /// land was last found in the way, metres; the land there is asked first, because what hides
     /// one point of a plant mostly hides the next.
     #[must_use]
     pub fn sees_any(&self, eye: Point, points: &[Point], hint_m: &mut f64) -> bool {

@@ -1,5 +1,5 @@
-//! Where culling is tried: valleys, ridges, peaks, level borders and morphs, a person's height above the ground or a tower's, stretched land, near the origin and 10^6 m
-//! from it.
+//! Where culling is tried: valleys, ridges, peaks, level borders and morphs, a person's height
+//! above the ground or a tower's, stretched land, near the origin and 10^6 m from it.
 
 use client::camera::{Lens, Pose};
 use client::frame::Shot;
@@ -43,8 +43,9 @@ const VIEW_M: u32 = 2600;
 /// Where land is looked for: the home island, and 10^6 m east and south of it.
 const REGIONS_M: [(f64, f64); 2] = [(0.0, 0.0), (1e6, 1e6)];
 
-/// `count` seeded poses. Of six one is on a peak, one in a valley, the others anywhere between beach and rock; every third is over land that is stretched, 1.8
-/// or 4 times; every fifth is far from the origin. Tolerances differ, so that level borders and morphs lie elsewhere each time.
+/// `count` seeded poses. Of six one is on a peak, one in a valley, the others anywhere between
+/// beach and rock; every third is over land that is stretched, 1.8 or 4 times; every fifth is far
+/// from the origin. Tolerances differ, so that level borders and morphs lie elsewhere each time.
 #[must_use]
 pub fn seeded(land: &Land, count: u32, plants: PlantKnobs) -> Vec<Trial> {
     (0..count).map(|index| trial(land, index, plants)).collect()

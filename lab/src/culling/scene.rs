@@ -1,4 +1,5 @@
-//! A trial with its land: the world as a server would fill it, what of it is drawn, and the plants on it.
+//! A trial with its land: the world as a server would fill it, what of it is drawn, and the plants
+//! on it.
 
 use crate::culling::poses::Trial;
 use client::frame::Shot;

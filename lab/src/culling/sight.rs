@@ -1,4 +1,5 @@
-//! The second oracle: samples of clumps and chunks, judged by every test and by sight over the drawn triangles in f64.
+//! The second oracle: samples of clumps and chunks, judged by every test and by sight over the
+//! drawn triangles in f64.
 
 use crate::culling::chunks::chunks_of;
 use crate::culling::leaves::leaves_of;
@@ -31,7 +32,8 @@ const EVERY_CHUNK: usize = 3;
 /// Points of a ring.
 const POINTS: u32 = 8;
 
-/// What is lower than this is not judged, metres: at the end of their range plants have sunk into the ground, where they are neither seen nor hidden.
+/// What is lower than this is not judged, metres: at the end of their range plants have sunk into
+/// the ground, where they are neither seen nor hidden.
 pub const LEAST_M: f64 = 0.1;
 
 /// How a test did.
@@ -89,7 +91,8 @@ pub struct Findings {
     pub exact: Score,
     /// T4.
     pub hierarchical: Score,
-    /// T3 and T4 where any point of a clump's bound is in sight, not its top alone: the bound is what they promise.
+    /// T3 and T4 where any point of a clump's bound is in sight, not its top alone: the bound is
+    /// what they promise.
     pub bound: Score,
     /// Grass alone by T4, trees alone by T4.
     pub grass: Score,
@@ -198,8 +201,10 @@ impl<S: Slots> Slots for Counting<'_, S> {
     }
 }
 
-/// Rings on the hull of all that a clump may take up, metres, as it is seen from an eye: what its test promises. What follows the plane of the top does so up to a part of the radius; the rest
-/// leans out of it by that much at most. Both are counted along the axis of the ground that the line of sight crosses faster, as the test does.
+/// Rings on the hull of all that a clump may take up, metres, as it is seen from an eye: what its
+/// test promises. What follows the plane of the top does so up to a part of the radius; the rest
+/// leans out of it by that much at most. Both are counted along the axis of the ground that the
+/// line of sight crosses faster, as the test does.
 fn hull_of(scene: &Scene, extent: &Extent, eye: Point) -> Vec<Point> {
     let corner = scene.plants.square.corner.map(|units| f64::from(units) / 256.0);
     let metres = |fine: i32| f64::from(fine) / 4096.0;

@@ -1,6 +1,7 @@
 //! The words of a browser: WGSL, translated by Tint for SwiftShader.
 //!
-//! A page is served on the loopback interface; headless Chromium loads it, runs the pass and posts the words back.
+//! A page is served on the loopback interface; headless Chromium loads it, runs the pass and posts
+//! the words back.
 
 use crate::digest::child::{Guarded, Scratch};
 use crate::digest::probes::Probe;
@@ -61,8 +62,9 @@ pub fn words(program: &Path, shader: &Shader, land: &Land, probes: &[Probe]) -> 
     let listener = TcpListener::bind("127.0.0.1:0").context("no port for the page")?;
     listener.set_nonblocking(true).context("no port for the page")?;
     let address = listener.local_addr().context("no port for the page")?;
-    // A profile of its own, so that nobody's settings and no running browser matter. What the browser would leave in the temporary
-    // folder goes there too; the name is short because sockets in it may have a hundred letters.
+    // A profile of its own, so that nobody's settings and no running browser matter. What the
+    // browser would leave in the temporary folder goes there too; the name is short because sockets
+    // in it may have a hundred letters.
     let profile = Scratch::new("tombolo-lab-browser")?;
     let temporary = profile.path().join("t");
     std::fs::create_dir_all(&temporary)

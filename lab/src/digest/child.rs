@@ -1,8 +1,8 @@
 //! Child processes and scratch folders that must neither hang nor stay, whatever ends this program.
 //!
-//! Each child leads a process group of its own, because browsers are many processes and scripts that wrap them are one more. An
-//! interrupt from the terminal therefore no longer reaches them by itself: [`clean_up_when_interrupted`] passes it on. Only SIGKILL
-//! leaves them behind.
+//! Each child leads a process group of its own, because browsers are many processes and scripts
+//! that wrap them are one more. An interrupt from the terminal therefore no longer reaches them by
+//! itself: [`clean_up_when_interrupted`] passes it on. Only SIGKILL leaves them behind.
 
 use anyhow::{Context, Result};
 use std::os::unix::process::CommandExt;
@@ -32,13 +32,15 @@ fn left() -> MutexGuard<'static, Left> {
     LEFT.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// From now on SIGINT and SIGTERM end all children and remove all folders of this module before this program exits with 130.
+/// From now on SIGINT and SIGTERM end all children and remove all folders of this module before
+/// this program exits with 130.
 ///
 /// # Errors
 /// Another handler is installed.
 pub fn clean_up_when_interrupted() -> Result<()> {
     let clean_up = || {
-        // Held to the end: a guard that is dropped meanwhile waits here, so that no other exit comes first.
+        // Held to the end: a guard that is dropped meanwhile waits here, so that no other exit
+        // comes first.
         let left = left();
         left.groups.iter().for_each(|group| end(*group, || ()));
         left.folders.iter().for_each(|folder| remove(folder));
@@ -92,7 +94,8 @@ impl Drop for Guarded {
         end(group, || {
             let _ = self.0.try_wait();
         });
-        // Both fail only where the child has ended and been collected; they matter where there is no `kill` program.
+        // Both fail only where the child has ended and been collected; they matter where there is
+        // no `kill` program.
         let _ = self.0.kill();
         let _ = self.0.wait();
         left.groups.retain(|other| *other != group);
@@ -113,7 +116,8 @@ fn end(group: u32, mut look: impl FnMut()) {
     }
 }
 
-/// Whether a signal reached anyone. The standard library can only kill a single child; a group takes the `kill` of the system.
+/// Whether a signal reached anyone. The standard library can only kill a single child; a group
+/// takes the `kill` of the system.
 fn signal(group: u32, signal: &str) -> bool {
     let mut kill = Command::new("kill");
     kill.args([signal, "--", &format!("-{group}")]);
@@ -181,7 +185,8 @@ mod tests {
         }
         let grandchild = std::fs::read_to_string(&note).unwrap();
         drop(guarded);
-        // Its number stays taken until someone collects it; a number that is gone or belongs to the ended is both an end.
+        // Its number stays taken until someone collects it; a number that is gone or belongs to the
+        // ended is both an end.
         let state = std::fs::read_to_string(format!("/proc/{}/stat", grandchild.trim())).unwrap_or_default();
         let state = state.rsplit(')').next().unwrap_or_default().trim_start();
         assert!(state.is_empty() || state.starts_with(['Z', 'X']), "{state}");

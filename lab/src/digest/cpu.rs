@@ -9,10 +9,12 @@ use terrain::hash::mix;
 use terrain::ring::{mod_floor, mod_trunc};
 use terrain::{Grid, Kernel, Land, Octaves, Position};
 
-/// Longest row that a probe is hidden in: the widest vector twice, and one vertex that fills no vector.
+/// Longest row that a probe is hidden in: the widest vector twice, and one vertex that fills no
+/// vector.
 const MOST_COLUMNS: usize = 33;
 
-/// Rows of the grids that probes are hidden in: a first, one that follows it, and one that follows a follower.
+/// Rows of the grids that probes are hidden in: a first, one that follows it, and one that follows
+/// a follower.
 const MOST_ROWS: usize = 3;
 
 /// Levels whose grids carry all octaves, so that their heights are those of the definition.
@@ -31,9 +33,10 @@ pub fn scalar(land: &Land, probes: &[Probe]) -> Vec<i32> {
     words
 }
 
-/// The definition's words with a kernel's hills, folds and heights in place of its own, where the probe lies in the world: grids lie
-/// nowhere else. Each comes from a grid of another size, with the probe in another column and row, so that every lane, every
-/// remainder, and what a row takes over from the one before are asked.
+/// The definition's words with a kernel's hills, folds and heights in place of its own, where the
+/// probe lies in the world: grids lie nowhere else. Each comes from a grid of another size, with
+/// the probe in another column and row, so that every lane, every remainder, and what a row takes
+/// over from the one before are asked.
 #[must_use]
 pub fn by_kernel(land: &Land, kernel: Kernel, probes: &[Probe], scalar: &[i32]) -> Vec<i32> {
     let mut words = scalar.to_vec();
@@ -49,7 +52,8 @@ pub fn by_kernel(land: &Land, kernel: Kernel, probes: &[Probe], scalar: &[i32]) 
     words
 }
 
-/// A grid with the probe in it, cut to the world, and the probe's place in it. The index draws its size.
+/// A grid with the probe in it, cut to the world, and the probe's place in it. The index draws its
+/// size.
 fn grid_around(index: u32, x: i32, z: i32) -> (Grid, usize) {
     let draw = |purpose: u32, count: usize| mix(4 * index + purpose) as usize % count;
     let level = draw(0, FULL_LEVELS) as u8;

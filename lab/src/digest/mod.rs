@@ -1,9 +1,10 @@
 //! `digest`: every backend of this machine computes the same integers.
 //!
-//! All are asked the same [`probes`]; what each answers ([`words`]) is named by one blake3 digest, and all digests must equal a frozen
-//! one, so that builds and machines that never meet are compared too. Backends: this program ([`cpu`]), WGSL under naga on every
-//! adapter ([`gpu`], [`swiftshader`]), WGSL under Tint in a browser ([`browser`]). A float twin must differ: the control that
-//! proves the comparison can fail.
+//! All are asked the same [`probes`]; what each answers ([`words`]) is named by one blake3 digest,
+//! and all digests must equal a frozen one, so that builds and machines that never meet are
+//! compared too. Backends: this program ([`cpu`]), WGSL under naga on every adapter ([`gpu`],
+//! [`swiftshader`]), WGSL under Tint in a browser ([`browser`]). A float twin must differ: the
+//! control that proves the comparison can fail.
 
 pub mod browser;
 pub mod child;
@@ -25,7 +26,8 @@ use terrain::{Kernel, Land};
 /// The world that is probed; both halves of the seed count.
 pub const WORLD_SEED: u64 = 0x0123_4567_89ab_cdef;
 
-/// The digest of `terrain::constants::GENERATOR_VERSION` 2. It changes with the version and with the probe set, never else.
+/// The digest of `terrain::constants::GENERATOR_VERSION` 2. It changes with the version and with
+/// the probe set, never else.
 pub const EXPECTED: &str = "3bdca1da810285de11091f6ce87425221d81c2de4e85e87de306c60d97ae1b9d";
 
 /// Differences that are told of one backend.
@@ -37,7 +39,8 @@ pub struct Options {
     /// Fail where no GPU adapter is found, a software one included
     #[arg(long, env = "TOMBOLO_REQUIRE_GPU", value_parser = clap::builder::FalseyValueParser::new())]
     pub require_gpu: bool,
-    /// Ask the Vulkan adapters only and print their results as JSON: how this program asks itself about SwiftShader
+    /// Ask the Vulkan adapters only and print their results as JSON: how this program asks itself
+    /// about SwiftShader
     #[arg(long, hide = true)]
     pub child: bool,
 }

@@ -1,4 +1,5 @@
-//! The probe set: where an implementation is most likely to go wrong, and a million places at random.
+//! The probe set: where an implementation is most likely to go wrong, and a million places at
+//! random.
 
 use terrain::constants::{FIRST_CELL_BITS, OCTAVE_SHIFT, WORLD_HALF};
 use terrain::hash::mix;
@@ -26,8 +27,8 @@ pub fn all() -> Vec<Probe> {
     probes
 }
 
-/// Zero and the ends of i32, both sides of every power of two, of the world's border, and of every octave's lattice lines
-/// next to the origin and to the border. Sorted, each once.
+/// Zero and the ends of i32, both sides of every power of two, of the world's border, and of every
+/// octave's lattice lines next to the origin and to the border. Sorted, each once.
 fn edge_values() -> Vec<i32> {
     let mut values = vec![0, i32::MIN, i32::MIN + 1, i32::MAX];
     let mut around = |value: i32| values.extend([value.wrapping_sub(1), value, value.wrapping_add(1)]);

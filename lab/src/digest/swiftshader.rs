@@ -1,7 +1,7 @@
 //! SwiftShader, the software Vulkan that comes with Chromium, under naga.
 //!
-//! A Vulkan loader reads which drivers to load when an instance is made, from the environment. So this program runs itself once
-//! more with that variable set.
+//! A Vulkan loader reads which drivers to load when an instance is made, from the environment. So
+//! this program runs itself once more with that variable set.
 
 use crate::digest::child::Guarded;
 use crate::digest::report::Heard;

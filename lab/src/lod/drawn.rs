@@ -1,4 +1,5 @@
-//! The drawn surface without a GPU: the triangles that `draw_terrain` draws of a chunk, by the twin of its arithmetic.
+//! The drawn surface without a GPU: the triangles that `draw_terrain` draws of a chunk, by the twin
+//! of its arithmetic.
 
 use client::world::{Drawn, World};
 use shaders::twin::grid::GridVertex;
@@ -20,7 +21,8 @@ pub struct DrawnChunk {
 type Corner = (i64, i64, i64);
 
 impl DrawnChunk {
-    /// The surface of a chunk that a selection draws; none if the chunk, or a parent that it is morphed into, is not here.
+    /// The surface of a chunk that a selection draws; none if the chunk, or a parent that it is
+    /// morphed into, is not here.
     #[must_use]
     pub fn new(world: &World, drawn: &Drawn) -> Option<Self> {
         let chunk = world.get(drawn.key)?;
@@ -54,7 +56,8 @@ impl DrawnChunk {
         self.heights.iter().all(|drawn| *drawn == height)
     }
 
-    /// Drawn height, units times `2^level`, at a vertex of level 0, counted from the low corner (0 to `64 * 2^level`).
+    /// Drawn height, units times `2^level`, at a vertex of level 0, counted from the low corner (0
+    /// to `64 * 2^level`).
     ///
     /// # Panics
     /// If no triangle covers the vertex: the mesh would have a hole.
@@ -64,7 +67,8 @@ impl DrawnChunk {
         let cell = |vertex: usize| (vertex >> level).min(CELLS - 1);
         let (x, z) = (cell(column), cell(row));
         if self.seams.is_halved {
-            // With every other vertex moved onto the one before it, these cells have the whole triangles and the others none.
+            // With every other vertex moved onto the one before it, these cells have the whole
+            // triangles and the others none.
             return self.height_within([(x | 1, z | 1)], column, row);
         }
         let [north, east, south, west] = self.seams.is_coarser;
@@ -75,7 +79,8 @@ impl DrawnChunk {
         drawn_height_scaled(&self.heights, column, row, level) as f64
     }
 
-    /// The same where vertices of the border were moved: the triangle over a point may be that of a cell beside it.
+    /// The same where vertices of the border were moved: the triangle over a point may be that of a
+    /// cell beside it.
     fn height_among_moved(&self, column: usize, row: usize, (x, z): (usize, usize)) -> f64 {
         let around = |cell: usize| cell.saturating_sub(1)..=(cell + 1).min(CELLS - 1);
         let cells = around(z).flat_map(|z| around(x).map(move |x| (x, z)));
@@ -98,8 +103,8 @@ impl DrawnChunk {
         height.expect("the moved triangles cover the chunk, tested below") * f64::from(1 << level)
     }
 
-    /// The triangles of a cell of the grid and, where vertices were moved, of those around it: all that may lie over it. Corners are column and row in cells, and height in
-    /// units.
+    /// The triangles of a cell of the grid and, where vertices were moved, of those around it: all
+    /// that may lie over it. Corners are column and row in cells, and height in units.
     pub fn triangles_over(&self, (x, z): (usize, usize)) -> impl Iterator<Item = [(i64, i64, i64); 3]> + '_ {
         let [north, east, south, west] = self.seams.is_coarser;
         let last = CELLS - 1;

@@ -1,4 +1,5 @@
-//! Time of frames: on a GPU by timestamps per pass, on a software driver as ratios between tolerances.
+//! Time of frames: on a GPU by timestamps per pass, on a software driver as ratios between
+//! tolerances.
 
 use super::screen::{self, Place};
 use crate::scenery::Scenery;
@@ -70,7 +71,8 @@ pub struct Passes {
     pub whole_ms: f64,
 }
 
-/// Times `timed` frames of the 8 km view at each of some tolerances: 1920 x 1080 on a GPU, smaller on a processor.
+/// Times `timed` frames of the 8 km view at each of some tolerances: 1920 x 1080 on a GPU, smaller
+/// on a processor.
 ///
 /// # Errors
 /// There is no GPU, it failed, or its clock stands still.

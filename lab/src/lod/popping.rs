@@ -1,8 +1,9 @@
 //! Popping: what levels of detail alone change from one frame of a slow flight to the next.
 //!
-//! Each pose is drawn twice: with what is chosen for it, and with what was chosen one metre before. The two pictures differ by the change of levels and
-//! morphs alone, without any motion. The same flight without morphing is the control; what the motion of one frame changes, with levels frozen,
-//! is the scale: below it, a change of level is not seen.
+//! Each pose is drawn twice: with what is chosen for it, and with what was chosen one metre before.
+//! The two pictures differ by the change of levels and morphs alone, without any motion. The same
+//! flight without morphing is the control; what the motion of one frame changes, with levels
+//! frozen, is the scale: below it, a change of level is not seen.
 
 use crate::scenery::Scenery;
 use crate::studio::Studio;
@@ -167,7 +168,8 @@ fn frame(shot: &Shot, world: &World, selection: &Selection) -> FrameData {
     shot.frame(Scene::Island, world, selection)
 }
 
-/// The same frame without morphs, still without gaps: borders that are entirely the parent's stay so on both sides.
+/// The same frame without morphs, still without gaps: borders that are entirely the parent's stay
+/// so on both sides.
 fn unmorphed(mut frame: FrameData) -> FrameData {
     let only_whole =
         |word: u32| u32::from_le_bytes(word.to_le_bytes().map(|m| if m == MORPH_ONE { m } else { 0 }));

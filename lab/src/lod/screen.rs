@@ -1,7 +1,9 @@
-//! Screen error: how far the drawn land is from the true land, in pixels, measured at every vertex of level 0 that is drawn.
+//! Screen error: how far the drawn land is from the true land, in pixels, measured at every vertex
+//! of level 0 that is drawn.
 //!
-//! The drawn triangles' edges run along edges of the level-0 mesh, so nowhere between its vertices are the two surfaces farther apart than
-//! at one of them; only the triangles along a coarser neighbour, whose corners were moved, cut across.
+//! The drawn triangles' edges run along edges of the level-0 mesh, so nowhere between its vertices
+//! are the two surfaces farther apart than at one of them; only the triangles along a coarser
+//! neighbour, whose corners were moved, cut across.
 
 use super::drawn::DrawnChunk;
 use crate::sample::{self, unit, word};
@@ -32,7 +34,8 @@ pub struct Seen {
     pub vertices: u64,
     /// Sum of squared errors, square pixels.
     pub squares: f64,
-    /// Largest error, pixels: inside chunks, and in their outermost cells, where they blend into what their neighbours draw.
+    /// Largest error, pixels: inside chunks, and in their outermost cells, where they blend into
+    /// what their neighbours draw.
     pub worst_px: [f64; 2],
     /// The worst vertex of all.
     pub worst: Option<Worst>,
@@ -108,7 +111,8 @@ impl Place {
     }
 }
 
-/// Seeded poses: over land, coasts and rims, half of them on islands all over the world, from eye level to 2 km.
+/// Seeded poses: over land, coasts and rims, half of them on islands all over the world, from eye
+/// level to 2 km.
 #[must_use]
 pub fn places(land: &Land, count: u32, stream: u32) -> Vec<Place> {
     let points = sample::land_points(land.world_seed(), count, stream);
@@ -158,7 +162,8 @@ fn is_open_sea(land: &Land, chunk: &DrawnChunk) -> bool {
     land.archipelago().is_open_sea(x, z, chunk.key().side()) && chunk.is_flat_at(SEA_FLOOR)
 }
 
-/// Rows `first` to `first + ROWS` of the level-0 vertices under a chunk, the last one included: the neighbour draws it too.
+/// Rows `first` to `first + ROWS` of the level-0 vertices under a chunk, the last one included: the
+/// neighbour draws it too.
 fn strip(land: &Land, chunk: &DrawnChunk, first: usize, shot: &Shot) -> Seen {
     let key: ChunkKey = chunk.key();
     let level = key.level();

@@ -1,4 +1,5 @@
-//! Triangles of the 8 km view, culled as they are drawn, against the same view without levels of detail.
+//! Triangles of the 8 km view, culled as they are drawn, against the same view without levels of
+//! detail.
 
 use super::screen::{self, Place};
 use crate::scenery::Scenery;
@@ -15,7 +16,8 @@ use terrain::{ChunkKey, Land};
 /// Tolerance of the promise, pixels.
 pub const TOLERANCE_PX: f64 = 1.0;
 
-/// The 8 km view of `cargo xtask measure first-voyage`, then others: the start, a shore, a summit, and from high up.
+/// The 8 km view of `cargo xtask measure first-voyage`, then others: the start, a shore, a summit,
+/// and from high up.
 pub const CAMERAS: [&str; 6] = [
     "0,250,2500,0,-8",
     "-5200,160,1500,70,-8",

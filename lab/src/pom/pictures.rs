@@ -1,4 +1,5 @@
-//! Planes as they are drawn: what must be equal, the edges of reliefs, and the lines along which objects meet them.
+//! Planes as they are drawn: what must be equal, the edges of reliefs, and the lines along which
+//! objects meet them.
 
 use crate::relief::pictures::{ReliefStudio, around, cut_distance, plane, silhouette_overlap};
 use anyhow::{Result, ensure};
@@ -12,7 +13,8 @@ use serde::Serialize;
 /// Size of the pictures, pixels.
 const SIZE: (u32, u32) = (960, 540);
 
-/// Planes against each other and against displaced geometry. Field names are a contract with scripts.
+/// Planes against each other and against displaced geometry. Field names are a contract with
+/// scripts.
 #[derive(Clone, Debug, Serialize)]
 pub struct Pictures {
     /// Pixels of planes without amplitude, by every tier.
@@ -40,7 +42,8 @@ pub struct Silhouettes {
     pub flat: f64,
 }
 
-/// The line along which a sunken ball meets a plane: distance to that with displaced geometry, pixels, 99 % below.
+/// The line along which a sunken ball meets a plane: distance to that with displaced geometry,
+/// pixels, 99 % below.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Line {
     /// Camera above the plane, degrees.

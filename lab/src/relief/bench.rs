@@ -48,7 +48,8 @@ impl ReliefBench {
         self.gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu
     }
 
-    /// Puts maps of one side on the GPU, with or without cones; the layer of a probe is the place in this list.
+    /// Puts maps of one side on the GPU, with or without cones; the layer of a probe is the place
+    /// in this list.
     #[must_use]
     pub fn upload(&self, maps: &[HeightMap], has_cones: bool) -> ReliefMaps {
         let mut uploaded = ReliefMaps::upload(&self.gpu.device, &self.gpu.queue, maps);
@@ -78,7 +79,8 @@ impl ReliefBench {
             .collect())
     }
 
-    /// Runs probes, `repeats` times for a time that outweighs what a submission costs; also how long the GPU took, upload and read-back excluded.
+    /// Runs probes, `repeats` times for a time that outweighs what a submission costs; also how
+    /// long the GPU took, upload and read-back excluded.
     ///
     /// # Errors
     /// The device fails.

@@ -1,5 +1,6 @@
-//! What pictures of reliefs say: where their edge is, where objects are sunk into them, whether every pixel is a number. Against displaced geometry, by the
-//! shipped passes on this machine's GPU.
+//! What pictures of reliefs say: where their edge is, where objects are sunk into them, whether
+//! every pixel is a number. Against displaced geometry, by the shipped passes on this machine's
+//! GPU.
 
 use client::camera::{Lens, Pose};
 use client::feed::NoFeed;
@@ -153,7 +154,8 @@ impl ReliefStudio {
         Ok(self.shown(objects, pose, relief, Show::Picture)?.differing(&nothing))
     }
 
-    /// Where a ball is cut by what it is sunk into, as pixels of the picture: those of the ball next to ones that it would cover if it stood alone.
+    /// Where a ball is cut by what it is sunk into, as pixels of the picture: those of the ball
+    /// next to ones that it would cover if it stood alone.
     ///
     /// # Errors
     /// The GPU failed.
@@ -190,8 +192,8 @@ impl ReliefStudio {
 /// Bearings from which silhouettes are compared, degrees.
 pub const BEARINGS_DEG: [f64; 3] = [0.0, 30.0, 77.0];
 
-/// How well what the plane covers in some mode agrees with what displaced geometry covers: the least intersection over union of all bearings, at an elevation
-/// of the camera.
+/// How well what the plane covers in some mode agrees with what displaced geometry covers: the
+/// least intersection over union of all bearings, at an elevation of the camera.
 ///
 /// # Errors
 /// The GPU failed.
@@ -210,8 +212,9 @@ pub fn silhouette_overlap(
     Ok(worst)
 }
 
-/// How far the line in which the ball is cut by the marched plane is from the one in which displaced geometry cuts it: the distance in pixels that 99 % of
-/// both lines keep, and the length of the true line. Infinite if either is not there.
+/// How far the line in which the ball is cut by the marched plane is from the one in which
+/// displaced geometry cuts it: the distance in pixels that 99 % of both lines keep, and the length
+/// of the true line. Infinite if either is not there.
 ///
 /// # Errors
 /// The GPU failed.
@@ -246,7 +249,8 @@ pub fn around(elevation_deg: f64, bearing_deg: f64, distance_m: f64) -> Pose {
     Pose { position_m: back * distance_m, yaw_deg: bearing_deg, pitch_deg: -elevation_deg }
 }
 
-/// Distance of each pixel of either line to the nearest one of the other, pixels, in ascending order; infinite if one line is empty.
+/// Distance of each pixel of either line to the nearest one of the other, pixels, in ascending
+/// order; infinite if one line is empty.
 #[must_use]
 pub fn line_distances(one: &[(i32, i32)], other: &[(i32, i32)]) -> Vec<f64> {
     let nearest = |from: &(i32, i32), line: &[(i32, i32)]| {

@@ -19,13 +19,15 @@ pub const AMPLITUDE: f32 = 0.05;
 /// A place that is farther from the truth, texels, belongs to another feature.
 pub const WRONG_TEXELS: f64 = 4.0;
 
-/// A ray that clears the relief by no more than this, of its height, is a tangent: a rounding decides what it hits.
+/// A ray that clears the relief by no more than this, of its height, is a tangent: a rounding
+/// decides what it hits.
 pub const TANGENT: f64 = 1e-3;
 
 /// Angles from the plane's normal, degrees.
 pub const ANGLES_DEG: [f32; 6] = [0.0, 30.0, 60.0, 75.0, 85.0, 89.0];
 
-/// How reliefs are marched by a tier, everything else at its default but for shadows, which a trial asks for if it wants them.
+/// How reliefs are marched by a tier, everything else at its default but for shadows, which a trial
+/// asks for if it wants them.
 #[must_use]
 pub fn relief(tier: ReliefTier) -> Relief {
     ReliefKnobs { tier, shadow: ReliefShadow::Off, ..ReliefKnobs::default() }.layout()
@@ -108,7 +110,8 @@ pub fn truths(map: &HeightMap, rays: &[Ray]) -> Vec<Contact> {
     rays.par_iter().map(|ray| truth::contact(map, ray)).collect()
 }
 
-/// Rays as neighbouring pixels send them: a square of `side` by `side` places a texel apart, all under one angle and heading.
+/// Rays as neighbouring pixels send them: a square of `side` by `side` places a texel apart, all
+/// under one angle and heading.
 #[must_use]
 pub fn bundle(layer: usize, side: u32, angle_deg: f32, amplitude: f32) -> Vec<ReliefProbe> {
     let mut probes = probes(layer, 1, angle_deg, amplitude);
@@ -184,8 +187,9 @@ impl Score {
     }
 }
 
-/// Whether a rounding decided between the place that was found and the true one. Past the true contact: the ray only grazes the relief there and comes out
-/// again. Before it: the ray all but touches the relief on its way.
+/// Whether a rounding decided between the place that was found and the true one. Past the true
+/// contact: the ray only grazes the relief there and comes out again. Before it: the ray all but
+/// touches the relief on its way.
 fn is_tangent(map: &HeightMap, ray: &Ray, found: &ReliefFinding, truth: &Contact) -> bool {
     let is_past = f64::from(found.height) < truth.height;
     TANGENT >= if is_past { truth::depth_after(map, ray, truth) } else { truth.clearance }

@@ -1,5 +1,6 @@
-//! Where a ray meets a relief, in f64, cell by cell: the surface is the bilinear one between texel centres that the shaders march over, and no cell that the ray
-//! crosses is left out. Knows neither bounds nor steps.
+//! Where a ray meets a relief, in f64, cell by cell: the surface is the bilinear one between texel
+//! centres that the shaders march over, and no cell that the ray crosses is left out. Knows neither
+//! bounds nor steps.
 
 use client::relief::HeightMap;
 
@@ -13,8 +14,9 @@ pub struct Ray {
 }
 
 impl Ray {
-    /// The ray of a view, as `shared/relief.wesl` makes it: through `uv` (tiles) on a plane at height `pivot` of a relief `amplitude` high (tiles), towards the eye
-    /// (unit vector along u, along v, along the normal).
+    /// The ray of a view, as `shared/relief.wesl` makes it: through `uv` (tiles) on a plane at
+    /// height `pivot` of a relief `amplitude` high (tiles), towards the eye (unit vector along u,
+    /// along v, along the normal).
     #[must_use]
     pub fn new(uv: [f32; 2], to_eye: [f32; 3], amplitude: f32, pivot: f32) -> Self {
         let [x, y, z] = to_eye.map(f64::from);
@@ -38,7 +40,8 @@ pub struct Contact {
     pub uv: [f64; 2],
     /// At which height.
     pub height: f64,
-    /// The least height by which the ray cleared what it passed before, units of the relief: near 0, it all but touched.
+    /// The least height by which the ray cleared what it passed before, units of the relief: near
+    /// 0, it all but touched.
     pub clearance: f64,
 }
 
@@ -80,7 +83,8 @@ pub fn contact(map: &HeightMap, ray: &Ray) -> Contact {
     }
 }
 
-/// How deep below the surface a ray goes from its contact to where it comes out again, units of the relief; as found in steps of a 32nd texel.
+/// How deep below the surface a ray goes from its contact to where it comes out again, units of the
+/// relief; as found in steps of a 32nd texel.
 #[must_use]
 pub fn depth_after(map: &HeightMap, ray: &Ray, contact: &Contact) -> f64 {
     let texels = ray.travel[0].hypot(ray.travel[1]) * map.side() as f64;
@@ -98,8 +102,8 @@ pub fn depth_after(map: &HeightMap, ray: &Ray, contact: &Contact) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Whether the sun is seen from a place on the surface, looking from `lift` of the way up: no cell on the way to the top is higher than the ray. `travel`: from
-/// the bottom to the top, tiles.
+/// Whether the sun is seen from a place on the surface, looking from `lift` of the way up: no cell
+/// on the way to the top is higher than the ray. `travel`: from the bottom to the top, tiles.
 #[must_use]
 pub fn is_lit(map: &HeightMap, from: [f64; 2], from_height: f64, travel: [f64; 2], lift: f64) -> bool {
     let steps = (travel[0].hypot(travel[1]) * map.side() as f64 * 16.0).ceil().max(1.0);
@@ -132,7 +136,8 @@ impl Patch {
         self.a + self.b * x + self.c * y + self.d * x * y
     }
 
-    /// Coefficients, constant first, of the ray's height over the surface as a function of the share of the way from `near` to `far`.
+    /// Coefficients, constant first, of the ray's height over the surface as a function of the
+    /// share of the way from `near` to `far`.
     fn above(&self, within: impl Fn(f64) -> [f64; 2], near: f64, far: f64) -> [f64; 3] {
         let ([x, y], [to_x, to_y]) = (within(near), within(far));
         let (dx, dy) = (to_x - x, to_y - y);

@@ -1,5 +1,5 @@
-//! Remainders and lattice cells at both signs, over the edges of i32 and pseudo-random numbers, against 64-bit arithmetic where
-//! nothing can overflow.
+//! Remainders and lattice cells at both signs, over the edges of i32 and pseudo-random numbers,
+//! against 64-bit arithmetic where nothing can overflow.
 
 use super::check::Check;
 use crate::sample::word;
@@ -43,7 +43,8 @@ pub fn check() -> Vec<Check> {
     vec![trunc, floor, lattice]
 }
 
-/// What plain truncation towards zero would make of the lattice: cells of double width around zero. Must be caught.
+/// What plain truncation towards zero would make of the lattice: cells of double width around zero.
+/// Must be caught.
 #[must_use]
 pub fn truncating_control() -> Check {
     let mut lattice = Check::new("cells cut towards zero");

@@ -1,32 +1,35 @@
 //! How steep the land can be: the bound that every step of a sweep is held against.
 //!
-//! **One octave.** With step weights `S0 = 1 - s`, `S1 = s` (quintic fade `s` of the fraction `t` east, `u` south) and unit gradients `g`,
-//! noise is `n = sum over corners (i, j) of S_i(t) S_j(u) g·(t - i, u - j)`. Its slope east is
+//! **One octave.** With step weights `S0 = 1 - s`, `S1 = s` (quintic fade `s` of the fraction `t`
+//! east, `u` south) and unit gradients `g`, noise is
+//! `n = sum over corners (i, j) of S_i(t) S_j(u) g·(t - i, u - j)`. Its slope east is
 //!
 //! ```text
 //! dn/dt = sum of S_j(u) g·( S_i(t) + S_i'(t)(t - i),  S_i'(t)(u - j) )
 //!      <= sum of S_j(u) |( S_i(t) + S_i'(t)(t - i),  S_i'(t)(u - j) )|  =: B(t, u)
 //! ```
 //!
-//! whatever the gradients are. `B` is largest in the middle of a cell, 2.0691; [`NOISE_SLOPE`] is above it by more than a search on
-//! a grid can have missed (a test does the search). South is the same with the axes exchanged.
+//! whatever the gradients are. `B` is largest in the middle of a cell, 2.0691; [`NOISE_SLOPE`] is
+//! above it by more than a search on a grid can have missed (a test does the search). South is the
+//! same with the axes exchanged.
 //!
-//! **The sum.** An octave of amplitude `a` and cell `c` adds at most `2.08 a / c`, and `a / c` is 1/8 for every octave. So hills are no
-//! steeper than `2.08 k / 8` with `k` octaves, folds (two octaves) no steeper than `2.08 / 4`, and ridges (`64 m (1 - |folds| / 64 m)²`) twice that. One octave stays
-//! below `0.7072 a`, hence `|hills| < H = 0.7072 * 255 m`.
+//! **The sum.** An octave of amplitude `a` and cell `c` adds at most `2.08 a / c`, and `a / c` is
+//! 1/8 for every octave. So hills are no steeper than `2.08 k / 8` with `k` octaves, folds (two
+//! octaves) no steeper than `2.08 / 4`, and ridges (`64 m (1 - |folds| / 64 m)²`) twice that. One
+//! octave stays below `0.7072 a`, hence `|hills| < H = 0.7072 * 255 m`.
 //!
-//! **The shape.** At `q = d / r` of an island of radius `r` and dome `D`: `w = (1 - q²)²`, and its slope is at most `v = 4 q (1 - q²) / r`.
-//! By the product rule
+//! **The shape.** At `q = d / r` of an island of radius `r` and dome `D`: `w = (1 - q²)²`, and its
+//! slope is at most `v = 4 q (1 - q²) / r`. By the product rule
 //!
 //! ```text
 //! |slope of raw| <= D v  +  2.08 ease(w) + H 2 (1 - w) v  +  1.04 w² + 64 m 2 w v
 //! ```
 //!
-//! which [`land_slope`] maximises over `q`. The beach multiplies a slope by at most 1.64 (at `r² = 0.6` of its polynomial). The product is
-//! below 5.6 for every island, and 0 outside of all.
+//! which [`land_slope`] maximises over `q`. The beach multiplies a slope by at most 1.64 (at
+//! `r² = 0.6` of its polynomial). The product is below 5.6 for every island, and 0 outside of all.
 //!
-//! **A step.** Heights are whole units and within [`HEIGHT_ERROR`] of the formula, so a step of `n` units along an axis changes them by at most
-//! `n slope + 2 HEIGHT_ERROR`.
+//! **A step.** Heights are whole units and within [`HEIGHT_ERROR`] of the formula, so a step of `n`
+//! units along an axis changes them by at most `n slope + 2 HEIGHT_ERROR`.
 
 use crate::truth::{amplitude_m, cell_m, ease_out};
 use terrain::constants::{OCTAVES, RIDGE_M};
@@ -35,13 +38,15 @@ use terrain::island::Island;
 /// Upper bound of the slope, along an axis, of one octave of amplitude 1 and cell 1.
 pub const NOISE_SLOPE: f64 = 2.08;
 
-/// Upper bound of one octave of amplitude 1: all four gradients towards the middle of the cell give `√½`.
+/// Upper bound of one octave of amplitude 1: all four gradients towards the middle of the cell give
+/// `√½`.
 pub const NOISE_VALUE: f64 = 0.7072;
 
 /// Upper bound of the slope of the beach polynomial: `0.2 + 4.8 r² - 4 r⁴` at `r² = 0.6`.
 pub const BEACH_SLOPE: f64 = 1.64;
 
-/// How far an integer height may be from the formula, units: the promised 1/128 m, half a unit of final rounding included.
+/// How far an integer height may be from the formula, units: the promised 1/128 m, half a unit of
+/// final rounding included.
 pub const HEIGHT_ERROR: f64 = 2.0;
 
 /// Slope bound of the fractal sum, metres per metre.
@@ -53,8 +58,8 @@ pub fn hills_slope() -> f64 {
 /// Slope bound along an axis anywhere on an island, metres per metre.
 #[must_use]
 pub fn land_slope(island: &Island) -> f64 {
-    // Per unit of `q` the sum changes by less than 16 (hills 6.5, ridges 3.3, the rest below 5 for radii of 1,536 m and more), so
-    // a search in steps of 1/512 misses less than 16 / 1024.
+    // Per unit of `q` the sum changes by less than 16 (hills 6.5, ridges 3.3, the rest below 5 for
+    // radii of 1,536 m and more), so a search in steps of 1/512 misses less than 16 / 1024.
     const STEPS: u32 = 512;
     const MISSED: f64 = 0.016;
     let worst =
@@ -101,8 +106,8 @@ mod tests {
 
     #[test]
     fn no_place_in_a_cell_is_steeper_than_the_bound() {
-        // B is symmetric in both axes, and its own slopes are below 23 (t) and 12 (u): half a step of the search misses
-        // less than 35 / 2 / 2000.
+        // B is symmetric in both axes, and its own slopes are below 23 (t) and 12 (u): half a step
+        // of the search misses less than 35 / 2 / 2000.
         const STEPS: u32 = 1000;
         let mut worst: f64 = 0.0;
         for t in 0..=STEPS {

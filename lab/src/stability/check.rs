@@ -12,7 +12,8 @@ pub struct Check {
     pub cases: u64,
     /// Times that it was broken.
     pub violations: u64,
-    /// Largest ratio of what was seen to what is allowed; where nothing is allowed, the largest value seen.
+    /// Largest ratio of what was seen to what is allowed; where nothing is allowed, the largest
+    /// value seen.
     pub worst: f64,
     /// Where the worst was.
     pub worst_at: String,

@@ -1,6 +1,8 @@
-//! Continuity: every step across every line of interest, against the analytic bound and against the truth.
+//! Continuity: every step across every line of interest, against the analytic bound and against the
+//! truth.
 //!
-//! The same sweep runs over the integers, which must hold, and over fields that must not: it takes any height function.
+//! The same sweep runs over the integers, which must hold, and over fields that must not: it takes
+//! any height function.
 
 use super::bounds::{HEIGHT_ERROR, land_slope};
 use super::check::Check;
@@ -20,7 +22,8 @@ const CORNER_STEPS: i32 = 600;
 struct Sweep {
     archipelago: Archipelago,
     truth: Truth,
-    /// Slope bounds by island radius, which decides the dome as well but for the home island, whose radius is its own.
+    /// Slope bounds by island radius, which decides the dome as well but for the home island, whose
+    /// radius is its own.
     slopes: HashMap<i32, f64>,
     unit_steps: Check,
     vertex_steps: Check,
@@ -29,7 +32,8 @@ struct Sweep {
     open_sea: Check,
 }
 
-/// Sweeps worlds of the seeds `0..worlds` with a height function: seed and position (units) to height (units).
+/// Sweeps worlds of the seeds `0..worlds` with a height function: seed and position (units) to
+/// height (units).
 pub fn sweep(worlds: u32, height: impl Fn(u64) -> Box<dyn Fn(i32, i32) -> f64> + Sync) -> Vec<Check> {
     let found: Vec<Sweep> = (0..u64::from(worlds))
         .into_par_iter()

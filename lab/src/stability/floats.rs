@@ -1,4 +1,5 @@
-//! What float noise does far from the origin: 64 samples one unit (1/256 m) apart, at growing distances.
+//! What float noise does far from the origin: 64 samples one unit (1/256 m) apart, at growing
+//! distances.
 
 use crate::floats::{RIVAL_PERIOD_M, Rival, rivals};
 use crate::sample::word;
@@ -27,11 +28,13 @@ pub struct FloatRow {
     pub distinct_least: usize,
     /// Largest change over one step of 1/256 m, metres.
     pub largest_jump_m: f64,
-    /// The same, as a multiple of what the field's slope allows over 1/256 m: at most 1 for a continuous field.
+    /// The same, as a multiple of what the field's slope allows over 1/256 m: at most 1 for a
+    /// continuous field.
     pub jump_over_bound: f64,
     /// Share of steps without any change: terraces.
     pub stuck: f64,
-    /// Whether the relief equals the relief 262,144 m farther west, where a lattice of 256 cells begins again.
+    /// Whether the relief equals the relief 262,144 m farther west, where a lattice of 256 cells
+    /// begins again.
     pub repeats: bool,
 }
 
@@ -48,7 +51,8 @@ pub fn measure_at(rival: &Rival, distance_m: i32) -> FloatRow {
     let (mut distinct, mut largest, mut stuck, mut repeats) = (Vec::new(), 0.0f64, 0u32, true);
     for line in 0..LINES {
         let (first, second) = (word(0xf10a7, 2 * line), word(0xf10a7, 2 * line + 1));
-        // Spread over 1,000 m; odd units, so that no sample grid is privileged. North and south alike.
+        // Spread over 1,000 m; odd units, so that no sample grid is privileged. North and south
+        // alike.
         let x = distance_m * UNITS_PER_METRE + ((first >> 14) | 1) as i32;
         let z = ((second as i32) >> 1) / (WORLD_HALF / (distance_m * UNITS_PER_METRE)).max(1);
         let values: Vec<f64> = (0..SAMPLES).map(|n| (rival.relief_m)(x + n, z)).collect();

@@ -1,8 +1,10 @@
 //! Where the sweep looks: steps across every kind of line where an implementation could break.
 //!
-//! Lines of constant x or z: the borders of the world and the axes; the lattice lines of every octave next to the origin, next to the borders and next to
-//! powers of two between; the borders of island cells, next to the same. Every line is crossed where there is land, as far as any island
-//! touches it, at free places and at corners of the same octave's lattice, and at the ends of the world.
+//! Lines of constant x or z: the borders of the world and the axes; the lattice lines of every
+//! octave next to the origin, next to the borders and next to powers of two between; the borders of
+//! island cells, next to the same. Every line is crossed where there is land, as far as any island
+//! touches it, at free places and at corners of the same octave's lattice, and at the ends of the
+//! world.
 
 use crate::sample::{on_grid, unit, word};
 use terrain::constants::{
@@ -26,7 +28,8 @@ pub struct Line {
     pub along_x: bool,
     /// The constant coordinate, units.
     pub at: i32,
-    /// log2 of the lattice cell that ends here, and the lattice's shift along the line: crossings are made at its corners too.
+    /// log2 of the lattice cell that ends here, and the lattice's shift along the line: crossings
+    /// are made at its corners too.
     pub lattice: (u32, i32),
 }
 
@@ -75,7 +78,8 @@ fn multiples_of_interest(bits: u32) -> impl Iterator<Item = i64> {
 }
 
 impl Line {
-    /// The steps across this line in a world: one unit at a time from two units before to two behind, and from vertex to vertex.
+    /// The steps across this line in a world: one unit at a time from two units before to two
+    /// behind, and from vertex to vertex.
     #[must_use]
     pub fn steps(&self, archipelago: &Archipelago, stream: u32) -> Vec<Step> {
         let mut steps = Vec::new();
@@ -101,7 +105,8 @@ impl Line {
         let units = f64::from(UNITS_PER_METRE);
         let own_cell = Archipelago::cell(self.at);
         for n in 0..LAND_CROSSINGS {
-            // The first three tries go to the ends of the line and its middle, where the world's corners and the home island are.
+            // The first three tries go to the ends of the line and its middle, where the world's
+            // corners and the home island are.
             let other_cell = match n {
                 0 => Archipelago::cell(-WORLD_HALF),
                 1 => Archipelago::cell(WORLD_HALF),
@@ -134,7 +139,8 @@ impl Line {
     }
 }
 
-/// Walks of `length` unit steps from each corner of the world inwards, along both borders and along the diagonal's stairs.
+/// Walks of `length` unit steps from each corner of the world inwards, along both borders and along
+/// the diagonal's stairs.
 pub fn corner_walks(length: i32) -> impl Iterator<Item = Step> {
     let corners = [(-1, -1), (-1, 1), (1, -1), (1, 1)];
     corners.into_iter().flat_map(move |(sign_x, sign_z)| {

@@ -1,11 +1,13 @@
-//! Seams: what two chunks share is equal bit for bit, and a height does not depend on the grid that computed it.
+//! Seams: what two chunks share is equal bit for bit, and a height does not depend on the grid that
+//! computed it.
 
 use super::check::Check;
 use crate::sample;
 use terrain::constants::{CELLS, SPACING_BITS, TOP_LEVEL, VERTICES, WORLD_HALF};
 use terrain::{ChunkKey, Grid, Land, Octaves, Position};
 
-/// Places at whose chunks seams are looked at, units: corners and middles of the borders, both signs of the origin.
+/// Places at whose chunks seams are looked at, units: corners and middles of the borders, both
+/// signs of the origin.
 const PLACES: [(i32, i32); 13] = [
     (-WORLD_HALF, -WORLD_HALF),
     (-WORLD_HALF, WORLD_HALF),
@@ -88,7 +90,8 @@ impl Seams<'_> {
 
     fn compare_with_points(&mut self, key: ChunkKey, at: &impl Fn(usize, usize) -> i64) {
         let octaves = Octaves::at_level(key.level());
-        // Every column and row is met; an odd step visits them in all combinations of position in a vector.
+        // Every column and row is met; an odd step visits them in all combinations of position in a
+        // vector.
         for index in (0..VERTICES * VERTICES).step_by(13) {
             let (column, row) = (index % VERTICES, index / VERTICES);
             let (x, z) = vertex(key, column, row);
@@ -101,7 +104,8 @@ impl Seams<'_> {
         }
     }
 
-    /// Odd shapes that begin inside the chunk; and the grid one level finer where that carries at least the same octaves.
+    /// Odd shapes that begin inside the chunk; and the grid one level finer where that carries at
+    /// least the same octaves.
     fn compare_with_grids(&mut self, key: ChunkKey, at: &impl Fn(usize, usize) -> i64) {
         for (column, row, columns, rows) in
             [(1, 2, 7, 3), (60, 0, 5, 1), (3, 3, 17, 2), (64, 64, 1, 1), (0, 1, 64, 2)]

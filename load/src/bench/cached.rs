@@ -1,4 +1,5 @@
-//! Cached chunks over many connections with several requests outstanding each, beside nginx with the same bytes in the same run.
+//! Cached chunks over many connections with several requests outstanding each, beside nginx with
+//! the same bytes in the same run.
 
 use super::host::Host;
 use super::land_keys::{WORLD_SEED, land_keys};
@@ -19,7 +20,8 @@ const CHUNKS: usize = 256;
 /// Requests outstanding on each connection.
 const WINDOW: usize = 16;
 
-/// The same where the server pushes: many chunks outstanding, asked for in requests of half as many.
+/// The same where the server pushes: many chunks outstanding, asked for in requests of half as
+/// many.
 const PUSH_WINDOW: usize = 256;
 
 /// Connections.

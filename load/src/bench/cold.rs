@@ -1,4 +1,5 @@
-//! Chunks that nobody has asked for before, from request to socket, and what each stage of their making costs.
+//! Chunks that nobody has asked for before, from request to socket, and what each stage of their
+//! making costs.
 
 use super::host::Host;
 use super::land_keys::{WORLD_SEED, land_keys};
@@ -94,8 +95,9 @@ async fn take_all(mut wire: Wire, keys: Vec<terrain::ChunkKey>) -> Result<u64> {
     Ok(bytes)
 }
 
-/// Microseconds a chunk of each stage, chunk by chunk in this process as a server's thread does it, alone. The fastest of three
-/// passes: what the stages cost when nothing disturbs them. Coded with the effort of most of the server's frames.
+/// Microseconds a chunk of each stage, chunk by chunk in this process as a server's thread does it,
+/// alone. The fastest of three passes: what the stages cost when nothing disturbs them. Coded with
+/// the effort of most of the server's frames.
 fn stages(land: &Land, keys: &[terrain::ChunkKey], effort: Effort) -> Vec<(&'static str, f64)> {
     let digest = land.digest();
     let mut best = [f64::INFINITY; 4];

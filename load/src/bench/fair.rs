@@ -1,5 +1,6 @@
-//! One client that asks for a thousand chunks at once beside fifty that ask for a few each: all want chunks that must be made, and
-//! together more than the server can make, so that only its choice decides who gets what.
+//! One client that asks for a thousand chunks at once beside fifty that ask for a few each: all
+//! want chunks that must be made, and together more than the server can make, so that only its
+//! choice decides who gets what.
 
 use super::host::Host;
 use super::land_keys::{WORLD_SEED, land_keys};

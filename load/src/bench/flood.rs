@@ -1,7 +1,9 @@
-//! Sessions that send views without pause, beside one polite client: the largest view that a server accepts, ordinary views, views
-//! of sessions that hold thousands of chunks and jump about, and views that are refused.
+//! Sessions that send views without pause, beside one polite client: the largest view that a server
+//! accepts, ordinary views, views of sessions that hold thousands of chunks and jump about, and
+//! views that are refused.
 //!
-//! Three promises are measured: a probe is answered, the polite client gets its chunks, and the server stops when it is told to.
+//! Three promises are measured: a probe is answered, the polite client gets its chunks, and the
+//! server stops when it is told to.
 
 use super::host::Host;
 use super::land_keys::{WORLD_SEED, land_keys};
@@ -125,7 +127,8 @@ async fn scenario(
     let alone = polite(host.address, first.to_vec(), Instant::now() + length).await?;
 
     let end = Instant::now() + length;
-    // On a thread of its own, so that the clients that are measured do not wait for it here. It goes on until the server has stopped.
+    // On a thread of its own, so that the clients that are measured do not wait for it here. It
+    // goes on until the server has stopped.
     let flooders = Builder::new_multi_thread().worker_threads(1).enable_all().build().context("no thread")?;
     for _ in 0..sessions {
         flooders.spawn(flood(host.address, kind, rate));
@@ -159,7 +162,8 @@ async fn scenario(
 struct Polite {
     chunks: usize,
     refused: usize,
-    /// Of the answered requests; a request without an answer counts as the time that was waited for it.
+    /// Of the answered requests; a request without an answer counts as the time that was waited for
+    /// it.
     p99_ms: f64,
 }
 

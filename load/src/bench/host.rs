@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Clock ticks a second in `/proc`: a constant of Linux's interface to programs (proc(5), `USER_HZ`).
+/// Clock ticks a second in `/proc`: a constant of Linux's interface to programs (proc(5),
+/// `USER_HZ`).
 const TICKS_PER_SECOND: f64 = 100.0;
 
 /// How to start a program under measurement.
@@ -61,7 +62,8 @@ impl Watched {
     /// The process is gone, or this is not Linux.
     pub fn cpu_s(&self) -> Result<f64> {
         let stat = self.proc("stat")?;
-        // The name in parentheses may hold anything; user and system time are the 12th and 13th field behind it.
+        // The name in parentheses may hold anything; user and system time are the 12th and 13th
+        // field behind it.
         let (_, fields) = stat.rsplit_once(')').context("/proc/PID/stat has no name")?;
         let ticks =
             |index: usize| fields.split_whitespace().nth(index).and_then(|field| field.parse::<f64>().ok());
@@ -80,7 +82,8 @@ impl Watched {
         Ok(kib * 1024)
     }
 
-    /// Sends SIGTERM and waits for the end. Returns the time that it took; none if it was longer than `limit`.
+    /// Sends SIGTERM and waits for the end. Returns the time that it took; none if it was longer
+    /// than `limit`.
     ///
     /// # Errors
     /// The signal cannot be sent.

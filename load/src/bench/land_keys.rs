@@ -1,4 +1,5 @@
-//! Which chunks a benchmark asks for: land of level 0, because the open sea costs nothing to make and little to send.
+//! Which chunks a benchmark asks for: land of level 0, because the open sea costs nothing to make
+//! and little to send.
 
 use terrain::{ChunkKey, Land};
 

@@ -1,4 +1,5 @@
-//! More than the server can do: arrivals at a fixed rate whatever is answered, from half of its capacity to five times as much.
+//! More than the server can do: arrivals at a fixed rate whatever is answered, from half of its
+//! capacity to five times as much.
 
 use super::host::Host;
 use super::land_keys::{WORLD_SEED, land_keys};
@@ -32,7 +33,8 @@ const BURST: Duration = Duration::from_millis(10);
 const LOOK: Duration = Duration::from_millis(100);
 const LOOK_FOR: Duration = Duration::from_secs(4);
 
-/// Runs the benchmark: every round in a fresh server. Figures are medians; the loads are those of the last round.
+/// Runs the benchmark: every round in a fresh server. Figures are medians; the loads are those of
+/// the last round.
 ///
 /// # Errors
 /// The server fails.
@@ -44,7 +46,8 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     }
     let all = |figure: fn(&Round) -> Option<f64>| rounds.iter().filter_map(figure).collect::<Vec<_>>();
     let goodput_of_peak = all(|round| Some(round.goodput_of_peak));
-    // A round in which nothing was refused, or that never became normal again, has no such figure, and then there is none.
+    // A round in which nothing was refused, or that never became normal again, has no such figure,
+    // and then there is none.
     let whole = |figures: Vec<f64>| median(figures.clone()).filter(|_| figures.len() == rounds.len());
     let last = rounds.last().context("no round was run")?;
     Ok(json!({
@@ -123,8 +126,9 @@ async fn round(plan: &Plan, keys: &[ChunkKey]) -> Result<Round> {
     })
 }
 
-/// Seconds from the end of the overload until chunks take no longer than twice the normal 99th percentile (at least 50 ms, what the
-/// scheduler of two shared cores alone can take), window by window, for the rest of the run; none if that never comes.
+/// Seconds from the end of the overload until chunks take no longer than twice the normal 99th
+/// percentile (at least 50 ms, what the scheduler of two shared cores alone can take), window by
+/// window, for the rest of the run; none if that never comes.
 fn recovery(outcome: &Outcome, length: Duration, normal_p99_ms: f64) -> Option<f64> {
     let bound_ms = (2.0 * normal_p99_ms).max(50.0);
     let n_windows = (LOOK_FOR.as_millis() / LOOK.as_millis()) as u32;
@@ -237,8 +241,8 @@ async fn arrive(
     loop {
         tokio::select! {
             tick = ticks.tick() => {
-                // When the burst was due, which may be a while ago on a busy machine: a client that is late does not flatter the
-                // server. Bursts that were missed follow at once.
+                // When the burst was due, which may be a while ago on a busy machine: a client that
+                // is late does not flatter the server. Bursts that were missed follow at once.
                 let now = tick.into_std().saturating_duration_since(started);
                 if now >= length {
                     return Ok(outcome);

@@ -1,4 +1,5 @@
-//! What static files are served at: nginx with the same chunks as files, driven by wrk, both from the system's packages.
+//! What static files are served at: nginx with the same chunks as files, driven by wrk, both from
+//! the system's packages.
 
 use super::host::{Launch, Watched};
 use anyhow::{Context, Result, bail};
@@ -108,8 +109,9 @@ impl Drop for Rival {
     }
 }
 
-/// One process, no log, descriptors of all files kept open, whole replies in one write: the fastest way for small files that was found. With `sendfile` a reply takes two calls, and with `tcp_nopush` pipelined
-/// replies wait for acknowledgements, tens of milliseconds each.
+/// One process, no log, descriptors of all files kept open, whole replies in one write: the fastest
+/// way for small files that was found. With `sendfile` a reply takes two calls, and with
+/// `tcp_nopush` pipelined replies wait for acknowledgements, tens of milliseconds each.
 fn configuration(folder: &Path, port: u16) -> String {
     let folder = folder.display();
     format!(
@@ -123,7 +125,8 @@ fn configuration(folder: &Path, port: u16) -> String {
     )
 }
 
-/// wrk counts one reply for each request in a string of several, and keeps as many outstanding as the string holds.
+/// wrk counts one reply for each request in a string of several, and keeps as many outstanding as
+/// the string holds.
 const PIPELINE: &str = r#"
 local requests, at = {}, 0
 function init(args)

@@ -21,7 +21,8 @@ const REQUESTS: usize = 10;
 /// The server fails, or an answer is not the chunk.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let land = Land::new(super::land_keys::WORLD_SEED);
-    // Coarse, with its error measured: milliseconds of work, so that all requests are there before it is done.
+    // Coarse, with its error measured: milliseconds of work, so that all requests are there before
+    // it is done.
     let key = ChunkKey::new(8, 0, 0)?;
     let expected = chunk_codec::encode(&land.chunk(key), &land.digest());
     let host = Host::start(&plan.launch, &[])?;

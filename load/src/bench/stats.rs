@@ -16,7 +16,8 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Jain's fairness index: 1 if all shares are equal, 1/n if one has everything (Jain, Chiu and Hawe, DEC TR-301, 1984).
+/// Jain's fairness index: 1 if all shares are equal, 1/n if one has everything (Jain, Chiu and
+/// Hawe, DEC TR-301, 1984).
 #[must_use]
 pub fn jain(shares: &[f64]) -> f64 {
     let (sum, squares) =

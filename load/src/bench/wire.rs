@@ -1,7 +1,8 @@
-//! A connection for measuring: says what it is told to and counts what comes, with as little work of its own as possible.
+//! A connection for measuring: says what it is told to and counts what comes, with as little work
+//! of its own as possible.
 //!
-//! The load test's own clients decode and verify every chunk, and would be the slower end here. What arrives is compared byte for
-//! byte where a benchmark knows what must come.
+//! The load test's own clients decode and verify every chunk, and would be the slower end here.
+//! What arrives is compared byte for byte where a benchmark knows what must come.
 
 use anyhow::{Context, Result, bail};
 use protocol::limits::MAX_CREDITS;
@@ -232,7 +233,8 @@ fn next_frame(bytes: &[u8]) -> Result<Option<(u8, usize, usize)>> {
     Ok((bytes.len() >= end).then_some((first & 15, start, end)))
 }
 
-/// Appends a message as a frame. The mask is zero: a mask hides nothing from a server, it protects proxies.
+/// Appends a message as a frame. The mask is zero: a mask hides nothing from a server, it protects
+/// proxies.
 fn push(bytes: &mut Vec<u8>, message: &ClientMessage) -> Result<()> {
     push_frame(bytes, &control::encode(message)?);
     Ok(())

@@ -15,7 +15,8 @@ use std::fmt::Write;
 use std::time::Duration;
 use tokio::task::JoinHandle;
 
-/// Longest body that is taken, bytes. A chunk frame is shorter; the world's description and errors are too.
+/// Longest body that is taken, bytes. A chunk frame is shorter; the world's description and errors
+/// are too.
 const MAX_BODY: usize = 64 * 1024;
 
 /// What a refusal without Retry-After asks for.
@@ -40,7 +41,8 @@ struct Problem {
 impl Answer {
     /// Status and what the body says, in one line.
     pub fn problem(&self) -> String {
-        // A Tombolo server says it as a problem document with one sentence; a proxy before it says what it likes.
+        // A Tombolo server says it as a problem document with one sentence; a proxy before it says
+        // what it likes.
         let told = serde_json::from_slice::<Problem>(&self.body).map(|problem| problem.detail);
         let text = told.unwrap_or_else(|_| String::from_utf8_lossy(&self.body).into_owned());
         let line: String = text.lines().next().unwrap_or_default().chars().take(200).collect();

@@ -34,7 +34,8 @@ impl Dispersal {
         }
     }
 
-    /// The speed falls with what is left of the way, so that the end is never quite reached and nothing jerks.
+    /// The speed falls with what is left of the way, so that the end is never quite reached and
+    /// nothing jerks.
     pub(super) fn motion(&self, seconds: f64) -> Motion {
         let left = (-self.speed * (seconds - STAY_S).max(0.0) / self.far_m).exp();
         let (gone, speed) = (self.far_m * (1.0 - left), self.speed * left);

@@ -1,4 +1,5 @@
-//! Teleports: stays at places that have nothing to do with each other, so that no two views share fine chunks.
+//! Teleports: stays at places that have nothing to do with each other, so that no two views share
+//! fine chunks.
 
 use super::{Draw, Motion, REACH_M};
 use std::f64::consts::TAU;
@@ -7,7 +8,8 @@ use terrain::hash::hash2;
 /// Mean time between two jumps, seconds.
 const MEAN_STAY_S: f64 = 2.0;
 
-/// A jump comes up to this long after its slot of [`MEAN_STAY_S`] begins, seconds: a stay lasts 0.5 to 3.5 s.
+/// A jump comes up to this long after its slot of [`MEAN_STAY_S`] begins, seconds: a stay lasts 0.5
+/// to 3.5 s.
 const LATE_S: f64 = 1.5;
 
 #[derive(Clone, Copy, Debug)]

@@ -3,7 +3,8 @@
 use super::{Draw, Motion, REACH_M};
 use std::f64::consts::TAU;
 
-/// Walking pace, metres a second: what people prefer on even ground (Browning et al., J. Appl. Physiol. 100, 2006).
+/// Walking pace, metres a second: what people prefer on even ground (Browning et al., J. Appl.
+/// Physiol. 100, 2006).
 const PACE: f64 = 1.4;
 
 /// Corners of a round.

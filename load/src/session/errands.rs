@@ -15,7 +15,8 @@ const PROBE_TRIES: usize = 8;
 /// Probes without an answer at most.
 const MAX_PROBES: usize = 64;
 
-/// Poses whose views are waited for. When it is full, as only a closed loop can make it, the oldest is forgotten.
+/// Poses whose views are waited for. When it is full, as only a closed loop can make it, the oldest
+/// is forgotten.
 const MAX_POSES: usize = MAX_VIEWS_SLOW;
 
 /// The view that a client at a pose has: 1280 x 720 at 60 degrees, 4 pixels of tolerance.
@@ -54,7 +55,8 @@ impl Poses {
         id
     }
 
-    /// Takes those that a settled view answers: its own pose, and the older ones, whose views it replaced.
+    /// Takes those that a settled view answers: its own pose, and the older ones, whose views it
+    /// replaced.
     fn settle(&mut self, view: u32) -> impl Iterator<Item = Instant> + use<> {
         let answered = self.waiting.partition_point(|(id, _)| *id <= view);
         self.waiting.drain(..answered).map(|(_, since)| since).collect::<Vec<_>>().into_iter()
@@ -118,7 +120,8 @@ impl<D: Dial> Session<'_, '_, D> {
         }
     }
 
-    /// Asks for chunks by key. Each is a request of its own, so that each has an id to be refused by.
+    /// Asks for chunks by key. Each is a request of its own, so that each has an id to be refused
+    /// by.
     fn ask(&mut self, since: Instant, chunks: usize, agenda: &mut Agenda) {
         for _ in 0..chunks {
             let key = self.keys.key(agenda.number(), self.seconds(since));

@@ -1,4 +1,5 @@
-//! The WebSocket under a session: opening, writing under a deadline, closing, and why it ended in words.
+//! The WebSocket under a session: opening, writing under a deadline, closing, and why it ended in
+//! words.
 
 use crate::client::{End, HANDSHAKE_TIMEOUT, Task};
 use crate::dial::Dial;
@@ -25,7 +26,8 @@ const GOODBYE: Duration = Duration::from_secs(1);
 /// Buffers of one connection, bytes. The library's 128 KiB each would be 50 MiB for 200 clients.
 const BUFFER: usize = 16 * 1024;
 
-/// What the system takes in for a slow reader, bytes: little, or its slowness would not be noticed for a while.
+/// What the system takes in for a slow reader, bytes: little, or its slowness would not be noticed
+/// for a while.
 const SLOW_RECEIVE_BUFFER: u32 = 4096;
 
 /// A WebSocket over any stream.

@@ -1,5 +1,6 @@
-//! A server at the other end of pipes in memory, on a clock that only moves when everybody waits: what a test sees does not
-//! depend on the machine. It answers each request after a fixed time, except while it stalls.
+//! A server at the other end of pipes in memory, on a clock that only moves when everybody waits:
+//! what a test sees does not depend on the machine. It answers each request after a fixed time,
+//! except while it stalls.
 
 use bytes::Bytes;
 use futures_util::{SinkExt, StreamExt};

@@ -1,8 +1,9 @@
 //! Byte strings to fewer bytes and back: the only file that names a compressor.
 //!
-//! A coded string is one Zstandard frame (RFC 8878) of the plainest sort: single segment, content size stated, no dictionary, no
-//! checksum. Everything else is refused before a decoder sees it, so that a frame can neither ask for a window nor expand
-//! beyond the room that its reader has set aside.
+//! A coded string is one Zstandard frame (RFC 8878) of the plainest sort: single segment, content
+//! size stated, no dictionary, no checksum. Everything else is refused before a decoder sees it, so
+//! that a frame can neither ask for a window nor expand beyond the room that its reader has set
+//! aside.
 
 use crate::error::ChunkError;
 use std::cell::RefCell;
@@ -10,9 +11,11 @@ use std::cell::RefCell;
 /// What the sender of a frame has more of.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Effort {
-    /// Time is short: level -5, which leaves literals as they are. About a quarter more bytes, decoded several times as fast.
+    /// Time is short: level -5, which leaves literals as they are. About a quarter more bytes,
+    /// decoded several times as fast.
     Fast,
-    /// The frame will be sent more than once: literals coded, and repetitions looked for by level 1 where that is shorter.
+    /// The frame will be sent more than once: literals coded, and repetitions looked for by level 1
+    /// where that is shorter.
     #[default]
     Compact,
 }
@@ -48,7 +51,8 @@ pub(super) fn decompress(frame: &[u8], room: &mut [u8]) -> Result<(), ChunkError
     if filled == Some(room.len()) { Ok(()) } else { Err(ChunkError::Compression) }
 }
 
-/// Appends a string to `out`, as a frame if that is shorter, else as it is. Returns whether it is a frame.
+/// Appends a string to `out`, as a frame if that is shorter, else as it is. Returns whether it is a
+/// frame.
 pub(super) fn compress(content: &[u8], effort: Effort, out: &mut Vec<u8>) -> bool {
     CODER.with_borrow_mut(|coder| coder.compress(content, effort, out))
 }
@@ -63,10 +67,12 @@ mod native {
     use super::Effort;
     use zstd::zstd_safe::{CCtx, CParameter, DCtx, ParamSwitch};
 
-    /// Level at which the search for repetitions steps over everything: what is left is the coding of literals.
+    /// Level at which the search for repetitions steps over everything: what is left is the coding
+    /// of literals.
     const LITERALS_ONLY: i32 = -100_000;
 
-    /// Repetitions are looked for in what the code of literals makes shorter than this part of it: near the one bit a literal that it cannot go below.
+    /// Repetitions are looked for in what the code of literals makes shorter than this part of it:
+    /// near the one bit a literal that it cannot go below.
     const REPEATS_BELOW: usize = 6;
 
     /// The contexts of one thread, each made when it is first used.
@@ -118,7 +124,8 @@ mod native {
                 Effort::Compact => kept(&mut self.literals, LITERALS_ONLY, ParamSwitch::Enable),
             };
             let done = attempt(first, content, most, out);
-            // Noise does not repeat itself. What a code of single bytes makes this short may be worth looking at again.
+            // Noise does not repeat itself. What a code of single bytes makes this short may be
+            // worth looking at again.
             let may_repeat = done && out.len() - start < content.len() / REPEATS_BELOW;
             if effort == Effort::Compact && may_repeat {
                 self.attempt.clear();

@@ -1,11 +1,15 @@
-//! Residuals as parts: low bits as they are, whole byte planes above them, and the bits above those packed.
+//! Residuals as parts: low bits as they are, whole byte planes above them, and the bits above those
+//! packed.
 //!
-//! The low bits of noise are noise: a code of them is as long as they are, and takes time to read. So the lowest 0, 1, 2, 4 or 8 bits of every residual travel plain. The width of
-//! the widest residual says how the rest lies. Its whole bytes but the last become planes of one byte a residual; the 1 to 8 bits above them are packed into fields of 1, 2, 4 or 8
-//! bits, because a Huffman code cannot spend less than a bit on a symbol, and the upper bits of most residuals are worth less.
+//! The low bits of noise are noise: a code of them is as long as they are, and takes time to read.
+//! So the lowest 0, 1, 2, 4 or 8 bits of every residual travel plain. The width of the widest
+//! residual says how the rest lies. Its whole bytes but the last become planes of one byte a
+//! residual; the 1 to 8 bits above them are packed into fields of 1, 2, 4 or 8 bits, because a
+//! Huffman code cannot spend less than a bit on a symbol, and the upper bits of most residuals are
+//! worth less.
 //!
-//! A part travels behind its length (u16). A part as long as its content is the content itself, a shorter one is a frame of
-//! [`super::entropy`].
+//! A part travels behind its length (u16). A part as long as its content is the content itself, a
+//! shorter one is a frame of [`super::entropy`].
 
 use super::entropy::{self, Effort};
 use super::kernel::{self, Kernel};
@@ -79,13 +83,15 @@ pub(super) fn push(kernel: Kernel, residuals: &[u32], width: u32, effort: Effort
     push_part(packed, effort, out);
 }
 
-/// Every so many residuals one is looked at to choose how many bits travel plain: the choice costs little, and a poor one a few bytes.
+/// Every so many residuals one is looked at to choose how many bits travel plain: the choice costs
+/// little, and a poor one a few bytes.
 const SAMPLED: usize = 7;
 
 /// How many low bits of residuals below `2^width` travel plain; less than `width`.
 fn plain_bits(residuals: &[u32], width: u32, effort: Effort) -> u32 {
-    // Magnitudes fall off about exponentially. Where the mean is `m` times what the plain bits can say, leaving them out of the code costs 0.06 / m^2 bits a residual: a thirtieth
-    // of a bit at the most.
+    // Magnitudes fall off about exponentially. Where the mean is `m` times what the plain bits can
+    // say, leaving them out of the code costs 0.06 / m^2 bits a residual: a thirtieth of a bit at
+    // the most.
     let sampled = residuals.iter().step_by(SAMPLED).map(|residual| u64::from(*residual));
     let mean = sampled.clone().sum::<u64>() / sampled.count().max(1) as u64;
     let enough = match effort {
@@ -125,11 +131,12 @@ impl Room {
         Self { planes, packed: [0; VERTEX_COUNT], merged: planes }
     }
 
-    /// Takes the parts of `count` residuals below `2^width` off a payload: their byte planes, lowest first; none where all
-    /// residuals are 0.
+    /// Takes the parts of `count` residuals below `2^width` off a payload: their byte planes,
+    /// lowest first; none where all residuals are 0.
     ///
     /// # Errors
-    /// [`ChunkError::Content`] for an impossible width or number of plain bits, else as [`take_part`].
+    /// [`ChunkError::Content`] for an impossible width or number of plain bits, else as
+    /// [`take_part`].
     pub(super) fn take<'a, 'p: 'a>(
         &'a mut self,
         kernel: Kernel,
@@ -205,11 +212,12 @@ impl<'a> Planes<'a> {
     }
 }
 
-/// Takes one part off a payload: its content, from the payload itself where it is stored, else from `room`, whose length is
-/// that of the content.
+/// Takes one part off a payload: its content, from the payload itself where it is stored, else from
+/// `room`, whose length is that of the content.
 ///
 /// # Errors
-/// [`ChunkError::Part`] for a length that no such part has or that the payload does not hold, [`ChunkError::Compression`].
+/// [`ChunkError::Part`] for a length that no such part has or that the payload does not hold,
+/// [`ChunkError::Compression`].
 pub(super) fn take_part<'a, 'p: 'a>(
     payload: &mut &'p [u8],
     room: &'a mut [u8],

@@ -1,7 +1,8 @@
 //! Heights rounded to a tolerance: how, and the frame that carries them.
 //!
-//! Rounding is a pure function of a height, so vertices that chunks share stay equal. The error of the chunk grows by what its
-//! own vertices moved; the header states the tolerance that none of them exceeds.
+//! Rounding is a pure function of a height, so vertices that chunks share stay equal. The error of
+//! the chunk grows by what its own vertices moved; the header states the tolerance that none of
+//! them exceeds.
 
 use super::entropy::Effort;
 use super::{Frame, KIND_QUANTISED, open, seal};
@@ -11,7 +12,8 @@ use bytes::Bytes;
 use terrain::constants::HEIGHT_LIMIT;
 use terrain::{Chunk, GrassSeed, WorldDigest};
 
-/// The chunk as its quantised frame delivers it; none if a rounded height would leave the range of heights.
+/// The chunk as its quantised frame delivers it; none if a rounded height would leave the range of
+/// heights.
 #[must_use]
 pub fn quantise(chunk: &Chunk, tolerance: Tolerance) -> Option<Chunk> {
     let (shift, half) = (tolerance.shift(), i32::from(tolerance.units()));
@@ -28,7 +30,8 @@ pub fn quantise(chunk: &Chunk, tolerance: Tolerance) -> Option<Chunk> {
     in_range.then(|| Chunk::from_parts(chunk.key, heights, chunk.error.saturating_add(moved), grass))
 }
 
-/// Encodes a chunk of a world with heights within a tolerance of its own; none where [`quantise`] gives none.
+/// Encodes a chunk of a world with heights within a tolerance of its own; none where [`quantise`]
+/// gives none.
 #[must_use]
 pub fn encode(chunk: &Chunk, world: &WorldDigest, tolerance: Tolerance, effort: Effort) -> Option<Bytes> {
     let chunk = quantise(chunk, tolerance)?;

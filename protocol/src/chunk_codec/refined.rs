@@ -1,10 +1,11 @@
 //! The chunk frame for who has the parent: only vertices that the parent lacks.
 //!
-//! Up to level 2 a chunk's vertices in even columns and rows are those of its parent, bit for bit. The others are predicted
-//! from both sides, which noise cannot hide from as well as from the plane predictor, which looks one way. First the vertices
-//! between two known ones in a row, then in a column, by four-point interpolation (Deslauriers and Dubuc, "Symmetric iterative
-//! interpolation processes", 1989: weights -1, 9, 9, -1 over 16); then the middles, by the patch through their eight neighbours
-//! (Coons, 1967: half of the sides less a quarter of the corners).
+//! Up to level 2 a chunk's vertices in even columns and rows are those of its parent, bit for bit.
+//! The others are predicted from both sides, which noise cannot hide from as well as from the plane
+//! predictor, which looks one way. First the vertices between two known ones in a row, then in a
+//! column, by four-point interpolation (Deslauriers and Dubuc, "Symmetric iterative interpolation
+//! processes", 1989: weights -1, 9, 9, -1 over 16); then the middles, by the patch through their
+//! eight neighbours (Coons, 1967: half of the sides less a quarter of the corners).
 
 use super::entropy::Effort;
 use super::kernel::{self, Heights, Kernel, zigzag};
@@ -25,8 +26,8 @@ const HALF: usize = CELLS / 2;
 /// Vertices that the parent lacks.
 const LACKING: usize = VERTEX_COUNT - KNOWN * KNOWN;
 
-/// Encodes a chunk of a world for a receiver that has its parent; none if `parent` is not its parent or does not have the
-/// chunk's vertices in even columns and rows.
+/// Encodes a chunk of a world for a receiver that has its parent; none if `parent` is not its
+/// parent or does not have the chunk's vertices in even columns and rows.
 #[must_use]
 pub fn encode(chunk: &Chunk, parent: &Chunk, world: &WorldDigest, effort: Effort) -> Option<Bytes> {
     let known = Known::of(chunk.key, &parent.heights).filter(|_| chunk.key.parent() == Some(parent.key))?;
@@ -34,8 +35,9 @@ pub fn encode(chunk: &Chunk, parent: &Chunk, world: &WorldDigest, effort: Effort
         .then(|| seal(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
 }
 
-/// As [`encode`] without the parent, for chunks of a land: where the parent is of one of [`parents::LEVELS`], the chunk's vertices in even
-/// columns and rows are the parent's. None where it is not.
+/// As [`encode`] without the parent, for chunks of a land: where the parent is of one of
+/// [`parents::LEVELS`], the chunk's vertices in even columns and rows are the parent's. None where
+/// it is not.
 #[must_use]
 pub fn encode_alone(chunk: &Chunk, world: &WorldDigest, effort: Effort) -> Option<Bytes> {
     let parent = chunk.key.parent()?;
@@ -46,8 +48,8 @@ pub fn encode_alone(chunk: &Chunk, world: &WorldDigest, effort: Effort) -> Optio
 /// Decodes one whole refined frame of a world with the help of the chunk's parent.
 ///
 /// # Errors
-/// As [`super::decode`]; [`ChunkError::Parent`] if `parent` is the chunk of another key, [`ChunkError::Digest`] if it is not the one that the
-/// frame was made from.
+/// As [`super::decode`]; [`ChunkError::Parent`] if `parent` is the chunk of another key,
+/// [`ChunkError::Digest`] if it is not the one that the frame was made from.
 pub fn decode(frame: &[u8], world: &WorldDigest, parent: &Chunk) -> Result<Chunk, ChunkError> {
     let Frame { key, .. } = Frame::read(frame, KIND_REFINED)?;
     if key.parent() != Some(parent.key) {
@@ -167,7 +169,8 @@ impl Known {
     }
 }
 
-/// The vertices that the parent lacks, apart by where they lie, so that each lies beside its like in memory.
+/// The vertices that the parent lacks, apart by where they lie, so that each lies beside its like
+/// in memory.
 struct Lacking {
     /// Between two known vertices of a row.
     rows: [[i32; HALF]; KNOWN],
@@ -202,7 +205,8 @@ impl Lacking {
     }
 }
 
-/// Which of [`Lacking`]'s vertices, in the order in which they are coded: those of a group are predicted from the groups before it alone.
+/// Which of [`Lacking`]'s vertices, in the order in which they are coded: those of a group are
+/// predicted from the groups before it alone.
 #[derive(Clone, Copy)]
 enum Group {
     Rows,
@@ -234,7 +238,8 @@ impl Group {
         }
     }
 
-    /// What the vertices of a row should be by their neighbours. Rows and middles have one less than is returned; the last means nothing there.
+    /// What the vertices of a row should be by their neighbours. Rows and middles have one less
+    /// than is returned; the last means nothing there.
     fn predict(self, known: &Known, lacking: &Lacking, row: usize) -> [i32; KNOWN] {
         let mut predicted = [0; KNOWN];
         match self {

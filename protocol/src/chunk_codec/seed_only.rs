@@ -1,8 +1,10 @@
-//! The chunk frame without heights: what a client with the same generator needs to make the chunk itself.
+//! The chunk frame without heights: what a client with the same generator needs to make the chunk
+//! itself.
 //!
-//! 36 bytes: the prefix of all kinds, the error, a digest. The error is sent because measuring it costs many times what the
-//! heights do; the client takes the server's word for it, as it does in exact frames. The digest covers the world, the
-//! header, the heights and the grass record, so that one differing unit is noticed.
+//! 36 bytes: the prefix of all kinds, the error, a digest. The error is sent because measuring it
+//! costs many times what the heights do; the client takes the server's word for it, as it does in
+//! exact frames. The digest covers the world, the header, the heights and the grass record, so that
+//! one differing unit is noticed.
 
 use super::{DIGEST, KIND_SEED_ONLY, PREFIX, content_digest, kind_and_key, push_prefix, word};
 use crate::error::ChunkError;
@@ -26,12 +28,14 @@ pub fn encode(chunk: &Chunk, world: &WorldDigest) -> Bytes {
     frame.into()
 }
 
-/// Generates the chunk that a frame names and verifies it. `world` is the digest of `land`, computed once by the caller.
+/// Generates the chunk that a frame names and verifies it. `world` is the digest of `land`,
+/// computed once by the caller.
 ///
 /// Costs what the heights of one chunk cost, whatever the frame says, and never panics.
 ///
 /// # Errors
-/// See [`ChunkError`]; [`ChunkError::Regenerated`] if the chunk generated here is not the one that the digest describes.
+/// See [`ChunkError`]; [`ChunkError::Regenerated`] if the chunk generated here is not the one that
+/// the digest describes.
 pub fn decode(frame: &[u8], land: &Land, world: &WorldDigest) -> Result<Chunk, ChunkError> {
     let header = Header::read(frame)?;
     let chunk = complete(land, header.key, header.error);

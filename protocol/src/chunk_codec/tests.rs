@@ -80,7 +80,8 @@ fn quantised_heights_are_within_the_stated_tolerance_and_the_error_grows_by_what
             assert_eq!((&got.grass, error(&frame)), (&chunk.grass, Some(got.error)));
             assert!(frame.len() <= shorter.saturating_add(8), "{level}: {} after {shorter}", frame.len());
             shorter = frame.len();
-            // Who asked for finer is told; who takes coarser is content; who wants exact heights takes none of it.
+            // Who asked for finer is told; who takes coarser is content; who wants exact heights
+            // takes none of it.
             if let Some(finer) = Tolerance::new(tolerance.units() / 2) {
                 let fault = ChunkError::Tolerance { theirs: tolerance.units(), ours: finer.units() };
                 assert_eq!(quantised::decode(&frame, &world, finer), Err(fault));
@@ -88,7 +89,8 @@ fn quantised_heights_are_within_the_stated_tolerance_and_the_error_grows_by_what
             assert!(quantised::decode(&frame, &world, Tolerance::COARSEST).is_ok());
             assert_eq!(decode(&frame, &world), Err(ChunkError::UnknownKind(KIND_QUANTISED)));
         }
-        // Not all of them can be a quarter of the heights' own distance: the coarsest did move land that is not flat.
+        // Not all of them can be a quarter of the heights' own distance: the coarsest did move land
+        // that is not flat.
         let coarse = quantised::quantise(&chunk, Tolerance::COARSEST).unwrap();
         assert!(coarse != chunk || chunk.min() == chunk.max());
     }
@@ -261,7 +263,8 @@ fn the_length_of_the_payload_at_its_extremes_is_refused() {
     }
 }
 
-/// Where the first part of an exact frame's payload begins: behind grass seed, palette, number of plain bits and those bits.
+/// Where the first part of an exact frame's payload begins: behind grass seed, palette, number of
+/// plain bits and those bits.
 fn parts_at(payload: &[u8]) -> usize {
     6 + (VERTEX_COUNT * usize::from(payload[5])).div_ceil(8)
 }

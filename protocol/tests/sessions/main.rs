@@ -641,7 +641,8 @@ fn a_view_of_too_many_chunks_is_refused_and_changes_nothing() {
     say(&mut server, &ClientMessage::View(largest));
     assert_eq!(refusals(&mut server), [(2, RefusalReason::InvalidView)]);
     assert_eq!(server.view().map(|view| view.id), Some(1));
-    // The control: views that viewers send, up to a picture of 3840 x 2160 at half a pixel and 20 km.
+    // The control: views that viewers send, up to a picture of 3840 x 2160 at half a pixel and 20
+    // km.
     for (distance_m, viewport, tolerance_q4) in [(8000, [1920, 1080], 16), (20_000, [3840, 2160], 8)] {
         say(&mut server, &ClientMessage::View(View { viewport, tolerance_q4, ..view(3, distance_m) }));
     }

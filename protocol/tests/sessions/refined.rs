@@ -132,7 +132,8 @@ fn a_refined_frame_is_refused_by_who_did_not_ask_or_does_not_remember() {
 
 #[test]
 fn both_ends_remember_the_same_however_long_a_session_is() {
-    // Over far more parents than are remembered, to and fro, so that some are forgotten and come again.
+    // Over far more parents than are remembered, to and fro, so that some are forgotten and come
+    // again.
     let mut pair = Pair::with(asking(64));
     pair.run(0);
     let mut forms = HashMap::new();

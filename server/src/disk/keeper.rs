@@ -1,13 +1,15 @@
 //! The one thread that writes, counts and deletes.
 //!
-//! Each of the shards has an equal share of the budget; names spread frames over them evenly, so no shard has to know of another. One over its
-//! share loses its oldest files, by their time, until an eighth of it is free. That is nearly the oldest of all, because every shard holds a fair
-//! sample, and it needs neither an index in memory nor a look at more than one folder at a time.
+//! Each of the shards has an equal share of the budget; names spread frames over them evenly, so no
+//! shard has to know of another. One over its share loses its oldest files, by their time, until an
+//! eighth of it is free. That is nearly the oldest of all, because every shard holds a fair sample,
+//! and it needs neither an index in memory nor a look at more than one folder at a time.
 //!
-//! Shards are counted one by one while nothing is to be written, and before the first write into them; reading does not wait for it.
+//! Shards are counted one by one while nothing is to be written, and before the first write into
+//! them; reading does not wait for it.
 //!
-//! When the folder cannot be used (full, read-only, gone, another server's) this thread says so once, lets writes go, and tries again every
-//! minute.
+//! When the folder cannot be used (full, read-only, gone, another server's) this thread says so
+//! once, lets writes go, and tries again every minute.
 
 use super::DiskConfig;
 use super::names::{SHARDS, shard_name, shard_of};
@@ -52,13 +54,15 @@ pub enum Order {
 pub struct Keeper {
     config: DiskConfig,
     metrics: Arc<Metrics>,
-    /// Bytes by shard; none while it is not counted. Deletions by readers are noticed when the shard is next looked through.
+    /// Bytes by shard; none while it is not counted. Deletions by readers are noticed when the
+    /// shard is next looked through.
     counts: Vec<Option<u64>>,
     /// Shards below this are counted or were when the folder was opened.
     next_to_count: usize,
     state: State,
-    /// Whether the folder was opened before: then it is not created again, since a folder that vanishes is most often a disk that is no longer
-    /// there, and what would be filled is the one that it was mounted on.
+    /// Whether the folder was opened before: then it is not created again, since a folder that
+    /// vanishes is most often a disk that is no longer there, and what would be filled is the one
+    /// that it was mounted on.
     was_open: bool,
     /// Whether the log says that the folder cannot be used.
     has_complained: bool,
@@ -104,7 +108,8 @@ impl Keeper {
             match order {
                 Some(Order::Write { path, frame }) => self.write(&path, &frame, Instant::now()),
                 Some(Order::Close(done)) => {
-                    // The next server may have the folder from here on, so nothing more is taken either.
+                    // The next server may have the folder from here on, so nothing more is taken
+                    // either.
                     drop((self, orders));
                     // Whoever asked may have stopped waiting.
                     let _ = done.send(());
@@ -123,7 +128,8 @@ impl Keeper {
         } else if let Err(error) = self.store(path, frame) {
             self.metrics.disk_dropped.inc();
             match error.kind() {
-                // A folder that somebody put in the place of a file: one frame that cannot be kept is no reason to keep none.
+                // A folder that somebody put in the place of a file: one frame that cannot be kept
+                // is no reason to keep none.
                 io::ErrorKind::IsADirectory | io::ErrorKind::DirectoryNotEmpty => {
                     self.metrics.disk_faults.inc();
                 }
@@ -171,7 +177,8 @@ impl Keeper {
             fs::rename(&unfinished, &path)?;
         }
         match &mut self.counts[shard] {
-            // A frame that takes the place of its like is counted twice until the shard is looked through.
+            // A frame that takes the place of its like is counted twice until the shard is looked
+            // through.
             Some(bytes) => *bytes += size(frame.len() as u64),
             None => return self.count(shard),
         }

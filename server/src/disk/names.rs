@@ -1,21 +1,24 @@
 //! Where a frame lies in the folder.
 //!
-//! `SHARD/WORLD.FORMAT.DELIVERY.LEVEL.X.Z`. The name says all that decides the content, so a frame of another world or of an older format is
-//! never even opened; it grows old and goes. Shards come first and are shared by all worlds, so that one budget holds for the folder whatever
-//! was served from it before.
+//! `SHARD/WORLD.FORMAT.DELIVERY.LEVEL.X.Z`. The name says all that decides the content, so a frame
+//! of another world or of an older format is never even opened; it grows old and goes. Shards come
+//! first and are shared by all worlds, so that one budget holds for the folder whatever was served
+//! from it before.
 
 use protocol::Delivery;
 use protocol::chunk_codec::VERSION;
 use std::path::{Path, PathBuf};
 use terrain::{ChunkKey, WorldDigest};
 
-/// Folders that files are spread over. With the largest budget some hundred thousand files are in each, with the smallest some thirty.
+/// Folders that files are spread over. With the largest budget some hundred thousand files are in
+/// each, with the smallest some thirty.
 pub const SHARDS: usize = 256;
 
 /// Names of one world's frames.
 #[derive(Debug)]
 pub struct Names {
-    /// The first half of the digest. Names need not resist an attack: what is read is verified under the whole digest.
+    /// The first half of the digest. Names need not resist an attack: what is read is verified
+    /// under the whole digest.
     world: String,
 }
 

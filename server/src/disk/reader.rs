@@ -1,7 +1,8 @@
 //! The one thread that reads, so that nobody else waits for a disk without end.
 //!
-//! A file system may be slow, or hang for ever when it is another machine's. Whoever asks waits until a deadline and then makes the chunk;
-//! from then on nobody asks at all until the read that was too slow has ended. So a hanging disk costs one wait a generation thread, and one thread.
+//! A file system may be slow, or hang for ever when it is another machine's. Whoever asks waits
+//! until a deadline and then makes the chunk; from then on nobody asks at all until the read that
+//! was too slow has ended. So a hanging disk costs one wait a generation thread, and one thread.
 
 use crate::metrics::Metrics;
 use protocol::limits::MAX_CHUNK_FRAME;
@@ -16,10 +17,12 @@ use std::time::{Duration, SystemTime};
 /// The longest wait for a read: longer than any that a working disk takes, on a busy machine too.
 const DEADLINE: Duration = Duration::from_millis(250);
 
-/// Reads that may wait for the thread; one more is a miss. More than generation threads of most machines, and each has at most one.
+/// Reads that may wait for the thread; one more is a miss. More than generation threads of most
+/// machines, and each has at most one.
 const WAITING: usize = 64;
 
-/// A file's time is moved on by a read only when it is older than this, so that a popular chunk does not cost a write a read.
+/// A file's time is moved on by a read only when it is older than this, so that a popular chunk
+/// does not cost a write a read.
 pub(super) const AGE_STEP: Duration = Duration::from_secs(3600);
 
 /// One read, with where the bytes go. Who asked may have left.
@@ -58,8 +61,8 @@ impl Reader {
     /// The bytes of a file.
     ///
     /// # Errors
-    /// What the system says; [`ErrorKind::TimedOut`] if it takes too long, and at once while another read does; [`ErrorKind::InvalidData`] if
-    /// there is something that is no file.
+    /// What the system says; [`ErrorKind::TimedOut`] if it takes too long, and at once while
+    /// another read does; [`ErrorKind::InvalidData`] if there is something that is no file.
     pub fn read(&self, path: PathBuf) -> io::Result<Vec<u8>> {
         if self.is_stuck.load(Ordering::Acquire) {
             return Err(ErrorKind::TimedOut.into());
@@ -70,7 +73,8 @@ impl Reader {
         }
         answered.recv_timeout(DEADLINE).unwrap_or_else(|_| {
             self.is_stuck.store(true, Ordering::Release);
-            // The thread may have answered between the wait and the note; then the note would stay. Its answer is there to be seen.
+            // The thread may have answered between the wait and the note; then the note would stay.
+            // Its answer is there to be seen.
             let answer = answered.try_recv();
             if answer.is_ok() {
                 self.is_stuck.store(false, Ordering::Release);
@@ -89,7 +93,8 @@ fn run(load: &impl Fn(&Path) -> io::Result<Vec<u8>>, requested: &Receiver<Reques
     }
 }
 
-/// Opens a file, and what only looks like one in no time: a pipe without a writer would keep whoever opens it, and a link leads out of the folder.
+/// Opens a file, and what only looks like one in no time: a pipe without a writer would keep
+/// whoever opens it, and a link leads out of the folder.
 fn open(path: &Path) -> io::Result<File> {
     let mut options = File::options();
     options.read(true);
@@ -105,7 +110,8 @@ fn open(path: &Path) -> io::Result<File> {
     opened
 }
 
-/// The bytes of a file, and a note that it is in use. A longer file than any frame is read no further than to be seen as one.
+/// The bytes of a file, and a note that it is in use. A longer file than any frame is read no
+/// further than to be seen as one.
 pub(super) fn load(path: &Path) -> io::Result<Vec<u8>> {
     let mut file = open(path)?;
     let about = file.metadata()?;

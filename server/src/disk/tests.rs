@@ -1,4 +1,5 @@
-//! The tier without a server around it, on a folder of each test's own, with the keeper's clock in the test's hand.
+//! The tier without a server around it, on a folder of each test's own, with the keeper's clock in
+//! the test's hand.
 
 use super::*;
 use crate::disk::keeper::Keeper;

@@ -1,11 +1,13 @@
-//! What jobs cost, learned from those that ran: the currency of fairness, and the base of every promise about waiting.
+//! What jobs cost, learned from those that ran: the currency of fairness, and the base of every
+//! promise about waiting.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use terrain::ChunkKey;
 use terrain::constants::TOP_LEVEL;
 
-/// Nanoseconds that a level costs before one of it was made: a chunk of level 0, and one with its error measured.
+/// Nanoseconds that a level costs before one of it was made: a chunk of level 0, and one with its
+/// error measured.
 const FIRST_GUESS: [u64; 2] = [100_000, 1_000_000];
 
 /// Weight of the past against one job: a mean over about the last 32.
@@ -34,8 +36,9 @@ impl Costs {
         let took = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
         for mean in [&self.by_level[usize::from(key.level())], &self.all] {
             let before = mean.load(Ordering::Relaxed);
-            // Neither a machine that was suspended nor a thread that had to wait for its core, which takes a hundred jobs' time, may close the doors: one job moves an estimate
-            // by a quarter at most.
+            // Neither a machine that was suspended nor a thread that had to wait for its core,
+            // which takes a hundred jobs' time, may close the doors: one job moves an estimate by a
+            // quarter at most.
             let after = before - before / MEMORY + took.min(MOST * before) / MEMORY;
             mean.store(after.max(1), Ordering::Relaxed);
         }
@@ -53,7 +56,8 @@ impl Costs {
         (self.all.load(Ordering::Relaxed) / 1000).max(1) as i64
     }
 
-    /// Jobs that `threads` threads finish within a time for each of `flows` flows, by the recent mix of levels.
+    /// Jobs that `threads` threads finish within a time for each of `flows` flows, by the recent
+    /// mix of levels.
     #[must_use]
     pub fn within(&self, time: Duration, threads: usize, flows: usize) -> usize {
         let mean_ns = u128::from(self.all.load(Ordering::Relaxed).max(1));

@@ -1,6 +1,7 @@
 //! Asking: what a session or a download holds of the service.
 //!
-//! Every asking has exactly one answer or is withdrawn. A flow that is dropped withdraws everything.
+//! Every asking has exactly one answer or is withdrawn. A flow that is dropped withdraws
+//! everything.
 
 use super::queue::{Asked, FlowId, Waiter};
 use super::views::ViewJob;
@@ -38,7 +39,8 @@ pub struct Flow {
     open: usize,
     /// Whether a view is being selected.
     is_selecting: bool,
-    /// Who pays for what is made and sent. Looking whether there is anything in it is the asker's part.
+    /// Who pays for what is made and sent. Looking whether there is anything in it is the asker's
+    /// part.
     purse: Purse,
 }
 
@@ -82,7 +84,8 @@ impl Flow {
         }
     }
 
-    /// Asks for a frame. The answer, exactly one, comes from [`Flow::answers`], unless the asking is withdrawn.
+    /// Asks for a frame. The answer, exactly one, comes from [`Flow::answers`], unless the asking
+    /// is withdrawn.
     pub fn ask(&mut self, wanted: Wanted, delivery: Delivery) {
         self.opened(1);
         let Shared { frames, metrics, costs, .. } = &*self.service.shared;
@@ -116,8 +119,8 @@ impl Flow {
         }
     }
 
-    /// Selects a view's chunks on the generation threads, in this flow's turns. One at a time: the selection comes from
-    /// [`Flow::next_answer`].
+    /// Selects a view's chunks on the generation threads, in this flow's turns. One at a time: the
+    /// selection comes from [`Flow::next_answer`].
     pub fn select(&mut self, selection: ViewSelection, land: Land) {
         self.opened(1);
         self.is_selecting = true;
@@ -128,7 +131,8 @@ impl Flow {
         self.service.start_runner(&mut queue);
     }
 
-    /// Waits for chunks or for the selection under way; for ever while nothing is asked. Cancel safe.
+    /// Waits for chunks or for the selection under way; for ever while nothing is asked. Cancel
+    /// safe.
     pub async fn next_answer(&mut self) -> FlowAnswer {
         tokio::select! {
             Some(selection) = self.selections.1.recv() => {
@@ -195,7 +199,8 @@ impl Flow {
         self.open - self.is_selecting as usize
     }
 
-    /// Withdraws the askings for a key that no thread has taken up, and returns them; the others will be answered.
+    /// Withdraws the askings for a key that no thread has taken up, and returns them; the others
+    /// will be answered.
     pub fn withdraw(&mut self, key: ChunkKey) -> Vec<Wanted> {
         let withdrawn = self.service.shared.lock().withdraw(self.id, key);
         self.closed(withdrawn.len());

@@ -19,7 +19,8 @@ pub struct Frames {
 pub struct Kept {
     /// The frame.
     pub frame: Bytes,
-    /// Whether it was coded in haste and is longer than it need be. The first who asks for it when nothing waits has it made again, with care.
+    /// Whether it was coded in haste and is longer than it need be. The first who asks for it when
+    /// nothing waits has it made again, with care.
     pub is_hasty: bool,
 }
 
@@ -28,7 +29,8 @@ struct FrameWeight;
 
 impl Weighter<FrameId, Kept> for FrameWeight {
     fn weight(&self, _id: &FrameId, kept: &Kept) -> u64 {
-        // The key, the handle and the map's own share, besides the bytes; for a seed-only frame most of it.
+        // The key, the handle and the map's own share, besides the bytes; for a seed-only frame
+        // most of it.
         kept.frame.len() as u64 + 128
     }
 }
@@ -41,7 +43,8 @@ impl Frames {
         Self { cache: Cache::with_weighter((bytes / 4096) as usize, bytes, FrameWeight) }
     }
 
-    /// The frame of a chunk for a delivery; none if it was made in haste and there `is_time` to make a better one.
+    /// The frame of a chunk for a delivery; none if it was made in haste and there `is_time` to
+    /// make a better one.
     #[must_use]
     pub fn get(&self, key: ChunkKey, delivery: Delivery, is_time: impl FnOnce() -> bool) -> Option<Bytes> {
         let Kept { frame, is_hasty } = self.cache.get(&(key, delivery))?;

@@ -1,13 +1,17 @@
-//! Who waits for what, and whose turn it is. Plain data under one lock: no threads, no clock, no generation.
+//! Who waits for what, and whose turn it is. Plain data under one lock: no threads, no clock, no
+//! generation.
 //!
-//! One job per key however many ask; a job belongs to the queue, never to an asker. Between flows (a session, a download) turns go
-//! round by cost: surplus round robin (Shreedhar and Varghese, "Efficient fair queueing using deficit round robin", SIGCOMM 1995,
-//! with the variant that lets a flow overdraw its turn by one job and pays it back in the next). Within a flow the most urgent key
-//! comes first, among equals the oldest. So a flow with a thousand keys waiting gets as much work done as one with two.
+//! One job per key however many ask; a job belongs to the queue, never to an asker. Between flows
+//! (a session, a download) turns go round by cost: surplus round robin (Shreedhar and Varghese,
+//! "Efficient fair queueing using deficit round robin", SIGCOMM 1995, with the variant that lets a
+//! flow overdraw its turn by one job and pays it back in the next). Within a flow the most urgent
+//! key comes first, among equals the oldest. So a flow with a thousand keys waiting gets as much
+//! work done as one with two.
 //!
-//! A flow that was idle has its first turn before all others (the new queues of FQ-CoDel, RFC 8290, section 4.2), so that a client
-//! that asks for little does not wait for a whole round of clients that ask for much. It counts as idle only when a round has passed
-//! it without work and without debt.
+//! A flow that was idle has its first turn before all others (the new queues of FQ-CoDel, RFC 8290,
+//! section 4.2), so that a client that asks for little does not wait for a whole round of clients
+//! that ask for much. It counts as idle only when a round has passed it without work and without
+//! debt.
 
 use super::Done;
 use super::views::ViewJob;
@@ -24,7 +28,8 @@ use tokio::sync::mpsc::UnboundedSender;
 /// Names an asker for as long as it lives.
 pub type FlowId = u64;
 
-/// Stale entries that a flow may have besides one for each of its waiters before they are swept out.
+/// Stale entries that a flow may have besides one for each of its waiters before they are swept
+/// out.
 const STALE_ENTRIES: usize = 64;
 
 /// See the module.
@@ -73,10 +78,11 @@ pub struct Waiter {
 
 #[derive(Debug, Default)]
 struct Flow {
-    /// Most urgent first. Holds stale entries of jobs that another flow's turn has run; they are skipped when popped and
-    /// swept out when there are many.
+    /// Most urgent first. Holds stale entries of jobs that another flow's turn has run; they are
+    /// skipped when popped and swept out when there are many.
     entries: BinaryHeap<(u64, Reverse<u64>, ChunkKey)>,
-    /// A view whose chunks are to be selected. It comes before the chunks, since it decides which are needed.
+    /// A view whose chunks are to be selected. It comes before the chunks, since it decides which
+    /// are needed.
     view: Option<ViewJob>,
     /// Whether a thread runs the flow's view.
     is_selecting: bool,
@@ -167,7 +173,8 @@ impl Queue {
                 (Asked::Queued, false)
             }
         };
-        // A joined job gets an entry in this flow too: whichever flow's turn comes first runs it, and it goes on if the other leaves.
+        // A joined job gets an entry in this flow too: whichever flow's turn comes first runs it,
+        // and it goes on if the other leaves.
         if !runs {
             self.add_entry(flow, priority, key);
         }
@@ -180,8 +187,8 @@ impl Queue {
         self.add_turn(id);
     }
 
-    /// Takes back a view after a turn that took `spent_us`, to be continued; or none if it is done. A view of a flow that has gone
-    /// is dropped.
+    /// Takes back a view after a turn that took `spent_us`, to be continued; or none if it is done.
+    /// A view of a flow that has gone is dropped.
     pub fn return_view(&mut self, id: FlowId, view: Option<ViewJob>, spent_us: i64) {
         let Some(flow) = self.flows.get_mut(&id) else { return };
         flow.credit_us -= spent_us;
@@ -228,8 +235,9 @@ impl Queue {
         flow.entries.push((priority, Reverse(number), key));
     }
 
-    /// The next flow's turn: jobs of about `quantum_us` of work, at least one if any waits. Explicit askings older than `deadline`
-    /// are taken off; what views need stays, since a view that does not change is not said again.
+    /// The next flow's turn: jobs of about `quantum_us` of work, at least one if any waits.
+    /// Explicit askings older than `deadline` are taken off; what views need stays, since a view
+    /// that does not change is not said again.
     pub fn take(&mut self, quantum_us: i64, deadline: Duration, now: Instant) -> Turn {
         let mut turn = Turn::default();
         while let Some(id) = self.next_turn() {
@@ -269,7 +277,8 @@ impl Queue {
                 turn.keys.push(key);
             }
             if was_runnable || flow.credit_us < 0 {
-                // One that has nothing more stays for a round: otherwise it would be a new flow at once.
+                // One that has nothing more stays for a round: otherwise it would be a new flow at
+                // once.
                 self.add_turn(id);
             } else if !flow.is_selecting {
                 // An idle flow saves nothing up.
@@ -293,14 +302,15 @@ impl Queue {
         job.waiters.iter().map(|waiter| waiter.delivery).find(|delivery| !made(*delivery))
     }
 
-    /// Takes the askers of a job off that wait for one of the deliveries made. The job is gone if that was all; otherwise it waits
-    /// again.
+    /// Takes the askers of a job off that wait for one of the deliveries made. The job is gone if
+    /// that was all; otherwise it waits again.
     pub fn finish(&mut self, key: ChunkKey, made: impl Fn(Delivery) -> bool) -> Vec<Waiter> {
         let Some(mut job) = self.jobs.remove(&key) else { return Vec::new() };
         if job.waiters.iter().all(|waiter| made(waiter.delivery)) {
             return job.waiters;
         }
-        // Somebody asked for another form after the last look. Rare, so making the chunk again is right.
+        // Somebody asked for another form after the last look. Rare, so making the chunk again is
+        // right.
         let answered = job.waiters.extract_if(.., |waiter| made(waiter.delivery)).collect();
         let again: Vec<_> = job.waiters.iter().map(|waiter| (waiter.flow, waiter.wanted.priority)).collect();
         job.is_running = false;
@@ -312,7 +322,8 @@ impl Queue {
         answered
     }
 
-    /// Withdraws a flow's askings for a key unless a thread has the job already. Returns what was withdrawn.
+    /// Withdraws a flow's askings for a key unless a thread has the job already. Returns what was
+    /// withdrawn.
     pub fn withdraw(&mut self, flow: FlowId, key: ChunkKey) -> Vec<Wanted> {
         let Some(job) = self.jobs.get_mut(&key).filter(|job| !job.is_running) else { return Vec::new() };
         let withdrawn =
@@ -324,7 +335,8 @@ impl Queue {
         withdrawn
     }
 
-    /// Forgets a flow that has gone, with everything that only it waited for. Returns the number of jobs dropped.
+    /// Forgets a flow that has gone, with everything that only it waited for. Returns the number of
+    /// jobs dropped.
     pub fn forget(&mut self, id: FlowId) -> u64 {
         let Some(flow) = self.flows.remove(&id) else { return 0 };
         if flow.has_turn {

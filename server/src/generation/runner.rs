@@ -15,14 +15,17 @@ use std::time::Instant;
 use terrain::{Chunk, ChunkKey};
 use tokio::sync::mpsc::UnboundedSender;
 
-/// Time in which every waiting flow should have had a turn, microseconds of work. A thread that has more than that before it is behind.
+/// Time in which every waiting flow should have had a turn, microseconds of work. A thread that has
+/// more than that before it is behind.
 const ROUND_US: i64 = 4000;
 
-/// Bounds of the work that a flow gets done in one turn, microseconds. At least four cheap chunks or so, since each turn wakes a session
-/// and makes it write, which costs about as much as a chunk; at most some ten, since they are answered together.
+/// Bounds of the work that a flow gets done in one turn, microseconds. At least four cheap chunks
+/// or so, since each turn wakes a session and makes it write, which costs about as much as a chunk;
+/// at most some ten, since they are answered together.
 const QUANTUM_US: (i64, i64) = (160, 400);
 
-/// Jobs waiting for each flow from which on all are taken to have much waiting: half of what a session may have.
+/// Jobs waiting for each flow from which on all are taken to have much waiting: half of what a
+/// session may have.
 const CROWD: usize = 8;
 
 /// What a runner holds of a job between making and answering.
@@ -70,8 +73,9 @@ impl Shared {
         }
     }
 
-    /// Few flows get long turns, which cost less; many get short ones, so that none waits long for its own. Where all have much waiting, short
-    /// turns would make nobody's wait shorter, and a server that falls behind must not spend its time on writes.
+    /// Few flows get long turns, which cost less; many get short ones, so that none waits long for
+    /// its own. Where all have much waiting, short turns would make nobody's wait shorter, and a
+    /// server that falls behind must not spend its time on writes.
     fn quantum_us(&self, waiting: usize) -> i64 {
         let flows = self.open_flows.load(Ordering::Relaxed).max(1);
         if waiting >= CROWD * flows {
@@ -80,7 +84,8 @@ impl Shared {
         (ROUND_US / flows as i64).clamp(QUANTUM_US.0, QUANTUM_US.1)
     }
 
-    /// Makes what is asked for of a chunk; who asks for another form meanwhile is served by a further round.
+    /// Makes what is asked for of a chunk; who asks for another form meanwhile is served by a
+    /// further round.
     fn run_job(&self, key: ChunkKey) -> Made {
         // Dropped at the end of this job, so that the next one finds its memory warm.
         let mut chunk = None;
@@ -92,7 +97,8 @@ impl Shared {
         made
     }
 
-    /// Takes a frame from disk, or encodes it; makes the chunk before that if this is the first of its frames.
+    /// Takes a frame from disk, or encodes it; makes the chunk before that if this is the first of
+    /// its frames.
     fn make(&self, key: ChunkKey, delivery: Delivery, chunk: &mut Option<Chunk>) -> Answer {
         let (started, is_first) = (Instant::now(), chunk.is_none());
         let effort = self.effort(key);
@@ -131,7 +137,8 @@ impl Shared {
         Ok(frame)
     }
 
-    /// A server that falls behind has less time than bytes. Of a coarser chunk coding is a small part of the making, so that is not where to save.
+    /// A server that falls behind has less time than bytes. Of a coarser chunk coding is a small
+    /// part of the making, so that is not where to save.
     fn effort(&self, key: ChunkKey) -> Effort {
         let backlog_us = || self.lock().waiting() as i64 * self.costs.mean_us() / self.limits.threads as i64;
         if key.level() == 0 && backlog_us() > ROUND_US { Effort::Fast } else { Effort::Compact }
@@ -142,7 +149,8 @@ impl Shared {
         self.disk.as_ref()?.read(key, delivery, |frame| self.is_genuine(key, delivery, frame))
     }
 
-    /// The error of a chunk that is on disk for another delivery. As in memory, not from a quantised frame, whose error is larger.
+    /// The error of a chunk that is on disk for another delivery. As in memory, not from a
+    /// quantised frame, whose error is larger.
     fn stored_error(&self, key: ChunkKey, not: Delivery) -> Option<u32> {
         let others = [Delivery::Exact, Delivery::SeedOnly].into_iter().filter(|delivery| *delivery != not);
         let disk = self.disk.as_ref()?;
@@ -155,8 +163,8 @@ impl Shared {
     /// Whether bytes are a frame that answers an asking.
     fn is_genuine(&self, key: ChunkKey, delivery: Delivery, frame: &[u8]) -> bool {
         match delivery {
-            // Its digest covers the heights, which are not in it. To make them is cheap when the error is known, and what comes out of it can be
-            // compared whole.
+            // Its digest covers the heights, which are not in it. To make them is cheap when the
+            // error is known, and what comes out of it can be compared whole.
             Delivery::SeedOnly => chunk_codec::error(frame).is_some_and(|error| {
                 let chunk = self.source.chunk(key, Some(error));
                 chunk_codec::encode_for(delivery, &chunk, &self.world) == frame
@@ -169,7 +177,8 @@ impl Shared {
         }
     }
 
-    /// Answers a whole turn: each asker once, however many chunks it gets, since every answer may wake a session and cause a write.
+    /// Answers a whole turn: each asker once, however many chunks it gets, since every answer may
+    /// wake a session and cause a write.
     fn answer(&self, turn: &[Made]) {
         let mut askers: FxHashMap<FlowId, (UnboundedSender<Vec<Done>>, Vec<Done>)> = FxHashMap::default();
         {
@@ -284,7 +293,8 @@ mod tests {
         };
         idle().await;
 
-        // The tenth was made when all had been asked for, and in haste; the last was not. While something else runs both are good enough.
+        // The tenth was made when all had been asked for, and in haste; the last was not. While
+        // something else runs both are good enough.
         let blocker = ask(&bench.service, key(1000), 1).await;
         for x in [10, 199] {
             assert!(bench.service.cached(key(x), Delivery::Exact).is_some());
@@ -363,7 +373,8 @@ mod tests {
         assert_eq!(measured.load(Ordering::Relaxed), 0);
         service.close().await;
 
-        // The control: with its error changed, which no digest over the file alone would notice, the seed's frame is refused.
+        // The control: with its error changed, which no digest over the file alone would notice,
+        // the seed's frame is refused.
         let seed = files(&folder).into_iter().find(|path| path.to_string_lossy().contains(".seed.")).unwrap();
         let mut bytes = std::fs::read(&seed).unwrap();
         bytes[16] ^= 1;

@@ -1,7 +1,8 @@
 //! The selection of views on the generation threads.
 //!
-//! A session's view is work like its chunks: it waits for the session's turn, runs for as long as the turn allows, and is charged by
-//! the time it took. Threads that accept connections and answer probes never run it.
+//! A session's view is work like its chunks: it waits for the session's turn, runs for as long as
+//! the turn allows, and is charged by the time it took. Threads that accept connections and answer
+//! probes never run it.
 
 use super::Shared;
 use super::queue::FlowId;
@@ -30,8 +31,8 @@ pub struct ViewJob {
 }
 
 impl Shared {
-    /// Continues a view for about `budget_us` microseconds. Sends it to its session when it is done; otherwise it waits for
-    /// the next turn of its flow.
+    /// Continues a view for about `budget_us` microseconds. Sends it to its session when it is
+    /// done; otherwise it waits for the next turn of its flow.
     pub(super) fn select_view(&self, flow: FlowId, mut job: ViewJob, budget_us: i64) {
         let started = Instant::now();
         let budget = Duration::from_micros(budget_us.max(0).unsigned_abs());

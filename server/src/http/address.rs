@@ -1,4 +1,5 @@
-//! From a request to what it names: whose world, which chunk, and whether the client may ask at all.
+//! From a request to what it names: whose world, which chunk, and whether the client may ask at
+//! all.
 
 use crate::http::problem::{Kind, Problem};
 use crate::listener::Shared;
@@ -36,7 +37,8 @@ pub fn key(shared: &Shared, headers: &HeaderMap, raw: RawAddress, ending: &str) 
     ChunkKey::new(level, x, z).map_err(|error| Problem::new(Kind::OutsideWorld, error.to_string()))
 }
 
-/// A number as this server would write it: with `+1`, `01` and `-0` a cache would keep one chunk under many addresses.
+/// A number as this server would write it: with `+1`, `01` and `-0` a cache would keep one chunk
+/// under many addresses.
 fn number<N: FromStr + ToString>(text: &str) -> Option<N> {
     text.parse().ok().filter(|number: &N| number.to_string() == text)
 }

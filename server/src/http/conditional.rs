@@ -1,4 +1,5 @@
-//! Representations with a strong validator, and the requests that are made under a condition on it: RFC 9110, sections 8.8.3 and 13.
+//! Representations with a strong validator, and the requests that are made under a condition on it:
+//! RFC 9110, sections 8.8.3 and 13.
 
 use crate::http::problem::{Kind, Problem};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
@@ -26,15 +27,16 @@ pub fn etag(digest: &[u8]) -> HeaderValue {
     HeaderValue::from_str(&format!("\"{hex}\"")).unwrap_or(HeaderValue::from_static("\"\""))
 }
 
-/// How long what never changes may be kept, and by whom: what takes a token is no business of shared caches, which would give it
-/// to everybody (RFC 9111, section 3.5).
+/// How long what never changes may be kept, and by whom: what takes a token is no business of
+/// shared caches, which would give it to everybody (RFC 9111, section 3.5).
 #[must_use]
 pub const fn for_ever(takes_token: bool) -> &'static str {
     if takes_token { "private, max-age=31536000, immutable" } else { "public, max-age=31536000, immutable" }
 }
 
 impl Representation {
-    /// Answers a GET or HEAD request. `If-Match` is judged before `If-None-Match` (RFC 9110, section 13.2.2); ranges are not offered.
+    /// Answers a GET or HEAD request. `If-Match` is judged before `If-None-Match` (RFC 9110,
+    /// section 13.2.2); ranges are not offered.
     #[must_use]
     pub fn answer(self, request: &HeaderMap) -> Response {
         let etag = self.etag.as_bytes();
@@ -54,7 +56,8 @@ impl Representation {
     }
 }
 
-/// Whether a header that lists entity tags, perhaps over several lines, names this one. Weak tags count only where `weak_counts`.
+/// Whether a header that lists entity tags, perhaps over several lines, names this one. Weak tags
+/// count only where `weak_counts`.
 fn is_matched(headers: &HeaderMap, name: &HeaderName, etag: &[u8], weak_counts: bool) -> bool {
     headers.get_all(name).iter().any(|line| {
         let line = line.as_bytes().trim_ascii();
@@ -62,7 +65,8 @@ fn is_matched(headers: &HeaderMap, name: &HeaderName, etag: &[u8], weak_counts: 
     })
 }
 
-/// The entity tags of one line: whether weak, and the tag with its quotes. Ends at the first thing that is none.
+/// The entity tags of one line: whether weak, and the tag with its quotes. Ends at the first thing
+/// that is none.
 struct Tags<'a>(&'a [u8]);
 
 impl<'a> Iterator for Tags<'a> {

@@ -1,7 +1,8 @@
-//! Which routes pages of other origins may read: those whose answer is the same for everybody. Fetch standard, section 3.3.
+//! Which routes pages of other origins may read: those whose answer is the same for everybody.
+//! Fetch standard, section 3.3.
 //!
-//! What it refuses: cookies (none are used, and `*` forbids them). A token travels in `Authorization`, which a preflight allows by
-//! name because `*` does not cover it.
+//! What it refuses: cookies (none are used, and `*` forbids them). A token travels in
+//! `Authorization`, which a preflight allows by name because `*` does not cover it.
 
 use crate::listener::Shared;
 use axum::http::{HeaderValue, StatusCode, header};

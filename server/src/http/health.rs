@@ -6,7 +6,8 @@ use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use std::sync::Arc;
 
-/// Queue load above which the server calls itself not ready, so that a balancer sends new clients elsewhere.
+/// Queue load above which the server calls itself not ready, so that a balancer sends new clients
+/// elsewhere.
 const READY_LOAD: f64 = 0.9;
 
 /// `GET /livez`.

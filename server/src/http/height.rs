@@ -39,8 +39,9 @@ pub async fn get(
     Ok(([(header::CACHE_CONTROL, "no-cache")], Json(body)).into_response())
 }
 
-/// Height of the finest mesh at a place inside the world, metres. The mesh is the land: the noise between vertices is nobody's business
-/// (`docs/heightfield.md`), so the triangle is evaluated, not the field.
+/// Height of the finest mesh at a place inside the world, metres. The mesh is the land: the noise
+/// between vertices is nobody's business (`docs/heightfield.md`), so the triangle is evaluated, not
+/// the field.
 fn drawn_height_m(land: &Land, x: i32, z: i32) -> f64 {
     let (cell, spacing) = ((x >> SPACING_BITS, z >> SPACING_BITS), 1 << SPACING_BITS);
     let corner = |east: i32, south: i32| {

@@ -1,7 +1,8 @@
 //! What happens on the server at the moment.
 //!
-//! Polled, not pushed: a browser opens six connections to one HTTP/1.1 server, and a stream of events would take one of them from the
-//! tiles for as long as the page is open, would hold a connection slot of the server, and would have to be ended on shutdown.
+//! Polled, not pushed: a browser opens six connections to one HTTP/1.1 server, and a stream of
+//! events would take one of them from the tiles for as long as the page is open, would hold a
+//! connection slot of the server, and would have to be ended on shutdown.
 
 use crate::http::address;
 use crate::http::problem::Problem;

@@ -1,8 +1,9 @@
-//! The HTTP side: the page and its map, single chunks, what happens, probes and metrics, and the door to a session.
+//! The HTTP side: the page and its map, single chunks, what happens, probes and metrics, and the
+//! door to a session.
 //!
-//! One file a route or a few that belong together; [`routes`] is the list of them, and `openapi.json` describes the same list.
-//! [`problem`] is the only way to refuse, [`conditional`] the only way to answer with a validator, [`cors`] says what other
-//! origins may read.
+//! One file a route or a few that belong together; [`routes`] is the list of them, and
+//! `openapi.json` describes the same list. [`problem`] is the only way to refuse, [`conditional`]
+//! the only way to answer with a validator, [`cors`] says what other origins may read.
 
 pub mod address;
 pub mod chunk;

@@ -1,4 +1,5 @@
-//! The OpenAPI document: written by hand, because it is for people first; `tests/openapi.rs` keeps it true.
+//! The OpenAPI document: written by hand, because it is for people first; `tests/openapi.rs` keeps
+//! it true.
 
 use crate::http::conditional::{Representation, etag};
 use axum::http::HeaderMap;

@@ -1,4 +1,5 @@
-//! The page at `/` and what it is made of, from the binary. Nothing comes from elsewhere, and the browser is told to keep it so.
+//! The page at `/` and what it is made of, from the binary. Nothing comes from elsewhere, and the
+//! browser is told to keep it so.
 
 use crate::http::conditional::{Representation, etag};
 use crate::http::problem::{Kind, Problem};

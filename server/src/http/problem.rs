@@ -1,6 +1,7 @@
 //! Refusals: a closed list of kinds, told as RFC 9457 problem documents and counted by kind.
 //!
-//! The `type` of a problem is a reference into the OpenAPI document, where each kind has an example under its name.
+//! The `type` of a problem is a reference into the OpenAPI document, where each kind has an example
+//! under its name.
 
 use axum::Json;
 use axum::http::{HeaderValue, StatusCode, header};
@@ -168,7 +169,8 @@ impl IntoResponse for Problem {
             headers.insert(header::RETRY_AFTER, HeaderValue::from_static(seconds));
         }
         match kind {
-            // RFC 9110, sections 11.6.1 and 15.5.22: each of these statuses must say what would be accepted.
+            // RFC 9110, sections 11.6.1 and 15.5.22: each of these statuses must say what would be
+            // accepted.
             Kind::Unauthorised => {
                 headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
             }

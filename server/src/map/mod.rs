@@ -1,8 +1,10 @@
-//! The relief map: pictures of the chunks that the server sends, one tile for the square of each chunk key.
+//! The relief map: pictures of the chunks that the server sends, one tile for the square of each
+//! chunk key.
 //!
-//! The map is a guest. All tiles together are one client of the generation service for every four of its threads, so that they get
-//! at most that share of its turns; tiles that wait are counted and bounded, and finished ones lie in a cache of bytes.
-//! Reading order: [`relief`] (heights from chunks), [`paint`] (colours from heights).
+//! The map is a guest. All tiles together are one client of the generation service for every four
+//! of its threads, so that they get at most that share of its turns; tiles that wait are counted
+//! and bounded, and finished ones lie in a cache of bytes. Reading order: [`relief`] (heights from
+//! chunks), [`paint`] (colours from heights).
 
 pub mod paint;
 pub mod relief;
@@ -26,7 +28,8 @@ use tokio::time::{Instant, timeout};
 /// Pixels along one side of a tile.
 pub const TILE_PIXELS: usize = 256;
 
-/// Counts changes of colours and shading. Part of the tiles' addresses, since a tile may be kept for ever.
+/// Counts changes of colours and shading. Part of the tiles' addresses, since a tile may be kept
+/// for ever.
 pub const STYLE: u32 = 1;
 
 /// Tiles that may wait to be painted. About three browser windows full; one more is refused.
@@ -35,8 +38,8 @@ const MAX_WAITING: usize = 96;
 /// Longest wait for a turn. Whoever asked has scrolled on.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Chunks of one tile in generation at once, as [`crate::socket`] has for a session: all at once would make the last wait for the
-/// first, and be refused where the deadline is short.
+/// Chunks of one tile in generation at once, as [`crate::socket`] has for a session: all at once
+/// would make the last wait for the first, and be refused where the deadline is short.
 const JOB_WINDOW: usize = 8;
 
 /// Bytes a tile takes besides its picture: key, digest, handle and the map's own share.
@@ -66,8 +69,9 @@ pub struct Tile {
 pub struct Map {
     world: WorldDigest,
     cache: Cache<ChunkKey, Tile, TileWeight>,
-    /// One permit for each tile being painted. Whoever paints keeps it to the end, even if nobody waits for the tile any more: clients that
-    /// ask and leave must not get more painted at once than others.
+    /// One permit for each tile being painted. Whoever paints keeps it to the end, even if nobody
+    /// waits for the tile any more: clients that ask and leave must not get more painted at once
+    /// than others.
     painting: Arc<Semaphore>,
     /// One permit for each tile that is being painted or waits for it.
     places: Semaphore,
@@ -96,8 +100,8 @@ impl Map {
         }
     }
 
-    /// The tile of a key; what it costs to make and to send is taken out of a purse. Dropping the future withdraws everything that it
-    /// waits for.
+    /// The tile of a key; what it costs to make and to send is taken out of a purse. Dropping the
+    /// future withdraws everything that it waits for.
     ///
     /// # Errors
     /// See [`MapError`].
@@ -299,8 +303,9 @@ mod tests {
             waits.push(metrics.generated.get() - before);
         }
         waits.sort_unstable();
-        // Its own, what the map had in the window, and a window more that came behind. Nine times of ten: what is counted begins before the asking and
-        // ends after the answer, and a machine with other work may stop this thread there.
+        // Its own, what the map had in the window, and a window more that came behind. Nine times
+        // of ten: what is counted begins before the asking and ends after the answer, and a machine
+        // with other work may stop this thread there.
         assert!(waits[26] <= 1 + 2 * JOB_WINDOW as u64, "chunks made while one was waited for: {waits:?}");
         // The control: the map had far more to ask for all the time.
         assert!(map.places.available_permits() < MAX_WAITING - 10, "{}", map.places.available_permits());

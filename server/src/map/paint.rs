@@ -1,7 +1,8 @@
-//! Colours of the map: tints by height and depth, light from the north-west, a shore line, and contours where they are readable.
+//! Colours of the map: tints by height and depth, light from the north-west, a shore line, and
+//! contours where they are readable.
 //!
-//! Colours are sRGB bytes and are mixed as such: the ramps are chosen by eye in that space. Everything is a function of a pixel's own
-//! sample, so tiles meet without a seam.
+//! Colours are sRGB bytes and are mixed as such: the ramps are chosen by eye in that space.
+//! Everything is a function of a pixel's own sample, so tiles meet without a seam.
 
 use crate::map::TILE_PIXELS;
 use crate::map::relief::{Relief, Sample};
@@ -43,7 +44,8 @@ const TOWARDS_LIGHT: [f32; 3] = [-0.5, std::f32::consts::FRAC_1_SQRT_2, -0.5];
 /// Metres between contours by level; none where they would merge.
 const CONTOUR_M: [f32; 4] = [5.0, 10.0, 20.0, 50.0];
 
-/// Times by which slopes are steepened before shading. Far away a pixel averages over the steep parts, so more is needed for the same look.
+/// Times by which slopes are steepened before shading. Far away a pixel averages over the steep
+/// parts, so more is needed for the same look.
 fn exaggeration(level: u8) -> f32 {
     1.6 + 0.16 * f32::from(level)
 }
@@ -104,7 +106,8 @@ fn contour(height_m: f32, rise_m: f32, level: u8) -> f32 {
     0.25 * apart * line((height_m - nearest_m).abs(), rise_m, 0.9)
 }
 
-/// How much of a line at a vertical distance a pixel shows, 0 to 1: all within `half_width` pixels less a half, nothing a pixel further.
+/// How much of a line at a vertical distance a pixel shows, 0 to 1: all within `half_width` pixels
+/// less a half, nothing a pixel further.
 fn line(away_m: f32, rise_m: f32, half_width: f32) -> f32 {
     if rise_m <= 0.0 { 0.0 } else { (half_width + 0.5 - away_m / rise_m).clamp(0.0, 1.0) }
 }
@@ -179,7 +182,8 @@ mod tests {
         let chunks: Vec<Chunk> = sources(key).into_iter().map(|key| land.chunk(key)).collect();
         let relief = Relief::of(key, &chunks);
         let pixels = paint(&relief, 5);
-        // Means over all pixels that face one way steeply, of one band of heights, so that the tint is about the same.
+        // Means over all pixels that face one way steeply, of one band of heights, so that the tint
+        // is about the same.
         let mean = |faces: fn(Sample) -> bool| {
             let (mut sum, mut count) = (0.0, 0.0);
             for (index, pixel) in pixels.chunks_exact(3).enumerate() {

@@ -1,13 +1,16 @@
-//! The heights of one tile, from the base of the chunks' maximum pyramids, with a rim from the neighbours.
+//! The heights of one tile, from the base of the chunks' maximum pyramids, with a rim from the
+//! neighbours.
 //!
-//! A tile of level `k` shows the square of the chunk of level `k`. It is made of the chunks two levels finer, whose 4 x 4 pyramids of 64
-//! texels have one texel a pixel; of the finest there are, a texel covers two or four pixels.
+//! A tile of level `k` shows the square of the chunk of level `k`. It is made of the chunks two
+//! levels finer, whose 4 x 4 pyramids of 64 texels have one texel a pixel; of the finest there are,
+//! a texel covers two or four pixels.
 
 use crate::map::TILE_PIXELS;
 use terrain::constants::{CELLS, UNITS_PER_METRE, WORLD_HALF};
 use terrain::{Chunk, ChunkKey};
 
-/// Texels around the tile on every side: a slope needs one more on either side, and between pixels slopes are interpolated.
+/// Texels around the tile on every side: a slope needs one more on either side, and between pixels
+/// slopes are interpolated.
 pub const RIM: usize = 2;
 
 /// Levels by which the chunks of a tile are finer than the tile.
@@ -32,7 +35,8 @@ pub struct Relief {
     spacing_m: f32,
     /// Metres, row by row from the low corner of the rim.
     heights: Vec<f32>,
-    /// Rise east and south of all texels but the outermost ring, in the same order with one texel less on every side.
+    /// Rise east and south of all texels but the outermost ring, in the same order with one texel
+    /// less on every side.
     slopes: Vec<(f32, f32)>,
 }
 
@@ -42,7 +46,8 @@ const fn parts(key: ChunkKey) -> (u8, i64) {
     (level, 1 << (key.level() - level))
 }
 
-/// The chunks that a tile is made of, those of its rim included, row by row. Beyond the world there are none.
+/// The chunks that a tile is made of, those of its rim included, row by row. Beyond the world there
+/// are none.
 #[must_use]
 pub fn sources(key: ChunkKey) -> Vec<ChunkKey> {
     let (level, parts) = parts(key);
@@ -64,7 +69,8 @@ pub fn sources(key: ChunkKey) -> Vec<ChunkKey> {
 }
 
 impl Relief {
-    /// The relief of a tile. `chunks` are those of [`sources`], in any order; where one is missing the sea floor of the nearest texel goes on.
+    /// The relief of a tile. `chunks` are those of [`sources`], in any order; where one is missing
+    /// the sea floor of the nearest texel goes on.
     #[must_use]
     pub fn of(key: ChunkKey, chunks: &[Chunk]) -> Self {
         let (_, parts) = parts(key);
@@ -87,7 +93,8 @@ impl Relief {
         relief
     }
 
-    /// Copies the part of a chunk's texels that lies on the tile or its rim; `x` and `z` is where the first one belongs, in texels.
+    /// Copies the part of a chunk's texels that lies on the tile or its rim; `x` and `z` is where
+    /// the first one belongs, in texels.
     fn copy(&mut self, texels: &[i32], x: i64, z: i64) {
         let (stride, rim) = ((self.side + 2 * RIM) as i64, RIM as i64);
         for row in 0..CELLS {
@@ -125,7 +132,8 @@ impl Relief {
         }
     }
 
-    /// Slopes by the weights of B. K. P. Horn, "Hill shading and the reflectance map", Proceedings of the IEEE 69 (1981).
+    /// Slopes by the weights of B. K. P. Horn, "Hill shading and the reflectance map", Proceedings
+    /// of the IEEE 69 (1981).
     fn find_slopes(&mut self) {
         let (stride, inner) = (self.side + 2 * RIM, self.side + 2 * RIM - 2);
         let scale = 1.0 / (8.0 * self.spacing_m);
@@ -156,7 +164,8 @@ impl Relief {
         if self.side == TILE_PIXELS {
             return self.texel(column + RIM, row + RIM);
         }
-        // In texels from the middle of the rim's first; pixels of coarser texels lie at odd eighths, so nothing is rounded.
+        // In texels from the middle of the rim's first; pixels of coarser texels lie at odd
+        // eighths, so nothing is rounded.
         let place =
             |pixel: usize| (pixel as f32 + 0.5) * self.side as f32 / TILE_PIXELS as f32 - 0.5 + RIM as f32;
         let (x, z) = (place(column), place(row));

@@ -1,6 +1,8 @@
-//! The frames of RFC 6455 as a server sees them: headers read and written, payloads unmasked. No IO, no state.
+//! The frames of RFC 6455 as a server sees them: headers read and written, payloads unmasked. No
+//! IO, no state.
 //!
-//! What it refuses: every frame that a client may not send (section 5), by a [`Fault`], before its payload is waited for.
+//! What it refuses: every frame that a client may not send (section 5), by a [`Fault`], before its
+//! payload is waited for.
 
 use thiserror::Error;
 

@@ -1,6 +1,7 @@
 //! What a client has sent and nobody has looked at: bytes in, whole messages out.
 //!
-//! Holds at most one unfinished message and one read's worth of frames behind it; empty, it holds no memory.
+//! Holds at most one unfinished message and one read's worth of frames behind it; empty, it holds
+//! no memory.
 
 use super::frame::{Fault, Header, MAX_CLIENT_HEADER, Opcode, read_header, unmask};
 
@@ -98,7 +99,8 @@ impl Inbox {
         }
     }
 
-    /// Gives memory back when everything was handed out: most connections are silent most of the time.
+    /// Gives memory back when everything was handed out: most connections are silent most of the
+    /// time.
     fn release(&mut self) {
         if self.used == self.bytes.len() {
             self.used = 0;

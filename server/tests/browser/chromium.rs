@@ -1,4 +1,5 @@
-//! Headless Chromium over the Chrome DevTools Protocol: <https://chromedevtools.github.io/devtools-protocol/>.
+//! Headless Chromium over the Chrome DevTools Protocol:
+//! <https://chromedevtools.github.io/devtools-protocol/>.
 
 use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
@@ -246,7 +247,8 @@ impl Tab {
         self.mouse("mouseWheel", at, json!({ "deltaX": 0, "deltaY": units })).await;
     }
 
-    /// Puts two fingers down on both sides of a place, so many pixels from it, and moves them apart or together.
+    /// Puts two fingers down on both sides of a place, so many pixels from it, and moves them apart
+    /// or together.
     pub async fn pinch(&mut self, (x, y): (f64, f64), from: f64, to: f64) {
         self.call("Emulation.setTouchEmulationEnabled", json!({ "enabled": true, "maxTouchPoints": 2 }))
             .await;

@@ -1,12 +1,14 @@
-//! The page in a real browser: headless Chromium, driven over its debugging protocol, against the real `tombolo-server`.
+//! The page in a real browser: headless Chromium, driven over its debugging protocol, against the
+//! real `tombolo-server`.
 //!
 //! | module | what it is |
 //! | --- | --- |
 //! | `chromium` | finding, starting and ending the browser; one tab and what it says |
 //! | `programs` | the server as a program, and clients that wander about |
 //!
-//! Where no browser is installed these tests are listed as ignored, which no runner takes for a pass, and the reason is said. Where
-//! `TOMBOLO_REQUIRE_BROWSER` is set they fail instead. `TOMBOLO_SCREENSHOTS` names a folder in which the pictures are left.
+//! Where no browser is installed these tests are listed as ignored, which no runner takes for a
+//! pass, and the reason is said. Where `TOMBOLO_REQUIRE_BROWSER` is set they fail instead.
+//! `TOMBOLO_SCREENSHOTS` names a folder in which the pictures are left.
 
 mod chromium;
 mod programs;
@@ -70,7 +72,8 @@ async fn arrow(tab: &mut Tab, session: u64) -> (f64, f64) {
     (place[0].as_f64().unwrap(), place[1].as_f64().unwrap())
 }
 
-/// Colours on the canvas: how many there are among a grid of points, and how many of these are blue as the sea is.
+/// Colours on the canvas: how many there are among a grid of points, and how many of these are blue
+/// as the sea is.
 async fn colours(tab: &mut Tab) -> (u64, u64) {
     let script = "(() => {
         const canvas = document.getElementById('relief');
@@ -265,7 +268,8 @@ async fn visit() {
     drop((still, others));
 }
 
-/// Takes the screen, checks that it is a picture of that size, and leaves it where it was asked for.
+/// Takes the screen, checks that it is a picture of that size, and leaves it where it was asked
+/// for.
 async fn leave_picture(tab: &mut Tab, name: &str, width: u32, height: u32) {
     assert_eq!(tab.evaluate(OVERLAPS).await, json!([]), "{name}");
     let picture = tab.screenshot().await;

@@ -66,7 +66,8 @@ pub struct Wanderer {
 }
 
 impl Wanderer {
-    /// Connects at a place in metres with a heading, and then walks `pace_m` metres a step along a wide circle.
+    /// Connects at a place in metres with a heading, and then walks `pace_m` metres a step along a
+    /// wide circle.
     pub async fn start(server: &Program, [x_m, z_m]: [i32; 2], yaw_mdeg: i32, pace_m: i32) -> Self {
         let mut request = server.stream().into_client_request().unwrap();
         request.headers_mut().insert("Sec-WebSocket-Protocol", SUBPROTOCOL.parse().unwrap());

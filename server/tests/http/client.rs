@@ -1,4 +1,5 @@
-//! A server in this process, and requests written out byte by byte, so that nothing between a test and the server mends them.
+//! A server in this process, and requests written out byte by byte, so that nothing between a test
+//! and the server mends them.
 
 use server::ServerConfig;
 use std::collections::BTreeMap;
@@ -74,7 +75,8 @@ impl Server {
     }
 }
 
-/// One request over a fresh connection, read to the connection's end or, for an upgrade, to the end of the head.
+/// One request over a fresh connection, read to the connection's end or, for an upgrade, to the end
+/// of the head.
 async fn ask_over(mut stream: TcpStream, method: &str, path: &str, headers: &[(&str, &str)]) -> Reply {
     let mut request = format!("{method} {path} HTTP/1.1\r\nHost: test\r\n");
     if !headers.iter().any(|(name, _)| name.eq_ignore_ascii_case("connection")) {

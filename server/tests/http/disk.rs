@@ -113,7 +113,8 @@ async fn a_frame_that_is_not_what_it_was_is_deleted_and_made_again_and_nobody_no
         bytes[at] ^= 1;
         bytes
     };
-    // The error, which nothing but the digest protects; the version; the digest itself; the payload.
+    // The error, which nothing but the digest protects; the version; the digest itself; the
+    // payload.
     let mut forms = [28, 4, 50, 100, left.len() - 1].map(flipped).to_vec();
     forms.push(left[..left.len() - 1].to_vec());
     forms.push(left[..10].to_vec());

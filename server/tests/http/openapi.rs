@@ -1,4 +1,5 @@
-//! That the OpenAPI document tells the truth: every route, every refusal, and every status by really getting it.
+//! That the OpenAPI document tells the truth: every route, every refusal, and every status by
+//! really getting it.
 
 use crate::client::Server;
 use serde_json::{Map, Value};

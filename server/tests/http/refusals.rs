@@ -86,7 +86,8 @@ async fn an_address_that_has_spent_what_it_may_cost_is_refused_though_nobody_els
     let config = ServerConfig { threads: 1, cost_per_second: Some(1), ..ServerConfig::default() };
     let server = Server::start_with(config).await;
     let mut served = 0;
-    // Ten milliseconds are in the purse, a chunk costs one or more, and a millisecond comes each second.
+    // Ten milliseconds are in the purse, a chunk costs one or more, and a millisecond comes each
+    // second.
     let refused = loop {
         let reply = server.get(&server.path(&format!("chunk/4/{served}/-1"))).await;
         if reply.status != 200 {

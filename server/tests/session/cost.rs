@@ -109,7 +109,8 @@ async fn a_view_waits_until_it_is_paid_for_and_is_refused_nothing() {
         assert!(purse.wait(Instant::now()) < Some(Duration::from_secs(1)), "it overdraws by little");
     }
     assert!(took[0] < Duration::from_secs(1), "the control, with enough in its purse: {took:?}");
-    // Thirty seconds for the debt beyond a full purse, and the frames but the last by a MiB a second.
+    // Thirty seconds for the debt beyond a full purse, and the frames but the last by a MiB a
+    // second.
     let least =
         Duration::from_secs(30) + Duration::from_secs_f64((bytes - 30_000) as f64 / f64::from(1 << 20));
     assert!(took[1] >= least && took[1] < least * 2, "{took:?}, at least {least:?}");

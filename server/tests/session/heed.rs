@@ -20,8 +20,8 @@ fn shared_at(cost_per_second: Option<u64>) -> Arc<Shared> {
     Arc::new(Shared::new(ServerConfig { threads: 1, cost_per_second, ..ServerConfig::default() }).unwrap())
 }
 
-/// Says a number of requests that must all be refused, and a ping behind them. Returns after what time the pong came; by then, or
-/// right behind it, everything must be refused.
+/// Says a number of requests that must all be refused, and a ping behind them. Returns after what
+/// time the pong came; by then, or right behind it, everything must be refused.
 async fn ask_for_nothing(peer: &mut Peer, requests: u32, keys: usize) -> Duration {
     let start = Instant::now();
     let nowhere = |z| WireKey { level: 0, x: i32::MAX, z };

@@ -1,4 +1,5 @@
-//! One end of a pipe whose other end is a session; frames of RFC 6455 by hand, so that nothing is answered unless a test says so.
+//! One end of a pipe whose other end is a session; frames of RFC 6455 by hand, so that nothing is
+//! answered unless a test says so.
 
 use protocol::control;
 use protocol::message::{ClientMessage, Hello, ServerMessage};

@@ -13,7 +13,8 @@ fn shared() -> Arc<Shared> {
     Arc::new(Shared::new(ServerConfig { threads: 1, ..ServerConfig::default() }).unwrap())
 }
 
-/// Reads to the close frame. Returns the seconds of each ping and of the close since `start`, and the code.
+/// Reads to the close frame. Returns the seconds of each ping and of the close since `start`, and
+/// the code.
 async fn follow(peer: &mut Peer, start: Instant) -> (Vec<u64>, u64, u16) {
     let mut pings = Vec::new();
     loop {

@@ -1,4 +1,5 @@
-//! Twin of `wgsl/shared/conifer.wesl`: the shape of a conifer. Places of vertices only; what they are lit by is compared as pictures.
+//! Twin of `wgsl/shared/conifer.wesl`: the shape of a conifer. Places of vertices only; what they
+//! are lit by is compared as pictures.
 
 use super::clump::{TURN, Vec2, Vec3, add, dot, scaled};
 

@@ -1,4 +1,5 @@
-//! Twin of `wgsl/shared/grid.wesl`; the client builds its index buffer with [`grid_index`], the inverse.
+//! Twin of `wgsl/shared/grid.wesl`; the client builds its index buffer with [`grid_index`], the
+//! inverse.
 
 use terrain::constants::{VERTEX_COUNT, VERTICES};
 
@@ -22,7 +23,8 @@ pub fn grid_vertex(index: u32) -> GridVertex {
     return GridVertex { column, row };
 }
 
-/// Index of a height in the pool: slots follow each other, rows inside a slot, columns inside a row.
+/// Index of a height in the pool: slots follow each other, rows inside a slot, columns inside a
+/// row.
 #[must_use]
 pub fn height_index(slot: u32, column: u32, row: u32) -> u32 {
     return slot

@@ -1,5 +1,7 @@
-//! Twin of `wgsl/bound/march.wesl`: two tests that are wrong, as they were first published, kept to be measured against. A march in even steps over the noise finds peaks between
-//! vertices that are never drawn; one over the drawn vertices, bilinear, misses the triangles; and either asks for one point of what it judges.
+//! Twin of `wgsl/bound/march.wesl`: two tests that are wrong, as they were first published, kept to
+//! be measured against. A march in even steps over the noise finds peaks between vertices that are
+//! never drawn; one over the drawn vertices, bilinear, misses the triangles; and either asks for
+//! one point of what it judges.
 
 use super::planting::BLOCK_CELL_BITS;
 use super::ring::mul_hi;
@@ -22,7 +24,8 @@ impl<F: Fn(i32, i32) -> i32> Ground for F {
     }
 }
 
-/// Whether a march from the eye to a point finds land above the line of sight; the last `spared` of the way is passed over.
+/// Whether a march from the eye to a point finds land above the line of sight; the last `spared` of
+/// the way is passed over.
 #[must_use]
 pub fn marched_is_hidden(ground: &impl Ground, culling: &Culling, goal: &Target, spared: i32) -> bool {
     let east = goal.x - culling.eye[0];
@@ -65,7 +68,8 @@ pub fn chunk_is_hidden<S: Slots>(
     return five_points_are_hidden(surface, culling, planting.cell_bits + BLOCK_CELL_BITS + 4, column, row);
 }
 
-/// The test of a chunk of side `2^bits` as first published: four corners and the middle, at its highest point; its own ground hides nothing of the middle. True if all five are hidden.
+/// The test of a chunk of side `2^bits` as first published: four corners and the middle, at its
+/// highest point; its own ground hides nothing of the middle. True if all five are hidden.
 #[must_use]
 pub fn five_points_are_hidden<S: Slots>(
     surface: &Surface<'_, S>,

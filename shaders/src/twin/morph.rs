@@ -9,11 +9,13 @@ pub const MORPH_ONE: u8 = 64;
 const MORPH_BAND_BITS: u32 = 0;
 /// Cells from the border over which a morph goes from the edge's number to the inside's.
 ///
-/// Along a coarser neighbour the band blends into the parent's surface, whose error is only known to be within the tolerance on the
-/// border itself. Eight cells drew up to 1.2 tolerances there, two 1.04; one stays within it (`tombolo-lab lod`).
+/// Along a coarser neighbour the band blends into the parent's surface, whose error is only known
+/// to be within the tolerance on the border itself. Eight cells drew up to 1.2 tolerances there,
+/// two 1.04; one stays within it (`tombolo-lab lod`).
 pub const MORPH_BAND: u32 = 1 << MORPH_BAND_BITS;
 
-/// How a chunk joins its neighbours. Morphs are 0 (the chunk's own surface) to [`MORPH_ONE`] (the parent's).
+/// How a chunk joins its neighbours. Morphs are 0 (the chunk's own surface) to [`MORPH_ONE`] (the
+/// parent's).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Seams {
     /// Morph away from the border.
@@ -22,7 +24,8 @@ pub struct Seams {
     pub edges: [u8; 4],
     /// Morphs of the corners: (low, low), (high x, low z), (low x, high z), (high, high).
     pub corners: [u8; 4],
-    /// Whether the neighbour across each edge is coarser: vertices there that it does not have are moved onto one that it has.
+    /// Whether the neighbour across each edge is coarser: vertices there that it does not have are
+    /// moved onto one that it has.
     pub is_coarser: [bool; 4],
     /// Whether only every other vertex is drawn, all the way in.
     pub is_halved: bool,
@@ -39,7 +42,8 @@ impl Seams {
     };
 }
 
-/// The vertex that is drawn in place of another: the even one beside it on an edge that a coarser chunk shares, and anywhere in a halved chunk.
+/// The vertex that is drawn in place of another: the even one beside it on an edge that a coarser
+/// chunk shares, and anywhere in a halved chunk.
 #[must_use]
 pub fn welded(seams: &Seams, vertex: GridVertex) -> GridVertex {
     let [north, east, south, west] = seams.is_coarser;
@@ -52,7 +56,8 @@ pub fn welded(seams: &Seams, vertex: GridVertex) -> GridVertex {
     }
 }
 
-/// Morph at a vertex, 0 to [`MORPH_ONE`]: that of the corner or edge on the border, that of the inside from [`MORPH_BAND`] cells on, bilinear between.
+/// Morph at a vertex, 0 to [`MORPH_ONE`]: that of the corner or edge on the border, that of the
+/// inside from [`MORPH_BAND`] cells on, bilinear between.
 #[must_use]
 pub fn morph_at(seams: &Seams, vertex: GridVertex) -> i32 {
     let last = CELLS as u32;
@@ -71,8 +76,9 @@ pub fn morph_at(seams: &Seams, vertex: GridVertex) -> i32 {
     sum >> (2 * MORPH_BAND_BITS)
 }
 
-/// Height of the parent's surface, units, at a vertex of the chunk that is the quarter `(east, south)` of it: a vertex of the parent, or
-/// the middle between two, rounded down. The middle of a cell lies on its diagonal from low to high.
+/// Height of the parent's surface, units, at a vertex of the chunk that is the quarter
+/// `(east, south)` of it: a vertex of the parent, or the middle between two, rounded down. The
+/// middle of a cell lies on its diagonal from low to high.
 #[must_use]
 pub fn parent_height(parent: &[i32; VERTEX_COUNT], quarter: (u32, u32), vertex: GridVertex) -> i32 {
     let half = CELLS as u32 / 2;
@@ -84,7 +90,8 @@ pub fn parent_height(parent: &[i32; VERTEX_COUNT], quarter: (u32, u32), vertex: 
     (low + high) >> 1
 }
 
-/// Height between the chunk's own and its parent's, units. Heights are below 2^24, so nothing overflows.
+/// Height between the chunk's own and its parent's, units. Heights are below 2^24, so nothing
+/// overflows.
 #[must_use]
 pub fn morphed(own: i32, parent: i32, morph: i32) -> i32 {
     own + (((parent - own) * morph) >> 6)

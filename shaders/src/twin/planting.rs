@@ -1,4 +1,5 @@
-//! Twin of `wgsl/bound/planting.wesl`: which clumps of a field stand where, and which of them are kept for a picture.
+//! Twin of `wgsl/bound/planting.wesl`: which clumps of a field stand where, and which of them are
+//! kept for a picture.
 //!
 //! Integers only, so every client grows the same field and keeps the same part of it.
 
@@ -32,7 +33,8 @@ pub struct Clump {
     pub z: i32,
     /// The root on the drawn surface, fine units above the sea.
     pub y: i32,
-    /// Width, height, hue and phase, 6 bits each, and rank, 8 bits: as `shared/clump.wesl` reads them.
+    /// Width, height, hue and phase, 6 bits each, and rank, 8 bits: as `shared/clump.wesl` reads
+    /// them.
     pub looks: u32,
 }
 
@@ -45,7 +47,8 @@ pub struct Extent {
     pub bottom: i32,
 }
 
-/// Square of the distance between the eye and a place, (1/16 m)²; `u32::MAX` beyond [`FARTHEST`] along any axis.
+/// Square of the distance between the eye and a place, (1/16 m)²; `u32::MAX` beyond [`FARTHEST`]
+/// along any axis.
 #[must_use]
 pub fn distance_squared(culling: &Culling, x: i32, y: i32, z: i32) -> u32 {
     let east = ((x - culling.eye[0]) >> COARSE_BITS).abs();
@@ -70,7 +73,8 @@ pub fn root_of(square: u32) -> i32 {
     return root as i32 + i32::from(root * root < square);
 }
 
-/// An upper bound of the distance between the eye and a place, 1/16 m: two more than the distance, which is counted in whole ones along each axis.
+/// An upper bound of the distance between the eye and a place, 1/16 m: two more than the distance,
+/// which is counted in whole ones along each axis.
 #[must_use]
 pub fn distance_bound(culling: &Culling, x: i32, y: i32, z: i32) -> i32 {
     return root_of(distance_squared(culling, x, y, z)) + 2;
@@ -110,7 +114,8 @@ fn widening_at(planting: &Planting, bound: i32) -> i32 {
     return ((bound.min(FARTHEST) << 8) as u32 / from as u32).clamp(256, planting.widest) as i32;
 }
 
-/// How much of its width the thinning leaves to a rank at a distance of at least `near`, 1/16 m; Q8, never too little. Integers for `field::field_presence`.
+/// How much of its width the thinning leaves to a rank at a distance of at least `near`, 1/16 m;
+/// Q8, never too little. Integers for `field::field_presence`.
 fn presence_at(planting: &Planting, near: i32, rank: u32) -> i32 {
     let begin = ((planting.thin_from >> COARSE_BITS) as u32) << 16;
     let share = ((begin / near.max(1) as u32) as i32).min(1 << 16);
@@ -122,7 +127,8 @@ fn presence_at(planting: &Planting, near: i32, rank: u32) -> i32 {
     return ((((inside.max(0) as u32) << 8) / band.max(1) as u32) as i32 + 1).min(256);
 }
 
-/// How much of its height a plant still has at a distance of at least `near`, 1/16 m; Q8, never too little. Integers for `field::field_standing`.
+/// How much of its height a plant still has at a distance of at least `near`, 1/16 m; Q8, never too
+/// little. Integers for `field::field_standing`.
 fn standing_at(planting: &Planting, near: i32) -> i32 {
     let into = near - (planting.range - planting.collapse);
     if into <= 0 {
@@ -133,7 +139,8 @@ fn standing_at(planting: &Planting, near: i32) -> i32 {
     return 256 - ((part * part * (768 - 2 * part)) >> 16) + 1;
 }
 
-/// Slope of the ground around a place, east and south, Q14, over 4 m: that by which a clump is drawn. None where the land ends.
+/// Slope of the ground around a place, east and south, Q14, over 4 m: that by which a clump is
+/// drawn. None where the land ends.
 #[must_use]
 pub fn gradient_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> Option<[i32; 2]> {
     let step = 1 << STEP_BITS;
@@ -154,21 +161,25 @@ pub fn slope_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> Option<[i
     return gradient_at(surface, x, z).filter(|[along, across]| steepness(*along, *across) <= 1 << 14);
 }
 
-/// No less than the length of a vector: the hypotenuse is at most the long side and half of the short one.
+/// No less than the length of a vector: the hypotenuse is at most the long side and half of the
+/// short one.
 fn steepness(along: i32, across: i32) -> i32 {
     let (along, across) = (along.abs(), across.abs());
     return along.max(across) + (along.min(across) >> 1);
 }
 
-/// How far the tip of a stem may be beside its root, on ground so steep (Q14), pushed aside by so much (Q8). The horizontal part of its direction goes evenly from 0.45 of the ground's at the
+/// How far the tip of a stem may be beside its root, on ground so steep (Q14), pushed aside by so
+/// much (Q8). The horizontal part of its direction goes evenly from 0.45 of the ground's at the
 /// root to that and the push at the tip, 0.75 at most, so on the way it is half of their sum.
 fn lean_of(height: i32, steep: i32, push: i32) -> i32 {
     let tip = (push + ((116 * steep) >> 14) + 1).min(192);
     return ((height * tip) >> 9) + ((((15 * height) >> 6) * steep) >> 14) + (height >> 6) + 2;
 }
 
-/// What is added to the direction of a tip at most, Q8: how the clump has grown, by its hue in 64ths, the wind, and leaning away from an eye that is higher by a part `tilt` (Q8) of the
-/// distance. That last one goes with sine and cosine of the eye's height, whose product is at most 1/2.
+/// What is added to the direction of a tip at most, Q8: how the clump has grown, by its hue in
+/// 64ths, the wind, and leaning away from an eye that is higher by a part `tilt` (Q8) of the
+/// distance. That last one goes with sine and cosine of the eye's height, whose product is at most
+/// 1/2.
 fn push_of(planting: &Planting, hue: i32, tilt: i32) -> i32 {
     return 21
         + ((41 * (hue + 1)) >> 6)
@@ -183,24 +194,29 @@ pub fn wind_reach(wind: f32) -> i32 {
     (0.55 * 256.0 * wind).ceil() as i32
 }
 
-/// [`Planting::lean_reach`] of a lean, 0 to 1: `clump::lean_push` is at most 0.9 of it times sine and cosine of the eye's height.
+/// [`Planting::lean_reach`] of a lean, 0 to 1: `clump::lean_push` is at most 0.9 of it times sine
+/// and cosine of the eye's height.
 #[must_use]
 pub fn lean_reach(lean: f32) -> i32 {
     (0.9 * 256.0 * lean).ceil() as i32
 }
 
-/// By how much of the distance the eye is above a place, Q8, never too little; `near` is no more than the distance, 1/16 m.
+/// By how much of the distance the eye is above a place, Q8, never too little; `near` is no more
+/// than the distance, 1/16 m.
 fn tilt_of(culling: &Culling, y: i32, near: i32) -> i32 {
     let up = ((culling.eye[1] - y) >> COARSE_BITS) + 1;
     return (((up.clamp(0, FARTHEST) << 8) as u32 / near.max(1) as u32).min(256)) as i32 + 1;
 }
 
-/// Length of the longest of the six blades of a clump in the third level of detail, Q8, never too little, by its phase modulo 9: lengths follow `tuft_number`, which repeats with a ninth of a
+/// Length of the longest of the six blades of a clump in the third level of detail, Q8, never too
+/// little, by its phase modulo 9: lengths follow `tuft_number`, which repeats with a ninth of a
 /// phase. A test of `twin::tuft` compares.
 pub const LONGEST: [i32; 9] = [251, 253, 245, 254, 256, 255, 247, 250, 241];
 
-/// By how much a clump in the third level of detail surely sinks into the ground, fine units: `tuft_vertex` takes the lesser of 0.04 heights and 0.14 widths. Widths are known to 12 % where
-/// the thinning leaves them whole, of which distances within a third of a metre, at more than 32 m, tell as much.
+/// By how much a clump in the third level of detail surely sinks into the ground, fine units:
+/// `tuft_vertex` takes the lesser of 0.04 heights and 0.14 widths. Widths are known to 12 % where
+/// the thinning leaves them whole, of which distances within a third of a metre, at more than 32 m,
+/// tell as much.
 fn sink_of(half: i32, height: i32, near: i32, presence: i32) -> i32 {
     if near <= 512 || presence < 256 {
         return 0;
@@ -215,17 +231,23 @@ struct Shape {
     follow: i32,
     skirt: i32,
     fall: i32,
-    /// Its highest point over its root; of grass, over the plane through the root that has the slope of the ground.
+    /// Its highest point over its root; of grass, over the plane through the root that has the
+    /// slope of the ground.
     over: i32,
 }
 
-/// What a plant takes up of half a width and a height. `slope` is that of the ground, none if it is not known or steeper than 1.
+/// What a plant takes up of half a width and a height. `slope` is that of the ground, none if it is
+/// not known or steeper than 1.
 ///
-/// A tree is a cone: at a share `y` of its height no vertex of it is farther from the vertical than 1.08 - 0.89 y half widths, sway and all; `twin::conifer` proves it by trying.
+/// A tree is a cone: at a share `y` of its height no vertex of it is farther from the vertical than
+/// 1.08 - 0.89 y half widths, sway and all; `twin::conifer` proves it by trying.
 ///
-/// Grass: feet follow the ground; its normal travels in bytes, hence the 64th. What leans by a part l of its height does not follow it: downhill it is above the slope by g l, but lower by
-/// l² / 2 for having leant, so by no more than g² / 2. Near by the blades spread up to their tips, which stand 0.49 of the width from the middle. In the third level of detail they close in:
-/// feet reach half the width, tips stand 0.3 (77/256) of it from the middle and lean; what is between is on straight lines from foot to tip, which the skirt holds.
+/// Grass: feet follow the ground; its normal travels in bytes, hence the 64th. What leans by a part
+/// l of its height does not follow it: downhill it is above the slope by g l, but lower by l² / 2
+/// for having leant, so by no more than g² / 2. Near by the blades spread up to their tips, which
+/// stand 0.49 of the width from the middle. In the third level of detail they close in: feet reach
+/// half the width, tips stand 0.3 (77/256) of it from the middle and lean; what is between is on
+/// straight lines from foot to tip, which the skirt holds.
 fn shape_of(
     planting: &Planting,
     half: i32,
@@ -294,7 +316,8 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: O
     };
 }
 
-/// The one point that the tests ask for that are kept to be measured against: the tip over the root, as high as it is drawn.
+/// The one point that the tests ask for that are kept to be measured against: the tip over the
+/// root, as high as it is drawn.
 #[must_use]
 pub fn tip_of(culling: &Culling, planting: &Planting, clump: &Clump) -> Target {
     let whole = planting.height_low + ((planting.height_span * ((clump.looks >> 6 & 63) as i32 + 1)) >> 6);
@@ -324,7 +347,8 @@ fn density_near<S: Slots>(surface: &Surface<'_, S>, planting: &Planting, x: i32,
     if planting.kind == KIND_GRASS {
         return full;
     }
-    // Trees need less of a meadow than grass does; where the land is drawn without woods, they are not drawn either.
+    // Trees need less of a meadow than grass does; where the land is drawn without woods, they are
+    // not drawn either.
     return (2 * full).min(256);
 }
 
@@ -368,7 +392,8 @@ pub fn stands_at(planting: &Planting, clump: &Clump, far: u32) -> bool {
     return far <= stands_within(planting, clump.looks >> 24);
 }
 
-/// The level of detail at which a clump is drawn, if it is kept. `noise` is the height between vertices too, fine units: for T2.
+/// The level of detail at which a clump is drawn, if it is kept. `noise` is the height between
+/// vertices too, fine units: for T2.
 #[must_use]
 pub fn kept<S: Slots>(
     surface: &Surface<'_, S>,
@@ -399,7 +424,8 @@ pub fn kept<S: Slots>(
     return Some(u32::from(far > planting.detail[0]) + u32::from(far > planting.detail[1]));
 }
 
-/// The highest and the lowest drawn point of a square of side `2^bits`, at most that of a block, fine units; none where nothing is drawn.
+/// The highest and the lowest drawn point of a square of side `2^bits`, at most that of a block,
+/// fine units; none where nothing is drawn.
 fn bounds_of<S: Slots>(surface: &Surface<'_, S>, bits: u32, column: i32, row: i32) -> Option<(i32, i32)> {
     let node = surface.node(bits, column, row);
     if node.top <= NOWHERE {
@@ -408,7 +434,8 @@ fn bounds_of<S: Slots>(surface: &Surface<'_, S>, bits: u32, column: i32, row: i3
     if bits >= node.finest || surface.is_rough_near(column << bits, row << bits) {
         return Some((node.top << FINE_BITS, node.bottom << FINE_BITS));
     }
-    // Smaller than what has bounds of its own: the vertices of level 0 in it, which hold those of all coarser levels and, along borders, all that may have been moved.
+    // Smaller than what has bounds of its own: the vertices of level 0 in it, which hold those of
+    // all coarser levels and, along borders, all that may have been moved.
     let steps = 1 << (bits - STEP_BITS);
     let last = (SQUARE_TILES << TILE_BITS) - 1;
     let mut top = NOWHERE << FINE_BITS;
@@ -559,7 +586,8 @@ mod tests {
         (planting, field)
     }
 
-    /// Vertices of a clump as `draw_grass` and `draw_trees` place them, from its root, with what each of them is of the way from foot to tip; and the level of detail.
+    /// Vertices of a clump as `draw_grass` and `draw_trees` place them, from its root, with what
+    /// each of them is of the way from foot to tip; and the level of detail.
     fn drawn(
         planting: &Planting,
         field: &Field,
@@ -613,7 +641,8 @@ mod tests {
         (Clump { x: at(0), z: at(1), y: EYE[1] + (up * FINE) as i32, looks: looks | rank << 24 }, slope)
     }
 
-    /// How far a vertex is outside what a target is said to take up, as it is seen along a horizontal direction, metres: beside it, and above it.
+    /// How far a vertex is outside what a target is said to take up, as it is seen along a
+    /// horizontal direction, metres: beside it, and above it.
     fn outside(target: &Target, root_y: i32, (offset, along): ([f32; 3], f32), angle: f32) -> [f32; 2] {
         let metres = |fine: i32| fine as f32 / FINE;
         let (radius, skirt, follow) = (metres(target.radius), metres(target.skirt), metres(target.follow));
@@ -656,7 +685,8 @@ mod tests {
             }
         }
         assert!(tested > 100_000 && skirts > 1000, "{tested} {skirts}");
-        // A bound that nothing comes near to would be a wasteful one; one a little smaller, the control, is left.
+        // A bound that nothing comes near to would be a wasteful one; one a little smaller, the
+        // control, is left.
         assert!(closest.iter().all(|out| *out > -0.02), "{closest:?}");
     }
 

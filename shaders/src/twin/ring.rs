@@ -1,4 +1,5 @@
-//! Twin of `wgsl/shared/ring.wesl`, which has to do without 64-bit integers; `terrain::ring` is what both must equal.
+//! Twin of `wgsl/shared/ring.wesl`, which has to do without 64-bit integers; `terrain::ring` is
+//! what both must equal.
 
 /// See [`terrain::ring::mul_hi_u`].
 #[must_use]

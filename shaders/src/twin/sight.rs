@@ -1,17 +1,23 @@
 //! Twin of `wgsl/bound/sight.wesl`: whether the drawn land hides something from the eye.
 //!
-//! Along a ground track the drawn surface is linear between crossings of grid lines and diagonals, and so is the ray; it is blocked if and only if it is below the surface at
-//! one of those crossings. The tops of blocks prove that a ray is clear of them, and let most crossings be skipped; bottoms prove that it is blocked; in between the drawn
-//! triangles decide.
+//! Along a ground track the drawn surface is linear between crossings of grid lines and diagonals,
+//! and so is the ray; it is blocked if and only if it is below the surface at one of those
+//! crossings. The tops of blocks prove that a ray is clear of them, and let most crossings be
+//! skipped; bottoms prove that it is blocked; in between the drawn triangles decide.
 //!
-//! A target is as wide as its radius. Rays to all of it cross a column of the main axis within a stretch of the other axis, at no more than a height that follows from the nearest or
-//! farthest of it; where the surface is above that height all along the stretch, all of it is hidden. The surface along the stretch is lowest at an end, a grid line or a diagonal, and
-//! those are whole numbers.
+//! A target is as wide as its radius. Rays to all of it cross a column of the main axis within a
+//! stretch of the other axis, at no more than a height that follows from the nearest or farthest of
+//! it; where the surface is above that height all along the stretch, all of it is hidden. The
+//! surface along the stretch is lowest at an end, a grid line or a diagonal, and those are whole
+//! numbers.
 //!
-//! What is narrower at its top than at its foot, as a tree is, has a skirt: beyond the radius its highest point falls evenly. So does what the surface has to reach beside the ray.
+//! What is narrower at its top than at its foot, as a tree is, has a skirt: beyond the radius its
+//! highest point falls evenly. So does what the surface has to reach beside the ray.
 //!
-//! Everything errs on one side. A sample is a place *near* a crossing, taken on the surface as drawn, and heights are rounded so that the surface is never too high and the
-//! rays never too low: what is called hidden is hidden. What is missed is a target that is hidden by less than a few fine units.
+//! Everything errs on one side. A sample is a place *near* a crossing, taken on the surface as
+//! drawn, and heights are rounded so that the surface is never too high and the rays never too low:
+//! what is called hidden is hidden. What is missed is a target that is hidden by less than a few
+//! fine units.
 
 use super::ring::mul_hi;
 use super::surface::{FINE_BITS, NOWHERE, SQUARE_BITS, STEP_BITS, Slots, Surface, TILE_BITS};
@@ -32,21 +38,26 @@ pub struct Target {
     pub top: i32,
     /// Place in the square, fine units.
     pub z: i32,
-    /// Within this distance of the vertical through the place it may be as high as that, fine units; below 2^17.
+    /// Within this distance of the vertical through the place it may be as high as that, fine
+    /// units; below 2^17.
     pub radius: i32,
-    /// Of the radius, what lies in a plane that has the slope of the top; the rest leans out of it and gets no higher by that. At most the radius.
+    /// Of the radius, what lies in a plane that has the slope of the top; the rest leans out of it
+    /// and gets no higher by that. At most the radius.
     pub follow: i32,
-    /// It reaches so much farther, ever lower; fine units below 2^14, 0 where all of it is within the radius.
+    /// It reaches so much farther, ever lower; fine units below 2^14, 0 where all of it is within
+    /// the radius.
     pub skirt: i32,
     /// So much lower its highest point is at the end of the skirt, fine units below 2^16.
     pub fall: i32,
-    /// Growth of the highest point of it per fine unit east, Q14, within ±1: what stands on a slope is higher uphill.
+    /// Growth of the highest point of it per fine unit east, Q14, within ±1: what stands on a slope
+    /// is higher uphill.
     pub east_rise: i32,
     /// The same, south.
     pub south_rise: i32,
 }
 
-/// A line of sight from the eye, by its progress along the axis that it crosses faster: the main one.
+/// A line of sight from the eye, by its progress along the axis that it crosses faster: the main
+/// one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Ray {
     along_x: bool,
@@ -88,18 +99,24 @@ pub fn quotient(part: u32, whole: u32) -> u32 {
     return bits;
 }
 
-/// The line from `eye` (east, up, south) to a target; none if it is too short or too steep to be tested.
+/// The line from `eye` (east, up, south) to a target; none if it is too short or too steep to be
+/// tested.
 ///
-/// A point of the target that lies `a` beside its middle and `b` behind it is seen along a track that at the same progress `u` runs `u (a - drift b) / (length + b)` beside the
-/// middle's; `a² + b²` is at most the square of the radius.
+/// A point of the target that lies `a` beside its middle and `b` behind it is seen along a track
+/// that at the same progress `u` runs `u (a - drift b) / (length + b)` beside the middle's;
+/// `a² + b²` is at most the square of the radius.
 ///
-/// The highest ray: a point whose foot lies `c` behind the middle in the plane of the top, and that leans by `l` from there, is seen at a rise of at most `(h + g c) / (D + c + l)`, `h` the
-/// height of the top over the eye, `g` the slope along the ray, `D` the way to the middle. That is a ratio of linear functions of `c`, so it is greatest at an end of `c`, and with `l` at the
-/// end that the sign of the height asks for.
+/// The highest ray: a point whose foot lies `c` behind the middle in the plane of the top, and that
+/// leans by `l` from there, is seen at a rise of at most `(h + g c) / (D + c + l)`, `h` the height
+/// of the top over the eye, `g` the slope along the ray, `D` the way to the middle. That is a ratio
+/// of linear functions of `c`, so it is greatest at an end of `c`, and with `l` at the end that the
+/// sign of the height asks for.
 ///
-/// The skirt: what is a share `t` of the way down to its end may lie farther out in that plane by `t` times what the end does, the rest of the radius and the skirt, and nearer by `t` of
-/// the skirt, which raises it by `g` times the one and by the rise of the ray, twice at most where the farthest point is no more than twice as far as the nearest, times the other. What is
-/// left of the fall is the fall of the requirement; if nothing is, all of it counts as following the plane.
+/// The skirt: what is a share `t` of the way down to its end may lie farther out in that plane by
+/// `t` times what the end does, the rest of the radius and the skirt, and nearer by `t` of the
+/// skirt, which raises it by `g` times the one and by the rise of the ray, twice at most where the
+/// farthest point is no more than twice as far as the nearest, times the other. What is left of the
+/// fall is the fall of the requirement; if nothing is, all of it counts as following the plane.
 fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let (east, south) = (target.x - eye[0], target.z - eye[2]);
     let along_x = east.abs() >= south.abs();
@@ -113,7 +130,8 @@ fn ray(eye: [i32; 3], target: &Target, start: i32) -> Option<Ray> {
     let (at, other) = if along_x { (eye[0], eye[2]) } else { (eye[2], eye[0]) };
     let mirrored = forward < 0;
     let drift = quotient(sideways.unsigned_abs(), to_middle as u32) as i32;
-    // Of the slope of the target's top the part across the ray stays one at every progress; the part along it raises the whole.
+    // Of the slope of the target's top the part across the ray stays one at every progress; the
+    // part along it raises the whole.
     let (ahead, tilt) =
         if along_x { (target.east_rise, target.south_rise) } else { (target.south_rise, target.east_rise) };
     let ahead = if mirrored { -ahead } else { ahead };
@@ -192,8 +210,10 @@ impl Ray {
     }
 }
 
-/// Whether the surface is above a height all along a stretch of the other axis that is centred at `across`, `half` each way; beyond `core` from the middle of the target the height falls,
-/// by `fall` over `skirt`. Places along the main axis are whole numbers, so those of grid lines and diagonals are too.
+/// Whether the surface is above a height all along a stretch of the other axis that is centred at
+/// `across`, `half` each way; beyond `core` from the middle of the target the height falls, by
+/// `fall` over `skirt`. Places along the main axis are whole numbers, so those of grid lines and
+/// diagonals are too.
 fn is_above<S: Slots>(
     surface: &Surface<'_, S>,
     ray: &Ray,
@@ -229,7 +249,8 @@ fn is_above<S: Slots>(
         surface.cell_bits(x, z)
     };
     let bits = cells(low).min(cells(high));
-    // Grid lines, and between them diagonals: the places whose distance from the main coordinate is a multiple of the cell.
+    // Grid lines, and between them diagonals: the places whose distance from the main coordinate is
+    // a multiple of the cell.
     let inside = along & ((1 << bits) - 1);
     let first = low >> bits;
     let lines = (high >> bits) - first;
@@ -283,7 +304,8 @@ fn share(part: i32, whole: i32, span: i32, bits: u32) -> i32 {
     return (((part >> cut) as u32 * (span >> cut) as u32 / divisor) as i32) << cut;
 }
 
-/// Whether the triangles hide the target at one of their edges between two progresses. Cells are `2^bits` wide or wider.
+/// Whether the triangles hide the target at one of their edges between two progresses. Cells are
+/// `2^bits` wide or wider.
 fn hides_between<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, from: i32, to: i32, bits: u32) -> bool {
     let mut progress = from;
     // A block is eight cells wide, a tile of one chunk no more.
@@ -323,7 +345,8 @@ fn hides_between<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, from: i32, to: i
     return false;
 }
 
-/// Whether the drawn land certainly hides all of a target from the eye (east, up, south; fine units). What is nearer than `start` hides nothing: it is cut by the near plane.
+/// Whether the drawn land certainly hides all of a target from the eye (east, up, south; fine
+/// units). What is nearer than `start` hides nothing: it is cut by the near plane.
 #[must_use]
 pub fn is_hidden<S: Slots>(surface: &Surface<'_, S>, eye: [i32; 3], target: &Target, start: i32) -> bool {
     let Some(ray) = ray(eye, target, start) else { return false };

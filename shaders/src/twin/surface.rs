@@ -1,7 +1,10 @@
-//! Twin of `wgsl/bound/surface.wesl`: the drawn surface around the eye, at any point of it, in integers.
+//! Twin of `wgsl/bound/surface.wesl`: the drawn surface around the eye, at any point of it, in
+//! integers.
 //!
-//! Places are counted from the low corner of a square of 32 x 32 tiles of 128 m, in *fine units* of 2^-12 m; so are heights, from the level of the sea. Chunks of any level
-//! and morph lie under the tiles. What is computed here is the surface that `draw_terrain` draws, to 1/2 mm: the same vertices, the same diagonals, the same morphs.
+//! Places are counted from the low corner of a square of 32 x 32 tiles of 128 m, in *fine units* of
+//! 2^-12 m; so are heights, from the level of the sea. Chunks of any level and morph lie under the
+//! tiles. What is computed here is the surface that `draw_terrain` draws, to 1/2 mm: the same
+//! vertices, the same diagonals, the same morphs.
 
 use super::grid::GridVertex;
 use super::morph::{Seams, morph_at, morphed, welded};
@@ -70,7 +73,8 @@ struct Spot {
     south: i32,
 }
 
-/// `a + (b - a) * part / 2^bits`, rounded down. Differences below 2^29, `part` at most 2^bits, `bits` at most 29.
+/// `a + (b - a) * part / 2^bits`, rounded down. Differences below 2^29, `part` at most 2^bits,
+/// `bits` at most 29.
 #[must_use]
 pub fn part_of(difference: i32, part: i32, bits: u32) -> i32 {
     return mul_hi(difference << 2, part << (30 - bits));
@@ -135,7 +139,8 @@ impl<S: Slots> Surface<'_, S> {
         };
     }
 
-    /// Whether the triangles of a block of 2 x 2 cells are not those of the grid: it lies at a border that a coarser chunk shares.
+    /// Whether the triangles of a block of 2 x 2 cells are not those of the grid: it lies at a
+    /// border that a coarser chunk shares.
     fn is_block_rough(&self, leaf: &Leaf, block: GridVertex) -> bool {
         let (coarser, last) = (leaf.inside >> 8, CELLS as u32 - 2);
         if leaf.inside & Leaf::HALVED != 0 {
@@ -147,7 +152,8 @@ impl<S: Slots> Surface<'_, S> {
             || (coarser & 8 != 0 && block.column == 0);
     }
 
-    /// Whether moved vertices of a chunk with cells of 8 m and more may leave edges between the vertices of level 0: there a block's own samples are no bound.
+    /// Whether moved vertices of a chunk with cells of 8 m and more may leave edges between the
+    /// vertices of level 0: there a block's own samples are no bound.
     #[must_use]
     pub fn is_rough_near(&self, x: i32, z: i32) -> bool {
         let index = self.leaf_at(x, z);
@@ -178,7 +184,8 @@ impl<S: Slots> Surface<'_, S> {
         return low + part_of(side - low, spot.south, spot.bits) + part_of(high - side, spot.east, spot.bits);
     }
 
-    /// The drawn vertex that stands for a corner of a block of 2 x 2 cells, relative to the block: 0 to 2 each way, and its height.
+    /// The drawn vertex that stands for a corner of a block of 2 x 2 cells, relative to the block:
+    /// 0 to 2 each way, and its height.
     fn block_vertex(&self, leaf: &Leaf, block: GridVertex, east: u32, south: u32) -> (i32, i32, i32) {
         let vertex = GridVertex { column: block.column + east, row: block.row + south };
         let at = welded(&seams_of(leaf), vertex);
@@ -186,7 +193,8 @@ impl<S: Slots> Surface<'_, S> {
         return (at.column as i32 - block.column as i32, at.row as i32 - block.row as i32, height);
     }
 
-    /// Height on the triangles of a block of 2 x 2 cells beside a coarser chunk, where some vertices have been moved; fine units, rounded down.
+    /// Height on the triangles of a block of 2 x 2 cells beside a coarser chunk, where some
+    /// vertices have been moved; fine units, rounded down.
     fn on_rough(&self, leaf: &Leaf, spot: &Spot) -> i32 {
         let block = GridVertex { column: spot.low.column & !1, row: spot.low.row & !1 };
         let east = spot.east + (((spot.low.column & 1) as i32) << spot.bits);
@@ -202,7 +210,8 @@ impl<S: Slots> Surface<'_, S> {
             }
             let sign = area.signum();
             let (from_x, from_z) = (east - (a.0 << spot.bits), south - (a.1 << spot.bits));
-            // Twice the areas of the triangles that the place makes with two sides, in fine units times cells.
+            // Twice the areas of the triangles that the place makes with two sides, in fine units
+            // times cells.
             let of_b = sign * (from_x * (c.1 - a.1) - (c.0 - a.0) * from_z);
             let of_c = sign * ((b.0 - a.0) * from_z - from_x * (b.1 - a.1));
             let whole = area.abs() << spot.bits;
@@ -218,7 +227,8 @@ impl<S: Slots> Surface<'_, S> {
         return NOWHERE << FINE_BITS;
     }
 
-    /// Height of the drawn surface, fine units: at most 1/2 mm too low, never too high. [`NOWHERE`] in fine units where nothing is drawn.
+    /// Height of the drawn surface, fine units: at most 1/2 mm too low, never too high. [`NOWHERE`]
+    /// in fine units where nothing is drawn.
     #[must_use]
     pub fn height_at(&self, x: i32, z: i32) -> i32 {
         let index = self.leaf_at(x, z);
@@ -234,7 +244,8 @@ impl<S: Slots> Surface<'_, S> {
         return self.on_cell(leaf, &spot);
     }
 
-    /// Height between the four corners of the cell, bilinear, fine units: what is drawn are triangles. For a test that is kept to be measured against.
+    /// Height between the four corners of the cell, bilinear, fine units: what is drawn are
+    /// triangles. For a test that is kept to be measured against.
     #[must_use]
     pub fn bilinear_at(&self, x: i32, z: i32) -> i32 {
         let index = self.leaf_at(x, z);
@@ -255,7 +266,8 @@ impl<S: Slots> Surface<'_, S> {
         return near + part_of(far - near, spot.south, spot.bits);
     }
 
-    /// A lower bound of the drawn surface at a place that also holds, where vertices have been moved, for all of the block of 2 x 2 cells around it; fine units.
+    /// A lower bound of the drawn surface at a place that also holds, where vertices have been
+    /// moved, for all of the block of 2 x 2 cells around it; fine units.
     #[must_use]
     pub fn lowest_at(&self, x: i32, z: i32) -> i32 {
         let index = self.leaf_at(x, z);
@@ -275,7 +287,8 @@ impl<S: Slots> Surface<'_, S> {
         return lowest;
     }
 
-    /// log2 of the cells of the chunk under a place, fine units; the largest where nothing is drawn.
+    /// log2 of the cells of the chunk under a place, fine units; the largest where nothing is
+    /// drawn.
     #[must_use]
     pub fn cell_bits(&self, x: i32, z: i32) -> u32 {
         let index = self.leaf_at(x, z);
@@ -285,7 +298,8 @@ impl<S: Slots> Surface<'_, S> {
         return STEP_BITS + (self.leaves[index as usize].place & 255);
     }
 
-    /// Bounds of a block of a leaf, of `2^bits` fine units around a place or of the smallest that has bounds.
+    /// Bounds of a block of a leaf, of `2^bits` fine units around a place or of the smallest that
+    /// has bounds.
     fn block(&self, leaf: &Leaf, bits: u32, x: i32, z: i32) -> Node {
         let level = leaf.place & 255;
         let finest = STEP_BITS + level + 3;
@@ -300,7 +314,8 @@ impl<S: Slots> Surface<'_, S> {
         let mut top = self.slots.top(leaf.slot, texel as u32);
         let mut bottom = self.slots.bottom(leaf.slot, texel as u32);
         if leaf.edges | leaf.corners | (leaf.inside & 255) != 0 {
-            // The block of the parent that holds this one: the same place, as large or, for the smallest, twice as large.
+            // The block of the parent that holds this one: the same place, as large or, for the
+            // smallest, twice as large.
             let above = (8 >> (coarser.max(1) - 1)).min(8);
             let half = above / 2;
             let down = if coarser == 0 { 1 } else { 0 };
@@ -313,7 +328,8 @@ impl<S: Slots> Surface<'_, S> {
         return Node { top, bottom, finest };
     }
 
-    /// Bounds of the drawn surface over the square of side `2^bits` in a column and row of such squares.
+    /// Bounds of the drawn surface over the square of side `2^bits` in a column and row of such
+    /// squares.
     #[must_use]
     pub fn node(&self, bits: u32, column: i32, row: i32) -> Node {
         let above = bits.max(TILE_BITS) - TILE_BITS;

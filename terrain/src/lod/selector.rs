@@ -1,8 +1,8 @@
 //! The selection of a view's chunks, in steps of bounded cost.
 //!
-//! A server selects chunks for many viewers. One selection can take milliseconds, so it is a state machine: [`Selector::step`]
-//! examines at most a given number of chunks and returns, and the caller decides when to continue. [`super::select`] runs all
-//! steps at once.
+//! A server selects chunks for many viewers. One selection can take milliseconds, so it is a state
+//! machine: [`Selector::step`] examines at most a given number of chunks and returns, and the
+//! caller decides when to continue. [`super::select`] runs all steps at once.
 
 use super::{Needed, Splits, Viewer, error_bound, level_error, required};
 use crate::constants::TOP_LEVEL;
@@ -61,7 +61,8 @@ impl Selector {
         matches!(self.phase, Phase::Done)
     }
 
-    /// Examines at most `chunks` chunks (at least 1), or sorts the splits of one level. Returns whether the selection is done.
+    /// Examines at most `chunks` chunks (at least 1), or sorts the splits of one level. Returns
+    /// whether the selection is done.
     pub fn step(&mut self, chunks: usize) -> bool {
         let mut left = chunks.max(1);
         while left > 0 && !self.is_done() {
@@ -77,7 +78,8 @@ impl Selector {
         self.found
     }
 
-    /// Advances the current phase by at most `chunks` chunks. Returns the number examined, at least 1.
+    /// Advances the current phase by at most `chunks` chunks. Returns the number examined, at least
+    /// 1.
     fn advance(&mut self, chunks: usize) -> usize {
         match std::mem::replace(&mut self.phase, Phase::Done) {
             Phase::Split { level, examined, below, count } => self.split(level, examined, below, count, chunks),

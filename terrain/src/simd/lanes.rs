@@ -4,13 +4,14 @@
 ///
 /// # Safety
 ///
-/// Every method may only be called where the CPU has the features of the implementing type; [`super::Kernel`] sees to
-/// that once, at the entry of a kernel. Methods that take pointers read or write `COUNT` integers there, without any
-/// alignment beyond that of `i32`.
+/// Every method may only be called where the CPU has the features of the implementing type;
+/// [`super::Kernel`] sees to that once, at the entry of a kernel. Methods that take pointers read
+/// or write `COUNT` integers there, without any alignment beyond that of `i32`.
 pub(super) trait Lanes: Copy {
     /// Integers per vector, a power of two up to [`MOST_LANES`].
     const COUNT: usize;
-    /// A vector of half as many integers that needs no further features, for what is left of a row; one lane has itself.
+    /// A vector of half as many integers that needs no further features, for what is left of a row;
+    /// one lane has itself.
     type Half: Lanes;
 
     unsafe fn load(from: *const i32) -> Self;
@@ -57,7 +58,8 @@ pub(super) trait Lanes: Copy {
     /// Per lane, `table[index]`; every index is below 32.
     unsafe fn lookup(table: &[i32; 32], index: Self) -> Self;
 
-    /// Maxima of neighbours: lane `i` is the larger of elements `2 i` and `2 i + 1` of the sequence `self, next`.
+    /// Maxima of neighbours: lane `i` is the larger of elements `2 i` and `2 i + 1` of the sequence
+    /// `self, next`.
     unsafe fn max_of_pairs(self, next: Self) -> Self;
     /// Minima of neighbours, likewise.
     unsafe fn min_of_pairs(self, next: Self) -> Self;

@@ -1,10 +1,12 @@
 //! Whole grids at once, on the vectors of this machine.
 //!
-//! One algorithm (`strip`, `shape`, `pyramid`, `slope`) over one small set of vector operations (`lanes`), implemented for
-//! single integers and for every instruction set that pays. All kernels yield the same bits.
+//! One algorithm (`strip`, `shape`, `pyramid`, `slope`) over one small set of vector operations
+//! (`lanes`), implemented for single integers and for every instruction set that pays. All kernels
+//! yield the same bits.
 //!
-//! The only unsafe code of the workspace: vector instructions may only run on CPUs that have them, and vectors are
-//! loaded through pointers. A [`Kernel`] that needs a feature exists only where that feature was detected.
+//! The only unsafe code of the workspace: vector instructions may only run on CPUs that have them,
+//! and vectors are loaded through pointers. A [`Kernel`] that needs a feature exists only where
+//! that feature was detected.
 #![expect(unsafe_code, reason = "vector instructions; every block says what it relies on")]
 
 mod lanes;
@@ -88,8 +90,8 @@ impl Kernel {
         Self::SCALAR
     }
 
-    /// The kernel for rows of 64 and less: 16 lanes are too many for the upper levels of a pyramid, and a CPU that has them has
-    /// 8 too.
+    /// The kernel for rows of 64 and less: 16 lanes are too many for the upper levels of a pyramid,
+    /// and a CPU that has them has 8 too.
     pub(crate) fn for_short_rows(self) -> Self {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
@@ -129,7 +131,8 @@ impl fmt::Display for Kernel {
     }
 }
 
-/// Defines an entry point: a safe function that runs a generic body under the instruction set of a kernel.
+/// Defines an entry point: a safe function that runs a generic body under the instruction set of a
+/// kernel.
 macro_rules! entry {
     ($(#[$doc:meta])* $name:ident($($argument:ident: $type:ty),*) => $body:ident) => {
         $(#[$doc])*
@@ -171,7 +174,8 @@ macro_rules! entry {
 }
 
 entry! {
-    /// The fractal sum over a grid: `hills` and `folds`, 2^-16 m, row by row. Both hold the grid's vertices.
+    /// The fractal sum over a grid: `hills` and `folds`, 2^-16 m, row by row. Both hold the grid's
+    /// vertices.
     noise(fbm: &Fbm, grid: &Grid, hills: &mut [i32], folds: &mut [i32]) => noise_on
 }
 
@@ -200,7 +204,8 @@ entry! {
     densities(heights: &[i32; VERTEX_COUNT], side_bits: u32, density: &mut [u8; GRASS_GRID * GRASS_GRID]) => densities_on
 }
 
-/// Largest sum of squares of a triangle's two legs, units squared, of heights that lie within 2^15 of each other.
+/// Largest sum of squares of a triangle's two legs, units squared, of heights that lie within 2^15
+/// of each other.
 pub(crate) fn steepest(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> i32 {
     let mut worst = 0;
     steepest_into(kernel, heights, &mut worst);
@@ -277,7 +282,8 @@ unsafe fn steepest_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], worst: &mut i32) 
     unsafe { slope::steepest::<L>(heights, worst) }
 }
 
-/// Vectors are the compiler's here: the body is compiled for each instruction set, whatever its lanes are called.
+/// Vectors are the compiler's here: the body is compiled for each instruction set, whatever its
+/// lanes are called.
 #[inline(always)]
 unsafe fn densities_on<L: Lanes>(
     heights: &[i32; VERTEX_COUNT],

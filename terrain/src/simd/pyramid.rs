@@ -13,10 +13,12 @@ pub(super) unsafe fn reduce<L: Lanes, const MAX: bool>(
     heights: &[i32; VERTEX_COUNT],
     texels: &mut super::Room,
 ) {
-    // SAFETY: the CPU is vouched for. A row of vertices has 65, of the base 64 texels, a multiple of twice COUNT.
+    // SAFETY: the CPU is vouched for. A row of vertices has 65, of the base 64 texels, a multiple
+    // of twice COUNT.
     unsafe {
         let texels: *mut i32 = texels.as_mut_ptr().cast();
-        // The base and the level above it in one walk down each pair of vectors: a row of vertices is read once.
+        // The base and the level above it in one walk down each pair of vectors: a row of vertices
+        // is read once.
         let next = texels.add(offset(1));
         for x in (0..CELLS).step_by(2 * L::COUNT) {
             let mut row = along::<L, MAX>(heights.as_ptr().add(x));
@@ -47,7 +49,8 @@ pub(super) unsafe fn reduce<L: Lanes, const MAX: bool>(
     }
 }
 
-/// Reduces two rows of `below` texels to one of half as many, by the widest vectors that the result fills.
+/// Reduces two rows of `below` texels to one of half as many, by the widest vectors that the result
+/// fills.
 #[inline(always)]
 unsafe fn halve_any<L: Lanes, const MAX: bool>(near: *const i32, below: usize, to: *mut i32) {
     // SAFETY: the CPU is vouched for, and two rows of `below` texels at `near`.
@@ -65,7 +68,8 @@ unsafe fn halve_any<L: Lanes, const MAX: bool>(near: *const i32, below: usize, t
 /// Reduces two rows of `below` texels to one of half as many.
 #[inline(always)]
 unsafe fn halve<L: Lanes, const MAX: bool>(near: *const i32, below: usize, to: *mut i32) {
-    // SAFETY: the CPU is vouched for, and two rows of `below` texels at `near`, a multiple of twice COUNT.
+    // SAFETY: the CPU is vouched for, and two rows of `below` texels at `near`, a multiple of twice
+    // COUNT.
     unsafe {
         for x in (0..below / 2).step_by(L::COUNT) {
             let pair = near.add(2 * x);

@@ -16,16 +16,19 @@ pub(super) struct Shaper<'a> {
     /// The row of archipelago cells in work, and the island of the strip there.
     cell_z: Option<i32>,
     island: Option<Island>,
-    /// Per vertex: the share of x in the squared distance from the island's centre, Q24 of its radius.
+    /// Per vertex: the share of x in the squared distance from the island's centre, Q24 of its
+    /// radius.
     distance_x: [i32; WIDTH],
     /// The least of them.
     least_distance_x: i32,
-    /// What the current row leaves of the square of the radius, Q24: the falloff ends where `distance_x` exceeds it.
+    /// What the current row leaves of the square of the radius, Q24: the falloff ends where
+    /// `distance_x` exceeds it.
     rest_z: i32,
 }
 
 impl<'a> Shaper<'a> {
-    /// `out` holds the heights of the whole grid; the columns lie in one archipelago cell, borders included.
+    /// `out` holds the heights of the whole grid; the columns lie in one archipelago cell, borders
+    /// included.
     pub(super) fn new(
         archipelago: &'a Archipelago,
         grid: &'a Grid,
@@ -47,7 +50,8 @@ impl<'a> Shaper<'a> {
         }
     }
 
-    /// Cuts columns at the borders of archipelago cells. A border is under no island, so it may end a part.
+    /// Cuts columns at the borders of archipelago cells. A border is under no island, so it may end
+    /// a part.
     pub(super) fn parts(grid: &Grid, columns: Columns) -> impl Iterator<Item = Columns> {
         let end = columns.first + columns.count;
         let mut first = columns.first;
@@ -104,7 +108,8 @@ impl<L: Lanes> Sink<L> for Shaper<'_> {
     #[inline(always)]
     unsafe fn put(&mut self, row: usize, column: usize, hills: L, folds: L) {
         let dome_m = self.island.map_or(0, |island| island.dome_m);
-        // SAFETY: the CPU is vouched for; tables hold WIDTH integers; `store_some` stays inside the row.
+        // SAFETY: the CPU is vouched for; tables hold WIDTH integers; `store_some` stays inside the
+        // row.
         unsafe {
             let rest = L::splat(self.rest_z).sub(L::load(self.distance_x.as_ptr().add(column)));
             let inside = rest.max(L::splat(0)).shl(8);
@@ -115,7 +120,8 @@ impl<L: Lanes> Sink<L> for Shaper<'_> {
             let rise = weight.mul_hi(L::splat(dome_m << FINE_BITS).add(hills.shl(1)).shl(1));
             let bend = squared.mul_hi(ridge.sub(hills).shl(2));
             let fine = rise.add(bend).sub(L::splat(SEA_FLOOR_M << FINE_BITS));
-            // Where the falloff is zero this rounds to the sea floor, as it must: nothing is selected.
+            // Where the falloff is zero this rounds to the sea floor, as it must: nothing is
+            // selected.
             let fine = beach(fine);
             let height = fine.add(L::splat(1 << (FINE_BITS - UNIT_BITS - 1))).sar(FINE_BITS - UNIT_BITS);
             let (to, count) = self.place(row, column);

@@ -1,11 +1,13 @@
 //! The fractal sum over a strip of a grid, row by row.
 //!
-//! Every vertex of a grid shares its lattice columns with its neighbours. So a gradient is hashed once per lattice
-//! point, the step along z ([`Strip::raise_row`]) is done once per lattice column and row, and a vertex costs two table
-//! look-ups, two paired products and two additions per octave. Strips are 64 vertices wide, so that everything they
-//! read again and again stays in the first cache level.
+//! Every vertex of a grid shares its lattice columns with its neighbours. So a gradient is hashed
+//! once per lattice point, the step along z ([`Strip::raise_row`]) is done once per lattice column
+//! and row, and a vertex costs two table look-ups, two paired products and two additions per
+//! octave. Strips are 64 vertices wide, so that everything they read again and again stays in the
+//! first cache level.
 //!
-//! The statements are those of [`crate::noise`] and [`crate::weights`], on vectors; tests compare every bit.
+//! The statements are those of [`crate::noise`] and [`crate::weights`], on vectors; tests compare
+//! every bit.
 
 use super::lanes::{Lanes, MOST_LANES};
 use crate::constants::{FIRST_CELL_BITS, FRACTION_BITS, GRADIENTS, OCTAVES, SPLIT_BITS, WIDE_OCTAVES};
@@ -16,8 +18,9 @@ use crate::noise::{Fbm, fine_shift};
 const STRIP: usize = 64;
 /// Vertices of the widest strip, padded to whole vectors of every kernel.
 pub(super) const WIDTH: usize = (STRIP + 1).next_multiple_of(MOST_LANES);
-/// Lattice columns of all octaves together. An octave has at most one per vertex and two, padded, and a window
-/// may be read from its last one; the coarsest that a level carries needs that, every further one half as many.
+/// Lattice columns of all octaves together. An octave has at most one per vertex and two, padded,
+/// and a window may be read from its last one; the coarsest that a level carries needs that, every
+/// further one half as many.
 const LATTICE: usize = {
     let mut sum = 0;
     let mut octave = 0;
@@ -43,7 +46,8 @@ const PACKED_GRADIENTS: [i32; 32] = {
 pub(super) trait Sink<L: Lanes> {
     /// Told of each row before its vertices; a row that needs no noise answers false.
     unsafe fn begin_row(&mut self, row: usize) -> bool;
-    /// `COUNT` vertices from `column` of the strip on, in 2^-16 m. Vertices beyond the strip's width are padding.
+    /// `COUNT` vertices from `column` of the strip on, in 2^-16 m. Vertices beyond the strip's
+    /// width are padding.
     unsafe fn put(&mut self, row: usize, column: usize, hills: L, folds: L);
 }
 
@@ -68,11 +72,13 @@ pub(super) fn strips(columns: usize) -> impl Iterator<Item = Columns> {
     })
 }
 
-/// Tables of one strip. Per octave `o`, vertex tables start at `o * WIDTH`, lattice tables at `base[o]`.
+/// Tables of one strip. Per octave `o`, vertex tables start at `o * WIDTH`, lattice tables at
+/// `base[o]`.
 // Aligned to cache lines, so that no vector of a table lies across two.
 #[repr(align(64))]
 pub(super) struct Strip {
-    /// Per row of the band: steps and lines towards the lattice rows above and below, and the extra bits of both.
+    /// Per row of the band: steps and lines towards the lattice rows above and below, and the extra
+    /// bits of both.
     row_step: [i32; OCTAVES * WIDTH],
     row_line: [i32; OCTAVES * WIDTH],
     row_step_extra: [i32; WIDE_OCTAVES * WIDTH],
@@ -99,8 +105,9 @@ pub(super) struct Strip {
     below: [i32; LATTICE],
     pair_x: [i32; LATTICE],
     pair_z: [i32; LATTICE],
-    /// Per lattice column: slope and value on a row, for the row in work and the one after it. Written one row ahead,
-    /// because a window that is read across two fresh stores would wait for them.
+    /// Per lattice column: slope and value on a row, for the row in work and the one after it.
+    /// Written one row ahead, because a window that is read across two fresh stores would wait for
+    /// them.
     edge: [[i32; LATTICE]; 2],
     edge_extra: [[i32; LATTICE]; 2],
 }
@@ -190,7 +197,8 @@ impl Strip {
         for (octave, shift) in grid.octaves.shifts() {
             let cell_bits = FIRST_CELL_BITS - octave as u32;
             let first_z = grid.position(0, band).1.wrapping_add(shift.1);
-            // SAFETY: the CPU is vouched for; tables hold WIDTH integers per octave, a multiple of COUNT.
+            // SAFETY: the CPU is vouched for; tables hold WIDTH integers per octave, a multiple of
+            // COUNT.
             unsafe {
                 for row in (0..rows).step_by(L::COUNT) {
                     let z = first_z.wrapping_add((row as i32) << grid.spacing_bits);
@@ -230,7 +238,8 @@ impl Strip {
             let first_cell = first_x >> cell_bits;
             self.base[octave] = base;
             self.cell_z[octave] = None;
-            // SAFETY: the CPU is vouched for; tables hold WIDTH integers per octave, a multiple of COUNT.
+            // SAFETY: the CPU is vouched for; tables hold WIDTH integers per octave, a multiple of
+            // COUNT.
             unsafe {
                 let mut last_cell = 0;
                 for column in (0..columns.count).step_by(L::COUNT) {
@@ -290,7 +299,8 @@ impl Strip {
             let cell_bits = FIRST_CELL_BITS - octave as u32;
             let z = grid.position(0, band + row).1.wrapping_add(shift.1);
             let table = octave * WIDTH + row;
-            // SAFETY: the CPU is vouched for; `cells` columns from `base` on lie in the lattice tables.
+            // SAFETY: the CPU is vouched for; `cells` columns from `base` on lie in the lattice
+            // tables.
             unsafe {
                 self.enter_lattice_row::<L>(octave, z >> cell_bits);
                 let base = self.base[octave];
@@ -320,7 +330,8 @@ impl Strip {
         }
     }
 
-    /// Makes `cell_z` the lattice row above the row in work. Rows come in order, so the one below is often the next above.
+    /// Makes `cell_z` the lattice row above the row in work. Rows come in order, so the one below
+    /// is often the next above.
     #[inline(always)]
     unsafe fn enter_lattice_row<L: Lanes>(&mut self, octave: usize, cell_z: i32) {
         if self.cell_z[octave] == Some(cell_z) {
@@ -357,7 +368,8 @@ impl Strip {
             // SAFETY: the CPU is vouched for; `column` is below WIDTH.
             unsafe {
                 let (mut hills, mut folds) = (L::splat(0), L::splat(0));
-                // Spelled out: a shift by a constant is cheaper than one by a variable, and a loop would not unroll.
+                // Spelled out: a shift by a constant is cheaper than one by a variable, and a loop
+                // would not unroll.
                 macro_rules! octave {
                     ($octave:literal) => {
                         if ALL || $octave < octaves {
@@ -388,7 +400,8 @@ impl Strip {
         let at = OCTAVE * WIDTH + column;
         let cell = self.base[OCTAVE] + usize::from(self.window[OCTAVE][column / L::COUNT]);
         debug_assert!(cell + 1 + L::COUNT <= LATTICE);
-        // SAFETY: the CPU is vouched for; a window and the one beside it end inside the lattice tables.
+        // SAFETY: the CPU is vouched for; a window and the one beside it end inside the lattice
+        // tables.
         unsafe {
             let picker = L::load(self.picker.as_ptr().add(at));
             let (low, high) = (L::load(self.low.as_ptr().add(at)), L::load(self.high.as_ptr().add(at)));

@@ -1,4 +1,5 @@
-//! Vectors of WebAssembly's 128-bit SIMD. A module uses them or not as a whole, so nothing is detected at run time.
+//! Vectors of WebAssembly's 128-bit SIMD. A module uses them or not as a whole, so nothing is
+//! detected at run time.
 
 use super::lanes::Lanes;
 use core::arch::wasm32::*;

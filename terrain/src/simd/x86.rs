@@ -1,6 +1,7 @@
 //! Vectors of x86-64: SSE4.1, AVX2 and AVX-512.
 //!
-//! One line per operation. Each type may only be used where its features were detected ([`super::Kernel`]).
+//! One line per operation. Each type may only be used where its features were detected
+//! ([`super::Kernel`]).
 
 use super::lanes::Lanes;
 use core::arch::x86_64::*;

@@ -13,7 +13,8 @@ pub enum Bar {
     AtLeast(f64),
     /// Anything, but there must be a figure.
     Reported,
-    /// Under so much, but only on a GPU: a software driver cannot tell, so that there the row is neither kept nor missed.
+    /// Under so much, but only on a GPU: a software driver cannot tell, so that there the row is
+    /// neither kept nor missed.
     NeedsGpu(f64),
 }
 
@@ -75,7 +76,8 @@ impl fmt::Display for Row {
     }
 }
 
-/// The largest of several runs; none if there is none or one of them is missing, so that a lost run cannot improve a figure.
+/// The largest of several runs; none if there is none or one of them is missing, so that a lost run
+/// cannot improve a figure.
 pub fn worst(figures: &[Option<f64>]) -> Option<f64> {
     let figures: Option<Vec<f64>> = figures.iter().copied().collect();
     figures?.into_iter().reduce(f64::max)

@@ -1,4 +1,5 @@
-//! `culling`: what is left out although it is seen, what is kept although it is hidden, what either costs, and whether the GPU chooses as its twin does.
+//! `culling`: what is left out although it is seen, what is kept although it is hidden, what either
+//! costs, and whether the GPU chooses as its twin does.
 
 use super::bars::{Bar, Row};
 use super::record::{self, Heading};
@@ -150,7 +151,8 @@ fn how(culling: &Value) -> Vec<String> {
     ] {
         let Some(score) = culling.pointer(&format!("/sight/{test}")) else { continue };
         let of = |field: &str| number(score, field).unwrap_or(f64::NAN);
-        // With none lost of n, the share that would be is below 3 / n with 95 % certainty (Hanley and Lippman-Hand, JAMA 249(13), 1983).
+        // With none lost of n, the share that would be is below 3 / n with 95 % certainty (Hanley
+        // and Lippman-Hand, JAMA 249(13), 1983).
         let bound = if of("false_culls") == 0.0 {
             format!(", so fewer than {:.1e} of them with 95 % certainty", 3.0 / of("visible"))
         } else {

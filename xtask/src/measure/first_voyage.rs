@@ -1,5 +1,5 @@
-//! `first-voyage`: how soon a view is complete, how much crosses the wire, how many clients one small machine carries, and
-//! what server and viewer take for it.
+//! `first-voyage`: how soon a view is complete, how much crosses the wire, how many clients one
+//! small machine carries, and what server and viewer take for it.
 
 use super::bars::{Bar, Row, worst};
 use super::record::{self, Heading};

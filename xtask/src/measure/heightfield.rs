@@ -1,6 +1,8 @@
-//! `heightfield`: the land's noise against other libraries, what comes on top of it, and the GPU's twin of it.
+//! `heightfield`: the land's noise against other libraries, what comes on top of it, and the GPU's
+//! twin of it.
 //!
-//! Ratios come from `benches/rivals`, a package outside the workspace: it needs a C++ compiler, which nothing else here does.
+//! Ratios come from `benches/rivals`, a package outside the workspace: it needs a C++ compiler,
+//! which nothing else here does.
 
 use super::bars::{Bar, Row};
 use super::record::{self, Heading};
@@ -10,8 +12,9 @@ use anyhow::{Context, Result, bail};
 use serde_json::Value;
 use std::path::Path;
 
-/// Times that the comparisons are started. Where a program's code and buffers happen to lie is decided once per start and
-/// moves single figures by half, ours and the rivals'; the median start counts.
+/// Times that the comparisons are started. Where a program's code and buffers happen to lie is
+/// decided once per start and moves single figures by half, ours and the rivals'; the median start
+/// counts.
 const STARTS: usize = 7;
 
 /// Rounds per start; all starts take half a minute on an idle machine, minutes on a busy one.
@@ -113,7 +116,8 @@ fn middle(figures: &[Option<f64>]) -> Option<f64> {
     figures.get(figures.len() / 2).copied()
 }
 
-/// Starts in which a ratio known beforehand came out otherwise; missing if one start looked at none.
+/// Starts in which a ratio known beforehand came out otherwise; missing if one start looked at
+/// none.
 fn failed_controls(rivals: &[Value]) -> Option<f64> {
     let kept = |report: &Value| {
         let controls = report.get("controls")?.as_array()?;
@@ -124,8 +128,8 @@ fn failed_controls(rivals: &[Value]) -> Option<f64> {
     (!kept.is_empty()).then(|| kept.iter().filter(|kept| !**kept).count() as f64)
 }
 
-/// Backends of the GPU's language whose digest is not the CPU's; missing if none ran, if the CPU's backends disagree, or if
-/// the control, which must differ, was not told apart.
+/// Backends of the GPU's language whose digest is not the CPU's; missing if none ran, if the CPU's
+/// backends disagree, or if the control, which must differ, was not told apart.
 fn differing_twins(digest: &Value) -> Option<f64> {
     let is_cpu = |backend: &&Value| {
         let name = backend.get("name").and_then(Value::as_str).unwrap_or_default();
@@ -192,7 +196,8 @@ fn list<'a>(value: &'a Value, field: &str) -> &'a [Value] {
     value.get(field).and_then(Value::as_array).map_or(&[], Vec::as_slice)
 }
 
-/// The compiler that FastNoise2 is fastest with; code of gcc takes twice as long, and beating that would prove nothing.
+/// The compiler that FastNoise2 is fastest with; code of gcc takes twice as long, and beating that
+/// would prove nothing.
 struct Clang {
     c: String,
     cpp: String,

@@ -1,5 +1,5 @@
-//! `measure`: the built programs against the project's bars. Figures depend on the machine, so tests never check them; this
-//! does, and leaves a dated record.
+//! `measure`: the built programs against the project's bars. Figures depend on the machine, so
+//! tests never check them; this does, and leaves a dated record.
 
 mod bars;
 mod culling;
@@ -30,7 +30,8 @@ const MEASUREMENTS: [Measurement; 6] = [
 /// Runs one measurement.
 ///
 /// # Errors
-/// An unknown name (with those that are known), a measurement that could not run, or a bar that was missed.
+/// An unknown name (with those that are known), a measurement that could not run, or a bar that was
+/// missed.
 pub fn run(name: &str) -> Result<()> {
     match MEASUREMENTS.into_iter().find(|(known, _)| *known == name) {
         Some((_, measurement)) => measurement(),

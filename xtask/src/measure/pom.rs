@@ -1,4 +1,5 @@
-//! `pom`: parallax occlusion mapping against its truth. Missed features, residuals, identities, silhouettes, depth, and what it costs.
+//! `pom`: parallax occlusion mapping against its truth. Missed features, residuals, identities,
+//! silhouettes, depth, and what it costs.
 
 use super::bars::{Bar, Row, worst};
 use super::record::{self, Heading};
@@ -128,7 +129,8 @@ fn rows(pom: &Value) -> Vec<Row> {
     ]
 }
 
-/// The bar of the time holds on a GPU; a software driver, which runs eight rays in step and pays for every instruction, tells only the ratio below.
+/// The bar of the time holds on a GPU; a software driver, which runs eight rays in step and pays
+/// for every instruction, tells only the ratio below.
 fn time(pom: &Value, ratio: Option<f64>) -> Row {
     let what = "time of auto over 64 steps without exit, on a GPU";
     match pom.get("is_software").and_then(Value::as_bool) {

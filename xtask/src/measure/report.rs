@@ -6,7 +6,8 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 
-/// Runs a program and reads the JSON that it leaves. Only an interrupt is an error; everything else is a note.
+/// Runs a program and reads the JSON that it leaves. Only an interrupt is an error; everything else
+/// is a note.
 ///
 /// # Errors
 /// The program cannot be started or was interrupted.

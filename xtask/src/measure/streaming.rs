@@ -1,6 +1,8 @@
-//! `streaming`: what a chunk costs in bytes and time, to make and to send, and what a server does when too many ask at once.
+//! `streaming`: what a chunk costs in bytes and time, to make and to send, and what a server does
+//! when too many ask at once.
 //!
-//! Needs `nginx` and `wrk` for the rival server, and for LERC what `benches/lerc` says: a C++ compiler and libclang.
+//! Needs `nginx` and `wrk` for the rival server, and for LERC what `benches/lerc` says: a C++
+//! compiler and libclang.
 
 use super::bars::{Bar, Row, worst};
 use super::record::{self, Heading};
@@ -57,7 +59,8 @@ pub fn run() -> Result<()> {
     super::judge(&rows, &path)
 }
 
-/// The rival whose library is C++ and bound with libclang: in a package of its own. Where it cannot be built its row misses and a note says why.
+/// The rival whose library is C++ and bound with libclang: in a package of its own. Where it cannot
+/// be built its row misses and a note says why.
 fn lerc(folder: &Path, notes: &mut Vec<String>) -> Result<Value> {
     let target = process::target().join("lerc");
     let mut build = process::cargo("build --release --locked --target-dir");
@@ -72,14 +75,16 @@ fn lerc(folder: &Path, notes: &mut Vec<String>) -> Result<Value> {
     report::of(bench, &json, notes)
 }
 
-/// The last core, if there are several and a way to keep to some: then the first is the server's alone.
+/// The last core, if there are several and a way to keep to some: then the first is the server's
+/// alone.
 fn cores_apart() -> Option<usize> {
     let last = std::thread::available_parallelism().ok()?.get().checked_sub(1).filter(|last| *last > 0)?;
     let taskset = Command::new("taskset").arg("-V").stdout(Stdio::null()).stderr(Stdio::null()).status();
     taskset.is_ok_and(|status| status.success()).then_some(last)
 }
 
-/// A benchmark, with the server on the first core and the client on the others where `apart` says so.
+/// A benchmark, with the server on the first core and the client on the others where `apart` says
+/// so.
 fn load(bench: &str, apart: Option<usize>, json: &Path) -> Command {
     let program = process::program("tombolo-load");
     let mut load = match apart {

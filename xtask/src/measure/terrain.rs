@@ -1,4 +1,5 @@
-//! `terrain`: the drawn levels of detail. Screen error, triangles, gaps, popping, draw calls, memory, and time where there is a GPU to take it.
+//! `terrain`: the drawn levels of detail. Screen error, triangles, gaps, popping, draw calls,
+//! memory, and time where there is a GPU to take it.
 
 use super::bars::{Bar, Row, worst};
 use super::record::{self, Heading};
@@ -102,7 +103,8 @@ fn rows(lod: &Value) -> Vec<Row> {
     rows
 }
 
-/// Absolute times of a GPU; of a software driver ratios alone, which say how work grows and nothing about a GPU.
+/// Absolute times of a GPU; of a software driver ratios alone, which say how work grows and nothing
+/// about a GPU.
 fn times(lod: &Value) -> Vec<Row> {
     let frames = list(lod, "/frames/rows");
     let at = |tolerance: f64| frames.iter().find(|row| number(row, "tolerance_px") == Some(tolerance));

@@ -1,7 +1,8 @@
 //! FastNoise2: Perlin FBM over a uniform grid, f32, at a chosen SIMD level.
 //!
-//! Through the bindings rather than through crate `fastnoise2`, for two reasons, both in the rival's favour: a level can be
-//! pinned, and no minimum and maximum are gathered that nobody asked for. [`as_shipped`] is the crate as its users get it.
+//! Through the bindings rather than through crate `fastnoise2`, for two reasons, both in the
+//! rival's favour: a level can be pinned, and no minimum and maximum are gathered that nobody asked
+//! for. [`as_shipped`] is the crate as its users get it.
 
 use super::{FIRST_CELL, GAIN, LACUNARITY, OCTAVES, SHIFT};
 use crate::rounds::{Contender, Corner};
@@ -10,7 +11,8 @@ use fastnoise2::Node;
 use fastnoise2_sys as sys;
 use std::ffi::{CStr, c_char, c_int, c_void};
 
-/// SIMD levels as FastSIMD counts them: one bit per instruction set, from bit 1 up to the newest that is allowed.
+/// SIMD levels as FastSIMD counts them: one bit per instruction set, from bit 1 up to the newest
+/// that is allowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Level {
     /// x86, SSE to SSE4.1.
@@ -97,11 +99,13 @@ struct Generator {
 
 impl Generator {
     fn new(kind: &str, level: u32) -> Result<Self> {
-        // SAFETY: no arguments; numbers below the count name metadata that lives as long as the program.
+        // SAFETY: no arguments; numbers below the count name metadata that lives as long as the
+        // program.
         let count = unsafe { sys::fnGetMetadataCount() };
         let found = (0..count).find(|id| is_named(unsafe { sys::fnGetMetadataName(*id) }, kind));
         let kind_id = found.with_context(|| format!("FastNoise2 has no generator `{kind}`"))?;
-        // SAFETY: the number is one of the library's; any level is allowed, too high ones are not created.
+        // SAFETY: the number is one of the library's; any level is allowed, too high ones are not
+        // created.
         let handle = unsafe { sys::fnNewFromMetadata(kind_id, level) };
         ensure!(!handle.is_null(), "FastNoise2 cannot create `{kind}` at level {level:#x}");
         Ok(Self { handle, kind: kind_id })
@@ -133,9 +137,11 @@ impl Generator {
     fn set_source(&self, member: &str, source: &Self) -> Result<()> {
         let index =
             self.member(member, sys::fnGetMetadataNodeLookupCount, sys::fnGetMetadataNodeLookupName)?;
-        // The library wants a pointer to its smart pointer, which is a plain pointer inside, unlike everywhere else.
+        // The library wants a pointer to its smart pointer, which is a plain pointer inside, unlike
+        // everywhere else.
         let smart = (&raw const source.handle).cast();
-        // SAFETY: as above; the library counts the reference to the source, so that it may be dropped first.
+        // SAFETY: as above; the library counts the reference to the source, so that it may be
+        // dropped first.
         accepted(unsafe { sys::fnSetNodeLookup(self.handle, index, smart) }, member)
     }
 
@@ -154,8 +160,8 @@ impl Generator {
     fn fill(&self, corner: Corner, columns: usize, out: &mut [f32]) {
         let (x, z) = (corner.x as f32 + SHIFT, corner.z as f32 + SHIFT);
         let rows = out.len() / columns;
-        // SAFETY: the library writes `columns` times `rows` values, which the slice holds. A null pointer asks for no
-        // minimum and maximum.
+        // SAFETY: the library writes `columns` times `rows` values, which the slice holds. A null
+        // pointer asks for no minimum and maximum.
         unsafe {
             sys::fnGenUniformGrid2D(
                 self.handle,
@@ -190,7 +196,8 @@ fn accepted(answer: bool, member: &str) -> Result<()> {
     Ok(())
 }
 
-/// The C++ compiler of the library in this program, as it signed its objects; the last one if there are several.
+/// The C++ compiler of the library in this program, as it signed its objects; the last one if there
+/// are several.
 ///
 /// # Errors
 /// It is not clang: gcc's code is half as fast, and comparing with it would flatter us.

@@ -11,8 +11,9 @@ pub const OCTAVES: usize = 8;
 /// Side of the first octave's lattice cell in samples; the last one's is 4.
 pub const FIRST_CELL: usize = 512;
 
-/// Where samples lie between the corner's lattice lines. Half a sample, as in the land: whole samples would put every fourth
-/// one on a lattice line of the last octave, where gradient noise is zero.
+/// Where samples lie between the corner's lattice lines. Half a sample, as in the land: whole
+/// samples would put every fourth one on a lattice line of the last octave, where gradient noise is
+/// zero.
 pub const SHIFT: f32 = 0.5;
 
 /// What a lacunarity of 2 and a gain of one half are called by everyone.

@@ -1,4 +1,5 @@
-//! What one writes without a library: f32 gradient noise with a quintic fade, summed point by point.
+//! What one writes without a library: f32 gradient noise with a quintic fade, summed point by
+//! point.
 
 use super::{FIRST_CELL, GAIN, LACUNARITY, fill_points};
 use crate::rounds::Contender;

@@ -69,7 +69,8 @@ impl Controls {
         }
     }
 
-    /// The same in a scene as small as a room: slower, closer, and under the floor as well. Circles from the start, at rest if no speed was asked for.
+    /// The same in a scene as small as a room: slower, closer, and under the floor as well. Circles
+    /// from the start, at rest if no speed was asked for.
     #[must_use]
     pub fn indoors(pose: Pose, orbit_deg_per_s: Option<f64>, orbit_radius_m: f64) -> Self {
         let mut controls = Self::new(pose, Some(orbit_deg_per_s.unwrap_or(0.0)), orbit_radius_m);

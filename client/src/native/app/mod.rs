@@ -34,7 +34,8 @@ use winit::window::{Window, WindowId};
 /// Chunks taken in per frame: about 2 ms of uploads, so that a burst of arrivals does not stutter.
 const ARRIVALS_PER_FRAME: usize = 48;
 
-/// How long finer land takes to grow out of coarser land: long enough not to be seen as a jump, short enough not to be waited for.
+/// How long finer land takes to grow out of coarser land: long enough not to be seen as a jump,
+/// short enough not to be waited for.
 const ARRIVAL_FADE: Duration = Duration::from_millis(250);
 
 /// How long to leave a window alone that cannot be drawn into.
@@ -332,7 +333,8 @@ impl Running {
         step
     }
 
-    /// What the choice of plants came to; a GPU that cannot say so will be told of by the next frame.
+    /// What the choice of plants came to; a GPU that cannot say so will be told of by the next
+    /// frame.
     fn hear_of_plants(&self) -> Told {
         let garden = self.renderer.garden().filter(|_| self.knobs.looks.plants.any());
         garden.and_then(|garden| garden.told(&self.gpu).ok()).unwrap_or_default()

@@ -83,7 +83,8 @@ impl Overlay {
             })],
             ..Default::default()
         });
-        // egui asks for a pass that does not borrow the encoder; nothing else is recorded until it ends here.
+        // egui asks for a pass that does not borrow the encoder; nothing else is recorded until it
+        // ends here.
         self.painter.render(&mut pass.forget_lifetime(), &jobs, &screen);
         for id in textures.free.drain() {
             self.painter.free_texture(&id);

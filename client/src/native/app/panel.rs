@@ -1,4 +1,5 @@
-//! The panel: numbers of the frame and of the session, and the two sliders that trade detail for speed.
+//! The panel: numbers of the frame and of the session, and the two sliders that trade detail for
+//! speed.
 
 use crate::looks::{Diffuse, Looks, Shadows, Show, SunPlace, Tiling, Visibility, WaterTier};
 use crate::plants::{Cull, PlantKnobs};

@@ -1,4 +1,5 @@
-//! Local scenes: pictures of one technique, complete in themselves. They need no server, no chunks and no memory for any.
+//! Local scenes: pictures of one technique, complete in themselves. They need no server, no chunks
+//! and no memory for any.
 //!
 //! Each scene is a file with a pass; this one only chooses.
 
@@ -17,7 +18,8 @@ use relief::objects::LAYER;
 use std::sync::Arc;
 use water::WaterScene;
 
-/// The materials of a scene: the user's, and bricks in the scene of bricks where the user has brought no cobbles.
+/// The materials of a scene: the user's, and bricks in the scene of bricks where the user has
+/// brought no cobbles.
 #[must_use]
 pub fn materials(scene: Scene, own: &OwnMaterials) -> OwnMaterials {
     if scene != Scene::Brick || own[LAYER as usize].is_some() {

@@ -1,5 +1,5 @@
-//! The scene of the water: one bay, three panels. Left the plain parallax of a fixed view, in the middle the chosen tier, right the
-//! marched truth, by the same camera at the same moment.
+//! The scene of the water: one bay, three panels. Left the plain parallax of a fixed view, in the
+//! middle the chosen tier, right the marched truth, by the same camera at the same moment.
 
 use crate::render::water::WaterPass;
 use crate::render::waves::WaveMap;

@@ -1,10 +1,11 @@
 //! The integer loops of the codec, on the vectors of this machine.
 //!
-//! One definition in plain integers per loop; the compiler makes vectors of all of them but the running sum of
-//! [`restore`], which is written out for each instruction set. Every kernel yields the same bits.
+//! One definition in plain integers per loop; the compiler makes vectors of all of them but the
+//! running sum of [`restore`], which is written out for each instruction set. Every kernel yields
+//! the same bits.
 //!
-//! The only unsafe code of this crate: vector instructions may only run on CPUs that have them. A [`Kernel`] that needs a
-//! feature exists only where that feature was detected.
+//! The only unsafe code of this crate: vector instructions may only run on CPUs that have them. A
+//! [`Kernel`] that needs a feature exists only where that feature was detected.
 #![cfg_attr(
     target_arch = "x86_64",
     expect(unsafe_code, reason = "vector instructions; every block says what it relies on")
@@ -16,7 +17,8 @@ mod x86;
 use std::fmt;
 use terrain::constants::{VERTEX_COUNT, VERTICES};
 
-/// The heights of a chunk, or what stands for them on the way: row by row from the low corner, x fastest.
+/// The heights of a chunk, or what stands for them on the way: row by row from the low corner, x
+/// fastest.
 pub(super) type Heights = [i32; VERTEX_COUNT];
 
 /// An implementation for one kind of CPU. Exists only where it can run.
@@ -26,7 +28,8 @@ pub struct Kernel(Set);
 /// Instruction sets, from the portable one to the widest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Set {
-    /// Whatever vectors the build targets (SSE2 on x86-64, simd128 where a WebAssembly build enables it).
+    /// Whatever vectors the build targets (SSE2 on x86-64, simd128 where a WebAssembly build
+    /// enables it).
     Portable,
     #[cfg(target_arch = "x86_64")]
     Sse41,
@@ -107,14 +110,16 @@ macro_rules! entry {
 }
 
 entry! {
-    /// Zigzag residuals of the plane predictor (`left + above - above left`), after a shift of the heights by `shift` bits to
-    /// the right, rounded to the nearest. Returns the bits that any of them has.
+    /// Zigzag residuals of the plane predictor (`left + above - above left`), after a shift of the
+    /// heights by `shift` bits to the right, rounded to the nearest. Returns the bits that any of
+    /// them has.
     residuals(heights: &Heights, shift: u32, out: &mut [u32; VERTEX_COUNT]) -> u32;
     residuals_on, residuals_on, residuals_on
 }
 
 entry! {
-    /// The lowest 8 bits of every residual above its lowest `shift` bits, as far as `mask` has them.
+    /// The lowest 8 bits of every residual above its lowest `shift` bits, as far as `mask` has
+    /// them.
     split(residuals: &[u32], shift: u32, mask: u8, out: &mut [u8]) -> ();
     split_on, split_on, split_on
 }
@@ -126,15 +131,16 @@ entry! {
 }
 
 entry! {
-    /// Fields of `bits` (1, 2, 4 or 8) bits: value `i` of `out` is field `i / packed.len()` of byte `i % packed.len()`, the
-    /// lowest field first.
+    /// Fields of `bits` (1, 2, 4 or 8) bits: value `i` of `out` is field `i / packed.len()` of byte
+    /// `i % packed.len()`, the lowest field first.
     unpack(packed: &[u8], bits: u32, out: &mut [u8]) -> ();
     unpack_on, unpack_on, unpack_on
 }
 
 entry! {
-    /// The byte plane `index` of numbers whose lowest `bits` (1, 2 or 4) come packed, as [`unpack`] takes them, and whose other bits come as byte planes, lowest first. All planes
-    /// are as long as `out`.
+    /// The byte plane `index` of numbers whose lowest `bits` (1, 2 or 4) come packed, as [`unpack`]
+    /// takes them, and whose other bits come as byte planes, lowest first. All planes are as long
+    /// as `out`.
     merge(packed: &[u8], bits: u32, planes: &[&[u8]], index: usize, out: &mut [u8]) -> ();
     merge_on, merge_on, merge_on
 }
@@ -146,8 +152,8 @@ entry! {
 }
 
 entry! {
-    /// Byte planes, lowest first, of the plane predictor's residuals to heights, from the height of the first vertex. Returns the
-    /// lowest and the highest.
+    /// Byte planes, lowest first, of the plane predictor's residuals to heights, from the height of
+    /// the first vertex. Returns the lowest and the highest.
     restore(planes: &[&[u8]], first: i32, heights: &mut Heights) -> (i32, i32);
     restore_on, x86::restore_sse41, x86::restore_avx2
 }
@@ -158,7 +164,8 @@ fn residuals_on(heights: &Heights, shift: u32, out: &mut [u32; VERTEX_COUNT]) ->
     let mut above = [heights[0].wrapping_add(half) >> shift; VERTICES];
     let mut any = 0;
     for (row, out) in heights.as_chunks::<VERTICES>().0.iter().zip(out.as_chunks_mut::<VERTICES>().0) {
-        // How far each vertex lies above the one a row earlier; the residual is the change of that along the row.
+        // How far each vertex lies above the one a row earlier; the residual is the change of that
+        // along the row.
         let mut rise = [0; VERTICES];
         for ((rise, above), height) in rise.iter_mut().zip(&mut above).zip(row) {
             let height = height.wrapping_add(half) >> shift;

@@ -1,8 +1,8 @@
 //! Heights from byte planes on SSE4.1 and AVX2.
 //!
-//! A sum along a row is a prefix sum: within a vector by shifts (Hillis and Steele, "Data parallel algorithms", 1986), from
-//! vector to vector by a carry that holds the last lane everywhere. Every row begins with a vertex of its own, so that the
-//! 64 others fill whole vectors.
+//! A sum along a row is a prefix sum: within a vector by shifts (Hillis and Steele, "Data parallel
+//! algorithms", 1986), from vector to vector by a carry that holds the last lane everywhere. Every
+//! row begins with a vertex of its own, so that the 64 others fill whole vectors.
 
 use super::{Heights, restore_on, unzigzag};
 use core::arch::x86_64::*;
@@ -11,7 +11,8 @@ use terrain::constants::{CELLS, VERTEX_COUNT, VERTICES};
 /// Planes that the vectors are made for; wider residuals are rare enough for the plain loop.
 const PLANES: usize = 2;
 
-/// The first vertex of a row and the other 64 of every plane, in groups of `N`; nothing for a plane that is not there.
+/// The first vertex of a row and the other 64 of every plane, in groups of `N`; nothing for a plane
+/// that is not there.
 type Row<'a, const N: usize> = (i32, [&'a [[u8; N]]; PLANES]);
 
 /// A row of the planes. All of them hold all vertices.
@@ -103,7 +104,8 @@ pub(super) fn restore_avx2(planes: &[&[u8]], first: i32, heights: &mut Heights) 
             let mut sum = _mm256_xor_si256(_mm256_srli_epi32(word, 1), sign);
             sum = _mm256_add_epi32(sum, _mm256_slli_si256(sum, 4));
             sum = _mm256_add_epi32(sum, _mm256_slli_si256(sum, 8));
-            // These shifts stay within halves: the low half's last lane goes to every lane of the high half.
+            // These shifts stay within halves: the low half's last lane goes to every lane of the
+            // high half.
             let half = _mm256_permute2x128_si256(sum, sum, 0x08);
             sum = _mm256_add_epi32(sum, _mm256_shuffle_epi32(half, 0xff));
             sum = _mm256_add_epi32(sum, carry);

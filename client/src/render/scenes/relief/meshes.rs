@@ -1,13 +1,16 @@
-//! Meshes of objects, in their own axes: metres along u, along v and along the normal of a plane, the axis of a capsule, the edges of a cube.
+//! Meshes of objects, in their own axes: metres along u, along v and along the normal of a plane,
+//! the axis of a capsule, the edges of a cube.
 //!
-//! Planes have walls. They have no height unless the shader lifts their tops and sinks their bottoms, as it does for shells and for displaced geometry.
+//! Planes have walls. They have no height unless the shader lifts their tops and sinks their
+//! bottoms, as it does for shells and for displaced geometry.
 
 use super::objects::{Mode, Object, Shape};
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
-/// Segments along either side of displaced geometry. Equal to the constant of `shared/relief_object.wesl`.
+/// Segments along either side of displaced geometry. Equal to the constant of
+/// `shared/relief_object.wesl`.
 pub const GEOMETRY_SEGMENTS: u32 = 256;
 
 /// Segments around a capsule: its corners are within 0.08 % of the radius.

@@ -1,7 +1,9 @@
-//! The scenes of reliefs: one pass that draws a list of objects, each as the knobs say or by a way of its own.
+//! The scenes of reliefs: one pass that draws a list of objects, each as the knobs say or by a way
+//! of its own.
 //!
-//! Two pipelines with one layout: one leaves the depth of the raster, so that hidden fragments are dropped before they are shaded; the other writes the depth
-//! of the relief, and loses that. No knob builds a pipeline: each draw chooses one.
+//! Two pipelines with one layout: one leaves the depth of the raster, so that hidden fragments are
+//! dropped before they are shaded; the other writes the depth of the relief, and loses that. No
+//! knob builds a pipeline: each draw chooses one.
 
 pub mod meshes;
 pub mod objects;
@@ -87,7 +89,8 @@ impl ReliefScene {
         self.stage = Stage::new(device, &self.layout, &self.frame, &self.maps, objects);
     }
 
-    /// Places the objects for the eye of the next frame, and bakes cones when they are first asked for.
+    /// Places the objects for the eye of the next frame, and bakes cones when they are first asked
+    /// for.
     pub fn prepare(&mut self, gpu: &Gpu, frame: &FrameData) {
         let Gpu { device, queue, .. } = gpu;
         let is_marched = self.stage.objects.iter().any(|object| object.mode == Mode::Knobs);

@@ -11,7 +11,8 @@ use terrain::constants::UNITS_PER_METRE;
 /// Material set of all objects: cobbles; in the scene of bricks, bricks take its place.
 pub const LAYER: u32 = 6;
 
-/// Metres from height 0 to height 1 of cobbles, over the metres of a tile: round heads, deep joints.
+/// Metres from height 0 to height 1 of cobbles, over the metres of a tile: round heads, deep
+/// joints.
 const COBBLES_RELIEF: f32 = 0.04;
 
 /// Side of the planes that are compared, metres.
@@ -80,7 +81,8 @@ pub struct Object {
 }
 
 impl Object {
-    /// A plane on the ground, its first axis east, its second north, covered with cobbles, one tile of them `tile_m` metres wide.
+    /// A plane on the ground, its first axis east, its second north, covered with cobbles, one tile
+    /// of them `tile_m` metres wide.
     #[must_use]
     pub fn ground(mode: Mode, position_m: DVec3, side_m: f32, tile_m: f32) -> Self {
         Self {
@@ -107,8 +109,9 @@ impl Object {
         }
     }
 
-    /// As the shader reads it for an eye, its material repeated `tiling` times as often as the object says: around a capsule a whole number of times, so that
-    /// tiles meet. Subtracted in f64, so that the place is exact however far both are from the origin.
+    /// As the shader reads it for an eye, its material repeated `tiling` times as often as the
+    /// object says: around a capsule a whole number of times, so that tiles meet. Subtracted in
+    /// f64, so that the place is exact however far both are from the origin.
     #[must_use]
     pub fn layout(&self, eye: &Eye, tiling: Vec2) -> ReliefObject {
         // What has no material has nothing to repeat.
@@ -207,8 +210,9 @@ fn brick() -> Vec<Object> {
     vec![floor(0.0), wall]
 }
 
-/// A plane, a sphere, a capsule and a cube, each with the cut that suits it: a plane by its rectangle, a sphere and a capsule by the cheap horizon and the
-/// shell, a cube by the shell (the horizon's cut eats holes into flat faces that are seen from the side).
+/// A plane, a sphere, a capsule and a cube, each with the cut that suits it: a plane by its
+/// rectangle, a sphere and a capsule by the cheap horizon and the shell, a cube by the shell (the
+/// horizon's cut eats holes into flat faces that are seen from the side).
 fn spom() -> Vec<Object> {
     let tile_m = 2.8;
     let object = |shape, x_m: f64, y_m: f64, turn, silhouette| Object {
