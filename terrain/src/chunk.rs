@@ -1,4 +1,4 @@
-//! Chunks: 65 x 65 vertices of one level, and what is derived from them.
+//! Chunks: 65 x 65 vertices of one level, and the data derived from them.
 
 use crate::constants::{CELLS, UNITS_PER_METRE, VERTEX_COUNT, VERTICES};
 use crate::grass::GrassSeed;
@@ -43,8 +43,7 @@ pub struct Chunk {
 }
 
 impl Chunk {
-    /// Completes a chunk from what cannot be derived: pyramids, extremes and slope follow from the
-    /// heights.
+    /// Completes a chunk: pyramids, extremes and slope are derived from the heights.
     #[must_use]
     pub fn from_parts(
         key: ChunkKey,
@@ -87,8 +86,7 @@ impl Land {
         Chunk::from_parts(key, heights, error, grass)
     }
 
-    /// The heights of one chunk alone: what the digest, the load test's comparison and timings
-    /// need.
+    /// The heights of one chunk alone, for digests, comparisons and timings.
     #[must_use]
     pub fn chunk_heights(&self, key: ChunkKey) -> Box<[i32; VERTEX_COUNT]> {
         let mut heights = Box::new([0; VERTEX_COUNT]);
@@ -115,7 +113,7 @@ impl Land {
             .unwrap_or(0);
         // Rounded up from fractions of a unit.
         let measured = worst.div_ceil(parts as u32);
-        // The grid below is itself off by up to its own level's bound.
+        // The grid below has an error of up to its own level's bound.
         measured + lod::level_error(below)
     }
 }
@@ -269,7 +267,7 @@ mod tests {
         }
     }
 
-    /// Brute force over every level-0 vertex under the chunk, in f64, with the diagonal rule said
+    /// Brute force over every level-0 vertex under the chunk, in f64, with the diagonal rule stated
     /// another way.
     fn naive_error(land: &Land, chunk: &Chunk) -> f64 {
         let (x0, z0) = chunk.key.origin();

@@ -128,3 +128,5 @@ pub const RIDGE_M: i32 = 64;
 
 /// Side of the grass density grid of a chunk.
 pub const GRASS_GRID: usize = 16;
+/// Cells along the side of one block of the grass density grid.
+pub const BLOCK_CELLS: usize = CELLS / GRASS_GRID;

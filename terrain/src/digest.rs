@@ -1,4 +1,4 @@
-//! The world digest: one name for "the same generator with the same parameters".
+//! The world digest: identifies a generator version with its parameters.
 //!
 //! Peers compare digests before any chunk is exchanged, and chunk addresses contain it, so a cached
 //! chunk can never be served to another world.
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
     use crate::island::Archipelago;
 
-    /// How much of the probe set reaches land; a digest of sea floor alone would tell nothing.
+    /// How much of the probe set reaches land; a digest of sea floor alone would prove nothing.
     fn probes_on_islands(land: &Land) -> usize {
         let on_island = |p: &Position| {
             let island = land.archipelago().island(Archipelago::cell(p.x()), Archipelago::cell(p.z()));

@@ -1,6 +1,6 @@
-//! The grass seed record: from 261 bytes a client grows every clump of a chunk.
+//! The grass seed record: a client derives every clump of a chunk from its 261 bytes.
 
-use crate::constants::{CELLS, GRASS_GRID, UNITS_PER_METRE, VERTEX_COUNT, VERTICES};
+use crate::constants::{BLOCK_CELLS, GRASS_GRID, UNITS_PER_METRE, VERTEX_COUNT};
 use crate::hash::{hash2, stream_seed};
 use crate::key::ChunkKey;
 use crate::simd::{self, Kernel};
@@ -14,9 +14,9 @@ const PALETTE_LEVEL: u8 = 5;
 /// What a client needs to expand the grass of one chunk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrassSeed {
-    /// Seed of the clump streams ([`crate::streams`]). The same in every chunk of a world: a clump
-    /// follows from it and from the place of its cell, so that chunks of all levels grow the same
-    /// clumps.
+    /// Seed of the clumps' attributes ([`crate::random_attributes`]). The same in every chunk of a
+    /// world: a clump depends on this seed and its cell only, so that chunks of all levels have
+    /// the same clumps.
     pub seed: u32,
     /// Colour palette, below [`PALETTES`]; the same in all chunks of a region of 4 km.
     pub palette: u8,
@@ -37,7 +37,7 @@ impl GrassSeed {
         }
     }
 
-    /// The densities that a chunk's own vertices give; they depend on nothing else.
+    /// The densities of a chunk, from its own vertices alone.
     ///
     /// Grass grows on gentle ground between the beach and the high rock: density falls linearly to
     /// zero from 4 m down to 2 m above the sea, from 180 m up to 260 m, and over slopes from 0.5 to
@@ -45,45 +45,12 @@ impl GrassSeed {
     /// magnitude.
     #[must_use]
     pub fn density_of(key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Box<[u8; GRASS_GRID * GRASS_GRID]> {
-        // A block's side is a power of two of metres: shifting by it is a division that costs
-        // nothing.
+        // A block's side is a power of two of metres: the division is a shift.
         let side_bits =
-            (key.spacing().unsigned_abs() * BLOCK as u32 / UNITS_PER_METRE as u32).trailing_zeros();
+            (key.spacing().unsigned_abs() * BLOCK_CELLS as u32 / UNITS_PER_METRE as u32).trailing_zeros();
         let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
         simd::densities(Kernel::best().for_short_rows(), heights, side_bits, &mut density);
         density
-    }
-}
-
-/// Cells along the side of a block.
-const BLOCK: usize = CELLS / GRASS_GRID;
-
-/// The densities of blocks whose side is `2^side_bits` metres. For [`crate::simd`]: whole rows side
-/// by side, of which compilers make vectors.
-#[inline(always)]
-pub(crate) fn densities(
-    heights: &[i32; VERTEX_COUNT],
-    side_bits: u32,
-    density: &mut [u8; GRASS_GRID * GRASS_GRID],
-) {
-    let (vertices, _) = heights.as_chunks::<VERTICES>();
-    let (shares, _) = density.as_chunks_mut::<GRASS_GRID>();
-    for (shares, rows) in shares.iter_mut().zip(vertices.windows(BLOCK + 1).step_by(BLOCK)) {
-        let (north, middle, south) = (&rows[0], &rows[BLOCK / 2], &rows[BLOCK]);
-        let corners: [i32; GRASS_GRID + 1] = std::array::from_fn(|x| north[x * BLOCK]);
-        let beyond: [i32; GRASS_GRID] = std::array::from_fn(|x| south[x * BLOCK]);
-        let middles: [i32; GRASS_GRID] = std::array::from_fn(|x| middle[x * BLOCK + BLOCK / 2]);
-        for (x, share) in shares.iter_mut().enumerate() {
-            // Heights are below 2^24, so that nothing wraps; checking it would keep this from
-            // becoming vectors.
-            let [east, south] =
-                [corners[x + 1], beyond[x]].map(|end| end.wrapping_sub(corners[x]).wrapping_abs());
-            let slope_q8 = east.max(south).wrapping_shr(side_bits);
-            let above_beach = ramp(middles[x], 2 * UNITS_PER_METRE, 4 * UNITS_PER_METRE);
-            let below_rock = 255 - ramp(middles[x], 180 * UNITS_PER_METRE, 260 * UNITS_PER_METRE);
-            let gentle = 255 - ramp(slope_q8, 128, 256);
-            *share = above_beach.min(below_rock.min(gentle)) as u8;
-        }
     }
 }
 
@@ -94,16 +61,10 @@ fn region(key: ChunkKey) -> ChunkKey {
         .unwrap_or(key)
 }
 
-/// 0 at or below `low`, 255 at or above `high`, linear between; `high - low` is at most 2^15.
-#[inline(always)]
-fn ramp(value: i32, low: i32, high: i32) -> u32 {
-    let above = value.max(low).min(high).wrapping_sub(low) as u32;
-    above.wrapping_mul(255) / (high - low) as u32
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::constants::VERTICES;
 
     fn flat(height_m: i32) -> GrassSeed {
         let heights = [height_m * UNITS_PER_METRE; VERTEX_COUNT];

@@ -19,14 +19,14 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// `columns` by `rows` vertices of a level from a low corner (units); refused if any vertex
-    /// lies outside the world, there is no such level, or no machine word counts them. A grid
+    /// `columns` by `rows` vertices of a level from a low corner (units); rejected if a vertex
+    /// lies outside the world, the level does not exist, or the vertex count exceeds memory. A grid
     /// without vertices is allowed if its corner lies in the world.
     pub fn new(x: i32, z: i32, level: u8, columns: usize, rows: usize) -> Result<Self, InvalidGrid> {
         if level > TOP_LEVEL {
             return Err(InvalidGrid::NoSuchLevel(level));
         }
-        // What follows relies on it: an allocation is at most isize::MAX bytes.
+        // An allocation is at most isize::MAX bytes; the arithmetic below relies on it.
         if columns.checked_mul(rows).is_none_or(|count| count > isize::MAX as usize / 4) {
             return Err(InvalidGrid::TooManyVertices { columns, rows });
         }
@@ -57,8 +57,7 @@ impl Grid {
         }
     }
 
-    /// The same vertices with fewer octaves, for measuring what they are worth; never more than the
-    /// level carries.
+    /// The same vertices with fewer octaves, for measurements; never more than the level carries.
     #[must_use]
     pub fn keeping(self, octaves: Octaves) -> Self {
         Self { octaves: octaves.min(self.octaves), ..self }
@@ -97,7 +96,7 @@ impl Grid {
     }
 }
 
-/// A grid that cannot be.
+/// Why a grid is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InvalidGrid {
     /// A vertex lies outside the world; the low corner is named.
@@ -123,7 +122,7 @@ impl fmt::Display for InvalidGrid {
                 )
             }
             Self::TooManyVertices { columns, rows } => {
-                write!(f, "{columns} x {rows} vertices are more than memory can hold: ask for a smaller grid")
+                write!(f, "{columns} x {rows} vertices are more than memory can hold: choose a smaller grid")
             }
             Self::NoSuchLevel(level) => write!(f, "there is no level {level}: levels are 0 to {TOP_LEVEL}"),
         }
@@ -137,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_grid_may_touch_every_border_and_not_pass_it() {
+    fn a_grid_may_touch_every_border_but_not_cross_it() {
         for level in 0..=TOP_LEVEL {
             let spacing = 1i64 << (SPACING_BITS + u32::from(level));
             let low = (i64::from(WORLD_HALF) - spacing) as i32;
@@ -154,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_grid_whose_vertices_cannot_be_counted_is_refused() {
+    fn a_grid_larger_than_memory_is_rejected() {
         let half = 1 << (usize::BITS / 2);
         for (columns, rows) in [(half, half), (half + 1, half + 1), (usize::MAX, 2)] {
             assert_eq!(
@@ -165,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn a_level_above_the_top_is_refused() {
+    fn a_level_above_the_top_is_rejected() {
         assert_eq!(Grid::new(0, 0, TOP_LEVEL + 1, 2, 2), Err(InvalidGrid::NoSuchLevel(TOP_LEVEL + 1)));
     }
 

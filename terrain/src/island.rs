@@ -71,9 +71,9 @@ impl Archipelago {
             return None;
         }
         let steps = 24 + (hash >> 2 & 63);
-        // The centre may stray in steps of 2 m, as far as keeps the rim inside the cell.
-        let stray = (1 << (ISLAND_CELL_BITS - 1 - 9)) - steps * (ISLAND_RADIUS_STEP_M as u32 / 2);
-        let offset = |word: u32| (mul_hi_u(word, 2 * stray + 1) as i32 - stray as i32) << 9;
+        // The centre varies in steps of 2 m; the rim stays inside the cell.
+        let spread = (1 << (ISLAND_CELL_BITS - 1 - 9)) - steps * (ISLAND_RADIUS_STEP_M as u32 / 2);
+        let offset = |word: u32| (mul_hi_u(word, 2 * spread + 1) as i32 - spread as i32) << 9;
         let word_x = mix(hash ^ 0x5bd1_e995);
         let centre = (middle.0 + offset(word_x), middle.1 + offset(mix(word_x)));
         Some(Island::new(centre, steps, 104 + 2 * steps as i32))

@@ -1,13 +1,11 @@
 //! The height of a point: sea floor, dome, hills, ridges, beach.
 
 use crate::constants::{BEACH_M, FINE_BITS, RIDGE_M, SEA_FLOOR_M, UNIT_BITS, UNITS_PER_METRE};
-use crate::grid::Grid;
 use crate::island::{Archipelago, Island};
 use crate::noise::{Fbm, Relief};
 use crate::octaves::Octaves;
 use crate::position::Position;
 use crate::ring::mul_hi;
-use crate::simd::{self, Kernel};
 
 /// Height of the open sea floor, units.
 pub const SEA_FLOOR: i32 = -SEA_FLOOR_M * UNITS_PER_METRE;
@@ -21,13 +19,13 @@ pub struct Land {
 }
 
 impl Land {
-    /// The world of a seed. Cheap: nothing is computed until it is asked for.
+    /// The world of a seed. Cheap: heights are computed on request.
     #[must_use]
     pub fn new(world_seed: u64) -> Self {
         Self { world_seed, fbm: Fbm::new(world_seed), archipelago: Archipelago::new(world_seed) }
     }
 
-    /// The seed that this world was made from.
+    /// The seed of this world.
     #[must_use]
     pub const fn world_seed(&self) -> u64 {
         self.world_seed
@@ -60,28 +58,10 @@ impl Land {
     pub const fn fbm(&self) -> &Fbm {
         &self.fbm
     }
-
-    /// Heights of a grid, units, row by row, with the fastest kernel of this machine.
-    ///
-    /// # Panics
-    /// If `out` does not hold exactly the grid's vertices.
-    pub fn heights(&self, grid: &Grid, out: &mut [i32]) {
-        self.heights_on(Kernel::best(), grid, out);
-    }
-
-    /// The same by a kernel of one's choice: every kernel and [`Land::height_keeping`] agree bit
-    /// for bit.
-    ///
-    /// # Panics
-    /// If `out` does not hold exactly the grid's vertices.
-    pub fn heights_on(&self, kernel: Kernel, grid: &Grid, out: &mut [i32]) {
-        assert_eq!(out.len(), grid.vertex_count(), "room for every vertex of the grid");
-        simd::heights(kernel, &self.fbm, &self.archipelago, grid, out);
-    }
 }
 
-/// Composes the height of a point of an island from the noise there; the noise is not asked for at
-/// sea.
+/// Composes the height of a point of an island from the noise there. At sea the noise is not
+/// evaluated.
 ///
 /// With the falloff `w` the height over the sea floor is `w dome + (2 w - w²) hills + w² ridge`:
 /// hills rise twice as fast at the rim as the dome, ridges only far inland. Written as

@@ -5,16 +5,18 @@
 //! GPU that follow the same rules compute the same integers, so collision equals picture and a
 //! chunk can be cached for ever.
 //!
-//! What it refuses: input and output, clocks, threads, async, GPU, serialisation, and floats on any
-//! path that decides a height; `unsafe` lives in [`simd`] alone. Nothing in it fails; the only
-//! errors are [`OutsideWorld`], [`key::InvalidKey`], [`grid::InvalidGrid`] and
-//! [`octaves::TooManyOctaves`], returned where a caller turns raw numbers into a position, a key, a
-//! grid or a number of octaves.
+//! It has no input or output, clocks, threads, async, GPU, serialisation or floats (a lint denies
+//! float arithmetic outside tests). `unsafe` code is confined to [`simd`]. Generation cannot fail;
+//! the only errors are [`OutsideWorld`], [`key::InvalidKey`], [`grid::InvalidGrid`] and
+//! [`octaves::TooManyOctaves`], returned where raw numbers become a position, a key, a grid or a
+//! number of octaves.
 //!
 //! Reading order: [`constants`] (every number), [`ring`] (the allowed arithmetic), [`hash`],
 //! [`weights`], [`octaves`], [`noise`], [`island`], [`land`] (the height of a point), [`grid`] and
-//! [`simd`] (many points, fast), [`key`] (the quadtree), [`pyramid`], [`grass`], [`streams`],
+//! [`simd`] (many points, fast), [`key`] (the quadtree), [`pyramid`], [`grass`], [`random_attributes`],
 //! [`chunk`], [`digest`], [`lod`].
+
+#![cfg_attr(not(test), deny(clippy::float_arithmetic, reason = "heights are integers on every machine"))]
 
 pub mod chunk;
 pub mod constants;
@@ -31,9 +33,10 @@ pub mod octaves;
 pub mod parameters;
 pub mod position;
 pub mod pyramid;
+pub mod random_attributes;
 pub mod ring;
 pub mod simd;
-pub mod streams;
+mod texels;
 pub mod weights;
 
 pub use chunk::Chunk;

@@ -43,7 +43,7 @@ pub const fn level_error(level: u8) -> u32 {
     LEVEL_ERROR[level as usize]
 }
 
-/// What a selection needs to know of a viewer. Integers, so that two machines choose alike.
+/// The viewer of a selection. Integers, so that two machines choose the same chunks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Viewer {
     /// Eye, units: east, up, south.
@@ -74,8 +74,7 @@ pub struct Needed {
 /// A chunk that is too coarse for the viewer is split into its four children, and so is every chunk
 /// that would otherwise be drawn beside one two levels finer ([`balance`]): level borders can then
 /// be closed vertex by vertex. Contains every ancestor of a needed chunk up to
-/// [`Viewer::top_level`], so that something coarse can be drawn while the fine chunks are under
-/// way. Stops at `limit` chunks (coarse ones are found first).
+/// [`Viewer::top_level`], so that something coarse can be drawn until the fine chunks arrive. Stops at `limit` chunks (coarse ones are found first).
 #[must_use]
 pub fn select(land: &Land, viewer: &Viewer, limit: usize) -> Vec<Needed> {
     Selector::new(land, viewer, limit).finish()
@@ -84,15 +83,17 @@ pub fn select(land: &Land, viewer: &Viewer, limit: usize) -> Vec<Needed> {
 /// Estimate of the chunks that a viewer needs over land without open sea, eye at the ground: the
 /// number of chunks of each level within the distance at which its parent is split. Saturating.
 ///
-/// It reads no land and costs nanoseconds, so a server can refuse a view before it selects any
-/// chunk of it.
+/// It reads no land and costs nanoseconds, so a server can reject a view before it selects a
+/// chunk.
 #[must_use]
 pub fn estimated_chunks(viewer: &Viewer) -> u64 {
     let reach = viewer.reach();
     let at_level = |level: u8| {
         let scaled = u64::from(level_error(level + 1)) * u64::from(viewer.pixels_per_radian) * 16;
         // Chunks are counted within a square: a split chunk has all four children.
-        let side = 2 * (scaled / u64::from(viewer.tolerance())).min(reach) / (1 << (CHUNK_BITS + u32::from(level))) + 2;
+        let side = 2 * (scaled / u64::from(viewer.tolerance())).min(reach)
+            / (1 << (CHUNK_BITS + u32::from(level)))
+            + 2;
         side.saturating_mul(side)
     };
     (0..viewer.top_level()).map(at_level).fold(viewer.tops().len() as u64, u64::saturating_add)
@@ -118,11 +119,11 @@ impl Splits {
     }
 }
 
-/// Adds what must be split besides: every chunk above a split one, and every chunk that would be
-/// drawn beside, or corner to corner with, one that is two levels finer.
+/// Adds the further splits that a balanced quadtree needs: every chunk above a split one, and every
+/// chunk that would share an edge or a corner with one that is two levels finer.
 ///
-/// The smallest such set, hence monotone: who splits more to begin with, splits at least as much in
-/// the end.
+/// The result is the smallest such set, hence monotone: more initial splits never give fewer final
+/// ones.
 pub fn balance(splits: &mut Splits, viewer: &Viewer) {
     for level in 0..=viewer.top_level() {
         splits.sort(level);
@@ -136,9 +137,9 @@ pub fn balance(splits: &mut Splits, viewer: &Viewer) {
     }
 }
 
-/// What must be split if `key` is: its parent and those of the neighbours outside it, as far as
-/// they are seen. The chunk's children touch all its neighbours, so these must not be drawn by
-/// anything coarser than themselves.
+/// The splits that a split of `key` requires: its parent, and the parents of its visible neighbours
+/// outside that parent. The chunk's children touch all its neighbours, so each neighbour must be
+/// drawn at its own level or finer.
 pub fn required(key: ChunkKey, viewer: &Viewer) -> impl Iterator<Item = ChunkKey> + '_ {
     let (east, south) = key.quarter();
     // Towards the outside of the parent: the neighbours on the other sides are its siblings.
@@ -171,8 +172,8 @@ impl Viewer {
         self.distance_to_box(key, i32::MIN, SUMMIT)
     }
 
-    /// The same for a chunk that is known to lie between two heights. Never less, wherever these
-    /// are within those bounds. Units.
+    /// The same for a chunk whose heights lie between two bounds. Not less than
+    /// [`Viewer::distance_to`] if the bounds are within its own. Units.
     #[must_use]
     pub fn distance_to_box(&self, key: ChunkKey, lowest: i32, highest: i32) -> u64 {
         self.distance_to_block(key.origin(), key.side(), lowest, highest)
@@ -220,7 +221,7 @@ impl Viewer {
         (chunks.max(1).ilog2() as u8).min(TOP_LEVEL)
     }
 
-    /// The seen chunks of the coarsest level, at most 25.
+    /// The visible chunks of the coarsest level, at most 25.
     #[must_use]
     pub fn tops(&self) -> Vec<ChunkKey> {
         let level = self.top_level();
@@ -286,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn chunks_that_touch_differ_by_one_level_at_most_and_the_check_can_fail() {
+    fn adjacent_chunks_differ_by_at_most_one_level() {
         let land = Land::new(1);
         let mut broken = 0;
         for (eye, tolerance_q4) in
@@ -296,7 +297,7 @@ mod tests {
             let keys: HashSet<_> =
                 select(&land, &viewer, usize::MAX).iter().map(|needed| needed.key).collect();
             assert_eq!(unbalanced(&keys, &viewer), None);
-            // Without the chunks that only balance asks for, some border is two levels high.
+            // Without the chunks that only balance adds, some border spans two levels.
             let by_error: HashSet<_> = keys
                 .iter()
                 .copied()
@@ -310,7 +311,7 @@ mod tests {
                 .collect();
             broken += usize::from(by_error.len() < keys.len() && unbalanced(&by_error, &viewer).is_some());
         }
-        assert!(broken > 0, "nothing was left for balance to do");
+        assert!(broken > 0, "balance added no chunk");
     }
 
     /// A leaf that touches a leaf of more than one level above it.
@@ -349,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tighter_tolerance_needs_more_and_the_limit_is_kept() {
+    fn a_tighter_tolerance_selects_more_within_the_limit() {
         let land = Land::new(1);
         let count = |tolerance_q4| select(&land, &Viewer { tolerance_q4, ..viewer() }, usize::MAX).len();
         assert!(count(16) > count(32) && count(32) > count(160));
@@ -358,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_of_the_world_and_absurd_viewers_are_served() {
+    fn extreme_viewers_stay_within_the_limit() {
         let land = Land::new(1);
         for eye in [
             (WORLD_HALF, 0, WORLD_HALF),

@@ -4,7 +4,7 @@
 //! bits. A lattice cell of octave `o` is `2^(18 - o)` units wide; cell and fraction are `p >> s`
 //! and `p & mask`, exact for both signs.
 //!
-//! [`weights`](crate::weights) says what is summed. It is summed in two steps, so that a whole row
+//! [`weights`](crate::weights) states the sum. It is evaluated in two steps, so that a whole row
 //! of points can share the first: along z into one edge per lattice column, then along x. Tall
 //! octaves carry eight more bits through both steps; the low ones round them away, because 16 bits
 //! are enough below 16 m. The sum over all octaves stays within 2 mm of real arithmetic (tested).
@@ -13,10 +13,8 @@ use crate::constants::{
     FINE_BITS, FIRST_AMPLITUDE_BITS, FIRST_CELL_BITS, FRACTION_BITS, GRADIENTS, OCTAVES, SPLIT_BITS,
     WIDE_OCTAVES,
 };
-use crate::grid::Grid;
 use crate::hash::{hash2, stream_seed};
 use crate::octaves::Octaves;
-use crate::simd::{self, Kernel};
 use crate::weights::{Weights, narrow, split, weights};
 
 /// The seeds of all octaves of one world.
@@ -25,7 +23,7 @@ pub struct Fbm {
     pub(crate) seeds: [u32; OCTAVES],
 }
 
-/// What the fractal sum yields at a point, in units of 2^-16 m.
+/// The fractal sum at a point, in units of 2^-16 m.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Relief {
     /// Sum of all octaves kept.
@@ -63,15 +61,6 @@ impl Fbm {
             relief.add(octave, value(octave, low, high, weights(fraction_x)));
         }
         relief
-    }
-
-    /// The sums of a grid, row by row, by a kernel of one's choice: equal to [`Fbm::at`] bit for
-    /// bit. 2^-16 m.
-    ///
-    /// # Panics
-    /// If `hills` or `folds` does not hold exactly the grid's vertices.
-    pub fn grid_on(&self, kernel: Kernel, grid: &Grid, hills: &mut [i32], folds: &mut [i32]) {
-        simd::noise(kernel, self, grid, hills, folds);
     }
 }
 

@@ -1,4 +1,4 @@
-//! How many octaves of the fractal sum are kept.
+//! The number of octaves of the fractal sum.
 
 use crate::constants::{
     FIRST_AMPLITUDE_BITS, FIRST_CELL_BITS, OCTAVE_SHIFT, OCTAVES, RIDGE_M, SPACING_BITS, UNIT_BITS,
@@ -70,7 +70,7 @@ pub struct TooManyOctaves(
 
 impl fmt::Display for TooManyOctaves {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} octaves asked for: the land has {OCTAVES}", self.0)
+        write!(f, "{} octaves requested: the land has at most {OCTAVES}", self.0)
     }
 }
 

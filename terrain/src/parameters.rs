@@ -1,10 +1,9 @@
-//! What a generator in another language needs to know of one world.
+//! The parameters of one world for a generator in another language.
 
 use crate::constants::OCTAVES;
 use crate::land::Land;
 
-/// Everything that a 64-bit world seed decides: a GPU has no 64-bit integers to derive it from the
-/// seed itself.
+/// Everything derived from a 64-bit world seed: a GPU has no 64-bit integers to derive it itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parameters {
     /// Seed of each octave, coarsest first.

@@ -12,7 +12,7 @@ pub struct Position {
 }
 
 impl Position {
-    /// A position from units; refused outside the world, never wrapped or clamped.
+    /// A position from units; rejected outside the world, never wrapped or clamped.
     pub fn new(x: i32, z: i32) -> Result<Self, OutsideWorld> {
         let inside = |v: i32| (-WORLD_HALF..=WORLD_HALF).contains(&v);
         if inside(x) && inside(z) { Ok(Self { x, z }) } else { Err(OutsideWorld { x, z }) }
@@ -34,9 +34,9 @@ impl Position {
 /// A coordinate beyond ±[`WORLD_HALF`] units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutsideWorld {
-    /// The refused x, units.
+    /// The rejected x, units.
     pub x: i32,
-    /// The refused z, units.
+    /// The rejected z, units.
     pub z: i32,
 }
 

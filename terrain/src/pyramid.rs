@@ -5,26 +5,17 @@
 //! drawn as two triangles, so that is the exact extreme of the drawn surface over the cell, never
 //! the noise between vertices. Each further level reduces 2 x 2 texels, up to one.
 
-use crate::constants::{CELLS, VERTEX_COUNT};
+use crate::constants::VERTEX_COUNT;
 use crate::simd::{self, Kernel};
+use crate::texels::{Texels, offset};
 
-/// Levels of a pyramid: 64 x 64 up to 1 x 1.
-pub const PYRAMID_LEVELS: usize = CELLS.trailing_zeros() as usize + 1;
-
-/// Texels over all levels: 64² + 32² + ... + 1.
-pub const PYRAMID_TEXELS: usize = (4 * CELLS * CELLS - 1) / 3;
+pub use crate::texels::{PYRAMID_LEVELS, PYRAMID_TEXELS, side};
 
 /// One reduced pyramid, heights in units. Level 0 is the base.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pyramid {
     texels: Box<Texels>,
 }
-
-/// The texels of all levels, base first. Aligned to cache lines: vectors stored across two of them
-/// cost twice.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[repr(C, align(64))]
-pub(crate) struct Texels(pub(crate) [i32; PYRAMID_TEXELS]);
 
 impl Pyramid {
     /// The pyramid of upper bounds.
@@ -39,13 +30,13 @@ impl Pyramid {
         Self::of_minima_on(Kernel::best(), heights)
     }
 
-    /// The pyramid of upper bounds, by a kernel of one's choice.
+    /// The pyramid of upper bounds, by a given kernel.
     #[must_use]
     pub fn of_maxima_on(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> Self {
         Self { texels: simd::pyramid(kernel, heights, true) }
     }
 
-    /// The pyramid of lower bounds, by a kernel of one's choice.
+    /// The pyramid of lower bounds, by a given kernel.
     #[must_use]
     pub fn of_minima_on(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> Self {
         Self { texels: simd::pyramid(kernel, heights, false) }
@@ -62,17 +53,6 @@ impl Pyramid {
     pub fn top(&self) -> i32 {
         self.texels.0[PYRAMID_TEXELS - 1]
     }
-}
-
-/// Texels along one side of a level.
-#[must_use]
-pub const fn side(level: usize) -> usize {
-    CELLS >> level
-}
-
-/// Index of the first texel of a level.
-pub(crate) const fn offset(level: usize) -> usize {
-    PYRAMID_TEXELS - (4 * side(level) * side(level) - 1) / 3
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@
 //! drivers are known to get those wrong for negative operands, and `%` means different things in
 //! different languages.
 //!
-//! The high halves of products below are part of the ring profile because they can be put together
-//! from 16-bit products; Rust states them through a 64-bit product.
+//! The high halves of products below belong to the ring profile because they can be composed from
+//! 16-bit products; Rust computes them from a 64-bit product.
 
 /// High 32 bits of the signed 64-bit product: `floor(a * b / 2^32)`.
 #[must_use]
@@ -57,7 +57,7 @@ mod tests {
     const EDGES: [i32; 13] =
         [i32::MIN, i32::MIN + 1, -65_536, -256, -2, -1, 0, 1, 2, 255, 65_536, i32::MAX - 1, i32::MAX];
 
-    /// The same two functions said in 128-bit arithmetic, where nothing can overflow.
+    /// The same two functions in 128-bit arithmetic, where nothing can overflow.
     fn naive(a: i32, m: i32) -> (i128, i128) {
         let (a, m) = (i128::from(a), i128::from(m).abs());
         if m == 0 { (0, 0) } else { (a % m, a.rem_euclid(m)) }

@@ -1,4 +1,4 @@
-//! How much each side of a lattice cell counts at a place inside it.
+//! Interpolation weights of the two sides of a lattice cell.
 //!
 //! Gradient noise is separable. With the quintic fade `s` of a fraction `t`, the side at the low
 //! end of a cell has the *step* `1 - s` and the *line* `t (1 - s)`, the side at the high end `s`

@@ -10,7 +10,7 @@ use crate::key::ChunkKey;
 use crate::land::Land;
 use std::cmp::Reverse;
 
-/// One selection under way.
+/// One running selection.
 #[derive(Clone, Debug)]
 pub struct Selector {
     land: Land,
@@ -35,9 +35,15 @@ enum Phase {
         count: usize,
     },
     /// Adds the splits that balance requires, from the finest level up.
-    Balance { level: u8, examined: usize },
+    Balance {
+        level: u8,
+        examined: usize,
+    },
     /// Lists the children of all splits, from the coarsest level down.
-    List { level: u8, listed: usize },
+    List {
+        level: u8,
+        listed: usize,
+    },
     Done,
 }
 
@@ -46,13 +52,16 @@ impl Selector {
     #[must_use]
     pub fn new(land: &Land, viewer: &Viewer, limit: usize) -> Self {
         let tops = viewer.tops();
-        let phase = Phase::Split {
-            level: tops.clone(),
-            examined: 0,
-            below: Vec::new(),
-            count: tops.len(),
-        };
-        Self { land: *land, viewer: *viewer, limit, tops, splits: Splits::default(), phase, found: Vec::new() }
+        let phase = Phase::Split { level: tops.clone(), examined: 0, below: Vec::new(), count: tops.len() };
+        Self {
+            land: *land,
+            viewer: *viewer,
+            limit,
+            tops,
+            splits: Splits::default(),
+            phase,
+            found: Vec::new(),
+        }
     }
 
     /// Whether all steps are done.
@@ -71,7 +80,7 @@ impl Selector {
         self.is_done()
     }
 
-    /// The chunks, parents before children. Runs what is left of the steps.
+    /// The chunks, parents before children. Runs the remaining steps.
     #[must_use]
     pub fn finish(mut self) -> Vec<Needed> {
         while !self.step(usize::MAX) {}
@@ -82,7 +91,9 @@ impl Selector {
     /// 1.
     fn advance(&mut self, chunks: usize) -> usize {
         match std::mem::replace(&mut self.phase, Phase::Done) {
-            Phase::Split { level, examined, below, count } => self.split(level, examined, below, count, chunks),
+            Phase::Split { level, examined, below, count } => {
+                self.split(level, examined, below, count, chunks)
+            }
             Phase::Balance { level, examined } => self.balance(level, examined, chunks),
             Phase::List { level, listed } => self.list(level, listed, chunks),
             Phase::Done => 1,

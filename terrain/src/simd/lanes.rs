@@ -1,17 +1,17 @@
-//! What a kernel asks of a vector of 32-bit integers.
+//! The operations that a kernel needs from a vector of 32-bit integers.
 
 /// `COUNT` integers of 32 bits. All arithmetic wraps, as in the ring profile.
 ///
 /// # Safety
 ///
 /// Every method may only be called where the CPU has the features of the implementing type;
-/// [`super::Kernel`] sees to that once, at the entry of a kernel. Methods that take pointers read
+/// [`super::Kernel`] guarantees that once, at the entry of a kernel. Methods that take pointers read
 /// or write `COUNT` integers there, without any alignment beyond that of `i32`.
 pub(super) trait Lanes: Copy {
     /// Integers per vector, a power of two up to [`MOST_LANES`].
     const COUNT: usize;
-    /// A vector of half as many integers that needs no further features, for what is left of a row;
-    /// one lane has itself.
+    /// A vector of half as many integers that needs no further features, for the rest of a row. One
+    /// lane is its own half.
     type Half: Lanes;
 
     unsafe fn load(from: *const i32) -> Self;
@@ -51,7 +51,7 @@ pub(super) trait Lanes: Copy {
     /// Whether any lane differs from zero.
     unsafe fn any(self) -> bool;
 
-    /// What [`Lanes::window`] takes to pick the elements at `offsets` (each below `COUNT`).
+    /// The argument of [`Lanes::window`] that picks the elements at `offsets` (each below `COUNT`).
     unsafe fn picker(offsets: Self) -> Self;
     /// Per lane, the element of the `COUNT` integers at `from` that the picker names.
     unsafe fn window(from: *const i32, picker: Self) -> Self;
@@ -61,7 +61,7 @@ pub(super) trait Lanes: Copy {
     /// Maxima of neighbours: lane `i` is the larger of elements `2 i` and `2 i + 1` of the sequence
     /// `self, next`.
     unsafe fn max_of_pairs(self, next: Self) -> Self;
-    /// Minima of neighbours, likewise.
+    /// Minima of neighbours, in the same order.
     unsafe fn min_of_pairs(self, next: Self) -> Self;
 }
 
@@ -75,7 +75,7 @@ impl Lanes for i32 {
 
     #[inline(always)]
     unsafe fn load(from: *const i32) -> Self {
-        // SAFETY: the caller vouches for the pointer, here and below.
+        // SAFETY: the caller guarantees the pointer, here and below.
         unsafe { *from }
     }
     #[inline(always)]

@@ -1,14 +1,16 @@
 //! Whole grids at once, on the vectors of this machine.
 //!
 //! One algorithm (`strip`, `shape`, `pyramid`, `slope`) over one small set of vector operations
-//! (`lanes`), implemented for single integers and for every instruction set that pays. All kernels
-//! yield the same bits.
+//! (`lanes`), implemented for single integers and for each instruction set that is measurably
+//! faster. All kernels yield the same bits.
 //!
-//! The only unsafe code of the workspace: vector instructions may only run on CPUs that have them,
-//! and vectors are loaded through pointers. A [`Kernel`] that needs a feature exists only where
-//! that feature was detected.
-#![expect(unsafe_code, reason = "vector instructions; every block says what it relies on")]
+//! The only unsafe code of this crate: vector instructions may only run on CPUs that have them, and
+//! vectors are loaded through pointers. A [`Kernel`] that needs a feature exists only where that
+//! feature was detected.
+#![expect(unsafe_code, reason = "vector instructions; every block states what it relies on")]
 
+mod density;
+mod kernel;
 mod lanes;
 mod pyramid;
 mod shape;
@@ -20,116 +22,17 @@ mod wasm;
 mod x86;
 
 use crate::constants::{GRASS_GRID, VERTEX_COUNT};
-use crate::grass;
 use crate::grid::Grid;
 use crate::island::Archipelago;
+use crate::land::Land;
 use crate::noise::Fbm;
-use crate::pyramid::Texels;
+use crate::texels::Texels;
+use kernel::Set;
 use lanes::Lanes;
-use std::fmt;
 use std::mem::MaybeUninit;
 use strip::{Columns, Sink, Strip, strips};
 
-/// An implementation for one kind of CPU. Exists only where it can run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Kernel(Set);
-
-/// Instruction sets, from the portable one to the widest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Set {
-    Scalar,
-    #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-    Simd128,
-    #[cfg(target_arch = "x86_64")]
-    Sse41,
-    #[cfg(target_arch = "x86_64")]
-    Avx2,
-    #[cfg(target_arch = "x86_64")]
-    Avx512,
-}
-
-impl Kernel {
-    /// Plain integers, one vertex at a time: runs everywhere.
-    pub const SCALAR: Self = Self(Set::Scalar);
-
-    /// Every kernel that this machine can run, the portable one first, the fastest last.
-    pub fn available() -> impl Iterator<Item = Self> {
-        let sets: &[(Set, bool)] = &[
-            (Set::Scalar, true),
-            #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-            (Set::Simd128, true),
-            #[cfg(target_arch = "x86_64")]
-            (Set::Sse41, is_x86_feature_detected!("sse4.1") && is_x86_feature_detected!("ssse3")),
-            #[cfg(target_arch = "x86_64")]
-            (Set::Avx2, is_x86_feature_detected!("avx2")),
-            #[cfg(target_arch = "x86_64")]
-            (Set::Avx512, has_avx512()),
-        ];
-        sets.iter().filter(|(_, runs)| *runs).map(|(set, _)| Self(*set)).collect::<Vec<_>>().into_iter()
-    }
-
-    /// The fastest kernel that this machine can run.
-    #[must_use]
-    pub fn best() -> Self {
-        // Feature detection is cached by the standard library: a few loads.
-        #[cfg(target_arch = "x86_64")]
-        {
-            if has_avx512() {
-                return Self(Set::Avx512);
-            }
-            if is_x86_feature_detected!("avx2") {
-                return Self(Set::Avx2);
-            }
-            if is_x86_feature_detected!("sse4.1") && is_x86_feature_detected!("ssse3") {
-                return Self(Set::Sse41);
-            }
-        }
-        #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-        return Self(Set::Simd128);
-        #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
-        Self::SCALAR
-    }
-
-    /// The kernel for rows of 64 and less: 16 lanes are too many for the upper levels of a pyramid,
-    /// and a CPU that has them has 8 too.
-    pub(crate) fn for_short_rows(self) -> Self {
-        match self.0 {
-            #[cfg(target_arch = "x86_64")]
-            Set::Avx512 => Self(Set::Avx2),
-            _ => self,
-        }
-    }
-
-    /// The kernel of a name as printed, if this machine can run it.
-    #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
-        Self::available().find(|kernel| kernel.to_string() == name)
-    }
-}
-
-/// Whether this CPU has what the AVX-512 kernel needs, and what its pyramids do.
-#[cfg(target_arch = "x86_64")]
-fn has_avx512() -> bool {
-    is_x86_feature_detected!("avx512f")
-        && is_x86_feature_detected!("avx512bw")
-        && is_x86_feature_detected!("avx2")
-}
-
-impl fmt::Display for Kernel {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self.0 {
-            Set::Scalar => "scalar",
-            #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-            Set::Simd128 => "simd128",
-            #[cfg(target_arch = "x86_64")]
-            Set::Sse41 => "sse4.1",
-            #[cfg(target_arch = "x86_64")]
-            Set::Avx2 => "avx2",
-            #[cfg(target_arch = "x86_64")]
-            Set::Avx512 => "avx512",
-        })
-    }
-}
+pub use kernel::Kernel;
 
 /// Defines an entry point: a safe function that runs a generic body under the instruction set of a
 /// kernel.
@@ -186,12 +89,12 @@ entry! {
 
 entry! {
     /// The texels of the pyramid of upper bounds of a chunk, all of them.
-    maxima_into(heights: &[i32; VERTEX_COUNT], texels: &mut Room) => maxima_on
+    maxima_into(heights: &[i32; VERTEX_COUNT], texels: &mut UninitTexels) => maxima_on
 }
 
 entry! {
     /// The texels of the pyramid of lower bounds of a chunk, all of them.
-    minima_into(heights: &[i32; VERTEX_COUNT], texels: &mut Room) => minima_on
+    minima_into(heights: &[i32; VERTEX_COUNT], texels: &mut UninitTexels) => minima_on
 }
 
 entry! {
@@ -200,7 +103,7 @@ entry! {
 }
 
 entry! {
-    /// See [`grass::densities`].
+    /// See [`density::densities`].
     densities(heights: &[i32; VERTEX_COUNT], side_bits: u32, density: &mut [u8; GRASS_GRID * GRASS_GRID]) => densities_on
 }
 
@@ -212,8 +115,38 @@ pub(crate) fn steepest(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> i32 {
     worst
 }
 
-/// Room for a pyramid. Not cleared first, because clearing costs as much as the reduction.
-type Room = MaybeUninit<Texels>;
+/// Memory for a pyramid. Not cleared first, because clearing costs as much as the reduction.
+type UninitTexels = MaybeUninit<Texels>;
+
+impl Fbm {
+    /// The sums of a grid, row by row, by a given kernel: equal to [`Fbm::at`] bit for bit. 2^-16 m.
+    ///
+    /// # Panics
+    /// If `hills` or `folds` does not hold exactly the grid's vertices.
+    pub fn grid_on(&self, kernel: Kernel, grid: &Grid, hills: &mut [i32], folds: &mut [i32]) {
+        noise(kernel, self, grid, hills, folds);
+    }
+}
+
+impl Land {
+    /// Heights of a grid, units, row by row, with the fastest kernel of this machine.
+    ///
+    /// # Panics
+    /// If `out` does not hold exactly the grid's vertices.
+    pub fn heights(&self, grid: &Grid, out: &mut [i32]) {
+        self.heights_on(Kernel::best(), grid, out);
+    }
+
+    /// Heights of a grid by a given kernel: every kernel and [`Land::height_keeping`] agree bit for
+    /// bit.
+    ///
+    /// # Panics
+    /// If `out` does not hold exactly the grid's vertices.
+    pub fn heights_on(&self, kernel: Kernel, grid: &Grid, out: &mut [i32]) {
+        assert_eq!(out.len(), grid.vertex_count(), "`out` must hold every vertex of the grid");
+        heights(kernel, self.fbm(), self.archipelago(), grid, out);
+    }
+}
 
 /// The pyramid of upper (or lower) bounds of a chunk.
 pub(crate) fn pyramid(kernel: Kernel, heights: &[i32; VERTEX_COUNT], max: bool) -> Box<Texels> {
@@ -245,7 +178,7 @@ impl<L: Lanes> Sink<L> for Relief<'_> {
     #[inline(always)]
     unsafe fn put(&mut self, row: usize, column: usize, hills: L, folds: L) {
         let index = row * self.grid.columns + self.columns.first + column;
-        // SAFETY: the CPU is vouched for; the rest of the strip's row lies in both sums.
+        // SAFETY: the caller guarantees the CPU features; the rest of the strip's row lies in both sums.
         unsafe {
             shape::store_some(hills, self.hills.add(index), self.columns.count - column);
             shape::store_some(folds, self.folds.add(index), self.columns.count - column);
@@ -261,7 +194,7 @@ unsafe fn noise_on<L: Lanes>(fbm: &Fbm, grid: &Grid, hills: &mut [i32], folds: &
     let mut strip = Strip::new();
     for columns in strips(grid.columns) {
         let mut sink = Relief { grid, columns, hills: hills.as_mut_ptr(), folds: folds.as_mut_ptr() };
-        // SAFETY: vouched for by the caller; strips are at most 65 wide.
+        // SAFETY: guaranteed by the caller; strips are at most 65 wide.
         unsafe { strip.run::<L>(fbm, grid, columns, &mut sink) };
     }
 }
@@ -278,30 +211,29 @@ unsafe fn heights_on<L: Lanes>(fbm: &Fbm, archipelago: &Archipelago, grid: &Grid
 
 #[inline(always)]
 unsafe fn steepest_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], worst: &mut i32) {
-    // SAFETY: vouched for by the caller.
+    // SAFETY: guaranteed by the caller.
     unsafe { slope::steepest::<L>(heights, worst) }
 }
 
-/// Vectors are the compiler's here: the body is compiled for each instruction set, whatever its
-/// lanes are called.
+/// The compiler vectorises this body, once per instruction set; the lane type selects the set only.
 #[inline(always)]
 unsafe fn densities_on<L: Lanes>(
     heights: &[i32; VERTEX_COUNT],
     side_bits: u32,
     density: &mut [u8; GRASS_GRID * GRASS_GRID],
 ) {
-    grass::densities(heights, side_bits, density);
+    density::densities(heights, side_bits, density);
 }
 
 #[inline(always)]
-unsafe fn maxima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut Room) {
-    // SAFETY: vouched for by the caller.
+unsafe fn maxima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut UninitTexels) {
+    // SAFETY: guaranteed by the caller.
     unsafe { pyramid::reduce::<L, true>(heights, texels) }
 }
 
 #[inline(always)]
-unsafe fn minima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut Room) {
-    // SAFETY: vouched for by the caller.
+unsafe fn minima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut UninitTexels) {
+    // SAFETY: guaranteed by the caller.
     unsafe { pyramid::reduce::<L, false>(heights, texels) }
 }
 
@@ -309,7 +241,6 @@ unsafe fn minima_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], texels: &mut Room) 
 mod tests {
     use super::*;
     use crate::constants::{FIRST_CELL_BITS, SPACING_BITS, TOP_LEVEL, WORLD_HALF};
-    use crate::land::Land;
     use crate::octaves::Octaves;
     use crate::position::Position;
     use proptest::prelude::*;

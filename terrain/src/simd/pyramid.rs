@@ -2,7 +2,7 @@
 
 use super::lanes::Lanes;
 use crate::constants::{CELLS, VERTEX_COUNT, VERTICES};
-use crate::pyramid::{PYRAMID_LEVELS, offset, side};
+use crate::texels::{PYRAMID_LEVELS, offset, side};
 
 /// Fills a pyramid with the maxima (or minima) of the cells' corners and of blocks of cells.
 ///
@@ -11,9 +11,9 @@ use crate::pyramid::{PYRAMID_LEVELS, offset, side};
 #[inline(always)]
 pub(super) unsafe fn reduce<L: Lanes, const MAX: bool>(
     heights: &[i32; VERTEX_COUNT],
-    texels: &mut super::Room,
+    texels: &mut super::UninitTexels,
 ) {
-    // SAFETY: the CPU is vouched for. A row of vertices has 65, of the base 64 texels, a multiple
+    // SAFETY: the caller guarantees the CPU features. A row of vertices has 65, of the base 64 texels, a multiple
     // of twice COUNT.
     unsafe {
         let texels: *mut i32 = texels.as_mut_ptr().cast();
@@ -53,7 +53,7 @@ pub(super) unsafe fn reduce<L: Lanes, const MAX: bool>(
 /// fills.
 #[inline(always)]
 unsafe fn halve_any<L: Lanes, const MAX: bool>(near: *const i32, below: usize, to: *mut i32) {
-    // SAFETY: the CPU is vouched for, and two rows of `below` texels at `near`.
+    // SAFETY: the caller guarantees the CPU features, and two rows of `below` texels at `near`.
     unsafe {
         if below / 2 >= L::COUNT {
             halve::<L, MAX>(near, below, to);
@@ -68,7 +68,7 @@ unsafe fn halve_any<L: Lanes, const MAX: bool>(near: *const i32, below: usize, t
 /// Reduces two rows of `below` texels to one of half as many.
 #[inline(always)]
 unsafe fn halve<L: Lanes, const MAX: bool>(near: *const i32, below: usize, to: *mut i32) {
-    // SAFETY: the CPU is vouched for, and two rows of `below` texels at `near`, a multiple of twice
+    // SAFETY: the caller guarantees the CPU features, and two rows of `below` texels at `near`, a multiple of twice
     // COUNT.
     unsafe {
         for x in (0..below / 2).step_by(L::COUNT) {
@@ -83,20 +83,20 @@ unsafe fn halve<L: Lanes, const MAX: bool>(near: *const i32, below: usize, to: *
 
 #[inline(always)]
 unsafe fn pick<L: Lanes, const MAX: bool>(a: L, b: L) -> L {
-    // SAFETY: the CPU is vouched for.
+    // SAFETY: the caller guarantees the CPU features.
     unsafe { if MAX { a.max(b) } else { a.min(b) } }
 }
 
 #[inline(always)]
 unsafe fn pick_pairs<L: Lanes, const MAX: bool>(left: L, right: L) -> L {
-    // SAFETY: the CPU is vouched for.
+    // SAFETY: the caller guarantees the CPU features.
     unsafe { if MAX { left.max_of_pairs(right) } else { left.min_of_pairs(right) } }
 }
 
 /// The extremes of every vertex and the one after it, over two vectors.
 #[inline(always)]
 unsafe fn along<L: Lanes, const MAX: bool>(vertices: *const i32) -> (L, L) {
-    // SAFETY: the CPU is vouched for, and twice COUNT + 1 vertices.
+    // SAFETY: the caller guarantees the CPU features, and twice COUNT + 1 vertices.
     unsafe {
         let next = vertices.add(L::COUNT);
         (

@@ -108,7 +108,7 @@ impl<L: Lanes> Sink<L> for Shaper<'_> {
     #[inline(always)]
     unsafe fn put(&mut self, row: usize, column: usize, hills: L, folds: L) {
         let dome_m = self.island.map_or(0, |island| island.dome_m);
-        // SAFETY: the CPU is vouched for; tables hold WIDTH integers; `store_some` stays inside the
+        // SAFETY: the caller guarantees the CPU features; tables hold WIDTH integers; `store_some` stays inside the
         // row.
         unsafe {
             let rest = L::splat(self.rest_z).sub(L::load(self.distance_x.as_ptr().add(column)));
@@ -134,7 +134,7 @@ impl<L: Lanes> Sink<L> for Shaper<'_> {
 #[inline(always)]
 unsafe fn beach<L: Lanes>(fine: L) -> L {
     const EDGE: i32 = BEACH_M << FINE_BITS;
-    // SAFETY: the CPU is vouched for.
+    // SAFETY: the caller guarantees the CPU features.
     unsafe {
         let near = fine.abs().select_below(L::splat(EDGE), L::splat(-1), L::splat(0));
         if !near.any() {
@@ -153,7 +153,7 @@ unsafe fn beach<L: Lanes>(fine: L) -> L {
 /// Stores the first `count` lanes, or all of them.
 #[inline(always)]
 pub(super) unsafe fn store_some<L: Lanes>(lanes: L, to: *mut i32, count: usize) {
-    // SAFETY: the caller vouches for `count` integers at `to`, and for the CPU.
+    // SAFETY: the caller guarantees `count` integers at `to` and the CPU features.
     unsafe {
         if count >= L::COUNT {
             lanes.store(to);

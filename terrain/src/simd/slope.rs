@@ -11,7 +11,7 @@ use crate::constants::{CELLS, VERTEX_COUNT, VERTICES};
 #[inline(always)]
 pub(super) unsafe fn steepest<L: Lanes>(heights: &[i32; VERTEX_COUNT], worst: &mut i32) {
     let mut lanes = [0; MOST_LANES];
-    // SAFETY: the CPU is vouched for; a row of cells reads 65 vertices of two rows.
+    // SAFETY: the caller guarantees the CPU features; a row of cells reads 65 vertices of two rows.
     unsafe {
         let mut most = L::splat(0);
         for z in 0..CELLS {

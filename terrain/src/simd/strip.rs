@@ -42,16 +42,16 @@ const PACKED_GRADIENTS: [i32; 32] = {
     packed
 };
 
-/// What becomes of the vertices of a strip.
+/// Receiver of the vertices of a strip.
 pub(super) trait Sink<L: Lanes> {
-    /// Told of each row before its vertices; a row that needs no noise answers false.
+    /// Called for each row before its vertices; returns false if the row needs no noise.
     unsafe fn begin_row(&mut self, row: usize) -> bool;
     /// `COUNT` vertices from `column` of the strip on, in 2^-16 m. Vertices beyond the strip's
     /// width are padding.
     unsafe fn put(&mut self, row: usize, column: usize, hills: L, folds: L);
 }
 
-/// The columns of a grid that are worked on at once.
+/// The columns of a grid that are evaluated together.
 #[derive(Clone, Copy)]
 pub(super) struct Columns {
     /// First column of the grid.
@@ -150,7 +150,7 @@ impl Strip {
         sink: &mut impl Sink<L>,
     ) {
         debug_assert!(columns.count <= STRIP + 1);
-        // SAFETY: as vouched for by the caller, here and in the calls below.
+        // SAFETY: guaranteed by the caller, here and in the calls below.
         unsafe { self.lay_columns::<L>(fbm, grid, columns) };
         for band in (0..grid.rows).step_by(STRIP) {
             // One row more than the strip is high, because rows are raised one ahead.
@@ -197,7 +197,7 @@ impl Strip {
         for (octave, shift) in grid.octaves.shifts() {
             let cell_bits = FIRST_CELL_BITS - octave as u32;
             let first_z = grid.position(0, band).1.wrapping_add(shift.1);
-            // SAFETY: the CPU is vouched for; tables hold WIDTH integers per octave, a multiple of
+            // SAFETY: the caller guarantees the CPU features; tables hold WIDTH integers per octave, a multiple of
             // COUNT.
             unsafe {
                 for row in (0..rows).step_by(L::COUNT) {
@@ -238,7 +238,7 @@ impl Strip {
             let first_cell = first_x >> cell_bits;
             self.base[octave] = base;
             self.cell_z[octave] = None;
-            // SAFETY: the CPU is vouched for; tables hold WIDTH integers per octave, a multiple of
+            // SAFETY: the caller guarantees the CPU features; tables hold WIDTH integers per octave, a multiple of
             // COUNT.
             unsafe {
                 let mut last_cell = 0;
@@ -299,7 +299,7 @@ impl Strip {
             let cell_bits = FIRST_CELL_BITS - octave as u32;
             let z = grid.position(0, band + row).1.wrapping_add(shift.1);
             let table = octave * WIDTH + row;
-            // SAFETY: the CPU is vouched for; `cells` columns from `base` on lie in the lattice
+            // SAFETY: the caller guarantees the CPU features; `cells` columns from `base` on lie in the lattice
             // tables.
             unsafe {
                 self.enter_lattice_row::<L>(octave, z >> cell_bits);
@@ -365,7 +365,7 @@ impl Strip {
         sink: &mut impl Sink<L>,
     ) {
         for column in (0..count).step_by(L::COUNT) {
-            // SAFETY: the CPU is vouched for; `column` is below WIDTH.
+            // SAFETY: the caller guarantees the CPU features; `column` is below WIDTH.
             unsafe {
                 let (mut hills, mut folds) = (L::splat(0), L::splat(0));
                 // Spelled out: a shift by a constant is cheaper than one by a variable, and a loop
@@ -400,7 +400,7 @@ impl Strip {
         let at = OCTAVE * WIDTH + column;
         let cell = self.base[OCTAVE] + usize::from(self.window[OCTAVE][column / L::COUNT]);
         debug_assert!(cell + 1 + L::COUNT <= LATTICE);
-        // SAFETY: the CPU is vouched for; a window and the one beside it end inside the lattice
+        // SAFETY: the caller guarantees the CPU features; a window and the one beside it end inside the lattice
         // tables.
         unsafe {
             let picker = L::load(self.picker.as_ptr().add(at));
@@ -428,7 +428,7 @@ impl Strip {
 /// [`crate::weights::weights`] of every lane: lines and steps, low side first.
 #[inline(always)]
 unsafe fn weights_of<L: Lanes>(fraction: L) -> ([L; 2], [L; 2]) {
-    // SAFETY: the CPU is vouched for.
+    // SAFETY: the caller guarantees the CPU features.
     unsafe {
         let t = fraction.shl(31 - FRACTION_BITS);
         let t2 = t.mul_hi(t).shl(1);
@@ -448,14 +448,14 @@ unsafe fn weights_of<L: Lanes>(fraction: L) -> ([L; 2], [L; 2]) {
 /// [`crate::weights::split`] of every lane.
 #[inline(always)]
 unsafe fn split_lanes<L: Lanes>(wide: L) -> (L, L) {
-    // SAFETY: the CPU is vouched for.
+    // SAFETY: the caller guarantees the CPU features.
     unsafe { (wide.sar(SPLIT_BITS), wide.and(L::splat((1 << SPLIT_BITS) - 1))) }
 }
 
 /// [`crate::weights::narrow`] of every lane.
 #[inline(always)]
 unsafe fn narrow_lanes<L: Lanes>(wide: L) -> L {
-    // SAFETY: the CPU is vouched for.
+    // SAFETY: the caller guarantees the CPU features.
     unsafe { wide.add(L::splat(1 << (SPLIT_BITS - 1))).sar(SPLIT_BITS) }
 }
 
@@ -463,14 +463,14 @@ unsafe fn narrow_lanes<L: Lanes>(wide: L) -> L {
 #[inline(always)]
 unsafe fn gradients<L: Lanes>(column_hash: L, cell_z: i32) -> L {
     let z = (cell_z as u32).wrapping_mul(0x85eb_ca6b) as i32;
-    // SAFETY: the CPU is vouched for, and an index of 5 bits is below 32.
+    // SAFETY: the caller guarantees the CPU features, and an index of 5 bits is below 32.
     unsafe { L::lookup(&PACKED_GRADIENTS, mix(column_hash.add(L::splat(z))).shr(27)) }
 }
 
 /// [`crate::hash::mix`] of every lane.
 #[inline(always)]
 unsafe fn mix<L: Lanes>(h: L) -> L {
-    // SAFETY: the CPU is vouched for.
+    // SAFETY: the caller guarantees the CPU features.
     unsafe {
         let h = h.xor(h.shr(16)).mul(L::splat(0x21f0_aaad));
         let h = h.xor(h.shr(15)).mul(L::splat(0xd35a_2d97_u32 as i32));

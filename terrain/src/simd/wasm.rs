@@ -14,7 +14,7 @@ impl Lanes for Simd128 {
 
     #[inline(always)]
     unsafe fn load(from: *const i32) -> Self {
-        // SAFETY: the caller vouches for the pointer, here and below.
+        // SAFETY: the caller guarantees the pointer, here and below.
         Self(unsafe { v128_load(from.cast()) })
     }
     #[inline(always)]

@@ -1,62 +1,62 @@
-//! The random streams of a clump of plants: what is drawn by lot about it, from its cell and its
-//! number there.
+//! Per-instance random attributes of vegetation, hashed from cell and index (pcg4d).
 //!
-//! Clumps are counted per cell of a grid that lies fixed in the world, not per chunk, so that
-//! chunks of every level hold the same clumps. `shared/streams.wesl` is the twin on the GPU.
+//! Instances (clumps) are numbered per cell of a grid that is fixed in the world, not per chunk, so
+//! that chunks of every level hold the same clumps. `shared/random_attributes.wesl` is the twin on
+//! the GPU.
 
 use crate::hash::mix;
 
-/// What is drawn by lot about a clump: words that look unrelated to each other and to those of
-/// every other clump.
+/// The random attributes of one clump: 32 uniform bits each, statistically independent of each
+/// other and of those of every other clump (tested).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Streams {
-    /// Where in its cell.
+pub struct RandomAttributes {
+    /// Position in the cell.
     pub place: u32,
-    /// How wide.
+    /// Width.
     pub width: u32,
-    /// How high.
+    /// Height.
     pub height: u32,
-    /// Which colour.
+    /// Colour.
     pub hue: u32,
-    /// When it swings.
+    /// Phase of the sway in the wind.
     pub phase: u32,
-    /// Whether it stands at all, and how long it keeps standing when the field is thinned.
-    pub fate: u32,
+    /// Whether the clump exists at all, and its rank when the field is thinned.
+    pub survival: u32,
 }
 
-/// The streams of clump number `index` of the cell `(x, z)`; `kind` tells fields of one seed apart.
+/// The attributes of clump number `index` of the cell `(x, z)`. `kind` separates the fields of one
+/// seed.
 ///
 /// Four words come out of the permutation pcg4d (Jarzynski and Olano, "Hash Functions for GPU
 /// Rendering", JCGT 9(3), 2020), the others are hashes of two of them each.
 #[must_use]
-pub const fn streams(seed: u32, kind: u32, x: i32, z: i32, index: u32) -> Streams {
+pub const fn random_attributes(seed: u32, kind: u32, x: i32, z: i32, index: u32) -> RandomAttributes {
     let [a, b, c, d] = pcg4d([x as u32, z as u32, index ^ (kind << 16), seed]);
-    Streams {
+    RandomAttributes {
         place: a,
         width: b,
         height: c,
         hue: d,
         phase: mix(mix(a ^ 0x68bc_21eb) ^ d),
-        fate: mix(mix(b ^ 0x02e5_be93) ^ c),
+        survival: mix(mix(b ^ 0x02e5_be93) ^ c),
     }
 }
 
-/// A permutation of four words in which every output bit depends on every input bit: a linear
-/// congruential step each, then twice every word plus the product of two others, with a shift
-/// between.
+/// A permutation of four words in which every output bit depends on every input bit: one linear
+/// congruential step per word, then two rounds of multiply-add with an xorshift between them.
 const fn pcg4d(words: [u32; 4]) -> [u32; 4] {
-    let mut v = [step(words[0]), step(words[1]), step(words[2]), step(words[3])];
-    v = stir(v);
+    let mut v = [lcg(words[0]), lcg(words[1]), lcg(words[2]), lcg(words[3])];
+    v = multiply_add(v);
     v = [v[0] ^ (v[0] >> 16), v[1] ^ (v[1] >> 16), v[2] ^ (v[2] >> 16), v[3] ^ (v[3] >> 16)];
-    stir(v)
+    multiply_add(v)
 }
 
-const fn step(word: u32) -> u32 {
+const fn lcg(word: u32) -> u32 {
     word.wrapping_mul(1_664_525).wrapping_add(1_013_904_223)
 }
 
-/// Each word uses those before it as they have become.
-const fn stir([mut x, mut y, mut z, mut w]: [u32; 4]) -> [u32; 4] {
+/// One round. Each word uses the updated values of the words before it.
+const fn multiply_add([mut x, mut y, mut z, mut w]: [u32; 4]) -> [u32; 4] {
     x = x.wrapping_add(y.wrapping_mul(w));
     y = y.wrapping_add(z.wrapping_mul(x));
     z = z.wrapping_add(x.wrapping_mul(y));
@@ -68,16 +68,18 @@ const fn stir([mut x, mut y, mut z, mut w]: [u32; 4]) -> [u32; 4] {
 mod tests {
     use super::*;
 
-    const NAMES: [&str; 6] = ["place", "width", "height", "hue", "phase", "fate"];
+    const NAMES: [&str; 6] = ["place", "width", "height", "hue", "phase", "survival"];
 
-    fn words(streams: Streams) -> [u32; 6] {
-        [streams.place, streams.width, streams.height, streams.hue, streams.phase, streams.fate]
+    fn words(of: RandomAttributes) -> [u32; 6] {
+        [of.place, of.width, of.height, of.hue, of.phase, of.survival]
     }
 
     /// The clumps of a meadow around the origin, both signs: 16 in each of 64 x 64 cells.
     fn meadow() -> Vec<[u32; 6]> {
         let cells = (-32..32).flat_map(|z| (-32..32).map(move |x| (x, z)));
-        cells.flat_map(|(x, z)| (0..16).map(move |index| words(streams(7, 0, x, z, index)))).collect()
+        cells
+            .flat_map(|(x, z)| (0..16).map(move |index| words(random_attributes(7, 0, x, z, index))))
+            .collect()
     }
 
     /// Upper tail of the chi-square distribution by the cube-root approximation (Wilson and
@@ -103,21 +105,22 @@ mod tests {
     }
 
     #[test]
-    fn every_stream_is_even_in_its_high_its_low_and_its_middle_bits_and_the_test_can_fail() {
+    fn every_attribute_is_uniform_in_high_low_and_middle_bits() {
         let meadow = meadow();
-        for (stream, name) in NAMES.iter().enumerate() {
+        for (attribute, name) in NAMES.iter().enumerate() {
             for shift in [24, 13, 0] {
-                let off = chi_square(meadow.iter().map(|words| (words[stream] >> shift) as usize & 255), 256);
+                let off =
+                    chi_square(meadow.iter().map(|words| (words[attribute] >> shift) as usize & 255), 256);
                 assert!(off < REJECTED, "{name} >> {shift}: {off} standard deviations");
             }
         }
-        // A stream that is cut out of a hash of the cell alone: sixteen clumps share each value.
-        let poor = meadow.iter().enumerate().map(|(n, _)| mix(n as u32 / 16) as usize & 255);
-        assert!(chi_square(poor, 256) > REJECTED);
+        // Control: a hash of the cell alone. Sixteen clumps share each value, so the test must fail.
+        let biased = meadow.iter().enumerate().map(|(n, _)| mix(n as u32 / 16) as usize & 255);
+        assert!(chi_square(biased, 256) > REJECTED);
     }
 
     #[test]
-    fn no_two_streams_are_correlated_and_the_test_can_fail() {
+    fn no_two_attributes_are_correlated() {
         let meadow = meadow();
         for (a, first) in NAMES.iter().enumerate() {
             for (b, second) in NAMES.iter().enumerate().skip(a + 1) {
@@ -133,14 +136,14 @@ mod tests {
                 }
             }
         }
-        // Two streams that are cut out of one hash with overlapping bits.
+        // Control: two attributes with overlapping bits of one hash. The test must fail.
         let sliced = meadow.iter().map(|words| ((words[0] >> 28) * 16 + ((words[0] >> 26) & 15)) as usize);
         assert!(chi_square(sliced, 256) > REJECTED);
     }
 
     #[test]
-    fn neighbours_in_cell_number_kind_and_seed_are_unrelated() {
-        let of = |seed, kind, x, z, index| words(streams(seed, kind, x, z, index));
+    fn neighbours_in_cell_index_kind_and_seed_are_unrelated() {
+        let of = |seed, kind, x, z, index| words(random_attributes(seed, kind, x, z, index));
         let base = of(7, 0, 3, -4, 5);
         for other in [
             of(8, 0, 3, -4, 5),
