@@ -8,13 +8,13 @@ use std::process::{Command, Stdio};
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
 use crate::layout::{
-    Air, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE, CLUMP_BYTES,
-    CONE_WORKGROUP, CastTarget, Caster, ChunkFill, ConeOrder, Culling, FILL_WORKGROUP, FINE_PER_METRE, Field,
-    Frame, GPU_SLOT_BYTES, GRASS_TILT, LEAF, Leaf, MATERIALS, NOTHING, PATTERN_PERIOD_M, PROBE_FIXED,
-    PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting, RECORD_WORDS, REDUCE_WORKGROUP, RELIEF_WORKGROUP,
-    Relief, ReliefFinding, ReliefObject, ReliefProbe, ReliefReduction, SKY_DARK, SKY_WALK, SQUARE_NODES,
-    SUN_RADIUS, TILING_WORKGROUP, TerrainInstance, Tile, TilingProbe, VERDICT_WORDS, WAVE_MAP_SIDE,
-    WAVE_WORKGROUP, WaveProbe, World,
+    Atmosphere, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE,
+    CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ConeOrder, Culling, EMPTY_LINK, FILL_WORKGROUP, FINE_PER_METRE,
+    Field, Frame, GPU_SLOT_BYTES, GRASS_TILT, GRID_NODES, LEAF, MATERIALS, MAX_MIP_WORKGROUP,
+    MaxMipReduction, OccluderChunk, OcclusionNode, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED,
+    PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult, RECORD_WORDS,
+    REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE, SUN_RADIUS, ShadowTarget, SunParams, TILING_WORKGROUP,
+    TerrainInstance, TilingProbe, VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -46,21 +46,21 @@ fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
             "bake_cones",
             "bake_materials",
             "bake_waves",
-            "cast_shadows",
             "cull_blocks",
             "cull_clumps",
             "fill_chunks",
-            "measure_sky",
-            "order_plants",
-            "probe_air",
+            "integrate_sky",
+            "probe_atmosphere",
             "probe_brdf",
             "probe_heights",
             "probe_heights_float",
-            "probe_relief",
+            "probe_pom",
             "probe_tiling",
             "probe_waves",
             "reduce_materials",
-            "reduce_relief",
+            "reduce_max_mip",
+            "scan_plants",
+            "trace_terrain_shadow",
         ]
     );
 }
@@ -94,7 +94,7 @@ fn outside_the_ring_profile(name: &str, wgsl: &str) -> Vec<String> {
 
 #[test]
 fn integer_passes_keep_to_the_ring_profile_and_the_check_can_fail() {
-    for shader in [SHADERS.fill_chunks, SHADERS.probe_heights, SHADERS.cull_blocks, SHADERS.order_plants] {
+    for shader in [SHADERS.fill_chunks, SHADERS.probe_heights, SHADERS.cull_blocks, SHADERS.scan_plants] {
         assert_eq!(
             outside_the_ring_profile(shader.name, shader.wgsl),
             Vec::<String>::new(),
@@ -156,14 +156,14 @@ macro_rules! assert_lies_alike {
 fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
     #[rustfmt::skip]
     assert_lies_alike!(
-        SHADERS.probe_relief, Relief,
+        SHADERS.probe_pom, PomParams,
         tier, steps_min, steps_max, refine, refinements, loop_form, heights, shadow, silhouette, depth, pivot, amplitude, horizon,
         travel_flat, travel_offset, travel_linear, fade_px,
     );
     #[rustfmt::skip]
-    assert_lies_alike!(SHADERS.probe_relief, ReliefProbe, uv, amplitude, lod, to_eye, layer, to_sun, reserved);
-    assert_lies_alike!(SHADERS.probe_relief, ReliefFinding, uv, height, residual, sun, fetches, reserved);
-    assert_lies_alike!(SHADERS.reduce_relief, ReliefReduction, side, lod, level, reserved);
+    assert_lies_alike!(SHADERS.probe_pom, PomProbe, uv, amplitude, lod, to_eye, layer, to_sun, reserved);
+    assert_lies_alike!(SHADERS.probe_pom, PomResult, uv, height, residual, sun, fetches, reserved);
+    assert_lies_alike!(SHADERS.reduce_max_mip, MaxMipReduction, side, lod, level, reserved);
     assert_lies_alike!(
         SHADERS.bake_cones,
         ConeOrder,
@@ -178,11 +178,11 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
     );
     #[rustfmt::skip]
     assert_lies_alike!(
-        SHADERS.draw_relief, ReliefObject,
+        SHADERS.draw_pom, PomObject,
         origin_m, mode, tangent, silhouette, bitangent, shape, normal, layer, size_m, tile_m, tint, relief_m, repeats, reserved,
     );
-    let (module, _) = validate("reduce_relief", SHADERS.reduce_relief.wgsl).unwrap();
-    assert_eq!(module.entry_points[0].workgroup_size, [RELIEF_WORKGROUP, RELIEF_WORKGROUP, 1]);
+    let (module, _) = validate("reduce_max_mip", SHADERS.reduce_max_mip.wgsl).unwrap();
+    assert_eq!(module.entry_points[0].workgroup_size, [MAX_MIP_WORKGROUP, MAX_MIP_WORKGROUP, 1]);
     let (module, _) = validate("bake_cones", SHADERS.bake_cones.wgsl).unwrap();
     assert_eq!(module.entry_points[0].workgroup_size, [CONE_WORKGROUP, 1, 1]);
 }
@@ -302,38 +302,38 @@ fn probes_of_reflection_lie_where_the_shader_reads_them() {
 
 #[test]
 fn what_casts_shadows_lies_where_the_shader_reads_it_and_means_the_same() {
-    let shader = &SHADERS.cast_shadows;
-    let caster = [
-        ("toward", offset_of!(Caster, toward)),
-        ("slope_low", offset_of!(Caster, slope_low)),
-        ("slope_high", offset_of!(Caster, slope_high)),
-        ("elevation", offset_of!(Caster, elevation)),
-        ("root_bits", offset_of!(Caster, root_bits)),
-        ("columns", offset_of!(Caster, columns)),
-        ("rows", offset_of!(Caster, rows)),
-        ("top", offset_of!(Caster, top)),
-        ("sky", offset_of!(Caster, sky)),
+    let shader = &SHADERS.trace_terrain_shadow;
+    let sun_params = [
+        ("toward", offset_of!(SunParams, toward)),
+        ("slope_low", offset_of!(SunParams, slope_low)),
+        ("slope_high", offset_of!(SunParams, slope_high)),
+        ("elevation", offset_of!(SunParams, elevation)),
+        ("root_bits", offset_of!(SunParams, root_bits)),
+        ("columns", offset_of!(SunParams, columns)),
+        ("rows", offset_of!(SunParams, rows)),
+        ("top", offset_of!(SunParams, top)),
+        ("sky", offset_of!(SunParams, sky)),
     ];
     let node = [("link", offset_of!(PageNode, link)), ("top", offset_of!(PageNode, top))];
     let target = [
-        ("x", offset_of!(CastTarget, x)),
-        ("z", offset_of!(CastTarget, z)),
-        ("slot", offset_of!(CastTarget, slot)),
-        ("level", offset_of!(CastTarget, level)),
+        ("x", offset_of!(ShadowTarget, x)),
+        ("z", offset_of!(ShadowTarget, z)),
+        ("slot", offset_of!(ShadowTarget, slot)),
+        ("level", offset_of!(ShadowTarget, level)),
     ];
     let named = |fields: &[(&str, usize)]| {
         fields.iter().map(|(name, offset)| ((*name).to_owned(), *offset)).collect()
     };
-    assert_eq!(reflected(shader, "Caster"), (named(&caster), size_of::<Caster>()));
+    assert_eq!(reflected(shader, "SunParams"), (named(&sun_params), size_of::<SunParams>()));
     assert_eq!(reflected(shader, "PageNode"), (named(&node), size_of::<PageNode>()));
-    assert_eq!(reflected(shader, "CastTarget"), (named(&target), size_of::<CastTarget>()));
+    assert_eq!(reflected(shader, "ShadowTarget"), (named(&target), size_of::<ShadowTarget>()));
     let (module, _) = validate(shader.name, shader.wgsl).unwrap();
     assert_eq!(module.entry_points[0].workgroup_size, [FILL_WORKGROUP, 1, 1]);
     for line in [
-        format!("SKY_WALK: u32 = {SKY_WALK}u"),
+        format!("SKY_TRACE: u32 = {SKY_TRACE}u"),
         format!("SKY_DARK: u32 = {SKY_DARK}u"),
         format!("LEAF: u32 = {LEAF}u"),
-        format!("NOTHING: u32 = {NOTHING}u"),
+        format!("EMPTY_LINK: u32 = {EMPTY_LINK}u"),
         format!("BLOCK_TEXELS: u32 = {BLOCK_TEXELS}u"),
         format!("SUN_RADIUS: f32 = {SUN_RADIUS}"),
         format!("CLEARANCE_RANGE: f32 = {CLEARANCE_RANGE:?}"),
@@ -423,26 +423,33 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
         ("parallax_bias_m", offset_of!(Frame, parallax_bias_m)),
         ("wave_steepness", offset_of!(Frame, wave_steepness)),
         ("reserved", offset_of!(Frame, reserved)),
-        ("relief", offset_of!(Frame, relief)),
-        ("air", offset_of!(Frame, air)),
+        ("pom", offset_of!(Frame, pom)),
+        ("atmosphere", offset_of!(Frame, atmosphere)),
     ];
     let expected: Vec<_> = expected.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
-    let air = [
-        ("sun", offset_of!(Air, sun)),
-        ("sun_aloft", offset_of!(Air, sun_aloft)),
-        ("toward", offset_of!(Air, toward)),
-        ("away", offset_of!(Air, away)),
-        ("upward", offset_of!(Air, upward)),
-        ("manifold", offset_of!(Air, manifold)),
-        ("sky_mean", offset_of!(Air, sky_mean)),
-        ("sky_east", offset_of!(Air, sky_east)),
-        ("sky_up", offset_of!(Air, sky_up)),
-        ("sky_south", offset_of!(Air, sky_south)),
+    let atmosphere = [
+        ("sun", offset_of!(Atmosphere, sun)),
+        ("sun_aloft", offset_of!(Atmosphere, sun_aloft)),
+        ("toward", offset_of!(Atmosphere, toward)),
+        ("away", offset_of!(Atmosphere, away)),
+        ("upward", offset_of!(Atmosphere, upward)),
+        ("manifold", offset_of!(Atmosphere, manifold)),
+        ("sky_mean", offset_of!(Atmosphere, sky_mean)),
+        ("sky_east", offset_of!(Atmosphere, sky_east)),
+        ("sky_up", offset_of!(Atmosphere, sky_up)),
+        ("sky_south", offset_of!(Atmosphere, sky_south)),
     ];
-    let air: Vec<_> = air.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
-    for shader in passes(false).chain([&SHADERS.measure_sky, &SHADERS.probe_air, &SHADERS.probe_waves]) {
+    let atmosphere: Vec<_> = atmosphere.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
+    for shader in
+        passes(false).chain([&SHADERS.integrate_sky, &SHADERS.probe_atmosphere, &SHADERS.probe_waves])
+    {
         assert_eq!(reflected(shader, "Frame"), (expected.clone(), size_of::<Frame>()), "{}", shader.name);
-        assert_eq!(reflected(shader, "Air"), (air.clone(), size_of::<Air>()), "{}", shader.name);
+        assert_eq!(
+            reflected(shader, "Atmosphere"),
+            (atmosphere.clone(), size_of::<Atmosphere>()),
+            "{}",
+            shader.name
+        );
     }
 }
 
@@ -489,7 +496,7 @@ fn what_plants_are_chosen_by_lies_where_the_shaders_read_it() {
             path,
             planes,
             start,
-            sees_land,
+            occlusion_enabled,
             step,
             stay,
             corner,
@@ -520,19 +527,23 @@ fn what_plants_are_chosen_by_lies_where_the_shaders_read_it() {
             detail,
             wind_reach,
             lean_reach,
-            stands_within,
+            draw_distance_squared,
             vertices,
             room,
         );
-        assert_lies_alike!(shader, Tile, top, bottom, leaf, reserved);
-        assert_lies_alike!(shader, Leaf, slot, parent_slot, edges, corners, inside, place, x, z);
+        assert_lies_alike!(shader, OcclusionNode, top, bottom, chunk, reserved);
+        assert_lies_alike!(shader, OccluderChunk, slot, parent_slot, edges, corners, inside, place, x, z);
         for constant in
-            [format!("SQUARE_NODES: i32 = {SQUARE_NODES}"), format!("RECORD_WORDS: u32 = {RECORD_WORDS}u")]
+            [format!("GRID_NODES: i32 = {GRID_NODES}"), format!("RECORD_WORDS: u32 = {RECORD_WORDS}u")]
         {
             assert!(shader.wgsl.contains(&constant), "{}: {constant}", shader.name);
         }
     }
-    for shader in [&SHADERS.cull_clumps, &SHADERS.order_plants] {
-        assert!(shader.wgsl.contains(&format!("VERDICT_WORDS: u32 = {VERDICT_WORDS}u")), "{}", shader.name);
+    for shader in [&SHADERS.cull_clumps, &SHADERS.scan_plants] {
+        assert!(
+            shader.wgsl.contains(&format!("VISIBILITY_WORDS: u32 = {VISIBILITY_WORDS}u")),
+            "{}",
+            shader.name
+        );
     }
 }

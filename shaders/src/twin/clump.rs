@@ -88,7 +88,7 @@ const STEM_TILT: f32 = 0.45;
 
 /// How a clump stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stand {
+pub struct StemPose {
     /// Normal of its foot, unit.
     pub foot: Vec3,
     /// Horizontal part of the stem's direction at the root.
@@ -111,10 +111,10 @@ pub fn upright_direction(level: Vec2) -> Vec3 {
 
 /// How a clump stands whose tip is pushed aside by `push`.
 #[must_use]
-pub fn standing(normal: Vec3, push: Vec2) -> Stand {
+pub fn stem_pose(normal: Vec3, push: Vec2) -> StemPose {
     let foot = within_tilt([normal[0], normal[2]], MAX_FOOT_TILT);
     let root = scaled(foot, STEM_TILT);
-    return Stand { foot: upright_direction(foot), root, tip: within_tilt(add(root, push), MAX_TILT) };
+    return StemPose { foot: upright_direction(foot), root, tip: within_tilt(add(root, push), MAX_TILT) };
 }
 
 /// A vector turned as up has to be turned to become the unit vector `up`.
@@ -126,11 +126,11 @@ pub fn aligned(v: Vec3, up: Vec3) -> Vec3 {
 
 /// A point of the stem, of height 1: after `row` of `segments` straight pieces.
 #[must_use]
-pub fn stem_point(stand: &Stand, row: u32, segments: u32) -> Vec3 {
+pub fn stem_point(pose: &StemPose, row: u32, segments: u32) -> Vec3 {
     let mut point = [0.0; 3];
     for piece in 0..row {
         let along = (piece as f32 + 0.5) / segments as f32;
-        let level = add(scaled(stand.root, 1.0 - along), scaled(stand.tip, along));
+        let level = add(scaled(pose.root, 1.0 - along), scaled(pose.tip, along));
         point = add(point, upright_direction(level));
     }
     return scaled(point, 1.0 / segments as f32);
@@ -238,16 +238,16 @@ pub(super) mod tests {
     fn bending_keeps_the_length_of_a_stem_at_every_level_of_detail() {
         for n in 0..20_000 {
             let normal = upright_direction(any_level(n, 0, 1.0));
-            let stand = standing(normal, any_level(n, 2, 2.0));
+            let pose = stem_pose(normal, any_level(n, 2, 2.0));
             for segments in 1..=3 {
-                let points = (0..=segments).map(|row| stem_point(&stand, row, segments));
+                let points = (0..=segments).map(|row| stem_point(&pose, row, segments));
                 let points: Vec<Vec3> = points.collect();
                 let length: f32 = points
                     .windows(2)
                     .map(|ends| add(ends[1], scaled(ends[0], -1.0)))
                     .map(|piece| dot(piece, piece).sqrt())
                     .sum();
-                assert!((length - 1.0).abs() < 1e-6, "{length} for {stand:?}");
+                assert!((length - 1.0).abs() < 1e-6, "{length} for {pose:?}");
             }
         }
         // The control: a tip that is pushed sideways by half the height is 11.8 % too far away.

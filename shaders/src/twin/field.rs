@@ -37,7 +37,7 @@ pub fn field_widening(field: &Field, rank: u32, distance_m: f32) -> f32 {
 
 /// What the height of a clump is multiplied by.
 #[must_use]
-pub fn field_standing(field: &Field, distance_m: f32) -> f32 {
+pub fn field_height_scale(field: &Field, distance_m: f32) -> f32 {
     let band_m = field.collapse_m.max(1e-3);
     return 1.0 - smoothstep(field.range_m - band_m, field.range_m, distance_m);
 }
@@ -133,11 +133,11 @@ mod tests {
     #[test]
     fn heights_collapse_in_the_last_band_only_and_levels_follow_the_distance() {
         let field = field();
-        assert_eq!([0.0, 100.0, 250.0].map(|d| field_standing(&field, d)), [1.0; 3]);
-        assert_eq!([300.0, 400.0].map(|d| field_standing(&field, d)), [0.0; 2]);
-        assert!((field_standing(&field, 275.0) - 0.5).abs() < 1e-5);
+        assert_eq!([0.0, 100.0, 250.0].map(|d| field_height_scale(&field, d)), [1.0; 3]);
+        assert_eq!([300.0, 400.0].map(|d| field_height_scale(&field, d)), [0.0; 2]);
+        assert!((field_height_scale(&field, 275.0) - 0.5).abs() < 1e-5);
         let sharp = Field { collapse_m: 0.0, ..field };
-        assert_eq!([299.9, 300.0].map(|d| field_standing(&sharp, d)), [1.0, 0.0], "no band is a step");
+        assert_eq!([299.9, 300.0].map(|d| field_height_scale(&sharp, d)), [1.0, 0.0], "no band is a step");
         assert_eq!([0.0, 11.9, 12.0, 39.9, 40.0].map(|d| field_level(&field, d)), [0, 0, 1, 1, 2]);
         assert_eq!(field_size_m(&field, 0.0, 1.0), [0.1, 0.7]);
     }

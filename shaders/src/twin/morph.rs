@@ -1,6 +1,7 @@
 //! Twin of `wgsl/shared/morph.wesl`: the height at which a vertex of a chunk is drawn.
 
 use super::grid::GridVertex;
+use crate::layout::TerrainInstance;
 use terrain::constants::{CELLS, VERTEX_COUNT, VERTICES};
 
 /// A morph of one: entirely the parent's surface.
@@ -40,6 +41,20 @@ impl Seams {
         is_coarser: [true; 4],
         is_halved: true,
     };
+}
+
+impl TerrainInstance {
+    /// Seams as an instance carries them: edges, corners, inside.
+    #[must_use]
+    pub fn seam_words(seams: &Seams) -> [u32; 3] {
+        let coarser =
+            seams.is_coarser.iter().enumerate().map(|(side, is)| u32::from(*is) << (8 + side)).sum::<u32>();
+        [
+            u32::from_le_bytes(seams.edges),
+            u32::from_le_bytes(seams.corners),
+            u32::from(seams.inside) | coarser | (u32::from(seams.is_halved) * Self::HALVED),
+        ]
+    }
 }
 
 /// The vertex that is drawn in place of another: the even one beside it on an edge that a coarser

@@ -9,7 +9,7 @@
 use super::grid::GridVertex;
 use super::morph::{Seams, morph_at, morphed, welded};
 use super::ring::mul_hi;
-use crate::layout::{BLOCK_TEXELS, Leaf, NO_LEAF, SQUARE_NODES, SQUARE_TILES, Tile};
+use crate::layout::{BLOCK_TEXELS, GRID_NODES, GRID_TILES, NO_CHUNK, OccluderChunk, OcclusionNode};
 use terrain::constants::{CELLS, SPACING_BITS};
 
 /// log2 of the fine units in a unit.
@@ -17,7 +17,7 @@ pub const FINE_BITS: u32 = 4;
 /// log2 of the side of a tile, fine units: 128 m.
 pub const TILE_BITS: u32 = 19;
 /// log2 of the side of the square, fine units.
-pub const SQUARE_BITS: u32 = 24;
+pub const GRID_BITS: u32 = 24;
 /// log2 of the spacing of level-0 vertices, fine units: 2 m.
 pub const STEP_BITS: u32 = SPACING_BITS + FINE_BITS;
 /// Height of nothing, units: below everything, and its fine units fit in 32 bits.
@@ -42,10 +42,10 @@ pub trait Slots {
 pub struct Surface<'a, S> {
     /// Where heights and bounds are.
     pub slots: &'a S,
-    /// The tiles row by row, then 16 x 16 nodes above them, and so on: [`SQUARE_NODES`].
-    pub tiles: &'a [Tile],
+    /// The tiles row by row, then 16 x 16 nodes above them, and so on: [`GRID_NODES`].
+    pub nodes: &'a [OcclusionNode],
     /// The chunks under them.
-    pub leaves: &'a [Leaf],
+    pub chunks: &'a [OccluderChunk],
 }
 
 /// Bounds of the drawn surface over a square of side `2^bits`.
@@ -81,51 +81,51 @@ pub fn part_of(difference: i32, part: i32, bits: u32) -> i32 {
 }
 
 /// The seams of a leaf, unpacked.
-fn seams_of(leaf: &Leaf) -> Seams {
-    let coarser = |side: u32| leaf.inside >> (8 + side) & 1 != 0;
+fn seams_of(chunk: &OccluderChunk) -> Seams {
+    let coarser = |side: u32| chunk.inside >> (8 + side) & 1 != 0;
     Seams {
-        inside: leaf.inside as u8,
-        edges: leaf.edges.to_le_bytes(),
-        corners: leaf.corners.to_le_bytes(),
+        inside: chunk.inside as u8,
+        edges: chunk.edges.to_le_bytes(),
+        corners: chunk.corners.to_le_bytes(),
         is_coarser: [coarser(0), coarser(1), coarser(2), coarser(3)],
-        is_halved: leaf.inside & Leaf::HALVED != 0,
+        is_halved: chunk.inside & OccluderChunk::HALVED != 0,
     }
 }
 
 impl<S: Slots> Surface<'_, S> {
     /// The leaf under a place of the square.
-    fn leaf_at(&self, x: i32, z: i32) -> u32 {
-        return self.tiles[((z >> TILE_BITS) * SQUARE_TILES + (x >> TILE_BITS)) as usize].leaf;
+    fn chunk_at(&self, x: i32, z: i32) -> u32 {
+        return self.nodes[((z >> TILE_BITS) * GRID_TILES + (x >> TILE_BITS)) as usize].chunk;
     }
 
     /// Height at which a vertex is drawn, units. Twin of what `draw_terrain` does.
-    fn drawn_vertex(&self, leaf: &Leaf, vertex: GridVertex) -> i32 {
+    fn drawn_vertex(&self, chunk: &OccluderChunk, vertex: GridVertex) -> i32 {
         // Nothing is morphed, so nothing beside it is coarser either, and no vertex is moved.
-        if leaf.edges | leaf.corners | leaf.inside == 0 {
-            return self.slots.height(leaf.slot, vertex.row * 65 + vertex.column);
+        if chunk.edges | chunk.corners | chunk.inside == 0 {
+            return self.slots.height(chunk.slot, vertex.row * 65 + vertex.column);
         }
-        let seams = seams_of(leaf);
+        let seams = seams_of(chunk);
         let at = welded(&seams, vertex);
-        let own = self.slots.height(leaf.slot, at.row * 65 + at.column);
+        let own = self.slots.height(chunk.slot, at.row * 65 + at.column);
         let morph = morph_at(&seams, at);
         if morph == 0 {
             return own;
         }
         let half = CELLS as u32 / 2;
-        let column = (leaf.place >> 8 & 1) * half + (at.column >> 1);
-        let row = (leaf.place >> 9 & 1) * half + (at.row >> 1);
-        let first = self.slots.height(leaf.parent_slot, row * 65 + column);
+        let column = (chunk.place >> 8 & 1) * half + (at.column >> 1);
+        let row = (chunk.place >> 9 & 1) * half + (at.row >> 1);
+        let first = self.slots.height(chunk.parent_slot, row * 65 + column);
         let second =
-            self.slots.height(leaf.parent_slot, (row + (at.row & 1)) * 65 + column + (at.column & 1));
+            self.slots.height(chunk.parent_slot, (row + (at.row & 1)) * 65 + column + (at.column & 1));
         return morphed(own, (first + second) >> 1, morph);
     }
 
     /// The cell of a leaf that holds a place.
-    fn spot(&self, leaf: &Leaf, x: i32, z: i32) -> Spot {
-        let level = leaf.place & 255;
-        let halved = u32::from(leaf.inside & Leaf::HALVED != 0);
+    fn spot(&self, chunk: &OccluderChunk, x: i32, z: i32) -> Spot {
+        let level = chunk.place & 255;
+        let halved = u32::from(chunk.inside & OccluderChunk::HALVED != 0);
         let last = CELLS as i32 - 1;
-        let (steps_x, steps_z) = ((x >> STEP_BITS) - leaf.x, (z >> STEP_BITS) - leaf.z);
+        let (steps_x, steps_z) = ((x >> STEP_BITS) - chunk.x, (z >> STEP_BITS) - chunk.z);
         let column = (steps_x >> level).clamp(0, last) & !(halved as i32);
         let row = (steps_z >> level).clamp(0, last) & !(halved as i32);
         let bits = STEP_BITS + level + halved;
@@ -141,9 +141,9 @@ impl<S: Slots> Surface<'_, S> {
 
     /// Whether the triangles of a block of 2 x 2 cells are not those of the grid: it lies at a
     /// border that a coarser chunk shares.
-    fn is_block_rough(&self, leaf: &Leaf, block: GridVertex) -> bool {
-        let (coarser, last) = (leaf.inside >> 8, CELLS as u32 - 2);
-        if leaf.inside & Leaf::HALVED != 0 {
+    fn is_block_rough(&self, chunk: &OccluderChunk, block: GridVertex) -> bool {
+        let (coarser, last) = (chunk.inside >> 8, CELLS as u32 - 2);
+        if chunk.inside & OccluderChunk::HALVED != 0 {
             return false;
         }
         return (coarser & 1 != 0 && block.row == 0)
@@ -156,22 +156,22 @@ impl<S: Slots> Surface<'_, S> {
     /// vertices of level 0: there a block's own samples are no bound.
     #[must_use]
     pub fn is_rough_near(&self, x: i32, z: i32) -> bool {
-        let index = self.leaf_at(x, z);
-        if index == NO_LEAF {
+        let index = self.chunk_at(x, z);
+        if index == NO_CHUNK {
             return true;
         }
-        let leaf = &self.leaves[index as usize];
-        return (leaf.place & 255) >= 2 && leaf.inside & 0xf00 != 0;
+        let chunk = &self.chunks[index as usize];
+        return (chunk.place & 255) >= 2 && chunk.inside & 0xf00 != 0;
     }
 
     /// Height on the triangles of a cell of the grid, fine units, rounded down.
-    fn on_cell(&self, leaf: &Leaf, spot: &Spot) -> i32 {
+    fn on_cell(&self, chunk: &OccluderChunk, spot: &Spot) -> i32 {
         let corner = |east: u32, south: u32| {
             let vertex = GridVertex {
                 column: spot.low.column + east * spot.stride,
                 row: spot.low.row + south * spot.stride,
             };
-            self.drawn_vertex(leaf, vertex) << FINE_BITS
+            self.drawn_vertex(chunk, vertex) << FINE_BITS
         };
         let (low, high) = (corner(0, 0), corner(1, 1));
         if spot.east >= spot.south {
@@ -186,24 +186,30 @@ impl<S: Slots> Surface<'_, S> {
 
     /// The drawn vertex that stands for a corner of a block of 2 x 2 cells, relative to the block:
     /// 0 to 2 each way, and its height.
-    fn block_vertex(&self, leaf: &Leaf, block: GridVertex, east: u32, south: u32) -> (i32, i32, i32) {
+    fn block_vertex(
+        &self,
+        chunk: &OccluderChunk,
+        block: GridVertex,
+        east: u32,
+        south: u32,
+    ) -> (i32, i32, i32) {
         let vertex = GridVertex { column: block.column + east, row: block.row + south };
-        let at = welded(&seams_of(leaf), vertex);
-        let height = self.drawn_vertex(leaf, vertex) << FINE_BITS;
+        let at = welded(&seams_of(chunk), vertex);
+        let height = self.drawn_vertex(chunk, vertex) << FINE_BITS;
         return (at.column as i32 - block.column as i32, at.row as i32 - block.row as i32, height);
     }
 
     /// Height on the triangles of a block of 2 x 2 cells beside a coarser chunk, where some
     /// vertices have been moved; fine units, rounded down.
-    fn on_rough(&self, leaf: &Leaf, spot: &Spot) -> i32 {
+    fn on_rough(&self, chunk: &OccluderChunk, spot: &Spot) -> i32 {
         let block = GridVertex { column: spot.low.column & !1, row: spot.low.row & !1 };
         let east = spot.east + (((spot.low.column & 1) as i32) << spot.bits);
         let south = spot.south + (((spot.low.row & 1) as i32) << spot.bits);
         for triangle in 0..8u32 {
             let (column, row, upper) = (triangle >> 1 & 1, triangle >> 2, triangle & 1);
-            let a = self.block_vertex(leaf, block, column, row);
-            let b = self.block_vertex(leaf, block, column + 1 - upper, row + upper);
-            let c = self.block_vertex(leaf, block, column + 1, row + 1);
+            let a = self.block_vertex(chunk, block, column, row);
+            let b = self.block_vertex(chunk, block, column + 1 - upper, row + upper);
+            let c = self.block_vertex(chunk, block, column + 1, row + 1);
             let area = (b.0 - a.0) * (c.1 - a.1) - (c.0 - a.0) * (b.1 - a.1);
             if area == 0 {
                 continue;
@@ -231,35 +237,35 @@ impl<S: Slots> Surface<'_, S> {
     /// in fine units where nothing is drawn.
     #[must_use]
     pub fn height_at(&self, x: i32, z: i32) -> i32 {
-        let index = self.leaf_at(x, z);
-        if index == NO_LEAF {
+        let index = self.chunk_at(x, z);
+        if index == NO_CHUNK {
             return NOWHERE << FINE_BITS;
         }
-        let leaf = &self.leaves[index as usize];
-        let spot = self.spot(leaf, x, z);
+        let chunk = &self.chunks[index as usize];
+        let spot = self.spot(chunk, x, z);
         let block = GridVertex { column: spot.low.column & !1, row: spot.low.row & !1 };
-        if self.is_block_rough(leaf, block) {
-            return self.on_rough(leaf, &spot);
+        if self.is_block_rough(chunk, block) {
+            return self.on_rough(chunk, &spot);
         }
-        return self.on_cell(leaf, &spot);
+        return self.on_cell(chunk, &spot);
     }
 
     /// Height between the four corners of the cell, bilinear, fine units: what is drawn are
     /// triangles. For a test that is kept to be measured against.
     #[must_use]
     pub fn bilinear_at(&self, x: i32, z: i32) -> i32 {
-        let index = self.leaf_at(x, z);
-        if index == NO_LEAF {
+        let index = self.chunk_at(x, z);
+        if index == NO_CHUNK {
             return NOWHERE << FINE_BITS;
         }
-        let leaf = &self.leaves[index as usize];
-        let spot = self.spot(leaf, x, z);
+        let chunk = &self.chunks[index as usize];
+        let spot = self.spot(chunk, x, z);
         let corner = |east: u32, south: u32| {
             let vertex = GridVertex {
                 column: spot.low.column + east * spot.stride,
                 row: spot.low.row + south * spot.stride,
             };
-            self.drawn_vertex(leaf, vertex) << FINE_BITS
+            self.drawn_vertex(chunk, vertex) << FINE_BITS
         };
         let near = corner(0, 0) + part_of(corner(1, 0) - corner(0, 0), spot.east, spot.bits);
         let far = corner(0, 1) + part_of(corner(1, 1) - corner(0, 1), spot.east, spot.bits);
@@ -270,19 +276,19 @@ impl<S: Slots> Surface<'_, S> {
     /// moved, for all of the block of 2 x 2 cells around it; fine units.
     #[must_use]
     pub fn lowest_at(&self, x: i32, z: i32) -> i32 {
-        let index = self.leaf_at(x, z);
-        if index == NO_LEAF {
+        let index = self.chunk_at(x, z);
+        if index == NO_CHUNK {
             return NOWHERE << FINE_BITS;
         }
-        let leaf = &self.leaves[index as usize];
-        let spot = self.spot(leaf, x, z);
+        let chunk = &self.chunks[index as usize];
+        let spot = self.spot(chunk, x, z);
         let block = GridVertex { column: spot.low.column & !1, row: spot.low.row & !1 };
-        if !self.is_block_rough(leaf, block) {
-            return self.on_cell(leaf, &spot);
+        if !self.is_block_rough(chunk, block) {
+            return self.on_cell(chunk, &spot);
         }
         let mut lowest = i32::MAX;
         for vertex in 0..9 {
-            lowest = lowest.min(self.block_vertex(leaf, block, vertex % 3, vertex / 3).2);
+            lowest = lowest.min(self.block_vertex(chunk, block, vertex % 3, vertex / 3).2);
         }
         return lowest;
     }
@@ -291,39 +297,39 @@ impl<S: Slots> Surface<'_, S> {
     /// drawn.
     #[must_use]
     pub fn cell_bits(&self, x: i32, z: i32) -> u32 {
-        let index = self.leaf_at(x, z);
-        if index == NO_LEAF {
-            return SQUARE_BITS;
+        let index = self.chunk_at(x, z);
+        if index == NO_CHUNK {
+            return GRID_BITS;
         }
-        return STEP_BITS + (self.leaves[index as usize].place & 255);
+        return STEP_BITS + (self.chunks[index as usize].place & 255);
     }
 
     /// Bounds of a block of a leaf, of `2^bits` fine units around a place or of the smallest that
     /// has bounds.
-    fn block(&self, leaf: &Leaf, bits: u32, x: i32, z: i32) -> Node {
-        let level = leaf.place & 255;
+    fn block(&self, chunk: &OccluderChunk, bits: u32, x: i32, z: i32) -> Node {
+        let level = chunk.place & 255;
         let finest = STEP_BITS + level + 3;
         // Blocks a side: 8, 4, 2, 1.
         let coarser = (bits.max(finest) - finest).min(3);
         let shift = level + 3 + coarser;
         let side = 8 >> coarser;
         let last = side - 1;
-        let column = (((x >> STEP_BITS) - leaf.x) >> shift).clamp(0, last);
-        let row = (((z >> STEP_BITS) - leaf.z) >> shift).clamp(0, last);
+        let column = (((x >> STEP_BITS) - chunk.x) >> shift).clamp(0, last);
+        let row = (((z >> STEP_BITS) - chunk.z) >> shift).clamp(0, last);
         let texel = BLOCK_TEXELS as i32 - (4 * side * side - 1) / 3 + row * side + column;
-        let mut top = self.slots.top(leaf.slot, texel as u32);
-        let mut bottom = self.slots.bottom(leaf.slot, texel as u32);
-        if leaf.edges | leaf.corners | (leaf.inside & 255) != 0 {
+        let mut top = self.slots.top(chunk.slot, texel as u32);
+        let mut bottom = self.slots.bottom(chunk.slot, texel as u32);
+        if chunk.edges | chunk.corners | (chunk.inside & 255) != 0 {
             // The block of the parent that holds this one: the same place, as large or, for the
             // smallest, twice as large.
             let above = (8 >> (coarser.max(1) - 1)).min(8);
             let half = above / 2;
             let down = if coarser == 0 { 1 } else { 0 };
-            let column = (leaf.place >> 8 & 1) as i32 * half + (column >> down);
-            let row = (leaf.place >> 9 & 1) as i32 * half + (row >> down);
+            let column = (chunk.place >> 8 & 1) as i32 * half + (column >> down);
+            let row = (chunk.place >> 9 & 1) as i32 * half + (row >> down);
             let texel = BLOCK_TEXELS as i32 - (4 * above * above - 1) / 3 + row * above + column;
-            top = top.max(self.slots.top(leaf.parent_slot, texel as u32));
-            bottom = bottom.min(self.slots.bottom(leaf.parent_slot, texel as u32));
+            top = top.max(self.slots.top(chunk.parent_slot, texel as u32));
+            bottom = bottom.min(self.slots.bottom(chunk.parent_slot, texel as u32));
         }
         return Node { top, bottom, finest };
     }
@@ -334,40 +340,40 @@ impl<S: Slots> Surface<'_, S> {
     pub fn node(&self, bits: u32, column: i32, row: i32) -> Node {
         let above = bits.max(TILE_BITS) - TILE_BITS;
         let down = TILE_BITS - bits.min(TILE_BITS);
-        let side = SQUARE_TILES >> above;
-        let first = SQUARE_NODES as i32 - (4 * side * side - 1) / 3;
+        let side = GRID_TILES >> above;
+        let first = GRID_NODES as i32 - (4 * side * side - 1) / 3;
         self.slots.note();
-        let tile = &self.tiles[(first + (row >> down) * side + (column >> down)) as usize];
+        let tile = &self.nodes[(first + (row >> down) * side + (column >> down)) as usize];
         if above > 0 {
             return Node { top: tile.top, bottom: tile.bottom, finest: 0 };
         }
-        if tile.leaf == NO_LEAF {
-            return Node { top: NOWHERE, bottom: NOWHERE, finest: SQUARE_BITS };
+        if tile.chunk == NO_CHUNK {
+            return Node { top: NOWHERE, bottom: NOWHERE, finest: GRID_BITS };
         }
-        return self.block(&self.leaves[tile.leaf as usize], bits, column << bits, row << bits);
+        return self.block(&self.chunks[tile.chunk as usize], bits, column << bits, row << bits);
     }
 
     /// Share of the densest field at a place, 0 to 255; 0 where nothing is drawn.
     #[must_use]
     pub fn density_at(&self, x: i32, z: i32) -> u32 {
-        let index = self.leaf_at(x, z);
-        if index == NO_LEAF {
+        let index = self.chunk_at(x, z);
+        if index == NO_CHUNK {
             return 0;
         }
-        let leaf = &self.leaves[index as usize];
-        let shift = (leaf.place & 255) + 2;
-        let column = (((x >> STEP_BITS) - leaf.x) >> shift).clamp(0, 15) as u32;
-        let row = (((z >> STEP_BITS) - leaf.z) >> shift).clamp(0, 15) as u32;
-        return self.slots.density(leaf.slot, row * 4 + (column >> 2)) >> (8 * (column & 3)) & 255;
+        let chunk = &self.chunks[index as usize];
+        let shift = (chunk.place & 255) + 2;
+        let column = (((x >> STEP_BITS) - chunk.x) >> shift).clamp(0, 15) as u32;
+        let row = (((z >> STEP_BITS) - chunk.z) >> shift).clamp(0, 15) as u32;
+        return self.slots.density(chunk.slot, row * 4 + (column >> 2)) >> (8 * (column & 3)) & 255;
     }
 
     /// Palette of the chunk under a place; 0 where nothing is drawn.
     #[must_use]
     pub fn palette_at(&self, x: i32, z: i32) -> u32 {
-        let index = self.leaf_at(x, z);
-        if index == NO_LEAF {
+        let index = self.chunk_at(x, z);
+        if index == NO_CHUNK {
             return 0;
         }
-        return self.leaves[index as usize].place >> 16 & 3;
+        return self.chunks[index as usize].place >> 16 & 3;
     }
 }

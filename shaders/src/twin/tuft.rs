@@ -1,6 +1,6 @@
 //! Twin of `wgsl/shared/tuft.wesl`: the shape of a clump of grass.
 
-use super::clump::{MAX_TILT, Stand, TURN, Vec2, Vec3, add, aligned, scaled, stem_point, within_tilt};
+use super::clump::{MAX_TILT, StemPose, TURN, Vec2, Vec3, add, aligned, scaled, stem_point, within_tilt};
 
 const QUADS: u32 = 3;
 
@@ -43,7 +43,7 @@ fn tuft_number(phase: f32, blade: u32) -> f32 {
 
 /// A vertex of a clump of grass, `size_m` wide and high.
 #[must_use]
-pub fn tuft_vertex(level: u32, index: u32, size_m: Vec2, phase: f32, stand: &Stand) -> TuftVertex {
+pub fn tuft_vertex(level: u32, index: u32, size_m: Vec2, phase: f32, pose: &StemPose) -> TuftVertex {
     let segments = tuft_segments(level);
     let blades = tuft_blades(level);
     let corners = 2 * segments + 1;
@@ -59,13 +59,13 @@ pub fn tuft_vertex(level: u32, index: u32, size_m: Vec2, phase: f32, stand: &Sta
 
     let angle = TURN * (phase + quad as f32 / (2 * QUADS) as f32);
     let level_side = [angle.cos(), angle.sin()];
-    let side = aligned([level_side[0], 0.0, level_side[1]], stand.foot);
+    let side = aligned([level_side[0], 0.0, level_side[1]], pose.foot);
     let fall = scaled([-level_side[1], level_side[0]], 0.5 * number - 0.25);
-    let blade_stand = Stand { tip: within_tilt(add(stand.tip, fall), MAX_TILT), ..*stand };
+    let blade_pose = StemPose { tip: within_tilt(add(pose.tip, fall), MAX_TILT), ..*pose };
 
     let centre = place * (if blades == 2 { 0.36 } else { 0.25 } + 0.24 * along * along);
     let length = 1.0 - 0.3 * tuft_number(phase, blade + 4);
-    let mut offset_m = scaled(stem_point(&blade_stand, row, segments), size_m[1] * length);
+    let mut offset_m = scaled(stem_point(&blade_pose, row, segments), size_m[1] * length);
     offset_m = add(offset_m, scaled(side, size_m[0] * (centre + across * tuft_half_width(level, row))));
     offset_m[1] -= (0.04 * size_m[1] + 0.01 * size_m[0]).min(0.14 * size_m[0]);
     return TuftVertex { offset_m, along, across, blade: number };
@@ -74,27 +74,27 @@ pub fn tuft_vertex(level: u32, index: u32, size_m: Vec2, phase: f32, stand: &Sta
 #[cfg(test)]
 mod tests {
     use super::super::clump::tests::{any_level, unit};
-    use super::super::clump::{dot, standing, upright_direction};
+    use super::super::clump::{dot, stem_pose, upright_direction};
     use super::*;
     use crate::layout::{GRASS_VERTICES, grass_reach_m, grass_rise_m};
 
     /// A clump of any size on any ground, pushed anywhere.
-    fn any_clump(seed: u32) -> (Vec2, f32, Stand) {
+    fn any_clump(seed: u32) -> (Vec2, f32, StemPose) {
         let size_m = [4.0 * unit(seed, 0), 2.0 * unit(seed, 1)];
         let normal = upright_direction(any_level(seed, 2, 1.0));
-        (size_m, (unit(seed, 4) * 63.0).round() / 63.0, standing(normal, any_level(seed, 5, 3.0)))
+        (size_m, (unit(seed, 4) * 63.0).round() / 63.0, stem_pose(normal, any_level(seed, 5, 3.0)))
     }
 
     #[test]
     fn every_vertex_of_any_clump_lies_inside_the_cylinder_that_culling_tests() {
         let (mut widest, mut highest) = (0.0f32, 0.0f32);
         for seed in 0..20_000 {
-            let (size_m, phase, stand) = any_clump(seed);
+            let (size_m, phase, pose) = any_clump(seed);
             let [width_m, height_m] = size_m;
             let (reach_m, rise_m) = (grass_reach_m(width_m, height_m), grass_rise_m(width_m, height_m));
             for (level, count) in (0..).zip(GRASS_VERTICES) {
                 for index in 0..count {
-                    let [x, y, z] = tuft_vertex(level, index, size_m, phase, &stand).offset_m;
+                    let [x, y, z] = tuft_vertex(level, index, size_m, phase, &pose).offset_m;
                     let out_m = x.hypot(z);
                     assert!(out_m <= reach_m * (1.0 + 1e-5) + 1e-6, "{out_m} of {reach_m}: {seed}");
                     assert!(y <= rise_m + 1e-6, "{y} of {rise_m}: {seed}");
@@ -114,10 +114,10 @@ mod tests {
             (0..2000)
                 .map(|seed| {
                     let (_, phase, _) = any_clump(seed);
-                    let stand = standing([0.0, 1.0, 0.0], [0.0, 0.0]);
+                    let pose = stem_pose([0.0, 1.0, 0.0], [0.0, 0.0]);
                     let count = GRASS_VERTICES[level as usize];
                     let points: Vec<Vec3> = (0..count)
-                        .map(|index| tuft_vertex(level, index, [0.01, 1.0], phase, &stand).offset_m)
+                        .map(|index| tuft_vertex(level, index, [0.01, 1.0], phase, &pose).offset_m)
                         .collect();
                     let step = if level == 0 { 1 } else { 3 };
                     points.windows(3).step_by(step).map(area).sum::<f32>()
@@ -138,10 +138,10 @@ mod tests {
 
     #[test]
     fn the_quads_stand_60_degrees_apart() {
-        let stand = standing([0.0, 1.0, 0.0], [0.0, 0.0]);
+        let pose = stem_pose([0.0, 1.0, 0.0], [0.0, 0.0]);
         let per_quad = GRASS_VERTICES[1] / QUADS;
         let side = |quad: u32| {
-            let foot = |index| tuft_vertex(1, quad * per_quad + index, [1.0, 1.0], 0.0, &stand).offset_m;
+            let foot = |index| tuft_vertex(1, quad * per_quad + index, [1.0, 1.0], 0.0, &pose).offset_m;
             let across = add(foot(1), scaled(foot(0), -1.0));
             scaled(across, 1.0 / dot(across, across).sqrt())
         };

@@ -1,0 +1,20 @@
+//! Data that the CPU hands to the shaders, byte for byte.
+//!
+//! Tests compare every offset with naga's reflection of the WGSL. Every public name of the parts is
+//! re-exported here.
+
+mod frame;
+mod pom;
+mod probes;
+mod shadow;
+mod terrain;
+mod vegetation;
+mod water;
+
+pub use frame::*;
+pub use pom::*;
+pub use probes::*;
+pub use shadow::*;
+pub use terrain::*;
+pub use vegetation::*;
+pub use water::*;

@@ -1,0 +1,258 @@
+//! Vegetation: occlusion grid, culling, placement, visible clumps, drawing.
+
+use super::terrain::TerrainInstance;
+use bytemuck::{Pod, Zeroable};
+use terrain::constants::OCTAVES;
+
+/// Tiles along a side of the square around the eye in which plants stand and sight is tested.
+pub const GRID_TILES: i32 = 32;
+
+/// Nodes over the tiles of the square: 32 x 32, 16 x 16, and so on to one.
+pub const GRID_NODES: usize = (4 * 32 * 32 - 1) / 3;
+
+/// Leaves of the square at most: its tiles, were all of level 0.
+pub const MAX_OCCLUDER_CHUNKS: usize = 32 * 32;
+
+/// [`OcclusionNode::chunk`] where nothing is drawn.
+pub const NO_CHUNK: u32 = u32::MAX;
+
+/// A tile of the square, or a node above tiles; `bound/surface.wesl` reads it.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct OcclusionNode {
+    /// Nothing drawn under it is higher, units.
+    pub top: i32,
+    /// Nothing drawn under it is lower, units.
+    pub bottom: i32,
+    /// The chunk under a tile, or [`NO_CHUNK`].
+    pub chunk: u32,
+    /// Unused; fills 16 bytes.
+    pub reserved: u32,
+}
+
+/// A drawn chunk, as far as sight and plants are concerned; `bound/surface.wesl` reads it.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct OccluderChunk {
+    /// Its slot.
+    pub slot: u32,
+    /// That of its parent; its own where nothing is morphed.
+    pub parent_slot: u32,
+    /// As in [`TerrainInstance::edges`].
+    pub edges: u32,
+    /// As in [`TerrainInstance::corners`].
+    pub corners: u32,
+    /// As in [`TerrainInstance::inside`].
+    pub inside: u32,
+    /// Level in the lowest byte, bits 8 and 9 as in [`TerrainInstance::place`]; bits 16 and 17:
+    /// palette of its plants.
+    pub place: u32,
+    /// Low corner east of that of the square, steps of 2 m.
+    pub x: i32,
+    /// The same, south.
+    pub z: i32,
+}
+
+impl OccluderChunk {
+    /// See [`TerrainInstance::HALVED`].
+    pub const HALVED: u32 = TerrainInstance::HALVED;
+}
+
+/// [`Culling::path`]: what stands within its distance (T0).
+pub const CULL_DISTANCE: u32 = 0;
+
+/// [`Culling::path`]: of that, what is inside the view (T1).
+pub const CULL_FRUSTUM: u32 = 1;
+
+/// [`Culling::path`]: of that, what a march over the noise does not find hidden (T2). Wrong.
+pub const CULL_NOISE: u32 = 2;
+
+/// [`Culling::path`]: of that, what a march over the drawn vertices does not find hidden, chunks by five points (T3 as first published). Wrong.
+pub const CULL_MARCH: u32 = 3;
+
+/// [`Culling::path`]: of that, what is not proved hidden by the drawn triangles (T3).
+pub const CULL_EXACT: u32 = 4;
+
+/// [`Culling::path`]: the same, whole blocks first (T4).
+pub const CULL_HIERARCHICAL: u32 = 5;
+
+/// Kinds of fields: grass.
+pub const KIND_GRASS: u32 = 0;
+
+/// Kinds of fields: trees.
+pub const KIND_TREES: u32 = 1;
+
+/// From where a field is looked at; `shared/culling.wesl` documents each field. Fine units are
+/// 2^-12 m.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Culling {
+    /// The eye: east and south of the square's low corner, and above the sea; fine units.
+    pub eye: [i32; 3],
+    /// `CULL_*`.
+    pub path: u32,
+    /// Inward normals of the four side planes of the view, Q14, and a gap each.
+    pub planes: [[i32; 4]; 4],
+    /// The land hides nothing nearer than this, fine units.
+    pub start: i32,
+    /// 0 where the eye is below the ground: then nothing is hidden.
+    pub occlusion_enabled: u32,
+    /// Step of the marches of T2 and T3 as first published, fine units.
+    pub step: i32,
+    /// Frames for which a block stays after it was last seen.
+    pub stay: u32,
+    /// Low corner of the square, units.
+    pub corner: [i32; 2],
+    /// Number of the frame, for `stay`.
+    pub frame: u32,
+    /// Seed of the archipelago, for the noise of T2.
+    pub archipelago_seed: u32,
+    /// Seeds of the octaves, likewise.
+    pub octave_seeds: [u32; OCTAVES],
+    /// How much higher than its noise the land is, Q8.
+    pub stretch: i32,
+    /// Unused; fills 16 bytes.
+    pub reserved: [u32; 3],
+}
+
+/// What grows in a field; `shared/culling.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Planting {
+    /// `KIND_*`.
+    pub kind: u32,
+    /// Of the clump streams.
+    pub seed: u32,
+    /// log2 of the side of a cell, fine units.
+    pub cell_bits: u32,
+    /// Clumps of a cell where the field is densest, 1 to 32.
+    pub per_cell: u32,
+    /// Cells from the world's origin to the low corner of the square, east.
+    pub cell_x: i32,
+    /// The same, south.
+    pub cell_z: i32,
+    /// Least width, fine units.
+    pub width_low: i32,
+    /// The widest is so much wider.
+    pub width_span: i32,
+    /// Least height, fine units.
+    pub height_low: i32,
+    /// The highest is so much higher.
+    pub height_span: i32,
+    /// From here on the field is thinned, fine units.
+    pub thin_from: i32,
+    /// Most that a clump is widened by, Q8.
+    pub widest: u32,
+    /// The most that any clump reaches sideways from its root, fine units.
+    pub reach: i32,
+    /// The most that any clump reaches above its root, fine units.
+    pub over: i32,
+    /// Heights have sunk to nothing here, 1/16 m.
+    pub range: i32,
+    /// They begin to sink so much nearer, 1/16 m, at least 1.
+    pub collapse: i32,
+    /// Squares of the distances beyond which clumps are drawn in the second and in the third level
+    /// of detail, (1/16 m)².
+    pub detail: [u32; 2],
+    /// Most that the wind pushes the tip of a stem aside, a horizontal part of its direction, Q8.
+    pub wind_reach: i32,
+    /// The same of leaning away from the eye, where the eye is straight above; falls with the sine
+    /// of its height.
+    pub lean_reach: i32,
+    /// By rank, four to a row: the square of the distance up to which it stands, (1/16 m)².
+    pub draw_distance_squared: [[u32; 4]; 64],
+    /// Vertices of a clump in each level of detail.
+    pub vertices: [u32; 4],
+    /// Clumps that there is room for in each level of detail; blocks.
+    pub room: [u32; 4],
+}
+
+/// Patches of a field at most: all tiles of the square.
+pub const MAX_PATCHES: usize = 1024;
+
+/// Blocks of a patch.
+pub const PATCH_BLOCK_COUNT: usize = 256;
+
+/// Bytes of a kept clump: four words, `shared/clump.wesl` documents their bits.
+pub const CLUMP_BYTES: usize = 16;
+
+/// Words that are kept of a block while its clumps are chosen.
+pub const VISIBILITY_WORDS: usize = 35;
+
+/// Words of the tally of a field: arguments of a dispatch, of three draws, and four counts.
+pub const INDIRECT_WORDS: usize = 20;
+
+/// First word of the draws' arguments in a tally.
+pub const INDIRECT_DRAWS: usize = 4;
+
+/// First word of the counts in a tally: blocks kept, blocks without room, clumps kept, clumps
+/// without room.
+pub const INDIRECT_STATS: usize = 16;
+
+/// Words of the memory of blocks, for all kinds.
+pub const LAST_SEEN_WORDS: usize = 2 << 18;
+
+/// One kind of plant in a frame; `shared/field.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Field {
+    /// Eye east of the low corner of the square of clumps, fine units ([`FINE_PER_METRE`]),
+    /// rounded.
+    pub eye_x: i32,
+    /// Above the sea.
+    pub eye_y: i32,
+    /// South of the low corner.
+    pub eye_z: i32,
+    /// [`KIND_GRASS`] or [`KIND_TREES`].
+    pub kind: u32,
+    /// Narrowest plant, metres.
+    pub width_low_m: f32,
+    /// Widest plant, metres.
+    pub width_high_m: f32,
+    /// Lowest plant, metres.
+    pub height_low_m: f32,
+    /// Highest plant, metres.
+    pub height_high_m: f32,
+    /// Distance up to which every clump stands, metres; beyond it the share of them falls with the
+    /// distance.
+    pub thin_from_m: f32,
+    /// Most that a clump is widened to make up for those that were left out, at least 1.
+    pub widest: f32,
+    /// Nothing stands beyond, metres.
+    pub range_m: f32,
+    /// Heights sink to nothing over so much of the end of the range, metres.
+    pub collapse_m: f32,
+    /// Distances at which the first and the second level of detail end, metres, increasing.
+    pub lod_m: [f32; 2],
+    /// 0 none to 1 a gale.
+    pub wind: f32,
+    /// How far clumps lean away from an eye above them, 0 to 1.
+    pub lean: f32,
+}
+
+/// Fine units, in which clumps are placed, per metre.
+pub const FINE_PER_METRE: i32 = 4096;
+
+/// Vertices of one clump of grass at each level of detail, finest first: 9 blades of 3 segments as
+/// a strip of triangles, then 9 and 6 single triangles.
+pub const GRASS_VERTICES: [u32; 3] = [9 * 9, 9 * 3, 6 * 3];
+
+/// Vertices of one tree at each level of detail, finest first: triangles.
+pub const TREE_VERTICES: [u32; 2] = [3 * 114, 3 * 24];
+
+/// Longest horizontal part of the direction in which grass stands. Equal to `MAX_TILT` of
+/// `shared/clump.wesl`.
+pub const GRASS_TILT: f32 = 0.75;
+
+/// No vertex of a clump of grass is farther from its root horizontally, metres; width and height as
+/// drawn, widened and collapsed.
+#[must_use]
+pub fn grass_reach_m(width_m: f32, height_m: f32) -> f32 {
+    0.5 * width_m + GRASS_TILT * height_m
+}
+
+/// No vertex of a clump of grass is higher above its root, metres: feet follow slopes of up to 1.
+#[must_use]
+pub fn grass_rise_m(width_m: f32, height_m: f32) -> f32 {
+    height_m + 0.5 * width_m
+}
