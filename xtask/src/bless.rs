@@ -14,7 +14,7 @@ const FILTER: &str = "binary(/fixtures|pictures/)";
 pub fn run() -> Result<()> {
     let mut tests = process::cargo("nextest run --workspace --no-fail-fast -E");
     tests.arg(FILTER).env("TOMBOLO_BLESS", "1");
-    process::run(tests).context("bless: a test fails even while it may write; mend it first")?;
+    process::run(tests).context("bless: a test fails although it may write; fix it first")?;
     let mut changes = process::command("git");
     changes.args(["status", "--short"]);
     let changes = process::output(changes).context("bless: cannot ask git what changed")?;

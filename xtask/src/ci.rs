@@ -1,6 +1,6 @@
 //! `ci`: everything that a change must pass, in the order in which failures are cheapest.
 
-use crate::absence;
+use crate::dependency_rules;
 use crate::process;
 use crate::setup::{self, Extent};
 use anyhow::{Context, Result, bail};
@@ -67,6 +67,7 @@ fn steps() -> Vec<Step> {
     tests.env("TOMBOLO_REQUIRE_GPU", "1");
     vec![
         cargo("format", "fmt --all --check"),
+        own_step("source text", "cargo xtask source", source),
         own_step("architecture", "cargo tree --package PACKAGE", architecture),
         cargo("licences, bans and sources", "deny check bans licenses sources"),
         own_step("advisories", "cargo deny check advisories", advisories),
@@ -97,8 +98,12 @@ fn own_step(name: &'static str, again: &str, action: fn() -> Result<Outcome>) ->
     Step { name, again: again.into(), action: Box::new(action) }
 }
 
+fn source() -> Result<Outcome> {
+    crate::source::run().map(|()| Outcome::Passed)
+}
+
 fn architecture() -> Result<Outcome> {
-    absence::check().map(|()| Outcome::Passed)
+    dependency_rules::check().map(|()| Outcome::Passed)
 }
 
 /// Known vulnerabilities, where the database of them can be had.
@@ -113,7 +118,7 @@ fn advisories() -> Result<Outcome> {
 /// Every backend of this machine computes the same integers; the table says which were skipped, and
 /// why.
 fn digest() -> Result<Outcome> {
-    // Without --package: one package alone would be built anew with other features.
+    // Without --package: one package alone would be built with other features.
     let mut lab = process::cargo("run --quiet --bin tombolo-lab -- digest");
     lab.env("TOMBOLO_REQUIRE_GPU", "1");
     process::quiet_drivers(&mut lab);
@@ -178,6 +183,6 @@ fn shaders() -> Result<Outcome> {
     } else {
         println!("SKIPPED: `tint` is not on PATH; shaders are checked by naga only");
     }
-    // Chosen among the workspace: one package alone would be built anew with other features.
+    // Chosen among the workspace: one package alone would be built with other features.
     process::run(process::cargo("nextest run --workspace -E package(shaders)")).map(|()| Outcome::Passed)
 }

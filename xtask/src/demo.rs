@@ -48,9 +48,10 @@ const FLIGHT: [Shot; 6] = [
 pub fn run(options: Options) -> Result<()> {
     let headless = options.headless || !has_display();
     setup::run(if headless { Extent::Headless } else { Extent::Everything })?;
-    println!("demo: building (the first time takes some minutes)");
-    process::run(process::cargo("build --release --package server --package client"))
-        .context("demo: the build failed")?;
+    println!(
+        "demo: building the server and the viewer: some 5 minutes on 2 cores the first time, seconds later"
+    );
+    process::run(process::build(&["tombolo-server", "tombolo-view"])).context("demo: the build failed")?;
     let server = Server::start(WORLD_SEED).context("demo")?;
     println!("demo: a server streams world {WORLD_SEED} at {}", server.stream());
     if headless { fly(&server, options) } else { show(&server) }

@@ -1,4 +1,4 @@
-//! What a measurement ran on, as far as Linux tells, and what a process used.
+//! The machine of a measurement, as far as Linux reports it, and the memory of a process.
 
 use crate::process;
 use std::fs::read_to_string;
@@ -52,16 +52,27 @@ pub fn today() -> anyhow::Result<String> {
     process::output(date).map(|date| date.trim().into())
 }
 
-/// The commit that is checked out, marked if the working tree differs from it.
-pub fn commit() -> String {
+/// The state of the checkout.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Commit {
+    /// Abbreviated hash.
+    pub hash: String,
+    /// Whether no tracked or new file differs from it, records of measurements aside: a record that
+    /// was just written does not change what is measured.
+    pub is_clean: bool,
+}
+
+/// The commit that is checked out.
+pub fn commit() -> Commit {
     let git = |args: &[&str]| {
         let mut git = process::command("git");
         git.args(args);
         process::output(git)
     };
-    let Ok(commit) = git(&["rev-parse", "--short=12", "HEAD"]) else { return UNKNOWN.into() };
-    let clean = git(&["status", "--porcelain"]).is_ok_and(|changes| changes.trim().is_empty());
-    format!("{}{}", commit.trim(), if clean { "" } else { " with uncommitted changes" })
+    let hash =
+        git(&["rev-parse", "--short=12", "HEAD"]).map_or_else(|_| UNKNOWN.into(), |hash| hash.trim().into());
+    let status = git(&["status", "--porcelain", "--", ".", ":(exclude)docs/measurements"]);
+    Commit { hash, is_clean: status.is_ok_and(|changes| changes.trim().is_empty()) }
 }
 
 /// The value of the first `name<separator>value` line.

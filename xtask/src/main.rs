@@ -1,4 +1,4 @@
-//! The project's chores, one file per command.
+//! The project's development commands, one file per command.
 //!
 //! `cargo xtask <command>`; `cargo demo` and `cargo ci` are short for two of them. Nothing in here
 //! is part of the product: a command runs the built programs and the toolchain from outside, as a
@@ -6,15 +6,16 @@
 
 #![forbid(unsafe_code)]
 
-mod absence;
 mod bless;
 mod ci;
 mod demo;
+mod dependency_rules;
 mod machine;
 mod measure;
 mod process;
 mod server;
 mod setup;
+mod source;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -23,7 +24,7 @@ use std::process::ExitCode;
 const INTERRUPTED: u8 = 130;
 
 #[derive(Debug, Parser)]
-#[command(name = "cargo xtask", about = "Chores of the Tombolo workspace")]
+#[command(name = "cargo xtask", about = "Development commands of the Tombolo workspace")]
 struct Args {
     #[command(subcommand)]
     command: Command,
@@ -42,6 +43,8 @@ enum Command {
         /// What to measure
         name: String,
     },
+    /// Check the source text: columns, retired words, names in documents, import circles
+    Source,
     /// Rewrite frozen fixtures and golden pictures from what the code does now
     Bless,
 }
@@ -53,6 +56,7 @@ fn main() -> ExitCode {
         Command::Demo(options) => demo::run(options),
         Command::Ci => ci::run(),
         Command::Measure { name } => measure::run(&name),
+        Command::Source => source::run(),
         Command::Bless => bless::run(),
     });
     let Err(error) = result else { return ExitCode::SUCCESS };

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 const POLL: Duration = Duration::from_millis(20);
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+static DIST: AtomicBool = AtomicBool::new(false);
 
 /// From now on SIGINT and SIGTERM set a flag instead of killing this process, so that children can
 /// be stopped first.
@@ -37,9 +38,27 @@ pub fn target() -> PathBuf {
     std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), |folder| root().join(folder))
 }
 
-/// A program of the workspace, built for release.
+/// From now on programs are those of the `dist` profile, which is measured and shipped. Without it
+/// they are those of `release`, which builds faster.
+pub fn use_dist_profile() {
+    DIST.store(true, Ordering::Relaxed);
+}
+
+fn profile() -> &'static str {
+    if DIST.load(Ordering::Relaxed) { "dist" } else { "release" }
+}
+
+/// A program of the workspace, built by [`build`].
 pub fn program(name: &str) -> PathBuf {
-    target().join("release").join(name)
+    target().join(profile()).join(name)
+}
+
+/// A command that builds programs. They are chosen among the whole workspace: a package that is
+/// chosen alone is built with other features, and so are all of its dependencies.
+pub fn build(programs: &[&str]) -> Command {
+    let mut build = cargo(&format!("build --profile {}", profile()));
+    programs.iter().for_each(|program| _ = build.args(["--bin", program]));
+    build
 }
 
 /// A command in the workspace's root.
@@ -49,7 +68,7 @@ pub fn command(program: impl AsRef<Path>) -> Command {
     command
 }
 
-/// The viewer, built for release.
+/// The viewer.
 pub fn viewer() -> Command {
     let mut viewer = command(program("tombolo-view"));
     quiet_drivers(&mut viewer);
@@ -110,7 +129,7 @@ pub fn output(mut command: Command) -> Result<String> {
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Whether a command can be run and succeeds; what it says is nobody's business.
+/// Whether a command can be run and succeeds; its output is discarded.
 pub fn succeeds(mut command: Command) -> bool {
     command
         .stdin(Stdio::null())
@@ -137,14 +156,14 @@ fn wait(mut child: Child) -> Result<ExitStatus> {
     }
 }
 
-/// Ends a child: SIGTERM, and after the patience SIGKILL. Does nothing to one that has ended.
-pub fn stop(child: &mut Child, patience: Duration) {
+/// Ends a child: SIGTERM, and SIGKILL after the timeout. Does nothing to a child that has ended.
+pub fn stop(child: &mut Child, timeout: Duration) {
     if !matches!(child.try_wait(), Ok(None)) {
         return;
     }
-    // The standard library can only kill; asking takes the `kill` of the system.
+    // The standard library has no SIGTERM; the system's `kill` has.
     let _ = Command::new("kill").args(["-TERM", &child.id().to_string()]).status();
-    let deadline = Instant::now() + patience;
+    let deadline = Instant::now() + timeout;
     while Instant::now() < deadline {
         if !matches!(child.try_wait(), Ok(None)) {
             return;

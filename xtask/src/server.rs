@@ -35,7 +35,7 @@ impl Server {
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .spawn()
-            .context("cannot start tombolo-server; run `cargo build --release --package server`")?;
+            .context("cannot start tombolo-server; run `cargo build --release --bin tombolo-server`")?;
         let mut server = Self { child, address };
         server.wait_until_ready()?;
         Ok(server)

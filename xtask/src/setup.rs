@@ -123,7 +123,7 @@ fn is_vital(missing: &[Need], extent: Extent) -> bool {
 }
 
 fn missing() -> Vec<Need> {
-    // Not on everybody's PATH; without its answer every library counts as missing and apt decides.
+    // Not always on PATH; without its output every library counts as missing and apt decides.
     let cache = process::output({
         let mut ldconfig = process::command("/sbin/ldconfig");
         ldconfig.arg("-p");

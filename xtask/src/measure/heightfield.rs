@@ -67,7 +67,7 @@ fn rivals(folder: &Path, notes: &mut Vec<String>) -> Result<Vec<Value>> {
 /// Digests and timings of the land on CPU and GPU.
 fn lab(folder: &Path, notes: &mut Vec<String>) -> Result<(Value, Value)> {
     println!("measure: CPU and GPU");
-    process::run(process::cargo("build --release --bin tombolo-lab")).context("measure: the build failed")?;
+    process::run(process::build(&["tombolo-lab"])).context("measure: the build failed")?;
     let mut ask = |question: &str| {
         let json = folder.join(question).with_extension("json");
         let mut lab = process::command(process::program("tombolo-lab"));

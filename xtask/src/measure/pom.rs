@@ -21,7 +21,7 @@ const CONDITIONS: usize = 24;
 /// The build or the record failed, or a bar was missed.
 pub fn run() -> Result<()> {
     setup::run(Extent::Headless)?;
-    process::run(process::cargo("build --release --bin tombolo-lab")).context("measure: the build failed")?;
+    process::run(process::build(&["tombolo-lab"])).context("measure: the build failed")?;
     let folder = process::target().join("measure/pom");
     std::fs::create_dir_all(&folder)
         .with_context(|| format!("measure: cannot create {}", folder.display()))?;
@@ -130,7 +130,7 @@ fn rows(pom: &Value) -> Vec<Row> {
 }
 
 /// The bar of the time holds on a GPU; a software driver, which runs eight rays in step and pays
-/// for every instruction, tells only the ratio below.
+/// for every instruction, gives only the ratio below.
 fn time(pom: &Value, ratio: Option<f64>) -> Row {
     let what = "time of auto over 64 steps without exit, on a GPU";
     match pom.get("is_software").and_then(Value::as_bool) {
@@ -154,16 +154,16 @@ fn how(pom: &Value) -> Vec<String> {
         let of = |tier: &str, field: &str| {
             row.get(tier).and_then(|score| number(score, field)).unwrap_or(f64::NAN)
         };
-        let told = |tier: &str| {
+        let shown = |tier: &str| {
             format!("{:.4} % off, {:.1} lookups", 100.0 * of(tier, "wrong"), of(tier, "fetches"))
         };
         notes.push(format!(
             "Map {}, {} degrees: pyramid {}; auto {}; 64 steps and a secant {}.",
             row.get("map").and_then(Value::as_str).unwrap_or("unknown"),
             number(row, "angle_deg").unwrap_or(f64::NAN),
-            told("pyramid"),
-            told("auto"),
-            told("linear"),
+            shown("pyramid"),
+            shown("auto"),
+            shown("linear"),
         ));
     }
     for row in list(pom, "/cost") {

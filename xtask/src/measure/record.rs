@@ -1,56 +1,89 @@
 //! The dated record of a measurement: what it ran on, the command, the figures.
 
 use super::bars::Row;
+use super::runs::{self, Runs};
 use crate::{machine, process};
 use anyhow::{Context, Result};
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// What a record holds besides the rows.
+/// What a record holds apart from the rows.
 #[derive(Clone, Debug)]
 pub struct Heading<'a> {
     /// Name of the measurement, also the file's.
     pub name: &'a str,
-    /// Name of the GPU and its backend, as the viewer told.
+    /// Name of the GPU and its backend, as the viewer reports them.
     pub adapter: Option<&'a str>,
-    /// Sentences on how the figures came about.
+    /// Sentences on how the figures were measured.
     pub notes: &'a [String],
 }
 
-/// Writes `docs/measurements/<date>-<machine>/<name>.md` and returns its path.
+/// Writes the record and returns its path.
+///
+/// From a clean commit the run is appended to `docs/measurements/<date>-<machine>/runs.csv`, and
+/// the record `<name>.md` beside it shows the median of the runs of that commit. From a changed
+/// working tree a draft is written under `target/measure`, which no document may quote.
 ///
 /// # Errors
-/// The date is not known or the file cannot be written.
+/// The date is not known or a file cannot be written.
 pub fn write(heading: &Heading<'_>, rows: &[Row]) -> Result<PathBuf> {
     let machine = machine::Machine::here();
     let date = machine::today()?;
-    let folder = process::root().join("docs/measurements").join(format!("{date}-{}", machine.slug()));
+    let commit = machine::commit();
+    let folder = if commit.is_clean {
+        process::root().join("docs/measurements").join(format!("{date}-{}", machine.slug()))
+    } else {
+        process::target().join("measure/drafts")
+    };
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    let runs = if commit.is_clean {
+        let path = folder.join("runs.csv");
+        runs::append(&path, heading.name, &commit.hash, rows)
+            .with_context(|| format!("cannot append to {}", path.display()))?
+    } else {
+        println!("measure: the working tree differs from its commit; this record is a draft");
+        Runs::default()
+    };
     let path = folder.join(heading.name).with_extension("md");
-    let text = page(heading, rows, &machine, &date, &machine::commit());
+    let text = page(heading, rows, &runs, &machine, &date, &commit);
     std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(path)
 }
 
-fn page(heading: &Heading<'_>, rows: &[Row], machine: &machine::Machine, date: &str, commit: &str) -> String {
+fn page(
+    heading: &Heading<'_>,
+    rows: &[Row],
+    runs: &Runs,
+    machine: &machine::Machine,
+    date: &str,
+    commit: &machine::Commit,
+) -> String {
     let memory = machine.memory_mib.map_or("unknown".into(), |mib| format!("{mib} MiB"));
+    let draft = if commit.is_clean { "" } else { " with uncommitted changes: a draft" };
     let facts = [
         ("Date", date.into()),
-        ("Commit", commit.into()),
+        ("Commit", format!("{}{draft}", commit.hash)),
         ("CPU", format!("{}, {} cores", machine.cpu, machine.cores)),
         ("Memory", memory),
         ("System", machine.os.clone()),
-        ("GPU", heading.adapter.unwrap_or("none seen").into()),
+        ("GPU", heading.adapter.unwrap_or("none").into()),
         ("Command", format!("`cargo xtask measure {}`", heading.name)),
+        ("Runs of this commit", runs.count().to_string()),
     ];
     let mut page = format!("# {}\n\n| | |\n| --- | --- |\n", heading.name);
     // Writing to a string cannot fail.
     for (name, value) in facts {
         let _ = writeln!(page, "| {name} | {} |", cell(&value));
     }
-    page.push_str("\n| what | figure | bar | |\n| --- | ---: | --- | --- |\n");
+    page.push_str("\n| what | median | bar | | range | kept |\n| --- | ---: | --- | --- | --- | --- |\n");
     for row in rows {
-        let _ = writeln!(page, "| {} | {} |", cell(&row.what), row.cells().join(" | "));
+        let spread = runs.of(&row.what);
+        let median = Row { figure: spread.median().or(row.figure), ..row.clone() };
+        let (range, kept) = match spread.figures.as_slice() {
+            [] | [_] => (String::new(), format!("{} of 1", u32::from(row.is_met()))),
+            figures => (spread.range(), format!("{} of {}", spread.kept, figures.len())),
+        };
+        let _ = writeln!(page, "| {} | {} | {range} | {kept} |", cell(&row.what), median.cells().join(" | "));
     }
     if !heading.notes.is_empty() {
         page.push('\n');
@@ -78,16 +111,18 @@ mod tests {
         let rows =
             [Row::new("cold", Some(1.5), Bar::Under(3.0), "s"), Row::new("lost", None, Bar::AtMost(0.0), "")];
         let notes = ["worst of three".into()];
-        let heading = Heading { name: "first-voyage", adapter: Some("soft"), notes: &notes };
-        let page = page(&heading, &rows, &machine, "2026-01-02", "abc");
+        let heading = Heading { name: "end-to-end", adapter: Some("soft"), notes: &notes };
+        let commit = machine::Commit { hash: "abc".into(), is_clean: true };
+        let page = page(&heading, &rows, &Runs::default(), &machine, "2026-01-02", &commit);
+        assert!(!page.contains("draft"));
         for part in [
             "Some / CPU, 2 cores",
             "4096 MiB",
             "soft",
             "abc",
-            "`cargo xtask measure first-voyage`",
-            "| cold | 1.500 s | under 3 s | ok |",
-            "| lost | missing | at most 0 | MISSED |",
+            "`cargo xtask measure end-to-end`",
+            "| cold | 1.500 s | under 3 s | ok |  | 1 of 1 |",
+            "| lost | missing | at most 0 | MISSED |  | 0 of 1 |",
             "- worst of three",
         ] {
             assert!(page.contains(part), "{part} is not in:\n{page}");

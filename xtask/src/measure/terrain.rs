@@ -21,7 +21,7 @@ const KIB: f64 = 1024.0;
 /// The build or the record failed, or a bar was missed.
 pub fn run() -> Result<()> {
     setup::run(Extent::Headless)?;
-    process::run(process::cargo("build --release --bin tombolo-lab")).context("measure: the build failed")?;
+    process::run(process::build(&["tombolo-lab"])).context("measure: the build failed")?;
     let folder = process::target().join("measure/terrain");
     std::fs::create_dir_all(&folder)
         .with_context(|| format!("measure: cannot create {}", folder.display()))?;

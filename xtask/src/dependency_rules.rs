@@ -1,5 +1,5 @@
-//! The architecture, said as what must not be there: asks cargo for each crate's dependency tree
-//! and expects no forbidden name.
+//! Dependencies that a crate must not have: asks cargo for each crate's dependency tree and expects
+//! no forbidden name.
 
 use crate::process;
 use anyhow::{Context, Result, bail};
@@ -12,14 +12,14 @@ struct Rule {
     why: &'static str,
 }
 
-const RULES: [Rule; 7] = [
+const RULES: [Rule; 8] = [
     Rule {
         package: "terrain",
         forbidden: &[
             "protocol", "shaders", "server", "client", "load", "lab", "cli", "serde", "noise", "tokio",
             "wgpu",
         ],
-        why: "the land is pure and knows nobody",
+        why: "terrain is pure and depends on no other crate",
     },
     Rule {
         package: "protocol",
@@ -45,6 +45,11 @@ const RULES: [Rule; 7] = [
         package: "load",
         forbidden: &["wgpu", "winit", "egui", "client", "shaders", "server", "lab"],
         why: "a load test runs where no GPU is",
+    },
+    Rule {
+        package: "server-bench",
+        forbidden: &["wgpu", "winit", "egui", "client", "shaders", "server", "load", "lab"],
+        why: "server benchmarks run the server as a process",
     },
     Rule {
         package: "lab",

@@ -1,4 +1,4 @@
-//! `first-voyage`: how soon a view is complete, how much crosses the wire, how many clients one
+//! `end-to-end`: how soon a view is complete, how much crosses the wire, how many clients one
 //! small machine carries, and what server and viewer take for it.
 
 use super::bars::{Bar, Row, worst};
@@ -14,7 +14,7 @@ use std::path::PathBuf;
 const WORLD_SEED: u64 = 1;
 
 /// Cold and warm starts measured, each on a fresh server; the worst counts.
-const VOYAGES: usize = 3;
+const STARTS: usize = 3;
 
 /// The 8 km view: over the south of the island, looking north across it.
 const CAMERA: &str = "0,250,2500,0,-8";
@@ -36,31 +36,31 @@ const MIB: f64 = (1 << 20) as f64;
 /// The build or the record failed, or a bar was missed.
 pub fn run() -> Result<()> {
     setup::run(Extent::Headless)?;
-    process::run(process::cargo("build --release --package server --package client --package load"))
+    process::run(process::build(&["tombolo-server", "tombolo-view", "tombolo-load"]))
         .context("measure: the build failed")?;
-    let folder = process::target().join("measure/first-voyage");
+    let folder = process::target().join("measure/end-to-end");
     std::fs::create_dir_all(&folder)
         .with_context(|| format!("measure: cannot create {}", folder.display()))?;
-    let mut voyage = Voyage { folder, notes: Vec::new() };
+    let mut measurement = EndToEnd { folder, notes: Vec::new() };
 
     let (mut cold, mut warm) = (Vec::new(), Vec::new());
-    for number in 1..=VOYAGES {
+    for number in 1..=STARTS {
         let server = Server::start(WORLD_SEED).context("measure")?;
-        cold.push(voyage.view(&server, &format!("cold-{number}"), &[])?);
-        warm.push(voyage.view(&server, &format!("warm-{number}"), &[])?);
+        cold.push(measurement.view(&server, &format!("cold-{number}"), &[])?);
+        warm.push(measurement.view(&server, &format!("warm-{number}"), &[])?);
     }
     let budget = SMALL_BUDGET_MB.to_string();
     let small = {
         let server = Server::start(WORLD_SEED).context("measure")?;
-        voyage.view(&server, "small-budget", &["--chunk-mb", &budget])?
+        measurement.view(&server, "small-budget", &["--chunk-mb", &budget])?
     };
-    let (load, peak_mib) = voyage.load()?;
+    let (load, peak_mib) = measurement.load()?;
 
     let all: Vec<_> = cold.iter().chain(&warm).cloned().collect();
     let rows = rows(&cold, &warm, &all, &small, &load, peak_mib);
-    voyage.notes.insert(0, how(&load));
+    measurement.notes.insert(0, how(&load));
     let adapter = all.iter().find_map(|stats| stats.get("adapter")?.as_str());
-    let path = record::write(&Heading { name: "first-voyage", adapter, notes: &voyage.notes }, &rows)?;
+    let path = record::write(&Heading { name: "end-to-end", adapter, notes: &measurement.notes }, &rows)?;
     super::judge(&rows, &path)
 }
 
@@ -131,7 +131,7 @@ fn how(load: &Value) -> String {
     let latency = |name| load.get("latency_ms").and_then(|latency| number(latency, name));
     let rate = number(load, "chunks").zip(number(load, "seconds")).map(|(chunks, seconds)| chunks / seconds);
     format!(
-        "View times, bytes and frame times are the worst of {VOYAGES} fresh servers. Under load: {}, request to chunk p50 {}, p99 {}, p99.9 {}.",
+        "View times, bytes and frame times are the worst of {STARTS} fresh servers. Under load: {}, request to chunk p50 {}, p99 {}, p99.9 {}.",
         figure(rate, "chunks/s"),
         figure(latency("p50"), "ms"),
         figure(latency("p99"), "ms"),
@@ -140,12 +140,12 @@ fn how(load: &Value) -> String {
 }
 
 /// The runs' folder and what went wrong in them.
-struct Voyage {
+struct EndToEnd {
     folder: PathBuf,
     notes: Vec<String>,
 }
 
-impl Voyage {
+impl EndToEnd {
     /// One viewer's stats. A viewer that fails leaves no figures, and its rows miss.
     fn view(&mut self, server: &Server, name: &str, more: &[&str]) -> Result<Value> {
         println!("measure: viewer, {name}");

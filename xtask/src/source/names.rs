@@ -1,0 +1,215 @@
+//! Names in documents: files, links, examples, programs, options and metrics must exist.
+
+use super::{Files, Finding};
+
+/// Extensions of names that are taken for files.
+const FILE_EXTENSIONS: [&str; 11] =
+    ["rs", "wesl", "wgsl", "md", "toml", "js", "css", "html", "png", "svg", "hex"];
+
+/// Options of programs that are not the project's.
+const FOREIGN_OPTIONS: [&str; 24] = [
+    "release",
+    "bin",
+    "package",
+    "example",
+    "workspace",
+    "test",
+    "help",
+    "version",
+    "lib",
+    "all-targets",
+    "no-deps",
+    "locked",
+    "no-install-recommends",
+    "enable-unsafe-webgpu",
+    "use-webgpu-adapter",
+    "host",
+    "user",
+    "volume",
+    "rm",
+    "publish",
+    "target",
+    "features",
+    "profile",
+    "all",
+];
+
+/// Names in Markdown outside the records of measurements.
+pub fn check(files: &Files) -> Vec<Finding> {
+    let rust: Vec<&str> = files.with_extension(&["rs"]).map(|(_, text)| text).collect();
+    let known = |needle: &str| rust.iter().any(|text| text.contains(needle));
+    let mut found = Vec::new();
+    for (path, text) in files.with_extension(&["md"]) {
+        // The changelog names what has gone.
+        if path.starts_with("docs/measurements/2") || path == "CHANGELOG.md" {
+            continue;
+        }
+        for (index, line) in text.lines().enumerate() {
+            let mut missing = |what: String| found.push(Finding { path: path.into(), line: index + 1, what });
+            for target in links(line) {
+                if !exists(files, path, target) {
+                    missing(format!("link to {target}, which does not exist"));
+                }
+            }
+            for span in spans(line) {
+                if is_path(span) && !exists(files, path, span) {
+                    missing(format!("file {span}, which does not exist"));
+                }
+            }
+            for name in words_after(line, "--example ") {
+                let ends = [format!("/examples/{name}.rs"), format!("/examples/{name}/main.rs")];
+                if !files.0.keys().any(|file| ends.iter().any(|end| file.ends_with(end))) {
+                    missing(format!("example {name}, which does not exist"));
+                }
+            }
+            for option in options(line) {
+                let field = option.replace('-', "_");
+                let is_known = FOREIGN_OPTIONS.contains(&option)
+                    || known(&format!("\"{option}\""))
+                    || known(&format!("--{option}"))
+                    || known(&format!("{field}: "));
+                if !is_known {
+                    missing(format!("option --{option}, which no program has"));
+                }
+            }
+            for metric in metrics(line) {
+                if !known(&format!("\"{metric}\"")) {
+                    missing(format!("metric tombolo_{metric}, which the server does not have"));
+                }
+            }
+        }
+    }
+    found
+}
+
+/// Targets of relative links, without fragments.
+fn links(line: &str) -> impl Iterator<Item = &str> {
+    line.match_indices("](").filter_map(|(at, _)| {
+        let target = line[at + 2..].split(')').next()?;
+        let target = target.split('#').next()?;
+        (!target.is_empty() && !target.contains("://") && !target.starts_with("mailto:")).then_some(target)
+    })
+}
+
+/// Text between backticks.
+fn spans(line: &str) -> impl Iterator<Item = &str> {
+    line.split('`').skip(1).step_by(2)
+}
+
+fn is_path(span: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
+    let has_extension =
+        span.rsplit_once('.').is_some_and(|(stem, ext)| !stem.is_empty() && FILE_EXTENSIONS.contains(&ext));
+    let is_folder = span.ends_with('/') && span.len() > 1 && !span.starts_with('/');
+    span.chars().all(plain)
+        && (has_extension || is_folder)
+        && !span.starts_with("target/")
+        && !span.starts_with('/')
+}
+
+/// Whether a path exists from the root, from the document's folder, or, for a bare name, anywhere.
+fn exists(files: &Files, document: &str, target: &str) -> bool {
+    let folder = document.rsplit_once('/').map_or("", |(folder, _)| folder);
+    let joined = normal(&format!("{folder}/{target}"));
+    [normal(target), joined].iter().any(|path| has(files, path))
+        || files.0.keys().any(|file| file.ends_with(&format!("/{}", target.trim_end_matches('/'))))
+        || (target.ends_with('/') && files.0.keys().any(|file| file.contains(&format!("/{target}"))))
+}
+
+fn has(files: &Files, path: &str) -> bool {
+    let folder = format!("{}/", path.trim_end_matches('/'));
+    // Pictures are not text and are looked for on the disk.
+    files.0.contains_key(path)
+        || files.0.keys().any(|file| file.starts_with(&folder))
+        || crate::process::root().join(path).is_file()
+}
+
+fn normal(path: &str) -> String {
+    let mut parts: Vec<&str> = Vec::new();
+    for part in path.split('/') {
+        match part {
+            "" | "." => {}
+            ".." => {
+                parts.pop();
+            }
+            part => parts.push(part),
+        }
+    }
+    parts.join("/")
+}
+
+fn words_after<'a>(line: &'a str, start: &str) -> impl Iterator<Item = &'a str> {
+    line.match_indices(start).map(move |(at, _)| name_at(&line[at + start.len()..]))
+}
+
+fn name_at(text: &str) -> &str {
+    let end = text.find(|c: char| !c.is_ascii_alphanumeric() && !"_-".contains(c)).unwrap_or(text.len());
+    text[..end].trim_end_matches('-')
+}
+
+/// Long options that a line names.
+fn options(line: &str) -> impl Iterator<Item = &str> {
+    line.match_indices("--").filter_map(|(at, _)| {
+        let before = line[..at].chars().next_back().unwrap_or(' ');
+        let name = name_at(&line[at + 2..]);
+        let starts = name.starts_with(|c: char| c.is_ascii_lowercase());
+        (starts && !before.is_ascii_alphanumeric() && before != '-').then_some(name)
+    })
+}
+
+/// Metrics that a line names, without prefix and without the endings that the exposition adds.
+fn metrics(line: &str) -> impl Iterator<Item = &str> {
+    line.match_indices("tombolo_").filter_map(|(at, start)| {
+        let name = name_at(&line[at + start.len()..]);
+        let whole = line[..at].chars().next_back().is_none_or(|c| !c.is_ascii_alphanumeric() && c != '_');
+        let is_log_filter = line[at + start.len() + name.len()..].starts_with('=') || name.is_empty();
+        let endings = ["_total", "_bucket", "_sum", "_count"];
+        let bare = endings.iter().find_map(|ending| name.strip_suffix(ending)).unwrap_or(name);
+        (whole && !is_log_filter && !bare.ends_with('_')).then_some(bare)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(line: &str) -> usize {
+        let files = Files::of(&[
+            ("docs/a.md", line),
+            ("docs/b.md", ""),
+            (
+                "server/src/metrics.rs",
+                "register(\"views\"); register(\"view_seconds\"); /// --listen\ncache_mb: u64,",
+            ),
+            ("terrain/examples/kernels.rs", ""),
+        ]);
+        check(&files).len()
+    }
+
+    #[test]
+    fn what_does_not_exist_is_found() {
+        for line in [
+            "see [b](c.md)",
+            "open `server/src/nothing.rs`",
+            "in `server/nowhere/`",
+            "cargo run --example relief",
+            "`--no-such-thing` bounds it",
+            "`tombolo_nothing_total` counts",
+        ] {
+            assert_eq!(found(line), 1, "{line}");
+        }
+    }
+
+    #[test]
+    fn what_exists_is_not() {
+        for line in [
+            "see [b](b.md#part) and [web](https://x.org/y.md)",
+            "open `server/src/metrics.rs`, `metrics.rs`, `server/`",
+            "cargo run --release --example kernels",
+            "`--listen` and `--cache-mb 5`, a -- dash",
+            "`tombolo_views_total`, `tombolo_view_seconds_bucket`",
+        ] {
+            assert_eq!(found(line), 0, "{line}");
+        }
+    }
+}
