@@ -51,4 +51,6 @@ pub enum Stage {
 include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
 
 #[cfg(test)]
+mod limits;
+#[cfg(test)]
 mod tests;

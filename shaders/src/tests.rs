@@ -8,13 +8,14 @@ use std::process::{Command, Stdio};
 use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInner, VectorSize};
 
 use crate::layout::{
-    Atmosphere, BAKE_WORKGROUP, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe, CLEARANCE_RANGE,
-    CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ConeOrder, Culling, EMPTY_LINK, FILL_WORKGROUP, FINE_PER_METRE,
-    Field, Frame, GPU_SLOT_BYTES, GRASS_TILT, GRID_NODES, LEAF, MATERIALS, MAX_MIP_WORKGROUP,
-    MaxMipReduction, OccluderChunk, OcclusionNode, PATTERN_PERIOD_M, PROBE_FIXED, PROBE_MARCHED,
-    PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult, RECORD_WORDS,
-    REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE, SUN_RADIUS, ShadowTarget, SunParams, TILING_WORKGROUP,
-    TerrainInstance, TilingProbe, VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
+    Atmosphere, BAKE_WORKGROUP, BLOCK_LIST, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe,
+    CLEARANCE_RANGE, CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ConeOrder, Culling, EMPTY_LINK, FILL_WORKGROUP,
+    FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_TILT, GRID_NODES, LEAF, MASK_BEGIN, MATERIALS,
+    MAX_MIP_WORKGROUP, MaxMipReduction, OccluderChunk, OcclusionNode, PATTERN_PERIOD_M, PROBE_FIXED,
+    PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult,
+    RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE, SUN_RADIUS, ShadowTarget, SunParams,
+    TILING_WORKGROUP, TerrainInstance, TilingProbe, VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP,
+    WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -148,7 +149,8 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
 macro_rules! assert_lies_alike {
     ($shader:expr, $type:ident, $($member:ident),+ $(,)?) => {
         let expected = vec![$((stringify!($member).to_owned(), offset_of!($type, $member))),+];
-        assert_eq!(reflected(&$shader, stringify!($type)), (expected, size_of::<$type>()), "{}", $shader.name);
+        let found = reflected(&$shader, stringify!($type));
+        assert_eq!(found, (expected, size_of::<$type>()), "{}", $shader.name);
     };
 }
 
@@ -157,7 +159,8 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
     #[rustfmt::skip]
     assert_lies_alike!(
         SHADERS.probe_pom, PomParams,
-        tier, steps_min, steps_max, refine, refinements, loop_form, heights, shadow, silhouette, depth, pivot, amplitude, horizon,
+        tier, steps_min, steps_max, refine, refinements, loop_form, heights, shadow, silhouette, depth,
+        pivot, amplitude, horizon,
         travel_flat, travel_offset, travel_linear, fade_px,
     );
     #[rustfmt::skip]
@@ -179,7 +182,8 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
     #[rustfmt::skip]
     assert_lies_alike!(
         SHADERS.draw_pom, PomObject,
-        origin_m, mode, tangent, silhouette, bitangent, shape, normal, layer, size_m, tile_m, tint, relief_m, repeats, reserved,
+        origin_m, mode, tangent, silhouette, bitangent, shape, normal, layer, size_m, tile_m, tint,
+        relief_m, repeats, reserved,
     );
     let (module, _) = validate("reduce_max_mip", SHADERS.reduce_max_mip.wgsl).unwrap();
     assert_eq!(module.entry_points[0].workgroup_size, [MAX_MIP_WORKGROUP, MAX_MIP_WORKGROUP, 1]);
@@ -193,7 +197,8 @@ fn fields_lie_where_the_shaders_read_them_and_plants_have_the_vertices_that_are_
         #[rustfmt::skip]
         assert_lies_alike!(
             shader, Field,
-            eye_x, eye_y, eye_z, kind, width_low_m, width_high_m, height_low_m, height_high_m, thin_from_m, widest, range_m,
+            eye_x, eye_y, eye_z, kind, width_low_m, width_high_m, height_low_m, height_high_m, thin_from_m,
+            widest, range_m,
             collapse_m, lod_m, wind, lean,
         );
         let fine = format!("METRES_PER_FINE: f32 = 1.0 / {FINE_PER_METRE}.0;");
@@ -539,11 +544,15 @@ fn what_plants_are_chosen_by_lies_where_the_shaders_read_it() {
             assert!(shader.wgsl.contains(&constant), "{}: {constant}", shader.name);
         }
     }
+    for shader in [&SHADERS.cull_blocks, &SHADERS.cull_clumps] {
+        assert!(shader.wgsl.contains(&format!("BLOCK_LIST: u32 = {BLOCK_LIST}u")), "{}", shader.name);
+    }
     for shader in [&SHADERS.cull_clumps, &SHADERS.scan_plants] {
-        assert!(
-            shader.wgsl.contains(&format!("VISIBILITY_WORDS: u32 = {VISIBILITY_WORDS}u")),
-            "{}",
-            shader.name
-        );
+        for constant in [
+            format!("VISIBILITY_WORDS: u32 = {VISIBILITY_WORDS}u"),
+            format!("MASK_BEGIN: u32 = {MASK_BEGIN}u"),
+        ] {
+            assert!(shader.wgsl.contains(&constant), "{}: {constant}", shader.name);
+        }
     }
 }

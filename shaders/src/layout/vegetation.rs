@@ -176,6 +176,11 @@ pub const PATCH_BLOCK_COUNT: usize = 256;
 /// Bytes of a kept clump: four words, `shared/clump.wesl` documents their bits.
 pub const CLUMP_BYTES: usize = 16;
 
+/// First word of the lists of visible blocks in the state of a culling.
+pub const BLOCK_LIST: usize = 1280;
+/// First word of the visibility masks in the state of a culling.
+pub const MASK_BEGIN: usize = BLOCK_LIST + MAX_PATCHES * PATCH_BLOCK_COUNT;
+
 /// Words that are kept of a block while its clumps are chosen.
 pub const VISIBILITY_WORDS: usize = 35;
 
