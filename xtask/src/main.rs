@@ -10,6 +10,7 @@ mod bless;
 mod ci;
 mod demo;
 mod dependency_rules;
+mod gpu_bundle;
 mod machine;
 mod measure;
 mod process;
@@ -43,6 +44,14 @@ enum Command {
         /// What to measure
         name: String,
     },
+    /// Pack programs and a script that run every check that needs a GPU on a bare machine
+    GpuBundle,
+    /// Write the record of a run of the bundle
+    #[command(hide = true)]
+    GpuRecord {
+        /// The folder that the bundle's script filled
+        folder: std::path::PathBuf,
+    },
     /// Check the source text: columns, retired words, names in documents, import circles
     Source,
     /// Rewrite frozen fixtures and golden pictures from what the code does now
@@ -56,6 +65,8 @@ fn main() -> ExitCode {
         Command::Demo(options) => demo::run(options),
         Command::Ci => ci::run(),
         Command::Measure { name } => measure::run(&name),
+        Command::GpuBundle => gpu_bundle::build(),
+        Command::GpuRecord { folder } => gpu_bundle::record(&folder),
         Command::Source => source::run(),
         Command::Bless => bless::run(),
     });

@@ -15,6 +15,15 @@ const POSES: f64 = 300.0;
 /// Poses at which the GPU is compared with the twin, at least.
 const COMPARED: f64 = 20.0;
 
+const GPU_AGAINST_TWIN: &str = "GPU against the twin: differing clumps";
+const GPU_AGAINST_TWIN_CONTROL: &str = "the same with a twin that does not test the land (control)";
+const GPU_TIME: &str = "on a GPU: 1 M clumps at 1080p, cull and draw";
+
+/// Whether a row is about what a GPU computes.
+pub fn needs_gpu(what: &str) -> bool {
+    [GPU_AGAINST_TWIN, GPU_AGAINST_TWIN_CONTROL, GPU_TIME].contains(&what)
+}
+
 /// Builds, measures, prints, records.
 ///
 /// # Errors
@@ -40,7 +49,7 @@ pub fn run() -> Result<()> {
 }
 
 /// Every figure beside its bar.
-fn rows(culling: &Value) -> Vec<Row> {
+pub fn rows(culling: &Value) -> Vec<Row> {
     let at = |path: &str| culling.pointer(path).and_then(Value::as_f64);
     let is_whole = at("/poses") >= Some(POSES) && at("/sight/scenes") >= Some(0.9 * POSES);
     let sight = |path: &str| at(&format!("/sight/{path}")).filter(|_| is_whole);
@@ -109,13 +118,8 @@ fn rows(culling: &Value) -> Vec<Row> {
             Bar::AtMost(0.5),
             "x",
         ),
-        Row::new("GPU against the twin: differing clumps", same("differing"), Bar::AtMost(0.0), ""),
-        Row::new(
-            "the same with a twin that does not ask the land (control)",
-            same("differing_control"),
-            Bar::AtLeast(1.0),
-            "",
-        ),
+        Row::new(GPU_AGAINST_TWIN, same("differing"), Bar::AtMost(0.0), ""),
+        Row::new(GPU_AGAINST_TWIN_CONTROL, same("differing_control"), Bar::AtLeast(1.0), ""),
         Row::new("root off the drawn triangle, worst", sight("root_mm"), Bar::AtMost(1.0), "mm"),
         Row::new("streams: chi-square, worst, as p", at("/lots/worst_stream_p"), Bar::AtLeast(0.001), ""),
         Row::new("two streams: the same", at("/lots/worst_pair_p"), Bar::AtLeast(0.001), ""),
@@ -126,7 +130,7 @@ fn rows(culling: &Value) -> Vec<Row> {
             "",
         ),
         Row::new("two streams with bits in common (control)", at("/lots/poor_pair_p"), Bar::Under(0.001), ""),
-        Row::new("on a GPU: 1 M clumps at 1080p, cull and draw", None, Bar::NeedsGpu(1.5), "ms"),
+        Row::new(GPU_TIME, None, Bar::NeedsGpu(1.5), "ms"),
     ]
 }
 

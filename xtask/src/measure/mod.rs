@@ -15,7 +15,8 @@ mod terrain;
 
 use crate::process;
 use anyhow::{Result, bail};
-use bars::Row;
+pub use bars::Row;
+use serde_json::Value;
 use std::path::Path;
 
 /// A measurement by name.
@@ -49,11 +50,21 @@ pub fn run(name: &str) -> Result<()> {
     }
 }
 
+/// The rows that a GPU is needed for, from reports of `tombolo-lab`.
+pub fn gpu_rows(digest: &Value, lod: &Value, pom: &Value, culling: &Value) -> Vec<Row> {
+    let twins = heightfield::differing_twins(digest);
+    let mut rows = vec![Row::new("GPU twins with another digest", twins, bars::Bar::AtMost(0.0), "")];
+    rows.extend(terrain::rows(lod).into_iter().filter(|row| row.what == terrain::GPU_TIME));
+    rows.extend(pom::rows(pom));
+    rows.extend(culling::rows(culling).into_iter().filter(|row| culling::needs_gpu(&row.what)));
+    rows
+}
+
 /// Prints the rows and where they were recorded.
 ///
 /// # Errors
 /// A bar was missed.
-fn judge(rows: &[Row], recorded: &Path) -> Result<()> {
+pub fn judge(rows: &[Row], recorded: &Path) -> Result<()> {
     println!();
     rows.iter().for_each(|row| println!("{row}"));
     println!("\nmeasure: recorded in {}", recorded.display());

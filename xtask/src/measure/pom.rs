@@ -40,7 +40,7 @@ pub fn run() -> Result<()> {
 }
 
 /// Every figure beside its bar.
-fn rows(pom: &Value) -> Vec<Row> {
+pub fn rows(pom: &Value) -> Vec<Row> {
     let at = |path: &str| pom.pointer(path).and_then(Value::as_f64);
     let search = list(pom, "/search");
     let is_whole = at("/rays") >= Some(RAYS) && search.len() == CONDITIONS;

@@ -15,6 +15,9 @@ const VIEWS: f64 = 200.0;
 
 const KIB: f64 = 1024.0;
 
+/// The row that needs a GPU.
+pub const GPU_TIME: &str = "GPU time of the island at 1920 x 1080";
+
 /// Builds, measures, prints, records.
 ///
 /// # Errors
@@ -40,7 +43,7 @@ pub fn run() -> Result<()> {
 }
 
 /// Every figure beside its bar.
-fn rows(lod: &Value) -> Vec<Row> {
+pub fn rows(lod: &Value) -> Vec<Row> {
     let at = |path: &str| lod.pointer(path).and_then(Value::as_f64);
     let screen = |field: &str| at(&format!("/screen/{field}")).filter(|_| at("/screen/poses") >= Some(POSES));
     let views = list(lod, "/triangles");
@@ -114,10 +117,9 @@ fn times(lod: &Value) -> Vec<Row> {
     };
     let whole = at(1.0).and_then(passes).map(|(_, whole)| whole);
     let is_software = lod.pointer("/frames/is_software").and_then(Value::as_bool);
-    let what = "GPU time of the island at 1920 x 1080";
     let time = match is_software {
-        Some(true) => Row::new(what, None, Bar::NeedsGpu(2.0), "ms"),
-        _ => Row::new(what, whole, Bar::Under(2.0), "ms"),
+        Some(true) => Row::new(GPU_TIME, None, Bar::NeedsGpu(2.0), "ms"),
+        _ => Row::new(GPU_TIME, whole, Bar::Under(2.0), "ms"),
     };
     let frame_ms = |tolerance| number(at(tolerance)?, "frame_ms");
     let ratio = |part: Option<f64>, whole: Option<f64>| Some(part? / whole?);

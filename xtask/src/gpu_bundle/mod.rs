@@ -1,0 +1,126 @@
+//! `gpu-bundle`: what a machine with a GPU needs for the checks that ask for one, in one archive;
+//! `gpu-record`: the record of such a run.
+//!
+//! Machines with a GPU are borrowed for minutes and may have no toolchain and no network. The
+//! bundle holds stripped programs, a script, and this program for the bars.
+
+use crate::measure::{self, Row};
+use crate::{machine, process};
+use anyhow::{Context, Result, bail};
+use serde_json::Value;
+use std::fmt::Write;
+use std::path::Path;
+
+/// Programs in the bundle.
+const PROGRAMS: [&str; 3] = ["tombolo-lab", "tombolo-view", "xtask"];
+
+/// Largest archive, bytes.
+const LIMIT: u64 = 60 << 20;
+
+/// What runs on the other machine.
+const SCRIPT: &str = include_str!("run.sh");
+
+/// Builds the programs and packs the archive.
+///
+/// # Errors
+/// A build or a copy fails, or the archive is larger than [`LIMIT`].
+pub fn build() -> Result<()> {
+    process::use_dist_profile();
+    process::run(process::build(&PROGRAMS)).context("gpu-bundle: the build failed")?;
+    let folder = process::target().join("gpu-bundle");
+    let root = folder.join("tombolo-gpu");
+    // An older bundle may hold other files.
+    let _ = std::fs::remove_dir_all(&root);
+    let bin = root.join("bin");
+    std::fs::create_dir_all(&bin).with_context(|| format!("cannot create {}", bin.display()))?;
+    for program in PROGRAMS {
+        let copy = bin.join(program);
+        std::fs::copy(process::program(program), &copy)
+            .with_context(|| format!("gpu-bundle: cannot copy {program}"))?;
+        let mut strip = process::command("strip");
+        strip.arg("--strip-unneeded").arg(&copy);
+        process::run(strip).context("gpu-bundle: `strip` (binutils) is needed")?;
+    }
+    let commit = machine::commit();
+    let state = if commit.is_clean { "" } else { " with uncommitted changes: a draft" };
+    std::fs::write(root.join("commit"), format!("{}{state}\n", commit.hash)).context("gpu-bundle")?;
+    let script = root.join("run.sh");
+    std::fs::write(&script, SCRIPT).context("gpu-bundle")?;
+    make_executable(&script)?;
+    let archive = folder.join("tombolo-gpu.tar.gz");
+    let mut tar = process::command("tar");
+    tar.arg("-czf").arg(&archive).arg("-C").arg(&folder).arg("tombolo-gpu");
+    process::run(tar).context("gpu-bundle: cannot pack")?;
+    let bytes = std::fs::metadata(&archive).context("gpu-bundle")?.len();
+    let mib = bytes as f64 / f64::from(1 << 20);
+    println!("gpu-bundle: {} ({mib:.1} MiB); unpack it and run tombolo-gpu/run.sh", archive.display());
+    if bytes > LIMIT {
+        bail!("gpu-bundle: {mib:.1} MiB, at most {} MiB", LIMIT >> 20);
+    }
+    Ok(())
+}
+
+#[cfg(unix)]
+fn make_executable(path: &Path) -> Result<()> {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).context("gpu-bundle")
+}
+
+#[cfg(not(unix))]
+fn make_executable(_: &Path) -> Result<()> {
+    bail!("gpu-bundle: bundles are made on Linux")
+}
+
+/// Writes `record.md` into a folder that `run.sh` filled.
+///
+/// # Errors
+/// The folder cannot be read or written, or a bar was missed.
+pub fn record(folder: &Path) -> Result<()> {
+    let json = |name: &str| -> Value {
+        let text = std::fs::read_to_string(folder.join(name).with_extension("json")).unwrap_or_default();
+        serde_json::from_str(&text).unwrap_or(Value::Null)
+    };
+    let rows = measure::gpu_rows(&json("digest"), &json("lod"), &json("pom"), &json("culling"));
+    let steps = std::fs::read_to_string(folder.join("steps.tsv")).unwrap_or_default();
+    let commit = std::env::current_exe()
+        .ok()
+        .and_then(|program| std::fs::read_to_string(program.parent()?.parent()?.join("commit")).ok())
+        .unwrap_or_else(|| "unknown".into());
+    let page = page(&rows, &steps, commit.trim(), &machine::Machine::here());
+    let path = folder.join("record.md");
+    std::fs::write(&path, page).with_context(|| format!("cannot write {}", path.display()))?;
+    measure::judge(&rows, &path)
+}
+
+fn page(rows: &[Row], steps: &str, commit: &str, machine: &machine::Machine) -> String {
+    let mut page = String::from("# GPU bundle\n\n");
+    // Writing to a string cannot fail.
+    let _ = writeln!(page, "Commit {commit}; {}, {} cores; {}.\n", machine.cpu, machine.cores, machine.os);
+    page.push_str("| step | exit code | seconds |\n| --- | --- | --- |\n");
+    for line in steps.lines() {
+        let _ = writeln!(page, "| {} |", line.replace('\t', " | "));
+    }
+    page.push_str("\n| what | figure | bar | |\n| --- | ---: | --- | --- |\n");
+    for row in rows {
+        let _ = writeln!(page, "| {} | {} |", row.what, row.cells().join(" | "));
+    }
+    page
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_without_reports_misses_every_bar_and_says_so() {
+        let folder = std::env::temp_dir().join(format!("tombolo-gpu-record-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join("steps.tsv"), "digest\t1\t3\n").unwrap();
+        let error = record(&folder).unwrap_err().to_string();
+        let page = std::fs::read_to_string(folder.join("record.md")).unwrap();
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert!(error.contains("missed"), "{error}");
+        assert!(page.contains("| digest | 1 | 3 |") && page.contains("MISSED"), "{page}");
+        assert!(!page.contains("| ok |"), "{page}");
+    }
+}
