@@ -4,9 +4,10 @@
 //! Machines with a GPU are borrowed for minutes and may have no toolchain and no network. The
 //! bundle holds stripped programs, a script, and this program for the bars.
 
-use crate::measure::{self, Row};
+use crate::measure;
 use crate::{machine, process};
 use anyhow::{Context, Result, bail};
+use bars::Bar;
 use serde_json::Value;
 use std::fmt::Write;
 use std::path::Path;
@@ -92,7 +93,7 @@ pub fn record(folder: &Path) -> Result<()> {
     measure::judge(&rows, &path)
 }
 
-fn page(rows: &[Row], steps: &str, commit: &str, machine: &machine::Machine) -> String {
+fn page(rows: &[Bar], steps: &str, commit: &str, machine: &machine::Machine) -> String {
     let mut page = String::from("# GPU bundle\n\n");
     // Writing to a string cannot fail.
     let _ = writeln!(page, "Commit {commit}; {}, {} cores; {}.\n", machine.cpu, machine.cores, machine.os);
@@ -100,10 +101,7 @@ fn page(rows: &[Row], steps: &str, commit: &str, machine: &machine::Machine) -> 
     for line in steps.lines() {
         let _ = writeln!(page, "| {} |", line.replace('\t', " | "));
     }
-    page.push_str("\n| what | figure | bar | |\n| --- | ---: | --- | --- |\n");
-    for row in rows {
-        let _ = writeln!(page, "| {} | {} |", row.what, row.cells().join(" | "));
-    }
+    let _ = write!(page, "\n{}", bars::markdown(rows));
     page
 }
 

@@ -1,9 +1,9 @@
 //! `code`: what can be counted in the source text.
 
-use super::bars::{Bar, Row};
 use super::record::{self, Heading};
 use crate::source::{Files, circles, columns, lines, names, repeats, words};
 use anyhow::{Context, Result};
+use bars::{Bar, Limit};
 
 /// Repeats that the same count found at commit 667da50, before they were looked for.
 const REPEATS_BEFORE: f64 = 30.0;
@@ -28,30 +28,30 @@ pub fn run() -> Result<()> {
     super::judge(&rows, &path)
 }
 
-fn rows(files: &Files) -> Vec<Row> {
-    let none = |what: &str, count: usize| Row::new(what, Some(count as f64), Bar::AtMost(0.0), "");
+fn rows(files: &Files) -> Vec<Bar> {
+    let none = |what: &str, count: usize| Bar::new(what, Some(count as f64), "", Limit::AtMost(0.0));
     vec![
         none("import circles between modules of a crate", circles::check(files).len()),
         none("lines over 110 columns in Rust, WESL, Markdown", columns::check(files).len()),
         none("retired words in identifiers, messages, documents", words::check(files).len()),
         none("names in documents that do not exist", names::check(files).len()),
-        Row::new(
+        Bar::new(
             "README",
             Some(lines::readme(files) as f64),
-            Bar::AtMost(lines::README_LIMIT as f64),
             "lines",
+            Limit::AtMost(lines::README_LIMIT as f64),
         ),
-        Row::new(
+        Bar::new(
             "measuring code without tests",
             Some(lines::measuring(files) as f64),
-            Bar::AtMost(MEASURING_LIMIT),
             "lines",
+            Limit::AtMost(MEASURING_LIMIT),
         ),
-        Row::new(
+        Bar::new(
             "repeats of six lines",
             Some(repeats::count(files) as f64),
-            Bar::AtMost((REPEATS_BEFORE / 4.0).floor()),
             "",
+            Limit::AtMost((REPEATS_BEFORE / 4.0).floor()),
         ),
     ]
 }

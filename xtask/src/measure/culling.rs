@@ -1,12 +1,12 @@
 //! `culling`: what is left out although it is seen, what is kept although it is hidden, what either
 //! costs, and whether the GPU chooses as its twin does.
 
-use super::bars::{Bar, Row};
 use super::record::{self, Heading};
 use super::report::{self, number};
 use crate::process;
 use crate::setup::{self, Extent};
 use anyhow::{Context, Result};
+use bars::{Bar, Limit};
 use serde_json::Value;
 
 /// Poses that are judged by sight.
@@ -49,7 +49,7 @@ pub fn run() -> Result<()> {
 }
 
 /// Every figure beside its bar.
-pub fn rows(culling: &Value) -> Vec<Row> {
+pub fn rows(culling: &Value) -> Vec<Bar> {
     let at = |path: &str| culling.pointer(path).and_then(Value::as_f64);
     let is_whole = at("/poses") >= Some(POSES) && at("/sight/scenes") >= Some(0.9 * POSES);
     let sight = |path: &str| at(&format!("/sight/{path}")).filter(|_| is_whole);
@@ -78,59 +78,64 @@ pub fn rows(culling: &Value) -> Vec<Row> {
         at(&format!("/same/{path}")).filter(|_| is_enough)
     };
     vec![
-        Row::new("T3 exact: clumps lost that are seen", lost("exact"), Bar::AtMost(0.0), ""),
-        Row::new("T4: the same", lost("hierarchical"), Bar::AtMost(0.0), ""),
-        Row::new("T4: clumps lost of whose bound a point is seen", lost("bound"), Bar::AtMost(0.0), ""),
-        Row::new("T4: chunks of grass lost that are seen", lost("chunks"), Bar::AtMost(0.0), ""),
-        Row::new("T4: chunks of trees lost that are seen", lost("tree_chunks"), Bar::AtMost(0.0), ""),
-        Row::new("T3 exact: plants lost that show in a picture", shown("lost_exact"), Bar::AtMost(0.0), ""),
-        Row::new("T4 on the GPU: the same", shown("lost_hierarchical"), Bar::AtMost(0.0), ""),
-        Row::new("T2: the same (control)", shown("lost_noise"), Bar::AtLeast(1.0), ""),
-        Row::new("T3 by marching: the same (control)", shown("lost_march"), Bar::AtLeast(1.0), ""),
-        Row::new("T2: clumps lost that are seen (control)", lost("noise"), Bar::AtLeast(1.0), ""),
-        Row::new("T3 by marching: the same (control)", lost("march"), Bar::AtLeast(1.0), ""),
-        Row::new(
+        Bar::new("T3 exact: clumps lost that are seen", lost("exact"), "", Limit::AtMost(0.0)),
+        Bar::new("T4: the same", lost("hierarchical"), "", Limit::AtMost(0.0)),
+        Bar::new("T4: clumps lost of whose bound a point is seen", lost("bound"), "", Limit::AtMost(0.0)),
+        Bar::new("T4: chunks of grass lost that are seen", lost("chunks"), "", Limit::AtMost(0.0)),
+        Bar::new("T4: chunks of trees lost that are seen", lost("tree_chunks"), "", Limit::AtMost(0.0)),
+        Bar::new("T3 exact: plants lost that show in a picture", shown("lost_exact"), "", Limit::AtMost(0.0)),
+        Bar::new("T4 on the GPU: the same", shown("lost_hierarchical"), "", Limit::AtMost(0.0)),
+        Bar::new("T2: the same (control)", shown("lost_noise"), "", Limit::AtLeast(1.0)),
+        Bar::new("T3 by marching: the same (control)", shown("lost_march"), "", Limit::AtLeast(1.0)),
+        Bar::new("T2: clumps lost that are seen (control)", lost("noise"), "", Limit::AtLeast(1.0)),
+        Bar::new("T3 by marching: the same (control)", lost("march"), "", Limit::AtLeast(1.0)),
+        Bar::new(
             "five points: chunks lost that are seen (control)",
             lost("five_points"),
-            Bar::AtLeast(1.0),
             "",
+            Limit::AtLeast(1.0),
         ),
-        Row::new("T4: hidden grass kept", kept("grass"), Bar::Under(3.0), "%"),
-        Row::new("T4: hidden trees kept", kept("trees"), Bar::Reported, "%"),
-        Row::new("T4: hidden chunks of grass with a clump kept", kept("chunks"), Bar::Under(20.0), "%"),
-        Row::new("of these with a block kept", kept("chunks_by_blocks"), Bar::Reported, "%"),
-        Row::new("T4: hidden chunks of trees with a clump kept", kept("tree_chunks"), Bar::Reported, "%"),
-        Row::new(
+        Bar::new("T4: hidden grass kept", kept("grass"), "%", Limit::Under(3.0)),
+        Bar::new("T4: hidden trees kept", kept("trees"), "%", Limit::Reported),
+        Bar::new("T4: hidden chunks of grass with a clump kept", kept("chunks"), "%", Limit::Under(20.0)),
+        Bar::new("of these with a block kept", kept("chunks_by_blocks"), "%", Limit::Reported),
+        Bar::new("T4: hidden chunks of trees with a clump kept", kept("tree_chunks"), "%", Limit::Reported),
+        Bar::new(
             "fetches of a march in steps of 0.5 m over those of T3",
             ratio(sight("fetches_march"), sight("fetches_exact")),
-            Bar::AtLeast(6.0),
             "x",
+            Limit::AtLeast(6.0),
         ),
-        Row::new(
+        Bar::new(
             "time of the march over that of T3, CPU",
             ratio(Some(1.0), sight("time_ratio")),
-            Bar::AtLeast(4.0),
             "x",
+            Limit::AtLeast(4.0),
         ),
-        Row::new(
+        Bar::new(
             "valley scene: time of a frame with T4 over that with T1",
             frame("T4 hierarchical", "frame_ratio"),
-            Bar::AtMost(0.5),
             "x",
+            Limit::AtMost(0.5),
         ),
-        Row::new(GPU_AGAINST_TWIN, same("differing"), Bar::AtMost(0.0), ""),
-        Row::new(GPU_AGAINST_TWIN_CONTROL, same("differing_control"), Bar::AtLeast(1.0), ""),
-        Row::new("root off the drawn triangle, worst", sight("root_mm"), Bar::AtMost(1.0), "mm"),
-        Row::new("streams: chi-square, worst, as p", at("/lots/worst_stream_p"), Bar::AtLeast(0.001), ""),
-        Row::new("two streams: the same", at("/lots/worst_pair_p"), Bar::AtLeast(0.001), ""),
-        Row::new(
+        Bar::new(GPU_AGAINST_TWIN, same("differing"), "", Limit::AtMost(0.0)),
+        Bar::new(GPU_AGAINST_TWIN_CONTROL, same("differing_control"), "", Limit::AtLeast(1.0)),
+        Bar::new("root off the drawn triangle, worst", sight("root_mm"), "mm", Limit::AtMost(1.0)),
+        Bar::new("streams: chi-square, worst, as p", at("/lots/worst_stream_p"), "", Limit::AtLeast(0.001)),
+        Bar::new("two streams: the same", at("/lots/worst_pair_p"), "", Limit::AtLeast(0.001)),
+        Bar::new(
             "streams cut out of a hash of the cell (control)",
             at("/lots/poor_stream_p"),
-            Bar::Under(0.001),
             "",
+            Limit::Under(0.001),
         ),
-        Row::new("two streams with bits in common (control)", at("/lots/poor_pair_p"), Bar::Under(0.001), ""),
-        Row::new(GPU_TIME, None, Bar::NeedsGpu(1.5), "ms"),
+        Bar::new(
+            "two streams with bits in common (control)",
+            at("/lots/poor_pair_p"),
+            "",
+            Limit::Under(0.001),
+        ),
+        Bar::not_measured(GPU_TIME, super::NEEDS_GPU, "ms", Limit::Under(1.5)),
     ]
 }
 
@@ -235,7 +240,7 @@ mod tests {
     fn missed(culling: &Value) -> usize {
         let rows = rows(culling);
         assert_eq!(rows.len(), 28);
-        rows.iter().filter(|row| !row.is_met()).count()
+        rows.iter().filter(|row| row.is_missed()).count()
     }
 
     #[test]

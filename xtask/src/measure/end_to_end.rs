@@ -1,13 +1,13 @@
 //! `end-to-end`: how soon a view is complete, how much crosses the wire, how many clients one
 //! small machine carries, and what server and viewer take for it.
 
-use super::bars::{Bar, Row, worst};
 use super::record::{self, Heading};
 use super::report::{self, number};
 use crate::server::Server;
 use crate::setup::{self, Extent};
 use crate::{machine, process};
 use anyhow::{Context, Result};
+use bars::{Bar, Limit, worst};
 use serde_json::Value;
 use std::path::PathBuf;
 
@@ -72,7 +72,7 @@ fn rows(
     small: &Value,
     load: &Value,
     peak_mib: Option<f64>,
-) -> Vec<Row> {
+) -> Vec<Bar> {
     let worst_of = |runs: &[Value], field: &str, scale: f64| {
         let figures: Vec<_> = runs.iter().map(|run| number(run, field).map(|value| value / scale)).collect();
         worst(&figures)
@@ -86,40 +86,45 @@ fn rows(
         && number(load, "chunks").is_some_and(|chunks| chunks > 0.0);
     let of_load = |field| number(load, field).filter(|_| is_whole);
     vec![
-        Row::new("8 km view complete, cold server", worst_of(cold, complete, 1.0), Bar::Under(3.0), "s"),
-        Row::new("8 km view complete, warm server", worst_of(warm, complete, 1.0), Bar::Under(0.5), "s"),
-        Row::new(
+        Bar::new("8 km view complete, cold server", worst_of(cold, complete, 1.0), "s", Limit::Under(3.0)),
+        Bar::new("8 km view complete, warm server", worst_of(warm, complete, 1.0), "s", Limit::Under(0.5)),
+        Bar::new(
             "first picture of it, warm server",
             worst_of(warm, "seconds_to_first_picture", 1.0),
-            Bar::Reported,
             "s",
+            Limit::Reported,
         ),
-        Row::new("received for the 8 km view", worst_of(all, "bytes_received", MIB), Bar::Under(6.0), "MiB"),
-        Row::new(format!("{under_load}: mismatches"), of_load("mismatches"), Bar::AtMost(0.0), ""),
-        Row::new(format!("{under_load}: dropped sessions"), of_load("dropped"), Bar::AtMost(0.0), ""),
-        Row::new(
+        Bar::new(
+            "received for the 8 km view",
+            worst_of(all, "bytes_received", MIB),
+            "MiB",
+            Limit::Under(6.0),
+        ),
+        Bar::new(format!("{under_load}: mismatches"), of_load("mismatches"), "", Limit::AtMost(0.0)),
+        Bar::new(format!("{under_load}: dropped sessions"), of_load("dropped"), "", Limit::AtMost(0.0)),
+        Bar::new(
             format!("{under_load}: server memory, peak"),
             peak_mib.filter(|_| is_whole),
-            Bar::Under(400.0),
             "MiB",
+            Limit::Under(400.0),
         ),
-        Row::new(
+        Bar::new(
             "640 x 360 frame of the 8 km view, p50",
             worst_of(all, "frame_ms_p50", 1.0),
-            Bar::Under(1000.0),
             "ms",
+            Limit::Under(1000.0),
         ),
-        Row::new(
+        Bar::new(
             "640 x 360 frame of the 8 km view, p99",
             worst_of(all, "frame_ms_p99", 1.0),
-            Bar::Under(1000.0),
             "ms",
+            Limit::Under(1000.0),
         ),
-        Row::new(
+        Bar::new(
             format!("viewer's chunk memory with --chunk-mb {SMALL_BUDGET_MB}"),
             number(small, "chunk_bytes_resident").map(|bytes| bytes / MIB),
-            Bar::AtMost(f64::from(SMALL_BUDGET_MB)),
             "MiB",
+            Limit::AtMost(f64::from(SMALL_BUDGET_MB)),
         ),
     ]
 }
@@ -200,7 +205,7 @@ mod tests {
         let views = [view.clone(), view.clone()];
         let rows = rows(&views, &views, &views, view, load, peak);
         assert_eq!(rows.len(), 10);
-        rows.into_iter().filter(|row| !row.is_met()).map(|row| row.what).collect()
+        rows.into_iter().filter(Bar::is_missed).map(|row| row.name).collect()
     }
 
     #[test]

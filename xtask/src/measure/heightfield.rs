@@ -4,11 +4,11 @@
 //! Ratios come from `benches/rivals`, a package outside the workspace: it needs a C++ compiler,
 //! which nothing else here does.
 
-use super::bars::{Bar, Row};
 use super::record::{self, Heading};
 use super::report::{self, number};
 use crate::process;
 use anyhow::{Context, Result, bail};
+use bars::{Bar, Limit};
 use serde_json::Value;
 use std::path::Path;
 
@@ -79,26 +79,26 @@ fn lab(folder: &Path, notes: &mut Vec<String>) -> Result<(Value, Value)> {
 }
 
 /// Every figure beside its bar.
-fn rows(rivals: &[Value], digest: &Value, timings: &Value) -> Vec<Row> {
+fn rows(rivals: &[Value], digest: &Value, timings: &Value) -> Vec<Bar> {
     let side = |name: &str| timings.get(name).and_then(|side| number(side, "chunks_per_second"));
     let (gpu, cpu) = (side("gpu"), side("cpu"));
-    let row = |what: &str, figure, bar| Row::new(what, figure, bar, "x");
+    let row = |what: &str, figure, bar| Bar::new(what, figure, "x", bar);
     let ratio = |what, key, bar| row(what, middle(&medians(rivals, key)), bar);
     vec![
-        ratio("65 x 65, AVX2: time of FastNoise2's", "chunk_avx2", Bar::AtMost(0.30)),
-        ratio("1024 x 1024, AVX2: time of FastNoise2's", "large_avx2", Bar::AtMost(0.33)),
-        ratio("65 x 65: speed of `noise` Fbm<Perlin>'s", "noise_crate", Bar::AtLeast(40.0)),
-        ratio("shaping and pyramids: time of the noise's", "shaping_and_pyramids", Bar::AtMost(0.5)),
-        ratio("one pyramid: time of a copy's of the heights", "pyramid", Bar::AtMost(2.0)),
-        ratio("2 threads: chunks per second of one's", "two_threads", Bar::AtLeast(1.8)),
-        ratio("65 x 65, 128 bits: time of FastNoise2's AVX2", "chunk_sse4.1", Bar::AtMost(0.45)),
-        Row::new("starts in which a control failed", failed_controls(rivals), Bar::AtMost(0.0), ""),
-        Row::new("GPU twins with another digest", differing_twins(digest), Bar::AtMost(0.0), ""),
-        Row::new("GPU twin: chunks per second", gpu, Bar::Reported, ""),
+        ratio("65 x 65, AVX2: time of FastNoise2's", "chunk_avx2", Limit::AtMost(0.30)),
+        ratio("1024 x 1024, AVX2: time of FastNoise2's", "large_avx2", Limit::AtMost(0.33)),
+        ratio("65 x 65: speed of `noise` Fbm<Perlin>'s", "noise_crate", Limit::AtLeast(40.0)),
+        ratio("shaping and pyramids: time of the noise's", "shaping_and_pyramids", Limit::AtMost(0.5)),
+        ratio("one pyramid: time of a copy's of the heights", "pyramid", Limit::AtMost(2.0)),
+        ratio("2 threads: chunks per second of one's", "two_threads", Limit::AtLeast(1.8)),
+        ratio("65 x 65, 128 bits: time of FastNoise2's AVX2", "chunk_sse4.1", Limit::AtMost(0.45)),
+        Bar::new("starts in which a control failed", failed_controls(rivals), "", Limit::AtMost(0.0)),
+        Bar::new("GPU twins with another digest", differing_twins(digest), "", Limit::AtMost(0.0)),
+        Bar::new("GPU twin: chunks per second", gpu, "", Limit::Reported),
         row(
             "GPU twin: chunks per second of the CPU's",
             gpu.zip(cpu).map(|(gpu, cpu)| gpu / cpu),
-            Bar::Reported,
+            Limit::Reported,
         ),
     ]
 }
@@ -265,7 +265,7 @@ mod tests {
     fn missed((rivals, digest, timings): &Reports) -> usize {
         let rows = rows(rivals, digest, timings);
         assert_eq!(rows.len(), 11);
-        rows.iter().filter(|row| !row.is_met()).count()
+        rows.iter().filter(|row| row.is_missed()).count()
     }
 
     #[test]

@@ -1,7 +1,6 @@
 //! `measure`: the built programs against the project's bars. Figures depend on the machine, so
 //! tests never check them; this does, and leaves a dated record.
 
-mod bars;
 mod code;
 mod culling;
 mod end_to_end;
@@ -15,9 +14,12 @@ mod terrain;
 
 use crate::process;
 use anyhow::{Result, bail};
-pub use bars::Row;
+use bars::{Bar, Limit};
 use serde_json::Value;
 use std::path::Path;
+
+/// Why a row has no figure on a software driver.
+const NEEDS_GPU: &str = "needs a GPU";
 
 /// A measurement by name.
 type Measurement = (&'static str, fn() -> Result<()>);
@@ -51,12 +53,12 @@ pub fn run(name: &str) -> Result<()> {
 }
 
 /// The rows that a GPU is needed for, from reports of `tombolo-lab`.
-pub fn gpu_rows(digest: &Value, lod: &Value, pom: &Value, culling: &Value) -> Vec<Row> {
+pub fn gpu_rows(digest: &Value, lod: &Value, pom: &Value, culling: &Value) -> Vec<Bar> {
     let twins = heightfield::differing_twins(digest);
-    let mut rows = vec![Row::new("GPU twins with another digest", twins, bars::Bar::AtMost(0.0), "")];
-    rows.extend(terrain::rows(lod).into_iter().filter(|row| row.what == terrain::GPU_TIME));
+    let mut rows = vec![Bar::new("GPU twins with another digest", twins, "", Limit::AtMost(0.0))];
+    rows.extend(terrain::rows(lod).into_iter().filter(|row| row.name == terrain::GPU_TIME));
     rows.extend(pom::rows(pom));
-    rows.extend(culling::rows(culling).into_iter().filter(|row| culling::needs_gpu(&row.what)));
+    rows.extend(culling::rows(culling).into_iter().filter(|row| culling::needs_gpu(&row.name)));
     rows
 }
 
@@ -64,11 +66,11 @@ pub fn gpu_rows(digest: &Value, lod: &Value, pom: &Value, culling: &Value) -> Ve
 ///
 /// # Errors
 /// A bar was missed.
-pub fn judge(rows: &[Row], recorded: &Path) -> Result<()> {
+pub fn judge(rows: &[Bar], recorded: &Path) -> Result<()> {
     println!();
-    rows.iter().for_each(|row| println!("{row}"));
+    print!("{}", bars::text(rows));
     println!("\nmeasure: recorded in {}", recorded.display());
-    let missed = rows.iter().filter(|row| !row.is_met()).count();
+    let missed = rows.iter().filter(|row| row.is_missed()).count();
     if missed > 0 {
         bail!("measure: {missed} of {} bars missed", rows.len());
     }

@@ -1,12 +1,12 @@
 //! `pom`: parallax occlusion mapping against its truth. Missed features, residuals, identities,
 //! silhouettes, depth, and what it costs.
 
-use super::bars::{Bar, Row, worst};
 use super::record::{self, Heading};
 use super::report::{self, number};
 use crate::process;
 use crate::setup::{self, Extent};
 use anyhow::{Context, Result};
+use bars::{Bar, Limit, worst};
 use serde_json::Value;
 
 /// Rays of each map and angle; fewer cannot show the bar's ten-thousandth.
@@ -40,7 +40,7 @@ pub fn run() -> Result<()> {
 }
 
 /// Every figure beside its bar.
-pub fn rows(pom: &Value) -> Vec<Row> {
+pub fn rows(pom: &Value) -> Vec<Bar> {
     let at = |path: &str| pom.pointer(path).and_then(Value::as_f64);
     let search = list(pom, "/search");
     let is_whole = at("/rays") >= Some(RAYS) && search.len() == CONDITIONS;
@@ -68,74 +68,74 @@ pub fn rows(pom: &Value) -> Vec<Row> {
             .map(f64::exp)
     };
     vec![
-        Row::new(
+        Bar::new(
             "pyramid: rays more than 4 texels off, worst condition",
             per_cent("pyramid", "wrong"),
-            Bar::AtMost(0.01),
             "%",
+            Limit::AtMost(0.01),
         ),
-        Row::new(
+        Bar::new(
             "of these no tangents to a feature",
             per_cent("pyramid", "wrong_without_excuse"),
-            Bar::AtMost(0.0),
             "%",
+            Limit::AtMost(0.0),
         ),
-        Row::new("automatic tier: the same", per_cent("auto", "wrong"), Bar::AtMost(0.1), "%"),
-        Row::new(
+        Bar::new("automatic tier: the same", per_cent("auto", "wrong"), "%", Limit::AtMost(0.1)),
+        Bar::new(
             "64 steps and a secant: the same (control)",
             per_cent("linear", "wrong"),
-            Bar::AtLeast(0.1),
             "%",
+            Limit::AtLeast(0.1),
         ),
-        Row::new(
+        Bar::new(
             "pyramid: residual at p99.9, 1/1024 of the relief",
             thousandths("pyramid"),
-            Bar::AtMost(1.0),
             "",
+            Limit::AtMost(1.0),
         ),
-        Row::new("automatic tier: the same", thousandths("auto"), Bar::AtMost(1.0), ""),
-        Row::new("64 steps and a secant: the same (control)", thousandths("linear"), Bar::AtLeast(1.0), ""),
-        Row::new(
+        Bar::new("automatic tier: the same", thousandths("auto"), "", Limit::AtMost(1.0)),
+        Bar::new("64 steps and a secant: the same (control)", thousandths("linear"), "", Limit::AtLeast(1.0)),
+        Bar::new(
             "no amplitude against flat: differing pixels",
             at("/pictures/zero_differing").filter(|_| pixels.is_some()),
-            Bar::AtMost(0.0),
             "",
+            Limit::AtMost(0.0),
         ),
-        Row::new(
+        Bar::new(
             "with amplitude (control)",
             at("/pictures/raised_differing").filter(|_| pixels.is_some()),
-            Bar::AtLeast(1.0),
             "",
+            Limit::AtLeast(1.0),
         ),
-        Row::new(
+        Bar::new(
             "loop forms against each other: differing words",
             at("/loops/differing").filter(|_| words.is_some()),
-            Bar::AtMost(0.0),
             "",
+            Limit::AtMost(0.0),
         ),
-        Row::new(
+        Bar::new(
             "another refinement (control)",
             at("/loops/differing_control").filter(|_| words.is_some()),
-            Bar::AtLeast(1.0),
             "",
+            Limit::AtLeast(1.0),
         ),
-        Row::new("line of intersection against geometry, p99", line("with_depth"), Bar::AtMost(1.0), "px"),
-        Row::new("with the plane's depth (control)", line("without_depth"), Bar::AtLeast(1.0), "px"),
-        Row::new("silhouette of the shell over geometry's, least", least("shell"), Bar::AtLeast(0.98), ""),
-        Row::new("without a silhouette (control)", least("flat"), Bar::Under(0.98), ""),
+        Bar::new("line of intersection against geometry, p99", line("with_depth"), "px", Limit::AtMost(1.0)),
+        Bar::new("with the plane's depth (control)", line("without_depth"), "px", Limit::AtLeast(1.0)),
+        Bar::new("silhouette of the shell over geometry's, least", least("shell"), "", Limit::AtLeast(0.98)),
+        Bar::new("without a silhouette (control)", least("flat"), "", Limit::Under(0.98)),
         time(pom, cost("auto")),
-        Row::new("time of auto over 64 steps without exit, mean of all", cost("auto"), Bar::Reported, "x"),
-        Row::new("time of 64 steps with exit over the same", cost("early_exit"), Bar::Reported, "x"),
+        Bar::new("time of auto over 64 steps without exit, mean of all", cost("auto"), "x", Limit::Reported),
+        Bar::new("time of 64 steps with exit over the same", cost("early_exit"), "x", Limit::Reported),
     ]
 }
 
 /// The bar of the time holds on a GPU; a software driver, which runs eight rays in step and pays
 /// for every instruction, gives only the ratio below.
-fn time(pom: &Value, ratio: Option<f64>) -> Row {
+fn time(pom: &Value, ratio: Option<f64>) -> Bar {
     let what = "time of auto over 64 steps without exit, on a GPU";
     match pom.get("is_software").and_then(Value::as_bool) {
-        Some(true) => Row::new(what, None, Bar::NeedsGpu(0.4), "x"),
-        _ => Row::new(what, ratio, Bar::AtMost(0.4), "x"),
+        Some(true) => Bar::not_measured(what, super::NEEDS_GPU, "x", Limit::Under(0.4)),
+        _ => Bar::new(what, ratio, "x", Limit::AtMost(0.4)),
     }
 }
 
@@ -221,7 +221,7 @@ mod tests {
     fn missed(pom: &Value) -> usize {
         let rows = rows(pom);
         assert_eq!(rows.len(), 18);
-        rows.iter().filter(|row| !row.is_met()).count()
+        rows.iter().filter(|row| row.is_missed()).count()
     }
 
     #[test]
@@ -230,7 +230,10 @@ mod tests {
         let mut software = pom();
         software["is_software"] = json!(true);
         assert_eq!(missed(&software), 0);
-        assert_eq!(rows(&software).iter().filter(|row| matches!(row.bar, Bar::NeedsGpu(_))).count(), 1);
+        assert_eq!(
+            rows(&software).iter().filter(|row| row.verdict() == bars::Verdict::NotMeasured).count(),
+            1
+        );
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! The dated record of a measurement: what it ran on, the command, the figures.
 
-use super::bars::Row;
 use super::runs::{self, Runs};
 use crate::{machine, process};
 use anyhow::{Context, Result};
+use bars::{Bar, Figure};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -26,7 +26,7 @@ pub struct Heading<'a> {
 ///
 /// # Errors
 /// The date is not known or a file cannot be written.
-pub fn write(heading: &Heading<'_>, rows: &[Row]) -> Result<PathBuf> {
+pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
     let machine = machine::Machine::here();
     let date = machine::today()?;
     let commit = machine::commit();
@@ -52,7 +52,7 @@ pub fn write(heading: &Heading<'_>, rows: &[Row]) -> Result<PathBuf> {
 
 fn page(
     heading: &Heading<'_>,
-    rows: &[Row],
+    rows: &[Bar],
     runs: &Runs,
     machine: &machine::Machine,
     date: &str,
@@ -77,13 +77,14 @@ fn page(
     }
     page.push_str("\n| what | median | bar | | range | kept |\n| --- | ---: | --- | --- | --- | --- |\n");
     for row in rows {
-        let spread = runs.of(&row.what);
-        let median = Row { figure: spread.median().or(row.figure), ..row.clone() };
+        let spread = runs.of(&row.name);
+        let median =
+            Bar { figure: spread.median().map_or_else(|| row.figure.clone(), Figure::from), ..row.clone() };
         let (range, kept) = match spread.figures.as_slice() {
             [] | [_] => (String::new(), format!("{} of 1", u32::from(row.is_met()))),
             figures => (spread.range(), format!("{} of {}", spread.kept, figures.len())),
         };
-        let _ = writeln!(page, "| {} | {} | {range} | {kept} |", cell(&row.what), median.cells().join(" | "));
+        let _ = writeln!(page, "| {} | {} | {range} | {kept} |", cell(&row.name), median.cells().join(" | "));
     }
     if !heading.notes.is_empty() {
         page.push('\n');
@@ -101,15 +102,17 @@ fn cell(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::bars::Bar;
     use super::*;
+    use bars::Limit;
 
     #[test]
     fn a_page_names_machine_commit_command_and_every_row() {
         let machine =
             machine::Machine { cpu: "Some | CPU".into(), cores: 2, memory_mib: Some(4096), os: "OS".into() };
-        let rows =
-            [Row::new("cold", Some(1.5), Bar::Under(3.0), "s"), Row::new("lost", None, Bar::AtMost(0.0), "")];
+        let rows = [
+            Bar::new("cold", Some(1.5), "s", Limit::Under(3.0)),
+            Bar::new("lost", None, "", Limit::AtMost(0.0)),
+        ];
         let notes = ["worst of three".into()];
         let heading = Heading { name: "end-to-end", adapter: Some("soft"), notes: &notes };
         let commit = machine::Commit { hash: "abc".into(), is_clean: true };

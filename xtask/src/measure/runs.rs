@@ -1,6 +1,6 @@
 //! Every run of a measurement, in one CSV file a day and machine. A record cannot choose its run.
 
-use super::bars::Row;
+use bars::{Bar, Figure};
 use std::io::Write;
 use std::path::Path;
 
@@ -33,17 +33,20 @@ pub struct Spread {
 ///
 /// # Errors
 /// The file cannot be read or written.
-pub fn append(path: &Path, name: &str, commit: &str, rows: &[Row]) -> std::io::Result<Runs> {
+pub fn append(path: &Path, name: &str, commit: &str, rows: &[Bar]) -> std::io::Result<Runs> {
     let is_new = !path.exists();
     let mut file = std::fs::OpenOptions::new().append(true).create(true).open(path)?;
     if is_new {
         writeln!(file, "{HEADER}")?;
     }
     for row in rows {
-        let figure = row.figure.map_or(String::new(), |figure| figure.to_string());
+        let figure = match row.figure {
+            Figure::Measured(figure) => figure.to_string(),
+            Figure::Missing | Figure::NotMeasured { .. } => String::new(),
+        };
         let [_, bar, _] = row.cells();
         let fields =
-            [name, commit, &row.what, &figure, row.unit, &bar, if row.is_met() { "yes" } else { "no" }];
+            [name, commit, &row.name, &figure, &row.unit, &bar, if row.is_met() { "yes" } else { "no" }];
         writeln!(file, "{}", fields.map(quoted).join(","))?;
     }
     Ok(Runs::read(&std::fs::read_to_string(path)?, name, commit))
@@ -124,14 +127,14 @@ fn fields(line: &str) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::bars::Bar;
     use super::*;
+    use bars::Limit;
 
     #[test]
     fn every_run_is_kept_and_the_median_is_of_all_of_them() {
         let path = std::env::temp_dir().join(format!("tombolo-runs-{}.csv", std::process::id()));
         let _ = std::fs::remove_file(&path);
-        let row = |figure| [Row::new("time, \"p99\"", Some(figure), Bar::Under(3.0), "s")];
+        let row = |figure| [Bar::new("time, \"p99\"", Some(figure), "s", Limit::Under(3.0))];
         append(&path, "other", "abc", &row(100.0)).unwrap();
         append(&path, "x", "old", &row(100.0)).unwrap();
         for figure in [1.0, 9.0, 2.0] {

@@ -5,13 +5,12 @@
 //! `tombolo-lab codec` and, for LERC, from `benches/lerc`, which needs a C++ compiler and libclang.
 //! The comparison with nginx needs `nginx` and `wrk`.
 
-use super::bars::{Bar, Row, worst};
 use super::record::{self, Heading};
 use super::report::{self, number};
 use crate::process;
 use crate::setup::{self, Extent};
-use ::bars::{Bar as ServerBar, Figure, Limit};
 use anyhow::{Context, Result};
+use bars::{Bar, Limit, worst};
 use serde_json::{Value, json};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -104,32 +103,14 @@ fn server_bench(bench: &str, last: Option<usize>, json: &Path) -> Command {
 }
 
 /// The bars of a benchmark's report, judged again. A report without bars is one row that misses.
-fn server_rows(bench: &str, report: &Value) -> Vec<Row> {
-    let bars: Option<Vec<ServerBar>> =
+fn server_rows(bench: &str, report: &Value) -> Vec<Bar> {
+    let bars: Option<Vec<Bar>> =
         report.get("bars").and_then(|bars| serde_json::from_value(bars.clone()).ok());
     let bars = bars.unwrap_or_default();
     if bars.is_empty() {
-        return vec![Row::new(format!("{bench}: no bars were reported"), None, Bar::Reported, "")];
+        return vec![Bar::new(format!("{bench}: no bars were reported"), None, "", Limit::Reported)];
     }
-    bars.into_iter().flat_map(row).collect()
-}
-
-/// A bar as rows of a record. An exact value is two bounds.
-fn row(bar: ServerBar) -> Vec<Row> {
-    let figure = match bar.figure {
-        Figure::Measured(figure) => Some(figure),
-        Figure::Missing | Figure::NotMeasured { .. } => None,
-    };
-    // Rows hold static units. A few bytes in a program that ends soon.
-    let unit: &'static str = bar.unit.into_owned().leak();
-    let limits = match bar.limit {
-        Limit::Under(limit) => vec![Bar::Under(limit)],
-        Limit::AtMost(limit) => vec![Bar::AtMost(limit)],
-        Limit::AtLeast(limit) => vec![Bar::AtLeast(limit)],
-        Limit::Equals(limit) => vec![Bar::AtMost(limit), Bar::AtLeast(limit)],
-        Limit::Reported => vec![Bar::Reported],
-    };
-    limits.into_iter().map(|limit| Row::new(bar.name.clone(), figure, limit, unit)).collect()
+    bars
 }
 
 /// The definitions of a report's figures, and its further figures.
@@ -142,7 +123,7 @@ fn server_notes(report: &Value) -> Vec<String> {
 }
 
 /// The codecs' figures with their bars.
-fn codec_rows(measured: &Value) -> Vec<Row> {
+fn codec_rows(measured: &Value) -> Vec<Bar> {
     let at = |path: &str| measured.pointer(path).and_then(Value::as_f64);
     let codec = |name: &str, field: &str| {
         let is_optimised = measured.pointer("/codec/optimised") == Some(&Value::Bool(true));
@@ -156,43 +137,53 @@ fn codec_rows(measured: &Value) -> Vec<Row> {
     };
     let whole_frame = |name: &str| codec(name, "decode_frame_ns").map(|ns| HEIGHT_BYTES / ns);
     vec![
-        Row::new(
+        Bar::new(
             "bytes of lossless heights over their entropy",
             codec(COMPACT, "of_entropy"),
-            Bar::AtMost(1.08),
             "x",
+            Limit::AtMost(1.08),
         ),
-        Row::new(
+        Bar::new(
             "scan deltas and gzip, as in quantized-mesh: the same (control)",
             codec(SCAN_DELTA, "of_entropy"),
-            Bar::AtLeast(1.08),
             "x",
+            Limit::AtLeast(1.08),
         ),
-        Row::new(
+        Bar::new(
             "LERC: the same (control)",
             at("/lerc/bytes_per_sample")
                 .zip(at("/codec/entropy_bytes_per_sample"))
                 .map(|(bytes, entropy)| bytes / entropy),
-            Bar::AtLeast(1.08),
             "x",
+            Limit::AtLeast(1.08),
         ),
-        Row::new("lossless codecs that lose something", lossy(false), Bar::AtMost(0.0), ""),
-        Row::new("a lossy one (control)", lossy(true), Bar::AtLeast(1.0), ""),
-        Row::new(
+        Bar::new("lossless codecs that lose something", lossy(false), "", Limit::AtMost(0.0)),
+        Bar::new("a lossy one (control)", lossy(true), "", Limit::AtLeast(1.0)),
+        Bar::new(
             "decoding heights alone, cached level",
             codec(COMPACT, "decode_gb_per_s"),
-            Bar::AtLeast(1.2),
             "GB/s",
+            Limit::AtLeast(1.2),
         ),
-        Row::new(
+        Bar::new(
             "decoding heights alone, hot level",
             codec(FAST, "decode_gb_per_s"),
-            Bar::AtLeast(3.0),
             "GB/s",
+            Limit::AtLeast(3.0),
         ),
-        Row::new("whole frame to verified chunk, cached level", whole_frame(COMPACT), Bar::Reported, "GB/s"),
-        Row::new("whole frame to verified chunk, hot level", whole_frame(FAST), Bar::Reported, "GB/s"),
-        Row::new("PNG, 16 bits: the same (control)", codec(PNG, "decode_gb_per_s"), Bar::Under(1.2), "GB/s"),
+        Bar::new(
+            "whole frame to verified chunk, cached level",
+            whole_frame(COMPACT),
+            "GB/s",
+            Limit::Reported,
+        ),
+        Bar::new("whole frame to verified chunk, hot level", whole_frame(FAST), "GB/s", Limit::Reported),
+        Bar::new(
+            "PNG, 16 bits: the same (control)",
+            codec(PNG, "decode_gb_per_s"),
+            "GB/s",
+            Limit::Under(1.2),
+        ),
     ]
 }
 
@@ -276,7 +267,7 @@ mod tests {
     fn missed(measured: &Value) -> usize {
         let rows = codec_rows(measured);
         assert_eq!(rows.len(), 10);
-        rows.iter().filter(|row| !row.is_met()).count()
+        rows.iter().filter(|row| row.is_missed()).count()
     }
 
     #[test]
@@ -336,7 +327,7 @@ mod tests {
             ],
             "notes": ["further"],
         });
-        let met: Vec<_> = server_rows("idle", &report).iter().map(Row::is_met).collect();
+        let met: Vec<_> = server_rows("idle", &report).iter().map(Bar::is_met).collect();
         assert_eq!(met, [true, false, false]);
         assert_eq!(server_notes(&report), ["a: n.", "further"]);
     }
@@ -346,7 +337,7 @@ mod tests {
         for report in [Value::Null, json!({}), json!({ "bars": [] }), json!({ "bars": [{ "name": "a" }] })] {
             let rows = server_rows("idle", &report);
             assert_eq!(rows.len(), 1);
-            assert!(!rows[0].is_met() && rows[0].what.contains("idle"));
+            assert!(!rows[0].is_met() && rows[0].name.contains("idle"));
         }
     }
 }

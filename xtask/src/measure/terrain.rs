@@ -1,12 +1,12 @@
 //! `terrain`: the drawn levels of detail. Screen error, triangles, gaps, popping, draw calls,
 //! memory, and time where there is a GPU to take it.
 
-use super::bars::{Bar, Row, worst};
 use super::record::{self, Heading};
 use super::report::{self, number};
 use crate::process;
 use crate::setup::{self, Extent};
 use anyhow::{Context, Result};
+use bars::{Bar, Limit, worst};
 use serde_json::Value;
 
 /// Poses of the screen error and of the search for gaps; fewer measure nothing.
@@ -43,7 +43,7 @@ pub fn run() -> Result<()> {
 }
 
 /// Every figure beside its bar.
-pub fn rows(lod: &Value) -> Vec<Row> {
+pub fn rows(lod: &Value) -> Vec<Bar> {
     let at = |path: &str| lod.pointer(path).and_then(Value::as_f64);
     let screen = |field: &str| at(&format!("/screen/{field}")).filter(|_| at("/screen/poses") >= Some(POSES));
     let views = list(lod, "/triangles");
@@ -58,48 +58,48 @@ pub fn rows(lod: &Value) -> Vec<Row> {
     let eight_km = |field: &str| number(views.first()?, field);
     let share = |part: Option<f64>, whole: Option<f64>| Some(part? / whole?);
     let mut rows = vec![
-        Row::new("screen error over 50 poses: tolerances", screen("max"), Bar::AtMost(1.0), ""),
-        Row::new(
+        Bar::new("screen error over 50 poses: tolerances", screen("max"), "", Limit::AtMost(1.0)),
+        Bar::new(
             "the same, chosen for 4 tolerances (control)",
             screen("max_when_loose"),
-            Bar::AtLeast(1.0),
             "",
+            Limit::AtLeast(1.0),
         ),
-        Row::new("triangles of the 8 km view at 1 px", eight_km("triangles"), Bar::Under(1.5e6), ""),
-        Row::new(
+        Bar::new("triangles of the 8 km view at 1 px", eight_km("triangles"), "", Limit::Under(1.5e6)),
+        Bar::new(
             "share of the triangles without levels",
             share(eight_km("triangles"), eight_km("triangles_without_lod")),
-            Bar::Reported,
             "x",
+            Limit::Reported,
         ),
-        Row::new("triangles of the worst of all cameras", of_views("triangles"), Bar::Reported, ""),
-        Row::new("magenta pixels in 200 poses", magenta("whole"), Bar::AtMost(0.0), ""),
-        Row::new("with a chunk left out (control)", magenta("chunk_left_out"), Bar::AtLeast(1.0), ""),
-        Row::new("with borders that do not meet (control)", magenta("no_seams"), Bar::AtLeast(1.0), ""),
-        Row::new(
+        Bar::new("triangles of the worst of all cameras", of_views("triangles"), "", Limit::Reported),
+        Bar::new("magenta pixels in 200 poses", magenta("whole"), "", Limit::AtMost(0.0)),
+        Bar::new("with a chunk left out (control)", magenta("chunk_left_out"), "", Limit::AtLeast(1.0)),
+        Bar::new("with borders that do not meet (control)", magenta("no_seams"), "", Limit::AtLeast(1.0)),
+        Bar::new(
             "GPU memory of a resident chunk, heights and normals",
             at("/frames/bytes_per_chunk").map(|bytes| bytes / KIB),
-            Bar::Under(24.0),
             "KiB",
+            Limit::Under(24.0),
         ),
-        Row::new(
+        Bar::new(
             "draw calls for terrain, bar: levels drawn",
             at("/frames/terrain_draws").filter(|draws| *draws > 0.0),
-            Bar::AtMost(at("/frames/levels").unwrap_or(0.0)),
             "",
+            Limit::AtMost(at("/frames/levels").unwrap_or(0.0)),
         ),
-        Row::new("change by levels in a frame, 8 x 8 pixels of 255", block("morphed"), Bar::Reported, ""),
-        Row::new(
+        Bar::new("change by levels in a frame, 8 x 8 pixels of 255", block("morphed"), "", Limit::Reported),
+        Bar::new(
             "the same without morphs (control)",
             share(block("unmorphed"), block("morphed")),
-            Bar::AtLeast(2.0),
             "x",
+            Limit::AtLeast(2.0),
         ),
-        Row::new(
+        Bar::new(
             "change by the motion of that frame",
             share(block("motion"), block("morphed")),
-            Bar::Reported,
             "x",
+            Limit::Reported,
         ),
     ];
     rows.extend(times(lod));
@@ -108,7 +108,7 @@ pub fn rows(lod: &Value) -> Vec<Row> {
 
 /// Absolute times of a GPU; of a software driver ratios alone, which say how work grows and nothing
 /// about a GPU.
-fn times(lod: &Value) -> Vec<Row> {
+fn times(lod: &Value) -> Vec<Bar> {
     let frames = list(lod, "/frames/rows");
     let at = |tolerance: f64| frames.iter().find(|row| number(row, "tolerance_px") == Some(tolerance));
     let passes = |row: &Value| {
@@ -118,24 +118,24 @@ fn times(lod: &Value) -> Vec<Row> {
     let whole = at(1.0).and_then(passes).map(|(_, whole)| whole);
     let is_software = lod.pointer("/frames/is_software").and_then(Value::as_bool);
     let time = match is_software {
-        Some(true) => Row::new(GPU_TIME, None, Bar::NeedsGpu(2.0), "ms"),
-        _ => Row::new(GPU_TIME, whole, Bar::Under(2.0), "ms"),
+        Some(true) => Bar::not_measured(GPU_TIME, super::NEEDS_GPU, "ms", Limit::Under(2.0)),
+        _ => Bar::new(GPU_TIME, whole, "ms", Limit::Under(2.0)),
     };
     let frame_ms = |tolerance| number(at(tolerance)?, "frame_ms");
     let ratio = |part: Option<f64>, whole: Option<f64>| Some(part? / whole?);
     vec![
         time,
-        Row::new(
+        Bar::new(
             "time of a frame at 1 px: of one at 4 px",
             ratio(frame_ms(1.0), frame_ms(4.0)),
-            Bar::Reported,
             "x",
+            Limit::Reported,
         ),
-        Row::new(
+        Bar::new(
             "land, sky and sea: share of the frame",
             ratio(at(1.0).and_then(passes).map(|(light, _)| light), whole),
-            Bar::Reported,
             "x",
+            Limit::Reported,
         ),
     ]
 }
@@ -201,7 +201,7 @@ mod tests {
     fn missed(lod: &Value) -> usize {
         let rows = rows(lod);
         assert_eq!(rows.len(), 16);
-        rows.iter().filter(|row| !row.is_met()).count()
+        rows.iter().filter(|row| row.is_missed()).count()
     }
 
     #[test]
@@ -255,9 +255,9 @@ mod tests {
         lod["frames"]["is_software"] = json!(true);
         lod["frames"]["rows"][0]["passes"] = Value::Null;
         let rows = rows(&lod);
-        let time = rows.iter().find(|row| matches!(row.bar, Bar::NeedsGpu(_))).unwrap();
+        let time = rows.iter().find(|row| row.verdict() == bars::Verdict::NotMeasured).unwrap();
         assert_eq!(time.cells()[0], "not measured");
-        assert_eq!(rows.iter().filter(|row| !row.is_met()).count(), 1, "the share of the frame");
+        assert_eq!(rows.iter().filter(|row| row.is_missed()).count(), 1, "the share of the frame");
     }
 
     #[test]

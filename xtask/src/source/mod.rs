@@ -5,6 +5,7 @@
 
 pub mod circles;
 pub mod columns;
+pub mod figures;
 pub mod lines;
 pub mod names;
 pub mod repeats;
@@ -62,12 +63,13 @@ pub struct Finding {
 type Check = fn(&Files) -> Vec<Finding>;
 
 /// Checks that must find nothing, with their names.
-pub const CHECKS: [(&str, Check); 5] = [
+pub const CHECKS: [(&str, Check); 6] = [
     ("lines over the limit", columns::check),
     ("retired words", words::check),
     ("names in documents that do not exist", names::check),
     ("import circles between files", circles::check),
-    ("README", lines::check_readme),
+    ("length of the README", lines::check_readme),
+    ("figures of the README that differ from their records", figures::check),
 ];
 
 /// Runs every check.

@@ -86,7 +86,8 @@ pub fn check(files: &Files) -> Vec<Finding> {
 fn links(line: &str) -> impl Iterator<Item = &str> {
     line.match_indices("](").filter_map(|(at, _)| {
         let target = line[at + 2..].split(')').next()?;
-        let target = target.split('#').next()?;
+        // A link may have a title.
+        let target = target.split(['#', ' ']).next()?;
         (!target.is_empty() && !target.contains("://") && !target.starts_with("mailto:")).then_some(target)
     })
 }
