@@ -1,7 +1,6 @@
-//! From what was typed to what is meant: flags over environment over file over defaults, checked
-//! once.
+//! Configuration: command line over environment over file over defaults, validated once.
 
-use crate::disk::DiskConfig;
+use crate::cache::disk::DiskConfig;
 use clap::Parser;
 use cli::UsageError;
 use serde::Deserialize;
@@ -9,7 +8,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// The address that clients try by default.
+/// The default address of clients.
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:7580";
 const DEFAULT_CACHE_MB: u64 = 128;
 const DEFAULT_DISK_MB: u64 = 1024;
@@ -38,34 +37,35 @@ pub struct Args {
     /// Threads that generate chunks, 1 to 1024 [default: one per core]
     #[arg(long, value_name = "N", env = "TOMBOLO_THREADS")]
     pub threads: Option<usize>,
-    /// Memory for encoded chunks in MiB, 1 to 65536; an eighth as much again for tiles of the map
+    /// Memory for encoded chunks in MiB, 1 to 65536; map tiles get an eighth of it in addition
     /// [default: 128]
     #[arg(long, value_name = "N", env = "TOMBOLO_CACHE_MB")]
     pub cache_mb: Option<u64>,
-    /// Folder for encoded chunks that were dear to make, kept over restarts; without it there is
-    /// none
+    /// Folder of the disk cache for chunks of level 2 and coarser; without it there is no disk cache
     #[arg(long, value_name = "DIR", env = "TOMBOLO_DISK_CACHE")]
     pub disk_cache: Option<PathBuf>,
-    /// Disk space for them in MiB, 64 to 262144 [default: 1024]
+    /// Size of the disk cache in MiB, 64 to 262144 [default: 1024]
     #[arg(long, value_name = "N", env = "TOMBOLO_DISK_MB")]
     pub disk_mb: Option<u64>,
-    /// File whose first line is the token that clients must present; without it everybody is
-    /// admitted
+    /// File with the access token of clients in its first line; without it no token is required
     #[arg(long, value_name = "FILE", env = "TOMBOLO_TOKEN_FILE")]
     pub token_file: Option<PathBuf>,
-    /// Sessions at once, 1 to 100000; one more is answered with 503 [default: 1024]
+    /// Concurrent sessions, 1 to 100000; one more is rejected with 503 [default: 1024]
     #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS")]
     pub max_sessions: Option<usize>,
-    /// Sessions at once from one address (IPv6: one /64 network), 1 to 100000; one more is answered
+    /// Concurrent sessions per IPv4 address or IPv6 /64 network, 1 to 100000; one more is rejected
     /// with 503 [default: as --max-sessions]
     #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS_PER_ADDRESS")]
     pub max_sessions_per_address: Option<usize>,
-    /// Milliseconds of work a second (chunks made, bytes sent) that one address may cost (IPv6: one
-    /// /64 network), 1 to 1000000; 1000 is one thread [default: no limit]
-    #[arg(long, value_name = "MS", env = "TOMBOLO_COST_PER_SECOND")]
+    /// Rate limit per IPv4 address or IPv6 /64 network: milliseconds of work (chunks generated, bytes
+    /// sent) per second, 1 to 1000000; 1000 is one thread [default: no limit]
+    #[arg(long, value_name = "MS", env = "TOMBOLO_RATE_LIMIT_MS")]
+    pub rate_limit_ms: Option<u64>,
+    /// Former name of --rate-limit-ms.
+    #[arg(long, value_name = "MS", env = "TOMBOLO_COST_PER_SECOND", hide = true)]
     pub cost_per_second: Option<u64>,
-    /// Longest time in milliseconds that a requested chunk may wait to be generated, 10 to 60000;
-    /// what would wait longer is refused as overloaded [default: 500]
+    /// Longest wait of a requested chunk for its generation in milliseconds, 10 to 60000; a request
+    /// that would wait longer is rejected as overloaded [default: 500]
     #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS")]
     pub deadline_ms: Option<u64>,
     /// Log filter: error, warn, info, debug, trace, or per module as in `info,server=debug`
@@ -90,16 +90,17 @@ struct File {
     token_file: Option<PathBuf>,
     max_sessions: Option<usize>,
     max_sessions_per_address: Option<usize>,
-    cost_per_second: Option<u64>,
+    #[serde(alias = "cost-per-second")]
+    rate_limit_ms: Option<u64>,
     deadline_ms: Option<u64>,
     log: Option<String>,
     log_json: Option<bool>,
 }
 
-/// What a server runs with. Every value is in range.
+/// The configuration of a server. Every value is valid.
 #[derive(Clone, Debug)]
 pub struct ServerConfig {
-    /// Where `main` binds; [`crate::run`] takes a bound listener and does not look at it.
+    /// Address that `main` binds; [`crate::run`] takes a bound listener and ignores it.
     pub listen: SocketAddr,
     /// Seed of the world.
     pub world_seed: u64,
@@ -107,27 +108,27 @@ pub struct ServerConfig {
     pub threads: usize,
     /// Memory for encoded chunks, bytes.
     pub cache_bytes: u64,
-    /// Where encoded chunks outlive the process; none for nowhere.
+    /// Disk cache; none for no disk cache.
     pub disk: Option<DiskConfig>,
-    /// Token that clients must present.
+    /// Access token of clients; none if no token is required.
     pub token: Option<String>,
-    /// Sessions at once. One more is refused before its upgrade with 503 and Retry-After.
+    /// Concurrent sessions. One more is rejected before its upgrade with 503 and `Retry-After`.
     pub max_sessions: usize,
-    /// Sessions at once from one address. One more is refused as above.
+    /// Concurrent sessions per client network. One more is rejected likewise.
     pub max_sessions_per_address: usize,
-    /// Milliseconds of work a second that one address may cost; none for no limit.
-    pub cost_per_second: Option<u64>,
+    /// Milliseconds of work per second and client network; none for no limit.
+    pub rate_limit_ms: Option<u64>,
     /// Longest wait of a requested chunk for its generation.
     pub deadline: Duration,
-    /// Generation jobs queued or running. One more is refused as overloaded.
+    /// Generation jobs queued or running. One more is rejected as overloaded.
     pub max_jobs: usize,
     /// Time for the handshake, and for the headers of an HTTP request.
     pub handshake_timeout: Duration,
-    /// Time that a client may take to accept what is written to it.
+    /// Timeout of a write to a client.
     pub write_timeout: Duration,
-    /// Silence after which a client is pinged; after three times as much it is closed.
+    /// Idle time after which a client is pinged; after three times as long it is closed.
     pub ping_interval: Duration,
-    /// Time that open sessions get to end on shutdown.
+    /// Time for open sessions to end on shutdown.
     pub drain_timeout: Duration,
     /// Log filter.
     pub log: String,
@@ -136,7 +137,7 @@ pub struct ServerConfig {
 }
 
 impl Default for ServerConfig {
-    /// The documented defaults: loopback, world 1, open to everybody.
+    /// The documented defaults: loopback, world 1, no token.
     fn default() -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 7580)),
@@ -147,7 +148,7 @@ impl Default for ServerConfig {
             token: None,
             max_sessions: DEFAULT_MAX_SESSIONS,
             max_sessions_per_address: DEFAULT_MAX_SESSIONS,
-            cost_per_second: None,
+            rate_limit_ms: None,
             deadline: Duration::from_millis(DEFAULT_DEADLINE_MS),
             // A thousand sessions of 16 each.
             max_jobs: 16_384,
@@ -162,7 +163,7 @@ impl Default for ServerConfig {
 }
 
 impl Args {
-    /// Reads the file that the arguments name, if any, and checks everything.
+    /// Reads the configuration file, if any, and validates all values.
     ///
     /// # Errors
     /// An unreadable or malformed file, an unknown key in it, or a value out of range.
@@ -187,15 +188,15 @@ impl Args {
         in_range("disk-mb", disk_mb.unwrap_or(DEFAULT_DISK_MB), 64, 262_144)?;
         if let (None, Some(given)) = (&disk_folder, disk_mb) {
             return Err(UsageError::new(format!(
-                "disk-mb: {given} MiB of which disk is not said; give disk-cache DIR too, or leave it out"
+                "disk-mb: {given} MiB without a folder; give disk-cache DIR too, or remove disk-mb"
             )));
         }
         in_range("max-sessions", max_sessions as u64, 1, 100_000)?;
         let max_sessions_per_address =
             self.max_sessions_per_address.or(file.max_sessions_per_address).unwrap_or(max_sessions);
         in_range("max-sessions-per-address", max_sessions_per_address as u64, 1, 100_000)?;
-        let cost_per_second = self.cost_per_second.or(file.cost_per_second);
-        in_range("cost-per-second", cost_per_second.unwrap_or(1), 1, 1_000_000)?;
+        let rate_limit_ms = self.rate_limit_ms.or(self.cost_per_second).or(file.rate_limit_ms);
+        in_range("rate-limit-ms", rate_limit_ms.unwrap_or(1), 1, 1_000_000)?;
         let deadline_ms = self.deadline_ms.or(file.deadline_ms).unwrap_or(DEFAULT_DEADLINE_MS);
         in_range("deadline-ms", deadline_ms, 10, 60_000)?;
         Ok(ServerConfig {
@@ -213,7 +214,7 @@ impl Args {
                 .transpose()?,
             max_sessions,
             max_sessions_per_address,
-            cost_per_second,
+            rate_limit_ms,
             deadline: Duration::from_millis(deadline_ms),
             log: self.log.or(file.log).unwrap_or(defaults.log),
             log_json: self.log_json || file.log_json.unwrap_or(false),
@@ -235,7 +236,7 @@ fn read_file(path: &Path) -> Result<File, UsageError> {
         .map_err(|error| UsageError::new(format!("config: cannot read `{shown}`: {error}")))?;
     toml::from_str(&text).map_err(|error| {
         let line = error.span().map_or(1, |span| text[..span.start].lines().count().max(1));
-        // The library's message may have several lines; one is what a person needs.
+        // Errors of programs are one line.
         let message = error.message().lines().collect::<Vec<_>>().join(" ");
         UsageError::new(format!("config: {shown} line {line}: {message}"))
     })
@@ -255,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_given_means_the_documented_defaults() {
+    fn the_defaults_are_the_documented_ones() {
         let config = Args::default().resolve().unwrap();
         assert_eq!(config.listen.to_string(), DEFAULT_LISTEN);
         assert_eq!((config.world_seed, config.cache_bytes, config.max_sessions), (1, 128 << 20, 1024));
@@ -263,20 +264,29 @@ mod tests {
     }
 
     #[test]
-    fn a_flag_wins_over_the_file_and_the_file_over_the_default() {
+    fn a_flag_overrides_the_file_and_the_file_the_default() {
         let file = "world-seed = 7\ncache-mb = 64\nlog-json = true\n";
         let config = with_file(file, Args { world_seed: Some(9), ..Args::default() }).unwrap();
         assert_eq!((config.world_seed, config.cache_bytes, config.log_json), (9, 64 << 20, true));
     }
 
     #[test]
-    fn a_folder_alone_gets_the_default_budget() {
+    fn a_disk_cache_has_a_default_size() {
         let config = with_file("disk-cache = \"/var/cache/x\"\n", Args::default()).unwrap();
         assert_eq!(config.disk, Some(DiskConfig { folder: "/var/cache/x".into(), bytes: 1 << 30 }));
     }
 
     #[test]
-    fn mistakes_are_one_line_with_option_value_and_what_is_allowed() {
+    fn the_former_name_of_the_rate_limit_is_accepted() {
+        let parsed = Args::try_parse_from(["tombolo-server", "--cost-per-second", "50"]).unwrap();
+        assert_eq!(parsed.resolve().unwrap().rate_limit_ms, Some(50));
+        let parsed = Args::try_parse_from(["tombolo-server", "--rate-limit-ms", "60"]).unwrap();
+        assert_eq!(parsed.resolve().unwrap().rate_limit_ms, Some(60));
+        assert_eq!(with_file("cost-per-second = 70", Args::default()).unwrap().rate_limit_ms, Some(70));
+    }
+
+    #[test]
+    fn errors_are_one_line_with_option_value_and_range() {
         for (file, words) in [
             ("cahce-mb = 1", &["line 1", "cahce-mb", "cache-mb"][..]),
             ("\nthreads = \"two\"", &["line 2", "usize"][..]),
@@ -284,7 +294,8 @@ mod tests {
             ("cache-mb = 70000", &["cache-mb", "70000", "65536"][..]),
             ("disk-cache = \"/tmp/x\"\ndisk-mb = 63", &["disk-mb", "63", "64 to 262144"][..]),
             ("disk-mb = 64", &["disk-mb", "64", "disk-cache"][..]),
-            ("cost-per-second = 0", &["cost-per-second", "0", "1 to 1000000"][..]),
+            ("rate-limit-ms = 0", &["rate-limit-ms", "0", "1 to 1000000"][..]),
+            ("cost-per-second = 0", &["rate-limit-ms", "0", "1 to 1000000"][..]),
             ("deadline-ms = 9", &["deadline-ms", "9", "10 to 60000"][..]),
             ("max-sessions-per-address = 0", &["max-sessions-per-address", "0", "1 to 100000"][..]),
             ("listen = \"nowhere\"", &["listen", "nowhere", "ADDR:PORT"][..]),

@@ -1,8 +1,8 @@
-//! A histogram of durations that costs one relaxed addition to count in, and that tells quantiles
-//! of any span between two looks.
+//! A histogram of durations: an observation costs two relaxed additions, and quantiles are available
+//! for the interval between any two readings.
 //!
-//! Buckets are eighths of octaves from 16 µs to 69 s, so a quantile is off by at most 6 percent. In
-//! the metrics they are merged to octaves.
+//! Buckets are eighths of octaves from 16 us to 69 s, so the error of a quantile is at most 6 %. The
+//! metrics merge them to octaves.
 
 use prometheus_client::encoding::{EncodeMetric, MetricEncoder, NoLabelSet};
 use prometheus_client::metrics::MetricType;
@@ -10,19 +10,19 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// log2 of the first bound in nanoseconds; what is shorter counts as that.
+/// log2 of the first bound in nanoseconds; shorter durations count in the first bucket.
 const FIRST_BITS: u32 = 14;
 const OCTAVES: usize = 22;
-/// log2 of the buckets in one octave.
+/// log2 of the buckets per octave.
 const FINE_BITS: u32 = 3;
 const BUCKETS: usize = OCTAVES << FINE_BITS;
 
-/// Counts of one moment.
-pub type Counts = [u64; BUCKETS];
+/// Counts of all buckets at one moment.
+pub type BucketCounts = [u64; BUCKETS];
 
-/// Cheap to clone; clones count together.
+/// Cheap to clone; clones share their counts.
 #[derive(Clone, Debug)]
-pub struct Latency {
+pub struct LatencyHistogram {
     shared: Arc<Buckets>,
 }
 
@@ -32,15 +32,15 @@ struct Buckets {
     total_ns: AtomicU64,
 }
 
-impl Default for Latency {
+impl Default for LatencyHistogram {
     fn default() -> Self {
         let counts = std::array::from_fn(|_| AtomicU64::new(0));
         Self { shared: Arc::new(Buckets { counts, total_ns: AtomicU64::new(0) }) }
     }
 }
 
-impl Latency {
-    /// Counts `times` events that all took as long.
+impl LatencyHistogram {
+    /// Records `times` events of the same duration.
     pub fn observe(&self, took: Duration, times: u64) {
         let nanoseconds = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
         self.shared.counts[bucket(nanoseconds)].fetch_add(times, Ordering::Relaxed);
@@ -49,15 +49,14 @@ impl Latency {
 
     /// All counts so far.
     #[must_use]
-    pub fn counts(&self) -> Counts {
+    pub fn counts(&self) -> BucketCounts {
         std::array::from_fn(|index| self.shared.counts[index].load(Ordering::Relaxed))
     }
 }
 
-/// The value, in milliseconds, that a share of the events between two looks did not exceed; none if
-/// there were none.
+/// A quantile of the events between two readings, milliseconds; none without events.
 #[must_use]
-pub fn quantile_ms(before: &Counts, after: &Counts, share: f64) -> Option<f64> {
+pub fn quantile_ms(before: &BucketCounts, after: &BucketCounts, share: f64) -> Option<f64> {
     let between = || before.iter().zip(after).map(|(before, after)| after.saturating_sub(*before));
     let count: u64 = between().sum();
     let rank = ((count as f64 * share).ceil() as u64).max(1);
@@ -66,13 +65,13 @@ pub fn quantile_ms(before: &Counts, after: &Counts, share: f64) -> Option<f64> {
         sum += in_bucket;
         sum >= rank
     })?;
-    // Half-way through the bucket, in logarithms nearly the middle.
+    // The middle of the bucket.
     Some((low_ns(index) + low_ns(index + 1)) / 2.0 / 1e6)
 }
 
-/// Events between two looks.
+/// Events between two readings.
 #[must_use]
-pub fn count(before: &Counts, after: &Counts) -> u64 {
+pub fn count(before: &BucketCounts, after: &BucketCounts) -> u64 {
     before.iter().zip(after).map(|(before, after)| after.saturating_sub(*before)).sum()
 }
 
@@ -90,13 +89,13 @@ fn low_ns(index: usize) -> f64 {
     f64::from(1u32 << octave) * f64::from(1u32 << (FIRST_BITS - FINE_BITS)) * eighths as f64
 }
 
-impl EncodeMetric for Latency {
+impl EncodeMetric for LatencyHistogram {
     fn encode(&self, mut encoder: MetricEncoder<'_>) -> Result<(), std::fmt::Error> {
         let counts = self.counts();
         let octaves: Vec<(f64, u64)> = (0..OCTAVES)
             .map(|octave| {
                 let range = octave << FINE_BITS..(octave + 1) << FINE_BITS;
-                // The last bucket holds everything beyond, which OpenMetrics wants under +Inf.
+                // The last bucket is open; OpenMetrics requires the bound +Inf.
                 let bound = if octave + 1 == OCTAVES { f64::INFINITY } else { low_ns(range.end) / 1e9 };
                 (bound, counts[range].iter().sum())
             })
@@ -115,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_duration_lies_between_the_bounds_of_its_bucket() {
+    fn a_duration_lies_between_the_bounds_of_its_bucket() {
         assert_eq!((bucket(0), bucket(1 << FIRST_BITS), bucket(u64::MAX)), (0, 0, BUCKETS - 1));
         for nanoseconds in (15..34).flat_map(|bits| [1u64 << bits, (1 << bits) * 3 / 2, (1 << bits) - 1]) {
             let index = bucket(nanoseconds);
@@ -126,8 +125,8 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_are_those_of_the_events_between_two_looks() {
-        let latency = Latency::default();
+    fn quantiles_cover_the_events_between_two_readings() {
+        let latency = LatencyHistogram::default();
         latency.observe(Duration::from_secs(5), 1000);
         let before = latency.counts();
         for milliseconds in 1..=100 {
@@ -140,7 +139,7 @@ mod tests {
             assert!((got / expected - 1.0).abs() < 0.07, "{share}: {got}");
         }
         assert_eq!(quantile_ms(&after, &after, 0.5), None);
-        // The control: with the earlier events the median is another.
+        // The control: the median with the earlier events differs.
         assert!(quantile_ms(&[0; BUCKETS], &after, 0.5).unwrap() > 4000.0);
     }
 }

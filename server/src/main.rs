@@ -1,4 +1,4 @@
-//! `tombolo-server`: reads the configuration, binds, runs until SIGINT or SIGTERM.
+//! `tombolo-server`: reads the configuration, binds, and runs until SIGINT or SIGTERM.
 
 use server::config::{Args, ServerConfig};
 use std::io::{IsTerminal, Write};
@@ -8,8 +8,8 @@ use tracing_subscriber::EnvFilter;
 
 const NAME: &str = "tombolo-server";
 
-/// A chunk is made in blocks of some 20 KiB that live for microseconds. The system's allocator
-/// gives such memory back to the kernel and asks for it again, page by page.
+/// Generation allocates blocks of some 20 KiB for microseconds. The system's allocator returns such
+/// memory to the kernel and faults it in again, page by page.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
@@ -39,13 +39,14 @@ fn main() -> ExitCode {
 async fn serve(config: ServerConfig) -> Result<(), String> {
     let address = config.listen;
     let listener = TcpListener::bind(address).await.map_err(|error| {
-        format!("cannot listen on {address}: {error}; stop what uses it or choose another --listen")
+        format!(
+            "cannot listen on {address}: {error}; stop the program that uses it or choose another --listen"
+        )
     })?;
-    let bound = listener.local_addr().map_err(|error| format!("cannot tell the bound address: {error}"))?;
-    // Before the address is told: who knows the address may already want to stop the server.
+    let bound = listener.local_addr().map_err(|error| format!("cannot read the bound address: {error}"))?;
+    // Before the address is printed: a script that knows the address may send a signal at once.
     let interrupted = interruption().map_err(|error| format!("cannot listen for signals: {error}"))?;
-    // On standard output, for scripts that start a server on port 0. Nobody reading it is no reason
-    // to stop.
+    // On standard output, for scripts that start a server on port 0. A closed output is ignored.
     let _ = writeln!(std::io::stdout(), "listening on http://{bound}");
     server::run(listener, config, interrupted)
         .await

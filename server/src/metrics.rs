@@ -1,135 +1,143 @@
-//! Counters of one server, in the OpenMetrics text format. No globals: two servers in one process
-//! count apart.
+//! Metrics of one server in the OpenMetrics text format. There is no global registry: two servers in
+//! one process count separately.
+//!
+//! Names follow the Prometheus conventions: base units, `_total` for counters, and one family with
+//! an `outcome` or `reason` label instead of sibling counters. `docs/operations.md` lists them.
 
-use crate::http::problem::Kind;
-use crate::latency::Latency;
+use crate::latency::LatencyHistogram;
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
-use prometheus_client::registry::Registry;
+use prometheus_client::registry::{Metric, Registry};
 use protocol::message::RefusalReason;
 use std::sync::atomic::AtomicU64;
 
-/// A label set of one reason.
+/// Label set of a reason.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-pub struct Reason {
-    /// A short fixed word; never a peer's text.
+pub struct ReasonLabel {
+    /// A fixed word; never a peer's text.
     pub reason: &'static str,
 }
 
-/// A label set of one delivery.
+/// Label set of a delivery.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 pub struct DeliveryLabel {
     /// [`protocol::Delivery::name`].
     pub delivery: &'static str,
 }
 
-/// A label set of one HTTP status.
+/// Label set of an HTTP status.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
-pub struct Status {
+pub struct StatusLabel {
     /// The status code.
     pub status: u16,
 }
 
-/// All metrics of one server. Every field is cheap to clone and to count.
+/// Label set of a rejected request.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct RejectionLabel {
+    transport: &'static str,
+    reason: String,
+}
+
+/// A family of fixed counters with one label.
+type FixedFamily = Family<[(&'static str, &'static str); 1], Counter>;
+
+/// All metrics of one server. Every field is cheap to clone and to update.
 #[derive(Debug)]
 pub struct Metrics {
     registry: Registry,
-    /// Sessions open now.
+    /// Open sessions.
     pub sessions: Gauge,
-    /// Sessions ended, by reason.
-    pub session_ends: Family<Reason, Counter>,
-    /// Chunks sent over sessions.
-    pub chunks_sent: Counter,
-    /// Bytes of frames sent over sessions.
-    pub bytes_sent: Counter,
-    /// Chunks sent over sessions, by the delivery that the client chose.
-    pub chunks_delivered: Family<DeliveryLabel, Counter>,
-    /// Bytes of their frames, likewise.
-    pub chunk_bytes_delivered: Family<DeliveryLabel, Counter>,
-    /// Refusals sent inside sessions.
-    pub refusals: Counter,
-    /// The same by reason; every reason is there from the start, so that a rate can be taken of the
-    /// first one.
-    refusals_by_reason: [Counter; RefusalReason::ALL.len()],
-    /// Views selected.
-    pub views: Counter,
-    /// Views replaced by a newer one before they were selected.
-    pub superseded_views: Counter,
-    /// Seconds that generation threads spent on views, those that nobody waited for in the end
-    /// included.
-    pub view_seconds: Counter<f64, AtomicU64>,
-    /// Seconds per selected view.
-    pub view_selection_seconds: Histogram,
-    /// Frames asked of the generation service.
-    pub requested: Counter,
-    /// Of these, answered from the cache.
-    pub cache_hits: Counter,
-    /// Of these, joined to a job that was already queued or running.
-    pub coalesced: Counter,
-    /// Of these, refused because the queue was full.
-    pub shed: Counter,
-    /// Of these, refused because they waited beyond the deadline.
-    pub expired: Counter,
-    /// Sessions refused because their address has too many.
-    pub address_refusals: Counter,
-    /// Connections open that are no sessions.
+    /// Ended sessions by reason.
+    pub sessions_ended: Family<ReasonLabel, Counter>,
+    /// Open connections that are no sessions.
     pub connections: Gauge,
-    /// Connections closed at once because their address has too many.
-    pub connection_refusals: Counter,
-    /// Requests refused because their address has spent what it may cost.
-    pub cost_refusals: Counter,
-    /// Times that somebody had to wait for that reason.
-    pub cost_waits: Counter,
-    /// Times that a session was not listened to for a while because it was refused much.
-    pub refusal_pauses: Counter,
-    /// Jobs run to the end.
-    pub generated: Counter,
-    /// Frames coded in haste, because much was waiting.
-    pub hasty: Counter,
-    /// Jobs dropped unrun because nobody waited any more.
-    pub cancelled: Counter,
+    /// Connections over the limit per client network, closed after accept.
+    pub connections_rejected: Counter,
+    /// Chunks sent over sessions, all deliveries. Not exported; see `chunks_sent_by_delivery`.
+    pub chunks_sent: Counter,
+    /// Chunks sent over sessions by delivery.
+    pub chunks_sent_by_delivery: Family<DeliveryLabel, Counter>,
+    /// Bytes of these chunks' frames by delivery.
+    pub chunk_sent_bytes: Family<DeliveryLabel, Counter>,
+    /// Bytes of all messages sent over sessions.
+    pub sent_bytes: Counter,
+    /// From the request of a chunk by a session to the end of its write.
+    pub latency: LatencyHistogram,
+    /// Rejected requests by transport and reason.
+    requests_rejected: Family<RejectionLabel, Counter>,
+    /// The counters of the WebSocket transport.
+    session_rejections: [Counter; RefusalReason::ALL.len()],
+    /// Requests and views delayed by the rate limit.
+    pub rate_limit_delays: Counter,
+    /// Requests rejected by the rate limit.
+    pub rate_limit_rejections: Counter,
+    /// Pauses of the refusal back-off.
+    pub refusal_backoffs: Counter,
+    /// Views selected.
+    pub views_selected: Counter,
+    /// Views replaced by a newer one before their selection finished.
+    pub views_superseded: Counter,
+    /// Time of the generation threads in view selection, superseded views included.
+    pub view_busy_seconds: Counter<f64, AtomicU64>,
+    /// Time per selected view.
+    pub view_selection_seconds: Histogram,
+    /// Frame requests served from memory.
+    pub frame_cache_hits: Counter,
+    /// Frame requests that joined a queued or running job.
+    pub frames_coalesced: Counter,
+    /// Frame requests that queued a job.
+    pub frames_enqueued: Counter,
+    /// Frame requests rejected because the queue was full.
+    pub frames_rejected: Counter,
+    /// Jobs that generated a chunk.
+    pub jobs_completed: Counter,
     /// Jobs that panicked.
-    pub failed: Counter,
+    pub jobs_failed: Counter,
+    /// Requests and jobs cancelled by their clients.
+    pub jobs_cancelled: Counter,
+    /// Requests rejected because they exceeded the deadline.
+    pub jobs_expired: Counter,
     /// Jobs queued or running.
-    pub queue: Gauge,
-    /// Seconds per generated chunk.
+    pub pending_jobs: Gauge,
+    /// Time per generated chunk.
     pub generation_seconds: Histogram,
-    /// Frames found on disk.
+    /// Frames encoded with the fast encoding.
+    pub frames_encoded_fast: Counter,
+    /// Frames encoded with the compact encoding.
+    pub frames_encoded_compact: Counter,
+    /// Reads from disk that returned a frame.
     pub disk_hits: Counter,
-    /// Frames looked for on disk in vain.
+    /// Reads from disk that returned no frame.
     pub disk_misses: Counter,
     /// Frames written to disk.
     pub disk_writes: Counter,
-    /// Frames not written: the queue was full or the folder cannot be used.
+    /// Frames not written: the queue was full or the folder is unavailable.
     pub disk_dropped: Counter,
-    /// Frames on disk that were not what this server would send.
-    pub disk_damaged: Counter,
     /// Frames deleted to keep the budget.
-    pub disk_evicted: Counter,
-    /// Errors of the system about the folder.
-    pub disk_faults: Counter,
-    /// Bytes on disk as far as they are counted, in whole blocks.
+    pub disk_evictions: Counter,
+    /// Invalid frames on disk, deleted.
+    pub disk_corrupt: Counter,
+    /// Reads over the deadline.
+    pub disk_timeouts: Counter,
+    /// IO errors.
+    pub disk_io_errors: Counter,
+    /// Bytes on disk in whole blocks, as far as counted.
     pub disk_bytes: Gauge,
     /// 1 while frames can be written.
-    pub disk_working: Gauge,
-    /// Reads that took too long.
-    pub disk_slow: Counter,
-    /// From the moment that a session takes a chunk up to the moment that it is written.
-    pub latency: Latency,
-    /// Tiles of the map asked for.
-    pub tiles_requested: Counter,
-    /// Of these, answered from the cache.
+    pub disk_up: Gauge,
+    /// Map tile requests served from memory.
     pub tile_cache_hits: Counter,
-    /// Of these, painted.
-    pub tiles_painted: Counter,
-    /// HTTP responses, by status.
-    pub http_responses: Family<Status, Counter>,
-    /// HTTP requests refused, by kind; every kind is there from the start.
-    http_refusals: [Counter; Kind::ALL.len()],
+    /// Map tile requests that rendered the tile.
+    pub tiles_rendered: Counter,
+    /// Map tile requests that were rejected or failed.
+    pub tiles_failed: Counter,
+    /// HTTP responses by status.
+    pub http_responses: Family<StatusLabel, Counter>,
 }
 
 impl Default for Metrics {
@@ -137,183 +145,237 @@ impl Default for Metrics {
         let mut metrics = Self {
             registry: Registry::with_prefix("tombolo"),
             sessions: Gauge::default(),
-            session_ends: Family::default(),
-            chunks_sent: Counter::default(),
-            bytes_sent: Counter::default(),
-            chunks_delivered: Family::default(),
-            chunk_bytes_delivered: Family::default(),
-            refusals: Counter::default(),
-            refusals_by_reason: Default::default(),
-            expired: Counter::default(),
-            address_refusals: Counter::default(),
+            sessions_ended: Family::default(),
             connections: Gauge::default(),
-            connection_refusals: Counter::default(),
-            cost_refusals: Counter::default(),
-            cost_waits: Counter::default(),
-            refusal_pauses: Counter::default(),
-            views: Counter::default(),
-            superseded_views: Counter::default(),
-            view_seconds: Counter::default(),
-            // 50 us to 0.4 s: a still view of 1 km takes the least, one of 16,384 chunks that moves
+            connections_rejected: Counter::default(),
+            chunks_sent: Counter::default(),
+            chunks_sent_by_delivery: Family::default(),
+            chunk_sent_bytes: Family::default(),
+            sent_bytes: Counter::default(),
+            latency: LatencyHistogram::default(),
+            requests_rejected: Family::default(),
+            session_rejections: Default::default(),
+            rate_limit_delays: Counter::default(),
+            rate_limit_rejections: Counter::default(),
+            refusal_backoffs: Counter::default(),
+            views_selected: Counter::default(),
+            views_superseded: Counter::default(),
+            view_busy_seconds: Counter::default(),
+            // 50 us to 0.4 s: a static view of 1 km takes the least, a moving one of 16,384 chunks
             // the most.
             view_selection_seconds: Histogram::new(exponential_buckets(0.00005, 2.0, 14)),
-            requested: Counter::default(),
-            cache_hits: Counter::default(),
-            coalesced: Counter::default(),
-            shed: Counter::default(),
-            generated: Counter::default(),
-            hasty: Counter::default(),
-            cancelled: Counter::default(),
-            failed: Counter::default(),
-            queue: Gauge::default(),
+            frame_cache_hits: Counter::default(),
+            frames_coalesced: Counter::default(),
+            frames_enqueued: Counter::default(),
+            frames_rejected: Counter::default(),
+            jobs_completed: Counter::default(),
+            jobs_failed: Counter::default(),
+            jobs_cancelled: Counter::default(),
+            jobs_expired: Counter::default(),
+            pending_jobs: Gauge::default(),
             // 0.1 ms to 0.8 s: a sea chunk takes the least, a coarse chunk with its measured error
             // the most.
             generation_seconds: Histogram::new(exponential_buckets(0.0001, 2.0, 14)),
+            frames_encoded_fast: Counter::default(),
+            frames_encoded_compact: Counter::default(),
             disk_hits: Counter::default(),
             disk_misses: Counter::default(),
             disk_writes: Counter::default(),
             disk_dropped: Counter::default(),
-            disk_damaged: Counter::default(),
-            disk_evicted: Counter::default(),
-            disk_faults: Counter::default(),
+            disk_evictions: Counter::default(),
+            disk_corrupt: Counter::default(),
+            disk_timeouts: Counter::default(),
+            disk_io_errors: Counter::default(),
             disk_bytes: Gauge::default(),
-            disk_working: Gauge::default(),
-            disk_slow: Counter::default(),
-            latency: Latency::default(),
-            tiles_requested: Counter::default(),
+            disk_up: Gauge::default(),
             tile_cache_hits: Counter::default(),
-            tiles_painted: Counter::default(),
+            tiles_rendered: Counter::default(),
+            tiles_failed: Counter::default(),
             http_responses: Family::default(),
-            http_refusals: Default::default(),
         };
-        metrics.register();
+        metrics.register_sessions();
+        metrics.register_limits();
+        metrics.register_generation();
+        metrics.register_disk_cache();
+        metrics.register_http();
         metrics
     }
 }
 
 impl Metrics {
-    fn register(&mut self) {
-        let r = &mut self.registry;
-        r.register("sessions", "Sessions open now", self.sessions.clone());
-        r.register("session_ends", "Sessions ended, by reason", self.session_ends.clone());
-        r.register("chunks_sent", "Chunks sent over sessions", self.chunks_sent.clone());
-        r.register("bytes_sent", "Bytes of frames sent over sessions", self.bytes_sent.clone());
-        r.register(
-            "chunks_delivered",
-            "Chunks sent over sessions, by delivery",
-            self.chunks_delivered.clone(),
+    fn register_sessions(&mut self) {
+        self.register("sessions", "Open sessions", &self.sessions.clone());
+        self.register("sessions_ended", "Ended sessions by reason", &self.sessions_ended.clone());
+        self.register(
+            "chunks_sent",
+            "Chunks sent over sessions by delivery",
+            &self.chunks_sent_by_delivery.clone(),
         );
-        r.register(
-            "chunk_bytes_delivered",
-            "Bytes of chunk frames sent over sessions, by delivery",
-            self.chunk_bytes_delivered.clone(),
+        self.register(
+            "chunk_sent_bytes",
+            "Bytes of chunk frames sent over sessions by delivery",
+            &self.chunk_sent_bytes.clone(),
         );
-        r.register("refusals", "Refusals sent inside sessions", self.refusals.clone());
-        let by_reason = Family::<Reason, Counter>::default();
-        for (reason, counter) in RefusalReason::ALL.iter().zip(&mut self.refusals_by_reason) {
-            *counter = by_reason.get_or_create_owned(&Reason { reason: reason.name() });
-        }
-        r.register("refusals_by_reason", "Refusals sent inside sessions, by reason", by_reason);
-        r.register("expired", "Frames refused because they waited beyond the deadline", self.expired.clone());
-        r.register(
-            "address_refusals",
-            "Sessions refused because their address has too many",
-            self.address_refusals.clone(),
+        self.register(
+            "session_sent_bytes",
+            "Bytes of all messages sent over sessions",
+            &self.sent_bytes.clone(),
         );
-        r.register("connections", "Connections open that are no sessions", self.connections.clone());
-        r.register(
-            "connection_refusals",
-            "Connections closed at once because their address has too many",
-            self.connection_refusals.clone(),
-        );
-        r.register(
-            "cost_refusals",
-            "Requests refused because their address has spent what it may cost",
-            self.cost_refusals.clone(),
-        );
-        r.register(
-            "cost_waits",
-            "Waits because an address has spent what it may cost",
-            self.cost_waits.clone(),
-        );
-        r.register(
-            "refusal_pauses",
-            "Pauses in listening to a session that was refused much",
-            self.refusal_pauses.clone(),
-        );
-        r.register("views", "Views selected", self.views.clone());
-        r.register(
-            "views_superseded",
-            "Views replaced by a newer one before they were selected",
-            self.superseded_views.clone(),
-        );
-        r.register(
-            "view_seconds",
-            "Seconds that generation threads spent on the selection of views",
-            self.view_seconds.clone(),
-        );
-        r.register(
-            "view_selection_seconds",
-            "Seconds per selected view",
-            self.view_selection_seconds.clone(),
-        );
-        r.register("frames_requested", "Frames asked of the generation service", self.requested.clone());
-        r.register("cache_hits", "Frames answered from the cache", self.cache_hits.clone());
-        r.register("coalesced", "Frames joined to a job under way", self.coalesced.clone());
-        r.register("shed", "Frames refused because the generation queue was full", self.shed.clone());
-        r.register("generated", "Generation jobs run to the end", self.generated.clone());
-        r.register("hasty", "Frames coded in haste because much was waiting", self.hasty.clone());
-        r.register("cancelled", "Generation jobs dropped because nobody waited", self.cancelled.clone());
-        r.register("failed", "Generation jobs that panicked", self.failed.clone());
-        r.register("generation_queue", "Generation jobs queued or running", self.queue.clone());
-        r.register("generation_seconds", "Seconds per generated chunk", self.generation_seconds.clone());
-        r.register("disk_hits", "Frames found on disk", self.disk_hits.clone());
-        r.register("disk_misses", "Frames looked for on disk in vain", self.disk_misses.clone());
-        r.register("disk_writes", "Frames written to disk", self.disk_writes.clone());
-        r.register(
-            "disk_slow",
-            "Reads from disk that were given up because they took too long",
-            self.disk_slow.clone(),
-        );
-        r.register(
-            "disk_dropped",
-            "Frames not written: queue full or folder unusable",
-            self.disk_dropped.clone(),
-        );
-        r.register("disk_damaged", "Frames on disk that were refused and deleted", self.disk_damaged.clone());
-        r.register("disk_evicted", "Frames deleted to keep the budget", self.disk_evicted.clone());
-        r.register("disk_faults", "Errors of the system about the folder", self.disk_faults.clone());
-        r.register("disk_bytes", "Bytes on disk in whole blocks, as far as counted", self.disk_bytes.clone());
-        r.register("disk_working", "Whether frames can be written to disk", self.disk_working.clone());
-        r.register(
+        self.register(
             "chunk_latency_seconds",
-            "From the moment that a session takes a chunk up to the moment that it is written",
-            self.latency.clone(),
+            "From the request of a chunk by a session to the end of its write",
+            &self.latency.clone(),
         );
-        r.register("map_tiles_requested", "Tiles of the map asked for", self.tiles_requested.clone());
-        r.register(
-            "map_tile_cache_hits",
-            "Tiles of the map answered from the cache",
-            self.tile_cache_hits.clone(),
+    }
+
+    fn register_limits(&mut self) {
+        self.register("connections", "Open connections that are no sessions", &self.connections.clone());
+        self.register(
+            "connections_rejected",
+            "Connections over the limit per client network",
+            &self.connections_rejected.clone(),
         );
-        r.register("map_tiles_painted", "Tiles of the map painted", self.tiles_painted.clone());
-        r.register("http_responses", "HTTP responses, by status", self.http_responses.clone());
-        let by_kind = Family::<Reason, Counter>::default();
-        for (kind, counter) in Kind::ALL.iter().zip(&mut self.http_refusals) {
-            *counter = by_kind.get_or_create_owned(&Reason { reason: kind.name() });
+        for (reason, counter) in RefusalReason::ALL.iter().zip(&mut self.session_rejections) {
+            let label = RejectionLabel { transport: "websocket", reason: label_value(reason.name()) };
+            *counter = self.requests_rejected.get_or_create_owned(&label);
         }
-        r.register("http_refusals", "HTTP requests refused, by kind", by_kind);
+        self.register(
+            "requests_rejected",
+            "Rejected requests by transport and reason",
+            &self.requests_rejected.clone(),
+        );
+        let rate_limited = fixed_family(
+            "outcome",
+            [("delayed", &mut self.rate_limit_delays), ("rejected", &mut self.rate_limit_rejections)],
+        );
+        self.register("rate_limited", "Actions of the rate limiter by outcome", &rate_limited);
+        self.register("refusal_backoffs", "Pauses of the refusal back-off", &self.refusal_backoffs.clone());
     }
 
-    /// Counts refusals of one reason.
-    pub fn refused(&self, reason: RefusalReason, count: u64) {
-        self.refusals.inc_by(count);
-        self.refusals_by_reason[reason.index()].inc_by(count);
+    fn register_generation(&mut self) {
+        let views = fixed_family(
+            "outcome",
+            [("selected", &mut self.views_selected), ("superseded", &mut self.views_superseded)],
+        );
+        self.register("views", "Views by outcome", &views);
+        self.register(
+            "view_selection_busy_seconds",
+            "Time of the generation threads in view selection",
+            &self.view_busy_seconds.clone(),
+        );
+        self.register(
+            "view_selection_duration_seconds",
+            "Time per selected view",
+            &self.view_selection_seconds.clone(),
+        );
+        let requests = fixed_family(
+            "outcome",
+            [
+                ("cache_hit", &mut self.frame_cache_hits),
+                ("coalesced", &mut self.frames_coalesced),
+                ("enqueued", &mut self.frames_enqueued),
+                ("rejected", &mut self.frames_rejected),
+            ],
+        );
+        self.register("frame_requests", "Frame requests by outcome", &requests);
+        let jobs = fixed_family(
+            "outcome",
+            [
+                ("completed", &mut self.jobs_completed),
+                ("failed", &mut self.jobs_failed),
+                ("cancelled", &mut self.jobs_cancelled),
+                ("expired", &mut self.jobs_expired),
+            ],
+        );
+        self.register("generation_jobs", "Generation jobs by outcome", &jobs);
+        self.register(
+            "generation_pending_jobs",
+            "Generation jobs queued or running",
+            &self.pending_jobs.clone(),
+        );
+        self.register(
+            "generation_duration_seconds",
+            "Time per generated chunk",
+            &self.generation_seconds.clone(),
+        );
+        let encoded = fixed_family(
+            "effort",
+            [("fast", &mut self.frames_encoded_fast), ("compact", &mut self.frames_encoded_compact)],
+        );
+        self.register("frames_encoded", "Frames encoded by effort", &encoded);
     }
 
-    /// Counts a refused HTTP request.
-    pub fn http_refused(&self, kind: Kind) {
-        self.http_refusals[kind.index()].inc();
+    fn register_disk_cache(&mut self) {
+        let reads = fixed_family("outcome", [("hit", &mut self.disk_hits), ("miss", &mut self.disk_misses)]);
+        self.register("disk_cache_reads", "Reads from the disk cache by outcome", &reads);
+        let writes = fixed_family(
+            "outcome",
+            [("written", &mut self.disk_writes), ("dropped", &mut self.disk_dropped)],
+        );
+        self.register("disk_cache_writes", "Writes to the disk cache by outcome", &writes);
+        let errors = fixed_family(
+            "reason",
+            [
+                ("corrupt", &mut self.disk_corrupt),
+                ("io", &mut self.disk_io_errors),
+                ("timeout", &mut self.disk_timeouts),
+            ],
+        );
+        self.register("disk_cache_errors", "Errors of the disk cache by reason", &errors);
+        self.register(
+            "disk_cache_evictions",
+            "Frames deleted to keep the budget",
+            &self.disk_evictions.clone(),
+        );
+        self.register(
+            "disk_cache_bytes",
+            "Bytes on disk in whole blocks, as far as counted",
+            &self.disk_bytes.clone(),
+        );
+        self.register("disk_cache_up", "1 while frames can be written", &self.disk_up.clone());
+    }
+
+    fn register_http(&mut self) {
+        let tiles = fixed_family(
+            "outcome",
+            [
+                ("cache_hit", &mut self.tile_cache_hits),
+                ("rendered", &mut self.tiles_rendered),
+                ("failed", &mut self.tiles_failed),
+            ],
+        );
+        self.register("map_tile_requests", "Map tile requests by outcome", &tiles);
+        self.register("http_responses", "HTTP responses by status", &self.http_responses.clone());
+    }
+
+    fn register<M: Metric + Clone>(&mut self, name: &str, help: &str, metric: &M) {
+        self.registry.register(name, help, metric.clone());
+    }
+
+    /// Creates the counters of HTTP rejections, so that a rate includes the first event.
+    pub fn declare_http_rejections(&self, reasons: impl IntoIterator<Item = &'static str>) {
+        for reason in reasons {
+            drop(self.requests_rejected.get_or_create(&http_label(reason)));
+        }
+    }
+
+    /// Counts a rejected HTTP request.
+    pub fn http_request_rejected(&self, reason: &'static str) {
+        self.requests_rejected.get_or_create(&http_label(reason)).inc();
+    }
+
+    /// Counts rejected requests of a session.
+    pub fn request_rejected(&self, reason: RefusalReason, count: u64) {
+        self.session_rejections[reason.index()].inc_by(count);
+    }
+
+    /// Frame requests of all outcomes.
+    #[must_use]
+    pub fn frame_requests(&self) -> u64 {
+        [&self.frame_cache_hits, &self.frames_coalesced, &self.frames_enqueued, &self.frames_rejected]
+            .map(|counter| counter.get())
+            .iter()
+            .sum()
     }
 
     /// The OpenMetrics text of all values.
@@ -326,18 +388,48 @@ impl Metrics {
     }
 }
 
+fn http_label(reason: &str) -> RejectionLabel {
+    RejectionLabel { transport: "http", reason: label_value(reason) }
+}
+
+/// A label value in snake case.
+fn label_value(name: &str) -> String {
+    name.replace([' ', '-'], "_")
+}
+
+/// A family with one counter per value of a label; replaces the counters by those of the family.
+fn fixed_family<const N: usize>(
+    label: &'static str,
+    counters: [(&'static str, &mut Counter); N],
+) -> FixedFamily {
+    let family = FixedFamily::default();
+    for (value, counter) in counters {
+        *counter = family.get_or_create_owned(&[(label, value)]);
+    }
+    family
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn every_metric_is_rendered_under_the_prefix() {
+    fn metrics_are_rendered_with_prefix_and_labels() {
         let metrics = Metrics::default();
-        metrics.generated.inc();
-        metrics.session_ends.get_or_create(&Reason { reason: "closed" }).inc_by(2);
+        metrics.jobs_completed.inc();
+        metrics.sessions_ended.get_or_create(&ReasonLabel { reason: "closed" }).inc_by(2);
+        metrics.declare_http_rejections(["no-route"]);
+        metrics.request_rejected(RefusalReason::Overloaded, 3);
         let text = metrics.render();
-        assert!(text.contains("tombolo_generated_total 1"), "{text}");
-        assert!(text.contains("tombolo_session_ends_total{reason=\"closed\"} 2"), "{text}");
+        for line in [
+            "tombolo_generation_jobs_total{outcome=\"completed\"} 1",
+            "tombolo_generation_jobs_total{outcome=\"failed\"} 0",
+            "tombolo_sessions_ended_total{reason=\"closed\"} 2",
+            "tombolo_requests_rejected_total{transport=\"http\",reason=\"no_route\"} 0",
+            "tombolo_requests_rejected_total{transport=\"websocket\",reason=\"overloaded\"} 3",
+        ] {
+            assert!(text.lines().any(|found| found == line), "{line} is not in {text}");
+        }
         assert!(text.ends_with("# EOF\n"));
     }
 }

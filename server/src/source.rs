@@ -1,30 +1,29 @@
-//! Where chunks come from: one narrow seam, so that a baked store or real elevation data can take
-//! the place of the generator.
+//! Sources of chunks: the interface behind which a baked store or real elevation data can replace
+//! the generator.
 
 use protocol::chunk_codec::seed_only;
 use terrain::{Chunk, ChunkKey, Land, WorldDigest};
 
-/// Makes chunks. Called on generation threads; may take milliseconds and may use the whole core.
+/// Produces chunks. Called on generation threads; may take milliseconds of processor time.
 pub trait ChunkSource: Send + Sync + 'static {
-    /// The world that the chunks belong to: part of every frame's digest.
+    /// Digest of the world, part of every frame's digest.
     fn world(&self) -> WorldDigest;
 
-    /// The chunk of a key. Pure: the same key always gives the same chunk.
+    /// The chunk of a key. Pure: a key always gives the same chunk.
     ///
-    /// `known_error` is the chunk's error in units where it is known from an earlier making. A
-    /// source that would have to measure it, which costs many times what the heights do, takes it
-    /// from there.
+    /// `known_error` is the chunk's error in units if it is known. A source uses it instead of a
+    /// measurement, which costs many times more than the heights.
     fn chunk(&self, key: ChunkKey, known_error: Option<u32>) -> Chunk;
 }
 
-/// Chunks computed from the seed.
+/// Chunks generated from the seed.
 #[derive(Clone, Debug)]
-pub struct Procedural {
+pub struct ProceduralSource {
     land: Land,
     world: WorldDigest,
 }
 
-impl Procedural {
+impl ProceduralSource {
     /// The source of one world.
     #[must_use]
     pub fn new(land: Land) -> Self {
@@ -32,7 +31,7 @@ impl Procedural {
     }
 }
 
-impl ChunkSource for Procedural {
+impl ChunkSource for ProceduralSource {
     fn world(&self) -> WorldDigest {
         self.world
     }
@@ -50,8 +49,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_known_error_changes_nothing_but_the_cost() {
-        let source = Procedural::new(Land::new(1));
+    fn a_known_error_does_not_change_the_chunk() {
+        let source = ProceduralSource::new(Land::new(1));
         for (level, x, z) in [(0, 3, -7), (1, 2, 2), (3, -1, 0), (16, 0, 0)] {
             let key = ChunkKey::new(level, x, z).unwrap();
             let measured = source.chunk(key, None);

@@ -1,65 +1,63 @@
-//! What jobs cost, learned from those that ran: the currency of fairness, and the base of every
-//! promise about waiting.
+//! Estimates of job costs, learned from finished jobs. The fair queue and the admission control use
+//! them.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use terrain::ChunkKey;
 use terrain::constants::TOP_LEVEL;
 
-/// Nanoseconds that a level costs before one of it was made: a chunk of level 0, and one with its
-/// error measured.
-const FIRST_GUESS: [u64; 2] = [100_000, 1_000_000];
+/// Initial estimates, nanoseconds: level 0, and levels whose error is measured.
+const INITIAL_COST_NS: [u64; 2] = [100_000, 1_000_000];
 
-/// Weight of the past against one job: a mean over about the last 32.
-const MEMORY: u64 = 32;
+/// Window of the moving average, jobs.
+const EWMA_WINDOW: u64 = 32;
 
-/// A job counts for at most so many times what was expected of it.
-const MOST: u64 = 8;
+/// A job counts for at most this multiple of its estimate.
+const MAX_OUTLIER: u64 = 8;
 
-/// Running means. Relaxed atomics: a lost update changes an estimate by a thirtieth of one job.
+/// Moving averages. Relaxed atomics: a lost update changes an estimate by 1/32 of one job.
 #[derive(Debug)]
-pub struct Costs {
+pub struct JobCosts {
     by_level: [AtomicU64; TOP_LEVEL as usize + 1],
     all: AtomicU64,
 }
 
-impl Default for Costs {
+impl Default for JobCosts {
     fn default() -> Self {
-        let by_level = std::array::from_fn(|level| AtomicU64::new(FIRST_GUESS[usize::from(level > 0)]));
-        Self { by_level, all: AtomicU64::new(FIRST_GUESS[0]) }
+        let by_level = std::array::from_fn(|level| AtomicU64::new(INITIAL_COST_NS[usize::from(level > 0)]));
+        Self { by_level, all: AtomicU64::new(INITIAL_COST_NS[0]) }
     }
 }
 
-impl Costs {
-    /// Learns what a job took.
-    pub fn learn(&self, key: ChunkKey, took: Duration) {
+impl JobCosts {
+    /// Records the duration of a job.
+    pub fn record(&self, key: ChunkKey, took: Duration) {
         let took = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
         for mean in [&self.by_level[usize::from(key.level())], &self.all] {
             let before = mean.load(Ordering::Relaxed);
-            // Neither a machine that was suspended nor a thread that had to wait for its core,
-            // which takes a hundred jobs' time, may close the doors: one job moves an estimate by a
-            // quarter at most.
-            let after = before - before / MEMORY + took.min(MOST * before) / MEMORY;
+            // Clamped, so that a suspended machine or a descheduled thread does not make the server
+            // reject requests: one job changes an estimate by a quarter at most.
+            let after = before - before / EWMA_WINDOW + took.min(MAX_OUTLIER * before) / EWMA_WINDOW;
             mean.store(after.max(1), Ordering::Relaxed);
         }
     }
 
-    /// What a job of this key will take, microseconds, at least 1.
+    /// Expected cost of a job for this key, microseconds, at least 1.
     #[must_use]
     pub fn expected_us(&self, key: ChunkKey) -> i64 {
         (self.by_level[usize::from(key.level())].load(Ordering::Relaxed) / 1000).max(1) as i64
     }
 
-    /// What a job takes by the recent mix of levels, microseconds, at least 1.
+    /// Mean cost of a job over the recent mix of levels, microseconds, at least 1.
     #[must_use]
     pub fn mean_us(&self) -> i64 {
         (self.all.load(Ordering::Relaxed) / 1000).max(1) as i64
     }
 
-    /// Jobs that `threads` threads finish within a time for each of `flows` flows, by the recent
+    /// Jobs that `threads` threads finish within a time for each of `flows` flows, over the recent
     /// mix of levels.
     #[must_use]
-    pub fn within(&self, time: Duration, threads: usize, flows: usize) -> usize {
+    pub fn jobs_within(&self, time: Duration, threads: usize, flows: usize) -> usize {
         let mean_ns = u128::from(self.all.load(Ordering::Relaxed).max(1));
         let jobs = time.as_nanos() * threads as u128 / (mean_ns * flows.max(1) as u128);
         usize::try_from(jobs).unwrap_or(usize::MAX)
@@ -71,31 +69,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn estimates_follow_what_was_measured_and_one_outlier_does_not_carry_them_away() {
-        let (costs, key) = (Costs::default(), ChunkKey::new(0, 1, 1).unwrap());
+    fn estimates_follow_the_measurements_and_clamp_an_outlier() {
+        let (costs, key) = (JobCosts::default(), ChunkKey::new(0, 1, 1).unwrap());
         for _ in 0..300 {
-            costs.learn(key, Duration::from_micros(40));
+            costs.record(key, Duration::from_micros(40));
         }
         assert!((40..=42).contains(&costs.expected_us(key)), "{}", costs.expected_us(key));
-        costs.learn(key, Duration::from_secs(3600));
+        costs.record(key, Duration::from_secs(3600));
         assert!(costs.expected_us(key) <= 51, "{}", costs.expected_us(key));
         for _ in 0..30 {
-            costs.learn(key, Duration::from_millis(4));
+            costs.record(key, Duration::from_millis(4));
         }
-        assert!(
-            costs.expected_us(key) > 1000,
-            "what all jobs take is what a job takes: {}",
-            costs.expected_us(key)
-        );
+        assert!(costs.expected_us(key) > 1000, "repeated values count: {}", costs.expected_us(key));
     }
 
     #[test]
-    fn a_share_shrinks_with_the_flows_and_grows_with_the_threads() {
-        let costs = Costs::default();
+    fn a_share_falls_with_the_flows_and_rises_with_the_threads() {
+        let costs = JobCosts::default();
         let second = Duration::from_secs(1);
-        assert_eq!(costs.within(second, 1, 1), 10_000);
-        assert_eq!(costs.within(second, 2, 10), 2_000);
-        assert_eq!(costs.within(second, 1, 0), 10_000);
-        assert_eq!(costs.within(Duration::ZERO, 1, 1), 0);
+        assert_eq!(costs.jobs_within(second, 1, 1), 10_000);
+        assert_eq!(costs.jobs_within(second, 2, 10), 2_000);
+        assert_eq!(costs.jobs_within(second, 1, 0), 10_000);
+        assert_eq!(costs.jobs_within(Duration::ZERO, 1, 1), 0);
     }
 }

@@ -1,22 +1,20 @@
-//! Who waits for what, and whose turn it is. Plain data under one lock: no threads, no clock, no
-//! generation.
+//! The fair queue. Plain data under one lock: no threads, no clock, no generation.
 //!
-//! One job per key however many ask; a job belongs to the queue, never to an asker. Between flows
-//! (a session, a download) turns go round by cost: surplus round robin (Shreedhar and Varghese,
-//! "Efficient fair queueing using deficit round robin", SIGCOMM 1995, with the variant that lets a
-//! flow overdraw its turn by one job and pays it back in the next). Within a flow the most urgent
-//! key comes first, among equals the oldest. So a flow with a thousand keys waiting gets as much
-//! work done as one with two.
+//! One job per key for any number of requests; a job belongs to the queue, not to a flow. Flows
+//! (sessions and downloads) take turns by cost: surplus round robin, the variant of deficit round
+//! robin (Shreedhar and Varghese, "Efficient fair queueing using deficit round robin", SIGCOMM 1995)
+//! in which a flow may overdraw its turn by one job and pays it back in the next. Within a flow the
+//! highest priority comes first, among equals the oldest request. So a flow with a thousand keys
+//! gets the same share of the threads as one with two.
 //!
 //! A flow that was idle has its first turn before all others (the new queues of FQ-CoDel, RFC 8290,
-//! section 4.2), so that a client that asks for little does not wait for a whole round of clients
-//! that ask for much. It counts as idle only when a round has passed it without work and without
-//! debt.
+//! section 4.2), so that a light client does not wait for a round of heavy ones. A flow is idle
+//! after a round without work and without debt.
 
-use super::Done;
+use super::result::Completion;
 use super::views::ViewJob;
 use protocol::Delivery;
-use protocol::server::Wanted;
+use protocol::server::ChunkRequest;
 use rustc_hash::FxHashMap;
 use std::cmp::Reverse;
 use std::collections::hash_map::Entry;
@@ -25,30 +23,29 @@ use std::time::{Duration, Instant};
 use terrain::ChunkKey;
 use tokio::sync::mpsc::UnboundedSender;
 
-/// Names an asker for as long as it lives.
+/// Identifies a flow.
 pub type FlowId = u64;
 
-/// Stale entries that a flow may have besides one for each of its waiters before they are swept
-/// out.
+/// Entries of a flow before stale ones are removed.
 const STALE_ENTRIES: usize = 64;
 
 /// See the module.
 #[derive(Debug)]
 pub struct Queue {
-    /// Jobs that may wait or run. One more is refused.
+    /// Jobs that may be queued or running. One more is rejected.
     limit: usize,
     jobs: FxHashMap<ChunkKey, Job>,
-    /// Jobs that no thread has taken.
+    /// Jobs that are not running.
     waiting: usize,
-    /// Flows with something to run. A flow is dropped when it has nothing left.
+    /// Active flows. A flow is removed when it becomes idle.
     flows: FxHashMap<FlowId, Flow>,
-    /// Flows that were idle before and had no turn since; they come first.
+    /// Flows that were idle and have had no turn since; they come first.
     new_turns: VecDeque<FlowId>,
-    /// Other flows, next turn first. A flow stands in one of both at most once.
+    /// Other flows, next turn first. A flow is in one of both at most once.
     turns: VecDeque<FlowId>,
-    /// Orders equals by age.
+    /// Orders equal priorities by age.
     next_number: u64,
-    /// Threads that are taking jobs.
+    /// Threads that take turns.
     pub runners: usize,
 }
 
@@ -57,38 +54,37 @@ struct Job {
     is_running: bool,
     /// Estimated, microseconds.
     cost_us: i64,
-    /// One per asking. Bounded by the sessions' job windows and the HTTP connections.
-    waiters: Vec<Waiter>,
+    /// Bounded by the sessions' job windows and the HTTP connections.
+    requests: Vec<FrameRequest>,
 }
 
-/// One asking for one frame.
+/// A request for one frame.
 #[derive(Debug)]
-pub struct Waiter {
-    /// Who.
+pub struct FrameRequest {
+    /// The flow that made it.
     pub flow: FlowId,
-    /// What, with its urgency.
-    pub wanted: Wanted,
-    /// In which form.
+    /// Key, request number and priority.
+    pub chunk: ChunkRequest,
+    /// The delivery.
     pub delivery: Delivery,
-    /// Since when.
+    /// When it was made.
     pub since: Instant,
-    /// Where the answer goes.
-    pub answers: UnboundedSender<Vec<Done>>,
+    /// Receives the result.
+    pub sender: UnboundedSender<Vec<Completion>>,
 }
 
 #[derive(Debug, Default)]
 struct Flow {
-    /// Most urgent first. Holds stale entries of jobs that another flow's turn has run; they are
-    /// skipped when popped and swept out when there are many.
+    /// Highest priority first. Includes stale entries of jobs that ran in another flow's turn; they
+    /// are skipped when popped and removed when there are many.
     entries: BinaryHeap<(u64, Reverse<u64>, ChunkKey)>,
-    /// A view whose chunks are to be selected. It comes before the chunks, since it decides which
-    /// are needed.
+    /// A view to select. It comes before the chunks, since it decides which are needed.
     view: Option<ViewJob>,
-    /// Whether a thread runs the flow's view.
+    /// Whether a thread runs the flow's view job.
     is_selecting: bool,
-    /// Whether it stands in [`Queue::new_turns`] or [`Queue::turns`].
+    /// Whether it is in [`Queue::new_turns`] or [`Queue::turns`].
     has_turn: bool,
-    /// Microseconds of work left in this turn; below zero what was overdrawn.
+    /// Microseconds of work left in this turn; negative for a debt.
     credit_us: i64,
 }
 
@@ -98,32 +94,32 @@ impl Flow {
     }
 }
 
-/// What became of an asking.
+/// Result of adding a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Asked {
-    /// A new job waits.
-    Queued,
-    /// Joined to a job that waits or runs.
-    Joined,
-    /// Too many jobs.
+pub enum Enqueued {
+    /// A new job is queued.
+    NewJob,
+    /// The request joined a queued or running job.
+    Coalesced,
+    /// The queue is full; the request was rejected.
     Full,
 }
 
-/// What a thread does next.
+/// Work for a thread.
 #[derive(Debug, Default)]
 pub struct Turn {
-    /// A view to select chunks for, with the microseconds that the turn allows.
+    /// A view to select, with the turn's budget in microseconds.
     pub view: Option<(FlowId, ViewJob, i64)>,
-    /// Jobs to run, all of one flow's turn.
+    /// Jobs to run, all of one flow.
     pub keys: Vec<ChunkKey>,
-    /// Askings that waited beyond the deadline; to be refused.
-    pub expired: Vec<Waiter>,
-    /// Jobs dropped because nobody waits for them any more.
-    pub dropped: u64,
+    /// Requests over the deadline; to be rejected.
+    pub expired: Vec<FrameRequest>,
+    /// Jobs dropped because they had no requests any more.
+    pub cancelled: u64,
 }
 
 impl Queue {
-    /// An empty queue for at most `limit` jobs.
+    /// An empty queue of at most `limit` jobs.
     #[must_use]
     pub fn new(limit: usize) -> Self {
         Self {
@@ -138,57 +134,57 @@ impl Queue {
         }
     }
 
-    /// Jobs that wait or run.
+    /// Jobs queued or running.
     #[must_use]
     pub fn jobs(&self) -> usize {
         self.jobs.len()
     }
 
-    /// Jobs that wait for a thread.
+    /// Jobs queued.
     #[must_use]
     pub const fn waiting(&self) -> usize {
         self.waiting
     }
 
-    /// Whether a thread has the job of a key.
+    /// Whether the job of a key is running.
     #[must_use]
     pub fn is_running(&self, key: ChunkKey) -> bool {
         self.jobs.get(&key).is_some_and(|job| job.is_running)
     }
 
-    /// Adds an asking.
-    pub fn ask(&mut self, waiter: Waiter, cost_us: i64) -> Asked {
-        let (flow, Wanted { key, priority, .. }) = (waiter.flow, waiter.wanted);
+    /// Adds a request.
+    pub fn enqueue(&mut self, request: FrameRequest, cost_us: i64) -> Enqueued {
+        let (flow, ChunkRequest { key, priority, .. }) = (request.flow, request.chunk);
         let n_jobs = self.jobs.len();
-        let (asked, runs) = match self.jobs.entry(key) {
+        let (enqueued, is_running) = match self.jobs.entry(key) {
             Entry::Occupied(mut job) => {
                 let job = job.get_mut();
-                job.waiters.push(waiter);
-                (Asked::Joined, job.is_running)
+                job.requests.push(request);
+                (Enqueued::Coalesced, job.is_running)
             }
-            Entry::Vacant(_) if n_jobs >= self.limit => return Asked::Full,
-            Entry::Vacant(place) => {
-                place.insert(Job { is_running: false, cost_us, waiters: vec![waiter] });
+            Entry::Vacant(_) if n_jobs >= self.limit => return Enqueued::Full,
+            Entry::Vacant(entry) => {
+                entry.insert(Job { is_running: false, cost_us, requests: vec![request] });
                 self.waiting += 1;
-                (Asked::Queued, false)
+                (Enqueued::NewJob, false)
             }
         };
-        // A joined job gets an entry in this flow too: whichever flow's turn comes first runs it,
-        // and it goes on if the other leaves.
-        if !runs {
+        // A coalesced job gets an entry in this flow too: the flow with the earlier turn runs it,
+        // and it stays queued if the other flow ends.
+        if !is_running {
             self.add_entry(flow, priority, key);
         }
-        asked
+        enqueued
     }
 
-    /// Adds a flow's view. A flow has one at a time.
+    /// Adds a view job. A flow has one at a time.
     pub fn add_view(&mut self, id: FlowId, view: ViewJob) {
         self.active_flow(id).view = Some(view);
         self.add_turn(id);
     }
 
-    /// Takes back a view after a turn that took `spent_us`, to be continued; or none if it is done.
-    /// A view of a flow that has gone is dropped.
+    /// Returns a view job after a turn that took `spent_us`, to be continued; none if it is done. The
+    /// view of a removed flow is dropped.
     pub fn return_view(&mut self, id: FlowId, view: Option<ViewJob>, spent_us: i64) {
         let Some(flow) = self.flows.get_mut(&id) else { return };
         flow.credit_us -= spent_us;
@@ -199,13 +195,13 @@ impl Queue {
         self.add_turn(id);
     }
 
-    /// Views that wait for a turn.
+    /// View jobs queued.
     #[cfg(test)]
     pub fn waiting_views(&self) -> usize {
         self.flows.values().filter(|flow| flow.view.is_some()).count()
     }
 
-    /// The flow, created if it was idle.
+    /// The flow, added if it was idle.
     fn active_flow(&mut self, id: FlowId) -> &mut Flow {
         let new_turns = &mut self.new_turns;
         self.flows.entry(id).or_insert_with(|| {
@@ -214,7 +210,7 @@ impl Queue {
         })
     }
 
-    /// Puts a flow behind the others, unless it has its place.
+    /// Puts a flow behind the others, unless it is in the round.
     fn add_turn(&mut self, id: FlowId) {
         let Some(flow) = self.flows.get_mut(&id) else { return };
         if !std::mem::replace(&mut flow.has_turn, true) {
@@ -235,9 +231,9 @@ impl Queue {
         flow.entries.push((priority, Reverse(number), key));
     }
 
-    /// The next flow's turn: jobs of about `quantum_us` of work, at least one if any waits.
-    /// Explicit askings older than `deadline` are taken off; what views need stays, since a view
-    /// that does not change is not said again.
+    /// The next flow's turn: jobs of about `quantum_us` of work, at least one if any is queued.
+    /// Explicit requests older than `deadline` are removed; requests of views stay, since a client
+    /// does not repeat an unchanged view.
     pub fn take(&mut self, quantum_us: i64, deadline: Duration, now: Instant) -> Turn {
         let mut turn = Turn::default();
         while let Some(id) = self.next_turn() {
@@ -261,14 +257,14 @@ impl Queue {
                 let Some((_, _, key)) = flow.entries.pop() else { break };
                 let Some(job) = self.jobs.get_mut(&key).filter(|job| !job.is_running) else { continue };
                 let before = turn.expired.len();
-                turn.expired.extend(job.waiters.extract_if(.., |waiter| {
-                    waiter.wanted.request.is_some() && now.duration_since(waiter.since) > deadline
+                turn.expired.extend(job.requests.extract_if(.., |request| {
+                    request.chunk.request.is_some() && now.duration_since(request.since) > deadline
                 }));
-                job.waiters.retain(|waiter| !waiter.answers.is_closed());
-                if job.waiters.is_empty() {
+                job.requests.retain(|request| !request.sender.is_closed());
+                if job.requests.is_empty() {
                     self.jobs.remove(&key);
                     self.waiting -= 1;
-                    turn.dropped += u64::from(turn.expired.len() == before);
+                    turn.cancelled += u64::from(turn.expired.len() == before);
                     continue;
                 }
                 job.is_running = true;
@@ -277,11 +273,10 @@ impl Queue {
                 turn.keys.push(key);
             }
             if was_runnable || flow.credit_us < 0 {
-                // One that has nothing more stays for a round: otherwise it would be a new flow at
-                // once.
+                // An empty flow stays for a round: otherwise it would become a new flow at once.
                 self.add_turn(id);
             } else if !flow.is_selecting {
-                // An idle flow saves nothing up.
+                // An idle flow accumulates no credit.
                 self.flows.remove(&id);
             }
             if !turn.keys.is_empty() {
@@ -295,49 +290,51 @@ impl Queue {
         self.new_turns.pop_front().or_else(|| self.turns.pop_front())
     }
 
-    /// A delivery that somebody waits for and that is not among those made; none if all are.
+    /// A requested delivery for which `is_encoded` is false; none if there is no such delivery.
     #[must_use]
-    pub fn missing(&self, key: ChunkKey, made: impl Fn(Delivery) -> bool) -> Option<Delivery> {
+    pub fn missing_delivery(&self, key: ChunkKey, is_encoded: impl Fn(Delivery) -> bool) -> Option<Delivery> {
         let job = self.jobs.get(&key)?;
-        job.waiters.iter().map(|waiter| waiter.delivery).find(|delivery| !made(*delivery))
+        job.requests.iter().map(|request| request.delivery).find(|delivery| !is_encoded(*delivery))
     }
 
-    /// Takes the askers of a job off that wait for one of the deliveries made. The job is gone if
-    /// that was all; otherwise it waits again.
-    pub fn finish(&mut self, key: ChunkKey, made: impl Fn(Delivery) -> bool) -> Vec<Waiter> {
+    /// Removes and returns the requests of a job for encoded deliveries. The job is removed if no
+    /// request is left; otherwise it is queued again.
+    pub fn finish(&mut self, key: ChunkKey, is_encoded: impl Fn(Delivery) -> bool) -> Vec<FrameRequest> {
         let Some(mut job) = self.jobs.remove(&key) else { return Vec::new() };
-        if job.waiters.iter().all(|waiter| made(waiter.delivery)) {
-            return job.waiters;
+        if job.requests.iter().all(|request| is_encoded(request.delivery)) {
+            return job.requests;
         }
-        // Somebody asked for another form after the last look. Rare, so making the chunk again is
-        // right.
-        let answered = job.waiters.extract_if(.., |waiter| made(waiter.delivery)).collect();
-        let again: Vec<_> = job.waiters.iter().map(|waiter| (waiter.flow, waiter.wanted.priority)).collect();
+        // Another delivery was requested after the last check. Rare, so the chunk is generated
+        // again.
+        let finished = job.requests.extract_if(.., |request| is_encoded(request.delivery)).collect();
+        let again: Vec<_> =
+            job.requests.iter().map(|request| (request.flow, request.chunk.priority)).collect();
         job.is_running = false;
         self.jobs.insert(key, job);
         self.waiting += 1;
         for (flow, priority) in again {
             self.add_entry(flow, priority, key);
         }
-        answered
+        finished
     }
 
-    /// Withdraws a flow's askings for a key unless a thread has the job already. Returns what was
-    /// withdrawn.
-    pub fn withdraw(&mut self, flow: FlowId, key: ChunkKey) -> Vec<Wanted> {
+    /// Cancels and returns a flow's requests for a key, unless the job is running.
+    pub fn cancel(&mut self, flow: FlowId, key: ChunkKey) -> Vec<ChunkRequest> {
         let Some(job) = self.jobs.get_mut(&key).filter(|job| !job.is_running) else { return Vec::new() };
-        let withdrawn =
-            job.waiters.extract_if(.., |waiter| waiter.flow == flow).map(|waiter| waiter.wanted).collect();
-        if job.waiters.is_empty() {
+        let cancelled = job
+            .requests
+            .extract_if(.., |request| request.flow == flow)
+            .map(|request| request.chunk)
+            .collect();
+        if job.requests.is_empty() {
             self.jobs.remove(&key);
             self.waiting -= 1;
         }
-        withdrawn
+        cancelled
     }
 
-    /// Forgets a flow that has gone, with everything that only it waited for. Returns the number of
-    /// jobs dropped.
-    pub fn forget(&mut self, id: FlowId) -> u64 {
+    /// Removes a flow and the jobs that only it requested. Returns the number of these jobs.
+    pub fn remove_flow(&mut self, id: FlowId) -> u64 {
         let Some(flow) = self.flows.remove(&id) else { return 0 };
         if flow.has_turn {
             self.new_turns.retain(|other| *other != id);
@@ -345,7 +342,7 @@ impl Queue {
         }
         let before = self.jobs.len();
         for (_, _, key) in flow.entries {
-            self.withdraw(id, key);
+            self.cancel(id, key);
         }
         (before - self.jobs.len()) as u64
     }
@@ -354,20 +351,20 @@ impl Queue {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::purse::Purse;
+    use crate::limits::rate_limit::TokenBucket;
     use protocol::message::{ClientMessage, Hello};
     use protocol::server::{ServerOffer, ServerSession};
     use protocol::view::View;
     use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 
     const QUANTUM: i64 = 100;
-    const PATIENT: Duration = Duration::from_secs(3600);
+    const NO_DEADLINE: Duration = Duration::from_secs(3600);
 
     fn key(x: i32) -> ChunkKey {
         ChunkKey::new(0, x, 0).unwrap()
     }
 
-    /// A view that nobody runs.
+    /// A view job that is never run.
     fn view() -> ViewJob {
         let land = terrain::Land::new(1);
         let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
@@ -385,30 +382,32 @@ mod tests {
             distance_m: 500,
         };
         for message in [ClientMessage::Hello(hello), ClientMessage::View(view)] {
-            session.receive(protocol::Incoming::Binary(&protocol::control::encode(&message).unwrap())).unwrap();
+            session
+                .receive(protocol::DataFrame::Binary(&protocol::control::encode(&message).unwrap()))
+                .unwrap();
         }
         let selection = session.take_view().unwrap();
-        let (answers, _) = unbounded_channel();
-        ViewJob { selection, land, purse: Purse::default(), spent: Duration::ZERO, answers }
+        let (completion, _) = unbounded_channel();
+        ViewJob { selection, land, bucket: TokenBucket::default(), spent: Duration::ZERO, completion }
     }
 
-    struct Bench {
+    struct Fixture {
         queue: Queue,
         now: Instant,
-        /// Kept open, as long as the test does not drop them.
-        receivers: FxHashMap<FlowId, UnboundedReceiver<Vec<Done>>>,
+        /// Open until the test drops them.
+        receivers: FxHashMap<FlowId, UnboundedReceiver<Vec<Completion>>>,
     }
 
-    impl Bench {
+    impl Fixture {
         fn new(limit: usize) -> Self {
             Self { queue: Queue::new(limit), now: Instant::now(), receivers: FxHashMap::default() }
         }
 
-        fn ask(&mut self, flow: FlowId, x: i32, priority: u64, cost_us: i64) -> Asked {
-            self.ask_for(Delivery::Exact, flow, x, priority, cost_us, Some(0))
+        fn request(&mut self, flow: FlowId, x: i32, priority: u64, cost_us: i64) -> Enqueued {
+            self.request_delivery(Delivery::Exact, flow, x, priority, cost_us, Some(0))
         }
 
-        fn ask_for(
+        fn request_delivery(
             &mut self,
             delivery: Delivery,
             flow: FlowId,
@@ -416,16 +415,16 @@ mod tests {
             priority: u64,
             cost_us: i64,
             request: Option<u32>,
-        ) -> Asked {
-            let (answers, receiver) = unbounded_channel();
+        ) -> Enqueued {
+            let (sender, receiver) = unbounded_channel();
             self.receivers.insert(flow * 1_000_000 + x as u64, receiver);
-            let wanted = Wanted { key: key(x), request, priority };
-            self.queue.ask(Waiter { flow, wanted, delivery, since: self.now, answers }, cost_us)
+            let chunk = ChunkRequest { key: key(x), request, priority };
+            self.queue.enqueue(FrameRequest { flow, chunk, delivery, since: self.now, sender }, cost_us)
         }
 
-        /// Runs one turn to its end and says which chunks it made.
+        /// Runs one turn to its end and returns its chunks.
         fn turn(&mut self) -> Vec<i32> {
-            let keys = self.queue.take(QUANTUM, PATIENT, self.now).keys;
+            let keys = self.queue.take(QUANTUM, NO_DEADLINE, self.now).keys;
             for key in &keys {
                 self.queue.finish(*key, |_| true);
             }
@@ -434,55 +433,55 @@ mod tests {
     }
 
     #[test]
-    fn a_flow_with_a_thousand_keys_gets_the_same_share_as_one_with_few() {
-        let mut bench = Bench::new(10_000);
+    fn a_flow_with_many_keys_gets_the_same_share_as_one_with_few() {
+        let mut fixture = Fixture::new(10_000);
         for x in 0..1000 {
-            bench.ask(1, x, u64::MAX, 10);
+            fixture.request(1, x, u64::MAX, 10);
         }
         for x in 1000..1030 {
-            bench.ask(2, x, 5, 10);
+            fixture.request(2, x, 5, 10);
         }
-        let done: Vec<i32> = (0..6).flat_map(|_| bench.turn()).collect();
-        let polite = done.iter().filter(|x| **x >= 1000).count();
-        assert_eq!((done.len(), polite), (60, 30), "{done:?}");
+        let done: Vec<i32> = (0..6).flat_map(|_| fixture.turn()).collect();
+        let light = done.iter().filter(|x| **x >= 1000).count();
+        assert_eq!((done.len(), light), (60, 30), "{done:?}");
     }
 
     #[test]
-    fn shares_are_by_cost_and_an_overdraft_is_paid_back() {
-        let mut bench = Bench::new(10_000);
+    fn shares_follow_the_cost_and_an_overdraft_is_paid_back() {
+        let mut fixture = Fixture::new(10_000);
         for x in 0..100 {
-            bench.ask(1, x, 1, 70);
-            bench.ask(2, 1000 + x, 1, 350);
+            fixture.request(1, x, 1, 70);
+            fixture.request(2, 1000 + x, 1, 350);
         }
-        let (mut cheap_us, mut dear_us) = (0, 0);
+        let (mut cheap_us, mut expensive_us) = (0, 0);
         for _ in 0..70 {
-            for x in bench.turn() {
-                if x < 1000 { cheap_us += 70 } else { dear_us += 350 }
+            for x in fixture.turn() {
+                if x < 1000 { cheap_us += 70 } else { expensive_us += 350 }
             }
         }
-        let ratio = f64::from(cheap_us) / f64::from(dear_us);
-        assert!((0.9..1.1).contains(&ratio), "{cheap_us} against {dear_us}");
+        let ratio = f64::from(cheap_us) / f64::from(expensive_us);
+        assert!((0.9..1.1).contains(&ratio), "{cheap_us} against {expensive_us}");
     }
 
     #[test]
-    fn a_flow_that_was_idle_comes_before_a_round_of_busy_ones_and_cannot_have_that_twice_in_a_round() {
-        let mut bench = Bench::new(10_000);
+    fn an_idle_flow_is_first_but_only_once_per_round() {
+        let mut fixture = Fixture::new(10_000);
         for flow in 1..=50 {
             for x in 0..20 {
-                bench.ask(flow, flow as i32 * 100 + x, 1, 100);
+                fixture.request(flow, flow as i32 * 100 + x, 1, 100);
             }
         }
-        // Their first turns: all are in the round then.
+        // After their first turns all flows are in the round.
         for _ in 0..60 {
-            bench.turn();
+            fixture.turn();
         }
-        bench.ask(99, 7, 1, 10);
-        assert_eq!(bench.turn(), [7]);
-        // It comes back at once, again and again: from now on it waits as long as all others.
+        fixture.request(99, 7, 1, 10);
+        assert_eq!(fixture.turn(), [7]);
+        // It returns at once, repeatedly: from now on it waits as long as all others.
         let mut others = 0;
         for _ in 0..5 {
-            bench.ask(99, 8, 1, 10);
-            while bench.turn() != [8] {
+            fixture.request(99, 8, 1, 10);
+            while fixture.turn() != [8] {
                 others += 1;
             }
         }
@@ -490,148 +489,153 @@ mod tests {
     }
 
     #[test]
-    fn a_debt_of_a_view_is_paid_by_rounds_even_if_nothing_else_of_its_flow_waits() {
-        let mut bench = Bench::new(10_000);
+    fn the_debt_of_a_view_is_paid_in_rounds_without_other_work() {
+        let mut fixture = Fixture::new(10_000);
         let mut turns_of_other = 0;
         for _ in 0..10 {
-            bench.queue.add_view(1, view());
+            fixture.queue.add_view(1, view());
             for x in 0..1000 {
-                bench.ask(2, x, 1, 100);
+                fixture.request(2, x, 1, 100);
             }
             loop {
-                let turn = bench.queue.take(QUANTUM, PATIENT, bench.now);
+                let turn = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
                 if let Some((flow, _, budget_us)) = turn.view {
                     assert!(flow == 1 && budget_us > 0);
-                    // It takes ten turns' worth.
-                    bench.queue.return_view(1, None, 10 * QUANTUM);
+                    // It costs ten quanta.
+                    fixture.queue.return_view(1, None, 10 * QUANTUM);
                     break;
                 }
-                turn.keys.iter().for_each(|key| drop(bench.queue.finish(*key, |_| true)));
+                turn.keys.iter().for_each(|key| drop(fixture.queue.finish(*key, |_| true)));
                 turns_of_other += 1;
             }
         }
         assert!(turns_of_other >= 9 * 9, "{turns_of_other} turns of the other flow");
-        // The control: nobody else waits, and the debt delays nothing.
-        let mut alone = Bench::new(10);
+        // The control: without other flows the debt delays nothing.
+        let mut alone = Fixture::new(10);
         for _ in 0..10 {
             alone.queue.add_view(1, view());
-            assert!(alone.queue.take(QUANTUM, PATIENT, alone.now).view.is_some());
+            assert!(alone.queue.take(QUANTUM, NO_DEADLINE, alone.now).view.is_some());
             alone.queue.return_view(1, None, 10 * QUANTUM);
         }
-        assert_eq!(alone.queue.take(QUANTUM, PATIENT, alone.now).keys, []);
+        assert_eq!(alone.queue.take(QUANTUM, NO_DEADLINE, alone.now).keys, []);
         assert_eq!((alone.queue.flows.len(), alone.queue.waiting_views()), (0, 0));
     }
 
     #[test]
-    fn a_view_that_comes_back_unfinished_waits_for_the_next_turn_and_one_of_a_gone_flow_is_dropped() {
-        let mut bench = Bench::new(10);
-        bench.queue.add_view(1, view());
-        bench.queue.add_view(2, view());
+    fn an_unfinished_view_waits_for_the_next_turn() {
+        let mut fixture = Fixture::new(10);
+        fixture.queue.add_view(1, view());
+        fixture.queue.add_view(2, view());
         let mut order = Vec::new();
         for _ in 0..6 {
-            let (flow, job, _) = bench.queue.take(QUANTUM, PATIENT, bench.now).view.unwrap();
+            let (flow, job, _) = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).view.unwrap();
             order.push(flow);
-            bench.queue.return_view(flow, Some(job), QUANTUM);
+            fixture.queue.return_view(flow, Some(job), QUANTUM);
         }
         assert_eq!(order, [1, 2, 1, 2, 1, 2]);
-        let (flow, job, _) = bench.queue.take(QUANTUM, PATIENT, bench.now).view.unwrap();
-        bench.queue.forget(flow);
-        bench.queue.return_view(flow, Some(job), QUANTUM);
-        bench.queue.forget(2);
-        assert!(bench.queue.take(QUANTUM, PATIENT, bench.now).view.is_none());
-        assert_eq!(bench.queue.flows.len(), 0);
+        let (flow, job, _) = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).view.unwrap();
+        fixture.queue.remove_flow(flow);
+        fixture.queue.return_view(flow, Some(job), QUANTUM);
+        fixture.queue.remove_flow(2);
+        assert!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).view.is_none());
+        assert_eq!(fixture.queue.flows.len(), 0);
     }
 
     #[test]
-    fn within_a_flow_the_most_urgent_comes_first_and_the_oldest_among_equals() {
-        let mut bench = Bench::new(100);
+    fn within_a_flow_order_is_by_priority_then_age() {
+        let mut fixture = Fixture::new(100);
         for (x, priority) in [(1, 10), (2, 30), (3, 20), (4, 30)] {
-            bench.ask(1, x, priority, 1000);
+            fixture.request(1, x, priority, 1000);
         }
         let order: Vec<i32> =
-            std::iter::from_fn(|| Some(bench.turn()).filter(|turn| !turn.is_empty())).flatten().collect();
+            std::iter::from_fn(|| Some(fixture.turn()).filter(|turn| !turn.is_empty())).flatten().collect();
         assert_eq!(order, [2, 4, 3, 1]);
-        assert_eq!((bench.queue.jobs(), bench.queue.flows.len(), bench.queue.waiting()), (0, 0, 0));
+        assert_eq!((fixture.queue.jobs(), fixture.queue.flows.len(), fixture.queue.waiting()), (0, 0, 0));
     }
 
     #[test]
-    fn an_asker_that_leaves_takes_only_its_own_jobs_along() {
-        let mut bench = Bench::new(100);
-        bench.ask(1, 1, 1, 10);
-        bench.ask(1, 2, 1, 10);
-        assert_eq!(bench.ask(2, 2, 1, 10), Asked::Joined);
-        assert_eq!(bench.queue.forget(1), 1);
-        assert_eq!(bench.turn(), [2]);
+    fn a_removed_flow_removes_only_its_own_jobs() {
+        let mut fixture = Fixture::new(100);
+        fixture.request(1, 1, 1, 10);
+        fixture.request(1, 2, 1, 10);
+        assert_eq!(fixture.request(2, 2, 1, 10), Enqueued::Coalesced);
+        assert_eq!(fixture.queue.remove_flow(1), 1);
+        assert_eq!(fixture.turn(), [2]);
     }
 
     #[test]
-    fn what_is_withdrawn_does_not_run_and_what_runs_cannot_be_withdrawn() {
-        let mut bench = Bench::new(100);
-        bench.ask(1, 1, 9, 1000);
-        bench.ask(1, 2, 5, 1000);
-        assert_eq!(bench.queue.take(1, PATIENT, bench.now).keys, [key(1)]);
-        assert_eq!(bench.queue.withdraw(1, key(1)), []);
-        assert_eq!(bench.queue.withdraw(2, key(2)), [], "another flow's");
-        assert_eq!(bench.queue.withdraw(1, key(2)).len(), 1);
-        assert_eq!(bench.turn(), [0; 0]);
-        assert_eq!((bench.queue.jobs(), bench.queue.finish(key(1), |_| true).len()), (1, 1));
+    fn a_cancelled_job_does_not_run_and_a_running_one_continues() {
+        let mut fixture = Fixture::new(100);
+        fixture.request(1, 1, 9, 1000);
+        fixture.request(1, 2, 5, 1000);
+        assert_eq!(fixture.queue.take(1, NO_DEADLINE, fixture.now).keys, [key(1)]);
+        assert_eq!(fixture.queue.cancel(1, key(1)), []);
+        assert_eq!(fixture.queue.cancel(2, key(2)), [], "another flow's");
+        assert_eq!(fixture.queue.cancel(1, key(2)).len(), 1);
+        assert_eq!(fixture.turn(), [0; 0]);
+        assert_eq!((fixture.queue.jobs(), fixture.queue.finish(key(1), |_| true).len()), (1, 1));
     }
 
     #[test]
-    fn a_job_whose_askers_hung_up_is_dropped_unrun() {
-        let mut bench = Bench::new(100);
-        bench.ask(1, 1, 1, 10);
-        bench.receivers.clear();
-        let turn = bench.queue.take(QUANTUM, PATIENT, bench.now);
-        assert_eq!((turn.keys.len(), turn.dropped, bench.queue.jobs()), (0, 1, 0));
+    fn a_job_without_receivers_is_cancelled() {
+        let mut fixture = Fixture::new(100);
+        fixture.request(1, 1, 1, 10);
+        fixture.receivers.clear();
+        let turn = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
+        assert_eq!((turn.keys.len(), turn.cancelled, fixture.queue.jobs()), (0, 1, 0));
     }
 
     #[test]
-    fn requests_beyond_the_deadline_are_taken_off_and_what_views_need_stays() {
-        let mut bench = Bench::new(100);
-        bench.ask_for(Delivery::Exact, 1, 1, 1, 10, Some(4));
-        bench.ask_for(Delivery::Exact, 1, 2, 1, 10, None);
+    fn explicit_requests_expire_and_requests_of_views_do_not() {
+        let mut fixture = Fixture::new(100);
+        fixture.request_delivery(Delivery::Exact, 1, 1, 1, 10, Some(4));
+        fixture.request_delivery(Delivery::Exact, 1, 2, 1, 10, None);
         let deadline = Duration::from_secs(1);
-        let turn = bench.queue.take(QUANTUM, deadline, bench.now + Duration::from_secs(2));
-        assert_eq!(turn.expired.iter().map(|waiter| waiter.wanted.request).collect::<Vec<_>>(), [Some(4)]);
-        assert_eq!((turn.keys, turn.dropped), (vec![key(2)], 0));
+        let turn = fixture.queue.take(QUANTUM, deadline, fixture.now + Duration::from_secs(2));
+        assert_eq!(turn.expired.iter().map(|request| request.chunk.request).collect::<Vec<_>>(), [Some(4)]);
+        assert_eq!((turn.keys, turn.cancelled), (vec![key(2)], 0));
     }
 
     #[test]
-    fn a_full_queue_refuses_other_keys_and_lets_known_ones_join() {
-        let mut bench = Bench::new(1);
-        assert_eq!(bench.ask(1, 1, 1, 10), Asked::Queued);
-        assert_eq!(bench.ask(2, 2, 1, 10), Asked::Full);
-        assert_eq!(bench.ask(2, 1, 1, 10), Asked::Joined);
-        assert_eq!(bench.queue.jobs(), 1);
+    fn a_full_queue_rejects_new_keys_and_coalesces_known_ones() {
+        let mut fixture = Fixture::new(1);
+        assert_eq!(fixture.request(1, 1, 1, 10), Enqueued::NewJob);
+        assert_eq!(fixture.request(2, 2, 1, 10), Enqueued::Full);
+        assert_eq!(fixture.request(2, 1, 1, 10), Enqueued::Coalesced);
+        assert_eq!(fixture.queue.jobs(), 1);
     }
 
     #[test]
-    fn a_form_that_was_asked_for_at_the_last_moment_is_made_by_a_further_turn() {
-        let mut bench = Bench::new(10);
-        bench.ask(1, 1, 1, 10);
-        assert_eq!(bench.queue.take(QUANTUM, PATIENT, bench.now).keys, [key(1)]);
-        bench.ask_for(Delivery::SeedOnly, 2, 1, 1, 10, None);
-        assert_eq!(bench.queue.missing(key(1), |made| made == Delivery::Exact), Some(Delivery::SeedOnly));
-        assert_eq!(bench.queue.finish(key(1), |made| made == Delivery::Exact).len(), 1);
-        assert_eq!(bench.turn(), [1]);
-        assert_eq!(bench.queue.jobs(), 0);
+    fn a_late_request_for_another_delivery_queues_the_job_again() {
+        let mut fixture = Fixture::new(10);
+        fixture.request(1, 1, 1, 10);
+        assert_eq!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).keys, [key(1)]);
+        fixture.request_delivery(Delivery::SeedOnly, 2, 1, 1, 10, None);
+        assert_eq!(
+            fixture.queue.missing_delivery(key(1), |delivery| delivery == Delivery::Exact),
+            Some(Delivery::SeedOnly)
+        );
+        assert_eq!(fixture.queue.finish(key(1), |delivery| delivery == Delivery::Exact).len(), 1);
+        assert_eq!(fixture.turn(), [1]);
+        assert_eq!(fixture.queue.jobs(), 0);
     }
 
     #[test]
-    fn stale_entries_do_not_pile_up() {
-        let mut bench = Bench::new(10_000);
-        bench.ask(1, 0, 0, 10);
+    fn stale_entries_are_bounded() {
+        let mut fixture = Fixture::new(10_000);
+        fixture.request(1, 0, 0, 10);
         for x in 1..5000 {
-            // Flow 1 joins what flow 2's urgent turn runs.
-            bench.ask(2, x, 9, 1000);
-            bench.ask(1, x, 0, 1000);
-            while bench.queue.jobs() > 1 {
-                let Some(key) = bench.queue.take(1, PATIENT, bench.now).keys.first().copied() else { break };
-                bench.queue.finish(key, |_| true);
+            // Flow 1 requests the same key as flow 2, whose job runs first.
+            fixture.request(2, x, 9, 1000);
+            fixture.request(1, x, 0, 1000);
+            while fixture.queue.jobs() > 1 {
+                let Some(key) = fixture.queue.take(1, NO_DEADLINE, fixture.now).keys.first().copied() else {
+                    break;
+                };
+                fixture.queue.finish(key, |_| true);
             }
         }
-        let most = bench.queue.flows.values().map(|flow| flow.entries.len()).max();
+        let most = fixture.queue.flows.values().map(|flow| flow.entries.len()).max();
         assert!(most <= Some(2 * STALE_ENTRIES), "{most:?}");
     }
 }

@@ -1,48 +1,63 @@
-//! What a generation thread does: takes turns, finds on disk or makes what is asked for, answers.
+//! Execution of jobs on the generation threads: takes turns from the queue, reads frames from disk or
+//! generates and encodes them, and sends the results.
 //!
-//! A panic while making fails its own job only.
+//! A panic during generation fails its own job only.
 
-use super::frames::Kept;
-use super::queue::FlowId;
-use super::{Answer, Done, GenerationError, Shared};
+use super::queue::{FlowId, Queue};
+use super::result::{Completion, FrameResult, GenerationError};
+use super::shared::Shared;
+use super::views::ViewJob;
+use crate::cache::memory::CachedFrame;
 use bytes::Bytes;
 use protocol::chunk_codec::Effort;
 use protocol::{Delivery, chunk_codec};
+use rayon::ThreadPool;
 use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use terrain::{Chunk, ChunkKey};
 use tokio::sync::mpsc::UnboundedSender;
 
-/// Time in which every waiting flow should have had a turn, microseconds of work. A thread that has
-/// more than that before it is behind.
-const ROUND_US: i64 = 4000;
+/// Target duration of a round over all active flows, microseconds of work. A longer backlog per
+/// thread selects the fast encoding.
+const TARGET_ROUND_US: i64 = 4000;
 
-/// Bounds of the work that a flow gets done in one turn, microseconds. At least four cheap chunks
-/// or so, since each turn wakes a session and makes it write, which costs about as much as a chunk;
-/// at most some ten, since they are answered together.
+/// Bounds of the quantum, microseconds. The lower bound is about four cheap chunks, since each turn
+/// wakes a session and causes a write, which costs about as much as a chunk; the upper bound is
+/// about ten, since their results are sent together.
 const QUANTUM_US: (i64, i64) = (160, 400);
 
-/// Jobs waiting for each flow from which on all are taken to have much waiting: half of what a
-/// session may have.
-const CROWD: usize = 8;
+/// Queued jobs per active flow above which the queue counts as saturated: half of a session's
+/// window.
+const BACKLOG_PER_FLOW: usize = 8;
 
-/// What a runner holds of a job between making and answering.
-struct Made {
+/// The frames of a finished job.
+struct GeneratedFrames {
     key: ChunkKey,
-    answers: Vec<(Delivery, Answer)>,
+    results: Vec<(Delivery, FrameResult)>,
 }
 
-impl Made {
+impl GeneratedFrames {
     fn has(&self, delivery: Delivery) -> bool {
-        self.answers.iter().any(|(made, _)| *made == delivery)
+        self.results.iter().any(|(encoded, _)| *encoded == delivery)
+    }
+}
+
+/// Starts a runner unless all threads have one. A runner takes turns until the queue is empty, so
+/// there are never more runners than threads.
+pub fn start(shared: &Arc<Shared>, pool: &ThreadPool, queue: &mut Queue) {
+    if queue.runners < shared.limits.threads {
+        queue.runners += 1;
+        let shared = Arc::clone(shared);
+        pool.spawn(move || shared.run());
     }
 }
 
 impl Shared {
-    /// Takes turns until nothing waits.
-    pub(super) fn run(&self) {
+    /// Takes turns until the queue is empty.
+    fn run(&self) {
         let deadline = self.limits.deadline;
         loop {
             let turn = {
@@ -52,14 +67,14 @@ impl Shared {
                 if turn.keys.is_empty() && turn.view.is_none() {
                     queue.runners -= 1;
                 }
-                self.metrics.queue.set(queue.jobs() as i64);
+                self.metrics.pending_jobs.set(queue.jobs() as i64);
                 turn
             };
-            self.metrics.cancelled.inc_by(turn.dropped);
-            self.metrics.expired.inc_by(turn.expired.len() as u64);
-            for waiter in turn.expired {
-                // An asker that left in the meantime is no error; the same below.
-                let _ = waiter.answers.send(vec![(waiter.wanted, Err(GenerationError::Overloaded))]);
+            self.metrics.jobs_cancelled.inc_by(turn.cancelled);
+            self.metrics.jobs_expired.inc_by(turn.expired.len() as u64);
+            for request in turn.expired {
+                // The flow may have ended in the meantime; likewise below.
+                let _ = request.sender.send(vec![(request.chunk, Err(GenerationError::Overloaded))]);
             }
             if let Some((flow, view, budget_us)) = turn.view {
                 self.select_view(flow, view, budget_us);
@@ -68,44 +83,59 @@ impl Shared {
             if turn.keys.is_empty() {
                 return;
             }
-            let made: Vec<Made> = turn.keys.into_iter().map(|key| self.run_job(key)).collect();
-            self.answer(&made);
+            let finished: Vec<GeneratedFrames> = turn.keys.into_iter().map(|key| self.run_job(key)).collect();
+            self.send_results(&finished);
         }
     }
 
-    /// Few flows get long turns, which cost less; many get short ones, so that none waits long for
-    /// its own. Where all have much waiting, short turns would make nobody's wait shorter, and a
-    /// server that falls behind must not spend its time on writes.
+    /// The quantum of a turn. Few flows get long turns, which cost less; many get short ones, which
+    /// bound their wait. On a saturated queue short turns would shorten no wait, and writes would
+    /// take the time of generation, so turns are long again.
     fn quantum_us(&self, waiting: usize) -> i64 {
-        let flows = self.open_flows.load(Ordering::Relaxed).max(1);
-        if waiting >= CROWD * flows {
+        let flows = self.active_flows.load(Ordering::Relaxed).max(1);
+        if waiting >= BACKLOG_PER_FLOW * flows {
             return QUANTUM_US.1;
         }
-        (ROUND_US / flows as i64).clamp(QUANTUM_US.0, QUANTUM_US.1)
+        (TARGET_ROUND_US / flows as i64).clamp(QUANTUM_US.0, QUANTUM_US.1)
     }
 
-    /// Makes what is asked for of a chunk; who asks for another form meanwhile is served by a
-    /// further round.
-    fn run_job(&self, key: ChunkKey) -> Made {
-        // Dropped at the end of this job, so that the next one finds its memory warm.
-        let mut chunk = None;
-        let mut made = Made { key, answers: Vec::with_capacity(1) };
-        while let Some(delivery) = { self.lock().missing(key, |delivery| made.has(delivery)) } {
-            let answer = self.make(key, delivery, &mut chunk);
-            made.answers.push((delivery, answer));
+    /// Continues a view within its budget. A finished selection is sent to its session; an
+    /// unfinished one waits for the flow's next turn.
+    fn select_view(&self, flow: FlowId, mut job: ViewJob, budget_us: i64) {
+        let (is_done, spent) = job.run(budget_us);
+        self.metrics.view_busy_seconds.inc_by(spent.as_secs_f64());
+        let spent_us = i64::try_from(spent.as_micros()).unwrap_or(i64::MAX);
+        job.bucket.charge_view(spent_us, tokio::time::Instant::now());
+        if is_done {
+            self.metrics.view_selection_seconds.observe(job.spent.as_secs_f64());
+            self.lock().return_view(flow, None, spent_us);
+            // The session may have ended.
+            let _ = job.completion.send(job.selection);
+        } else {
+            self.lock().return_view(flow, Some(job), spent_us);
         }
-        made
     }
 
-    /// Takes a frame from disk, or encodes it; makes the chunk before that if this is the first of
-    /// its frames.
-    fn make(&self, key: ChunkKey, delivery: Delivery, chunk: &mut Option<Chunk>) -> Answer {
+    /// Encodes the requested deliveries of a chunk, those requested meanwhile included.
+    fn run_job(&self, key: ChunkKey) -> GeneratedFrames {
+        // Dropped at the end of this job, so that the next one reuses its memory.
+        let mut chunk = None;
+        let mut finished = GeneratedFrames { key, results: Vec::with_capacity(1) };
+        while let Some(delivery) = { self.lock().missing_delivery(key, |delivery| finished.has(delivery)) } {
+            let result = self.frame(key, delivery, &mut chunk);
+            finished.results.push((delivery, result));
+        }
+        finished
+    }
+
+    /// Reads a frame from disk, or encodes it; the first encoded frame of a job generates the chunk.
+    fn frame(&self, key: ChunkKey, delivery: Delivery, chunk: &mut Option<Chunk>) -> FrameResult {
         let (started, is_first) = (Instant::now(), chunk.is_none());
         let effort = self.effort(key);
-        let had = catch_unwind(AssertUnwindSafe(|| {
-            // Once there is a chunk, to encode it is the shorter way.
+        let result = catch_unwind(AssertUnwindSafe(|| {
+            // With a chunk in memory, encoding is faster than reading.
             if chunk.is_none()
-                && let Some(frame) = self.stored(key, delivery)
+                && let Some(frame) = self.stored_frame(key, delivery)
             {
                 return (frame, true);
             }
@@ -113,88 +143,93 @@ impl Shared {
             let chunk = chunk.get_or_insert_with(|| self.source.chunk(key, known_error()));
             (chunk_codec::encode_with(delivery, effort, chunk, &self.world), false)
         }));
-        let Ok((frame, is_stored)) = had else {
-            self.metrics.failed.inc();
+        let Ok((frame, is_stored)) = result else {
+            self.metrics.jobs_failed.inc();
             tracing::error!(%key, %delivery, "generation panicked");
             return Err(GenerationError::Failed);
         };
         let took = started.elapsed();
         if is_first {
-            // A job costs what it takes, wherever its frame comes from.
-            self.costs.learn(key, took);
+            // The cost of a job includes reads from disk.
+            self.costs.record(key, took);
         }
         if is_first && !is_stored {
             self.metrics.generation_seconds.observe(took.as_secs_f64());
-            self.metrics.generated.inc();
+            self.metrics.jobs_completed.inc();
         }
-        // What is hasty in seed-only delivery? Nothing of it is coded.
-        let is_hasty = effort == Effort::Fast && delivery != Delivery::SeedOnly && !is_stored;
-        self.metrics.hasty.inc_by(u64::from(is_hasty));
-        self.frames.insert(key, delivery, Kept { frame: frame.clone(), is_hasty });
+        // The seed-only delivery has one encoding.
+        let is_fast_encoded = effort == Effort::Fast && delivery != Delivery::SeedOnly && !is_stored;
+        if is_fast_encoded {
+            self.metrics.frames_encoded_fast.inc();
+        } else if !is_stored {
+            self.metrics.frames_encoded_compact.inc();
+        }
+        self.frames.insert(key, delivery, CachedFrame { frame: frame.clone(), is_fast_encoded });
         if let Some(disk) = self.disk.as_ref().filter(|_| !is_stored) {
             disk.write(key, delivery, frame.clone());
         }
         Ok(frame)
     }
 
-    /// A server that falls behind has less time than bytes. Of a coarser chunk coding is a small
-    /// part of the making, so that is not where to save.
+    /// The fast encoding for level 0 under backlog: bytes are cheaper than time then. Encoding is a
+    /// small part of the cost of coarser chunks.
     fn effort(&self, key: ChunkKey) -> Effort {
         let backlog_us = || self.lock().waiting() as i64 * self.costs.mean_us() / self.limits.threads as i64;
-        if key.level() == 0 && backlog_us() > ROUND_US { Effort::Fast } else { Effort::Compact }
+        if key.level() == 0 && backlog_us() > TARGET_ROUND_US { Effort::Fast } else { Effort::Compact }
     }
 
     /// A frame from disk.
-    fn stored(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
-        self.disk.as_ref()?.read(key, delivery, |frame| self.is_genuine(key, delivery, frame))
+    fn stored_frame(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
+        self.disk.as_ref()?.read(key, delivery, |frame| self.is_valid(key, delivery, frame))
     }
 
-    /// The error of a chunk that is on disk for another delivery. As in memory, not from a
-    /// quantised frame, whose error is larger.
+    /// The error of a chunk from its frame on disk of another delivery. Not from a quantised frame,
+    /// whose error is larger.
     fn stored_error(&self, key: ChunkKey, not: Delivery) -> Option<u32> {
         let others = [Delivery::Exact, Delivery::SeedOnly].into_iter().filter(|delivery| *delivery != not);
         let disk = self.disk.as_ref()?;
         let frame = others
             .into_iter()
-            .find_map(|delivery| disk.peek(key, delivery, |frame| self.is_genuine(key, delivery, frame)))?;
+            .find_map(|delivery| disk.peek(key, delivery, |frame| self.is_valid(key, delivery, frame)))?;
         chunk_codec::error(&frame)
     }
 
-    /// Whether bytes are a frame that answers an asking.
-    fn is_genuine(&self, key: ChunkKey, delivery: Delivery, frame: &[u8]) -> bool {
+    /// Whether bytes are the frame of a chunk for a delivery.
+    fn is_valid(&self, key: ChunkKey, delivery: Delivery, frame: &[u8]) -> bool {
         match delivery {
-            // Its digest covers the heights, which are not in it. To make them is cheap when the
-            // error is known, and what comes out of it can be compared whole.
+            // Its digest covers the heights, which it does not contain. With the error known,
+            // generating them is cheap, and the whole frame can be compared.
             Delivery::SeedOnly => chunk_codec::error(frame).is_some_and(|error| {
                 let chunk = self.source.chunk(key, Some(error));
                 chunk_codec::encode_for(delivery, &chunk, &self.world) == frame
             }),
             Delivery::Exact | Delivery::Quantised(_) | Delivery::Refined => {
                 let found = chunk_codec::verify(frame, &self.world).ok();
-                // An exact frame may come in every delivery.
+                // An exact frame is valid in every delivery.
                 found == Some((key, delivery)) || found == Some((key, Delivery::Exact))
             }
         }
     }
 
-    /// Answers a whole turn: each asker once, however many chunks it gets, since every answer may
-    /// wake a session and cause a write.
-    fn answer(&self, turn: &[Made]) {
-        let mut askers: FxHashMap<FlowId, (UnboundedSender<Vec<Done>>, Vec<Done>)> = FxHashMap::default();
+    /// Sends the results of a turn: one message per flow, since each may wake a session and cause a
+    /// write.
+    fn send_results(&self, turn: &[GeneratedFrames]) {
+        let mut flows: FxHashMap<FlowId, (UnboundedSender<Vec<Completion>>, Vec<Completion>)> =
+            FxHashMap::default();
         {
             let mut queue = self.lock();
-            for made in turn {
-                for waiter in queue.finish(made.key, |delivery| made.has(delivery)) {
-                    let answer = made.answers.iter().find(|(delivery, _)| *delivery == waiter.delivery);
-                    let answer = answer.map_or(Err(GenerationError::Failed), |(_, answer)| answer.clone());
-                    let (_, answers) = askers.entry(waiter.flow).or_insert((waiter.answers, Vec::new()));
-                    answers.push((waiter.wanted, answer));
+            for frames in turn {
+                for request in queue.finish(frames.key, |delivery| frames.has(delivery)) {
+                    let result = frames.results.iter().find(|(delivery, _)| *delivery == request.delivery);
+                    let result = result.map_or(Err(GenerationError::Failed), |(_, result)| result.clone());
+                    let (_, completions) = flows.entry(request.flow).or_insert((request.sender, Vec::new()));
+                    completions.push((request.chunk, result));
                 }
             }
-            self.metrics.queue.set(queue.jobs() as i64);
+            self.metrics.pending_jobs.set(queue.jobs() as i64);
         }
-        for (asker, answers) in askers.into_values() {
-            let _ = asker.send(answers);
+        for (sender, completions) in flows.into_values() {
+            let _ = sender.send(completions);
         }
     }
 }
@@ -202,49 +237,52 @@ impl Shared {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::disk::{Disk, DiskConfig};
-    use crate::generation::gated::{Gated, MEASURED, ask, ask_for, bench, flat_frame, key, wanted};
+    use crate::cache::disk::{Disk, DiskConfig};
+    use crate::generation::test_source::{
+        MEASURED, chunk_request, fixture, fixture_with_deadline, flat_frame_bytes, key, request,
+        request_delivery,
+    };
     use crate::generation::{Generation, Limits};
     use crate::metrics::Metrics;
-    use crate::source::{ChunkSource, Procedural};
+    use crate::source::{ChunkSource, ProceduralSource};
     use protocol::delivery::Tolerance;
     use protocol::limits::SEED_ONLY_FRAME;
-    use protocol::server::Wanted;
+    use protocol::server::ChunkRequest;
     use std::path::{Path, PathBuf};
+    use std::sync::Arc;
     use std::sync::atomic::AtomicUsize;
-    use std::sync::{Arc, Mutex, mpsc};
     use std::time::Duration;
     use terrain::{Land, WorldDigest};
 
     #[tokio::test]
-    async fn both_deliveries_of_a_key_share_one_job_and_only_what_is_asked_for_is_encoded() {
-        let bench = bench(1 << 20, 10);
-        let exact = ask(&bench.service, key(1), 1).await;
-        let seed = ask_for(&bench.service, key(1), Delivery::SeedOnly, 1).await;
-        bench.permit.send(()).unwrap();
-        assert_eq!(exact.await.unwrap().unwrap().len(), flat_frame());
+    async fn deliveries_of_a_key_share_a_job_and_only_requested_ones_are_encoded() {
+        let fixture = fixture(1 << 20, 10);
+        let exact = request(&fixture.service, key(1), 1).await;
+        let seed = request_delivery(&fixture.service, key(1), Delivery::SeedOnly, 1).await;
+        fixture.permit.send(()).unwrap();
+        assert_eq!(exact.await.unwrap().unwrap().len(), flat_frame_bytes());
         assert_eq!(seed.await.unwrap().unwrap().len(), SEED_ONLY_FRAME);
-        assert_eq!(bench.metrics.generated.get(), 1);
-        assert_eq!(bench.metrics.coalesced.get(), 1);
+        assert_eq!(fixture.metrics.jobs_completed.get(), 1);
+        assert_eq!(fixture.metrics.frames_coalesced.get(), 1);
 
-        bench.permit.send(()).unwrap();
-        bench.service.flow().frame(wanted(key(2), 1), Delivery::SeedOnly).await.unwrap();
-        assert!(bench.service.cached(key(2), Delivery::SeedOnly).is_some());
-        assert!(bench.service.cached(key(2), Delivery::Exact).is_none());
+        fixture.permit.send(()).unwrap();
+        fixture.service.flow().frame(chunk_request(key(2), 1), Delivery::SeedOnly).await.unwrap();
+        assert!(fixture.service.cached(key(2), Delivery::SeedOnly).is_some());
+        assert!(fixture.service.cached(key(2), Delivery::Exact).is_none());
     }
 
     #[tokio::test]
-    async fn another_delivery_of_a_cached_chunk_takes_the_error_from_the_cached_frame() {
-        let bench = bench(1 << 20, 10);
+    async fn another_delivery_takes_the_error_from_the_cached_frame() {
+        let fixture = fixture(1 << 20, 10);
         for (x, first, second) in
             [(1, Delivery::Exact, Delivery::SeedOnly), (2, Delivery::SeedOnly, Delivery::Exact)]
         {
             for (delivery, error) in [(first, MEASURED), (second, MEASURED + 1)] {
-                bench.permit.send(()).unwrap();
-                let frame = bench.service.flow().frame(wanted(key(x), 1), delivery).await.unwrap();
+                fixture.permit.send(()).unwrap();
+                let frame = fixture.service.flow().frame(chunk_request(key(x), 1), delivery).await.unwrap();
                 assert_eq!(chunk_codec::error(&frame), Some(error), "{delivery} of {x}");
-                // Until the job is gone a further asker would share its chunk instead.
-                while bench.service.load() > 0.0 {
+                // Until the job is removed, a further request would share its chunk.
+                while fixture.service.load() > 0.0 {
                     tokio::task::yield_now().await;
                 }
             }
@@ -252,82 +290,81 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_request_that_waited_beyond_the_deadline_is_refused_and_not_made() {
-        let (permit, permits) = mpsc::channel();
-        let (made_sender, made) = mpsc::channel();
-        let source = Gated { permits: Mutex::new(permits), made: Mutex::new(made_sender) };
-        let limits = Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::ZERO };
-        let metrics = Arc::new(Metrics::default());
-        let service = Generation::new(source, limits, Arc::clone(&metrics)).unwrap();
-        let mut flow = service.flow();
-        // What a view needs has no deadline, and holds the thread.
-        flow.ask(wanted(key(0), 9), Delivery::Exact);
-        while !service.shared.lock().is_running(key(0)) {
+    async fn an_expired_request_is_rejected_and_not_generated() {
+        let fixture = fixture_with_deadline(1 << 20, 10, Duration::ZERO);
+        let mut flow = fixture.service.flow();
+        // A request of a view has no deadline, and occupies the thread.
+        flow.request(chunk_request(key(0), 9), Delivery::Exact);
+        while !fixture.service.shared.lock().is_running(key(0)) {
             tokio::task::yield_now().await;
         }
-        flow.ask(Wanted { request: Some(7), ..wanted(key(1), 9) }, Delivery::Exact);
-        permit.send(()).unwrap();
-        assert_eq!(flow.answers().await[0].0.key, key(0));
-        assert_eq!(flow.answers().await[0].1, Err(GenerationError::Overloaded));
-        assert_eq!((made.try_iter().count(), metrics.expired.get()), (1, 1));
+        flow.request(ChunkRequest { request: Some(7), ..chunk_request(key(1), 9) }, Delivery::Exact);
+        fixture.permit.send(()).unwrap();
+        assert_eq!(flow.completions().await[0].0.key, key(0));
+        assert_eq!(flow.completions().await[0].1, Err(GenerationError::Overloaded));
+        assert_eq!((fixture.generated.try_iter().count(), fixture.metrics.jobs_expired.get()), (1, 1));
     }
 
     #[tokio::test]
-    async fn what_was_coded_in_haste_is_made_again_for_the_first_who_asks_when_nothing_waits() {
-        let bench = bench(1 << 20, 1000);
-        let mut flow = bench.service.flow();
-        // By the first guess, work for some twenty milliseconds.
+    async fn an_idle_server_encodes_a_fast_encoded_frame_again() {
+        let fixture = fixture(1 << 20, 1000);
+        let mut flow = fixture.service.flow();
+        // By the initial estimate, work for some twenty milliseconds.
         for x in 0..200 {
-            flow.ask(wanted(key(x), 1), Delivery::Exact);
+            flow.request(chunk_request(key(x), 1), Delivery::Exact);
         }
-        (0..200).for_each(|_| bench.permit.send(()).unwrap());
-        while flow.open() > 0 {
-            flow.answers().await;
+        (0..200).for_each(|_| fixture.permit.send(()).unwrap());
+        while flow.in_flight() > 0 {
+            flow.completions().await;
         }
-        let (hasty, generated) = (bench.metrics.hasty.get(), bench.metrics.generated.get());
-        assert!((1..200).contains(&hasty), "{hasty}");
+        let (fast, completed) =
+            (fixture.metrics.frames_encoded_fast.get(), fixture.metrics.jobs_completed.get());
+        assert!((1..200).contains(&fast), "{fast}");
         let idle = async || {
-            while bench.service.load() > 0.0 {
+            while fixture.service.load() > 0.0 {
                 tokio::task::yield_now().await;
             }
         };
         idle().await;
 
-        // The tenth was made when all had been asked for, and in haste; the last was not. While
-        // something else runs both are good enough.
-        let blocker = ask(&bench.service, key(1000), 1).await;
+        // The tenth was encoded under backlog and is fast-encoded; the last is not. While another
+        // job runs, both are served from the cache.
+        let blocker = request(&fixture.service, key(1000), 1).await;
         for x in [10, 199] {
-            assert!(bench.service.cached(key(x), Delivery::Exact).is_some());
+            assert!(fixture.service.cached(key(x), Delivery::Exact).is_some());
         }
-        bench.permit.send(()).unwrap();
+        fixture.permit.send(()).unwrap();
         blocker.await.unwrap().unwrap();
         idle().await;
-        assert!(bench.service.cached(key(199), Delivery::Exact).is_some());
+        assert!(fixture.service.cached(key(199), Delivery::Exact).is_some());
         for _ in 0..2 {
-            // A permit for the one job that there should be.
-            bench.permit.send(()).unwrap();
-            bench.service.flow().frame(wanted(key(10), 1), Delivery::Exact).await.unwrap();
+            // A permit for the one expected job.
+            fixture.permit.send(()).unwrap();
+            fixture.service.flow().frame(chunk_request(key(10), 1), Delivery::Exact).await.unwrap();
             idle().await;
         }
-        assert_eq!((bench.metrics.hasty.get(), bench.metrics.generated.get()), (hasty, generated + 2));
+        assert_eq!(
+            (fixture.metrics.frames_encoded_fast.get(), fixture.metrics.jobs_completed.get()),
+            (fast, completed + 2)
+        );
     }
 
     #[tokio::test]
     async fn a_panic_fails_its_own_job_only() {
-        let bench = bench(1 << 20, 10);
-        let bad = ask(&bench.service, key(666), 2).await;
-        let good = ask(&bench.service, key(1), 1).await;
-        bench.permit.send(()).unwrap();
-        bench.permit.send(()).unwrap();
+        let fixture = fixture(1 << 20, 10);
+        let bad = request(&fixture.service, key(666), 2).await;
+        let good = request(&fixture.service, key(1), 1).await;
+        fixture.permit.send(()).unwrap();
+        fixture.permit.send(()).unwrap();
         assert_eq!(bad.await.unwrap(), Err(GenerationError::Failed));
         assert!(good.await.unwrap().is_ok());
-        assert_eq!(bench.metrics.failed.get(), 1);
+        assert_eq!(fixture.metrics.jobs_failed.get(), 1);
     }
 
-    /// The land, with a count of the errors that had to be measured.
-    struct Watched(Procedural, Arc<AtomicUsize>);
+    /// The terrain, with a count of measured errors.
+    struct CountingSource(ProceduralSource, Arc<AtomicUsize>);
 
-    impl ChunkSource for Watched {
+    impl ChunkSource for CountingSource {
         fn world(&self) -> WorldDigest {
             self.0.world()
         }
@@ -338,10 +375,10 @@ mod tests {
         }
     }
 
-    /// A service over a folder, as a process that has just started has it.
-    fn started(folder: &Path) -> (Generation, Arc<Metrics>, Arc<AtomicUsize>) {
+    /// A service over a folder, as after a restart.
+    fn restarted(folder: &Path) -> (Generation, Arc<Metrics>, Arc<AtomicUsize>) {
         let (metrics, measured) = (Arc::new(Metrics::default()), Arc::new(AtomicUsize::new(0)));
-        let source = Watched(Procedural::new(Land::new(1)), Arc::clone(&measured));
+        let source = CountingSource(ProceduralSource::new(Land::new(1)), Arc::clone(&measured));
         let config = DiskConfig { folder: folder.into(), bytes: 64 << 20 };
         let disk = Disk::new(config, &source.world(), Arc::clone(&metrics)).unwrap();
         let limits =
@@ -351,38 +388,42 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn every_delivery_is_found_on_disk_and_a_measured_error_serves_them_all() {
+    async fn every_delivery_is_read_from_disk_with_one_measured_error() {
         let folder = std::env::temp_dir().join(format!("tombolo-runner-disk-{}", std::process::id()));
         let key = ChunkKey::new(3, 1, -1).unwrap();
         let quantised = Delivery::Quantised(Tolerance::COARSEST);
         let mut frames = Vec::new();
-        // Each by a process of its own: the first measures, the others find what it measured.
-        for (delivery, measurings) in [(Delivery::SeedOnly, 1), (Delivery::Exact, 0), (quantised, 0)] {
-            let (service, metrics, measured) = started(&folder);
-            let frame = service.flow().frame(wanted(key, 1), delivery).await.unwrap();
-            assert_eq!(metrics.generated.get(), 1, "{delivery}");
-            assert_eq!(measured.load(Ordering::Relaxed), measurings, "{delivery}");
+        // A restart before each: the first measures the error, the others read it.
+        for (delivery, measurements) in [(Delivery::SeedOnly, 1), (Delivery::Exact, 0), (quantised, 0)] {
+            let (service, metrics, measured) = restarted(&folder);
+            let frame = service.flow().frame(chunk_request(key, 1), delivery).await.unwrap();
+            assert_eq!(metrics.jobs_completed.get(), 1, "{delivery}");
+            assert_eq!(measured.load(Ordering::Relaxed), measurements, "{delivery}");
             service.close().await;
             frames.push((delivery, frame));
         }
-        let (service, metrics, measured) = started(&folder);
+        let (service, metrics, measured) = restarted(&folder);
         for (delivery, frame) in &frames {
-            assert_eq!(&service.flow().frame(wanted(key, 1), *delivery).await.unwrap(), frame, "{delivery}");
+            assert_eq!(
+                &service.flow().frame(chunk_request(key, 1), *delivery).await.unwrap(),
+                frame,
+                "{delivery}"
+            );
         }
-        assert_eq!((metrics.generated.get(), metrics.disk_hits.get()), (0, 3));
+        assert_eq!((metrics.jobs_completed.get(), metrics.disk_hits.get()), (0, 3));
         assert_eq!(measured.load(Ordering::Relaxed), 0);
         service.close().await;
 
-        // The control: with its error changed, which no digest over the file alone would notice,
-        // the seed's frame is refused.
+        // The control: a seed-only frame with another error, which its digest does not cover, is
+        // rejected.
         let seed = files(&folder).into_iter().find(|path| path.to_string_lossy().contains(".seed.")).unwrap();
         let mut bytes = std::fs::read(&seed).unwrap();
         bytes[16] ^= 1;
         std::fs::write(&seed, bytes).unwrap();
-        let (service, metrics, _) = started(&folder);
-        let again = service.flow().frame(wanted(key, 1), Delivery::SeedOnly).await.unwrap();
+        let (service, metrics, _) = restarted(&folder);
+        let again = service.flow().frame(chunk_request(key, 1), Delivery::SeedOnly).await.unwrap();
         assert_eq!(again, frames[0].1);
-        assert_eq!((metrics.disk_damaged.get(), metrics.generated.get()), (1, 1));
+        assert_eq!((metrics.disk_corrupt.get(), metrics.jobs_completed.get()), (1, 1));
         service.close().await;
         std::fs::remove_dir_all(&folder).unwrap();
     }

@@ -1,46 +1,45 @@
-//! One chunk by its key: what any cache may keep for ever.
+//! Chunks by key. Immutable, so any cache may store them.
 
 use crate::generation::GenerationError;
-use crate::http::address::{self, RawAddress};
-use crate::http::conditional::{Representation, etag, for_ever};
-use crate::http::problem::{Kind, Problem};
-use crate::listener::Shared;
+use crate::http::conditional::{Representation, etag, immutable_cache_control};
+use crate::http::path::{self, RawChunkPath};
+use crate::http::problem::{Problem, ProblemKind};
+use crate::state::ServerState;
 use axum::extract::{Extension, State};
 use axum::http::HeaderMap;
 use axum::response::Response;
-use protocol::server::Wanted;
+use protocol::server::ChunkRequest;
 use protocol::{Delivery, chunk_codec};
 use std::net::SocketAddr;
 use std::sync::Arc;
 
 /// `GET /v1/{digest}/chunk/{level}/{x}/{z}`.
 pub async fn get(
-    State(shared): State<Arc<Shared>>,
+    State(state): State<Arc<ServerState>>,
     headers: HeaderMap,
     peer: Option<Extension<SocketAddr>>,
-    raw: RawAddress,
+    raw: RawChunkPath,
 ) -> Result<Response, Problem> {
-    let key = address::key(&shared, &headers, raw, "")?;
-    // Always exact: what is cached for ever must be of use to whoever has no generator.
-    let wanted = Wanted { key, request: Some(0), priority: u64::MAX };
-    let purse = address::purse(&shared, peer).await?;
-    let frame =
-        shared.generation.flow_paid_by(purse).frame(wanted, Delivery::Exact).await.map_err(refusal)?;
+    let key = path::chunk_key(&state, &headers, raw, "")?;
+    // Always exact: a cached chunk must be usable without a generator.
+    let chunk = ChunkRequest { key, request: Some(0), priority: u64::MAX };
+    let bucket = path::wait_for_tokens(&state, peer).await?;
+    let frame = state.generation.limited_flow(bucket).frame(chunk, Delivery::Exact).await.map_err(problem)?;
     let representation = Representation {
-        // The frame carries its own digest, over all of its bytes.
+        // The frame contains its digest, over all of its bytes.
         etag: etag(&chunk_codec::digest(&frame).unwrap_or_default()),
         content_type: "application/octet-stream",
-        caching: for_ever(shared.offer.token.is_some()),
+        cache_control: immutable_cache_control(state.offer.token.is_some()),
         body: frame,
     };
-    Ok(representation.answer(&headers))
+    Ok(representation.respond(&headers))
 }
 
-/// How a chunk that cannot be had is told.
-pub fn refusal(error: GenerationError) -> Problem {
+/// The problem document for a chunk that is not available.
+pub fn problem(error: GenerationError) -> Problem {
     let kind = match error {
-        GenerationError::Overloaded => Kind::Overloaded,
-        GenerationError::Failed => Kind::Failed,
+        GenerationError::Overloaded => ProblemKind::Overloaded,
+        GenerationError::Failed => ProblemKind::Failed,
     };
     Problem::new(kind, error.to_string())
 }

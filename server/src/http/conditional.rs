@@ -1,12 +1,12 @@
-//! Representations with a strong validator, and the requests that are made under a condition on it:
-//! RFC 9110, sections 8.8.3 and 13.
+//! Representations with a strong validator, and conditional requests: RFC 9110, sections 8.8.3
+//! and 13.
 
-use crate::http::problem::{Kind, Problem};
+use crate::http::problem::{Problem, ProblemKind};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
-/// What a resource is at the moment, with what caches need to know.
+/// A representation of a resource, with its cache metadata.
 #[derive(Clone, Debug)]
 pub struct Representation {
     /// The strong validator, quotes included.
@@ -14,40 +14,47 @@ pub struct Representation {
     /// Media type.
     pub content_type: &'static str,
     /// Value of `Cache-Control`.
-    pub caching: &'static str,
-    /// All of it.
+    pub cache_control: &'static str,
+    /// The content.
     pub body: Bytes,
 }
 
-/// A strong validator of content by its digest.
+/// A strong validator from a digest of the content.
 #[must_use]
 pub fn etag(digest: &[u8]) -> HeaderValue {
     let hex: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
-    // Hexadecimal digits and quotes are always a header value.
+    // Hexadecimal digits and quotes are valid in a header.
     HeaderValue::from_str(&format!("\"{hex}\"")).unwrap_or(HeaderValue::from_static("\"\""))
 }
 
-/// How long what never changes may be kept, and by whom: what takes a token is no business of
-/// shared caches, which would give it to everybody (RFC 9111, section 3.5).
+/// `Cache-Control` of an immutable resource. A resource that requires a token is private: shared
+/// caches would serve it without the token (RFC 9111, section 3.5).
 #[must_use]
-pub const fn for_ever(takes_token: bool) -> &'static str {
-    if takes_token { "private, max-age=31536000, immutable" } else { "public, max-age=31536000, immutable" }
+pub const fn immutable_cache_control(requires_token: bool) -> &'static str {
+    if requires_token {
+        "private, max-age=31536000, immutable"
+    } else {
+        "public, max-age=31536000, immutable"
+    }
 }
 
 impl Representation {
-    /// Answers a GET or HEAD request. `If-Match` is judged before `If-None-Match` (RFC 9110,
-    /// section 13.2.2); ranges are not offered.
+    /// The response to a GET or HEAD request. `If-Match` takes precedence over `If-None-Match`
+    /// (RFC 9110, section 13.2.2); ranges are not supported.
     #[must_use]
-    pub fn answer(self, request: &HeaderMap) -> Response {
+    pub fn respond(self, request: &HeaderMap) -> Response {
         let etag = self.etag.as_bytes();
         if request.contains_key(header::IF_MATCH) && !is_matched(request, &header::IF_MATCH, etag, false) {
             let shown = String::from_utf8_lossy(etag);
-            return Problem::new(Kind::PreconditionFailed, format!("`If-Match` does not name {shown}"))
-                .into_response();
+            return Problem::new(
+                ProblemKind::PreconditionFailed,
+                format!("`If-Match` does not contain {shown}"),
+            )
+            .into_response();
         }
         let validators = [
             (header::ETAG, self.etag.clone()),
-            (header::CACHE_CONTROL, HeaderValue::from_static(self.caching)),
+            (header::CACHE_CONTROL, HeaderValue::from_static(self.cache_control)),
         ];
         if is_matched(request, &header::IF_NONE_MATCH, etag, true) {
             return (StatusCode::NOT_MODIFIED, validators).into_response();
@@ -56,17 +63,17 @@ impl Representation {
     }
 }
 
-/// Whether a header that lists entity tags, perhaps over several lines, names this one. Weak tags
-/// count only where `weak_counts`.
-fn is_matched(headers: &HeaderMap, name: &HeaderName, etag: &[u8], weak_counts: bool) -> bool {
+/// Whether a list of entity tags, possibly over several lines, contains this one. Weak tags match
+/// only if `matches_weak`.
+fn is_matched(headers: &HeaderMap, name: &HeaderName, etag: &[u8], matches_weak: bool) -> bool {
     headers.get_all(name).iter().any(|line| {
         let line = line.as_bytes().trim_ascii();
-        line == b"*" || Tags(line).any(|(is_weak, tag)| tag == etag && (weak_counts || !is_weak))
+        line == b"*" || Tags(line).any(|(is_weak, tag)| tag == etag && (matches_weak || !is_weak))
     })
 }
 
-/// The entity tags of one line: whether weak, and the tag with its quotes. Ends at the first thing
-/// that is none.
+/// The entity tags of one line: whether weak, and the tag with its quotes. Ends at the first invalid
+/// tag.
 struct Tags<'a>(&'a [u8]);
 
 impl<'a> Iterator for Tags<'a> {
@@ -96,14 +103,14 @@ mod tests {
         let representation = Representation {
             etag: HeaderValue::from_static("\"abc\""),
             content_type: "text/plain",
-            caching: "no-cache",
+            cache_control: "no-cache",
             body: Bytes::from_static(b"body"),
         };
-        representation.answer(&request).status()
+        representation.respond(&request).status()
     }
 
     #[test]
-    fn if_none_match_compares_weakly_in_lists_over_lines_and_with_commas_inside_tags() {
+    fn if_none_match_compares_weakly_in_lists_and_over_lines() {
         for lines in [
             &["\"abc\""][..],
             &["W/\"abc\""],
@@ -143,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_validator_is_the_hexadecimal_digest_in_quotes() {
+    fn an_etag_is_the_hexadecimal_digest_in_quotes() {
         assert_eq!(etag(&[0, 0xab, 15]), "\"00ab0f\"");
     }
 }

@@ -1,18 +1,18 @@
-//! Which routes pages of other origins may read: those whose answer is the same for everybody.
-//! Fetch standard, section 3.3.
+//! CORS: the routes that pages of other origins may read, whose responses are the same for all
+//! clients. Fetch standard, section 3.3.
 //!
-//! What it refuses: cookies (none are used, and `*` forbids them). A token travels in
-//! `Authorization`, which a preflight allows by name because `*` does not cover it.
+//! No cookies are used, and `*` excludes them. The token is sent in `Authorization`, which a preflight
+//! has to name because `*` does not include it.
 
-use crate::listener::Shared;
+use crate::state::ServerState;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::middleware::map_response;
 use axum::response::{IntoResponse, Response};
 use axum::routing::MethodRouter;
 use std::sync::Arc;
 
-/// Opens a route to all origins, preflights included.
-pub fn open(methods: MethodRouter<Arc<Shared>>) -> MethodRouter<Arc<Shared>> {
+/// Allows all origins on a route, preflights included.
+pub fn any_origin(methods: MethodRouter<Arc<ServerState>>) -> MethodRouter<Arc<ServerState>> {
     methods.options(preflight).layer(map_response(allow))
 }
 
@@ -26,13 +26,13 @@ async fn preflight() -> impl IntoResponse {
     (StatusCode::NO_CONTENT, allowed)
 }
 
-/// The same with or without `Origin`, so that caches need not tell the two apart by `Vary`.
+/// Independent of `Origin`, so that caches need no `Vary`.
 async fn allow(mut response: Response) -> Response {
     let headers = response.headers_mut();
     headers.insert(header::ACCESS_CONTROL_ALLOW_ORIGIN, HeaderValue::from_static("*"));
-    // What scripts may read besides the headers that are always readable.
+    // Headers that scripts may read in addition to the safelisted ones.
     headers.insert(header::ACCESS_CONTROL_EXPOSE_HEADERS, HeaderValue::from_static("ETag, Retry-After"));
-    // For pages that isolate themselves and load tiles as pictures.
+    // For cross-origin isolated pages that load tiles as images.
     headers.insert("cross-origin-resource-policy", HeaderValue::from_static("cross-origin"));
     response
 }

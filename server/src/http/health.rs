@@ -1,13 +1,13 @@
-//! Probes and metrics, for machines that watch.
+//! Probes and metrics.
 
-use crate::listener::Shared;
+use crate::state::ServerState;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use std::sync::Arc;
 
-/// Queue load above which the server calls itself not ready, so that a balancer sends new clients
-/// elsewhere.
+/// Queue load above which the server is not ready, so that a load balancer sends new clients to
+/// another server.
 const READY_LOAD: f64 = 0.9;
 
 /// `GET /livez`.
@@ -16,21 +16,21 @@ pub async fn livez() -> &'static str {
 }
 
 /// `GET /readyz`.
-pub async fn readyz(State(shared): State<Arc<Shared>>) -> Response {
-    if shared.draining.is_cancelled() {
+pub async fn readyz(State(state): State<Arc<ServerState>>) -> Response {
+    if state.draining.is_cancelled() {
         return (StatusCode::SERVICE_UNAVAILABLE, "draining\n").into_response();
     }
-    if shared.generation.load() > READY_LOAD {
+    if state.generation.load() > READY_LOAD {
         return (StatusCode::SERVICE_UNAVAILABLE, "generation queue is nearly full\n").into_response();
     }
-    if shared.permits.available_permits() == 0 {
+    if state.session_permits.available_permits() == 0 {
         return (StatusCode::SERVICE_UNAVAILABLE, "no session is free\n").into_response();
     }
     "ready\n".into_response()
 }
 
 /// `GET /metrics`.
-pub async fn metrics(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
+pub async fn metrics(State(state): State<Arc<ServerState>>) -> impl IntoResponse {
     const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-    ([(header::CONTENT_TYPE, OPEN_METRICS)], shared.metrics.render())
+    ([(header::CONTENT_TYPE, OPEN_METRICS)], state.metrics.render())
 }

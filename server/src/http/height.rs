@@ -1,8 +1,8 @@
-//! The height of one place: what a person who points at the map wants to know.
+//! The height at a position, for the pointer on the map.
 
-use crate::http::address;
-use crate::http::problem::{Kind, Problem};
-use crate::listener::Shared;
+use crate::http::path;
+use crate::http::problem::{Problem, ProblemKind};
+use crate::state::ServerState;
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
@@ -15,39 +15,38 @@ use terrain::{Land, Position};
 
 /// `GET /v1/{digest}/height/{x}/{z}`, both in whole metres.
 pub async fn get(
-    State(shared): State<Arc<Shared>>,
+    State(state): State<Arc<ServerState>>,
     headers: HeaderMap,
     raw: Result<Path<(String, String, String)>, PathRejection>,
 ) -> Result<Response, Problem> {
-    address::authorise(&shared, &headers)?;
+    path::authorise(&state, &headers)?;
     let Ok(Path((digest, x, z))) = raw else {
-        return Err(Problem::new(Kind::Malformed, "the path is not UTF-8 behind its percent signs"));
+        return Err(Problem::new(ProblemKind::Malformed, "the percent-encoded path is not UTF-8"));
     };
-    address::check_world(&shared, &digest)?;
+    path::check_world(&state, &digest)?;
     let (Ok(x), Ok(z)) = (x.parse::<i32>(), z.parse::<i32>()) else {
-        return Err(Problem::new(Kind::Malformed, "x and z must be whole metres"));
+        return Err(Problem::new(ProblemKind::Malformed, "x and z must be whole metres"));
     };
     let half_m = WORLD_HALF / UNITS_PER_METRE;
-    // The far border belongs to the world, but no cell begins there.
+    // No cell begins at the far border of the world.
     if ![x, z].iter().all(|metres| (-half_m..half_m).contains(metres)) {
         let detail =
             format!("({x}, {z}) m is outside the world: each axis goes from {} to {}", -half_m, half_m - 1);
-        return Err(Problem::new(Kind::OutsideWorld, detail));
+        return Err(Problem::new(ProblemKind::OutsideWorld, detail));
     }
-    let height_m = drawn_height_m(&shared.offer.land, x * UNITS_PER_METRE, z * UNITS_PER_METRE);
+    let height_m = drawn_height_m(&state.offer.land, x * UNITS_PER_METRE, z * UNITS_PER_METRE);
     let body = json!({ "x_m": x, "z_m": z, "height_m": height_m });
     Ok(([(header::CACHE_CONTROL, "no-cache")], Json(body)).into_response())
 }
 
-/// Height of the finest mesh at a place inside the world, metres. The mesh is the land: the noise
-/// between vertices is nobody's business (`docs/heightfield.md`), so the triangle is evaluated, not
-/// the field.
+/// Height of the finest mesh at a position inside the world, metres. The terrain is the mesh, not the
+/// noise between its vertices (`docs/heightfield.md`), so the triangle is evaluated.
 fn drawn_height_m(land: &Land, x: i32, z: i32) -> f64 {
     let (cell, spacing) = ((x >> SPACING_BITS, z >> SPACING_BITS), 1 << SPACING_BITS);
     let corner = |east: i32, south: i32| {
-        let place = Position::new((cell.0 + east) << SPACING_BITS, (cell.1 + south) << SPACING_BITS);
+        let position = Position::new((cell.0 + east) << SPACING_BITS, (cell.1 + south) << SPACING_BITS);
         // A cell that begins inside the world ends inside it.
-        place.map_or(0, |place| land.height_at(place))
+        position.map_or(0, |position| land.height_at(position))
     };
     let fraction = |v: i32| f64::from(v & (spacing - 1)) / f64::from(spacing);
     let (fx, fz) = (fraction(x), fraction(z));
@@ -76,8 +75,8 @@ mod tests {
                 [(0, 0), (1, 0), (0, 1), (1, 1), (64, 31), (31, 64), (127, 126), (126, 127)]
             {
                 let drawn = drawn_height_scaled(&heights, east_m, south_m, 1) as f64 / 512.0;
-                let place = |low: i32, metres: usize| low + metres as i32 * UNITS_PER_METRE;
-                assert_eq!(drawn_height_m(&land, place(x0, east_m), place(z0, south_m)), drawn);
+                let at = |low: i32, metres: usize| low + metres as i32 * UNITS_PER_METRE;
+                assert_eq!(drawn_height_m(&land, at(x0, east_m), at(z0, south_m)), drawn);
             }
         }
     }

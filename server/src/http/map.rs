@@ -1,11 +1,11 @@
-//! One tile of the relief map by the key of the chunk that covers the same square.
+//! Map tiles by chunk key.
 
-use crate::http::address::{self, RawAddress};
-use crate::http::chunk::refusal;
-use crate::http::conditional::{Representation, etag, for_ever};
-use crate::http::problem::{Kind, Problem};
-use crate::listener::Shared;
-use crate::map::MapError;
+use crate::http::chunk::problem;
+use crate::http::conditional::{Representation, etag, immutable_cache_control};
+use crate::http::path::{self, RawChunkPath};
+use crate::http::problem::{Problem, ProblemKind};
+use crate::map::tiles::MapError;
+use crate::state::ServerState;
 use axum::extract::{Extension, State};
 use axum::http::HeaderMap;
 use axum::response::Response;
@@ -14,23 +14,23 @@ use std::sync::Arc;
 
 /// `GET /v1/{digest}/map/{level}/{x}/{z}.png`.
 pub async fn get(
-    State(shared): State<Arc<Shared>>,
+    State(state): State<Arc<ServerState>>,
     headers: HeaderMap,
     peer: Option<Extension<SocketAddr>>,
-    raw: RawAddress,
+    raw: RawChunkPath,
 ) -> Result<Response, Problem> {
-    let key = address::key(&shared, &headers, raw, ".png")?;
-    let purse = address::purse(&shared, peer).await?;
-    let tile = shared.map.tile(key, &shared.generation, &purse, &shared.metrics).await;
+    let key = path::chunk_key(&state, &headers, raw, ".png")?;
+    let bucket = path::wait_for_tokens(&state, peer).await?;
+    let tile = state.map.tile(key, &state.generation, &bucket, &state.metrics).await;
     let tile = tile.map_err(|error| match error {
-        MapError::Busy => Problem::new(Kind::MapBusy, error.to_string()),
-        MapError::Generation(error) => refusal(error),
+        MapError::Busy => Problem::new(ProblemKind::MapBusy, error.to_string()),
+        MapError::Generation(error) => problem(error),
     })?;
     let representation = Representation {
         etag: etag(&tile.digest),
         content_type: "image/png",
-        caching: for_ever(shared.offer.token.is_some()),
+        cache_control: immutable_cache_control(state.offer.token.is_some()),
         body: tile.png,
     };
-    Ok(representation.answer(&headers))
+    Ok(representation.respond(&headers))
 }

@@ -1,5 +1,5 @@
-//! The OpenAPI document: written by hand, because it is for people first; `tests/openapi.rs` keeps
-//! it true.
+//! The OpenAPI document. Written by hand for its readers; `server/tests/http/openapi.rs` compares it
+//! with the routes.
 
 use crate::http::conditional::{Representation, etag};
 use axum::http::HeaderMap;
@@ -13,10 +13,10 @@ pub const DOCUMENT: &str = include_str!("openapi.json");
 pub async fn get(headers: HeaderMap) -> Response {
     let representation = Representation {
         etag: etag(&blake3::hash(DOCUMENT.as_bytes()).as_bytes()[..16]),
-        // RFC 9512 registers a type of its own for YAML only; JSON documents are JSON.
+        // RFC 9512 registers a media type for YAML only.
         content_type: "application/json",
-        caching: "no-cache",
+        cache_control: "no-cache",
         body: Bytes::from_static(DOCUMENT.as_bytes()),
     };
-    representation.answer(&headers)
+    representation.respond(&headers)
 }

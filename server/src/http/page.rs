@@ -1,15 +1,15 @@
-//! The page at `/` and what it is made of, from the binary. Nothing comes from elsewhere, and the
-//! browser is told to keep it so.
+//! The page at `/` and its files, embedded in the binary. A content security policy forbids other
+//! sources.
 
 use crate::http::conditional::{Representation, etag};
-use crate::http::problem::{Kind, Problem};
+use crate::http::problem::{Problem, ProblemKind};
 use axum::extract::Path;
 use axum::extract::rejection::PathRejection;
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::Response;
 use bytes::Bytes;
 
-/// What the page may do: load from here, and nothing else (Content Security Policy Level 3).
+/// Content Security Policy Level 3: the page loads from this server only.
 const POLICY: &str = "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// One file of the page.
@@ -22,7 +22,7 @@ struct File {
 const HTML: &str = "text/html; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
-/// The page itself comes first.
+/// The page is the first file.
 const FILES: [File; 8] = [
     File { name: "index.html", content_type: HTML, body: include_str!("../../page/index.html") },
     File {
@@ -40,7 +40,7 @@ const FILES: [File; 8] = [
 
 /// `GET /`.
 pub async fn index(headers: HeaderMap) -> Response {
-    FILES[0].answer(&headers)
+    FILES[0].respond(&headers)
 }
 
 /// `GET /page/{name}`.
@@ -50,22 +50,22 @@ pub async fn file(
 ) -> Result<Response, Problem> {
     let file = name.ok().and_then(|Path(name)| FILES.iter().find(|file| file.name == name));
     let Some(file) = file else {
-        return Err(Problem::new(Kind::NoRoute, "the page has no such part; it begins at /"));
+        return Err(Problem::new(ProblemKind::NoRoute, "the page has no such file; it begins at /"));
     };
-    Ok(file.answer(&headers))
+    Ok(file.respond(&headers))
 }
 
 impl File {
-    fn answer(&self, request: &HeaderMap) -> Response {
+    fn respond(&self, request: &HeaderMap) -> Response {
         let representation = Representation {
-            // A few kilobytes, asked for once a visit: hashing costs less than remembering.
+            // A few kilobytes once per visit: hashing is cheaper than a cache.
             etag: etag(&blake3::hash(self.body.as_bytes()).as_bytes()[..16]),
             content_type: self.content_type,
-            // Always asked for again, so that a new server never meets parts of an old page.
-            caching: "no-cache",
+            // Always revalidated, so that a new server never mixes with files of an old page.
+            cache_control: "no-cache",
             body: Bytes::from_static(self.body.as_bytes()),
         };
-        let mut response = representation.answer(request);
+        let mut response = representation.respond(request);
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
         headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
@@ -78,11 +78,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_page_names_only_files_that_exist_and_nothing_from_elsewhere() {
+    fn the_page_references_existing_local_files_only() {
         let mut named = 0;
         for file in &FILES {
             for part in file.body.split(['"', '\'', '`', '(', ')', ' ', '\n']) {
-                // Namespaces are names, not addresses.
+                // XML namespaces are not loaded.
                 let is_foreign = part.contains("//")
                     && part
                         .split_once("//")
@@ -95,11 +95,11 @@ mod tests {
                 }
             }
         }
-        assert!(named >= FILES.len() - 1, "every file but the first is named by another: {named}");
+        assert!(named >= FILES.len() - 1, "every file but the first is referenced: {named}");
     }
 
     #[test]
-    fn the_page_needs_no_exception_from_its_own_policy() {
+    fn the_page_complies_with_its_policy() {
         let page = FILES[0].body;
         for word in [" style=", "<style", " onclick=", " onload=", "javascript:"] {
             assert!(!page.contains(word), "{word}");

@@ -1,47 +1,46 @@
-//! Refusals: a closed list of kinds, told as RFC 9457 problem documents and counted by kind.
+//! Error responses: RFC 9457 problem documents of a closed list of kinds.
 //!
-//! The `type` of a problem is a reference into the OpenAPI document, where each kind has an example
-//! under its name.
+//! The `type` of a problem refers to the example of its kind in the OpenAPI document.
 
 use axum::Json;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
 
-/// Why a request was refused.
+/// Why a request was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Nothing is served under this path.
+pub enum ProblemKind {
+    /// No route has this path.
     NoRoute,
-    /// The path exists, but not for this method.
+    /// The route does not support the method.
     WrongMethod,
-    /// Numbers that are none, or a path that is no text.
+    /// Invalid numbers or encoding in the path.
     Malformed,
-    /// No such chunk or place.
+    /// A chunk or position outside the world.
     OutsideWorld,
-    /// The digest is another world's.
+    /// The digest of another world.
     WrongWorld,
     /// The token is missing or wrong.
     Unauthorised,
-    /// `If-Match` names none of the representations.
+    /// `If-Match` does not match the representation.
     PreconditionFailed,
-    /// Not a request that may become a WebSocket.
+    /// Not a WebSocket handshake.
     NotAnUpgrade,
-    /// An upgrade that breaks RFC 6455 or names no known subprotocol.
+    /// A handshake that violates RFC 6455 or offers no supported subprotocol.
     BadHandshake,
-    /// Chunks are asked for faster than they can be made.
+    /// Chunks are requested faster than they can be generated, or over the rate limit.
     Overloaded,
-    /// A chunk could not be made.
+    /// The generation of a chunk failed.
     Failed,
-    /// Too many tiles of the map are asked for at once.
+    /// Too many map tiles are requested at once.
     MapBusy,
-    /// Every session is taken, or the server drains.
+    /// All sessions are in use, or the server is draining.
     NoSession,
-    /// The address has its share of sessions.
+    /// The client network has its maximum of sessions.
     AddressFull,
 }
 
-impl Kind {
+impl ProblemKind {
     /// Every kind.
     pub const ALL: [Self; 14] = [
         Self::NoRoute,
@@ -60,13 +59,13 @@ impl Kind {
         Self::AddressFull,
     ];
 
-    /// Its place in [`Kind::ALL`].
+    /// Its index in [`ProblemKind::ALL`].
     #[must_use]
     pub const fn index(self) -> usize {
         self as usize
     }
 
-    /// A short fixed name: the end of the problem's `type`, and the label in the metrics.
+    /// A fixed name: the end of the problem's `type`, and the label in the metrics.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -87,7 +86,7 @@ impl Kind {
         }
     }
 
-    /// The same for people, without anything of the occasion.
+    /// The title, without details of the request.
     #[must_use]
     pub const fn title(self) -> &'static str {
         match self {
@@ -108,7 +107,7 @@ impl Kind {
         }
     }
 
-    /// The status that it is told with.
+    /// The HTTP status.
     #[must_use]
     pub const fn status(self) -> StatusCode {
         match self {
@@ -124,7 +123,7 @@ impl Kind {
         }
     }
 
-    /// Seconds after which it is worth trying again.
+    /// `Retry-After`, seconds.
     const fn retry_after(self) -> Option<&'static str> {
         match self {
             Self::Overloaded | Self::Failed | Self::MapBusy => Some("1"),
@@ -134,19 +133,19 @@ impl Kind {
     }
 }
 
-/// A refusal with the sentence that tells this occasion.
+/// An error response.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
-    /// Why.
-    pub kind: Kind,
-    /// One sentence: cause and mend.
+    /// The kind.
+    pub kind: ProblemKind,
+    /// One sentence: the cause and what to do.
     pub detail: String,
 }
 
 impl Problem {
-    /// A refusal.
+    /// A problem with its details.
     #[must_use]
-    pub fn new(kind: Kind, detail: impl Into<String>) -> Self {
+    pub fn new(kind: ProblemKind, detail: impl Into<String>) -> Self {
         Self { kind, detail: detail.into() }
     }
 }
@@ -163,24 +162,24 @@ impl IntoResponse for Problem {
         let mut response = (kind.status(), Json(body)).into_response();
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
-        // A refusal is of the moment; heuristic caching (RFC 9111, section 4.2.2) would keep a 404.
+        // Errors are temporary; heuristic caching (RFC 9111, section 4.2.2) would store a 404.
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
         if let Some(seconds) = kind.retry_after() {
             headers.insert(header::RETRY_AFTER, HeaderValue::from_static(seconds));
         }
         match kind {
-            // RFC 9110, sections 11.6.1 and 15.5.22: each of these statuses must say what would be
-            // accepted.
-            Kind::Unauthorised => {
+            // RFC 9110, sections 11.6.1 and 15.5.22: these statuses require a header that names what
+            // is accepted.
+            ProblemKind::Unauthorised => {
                 headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
             }
-            Kind::NotAnUpgrade => {
+            ProblemKind::NotAnUpgrade => {
                 headers.insert(header::UPGRADE, HeaderValue::from_static("websocket"));
                 headers.insert(header::CONNECTION, HeaderValue::from_static("upgrade"));
             }
             _ => {}
         }
-        // For whoever counts.
+        // For the metrics.
         response.extensions_mut().insert(kind);
         response
     }
@@ -191,10 +190,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_kind_knows_its_place_and_no_two_share_a_name() {
-        for (index, kind) in Kind::ALL.into_iter().enumerate() {
+    fn kinds_have_unique_names_and_their_index() {
+        for (index, kind) in ProblemKind::ALL.into_iter().enumerate() {
             assert_eq!(kind.index(), index);
-            assert_eq!(Kind::ALL.iter().filter(|other| other.name() == kind.name()).count(), 1);
+            assert_eq!(ProblemKind::ALL.iter().filter(|other| other.name() == kind.name()).count(), 1);
             assert!(kind.status().is_client_error() || kind.status().is_server_error());
             let is_temporary = kind.status() == StatusCode::SERVICE_UNAVAILABLE;
             assert_eq!(kind.retry_after().is_some(), is_temporary, "{}", kind.name());

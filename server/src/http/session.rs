@@ -1,9 +1,9 @@
-//! The door to a session: from an HTTP request to a WebSocket.
+//! The route of sessions: checks the handshake and starts a session task.
 
-use crate::http::problem::{Kind, Problem};
-use crate::listener::Shared;
-use crate::socket;
-use crate::upgrade::Upgrade;
+use crate::http::problem::{Problem, ProblemKind};
+use crate::session::driver::{self, READ_LIMIT};
+use crate::state::ServerState;
+use crate::websocket::upgrade::Upgrade;
 use axum::extract::{Request, State};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -12,11 +12,11 @@ use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-/// `GET /v1/stream`, and whatever method else comes to this door.
-pub async fn stream(State(shared): State<Arc<Shared>>, mut request: Request) -> Response {
+/// `/v1/stream`, all methods.
+pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request) -> Response {
     let upgrade = match Upgrade::of(&mut request) {
         Ok(upgrade) => upgrade,
-        Err((status, sentence)) => return refusal(status, sentence),
+        Err((status, sentence)) => return rejection(status, sentence),
     };
     let offered: Vec<_> = request
         .headers()
@@ -28,46 +28,45 @@ pub async fn stream(State(shared): State<Arc<Shared>>, mut request: Request) -> 
     if !offered.split(',').any(|name| name.trim() == SUBPROTOCOL) {
         let shown: String =
             if offered.is_empty() { "none".into() } else { offered.chars().take(100).collect() };
-        let sentence = format!("the client offers subprotocol {shown}, this server speaks {SUBPROTOCOL}");
-        return Problem::new(Kind::BadHandshake, sentence).into_response();
+        let sentence = format!("the client offers subprotocol {shown}, this server supports {SUBPROTOCOL}");
+        return Problem::new(ProblemKind::BadHandshake, sentence).into_response();
     }
-    let permit = Arc::clone(&shared.permits).try_acquire_owned();
-    let (false, Ok(permit)) = (shared.draining.is_cancelled(), permit) else {
-        return Problem::new(Kind::NoSession, "no session is free, try again later").into_response();
+    let permit = Arc::clone(&state.session_permits).try_acquire_owned();
+    let (false, Ok(permit)) = (state.draining.is_cancelled(), permit) else {
+        return Problem::new(ProblemKind::NoSession, "no session is free, retry later").into_response();
     };
     let peer = peer_address(&request);
-    let Some(place) = shared.addresses.enter(peer) else {
-        shared.metrics.address_refusals.inc();
-        let sentence = "too many sessions from this address, end one or try again later";
-        return Problem::new(Kind::AddressFull, sentence).into_response();
+    let Some(ip_permit) = state.sessions_per_ip.try_acquire(peer) else {
+        let sentence = "too many sessions from this address, end one or retry later";
+        return Problem::new(ProblemKind::AddressFull, sentence).into_response();
     };
     let response = upgrade.response(SUBPROTOCOL);
-    let number = shared.next_session.fetch_add(1, Ordering::Relaxed);
-    let tracker = shared.sessions.clone();
+    let number = state.next_session.fetch_add(1, Ordering::Relaxed);
+    let tracker = state.sessions.clone();
     tracker.spawn(async move {
-        if let Some(socket) = upgrade.socket().await {
-            socket::serve(socket, &shared, number, shared.purses.of(peer)).await;
+        if let Some(socket) = upgrade.socket(READ_LIMIT).await {
+            driver::serve(socket, &state, number, state.rate_limiter.bucket(peer)).await;
         }
-        drop((permit, place));
+        drop((permit, ip_permit));
     });
     response
 }
 
-/// Why a request is none that may become a session.
-fn refusal(status: StatusCode, sentence: &str) -> Response {
+/// The response to an invalid handshake.
+fn rejection(status: StatusCode, sentence: &str) -> Response {
     let kind = match status {
-        StatusCode::METHOD_NOT_ALLOWED => Kind::WrongMethod,
-        StatusCode::UPGRADE_REQUIRED => Kind::NotAnUpgrade,
-        _ => Kind::BadHandshake,
+        StatusCode::METHOD_NOT_ALLOWED => ProblemKind::WrongMethod,
+        StatusCode::UPGRADE_REQUIRED => ProblemKind::NotAnUpgrade,
+        _ => ProblemKind::BadHandshake,
     };
     let mut response = Problem::new(kind, sentence).into_response();
-    if kind == Kind::WrongMethod {
+    if kind == ProblemKind::WrongMethod {
         response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("GET"));
     }
     response
 }
 
-/// Where a request comes from; the accept loop tells.
+/// The peer's address, inserted by the accept loop.
 fn peer_address(request: &Request) -> Option<IpAddr> {
     request.extensions().get::<SocketAddr>().map(SocketAddr::ip)
 }

@@ -1,8 +1,8 @@
-//! What a client must know before it asks for anything else.
+//! The description of the world, which clients read first.
 
-use crate::SOFTWARE;
-use crate::listener::Shared;
-use crate::map;
+use crate::map::elevation::TILE_PIXELS;
+use crate::map::tiles::STYLE;
+use crate::state::{SOFTWARE, ServerState};
 use axum::Json;
 use axum::extract::State;
 use axum::http::header;
@@ -15,20 +15,20 @@ use terrain::constants::{
 };
 
 /// `GET /v1/world`.
-pub async fn get(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
-    let digest = shared.offer.digest.to_string();
+pub async fn get(State(state): State<Arc<ServerState>>) -> impl IntoResponse {
+    let digest = state.offer.digest.to_string();
     let description = json!({
         "server": SOFTWARE,
-        "world_seed": shared.config.world_seed,
+        "world_seed": state.config.world_seed,
         "generator_version": GENERATOR_VERSION,
         "digest": digest,
-        "takes_token": shared.offer.token.is_some(),
+        "takes_token": state.offer.token.is_some(),
         "stream": { "path": "/v1/stream", "subprotocol": SUBPROTOCOL, "version": PROTOCOL_VERSION },
         "chunks": format!("/v1/{digest}/chunk/{{level}}/{{x}}/{{z}}"),
         "chunk_format_version": chunk_codec::VERSION,
-        // The style is there for caches: a server that paints otherwise names its tiles otherwise.
-        "map": format!("/v1/{digest}/map/{{level}}/{{x}}/{{z}}.png?style={}", map::STYLE),
-        "map_tile_pixels": map::TILE_PIXELS,
+        // The style is for caches: a server with another style has other URLs.
+        "map": format!("/v1/{digest}/map/{{level}}/{{x}}/{{z}}.png?style={}", STYLE),
+        "map_tile_pixels": TILE_PIXELS,
         "heights": format!("/v1/{digest}/height/{{x}}/{{z}}"),
         "live": "/v1/live",
         "openapi": "/openapi.json",
@@ -39,6 +39,6 @@ pub async fn get(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
         "level_0_side_m": CELLS << (SPACING_BITS - UNIT_BITS),
         "world_half_m": WORLD_HALF >> UNIT_BITS,
     });
-    // Another server may answer here tomorrow.
+    // Another server may be started at this address.
     ([(header::CACHE_CONTROL, "no-cache")], Json(description))
 }

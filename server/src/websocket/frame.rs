@@ -1,31 +1,30 @@
-//! The frames of RFC 6455 as a server sees them: headers read and written, payloads unmasked. No
-//! IO, no state.
+//! Frame headers of RFC 6455 on the server side, and unmasking. No IO, no state.
 //!
-//! What it refuses: every frame that a client may not send (section 5), by a [`Fault`], before its
-//! payload is waited for.
+//! A frame that a client may not send (section 5) is rejected with a [`FrameError`] before its payload is
+//! read.
 
 use thiserror::Error;
 
-/// Longest header that a client's frame can have, bytes: two, a length of eight and a mask of four.
+/// Longest header of a client's frame, bytes: two, a length of eight and a mask of four.
 pub const MAX_CLIENT_HEADER: usize = 14;
 
 /// Longest payload of a control frame, bytes (section 5.5).
 pub const MAX_CONTROL_PAYLOAD: usize = 125;
 
-/// What a frame is (section 5.2).
+/// Type of a frame (section 5.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Opcode {
-    /// A further part of a message.
+    /// A further fragment of a message.
     Continuation,
-    /// Text, or its first part.
+    /// Text, or its first fragment.
     Text,
-    /// Binary data, or its first part.
+    /// Binary data, or its first fragment.
     Binary,
-    /// The good-bye.
+    /// The closing handshake.
     Close,
-    /// A question whether the peer is there.
+    /// A request for a pong.
     Ping,
-    /// The answer to it.
+    /// The answer to a ping.
     Pong,
 }
 
@@ -53,17 +52,18 @@ impl Opcode {
         }
     }
 
-    /// Whether it is a control frame: short, whole, and allowed between the parts of a message.
+    /// Whether it is a control frame: short, unfragmented, and allowed between the fragments of a
+    /// message.
     #[must_use]
     pub const fn is_control(self) -> bool {
         matches!(self, Self::Close | Self::Ping | Self::Pong)
     }
 }
 
-/// Why a client's bytes are no WebSocket frames.
+/// Why a client's bytes are no valid frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum Fault {
-    /// A reserved bit is set; no extension was agreed on.
+pub enum FrameError {
+    /// A reserved bit is set without an extension.
     #[error("a reserved bit of a frame is set")]
     Reserved,
     /// An opcode that RFC 6455 does not define.
@@ -72,11 +72,11 @@ pub enum Fault {
     /// A client must mask every frame.
     #[error("a client's frame is not masked")]
     Unmasked,
-    /// A control frame in parts, or with more than 125 bytes.
+    /// A control frame that is fragmented or longer than 125 bytes.
     #[error("a control frame is fragmented or longer than {MAX_CONTROL_PAYLOAD} bytes")]
     BadControl,
-    /// A continuation of nothing, or another message inside an unfinished one.
-    #[error("a message is continued that was not begun, or begun before the last one ended")]
+    /// A continuation without a message, or a new message inside an unfinished one.
+    #[error("a continuation frame without a message, or a new message inside an unfinished one")]
     BadSequence,
     /// A message beyond the limit.
     #[error("a message is longer than {0} bytes")]
@@ -88,9 +88,9 @@ pub enum Fault {
 pub struct Header {
     /// Whether the message ends with this frame.
     pub is_last: bool,
-    /// What it is.
+    /// Type of the frame.
     pub opcode: Opcode,
-    /// What its payload is masked with.
+    /// Masking key of the payload.
     pub mask: [u8; 4],
     /// Bytes of the header itself.
     pub header_length: usize,
@@ -102,19 +102,19 @@ pub struct Header {
 ///
 /// # Errors
 /// A frame that a client may not send, or a payload longer than `limit` bytes.
-pub fn read_header(bytes: &[u8], limit: usize) -> Result<Option<Header>, Fault> {
+pub fn read_header(bytes: &[u8], limit: usize) -> Result<Option<Header>, FrameError> {
     let [first, second, rest @ ..] = bytes else { return Ok(None) };
     if first & 0x70 != 0 {
-        return Err(Fault::Reserved);
+        return Err(FrameError::Reserved);
     }
-    let opcode = Opcode::from_bits(first & 15).ok_or(Fault::UnknownOpcode(first & 15))?;
+    let opcode = Opcode::from_bits(first & 15).ok_or(FrameError::UnknownOpcode(first & 15))?;
     if second & 0x80 == 0 {
-        return Err(Fault::Unmasked);
+        return Err(FrameError::Unmasked);
     }
     let is_last = first & 0x80 != 0;
     let short = second & 0x7f;
     if opcode.is_control() && (!is_last || usize::from(short) > MAX_CONTROL_PAYLOAD) {
-        return Err(Fault::BadControl);
+        return Err(FrameError::BadControl);
     }
     let (length, rest) = match short {
         126 => match rest.split_first_chunk() {
@@ -127,9 +127,9 @@ pub fn read_header(bytes: &[u8], limit: usize) -> Result<Option<Header>, Fault> 
         },
         short => (u64::from(short), rest),
     };
-    // Judged before the payload arrives: nothing is collected that would be refused.
+    // Checked before the payload arrives, so that no rejected payload is buffered.
     let payload_length =
-        usize::try_from(length).ok().filter(|length| *length <= limit).ok_or(Fault::TooLong(limit))?;
+        usize::try_from(length).ok().filter(|length| *length <= limit).ok_or(FrameError::TooLong(limit))?;
     let Some(mask) = rest.first_chunk() else { return Ok(None) };
     let header_length = bytes.len() - rest.len() + mask.len();
     Ok(Some(Header { is_last, opcode, mask: *mask, header_length, payload_length }))
@@ -137,7 +137,7 @@ pub fn read_header(bytes: &[u8], limit: usize) -> Result<Option<Header>, Fault> 
 
 /// Removes a mask from the start of a payload (section 5.3).
 pub fn unmask(payload: &mut [u8], mask: [u8; 4]) {
-    // Whole words first: a compiler makes vectors of this loop.
+    // Whole words first: the compiler vectorises this loop.
     let word = u32::from_ne_bytes(mask);
     let mut words = payload.chunks_exact_mut(4);
     for chunk in &mut words {
@@ -149,7 +149,7 @@ pub fn unmask(payload: &mut [u8], mask: [u8; 4]) {
     }
 }
 
-/// The header of a whole, unmasked frame, as a server sends it.
+/// The header of an unfragmented, unmasked frame, as a server sends it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ServerHeader {
     bytes: [u8; 10],
@@ -157,7 +157,7 @@ pub struct ServerHeader {
 }
 
 impl ServerHeader {
-    /// The header for a payload of so many bytes, in the shortest form.
+    /// The header for a payload of `payload` bytes, in the shortest form.
     #[must_use]
     pub fn new(opcode: Opcode, payload: usize) -> Self {
         let mut bytes = [0; 10];
@@ -190,7 +190,7 @@ mod tests {
 
     const LIMIT: usize = 70_000;
 
-    /// A client's frame as bytes, with the length in the form that its value asks for.
+    /// A client's frame as bytes, with the length in its shortest form.
     fn frame(first: u8, payload: &[u8], mask: [u8; 4]) -> Vec<u8> {
         let mut bytes = vec![first];
         match payload.len() {
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn headers_of_every_length_form_are_read_and_their_truncations_are_waited_for() {
+    fn headers_are_read_in_every_length_form_and_truncation() {
         for length in [0, 1, 125, 126, 65_535, 65_536] {
             let bytes = frame(0x82, &vec![7; length], [1, 2, 3, 4]);
             let header = read_header(&bytes, LIMIT).unwrap().unwrap();
@@ -228,16 +228,16 @@ mod tests {
     }
 
     #[test]
-    fn what_a_client_may_not_send_is_refused_by_name() {
-        let cases: [(&[u8], Fault); 8] = [
-            (&[0xc2, 0x80], Fault::Reserved),
-            (&[0x92, 0x80], Fault::Reserved),
-            (&[0x83, 0x80], Fault::UnknownOpcode(3)),
-            (&[0x8f, 0x80], Fault::UnknownOpcode(15)),
-            (&[0x82, 0x05], Fault::Unmasked),
-            (&[0x09, 0x80], Fault::BadControl),
-            (&[0x89, 0xfe], Fault::BadControl),
-            (&[0x82, 0xff, 0x80, 0, 0, 0, 0, 0, 0, 0], Fault::TooLong(LIMIT)),
+    fn invalid_client_frames_are_rejected_with_their_fault() {
+        let cases: [(&[u8], FrameError); 8] = [
+            (&[0xc2, 0x80], FrameError::Reserved),
+            (&[0x92, 0x80], FrameError::Reserved),
+            (&[0x83, 0x80], FrameError::UnknownOpcode(3)),
+            (&[0x8f, 0x80], FrameError::UnknownOpcode(15)),
+            (&[0x82, 0x05], FrameError::Unmasked),
+            (&[0x09, 0x80], FrameError::BadControl),
+            (&[0x89, 0xfe], FrameError::BadControl),
+            (&[0x82, 0xff, 0x80, 0, 0, 0, 0, 0, 0, 0], FrameError::TooLong(LIMIT)),
         ];
         for (bytes, fault) in cases {
             assert_eq!(read_header(bytes, LIMIT), Err(fault), "{bytes:02x?}");
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn unmasking_twice_changes_nothing_and_once_changes_every_byte() {
+    fn unmasking_is_its_own_inverse_and_changes_every_byte() {
         for length in 0..40 {
             let plain: Vec<u8> = (0..length).collect();
             let mut bytes = plain.clone();
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn server_headers_take_the_shortest_form() {
+    fn server_headers_have_the_shortest_form() {
         let bytes = |length| ServerHeader::new(Opcode::Binary, length).as_bytes().to_vec();
         assert_eq!(bytes(125), [0x82, 125]);
         assert_eq!(bytes(126), [0x82, 126, 0, 126]);

@@ -1,22 +1,22 @@
-//! What a client has sent and nobody has looked at: bytes in, whole messages out.
+//! Message assembly: bytes in, whole messages out.
 //!
-//! Holds at most one unfinished message and one read's worth of frames behind it; empty, it holds
+//! Holds at most one unfinished message and the frames of one read behind it. An empty inbox holds
 //! no memory.
 
-use super::frame::{Fault, Header, MAX_CLIENT_HEADER, Opcode, read_header, unmask};
+use super::frame::{FrameError, Header, MAX_CLIENT_HEADER, Opcode, read_header, unmask};
 
 /// A whole message, unmasked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Message<'a> {
     /// Binary data.
     Binary(&'a [u8]),
-    /// A text message; nobody here reads it.
+    /// A text message, whose payload is not read.
     Text,
-    /// A ping with what the pong must repeat.
+    /// A ping with the payload that the pong must repeat.
     Ping(&'a [u8]),
     /// A pong.
     Pong,
-    /// The peer says good-bye, with a code if it gave a valid one.
+    /// A close frame, with its code if it has one.
     Close(Option<u16>),
 }
 
@@ -26,35 +26,35 @@ pub struct Inbox {
     /// Longest message, bytes.
     limit: usize,
     bytes: Vec<u8>,
-    /// Of `bytes`, what has been handed out.
+    /// Consumed bytes at the start of `bytes`.
     used: usize,
-    /// The parts so far of a message in several frames, with what it is. At most `limit` bytes.
-    parts: Option<(Opcode, Vec<u8>)>,
-    /// Whether `parts` was handed out by the last call and is to be dropped by the next.
-    is_whole: bool,
+    /// The fragments so far of a fragmented message, with its type. At most `limit` bytes.
+    fragments: Option<(Opcode, Vec<u8>)>,
+    /// Whether the last call returned `fragments`, which the next call has to drop.
+    is_returned: bool,
 }
 
 impl Inbox {
-    /// An empty one for messages of at most `limit` bytes.
+    /// An empty inbox for messages of at most `limit` bytes.
     #[must_use]
     pub const fn new(limit: usize) -> Self {
-        Self { limit, bytes: Vec::new(), used: 0, parts: None, is_whole: false }
+        Self { limit, bytes: Vec::new(), used: 0, fragments: None, is_returned: false }
     }
 
-    /// Adds what was read.
+    /// Adds bytes read.
     pub fn extend(&mut self, bytes: &[u8]) {
         self.bytes.drain(..self.used);
         self.used = 0;
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// The next whole message; none until more is read.
+    /// The next whole message; none if it is incomplete.
     ///
     /// # Errors
-    /// The client broke RFC 6455; nothing after it can be understood.
-    pub fn next_message(&mut self) -> Result<Option<Message<'_>>, Fault> {
-        if std::mem::take(&mut self.is_whole) {
-            self.parts = None;
+    /// The client violated RFC 6455; the rest of the stream cannot be parsed.
+    pub fn next_message(&mut self) -> Result<Option<Message<'_>>, FrameError> {
+        if std::mem::take(&mut self.is_returned) {
+            self.fragments = None;
         }
         loop {
             let Some(header) = read_header(&self.bytes[self.used..], self.limit)? else {
@@ -71,36 +71,38 @@ impl Inbox {
             unmask(&mut self.bytes[start..end], header.mask);
             match (header.opcode, header.is_last) {
                 (Opcode::Continuation, is_last) => {
-                    if let Some((_, parts)) = &mut self.parts {
-                        parts.extend_from_slice(&self.bytes[start..end]);
+                    if let Some((_, fragments)) = &mut self.fragments {
+                        fragments.extend_from_slice(&self.bytes[start..end]);
                     }
                     if is_last {
-                        self.is_whole = true;
-                        return Ok(self.parts.as_ref().map(|(opcode, parts)| message(*opcode, parts)));
+                        self.is_returned = true;
+                        return Ok(self
+                            .fragments
+                            .as_ref()
+                            .map(|(opcode, fragments)| message(*opcode, fragments)));
                     }
                 }
                 (opcode, true) => return Ok(Some(message(opcode, &self.bytes[start..end]))),
-                (opcode, false) => self.parts = Some((opcode, self.bytes[start..end].to_vec())),
+                (opcode, false) => self.fragments = Some((opcode, self.bytes[start..end].to_vec())),
             }
         }
     }
 
-    /// Judges a frame by what came before it.
-    fn check(&self, header: &Header) -> Result<(), Fault> {
+    /// Checks a frame against the fragments before it.
+    fn check(&self, header: &Header) -> Result<(), FrameError> {
         if header.opcode.is_control() {
             return Ok(());
         }
-        match (&self.parts, header.opcode == Opcode::Continuation) {
-            (Some((_, parts)), true) if parts.len() + header.payload_length > self.limit => {
-                Err(Fault::TooLong(self.limit))
+        match (&self.fragments, header.opcode == Opcode::Continuation) {
+            (Some((_, fragments)), true) if fragments.len() + header.payload_length > self.limit => {
+                Err(FrameError::TooLong(self.limit))
             }
             (Some(_), true) | (None, false) => Ok(()),
-            (Some(_), false) | (None, true) => Err(Fault::BadSequence),
+            (Some(_), false) | (None, true) => Err(FrameError::BadSequence),
         }
     }
 
-    /// Gives memory back when everything was handed out: most connections are silent most of the
-    /// time.
+    /// Frees the buffer when it is consumed: most connections are idle most of the time.
     fn release(&mut self) {
         if self.used == self.bytes.len() {
             self.used = 0;
@@ -118,7 +120,7 @@ fn message(opcode: Opcode, payload: &[u8]) -> Message<'_> {
         Opcode::Ping => Message::Ping(payload),
         Opcode::Pong => Message::Pong,
         Opcode::Close => Message::Close(payload.first_chunk().map(|code| u16::from_be_bytes(*code))),
-        // A continuation is handed out under the opcode that its message began with.
+        // A fragmented message has the opcode of its first frame.
         Opcode::Binary | Opcode::Continuation => Message::Binary(payload),
     }
 }
@@ -136,8 +138,8 @@ mod tests {
         bytes
     }
 
-    /// Everything that comes out, as owned words.
-    fn drain(inbox: &mut Inbox) -> Result<Vec<String>, Fault> {
+    /// All messages as text.
+    fn drain(inbox: &mut Inbox) -> Result<Vec<String>, FrameError> {
         let mut out = Vec::new();
         while let Some(message) = inbox.next_message()? {
             out.push(format!("{message:?}"));
@@ -146,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_come_out_alike_however_the_bytes_are_cut() {
+    fn messages_do_not_depend_on_how_the_bytes_are_split() {
         let all = [
             frame(0x82, b"one"),
             frame(0x02, b"tw"),
@@ -174,32 +176,32 @@ mod tests {
                 inbox.extend(part);
                 got.extend(drain(&mut inbox).unwrap());
             }
-            assert_eq!(got, expected, "in parts of {size}");
+            assert_eq!(got, expected, "in chunks of {size}");
         }
     }
 
     #[test]
-    fn an_endless_message_of_small_parts_is_cut_off_at_the_limit() {
+    fn a_fragmented_message_is_rejected_at_the_limit() {
         let mut inbox = Inbox::new(100);
         inbox.extend(&frame(0x02, &[0; 60]));
         assert_eq!(inbox.next_message(), Ok(None));
         inbox.extend(&frame(0x00, &[0; 40]));
         assert_eq!(inbox.next_message(), Ok(None));
         inbox.extend(&frame(0x00, &[0; 1]));
-        assert_eq!(inbox.next_message(), Err(Fault::TooLong(100)));
+        assert_eq!(inbox.next_message(), Err(FrameError::TooLong(100)));
     }
 
     #[test]
-    fn parts_out_of_order_are_refused() {
+    fn fragments_out_of_order_are_rejected() {
         for frames in [vec![frame(0x80, b"x")], vec![frame(0x02, b"x"), frame(0x82, b"y")]] {
             let mut inbox = Inbox::new(100);
             inbox.extend(&frames.concat());
-            assert_eq!(inbox.next_message(), Err(Fault::BadSequence));
+            assert_eq!(inbox.next_message(), Err(FrameError::BadSequence));
         }
     }
 
     #[test]
-    fn an_emptied_inbox_holds_no_memory() {
+    fn an_empty_inbox_holds_no_memory() {
         let mut inbox = Inbox::new(1000);
         for _ in 0..3 {
             inbox.extend(&vec![frame(0x82, &[1; 100]); 20].concat());

@@ -15,7 +15,7 @@ mod programs;
 
 use chromium::{Browser, Tab};
 use libtest_mimic::{Arguments, Failed, Trial};
-use programs::{Program, Wanderer};
+use programs::{MovingClient, Program};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -96,11 +96,11 @@ async fn colours(tab: &mut Tab) -> (u64, u64) {
 
 async fn visit() {
     let server = Program::start("127.0.0.1:0", &[]);
-    let still = Wanderer::start(&server, [-2600, 1400], 45_000, 0).await;
+    let still = MovingClient::start(&server, [-2600, 1400], 45_000, 0).await;
     let others = [
-        Wanderer::start(&server, [-300, -900], 200_000, 90).await,
-        Wanderer::start(&server, [1900, 2300], -60_000, 120).await,
-        Wanderer::start(&server, [1500, -2700], 120_000, 60).await,
+        MovingClient::start(&server, [-300, -900], 200_000, 90).await,
+        MovingClient::start(&server, [1900, 2300], -60_000, 120).await,
+        MovingClient::start(&server, [1500, -2700], 120_000, 60).await,
     ];
     let browser = Browser::start();
     let mut tab = browser.tab().await;

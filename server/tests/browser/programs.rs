@@ -3,7 +3,7 @@
 use futures_util::{SinkExt, StreamExt};
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::view::View;
-use protocol::{Delivery, Incoming, SUBPROTOCOL};
+use protocol::{DataFrame, Delivery, SUBPROTOCOL};
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -14,7 +14,7 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 
-/// Chunks that a wanderer remembers.
+/// Chunks that a moving client remembers.
 const HELD: usize = 1200;
 
 /// A running `tombolo-server`; killed when dropped.
@@ -59,13 +59,13 @@ impl Drop for Program {
 }
 
 /// A real session whose view moves on whenever it is settled; ends when dropped.
-pub struct Wanderer {
+pub struct MovingClient {
     /// Its number.
     pub session: u64,
     task: JoinHandle<()>,
 }
 
-impl Wanderer {
+impl MovingClient {
     /// Connects at a place in metres with a heading, and then walks `pace_m` metres a step along a
     /// wide circle.
     pub async fn start(server: &Program, [x_m, z_m]: [i32; 2], yaw_mdeg: i32, pace_m: i32) -> Self {
@@ -76,7 +76,7 @@ impl Wanderer {
             digest: None,
             delivery: Delivery::Exact,
             token: None,
-            software: "wanderer".into(),
+            software: "moving client".into(),
             window: 64,
         };
         let mut session = ClientSession::new(config);
@@ -123,7 +123,7 @@ impl Wanderer {
     }
 }
 
-impl Drop for Wanderer {
+impl Drop for MovingClient {
     fn drop(&mut self) {
         self.task.abort();
     }
@@ -139,7 +139,7 @@ async fn step(
     }
     loop {
         match socket.next().await?.ok()? {
-            Message::Binary(frame) => return session.receive(Incoming::Binary(&frame)).ok(),
+            Message::Binary(frame) => return session.receive(DataFrame::Binary(&frame)).ok(),
             Message::Close(_) => return None,
             // Pings are answered by the library on the next write.
             _ => {}

@@ -1,33 +1,33 @@
-//! Validators, conditional requests, what caches are told: RFC 9110 and RFC 9111.
+//! Validators, conditional requests and `Cache-Control`: RFC 9110 and RFC 9111.
 
 use crate::client::Server;
 use server::ServerConfig;
 
-const FOR_EVER: &str = "public, max-age=31536000, immutable";
+const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 
 #[tokio::test]
-async fn what_never_changes_is_validated_strongly_and_kept_for_ever() {
+async fn immutable_resources_have_a_strong_validator() {
     let server = Server::start().await;
     for path in [server.path("chunk/2/-3/1"), server.path("map/3/0/-1.png")] {
         let first = server.get(&path).await;
         let etag = first.header("etag").to_owned();
-        assert_eq!((first.status, first.header("cache-control")), (200, FOR_EVER), "{path}");
+        assert_eq!((first.status, first.header("cache-control")), (200, IMMUTABLE), "{path}");
         assert!(etag.starts_with('"') && etag.ends_with('"') && etag.len() == 34, "{etag}");
         for known in [etag.as_str(), &format!("W/{etag}"), &format!("\"x\", {etag}"), "*"] {
-            let again = server.ask("GET", &path, &[("If-None-Match", known)]).await;
+            let again = server.request("GET", &path, &[("If-None-Match", known)]).await;
             assert_eq!((again.status, again.body.len()), (304, 0), "{known}");
-            // RFC 9110, section 15.4.5: what a 200 would have said of the cached one.
-            assert_eq!((again.header("etag"), again.header("cache-control")), (etag.as_str(), FOR_EVER));
+            // RFC 9110, section 15.4.5: the headers of the corresponding 200.
+            assert_eq!((again.header("etag"), again.header("cache-control")), (etag.as_str(), IMMUTABLE));
         }
         let two_lines = [("If-None-Match", "\"x\""), ("If-None-Match", etag.as_str())];
-        assert_eq!(server.ask("GET", &path, &two_lines).await.status, 304);
-        assert_eq!(server.ask("GET", &path, &[("If-None-Match", "\"x\"")]).await.status, 200);
-        assert_eq!(server.ask("GET", &path, &[("If-Match", &etag)]).await.status, 200);
-        let failed = server.ask("GET", &path, &[("If-Match", "\"x\"")]).await;
+        assert_eq!(server.request("GET", &path, &two_lines).await.status, 304);
+        assert_eq!(server.request("GET", &path, &[("If-None-Match", "\"x\"")]).await.status, 200);
+        assert_eq!(server.request("GET", &path, &[("If-Match", &etag)]).await.status, 200);
+        let failed = server.request("GET", &path, &[("If-Match", "\"x\"")]).await;
         assert_eq!((failed.status, failed.problem().as_str()), (412, "precondition-failed"));
-        // If-Match comes first: RFC 9110, section 13.2.2.
+        // `If-Match` takes precedence: RFC 9110, section 13.2.2.
         let both = [("If-Match", "\"x\""), ("If-None-Match", etag.as_str())];
-        assert_eq!(server.ask("GET", &path, &both).await.status, 412);
+        assert_eq!(server.request("GET", &path, &both).await.status, 412);
         assert_eq!(server.get(&path).await.body, first.body, "the same bytes under the same validator");
     }
     let (one, other) = (server.path("chunk/0/0/0"), server.path("chunk/0/0/1"));
@@ -35,7 +35,7 @@ async fn what_never_changes_is_validated_strongly_and_kept_for_ever() {
 }
 
 #[tokio::test]
-async fn a_head_request_is_answered_as_a_get_request_without_its_body() {
+async fn a_head_response_is_a_get_response_without_its_body() {
     let server = Server::start().await;
     for path in [
         server.path("chunk/0/1/1"),
@@ -48,7 +48,7 @@ async fn a_head_request_is_answered_as_a_get_request_without_its_body() {
         "/livez".into(),
         "/readyz".into(),
     ] {
-        let (get, head) = (server.get(&path).await, server.ask("HEAD", &path, &[]).await);
+        let (get, head) = (server.get(&path).await, server.request("HEAD", &path, &[]).await);
         assert_eq!((get.status, head.status, head.body.len()), (200, 200, 0), "{path}");
         assert_eq!(head.header("content-length"), get.body.len().to_string(), "{path}");
         for name in ["etag", "content-type", "cache-control", "x-content-type-options"] {
@@ -58,12 +58,12 @@ async fn a_head_request_is_answered_as_a_get_request_without_its_body() {
     }
     let path = server.path("chunk/0/1/1");
     let etag = server.get(&path).await.header("etag").to_owned();
-    assert_eq!(server.ask("HEAD", &path, &[("If-None-Match", &etag)]).await.status, 304);
-    assert_eq!(server.ask("HEAD", &server.path("chunk/17/0/0"), &[]).await.status, 404);
+    assert_eq!(server.request("HEAD", &path, &[("If-None-Match", &etag)]).await.status, 304);
+    assert_eq!(server.request("HEAD", &server.path("chunk/17/0/0"), &[]).await.status, 404);
 }
 
 #[tokio::test]
-async fn what_takes_a_token_is_private_to_those_who_have_it() {
+async fn resources_that_require_a_token_are_private() {
     let config = ServerConfig { token: Some("sesame".into()), threads: 1, ..ServerConfig::default() };
     let server = Server::start_with(config).await;
     for path in [
@@ -75,18 +75,18 @@ async fn what_takes_a_token_is_private_to_those_who_have_it() {
         let locked = server.get(&path).await;
         assert_eq!((locked.status, locked.problem().as_str()), (401, "unauthorised"), "{path}");
         assert_eq!(locked.header("www-authenticate"), "Bearer");
-        assert_eq!(server.ask("GET", &path, &[("Authorization", "Bearer other")]).await.status, 401);
-        // The scheme in any case, the token not.
-        assert_eq!(server.ask("GET", &path, &[("Authorization", "Bearer SESAME")]).await.status, 401);
+        assert_eq!(server.request("GET", &path, &[("Authorization", "Bearer other")]).await.status, 401);
+        // The scheme is case-insensitive, the token is not.
+        assert_eq!(server.request("GET", &path, &[("Authorization", "Bearer SESAME")]).await.status, 401);
         for scheme in ["Bearer", "bearer", "BEARER"] {
             let given = format!("{scheme} sesame");
-            let open = server.ask("GET", &path, &[("Authorization", &given)]).await;
+            let open = server.request("GET", &path, &[("Authorization", &given)]).await;
             assert_eq!(open.status, 200, "{path} {scheme}");
-            // `public` would let a shared cache give it to everybody: RFC 9111, section 3.5.
+            // `public` would let a shared cache serve it without the token: RFC 9111, section 3.5.
             assert!(!open.header("cache-control").contains("public"), "{}", open.header("cache-control"));
         }
-        // Not even whether something would have changed.
-        assert_eq!(server.ask("GET", &path, &[("If-None-Match", "*")]).await.status, 401);
+        // A conditional request reveals nothing without the token.
+        assert_eq!(server.request("GET", &path, &[("If-None-Match", "*")]).await.status, 401);
     }
     assert_eq!(server.get("/v1/world").await.json()["takes_token"], true);
 }

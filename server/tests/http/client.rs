@@ -1,5 +1,5 @@
-//! A server in this process, and requests written out byte by byte, so that nothing between a test
-//! and the server mends them.
+//! A server in this process, and requests written byte by byte, so that no client library corrects
+//! them.
 
 use server::ServerConfig;
 use std::collections::BTreeMap;
@@ -11,17 +11,17 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
-/// Longest wait for anything; a test that hits it has failed.
-pub const PATIENCE: Duration = Duration::from_secs(30);
+/// Timeout of every wait.
+pub const TEST_TIMEOUT: Duration = Duration::from_secs(30);
 
 pub struct Server {
     pub address: SocketAddr,
-    /// Dropped, it stops the server.
+    /// Stops the server when dropped.
     stop: oneshot::Sender<()>,
     running: JoinHandle<()>,
 }
 
-/// What came back.
+/// A response.
 #[derive(Debug)]
 pub struct Reply {
     pub status: u16,
@@ -47,37 +47,37 @@ impl Server {
         Self { address, stop, running }
     }
 
-    /// Stops the server and waits until it has ended as it does by itself.
+    /// Stops the server and waits for its end.
     pub async fn stop(self) {
         drop(self.stop);
-        tokio::time::timeout(PATIENCE, self.running).await.expect("the server ends in time").unwrap();
+        tokio::time::timeout(TEST_TIMEOUT, self.running).await.expect("the server ends in time").unwrap();
     }
 
-    /// What a counter or gauge without labels says in `/metrics`.
+    /// The value of a counter or gauge in `/metrics`; its labels are part of the name.
     pub async fn metric(&self, name: &str) -> f64 {
         let text = String::from_utf8(self.get("/metrics").await.body).unwrap();
         let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
         line.unwrap_or_else(|| panic!("{name} is not in {text}")).parse().unwrap()
     }
 
-    /// The path of something of this server's world: `chunk/0/0/0`, say.
+    /// The path of a resource of this server's world, such as `chunk/0/0/0`.
     pub fn path(&self, rest: &str) -> String {
         format!("/v1/{}/{rest}", Land::new(1).digest())
     }
 
     pub async fn get(&self, path: &str) -> Reply {
-        self.ask("GET", path, &[]).await
+        self.request("GET", path, &[]).await
     }
 
-    pub async fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> Reply {
+    pub async fn request(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> Reply {
         let stream = TcpStream::connect(self.address).await.unwrap();
-        ask_over(stream, method, path, headers).await
+        request_over(stream, method, path, headers).await
     }
 }
 
-/// One request over a fresh connection, read to the connection's end or, for an upgrade, to the end
-/// of the head.
-async fn ask_over(mut stream: TcpStream, method: &str, path: &str, headers: &[(&str, &str)]) -> Reply {
+/// One request over a new connection, read to the end of the connection or, for an upgrade, of the
+/// head.
+async fn request_over(mut stream: TcpStream, method: &str, path: &str, headers: &[(&str, &str)]) -> Reply {
     let mut request = format!("{method} {path} HTTP/1.1\r\nHost: test\r\n");
     if !headers.iter().any(|(name, _)| name.eq_ignore_ascii_case("connection")) {
         request += "Connection: close\r\n";
@@ -96,7 +96,7 @@ async fn ask_over(mut stream: TcpStream, method: &str, path: &str, headers: &[(&
         }
         bytes
     };
-    let bytes = tokio::time::timeout(PATIENCE, read).await.expect("the server answers in time");
+    let bytes = tokio::time::timeout(TEST_TIMEOUT, read).await.expect("the server answers in time");
     let end = bytes.windows(4).position(|four| four == b"\r\n\r\n").expect("a whole head");
     let head = std::str::from_utf8(&bytes[..end]).unwrap();
     let mut lines = head.lines();
@@ -118,7 +118,7 @@ impl Reply {
         serde_json::from_slice(&self.body).unwrap()
     }
 
-    /// The kind of a refusal, checked to be a whole problem document.
+    /// The kind of a valid problem document.
     pub fn problem(&self) -> String {
         assert_eq!(self.header("content-type"), "application/problem+json");
         let problem = self.json();

@@ -1,16 +1,25 @@
-//! Servers one after the other over the same folder.
+//! The disk cache over restarts of the server.
 
 use crate::client::Server;
 use protocol::Delivery;
 use protocol::chunk_codec;
 use server::ServerConfig;
-use server::disk::DiskConfig;
+use server::cache::disk::DiskConfig;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 use terrain::{ChunkKey, Land};
 
-/// A folder of its own for each, removed at the end.
+const COMPLETED: &str = "generation_jobs_total{outcome=\"completed\"}";
+const HITS: &str = "disk_cache_reads_total{outcome=\"hit\"}";
+const MISSES: &str = "disk_cache_reads_total{outcome=\"miss\"}";
+const WRITTEN: &str = "disk_cache_writes_total{outcome=\"written\"}";
+const DROPPED: &str = "disk_cache_writes_total{outcome=\"dropped\"}";
+const CORRUPT: &str = "disk_cache_errors_total{reason=\"corrupt\"}";
+const IO_ERRORS: &str = "disk_cache_errors_total{reason=\"io\"}";
+const UP: &str = "disk_cache_up";
+
+/// A folder per test, removed at the end.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -32,7 +41,7 @@ impl Folder {
         .await
     }
 
-    /// The files of frames, in the order of their names' ends.
+    /// The files of frames by name.
     fn frames(&self) -> Vec<PathBuf> {
         let shards = fs::read_dir(&self.0).unwrap().map(|entry| entry.unwrap().path());
         let shards = shards.filter(|path| path.is_dir());
@@ -50,7 +59,7 @@ impl Drop for Folder {
     }
 }
 
-/// Asks for a chunk of a world and gives its exact frame, which must be whole.
+/// Requests a chunk of a world; its exact frame must be valid.
 async fn chunk(server: &Server, world_seed: u64, x: i32) -> Vec<u8> {
     let (land, key) = (Land::new(world_seed), ChunkKey::new(4, x, -1).unwrap());
     let reply = server.get(&format!("/v1/{}/chunk/4/{x}/-1", land.digest())).await;
@@ -59,7 +68,7 @@ async fn chunk(server: &Server, world_seed: u64, x: i32) -> Vec<u8> {
     reply.body
 }
 
-async fn counts<const N: usize>(server: &Server, names: [&str; N]) -> [f64; N] {
+async fn metrics<const N: usize>(server: &Server, names: [&str; N]) -> [f64; N] {
     let mut values = [0.0; N];
     for (value, name) in values.iter_mut().zip(names) {
         *value = server.metric(&format!("tombolo_{name}")).await;
@@ -68,35 +77,35 @@ async fn counts<const N: usize>(server: &Server, names: [&str; N]) -> [f64; N] {
 }
 
 #[tokio::test]
-async fn a_server_finds_again_what_the_one_before_it_made_and_another_world_does_not() {
+async fn frames_survive_a_restart_but_not_another_world() {
     let folder = Folder::new();
     let first = folder.serve(1).await;
-    let mut made = Vec::new();
+    let mut frames = Vec::new();
     for x in -2..2 {
-        made.push(chunk(&first, 1, x).await);
+        frames.push(chunk(&first, 1, x).await);
     }
-    let names = ["generated_total", "disk_hits_total", "disk_misses_total"];
-    assert_eq!(counts(&first, names).await, [4.0, 0.0, 4.0]);
+    let names = [COMPLETED, HITS, MISSES];
+    assert_eq!(metrics(&first, names).await, [4.0, 0.0, 4.0]);
     first.stop().await;
     assert_eq!(folder.frames().len(), 4);
 
     let second = folder.serve(1).await;
-    for (x, frame) in (-2..2).zip(&made) {
+    for (x, frame) in (-2..2).zip(&frames) {
         assert_eq!(&chunk(&second, 1, x).await, frame);
     }
-    assert_eq!(counts(&second, ["generated_total", "disk_hits_total"]).await, [0.0, 4.0]);
-    // From memory the second time.
+    assert_eq!(metrics(&second, [COMPLETED, HITS]).await, [0.0, 4.0]);
+    // The second request is served from memory.
     chunk(&second, 1, 0).await;
-    assert_eq!(counts(&second, ["cache_hits_total", "disk_hits_total"]).await, [1.0, 4.0]);
+    assert_eq!(metrics(&second, ["frame_requests_total{outcome=\"cache_hit\"}", HITS]).await, [1.0, 4.0]);
     second.stop().await;
 
     let other = folder.serve(2).await;
-    assert_ne!(chunk(&other, 2, 0).await, made[2]);
-    assert_eq!(counts(&other, ["generated_total", "disk_hits_total"]).await, [1.0, 0.0]);
+    assert_ne!(chunk(&other, 2, 0).await, frames[2]);
+    assert_eq!(metrics(&other, [COMPLETED, HITS]).await, [1.0, 0.0]);
 }
 
 #[tokio::test]
-async fn a_frame_that_is_not_what_it_was_is_deleted_and_made_again_and_nobody_notices() {
+async fn a_corrupt_file_is_deleted_and_generated_again() {
     let folder = Folder::new();
     let first = folder.serve(1).await;
     let (left, right) = (chunk(&first, 1, 0).await, chunk(&first, 1, 1).await);
@@ -113,15 +122,14 @@ async fn a_frame_that_is_not_what_it_was_is_deleted_and_made_again_and_nobody_no
         bytes[at] ^= 1;
         bytes
     };
-    // The error, which nothing but the digest protects; the version; the digest itself; the
-    // payload.
+    // The error, which only the digest protects; the version; the digest; the payload.
     let mut forms = [28, 4, 50, 100, left.len() - 1].map(flipped).to_vec();
     forms.push(left[..left.len() - 1].to_vec());
     forms.push(left[..10].to_vec());
     forms.push(Vec::new());
     forms.push([&left[..], b"x"].concat());
     forms.push(b"not a frame at all".to_vec());
-    // Whole, but another chunk's, for another delivery, and another world's.
+    // Valid frames of another chunk, of another delivery, and of another world.
     forms.push(right.clone());
     let (land, key) = (Land::new(1), ChunkKey::new(4, 0, -1).unwrap());
     let seed = chunk_codec::encode_for(Delivery::SeedOnly, &land.chunk(key), &land.digest());
@@ -133,17 +141,17 @@ async fn a_frame_that_is_not_what_it_was_is_deleted_and_made_again_and_nobody_no
         fs::write(&left_file, &form).unwrap();
         let server = folder.serve(1).await;
         assert_eq!(chunk(&server, 1, 0).await, left);
-        let names = ["generated_total", "disk_damaged_total", "disk_hits_total", "failed_total"];
-        assert_eq!(counts(&server, names).await, [1.0, 1.0, 0.0, 0.0]);
+        let names = [COMPLETED, CORRUPT, HITS, "generation_jobs_total{outcome=\"failed\"}"];
+        assert_eq!(metrics(&server, names).await, [1.0, 1.0, 0.0, 0.0]);
         server.stop().await;
-        assert_eq!(fs::read(&left_file).unwrap(), left, "what was made again is kept again");
+        assert_eq!(fs::read(&left_file).unwrap(), left, "the new frame is cached again");
     }
 }
 
 #[tokio::test]
-async fn a_folder_that_cannot_be_used_or_vanishes_costs_no_chunk() {
+async fn an_unavailable_folder_does_not_affect_chunks() {
     let folder = Folder::new();
-    // A file where a folder should be: nobody can write below it, whatever his rights.
+    // A file in the place of a folder, which no user can write to.
     let blocked = Folder::new();
     fs::write(blocked.0.join("file"), "").unwrap();
     let blocked_disk = DiskConfig { folder: blocked.0.join("file/below"), bytes: 64 << 20 };
@@ -151,29 +159,29 @@ async fn a_folder_that_cannot_be_used_or_vanishes_costs_no_chunk() {
         Server::start_with(ServerConfig { threads: 1, disk: Some(blocked_disk), ..ServerConfig::default() })
             .await;
     chunk(&server, 1, 0).await;
-    // The thread that writes may not have got so far.
-    while server.metric("tombolo_disk_dropped_total").await < 1.0 {
+    // The writer thread is asynchronous.
+    while metrics(&server, [DROPPED]).await < [1.0] {
         tokio::task::yield_now().await;
     }
-    assert_eq!(counts(&server, ["generated_total", "disk_working"]).await, [1.0, 0.0]);
-    assert!(server.metric("tombolo_disk_faults_total").await > 0.0);
+    assert_eq!(metrics(&server, [COMPLETED, UP]).await, [1.0, 0.0]);
+    assert!(metrics(&server, [IO_ERRORS]).await > [0.0]);
     server.stop().await;
 
     let server = folder.serve(1).await;
     chunk(&server, 1, 0).await;
-    while server.metric("tombolo_disk_writes_total").await < 1.0 {
+    while metrics(&server, [WRITTEN]).await < [1.0] {
         tokio::task::yield_now().await;
     }
-    assert_eq!(counts(&server, ["disk_working", "disk_faults_total"]).await, [1.0, 0.0]);
+    assert_eq!(metrics(&server, [UP, IO_ERRORS]).await, [1.0, 0.0]);
     fs::remove_dir_all(&folder.0).unwrap();
     for x in 1..4 {
         chunk(&server, 1, x).await;
     }
     chunk(&server, 1, 0).await;
-    while server.metric("tombolo_disk_dropped_total").await < 3.0 {
+    while metrics(&server, [DROPPED]).await < [3.0] {
         tokio::task::yield_now().await;
     }
-    assert_eq!(counts(&server, ["disk_working", "generated_total"]).await, [0.0, 4.0]);
+    assert_eq!(metrics(&server, [UP, COMPLETED]).await, [0.0, 4.0]);
     server.stop().await;
     assert!(!folder.0.exists());
 }

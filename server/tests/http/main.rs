@@ -1,22 +1,22 @@
-//! The HTTP side over real connections.
+//! HTTP routes over real connections.
 //!
-//! | module | what belongs there |
+//! | module | subject |
 //! | --- | --- |
-//! | `caching` | validators, conditional requests, what caches are told |
-//! | `origins` | what pages of other origins may do |
-//! | `refusals` | typed refusals, counted, and that nothing else suffers |
-//! | `disk` | what a restart finds again, and what it must not serve |
-//! | `map` | tiles of the relief map |
-//! | `live` | who is where |
-//! | `page` | the page's parts and its policy |
-//! | `openapi` | that the document tells the truth |
+//! | `caching` | validators, conditional requests, `Cache-Control` |
+//! | `origins` | CORS |
+//! | `rejections` | problem documents and their metrics |
+//! | `disk` | the disk cache over restarts |
+//! | `map` | map tiles |
+//! | `stats` | live statistics |
+//! | `page` | files and policy of the page |
+//! | `openapi` | the OpenAPI document against the routes |
 
 mod caching;
 mod client;
 mod disk;
-mod live;
 mod map;
 mod openapi;
 mod origins;
 mod page;
-mod refusals;
+mod rejections;
+mod stats;

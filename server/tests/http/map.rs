@@ -1,4 +1,4 @@
-//! Tiles of the relief map as a browser gets them.
+//! Map tiles as a browser receives them.
 
 use crate::client::Server;
 use std::io::Cursor;
@@ -6,10 +6,10 @@ use terrain::{ChunkKey, Land};
 
 const SIDE: usize = 256;
 
-struct Picture(Vec<u8>);
+struct Image(Vec<u8>);
 
-impl Picture {
-    async fn of(server: &Server, tile: &str) -> Self {
+impl Image {
+    async fn fetch(server: &Server, tile: &str) -> Self {
         let reply = server.get(&server.path(&format!("map/{tile}.png"))).await;
         assert_eq!((reply.status, reply.header("content-type")), (200, "image/png"), "{tile}");
         let mut reader = png::Decoder::new(Cursor::new(reply.body)).read_info().unwrap();
@@ -25,28 +25,28 @@ impl Picture {
     }
 }
 
-fn apart(a: [i32; 3], b: [i32; 3]) -> i32 {
+fn distance(a: [i32; 3], b: [i32; 3]) -> i32 {
     (0..3).map(|part| (a[part] - b[part]).abs()).sum()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_sea_is_blue_where_the_land_says_sea_and_not_where_it_says_land() {
+async fn colours_follow_the_generated_heights() {
     let server = Server::start().await;
-    let picture = Picture::of(&server, "6/-1/-1").await;
-    // The same square from the generator itself, one chunk of 64 cells; a cell is 4 pixels.
+    let image = Image::fetch(&server, "6/-1/-1").await;
+    // The same square from the generator: one chunk of 64 cells, 4 pixels per cell.
     let chunk = Land::new(1).chunk(ChunkKey::new(6, -1, -1).unwrap());
     let (mut sea, mut land, mut redness) = (0, 0, 0);
     for row in 0..64 {
         for column in 0..64 {
             let height_m = chunk.vertex(column, row) / 256;
-            let [red, _, blue] = picture.pixel(4 * column, 4 * row);
+            let [red, _, blue] = image.pixel(4 * column, 4 * row);
             if height_m < -10 {
                 sea += 1;
                 assert!(blue > red + 20, "{height_m} m at {column}, {row}: red {red}, blue {blue}");
             }
             if height_m > 15 {
                 land += 1;
-                // Single slopes may lie in a bluish shadow.
+                // The mean, since single slopes may lie in a bluish shadow.
                 redness += red - blue;
             }
         }
@@ -59,20 +59,20 @@ async fn neighbouring_tiles_meet_without_a_seam() {
     let server = Server::start().await;
     for level in [0, 1, 5] {
         let (west, east) = (
-            Picture::of(&server, &format!("{level}/-1/0")).await,
-            Picture::of(&server, &format!("{level}/0/0")).await,
+            Image::fetch(&server, &format!("{level}/-1/0")).await,
+            Image::fetch(&server, &format!("{level}/0/0")).await,
         );
         let mean = |step: &dyn Fn(usize) -> i32| (0..SIDE).map(step).sum::<i32>() / SIDE as i32;
-        let across = mean(&|row| apart(west.pixel(SIDE - 1, row), east.pixel(0, row)));
-        // From a column to the next within the tiles.
+        let across = mean(&|row| distance(west.pixel(SIDE - 1, row), east.pixel(0, row)));
+        // Between adjacent columns within the tiles.
         let within = mean(&|row| {
-            (apart(west.pixel(SIDE - 2, row), west.pixel(SIDE - 1, row))
-                + apart(east.pixel(0, row), east.pixel(1, row)))
+            (distance(west.pixel(SIDE - 2, row), west.pixel(SIDE - 1, row))
+                + distance(east.pixel(0, row), east.pixel(1, row)))
                 / 2
         });
         assert!(across <= within + within / 2 + 2, "level {level}: {across} across, {within} within");
-        // The control: tiles that do not belong together show it.
-        let wrong = mean(&|row| apart(west.pixel(SIDE - 1, row), east.pixel(0, SIDE - 1 - row)));
+        // The control: unrelated tiles have a seam.
+        let wrong = mean(&|row| distance(west.pixel(SIDE - 1, row), east.pixel(0, SIDE - 1 - row)));
         assert!(
             wrong > 2 * across.max(1),
             "level {level}: {wrong} for the wrong neighbour, {across} for the right one"
@@ -81,17 +81,17 @@ async fn neighbouring_tiles_meet_without_a_seam() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn every_level_to_the_whole_world_and_its_corners_can_be_painted_and_is_kept() {
+async fn tiles_of_all_levels_and_corners_are_rendered_and_cached() {
     let server = Server::start().await;
     for tile in ["0/-32768/-32768", "0/32767/32767", "9/3/-3", "15/-1/0", "16/0/0"] {
-        Picture::of(&server, tile).await;
-        Picture::of(&server, tile).await;
+        Image::fetch(&server, tile).await;
+        Image::fetch(&server, tile).await;
     }
     let text = String::from_utf8(server.get("/metrics").await.body).unwrap();
     for line in [
-        "tombolo_map_tiles_requested_total 10",
-        "tombolo_map_tile_cache_hits_total 5",
-        "tombolo_map_tiles_painted_total 5",
+        "tombolo_map_tile_requests_total{outcome=\"cache_hit\"} 5",
+        "tombolo_map_tile_requests_total{outcome=\"rendered\"} 5",
+        "tombolo_map_tile_requests_total{outcome=\"failed\"} 0",
     ] {
         assert!(text.lines().any(|found| found == line), "{line} is not in {text}");
     }

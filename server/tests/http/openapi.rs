@@ -1,11 +1,11 @@
-//! That the OpenAPI document tells the truth: every route, every refusal, and every status by
-//! really getting it.
+//! The OpenAPI document against the server: routes, problem kinds, and the status of real
+//! responses.
 
 use crate::client::Server;
 use serde_json::{Map, Value};
 use server::ServerConfig;
 use server::http::openapi::DOCUMENT;
-use server::http::problem::Kind;
+use server::http::problem::ProblemKind;
 use server::http::routes;
 use std::collections::BTreeSet;
 
@@ -18,16 +18,16 @@ fn paths(document: &Value) -> &Map<String, Value> {
 }
 
 #[test]
-fn the_document_has_exactly_the_routes_of_the_router_in_their_order() {
+fn the_document_lists_the_routes_of_the_router() {
     let document = document();
-    let told: Vec<_> = paths(&document).keys().map(String::as_str).collect();
+    let documented: Vec<_> = paths(&document).keys().map(String::as_str).collect();
     let served: Vec<_> = routes().iter().map(|(path, _)| *path).collect();
     let sorted = |list: &[&str]| list.iter().map(|path| (*path).to_owned()).collect::<BTreeSet<_>>();
-    assert_eq!(sorted(&told), sorted(&served));
+    assert_eq!(sorted(&documented), sorted(&served));
 }
 
 #[test]
-fn every_reference_leads_somewhere_and_every_parameter_in_a_path_is_described() {
+fn references_resolve_and_path_parameters_are_described() {
     let document = document();
     assert_eq!(document["openapi"], "3.1.1");
     let mut references = 0;
@@ -71,11 +71,11 @@ fn each(value: &Value, see: &mut impl FnMut(&Value)) {
 }
 
 #[test]
-fn every_kind_of_refusal_has_its_example_and_every_example_its_kind() {
+fn every_problem_kind_has_an_example() {
     let document = document();
     let examples = document["components"]["examples"].as_object().unwrap();
-    assert_eq!(examples.len(), Kind::ALL.len());
-    for kind in Kind::ALL {
+    assert_eq!(examples.len(), ProblemKind::ALL.len());
+    for kind in ProblemKind::ALL {
         let example = &examples[kind.name()]["value"];
         assert_eq!(example["type"], format!("/openapi.json#/components/examples/{}", kind.name()));
         assert_eq!(
@@ -83,12 +83,12 @@ fn every_kind_of_refusal_has_its_example_and_every_example_its_kind() {
             (Some(kind.title()), Some(kind.status().as_u16().into()))
         );
     }
-    // An operation names a kind only under its status.
+    // An operation refers to a kind only under its status.
     for item in paths(&document).values() {
         for (status, response) in item["get"]["responses"].as_object().unwrap() {
             let examples = &response["content"]["application/problem+json"]["examples"];
             for name in examples.as_object().into_iter().flat_map(Map::keys) {
-                let kind = Kind::ALL.into_iter().find(|kind| kind.name() == name).unwrap();
+                let kind = ProblemKind::ALL.into_iter().find(|kind| kind.name() == name).unwrap();
                 assert_eq!(*status, kind.status().as_str());
             }
         }
@@ -96,9 +96,9 @@ fn every_kind_of_refusal_has_its_example_and_every_example_its_kind() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn every_status_of_the_document_is_given_and_no_other() {
+async fn every_documented_status_is_received_and_no_other() {
     let document = document();
-    let mut given = BTreeSet::new();
+    let mut received = BTreeSet::new();
     let usual = Server::start().await;
     let locked = {
         let config = ServerConfig { token: Some("sesame".into()), threads: 1, ..ServerConfig::default() };
@@ -131,8 +131,8 @@ async fn every_status_of_the_document_is_given_and_no_other() {
         ];
         let replies = [
             usual.get(&right).await,
-            usual.ask("GET", &right, &[("If-None-Match", "*")]).await,
-            usual.ask("GET", &right, &[("If-Match", "\"x\"")]).await,
+            usual.request("GET", &right, &[("If-None-Match", "*")]).await,
+            usual.request("GET", &right, &[("If-Match", "\"x\"")]).await,
             usual.get(&path(&other, "0", "0")).await,
             usual.get(&path(&digest, "0", "x")).await,
             usual.get(&right.replace("main.js", "other.js")).await,
@@ -141,21 +141,21 @@ async fn every_status_of_the_document_is_given_and_no_other() {
         ];
         let mut statuses: BTreeSet<u16> = replies.iter().map(|reply| reply.status).collect();
         if template == "/v1/stream" {
-            statuses.insert(usual.ask("GET", &right, &upgrade).await.status);
-            statuses.insert(usual.ask("GET", &right, &upgrade[..4]).await.status);
-            statuses.insert(overloaded.ask("GET", &right, &upgrade).await.status);
+            statuses.insert(usual.request("GET", &right, &upgrade).await.status);
+            statuses.insert(usual.request("GET", &right, &upgrade[..4]).await.status);
+            statuses.insert(overloaded.request("GET", &right, &upgrade).await.status);
         }
         for status in statuses {
-            given.insert((template.clone(), status));
+            received.insert((template.clone(), status));
         }
     }
 
-    let told: BTreeSet<(String, u16)> = paths(&document)
+    let documented: BTreeSet<(String, u16)> = paths(&document)
         .iter()
         .flat_map(|(path, item)| {
             let statuses = item["get"]["responses"].as_object().unwrap().keys();
             statuses.map(|status| (path.clone(), status.parse().unwrap()))
         })
         .collect();
-    assert_eq!(told, given);
+    assert_eq!(documented, received);
 }

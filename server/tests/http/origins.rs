@@ -1,9 +1,9 @@
-//! What pages of other origins may do: the Fetch standard's CORS protocol.
+//! CORS (Fetch standard).
 
 use crate::client::Server;
 
 #[tokio::test]
-async fn the_world_may_be_read_from_everywhere_and_the_operation_from_nowhere_else() {
+async fn world_routes_allow_all_origins_and_operation_routes_none() {
     let server = Server::start().await;
     let origin = [("Origin", "https://elsewhere.example")];
     for path in [
@@ -14,38 +14,38 @@ async fn the_world_may_be_read_from_everywhere_and_the_operation_from_nowhere_el
         "/openapi.json".into(),
     ] {
         for headers in [&origin[..], &[]] {
-            let reply = server.ask("GET", &path, headers).await;
+            let reply = server.request("GET", &path, headers).await;
             assert_eq!((reply.status, reply.header("access-control-allow-origin")), (200, "*"), "{path}");
             assert_eq!(reply.header("access-control-expose-headers"), "ETag, Retry-After");
-            // `*` forbids them anyway; saying so would be a mistake.
+            // `*` excludes credentials.
             assert_eq!(reply.header("access-control-allow-credentials"), "");
         }
     }
     for path in ["/", "/v1/live", "/metrics", "/readyz", "/page/main.js"] {
-        let reply = server.ask("GET", path, &origin).await;
+        let reply = server.request("GET", path, &origin).await;
         assert_eq!((reply.status, reply.header("access-control-allow-origin")), (200, ""), "{path}");
     }
 }
 
 #[tokio::test]
-async fn refusals_and_unchanged_answers_can_be_read_from_elsewhere_too() {
+async fn rejections_and_304_allow_all_origins_too() {
     let server = Server::start().await;
     let path = server.path("chunk/0/0/0");
-    let unchanged = server.ask("GET", &path, &[("If-None-Match", "*")]).await;
+    let unchanged = server.request("GET", &path, &[("If-None-Match", "*")]).await;
     assert_eq!((unchanged.status, unchanged.header("access-control-allow-origin")), (304, "*"));
     let refused = server.get(&server.path("chunk/99/0/0")).await;
     assert_eq!((refused.status, refused.header("access-control-allow-origin")), (404, "*"));
 }
 
 #[tokio::test]
-async fn a_preflight_allows_what_the_routes_understand() {
+async fn a_preflight_allows_the_methods_and_headers_of_the_routes() {
     let server = Server::start().await;
     let asked = [
         ("Origin", "https://elsewhere.example"),
         ("Access-Control-Request-Method", "GET"),
         ("Access-Control-Request-Headers", "authorization,if-none-match"),
     ];
-    let reply = server.ask("OPTIONS", &server.path("chunk/0/0/0"), &asked).await;
+    let reply = server.request("OPTIONS", &server.path("chunk/0/0/0"), &asked).await;
     assert_eq!((reply.status, reply.body.len()), (204, 0));
     assert_eq!(reply.header("access-control-allow-origin"), "*");
     assert_eq!(reply.header("access-control-allow-methods"), "GET, HEAD");
@@ -56,7 +56,7 @@ async fn a_preflight_allows_what_the_routes_understand() {
         "{allowed}"
     );
     assert!(reply.header("access-control-max-age").parse::<u32>().unwrap() > 0);
-    let closed = server.ask("OPTIONS", "/v1/live", &asked).await;
+    let closed = server.request("OPTIONS", "/v1/live", &asked).await;
     assert_eq!((closed.status, closed.header("access-control-allow-methods")), (204, ""));
     assert_eq!(closed.header("allow"), "GET, HEAD, OPTIONS");
 }

@@ -1,9 +1,9 @@
-//! The page's parts and its policy. What it does is the business of the suite `browser`.
+//! Files and policy of the page. The suite `browser` tests its behaviour.
 
 use crate::client::Server;
 
 #[tokio::test]
-async fn the_page_and_its_parts_come_with_their_type_their_policy_and_a_validator() {
+async fn files_have_their_type_the_policy_and_a_validator() {
     let server = Server::start().await;
     for (path, content_type) in [
         ("/", "text/html; charset=utf-8"),
@@ -17,7 +17,7 @@ async fn the_page_and_its_parts_come_with_their_type_their_policy_and_a_validato
         assert!(policy.contains("default-src 'self'") && !policy.contains("unsafe"), "{policy}");
         assert_eq!(reply.header("cache-control"), "no-cache");
         let etag = reply.header("etag").to_owned();
-        let again = server.ask("GET", path, &[("If-None-Match", &etag)]).await;
+        let again = server.request("GET", path, &[("If-None-Match", &etag)]).await;
         assert_eq!((again.status, again.header("etag")), (304, etag.as_str()), "{path}");
     }
 }

@@ -1,12 +1,12 @@
-//! Sessions without a network, in virtual time: minutes pass as soon as everybody waits.
+//! Sessions without a network, in virtual time: the clock advances when all tasks wait.
 //!
-//! | module | what belongs there |
+//! | module | subject |
 //! | --- | --- |
-//! | `silence` | when a peer that says nothing is ended |
-//! | `cost` | what an address that has spent its share gets |
-//! | `heed` | how long a session that is refused much is not listened to |
+//! | `keepalive` | pings and the timeout of idle sessions |
+//! | `rate_limit` | the token bucket of an address |
+//! | `refusal_backoff` | pauses after many rejections |
 
-mod cost;
-mod heed;
+mod keepalive;
 mod peer;
-mod silence;
+mod rate_limit;
+mod refusal_backoff;

@@ -1,12 +1,12 @@
-//! One end of a pipe whose other end is a session; frames of RFC 6455 by hand, so that nothing is
-//! answered unless a test says so.
+//! A client of a session over a pipe. It writes and reads frames of RFC 6455 directly, so that
+//! nothing is answered automatically.
 
 use protocol::control;
 use protocol::message::{ClientMessage, Hello, ServerMessage};
-use server::listener::Shared;
-use server::purse::Purse;
-use server::socket::{self, READ_LIMIT};
-use server::websocket::WebSocket;
+use server::limits::rate_limit::TokenBucket;
+use server::session::driver::{self, READ_LIMIT};
+use server::state::ServerState;
+use server::websocket::socket::WebSocket;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
@@ -18,47 +18,47 @@ pub const PONG: u8 = 10;
 
 pub struct Peer {
     io: DuplexStream,
-    shared: Arc<Shared>,
+    state: Arc<ServerState>,
 }
 
 impl Peer {
-    /// A session of a server, which has not said Hello.
-    pub fn new(shared: &Arc<Shared>, purse: Purse) -> Self {
+    /// A session before its hello.
+    pub fn new(state: &Arc<ServerState>, bucket: TokenBucket) -> Self {
         let (io, theirs) = tokio::io::duplex(1 << 20);
-        let serving = Arc::clone(shared);
+        let server = Arc::clone(state);
         tokio::spawn(async move {
-            socket::serve(WebSocket::new(theirs, &[], READ_LIMIT), &serving, 1, purse).await;
+            driver::serve(WebSocket::new(theirs, &[], READ_LIMIT), &server, 1, bucket).await;
         });
-        Self { io, shared: Arc::clone(shared) }
+        Self { io, state: Arc::clone(state) }
     }
 
-    /// A session that is welcome.
-    pub async fn welcome(shared: &Arc<Shared>, purse: Purse) -> Self {
-        let mut peer = Self::new(shared, purse);
+    /// A session after its hello.
+    pub async fn connect(state: &Arc<ServerState>, bucket: TokenBucket) -> Self {
+        let mut peer = Self::new(state, bucket);
         peer.hello().await;
         peer
     }
 
     pub async fn hello(&mut self) {
         let hello = Hello {
-            digest: Some(self.shared.offer.digest.0),
+            digest: Some(self.state.offer.digest.0),
             delivery: protocol::Delivery::Exact,
             token: None,
             software: "test".into(),
         };
-        self.say(&ClientMessage::Hello(hello)).await;
+        self.send_message(&ClientMessage::Hello(hello)).await;
         let (opcode, welcome) = self.next().await.unwrap();
         assert_eq!(opcode, BINARY);
         assert!(matches!(control::decode(&welcome), Ok(ServerMessage::Welcome(_))));
     }
 
-    pub async fn say(&mut self, message: &ClientMessage) {
+    pub async fn send_message(&mut self, message: &ClientMessage) {
         self.send(BINARY, &control::encode(message).unwrap()).await;
     }
 
     /// One frame, masked by zeros.
     pub async fn send(&mut self, opcode: u8, payload: &[u8]) {
-        // The shortest form of a length is the only one: section 5.2.
+        // Section 5.2 allows the shortest form only.
         let length = match u8::try_from(payload.len()) {
             Ok(length @ 0..126) => vec![0x80 | length],
             _ => [&[0x80 | 126][..], &u16::try_from(payload.len()).unwrap().to_be_bytes()].concat(),

@@ -1,0 +1,169 @@
+//! The handle of the generation service.
+
+use super::cost::JobCosts;
+use super::flow::Flow;
+use super::queue::Queue;
+use super::shared::{Limits, Shared};
+use crate::cache::disk::Disk;
+use crate::cache::memory::FrameCache;
+use crate::limits::rate_limit::TokenBucket;
+use crate::metrics::Metrics;
+use crate::source::ChunkSource;
+use bytes::Bytes;
+use protocol::Delivery;
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use terrain::ChunkKey;
+
+/// Generates, caches and shares chunk frames. Clones share one service.
+#[derive(Clone)]
+pub struct Generation {
+    pub(super) shared: Arc<Shared>,
+    pool: Arc<ThreadPool>,
+}
+
+impl Generation {
+    /// A service over a source, with a memory cache only.
+    ///
+    /// # Errors
+    /// The system cannot start threads.
+    pub fn new(
+        source: impl ChunkSource,
+        limits: Limits,
+        metrics: Arc<Metrics>,
+    ) -> Result<Self, ThreadPoolBuildError> {
+        Self::with_disk(source, limits, None, metrics)
+    }
+
+    /// As [`Generation::new`], with a disk cache that is read before a chunk is generated.
+    ///
+    /// # Errors
+    /// The system cannot start threads.
+    pub fn with_disk(
+        source: impl ChunkSource,
+        limits: Limits,
+        disk: Option<Disk>,
+        metrics: Arc<Metrics>,
+    ) -> Result<Self, ThreadPoolBuildError> {
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(limits.threads)
+            .thread_name(|n| format!("generate-{n}"))
+            .build()?;
+        let shared = Shared {
+            world: source.world(),
+            source: Box::new(source),
+            frames: FrameCache::new(limits.cache_bytes),
+            disk,
+            queue: Mutex::new(Queue::new(limits.jobs)),
+            costs: JobCosts::default(),
+            limits,
+            next_flow: AtomicU64::new(0),
+            active_flows: AtomicUsize::new(0),
+            metrics,
+        };
+        Ok(Self { shared: Arc::new(shared), pool: Arc::new(pool) })
+    }
+
+    /// The cached frame of a key for a delivery; counts a request only on a hit.
+    #[must_use]
+    pub fn cached(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
+        self.shared.cached(key, delivery)
+    }
+
+    /// A new flow without a rate limit. Dropping it cancels its requests.
+    #[must_use]
+    pub fn flow(&self) -> Flow {
+        self.limited_flow(TokenBucket::default())
+    }
+
+    /// As [`Generation::flow`], with its work charged to a token bucket.
+    #[must_use]
+    pub fn limited_flow(&self, bucket: TokenBucket) -> Flow {
+        let id = self.shared.next_flow.fetch_add(1, Ordering::Relaxed);
+        Flow::new(Arc::clone(&self.shared), Arc::clone(&self.pool), id, bucket)
+    }
+
+    /// Further requests that one flow can complete within the deadline, by the recent job costs. The
+    /// caller rejects the rest at once, which is better than after a wait.
+    #[must_use]
+    pub fn allowance(&self) -> usize {
+        let Limits { threads, deadline, .. } = self.shared.limits;
+        // An empty queue is no reason to reject, whatever the estimate.
+        if self.shared.lock().waiting() == 0 {
+            return usize::MAX;
+        }
+        // Half of the deadline: the estimate leaves out the time of writes and of other processes.
+        self.shared.costs.jobs_within(deadline / 2, threads, self.shared.active_flows.load(Ordering::Relaxed))
+    }
+
+    /// Active flows per thread, at least 1.
+    #[must_use]
+    pub fn sharers(&self) -> usize {
+        self.shared.active_flows.load(Ordering::Relaxed).div_ceil(self.shared.limits.threads).max(1)
+    }
+
+    /// Waits a bounded time for the pending disk writes and releases the folder. For shutdown.
+    pub async fn close(&self) {
+        if let Some(disk) = &self.shared.disk {
+            disk.close().await;
+        }
+    }
+
+    /// Share of the queue in use, 0 to 1.
+    #[must_use]
+    pub fn load(&self) -> f64 {
+        let (jobs, limit) = (self.shared.lock().jobs(), self.shared.limits.jobs);
+        // A queue without capacity is full.
+        if jobs >= limit { 1.0 } else { jobs as f64 / limit as f64 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generation::GenerationError;
+    use crate::generation::test_source::{chunk_request, fixture, flat_frame_bytes, key, request};
+    use std::time::Duration;
+
+    #[tokio::test]
+    async fn requests_of_one_key_share_a_job_even_if_the_first_is_aborted() {
+        let fixture = fixture(1 << 20, 10);
+        let first = request(&fixture.service, key(1), 1).await;
+        let mut others = Vec::new();
+        for _ in 0..100 {
+            others.push(request(&fixture.service, key(1), 1).await);
+        }
+        first.abort();
+        fixture.permit.send(()).unwrap();
+        for other in others {
+            assert_eq!(other.await.unwrap().unwrap().len(), flat_frame_bytes());
+        }
+        assert_eq!(fixture.metrics.jobs_completed.get(), 1);
+        assert!(fixture.service.cached(key(1), Delivery::Exact).is_some());
+    }
+
+    #[tokio::test]
+    async fn a_full_queue_rejects_and_a_job_without_requests_never_runs() {
+        let fixture = fixture(1 << 20, 2);
+        let running = request(&fixture.service, key(0), 9).await;
+        while !fixture.service.shared.lock().is_running(key(0)) {
+            tokio::task::yield_now().await;
+        }
+        let abandoned = request(&fixture.service, key(1), 1).await;
+        assert_eq!(
+            fixture.service.flow().frame(chunk_request(key(2), 99), Delivery::Exact).await,
+            Err(GenerationError::Overloaded)
+        );
+        assert_eq!(fixture.metrics.frames_rejected.get(), 1);
+        abandoned.abort();
+        let _ = abandoned.await;
+        fixture.permit.send(()).unwrap();
+        running.await.unwrap().unwrap();
+        while fixture.metrics.jobs_cancelled.get() == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        assert_eq!(fixture.metrics.jobs_completed.get(), 1);
+        assert!(fixture.service.load() < 0.01);
+    }
+}

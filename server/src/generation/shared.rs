@@ -1,0 +1,63 @@
+//! State of the generation service, shared by its threads and its flows.
+
+use super::cost::JobCosts;
+use super::queue::Queue;
+use crate::cache::disk::Disk;
+use crate::cache::memory::FrameCache;
+use crate::metrics::Metrics;
+use crate::source::ChunkSource;
+use bytes::Bytes;
+use protocol::Delivery;
+use std::sync::atomic::{AtomicU64, AtomicUsize};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use terrain::{ChunkKey, WorldDigest};
+
+/// Limits of the service.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Compute threads, at least 1.
+    pub threads: usize,
+    /// Memory for frames, bytes.
+    pub cache_bytes: u64,
+    /// Jobs that may be queued or running. A request for one more is rejected with
+    /// [`super::GenerationError::Overloaded`].
+    pub jobs: usize,
+    /// Longest wait of an explicit request. An older one is rejected instead of generated: its
+    /// client no longer needs it.
+    pub deadline: Duration,
+}
+
+/// See the module.
+pub struct Shared {
+    pub source: Box<dyn ChunkSource>,
+    pub world: WorldDigest,
+    pub frames: FrameCache,
+    /// Read before a chunk is generated, written after.
+    pub disk: Option<Disk>,
+    /// A std mutex: held for map operations only, never across an await or a generation.
+    pub queue: Mutex<Queue>,
+    pub costs: JobCosts,
+    pub limits: Limits,
+    pub next_flow: AtomicU64,
+    /// Flows with requests in flight: those that share the threads, whether or not their queue is
+    /// empty at the moment.
+    pub active_flows: AtomicUsize,
+    pub metrics: Arc<Metrics>,
+}
+
+impl Shared {
+    pub fn lock(&self) -> MutexGuard<'_, Queue> {
+        // No code under the lock panics in the middle of a change, so a poisoned queue is
+        // consistent.
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The cached frame of a key for a delivery; counts a request only on a hit.
+    pub fn cached(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
+        let is_idle = || self.lock().jobs() == 0;
+        let frame = self.frames.get(key, delivery, is_idle)?;
+        self.metrics.frame_cache_hits.inc();
+        Some(frame)
+    }
+}

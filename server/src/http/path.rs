@@ -1,0 +1,105 @@
+//! Path parameters, access tokens and the rate limit of HTTP requests.
+
+use crate::http::problem::{Problem, ProblemKind};
+use crate::limits::rate_limit::TokenBucket;
+use crate::state::ServerState;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Extension, Path};
+use axum::http::{HeaderMap, header};
+use std::net::SocketAddr;
+use std::str::FromStr;
+use terrain::{ChunkKey, WorldDigest};
+use tokio::time::{Instant, sleep};
+
+/// Digest, level, x and z of a path, unparsed.
+pub type RawChunkPath = Result<Path<(String, String, String, String)>, PathRejection>;
+
+/// The chunk key of an authorised request's path; z is followed by `suffix`.
+///
+/// # Errors
+/// What is wrong, in this order: token, encoding, world, numbers, key.
+pub fn chunk_key(
+    state: &ServerState,
+    headers: &HeaderMap,
+    raw: RawChunkPath,
+    suffix: &str,
+) -> Result<ChunkKey, Problem> {
+    authorise(state, headers)?;
+    let Ok(Path((digest, level, x, z))) = raw else {
+        return Err(Problem::new(ProblemKind::Malformed, "the percent-encoded path is not UTF-8"));
+    };
+    check_world(state, &digest)?;
+    let Some(z) = z.strip_suffix(suffix) else {
+        return Err(Problem::new(ProblemKind::NoRoute, format!("the path of a tile ends with `{suffix}`")));
+    };
+    let (Some(level), Some(x), Some(z)) = (number(&level), number(&x), number(z)) else {
+        return Err(Problem::new(
+            ProblemKind::Malformed,
+            "level, x and z must be whole numbers in their shortest form (level 0 to 255, x and z 32-bit)",
+        ));
+    };
+    ChunkKey::new(level, x, z).map_err(|error| Problem::new(ProblemKind::OutsideWorld, error.to_string()))
+}
+
+/// A number in its canonical form only: with `+1`, `01` and `-0` a cache would store one chunk under
+/// several URLs.
+fn number<N: FromStr + ToString>(text: &str) -> Option<N> {
+    text.parse().ok().filter(|number: &N| number.to_string() == text)
+}
+
+/// Checks that a path contains the digest of this server's world.
+///
+/// # Errors
+/// It contains another digest, or none.
+pub fn check_world(state: &ServerState, digest: &str) -> Result<(), Problem> {
+    let ours = state.offer.digest;
+    if WorldDigest::from_hex(digest) == Some(ours) {
+        return Ok(());
+    }
+    let shown: String = digest.chars().take(64).collect();
+    let detail = format!("world {shown} is not served here; this server has {ours}");
+    Err(Problem::new(ProblemKind::WrongWorld, detail))
+}
+
+/// The token bucket of the client, after waiting until it is not empty.
+///
+/// # Errors
+/// The wait would exceed the deadline of requests.
+pub async fn wait_for_tokens(
+    state: &ServerState,
+    peer: Option<Extension<SocketAddr>>,
+) -> Result<TokenBucket, Problem> {
+    let bucket = state.rate_limiter.bucket(peer.map(|Extension(peer)| peer.ip()));
+    let by = Instant::now() + state.config.deadline;
+    loop {
+        let now = Instant::now();
+        // Of several requests that wait for the same moment, the first takes the tokens; the others
+        // wait again.
+        let Some(delay) = bucket.delay(now) else { return Ok(bucket) };
+        if now + delay > by {
+            state.metrics.rate_limit_rejections.inc();
+            let detail = "the rate limit of this address is exceeded, retry later";
+            return Err(Problem::new(ProblemKind::Overloaded, detail));
+        }
+        state.metrics.rate_limit_delays.inc();
+        sleep(delay).await;
+    }
+}
+
+/// Accepts a request with the access token, or any request if none is configured.
+///
+/// # Errors
+/// The token is missing or wrong.
+pub fn authorise(state: &ServerState, headers: &HeaderMap) -> Result<(), Problem> {
+    let bearer = headers
+        .get(header::AUTHORIZATION)
+        .and_then(|value| value.to_str().ok())
+        .and_then(|value| value.split_once(' '))
+        // The scheme is case-insensitive: RFC 9110, section 11.1.
+        .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
+        .map(|(_, token)| token.trim_start_matches(' '));
+    if protocol::server::token_matches(state.offer.token.as_deref(), bearer) {
+        return Ok(());
+    }
+    Err(Problem::new(ProblemKind::Unauthorised, "send the access token as `Authorization: Bearer TOKEN`"))
+}

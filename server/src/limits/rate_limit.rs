@@ -1,0 +1,280 @@
+//! Token-bucket rate limit per client network.
+//!
+//! A token is one microsecond of work: generation, view selection and bytes sent, in one unit. A
+//! bucket refills at a fixed rate and holds at most [`CAPACITY_S`] seconds of it. While a bucket is
+//! empty, views are delayed, requests are delayed up to their deadline, and requests that would
+//! exceed the deadline are rejected as overloaded at once.
+//!
+//! Fair queueing alone does not bound the work of a single client on an idle server. The limit
+//! applies to networks because a client can open any number of sessions. A bucket may go negative
+//! by one chunk, so that a chunk of any cost can be served at any rate.
+
+use crate::limits::per_ip::client_network;
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Capacity of a bucket, seconds of refill.
+const CAPACITY_S: f64 = 10.0;
+
+/// Tokens (microseconds) charged per KiB sent. One server thread writes some GB per second of
+/// processor time.
+const US_PER_KIB: f64 = 1.0;
+
+/// Buckets in the table before full ones are removed.
+const MIN_SWEEP_SIZE: usize = 1024;
+
+/// Window of the moving average of a chunk's cost, chunks.
+const EWMA_WINDOW: f64 = 16.0;
+
+/// The buckets of all client networks.
+#[derive(Clone, Debug)]
+pub struct RateLimiter {
+    table: Option<Arc<BucketTable>>,
+}
+
+#[derive(Debug)]
+struct BucketTable {
+    /// Tokens per second.
+    rate: f64,
+    /// Buckets that are not full, and full ones not yet swept: at most twice the networks charged
+    /// within [`CAPACITY_S`], and at least [`MIN_SWEEP_SIZE`].
+    buckets: Mutex<Buckets>,
+}
+
+/// The standard hasher is keyed at random: peers choose the addresses.
+#[derive(Debug, Default)]
+struct Buckets {
+    by_network: HashMap<IpAddr, Bucket>,
+    sweep_at: usize,
+}
+
+/// The tokens of a network at a moment.
+#[derive(Clone, Copy, Debug)]
+struct Bucket {
+    tokens: f64,
+    at: Instant,
+    /// Moving average of a chunk's cost; 0 before the first chunk.
+    mean_cost: f64,
+}
+
+/// Handle to the bucket of one network; every handle of a network shares one bucket. The default
+/// is unlimited.
+#[derive(Clone, Debug, Default)]
+pub struct TokenBucket {
+    target: Option<(IpAddr, Arc<BucketTable>)>,
+}
+
+impl RateLimiter {
+    /// Buckets that refill with `ms_per_second` milliseconds of work per second; none for no limit.
+    #[must_use]
+    pub fn new(ms_per_second: Option<u64>) -> Self {
+        let table = |ms| {
+            let buckets = Buckets { by_network: HashMap::new(), sweep_at: MIN_SWEEP_SIZE };
+            Arc::new(BucketTable { rate: ms as f64 * 1000.0, buckets: Mutex::new(buckets) })
+        };
+        Self { table: ms_per_second.map(table) }
+    }
+
+    /// The bucket of an address's network. A peer without an address is not limited.
+    #[must_use]
+    pub fn bucket(&self, address: Option<IpAddr>) -> TokenBucket {
+        TokenBucket {
+            target: address.zip(self.table.clone()).map(|(address, table)| (client_network(address), table)),
+        }
+    }
+}
+
+impl TokenBucket {
+    /// Whether a limit applies.
+    #[must_use]
+    pub const fn is_limited(&self) -> bool {
+        self.target.is_some()
+    }
+
+    /// Number of equal shares of one thread of which this bucket's rate is one; 1 without a limit.
+    #[must_use]
+    pub fn thread_shares(&self) -> usize {
+        self.target.as_ref().map_or(1, |(_, table)| (1e6 / table.rate).ceil().max(1.0) as usize)
+    }
+
+    /// Charges the generation of a chunk, microseconds.
+    pub fn charge_chunk(&self, us: i64, now: Instant) {
+        self.with(now, |bucket, _| {
+            let known = if bucket.mean_cost > 0.0 { bucket.mean_cost } else { us as f64 };
+            bucket.mean_cost = known + (us as f64 - known) / EWMA_WINDOW;
+            bucket.tokens -= us as f64;
+        });
+    }
+
+    /// Charges the selection of a view, microseconds. The mean cost of a chunk does not change.
+    pub fn charge_view(&self, us: i64, now: Instant) {
+        self.with(now, |bucket, _| bucket.tokens -= us as f64);
+    }
+
+    /// Charges bytes sent.
+    pub fn charge_bytes(&self, bytes: usize, now: Instant) {
+        self.with(now, |bucket, _| bucket.tokens -= bytes as f64 / 1024.0 * US_PER_KIB);
+    }
+
+    /// Time until the bucket is no longer empty; none if it is not.
+    #[must_use]
+    pub fn delay(&self, now: Instant) -> Option<Duration> {
+        let (tokens, rate) = self.with(now, |bucket, rate| (bucket.tokens, rate))?;
+        if tokens > 0.0 {
+            return None;
+        }
+        // One whole token more, so that rounding never leaves the bucket just empty.
+        Some(Duration::from_secs_f64((1.0 - tokens) / rate) + Duration::from_nanos(1))
+    }
+
+    /// Chunks that the bucket can pay for within a time, at the recent mean cost.
+    #[must_use]
+    pub fn affordable_chunks(&self, time: Duration, now: Instant) -> usize {
+        let affordable = |bucket: &mut Bucket, rate: f64| {
+            let tokens = (bucket.tokens + rate * time.as_secs_f64()).max(0.0);
+            // The cast saturates.
+            (tokens / bucket.mean_cost.max(1.0)) as usize
+        };
+        self.with(now, affordable).unwrap_or(usize::MAX)
+    }
+
+    fn with<T>(&self, now: Instant, act: impl FnOnce(&mut Bucket, f64) -> T) -> Option<T> {
+        let (network, table) = self.target.as_ref()?;
+        let (rate, capacity) = (table.rate, table.rate * CAPACITY_S);
+        // Nothing panics under the lock.
+        let mut buckets = table.buckets.lock().unwrap_or_else(PoisonError::into_inner);
+        let Buckets { by_network, sweep_at } = &mut *buckets;
+        if by_network.len() >= *sweep_at {
+            by_network.retain(|_, bucket| bucket.refilled(rate, capacity, now).tokens < capacity);
+            *sweep_at = (2 * by_network.len()).max(MIN_SWEEP_SIZE);
+        }
+        let full = Bucket { tokens: capacity, at: now, mean_cost: 0.0 };
+        let bucket = by_network.entry(*network).or_insert(full);
+        *bucket = bucket.refilled(rate, capacity, now);
+        Some(act(bucket, rate))
+    }
+}
+
+impl Bucket {
+    /// The bucket at a moment. Moments may come in any order: threads read the clock before they
+    /// take the lock.
+    fn refilled(self, rate: f64, capacity: f64, now: Instant) -> Self {
+        let gained = rate * now.saturating_duration_since(self.at).as_secs_f64();
+        Self { tokens: (self.tokens + gained).min(capacity), at: self.at.max(now), ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn address(text: &str) -> Option<IpAddr> {
+        Some(text.parse().unwrap())
+    }
+
+    /// Requests chunks of a cost whenever the bucket allows it, for some seconds. Returns the
+    /// number of chunks.
+    fn saturate(bucket: &TokenBucket, start: Instant, seconds: u64, cost_us: i64) -> u64 {
+        let (mut now, mut chunks) = (start, 0);
+        while now < start + Duration::from_secs(seconds) {
+            match bucket.delay(now) {
+                Some(delay) => now += delay,
+                None => {
+                    bucket.charge_chunk(cost_us, now);
+                    chunks += 1;
+                    // The time of its generation.
+                    now += Duration::from_micros(cost_us as u64);
+                }
+            }
+        }
+        chunks
+    }
+
+    #[test]
+    fn the_rate_holds_for_every_chunk_cost() {
+        let start = Instant::now();
+        let seconds = 200;
+        for cost_us in [20, 3000, 900_000] {
+            // 50 ms per second, 5 % of one thread.
+            let bucket = RateLimiter::new(Some(50)).bucket(address("10.0.0.1"));
+            let spent = saturate(&bucket, start, seconds, cost_us) * cost_us as u64;
+            // The refill, the initial capacity, and one chunk of overdraft.
+            let refill = 50_000 * seconds;
+            let most = refill + 500_000 + cost_us as u64;
+            assert!(spent <= most && spent > refill * 9 / 10, "{spent} of {refill} by {cost_us}");
+        }
+        // The control: no limit.
+        let unlimited = RateLimiter::new(None).bucket(address("10.0.0.1"));
+        assert_eq!(saturate(&unlimited, start, 10, 1000), 10_000);
+    }
+
+    #[test]
+    fn sessions_of_one_address_share_a_bucket() {
+        let (limiter, now) = (RateLimiter::new(Some(1)), Instant::now());
+        let [one, same, other] =
+            ["10.0.0.1", "10.0.0.1", "10.0.0.2"].map(|text| limiter.bucket(address(text)));
+        one.charge_chunk(60_000, now);
+        let delay = same.delay(now).unwrap();
+        assert!((50.0..50.1).contains(&delay.as_secs_f64()), "{delay:?}");
+        assert_eq!(same.delay(now + delay), None);
+        assert_eq!(other.delay(now), None);
+        let unlimited = limiter.bucket(None);
+        unlimited.charge_chunk(i64::MAX, now);
+        assert_eq!((unlimited.delay(now), unlimited.is_limited()), (None, false));
+        assert_eq!(unlimited.affordable_chunks(Duration::ZERO, now), usize::MAX);
+    }
+
+    #[test]
+    fn sent_bytes_are_charged() {
+        let (bucket, now) = (RateLimiter::new(Some(1)).bucket(address("10.0.0.1")), Instant::now());
+        bucket.charge_bytes(9 << 20, now);
+        assert_eq!(bucket.delay(now), None);
+        bucket.charge_bytes(9 << 20, now);
+        assert!(bucket.delay(now) > Some(Duration::from_secs(8)));
+    }
+
+    #[test]
+    fn affordable_chunks_follow_the_recent_mean_cost() {
+        let (bucket, now) = (RateLimiter::new(Some(10)).bucket(address("10.0.0.1")), Instant::now());
+        for _ in 0..100 {
+            bucket.charge_chunk(1000, now);
+        }
+        // The bucket is empty. Half a second refills five milliseconds.
+        let half = Duration::from_millis(500);
+        assert!(
+            (5..=6).contains(&bucket.affordable_chunks(half, now)),
+            "{}",
+            bucket.affordable_chunks(half, now)
+        );
+        bucket.charge_chunk(50_000, now);
+        assert_eq!(bucket.affordable_chunks(half, now), 0);
+        assert!(bucket.affordable_chunks(half, now + Duration::from_secs(60)) > 10);
+    }
+
+    #[test]
+    fn full_buckets_are_removed() {
+        let (limiter, start) = (RateLimiter::new(Some(10)), Instant::now());
+        let Some(table) = &limiter.table else { panic!("a limit") };
+        let visit = |from: u32, now| {
+            for number in from..from + 5000 {
+                limiter.bucket(Some(IpAddr::from(number.to_be_bytes()))).charge_chunk(1000, now);
+            }
+            table.buckets.lock().unwrap().by_network.len()
+        };
+        assert_eq!(visit(0, start), 5000, "none of them is full");
+        assert!(visit(100_000, start + Duration::from_secs(60)) <= 2 * 5000 + MIN_SWEEP_SIZE);
+        assert!(visit(200_000, start + Duration::from_secs(120)) <= 2 * 5000 + MIN_SWEEP_SIZE);
+    }
+
+    #[test]
+    fn an_earlier_clock_reading_does_not_drain_the_bucket() {
+        let (bucket, now) = (RateLimiter::new(Some(10)).bucket(address("10.0.0.1")), Instant::now());
+        bucket.charge_chunk(200_000, now + Duration::from_secs(5));
+        let before = bucket.delay(now + Duration::from_secs(5));
+        assert_eq!(bucket.delay(now), before);
+        assert_eq!(bucket.delay(now + Duration::from_secs(5)), before);
+    }
+}

@@ -1,0 +1,328 @@
+//! Scheduling, rendering and caching of map tiles.
+//!
+//! Map tiles use a bounded share of the generation pool: all tiles together are one flow per four
+//! threads. Waiting tiles are counted and bounded; finished ones are cached by bytes.
+
+use crate::generation::{Flow, Generation, GenerationError};
+use crate::limits::rate_limit::TokenBucket;
+use crate::map::elevation::{self, ElevationGrid, TILE_PIXELS};
+use crate::map::hillshade;
+use crate::metrics::Metrics;
+use bytes::Bytes;
+use protocol::server::ChunkRequest;
+use protocol::{Delivery, chunk_codec};
+use quick_cache::Weighter;
+use quick_cache::sync::Cache;
+use std::sync::Arc;
+use std::time::Duration;
+use terrain::{Chunk, ChunkKey, WorldDigest};
+use thiserror::Error;
+use tokio::sync::Semaphore;
+use tokio::time::{Instant, timeout};
+
+/// Version of colours and shading. Part of the tiles' URLs, since tiles are immutable.
+pub const STYLE: u32 = 1;
+
+/// Tiles that may wait or be rendered: about three browser windows. One more is rejected.
+const MAX_WAITING: usize = 96;
+
+/// Longest wait for a render permit. The client has moved on by then.
+const MAX_WAIT: Duration = Duration::from_secs(10);
+
+/// Chunks of one tile in generation at once. With all at once, the last would wait for the first and
+/// exceed a short deadline.
+const JOB_WINDOW: usize = 8;
+
+/// Bytes per entry in addition to the image: key, digest, handle and the map's share.
+const TILE_OVERHEAD: u64 = 160;
+
+/// Why a tile is not available.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum MapError {
+    /// Too many tiles are waiting, or this one waited for too long.
+    #[error("too many map tiles are requested at once, retry later")]
+    Busy,
+    /// One of its chunks is not available.
+    #[error(transparent)]
+    Generation(#[from] GenerationError),
+}
+
+/// A finished tile.
+#[derive(Clone, Debug)]
+pub struct Tile {
+    /// The image: PNG, RGB, [`TILE_PIXELS`] per side.
+    pub png: Bytes,
+    /// Digest of the image's bytes.
+    pub digest: [u8; 16],
+}
+
+/// Renders and caches tiles.
+pub struct Map {
+    world: WorldDigest,
+    cache: Cache<ChunkKey, Tile, TileWeight>,
+    /// One permit per tile being rendered, held to the end even if the request is cancelled: clients
+    /// that cancel must not get more tiles rendered at once than others.
+    render_permits: Arc<Semaphore>,
+    /// One permit per tile that waits or is rendered.
+    queue_permits: Semaphore,
+}
+
+#[derive(Clone)]
+struct TileWeight;
+
+impl Weighter<ChunkKey, Tile> for TileWeight {
+    fn weight(&self, _key: &ChunkKey, tile: &Tile) -> u64 {
+        tile.png.len() as u64 + TILE_OVERHEAD
+    }
+}
+
+impl Map {
+    /// A map with a cache of `cache_bytes`; `threads` is the number of generation threads.
+    #[must_use]
+    pub fn new(world: WorldDigest, cache_bytes: u64, threads: usize) -> Self {
+        // About 64 KiB per tile; the estimate only sizes the first tables.
+        let cache = Cache::with_weighter((cache_bytes >> 16) as usize, cache_bytes, TileWeight);
+        Self {
+            world,
+            cache,
+            render_permits: Arc::new(Semaphore::new(threads.div_ceil(4))),
+            queue_permits: Semaphore::new(MAX_WAITING),
+        }
+    }
+
+    /// The tile of a key; rendering and sending are charged to a bucket. Dropping the future cancels
+    /// its requests.
+    ///
+    /// # Errors
+    /// See [`MapError`].
+    pub async fn tile(
+        &self,
+        key: ChunkKey,
+        generation: &Generation,
+        bucket: &TokenBucket,
+        metrics: &Metrics,
+    ) -> Result<Tile, MapError> {
+        let tile = self.cached_or_rendered(key, generation, bucket, metrics).await;
+        match &tile {
+            Ok(tile) => bucket.charge_bytes(tile.png.len(), Instant::now()),
+            Err(_) => drop(metrics.tiles_failed.inc()),
+        }
+        tile
+    }
+
+    async fn cached_or_rendered(
+        &self,
+        key: ChunkKey,
+        generation: &Generation,
+        bucket: &TokenBucket,
+        metrics: &Metrics,
+    ) -> Result<Tile, MapError> {
+        if let Some(tile) = self.cache.get(&key) {
+            metrics.tile_cache_hits.inc();
+            return Ok(tile);
+        }
+        let _waiting = self.queue_permits.try_acquire().map_err(|_| MapError::Busy)?;
+        // The semaphore is never closed, so both errors are timeouts.
+        let permit = timeout(MAX_WAIT, Arc::clone(&self.render_permits).acquire_owned()).await;
+        let Ok(Ok(permit)) = permit else { return Err(MapError::Busy) };
+        // Another request may have rendered this tile meanwhile.
+        if let Some(tile) = self.cache.get(&key) {
+            metrics.tile_cache_hits.inc();
+            return Ok(tile);
+        }
+        let frames = fetch_frames(&elevation::sources(key), generation, bucket).await?;
+        let (world, bucket) = (self.world, bucket.clone());
+        // Milliseconds of computing: not for async threads.
+        let rendered = tokio::task::spawn_blocking(move || {
+            let started = Instant::now();
+            let tile = render_tile(key, &frames, &world);
+            let now = Instant::now();
+            bucket.charge_chunk((now - started).as_micros() as i64, now);
+            drop(permit);
+            tile
+        })
+        .await;
+        let Ok(Some(tile)) = rendered else { return Err(GenerationError::Failed.into()) };
+        metrics.tiles_rendered.inc();
+        self.cache.insert(key, tile.clone());
+        Ok(tile)
+    }
+}
+
+/// The exact frames of chunks, in the order of the keys.
+async fn fetch_frames(
+    keys: &[ChunkKey],
+    generation: &Generation,
+    bucket: &TokenBucket,
+) -> Result<Vec<Bytes>, GenerationError> {
+    let mut frames: Vec<Option<Bytes>> =
+        keys.iter().map(|key| generation.cached(*key, Delivery::Exact)).collect();
+    let missing: Vec<usize> = (0..keys.len()).filter(|index| frames[*index].is_none()).collect();
+    let (mut flow, mut remaining): (Flow, _) = (generation.limited_flow(bucket.clone()), missing.into_iter());
+    loop {
+        while flow.in_flight() < JOB_WINDOW {
+            let Some(index) = remaining.next() else { break };
+            // The request number is the index of the frame.
+            let chunk = ChunkRequest { key: keys[index], request: Some(index as u32), priority: u64::MAX };
+            flow.request(chunk, Delivery::Exact);
+        }
+        if flow.in_flight() == 0 {
+            break;
+        }
+        for (chunk, result) in flow.completions().await {
+            if let Some(frame) = chunk.request.and_then(|index| frames.get_mut(index as usize)) {
+                *frame = Some(result?);
+            }
+        }
+    }
+    frames.into_iter().collect::<Option<Vec<_>>>().ok_or(GenerationError::Failed)
+}
+
+/// Renders a tile; none if a frame is invalid, which would be a bug of this server.
+fn render_tile(key: ChunkKey, frames: &[Bytes], world: &WorldDigest) -> Option<Tile> {
+    let chunks: Option<Vec<Chunk>> =
+        frames.iter().map(|frame| chunk_codec::decode(frame, world).ok()).collect();
+    let pixels = hillshade::render(&ElevationGrid::new(key, &chunks?), key.level());
+    let png = encode(&pixels).ok()?;
+    let mut digest = [0; 16];
+    digest.copy_from_slice(&blake3::hash(&png).as_bytes()[..16]);
+    Some(Tile { png: png.into(), digest })
+}
+
+/// RGB pixels as PNG.
+fn encode(pixels: &[u8]) -> Result<Vec<u8>, png::EncodingError> {
+    let mut bytes = Vec::with_capacity(pixels.len() / 2);
+    let side = TILE_PIXELS as u32;
+    let mut encoder = png::Encoder::new(&mut bytes, side, side);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fast);
+    encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(pixels)?;
+    writer.finish()?;
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generation::Limits;
+    use crate::source::ProceduralSource;
+    use terrain::Land;
+
+    fn service(metrics: &Arc<Metrics>, jobs: usize) -> (Land, Generation) {
+        let land = Land::new(1);
+        let limits = Limits { threads: 1, cache_bytes: 1 << 24, jobs, deadline: Duration::from_secs(30) };
+        (land, Generation::new(ProceduralSource::new(land), limits, Arc::clone(metrics)).unwrap())
+    }
+
+    fn key(level: u8, x: i32, z: i32) -> ChunkKey {
+        ChunkKey::new(level, x, z).unwrap()
+    }
+
+    #[tokio::test]
+    async fn a_tile_requests_few_chunks_at_once_and_is_rendered_once() {
+        let metrics = Arc::new(Metrics::default());
+        // The queue has exactly the size of the window.
+        let (land, generation) = service(&metrics, JOB_WINDOW);
+        let map = Map::new(land.digest(), 1 << 20, 1);
+        let tile = map.tile(key(4, 0, -1), &generation, &TokenBucket::default(), &metrics).await.unwrap();
+        assert_eq!(metrics.jobs_completed.get(), 36);
+        assert_eq!(
+            map.tile(key(4, 0, -1), &generation, &TokenBucket::default(), &metrics).await.unwrap().digest,
+            tile.digest
+        );
+        assert_eq!((metrics.tiles_rendered.get(), metrics.tile_cache_hits.get()), (1, 1));
+        // Its neighbour to the east shares two columns of six chunks with it.
+        map.tile(key(4, 1, -1), &generation, &TokenBucket::default(), &metrics).await.unwrap();
+        assert_eq!(metrics.jobs_completed.get(), 36 + 24);
+        // The control: with a smaller queue than the window it is rejected.
+        let (_, small) = service(&metrics, 2);
+        let rejected = map.tile(key(4, 5, 5), &small, &TokenBucket::default(), &metrics).await;
+        assert_eq!(rejected.err(), Some(MapError::Generation(GenerationError::Overloaded)));
+    }
+
+    #[tokio::test]
+    async fn a_tile_over_the_limit_is_rejected_and_others_continue() {
+        let metrics = Arc::new(Metrics::default());
+        let (land, generation) = service(&metrics, 100);
+        let map = Arc::new(Map { queue_permits: Semaphore::new(2), ..Map::new(land.digest(), 1 << 20, 1) });
+        // The only render permit is taken.
+        let permit = map.render_permits.acquire().await.unwrap();
+        let wait_for = |x| {
+            let (map, generation, metrics) = (Arc::clone(&map), generation.clone(), Arc::clone(&metrics));
+            tokio::spawn(async move {
+                map.tile(key(0, x, 0), &generation, &TokenBucket::default(), &metrics).await
+            })
+        };
+        let waiting = [wait_for(1), wait_for(2)];
+        while map.queue_permits.available_permits() > 0 {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(wait_for(3).await.unwrap().err(), Some(MapError::Busy));
+        drop(permit);
+        for tile in waiting {
+            assert!(tile.await.unwrap().is_ok());
+        }
+        assert!(wait_for(3).await.unwrap().is_ok(), "permits are released");
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_session_waits_for_two_map_windows_at_most() {
+        let metrics = Arc::new(Metrics::default());
+        let (land, generation) = service(&metrics, 1000);
+        let map = Arc::new(Map::new(land.digest(), 1 << 24, 1));
+        // All over the home island: some thousand expensive chunks.
+        let tiles: Vec<_> = (-4..4)
+            .flat_map(|x| (-4..4).map(move |z| key(4, x, z)))
+            .map(|key| {
+                let (map, generation, metrics) = (Arc::clone(&map), generation.clone(), Arc::clone(&metrics));
+                tokio::spawn(async move {
+                    map.tile(key, &generation, &TokenBucket::default(), &metrics).await.map(drop)
+                })
+            })
+            .collect();
+        while metrics.jobs_completed.get() < 10 || map.queue_permits.available_permits() > MAX_WAITING - 60 {
+            tokio::task::yield_now().await;
+        }
+        let mut waits = Vec::new();
+        for z in 0..30 {
+            let before = metrics.jobs_completed.get();
+            let chunk = ChunkRequest { key: key(0, 20, z), request: None, priority: 0 };
+            generation.flow().frame(chunk, Delivery::Exact).await.unwrap();
+            waits.push(metrics.jobs_completed.get() - before);
+        }
+        waits.sort_unstable();
+        // Its own chunk, the window of the map, and one window queued behind it. In nine of ten
+        // cases: the count begins before the request and ends after the result, and this thread may
+        // be descheduled in between.
+        assert!(waits[26] <= 1 + 2 * JOB_WINDOW as u64, "chunks generated during one request: {waits:?}");
+        // The control: the map had more tiles to render all the time.
+        assert!(
+            map.queue_permits.available_permits() < MAX_WAITING - 10,
+            "{}",
+            map.queue_permits.available_permits()
+        );
+        tiles.iter().for_each(tokio::task::JoinHandle::abort);
+    }
+
+    #[tokio::test]
+    async fn the_tile_cache_stays_within_its_bytes() {
+        let metrics = Arc::new(Metrics::default());
+        let (land, generation) = service(&metrics, 100);
+        let budget = 300 << 10;
+        let map = Map::new(land.digest(), budget, 1);
+        let mut rendered = 0;
+        for x in 0..12 {
+            rendered += map
+                .tile(key(0, x, 3), &generation, &TokenBucket::default(), &metrics)
+                .await
+                .unwrap()
+                .png
+                .len() as u64;
+        }
+        assert!(rendered > 2 * budget, "{rendered} bytes exceed the budget");
+        assert!(map.cache.weight() <= budget && map.cache.weight() > 0);
+    }
+}

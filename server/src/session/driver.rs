@@ -1,0 +1,395 @@
+//! The loop of one session.
+//!
+//! Each round requests chunks from the generation service, writes all pending messages in one
+//! flush, and waits for the next event. Nothing is read during a write, so a client that does not
+//! read cannot make the server collect answers; a write that takes too long ends the session.
+
+use crate::generation::{Completion, Flow, FlowEvent, GenerationError};
+use crate::limits::rate_limit::TokenBucket;
+use crate::metrics::{DeliveryLabel, ReasonLabel};
+use crate::session::end::{SessionEnd, write_within};
+use crate::session::keepalive::{Keepalive, KeepaliveAction};
+use crate::session::refusal_backoff::RefusalBackoff;
+use crate::state::ServerState;
+use crate::stats::SessionStatsGuard;
+use crate::websocket::frame::{FrameError, MAX_CONTROL_PAYLOAD, Opcode};
+use crate::websocket::inbox::Message;
+use crate::websocket::socket::WebSocket;
+use bytes::Bytes;
+use protocol::limits::MAX_CONTROL_FRAME;
+use protocol::message::RefusalReason;
+use protocol::server::ViewSelection;
+use protocol::server::{Next, ServerSession, SessionCounts};
+use protocol::{CloseCode, DataFrame};
+use std::time::Duration;
+use terrain::ChunkKey;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::time::{Instant, timeout};
+
+/// Chunks of one session in generation at once. A larger window would order chunks by an outdated
+/// view; a smaller one would not fill the session's turns.
+const JOB_WINDOW: usize = 16;
+
+/// Cached chunks collected before a flush: about 300 KiB of exact frames, one write.
+const BATCH: usize = 64;
+
+/// The longest message that is read. Above the protocol's limit, so that the protocol rejects a
+/// message slightly over its limit.
+pub const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
+
+/// Time for the peer to close the connection after the close frame.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Bounds of the reconnect delay sent on shutdown, milliseconds. Random, so that clients do not all
+/// return at once.
+const RECONNECT_MS: (u32, u32) = (500, 2000);
+
+/// Runs one session to its end and counts it. Its work is charged to `bucket`.
+pub async fn serve<S>(socket: WebSocket<S>, state: &ServerState, number: u64, bucket: TokenBucket)
+where
+    S: AsyncRead + AsyncWrite + Unpin,
+{
+    state.metrics.sessions.inc();
+    tracing::debug!(session = number, "session opened");
+    let mut driver = Driver {
+        socket,
+        state,
+        number,
+        session: ServerSession::new(state.offer.clone(), number),
+        flow: state.generation.limited_flow(bucket),
+        throttled_until: None,
+        backoff: RefusalBackoff::new(Instant::now()),
+        counted: SessionCounts::default(),
+        stats: state.stats.register(number),
+        in_generation: Vec::new(),
+        unwritten: Vec::new(),
+    };
+    let end = driver.run().await;
+    tracing::debug!(session = number, reason = end.reason, "session ended");
+    if let Some((code, text)) = end.close {
+        driver.close(code, &text).await;
+    }
+    driver.update_metrics();
+    state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: end.reason }).inc();
+    state.metrics.sessions.dec();
+}
+
+struct Driver<'a, S> {
+    socket: WebSocket<S>,
+    state: &'a ServerState,
+    number: u64,
+    session: ServerSession,
+    /// Chunks in generation, at most [`JOB_WINDOW`]; nothing more is requested while it is full.
+    flow: Flow,
+    /// When the token bucket is no longer empty; nothing is requested before.
+    throttled_until: Option<Instant>,
+    /// Whether the session is read.
+    backoff: RefusalBackoff,
+    /// The part of the session's counts that the metrics contain.
+    counted: SessionCounts,
+    /// Figures for the page.
+    stats: SessionStatsGuard,
+    /// Start times of the chunks in generation. At most [`JOB_WINDOW`].
+    in_generation: Vec<(ChunkKey, Instant)>,
+    /// Start times and numbers of the chunks in the next flush. At most [`JOB_WINDOW`] and one
+    /// batch.
+    unwritten: Vec<(Instant, u64)>,
+}
+
+impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
+    async fn run(&mut self) -> SessionEnd {
+        let config = &self.state.config;
+        let handshake_by = Instant::now() + config.handshake_timeout;
+        let mut keepalive = Keepalive::new(config.ping_interval, Instant::now());
+        // Reset only when it fires: activity must not cost a timer each time.
+        let check = tokio::time::sleep_until(keepalive.check(Instant::now()).1);
+        tokio::pin!(check);
+        // Bytes behind the upgrade request are in the inbox already.
+        if let Err(end) = self.receive().await {
+            return end;
+        }
+        loop {
+            loop {
+                let more = self.request_chunks();
+                if let Err(end) = self.flush().await {
+                    return end;
+                }
+                if !more {
+                    break;
+                }
+                // A client that reads cached chunks at full speed must not starve others.
+                tokio::task::yield_now().await;
+            }
+            let pause = self.backoff.paused_until(Instant::now());
+            tokio::select! {
+                read = self.socket.read(), if pause.is_none() => {
+                    keepalive.on_activity(Instant::now());
+                    let received = match read {
+                        Ok(()) => self.receive().await,
+                        Err(error) => Err(SessionEnd::read_failed(&error)),
+                    };
+                    if let Err(end) = received {
+                        // The last message may explain the close.
+                        let _ = self.flush().await;
+                        return end;
+                    }
+                }
+                event = self.flow.next_event() => {
+                    match event {
+                        FlowEvent::View(selection) => self.apply_view(*selection),
+                        FlowEvent::Chunks(done) => done.into_iter().for_each(|done| self.finish(done)),
+                    }
+                    while let Some(done) = self.flow.try_completions() {
+                        done.into_iter().for_each(|done| self.finish(done));
+                    }
+                }
+                () = self.state.draining.cancelled() => return self.drain().await,
+                () = tokio::time::sleep_until(handshake_by), if !self.session.is_welcomed() => {
+                    return SessionEnd::with_code("handshake_timeout", CloseCode::HandshakeTimeout);
+                }
+                () = sleep_until(pause), if pause.is_some() => {}
+                () = sleep_until(self.throttled_until), if self.throttled_until.is_some() => {
+                    self.state.metrics.rate_limit_delays.inc();
+                }
+                () = &mut check => {
+                    let (action, next) = keepalive.check(Instant::now());
+                    match action {
+                        KeepaliveAction::None => {}
+                        // Written by the following flush.
+                        KeepaliveAction::Ping => self.socket.queue_as(Opcode::Ping, Bytes::new()),
+                        KeepaliveAction::Close => {
+                            return SessionEnd::with_code("keepalive_timeout", CloseCode::Unresponsive);
+                        }
+                    }
+                    check.as_mut().reset(next);
+                }
+            }
+        }
+    }
+
+    /// Requests chunks from the generation service; cached ones go straight to the session. True if
+    /// it stopped only to let a full batch be written.
+    fn request_chunks(&mut self) -> bool {
+        let (mut batch, now) = (0, Instant::now());
+        let mut more = false;
+        self.throttled_until = self.flow.bucket().delay(now).map(|delay| now + delay);
+        if self.throttled_until.is_none()
+            && let Some(selection) = self.session.take_view()
+        {
+            self.flow.select(selection, self.state.offer.land);
+        }
+        while self.flow.in_flight() < JOB_WINDOW {
+            if batch == BATCH {
+                more = true;
+                break;
+            }
+            if let Some(delay) = self.flow.bucket().delay(now) {
+                self.throttled_until = Some(now + delay);
+                break;
+            }
+            match self.session.next_chunk_with(|key, delivery| self.flow.cached(key, delivery)) {
+                Next::Nothing => break,
+                Next::Delivered => batch += 1,
+                Next::Generate(chunk, delivery) => {
+                    self.in_generation.push((chunk.key, now));
+                    self.flow.request(chunk, delivery);
+                }
+            }
+        }
+        if batch > 0 {
+            self.unwritten.push((now, batch as u64));
+        }
+        more
+    }
+
+    /// Handles all messages read, cancels outdated requests, and rejects requests that cannot be
+    /// served in time.
+    async fn receive(&mut self) -> Result<(), SessionEnd> {
+        let admitted = self.session.waiting_requests();
+        while self.receive_message().await? {
+            // Other tasks of this thread run between two messages of a peer.
+            tokio::task::yield_now().await;
+        }
+        self.cancel_stale();
+        // With a full window, waiting requests wait for the service, not for credit.
+        if self.fill_window() {
+            // Requests admitted before stay: a rejection is useful only if it comes at once.
+            self.session.shed(self.state.generation.allowance().max(admitted));
+        }
+        if self.flow.bucket().is_limited() {
+            let (waiting, deadline) = (self.session.waiting_requests(), self.state.config.deadline);
+            let affordable = self.flow.bucket().affordable_chunks(deadline, Instant::now());
+            self.session.shed(affordable.max(admitted));
+            let rejected = waiting - self.session.waiting_requests();
+            self.state.metrics.rate_limit_rejections.inc_by(rejected as u64);
+        }
+        // Views may be superseded without anything to write.
+        if self.session.counts() != self.counted {
+            self.update_metrics();
+        }
+        Ok(())
+    }
+
+    /// Applies a finished selection and cancels what only the previous view needed.
+    fn apply_view(&mut self, selection: ViewSelection) {
+        self.stats.set_view(selection.view());
+        self.session.apply_view(selection);
+        self.cancel_stale();
+    }
+
+    fn cancel_stale(&mut self) {
+        for key in self.session.take_stale() {
+            for chunk in self.flow.cancel(key) {
+                self.end_generation(chunk.key);
+                self.session.withdraw(chunk);
+            }
+        }
+    }
+
+    /// Requests chunks; true if the window is full afterwards.
+    fn fill_window(&mut self) -> bool {
+        // A full batch of cached chunks is no sign of overload.
+        !self.request_chunks() && self.flow.in_flight() >= JOB_WINDOW
+    }
+
+    /// Handles one message; false if there is none.
+    async fn receive_message(&mut self) -> Result<bool, SessionEnd> {
+        let incoming = match self.socket.next_message() {
+            Ok(None) => return Ok(false),
+            Ok(Some(Message::Binary(bytes))) if bytes.len() > MAX_CONTROL_FRAME => {
+                return Err(SessionEnd::with_code("too_large", CloseCode::TooLarge));
+            }
+            Ok(Some(Message::Binary(bytes))) => DataFrame::Binary(bytes),
+            Ok(Some(Message::Text)) => DataFrame::Text,
+            Ok(Some(Message::Ping(payload))) => {
+                let payload = Bytes::copy_from_slice(payload);
+                self.socket.queue_as(Opcode::Pong, payload);
+                return Ok(true);
+            }
+            Ok(Some(Message::Pong)) => return Ok(true),
+            Ok(Some(Message::Close(_))) => {
+                // RFC 6455, section 5.5.1: a close frame is answered by one. Errors do not matter
+                // any more.
+                let code = Bytes::copy_from_slice(&CloseCode::Normal.code().to_be_bytes());
+                self.socket.queue_as(Opcode::Close, code);
+                let _ = write_within(self.state.config.write_timeout, self.socket.flush()).await;
+                self.socket.shut_down().await;
+                return Err(SessionEnd::without_code("closed"));
+            }
+            Err(fault) => {
+                let code = match fault {
+                    FrameError::TooLong(_) => CloseCode::TooLarge,
+                    _ => CloseCode::Malformed,
+                };
+                return Err(SessionEnd::protocol_error(code, fault.to_string()));
+            }
+        };
+        self.session
+            .receive(incoming)
+            .map(|()| true)
+            .map_err(|fault| SessionEnd::protocol_error(fault.close_code(), fault.to_string()))
+    }
+
+    fn finish(&mut self, (chunk, result): Completion) {
+        let since = self.end_generation(chunk.key);
+        match result {
+            Ok(frame) => {
+                self.session.deliver(chunk, frame);
+                self.unwritten.extend(since.map(|since| (since, 1)));
+            }
+            Err(error) => {
+                let reason = match error {
+                    GenerationError::Overloaded => RefusalReason::Overloaded,
+                    GenerationError::Failed => RefusalReason::Failed,
+                };
+                self.session.fail(chunk, reason, error.to_string());
+            }
+        }
+    }
+
+    /// Removes a chunk from those in generation; returns its start time.
+    fn end_generation(&mut self, key: ChunkKey) -> Option<Instant> {
+        let index = self.in_generation.iter().position(|(other, _)| *other == key)?;
+        Some(self.in_generation.swap_remove(index).1)
+    }
+
+    /// Writes all messages of the session in one flush.
+    async fn flush(&mut self) -> Result<(), SessionEnd> {
+        let mut bytes = 0;
+        while let Some(frame) = self.session.poll_transmit() {
+            bytes += frame.len() as u64;
+            self.socket.queue(frame);
+        }
+        if !self.socket.has_queued() {
+            return Ok(());
+        }
+        let result = write_within(self.state.config.write_timeout, self.socket.flush()).await;
+        self.state.metrics.sent_bytes.inc_by(bytes);
+        if result.is_ok() {
+            let now = Instant::now();
+            for (since, count) in self.unwritten.drain(..) {
+                self.state.metrics.latency.observe(now - since, count);
+            }
+        }
+        self.update_metrics();
+        result
+    }
+
+    /// Announces the shutdown with a reconnect delay.
+    async fn drain(&mut self) -> SessionEnd {
+        let (min_ms, max_ms) = RECONNECT_MS;
+        let jitter_ms = terrain::hash::mix(self.number as u32) % (max_ms - min_ms);
+        self.session.drain(min_ms + jitter_ms);
+        let _ = self.flush().await;
+        SessionEnd::with_code("drained", CloseCode::GoingAway)
+    }
+
+    /// Sends the close frame and waits briefly for the peer to close, so that earlier messages
+    /// arrive.
+    async fn close(&mut self, code: CloseCode, text: &str) {
+        let text = &text[..text.floor_char_boundary(MAX_CONTROL_PAYLOAD - 2)];
+        let payload = [&code.code().to_be_bytes(), text.as_bytes()].concat();
+        self.socket.queue_as(Opcode::Close, payload.into());
+        if write_within(self.state.config.write_timeout, self.socket.flush()).await.is_err() {
+            return;
+        }
+        self.socket.shut_down().await;
+        let _ = timeout(CLOSE_TIMEOUT, self.socket.drain()).await;
+    }
+
+    /// Adds the session's new counts to the server's metrics.
+    fn update_metrics(&mut self) {
+        let (now, before, metrics) = (self.session.counts(), self.counted, &self.state.metrics);
+        metrics.chunks_sent.inc_by(now.chunks - before.chunks);
+        if now.chunks > before.chunks {
+            let label = DeliveryLabel { delivery: self.session.delivery().name() };
+            metrics.chunks_sent_by_delivery.get_or_create(&label).inc_by(now.chunks - before.chunks);
+            metrics.chunk_sent_bytes.get_or_create(&label).inc_by(now.chunk_bytes - before.chunk_bytes);
+        }
+        let superseded = now.superseded_views - before.superseded_views;
+        if now.refusals != before.refusals || superseded > 0 {
+            // A superseded view costs as much as a rejected request.
+            let count = superseded + now.refusals.iter().sum::<u64>() - before.refusals.iter().sum::<u64>();
+            // A rate limit bounds the work of rejections as well.
+            let sharers = self.state.generation.sharers().max(self.flow.bucket().thread_shares());
+            let begins = self.backoff.record(count, sharers, Instant::now());
+            metrics.refusal_backoffs.inc_by(u64::from(begins));
+            for reason in RefusalReason::ALL {
+                let count = now.refusals[reason.index()] - before.refusals[reason.index()];
+                metrics.request_rejected(reason, count);
+            }
+        }
+        metrics.views_selected.inc_by(now.views - before.views);
+        metrics.views_superseded.inc_by(superseded);
+        self.stats.set_sent(now.chunks, now.chunk_bytes);
+        self.counted = now;
+    }
+}
+
+/// Waits until a moment; forever if there is none.
+async fn sleep_until(moment: Option<Instant>) {
+    match moment {
+        Some(moment) => tokio::time::sleep_until(moment).await,
+        None => std::future::pending().await,
+    }
+}

@@ -1,0 +1,9 @@
+//! Sessions: one task per WebSocket client around the sans-IO session of the `protocol` crate.
+//!
+//! [`driver`] is the loop, [`end`] the reasons for which a session ends, [`keepalive`] the timeout
+//! of inactive peers, [`refusal_backoff`] the pause after many rejected requests.
+
+pub mod driver;
+pub mod end;
+pub mod keepalive;
+pub mod refusal_backoff;

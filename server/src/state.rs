@@ -1,0 +1,94 @@
+//! Application state shared by all connections.
+
+use crate::cache::disk::Disk;
+use crate::config::ServerConfig;
+use crate::generation::{Generation, Limits};
+use crate::limits::per_ip::PerIpLimiter;
+use crate::limits::rate_limit::RateLimiter;
+use crate::map::Map;
+use crate::metrics::Metrics;
+use crate::source::ProceduralSource;
+use crate::stats::LiveStats;
+use protocol::server::ServerOffer;
+use rayon::ThreadPoolBuildError;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use terrain::Land;
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+/// Name and version as sent to peers.
+pub const SOFTWARE: &str = concat!("tombolo-server ", env!("CARGO_PKG_VERSION"));
+
+/// The map cache gets the chunk cache's memory divided by this, in addition to it.
+const MAP_CACHE_DIVISOR: u64 = 8;
+
+/// State shared by all connections.
+pub struct ServerState {
+    /// The checked configuration.
+    pub config: ServerConfig,
+    /// What sessions are offered.
+    pub offer: ServerOffer,
+    /// The generation service.
+    pub generation: Generation,
+    /// The map renderer and its cache.
+    pub map: Map,
+    /// Figures for the page at `/`.
+    pub stats: LiveStats,
+    /// Metrics.
+    pub metrics: Arc<Metrics>,
+    /// Cancelled when the server begins to drain.
+    pub draining: CancellationToken,
+    /// Session tasks; the server stops after the last one.
+    pub sessions: TaskTracker,
+    /// One permit per allowed session, held by the session task.
+    pub session_permits: Arc<Semaphore>,
+    /// Sessions per client network.
+    pub sessions_per_ip: PerIpLimiter,
+    /// Work per client network.
+    pub rate_limiter: RateLimiter,
+    /// Number of the next session.
+    pub next_session: AtomicU64,
+}
+
+impl ServerState {
+    /// The state of a server without a listener.
+    ///
+    /// # Errors
+    /// The system cannot start the generation threads.
+    pub fn new(config: ServerConfig) -> Result<Self, ThreadPoolBuildError> {
+        let land = Land::new(config.world_seed);
+        let metrics = Arc::new(Metrics::default());
+        let source = ProceduralSource::new(land);
+        let limits = Limits {
+            threads: config.threads,
+            cache_bytes: config.cache_bytes,
+            jobs: config.max_jobs,
+            deadline: config.deadline,
+        };
+        let disk = config.disk.clone().and_then(|disk| {
+            Disk::new(disk, &land.digest(), Arc::clone(&metrics))
+                .inspect_err(
+                    |error| tracing::warn!(%error, "cannot start the disk cache; continuing without it"),
+                )
+                .ok()
+        });
+        let generation = Generation::with_disk(source, limits, disk, Arc::clone(&metrics))?;
+        let token = config.token.clone();
+        Ok(Self {
+            offer: ServerOffer { land, digest: land.digest(), token, software: SOFTWARE.into() },
+            map: Map::new(land.digest(), config.cache_bytes / MAP_CACHE_DIVISOR, config.threads),
+            stats: LiveStats::default(),
+            generation,
+            metrics,
+            draining: CancellationToken::new(),
+            sessions: TaskTracker::new(),
+            session_permits: Arc::new(Semaphore::new(config.max_sessions)),
+            next_session: AtomicU64::new(1),
+            rate_limiter: RateLimiter::new(config.rate_limit_ms),
+            sessions_per_ip: PerIpLimiter::new(config.max_sessions_per_address),
+            config,
+        })
+    }
+}

@@ -1,0 +1,118 @@
+//! The rate limit per address, in sessions.
+
+use crate::peer::{BINARY, PING, PONG, Peer};
+use protocol::message::{ClientMessage, RefusalReason, ServerMessage};
+use protocol::server::ChunkRequest;
+use protocol::view::View;
+use protocol::{Delivery, control};
+use server::ServerConfig;
+use server::limits::rate_limit::TokenBucket;
+use server::state::ServerState;
+use std::sync::Arc;
+use std::time::Duration;
+use terrain::{ChunkKey, lod};
+use tokio::time::{Instant, sleep};
+
+/// A server with a rate limit of one millisecond per second, which pays for 1 MiB.
+fn server_state() -> Arc<ServerState> {
+    let config = ServerConfig { threads: 1, rate_limit_ms: Some(1), ..ServerConfig::default() };
+    Arc::new(ServerState::new(config).unwrap())
+}
+
+fn bucket(state: &ServerState, address: &str) -> TokenBucket {
+    state.rate_limiter.bucket(Some(address.parse().unwrap()))
+}
+
+/// Generates chunks without a charge, so that sessions take no real time.
+async fn generate(state: &ServerState, keys: &[ChunkKey]) -> usize {
+    let mut bytes = 0;
+    for key in keys {
+        let chunk = ChunkRequest { key: *key, request: None, priority: 0 };
+        bytes += state.generation.flow().frame(chunk, Delivery::Exact).await.unwrap().len();
+    }
+    bytes
+}
+
+/// Receives as many chunks and refusals as are expected.
+async fn receive(peer: &mut Peer, expected: usize) -> (usize, Vec<RefusalReason>) {
+    let (mut chunks, mut refusals) = (0, Vec::new());
+    while chunks + refusals.len() < expected {
+        let (opcode, payload) = peer.next().await.expect("a frame");
+        match opcode {
+            PING => peer.send(PONG, &payload).await,
+            BINARY => match control::decode(&payload) {
+                Ok(ServerMessage::Refused(refused)) => refusals.push(refused.reason),
+                Ok(_) => {}
+                Err(_) => chunks += 1,
+            },
+            other => panic!("a frame of opcode {other}"),
+        }
+    }
+    (chunks, refusals)
+}
+
+#[tokio::test(start_paused = true)]
+async fn requests_over_the_rate_limit_are_rejected_at_once() {
+    let state = server_state();
+    let keys: Vec<ChunkKey> = (0..20).map(|x| ChunkKey::new(0, x, 0).unwrap()).collect();
+    generate(&state, &keys).await;
+    let [empty, full] = ["10.0.0.1", "10.0.0.2"].map(|address| bucket(&state, address));
+    let mut throttled = Peer::connect(&state, empty.clone()).await;
+    let mut free = Peer::connect(&state, full).await;
+    // Another session of the address spends the bucket and five seconds of refill more.
+    empty.charge_chunk(15_000, Instant::now());
+    let request = ClientMessage::Request { id: 7, keys: keys.iter().map(|key| (*key).into()).collect() };
+    let credit = ClientMessage::Credit { chunks: 1000 };
+    for peer in [&mut throttled, &mut free] {
+        peer.send_message(&credit).await;
+        peer.send_message(&request).await;
+    }
+    let requested = Instant::now();
+    assert_eq!(receive(&mut throttled, keys.len()).await, (0, vec![RefusalReason::Overloaded; keys.len()]));
+    assert!(requested.elapsed() < Duration::from_secs(1), "{:?}", requested.elapsed());
+    assert_eq!(receive(&mut free, keys.len()).await, (keys.len(), vec![]));
+    assert_eq!(state.metrics.rate_limit_rejections.get(), keys.len() as u64);
+
+    sleep(Duration::from_secs(6)).await;
+    throttled.send_message(&request).await;
+    assert_eq!(receive(&mut throttled, keys.len()).await, (keys.len(), vec![]));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_view_is_delayed_by_the_rate_limit_and_never_rejected() {
+    let state = server_state();
+    let view = View {
+        id: 1,
+        eye: [0, 60 * 256, 0],
+        velocity: [0; 3],
+        yaw_mdeg: 0,
+        pitch_mdeg: 0,
+        fov_mdeg: 60_000,
+        viewport: [640, 360],
+        tolerance_q4: 16,
+        distance_m: 1000,
+    };
+    let keys: Vec<_> =
+        lod::select(&state.offer.land, &view.viewer(), 10_000).iter().map(|needed| needed.key).collect();
+    let bytes = generate(&state, &keys).await;
+    assert!(keys.len() > 50);
+    let mut took = Vec::new();
+    for (address, debt_us) in [("10.0.0.1", 0), ("10.0.0.2", 40_000)] {
+        let bucket = bucket(&state, address);
+        let start = Instant::now();
+        bucket.charge_chunk(debt_us, start);
+        let mut peer = Peer::connect(&state, bucket.clone()).await;
+        peer.send_message(&ClientMessage::Credit { chunks: 4096 }).await;
+        peer.send_message(&ClientMessage::View(view)).await;
+        assert_eq!(receive(&mut peer, keys.len()).await, (keys.len(), vec![]));
+        took.push(start.elapsed());
+        assert!(bucket.delay(Instant::now()) < Some(Duration::from_secs(1)), "the overdraft is small");
+    }
+    assert!(took[0] < Duration::from_secs(1), "the control, with a full bucket: {took:?}");
+    // Thirty seconds for the debt, and a second per MiB for all frames but the last.
+    let least =
+        Duration::from_secs(30) + Duration::from_secs_f64((bytes - 30_000) as f64 / f64::from(1 << 20));
+    assert!(took[1] >= least && took[1] < least * 2, "{took:?}, at least {least:?}");
+    assert!(state.metrics.rate_limit_delays.get() > 0);
+    assert_eq!(state.metrics.rate_limit_rejections.get(), 0);
+}
