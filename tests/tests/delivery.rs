@@ -1,10 +1,8 @@
-//! The deliveries: equal land, equal pictures, and servers that lie.
+//! The deliveries: equal land, equal pictures, and faulty servers.
 
-use client::camera::Lens;
-use client::feed::{Feed, FeedEvent};
-use client::headless::{self, HeadlessError, Options};
-use client::native::stream::{Settings, SocketFeed};
-use client::render::Picture;
+use client::stream::{ChunkStream, StreamEvent};
+use client::native::stream::{ServerStream, Settings};
+use client::gpu::Image;
 use client::scene::Scene;
 use client::stats::Stats;
 use protocol::chunk_codec::{encode_for, quantised};
@@ -15,25 +13,25 @@ use std::time::{Duration, Instant};
 use terrain::{Chunk, Land, WorldDigest};
 use tests::RunningServer;
 use tests::golden::{self, Difference};
-use tests::liar::{Frames, Liar};
-use tests::peer::{Guest, guest_config, view};
+use tests::faulty_server::{Frames, FaultyServer};
+use tests::peer::{TestClient, client_config, view};
 use tests::running::quick_config;
 
-/// Those that bring every height as it is.
+/// The lossless deliveries.
 const DELIVERIES: [Delivery; 3] = [Delivery::Exact, Delivery::Refined, Delivery::SeedOnly];
 
 fn config(delivery: Delivery) -> ClientConfig {
-    ClientConfig { delivery, ..guest_config() }
+    ClientConfig { delivery, ..client_config() }
 }
 
-/// The chunks of a view by key, and the bytes that they came as.
+/// The chunks of a view by key, and the bytes of their frames.
 async fn received(url: &str, delivery: Delivery) -> (Vec<Chunk>, usize) {
-    let mut guest = Guest::connect_as(url, config(delivery)).await;
+    let mut client = TestClient::connect_as(url, config(delivery)).await;
     let (mut chunks, mut total) = (Vec::new(), 0);
-    for event in guest.settle(view(1, 1200)).await {
-        if let Event::Chunk { chunk, bytes, delivery: came } = event {
-            // What can refine nothing comes exact.
-            assert!(came == delivery || (delivery, came) == (Delivery::Refined, Delivery::Exact), "{came}");
+    for event in client.settle(view(1, 1200)).await {
+        if let Event::Chunk { chunk, bytes, delivery: received } = event {
+            // Chunks without a parent in the reference window are exact.
+            assert!(received == delivery || (delivery, received) == (Delivery::Refined, Delivery::Exact), "{received}");
             chunks.push(*chunk);
             total += bytes;
         }
@@ -49,7 +47,7 @@ async fn metrics(server: &RunningServer) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn both_deliveries_bring_the_land_and_seed_only_at_36_bytes_a_chunk() {
+async fn seed_only_delivery_yields_the_land_in_36_bytes_per_chunk() {
     let server = RunningServer::start().await;
     let (exact, exact_bytes) = received(&server.stream_url(), Delivery::Exact).await;
     let (seed, seed_bytes) = received(&server.stream_url(), Delivery::SeedOnly).await;
@@ -58,24 +56,24 @@ async fn both_deliveries_bring_the_land_and_seed_only_at_36_bytes_a_chunk() {
     assert!(exact_bytes > 20 * seed_bytes, "{exact_bytes} against {seed_bytes}");
     let (land, other) = (Land::new(1), Land::new(2));
     assert!(seed.iter().all(|chunk| *chunk == land.chunk(chunk.key)));
-    // The control: another seed's land is not equal.
+    // Control: another seed's land is not equal.
     assert!(seed.iter().any(|chunk| *chunk != other.chunk(chunk.key)));
 
     let text = metrics(&server).await;
     for (name, delivery, count) in [
-        ("chunks", "exact", exact.len()),
-        ("chunks", "seed", seed.len()),
-        ("chunk_bytes", "exact", exact_bytes),
-        ("chunk_bytes", "seed", seed_bytes),
+        ("chunks_sent", "exact", exact.len()),
+        ("chunks_sent", "seed", seed.len()),
+        ("chunk_sent_bytes", "exact", exact_bytes),
+        ("chunk_sent_bytes", "seed", seed_bytes),
     ] {
-        let line = format!("tombolo_{name}_delivered_total{{delivery=\"{delivery}\"}} {count}\n");
+        let line = format!("tombolo_{name}_total{{delivery=\"{delivery}\"}} {count}\n");
         assert!(text.contains(&line), "{line}{text}");
     }
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn quantised_delivery_brings_every_height_within_the_tolerance_for_fewer_bytes() {
+async fn quantised_heights_stay_within_the_tolerance() {
     let server = RunningServer::start().await;
     let tolerance = Tolerance::within_m(0.0625).unwrap();
     let (exact, exact_bytes) = received(&server.stream_url(), Delivery::Exact).await;
@@ -88,20 +86,20 @@ async fn quantised_delivery_brings_every_height_within_the_tolerance_for_fewer_b
         let apart = exact.heights.iter().zip(&coarse.heights[..]).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
         farthest = farthest.max(apart);
     }
-    // Within the tolerance, and not exact after all.
+    // Within the tolerance, and not exact.
     assert!((1..=u32::from(tolerance.units())).contains(&farthest), "{farthest} units");
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn refined_delivery_brings_the_land_in_fewer_bytes() {
+async fn refined_delivery_yields_the_land_in_fewer_bytes() {
     let server = RunningServer::start().await;
     let (exact, exact_bytes) = received(&server.stream_url(), Delivery::Exact).await;
     let (refined, bytes) = received(&server.stream_url(), Delivery::Refined).await;
     assert!(exact == refined && exact.len() > 30, "{} and {}", exact.len(), refined.len());
     assert!(bytes * 10 < exact_bytes * 9, "{bytes} against {exact_bytes}");
     let text = metrics(&server).await;
-    let line = format!("tombolo_chunk_bytes_delivered_total{{delivery=\"refined\"}} {bytes}\n");
+    let line = format!("tombolo_chunk_sent_bytes_total{{delivery=\"refined\"}} {bytes}\n");
     assert!(text.contains(&line), "{line}{text}");
     server.stop().await;
 }
@@ -110,127 +108,110 @@ async fn refined_delivery_brings_the_land_in_fewer_bytes() {
 async fn clients_of_all_deliveries_at_once_get_the_same_land() {
     let server = RunningServer::start().await;
     let url = server.stream_url();
-    let guests: Vec<_> = (0..9)
+    let clients: Vec<_> = (0..9)
         .map(|index| {
             let url = url.clone();
             tokio::spawn(async move { received(&url, DELIVERIES[index % DELIVERIES.len()]).await.0 })
         })
         .collect();
     let first = received(&url, Delivery::Exact).await.0;
-    for guest in guests {
-        assert!(guest.await.unwrap() == first);
+    for client in clients {
+        assert!(client.await.unwrap() == first);
     }
     server.stop().await;
 }
 
-/// One unit more at one vertex, signed as if it were so.
+/// One vertex raised by one unit, with a digest that matches.
 const RAISED: Frames = |land, key, delivery| {
-    let honest = land.chunk(key);
-    let mut heights = honest.heights;
+    let correct = land.chunk(key);
+    let mut heights = correct.heights;
     heights[2000] += 1;
-    let lie = Chunk::from_parts(key, heights, honest.error, honest.grass);
-    encode_for(delivery, &lie, &land.digest())
+    let raised = Chunk::from_parts(key, heights, correct.error, correct.grass);
+    encode_for(delivery, &raised, &land.digest())
 };
 
-const HONEST: Frames = |land, key, delivery| encode_for(delivery, &land.chunk(key), &land.digest());
+const CORRECT: Frames = |land, key, delivery| encode_for(delivery, &land.chunk(key), &land.digest());
 
-/// What ends a viewer's session with a server: the cause and whether it tries again. None if the
-/// view settles.
-fn viewers_fate(url: &str, change: impl FnOnce(&mut Settings)) -> Option<(String, bool)> {
+/// The end of a viewer's session: the cause, and whether the viewer retries. None if the view
+/// settles.
+fn viewer_outcome(url: &str, change: impl FnOnce(&mut Settings)) -> Option<(String, bool)> {
     let mut settings = Settings::new(url.parse().unwrap());
     change(&mut settings);
-    let mut feed = SocketFeed::connect(settings).unwrap();
+    let mut feed = ServerStream::connect(settings).unwrap();
     let started = Instant::now();
     while started.elapsed() < Duration::from_secs(20) {
         match feed.poll() {
-            Some(FeedEvent::Connected { .. }) => feed.set_view(view(1, 300)),
-            Some(FeedEvent::Settled { .. }) => return None,
-            Some(FeedEvent::Disconnected { cause, retry }) => return Some((cause, retry.is_some())),
+            Some(StreamEvent::Connected { .. }) => feed.set_view(view(1, 300)),
+            Some(StreamEvent::Settled { .. }) => return None,
+            Some(StreamEvent::Disconnected { cause, retry }) => return Some((cause, retry.is_some())),
             Some(_) => {}
             None => std::thread::sleep(Duration::from_millis(2)),
         }
     }
-    panic!("nothing happened");
+    panic!("neither settled nor disconnected");
 }
 
-/// As [`viewers_fate`], off the runtime's threads.
-async fn fate(url: &str, delivery: Delivery) -> Option<(String, bool)> {
+/// As [`viewer_outcome`], off the runtime's threads.
+async fn outcome(url: &str, delivery: Delivery) -> Option<(String, bool)> {
     let url = url.to_owned();
-    let watch = move || viewers_fate(&url, |settings| settings.delivery = delivery);
+    let watch = move || viewer_outcome(&url, |settings| settings.delivery = delivery);
     tokio::task::spawn_blocking(watch).await.unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_viewer_that_regenerates_notices_a_lying_server() {
+async fn seed_only_delivery_detects_wrong_chunks() {
     let world = Land::new(1).digest();
-    let liar = Liar::start(world, RAISED).await;
-    let (cause, retry) = fate(&liar.stream_url, Delivery::SeedOnly).await.expect("noticed");
+    let faulty = FaultyServer::start(world, RAISED).await;
+    let (cause, retry) = outcome(&faulty.stream_url, Delivery::SeedOnly).await.expect("detected");
     assert!(cause.contains("generated here") && !retry, "{cause}");
-    // The controls: the same frames pass where nobody regenerates, and honest ones pass in both
-    // deliveries.
-    assert_eq!(fate(&liar.stream_url, Delivery::Exact).await, None);
-    let honest = Liar::start(world, HONEST).await;
+    // Controls: exact delivery accepts the same frames, and every delivery accepts correct ones.
+    assert_eq!(outcome(&faulty.stream_url, Delivery::Exact).await, None);
+    let correct = FaultyServer::start(world, CORRECT).await;
     for delivery in DELIVERIES {
-        assert_eq!(fate(&honest.stream_url, delivery).await, None);
+        assert_eq!(outcome(&correct.stream_url, delivery).await, None);
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_world_that_is_not_made_here_is_refused_in_seed_only_delivery() {
-    // As if the server's generator were another one: its digest is not what its seed makes here.
+async fn seed_only_delivery_rejects_another_generator() {
+    // A server with another generator: its digest is not that of its seed here.
     let theirs = WorldDigest([0xcd; 32]);
-    let stranger = Liar::start(theirs, |land, key, delivery| {
+    let other = FaultyServer::start(theirs, |land, key, delivery| {
         encode_for(delivery, &land.chunk(key), &WorldDigest([0xcd; 32]))
     })
     .await;
-    let (cause, retry) = fate(&stranger.stream_url, Delivery::SeedOnly).await.expect("refused");
+    let (cause, retry) = outcome(&other.stream_url, Delivery::SeedOnly).await.expect("refused");
     let ours = Land::new(1).digest().to_string();
     assert!(cause.contains(&ours) && cause.contains(&theirs.to_string()) && !retry, "{cause}");
     assert!(cause.contains("use exact delivery") && cause.lines().count() == 1, "{cause}");
-    assert_eq!(fate(&stranger.stream_url, Delivery::Exact).await, None, "exact delivery needs no generator");
+    assert_eq!(outcome(&other.stream_url, Delivery::Exact).await, None, "exact delivery needs no generator");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_viewer_that_insists_on_a_world_refuses_another_with_both_digests() {
+async fn a_viewer_rejects_a_world_that_it_does_not_require() {
     let server = RunningServer::start().await;
     let url = server.stream_url();
     let watch = move || {
         let (served, other) = (Land::new(1).digest(), Land::new(2).digest());
-        let (cause, retry) = viewers_fate(&url, |settings| settings.digest = Some(other)).expect("refused");
+        let (cause, retry) = viewer_outcome(&url, |settings| settings.digest = Some(other)).expect("refused");
         assert!(cause.contains(&served.to_string()) && cause.contains(&other.to_string()), "{cause}");
         assert!(!retry && cause.lines().count() == 1, "{cause}");
-        assert_eq!(viewers_fate(&url, |settings| settings.digest = Some(served)), None);
+        assert_eq!(viewer_outcome(&url, |settings| settings.digest = Some(served)), None);
     };
     tokio::task::spawn_blocking(watch).await.unwrap();
     server.stop().await;
 }
 
-fn options() -> Options {
-    Options {
-        pose: Scene::Island.start(),
-        lens: Lens { width: 256, height: 144, ..Options::default().lens },
-        // One sample: where edges are sampled is the driver's choice.
-        samples: 1,
-        ..Options::default()
-    }
-}
-
-/// Draws from a server; none, visibly, where there is no adapter and none is required.
-fn drawn(url: &str, delivery: Delivery) -> Option<(Picture, Stats)> {
+/// Renders the start view from a server.
+fn drawn(url: &str, delivery: Delivery) -> Option<(Image, Stats)> {
     let settings = Settings { delivery, ..Settings::new(url.parse().unwrap()) };
-    let feed = SocketFeed::connect(settings).unwrap();
-    match headless::render(&options(), feed, Instant::now(), |_| {}) {
-        Ok(drawn) => Some(drawn),
-        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
+    let feed = ServerStream::connect(settings).unwrap();
+    let options = tests::options_at(&Scene::Island.start().to_string(), (256, 144));
+    tests::render_or_skip(feed, &options)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
-async fn all_deliveries_draw_the_same_picture_and_the_stats_show_the_saving() {
+async fn all_deliveries_draw_the_same_picture() {
     let server = RunningServer::start().await;
     let other = RunningServer::start_with(server::ServerConfig { world_seed: 2, ..quick_config() }).await;
     let (url, other_url) = (server.stream_url(), other.stream_url());
@@ -251,9 +232,9 @@ async fn all_deliveries_draw_the_same_picture_and_the_stats_show_the_saving() {
             refined_stats.bytes_received < exact_stats.bytes_received,
             "{refined_stats:?} {exact_stats:?}"
         );
-        // The control: another world, regenerated as well, looks otherwise.
-        let (stranger, _) = drawn(&other_url, Delivery::SeedOnly).unwrap();
-        assert!(!Difference::between(&seed, &stranger).is_tolerable());
+        // Control: another world, also regenerated, looks different.
+        let (different, _) = drawn(&other_url, Delivery::SeedOnly).unwrap();
+        assert!(!Difference::between(&seed, &different).is_tolerable());
         golden::check("start", &seed).unwrap();
     };
     tokio::task::spawn_blocking(compare).await.unwrap();

@@ -1,9 +1,9 @@
-//! Peers that break the rules: each is told by a typed close code, and the others do not notice.
+//! Peers that violate the protocol: each gets a typed close code; other sessions are unaffected.
 
 use protocol::message::{ClientMessage, Hello, RefusalReason, ServerMessage, WireKey};
 use protocol::{CloseCode, Delivery, PROTOCOL_VERSION, SUBPROTOCOL, control, limits};
 use std::time::Duration;
-use tests::peer::{Guest, Peer, view};
+use tests::peer::{TestClient, Peer, view};
 use tests::{RunningServer, running};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -20,8 +20,8 @@ fn hello() -> Vec<u8> {
     .to_vec()
 }
 
-/// Sends one message after the handshake and gives the close code.
-async fn fate(server: &RunningServer, message: Message) -> Option<u16> {
+/// Sends one message after the handshake; returns the close code.
+async fn outcome(server: &RunningServer, message: Message) -> Option<u16> {
     let mut peer = Peer::connect(&server.stream_url()).await;
     peer.send_bytes(hello()).await;
     peer.receive().await.expect("a welcome");
@@ -34,10 +34,10 @@ fn binary(bytes: &[u8]) -> Message {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn bad_frames_get_typed_close_codes_and_the_other_session_lives_on() {
+async fn invalid_frames_get_typed_close_codes() {
     let server = RunningServer::start().await;
-    let mut bystander = Guest::connect(&server.stream_url()).await;
-    bystander.settle(view(1, 300)).await;
+    let mut other_client = TestClient::connect(&server.stream_url()).await;
+    other_client.settle(view(1, 300)).await;
 
     let credit = control::encode(&ClientMessage::Credit { chunks: 1 }).unwrap();
     let mut wrong_version = credit.to_vec();
@@ -52,21 +52,21 @@ async fn bad_frames_get_typed_close_codes_and_the_other_session_lives_on() {
         ("far oversized", binary(&vec![0; 1 << 20]), CloseCode::TooLarge),
         ("second hello", binary(&hello()), CloseCode::OutOfOrder),
         ("other version", binary(&wrong_version), CloseCode::WrongVersion),
-        // A chunk frame is nothing that a client may send.
+        // Clients may not send chunk frames.
         ("a chunk", binary(&[&b"TMBC\x01\x00\x01"[..], &[0; 29]].concat()), CloseCode::Malformed),
     ];
     for (name, message, code) in cases {
-        let got = fate(&server, message).await;
-        // A far oversized frame is cut off while it is still being sent; the close frame may be
-        // lost with it.
+        let got = outcome(&server, message).await;
+        // The connection ends while a far oversized frame is still being sent; the close frame may be
+        // lost.
         assert!(got == Some(code.code()) || (name == "far oversized" && got.is_none()), "{name}: {got:?}");
     }
-    bystander.settle(view(2, 500)).await;
+    other_client.settle(view(2, 500)).await;
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
+async fn wrong_versions_and_worlds_are_rejected_with_both_values() {
     let server = RunningServer::start().await;
     let mut frame = hello();
     frame[4] = 42;
@@ -78,7 +78,7 @@ async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
     assert!(rejection.to_string().contains("42") && rejection.to_string().contains(&ours), "{rejection}");
     assert_eq!(peer.closed().await, Some(CloseCode::WrongVersion.code()));
 
-    // A client of the first release: what it said, byte for byte.
+    // The Hello of a client of the first release, byte for byte.
     let mut old = b"TMBM\x01\x00".to_vec();
     old.extend([0; 4 + 1 + 1 + 8]);
     let mut peer = Peer::connect(&server.stream_url()).await;
@@ -89,21 +89,21 @@ async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
     assert!(rejection.to_string().contains(&both), "{rejection}");
     assert_eq!(peer.closed().await, Some(CloseCode::WrongVersion.code()));
 
-    // A delivery that a later release may have: told as a fault of the frame, in words.
+    // A delivery of a later release: a malformed frame.
     let mut later = hello();
     later[4 + 2 + 4 + 1] = 9;
     let mut peer = Peer::connect(&server.stream_url()).await;
     peer.send_bytes(&later).await;
     assert_eq!(peer.closed().await, Some(CloseCode::Malformed.code()));
 
-    let stranger = Hello {
+    let other_world = Hello {
         digest: Some([0xee; 32]),
         delivery: Delivery::Exact,
         token: None,
         software: "hostile".into(),
     };
     let mut peer = Peer::connect(&server.stream_url()).await;
-    peer.send_bytes(control::encode(&ClientMessage::Hello(stranger)).unwrap()).await;
+    peer.send_bytes(control::encode(&ClientMessage::Hello(other_world)).unwrap()).await;
     let answer = peer.receive().await.expect("a rejection");
     let ServerMessage::Rejected(rejection) = control::decode(&answer).unwrap() else { panic!("{answer:?}") };
     let ours = terrain::Land::new(1).digest().to_string();
@@ -116,7 +116,7 @@ async fn a_wrong_version_and_a_wrong_world_are_refused_with_both_values() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_wrong_subprotocol_is_refused_with_both_names_before_the_upgrade() {
+async fn a_wrong_subprotocol_is_rejected_before_the_upgrade() {
     let server = RunningServer::start().await;
     for offered in [None, Some("chat"), Some("tombolo.v2")] {
         let Err(error) = Peer::try_connect(&server.stream_url(), offered).await else {
@@ -132,7 +132,7 @@ async fn a_wrong_subprotocol_is_refused_with_both_names_before_the_upgrade() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_client_that_never_says_hello_is_closed() {
+async fn a_client_without_a_hello_is_closed() {
     let server = RunningServer::start().await;
     let mut peer = Peer::connect(&server.stream_url()).await;
     assert_eq!(peer.closed().await, Some(CloseCode::HandshakeTimeout.code()));
@@ -140,7 +140,7 @@ async fn a_client_that_never_says_hello_is_closed() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_client_that_dribbles_its_request_head_is_cut_off() {
+async fn a_slow_request_head_ends_the_connection() {
     let server = RunningServer::start().await;
     let mut stream = TcpStream::connect(server.address).await.unwrap();
     stream.write_all(b"GET /livez HTTP/1.1\r\nHost: a").await.unwrap();
@@ -151,26 +151,25 @@ async fn a_client_that_dribbles_its_request_head_is_cut_off() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_client_that_stops_reading_is_closed_and_does_not_slow_the_others() {
+async fn a_client_that_stops_reading_is_closed() {
     let server = RunningServer::start().await;
-    let mut deaf = Peer::connect(&server.stream_url()).await;
-    deaf.send_bytes(hello()).await;
-    deaf.send_bytes(control::encode(&ClientMessage::Credit { chunks: 4096 }).unwrap()).await;
+    let mut stalled = Peer::connect(&server.stream_url()).await;
+    stalled.send_bytes(hello()).await;
+    stalled.send_bytes(control::encode(&ClientMessage::Credit { chunks: 4096 }).unwrap()).await;
     let request = |id| {
         let keys = vec![WireKey { level: 0, x: 3, z: -7 }];
         control::encode(&ClientMessage::Request { id, keys }).unwrap()
     };
-    // The Welcome and one chunk, which is cached from then on: what follows is written as fast as
-    // it is asked for.
-    deaf.send_bytes(request(0)).await;
+    // The Welcome and one chunk, which is cached from then on: further requests are answered at once.
+    stalled.send_bytes(request(0)).await;
     for _ in 0..2 {
-        deaf.receive().await.expect("an answer");
+        stalled.receive().await.expect("a frame");
     }
     for id in 1..4096 {
-        deaf.send_bytes(request(id)).await;
+        stalled.send_bytes(request(id)).await;
     }
-    let mut guest = Guest::connect(&server.stream_url()).await;
-    guest.settle(view(1, 500)).await;
+    let mut client = TestClient::connect(&server.stream_url()).await;
+    client.settle(view(1, 500)).await;
     let gone = async {
         loop {
             let url = server.url("/metrics");
@@ -179,28 +178,28 @@ async fn a_client_that_stops_reading_is_closed_and_does_not_slow_the_others() {
             })
             .await
             .unwrap();
-            if text.contains("session_ends_total{reason=\"not reading\"} 1") {
+            if text.contains("sessions_ended_total{reason=\"write_timeout\"} 1") {
                 return;
             }
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
     };
-    tokio::time::timeout(Duration::from_secs(15), gone).await.expect("the deaf client is closed");
+    tokio::time::timeout(Duration::from_secs(15), gone).await.expect("the stalled client is closed");
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn absurd_wishes_are_refused_one_by_one_counted_and_harm_nobody() {
+async fn invalid_messages_are_refused_singly_and_counted() {
     let server = RunningServer::start().await;
-    let mut bystander = Guest::connect(&server.stream_url()).await;
-    bystander.settle(view(1, 300)).await;
+    let mut other_client = TestClient::connect(&server.stream_url()).await;
+    other_client.settle(view(1, 300)).await;
 
     let mut peer = Peer::connect(&server.stream_url()).await;
     peer.send_bytes(hello()).await;
     peer.receive().await.expect("a welcome");
     let far = WireKey { level: 0, x: i32::MIN, z: i32::MAX };
     let sea = WireKey { level: 0, x: 30_000, z: 30_000 };
-    let wishes = [
+    let messages = [
         ClientMessage::Credit { chunks: 0 },
         ClientMessage::Credit { chunks: u32::MAX },
         ClientMessage::CreditBytes { bytes: 0 },
@@ -208,10 +207,10 @@ async fn absurd_wishes_are_refused_one_by_one_counted_and_harm_nobody() {
         ClientMessage::Request { id: 2, keys: vec![sea; 4] },
         ClientMessage::View(protocol::view::View { eye: [i32::MAX; 3], ..view(3, 300) }),
     ];
-    for wish in &wishes {
-        peer.send_bytes(control::encode(wish).unwrap()).await;
+    for message in &messages {
+        peer.send_bytes(control::encode(message).unwrap()).await;
     }
-    // A million keys, in as many messages as it takes; without credit they can only pile up.
+    // A million keys without credit: they wait or are refused.
     for id in 0..2000 {
         let keys = (0..limits::MAX_KEYS as i32).map(|x| WireKey { level: 0, x, z: 0 }).collect();
         peer.send_bytes(control::encode(&ClientMessage::Request { id: 10 + id, keys }).unwrap()).await;
@@ -233,7 +232,7 @@ async fn absurd_wishes_are_refused_one_by_one_counted_and_harm_nobody() {
     ] {
         assert_eq!(count(reason), expected, "{reason:?}");
     }
-    bystander.settle(view(2, 500)).await;
+    other_client.settle(view(2, 500)).await;
     drop(peer);
     let url = server.url("/metrics");
     let text = tokio::task::spawn_blocking(move || {
@@ -242,11 +241,11 @@ async fn absurd_wishes_are_refused_one_by_one_counted_and_harm_nobody() {
     .await
     .unwrap();
     for line in [
-        "tombolo_refusals_by_reason_total{reason=\"outside world\"} 3",
-        "tombolo_refusals_by_reason_total{reason=\"duplicate\"} 3",
-        "tombolo_refusals_by_reason_total{reason=\"invalid credit\"} 3",
-        "tombolo_refusals_by_reason_total{reason=\"invalid view\"} 1",
-        "tombolo_refusals_by_reason_total{reason=\"too many requests\"} 1999",
+        "tombolo_requests_rejected_total{transport=\"websocket\",reason=\"outside_world\"} 3",
+        "tombolo_requests_rejected_total{transport=\"websocket\",reason=\"duplicate\"} 3",
+        "tombolo_requests_rejected_total{transport=\"websocket\",reason=\"invalid_credit\"} 3",
+        "tombolo_requests_rejected_total{transport=\"websocket\",reason=\"invalid_view\"} 1",
+        "tombolo_requests_rejected_total{transport=\"websocket\",reason=\"too_many_requests\"} 1999",
     ] {
         assert!(text.contains(line), "{line} is not in\n{text}");
     }
@@ -254,10 +253,10 @@ async fn absurd_wishes_are_refused_one_by_one_counted_and_harm_nobody() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn one_address_gets_no_more_sessions_than_its_share() {
+async fn sessions_per_address_are_limited() {
     let config = server::ServerConfig { max_sessions_per_address: 1, ..running::quick_config() };
     let server = RunningServer::start_with(config).await;
-    let guest = Guest::connect(&server.stream_url()).await;
+    let client = TestClient::connect(&server.stream_url()).await;
     let Err(error) = Peer::try_connect(&server.stream_url(), Some(SUBPROTOCOL)).await else {
         panic!("accepted")
     };
@@ -265,29 +264,29 @@ async fn one_address_gets_no_more_sessions_than_its_share() {
     assert_eq!(response.status(), 503);
     let body = String::from_utf8(response.into_body().unwrap_or_default()).unwrap();
     assert!(body.contains("from this address"), "{body}");
-    drop(guest);
+    drop(client);
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_full_server_answers_503_and_admits_again_when_a_session_ends() {
+async fn a_full_server_responds_503_until_a_session_ends() {
     let config = server::ServerConfig { max_sessions: 1, ..running::quick_config() };
     let server = RunningServer::start_with(config).await;
-    let guest = Guest::connect(&server.stream_url()).await;
+    let client = TestClient::connect(&server.stream_url()).await;
     let Err(error) = Peer::try_connect(&server.stream_url(), Some(SUBPROTOCOL)).await else {
         panic!("accepted")
     };
     let Error::Http(response) = *error else { panic!("{error}") };
     assert_eq!(response.status(), 503);
     assert!(response.headers().contains_key("retry-after"));
-    assert_eq!(status(&server, "/readyz").await, 503, "a balancer should send nobody here");
-    drop(guest);
+    assert_eq!(status(&server, "/readyz").await, 503, "a load balancer must use another server");
+    drop(client);
     let admitted = async {
         while Peer::try_connect(&server.stream_url(), Some(SUBPROTOCOL)).await.is_err() {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    tokio::time::timeout(Duration::from_secs(10), admitted).await.expect("the place becomes free");
+    tokio::time::timeout(Duration::from_secs(10), admitted).await.expect("a session becomes available");
     server.stop().await;
 }
 
@@ -306,57 +305,57 @@ fn address(server: &RunningServer) -> std::net::SocketAddr {
     server.url("").trim_start_matches("http://").parse().unwrap()
 }
 
-/// Other addresses of the loopback device are Linux's.
+/// Only Linux has further addresses on the loopback device.
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn one_address_cannot_take_every_connection() {
-    let patient = Duration::from_secs(60);
+async fn connections_per_address_are_limited() {
+    let long_timeout = Duration::from_secs(60);
     let config = server::ServerConfig {
         max_sessions: 100,
         max_sessions_per_address: 1,
-        handshake_timeout: patient,
+        handshake_timeout: long_timeout,
         ..running::quick_config()
     };
     let server = RunningServer::start_with(config).await;
-    // More than there are places for all.
-    let mut silent = Vec::new();
+    // More connections than the limit for all addresses.
+    let mut idle = Vec::new();
     for _ in 0..400 {
-        silent.push(TcpStream::connect(address(&server)).await.unwrap());
+        idle.push(TcpStream::connect(address(&server)).await.unwrap());
     }
     let elsewhere = tokio::net::TcpSocket::new_v4().unwrap();
     elsewhere.bind("127.0.0.2:0".parse().unwrap()).unwrap();
     let mut elsewhere = elsewhere.connect(address(&server)).await.unwrap();
     elsewhere.write_all(b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n").await.unwrap();
     let mut reply = String::new();
-    let read = tokio::time::timeout(patient / 2, elsewhere.read_to_string(&mut reply));
-    read.await.expect("somebody else is served").unwrap();
+    let read = tokio::time::timeout(long_timeout / 2, elsewhere.read_to_string(&mut reply));
+    read.await.expect("another address is served").unwrap();
     assert!(reply.starts_with("HTTP/1.1 200"), "{reply}");
-    assert!(reply.contains("tombolo_connection_refusals_total 335\n"), "{reply}");
+    assert!(reply.contains("tombolo_connections_rejected_total 335\n"), "{reply}");
     assert!(reply.contains("tombolo_connections 66\n"), "{reply}");
-    drop(silent);
+    drop(idle);
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_asks_without_end_and_reads_nothing_is_cut_off() {
+async fn endless_requests_without_reading_end_the_connection() {
     let server = RunningServer::start().await;
-    let mut deaf = TcpStream::connect(address(&server)).await.unwrap();
-    // Megabytes of answers, more than any buffer between takes.
+    let mut stalled = TcpStream::connect(address(&server)).await.unwrap();
+    // Megabytes of responses, more than all buffers hold.
     let requests = b"GET /openapi.json HTTP/1.1\r\nHost: a\r\n\r\n".repeat(2000);
-    let asking = async {
-        // An error means that it is over, which is what is waited for.
-        let _ = deaf.write_all(&requests).await;
-        while deaf.writable().await.is_ok() && deaf.try_write(b"G").is_ok() {
+    let requesting = async {
+        // An error means that the server ended the connection, as expected.
+        let _ = stalled.write_all(&requests).await;
+        while stalled.writable().await.is_ok() && stalled.try_write(b"G").is_ok() {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    tokio::time::timeout(Duration::from_secs(30), asking).await.expect("cut off");
+    tokio::time::timeout(Duration::from_secs(30), requesting).await.expect("the connection ends");
     assert_eq!(status(&server, "/livez").await, 200);
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_token_is_asked_for_on_both_doors() {
+async fn the_stream_and_http_require_the_token() {
     let config = server::ServerConfig { token: Some("open sesame".into()), ..running::quick_config() };
     let server = RunningServer::start_with(config).await;
     let mut peer = Peer::connect(&server.stream_url()).await;

@@ -1,0 +1,170 @@
+//! The server under measurement: the real program in a process of its own, observed through `/proc`
+//! and its metrics.
+
+use anyhow::{Context, Result, anyhow, bail};
+use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Clock ticks a second in `/proc`: a constant of Linux's user-space interface (proc(5),
+/// `USER_HZ`).
+const TICKS_PER_SECOND: f64 = 100.0;
+
+/// Series of the server's metrics that benchmarks read.
+pub mod series {
+    /// Chunks generated.
+    pub const GENERATED: &str = "tombolo_generation_jobs_total{outcome=\"completed\"}";
+    /// Of these, encoded with the fast effort.
+    pub const FAST_ENCODED: &str = "tombolo_frames_encoded_total{effort=\"fast\"}";
+    /// Requests that joined a job already queued or running.
+    pub const COALESCED: &str = "tombolo_frame_requests_total{outcome=\"coalesced\"}";
+    /// Requests answered from the memory cache.
+    pub const CACHE_HITS: &str = "tombolo_frame_requests_total{outcome=\"cache_hit\"}";
+    /// Open sessions.
+    pub const SESSIONS: &str = "tombolo_sessions";
+    /// CPU seconds spent on selecting views.
+    pub const VIEW_SECONDS: &str = "tombolo_view_selection_busy_seconds_total";
+}
+
+/// How to start a program under measurement.
+#[derive(Clone, Debug)]
+pub struct Launch {
+    /// The server program.
+    pub server: PathBuf,
+    /// Processors for it as `taskset -c` takes them; none leaves them to the system.
+    pub cpus: Option<String>,
+}
+
+impl Launch {
+    /// A command that runs a program on those processors.
+    #[must_use]
+    pub fn command(&self, program: &Path) -> Command {
+        match &self.cpus {
+            None => Command::new(program),
+            Some(cpus) => {
+                let mut command = Command::new("taskset");
+                command.arg("-c").arg(cpus).arg(program);
+                command
+            }
+        }
+    }
+}
+
+/// A running program that is killed when dropped.
+#[derive(Debug)]
+pub struct ChildProcess {
+    child: Child,
+}
+
+impl Drop for ChildProcess {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl ChildProcess {
+    /// Takes over a process.
+    #[must_use]
+    pub const fn new(child: Child) -> Self {
+        Self { child }
+    }
+
+    /// CPU time used so far by all threads, seconds.
+    ///
+    /// # Errors
+    /// The process is gone, or this is not Linux.
+    pub fn cpu_s(&self) -> Result<f64> {
+        let stat = self.proc("stat")?;
+        // The name in parentheses may hold anything; user and system time are the 12th and 13th
+        // field behind it.
+        let (_, fields) = stat.rsplit_once(')').context("/proc/PID/stat has no name")?;
+        let ticks =
+            |index: usize| fields.split_whitespace().nth(index).and_then(|field| field.parse::<f64>().ok());
+        let (user, system) = ticks(11).zip(ticks(12)).context("/proc/PID/stat is too short")?;
+        Ok((user + system) / TICKS_PER_SECOND)
+    }
+
+    /// Resident memory, bytes.
+    ///
+    /// # Errors
+    /// As [`ChildProcess::cpu_s`].
+    pub fn rss_bytes(&self) -> Result<u64> {
+        let status = self.proc("status")?;
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("no VmRSS")?;
+        let kib: u64 = line.trim().trim_end_matches(" kB").parse().context("VmRSS")?;
+        Ok(kib * 1024)
+    }
+
+    /// Sends SIGTERM and waits for the end. Returns the time that it took; none if that is more
+    /// than `limit`.
+    ///
+    /// # Errors
+    /// The signal cannot be sent.
+    pub async fn stop(&mut self, limit: Duration) -> Result<Option<Duration>> {
+        let started = Instant::now();
+        let killed = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status();
+        if !killed.context("cannot run kill")?.success() {
+            bail!("cannot send SIGTERM to the server");
+        }
+        while started.elapsed() < limit {
+            if self.child.try_wait().context("cannot wait for the server")?.is_some() {
+                return Ok(Some(started.elapsed()));
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        Ok(None)
+    }
+
+    fn proc(&self, file: &str) -> Result<String> {
+        let path = format!("/proc/{}/{file}", self.child.id());
+        std::fs::read_to_string(&path).with_context(|| format!("cannot read {path}; measuring needs Linux"))
+    }
+}
+
+/// A server on a port of its own.
+#[derive(Debug)]
+pub struct ServerProcess {
+    /// Where it listens.
+    pub address: SocketAddr,
+    /// Its process.
+    pub process: ChildProcess,
+}
+
+impl ServerProcess {
+    /// Starts a server with the default world and these further options.
+    ///
+    /// # Errors
+    /// It cannot be started, or does not print its address.
+    pub fn start(launch: &Launch, options: &[&str]) -> Result<Self> {
+        let mut child = launch
+            .command(&launch.server)
+            .args(["--listen", "127.0.0.1:0", "--log", "warn", "--max-sessions", "4096"])
+            .args(options)
+            .stdout(Stdio::piped())
+            .spawn()
+            .with_context(|| format!("cannot start {}; name it with --server", launch.server.display()))?;
+        let out = child.stdout.take().ok_or_else(|| anyhow!("the server has no standard output"))?;
+        let process = ChildProcess::new(child);
+        let mut line = String::new();
+        BufReader::new(out).read_line(&mut line).context("cannot read the server's first line")?;
+        let Some(address) = line.trim().strip_prefix("listening on http://") else {
+            bail!("expected `listening on http://ADDRESS` from the server, got `{}`", line.trim());
+        };
+        Ok(Self { address: address.parse().context("the server's address")?, process })
+    }
+
+    /// The value of a counter or gauge in the server's metrics. `name` includes its labels.
+    ///
+    /// # Errors
+    /// The server does not answer, or has no such metric.
+    pub async fn metric(&self, name: &str) -> Result<f64> {
+        let text = crate::connection::get(self.address, "/metrics").await?;
+        text.lines()
+            .find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse().ok())
+            .with_context(|| format!("the server has no metric {name}"))
+    }
+}
