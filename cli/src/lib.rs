@@ -1,7 +1,6 @@
-//! What the command-line programs share: the exit codes, and errors in one line.
+//! Exit codes and one-line errors, shared by the command-line programs.
 //!
-//! A script reads the exit code, a person reads the line. 0: the thing asked for happened. 1: it
-//! could not be done. 2: it was asked for wrongly (option, variable or file).
+//! Exit code 0: success. 1: failure. 2: an invalid option, variable or file.
 
 #![forbid(unsafe_code)]
 
@@ -13,30 +12,30 @@ use clap::Parser;
 use std::fmt::Display;
 use std::process::ExitCode;
 
-/// The thing asked for could not be done.
+/// The program failed.
 pub const FAILED: u8 = 1;
 
 /// An option, variable or file cannot be used.
 pub const USAGE: u8 = 2;
 
-/// Parses the command line. `--help` and `--version` print and end with 0; a mistake ends with one
-/// line that names the option, its value and what is allowed.
+/// Parses the command line. `--help` and `--version` print and exit with 0; an invalid option prints
+/// one line with its name, its value and the allowed values.
 ///
 /// # Errors
-/// The exit code to return from `main`; everything has been printed.
+/// The exit code for `main`; the message is already printed.
 pub fn parse<A: Parser>() -> Result<A, ExitCode> {
     A::try_parse().map_err(|error| {
         if error.use_stderr() {
             let name = A::command().get_name().to_owned();
             return fail(&name, one_line(&error.to_string()), USAGE);
         }
-        // Help or version. A closed pipe is no reason to fail.
+        // Help or version. A closed pipe is not an error.
         let _ = error.print();
         ExitCode::SUCCESS
     })
 }
 
-/// Prints `program: message` on standard error and gives the exit code.
+/// Prints `program: message` on standard error and returns the exit code.
 pub fn fail(program: &str, message: impl Display, code: u8) -> ExitCode {
     eprintln!("{program}: {message}");
     ExitCode::from(code)
@@ -44,9 +43,9 @@ pub fn fail(program: &str, message: impl Display, code: u8) -> ExitCode {
 
 /// The message of a clap error without its usage block, as one line.
 fn one_line(rendered: &str) -> String {
-    let told = rendered.split("\nUsage:").next().unwrap_or(rendered);
-    let told = told.split("\nFor more information").next().unwrap_or(told);
-    let parts: Vec<_> = told.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    let message = rendered.split("\nUsage:").next().unwrap_or(rendered);
+    let message = message.split("\nFor more information").next().unwrap_or(message);
+    let parts: Vec<_> = message.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     let parts = parts.join("; ");
     format!("{} (see --help)", parts.strip_prefix("error: ").unwrap_or(&parts))
 }
@@ -69,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_become_one_line_with_option_value_and_what_is_allowed() {
+    fn invalid_options_yield_one_line_with_name_value_and_range() {
         for (arguments, words) in [
             (&["--count", "12"][..], &["--count", "12", "1..=9"][..]),
             (&["--count", "many"][..], &["--count", "many"][..]),

@@ -1,10 +1,9 @@
-//! Options that parse but cannot be used.
+//! Errors of options that parse but have unusable values.
 
 use std::fmt;
 use std::path::Path;
 
-/// An option, variable or file that cannot be used: one line with its name, its value and what is
-/// allowed.
+/// An unusable option, variable or file: one line with its name, its value and the allowed values.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UsageError(String);
 

@@ -1,23 +1,21 @@
 //! Chunk frames: one chunk as bytes.
 //!
-//! Every frame begins with the same 16 bytes: magic, version, kind, key. This file owns them, the
-//! header that all kinds with heights share, and the digest; what differs between the kinds is
-//! theirs:
+//! Every frame begins with the same 16 bytes: magic, version, kind, key. This file contains them,
+//! the header that all kinds with heights share, and the digest. The kinds are:
 //!
 //! - *exact*: every height, without loss ([`encode`], [`decode`]);
 //! - *quantised*: heights within a tolerance ([`quantised`]);
-//! - *refined*: exact, for who has the parent ([`refined`]);
+//! - *refined*: exact, for receivers with the parent ([`refined`]);
 //! - *seed only*: no heights ([`seed_only`]).
 //!
 //! Heights are predicted from three neighbours (`left + above - above left`, the plane predictor),
 //! the residuals zigzag-mapped, split into plain low bits and byte planes, and these compressed.
-//! Nothing that follows from the heights is sent: the decoder rebuilds the pyramids, and the grass
-//! too where it grows by the land's own rule. Little-endian throughout; layout in
-//! `docs/protocol.md`.
+//! Data that can be derived from the heights is not sent: the decoder rebuilds the pyramids, and the
+//! grass if it follows the land's own rule. Little-endian throughout; layout in `docs/protocol.md`.
 //!
-//! The digest at the end of the header covers the world, the header and the payload as it travels,
-//! so a chunk of another world, or a damaged one, is refused before anything is decompressed. It
-//! identifies the bytes: equal digests mean equal frames.
+//! The digest at the end of the header covers the world, the header and the encoded payload, so a
+//! chunk of another world, or a damaged one, is rejected before decompression. It identifies the
+//! bytes: equal digests mean equal frames.
 
 mod entropy;
 mod kernel;
@@ -34,7 +32,7 @@ use crate::error::ChunkError;
 use crate::limits::{CHUNK_HEADER, MAX_CHUNK_FRAME, MAX_PAYLOAD};
 use bytes::Bytes;
 use kernel::Heights;
-use parts::Room;
+use parts::Scratch;
 use refined::Known;
 use std::cell::RefCell;
 use terrain::constants::{GRASS_GRID, HEIGHT_LIMIT, VERTEX_COUNT};
@@ -50,13 +48,13 @@ pub const VERSION: u16 = 3;
 /// Exact heights.
 pub const KIND_EXACT: u8 = 0;
 
-/// No heights: what is needed to generate the chunk and to verify it.
+/// No heights: the data to generate the chunk and to verify it.
 pub const KIND_SEED_ONLY: u8 = 1;
 
 /// Heights within a tolerance of the exact ones.
 pub const KIND_QUANTISED: u8 = 2;
 
-/// Exact heights, less those that the parent has.
+/// Exact heights without those of the parent.
 pub const KIND_REFINED: u8 = 3;
 
 /// Bytes of a content digest: the first half of a blake3 hash.
@@ -73,7 +71,7 @@ const GRASS_SENT: u8 = 0;
 /// Grass densities are [`GrassSeed::density_of`] the heights.
 const GRASS_BY_RULE: u8 = 1;
 
-/// The longest frame that any encoder of this module makes, bytes.
+/// The longest frame of any encoder of this module, bytes.
 #[must_use]
 pub const fn bound() -> usize {
     MAX_CHUNK_FRAME
@@ -85,8 +83,8 @@ pub fn encode_for(delivery: Delivery, chunk: &Chunk, world: &WorldDigest) -> Byt
     encode_with(delivery, Effort::default(), chunk, world)
 }
 
-/// Encodes a chunk of a world for a delivery with an effort of one's choice. A chunk that cannot be
-/// delivered as asked comes exact.
+/// Encodes a chunk of a world for a delivery with a given effort; exact if the delivery is not
+/// possible for this chunk.
 #[must_use]
 pub fn encode_with(delivery: Delivery, effort: Effort, chunk: &Chunk, world: &WorldDigest) -> Bytes {
     let exact = || seal(KIND_EXACT, chunk, world, 0, effort, None);
@@ -109,18 +107,18 @@ pub fn encode(chunk: &Chunk, world: &WorldDigest) -> Bytes {
 /// Decodes one whole exact frame of a world.
 ///
 /// Takes at most [`MAX_DECODE_MEMORY`](crate::limits::MAX_DECODE_MEMORY) bytes, the chunk itself
-/// included, whatever the frame says, and never panics.
+/// included, for any input, and never panics.
 ///
 /// # Errors
-/// See [`ChunkError`]. A chunk that is returned keeps every promise of its type: the key exists,
+/// See [`ChunkError`]. A returned chunk satisfies every invariant of its type: the key exists,
 /// heights are in range, extremes and slope are those of the heights.
 pub fn decode(frame: &[u8], world: &WorldDigest) -> Result<Chunk, ChunkError> {
     open(&Frame::read(frame, KIND_EXACT)?, world, None, None)
 }
 
 /// Verifies a whole exact or quantised frame of a world by its lengths and its digest, without
-/// decoding it, and says what it is. Enough for bytes that an encoder of this module made and that
-/// lay somewhere since; from a peer, decode.
+/// decoding it. Returns its key and delivery. Sufficient for stored frames of this module's
+/// encoders; frames of a peer must be decoded.
 ///
 /// # Errors
 /// See [`ChunkError`].
@@ -141,9 +139,8 @@ pub fn verify(frame: &[u8], world: &WorldDigest) -> Result<(ChunkKey, Delivery),
     Ok((key, delivery))
 }
 
-/// Decodes nothing but the heights of an exact or quantised frame, units, on a kernel of one's
-/// choice, and verifies nothing that takes time: for measuring, and for who has checked the digest
-/// already.
+/// Decodes only the heights of an exact or quantised frame, units, on a given kernel, without
+/// verification of the digest: for measurements, and for frames that were verified before.
 ///
 /// # Errors
 /// See [`ChunkError`].
@@ -153,11 +150,10 @@ pub fn heights_on(kernel: Kernel, frame: &[u8], heights: &mut [i32; VERTEX_COUNT
     Frame::read(frame, kind)?.heights(kernel, None, heights).map(|_| ())
 }
 
-/// The kind and the key of a frame, without looking further. A kind that this side does not know is
-/// returned as well.
+/// The kind and the key of a frame, from its first 16 bytes. Unknown kinds are returned as well.
 ///
 /// # Errors
-/// As [`decode`], for what the first 16 bytes can tell.
+/// As [`decode`], for the first 16 bytes.
 pub fn kind_and_key(frame: &[u8]) -> Result<(u8, ChunkKey), ChunkError> {
     let truncated = ChunkError::Truncated { got: frame.len(), expected: PREFIX };
     let prefix: &[u8; PREFIX] = frame.first_chunk().ok_or(truncated)?;
@@ -172,8 +168,8 @@ pub fn kind_and_key(frame: &[u8]) -> Result<(u8, ChunkKey), ChunkError> {
     Ok((prefix[6], key))
 }
 
-/// The chunk's error (units) as a frame of any kind states it; none if the frame is no chunk frame.
-/// That of a quantised frame includes what quantising added.
+/// The chunk's error (units) in a frame of any kind; none if the frame is not a chunk frame. That of
+/// a quantised frame includes the quantisation error.
 #[must_use]
 pub fn error(frame: &[u8]) -> Option<u32> {
     match kind_and_key(frame).ok()?.0 {
@@ -191,8 +187,8 @@ pub fn digest(frame: &[u8]) -> Option<[u8; DIGEST]> {
     frame.get(DIGEST_AT..CHUNK_HEADER)?.try_into().ok()
 }
 
-/// Makes a frame with heights. `tolerance` (units) is that to which the heights have been rounded,
-/// 0 for exact ones; `known` is what the receiver has of them.
+/// Encodes a frame with heights. `tolerance` (units) is the tolerance of rounded heights, 0 for exact
+/// ones; `known` are the heights that the receiver has.
 fn seal(
     kind: u8,
     chunk: &Chunk,
@@ -339,10 +335,10 @@ impl<'a> Frame<'a> {
         if palette >= PALETTES {
             return Err(ChunkError::Content("the grass palette does not exist"));
         }
-        ROOM.with_borrow_mut(|room| match known {
-            Some(known) => known.take(kernel, room, self.width, &mut rest, heights),
+        ROOM.with_borrow_mut(|scratch| match known {
+            Some(known) => known.take(kernel, scratch, self.width, &mut rest, heights),
             None => {
-                let planes = room.take(kernel, self.width, VERTEX_COUNT, &mut rest)?;
+                let planes = scratch.take(kernel, self.width, VERTEX_COUNT, &mut rest)?;
                 let shift = shift(self.tolerance);
                 let (low, high) = kernel::restore(kernel, planes.get(), self.first >> shift, heights);
                 // Before the shift, which would hide what it pushes out.
@@ -371,8 +367,8 @@ impl<'a> Frame<'a> {
             GRASS_BY_RULE => GrassSeed::density_of(self.key, heights),
             GRASS_SENT => {
                 let mut density = Box::new([0; GRASS_GRID * GRASS_GRID]);
-                let mut room = [0; GRASS_GRID * GRASS_GRID];
-                density.copy_from_slice(parts::take_part(&mut rest, &mut room)?);
+                let mut scratch = [0; GRASS_GRID * GRASS_GRID];
+                density.copy_from_slice(parts::take_part(&mut rest, &mut scratch)?);
                 density
             }
             _ => return Err(ChunkError::Content("grass comes in no such way")),
@@ -383,7 +379,7 @@ impl<'a> Frame<'a> {
 
 thread_local! {
     /// Where parts are decompressed to. Made once by every thread that decodes.
-    static ROOM: RefCell<Box<Room>> = RefCell::new(Box::new(Room::new()));
+    static ROOM: RefCell<Box<Scratch>> = RefCell::new(Box::new(Scratch::new()));
 }
 
 /// Bits that a height lost to a tolerance in units, 0 or a power of two.

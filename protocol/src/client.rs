@@ -1,10 +1,11 @@
 //! The client's side of a session, without IO.
 //!
-//! Feed it frames with [`ClientSession::receive`], send what [`ClientSession::poll_transmit`]
-//! yields, and act on the events. It grants credits by itself: a fixed window, refilled when half
-//! of it is used, so that the server never owes more than the window and grants cost little.
+//! A driver feeds received frames to [`ClientSession::receive`], handles the events, and sends the
+//! frames of [`ClientSession::poll_transmit`]. The session grants credits itself: a fixed window,
+//! refilled when half of it is used, so that at most one window of chunks is in flight and grants
+//! cost little.
 
-use crate::Incoming;
+use crate::DataFrame;
 use crate::chunk_codec;
 use crate::chunk_codec::{quantised, refined, seed_only};
 use crate::control;
@@ -12,41 +13,41 @@ use crate::delivery::Delivery;
 use crate::error::{ChunkError, ControlError, PeerFault};
 use crate::limits::{MAX_CREDITS, MAX_KEYS, MAX_TEXT};
 use crate::message::{ClientMessage, Hello, Refused, Rejection, ServerMessage, Welcome, WireKey};
-use crate::parents::Parents;
+use crate::reference_window::ReferenceWindow;
 use crate::view::View;
 use bytes::Bytes;
 use std::collections::VecDeque;
 use terrain::constants::VERTEX_COUNT;
 use terrain::{Chunk, ChunkKey, Land, WorldDigest};
 
-/// What a client brings to a session.
+/// The configuration of a client session.
 #[derive(Clone, Debug)]
 pub struct ClientConfig {
-    /// The world to insist on; none accepts any.
+    /// The required world; none accepts any.
     pub digest: Option<WorldDigest>,
-    /// How chunks are to come.
+    /// The delivery of chunks.
     pub delivery: Delivery,
-    /// Access token, where the server asks for one.
+    /// Access token, if the server requires one.
     pub token: Option<String>,
     /// Name and version for the server's logs; cut to [`MAX_TEXT`] bytes.
     pub software: String,
-    /// Chunks that may be under way at once, 1 to [`MAX_CREDITS`].
+    /// Chunks that may be in flight at once, 1 to [`MAX_CREDITS`].
     pub window: u32,
 }
 
-/// Something that happened.
+/// A received message, decoded and verified.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
     /// The handshake succeeded.
     Welcome(Welcome),
-    /// A chunk arrived, or was generated from what arrived, and was verified against the digest in
-    /// its frame.
+    /// A chunk was decoded from its frame, or generated here, and verified against the digest in
+    /// the frame.
     Chunk {
         /// The chunk.
         chunk: Box<Chunk>,
         /// Bytes of its frame.
         bytes: usize,
-        /// What its frame was: [`Delivery::SeedOnly`] means that the chunk was generated here.
+        /// The delivery of its frame: [`Delivery::SeedOnly`] means that the chunk was generated here.
         delivery: Delivery,
     },
     /// Every chunk of a view has been sent.
@@ -56,7 +57,7 @@ pub enum Event {
         /// Chunks that the view needs.
         chunks: u32,
     },
-    /// Something asked for is not delivered.
+    /// A request, a chunk or a view is refused.
     Refused(Refused),
     /// The server is about to close.
     Draining {
@@ -65,18 +66,18 @@ pub enum Event {
     },
 }
 
-/// What the Welcome fixes for the rest of a session.
+/// The world of a session, fixed by the Welcome.
 #[derive(Clone, Debug)]
 struct World {
     digest: WorldDigest,
-    /// In seed-only delivery: what generates the chunks here. Its digest is the one above.
+    /// In seed-only delivery: the generator of the chunks, of the digest above.
     land: Option<Land>,
 }
 
 /// One session, from the first frame to the close.
 #[derive(Debug)]
 pub struct ClientSession {
-    /// Set by the Welcome; before it nothing but the handshake may arrive.
+    /// Set by the Welcome; before it only the handshake may arrive.
     world: Option<World>,
     expected: Option<WorldDigest>,
     delivery: Delivery,
@@ -84,9 +85,9 @@ pub struct ClientSession {
     /// Granted and not yet used.
     credits: u32,
     next_request: u32,
-    /// In refined delivery: heights of what later frames may refine.
-    parents: Parents<Box<[i32; VERTEX_COUNT]>>,
-    /// Frames to send. Bounded by what the caller asks between two polls.
+    /// In refined delivery: heights of the parents that later frames may refer to.
+    references: ReferenceWindow<Box<[i32; VERTEX_COUNT]>>,
+    /// Frames to send. Bounded by the calls between two polls.
     outbox: VecDeque<Bytes>,
 }
 
@@ -102,7 +103,7 @@ impl ClientSession {
             window,
             credits: window,
             next_request: 0,
-            parents: Parents::default(),
+            references: ReferenceWindow::default(),
             outbox: VecDeque::new(),
         };
         session.send(&ClientMessage::Hello(Hello {
@@ -115,8 +116,8 @@ impl ClientSession {
         session
     }
 
-    /// The next frame to send, if any. Grants new credit when half of the window is used: it counts
-    /// from here, since a server cannot use what was never sent.
+    /// The next frame to send, if any. Grants new credit when half of the window is used. Credit
+    /// counts from here, because the server cannot use an unsent grant.
     pub fn poll_transmit(&mut self) -> Option<Bytes> {
         if self.credits <= self.window / 2 && self.world.is_some() {
             let chunks = self.window - self.credits;
@@ -126,12 +127,12 @@ impl ClientSession {
         self.outbox.pop_front()
     }
 
-    /// Takes one frame from the server.
+    /// Processes one frame from the server.
     ///
     /// # Errors
-    /// The server broke the protocol or refused the session: close with the fault's code.
-    pub fn receive(&mut self, frame: Incoming<'_>) -> Result<Event, PeerFault> {
-        let Incoming::Binary(bytes) = frame else { return Err(PeerFault::Text) };
+    /// A protocol violation or a rejected handshake: close with the fault's code.
+    pub fn receive(&mut self, frame: DataFrame<'_>) -> Result<Event, PeerFault> {
+        let DataFrame::Binary(bytes) = frame else { return Err(PeerFault::Text) };
         if bytes.starts_with(&chunk_codec::MAGIC) {
             return self.receive_chunk(bytes);
         }
@@ -172,34 +173,33 @@ impl ClientSession {
             self.world.as_ref().ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
         self.credits = self.credits.checked_sub(1).ok_or(PeerFault::CreditOverrun)?;
         let (kind, key) = chunk_codec::kind_and_key(frame)?;
-        // What a client has not asked for the exact decoder refuses by kind; a land of its own it
-        // has only for seed-only frames.
+        // The exact decoder rejects every other kind. A generator exists in seed-only delivery only.
         let (chunk, delivery) = match (self.delivery, land) {
             (Delivery::SeedOnly, Some(land)) if kind == chunk_codec::KIND_SEED_ONLY => {
                 (seed_only::decode(frame, land, digest)?, Delivery::SeedOnly)
             }
-            (Delivery::Quantised(asked), _) if kind == chunk_codec::KIND_QUANTISED => {
-                let chunk = quantised::decode(frame, digest, asked)?;
-                (chunk, Delivery::Quantised(quantised::tolerance(frame).unwrap_or(asked)))
+            (Delivery::Quantised(tolerance), _) if kind == chunk_codec::KIND_QUANTISED => {
+                let chunk = quantised::decode(frame, digest, tolerance)?;
+                (chunk, Delivery::Quantised(quantised::tolerance(frame).unwrap_or(tolerance)))
             }
             (Delivery::Refined, _) if kind == chunk_codec::KIND_REFINED => {
-                let parent = self.parents.of(key).ok_or(ChunkError::Parent(key))?;
+                let parent = self.references.parent_of(key).ok_or(ChunkError::Parent(key))?;
                 (refined::decode_over(frame, digest, parent)?, Delivery::Refined)
             }
             _ => (chunk_codec::decode(frame, digest)?, Delivery::Exact),
         };
         if self.delivery == Delivery::Refined {
-            self.parents.remember(key, || chunk.heights.clone());
+            self.references.insert(key, || chunk.heights.clone());
         }
         Ok(Event::Chunk { chunk: Box::new(chunk), bytes: frame.len(), delivery })
     }
 
-    /// Says what the client sees now.
+    /// Sends a view.
     pub fn set_view(&mut self, view: View) {
         self.send(&ClientMessage::View(view));
     }
 
-    /// Asks for chunks by key. Returns the id of the first of the requests made: one for every
+    /// Requests chunks by key. Returns the id of the first request: one is sent for every
     /// [`MAX_KEYS`] keys.
     pub fn request(&mut self, keys: &[ChunkKey]) -> u32 {
         let first = self.next_request;
@@ -211,15 +211,15 @@ impl ClientSession {
         first
     }
 
-    /// Says that chunks were dropped and may be needed again.
+    /// Reports chunks that were dropped and may be needed again.
     pub fn release(&mut self, keys: &[ChunkKey]) {
         for part in keys.chunks(MAX_KEYS) {
             self.send(&ClientMessage::Release { keys: wire(part) });
         }
     }
 
-    /// Says that chunks of this world are already here, so that a new session does not send them
-    /// again.
+    /// Reports chunks of this world that the client holds already, so that a new session does not
+    /// send them again.
     pub fn holding(&mut self, keys: &[ChunkKey]) {
         for part in keys.chunks(MAX_KEYS) {
             self.send(&ClientMessage::Holding { keys: wire(part) });
@@ -239,15 +239,14 @@ impl ClientSession {
     }
 
     fn send(&mut self, message: &ClientMessage) {
-        // Cannot fail: texts are cut and key lists are split before they get here.
+        // Cannot fail: texts were cut and key lists split to their limits.
         if let Ok(frame) = control::encode(message) {
             self.outbox.push_back(frame);
         }
     }
 }
 
-/// The announced land, if generation here makes the announced world of it. Takes about a
-/// millisecond.
+/// The announced land, if its digest here is the announced one. Takes about a millisecond.
 fn own_land(welcome: &Welcome) -> Result<Land, PeerFault> {
     let land = Land::new(welcome.world_seed);
     let (server, client) = (WorldDigest(welcome.digest), land.digest());

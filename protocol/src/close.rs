@@ -39,7 +39,7 @@ impl CloseCode {
         self as u16
     }
 
-    /// The code of a number, if it is one of ours.
+    /// The code of a number, if this protocol uses it.
     #[must_use]
     pub fn from_code(code: u16) -> Option<Self> {
         use CloseCode::{
@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn codes_survive_the_wire_and_strangers_are_none() {
+    fn codes_round_trip_and_unknown_codes_are_none() {
         for code in 0..5000 {
             if let Some(known) = CloseCode::from_code(code) {
                 assert_eq!(known.code(), code);
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_that_cannot_change_is_not_retried() {
+    fn permanent_failures_are_not_retryable() {
         assert!(CloseCode::GoingAway.is_retryable() && CloseCode::Internal.is_retryable());
         for fatal in
             [CloseCode::WrongVersion, CloseCode::WrongWorld, CloseCode::Unauthorised, CloseCode::Malformed]

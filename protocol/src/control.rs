@@ -18,13 +18,10 @@ use std::cell::RefCell;
 /// First bytes of every control frame.
 pub const MAGIC: [u8; 4] = *b"TMBM";
 
-/// Bytes before the body: the magic and the protocol version (u16).
-pub const HEADER: usize = 6;
-
 thread_local! {
-    /// Where frames are put together, so that each takes exactly one allocation of its own length:
-    /// a server under load refuses a hundred thousand requests a second. Grows to the longest
-    /// message that this thread has encoded.
+    /// Buffer in which frames are encoded, so that each frame takes one allocation of exactly its
+    /// length: a server under load refuses a hundred thousand requests a second. Grows to the
+    /// longest message of this thread.
     static SCRATCH: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
 }
 
@@ -34,7 +31,7 @@ const CONFIG: Configuration<LittleEndian, Fixint, Limit<MAX_CONTROL_FRAME>> =
 /// Encodes a message as one frame.
 ///
 /// # Errors
-/// A message beyond the protocol's limits; one that this crate's sessions built never is.
+/// A message beyond the protocol's limits; the sessions of this crate never build one.
 pub fn encode<M: Serialize + Limited>(message: &M) -> Result<Bytes, ControlError> {
     message.check_limits()?;
     SCRATCH.with_borrow_mut(|frame| {

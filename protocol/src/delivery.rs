@@ -1,4 +1,4 @@
-//! How chunks come: what a client trades bandwidth for.
+//! Deliveries: the forms in which a client can receive chunks.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -8,8 +8,8 @@ use terrain::constants::UNITS_PER_METRE;
 /// How far a quantised height may be from the exact one: a power of two from 1 unit (2^-8 m) to 128
 /// units (0.5 m).
 ///
-/// Few values, so that the frames of a chunk that a server may be asked for are few. Heights are
-/// rounded to multiples of twice the tolerance.
+/// Few values, so that a chunk has few possible frames. Heights are rounded to multiples of twice
+/// the tolerance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "u16", into = "u16")]
 pub struct Tolerance(u16);
@@ -20,7 +20,7 @@ impl Tolerance {
     /// The coarsest: 128 units.
     pub const COARSEST: Self = Self(128);
 
-    /// The tolerance of so many units; none if it is no power of two from 1 to 128.
+    /// A tolerance in units; none unless it is a power of two from 1 to 128.
     #[must_use]
     pub fn new(units: u16) -> Option<Self> {
         (units.is_power_of_two() && units <= Self::COARSEST.0).then_some(Self(units))
@@ -71,29 +71,29 @@ impl From<Tolerance> for u16 {
 
 /// The client's choice for a whole session, made in its Hello.
 ///
-/// It says which frames the client can use besides exact ones; an exact frame may come in every
-/// delivery, so that a server can send what no seed makes. The order of the variants is their index
-/// on the wire. New ones go to the end; a server that does not know one refuses the Hello as
-/// malformed.
+/// It states which frames the client accepts in addition to exact ones. Every delivery accepts
+/// exact frames, so that a server can send chunks that no seed generates. The order of the variants
+/// is their index on the wire. New ones are appended; a server that does not know one rejects the
+/// Hello as malformed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Delivery {
     /// All heights, compressed without loss: about 4 KiB a chunk of land.
     #[default]
     Exact,
     /// Key, error and a digest, 36 bytes a chunk: the client generates the chunk from the world's
-    /// seed and verifies the digest. For clients whose generator makes the server's world.
+    /// seed and verifies the digest. For clients with the server's generator.
     SeedOnly,
     /// All heights, none farther from the exact one than the tolerance: half to a fifth of the
     /// bytes.
     Quantised(Tolerance),
-    /// All heights, exact, and of a chunk whose parent this session brought before only those that
-    /// the parent lacks: a sixth to a quarter fewer bytes over a whole view. The client remembers
-    /// the parents ([`crate::parents`]).
+    /// All heights, exact. A chunk whose parent is in the reference window
+    /// ([`crate::reference_window`]) carries only the heights that the parent lacks: a sixth to a
+    /// quarter fewer bytes over a whole view.
     Refined,
 }
 
 impl Delivery {
-    /// The word for it in records and metrics.
+    /// Its name in records and metrics.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -105,7 +105,7 @@ impl Delivery {
     }
 }
 
-/// As options take it: `exact`, `refined`, `seed`, or `quantised:METRES`.
+/// The syntax of options: `exact`, `refined`, `seed`, or `quantised:METRES`.
 impl fmt::Display for Delivery {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())?;
@@ -144,7 +144,7 @@ mod tests {
         {
             assert_eq!(delivery.to_string().parse(), Ok(delivery));
         }
-        for stranger in [
+        for unknown in [
             "",
             "Exact",
             "seed-only",
@@ -157,12 +157,12 @@ mod tests {
             "quantised:0.003",
             "quantised:1 m",
         ] {
-            assert!(stranger.parse::<Delivery>().is_err(), "{stranger}");
+            assert!(unknown.parse::<Delivery>().is_err(), "{unknown}");
         }
     }
 
     #[test]
-    fn a_tolerance_is_the_largest_step_that_keeps_the_distance() {
+    fn a_tolerance_is_the_largest_step_within_the_distance() {
         let units = |text: &str| match text.parse() {
             Ok(Delivery::Quantised(tolerance)) => tolerance.units(),
             other => panic!("{text}: {other:?}"),

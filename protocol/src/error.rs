@@ -1,4 +1,4 @@
-//! What can be wrong with a peer's bytes or behaviour, one variant per thing that somebody acts on.
+//! Faults of a peer's bytes or behaviour, one variant per fault that callers distinguish.
 
 use crate::close::CloseCode;
 use crate::limits::{MAX_CHUNK_FRAME, MAX_CONTROL_FRAME, MAX_KEYS, MAX_TEXT};
@@ -18,8 +18,8 @@ pub enum ControlError {
     /// The first four bytes are not the control magic.
     #[error("control frame does not start with the magic `TMBM`")]
     BadMagic,
-    /// The sender speaks another protocol version.
-    #[error("peer speaks protocol version {theirs}, this side speaks {ours}")]
+    /// The sender has another protocol version.
+    #[error("the peer has protocol version {theirs}, this side {ours}")]
     Version {
         /// The version in the frame.
         theirs: u16,
@@ -64,7 +64,7 @@ pub enum ChunkError {
     #[error("chunk format version {0} is unknown")]
     UnknownVersion(u16),
     /// A kind that this side does not know, or one that its delivery does not allow.
-    #[error("chunk kind {0} is unknown or was not asked for")]
+    #[error("chunk kind {0} is unknown or not part of the delivery")]
     UnknownKind(u8),
     /// A key that names no chunk.
     #[error("chunk frame carries an invalid key: {0}")]
@@ -80,21 +80,21 @@ pub enum ChunkError {
     /// The payload ends inside a part, or a part is longer than what it stands for.
     #[error("chunk payload is cut off inside a part, or a part is longer than its content")]
     Part,
-    /// A part is no Zstandard frame that holds exactly what the layout says.
+    /// A part is not a Zstandard frame of exactly the expected length.
     #[error("a part of the chunk payload does not decompress to the length that the header implies")]
     Compression,
-    /// A quantised chunk is coarser than what was asked for.
-    #[error("chunk is quantised to {theirs} units, the tolerance asked for is {ours}")]
+    /// A quantised chunk is coarser than the requested tolerance.
+    #[error("chunk is quantised to {theirs} units, the requested tolerance is {ours}")]
     Tolerance {
         /// The tolerance in the frame, units.
         theirs: u16,
-        /// The tolerance asked for, units.
+        /// The requested tolerance, units.
         ours: u16,
     },
-    /// The frame was made for another world or from another parent, or was damaged.
+    /// The frame belongs to another world or another parent, or is damaged.
     #[error("chunk digest does not match its content in this world")]
     Digest,
-    /// The chunk that was generated here is not the one that the server describes.
+    /// The chunk generated here does not have the digest in the frame.
     #[error("chunk {0} generated here does not have the digest that the server sent: use exact delivery")]
     Regenerated(ChunkKey),
     /// A refined frame came with the wrong chunk to refine.
@@ -123,8 +123,7 @@ pub enum PeerFault {
     /// More chunks arrived than credits were granted.
     #[error("the server sent a chunk without credit")]
     CreditOverrun,
-    /// Seed-only delivery was asked for, and the announced seed does not make the announced world
-    /// here.
+    /// Seed-only delivery: the announced seed does not generate the announced world here.
     #[error(
         "the server serves world {server} (seed {seed}, generator version {generator}), generation here gives {client}: \
          use exact delivery"
@@ -145,7 +144,7 @@ pub enum PeerFault {
 }
 
 impl PeerFault {
-    /// The close code that tells the peer.
+    /// The close code for the peer.
     #[must_use]
     pub fn close_code(&self) -> CloseCode {
         match self {

@@ -1,9 +1,9 @@
-//! Every limit of the protocol, in one place. A peer that exceeds one is refused or closed; nothing
-//! grows.
+//! Every limit of the protocol, in one place. A message beyond a limit is refused or closes the
+//! connection; all memory is bounded.
 
 use terrain::constants::{GRASS_GRID, VERTEX_COUNT};
 
-/// Longest control frame in bytes, either direction. Holds [`MAX_KEYS`] keys with room to spare.
+/// Longest control frame in bytes, either direction. Holds [`MAX_KEYS`] keys with a margin.
 pub const MAX_CONTROL_FRAME: usize = 8 * 1024;
 
 /// Keys in one request, release or holding message.
@@ -28,13 +28,13 @@ pub const MAX_VIEW_CHUNKS: usize = 16 * 1024;
 /// get the coarsest chunks.
 pub const MAX_VIEW_ESTIMATE: u64 = 16 * MAX_VIEW_CHUNKS as u64;
 
-/// Keys that a server remembers as held by a client (about 1 MiB). When it is full the memory is
-/// dropped whole; the only consequence is that chunks may be sent again.
+/// Keys that a server stores as held by a client (about 1 MiB). A full set is cleared; the only
+/// consequence is that chunks may be sent again.
 pub const MAX_HELD: usize = 64 * 1024;
 
-/// Parents that both ends of a session in refined delivery remember: 17 MiB of heights in the
-/// client, some KiB of keys in the server.
-pub const MAX_PARENTS: usize = 1024;
+/// Chunks in the reference window of refined delivery: 17 MiB of heights in the client, some KiB of
+/// keys in the server.
+pub const MAX_REFERENCES: usize = 1024;
 
 /// Longest text field (software name, token, detail) in bytes.
 pub const MAX_TEXT: usize = 256;
@@ -57,17 +57,16 @@ pub const MAX_RESIDUAL_BITS: u32 = 27;
 
 /// Bytes of the longest payload: grass seed and palette, the number of plain bits, three whole byte
 /// planes and a packed one of up to 4 bits a vertex (plain bits only ever take the place of as many
-/// others), the grass densities, and a length before each. Nothing is ever stored longer than it
-/// is.
+/// others), the grass densities, and a length before each. A part is never stored longer than
+/// its content.
 pub const MAX_PAYLOAD: usize =
     6 + 3 * (2 + VERTEX_COUNT) + (2 + VERTEX_COUNT.div_ceil(2)) + (2 + GRASS_GRID * GRASS_GRID);
 
 /// Longest chunk frame in bytes.
 pub const MAX_CHUNK_FRAME: usize = CHUNK_HEADER + MAX_PAYLOAD;
 
-/// Most bytes that decoding one chunk frame takes from the heap, the chunk itself included,
-/// whatever the frame says. Each thread that decodes keeps a room of about as much besides, made
-/// once.
+/// Most bytes that decoding one chunk frame takes from the heap, the chunk itself included, for any
+/// input. In addition, each decoding thread keeps one scratch buffer of about the same size.
 pub const MAX_DECODE_MEMORY: usize = 96 * 1024;
 
 /// Longest frame of any kind that a client accepts, bytes.

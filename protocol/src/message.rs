@@ -1,5 +1,5 @@
 //! The control messages. Field order and variant order are the wire order: see `docs/protocol.md`
-//! before touching either, and the frozen bytes under `fixtures/`.
+//! and the frozen bytes under `fixtures/` before a change of either.
 
 use crate::close::CloseCode;
 use crate::delivery::Delivery;
@@ -36,8 +36,8 @@ impl From<ChunkKey> for WireKey {
     }
 }
 
-/// Reads a list of keys. Serde's own reader takes up to 1 MiB for a length that a frame of 20 bytes
-/// merely claims.
+/// Reads a list of keys. Serde's own reader allocates up to 1 MiB for the length field of a frame of
+/// 20 bytes.
 fn read_keys<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<WireKey>, D::Error> {
     struct Keys;
 
@@ -60,19 +60,19 @@ fn read_keys<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<WireKey>, D::Erro
     from.deserialize_seq(Keys)
 }
 
-/// What a client says.
+/// Messages of a client.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ClientMessage {
     /// The handshake; must be the first message, once.
     Hello(Hello),
-    /// What the client sees now; replaces the previous view.
+    /// The client's current view; replaces the previous one.
     View(View),
     /// Allows the server to send this many more chunks.
     Credit {
         /// Chunks.
         chunks: u32,
     },
-    /// Asks for chunks by key, whatever the view; each costs one credit.
+    /// Requests chunks by key, independent of the view; each costs one credit.
     Request {
         /// Chosen by the client, repeated in refusals.
         id: u32,
@@ -93,12 +93,12 @@ pub enum ClientMessage {
         keys: Vec<WireKey>,
     },
     /// Allows the server to send chunk frames of this many bytes more. The first one in a session
-    /// puts a bound on bytes besides the one on chunks; without any, only chunks are counted.
+    /// adds a bound on bytes to the one on chunks; without any, only chunks are counted.
     CreditBytes {
         /// Bytes of chunk frames.
         bytes: u32,
     },
-    /// Chunks of a request that have not been sent yet are no longer wanted.
+    /// Chunks of a request that have not been sent yet are no longer needed.
     Cancel {
         /// The request's id.
         id: u32,
@@ -108,17 +108,17 @@ pub enum ClientMessage {
 /// The client's half of the handshake.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hello {
-    /// The world that the client insists on; none accepts any.
+    /// The world that the client requires; none accepts any.
     pub digest: Option<[u8; 32]>,
-    /// How chunks are to come, for the whole session.
+    /// The delivery of chunks, for the whole session.
     pub delivery: Delivery,
-    /// Access token, where the server asks for one.
+    /// Access token, if the server requires one.
     pub token: Option<String>,
     /// Name and version of the client, for logs.
     pub software: String,
 }
 
-/// What a server says.
+/// Messages of a server.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ServerMessage {
     /// The handshake succeeded.
@@ -132,7 +132,7 @@ pub enum ServerMessage {
         /// Chunks that the view needs.
         chunks: u32,
     },
-    /// Something asked for is not delivered; the session goes on.
+    /// A request, a chunk or a view is refused; the session continues.
     Refused(Refused),
     /// The server is shutting down and will close the connection.
     Draining {
@@ -160,20 +160,20 @@ pub struct Welcome {
     pub software: String,
 }
 
-/// Why a handshake failed. Both sides' values are named, so that a person can tell which one to
-/// change.
+/// Why a handshake failed. Carries the values of both sides, so that an operator can see which one
+/// to change.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Rejection {
     /// The protocol versions differ.
     WrongVersion {
-        /// What the client speaks.
+        /// The client's version.
         client: u16,
-        /// What the server speaks.
+        /// The server's version.
         server: u16,
     },
-    /// The client insists on another world.
+    /// The client requires another world.
     WrongWorld {
-        /// The digest that the client named.
+        /// The digest that the client requires.
         client: [u8; 32],
         /// The digest of the world that is served.
         server: [u8; 32],
@@ -200,14 +200,15 @@ impl fmt::Display for Rejection {
             Self::WrongVersion { client, server } => {
                 write!(
                     f,
-                    "the client speaks protocol version {client}, the server {server}: update the older one"
+                    "the client has protocol version {client}, the server {server}: update the older one"
                 )
             }
             Self::WrongWorld { client, server } => {
                 let (client, server) = (WorldDigest(*client), WorldDigest(*server));
                 write!(
                     f,
-                    "the client insists on world {client}, the server serves {server}: connect to another server or accept the served world"
+                    "the client requires world {client}, the server serves {server}: connect to another server \
+                     or accept the served world"
                 )
             }
             Self::Unauthorised => write!(f, "the access token is missing or wrong"),
@@ -215,20 +216,20 @@ impl fmt::Display for Rejection {
     }
 }
 
-/// One thing that is not delivered.
+/// A refusal of a request, a chunk or a view.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refused {
     /// The id of the request or of the view.
     pub id: u32,
-    /// The chunk, where one is meant.
+    /// The chunk, if the refusal concerns one.
     pub key: Option<WireKey>,
     /// Why.
     pub reason: RefusalReason,
-    /// One sentence for a person.
+    /// One sentence for people.
     pub detail: Cow<'static, str>,
 }
 
-/// Why something is not delivered.
+/// The reason of a refusal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum RefusalReason {
     /// The key names no chunk of this world.
@@ -237,13 +238,13 @@ pub enum RefusalReason {
     InvalidView,
     /// Too many requests are waiting already.
     TooManyRequests,
-    /// The server is shedding load; ask again later.
+    /// The server is shedding load; request again later.
     Overloaded,
-    /// The server failed to make the chunk.
+    /// The server failed to generate the chunk.
     Failed,
     /// The request names the key more than once; it is sent once.
     Duplicate,
-    /// A grant of nothing, or of more than may be outstanding. It changes nothing.
+    /// A grant of zero, or of more than may be outstanding. It has no effect.
     InvalidCredit,
 }
 
@@ -259,13 +260,13 @@ impl RefusalReason {
         Self::InvalidCredit,
     ];
 
-    /// Its place in [`Self::ALL`].
+    /// Its index in [`Self::ALL`].
     #[must_use]
     pub const fn index(self) -> usize {
         self as usize
     }
 
-    /// The word for it in metrics.
+    /// Its name in metrics.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -290,7 +291,7 @@ fn check_text(text: &str) -> Result<(), ControlError> {
 
 /// A message whose fields have limits beyond their types.
 pub trait Limited {
-    /// Refuses fields beyond the protocol's limits.
+    /// Rejects fields beyond the protocol's limits.
     fn check_limits(&self) -> Result<(), ControlError>;
 }
 
@@ -302,7 +303,7 @@ impl Limited for ClientMessage {
                 hello.token.as_deref().map_or(Ok(()), check_text)
             }
             Self::Request { keys, .. } | Self::Release { keys } | Self::Holding { keys } => check_keys(keys),
-            // A view's ranges are judged by the session, which refuses without disconnecting.
+            // The session checks a view's ranges: it refuses the view without disconnecting.
             Self::View(_) | Self::Credit { .. } | Self::CreditBytes { .. } | Self::Cancel { .. } => Ok(()),
         }
     }

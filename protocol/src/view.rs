@@ -1,4 +1,4 @@
-//! What a client sees. Integers only: no NaN or infinity can be said.
+//! The view of a client. Integers only: NaN and infinity cannot be expressed.
 
 use crate::limits::MAX_VIEWPORT;
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use terrain::{ChunkKey, Position};
 /// How far ahead of a moving view the server fetches, seconds.
 pub const AHEAD_S: i64 = 2;
 
-/// One camera with its quality wish.
+/// One camera with its tolerated screen error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct View {
     /// Chosen by the client, repeated when the view is settled or refused.
@@ -20,7 +20,7 @@ pub struct View {
     pub velocity: [i32; 3],
     /// Heading in 1/1000 degree: 0 is north (-z), 90,000 is east.
     pub yaw_mdeg: i32,
-    /// Elevation of the gaze in 1/1000 degree, up is positive.
+    /// Elevation of the view direction in 1/1000 degree, up is positive.
     pub pitch_mdeg: i32,
     /// Vertical field of view in 1/1000 degree: 1,000 to 170,000.
     pub fov_mdeg: u32,
@@ -36,7 +36,7 @@ impl View {
     /// Checks every range.
     ///
     /// # Errors
-    /// One sentence naming field, value and what is allowed.
+    /// One sentence with field, value and allowed range.
     pub fn check(&self) -> Result<(), String> {
         Position::new(self.eye[0], self.eye[2]).map_err(|error| error.to_string())?;
         if !(1_000..=170_000).contains(&self.fov_mdeg) {
@@ -60,7 +60,7 @@ impl View {
         Ok(())
     }
 
-    /// The part of a view that decides which chunks are needed. Meant for checked views.
+    /// The part of a view that determines the needed chunks, for checked views.
     #[must_use]
     pub fn viewer(&self) -> Viewer {
         Viewer {
@@ -71,18 +71,17 @@ impl View {
         }
     }
 
-    /// The viewer where it will be in [`AHEAD_S`] seconds at its present velocity; none if it
-    /// hardly moves. At most half of the view distance away, so that what is fetched ahead borders
-    /// on what is seen. Integers, so that two machines choose alike.
+    /// The viewer in [`AHEAD_S`] seconds at its present velocity, for prefetch; none if it hardly
+    /// moves. At most half of the view distance away, so that prefetched chunks border on visible
+    /// ones. Integers, so that two machines choose the same chunks.
     #[must_use]
     pub fn viewer_ahead(&self) -> Option<Viewer> {
         let viewer = self.viewer();
-        // Faster than 2,000 km/s counts as that: it is beyond every view distance, and the squares
-        // stay in range.
+        // Clamped to 2,000 km/s: beyond every view distance, and the squares stay in range.
         let [east, _, south] =
             self.velocity.map(|velocity| i64::from(velocity).clamp(-(1 << 29), 1 << 29) * AHEAD_S);
         let way = (east * east + south * south).isqrt();
-        // Less than a finest chunk in that time: the next view comes soon enough.
+        // Less than a finest chunk in that time: the next view arrives early enough.
         if way < 1 << CHUNK_BITS {
             return None;
         }
@@ -93,9 +92,9 @@ impl View {
         Some(Viewer { eye: (moved(x, east), y, moved(z, south)), ..viewer })
     }
 
-    /// How much a needed chunk is worth now; larger is sooner. The gain in screen error times the
-    /// chance of being seen (outside the horizontal field of view a quarter) times age (a chunk
-    /// that has waited through many views counts up to four times).
+    /// The priority of a needed chunk; larger is sooner. The gain in screen error, times a factor of
+    /// visibility (a quarter outside the horizontal field of view), times a factor of age (up to
+    /// four for a chunk that was pending in many views).
     #[must_use]
     pub fn priority(&self, needed: &Needed, views_waited: u32) -> u64 {
         let seen = if self.faces(needed.key) { 4 } else { 1 };
@@ -103,8 +102,8 @@ impl View {
         u64::from(needed.gain_q4) * seen * age
     }
 
-    /// Whether any of a chunk's bounding circle lies within the horizontal field of view. A float
-    /// test is good enough: it only orders.
+    /// Whether a chunk's bounding circle intersects the horizontal field of view. Floats suffice: the
+    /// result only affects the order.
     fn faces(&self, key: ChunkKey) -> bool {
         let half_side = f64::from(key.side()) / 2.0;
         let (x, z) = key.origin();
@@ -116,7 +115,7 @@ impl View {
         }
         let [width, height] = self.viewport.map(f64::from);
         let half_fov = ((mdeg(self.fov_mdeg as i32) / 2.0).tan() * width / height).atan();
-        // Looking up or down widens what the frame covers on the ground.
+        // A pitched view covers a wider sector of the ground.
         let widened = if self.pitch_mdeg.unsigned_abs() > 45_000 { std::f64::consts::PI } else { half_fov };
         let bearing = east.atan2(-south) - mdeg(self.yaw_mdeg);
         let off_axis = bearing.sin().atan2(bearing.cos()).abs();
@@ -124,8 +123,8 @@ impl View {
     }
 }
 
-/// `K` of the screen-error rule in whole pixels, at least 1; rounded up, so that no error is taken
-/// for smaller than it is.
+/// `K` of the screen-error rule in whole pixels, at least 1; rounded up, so that no error is
+/// underestimated.
 #[must_use]
 pub fn pixels_per_radian(viewport_height: u16, fov_mdeg: u32) -> u32 {
     let k = f64::from(viewport_height) / (2.0 * (mdeg(fov_mdeg as i32) / 2.0).tan());

@@ -3,8 +3,7 @@
 //! The corpus is the frozen frames under `fixtures/`. The short run mutates each for a fixed number
 //! of rounds from a fixed seed; the long one is
 //! `TOMBOLO_FUZZ_ROUNDS=100000000 cargo test --release -p protocol --test corpus`, and
-//! `TOMBOLO_FUZZ_SEED` continues where an earlier one has not been. A finding prints the bytes that
-//! make it.
+//! `TOMBOLO_FUZZ_SEED` selects other mutations. A failure prints the bytes of its frame.
 
 use protocol::chunk_codec::{self, Kernel, quantised, refined, seed_only};
 use protocol::limits::{CHUNK_HEADER, MAX_CHUNK_FRAME};
@@ -22,7 +21,7 @@ fn number(name: &str, otherwise: u32) -> u32 {
     std::env::var(name).map_or(otherwise, |text| text.parse().unwrap_or_else(|_| panic!("{name}: `{text}`")))
 }
 
-/// The frozen frames, older versions' too, in the order of their names.
+/// The frozen frames, including those of older versions, in the order of their names.
 fn corpus() -> Vec<Vec<u8>> {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
     let folders = [folder.clone(), folder.join("version_1"), folder.join("version_2")];
@@ -41,49 +40,49 @@ fn corpus() -> Vec<Vec<u8>> {
     paths.into_iter().map(read).collect()
 }
 
-/// A stream of numbers from a seed.
-struct Dice(u32);
+/// Pseudorandom numbers from a seed.
+struct Random(u32);
 
-impl Dice {
+impl Random {
     fn below(&mut self, limit: usize) -> usize {
         self.0 = self.0.wrapping_add(0x9e37_79b9);
         mix(self.0) as usize % limit.max(1)
     }
 }
 
-/// What fuzzers do: bits, bytes, extremes, cuts, copies, and pieces of other frames.
-fn mutate(frame: &mut Vec<u8>, corpus: &[Vec<u8>], dice: &mut Dice) {
-    for _ in 0..=dice.below(4) {
+/// One mutation: bits, bytes, extremes, cuts, copies, and pieces of other frames.
+fn mutate(frame: &mut Vec<u8>, corpus: &[Vec<u8>], random: &mut Random) {
+    for _ in 0..=random.below(4) {
         // Below the length, or 0 in an empty frame.
-        let at = dice.below(frame.len());
-        match dice.below(7) {
-            0 if !frame.is_empty() => frame[at] ^= 1u8 << dice.below(8),
-            1 if !frame.is_empty() => frame[at] = dice.below(256) as u8,
+        let at = random.below(frame.len());
+        match random.below(7) {
+            0 if !frame.is_empty() => frame[at] ^= 1u8 << random.below(8),
+            1 if !frame.is_empty() => frame[at] = random.below(256) as u8,
             2 => frame.truncate(at),
-            3 => frame.insert(at, dice.below(256) as u8),
+            3 => frame.insert(at, random.below(256) as u8),
             4 => {
                 let extremes = [0u32, 1, 0x7fff_ffff, 0x8000_0000, u32::MAX];
-                let word = extremes[dice.below(extremes.len())].to_le_bytes();
-                let length = dice.below(5).min(frame.len() - at);
+                let word = extremes[random.below(extremes.len())].to_le_bytes();
+                let length = random.below(5).min(frame.len() - at);
                 frame[at..][..length].copy_from_slice(&word[..length]);
             }
             5 => {
-                let other = &corpus[dice.below(corpus.len())];
-                let from = dice.below(other.len());
+                let other = &corpus[random.below(corpus.len())];
+                let from = random.below(other.len());
                 frame.truncate(at);
                 frame.extend_from_slice(&other[from..]);
             }
             _ => {
                 let piece = frame[at..].to_vec();
-                frame.extend_from_slice(&piece[..piece.len().min(dice.below(64))]);
+                frame.extend_from_slice(&piece[..piece.len().min(random.below(64))]);
             }
         }
         frame.truncate(MAX_CHUNK_FRAME + 1);
     }
 }
 
-/// Signs a chunk frame with heights anew, as a hostile server does; without it the digest stops
-/// nearly everything.
+/// Recomputes the digest of a chunk frame with heights, as a hostile server does. Without it the
+/// digest rejects nearly all mutations.
 fn sign(frame: &mut [u8], world: &WorldDigest) {
     if frame.len() < CHUNK_HEADER {
         return;
@@ -95,7 +94,7 @@ fn sign(frame: &mut [u8], world: &WorldDigest) {
     frame[44..CHUNK_HEADER].copy_from_slice(&hasher.finalize().as_bytes()[..16]);
 }
 
-/// Gives bytes to every decoder. A chunk that comes back keeps its promises.
+/// Passes bytes to every decoder. A returned chunk satisfies its invariants.
 fn decode_all(frame: &[u8], land: &Land, world: &WorldDigest, parent: &Chunk) -> usize {
     let (mut heights, mut accepted) = (Box::new([0; VERTEX_COUNT]), 0);
     let _ = chunk_codec::heights_on(Kernel::best(), frame, &mut heights);
@@ -114,7 +113,7 @@ fn decode_all(frame: &[u8], land: &Land, world: &WorldDigest, parent: &Chunk) ->
     }
     let (from_client, from_server) =
         (control::decode::<ClientMessage>(frame), control::decode::<ServerMessage>(frame));
-    // What is understood is said again in the same bytes.
+    // Decoded messages are encoded as the same bytes.
     if let Ok(message) = from_client {
         assert_eq!(control::encode(&message).unwrap(), frame);
         accepted += 1;
@@ -127,21 +126,21 @@ fn decode_all(frame: &[u8], land: &Land, world: &WorldDigest, parent: &Chunk) ->
 }
 
 #[test]
-fn no_mutation_of_any_frozen_frame_panics_or_breaks_a_promise() {
+fn no_mutated_frame_causes_a_panic_or_breaks_an_invariant() {
     let land = Land::new(42);
     let world = land.digest();
     let parent = land.chunk(ChunkKey::new(2, -3, 1).unwrap());
     let corpus = corpus();
     assert!(corpus.len() > 20, "{} frames", corpus.len());
     let whole: usize = corpus.iter().map(|frame| decode_all(frame, &land, &world, &parent)).sum();
-    assert!(whole > 15, "{whole} of {} frozen frames are understood", corpus.len());
+    assert!(whole > 15, "{whole} of {} frozen frames are decoded", corpus.len());
 
     let seed = number("TOMBOLO_FUZZ_SEED", 1);
-    let (mut dice, mut accepted) = (Dice(mix(seed)), 0);
+    let (mut random, mut accepted) = (Random(mix(seed)), 0);
     for round in 0..number("TOMBOLO_FUZZ_ROUNDS", ROUNDS) {
-        let mut frame = corpus[dice.below(corpus.len())].clone();
-        mutate(&mut frame, &corpus, &mut dice);
-        if frame.starts_with(&chunk_codec::MAGIC) && dice.below(4) > 0 {
+        let mut frame = corpus[random.below(corpus.len())].clone();
+        mutate(&mut frame, &corpus, &mut random);
+        if frame.starts_with(&chunk_codec::MAGIC) && random.below(4) > 0 {
             sign(&mut frame, &world);
         }
         let outcome = catch_unwind(AssertUnwindSafe(|| decode_all(&frame, &land, &world, &parent)));
@@ -150,6 +149,6 @@ fn no_mutation_of_any_frozen_frame_panics_or_breaks_a_promise() {
             panic!("round {round} of seed {seed}: {bytes}")
         });
     }
-    // Some get past the digest: the run looks behind it too.
-    assert!(accepted > 0, "nothing mutated was accepted; the run looks at the surface only");
+    // Some mutations pass the digest: the run covers the code behind it.
+    assert!(accepted > 0, "no mutation was accepted; the run covers the digest only");
 }

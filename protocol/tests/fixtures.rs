@@ -2,7 +2,7 @@
 //! chunk.
 //!
 //! A failing test here means that deployed peers would no longer understand each other. If that is
-//! meant, bump `PROTOCOL_VERSION` (or the chunk `VERSION`) and write the new bytes with
+//! intended, bump `PROTOCOL_VERSION` (or the chunk `VERSION`) and write the new bytes with
 //! `TOMBOLO_BLESS=1 cargo test -p protocol --test fixtures`.
 
 use protocol::chunk_codec::{Effort, quantised, refined, seed_only};
@@ -13,7 +13,7 @@ use protocol::message::{
 use protocol::server::{ServerOffer, ServerSession};
 use protocol::view::View;
 use protocol::{
-    ControlError, Delivery, Incoming, PROTOCOL_VERSION, PeerFault, Tolerance, chunk_codec, control,
+    ControlError, DataFrame, Delivery, PROTOCOL_VERSION, PeerFault, Tolerance, chunk_codec, control,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -123,8 +123,8 @@ fn server_messages_are_frozen() {
 }
 
 #[test]
-fn peers_of_older_versions_are_refused_with_both_versions_named() {
-    // Never blessed: these bytes are what those releases said.
+fn older_versions_are_rejected_with_both_versions() {
+    // Never blessed: these are the bytes of those releases.
     let read = |name: &str| {
         let text = std::fs::read_to_string(path(name)).unwrap();
         let digits: Vec<_> = text.chars().filter_map(|digit| digit.to_digit(16)).collect();
@@ -138,7 +138,7 @@ fn peers_of_older_versions_are_refused_with_both_versions_named() {
         );
         let land = Land::new(1);
         let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
-        let fault = ServerSession::new(offer, 1).receive(Incoming::Binary(&old)).unwrap_err();
+        let fault = ServerSession::new(offer, 1).receive(DataFrame::Binary(&old)).unwrap_err();
         let rejection = Rejection::WrongVersion { client: version, server: PROTOCOL_VERSION };
         assert_eq!(fault, PeerFault::Rejected(rejection));
         let both = format!("version {version}, the server {PROTOCOL_VERSION}");
@@ -152,7 +152,7 @@ fn peers_of_older_versions_are_refused_with_both_versions_named() {
             window: 1,
         };
         let welcome = read(&format!("version_{version}/welcome"));
-        let fault = ClientSession::new(config).receive(Incoming::Binary(&welcome)).unwrap_err();
+        let fault = ClientSession::new(config).receive(DataFrame::Binary(&welcome)).unwrap_err();
         let both = format!("version {PROTOCOL_VERSION}, the server {version}");
         assert!(fault.to_string().contains(&both), "{fault}");
     }

@@ -1,8 +1,7 @@
-//! What decoding takes from the heap, counted: never more than the stated cap, whatever a frame
-//! says.
+//! Heap use of the decoders: never more than the stated limit, for any input.
 //!
 //! A test binary of its own, because it replaces the allocator.
-#![expect(unsafe_code, reason = "an allocator is unsafe by nature; this one counts and passes on")]
+#![expect(unsafe_code, reason = "an allocator is unsafe by nature; this one counts and delegates")]
 
 use protocol::chunk_codec::{self, Effort, quantised, refined};
 use protocol::limits::MAX_DECODE_MEMORY;
@@ -19,7 +18,7 @@ thread_local! {
     static PEAK: Cell<isize> = const { Cell::new(0) };
 }
 
-// SAFETY: every call is passed on to the system's allocator unchanged.
+// SAFETY: every call is delegated to the system allocator unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         LIVE.set(LIVE.get() + layout.size() as isize);
@@ -63,7 +62,7 @@ fn decode_all(frame: &[u8], world: &WorldDigest, parent: &terrain::Chunk) {
 }
 
 #[test]
-fn no_decoder_takes_more_than_the_cap_from_good_truncated_or_lying_frames() {
+fn decoders_stay_within_the_memory_limit() {
     let land = Land::new(1);
     let world = land.digest();
     let chunk = land.chunk(ChunkKey::new(0, 3, -7).unwrap());
@@ -73,7 +72,7 @@ fn no_decoder_takes_more_than_the_cap_from_good_truncated_or_lying_frames() {
         quantised::encode(&chunk, &world, Tolerance::FINEST, Effort::Fast).unwrap(),
         refined::encode(&chunk, &parent, &world, Effort::Compact).unwrap(),
     ];
-    // The threads' own rooms are made here, once.
+    // The scratch memory of the thread is allocated here, once.
     frames.iter().for_each(|frame| {
         let _ = (chunk_codec::decode(frame, &world), quantised::decode(frame, &world, Tolerance::COARSEST));
         let _ = refined::decode(frame, &world, &parent);

@@ -4,6 +4,7 @@
 
 use std::fmt::Write as _;
 use terrain::hash::{hash2, mix, stream_seed};
+use terrain::ring::{mod_floor, mod_trunc};
 use terrain::weights::weights;
 use terrain::{Land, Octaves, Position};
 
@@ -43,10 +44,29 @@ const PLACES: [(u64, i32, i32, usize); 30] = [
     (42, -(1 << 30), (1 << 30) - 12_345_678, 8),
 ];
 
-/// The tables as they stand on the page.
+/// Dividend and divisor: both signs, zero, and the ends of i32.
+const REMAINDERS: [(i32, i32); 12] = [
+    (7, 3),
+    (-7, 3),
+    (7, -3),
+    (-7, -3),
+    (1, 768),
+    (-1, 768),
+    (-5, 0),
+    (i32::MIN, -1),
+    (i32::MIN, 3),
+    (i32::MAX, i32::MIN),
+    (-1, i32::MIN),
+    (i32::MIN, i32::MIN),
+];
+
+/// The tables as they are on the page.
 pub fn tables() -> String {
     let mut page = String::new();
-    parts(&mut page).and_then(|()| heights(&mut page)).expect("a string takes everything");
+    parts(&mut page)
+        .and_then(|()| heights(&mut page))
+        .and_then(|()| remainders(&mut page))
+        .expect("writing to a string does not fail");
     page
 }
 
@@ -79,6 +99,14 @@ fn heights(page: &mut String) -> std::fmt::Result {
         let relief = land.fbm().at(x, z, octaves);
         let height = land.height_keeping(Position::new(x, z).expect("inside the world"), octaves);
         writeln!(page, "| {seed} | {x} | {z} | {kept} | {} | {} | {height} |", relief.hills, relief.folds)?;
+    }
+    Ok(())
+}
+
+fn remainders(page: &mut String) -> std::fmt::Result {
+    writeln!(page, "\n| a | m | mod_trunc | mod_floor |\n| --- | --- | --- | --- |")?;
+    for (a, m) in REMAINDERS {
+        writeln!(page, "| {a} | {m} | {} | {} |", mod_trunc(a, m), mod_floor(a, m))?;
     }
     Ok(())
 }

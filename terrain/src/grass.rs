@@ -39,10 +39,10 @@ impl GrassSeed {
 
     /// The densities of a chunk, from its own vertices alone.
     ///
-    /// Grass grows on gentle ground between the beach and the high rock: density falls linearly to
-    /// zero from 4 m down to 2 m above the sea, from 180 m up to 260 m, and over slopes from 0.5 to
-    /// 1. Integers only, so that every machine grows the same field. Heights are below 2^24 in
-    /// magnitude.
+    /// Grass covers gentle slopes between the beach and the high rock: density falls linearly to
+    /// zero from 4 m down to 2 m above the sea, from 180 m up to 260 m, and over slopes between 0.5
+    /// and 1. Integers only, so that every machine computes the same field. Heights are below 2^24
+    /// in magnitude.
     #[must_use]
     pub fn density_of(key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Box<[u8; GRASS_GRID * GRASS_GRID]> {
         // A block's side is a power of two of metres: the division is a shift.

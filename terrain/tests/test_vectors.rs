@@ -4,7 +4,7 @@
 mod printed;
 
 #[test]
-fn the_published_tables_are_what_the_code_yields() {
+fn the_published_tables_equal_the_code() {
     let page = include_str!("../../docs/heightfield.md");
     let tables = printed::tables();
     for line in tables.lines() {
@@ -14,7 +14,7 @@ fn the_published_tables_are_what_the_code_yields() {
 }
 
 #[test]
-fn the_published_constants_are_those_of_the_code() {
+fn the_published_constants_equal_the_code() {
     use terrain::constants::{GRADIENTS, OCTAVE_SHIFT};
     let page = include_str!("../../docs/heightfield.md");
     let metres: Vec<String> = OCTAVE_SHIFT.iter().map(|(x, z)| format!("({}, {})", x >> 8, z >> 8)).collect();
@@ -22,6 +22,6 @@ fn the_published_constants_are_those_of_the_code() {
     for (index, (x, z)) in GRADIENTS.into_iter().enumerate() {
         let angle = (index as f64 + 0.5) * std::f64::consts::TAU / 32.0;
         let rounded = |v: f64| (v * 32_768.0).round() as i16;
-        assert_eq!((x, z), (rounded(angle.cos()), rounded(angle.sin())), "the rule that the page gives");
+        assert_eq!((x, z), (rounded(angle.cos()), rounded(angle.sin())), "the rule of the page");
     }
 }

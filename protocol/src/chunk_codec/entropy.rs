@@ -1,21 +1,20 @@
-//! Byte strings to fewer bytes and back: the only file that names a compressor.
+//! Compression of byte strings: the only file that names a compressor.
 //!
-//! A coded string is one Zstandard frame (RFC 8878) of the plainest sort: single segment, content
-//! size stated, no dictionary, no checksum. Everything else is refused before a decoder sees it, so
-//! that a frame can neither ask for a window nor expand beyond the room that its reader has set
-//! aside.
+//! A compressed string is one Zstandard frame (RFC 8878) of the simplest form: single segment, with
+//! content size, without dictionary and checksum. Other frames are rejected before the decoder, so
+//! that a frame can neither request a window nor expand beyond the reader's buffer.
 
 use crate::error::ChunkError;
 use std::cell::RefCell;
 
-/// What the sender of a frame has more of.
+/// The trade-off between encoding time and bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Effort {
-    /// Time is short: level -5, which leaves literals as they are. About a quarter more bytes,
-    /// decoded several times as fast.
+    /// Fast encoding: level -5, without entropy coding of literals. About a quarter more bytes, decoded
+    /// several times as fast.
     Fast,
-    /// The frame will be sent more than once: literals coded, and repetitions looked for by level 1
-    /// where that is shorter.
+    /// Compact encoding, for frames that are sent more than once: coded literals, and the match search
+    /// of level 1 where its result is shorter.
     #[default]
     Compact,
 }
@@ -23,7 +22,7 @@ pub enum Effort {
 /// First bytes of a frame, RFC 8878 section 3.1.1.
 const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
-/// The content size that a frame of the plainest sort states; none for any other frame.
+/// The content size of a frame of the simplest form; none for any other frame.
 fn stated_size(frame: &[u8]) -> Option<u64> {
     let (magic, rest) = frame.split_first_chunk()?;
     let (descriptor, rest) = rest.split_first()?;
@@ -39,26 +38,26 @@ fn stated_size(frame: &[u8]) -> Option<u64> {
     }
 }
 
-/// Fills `room` from one frame that must hold exactly as much.
+/// Decompresses one frame whose content must fill `out` exactly.
 ///
 /// # Errors
-/// [`ChunkError::Compression`]: another size, another sort of frame, bytes after it, or damage.
-pub(super) fn decompress(frame: &[u8], room: &mut [u8]) -> Result<(), ChunkError> {
-    if stated_size(frame) != Some(room.len() as u64) {
+/// [`ChunkError::Compression`]: another size, another form of frame, trailing bytes, or damage.
+pub(super) fn decompress(frame: &[u8], out: &mut [u8]) -> Result<(), ChunkError> {
+    if stated_size(frame) != Some(out.len() as u64) {
         return Err(ChunkError::Compression);
     }
-    let filled = CODER.with_borrow_mut(|coder| coder.decompress(frame, room));
-    if filled == Some(room.len()) { Ok(()) } else { Err(ChunkError::Compression) }
+    let filled = CODER.with_borrow_mut(|coder| coder.decompress(frame, out));
+    if filled == Some(out.len()) { Ok(()) } else { Err(ChunkError::Compression) }
 }
 
-/// Appends a string to `out`, as a frame if that is shorter, else as it is. Returns whether it is a
-/// frame.
+/// Appends a string to `out`, compressed if that is shorter, else uncompressed. Returns whether it is
+/// compressed.
 pub(super) fn compress(content: &[u8], effort: Effort, out: &mut Vec<u8>) -> bool {
     CODER.with_borrow_mut(|coder| coder.compress(content, effort, out))
 }
 
 thread_local! {
-    /// Contexts are large and costly to make; every thread that codes keeps its own.
+    /// Contexts are large and expensive to create; every thread keeps its own.
     static CODER: RefCell<Coder> = RefCell::default();
 }
 
@@ -67,26 +66,25 @@ mod native {
     use super::Effort;
     use zstd::zstd_safe::{CCtx, CParameter, DCtx, ParamSwitch};
 
-    /// Level at which the search for repetitions steps over everything: what is left is the coding
-    /// of literals.
+    /// Level whose match search skips the whole input: only the coding of literals is left.
     const LITERALS_ONLY: i32 = -100_000;
 
-    /// Repetitions are looked for in what the code of literals makes shorter than this part of it:
-    /// near the one bit a literal that it cannot go below.
+    /// Matches are searched if coded literals take less than this fraction of the content: close to
+    /// one bit a literal, the minimum of a Huffman code.
     const REPEATS_BELOW: usize = 6;
 
-    /// The contexts of one thread, each made when it is first used.
+    /// The contexts of one thread, each created at its first use.
     #[derive(Default)]
     pub(super) struct Coder {
         fast: Option<CCtx<'static>>,
         compact: Option<CCtx<'static>>,
         literals: Option<CCtx<'static>>,
         reader: Option<DCtx<'static>>,
-        /// The shorter of two attempts is copied from here.
+        /// Output of the second attempt; copied if it is shorter.
         attempt: Vec<u8>,
     }
 
-    /// A context of a level; none if the library refuses, which is answered by not compressing.
+    /// A context of a level; none if the library fails, which means no compression.
     fn context(level: i32, literals: ParamSwitch) -> Option<CCtx<'static>> {
         let mut context = CCtx::try_create()?;
         context.set_parameter(CParameter::CompressionLevel(level)).ok()?;
@@ -94,7 +92,7 @@ mod native {
         Some(context)
     }
 
-    fn kept<'a>(
+    fn context_in<'a>(
         slot: &'a mut Option<CCtx<'static>>,
         level: i32,
         literals: ParamSwitch,
@@ -105,7 +103,7 @@ mod native {
         slot.as_mut()
     }
 
-    /// Compresses behind what `out` holds into at most `most` bytes. Returns whether it did.
+    /// Appends the compressed content to `out`, at most `most` bytes. Returns whether it did.
     fn attempt(context: Option<&mut CCtx<'static>>, content: &[u8], most: usize, out: &mut Vec<u8>) -> bool {
         let start = out.len();
         out.resize(start + most, 0);
@@ -117,19 +115,18 @@ mod native {
     impl Coder {
         pub(super) fn compress(&mut self, content: &[u8], effort: Effort, out: &mut Vec<u8>) -> bool {
             let start = out.len();
-            // A frame as long as its content would be taken for the content.
+            // A frame as long as its content would be read as the content.
             let most = content.len().saturating_sub(1);
             let first = match effort {
-                Effort::Fast => kept(&mut self.fast, -5, ParamSwitch::Auto),
-                Effort::Compact => kept(&mut self.literals, LITERALS_ONLY, ParamSwitch::Enable),
+                Effort::Fast => context_in(&mut self.fast, -5, ParamSwitch::Auto),
+                Effort::Compact => context_in(&mut self.literals, LITERALS_ONLY, ParamSwitch::Enable),
             };
             let done = attempt(first, content, most, out);
-            // Noise does not repeat itself. What a code of single bytes makes this short may be
-            // worth looking at again.
+            // Noise has no matches. Content that codes this short may have some.
             let may_repeat = done && out.len() - start < content.len() / REPEATS_BELOW;
             if effort == Effort::Compact && may_repeat {
                 self.attempt.clear();
-                let repeats = kept(&mut self.compact, 1, ParamSwitch::Enable);
+                let repeats = context_in(&mut self.compact, 1, ParamSwitch::Enable);
                 if attempt(repeats, content, most, &mut self.attempt)
                     && self.attempt.len() < out.len() - start
                 {
@@ -143,11 +140,11 @@ mod native {
             done
         }
 
-        pub(super) fn decompress(&mut self, frame: &[u8], room: &mut [u8]) -> Option<usize> {
+        pub(super) fn decompress(&mut self, frame: &[u8], out: &mut [u8]) -> Option<usize> {
             if self.reader.is_none() {
                 self.reader = DCtx::try_create();
             }
-            self.reader.as_mut()?.decompress(room, frame).ok()
+            self.reader.as_mut()?.decompress(out, frame).ok()
         }
     }
 }
@@ -157,8 +154,8 @@ use native::Coder;
 
 /// Decodes a frame without the C library.
 #[cfg(any(target_arch = "wasm32", test))]
-fn decompress_in_rust(frame: &[u8], room: &mut [u8]) -> Option<usize> {
-    ruzstd::decoding::FrameDecoder::new().decode_all(frame, room).ok()
+fn decompress_in_rust(frame: &[u8], out: &mut [u8]) -> Option<usize> {
+    ruzstd::decoding::FrameDecoder::new().decode_all(frame, out).ok()
 }
 
 /// Where there is no C library: reads what others compressed, and stores.
@@ -174,8 +171,8 @@ impl Coder {
         false
     }
 
-    fn decompress(&self, frame: &[u8], room: &mut [u8]) -> Option<usize> {
-        decompress_in_rust(frame, room)
+    fn decompress(&self, frame: &[u8], out: &mut [u8]) -> Option<usize> {
+        decompress_in_rust(frame, out)
     }
 }
 
@@ -203,10 +200,10 @@ mod tests {
                 if compress(&content, effort, &mut out) {
                     let frame = &out[1..];
                     prop_assert!(frame.len() < length);
-                    for decode in [|frame: &[u8], room: &mut [u8]| decompress(frame, room).ok().map(|()| room.len()), decompress_in_rust] {
-                        let mut room = vec![0; length];
-                        prop_assert_eq!(decode(frame, &mut room), Some(length));
-                        prop_assert_eq!(&room, &content);
+                    for decode in [|frame: &[u8], out: &mut [u8]| decompress(frame, out).ok().map(|()| out.len()), decompress_in_rust] {
+                        let mut out = vec![0; length];
+                        prop_assert_eq!(decode(frame, &mut out), Some(length));
+                        prop_assert_eq!(&out, &content);
                     }
                 } else {
                     prop_assert_eq!(&out[1..], &content[..]);
@@ -236,18 +233,18 @@ mod tests {
         for wrong in [0, 1, 2999, 3001, 1 << 20] {
             assert_eq!(decompress(&good, &mut vec![0; wrong]), Err(ChunkError::Compression), "{wrong}");
         }
-        let mut room = vec![0; 3000];
+        let mut out = vec![0; 3000];
         for length in 0..good.len() {
-            assert_eq!(decompress(&good[..length], &mut room), Err(ChunkError::Compression), "{length}");
+            assert_eq!(decompress(&good[..length], &mut out), Err(ChunkError::Compression), "{length}");
         }
-        assert_eq!(decompress(&[&good[..], &[0]].concat(), &mut room), Err(ChunkError::Compression));
+        assert_eq!(decompress(&[&good[..], &[0]].concat(), &mut out), Err(ChunkError::Compression));
         for descriptor in [0x00, 0x21, 0x24, 0x28, 0x30, 0x64, 0xe1] {
             let mut other = good.clone();
             other[4] = descriptor;
-            assert_eq!(decompress(&other, &mut room), Err(ChunkError::Compression), "{descriptor:#x}");
+            assert_eq!(decompress(&other, &mut out), Err(ChunkError::Compression), "{descriptor:#x}");
         }
-        assert_eq!(decompress(&good, &mut room), Ok(()));
-        assert_eq!(room, content);
+        assert_eq!(decompress(&good, &mut out), Ok(()));
+        assert_eq!(out, content);
     }
 
     #[test]

@@ -1,15 +1,14 @@
-//! Residuals as parts: low bits as they are, whole byte planes above them, and the bits above those
-//! packed.
+//! Residuals as parts: plain low bits, whole byte planes above them, and packed bits above those.
 //!
-//! The low bits of noise are noise: a code of them is as long as they are, and takes time to read.
-//! So the lowest 0, 1, 2, 4 or 8 bits of every residual travel plain. The width of the widest
-//! residual says how the rest lies. Its whole bytes but the last become planes of one byte a
+//! The low bits of noise are noise: coding does not shorten them and takes time to decode. So the
+//! lowest 0, 1, 2, 4 or 8 bits of every residual are stored plain. The width of the widest residual
+//! determines the layout of the rest. Its whole bytes but the last become planes of one byte a
 //! residual; the 1 to 8 bits above them are packed into fields of 1, 2, 4 or 8 bits, because a
-//! Huffman code cannot spend less than a bit on a symbol, and the upper bits of most residuals are
-//! worth less.
+//! Huffman code takes at least one bit per symbol, and the upper bits of most residuals carry less
+//! information.
 //!
-//! A part travels behind its length (u16). A part as long as its content is the content itself, a
-//! shorter one is a frame of [`super::entropy`].
+//! A part follows its length (u16). A part as long as its content is the content itself, a shorter
+//! one is a frame of [`super::entropy`].
 
 use super::entropy::{self, Effort};
 use super::kernel::{self, Kernel};
@@ -20,7 +19,7 @@ use terrain::constants::VERTEX_COUNT;
 /// Most byte planes of a chunk, the packed one included.
 const MAX_PLANES: usize = MAX_RESIDUAL_BITS.div_ceil(8) as usize;
 
-/// How residuals of a width lie.
+/// The layout of residuals of a width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Layout {
     /// Planes of a byte a residual.
@@ -30,7 +29,7 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// The layout of residuals below `2^width`; none if no valid chunk has such.
+    /// The layout of residuals below `2^width`; none if no valid chunk has this width.
     pub(super) fn of_width(width: u32) -> Option<Self> {
         match width {
             0 => Some(Self { whole: 0, field: 0 }),
@@ -83,20 +82,19 @@ pub(super) fn push(kernel: Kernel, residuals: &[u32], width: u32, effort: Effort
     push_part(packed, effort, out);
 }
 
-/// Every so many residuals one is looked at to choose how many bits travel plain: the choice costs
-/// little, and a poor one a few bytes.
+/// One of so many residuals is sampled to choose the number of plain bits. The sample is cheap, and a
+/// poor choice costs a few bytes.
 const SAMPLED: usize = 7;
 
-/// How many low bits of residuals below `2^width` travel plain; less than `width`.
+/// The number of plain low bits of residuals below `2^width`; less than `width`.
 fn plain_bits(residuals: &[u32], width: u32, effort: Effort) -> u32 {
-    // Magnitudes fall off about exponentially. Where the mean is `m` times what the plain bits can
-    // say, leaving them out of the code costs 0.06 / m^2 bits a residual: a thirtieth of a bit at
-    // the most.
+    // Magnitudes are about exponentially distributed. With a mean of `m` times the range of the plain
+    // bits, leaving these uncoded costs 0.06 / m^2 bits a residual: at most a thirtieth of a bit.
     let sampled = residuals.iter().step_by(SAMPLED).map(|residual| u64::from(*residual));
     let mean = sampled.clone().sum::<u64>() / sampled.count().max(1) as u64;
     let enough = match effort {
         Effort::Compact => [(8, 384), (4, 24), (2, 6), (1, 3)],
-        // Nothing of the low byte would be coded anyway.
+        // The low byte would not be coded anyway.
         Effort::Fast => [(8, 12), (4, 6), (2, 3), (1, 2)],
     };
     let fits = |(bits, least): &&(u32, u64)| *bits < width && mean >= *least;
@@ -118,14 +116,14 @@ pub(super) fn push_part(content: &[u8], effort: Effort, out: &mut Vec<u8>) {
     out[at..at + 2].copy_from_slice(&length.to_le_bytes());
 }
 
-/// Room for the decoded parts of one chunk.
-pub(super) struct Room {
+/// Scratch memory for the decoded parts of one chunk.
+pub(super) struct Scratch {
     planes: [[u8; VERTEX_COUNT]; MAX_PLANES],
     packed: [u8; VERTEX_COUNT],
     merged: [[u8; VERTEX_COUNT]; MAX_PLANES],
 }
 
-impl Room {
+impl Scratch {
     pub(super) const fn new() -> Self {
         let planes = [[0; VERTEX_COUNT]; MAX_PLANES];
         Self { planes, packed: [0; VERTEX_COUNT], merged: planes }
@@ -161,16 +159,16 @@ impl Room {
         let Self { planes: rooms, packed, merged } = self;
         let (whole, top) = rooms.split_at_mut(layout.whole);
         let mut above: [&[u8]; MAX_PLANES] = [&[]; MAX_PLANES];
-        for (plane, room) in above.iter_mut().zip(whole) {
-            *plane = take_part(payload, &mut room[..count])?;
+        for (plane, scratch) in above.iter_mut().zip(whole) {
+            *plane = take_part(payload, &mut scratch[..count])?;
         }
         let packed = take_part(payload, &mut packed[..layout.packed(count)])?;
         above[layout.whole] = if layout.field == 8 {
             packed
         } else {
-            let room = &mut top[0][..count];
-            kernel::unpack(kernel, packed, layout.field, room);
-            room
+            let scratch = &mut top[0][..count];
+            kernel::unpack(kernel, packed, layout.field, scratch);
+            scratch
         };
         let above = &above[..=layout.whole];
         let any = above[layout.whole].iter().fold(0, |any, byte| any | byte);
@@ -182,8 +180,8 @@ impl Room {
             8 => planes.set([low].into_iter().chain(above.iter().copied())),
             bits => {
                 let needed = width.div_ceil(8) as usize;
-                for (index, room) in merged[..needed].iter_mut().enumerate() {
-                    kernel::merge(kernel, low, bits, above, index, &mut room[..count]);
+                for (index, scratch) in merged[..needed].iter_mut().enumerate() {
+                    kernel::merge(kernel, low, bits, above, index, &mut scratch[..count]);
                 }
                 planes.set(merged[..needed].iter().map(|plane| &plane[..count]));
             }
@@ -192,7 +190,7 @@ impl Room {
     }
 }
 
-/// The byte planes of residuals, in the payload or in a [`Room`].
+/// The byte planes of residuals, in the payload or in a [`Scratch`].
 pub(super) struct Planes<'a> {
     planes: [&'a [u8]; MAX_PLANES],
     count: usize,
@@ -213,27 +211,27 @@ impl<'a> Planes<'a> {
 }
 
 /// Takes one part off a payload: its content, from the payload itself where it is stored, else from
-/// `room`, whose length is that of the content.
+/// `scratch`, whose length is that of the content.
 ///
 /// # Errors
 /// [`ChunkError::Part`] for a length that no such part has or that the payload does not hold,
 /// [`ChunkError::Compression`].
 pub(super) fn take_part<'a, 'p: 'a>(
     payload: &mut &'p [u8],
-    room: &'a mut [u8],
+    scratch: &'a mut [u8],
 ) -> Result<&'a [u8], ChunkError> {
     let (length, rest) = payload.split_first_chunk().ok_or(ChunkError::Part)?;
     let length = usize::from(u16::from_le_bytes(*length));
-    if length > room.len() {
+    if length > scratch.len() {
         return Err(ChunkError::Part);
     }
     let (coded, rest) = rest.split_at_checked(length).ok_or(ChunkError::Part)?;
     *payload = rest;
-    if length == room.len() {
+    if length == scratch.len() {
         return Ok(coded);
     }
-    entropy::decompress(coded, room)?;
-    Ok(room)
+    entropy::decompress(coded, scratch)?;
+    Ok(scratch)
 }
 
 #[cfg(test)]
@@ -259,15 +257,15 @@ mod tests {
         fn residuals_of_every_width_and_count_come_back(seed: u32, width in 0..=MAX_RESIDUAL_BITS, count in 1..=VERTEX_COUNT) {
             let mask = ((1u64 << width) - 1) as u32;
             let residuals: Vec<u32> = (0..count).map(|index| mix(seed ^ index as u32) & mask).collect();
-            // The widest of a few may be narrower than asked for.
+            // The widest of a few may be narrower than the requested width.
             let width = super::width(residuals.iter().fold(0, |any, residual| any | residual));
             for kernel in Kernel::available() {
                 for effort in [Effort::Fast, Effort::Compact] {
                     let mut payload = Vec::new();
                     push(kernel, &residuals, width, effort, &mut payload);
                     let (mut rest, mut out) = (&payload[..], vec![1; count]);
-                    let mut room = Room::new();
-                    let planes = room.take(kernel, width, count, &mut rest).unwrap();
+                    let mut scratch = Scratch::new();
+                    let planes = scratch.take(kernel, width, count, &mut rest).unwrap();
                     kernel::join(kernel, planes.get(), &mut out);
                     prop_assert!(rest.is_empty());
                     for (out, residual) in out.iter().zip(&residuals) {

@@ -1,8 +1,7 @@
-//! Heights rounded to a tolerance: how, and the frame that carries them.
+//! Heights rounded to a tolerance, and their frame.
 //!
 //! Rounding is a pure function of a height, so vertices that chunks share stay equal. The error of
-//! the chunk grows by what its own vertices moved; the header states the tolerance that none of
-//! them exceeds.
+//! the chunk grows by the largest displacement of its vertices; the header states the tolerance.
 
 use super::entropy::Effort;
 use super::{Frame, KIND_QUANTISED, open, seal};
@@ -12,7 +11,7 @@ use bytes::Bytes;
 use terrain::constants::HEIGHT_LIMIT;
 use terrain::{Chunk, GrassSeed, WorldDigest};
 
-/// The chunk as its quantised frame delivers it; none if a rounded height would leave the range of
+/// The chunk as its quantised frame delivers it; none if a rounded height would exceed the range of
 /// heights.
 #[must_use]
 pub fn quantise(chunk: &Chunk, tolerance: Tolerance) -> Option<Chunk> {

@@ -1,18 +1,18 @@
-//! The chunk frame for who has the parent: only vertices that the parent lacks.
+//! The refined chunk frame, for receivers with the parent: only the vertices that the parent lacks.
 //!
 //! Up to level 2 a chunk's vertices in even columns and rows are those of its parent, bit for bit.
-//! The others are predicted from both sides, which noise cannot hide from as well as from the plane
-//! predictor, which looks one way. First the vertices between two known ones in a row, then in a
-//! column, by four-point interpolation (Deslauriers and Dubuc, "Symmetric iterative interpolation
-//! processes", 1989: weights -1, 9, 9, -1 over 16); then the middles, by the patch through their
-//! eight neighbours (Coons, 1967: half of the sides less a quarter of the corners).
+//! The others are predicted from both sides, with smaller residuals than those of the one-sided plane
+//! predictor. First the vertices between two known ones in a row, then in a column, by four-point
+//! interpolation (Deslauriers and Dubuc, "Symmetric iterative interpolation processes", 1989:
+//! weights -1, 9, 9, -1 over 16); then the middles, by the patch through their eight neighbours
+//! (Coons, 1967: half of the sides less a quarter of the corners).
 
 use super::entropy::Effort;
 use super::kernel::{self, Heights, Kernel, zigzag};
-use super::parts::{self, Room};
+use super::parts::{self, Scratch};
 use super::{Frame, KIND_REFINED, open, seal};
 use crate::error::ChunkError;
-use crate::parents;
+use crate::reference_window;
 use bytes::Bytes;
 use terrain::constants::{CELLS, HEIGHT_LIMIT, VERTEX_COUNT, VERTICES};
 use terrain::{Chunk, ChunkKey, WorldDigest};
@@ -35,17 +35,18 @@ pub fn encode(chunk: &Chunk, parent: &Chunk, world: &WorldDigest, effort: Effort
         .then(|| seal(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
 }
 
-/// As [`encode`] without the parent, for chunks of a land: where the parent is of one of
-/// [`parents::LEVELS`], the chunk's vertices in even columns and rows are the parent's. None where
-/// it is not.
+/// As [`encode`] without the parent, for chunks of a land: if the parent's level is one of
+/// [`reference_window::LEVELS`], the chunk's vertices in even columns and rows are the parent's. None
+/// otherwise.
 #[must_use]
 pub fn encode_alone(chunk: &Chunk, world: &WorldDigest, effort: Effort) -> Option<Bytes> {
     let parent = chunk.key.parent()?;
-    let known = parents::LEVELS.contains(&parent.level()).then(|| Known::in_chunk(&chunk.heights))?;
+    let known =
+        reference_window::LEVELS.contains(&parent.level()).then(|| Known::in_chunk(&chunk.heights))?;
     Some(seal(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
 }
 
-/// Decodes one whole refined frame of a world with the help of the chunk's parent.
+/// Decodes one whole refined frame of a world with the chunk's parent.
 ///
 /// # Errors
 /// As [`super::decode`]; [`ChunkError::Parent`] if `parent` is the chunk of another key,
@@ -58,10 +59,10 @@ pub fn decode(frame: &[u8], world: &WorldDigest, parent: &Chunk) -> Result<Chunk
     decode_over(frame, world, &parent.heights)
 }
 
-/// As [`decode`], with nothing of the parent but its heights.
+/// As [`decode`], with the heights of the parent only.
 ///
 /// # Errors
-/// As [`decode`]; heights of another chunk are refused by the digest.
+/// As [`decode`]; the digest rejects heights of another chunk.
 pub fn decode_over(frame: &[u8], world: &WorldDigest, parent: &Heights) -> Result<Chunk, ChunkError> {
     let frame = Frame::read(frame, KIND_REFINED)?;
     let known = Known::of(frame.key, parent).ok_or(ChunkError::Parent(frame.key))?;
@@ -121,13 +122,13 @@ impl Known {
     pub(super) fn take(
         &self,
         kernel: Kernel,
-        room: &mut Room,
+        scratch: &mut Scratch,
         width: u32,
         payload: &mut &[u8],
         heights: &mut Heights,
     ) -> Result<(), ChunkError> {
         let mut residuals = [0; LACKING];
-        kernel::join(kernel, room.take(kernel, width, LACKING, payload)?.get(), &mut residuals);
+        kernel::join(kernel, scratch.take(kernel, width, LACKING, payload)?.get(), &mut residuals);
         let mut lacking = Lacking::default();
         let mut residuals = &residuals[..];
         for group in [Group::Rows, Group::Columns, Group::Middles] {
@@ -169,14 +170,13 @@ impl Known {
     }
 }
 
-/// The vertices that the parent lacks, apart by where they lie, so that each lies beside its like
-/// in memory.
+/// The vertices that the parent lacks, in one array per kind of position.
 struct Lacking {
     /// Between two known vertices of a row.
     rows: [[i32; HALF]; KNOWN],
     /// Between two known vertices of a column.
     columns: [[i32; KNOWN]; HALF],
-    /// Amid four known vertices.
+    /// Between four known vertices.
     middles: [[i32; HALF]; HALF],
 }
 

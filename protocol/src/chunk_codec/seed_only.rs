@@ -1,10 +1,9 @@
-//! The chunk frame without heights: what a client with the same generator needs to make the chunk
-//! itself.
+//! The chunk frame without heights, for a client that generates the chunk itself.
 //!
 //! 36 bytes: the prefix of all kinds, the error, a digest. The error is sent because measuring it
-//! costs many times what the heights do; the client takes the server's word for it, as it does in
-//! exact frames. The digest covers the world, the header, the heights and the grass record, so that
-//! one differing unit is noticed.
+//! costs many times the generation of the heights; the client cannot verify it, as in exact frames.
+//! The digest covers the world, the header, the heights and the grass record, so that a difference
+//! of one unit is detected.
 
 use super::{DIGEST, KIND_SEED_ONLY, PREFIX, content_digest, kind_and_key, push_prefix, word};
 use crate::error::ChunkError;
@@ -31,11 +30,10 @@ pub fn encode(chunk: &Chunk, world: &WorldDigest) -> Bytes {
 /// Generates the chunk that a frame names and verifies it. `world` is the digest of `land`,
 /// computed once by the caller.
 ///
-/// Costs what the heights of one chunk cost, whatever the frame says, and never panics.
+/// Costs as much as the heights of one chunk, for any input, and never panics.
 ///
 /// # Errors
-/// See [`ChunkError`]; [`ChunkError::Regenerated`] if the chunk generated here is not the one that
-/// the digest describes.
+/// See [`ChunkError`]; [`ChunkError::Regenerated`] if the chunk generated here has another digest.
 pub fn decode(frame: &[u8], land: &Land, world: &WorldDigest) -> Result<Chunk, ChunkError> {
     let header = Header::read(frame)?;
     let chunk = complete(land, header.key, header.error);
@@ -45,7 +43,7 @@ pub fn decode(frame: &[u8], land: &Land, world: &WorldDigest) -> Result<Chunk, C
     Ok(chunk)
 }
 
-/// The chunk of a key whose error (units) is known already: the rest of it, without measuring.
+/// The chunk of a key with a known error (units), without measuring the error.
 #[must_use]
 pub fn complete(land: &Land, key: ChunkKey, error: u32) -> Chunk {
     let heights = land.chunk_heights(key);
@@ -78,7 +76,7 @@ impl Header {
     }
 }
 
-/// What a client must reproduce: all heights, i32 each, and the grass record.
+/// The content that a client must reproduce: all heights, i32 each, and the grass record.
 fn content(chunk: &Chunk) -> Vec<u8> {
     let mut content = Vec::with_capacity(4 * VERTEX_COUNT + GRASS_RECORD);
     content.resize(4 * VERTEX_COUNT, 0);
@@ -163,7 +161,7 @@ mod tests {
         assert_eq!(
             chunk_codec::decode(&frame, &world),
             Err(ChunkError::UnknownKind(KIND_SEED_ONLY)),
-            "a short frame is told by its kind, not by its length"
+            "a short frame is identified by its kind, not by its length"
         );
         let exact = chunk_codec::encode(&chunk, &world);
         assert_eq!(decode(&exact, &land, &world), Err(ChunkError::UnknownKind(chunk_codec::KIND_EXACT)));

@@ -33,7 +33,7 @@ fn kinds(chunk: &Chunk, world: &WorldDigest) -> Vec<(Bytes, Decode)> {
     kinds
 }
 
-/// Signs a frame anew after its header or payload was changed: what a hostile server does.
+/// Recomputes the digest of a changed frame, as a hostile server does.
 fn signed(mut frame: Vec<u8>, world: &WorldDigest) -> Vec<u8> {
     if frame.len() >= CHUNK_HEADER {
         let digest = frame_digest(world, &frame[..DIGEST_AT], None, &frame[CHUNK_HEADER..]);
@@ -80,8 +80,7 @@ fn quantised_heights_are_within_the_stated_tolerance_and_the_error_grows_by_what
             assert_eq!((&got.grass, error(&frame)), (&chunk.grass, Some(got.error)));
             assert!(frame.len() <= shorter.saturating_add(8), "{level}: {} after {shorter}", frame.len());
             shorter = frame.len();
-            // Who asked for finer is told; who takes coarser is content; who wants exact heights
-            // takes none of it.
+            // A finer tolerance and exact delivery reject the frame, a coarser tolerance accepts it.
             if let Some(finer) = Tolerance::new(tolerance.units() / 2) {
                 let fault = ChunkError::Tolerance { theirs: tolerance.units(), ours: finer.units() };
                 assert_eq!(quantised::decode(&frame, &world, finer), Err(fault));
@@ -89,15 +88,14 @@ fn quantised_heights_are_within_the_stated_tolerance_and_the_error_grows_by_what
             assert!(quantised::decode(&frame, &world, Tolerance::COARSEST).is_ok());
             assert_eq!(decode(&frame, &world), Err(ChunkError::UnknownKind(KIND_QUANTISED)));
         }
-        // Not all of them can be a quarter of the heights' own distance: the coarsest did move land
-        // that is not flat.
+        // The coarsest tolerance changes land that is not flat.
         let coarse = quantised::quantise(&chunk, Tolerance::COARSEST).unwrap();
         assert!(coarse != chunk || chunk.min() == chunk.max());
     }
 }
 
 #[test]
-fn neighbours_quantised_alike_stay_equal_on_the_border_they_share() {
+fn quantised_neighbours_agree_on_their_border() {
     let (here, _) = sample(0, 3, -7);
     let (east, _) = sample(0, 4, -7);
     for tolerance in Tolerance::all() {
@@ -107,7 +105,7 @@ fn neighbours_quantised_alike_stay_equal_on_the_border_they_share() {
 }
 
 #[test]
-fn a_height_that_rounding_would_take_out_of_range_is_delivered_exactly() {
+fn heights_that_rounding_would_move_out_of_range_are_exact() {
     let (chunk, world) = sample(0, 3, -7);
     let mut heights = chunk.heights.clone();
     heights[9] = HEIGHT_LIMIT - 1;
@@ -118,7 +116,7 @@ fn a_height_that_rounding_would_take_out_of_range_is_delivered_exactly() {
 }
 
 #[test]
-fn refined_chunks_need_their_own_parent_and_are_shorter_than_exact_ones() {
+fn refined_chunks_need_their_parent_and_are_shorter_than_exact() {
     let land = Land::new(1);
     let world = land.digest();
     for (level, x, z) in [(0, 3, -7), (0, 2, -8), (0, 3, -8), (0, 2, -7), (1, -3, -3), (0, 60, 60)] {
@@ -137,8 +135,8 @@ fn refined_chunks_need_their_own_parent_and_are_shorter_than_exact_ones() {
         other.heights.iter_mut().for_each(|height| *height += 1);
         assert_eq!(refined::decode(&frame, &world, &other), Err(ChunkError::Digest));
         assert_eq!(refined::encode(&chunk, &other, &world, Effort::Compact), None);
-        for stranger in [&chunk, &land.chunk(ChunkKey::new(level + 1, 9, 9).unwrap())] {
-            assert_eq!(refined::decode(&frame, &world, stranger), Err(ChunkError::Parent(chunk.key)));
+        for other in [&chunk, &land.chunk(ChunkKey::new(level + 1, 9, 9).unwrap())] {
+            assert_eq!(refined::decode(&frame, &world, other), Err(ChunkError::Parent(chunk.key)));
         }
         assert_eq!(decode(&frame, &world), Err(ChunkError::UnknownKind(KIND_REFINED)));
     }
@@ -149,7 +147,7 @@ fn refined_chunks_need_their_own_parent_and_are_shorter_than_exact_ones() {
 }
 
 #[test]
-fn grass_that_does_not_grow_by_the_rule_is_sent() {
+fn grass_that_deviates_from_the_rule_is_sent() {
     let (mut chunk, world) = sample(0, 3, -7);
     let by_rule = encode(&chunk, &world);
     for index in 0..chunk.grass.density.len() {
@@ -161,14 +159,14 @@ fn grass_that_does_not_grow_by_the_rule_is_sent() {
 }
 
 #[test]
-fn the_sea_takes_next_to_nothing_and_land_about_a_byte_a_vertex() {
+fn sea_takes_few_bytes_and_land_about_a_byte_a_vertex() {
     let length = |(chunk, world): (Chunk, WorldDigest)| encode(&chunk, &world).len();
     assert!(length(sample(0, 3, -7)) < VERTEX_COUNT * 5 / 4);
     assert_eq!(length(sample(0, 60, 60)), CHUNK_HEADER + 5);
 }
 
 #[test]
-fn every_truncation_and_every_extension_is_refused() {
+fn every_truncation_and_extension_is_rejected() {
     let (chunk, world) = sample(0, 3, -7);
     for (frame, decode) in kinds(&chunk, &world) {
         assert!(decode(&frame).is_ok());
@@ -183,7 +181,7 @@ fn every_truncation_and_every_extension_is_refused() {
 }
 
 #[test]
-fn every_flipped_bit_is_refused() {
+fn every_flipped_bit_is_rejected() {
     let (chunk, world) = sample(1, 2, 2);
     for (frame, decode) in kinds(&chunk, &world) {
         for bit in 0..frame.len() * 8 {
@@ -218,7 +216,7 @@ fn a_frame_is_verified_without_decoding_by_kind_length_and_digest() {
 }
 
 #[test]
-fn a_chunk_of_another_world_is_refused() {
+fn a_chunk_of_another_world_is_rejected() {
     let (chunk, world) = sample(0, 3, -7);
     for (frame, _) in kinds(&chunk, &world).iter().take(1) {
         assert_eq!(decode(frame, &Land::new(2).digest()), Err(ChunkError::Digest));
@@ -226,7 +224,7 @@ fn a_chunk_of_another_world_is_refused() {
 }
 
 #[test]
-fn frames_of_other_versions_and_of_kinds_to_come_are_told_apart() {
+fn other_versions_and_unknown_kinds_are_distinguished() {
     let (chunk, world) = sample(0, 3, -7);
     let frame = encode(&chunk, &world);
     for version in (0..VERSION).chain([VERSION + 1, u16::MAX]) {
@@ -242,7 +240,7 @@ fn frames_of_other_versions_and_of_kinds_to_come_are_told_apart() {
 }
 
 #[test]
-fn the_length_of_the_payload_at_its_extremes_is_refused() {
+fn extreme_payload_lengths_are_rejected() {
     let (chunk, world) = sample(0, 3, -7);
     let frame = encode(&chunk, &world);
     for value in [MAX_PAYLOAD as u32 + 1, i32::MAX as u32, u32::MAX] {
@@ -270,7 +268,7 @@ fn parts_at(payload: &[u8]) -> usize {
 }
 
 #[test]
-fn well_signed_payloads_with_another_number_of_plain_bits_are_refused() {
+fn wrong_numbers_of_plain_bits_with_valid_digests_are_rejected() {
     let (chunk, world) = sample(0, 3, -7);
     for effort in [Effort::Fast, Effort::Compact] {
         let frame = encode_with(Delivery::Exact, effort, &chunk, &world);
@@ -286,7 +284,7 @@ fn well_signed_payloads_with_another_number_of_plain_bits_are_refused() {
 }
 
 #[test]
-fn well_signed_payloads_with_wrong_part_lengths_are_refused() {
+fn wrong_part_lengths_with_valid_digests_are_rejected() {
     let mut parts = 0;
     let (flat, world) = sample(0, 3, -7);
     let mut heights = flat.heights.clone();
@@ -324,7 +322,7 @@ fn well_signed_payloads_with_wrong_part_lengths_are_refused() {
 }
 
 #[test]
-fn well_signed_headers_that_lie_are_refused() {
+fn wrong_header_fields_with_valid_digests_are_rejected() {
     let (chunk, world) = sample(0, 3, -7);
     let frame = encode(&chunk, &world);
     let changed = |at: usize, by: u8| {
@@ -339,7 +337,7 @@ fn well_signed_headers_that_lie_are_refused() {
     }
     for by in 1..=255 {
         assert!(changed(36, by).is_err(), "width changed by {by}");
-        assert!(changed(37, by).is_err(), "way of grass changed by {by}");
+        assert!(changed(37, by).is_err(), "grass mode changed by {by}");
         assert!(changed(38, by).is_err() && changed(39, by).is_err(), "tolerance changed by {by}");
     }
     for palette in PALETTES..=u8::MAX {
@@ -358,7 +356,7 @@ fn well_signed_headers_that_lie_are_refused() {
 }
 
 #[test]
-fn only_the_digest_of_the_frame_tells_one_error_from_another() {
+fn only_the_frame_digest_covers_the_error() {
     // The error cannot be checked against the heights; all else about a chunk is.
     let (chunk, world) = sample(0, 3, -7);
     let mut lie = encode(&chunk, &world).to_vec();
@@ -368,7 +366,7 @@ fn only_the_digest_of_the_frame_tells_one_error_from_another() {
 }
 
 #[test]
-fn a_small_frame_that_would_expand_to_gigabytes_is_refused() {
+fn decompression_bombs_are_rejected() {
     let (chunk, world) = sample(0, 3, -7);
     let frame = encode(&chunk, &world);
     let grass = &frame[CHUNK_HEADER..CHUNK_HEADER + 5];
@@ -380,7 +378,7 @@ fn a_small_frame_that_would_expand_to_gigabytes_is_refused() {
         ("states 4 GiB", [&zstd[..], &[0xa0, 0xff, 0xff, 0xff, 0xff], &runs(900)].concat()),
         ("states 2^63 bytes", [&zstd[..], &[0xe0, 0, 0, 0, 0, 0, 0, 0, 0x80], &runs(900)].concat()),
         ("states nothing", [&zstd[..], &[0x00, 0xff], &runs(900)].concat()),
-        ("asks for the largest window", [&zstd[..], &[0x40, 0xff, 0x81, 0x0f], &runs(900)].concat()),
+        ("requests the largest window", [&zstd[..], &[0x40, 0xff, 0x81, 0x0f], &runs(900)].concat()),
         ("states the right size and holds more", [&zstd[..], &[0x60, 0x81, 0x0f], &runs(900)].concat()),
     ];
     for (what, bomb) in bombs {

@@ -1,12 +1,14 @@
-//! Both machines, and what goes to and fro.
+//! A client and a server session connected without a transport, and helpers of all suites.
 
+use bytes::Bytes;
 use protocol::client::{ClientConfig, ClientSession, Event};
-use protocol::server::{ServerOffer, ServerSession, Wanted};
+use protocol::message::{ClientMessage, Hello, RefusalReason, ServerMessage, WireKey};
+use protocol::server::{ChunkRequest, ServerOffer, ServerSession};
 use protocol::view::View;
-use protocol::{Delivery, Incoming, chunk_codec};
+use protocol::{DataFrame, Delivery, chunk_codec, control};
 use terrain::{ChunkKey, Land, WorldDigest};
 
-/// A client and a server without anything between them.
+/// A client and a server session, connected directly.
 pub struct Pair {
     pub client: ClientSession,
     pub server: ServerSession,
@@ -57,26 +59,26 @@ impl Pair {
         Self { client, server, land, digest, events: Vec::new(), delivered: 0 }
     }
 
-    /// Carries frames until both sides are silent; makes at most `chunks` chunks.
+    /// Carries frames until neither side has one; generates at most `chunks` chunks.
     pub fn run(&mut self, mut chunks: usize) {
         loop {
             let mut moved = false;
             while let Some(frame) = self.client.poll_transmit() {
-                self.server.receive(Incoming::Binary(&frame)).unwrap();
+                self.server.receive(DataFrame::Binary(&frame)).unwrap();
                 moved = true;
             }
             select_views(&mut self.server);
             while chunks > 0
-                && let Some((wanted, delivery)) = self.server.next_chunk()
+                && let Some((request, delivery)) = self.server.next_chunk()
             {
-                let frame = chunk_codec::encode_for(delivery, &self.land.chunk(wanted.key), &self.digest);
-                self.server.deliver(wanted, frame);
+                let frame = chunk_codec::encode_for(delivery, &self.land.chunk(request.key), &self.digest);
+                self.server.deliver(request, frame);
                 self.delivered += 1;
                 chunks -= 1;
                 moved = true;
             }
             while let Some(frame) = self.server.poll_transmit() {
-                self.events.push(self.client.receive(Incoming::Binary(&frame)).unwrap());
+                self.events.push(self.client.receive(DataFrame::Binary(&frame)).unwrap());
                 moved = true;
             }
             if !moved {
@@ -109,7 +111,53 @@ pub fn select_views(server: &mut ServerSession) {
     }
 }
 
-/// What a server wants next, whatever the delivery.
-pub fn next_wanted(server: &mut ServerSession) -> Option<Wanted> {
-    server.next_chunk().map(|(wanted, _)| wanted)
+/// The next chunk that a server needs, in any delivery.
+pub fn next_request(server: &mut ServerSession) -> Option<ChunkRequest> {
+    server.next_chunk().map(|(request, _)| request)
+}
+
+pub fn seed_only(window: u32) -> ClientConfig {
+    ClientConfig { delivery: Delivery::SeedOnly, ..config(window) }
+}
+
+pub fn welcome_frame() -> Bytes {
+    let mut server = ServerSession::new(offer(), 1);
+    let hello = ClientMessage::Hello(Hello {
+        digest: None,
+        delivery: Delivery::Exact,
+        token: None,
+        software: String::new(),
+    });
+    server.receive(DataFrame::Binary(&control::encode(&hello).unwrap())).unwrap();
+    server.poll_transmit().unwrap()
+}
+
+/// Sends a message to a server as a frame and runs the selections.
+pub fn send(server: &mut ServerSession, message: &ClientMessage) {
+    server.receive(DataFrame::Binary(&control::encode(message).unwrap())).unwrap();
+    select_views(server);
+}
+
+/// A welcomed server with credit for so many chunks and an empty outbox.
+pub fn welcomed(credits: u32) -> ServerSession {
+    let mut server = ServerSession::new(offer(), 1);
+    let mut client = ClientSession::new(config(credits));
+    while let Some(frame) = client.poll_transmit() {
+        server.receive(DataFrame::Binary(&frame)).unwrap();
+    }
+    while server.poll_transmit().is_some() {}
+    server
+}
+
+pub fn wire_keys(count: i32) -> Vec<WireKey> {
+    (0..count).map(|x| WireKey { level: 0, x, z: 0 }).collect()
+}
+
+/// The refusals in the outbox of a server, by id and reason.
+pub fn refusals(server: &mut ServerSession) -> Vec<(u32, RefusalReason)> {
+    let refused = |frame: Bytes| match control::decode(&frame) {
+        Ok(ServerMessage::Refused(refused)) => Some((refused.id, refused.reason)),
+        _ => None,
+    };
+    std::iter::from_fn(|| server.poll_transmit()).filter_map(refused).collect()
 }

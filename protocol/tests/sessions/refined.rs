@@ -1,17 +1,17 @@
-//! Frames that refine what came before: exact, and only where both ends remember the parent.
+//! Refined frames: exact heights, and only while the parent is in the reference window.
 
 use crate::pair::{Pair, config, offer, view};
 use protocol::chunk_codec::{self, Effort, refined};
 use protocol::client::{ClientConfig, ClientSession, Event};
-use protocol::limits::{MAX_CREDITS, MAX_PARENTS};
+use protocol::limits::{MAX_CREDITS, MAX_REFERENCES};
 use protocol::message::{ClientMessage, Hello, ServerMessage, Welcome};
 use protocol::server::ServerSession;
-use protocol::{ChunkError, Delivery, Incoming, control};
+use protocol::{ChunkError, DataFrame, Delivery, control};
 use std::collections::HashMap;
 use terrain::constants::GENERATOR_VERSION;
 use terrain::{ChunkKey, Land};
 
-fn asking(window: u32) -> ClientConfig {
+fn refined_config(window: u32) -> ClientConfig {
     ClientConfig { delivery: Delivery::Refined, ..config(window) }
 }
 
@@ -19,7 +19,8 @@ fn key(level: u8, x: i32, z: i32) -> ChunkKey {
     ChunkKey::new(level, x, z).unwrap()
 }
 
-/// Bytes of all chunks of a view, and how many came refined. Every chunk must be the land's.
+/// Bytes of all chunks of a view, and the number of refined and of all frames. Every chunk must
+/// equal the land's.
 fn received(config: ClientConfig) -> (usize, usize, usize) {
     let mut pair = Pair::with(config);
     pair.client.set_view(view(1, 1500));
@@ -37,68 +38,68 @@ fn received(config: ClientConfig) -> (usize, usize, usize) {
 }
 
 #[test]
-fn a_view_comes_exact_in_fewer_bytes() {
+fn refined_delivery_is_exact_in_fewer_bytes() {
     let (exact_bytes, none, exact_count) = received(config(8));
-    let (refined_bytes, refined, count) = received(asking(8));
+    let (refined_bytes, refined, count) = received(refined_config(8));
     assert_eq!((none, count), (0, exact_count));
     assert!(refined > count / 3, "{refined} of {count}");
     assert!(refined_bytes * 10 < exact_bytes * 9, "{refined_bytes} of {exact_bytes}");
 }
 
-/// A server's end that has said Welcome to a client who wants refined frames and grants all credit.
+/// A welcomed server in refined delivery with the largest credit.
 fn server() -> ServerSession {
     let mut server = ServerSession::new(offer(), 1);
     let hello = Hello { digest: None, delivery: Delivery::Refined, token: None, software: String::new() };
     for message in [ClientMessage::Hello(hello), ClientMessage::Credit { chunks: MAX_CREDITS }] {
-        server.receive(Incoming::Binary(&control::encode(&message).unwrap())).unwrap();
+        server.receive(DataFrame::Binary(&control::encode(&message).unwrap())).unwrap();
     }
     assert!(server.poll_transmit().is_some());
     server
 }
 
-fn ask(server: &mut ServerSession, keys: &[ChunkKey]) {
+fn request(server: &mut ServerSession, keys: &[ChunkKey]) {
     for (id, keys) in (0..).zip(keys.chunks(512)) {
         let keys = keys.iter().map(|key| (*key).into()).collect();
         let message = ClientMessage::Request { id, keys };
-        server.receive(Incoming::Binary(&control::encode(&message).unwrap())).unwrap();
+        server.receive(DataFrame::Binary(&control::encode(&message).unwrap())).unwrap();
     }
 }
 
 #[test]
-fn a_frame_whose_parent_was_forgotten_while_it_was_made_is_made_again_exact() {
+fn a_refined_frame_is_replaced_if_its_parent_was_evicted() {
     let (land, world) = (Land::new(1), offer().digest);
     let mut server = server();
     let (child, parent) = (key(0, 3, -7), key(1, 1, -4));
     let frame = |key, delivery| chunk_codec::encode_for(delivery, &land.chunk(key), &world);
-    ask(&mut server, &[parent, child]);
-    let (wanted, form) = server.next_chunk().unwrap();
-    assert_eq!((wanted.key, form), (parent, Delivery::Exact), "nothing is known yet");
-    server.deliver(wanted, frame(parent, form));
-    let (slow, form) = server.next_chunk().unwrap();
-    assert_eq!((slow.key, form), (child, Delivery::Refined));
+    request(&mut server, &[parent, child]);
+    let (first, delivery) = server.next_chunk().unwrap();
+    assert_eq!((first.key, delivery), (parent, Delivery::Exact), "the window is empty");
+    server.deliver(first, frame(parent, delivery));
+    let (slow, delivery) = server.next_chunk().unwrap();
+    assert_eq!((slow.key, delivery), (child, Delivery::Refined));
 
-    // As many other parents as are remembered; what they are does not matter here.
-    let others: Vec<_> = (0..MAX_PARENTS as i32).map(|x| key(1, x, 100)).collect();
+    // As many other parents as the window holds; their content is irrelevant here.
+    let others: Vec<_> = (0..MAX_REFERENCES as i32).map(|x| key(1, x, 100)).collect();
     let any = frame(others[0], Delivery::Exact);
     for part in others.chunks(512) {
-        ask(&mut server, part);
+        request(&mut server, part);
         for _ in part {
-            let wanted = server.next_chunk().unwrap().0;
-            server.deliver(wanted, any.clone());
+            let next = server.next_chunk().unwrap().0;
+            server.deliver(next, any.clone());
         }
     }
     let before = (server.counts().chunks, server.credits());
     server.deliver(slow, frame(child, Delivery::Refined));
-    assert_eq!((server.counts().chunks, server.credits()), (before.0, before.1 + 1), "nothing went out");
-    let (again, form) = server.next_chunk().unwrap();
-    assert_eq!((again, form), (slow, Delivery::Exact));
-    server.deliver(again, frame(child, form));
+    assert_eq!((server.counts().chunks, server.credits()), (before.0, before.1 + 1), "no chunk was sent");
+    let (again, delivery) = server.next_chunk().unwrap();
+    assert_eq!((again, delivery), (slow, Delivery::Exact));
+    server.deliver(again, frame(child, delivery));
     assert_eq!(server.counts().chunks, before.0 + 1);
     assert_eq!(server.next_chunk(), None);
 }
 
 #[test]
-fn a_refined_frame_is_refused_by_who_did_not_ask_or_does_not_remember() {
+fn a_refined_frame_needs_its_delivery_and_its_parent() {
     let (land, world) = (Land::new(1), offer().digest);
     let welcome = ServerMessage::Welcome(Welcome {
         session: 1,
@@ -115,13 +116,15 @@ fn a_refined_frame_is_refused_by_who_did_not_ask_or_does_not_remember() {
     let refined = refined::encode_alone(&child_chunk, &world, Effort::default()).unwrap();
     let client = |delivery, frames: &[&bytes::Bytes]| {
         let mut client = ClientSession::new(ClientConfig { delivery, ..config(4) });
-        client.receive(Incoming::Binary(&control::encode(&welcome).unwrap())).unwrap();
+        client.receive(DataFrame::Binary(&control::encode(&welcome).unwrap())).unwrap();
         let (last, first) = frames.split_last().unwrap();
-        first.iter().for_each(|frame| _ = client.receive(Incoming::Binary(frame)).unwrap());
-        client.receive(Incoming::Binary(last))
+        first.iter().for_each(|frame| _ = client.receive(DataFrame::Binary(frame)).unwrap());
+        client.receive(DataFrame::Binary(last))
     };
-    let came = client(Delivery::Refined, &[&parent, &refined]);
-    let Ok(Event::Chunk { chunk, delivery: Delivery::Refined, .. }) = came else { panic!("{came:?}") };
+    let received = client(Delivery::Refined, &[&parent, &refined]);
+    let Ok(Event::Chunk { chunk, delivery: Delivery::Refined, .. }) = received else {
+        panic!("{received:?}")
+    };
     assert_eq!(*chunk, child_chunk);
     assert_eq!(client(Delivery::Refined, &[&refined]), Err(ChunkError::Parent(child).into()));
     let other = chunk_codec::encode(&land.chunk(key(1, 2, -4)), &world);
@@ -131,12 +134,12 @@ fn a_refined_frame_is_refused_by_who_did_not_ask_or_does_not_remember() {
 }
 
 #[test]
-fn both_ends_remember_the_same_however_long_a_session_is() {
-    // Over far more parents than are remembered, to and fro, so that some are forgotten and come
+fn both_reference_windows_stay_equal_over_a_long_session() {
+    // Over far more parents than the window holds, in a mixed order: some are evicted and sent
     // again.
-    let mut pair = Pair::with(asking(64));
+    let mut pair = Pair::with(refined_config(64));
     pair.run(0);
-    let mut forms = HashMap::new();
+    let mut counts = HashMap::new();
     for step in 0..2400 {
         let x = (step * 7) % 1500;
         let keys = [key(1, x, 60), key(0, 2 * ((x * 31 + step) % 1500), 120)];
@@ -144,11 +147,11 @@ fn both_ends_remember_the_same_however_long_a_session_is() {
         pair.run(usize::MAX);
         for event in pair.events.drain(..) {
             let Event::Chunk { chunk, delivery, .. } = event else { continue };
-            *forms.entry((chunk.key.level(), delivery)).or_insert(0) += 1;
+            *counts.entry((chunk.key.level(), delivery)).or_insert(0) += 1;
         }
     }
-    // A client that could not follow would have ended the session.
-    let count = |level, delivery| forms.get(&(level, delivery)).copied().unwrap_or(0);
+    // A client with another window would have ended the session.
+    let count = |level, delivery| counts.get(&(level, delivery)).copied().unwrap_or(0);
     assert_eq!(count(1, Delivery::Exact) + count(1, Delivery::Refined), 2400);
-    assert!(count(0, Delivery::Refined) > 200 && count(0, Delivery::Exact) > 200, "{forms:?}");
+    assert!(count(0, Delivery::Refined) > 200 && count(0, Delivery::Exact) > 200, "{counts:?}");
 }

@@ -113,10 +113,7 @@ macro_rules! lanes {
             #[inline(always)]
             unsafe fn picker(offsets: Self) -> Self {
                 let $offsets = offsets.0;
-                #[allow(unused_unsafe, reason = "some pickers are the offsets themselves")]
-                unsafe {
-                    Self($picker)
-                }
+                Self($picker)
             }
             #[inline(always)]
             unsafe fn window(from: *const i32, picker: Self) -> Self {
@@ -169,10 +166,10 @@ lanes! {
         _mm_blendv_epi8(otherwise, then, _mm_cmplt_epi32(value, limit));
     any (value) => _mm_testz_si128(value, value) == 0;
     // A byte shuffle takes four byte numbers per lane.
-    picker (offsets) => _mm_add_epi32(
-        _mm_mullo_epi32(offsets, _mm_set1_epi32(0x0404_0404)),
-        _mm_set1_epi32(0x0302_0100)
-    );
+    picker (offsets) => unsafe {
+        let bytes = _mm_mullo_epi32(offsets, _mm_set1_epi32(0x0404_0404));
+        _mm_add_epi32(bytes, _mm_set1_epi32(0x0302_0100))
+    };
     window (window, picker) => _mm_shuffle_epi8(window, picker);
     lookup (table, index) => {
         let mut at = [0; 4];

@@ -1,8 +1,8 @@
-//! The integer loops of the codec, on the vectors of this machine.
+//! The integer loops of the codec, vectorised for this machine.
 //!
-//! One definition in plain integers per loop; the compiler makes vectors of all of them but the
-//! running sum of [`restore`], which is written out for each instruction set. Every kernel yields
-//! the same bits.
+//! One definition in plain integers per loop. The compiler vectorises all of them except the prefix
+//! sum of [`restore`], which has an implementation per instruction set. Every kernel yields the same
+//! bits.
 //!
 //! The only unsafe code of this crate: vector instructions may only run on CPUs that have them. A
 //! [`Kernel`] that needs a feature exists only where that feature was detected.
@@ -28,8 +28,8 @@ pub struct Kernel(Set);
 /// Instruction sets, from the portable one to the widest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Set {
-    /// Whatever vectors the build targets (SSE2 on x86-64, simd128 where a WebAssembly build
-    /// enables it).
+    /// The vectors of the build target (SSE2 on x86-64, simd128 where a WebAssembly build enables
+    /// it).
     Portable,
     #[cfg(target_arch = "x86_64")]
     Sse41,
@@ -125,7 +125,7 @@ entry! {
 }
 
 entry! {
-    /// Undoes [`unpack`]: `packed` has room for all fields.
+    /// Undoes [`unpack`]: `packed` has scratch for all fields.
     pack(values: &[u8], bits: u32, packed: &mut [u8]) -> ();
     pack_on, pack_on, pack_on
 }
@@ -164,8 +164,8 @@ fn residuals_on(heights: &Heights, shift: u32, out: &mut [u32; VERTEX_COUNT]) ->
     let mut above = [heights[0].wrapping_add(half) >> shift; VERTICES];
     let mut any = 0;
     for (row, out) in heights.as_chunks::<VERTICES>().0.iter().zip(out.as_chunks_mut::<VERTICES>().0) {
-        // How far each vertex lies above the one a row earlier; the residual is the change of that
-        // along the row.
+        // The height of each vertex above the one a row earlier; the residual is its change along the
+        // row.
         let mut rise = [0; VERTICES];
         for ((rise, above), height) in rise.iter_mut().zip(&mut above).zip(row) {
             let height = height.wrapping_add(half) >> shift;

@@ -1,8 +1,8 @@
-//! The selection of one view's chunks: pure work that a server does apart from its sessions.
+//! The selection of one view's chunks: pure work that a server runs outside of its sessions.
 //!
-//! [`crate::server::ServerSession::take_view`] yields one, a worker thread calls
-//! [`ViewSelection::step`] until it is done, and [`crate::server::ServerSession::apply_view`] takes
-//! it back. One step is bounded, so that many sessions can share a thread.
+//! [`super::ServerSession::take_view`] starts one, a worker thread calls [`ViewSelection::step`]
+//! until it is done, and [`super::ServerSession::apply_view`] applies it. One step is bounded, so
+//! that many sessions can share a thread.
 
 use crate::limits::MAX_VIEW_CHUNKS;
 use crate::view::View;
@@ -20,12 +20,12 @@ pub struct ViewSelection {
     selected: Selected,
 }
 
-/// What a finished selection found.
+/// The result of a finished selection.
 #[derive(Debug, Default)]
-pub(crate) struct Selected {
+pub(super) struct Selected {
     /// Chunks of the whole selection.
     pub chunks: u32,
-    /// All of them and those ahead.
+    /// All of them and the prefetched ones.
     pub keys: FxHashSet<ChunkKey>,
     /// The selection by priority, most urgent last.
     pub needed: Vec<(u64, ChunkKey)>,
@@ -46,7 +46,7 @@ enum Phase {
 
 impl ViewSelection {
     /// A selection for a checked view.
-    pub(crate) fn new(land: &Land, view: View, waited_before: FxHashMap<ChunkKey, u32>) -> Self {
+    pub(super) fn new(land: &Land, view: View, waited_before: FxHashMap<ChunkKey, u32>) -> Self {
         let phase = Phase::Select(Selector::new(land, &view.viewer(), MAX_VIEW_CHUNKS));
         Self { view, phase, waited_before, selected: Selected::default() }
     }
@@ -113,8 +113,8 @@ impl ViewSelection {
         self.is_done()
     }
 
-    /// The view and its chunks. Runs what is left of the steps.
-    pub(crate) fn finish(mut self, land: &Land) -> (View, Selected) {
+    /// The view and its chunks. Runs the remaining steps.
+    pub(super) fn finish(mut self, land: &Land) -> (View, Selected) {
         while !self.step(land, usize::MAX) {}
         (self.view, self.selected)
     }

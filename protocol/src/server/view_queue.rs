@@ -1,0 +1,109 @@
+//! The chunks that the view of a session still needs: by priority, with prefetch.
+
+use super::view_selection::{Selected, ViewSelection};
+use crate::view::View;
+use rustc_hash::{FxHashMap, FxHashSet};
+use terrain::{ChunkKey, Land};
+
+/// The views of one session: the newest waits, one is being selected, one is active.
+#[derive(Debug, Default)]
+pub(super) struct ViewQueue {
+    active: Option<ActiveView>,
+    /// The newest view that is not selected yet. A newer one replaces it.
+    queued: Option<View>,
+    /// Whether a selection was taken and not applied yet.
+    is_selecting: bool,
+}
+
+/// The latest selected view and its remaining chunks.
+#[derive(Debug)]
+struct ActiveView {
+    view: View,
+    /// Chunks of the whole selection.
+    chunks: u32,
+    /// Not yet requested, most urgent last. May contain chunks that the client holds or that are in
+    /// flight.
+    pending: Vec<(u64, ChunkKey)>,
+    /// Prefetch: not needed yet but soon, most urgent last; requested when the view is settled.
+    ahead: Vec<(u64, ChunkKey)>,
+    /// Number of views in which each pending chunk has been waiting.
+    waited: FxHashMap<ChunkKey, u32>,
+    settled: bool,
+}
+
+impl ViewQueue {
+    /// Queues a view. Returns whether it replaced one that was not selected yet.
+    pub(super) fn queue(&mut self, view: View) -> bool {
+        self.queued.replace(view).is_some()
+    }
+
+    /// Whether a view waits for its selection.
+    pub(super) const fn has_queued(&self) -> bool {
+        self.queued.is_some()
+    }
+
+    /// Starts the selection of the queued view; none if no view waits or a selection is running.
+    pub(super) fn take(&mut self, land: &Land) -> Option<ViewSelection> {
+        if self.is_selecting {
+            return None;
+        }
+        let view = self.queued.take()?;
+        self.is_selecting = true;
+        let waited = self.active.as_mut().map(|old| std::mem::take(&mut old.waited)).unwrap_or_default();
+        Some(ViewSelection::new(land, view, waited))
+    }
+
+    /// Makes the view of a selection the active one. Returns its chunks, prefetch included.
+    pub(super) fn apply(&mut self, selection: ViewSelection, land: &Land) -> FxHashSet<ChunkKey> {
+        self.is_selecting = false;
+        let (view, selected) = selection.finish(land);
+        let Selected { chunks, keys, needed, ahead, waited } = selected;
+        self.active = Some(ActiveView { view, chunks, pending: needed, ahead, waited, settled: false });
+        keys
+    }
+
+    /// The active view.
+    pub(super) fn active(&self) -> Option<&View> {
+        self.active.as_ref().map(|active| &active.view)
+    }
+
+    /// The next chunk to request that is not known yet: a needed one, or a prefetch once the view
+    /// is settled.
+    pub(super) fn next(&mut self, is_known: impl Fn(&ChunkKey) -> bool) -> Option<(u64, ChunkKey)> {
+        let active = self.active.as_mut()?;
+        while let Some((priority, key)) = active.pending.pop() {
+            if !is_known(&key) {
+                return Some((priority, key));
+            }
+        }
+        while active.settled
+            && let Some((_, key)) = active.ahead.pop()
+        {
+            if !is_known(&key) {
+                return Some((0, key));
+            }
+        }
+        None
+    }
+
+    /// Puts a chunk back before all others.
+    pub(super) fn requeue(&mut self, priority: u64, key: ChunkKey) {
+        if let Some(active) = &mut self.active {
+            active.pending.push((priority, key));
+        }
+    }
+
+    /// Settles the active view if the client holds all its pending chunks. Returns the view's id
+    /// and its number of chunks, once.
+    pub(super) fn settle(&mut self, held: &FxHashSet<ChunkKey>) -> Option<(u32, u32)> {
+        let active = self.active.as_mut().filter(|active| !active.settled)?;
+        while let Some((_, key)) = active.pending.last() {
+            if !held.contains(key) {
+                return None;
+            }
+            active.pending.pop();
+        }
+        active.settled = true;
+        Some((active.view.id, active.chunks))
+    }
+}

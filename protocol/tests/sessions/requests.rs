@@ -1,0 +1,109 @@
+//! Explicit requests: order, limits, cancellation, load shedding.
+
+use crate::pair::{Pair, next_request, refusals, send, view, welcomed, wire_keys};
+use bytes::Bytes;
+use protocol::client::Event;
+use protocol::message::{ClientMessage, RefusalReason, WireKey};
+use protocol::{DataFrame, control, limits};
+use terrain::ChunkKey;
+
+#[test]
+fn explicit_requests_come_first_and_invalid_keys_are_refused_singly() {
+    let mut pair = Pair::new(64);
+    pair.run(0);
+    let far = ChunkKey::new(0, 1000, 1000).unwrap();
+    pair.client.set_view(view(1, 600));
+    pair.client.request(&[far]);
+    let request = ClientMessage::Request {
+        id: 99,
+        keys: vec![WireKey { level: 17, x: 0, z: 0 }, far.into(), WireKey { level: 0, x: i32::MIN, z: 0 }],
+    };
+    pair.server.receive(DataFrame::Binary(&control::encode(&request).unwrap())).unwrap();
+    pair.run(usize::MAX);
+    assert_eq!(pair.chunk_keys()[0], far);
+    let refused: Vec<_> = pair
+        .events
+        .iter()
+        .filter_map(|event| match event {
+            Event::Refused(refused) => Some((refused.id, refused.reason, refused.key.unwrap().level)),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(refused, [(99, RefusalReason::OutsideWorld, 17), (99, RefusalReason::OutsideWorld, 0)]);
+}
+
+#[test]
+fn a_request_beyond_the_limit_is_refused_whole() {
+    let mut pair = Pair::new(1);
+    pair.run(0);
+    let keys: Vec<_> = (0..limits::MAX_KEYS as i32).map(|x| ChunkKey::new(0, x, 0).unwrap()).collect();
+    for _ in 0..3 {
+        pair.client.request(&keys);
+    }
+    pair.run(0);
+    let refusals = pair.events.iter().filter(|event| matches!(event, Event::Refused(_))).count();
+    assert_eq!(refusals, 1, "two requests of 512 fit into 1024, the third does not");
+    pair.run(4);
+    assert_eq!(pair.chunk_keys().len(), 4);
+}
+
+#[test]
+fn a_duplicate_key_in_a_request_is_refused_and_sent_once() {
+    let mut server = welcomed(64);
+    let twice = [wire_keys(3), wire_keys(2)].concat();
+    send(&mut server, &ClientMessage::Request { id: 5, keys: twice });
+    assert_eq!(refusals(&mut server), [(5, RefusalReason::Duplicate); 2]);
+    assert_eq!(std::iter::from_fn(|| next_request(&mut server)).count(), 3);
+    // Another request may name the key again, under its own id.
+    send(&mut server, &ClientMessage::Request { id: 6, keys: wire_keys(1) });
+    assert_eq!(next_request(&mut server).map(|request| request.request), Some(Some(6)));
+    assert_eq!(server.counts().refusals[RefusalReason::Duplicate.index()], 2);
+}
+
+#[test]
+fn a_cancelled_request_is_dropped_and_its_credit_returned() {
+    let mut server = welcomed(4);
+    send(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(10) });
+    send(&mut server, &ClientMessage::Request { id: 2, keys: wire_keys(1) });
+    let in_flight: Vec<_> = std::iter::from_fn(|| next_request(&mut server)).collect();
+    send(&mut server, &ClientMessage::Cancel { id: 1 });
+    send(&mut server, &ClientMessage::Cancel { id: 77 });
+    let stale = server.take_stale();
+    assert_eq!(stale.len(), 4);
+    assert!(server.take_stale().is_empty(), "each key is returned once");
+    // Three are withdrawn; the fourth was generated anyway.
+    for request in &in_flight[..3] {
+        server.withdraw(*request);
+    }
+    server.deliver(in_flight[3], Bytes::from_static(b"generated"));
+    assert_eq!(server.credits(), 3);
+    let left: Vec<_> =
+        std::iter::from_fn(|| next_request(&mut server)).map(|request| request.request).collect();
+    assert_eq!((left, refusals(&mut server).len()), (vec![Some(2)], 0));
+}
+
+#[test]
+fn a_chunk_of_a_second_request_is_not_stale() {
+    let mut server = welcomed(4);
+    send(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(1) });
+    send(&mut server, &ClientMessage::Request { id: 2, keys: wire_keys(1) });
+    assert_eq!(std::iter::from_fn(|| next_request(&mut server)).count(), 2);
+    send(&mut server, &ClientMessage::Cancel { id: 1 });
+    assert!(server.take_stale().is_empty());
+}
+
+#[test]
+fn shedding_refuses_the_latest_requests_first() {
+    let mut server = welcomed(64);
+    for id in 0..5 {
+        send(&mut server, &ClientMessage::Request { id, keys: wire_keys(2) });
+    }
+    server.shed(10);
+    assert_eq!(server.waiting_requests(), 10);
+    server.shed(4);
+    let refused = refusals(&mut server);
+    assert_eq!(refused.iter().map(|(id, _)| *id).collect::<Vec<_>>(), [4, 4, 3, 3, 2, 2]);
+    assert!(refused.iter().all(|(_, reason)| *reason == RefusalReason::Overloaded));
+    assert_eq!(server.credits(), 64, "shed requests had taken no credit");
+    assert_eq!(std::iter::from_fn(|| next_request(&mut server)).count(), 4);
+}
