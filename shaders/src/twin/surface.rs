@@ -366,14 +366,4 @@ impl<S: Slots> Surface<'_, S> {
         let row = (((z >> STEP_BITS) - chunk.z) >> shift).clamp(0, 15) as u32;
         return self.slots.density(chunk.slot, row * 4 + (column >> 2)) >> (8 * (column & 3)) & 255;
     }
-
-    /// Palette of the chunk under a place; 0 where nothing is drawn.
-    #[must_use]
-    pub fn palette_at(&self, x: i32, z: i32) -> u32 {
-        let index = self.chunk_at(x, z);
-        if index == NO_CHUNK {
-            return 0;
-        }
-        return self.chunks[index as usize].place >> 16 & 3;
-    }
 }

@@ -1,90 +1,89 @@
-//! Twin of `wgsl/bound/terrain_occlusion.wesl`: whether the drawn land hides something from the eye.
+//! Twin of `wgsl/bound/terrain_occlusion.wesl`: whether the drawn terrain occludes something.
 //!
-//! Along a ground track the drawn surface is linear between crossings of grid lines and diagonals,
-//! and so is the ray; it is blocked if and only if it is below the surface at one of those
-//! crossings. The tops of blocks prove that a ray is clear of them, and let most crossings be
-//! skipped; bottoms prove that it is blocked; in between the drawn triangles decide.
-//!
-//! A target is as wide as its radius. Rays to all of it cross a column of the main axis within a
-//! stretch of the other axis, at no more than a height that follows from the nearest or farthest of
-//! it; where the surface is above that height all along the stretch, all of it is hidden. The
-//! surface along the stretch is lowest at an end, a grid line or a diagonal, and those are whole
-//! numbers.
-//!
-//! What is narrower at its top than at its foot, as a tree is, has a skirt: beyond the radius its
-//! highest point falls evenly. So does what the surface has to reach beside the ray.
-//!
-//! Everything errs on one side. A sample is a place *near* a crossing, taken on the surface as
-//! drawn, and heights are rounded so that the surface is never too high and the rays never too low:
-//! what is called hidden is hidden. What is missed is a target that is hidden by less than a few
-//! fine units.
+//! The test is conservative: what it calls occluded is occluded. It misses occludees that the
+//! terrain covers by less than a few fine units. `docs/vegetation-occlusion.md` explains the
+//! traversal with a figure and derives the three inequalities that it relies on; comments here
+//! refer to them as (1), (2) and (3).
 
 use super::ring::mul_hi;
-use super::surface::{FINE_BITS, GRID_BITS, NOWHERE, STEP_BITS, Slots, Surface, TILE_BITS};
+use super::surface::{FINE_BITS, GRID_BITS, NOWHERE, Node, Slots, Surface, TILE_BITS};
 
-/// Columns and blocks that one ray may visit; a ray that needs more is not blocked.
+/// Columns that one traversal may visit; a ray that needs more is not occluded.
 pub const MAX_VISITS: u32 = 512;
-/// Rays steeper than this (rise over run) are not tested.
-pub const STEEPEST: i32 = 16;
-/// Grid lines and diagonals that the stretch beside a ray may cross; beyond that nothing is hidden.
+/// log2 of the steepest height over distance that is tested.
+pub const STEEPEST_BITS: u32 = 4;
+/// Twice the grid lines that a stretch may cross; a longer stretch occludes nothing.
 pub const MAX_STRETCH: i32 = 160;
+/// Candidates in a cell of the track: a grid line, two diagonals, the end.
+const CROSSINGS: u32 = 4;
+/// Cells of a column: a block is eight cells wide, a tile of one chunk no more.
+const MAX_CELLS: u32 = 9;
 
-/// What a ray looks for.
+/// What may be occluded: bounds of a clump or a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Occludee {
-    /// Place in the square, fine units.
+    /// Place in the grid, fine units.
     pub x: i32,
     /// The highest point, fine units above the sea.
     pub top: i32,
-    /// Place in the square, fine units.
+    /// Place in the grid, fine units.
     pub z: i32,
-    /// Within this distance of the vertical through the place it may be as high as that, fine
-    /// units; below 2^17.
+    /// Within this horizontal distance of the place it may be as high as `top`, fine units below
+    /// 2^17.
     pub radius: i32,
-    /// Of the radius, what lies in a plane that has the slope of the top; the rest leans out of it
-    /// and gets no higher by that. At most the radius.
+    /// The part of the radius over which `top` follows the slope; beyond, it rises no further. At
+    /// most the radius.
     pub slope_radius: i32,
-    /// It reaches so much farther, ever lower; fine units below 2^14, 0 where all of it is within
-    /// the radius.
+    /// Width of the rim beyond the radius over which the height tapers, fine units below 2^14; 0
+    /// for no rim.
     pub taper: i32,
-    /// So much lower its highest point is at the end of the skirt, fine units below 2^16.
+    /// By how much the height is lower at the end of the rim, fine units below 2^16.
     pub taper_drop: i32,
-    /// Growth of the highest point of it per fine unit east, Q14, within ±1: what stands on a slope
-    /// is higher uphill.
+    /// Slope of `top` to the east, Q14, within ±1: what grows on a slope is higher uphill.
     pub slope_east: i32,
-    /// The same, south.
+    /// Slope of `top` to the south, Q14, within ±1.
     pub slope_south: i32,
 }
 
-/// A line of sight from the eye, by its progress along the axis that it crosses faster: the main
-/// one.
+/// The lines of sight to an occludee, as functions of the progress along the major axis: the axis
+/// of the ground along which the occludee is farther away.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Ray {
-    along_x: bool,
-    /// Whether it goes west, or north: the main axis is mirrored, so that progress always grows.
-    mirrored: bool,
-    /// Place of the eye on the main axis, mirrored if need be.
-    main: i32,
-    /// Place of the eye on the other axis.
-    other: i32,
-    /// Height of the eye.
-    up: i32,
-    /// Progress up to the nearest of the target: what lies beyond may stand behind a part of it.
+    major_is_x: bool,
+    /// Whether the major axis is mirrored, so that progress grows: to the west or north.
+    is_mirrored: bool,
+    /// Major coordinate of the eye, mirrored if need be.
+    eye_major: i32,
+    /// Minor coordinate of the eye.
+    eye_minor: i32,
+    eye_height: i32,
+    /// Progress up to the nearest point of the occludee.
     length: i32,
-    /// Growth of the other coordinate per progress, Q24.
-    drift: i32,
-    /// Growth of the height of the highest ray per progress, Q24, rounded up.
-    rise: i32,
-    /// Growth of half the stretch that rays to all of the target cross, per progress, Q13.
-    widening: i32,
-    /// The same of what is within the radius.
+    /// Growth of the minor coordinate per progress, Q24.
+    minor_slope: i32,
+    /// Growth of the height of the highest line of sight per progress, Q24, rounded up.
+    height_slope: i32,
+    /// Growth of half the width of all lines of sight per progress, Q13, rounded up.
+    outer_slope: i32,
+    /// The same of those within the radius.
+    core_slope: i32,
+    /// Growth of the drop at the end of the rim per progress, Q24, rounded down.
+    drop_slope: i32,
+    /// Error bound of the height, fine units: the eye is rounded.
+    margin: i32,
+    /// Growth of the height with the minor coordinate, Q14.
+    cross_slope: i32,
+}
+
+/// The rim of an occludee where its lines of sight cross a column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Taper {
+    /// The height falls from this distance to the middle on.
     core: i32,
-    /// Growth of what rays to the end of the skirt are lower by, per progress, Q24, rounded down.
-    taper_drop: i32,
-    /// What the ray may be too low by, fine units: the eye is rounded.
-    slack: i32,
-    /// Growth of the height of the highest ray with the other coordinate, Q14.
-    tilt: i32,
+    /// The height falls over this distance.
+    width: i32,
+    /// The height falls by this much.
+    drop: i32,
 }
 
 /// `part / whole`, Q24, rounded down. `whole` below 2^24, the quotient below 16.
@@ -99,165 +98,189 @@ pub fn quotient_q24(part: u32, whole: u32) -> u32 {
     return bits;
 }
 
-/// The line from `eye` (east, up, south) to a target; none if it is too short or too steep to be
-/// tested.
-///
-/// A point of the target that lies `a` beside its middle and `b` behind it is seen along a track
-/// that at the same progress `u` runs `u (a - drift b) / (length + b)` beside the middle's;
-/// `a² + b²` is at most the square of the radius.
-///
-/// The highest ray: a point whose foot lies `c` behind the middle in the plane of the top, and that
-/// leans by `l` from there, is seen at a rise of at most `(h + g c) / (D + c + l)`, `h` the height
-/// of the top over the eye, `g` the slope along the ray, `D` the way to the middle. That is a ratio
-/// of linear functions of `c`, so it is greatest at an end of `c`, and with `l` at the end that the
-/// sign of the height asks for.
-///
-/// The skirt: what is a share `t` of the way down to its end may lie farther out in that plane by
-/// `t` times what the end does, the rest of the radius and the skirt, and nearer by `t` of the
-/// skirt, which raises it by `g` times the one and by the rise of the ray, twice at most where the
-/// farthest point is no more than twice as far as the nearest, times the other. What is left of the
-/// fall is the fall of the requirement; if nothing is, all of it counts as following the plane.
-fn ray(eye: [i32; 3], occludee: &Occludee, start: i32) -> Option<Ray> {
+/// Growth per progress of half the width of the lines of sight to a radius, Q13: inequality (2).
+fn half_width_slope(radius: i32, drift: i32, length: i32) -> i32 {
+    // sqrt(1 + drift²) is at most 1 + drift / 2.
+    let half = radius + (mul_hi(radius << 8, drift << 1) >> 2) + 2;
+    return (((half as u32) << 13) / length as u32) as i32 + 1;
+}
+
+/// Heights over the eye at both ends of `slope_radius` along the ray, nearest and farthest, rounded
+/// up; `centre` in the middle, `slope` along the ray, Q14.
+fn end_heights(centre: i32, slope: i32, slope_radius: i32) -> [i32; 2] {
+    let raise = mul_hi(slope_radius << 12, slope.abs() << 6) + 2;
+    return if slope < 0 {
+        [centre + raise, centre - raise + 2]
+    } else {
+        [centre - raise + 2, centre + raise]
+    };
+}
+
+/// Height over distance, Q24, rounded up; the distance is known to `lean`.
+fn height_slope_to(height: i32, distance: i32, lean: i32) -> i32 {
+    if height < 0 {
+        return -(quotient_q24(height.unsigned_abs(), (distance + lean + 1) as u32) as i32);
+    }
+    return quotient_q24(height as u32, (distance - lean - 1) as u32) as i32 + 1;
+}
+
+/// The lines of sight from `eye` (east, up, south) to an occludee; none if they are too short or
+/// too steep.
+fn ray_to(eye: [i32; 3], occludee: &Occludee, start: i32) -> Option<Ray> {
     let (east, south) = (occludee.x - eye[0], occludee.z - eye[2]);
-    let along_x = east.abs() >= south.abs();
-    let (forward, sideways) = if along_x { (east, south) } else { (south, east) };
-    let to_middle = forward.abs();
+    let major_is_x = east.abs() >= south.abs();
+    let (forward, sideways) = if major_is_x { (east, south) } else { (south, east) };
+    let distance = forward.abs();
     let outer_radius = occludee.radius + occludee.taper;
-    let length = to_middle - outer_radius - 1;
+    let length = distance - outer_radius - 1;
     if length <= start {
         return None;
     }
-    let (at, other) = if along_x { (eye[0], eye[2]) } else { (eye[2], eye[0]) };
-    let mirrored = forward < 0;
-    let drift = quotient_q24(sideways.unsigned_abs(), to_middle as u32) as i32;
-    // Of the slope of the target's top the part across the ray stays one at every progress; the
-    // part along it raises the whole.
-    let (ahead, tilt) = if along_x {
+    let (eye_major, eye_minor) = if major_is_x { (eye[0], eye[2]) } else { (eye[2], eye[0]) };
+    let is_mirrored = forward < 0;
+    let drift = quotient_q24(sideways.unsigned_abs(), distance as u32) as i32;
+    let minor_slope = if sideways < 0 { -drift } else { drift };
+    let (slope_major, cross_slope) = if major_is_x {
         (occludee.slope_east, occludee.slope_south)
     } else {
         (occludee.slope_south, occludee.slope_east)
     };
-    let ahead = if mirrored { -ahead } else { ahead };
-    let turned = mul_hi(tilt << 8, if sideways < 0 { -drift } else { drift });
-    let along = ahead + turned;
+    let slope = if is_mirrored { -slope_major } else { slope_major } + mul_hi(cross_slope << 8, minor_slope);
     let lean = occludee.radius - occludee.slope_radius;
-    // Heights over the eye of what follows the plane so far, nearest and farthest, rounded up.
-    let ends = |slope_radius: i32| {
-        let raise = mul_hi(slope_radius << 12, along.abs() << 6) + 2;
-        let middle = occludee.top - eye[1];
-        if along < 0 { [middle + raise, middle - raise + 2] } else { [middle - raise + 2, middle + raise] }
-    };
-    let rise_of = |[near, far]: [i32; 2], slope_radius: i32| {
-        let of = |up: i32, to: i32| {
-            if up < 0 {
-                return -(quotient_q24(up.unsigned_abs(), (to + lean + 1) as u32) as i32);
-            }
-            return quotient_q24(up as u32, (to - lean - 1) as u32) as i32 + 1;
-        };
-        return of(near, to_middle - slope_radius).max(of(far, to_middle + slope_radius));
-    };
-    let highest = ends(outer_radius);
-    let steepest = highest[0].abs().max(highest[1].abs());
-    if steepest >> 4 >= length || length <= lean + start {
+    let centre = occludee.top - eye[1];
+    let bounds = end_heights(centre, slope, outer_radius);
+    let steepest = bounds[0].abs().max(bounds[1].abs());
+    if steepest >> STEEPEST_BITS >= length || length <= lean + start {
         return None;
     }
-    let farthest = to_middle + outer_radius + 1;
+    // What leaning and the slope take from the drop of the rim. A rim whose drop is all taken
+    // counts as a part of the slope.
+    let farthest = distance + outer_radius + 1;
     let most = quotient_q24(steepest as u32, length as u32) as i32 + 1;
     let lost =
-        mul_hi((occludee.taper + lean) << 12, along.abs() << 6) + mul_hi(occludee.taper << 9, most) + 3;
-    let taper_drop =
-        if occludee.taper > 0 && farthest >> 1 <= length { occludee.taper_drop - lost } else { 0 };
-    let slope_radius =
-        if occludee.taper == 0 || taper_drop > 0 { occludee.slope_radius } else { outer_radius };
-    let rise = rise_of(ends(slope_radius), slope_radius);
-    // sqrt(1 + drift²) is at most 1 + drift / 2.
-    let widening = |radius: i32| {
-        let half = radius + (mul_hi(radius << 8, drift << 1) >> 2) + 2;
-        (((half as u32) << 13) / length as u32) as i32 + 1
-    };
+        mul_hi((occludee.taper + lean) << 12, slope.abs() << 6) + mul_hi(occludee.taper << 9, most) + 3;
+    let has_rim = occludee.taper > 0 && farthest >> 1 <= length;
+    let drop = if has_rim { occludee.taper_drop - lost } else { 0 };
+    let slope_radius = if occludee.taper == 0 || drop > 0 { occludee.slope_radius } else { outer_radius };
+    // Height over distance is a ratio of linear functions of the place: greatest at an end.
+    let heights = end_heights(centre, slope, slope_radius);
+    let height_slope = height_slope_to(heights[0], distance - slope_radius, lean).max(height_slope_to(
+        heights[1],
+        distance + slope_radius,
+        lean,
+    ));
     return Some(Ray {
-        along_x,
-        mirrored,
-        main: if mirrored { (1 << GRID_BITS) - at } else { at },
-        other,
-        up: eye[1],
+        major_is_x,
+        is_mirrored,
+        eye_major: if is_mirrored { (1 << GRID_BITS) - eye_major } else { eye_major },
+        eye_minor,
+        eye_height: eye[1],
         length,
-        drift: if sideways < 0 { -drift } else { drift },
-        rise,
-        widening: widening(outer_radius),
-        core: widening(occludee.radius),
-        taper_drop: quotient_q24(taper_drop.max(0) as u32, farthest as u32) as i32,
-        slack: (rise.abs() >> 24) + 4,
-        tilt,
+        minor_slope,
+        height_slope,
+        outer_slope: half_width_slope(outer_radius, drift, length),
+        core_slope: half_width_slope(occludee.radius, drift, length),
+        drop_slope: quotient_q24(drop.max(0) as u32, farthest as u32) as i32,
+        margin: (height_slope.abs() >> 24) + 4,
+        cross_slope,
     });
 }
 
-impl Ray {
-    /// Height at a progress, fine units, never too low.
-    fn height(&self, progress: i32) -> i32 {
-        return self.up + mul_hi(self.rise << 2, progress << 6) + 1;
-    }
-
-    /// The other coordinate at a progress, within the square; off by at most 2.
-    fn across(&self, progress: i32) -> i32 {
-        return (self.other + mul_hi(self.drift << 2, progress << 6)).clamp(0, (1 << GRID_BITS) - 1);
-    }
-
-    /// The main coordinate at a progress, within the square.
-    fn along(&self, progress: i32) -> i32 {
-        let at = self.main + progress;
-        return (if self.mirrored { (1 << GRID_BITS) - at } else { at }).clamp(0, (1 << GRID_BITS) - 1);
-    }
-
-    /// Where the column of width `2^bits` ends that holds a progress, or the ray does.
-    fn column_end(&self, progress: i32, bits: u32) -> i32 {
-        let edge = (((self.main + progress) >> bits) + 1) << bits;
-        return (edge - self.main).min(self.length);
-    }
+/// Height of the highest line of sight at a progress, fine units, never too low: inequality (1).
+fn ray_height(ray: &Ray, progress: i32) -> i32 {
+    return ray.eye_height + mul_hi(ray.height_slope << 2, progress << 6) + 1;
 }
 
-/// Whether the surface is above a height all along a stretch of the other axis that is centred at
-/// `across`, `half` each way; beyond `core` from the middle of the target the height falls, by
-/// `taper_drop` over `taper`. Places along the main axis are whole numbers, so those of grid lines and
-/// diagonals are too.
+/// Minor coordinate of the track at a progress, within the grid; off by at most 2.
+fn ray_minor(ray: &Ray, progress: i32) -> i32 {
+    let at = ray.eye_minor + mul_hi(ray.minor_slope << 2, progress << 6);
+    return at.clamp(0, (1 << GRID_BITS) - 1);
+}
+
+/// Major coordinate of the track at a progress, within the grid.
+fn ray_major(ray: &Ray, progress: i32) -> i32 {
+    let at = ray.eye_major + progress;
+    return (if ray.is_mirrored { (1 << GRID_BITS) - at } else { at }).clamp(0, (1 << GRID_BITS) - 1);
+}
+
+/// Progress at the end of the column of width `2^bits` that holds a progress, or of the ray.
+fn column_end(ray: &Ray, progress: i32, bits: u32) -> i32 {
+    let edge = (((ray.eye_major + progress) >> bits) + 1) << bits;
+    return (edge - ray.eye_major).min(ray.length);
+}
+
+/// Index of the column of width `2^bits` that holds a progress, as the grid counts columns.
+fn column_of(ray: &Ray, progress: i32, bits: u32) -> i32 {
+    let column = (ray.eye_major + progress) >> bits;
+    let last = (1 << (GRID_BITS - bits)) - 1;
+    return (if ray.is_mirrored { last - column } else { column }).clamp(0, last);
+}
+
+/// Lower bound of the drawn surface at a place on the ray's axes: inequality (3).
+fn lowest_on_ray_axes<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, major: i32, minor: i32) -> i32 {
+    if ray.major_is_x {
+        return surface.lowest_at(major, minor);
+    }
+    return surface.lowest_at(minor, major);
+}
+
+/// The surface at a place of a column that is centred at `centre`, lowered by how much higher the
+/// lines of sight are there than in the centre.
+fn height_above_ray<S: Slots>(
+    surface: &Surface<'_, S>,
+    ray: &Ray,
+    major: i32,
+    centre: i32,
+    taper: Taper,
+    minor: i32,
+) -> i32 {
+    let beyond = ((minor - centre).abs() - taper.core).clamp(0, taper.width.max(0)) as u32;
+    let fallen = (taper.drop as u32 * beyond / taper.width.max(1) as u32) as i32;
+    let lowest = lowest_on_ray_axes(surface, ray, major, minor);
+    return lowest + fallen - mul_hi((minor - centre) << 12, ray.cross_slope << 6) - 1;
+}
+
+/// log2 of the cells of the chunk at a place on the ray's axes.
+fn cell_bits_on_ray_axes<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, major: i32, minor: i32) -> u32 {
+    if ray.major_is_x {
+        return surface.cell_bits(major, minor);
+    }
+    return surface.cell_bits(minor, major);
+}
+
+/// Whether the surface is above all lines of sight on a stretch of a column: `half` to either side
+/// of `centre`, where the highest line of sight has the height `height`.
+///
+/// Surface and lines of sight are linear between grid lines, diagonals and the begin of the rim, so
+/// those places and both ends decide.
 fn stretch_is_above<S: Slots>(
     surface: &Surface<'_, S>,
     ray: &Ray,
-    along: i32,
-    across: i32,
+    major: i32,
+    centre: i32,
     half: i32,
     height: i32,
     taper: Taper,
 ) -> bool {
     let last = (1 << GRID_BITS) - 1;
-    let (low, high) = ((across - half).clamp(0, last), (across + half).clamp(0, last));
-    // How far the surface is above the highest ray that passes there.
-    let lowest = |other: i32| {
-        let (x, z) = if ray.along_x { (along, other) } else { (other, along) };
-        let beyond = ((other - across).abs() - taper.core).clamp(0, taper.width.max(0)) as u32;
-        let fallen = (taper.taper_drop as u32 * beyond / taper.width.max(1) as u32) as i32;
-        surface.lowest_at(x, z) + fallen - mul_hi((other - across) << 12, ray.tilt << 6) - 1
-    };
-    if lowest(low) < height || lowest(high) < height {
+    let (low, high) = ((centre - half).clamp(0, last), (centre + half).clamp(0, last));
+    let is_below = |minor: i32| height_above_ray(surface, ray, major, centre, taper, minor) < height;
+    if is_below(low) || is_below(high) {
         return false;
     }
-    // Where the height begins to fall it bends upwards.
-    if taper.taper_drop > 0 {
-        let (left, right) = (across - taper.core, across + taper.core);
-        if (left > low && left < high && lowest(left) < height)
-            || (right > low && right < high && lowest(right) < height)
-        {
+    if taper.drop > 0 {
+        let (left, right) = (centre - taper.core, centre + taper.core);
+        if left > low && left < high && is_below(left) {
+            return false;
+        }
+        if right > low && right < high && is_below(right) {
             return false;
         }
     }
-    let cells = |other: i32| {
-        let (x, z) = if ray.along_x { (along, other) } else { (other, along) };
-        surface.cell_bits(x, z)
-    };
-    let bits = cells(low).min(cells(high));
-    // Grid lines, and between them diagonals: the places whose distance from the main coordinate is
-    // a multiple of the cell.
-    let inside = along & ((1 << bits) - 1);
+    let bits =
+        cell_bits_on_ray_axes(surface, ray, major, low).min(cell_bits_on_ray_axes(surface, ray, major, high));
+    // A diagonal crosses the column where the distance from the corner equals that of the column.
+    let inside = major & ((1 << bits) - 1);
     let first = low >> bits;
     let lines = (high >> bits) - first;
     if 2 * lines > MAX_STRETCH {
@@ -265,94 +288,210 @@ fn stretch_is_above<S: Slots>(
     }
     for line in 0..=lines {
         let corner = (first + line) << bits;
-        if corner > low && lowest(corner) < height {
+        if corner > low && is_below(corner) {
             return false;
         }
         let diagonal = corner + inside;
-        if diagonal > low && diagonal < high && lowest(diagonal) < height {
+        if diagonal > low && diagonal < high && is_below(diagonal) {
             return false;
         }
     }
     return true;
 }
 
-/// The skirt of a target where rays to it cross a column of the main axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Taper {
-    /// Within this distance of the middle the height does not fall.
-    core: i32,
-    /// It falls evenly over so much more.
-    width: i32,
-    /// By so much.
-    taper_drop: i32,
+/// Whether the surface on the track itself is above the lines of sight at a progress: cheap, and
+/// necessary for [`occludes_at`].
+fn centre_is_above<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, progress: i32) -> bool {
+    let lowest = lowest_on_ray_axes(surface, ray, ray_major(ray, progress), ray_minor(ray, progress));
+    return lowest >= ray_height(ray, progress) + ray.margin;
 }
 
-/// Whether the surface as drawn hides the target at a progress.
+/// Whether the surface in the column at a progress is above all lines of sight.
 fn occludes_at<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, progress: i32) -> bool {
-    let (along, across) = (ray.along(progress), ray.across(progress));
-    let (x, z) = if ray.along_x { (along, across) } else { (across, along) };
-    let height = ray.height(progress) + ray.slack;
-    if surface.lowest_at(x, z) < height {
-        return false;
-    }
+    let height = ray_height(ray, progress) + ray.margin;
     // Three more for the eye and the track, which are rounded.
-    let half = ((ray.widening * progress) >> 13) + 4;
-    let core = ((ray.core * progress) >> 13) + 4;
-    let taper_drop = if half > core { mul_hi(ray.taper_drop << 2, progress << 6) } else { 0 };
-    let taper = Taper { core, width: half - core, taper_drop };
-    return stretch_is_above(surface, ray, along, across, half, height, taper);
+    let half = ((ray.outer_slope * progress) >> 13) + 4;
+    let core = ((ray.core_slope * progress) >> 13) + 4;
+    let drop = if half > core { mul_hi(ray.drop_slope << 2, progress << 6) } else { 0 };
+    let taper = Taper { core, width: half - core, drop };
+    return stretch_is_above(
+        surface,
+        ray,
+        ray_major(ray, progress),
+        ray_minor(ray, progress),
+        half,
+        height,
+        taper,
+    );
 }
 
 /// `span * part / whole` for numbers below 2^(bits + 1), cut to 14 bits.
-fn share(part: i32, whole: i32, span: i32, bits: u32) -> i32 {
+fn share_along(part: i32, whole: i32, span: i32, bits: u32) -> i32 {
     let cut = bits.max(14) - 14;
     let divisor = ((whole >> cut) as u32).max(1);
     return (((part >> cut) as u32 * (span >> cut) as u32 / divisor) as i32) << cut;
 }
 
-/// Whether the triangles hide the target at one of their edges between two progresses. Cells are
-/// `2^bits` wide or wider.
-fn occludes_between<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, from: i32, to: i32, bits: u32) -> bool {
-    let mut progress = from;
-    // A block is eight cells wide, a tile of one chunk no more.
-    for _ in 0..9 {
-        if progress >= to {
+/// A place in a cell of the track at which the triangles are tested.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Crossing {
+    exists: bool,
+    progress: i32,
+}
+
+/// Candidate `which` between two progresses in one column of cells of `2^bits`: the grid line
+/// across, two diagonals, the end.
+fn crossing_of(ray: &Ray, progress: i32, next: i32, bits: u32, which: u32) -> Crossing {
+    if which == 3 {
+        return Crossing { exists: true, progress: next };
+    }
+    let (near, far) = (ray_minor(ray, progress), ray_minor(ray, next));
+    let span = next - progress;
+    if which == 0 {
+        let line = (near >> bits).max(far >> bits) << bits;
+        let share = share_along((line - near).abs(), (far - near).abs(), span, bits);
+        return Crossing { exists: near >> bits != far >> bits, progress: progress + share };
+    }
+    // Index of a diagonal: east minus south.
+    let way = if ray.major_is_x { 1 } else { -1 };
+    let first = way * (ray_major(ray, progress) - near);
+    let last = way * (ray_major(ray, next) - far);
+    let (low, high) = (first.min(last) >> bits, first.max(last) >> bits);
+    let index = low + which as i32;
+    let line = index << bits;
+    let share = share_along((line - first).abs(), (last - first).abs(), span, bits);
+    return Crossing { exists: index <= high, progress: progress + share };
+}
+
+/// Bounds of a node at a place on the ray's axes.
+fn node_on_ray_axes<S: Slots>(
+    surface: &Surface<'_, S>,
+    ray: &Ray,
+    bits: u32,
+    major: i32,
+    minor: i32,
+) -> Node {
+    if ray.major_is_x {
+        return surface.node(bits, major, minor);
+    }
+    return surface.node(bits, minor, major);
+}
+
+/// Bounds of the one or two nodes that the track crosses between two progresses of one column.
+fn column_bounds<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, bits: u32, progress: i32, end: i32) -> Node {
+    let column = column_of(ray, progress, bits);
+    let (near, far) = (ray_minor(ray, progress) >> bits, ray_minor(ray, end) >> bits);
+    let first = node_on_ray_axes(surface, ray, bits, column, near);
+    if far == near {
+        return first;
+    }
+    let second = node_on_ray_axes(surface, ray, bits, column, far);
+    return Node {
+        top: first.top.max(second.top),
+        bottom: first.bottom.min(second.bottom),
+        finest: first.finest.min(second.finest),
+    };
+}
+
+/// log2 of the width of the column after one that ends: wider where a wider one begins.
+fn next_column_bits(ray: &Ray, progress: i32, bits: u32) -> u32 {
+    let odd = ((ray.eye_major + progress) >> bits) & 1;
+    return (bits + odd as u32).min(GRID_BITS - 1);
+}
+
+/// State of a traversal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Traversal {
+    /// Nothing before this progress occludes.
+    progress: i32,
+    /// log2 of the width of the column at the progress.
+    bits: u32,
+    visits: u32,
+}
+
+/// A column whose bounds do not prove it clear.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Column {
+    end: i32,
+    /// Progress of the lower end of the ray where the bottom of the column is above that end.
+    lower_end: Option<i32>,
+    /// Whether narrower columns have bounds of their own.
+    can_descend: bool,
+    /// log2 of the smallest cells in it.
+    cell_bits: u32,
+}
+
+/// State `SKIP_COLUMNS`: passes over columns whose bounds are below the ray; none at the end of the
+/// ray.
+fn skip_columns<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, traversal: &mut Traversal) -> Option<Column> {
+    loop {
+        let Traversal { progress, bits, visits } = *traversal;
+        if progress >= ray.length || visits >= MAX_VISITS {
+            return None;
+        }
+        traversal.visits += 1;
+        let end = column_end(ray, progress, bits);
+        let node = column_bounds(surface, ray, bits, progress, end);
+        let (at_begin, at_end) = (ray_height(ray, progress), ray_height(ray, end));
+        let lower = at_begin.min(at_end);
+        if lower >= node.top << FINE_BITS {
+            advance(ray, traversal, end);
+            continue;
+        }
+        let can_descend = bits > node.finest.min(TILE_BITS);
+        let is_above = node.bottom > NOWHERE && lower + ray.margin <= node.bottom << FINE_BITS;
+        if !is_above && can_descend {
+            traversal.bits -= 1;
+            continue;
+        }
+        let lower_end = is_above.then_some(if at_begin < at_end { progress } else { end });
+        // Nodes above tiles have no smallest cell and can always be descended.
+        return Some(Column { end, lower_end, can_descend, cell_bits: node.finest.wrapping_sub(3) });
+    }
+}
+
+/// State `TEST_LOWER_END`: all of the column is above the lower end of the ray, so that end decides
+/// most often.
+fn test_lower_end<S: Slots>(surface: &Surface<'_, S>, ray: &Ray, lower_end: i32) -> bool {
+    return centre_is_above(surface, ray, lower_end) && occludes_at(surface, ray, lower_end);
+}
+
+/// State `TEST_CROSSINGS`: tests the triangles of a column at their edges.
+fn test_crossings<S: Slots>(
+    surface: &Surface<'_, S>,
+    ray: &Ray,
+    progress: i32,
+    end: i32,
+    cell_bits: u32,
+) -> bool {
+    let mut at = progress;
+    for _ in 0..MAX_CELLS {
+        if at >= end {
             break;
         }
-        let end = ray.column_end(progress, bits).min(to);
-        let (near, far) = (ray.across(progress), ray.across(end));
-        let span = end - progress;
-        if near >> bits != far >> bits {
-            let line = (near >> bits).max(far >> bits) << bits;
-            let there = progress + share((line - near).abs(), (far - near).abs(), span, bits);
-            if occludes_at(surface, ray, there) {
+        let next = column_end(ray, at, cell_bits).min(end);
+        for which in 0..CROSSINGS {
+            let crossing = crossing_of(ray, at, next, cell_bits, which);
+            if crossing.exists
+                && centre_is_above(surface, ray, crossing.progress)
+                && occludes_at(surface, ray, crossing.progress)
+            {
                 return true;
             }
         }
-        // Which diagonal a place lies on: east minus south.
-        let sign = if ray.along_x { 1 } else { -1 };
-        let first = sign * (ray.along(progress) - near);
-        let last = sign * (ray.along(end) - far);
-        let (low, high) = (first.min(last) >> bits, first.max(last) >> bits);
-        for step in 1..=2 {
-            if low + step <= high {
-                let line = (low + step) << bits;
-                let there = progress + share((line - first).abs(), (last - first).abs(), span, bits);
-                if occludes_at(surface, ray, there) {
-                    return true;
-                }
-            }
-        }
-        if occludes_at(surface, ray, end) {
-            return true;
-        }
-        progress = end;
+        at = next;
     }
     return false;
 }
 
-/// Whether the drawn land certainly hides all of a target from the eye (east, up, south; fine
-/// units). What is nearer than `start` hides nothing: it is cut by the near plane.
+/// Leaves a column that occludes nothing.
+fn advance(ray: &Ray, traversal: &mut Traversal, end: i32) {
+    traversal.bits = next_column_bits(ray, traversal.progress, traversal.bits);
+    traversal.progress = end;
+}
+
+/// Whether the drawn terrain certainly occludes all of an occludee from the eye (east, up, south;
+/// fine units). Terrain nearer than `start` occludes nothing: the near plane cuts it.
 #[must_use]
 pub fn is_occluded<S: Slots>(
     surface: &Surface<'_, S>,
@@ -360,78 +499,20 @@ pub fn is_occluded<S: Slots>(
     occludee: &Occludee,
     start: i32,
 ) -> bool {
-    let Some(ray) = ray(eye, occludee, start) else { return false };
-    let mut progress = start;
-    let mut bits = TILE_BITS - 3;
-    for _ in 0..MAX_VISITS {
-        if progress >= ray.length {
-            break;
+    let Some(ray) = ray_to(eye, occludee, start) else { return false };
+    let mut traversal = Traversal { progress: start, bits: TILE_BITS - 3, visits: 0 };
+    while let Some(column) = skip_columns(surface, &ray, &mut traversal) {
+        if column.lower_end.is_some_and(|lower_end| test_lower_end(surface, &ray, lower_end)) {
+            return true;
         }
-        let end = ray.column_end(progress, bits);
-        let column = ray.along_column(progress, bits);
-        let (near, far) = (ray.across(progress) >> bits, ray.across(end) >> bits);
-        let first = node(surface, &ray, bits, column, near);
-        let mut top = first.top;
-        let mut bottom = first.bottom;
-        let mut finest = first.finest;
-        if far != near {
-            let second = node(surface, &ray, bits, column, far);
-            top = top.max(second.top);
-            bottom = bottom.min(second.bottom);
-            finest = finest.min(second.finest);
+        if column.can_descend {
+            traversal.bits -= 1;
+            continue;
         }
-        let (from, to) = (ray.height(progress), ray.height(end));
-        let mut is_clear = from.min(to) >= top << FINE_BITS;
-        if !is_clear {
-            // All of the block is higher than the lower end of the ray.
-            let at = if from < to { progress } else { end };
-            if bottom > NOWHERE
-                && from.min(to) + ray.slack <= bottom << FINE_BITS
-                && occludes_at(surface, &ray, at)
-            {
-                return true;
-            }
-            if bits > finest.min(TILE_BITS) {
-                bits -= 1;
-                continue;
-            }
-            if occludes_between(surface, &ray, progress, end, finest - 3) {
-                return true;
-            }
-            is_clear = true;
+        if test_crossings(surface, &ray, traversal.progress, column.end, column.cell_bits) {
+            return true;
         }
-        if is_clear {
-            // Past it; a wider column next, if one begins here.
-            let odd = ((ray.main + progress) >> bits) & 1;
-            bits = (bits + odd as u32).min(GRID_BITS - 1);
-            progress = end;
-        }
+        advance(&ray, &mut traversal, column.end);
     }
     return false;
 }
-
-impl Ray {
-    /// Which column of width `2^bits` a progress lies in, counted as the square is.
-    fn along_column(&self, progress: i32, bits: u32) -> i32 {
-        let column = (self.main + progress) >> bits;
-        let last = (1 << (GRID_BITS - bits)) - 1;
-        return (if self.mirrored { last - column } else { column }).clamp(0, last);
-    }
-}
-
-/// Bounds over a column and a row of the ray's axes.
-fn node<S: Slots>(
-    surface: &Surface<'_, S>,
-    ray: &Ray,
-    bits: u32,
-    along: i32,
-    across: i32,
-) -> super::surface::Node {
-    if ray.along_x {
-        return surface.node(bits, along, across);
-    }
-    return surface.node(bits, across, along);
-}
-
-/// Cells of level 0 across a tile, for those who march in steps of their own.
-pub const TILE_STEPS: u32 = TILE_BITS - STEP_BITS;
