@@ -1,20 +1,21 @@
-//! What the land's shadow costs: `cargo run -p client --example shadow_cost -- [CAMERA] [AZIMUTH]`.
-//! For several heights of the sun, milliseconds of one chunk's casting and of one frame, and what
-//! the vertices have come out as.
+//! Cost of terrain shadows: `cargo run -p client --example shadow_cost -- [CAMERA] [AZIMUTH]`.
+//! For several heights of the sun, milliseconds of tracing one chunk and of one frame, and the
+//! shares of dark and penumbra vertices.
 
-use client::camera::Lens;
-use client::feed::LocalFeed;
-use client::frame::Shot;
-use client::looks::{Looks, SunPlace};
-use client::render::pool::ChunkPool;
-use client::render::{Canvas, Gpu, RenderOptions, Renderer, picture};
+use client::camera::Projection;
+use client::features::terrain::pool::ChunkPool;
+use client::gpu::{Gpu, OffscreenTarget, offscreen};
+use client::renderer::{RenderOptions, Renderer};
 use client::scene::Scene;
-use client::voyage::Voyage;
+use client::settings::{RenderSettings, SunPosition};
+use client::stream::LocalStream;
+use client::stream::streamer::WorldStreamer;
+use client::view::ViewParams;
 use shaders::layout::{GPU_SLOT_BYTES, clearance_of_byte};
 use std::error::Error;
 use std::time::{Duration, Instant};
 
-/// Times are the least of so many: what disturbs only adds.
+/// Repetitions; the minimum counts, because disturbances only add time.
 const REPEATS: u16 = 3;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -28,35 +29,35 @@ fn main() -> Result<(), Box<dyn Error>> {
         scene: Scene::Island,
         size: (width, height),
         samples: 1,
-        format: picture::PICTURE_FORMAT,
+        format: offscreen::IMAGE_FORMAT,
         slots,
     };
     let mut renderer = Renderer::new(&gpu, &options);
-    let canvas = Canvas::new(&gpu.device, width, height);
-    let mut voyage = Voyage::new(LocalFeed::new(1), slots);
+    let target = OffscreenTarget::new(&gpu.device, width, height);
+    let mut streamer = WorldStreamer::new(LocalStream::new(1), slots);
     println!("{}, {GPU_SLOT_BYTES} bytes a chunk, {width} x {height} pixels", gpu.name());
     for elevation_deg in [3.0, 8.0, 20.0, 43.0] {
         let sun =
-            |repeat: u16| SunPlace { azimuth_deg: azimuth_deg + f32::from(repeat) * 0.01, elevation_deg };
+            |repeat: u16| SunPosition { azimuth_deg: azimuth_deg + f32::from(repeat) * 0.01, elevation_deg };
         let (mut cast, mut draw) = (Duration::MAX, Duration::MAX);
         let (mut chunks, mut dark, mut partial, mut all) = (0, 0, 0, 0);
         for repeat in 0..=REPEATS {
-            let shot = Shot {
+            let view = ViewParams {
                 pose: camera,
-                lens: Lens { fov_deg: 60.0, width, height },
+                projection: Projection { fov_deg: 60.0, width, height },
                 view_distance_m: 8000,
                 tolerance_px: 2.0,
                 time_s: 0.0,
-                looks: Looks { sun: Some(sun(repeat)), ..Looks::default() },
+                settings: RenderSettings { sun: Some(sun(repeat)), ..RenderSettings::default() },
             };
             let selection = loop {
                 let selection =
-                    voyage.update(&shot, Duration::ZERO, usize::MAX, |chunk| renderer.upload(&gpu, chunk));
-                if voyage.is_settled() {
+                    streamer.update(&view, Duration::ZERO, usize::MAX, |chunk| renderer.upload(&gpu, chunk));
+                if streamer.is_settled() {
                     break selection;
                 }
             };
-            let frame = shot.frame(Scene::Island, voyage.world(), &selection);
+            let frame = view.frame(Scene::Island, streamer.cache(), &selection);
             gpu.queue.submit([]);
             gpu.wait()?;
             let begun = Instant::now();
@@ -64,16 +65,16 @@ fn main() -> Result<(), Box<dyn Error>> {
             cast = cast.min(begun.elapsed());
             let begun = Instant::now();
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
+            renderer.draw(&gpu, &frame, &mut encoder, &target.view);
             gpu.queue.submit([encoder.finish()]);
             gpu.wait()?;
             draw = draw.min(begun.elapsed());
             if repeat < REPEATS {
                 continue;
             }
-            for seen in frame.candidates.iter().filter(|candidate| candidate.in_sight) {
+            for seen in frame.candidates.iter().filter(|candidate| candidate.is_visible) {
                 chunks += 1;
-                for byte in renderer.pool().read_clearances(&gpu, seen.page.slot)? {
+                for byte in renderer.pool().read_sun_clearances(&gpu, seen.page.slot)? {
                     let clearance = clearance_of_byte(byte);
                     dark += u32::from(clearance <= -1.0);
                     partial += u32::from(clearance.abs() < 1.0);

@@ -1,5 +1,4 @@
-//! Where the eye is and how it looks: poses, lenses, flying and orbiting. Pure arithmetic; time
-//! comes in as steps.
+//! Camera: poses, projections, flying and orbiting. Pure arithmetic; time is passed as steps.
 //!
 //! Axes of the world: x east, y up, z south. Yaw 0 looks north (-z) and grows to the right (east);
 //! pitch grows upward.
@@ -19,51 +18,51 @@ pub const WORLD_HALF_M: f64 = (WORLD_HALF / UNITS_PER_METRE) as f64;
 /// Least height of an eye above the ground, metres: twice the near plane's distance, so that this
 /// never cuts the ground below.
 pub const CLEARANCE_M: f64 = 0.5;
-/// Steepest gaze in degrees: straight up or down. The heading stays what the yaw says.
+/// Largest pitch, degrees: straight up or down. The yaw keeps the heading.
 pub const MAX_PITCH_DEG: f64 = 90.0;
 
-/// Position and gaze of a camera.
+/// Position and direction of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Metres east, up, south.
     pub position_m: DVec3,
     /// Heading in degrees, clockwise from north.
     pub yaw_deg: f64,
-    /// Elevation of the gaze in degrees, within ±[`MAX_PITCH_DEG`].
+    /// Elevation of the view direction, degrees, within ±[`MAX_PITCH_DEG`].
     pub pitch_deg: f64,
 }
 
-/// An eye split for exact arithmetic: whole units, and what is left of a unit.
+/// An eye position split for exact arithmetic: whole units and the fraction of a unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Eye {
     /// East, up, south in units of 2^-8 m.
     pub units: [i32; 3],
-    /// The rest, metres, 0 to 2^-8 each.
+    /// The fraction, metres, 0 to 2^-8 each.
     pub fraction_m: Vec3,
 }
 
 impl Pose {
-    /// Unit vector into the picture.
+    /// Unit vector of the view direction.
     #[must_use]
     pub fn forward(&self) -> DVec3 {
         let (yaw, pitch) = (self.yaw_deg.to_radians(), self.pitch_deg.to_radians());
         DVec3::new(yaw.sin() * pitch.cos(), pitch.sin(), -yaw.cos() * pitch.cos())
     }
 
-    /// Unit vector to the right of the picture; horizontal.
+    /// Unit vector to the right of the image; horizontal.
     #[must_use]
     pub fn right(&self) -> DVec3 {
         let yaw = self.yaw_deg.to_radians();
         DVec3::new(yaw.cos(), 0.0, yaw.sin())
     }
 
-    /// Unit vector to the top of the picture.
+    /// Unit vector to the top of the image.
     #[must_use]
     pub fn up(&self) -> DVec3 {
         self.right().cross(self.forward())
     }
 
-    /// The eye for integer-origin rendering. Positions beyond the world are held at its border.
+    /// The eye for integer-origin rendering. Positions outside the world are clamped.
     #[must_use]
     pub fn eye(&self) -> Eye {
         let scale = f64::from(UNITS_PER_METRE);
@@ -75,8 +74,8 @@ impl Pose {
         }
     }
 
-    /// The pose lifted out of the ground if it is below the ground's height (units): inside the
-    /// land there is nothing to see. An eye under water stays there.
+    /// The pose raised above the ground height (units) if it is below. An eye under water stays
+    /// there.
     #[must_use]
     pub fn above(self, ground: Option<i32>) -> Self {
         let floor_m =
@@ -84,7 +83,7 @@ impl Pose {
         Self { position_m: self.position_m.with_y(self.position_m.y.max(floor_m)), ..self }
     }
 
-    /// The pose moved into the world and its pitch into range.
+    /// The pose with position and pitch clamped to their ranges.
     #[must_use]
     pub fn clamped(self) -> Self {
         let p = self.position_m;
@@ -109,26 +108,26 @@ impl fmt::Display for Pose {
     }
 }
 
-/// Why a `X,Y,Z,YAW,PITCH` text is no pose.
+/// Why a `X,Y,Z,YAW,PITCH` text is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PoseError {
     /// Not five numbers.
     #[error("expected X,Y,Z,YAW,PITCH (metres and degrees, five numbers), found {0}")]
     Count(usize),
-    /// Something that is no number, or an infinite one.
+    /// Not a finite number.
     #[error("{name} is `{text}`, expected a finite number")]
     Number {
         /// Which of the five.
         name: &'static str,
-        /// What stood there.
+        /// The text.
         text: String,
     },
-    /// A number outside what is possible.
+    /// A number out of range.
     #[error("{name} is {value}, allowed is {low} to {high}")]
     Range {
         /// Which of the five.
         name: &'static str,
-        /// The refused value.
+        /// The value.
         value: f64,
         /// Smallest allowed.
         low: f64,
@@ -165,9 +164,9 @@ impl FromStr for Pose {
     }
 }
 
-/// Vertical field of view and target size: everything about the picture but the pose.
+/// Vertical field of view and image size.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lens {
+pub struct Projection {
     /// Vertical field of view, degrees, 1 to 170.
     pub fov_deg: f64,
     /// Width in pixels, at least 1.
@@ -180,7 +179,7 @@ pub struct Lens {
 /// close plane costs nothing.
 pub const NEAR_M: f32 = 0.25;
 
-impl Lens {
+impl Projection {
     /// Width over height.
     #[must_use]
     pub fn aspect(&self) -> f64 {
@@ -203,14 +202,14 @@ impl Lens {
     }
 }
 
-/// What the keys and the mouse ask of a flying camera, each axis -1 to 1.
+/// Input of a flying camera, each axis -1 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Steering {
-    /// Along the gaze.
+    /// Along the view direction.
     pub forward: f64,
     /// To the right.
     pub right: f64,
-    /// Up, whatever the gaze.
+    /// Vertical, world up.
     pub up: f64,
     /// Degrees to turn right now.
     pub turn_deg: f64,
@@ -221,9 +220,9 @@ pub struct Steering {
 /// A free camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fly {
-    /// Where it is.
+    /// The pose.
     pub pose: Pose,
-    /// Metres a second at full steering.
+    /// Speed at full input, metres a second.
     pub speed_m: f64,
 }
 
@@ -241,10 +240,10 @@ impl Fly {
     }
 }
 
-/// A camera that circles a point and looks at it.
+/// An orbiting camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// What it looks at, metres.
+    /// The centre, metres.
     pub centre_m: DVec3,
     /// Horizontal distance to the centre, metres.
     pub radius_m: f64,
@@ -255,8 +254,8 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// The orbit that passes through a pose and circles the point on the sea that it looks towards,
-    /// `ahead_m` away.
+    /// The orbit through a pose around the point at sea level that it looks towards, `ahead_m`
+    /// away.
     #[must_use]
     pub fn through(pose: &Pose, ahead_m: f64) -> Self {
         let level = DVec3::new(pose.yaw_deg.to_radians().sin(), 0.0, -pose.yaw_deg.to_radians().cos());
@@ -294,8 +293,8 @@ mod tests {
         text.parse().unwrap()
     }
 
-    fn lens() -> Lens {
-        Lens { fov_deg: 60.0, width: 1280, height: 720 }
+    fn projection() -> Projection {
+        Projection { fov_deg: 60.0, width: 1280, height: 720 }
     }
 
     #[test]
@@ -311,7 +310,7 @@ mod tests {
 
     #[test]
     fn a_point_ahead_lands_in_the_middle_and_depth_falls_with_distance() {
-        let clip_from_camera = lens().clip_from_camera(&pose("7,8,9,90,0"));
+        let clip_from_camera = projection().clip_from_camera(&pose("7,8,9,90,0"));
         let project = |offset: Vec3| {
             let clip: Vec4 = clip_from_camera * offset.extend(1.0);
             clip.truncate() / clip.w

@@ -1,43 +1,46 @@
-//! Pictures without a window: fill the view from a feed, draw it, time it, read it back. Local
-//! scenes need no feed.
+//! Headless rendering: completes the view from a stream, draws and times it, reads it back. Local
+//! scenes need no stream.
 
-use crate::camera::{Lens, Pose};
-use crate::feed::{Feed, NoFeed};
-use crate::frame::{Shot, TRIANGLES_PER_INSTANCE};
-use crate::looks::Looks;
-use crate::render::cast::PER_FRAME;
-use crate::render::materials::OwnMaterials;
-use crate::render::pool::ChunkPool;
-use crate::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
+use crate::cache::ChunkCache;
+use crate::cache::SLOT_BYTES;
+use crate::camera::{Pose, Projection};
+use crate::features::materials::CustomMaterials;
+use crate::features::terrain::pool::ChunkPool;
+use crate::features::terrain_shadow::Quota;
+use crate::features::terrain_shadow::pass::PER_FRAME;
+use crate::frame::TRIANGLES_PER_INSTANCE;
+use crate::gpu;
+use crate::gpu::{Gpu, GpuError, Image, OffscreenTarget, offscreen};
+use crate::renderer::{RenderOptions, Renderer};
 use crate::scene::Scene;
-use crate::shadow::Quota;
+use crate::settings::RenderSettings;
 use crate::stats::{FrameTimes, Stats};
-use crate::voyage::{Link, Voyage};
-use crate::world::World;
-use crate::world::resident::SLOT_BYTES;
+use crate::stream::streamer::{Link, WorldStreamer};
+use crate::stream::{ChunkStream, NullStream};
+use crate::view::ViewParams;
 use std::time::{Duration, Instant};
 
-/// Pictures that are drawn before the clock counts: pipelines compile and caches fill.
+/// Untimed frames, in which pipelines compile and caches fill.
 const WARM_UP_FRAMES: u32 = 3;
 
-/// A first connection that fails so often will not succeed by waiting: there is no server.
+/// Failed first connections after which there is no server.
 const FIRST_ATTEMPTS: u32 = 3;
 
-/// Pause between looks at the feed while the view fills.
+/// Interval between polls of the stream while the view fills.
 const POLL_PAUSE: Duration = Duration::from_millis(2);
 
-/// A camera that never turns needs no shadows out of sight.
-const IN_SIGHT_PER_FRAME: Quota = Quota { ahead: 0, ..PER_FRAME };
+/// A camera that never turns needs no shadows of invisible chunks.
+const VISIBLE_PER_FRAME: Quota = Quota { ahead: 0, ..PER_FRAME };
 
 /// What to render.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// The scene.
     pub scene: Scene,
-    /// Eye and gaze.
+    /// Position and direction of the camera.
     pub pose: Pose,
-    /// Field of view and picture size.
-    pub lens: Lens,
+    /// Field of view and image size.
+    pub projection: Projection,
     /// View distance, metres.
     pub view_distance_m: u32,
     /// Tolerated screen error, pixels.
@@ -48,17 +51,17 @@ pub struct Options {
     pub samples: u32,
     /// Frames to time, at least 1.
     pub frames: u32,
-    /// Degrees that the camera circles between two frames; 0 stands still.
+    /// Orbit step between two frames, degrees; 0 stands still.
     pub orbit_step_deg: f64,
-    /// Seconds of the moving parts in the first frame; every further frame adds 1/60.
+    /// Animation time of the first frame, seconds; every further frame adds 1/60.
     pub time_s: f32,
-    /// Knobs of the picture.
-    pub looks: Looks,
-    /// How much higher the land is drawn than it is, 0.25 to 4.
+    /// Render settings.
+    pub settings: RenderSettings,
+    /// Vertical scale of the land, 0.25 to 4.
     pub vertical_scale: f64,
-    /// Materials instead of the procedural ones.
-    pub materials: OwnMaterials,
-    /// How long the view may take to fill.
+    /// Custom materials.
+    pub materials: CustomMaterials,
+    /// Time limit for the complete view.
     pub timeout: Duration,
 }
 
@@ -67,7 +70,7 @@ impl Default for Options {
         Self {
             scene: Scene::Island,
             pose: Scene::Island.start(),
-            lens: Lens { fov_deg: 60.0, width: 1280, height: 720 },
+            projection: Projection { fov_deg: 60.0, width: 1280, height: 720 },
             view_distance_m: 8000,
             tolerance_px: 2.0,
             chunk_bytes: 128 << 20,
@@ -75,27 +78,27 @@ impl Default for Options {
             frames: 1,
             orbit_step_deg: 0.0,
             time_s: 0.0,
-            looks: Looks::default(),
+            settings: RenderSettings::default(),
             vertical_scale: 1.0,
-            materials: OwnMaterials::default(),
+            materials: CustomMaterials::default(),
             timeout: Duration::from_secs(60),
         }
     }
 }
 
-/// Why there is no picture.
+/// Why there is no image.
 #[derive(Debug, thiserror::Error)]
 pub enum HeadlessError {
     /// The GPU.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// No session came about, or it ended for good.
+    /// No session was established, or it ended for good.
     #[error("{0}")]
-    Feed(String),
-    /// The server does not serve this view.
-    #[error("the server refused the view: {0}")]
+    Stream(String),
+    /// The server rejected the view.
+    #[error("the server rejected the view: {0}")]
     Refused(String),
-    /// The view did not fill.
+    /// The view was not complete in time.
     #[error("the view was not complete after {seconds} s ({state}): allow more time with --timeout")]
     Timeout {
         /// The limit.
@@ -103,207 +106,207 @@ pub enum HeadlessError {
         /// How far it got.
         state: String,
     },
-    /// The view did not fill, and there is no session any more.
+    /// The view was not complete in time, and the session is lost.
     #[error("the view was not complete after {seconds} s ({state}), and the server is gone: {cause}")]
     Lost {
         /// The limit.
         seconds: u64,
         /// How far it got.
         state: String,
-        /// What ended the session, with a mend.
+        /// Cause of the session's end, and what to do.
         cause: String,
     },
 }
 
-/// How far the filling is, for a progress display.
+/// Progress of the view, for display.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Progress {
     /// Chunks in memory.
     pub resident: usize,
     /// Chunks drawn coarser than wanted.
-    pub wanting: usize,
+    pub missing: usize,
     /// Bytes received.
     pub bytes_received: u64,
     /// The session's state.
     pub link: Link,
 }
 
-/// Renders a local scene: no feed, no chunks. `started` is when the clock of the stats began.
+/// Renders a local scene: no stream, no chunks. `started` is the start of the stats' clock.
 ///
 /// # Errors
 /// There is no GPU, or it fails. A scene that is not local is drawn without land.
-pub fn render_local(options: &Options, started: Instant) -> Result<(Picture, Stats), HeadlessError> {
-    draw(options, NoFeed, started, |_| Ok(()))
+pub fn render_local(options: &Options, started: Instant) -> Result<(Image, Stats), HeadlessError> {
+    draw(options, NullStream, started, |_| Ok(()))
 }
 
-/// Fills the view and renders it. `started` is when the clock of the stats began.
+/// Completes the view and renders it. `started` is the start of the stats' clock.
 pub fn render(
     options: &Options,
-    feed: impl Feed,
+    stream: impl ChunkStream,
     started: Instant,
     mut progress: impl FnMut(&Progress),
-) -> Result<(Picture, Stats), HeadlessError> {
+) -> Result<(Image, Stats), HeadlessError> {
     if options.scene.is_local() {
         return render_local(options, started);
     }
-    draw(options, feed, started, |voyage| {
-        fill(voyage, options, started, &mut progress)?;
-        // How high the ground is under the eye is known now; an eye that has to be lifted sees
-        // other chunks.
-        fill(voyage, options, started, &mut progress)
+    draw(options, stream, started, |streamer| {
+        fill(streamer, options, started, &mut progress)?;
+        // The ground height under the eye is known now; a raised eye needs other chunks.
+        fill(streamer, options, started, &mut progress)
     })
 }
 
-/// Lets `fill` bring what is to be drawn, builds the renderer, draws, times and reads back. In this
-/// order: a view that cannot be had is told without waiting for materials and pipelines.
-fn draw<F: Feed>(
+/// Fills the cache, creates the renderer, draws, times and reads back. In this order, so that an
+/// impossible view fails before materials and pipelines are built.
+fn draw<F: ChunkStream>(
     options: &Options,
-    feed: F,
+    stream: F,
     started: Instant,
-    fill: impl FnOnce(&mut Voyage<F>) -> Result<(), HeadlessError>,
-) -> Result<(Picture, Stats), HeadlessError> {
+    fill: impl FnOnce(&mut WorldStreamer<F>) -> Result<(), HeadlessError>,
+) -> Result<(Image, Stats), HeadlessError> {
     let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
-    let wished = if options.scene.is_local() { 1 } else { World::capacity_for(options.chunk_bytes) };
-    let slots = ChunkPool::slots_within(&gpu.device.limits(), wished);
-    let size = (options.lens.width, options.lens.height);
-    let mut voyage = Voyage::new(feed, slots).stretched(options.vertical_scale);
-    fill(&mut voyage)?;
+    let requested = if options.scene.is_local() { 1 } else { ChunkCache::capacity_for(options.chunk_bytes) };
+    let slots = ChunkPool::slots_within(&gpu.device.limits(), requested);
+    let size = (options.projection.width, options.projection.height);
+    let mut streamer = WorldStreamer::new(stream, slots).with_vertical_scale(options.vertical_scale);
+    fill(&mut streamer)?;
     let mut renderer = Renderer::with_materials(
         &gpu,
         &RenderOptions {
             scene: options.scene,
             size,
             samples: options.samples,
-            format: picture::PICTURE_FORMAT,
+            format: offscreen::IMAGE_FORMAT,
             slots,
         },
         &options.materials,
     );
-    let canvas = Canvas::new(&gpu.device, size.0, size.1);
-    voyage.world().residents().for_each(|chunk| renderer.upload(&gpu, chunk));
+    let target = OffscreenTarget::new(&gpu.device, size.0, size.1);
+    streamer.cache().residents().for_each(|chunk| renderer.upload(&gpu, chunk));
 
     let mut times = FrameTimes::default();
     let (mut drawn, mut instances) = (0, 0);
     let mut camera = String::new();
-    let mut first_picture = None;
+    let mut first_image = None;
     for index in 0..WARM_UP_FRAMES + options.frames.max(1) {
         let timed = index.checked_sub(WARM_UP_FRAMES);
         let begun = Instant::now();
-        let shot = options.shot(timed.unwrap_or(0), voyage.world());
+        let view = options.view(timed.unwrap_or(0), streamer.cache());
         let selection =
-            voyage.update(&shot, started.elapsed(), usize::MAX, |chunk| renderer.upload(&gpu, chunk));
-        let frame = shot.frame(options.scene, voyage.world(), &selection);
+            streamer.update(&view, started.elapsed(), usize::MAX, |chunk| renderer.upload(&gpu, chunk));
+        let frame = view.frame(options.scene, streamer.cache(), &selection);
         (drawn, instances) = (frame.chunks, frame.instances.len());
-        camera = format!("{:.4}", shot.pose);
+        camera = format!("{:.4}", view.pose);
         if timed.is_none() {
-            // What a camera that stands still has seen long ago. Shadows that change while frames
-            // are timed are part of them.
+            // Shadows of a still camera are complete before timing starts; shadows that change in
+            // timed frames are timed.
             renderer.finish_shadows(&gpu, &frame)?;
         }
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let pending = renderer.cast(&gpu, &frame, IN_SIGHT_PER_FRAME, &mut encoder);
-        renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
+        let pending = renderer.trace_shadows(&gpu, &frame, VISIBLE_PER_FRAME, &mut encoder);
+        renderer.draw(&gpu, &frame, &mut encoder, &target.view);
         gpu.queue.submit([encoder.finish()]);
         gpu.wait()?;
-        first_picture.get_or_insert_with(|| started.elapsed());
+        first_image.get_or_insert_with(|| started.elapsed());
         if timed.is_some() {
             times.push(begun.elapsed());
         }
         if pending > 0 && index + 1 == WARM_UP_FRAMES + options.frames.max(1) {
-            // The picture that is kept shows the finished state, whatever the time for it was.
+            // The kept image has all shadows, whatever the quota per frame was.
             renderer.finish_shadows(&gpu, &frame)?;
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
+            renderer.draw(&gpu, &frame, &mut encoder, &target.view);
             gpu.queue.submit([encoder.finish()]);
             gpu.wait()?;
         }
     }
-    let picture = canvas.read(&gpu)?;
-    let told = renderer.garden().map(|garden| garden.told(&gpu)).transpose()?.unwrap_or_default();
-    let milestones = voyage.milestones();
-    let resident = voyage.world().len();
+    let image = target.read(&gpu)?;
+    let cull_stats =
+        renderer.vegetation().map(|vegetation| vegetation.read_stats(&gpu)).transpose()?.unwrap_or_default();
+    let milestones = streamer.milestones();
+    let resident = streamer.cache().len();
     let stats = Stats {
         adapter: gpu.name(),
         frames: options.frames.max(1) as usize,
         chunks_drawn: drawn,
         triangles: instances as u64 * TRIANGLES_PER_INSTANCE,
         terrain_draws: renderer.terrain_draws(),
-        plants_drawn: told.clumps,
-        plants_lost: told.clumps_lost,
+        plants_drawn: cull_stats.clumps,
+        plants_lost: cull_stats.clumps_lost,
         gpu_bytes_per_chunk: renderer.bytes_per_chunk(),
-        delivery: if options.scene.is_local() { "none" } else { voyage.feed().delivery().name() },
-        bytes_received: voyage.feed().traffic().bytes_received,
+        delivery: if options.scene.is_local() { "none" } else { streamer.stream().delivery().name() },
+        bytes_received: streamer.stream().traffic().bytes_received,
         seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
         seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),
-        seconds_to_first_picture: first_picture.map(|at| at.as_secs_f64()),
+        seconds_to_first_picture: first_image.map(|at| at.as_secs_f64()),
         frame_ms_p50: times.quantile_ms(0.5, usize::MAX),
         frame_ms_p99: times.quantile_ms(0.99, usize::MAX),
         chunks_resident: resident,
         chunk_bytes_resident: resident * SLOT_BYTES,
         chunk_bytes_budget: slots as usize * SLOT_BYTES,
-        tolerance_px: voyage.tolerance_px(&options.shot(0, voyage.world())),
+        tolerance_px: streamer.tolerance_px(&options.view(0, streamer.cache())),
         camera,
     };
-    Ok((picture, stats))
+    Ok((image, stats))
 }
 
-/// Runs the feed until the view is complete.
+/// Polls the stream until the view is complete.
 fn fill(
-    voyage: &mut Voyage<impl Feed>,
+    streamer: &mut WorldStreamer<impl ChunkStream>,
     options: &Options,
     started: Instant,
     progress: &mut impl FnMut(&Progress),
 ) -> Result<(), HeadlessError> {
-    let shot = options.shot(0, voyage.world());
+    let view = options.view(0, streamer.cache());
     let mut lost = None;
     loop {
-        // There is no renderer yet: it is given everything at once when it is built.
-        let selection = voyage.update(&shot, started.elapsed(), 64, |_| ());
-        if voyage.is_settled() && selection.is_complete() {
+        // There is no renderer yet: it uploads everything at once when it is created.
+        let selection = streamer.update(&view, started.elapsed(), 64, |_| ());
+        if streamer.is_settled() && selection.is_complete() {
             return Ok(());
         }
         let state = Progress {
-            resident: voyage.world().len(),
-            wanting: selection.wanting,
-            bytes_received: voyage.feed().traffic().bytes_received,
-            link: voyage.link().clone(),
+            resident: streamer.cache().len(),
+            missing: selection.missing,
+            bytes_received: streamer.stream().traffic().bytes_received,
+            link: streamer.link().clone(),
         };
         progress(&state);
-        if let Some(detail) = voyage.refusal() {
+        if let Some(detail) = streamer.refusal() {
             return Err(HeadlessError::Refused(detail.to_owned()));
         }
-        match voyage.link() {
+        match streamer.link() {
             Link::Connected(_) => lost = None,
             Link::Waiting { cause, .. } => lost = Some(cause.clone()),
             Link::Connecting | Link::Refused(_) => {}
         }
-        match voyage.link() {
-            Link::Refused(cause) => return Err(HeadlessError::Feed(cause.clone())),
+        match streamer.link() {
+            Link::Refused(cause) => return Err(HeadlessError::Stream(cause.clone())),
             Link::Waiting { cause, .. }
-                if voyage.failures() >= FIRST_ATTEMPTS && voyage.milestones().first_chunk.is_none() =>
+                if streamer.failures() >= FIRST_ATTEMPTS && streamer.milestones().first_chunk.is_none() =>
             {
-                return Err(HeadlessError::Feed(cause.clone()));
+                return Err(HeadlessError::Stream(cause.clone()));
             }
             _ => {}
         }
         if started.elapsed() > options.timeout {
-            let had = format!("{} chunks here, {} places still coarse", state.resident, state.wanting);
+            let progress_text = format!("{} chunks resident, {} still coarse", state.resident, state.missing);
             let seconds = options.timeout.as_secs();
             return Err(match lost {
-                Some(cause) => HeadlessError::Lost { seconds, state: had, cause },
-                None => HeadlessError::Timeout { seconds, state: had },
+                Some(cause) => HeadlessError::Lost { seconds, state: progress_text, cause },
+                None => HeadlessError::Timeout { seconds, state: progress_text },
             });
         }
-        if !voyage.is_settled() {
+        if !streamer.is_settled() {
             std::thread::sleep(POLL_PAUSE);
         }
     }
 }
 
 impl Options {
-    /// The shot of a timed frame over the land that is here.
+    /// The view of a timed frame over the resident land.
     #[must_use]
-    pub fn shot(&self, frame: u32, world: &World) -> Shot {
+    pub fn view(&self, frame: u32, cache: &ChunkCache) -> ViewParams {
         let mut pose = self.pose;
         if self.orbit_step_deg != 0.0 {
             let mut orbit = crate::camera::Orbit::through(&pose, self.scene.orbit_radius_m());
@@ -311,13 +314,13 @@ impl Options {
             pose = Pose { pitch_deg: pose.pitch_deg, ..orbit.pose() };
         }
         let eye = pose.eye();
-        Shot {
-            pose: pose.above(world.ground(eye.units[0], eye.units[2])),
-            lens: self.lens,
+        ViewParams {
+            pose: pose.above(cache.ground(eye.units[0], eye.units[2])),
+            projection: self.projection,
             view_distance_m: self.view_distance_m,
             tolerance_px: self.tolerance_px,
             time_s: self.time_s + frame as f32 / 60.0,
-            looks: self.looks,
+            settings: self.settings,
         }
     }
 }
@@ -325,30 +328,30 @@ impl Options {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::feed::{FeedEvent, Traffic};
+    use crate::stream::{StreamEvent, Traffic};
     use std::collections::VecDeque;
     use terrain::{ChunkKey, Land, WorldDigest};
 
-    /// A session that ends after one chunk, if `ends`, and else says nothing more.
-    struct Short(VecDeque<FeedEvent>);
+    /// A session that ends after one chunk if `ends`, and is idle otherwise.
+    struct Short(VecDeque<StreamEvent>);
 
     impl Short {
         fn new(ends: bool) -> Self {
             let chunk = Box::new(Land::new(1).chunk(ChunkKey::new(3, 0, 0).unwrap()));
             let mut events = VecDeque::from([
-                FeedEvent::Connected { world: WorldDigest([1; 32]), world_seed: 1, server: "test".into() },
-                FeedEvent::Chunk(chunk),
+                StreamEvent::Connected { world: WorldDigest([1; 32]), world_seed: 1, server: "test".into() },
+                StreamEvent::Chunk(chunk),
             ]);
             if ends {
                 let retry = Some(Duration::from_secs(9));
-                events.push_back(FeedEvent::Disconnected { cause: "start it again".into(), retry });
+                events.push_back(StreamEvent::Disconnected { cause: "start it again".into(), retry });
             }
             Self(events)
         }
     }
 
-    impl Feed for Short {
-        fn poll(&mut self) -> Option<FeedEvent> {
+    impl ChunkStream for Short {
+        fn poll(&mut self) -> Option<StreamEvent> {
             self.0.pop_front()
         }
         fn set_view(&mut self, _: protocol::view::View) {}
@@ -363,15 +366,15 @@ mod tests {
     }
 
     #[test]
-    fn a_view_that_does_not_fill_names_a_server_that_is_gone() {
-        let told = |ends| {
-            let mut voyage = Voyage::new(Short::new(ends), 10);
+    fn an_incomplete_view_names_a_lost_server() {
+        let stats = |ends| {
+            let mut streamer = WorldStreamer::new(Short::new(ends), 10);
             let options = Options { timeout: Duration::from_millis(50), ..Options::default() };
-            fill(&mut voyage, &options, Instant::now(), &mut |_| ()).unwrap_err().to_string()
+            fill(&mut streamer, &options, Instant::now(), &mut |_| ()).unwrap_err().to_string()
         };
-        let gone = told(true);
-        assert!(gone.contains("1 chunks here") && gone.contains("gone: start it again"), "{gone}");
-        let slow = told(false);
+        let gone = stats(true);
+        assert!(gone.contains("1 chunks resident") && gone.contains("gone: start it again"), "{gone}");
+        let slow = stats(false);
         assert!(slow.contains("--timeout") && !slow.contains("gone"), "{slow}");
     }
 }

@@ -1,25 +1,37 @@
 //! Tombolo's viewer, as a library.
 //!
-//! The core draws what a [`feed`] brings and needs no thread, clock or file: [`camera`], [`scene`],
-//! [`world`] (resident chunks and what to draw of them), [`frame`] (what the GPU is told),
-//! [`render`] (how it draws), [`voyage`] (the driver that links them).
+//! Layers, lowest first; no module imports from a layer above its own:
 //!
-//! The edge belongs to the native program: [`headless`] (pictures without a window), [`native`]
-//! (options, sockets, files, the window).
+//! | module | job |
+//! | --- | --- |
+//! | [`camera`] | poses, projections, camera movement |
+//! | [`gpu`] | device, pipelines, bind groups, render targets, read-back |
+//! | [`cache`] | resident chunks: fixed slots, least-recently-used eviction |
+//! | [`lod`] | chunk selection, geometric error, geomorphing |
+//! | [`features`] | terrain, shadows, vegetation, parallax, water, atmosphere, materials |
+//! | [`settings`], [`view`], [`frustum`], [`lighting`], [`scene`] | inputs of a frame |
+//! | [`frame`] | GPU input of one frame, computed on the CPU |
+//! | [`stream`] | chunk streams and the streamer between stream and cache |
+//! | [`renderer`] | passes of a frame, in order |
+//! | [`headless`], [`native`] | programs: options, sockets, files, window |
+//!
+//! Everything below `headless` needs no thread, clock or file.
 
 #![forbid(unsafe_code)]
 
+pub mod cache;
 pub mod camera;
-pub mod feed;
+pub mod features;
 pub mod frame;
+pub mod frustum;
+pub mod gpu;
 pub mod headless;
-pub mod looks;
+pub mod lighting;
+pub mod lod;
 pub mod native;
-pub mod plants;
-pub mod relief;
-pub mod render;
+pub mod renderer;
 pub mod scene;
-pub mod shadow;
+pub mod settings;
 pub mod stats;
-pub mod voyage;
-pub mod world;
+pub mod stream;
+pub mod view;

@@ -1,4 +1,4 @@
-//! What a run measured: the JSON of `--stats` and the numbers of the panel.
+//! Measurements of a run: the JSON of `--stats` and the numbers of the panel.
 
 use serde::Serialize;
 use std::collections::VecDeque;
@@ -10,7 +10,7 @@ pub struct FrameTimes {
     times: VecDeque<Duration>,
 }
 
-/// Frames that the quantiles look back on.
+/// Window of the quantiles, frames.
 const WINDOW: usize = 4096;
 
 impl FrameTimes {
@@ -28,19 +28,18 @@ impl FrameTimes {
         self.times.len()
     }
 
-    /// Whether no frame was added.
+    /// Whether there are no frames.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.times.is_empty()
     }
 
-    /// The time in milliseconds that a share `q` (0 to 1) of the latest `window` frames did not
-    /// exceed; 0 without frames.
+    /// Quantile `q` (0 to 1) of the latest `window` frame times, milliseconds; 0 without frames.
     #[must_use]
     pub fn quantile_ms(&self, q: f64, window: usize) -> f64 {
         let mut sorted: Vec<Duration> = self.times.iter().rev().take(window).copied().collect();
         sorted.sort_unstable();
-        // Nearest rank: a quantile is a time that was really measured.
+        // Nearest rank: a quantile is a measured time.
         let rank = (q * sorted.len() as f64).ceil() as usize;
         sorted.get(rank.saturating_sub(1)).map_or(0.0, |time| time.as_secs_f64() * 1000.0)
     }
@@ -57,26 +56,26 @@ pub struct Stats {
     pub chunks_drawn: usize,
     /// Triangles sent in the last frame.
     pub triangles: u64,
-    /// Draw calls that the land of the last frame took.
+    /// Draw calls of the land in the last frame.
     pub terrain_draws: u32,
     /// Clumps of grass and trees drawn in the last frame.
     pub plants_drawn: u32,
-    /// Those left out of it for want of room.
+    /// Clumps dropped for lack of capacity.
     pub plants_lost: u32,
-    /// Bytes on the GPU that one more chunk takes.
+    /// GPU bytes of one more chunk.
     pub gpu_bytes_per_chunk: u64,
-    /// How chunks came: `exact` or `seed`; `none` in a local scene.
+    /// Delivery mode: `exact` or `seed`; `none` in a local scene.
     pub delivery: &'static str,
     /// Bytes of frames received.
     pub bytes_received: u64,
     /// From the start of the program to the first chunk.
     pub seconds_to_first_chunk: Option<f64>,
-    /// From the start of the program until the view had all its detail.
+    /// From the start of the program to the first complete view.
     pub seconds_to_complete_view: Option<f64>,
-    /// From the start of the program until the first picture was drawn: the view and, in a shot,
-    /// after it the renderer with its materials.
+    /// From the start of the program to the first image: in a headless run after the complete view
+    /// and the creation of the renderer.
     pub seconds_to_first_picture: Option<f64>,
-    /// Median time of a frame, until the GPU was done with it.
+    /// Median frame time, until the GPU is done.
     pub frame_ms_p50: f64,
     /// The 99th percentile of the same.
     pub frame_ms_p99: f64,
@@ -84,13 +83,12 @@ pub struct Stats {
     pub chunks_resident: usize,
     /// Memory of the slots in use, CPU and GPU together.
     pub chunk_bytes_resident: usize,
-    /// Memory of all slots: the bound.
+    /// Memory of all slots: the budget.
     pub chunk_bytes_budget: usize,
-    /// The tolerance that was drawn with: above the one asked for if the budget was too small for
-    /// it.
+    /// The tolerance in use: above the requested one if the budget is too small.
     pub tolerance_px: f64,
-    /// The last frame's camera as `--camera` takes it: above the one asked for if that was in the
-    /// ground.
+    /// The last frame's camera in the format of `--camera`: above the requested one if that was
+    /// underground.
     pub camera: String,
 }
 

@@ -1,12 +1,14 @@
 //! The command line. Options are a contract: scripts call them.
 
-use super::plant_args::PlantArgs;
-use super::relief_args::ReliefArgs;
-use crate::camera::{Lens, Pose};
+use super::pom_args::PomArgs;
+use super::vegetation_args::VegetationArgs;
+use crate::camera::{Pose, Projection};
+use crate::features::materials::CustomMaterials;
+use crate::features::water::{WaterTier, WaveSettings};
 use crate::headless::Options;
-use crate::looks::{Diffuse, Looks, Shadows, Show, SunPlace, Tiling, Visibility, WaterTier, WaveKnobs};
-use crate::render::materials::OwnMaterials;
+use crate::native::parse::parse_within;
 use crate::scene::Scene;
+use crate::settings::{Diffuse, RenderSettings, Shadows, Show, SunPosition, Tiling, Visibility};
 use clap::{Parser, builder::RangedU64ValueParser};
 use protocol::Delivery;
 use std::path::PathBuf;
@@ -15,33 +17,33 @@ use terrain::WorldDigest;
 use terrain::lod::MAX_VIEW_DISTANCE_M;
 use tokio_tungstenite::tungstenite::http::Uri;
 
-/// Where a server listens if nobody says otherwise.
+/// Default address of a server.
 const DEFAULT_SERVER: &str = "ws://127.0.0.1:7580/v1/stream";
 
-/// Largest side of a picture, pixels: what portable WebGPU promises for a texture.
+/// Largest side of an image, pixels: the texture limit of portable WebGPU.
 const MAX_SIDE: u32 = 8192;
 
 /// Streams a terrain from a Tombolo server and draws it, in a window or (with --shot) into a file.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "tombolo-view", version, about)]
 pub struct Args {
-    /// Stream of the server [default: ws://127.0.0.1:7580/v1/stream; the scenes grass and culling
-    /// make their land themselves]
+    /// Stream URL of the server [default: ws://127.0.0.1:7580/v1/stream; the scenes grass and
+    /// culling generate their land]
     #[arg(long, value_name = "URL", value_parser = parse_url)]
     pub connect: Option<Uri>,
 
-    /// Seed of the land that a scene makes itself
+    /// Seed of the land that a scene generates
     #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "connect")]
     pub world_seed: u64,
 
-    /// How chunks come: exact (all heights), refined (all heights in fewer bytes, for up to 17 MiB
-    /// of memory), seed (a digest each; they are generated here and verified) or quantised:METRES
-    /// (heights no farther off than that)
+    /// Delivery of chunks: exact (all heights), refined (all heights in fewer bytes, uses up to 17
+    /// MiB of memory), seed (digests; chunks are generated here and verified) or quantised:METRES
+    /// (heights with at most this error)
     #[arg(long, value_name = "exact|refined|seed|quantised:METRES", default_value_t = Delivery::Exact)]
     pub delivery: Delivery,
 
-    /// Insists on the world of this digest, 64 hexadecimal digits; a server of another world is
-    /// refused
+    /// Requires the world with this digest, 64 hexadecimal digits; servers of other worlds are
+    /// rejected
     #[arg(long, value_name = "HEX", value_parser = parse_digest)]
     pub digest: Option<WorldDigest>,
 
@@ -49,8 +51,8 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     pub scene: Scene,
 
-    /// Start position in metres (east, up, south of the origin) and gaze in degrees (yaw clockwise
-    /// from north, pitch upward) [default: a view of the scene]
+    /// Start position in metres (east, up, south of the origin) and direction in degrees (yaw
+    /// clockwise from north, pitch upward) [default: a view of the scene]
     #[arg(long, value_name = "X,Y,Z,YAW,PITCH", allow_hyphen_values = true)]
     pub camera: Option<Pose>,
 
@@ -58,15 +60,15 @@ pub struct Args {
     #[arg(long, value_name = "FILE.png")]
     pub shot: Option<PathBuf>,
 
-    /// Size of the picture or window in pixels, each side 1 to 8192
+    /// Size of the image or window in pixels, each side 1 to 8192
     #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = parse_size)]
     pub size: (u32, u32),
 
-    /// Frames to draw and time, then exit [default: 1 with --shot, without end in a window]
+    /// Frames to draw and time, then exit [default: 1 with --shot, unlimited in a window]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub frames: Option<u32>,
 
-    /// Writes what was measured into this JSON file when done
+    /// Writes measurements into this JSON file at the end
     #[arg(long, value_name = "FILE.json")]
     pub stats: Option<PathBuf>,
 
@@ -92,11 +94,11 @@ pub struct Args {
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = parse_samples)]
     pub samples: Option<u32>,
 
-    /// Circles the point that the camera looks towards, degrees a second, -90 to 90
+    /// Orbits the point that the camera looks towards, degrees a second, -90 to 90
     #[arg(long, value_name = "DEG", allow_hyphen_values = true, value_parser = |text: &str| parse_within(text, -90.0, 90.0))]
     pub orbit: Option<f64>,
 
-    /// Moment of the waves and clouds in the first frame of a shot, seconds, 0 to 86400
+    /// Animation time of waves and clouds in the first frame of a shot, seconds, 0 to 86400
     #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 86_400.0))]
     pub time: f64,
 
@@ -104,20 +106,20 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     pub show: Show,
 
-    /// Place of the sun in degrees: azimuth clockwise from north, elevation -90 to 90 [default:
-    /// that of the scene]
+    /// Sun position in degrees: azimuth clockwise from north, elevation -90 to 90 [default: that of
+    /// the scene]
     #[arg(long, value_name = "AZIMUTH,ELEVATION", allow_hyphen_values = true, value_parser = parse_sun)]
-    pub sun: Option<SunPlace>,
+    pub sun: Option<SunPosition>,
 
-    /// Exposure in stops above the scene's, -8 to 8
+    /// Exposure in stops relative to the scene's, -8 to 8
     #[arg(long, value_name = "EV", default_value_t = 0.0, allow_hyphen_values = true, value_parser = |text: &str| parse_within(text, -8.0, 8.0))]
     pub exposure: f64,
 
-    /// Shadows of the land on itself
+    /// Shadows of the terrain on itself
     #[arg(long, value_enum, default_value_t)]
     pub shadows: Shadows,
 
-    /// What hides that materials repeat
+    /// Technique against visible repetition of materials
     #[arg(long, value_enum, default_value_t)]
     pub tiling: Tiling,
 
@@ -129,13 +131,13 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     pub visibility: Visibility,
 
-    /// How the parallax of waves is found
+    /// Parallax method of waves
     #[arg(long, value_enum, default_value_t)]
     pub water: WaterTier,
 
-    /// Folder of own materials: PNG files such as sand_albedo.png, sand_normal.png,
+    /// Folder of custom materials: PNG files such as sand_albedo.png, sand_normal.png,
     /// sand_height.png, sand_roughness.png and sand_ao.png, for sand, meadow, dry_grass, thicket,
-    /// cliff, scree and cobbles; what has no file stays as it is
+    /// cliff, scree and cobbles; procedural where a file is missing
     #[arg(long, value_name = "DIR")]
     pub textures: Option<PathBuf>,
 
@@ -143,7 +145,7 @@ pub struct Args {
     #[arg(long, value_name = "F", default_value_t = 0.2, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub parallax_factor: f64,
 
-    /// Raises the surface of the water, metres, -2 to 2
+    /// Offset of the water surface, metres, -2 to 2
     #[arg(long, value_name = "M", default_value_t = 0.0, allow_hyphen_values = true, value_parser = |text: &str| parse_within(text, -2.0, 2.0))]
     pub parallax_bias: f64,
 
@@ -151,64 +153,64 @@ pub struct Args {
     #[arg(long, value_name = "S", default_value_t = 1.0, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 4.0))]
     pub wave_steepness: f64,
 
-    /// Relief of materials.
+    /// Parallax occlusion mapping.
     #[command(flatten)]
-    pub relief: ReliefArgs,
+    pub relief: PomArgs,
 
-    /// Plants.
+    /// Vegetation.
     #[command(flatten)]
-    pub plants: PlantArgs,
+    pub plants: VegetationArgs,
 
     /// File whose first line is the server's access token
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
 
-    /// How long a shot may wait for its complete view, seconds, 1 to 3600
+    /// Time limit of a shot for its complete view, seconds, 1 to 3600
     #[arg(long, value_name = "S", default_value_t = 60, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub timeout: u64,
 }
 
 impl Args {
-    /// What a shot renders.
+    /// Options of a headless run.
     #[must_use]
-    pub fn shot_options(&self) -> Options {
+    pub fn headless_options(&self) -> Options {
         Options {
             scene: self.scene,
             pose: self.pose(),
-            lens: self.lens(),
+            projection: self.projection(),
             view_distance_m: self.view_distance,
             tolerance_px: self.tolerance,
             chunk_bytes: self.chunk_mb << 20,
             samples: self.samples.unwrap_or(4),
             frames: self.frames.unwrap_or(1),
-            // Frames of a shot are a sixtieth of a second apart, as their waves are.
+            // Frames of a shot are 1/60 s apart, like their waves.
             orbit_step_deg: self.orbit.unwrap_or(0.0) / 60.0,
             time_s: self.time as f32,
-            looks: self.looks(),
+            settings: self.render_settings(),
             vertical_scale: self.vertical_scale(),
-            // Files are the edge's business: `native::textures`.
-            materials: OwnMaterials::default(),
+            // Files are read by `native::textures`.
+            materials: CustomMaterials::default(),
             timeout: Duration::from_secs(self.timeout),
         }
     }
 
-    /// Where the server is, unless the scene makes its land itself.
+    /// The server, unless the scene generates its land.
     #[must_use]
     pub fn server(&self) -> Option<Uri> {
         let own_land = self.scene.has_own_land() || self.scene.is_local();
         self.connect.clone().or_else(|| (!own_land).then(|| Uri::from_static(DEFAULT_SERVER)))
     }
 
-    /// How much higher the land is drawn than it is.
+    /// Vertical scale of the land.
     #[must_use]
     pub fn vertical_scale(&self) -> f64 {
         self.plants.vertical_scale.unwrap_or(self.scene.vertical_scale())
     }
 
-    /// The knobs of the picture.
+    /// The render settings.
     #[must_use]
-    pub fn looks(&self) -> Looks {
-        Looks {
+    pub fn render_settings(&self) -> RenderSettings {
+        RenderSettings {
             diffuse: self.diffuse,
             visibility: self.visibility,
             tiling: self.tiling,
@@ -217,17 +219,17 @@ impl Args {
             show: self.show,
             sun: self.sun,
             exposure_ev: self.exposure as f32,
-            waves: WaveKnobs {
+            waves: WaveSettings {
                 parallax_factor: self.parallax_factor as f32,
                 parallax_bias_m: self.parallax_bias as f32,
                 steepness: self.wave_steepness as f32,
             },
-            plants: self.plants.knobs(self.scene),
-            relief: self.relief.knobs(),
+            plants: self.plants.vegetation_settings(self.scene),
+            pom: self.relief.pom_settings(),
         }
     }
 
-    /// Where the camera starts.
+    /// Start pose.
     #[must_use]
     pub fn pose(&self) -> Pose {
         self.camera.unwrap_or_else(|| self.scene.start())
@@ -235,8 +237,8 @@ impl Args {
 
     /// Field of view and size.
     #[must_use]
-    pub fn lens(&self) -> Lens {
-        Lens { fov_deg: self.fov, width: self.size.0, height: self.size.1 }
+    pub fn projection(&self) -> Projection {
+        Projection { fov_deg: self.fov, width: self.size.0, height: self.size.1 }
     }
 }
 
@@ -245,14 +247,14 @@ fn parse_url(text: &str) -> Result<Uri, String> {
     let url: Uri = text.parse().map_err(|error| format!("{error}, {expected}"))?;
     match url.scheme_str() {
         Some("ws") if url.host().is_some_and(|host| !host.is_empty()) => Ok(url),
-        Some("wss") => Err(format!("this viewer speaks no TLS, {expected}")),
+        Some("wss") => Err(format!("TLS is not supported, {expected}")),
         _ => Err(expected.to_owned()),
     }
 }
 
 fn parse_digest(text: &str) -> Result<WorldDigest, String> {
     WorldDigest::from_hex(text)
-        .ok_or_else(|| "expected the 64 hexadecimal digits that a server tells at /v1/world".to_owned())
+        .ok_or_else(|| "expected the 64 hexadecimal digits that a server tells at /v1/cache".to_owned())
 }
 
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
@@ -262,19 +264,14 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
         .ok_or_else(|| format!("expected WxH such as 1280x720, each side 1 to {MAX_SIDE}"))
 }
 
-pub(super) fn parse_within(text: &str, low: f64, high: f64) -> Result<f64, String> {
-    // A NaN is in no range.
-    text.parse()
-        .ok()
-        .filter(|value| (low..=high).contains(value))
-        .ok_or_else(|| format!("expected a number from {low} to {high}"))
-}
-
-fn parse_sun(text: &str) -> Result<SunPlace, String> {
+fn parse_sun(text: &str) -> Result<SunPosition, String> {
     let angle = |part: &str, limit: f64| parse_within(part.trim(), -limit, limit).ok();
     text.split_once(',')
         .and_then(|(azimuth, elevation)| Some((angle(azimuth, 360.0)?, angle(elevation, 90.0)?)))
-        .map(|(azimuth, elevation)| SunPlace { azimuth_deg: azimuth as f32, elevation_deg: elevation as f32 })
+        .map(|(azimuth, elevation)| SunPosition {
+            azimuth_deg: azimuth as f32,
+            elevation_deg: elevation as f32,
+        })
         .ok_or_else(|| "expected AZIMUTH,ELEVATION, -360 to 360 and -90 to 90 degrees".to_owned())
 }
 
@@ -289,8 +286,10 @@ fn parse_samples(text: &str) -> Result<u32, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::relief::ReliefKnobs;
-    use crate::relief::knobs::{Heights, Horizon, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
+    use crate::features::pom::PomSettings;
+    use crate::features::pom::settings::{
+        Heights, Horizon, LoopForm, PomMethod, PomShadow, Refine, Silhouette,
+    };
 
     fn parse(arguments: &[&str]) -> Result<Args, clap::Error> {
         Args::try_parse_from(std::iter::once(&"tombolo-view").chain(arguments))
@@ -396,12 +395,15 @@ mod tests {
         ])
         .unwrap();
         assert_eq!((args.delivery, args.digest), (Delivery::SeedOnly, Some(WorldDigest([10; 32]))));
-        let options = args.shot_options();
+        let options = args.headless_options();
         assert_eq!(options.pose.position_m.x, -1.5);
-        assert_eq!((options.lens.width, options.lens.height, options.lens.fov_deg), (640, 360, 75.0));
+        assert_eq!(
+            (options.projection.width, options.projection.height, options.projection.fov_deg),
+            (640, 360, 75.0)
+        );
         assert_eq!((options.frames, options.chunk_bytes, options.samples), (7, 32 << 20, 1));
-        let sun = Some(SunPlace { azimuth_deg: -90.0, elevation_deg: -10.5 });
-        let looks = Looks {
+        let sun = Some(SunPosition { azimuth_deg: -90.0, elevation_deg: -10.5 });
+        let settings = RenderSettings {
             diffuse: Diffuse::Lambert,
             visibility: Visibility::Fast,
             tiling: Tiling::TwoScale,
@@ -410,17 +412,17 @@ mod tests {
             show: Show::Levels,
             sun,
             exposure_ev: -1.0,
-            waves: WaveKnobs { parallax_factor: 0.5, parallax_bias_m: -0.25, steepness: 2.0 },
-            plants: crate::plants::PlantKnobs::default(),
-            relief: ReliefKnobs {
-                tier: ReliefTier::Linear,
+            waves: WaveSettings { parallax_factor: 0.5, parallax_bias_m: -0.25, steepness: 2.0 },
+            plants: crate::features::vegetation::VegetationSettings::default(),
+            pom: PomSettings {
+                method: PomMethod::Linear,
                 steps_min: 4,
                 steps_max: 64,
                 refine: Refine::Bisection,
                 refinements: 5,
                 loop_form: LoopForm::Flag,
                 heights: Heights::Sampler,
-                shadow: ReliefShadow::Soft,
+                shadow: PomShadow::Soft,
                 silhouette: Silhouette::Horizon,
                 depth: true,
                 pivot: 1.0,
@@ -430,7 +432,7 @@ mod tests {
                 horizon: Horizon { strength: 2.0, height_bias: 0.1, safe_threshold: 0.5, falloff: 3.0 },
             },
         };
-        assert_eq!(options.looks, looks);
+        assert_eq!(options.settings, settings);
         assert_eq!((options.orbit_step_deg, options.timeout), (-0.05, Duration::from_secs(9)));
     }
 

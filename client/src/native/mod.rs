@@ -1,19 +1,18 @@
-//! The edge: everything that needs an operating system. Options, sockets and threads, files, the
-//! window.
+//! Everything that needs an operating system: options, sockets and threads, files, the window.
 
 pub mod app;
 pub mod args;
-pub mod backoff;
-pub mod plant_args;
-pub mod relief_args;
-pub mod shot;
+pub mod parse;
+pub mod pom_args;
+pub mod screenshot;
 pub mod stream;
 pub mod textures;
+pub mod vegetation_args;
 
 use args::Args;
 
-/// Runs the program that the options describe. The error is one line for a person.
+/// Runs the program that the options describe. Errors are one line, for display.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let started = std::time::Instant::now();
-    if args.shot.is_some() { shot::run(args, started) } else { app::run(args, started) }
+    if args.shot.is_some() { screenshot::run(args, started) } else { app::run(args, started) }
 }

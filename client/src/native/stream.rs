@@ -1,16 +1,16 @@
-//! The feed of a server: a WebSocket session on a thread of its own, restarted whenever it ends.
+//! The chunk stream of a server: a WebSocket session on its own thread, restarted when it ends.
 //!
-//! The protocol is `protocol::client`; this file only moves its frames, keeps the connection alive
-//! and decides about reconnecting. Chunks are decoded (or, in seed-only delivery, generated) and
-//! verified here, off the drawing thread.
+//! The protocol is in `protocol::client`; this file transports its frames, keeps the connection
+//! alive and reconnects. Chunks are decoded (or generated, in seed-only delivery) and verified
+//! here, off the drawing thread.
 
-use crate::feed::{Feed, FeedEvent, Traffic};
-use crate::native::backoff::Backoff;
+use crate::stream::{ChunkStream, StreamEvent, Traffic};
 use futures_util::{SinkExt as _, StreamExt as _};
+use protocol::backoff::Backoff;
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::limits::MAX_SERVER_FRAME;
 use protocol::view::View;
-use protocol::{CloseCode, Delivery, Incoming, SUBPROTOCOL};
+use protocol::{CloseCode, DataFrame, Delivery, SUBPROTOCOL};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -22,34 +22,38 @@ use tokio::time::{Instant, sleep, timeout};
 use tokio_tungstenite::tungstenite::{self, ClientRequestBuilder, Message, http::Uri, protocol as ws};
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 
-/// Events on their way to the drawing thread. When it is full the session stops reading: no more
-/// credit is granted, and the server waits. At most this many decoded chunks (a few MiB) lie
-/// between the threads.
-const EVENTS: usize = 256;
-/// Commands on their way to the session. When it is full they stay with the caller until the next
-/// poll.
-const COMMANDS: usize = 64;
-/// Chunks that may be under way: enough to keep a fast server busy over a round trip of 100 ms.
+/// Capacity for events to the drawing thread. When it is full the session stops reading: no credit
+/// is granted, and the server waits. Bounds the decoded chunks between the threads to a few MiB.
+const EVENT_CAPACITY: usize = 256;
+/// Capacity for commands to the session. When it is full they are queued by the caller until the
+/// next poll.
+const COMMAND_CAPACITY: usize = 64;
+/// Credit window, chunks: enough for a fast server over a round trip of 100 ms.
 const WINDOW: u32 = 256;
-/// A server that does not answer a connection attempt for so long is treated as gone.
-const CONNECT_LIMIT: Duration = Duration::from_secs(10);
-/// How often a quiet connection is tested with a ping.
+/// Time limit of a connection attempt.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
+/// Interval of pings.
 const PING_INTERVAL: Duration = Duration::from_secs(10);
-/// Silence after which the connection is given up: several pings went unanswered.
-const SILENCE_LIMIT: Duration = Duration::from_secs(35);
-/// How long leaving politely may take.
-const CLOSE_LIMIT: Duration = Duration::from_millis(300);
+/// Time without any message after which the connection is given up: several pings were not
+/// answered.
+const IDLE_TIMEOUT: Duration = Duration::from_secs(35);
+/// Time limit of the closing handshake.
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(300);
 
-/// Where to connect, as whom and for what.
+/// First and longest delay before a new connection attempt.
+const FIRST_RETRY_DELAY: Duration = Duration::from_millis(250);
+const MAX_RETRY_DELAY: Duration = Duration::from_secs(10);
+
+/// Connection settings.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// `ws://` URL of the stream.
     pub url: Uri,
-    /// Access token, where the server asks for one.
+    /// Access token, if the server requires one.
     pub token: Option<String>,
-    /// The world to insist on; none accepts any.
+    /// The required world; none accepts any.
     pub digest: Option<WorldDigest>,
-    /// How chunks are to come.
+    /// Delivery mode.
     pub delivery: Delivery,
 }
 
@@ -61,12 +65,12 @@ impl Settings {
     }
 }
 
-/// A server as a feed.
+/// The chunk stream of a server.
 #[derive(Debug)]
-pub struct SocketFeed {
-    events: Option<mpsc::Receiver<FeedEvent>>,
+pub struct ServerStream {
+    events: Option<mpsc::Receiver<StreamEvent>>,
     commands: mpsc::Sender<Command>,
-    /// Commands that found the channel full. Bounded by what happens between two polls: keys of
+    /// Commands that did not fit the channel. Bounded by what happens between two polls: keys of
     /// evicted chunks, one view.
     waiting: VecDeque<Command>,
     counters: Arc<Counters>,
@@ -87,11 +91,11 @@ struct Counters {
     credits: AtomicU32,
 }
 
-impl SocketFeed {
-    /// Starts connecting. Fails only if the system has no thread left.
+impl ServerStream {
+    /// Starts connecting. Fails only if no thread can be created.
     pub fn connect(settings: Settings) -> std::io::Result<Self> {
-        let (event_sender, events) = mpsc::channel(EVENTS);
-        let (commands, command_receiver) = mpsc::channel(COMMANDS);
+        let (event_sender, events) = mpsc::channel(EVENT_CAPACITY);
+        let (commands, command_receiver) = mpsc::channel(COMMAND_CAPACITY);
         let (counters, delivery) = (Arc::new(Counters::default()), settings.delivery);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let worker = Worker {
@@ -126,15 +130,15 @@ impl SocketFeed {
                     self.waiting.push_front(command);
                     break;
                 }
-                // The session gave up for good; the event that says so is on its way.
+                // The session gave up; its last event is on the way.
                 Err(mpsc::error::TrySendError::Closed(_)) => self.waiting.clear(),
             }
         }
     }
 }
 
-impl Feed for SocketFeed {
-    fn poll(&mut self) -> Option<FeedEvent> {
+impl ChunkStream for ServerStream {
+    fn poll(&mut self) -> Option<StreamEvent> {
         self.flush();
         self.events.as_mut()?.try_recv().ok()
     }
@@ -164,53 +168,54 @@ impl Feed for SocketFeed {
     }
 }
 
-impl Drop for SocketFeed {
-    /// Ends the session and waits for its polite goodbye.
+impl Drop for ServerStream {
+    /// Ends the session and waits for the closing handshake.
     fn drop(&mut self) {
         self.events = None;
         if let Some(thread) = self.thread.take() {
-            // A panic there was reported there.
+            // A panic was reported by the thread.
             let _ = thread.join();
         }
     }
 }
 
 /// Why a session ended.
-enum Ended {
+enum SessionEnd {
     /// The viewer is closing.
-    Abandoned,
+    Closing,
     /// Anything else.
     Lost {
         cause: String,
         /// Whether another attempt can help.
         retry: bool,
-        /// The delay that the server asked for.
+        /// Delay requested by the server.
         hint: Option<Duration>,
     },
 }
 
-fn lost(cause: impl Into<String>, retry: bool) -> Ended {
-    Ended::Lost { cause: cause.into(), retry, hint: None }
+fn lost(cause: impl Into<String>, retry: bool) -> SessionEnd {
+    SessionEnd::Lost { cause: cause.into(), retry, hint: None }
 }
 
 type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 
 struct Worker {
     settings: Settings,
-    events: mpsc::Sender<FeedEvent>,
+    events: mpsc::Sender<StreamEvent>,
     commands: mpsc::Receiver<Command>,
     counters: Arc<Counters>,
 }
 
 impl Worker {
     async fn run(mut self) {
-        let mut backoff = Backoff::new(u64::from(std::process::id()) << 20);
+        let mut backoff =
+            Backoff::new(FIRST_RETRY_DELAY, MAX_RETRY_DELAY, u64::from(std::process::id()) << 20);
         loop {
             let ended = self.session(&mut backoff).await;
             self.counters.credits.store(0, Ordering::Relaxed);
-            let Ended::Lost { cause, retry, hint } = ended else { return };
+            let SessionEnd::Lost { cause, retry, hint } = ended else { return };
             let delay = retry.then(|| hint.unwrap_or_default().max(backoff.next_delay()));
-            if self.tell(FeedEvent::Disconnected { cause, retry: delay }).await.is_err() {
+            if self.send_event(StreamEvent::Disconnected { cause, retry: delay }).await.is_err() {
                 return;
             }
             let Some(delay) = delay else { return };
@@ -222,10 +227,10 @@ impl Worker {
     }
 
     /// One session, from the connection to its end.
-    async fn session(&mut self, backoff: &mut Backoff) -> Ended {
+    async fn session(&mut self, backoff: &mut Backoff) -> SessionEnd {
         let connected = tokio::select! {
-            connected = timeout(CONNECT_LIMIT, connect(&self.settings.url)) => connected,
-            () = self.events.closed() => return Ended::Abandoned,
+            connected = timeout(CONNECT_TIMEOUT, connect(&self.settings.url)) => connected,
+            () = self.events.closed() => return SessionEnd::Closing,
         };
         let mut socket = match connected {
             Ok(Ok(socket)) => socket,
@@ -234,7 +239,7 @@ impl Worker {
                 return lost(format!("{} does not answer: check host and port", self.settings.url), true);
             }
         };
-        // What was meant for the previous session.
+        // Commands for the previous session.
         while self.commands.try_recv().is_ok() {}
         let mut session = ClientSession::new(ClientConfig {
             digest: self.settings.digest,
@@ -243,28 +248,28 @@ impl Worker {
             software: concat!("tombolo-view ", env!("CARGO_PKG_VERSION")).into(),
             window: WINDOW,
         });
-        let ended = self.converse(&mut socket, &mut session, backoff).await;
+        let ended = self.run_session(&mut socket, &mut session, backoff).await;
         let code = match &ended {
-            Ok(Ended::Abandoned) => CloseCode::Normal,
-            Ok(Ended::Lost { .. }) => return ended.unwrap_or(Ended::Abandoned),
+            Ok(SessionEnd::Closing) => CloseCode::Normal,
+            Ok(SessionEnd::Lost { .. }) => return ended.unwrap_or(SessionEnd::Closing),
             Err(fault) => fault.close_code(),
         };
         let frame = ws::CloseFrame { code: code.code().into(), reason: "".into() };
-        // Politeness has a limit, and its failure changes nothing.
-        let _ = timeout(CLOSE_LIMIT, socket.close(Some(frame))).await;
+        // Best effort: a failed closing handshake changes nothing.
+        let _ = timeout(CLOSE_TIMEOUT, socket.close(Some(frame))).await;
         ended.unwrap_or_else(|fault| {
             let cause = format!("{}: {fault}", self.settings.url);
             lost(cause, code.is_retryable())
         })
     }
 
-    async fn converse(
+    async fn run_session(
         &mut self,
         socket: &mut Socket,
         session: &mut ClientSession,
         backoff: &mut Backoff,
-    ) -> Result<Ended, protocol::PeerFault> {
-        let mut heard = Instant::now();
+    ) -> Result<SessionEnd, protocol::PeerFault> {
+        let mut last_received = Instant::now();
         let mut pings = tokio::time::interval(PING_INTERVAL);
         let mut hint = None;
         loop {
@@ -284,28 +289,28 @@ impl Worker {
                         Some(Command::View(view)) => session.set_view(view),
                         Some(Command::Release(keys)) => session.release(&keys),
                         Some(Command::Holding(keys)) => session.holding(&keys),
-                        None => return Ok(Ended::Abandoned),
+                        None => return Ok(SessionEnd::Closing),
                     }
                     continue;
                 }
                 _ = pings.tick() => {
-                    if heard.elapsed() > SILENCE_LIMIT {
-                        return Ok(lost(format!("{} went silent", self.settings.url), true));
+                    if last_received.elapsed() > IDLE_TIMEOUT {
+                        return Ok(lost(format!("{} sent nothing for too long: the connection was given up", self.settings.url), true));
                     }
                     if let Err(error) = socket.feed(Message::Ping(bytes::Bytes::new())).await {
                         return Ok(self.broken(&error, hint));
                     }
                     continue;
                 }
-                () = self.events.closed() => return Ok(Ended::Abandoned),
+                () = self.events.closed() => return Ok(SessionEnd::Closing),
             };
-            heard = Instant::now();
+            last_received = Instant::now();
             let event = match message {
                 Some(Ok(Message::Binary(frame))) => {
                     self.counters.bytes.fetch_add(frame.len() as u64, Ordering::Relaxed);
-                    session.receive(Incoming::Binary(&frame))?
+                    session.receive(DataFrame::Binary(&frame))?
                 }
-                Some(Ok(Message::Text(_))) => session.receive(Incoming::Text)?,
+                Some(Ok(Message::Text(_))) => session.receive(DataFrame::Text)?,
                 Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => continue,
                 Some(Ok(Message::Close(frame))) => return Ok(self.closed(frame.as_ref(), hint)),
                 Some(Err(error)) => return Ok(self.broken(&error, hint)),
@@ -315,27 +320,27 @@ impl Worker {
                 Event::Welcome(welcome) => {
                     backoff.reset();
                     let world = WorldDigest(welcome.digest);
-                    FeedEvent::Connected { world, world_seed: welcome.world_seed, server: welcome.software }
+                    StreamEvent::Connected { world, world_seed: welcome.world_seed, server: welcome.software }
                 }
-                Event::Chunk { chunk, .. } => FeedEvent::Chunk(chunk),
-                Event::Settled { view, .. } => FeedEvent::Settled { view },
-                Event::Refused(refused) => FeedEvent::Refused { detail: refused.detail.into_owned() },
+                Event::Chunk { chunk, .. } => StreamEvent::Chunk(chunk),
+                Event::Settled { view, .. } => StreamEvent::Settled { view },
+                Event::Refused(refused) => StreamEvent::Refused { detail: refused.detail.into_owned() },
                 Event::Draining { reconnect_after_ms } => {
                     hint = Some(Duration::from_millis(reconnect_after_ms.into()));
                     continue;
                 }
             };
-            if self.tell(event).await.is_err() {
-                return Ok(Ended::Abandoned);
+            if self.send_event(event).await.is_err() {
+                return Ok(SessionEnd::Closing);
             }
         }
     }
 
-    async fn tell(&self, event: FeedEvent) -> Result<(), mpsc::error::SendError<FeedEvent>> {
+    async fn send_event(&self, event: StreamEvent) -> Result<(), mpsc::error::SendError<StreamEvent>> {
         self.events.send(event).await
     }
 
-    fn not_connected(&self, error: &tungstenite::Error) -> Ended {
+    fn not_connected(&self, error: &tungstenite::Error) -> SessionEnd {
         let url = &self.settings.url;
         match error {
             tungstenite::Error::Http(response) => {
@@ -349,14 +354,14 @@ impl Worker {
                 ),
                 true,
             ),
-            other => lost(format!("{url} is no Tombolo stream: {other}"), false),
+            other => lost(format!("{url} is not a Tombolo stream: {other}"), false),
         }
     }
 
-    fn closed(&self, frame: Option<&ws::CloseFrame>, hint: Option<Duration>) -> Ended {
+    fn closed(&self, frame: Option<&ws::CloseFrame>, hint: Option<Duration>) -> SessionEnd {
         let url = &self.settings.url;
         let Some(frame) = frame else {
-            return Ended::Lost { cause: format!("{url} closed the connection"), retry: true, hint };
+            return SessionEnd::Lost { cause: format!("{url} closed the connection"), retry: true, hint };
         };
         let number = u16::from(frame.code);
         let code = CloseCode::from_code(number);
@@ -365,13 +370,13 @@ impl Worker {
             "" => format!("{url} closed the connection: {words}"),
             reason => format!("{url} closed the connection: {words}: {reason}"),
         };
-        // An unknown code comes from something between us and the server: worth another attempt.
+        // An unknown code comes from an intermediary: another attempt may help.
         let retry = code.is_none_or(|code| code.is_retryable() || code == CloseCode::Normal);
-        Ended::Lost { cause, retry, hint }
+        SessionEnd::Lost { cause, retry, hint }
     }
 
-    fn broken(&self, error: &tungstenite::Error, hint: Option<Duration>) -> Ended {
-        Ended::Lost { cause: format!("lost {}: {error}", self.settings.url), retry: true, hint }
+    fn broken(&self, error: &tungstenite::Error, hint: Option<Duration>) -> SessionEnd {
+        SessionEnd::Lost { cause: format!("lost {}: {error}", self.settings.url), retry: true, hint }
     }
 }
 
@@ -380,7 +385,7 @@ async fn connect(url: &Uri) -> Result<Socket, tungstenite::Error> {
     let config = ws::WebSocketConfig::default()
         .max_message_size(Some(MAX_SERVER_FRAME))
         .max_frame_size(Some(MAX_SERVER_FRAME));
-    // Small control frames must not wait for company.
+    // Small control frames must not be delayed.
     let disable_nagle = true;
     Ok(connect_async_with_config(request, Some(config), disable_nagle).await?.0)
 }
@@ -389,7 +394,7 @@ async fn connect(url: &Uri) -> Result<Socket, tungstenite::Error> {
 mod tests {
     use super::*;
 
-    fn poll_until(feed: &mut SocketFeed, what: impl Fn(&FeedEvent) -> bool) -> FeedEvent {
+    fn poll_until(feed: &mut ServerStream, what: impl Fn(&StreamEvent) -> bool) -> StreamEvent {
         let limit = std::time::Instant::now() + Duration::from_secs(20);
         while std::time::Instant::now() < limit {
             match feed.poll() {
@@ -401,9 +406,9 @@ mod tests {
         panic!("nothing happened");
     }
 
-    fn feed_of(address: std::net::SocketAddr) -> SocketFeed {
+    fn feed_of(address: std::net::SocketAddr) -> ServerStream {
         let url = format!("ws://{address}/v1/stream").parse().unwrap();
-        SocketFeed::connect(Settings::new(url)).unwrap()
+        ServerStream::connect(Settings::new(url)).unwrap()
     }
 
     #[test]
@@ -412,8 +417,8 @@ mod tests {
         let address = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let mut feed = feed_of(address);
         for _ in 0..2 {
-            let event = poll_until(&mut feed, |event| matches!(event, FeedEvent::Disconnected { .. }));
-            let FeedEvent::Disconnected { cause, retry } = event else { unreachable!() };
+            let event = poll_until(&mut feed, |event| matches!(event, StreamEvent::Disconnected { .. }));
+            let StreamEvent::Disconnected { cause, retry } = event else { unreachable!() };
             assert!(cause.contains(&address.to_string()) && cause.contains("--connect"), "{cause}");
             assert!(retry.is_some());
         }
@@ -431,8 +436,8 @@ mod tests {
             socket.write_all(b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n").unwrap();
         });
         let mut feed = feed_of(address);
-        let event = poll_until(&mut feed, |event| matches!(event, FeedEvent::Disconnected { .. }));
-        let FeedEvent::Disconnected { cause, retry } = event else { unreachable!() };
+        let event = poll_until(&mut feed, |event| matches!(event, StreamEvent::Disconnected { .. }));
+        let StreamEvent::Disconnected { cause, retry } = event else { unreachable!() };
         assert!(cause.contains("404") && retry.is_none(), "{cause}");
         server.join().unwrap();
     }

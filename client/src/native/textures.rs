@@ -1,11 +1,10 @@
 //! `--textures`: a folder of images becomes material sets.
 //!
-//! Every file that is bad or missing is named in one line with what is used instead; none of them
-//! is a reason to stop. An image is never trusted: its size and the memory of its decoder are
-//! limited before anything is allocated.
+//! Each invalid or missing file gives a one-line warning with its substitute; none is an error.
+//! Images are untrusted: size and decoder memory are limited before allocation.
 
+use crate::features::materials::{CustomMaterial, CustomMaterials, MATERIAL_SIZE, MATERIAL_TEXELS};
 use crate::native::args::Args;
-use crate::render::materials::{MATERIAL_SIZE, MATERIAL_TEXELS, OwnMaterial, OwnMaterials};
 use anyhow::Context as _;
 use image::{DynamicImage, ImageReader, Limits};
 use shaders::layout::{BakeTexel, MATERIALS};
@@ -21,7 +20,7 @@ const MAX_BYTES: u64 = 512 << 20;
 /// Squares of the checker along a side.
 const CHECKS: usize = 16;
 
-/// What an image of a set says.
+/// The maps of a set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Map {
     Albedo,
@@ -34,8 +33,7 @@ enum Map {
 impl Map {
     const ALL: [Self; 5] = [Self::Albedo, Self::Normal, Self::Height, Self::Roughness, Self::Occlusion];
 
-    /// What its files are called after the name of the set and an underscore; the first name is the
-    /// usual one.
+    /// File name suffixes after the set name and an underscore; the first one is preferred.
     const fn names(self) -> &'static [&'static str] {
         match self {
             Self::Albedo => &["albedo", "basecolor", "base_color", "diffuse", "diff", "color", "col"],
@@ -46,7 +44,7 @@ impl Map {
         }
     }
 
-    /// What stands in for it.
+    /// Substitute for a missing map.
     const fn substitute(self) -> &'static str {
         match self {
             Self::Albedo => "a checker",
@@ -58,41 +56,40 @@ impl Map {
     }
 }
 
-/// The sets that the options name; complaints go to standard error.
+/// The sets of the options; warnings go to standard error.
 ///
 /// # Errors
 /// The folder itself cannot be read.
-pub fn own(args: &Args) -> anyhow::Result<OwnMaterials> {
-    let Some(folder) = &args.textures else { return Ok(OwnMaterials::default()) };
-    let (materials, complaints) = load(folder)?;
-    for complaint in complaints {
-        eprintln!("{complaint}");
+pub fn custom_materials(args: &Args) -> anyhow::Result<CustomMaterials> {
+    let Some(folder) = &args.textures else { return Ok(CustomMaterials::default()) };
+    let (materials, warnings) = load(folder)?;
+    for warning in warnings {
+        eprintln!("{warning}");
     }
     Ok(materials)
 }
 
-/// Reads a folder: the sets with at least one file, and a line for each file that is bad or
-/// missing.
+/// Reads a folder: the sets with at least one file, and a warning for each invalid or missing file.
 ///
 /// # Errors
 /// The folder itself cannot be read.
-pub fn load(folder: &Path) -> anyhow::Result<(OwnMaterials, Vec<String>)> {
+pub fn load(folder: &Path) -> anyhow::Result<(CustomMaterials, Vec<String>)> {
     let unreadable = || {
         format!("cannot read --textures {}: name a folder of files such as sand_albedo.png", folder.display())
     };
     let mut files: [BTreeMap<Map, PathBuf>; MATERIALS.len()] = Default::default();
-    let mut complaints = Vec::new();
+    let mut warnings = Vec::new();
     let mut paths = Vec::new();
     for entry in std::fs::read_dir(folder).with_context(unreadable)? {
         paths.push(entry.with_context(unreadable)?.path());
     }
-    // Folders list in any order; which of two files for one map is taken must not depend on it.
+    // Directory order is arbitrary; the selected file must not depend on it.
     paths.sort();
     for path in paths {
-        let Some((material, map)) = meaning(&path) else { continue };
+        let Some((material, map)) = classify(&path) else { continue };
         if let Some(taken) = files[material].get(&map) {
-            complaints.push(format!(
-                "{}: {} says the same, which is used",
+            warnings.push(format!(
+                "{}: {} is another file for this map and is used",
                 path.display(),
                 taken.file_name().unwrap_or_default().display()
             ));
@@ -101,8 +98,8 @@ pub fn load(folder: &Path) -> anyhow::Result<(OwnMaterials, Vec<String>)> {
         }
     }
     if files.iter().all(BTreeMap::is_empty) {
-        complaints.push(format!(
-            "{}: no file is named like sand_albedo.png (--help has all names), using no own materials",
+        warnings.push(format!(
+            "{}: no file is named like sand_albedo.png (--help has all names), using no custom materials",
             folder.display()
         ));
     }
@@ -110,13 +107,13 @@ pub fn load(folder: &Path) -> anyhow::Result<(OwnMaterials, Vec<String>)> {
     let materials = files.map(|files| {
         let name = MATERIALS[index];
         index += 1;
-        (!files.is_empty()).then(|| assemble(folder, name, &files, &mut complaints))
+        (!files.is_empty()).then(|| assemble(folder, name, &files, &mut warnings))
     });
-    Ok((OwnMaterials::new(materials), complaints))
+    Ok((CustomMaterials::new(materials), warnings))
 }
 
-/// Which map of which set a file is, by its name; case does not matter.
-fn meaning(path: &Path) -> Option<(usize, Map)> {
+/// Set and map of a file name; case-insensitive.
+fn classify(path: &Path) -> Option<(usize, Map)> {
     let stem = path.file_stem()?.to_str()?.to_ascii_lowercase().replace('-', "_");
     let extension = path.extension()?.to_str()?.to_ascii_lowercase();
     if extension != "png" {
@@ -129,23 +126,23 @@ fn meaning(path: &Path) -> Option<(usize, Map)> {
     })
 }
 
-/// One set from its files. What is missing or bad is replaced and said.
+/// Builds a set from its files, with substitutes for missing maps.
 fn assemble(
     folder: &Path,
     material: &str,
     files: &BTreeMap<Map, PathBuf>,
-    complaints: &mut Vec<String>,
-) -> OwnMaterial {
+    warnings: &mut Vec<String>,
+) -> CustomMaterial {
     let mut read = |map: Map| {
         let Some(path) = files.get(&map) else {
             let path = folder.join(format!("{material}_{}.png", map.names()[0]));
-            complaints.push(format!("{}: there is no such file, using {}", path.display(), map.substitute()));
+            warnings.push(format!("{}: the file does not exist, using {}", path.display(), map.substitute()));
             return None;
         };
         match decode(path) {
             Ok(image) => Some(resampled(&image, map == Map::Albedo)),
             Err(cause) => {
-                complaints.push(format!("{}: {cause}, using {}", path.display(), map.substitute()));
+                warnings.push(format!("{}: {cause}, using {}", path.display(), map.substitute()));
                 None
             }
         }
@@ -164,22 +161,21 @@ fn assemble(
             occlusion: grey(&occlusion, 1.0),
         }
     });
-    OwnMaterial {
+    CustomMaterial {
         texels: texels.collect(),
         normals_given: normal.is_some(),
         occlusion_given: occlusion.is_some(),
     }
 }
 
-/// Magenta and black squares: nobody overlooks them.
+/// Magenta and black squares, easy to notice.
 fn checker(at: usize) -> [f32; 3] {
     let side = MATERIAL_SIZE as usize;
-    let square = |place: usize| place * CHECKS / side;
-    if (square(at % side) + square(at / side)).is_multiple_of(2) { [0.8, 0.0, 0.8] } else { [0.02; 3] }
+    let grid = |place: usize| place * CHECKS / side;
+    if (grid(at % side) + grid(at / side)).is_multiple_of(2) { [0.8, 0.0, 0.8] } else { [0.02; 3] }
 }
 
-/// The horizontal part of an encoded normal, made unit where filtering or the file has shortened
-/// it.
+/// The horizontal part of an encoded normal, normalized after filtering.
 fn unit_part(encoded: [f32; 3]) -> [f32; 2] {
     let [x, y, z] = encoded.map(|channel| channel.mul_add(2.0, -1.0));
     let z = z.max(0.05);
@@ -187,7 +183,7 @@ fn unit_part(encoded: [f32; 3]) -> [f32; 2] {
     [x / length, -y / length]
 }
 
-/// Decodes within limits. The cause of a failure is one line.
+/// Decodes an image within limits. Errors are one line.
 fn decode(path: &Path) -> Result<DynamicImage, String> {
     let one_line = |error: &dyn std::fmt::Display| error.to_string().replace('\n', " ");
     let mut reader = ImageReader::open(path).map_err(|error| one_line(&error))?;
@@ -204,13 +200,12 @@ fn decode(path: &Path) -> Result<DynamicImage, String> {
     Ok(image)
 }
 
-/// Pixels in [0, 1] at the size of the textures; `colour` ones are decoded from sRGB first.
-/// Averages where the image is larger, interpolates where it is smaller; opposite edges meet,
-/// because a texture repeats.
+/// Pixels in [0, 1] at texture size; `colour` ones are decoded from sRGB first. Averages larger
+/// images, interpolates smaller ones; edges wrap, because textures repeat.
 fn resampled(image: &DynamicImage, colour: bool) -> Vec<[f32; 3]> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let side = MATERIAL_SIZE as usize;
-    // Row by row, so that no second copy of a large image is made as floats.
+    // Row by row, to avoid a float copy of a large image.
     let pixel = |x: usize, y: usize| -> [f32; 3] {
         let (x, y) = ((x % width) as u32, (y % height) as u32);
         let channels = match image {
@@ -253,12 +248,12 @@ fn three<T: Copy>([a, b, c, _]: [T; 4]) -> [T; 3] {
     [a, b, c]
 }
 
-/// For each of `to` places: which of `from` samples count there, and how much; shares sum to 1.
+/// Filter taps: for each of `to` positions the samples of `from` and their weights, which sum to 1.
 fn taps(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
     let scale = from as f64 / to as f64;
     let place = |index: usize| {
         let centre = (index as f64 + 0.5) * scale - 0.5;
-        // A tent as wide as the coarser of both grids: interpolation upward, an average downward.
+        // A tent filter as wide as the coarser grid: interpolates upward, averages downward.
         let radius = scale.max(1.0);
         let low = (centre - radius).ceil() as i64;
         let high = (centre + radius).floor() as i64;
@@ -271,7 +266,7 @@ fn taps(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
     (0..to).map(place).collect()
 }
 
-/// The sRGB transfer function (IEC 61966-2-1), undone.
+/// The inverse sRGB transfer function (IEC 61966-2-1).
 fn linear(encoded: f32) -> f32 {
     if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
 }
@@ -302,7 +297,7 @@ mod tests {
         }
     }
 
-    fn material<'a>(own: &'a OwnMaterials, name: &str) -> Option<&'a OwnMaterial> {
+    fn material<'a>(own: &'a CustomMaterials, name: &str) -> Option<&'a CustomMaterial> {
         own[MATERIALS.iter().position(|known| *known == name).unwrap()].as_ref()
     }
 
@@ -321,8 +316,8 @@ mod tests {
     fn a_complete_set_of_any_size_and_depth_is_taken_without_a_word() {
         let folder = Folder::new("complete");
         complete(&folder);
-        let (own, complaints) = load(&folder.0).unwrap();
-        assert_eq!(complaints, Vec::<String>::new());
+        let (own, warnings) = load(&folder.0).unwrap();
+        assert_eq!(warnings, Vec::<String>::new());
         assert_eq!(own.iter().flatten().count(), 1, "the other sets stay procedural");
         let sand = material(&own, "sand").unwrap();
         assert!(sand.normals_given && sand.occlusion_given && sand.texels.len() == MATERIAL_TEXELS);
@@ -348,25 +343,25 @@ mod tests {
         std::fs::create_dir(folder.path("cobbles_albedo.png")).unwrap();
         GrayImage::from_pixel(1, 1, Luma([9])).save(folder.path("thicket_height.png")).unwrap();
         std::fs::write(folder.path("notes.txt"), b"not asked for").unwrap();
-        let (own, complaints) = load(&folder.0).unwrap();
+        let (own, warnings) = load(&folder.0).unwrap();
         for name in ["cliff", "scree", "meadow", "cobbles", "thicket"] {
             let own = material(&own, name).unwrap();
             let colours: std::collections::BTreeSet<_> =
                 own.texels.iter().map(|texel| texel.albedo.map(f32::to_bits)).collect();
             assert_eq!(colours.len(), 2, "{name} is no checker");
-            let said = complaints.iter().filter(|line| line.contains(&format!("{name}_")));
+            let said = warnings.iter().filter(|line| line.contains(&format!("{name}_")));
             // Every map but the one height that is good.
-            assert_eq!(said.count(), if name == "thicket" { 4 } else { 5 }, "{complaints:?}");
+            assert_eq!(said.count(), if name == "thicket" { 4 } else { 5 }, "{warnings:?}");
         }
         assert!(material(&own, "dry_grass").is_none());
         assert!(
-            complaints.iter().all(|line| !line.contains('\n') && line.contains(", using ")),
-            "{complaints:?}"
+            warnings.iter().all(|line| !line.contains('\n') && line.contains(", using ")),
+            "{warnings:?}"
         );
         assert!(
-            complaints
+            warnings
                 .iter()
-                .any(|line| line.contains("thicket_albedo.png: there is no such file, using a checker"))
+                .any(|line| line.contains("thicket_albedo.png: the file does not exist, using a checker"))
         );
         let sand = material(&own, "sand").unwrap();
         assert_ne!(sand.texels[0].albedo, checker(0), "the control: a good albedo is no checker");
@@ -387,8 +382,8 @@ mod tests {
         });
         claim[29..33].copy_from_slice(&crc.to_be_bytes());
         std::fs::write(folder.path("sand_BaseColor.png"), claim).unwrap();
-        let (own, complaints) = load(&folder.0).unwrap();
-        assert!(complaints.len() == 1 && complaints[0].contains("sand_BaseColor.png"), "{complaints:?}");
+        let (own, warnings) = load(&folder.0).unwrap();
+        assert!(warnings.len() == 1 && warnings[0].contains("sand_BaseColor.png"), "{warnings:?}");
         assert_eq!(material(&own, "sand").unwrap().texels[0].albedo, checker(0));
     }
 
@@ -396,9 +391,9 @@ mod tests {
     fn a_folder_without_a_known_name_is_said_and_changes_nothing() {
         let folder = Folder::new("strange");
         std::fs::write(folder.path("lava_albedo.png"), b"no known set").unwrap();
-        let (own, complaints) = load(&folder.0).unwrap();
+        let (own, warnings) = load(&folder.0).unwrap();
         assert_eq!(own.iter().flatten().count(), 0);
-        assert!(complaints.len() == 1 && complaints[0].contains("like sand_albedo.png"), "{complaints:?}");
+        assert!(warnings.len() == 1 && warnings[0].contains("like sand_albedo.png"), "{warnings:?}");
     }
 
     #[test]
@@ -413,12 +408,12 @@ mod tests {
         for name in ["sand_albedo.png", "sand_color.png"] {
             RgbImage::from_pixel(1, 1, Rgb([1, 2, 3])).save(folder.path(name)).unwrap();
         }
-        let (_, complaints) = load(&folder.0).unwrap();
+        let (_, warnings) = load(&folder.0).unwrap();
         assert!(
-            complaints[0].contains("sand_color.png") && complaints[0].contains("sand_albedo.png"),
-            "{complaints:?}"
+            warnings[0].contains("sand_color.png") && warnings[0].contains("sand_albedo.png"),
+            "{warnings:?}"
         );
-        let known = |name: &str| meaning(Path::new(name)).map(|(at, map)| (MATERIALS[at], map));
+        let known = |name: &str| classify(Path::new(name)).map(|(at, map)| (MATERIALS[at], map));
         assert_eq!(known("Dry_Grass-Normal.PNG"), Some(("dry_grass", Map::Normal)));
         assert_eq!(known("sand.png"), None);
         assert_eq!(known("lava_albedo.png"), None);

@@ -1,10 +1,10 @@
-//! Keys and mouse to camera movement: flying, circling, and staying above the ground.
+//! Keyboard and mouse control of the camera: flying, orbiting, and staying above the ground.
 
 use crate::camera::{Fly, Orbit, Pose, Steering};
 use winit::event::{ElementState, MouseButton, MouseScrollDelta};
 use winit::keyboard::KeyCode;
 
-/// Flying speed to begin with, metres a second.
+/// Initial flying speed, metres a second.
 const START_SPEED_M: f64 = 120.0;
 /// Range of the flying speed.
 const SPEED_M: std::ops::RangeInclusive<f64> = 0.5..=5000.0;
@@ -14,16 +14,16 @@ const BOOST: f64 = 5.0;
 const NOTCH: f64 = 1.25;
 /// Degrees of turn for one pixel of drag.
 const DRAG_DEG: f64 = 0.15;
-/// How close the eye may come to the ground or the sea, metres.
+/// Least height above ground and sea, metres.
 const CLEARANCE_M: f64 = 2.0;
-/// Nearest that the camera circles over land, metres.
+/// Smallest orbit radius over land, metres.
 const NEAREST_M: f64 = 100.0;
-/// Flying speed and nearest circle where all there is fits into a room, metres a second and metres.
+/// Flying speed and smallest orbit radius in an indoor scene, metres a second and metres.
 const INDOORS: (f64, f64) = (2.5, 0.5);
-/// Circling speed if none was asked for, degrees a second.
+/// Default orbit speed, degrees a second.
 const ORBIT_DEG: f64 = 3.0;
 
-/// The camera of the window and what moves it.
+/// The camera of the window and its controls.
 #[derive(Debug)]
 pub struct Controls {
     fly: Fly,
@@ -31,7 +31,7 @@ pub struct Controls {
     orbit_deg_per_s: f64,
     orbit_radius_m: f64,
     nearest_m: f64,
-    /// Whether ground and sea keep the camera above them.
+    /// Whether the camera stays above ground and sea.
     is_grounded: bool,
     held: Held,
     dragging: bool,
@@ -69,8 +69,8 @@ impl Controls {
         }
     }
 
-    /// The same in a scene as small as a room: slower, closer, and under the floor as well. Circles
-    /// from the start, at rest if no speed was asked for.
+    /// [`Controls::new`] in an indoor scene: slower, closer, and allowed below the floor. Orbits
+    /// from the start, with speed 0 by default.
     #[must_use]
     pub fn indoors(pose: Pose, orbit_deg_per_s: Option<f64>, orbit_radius_m: f64) -> Self {
         let mut controls = Self::new(pose, Some(orbit_deg_per_s.unwrap_or(0.0)), orbit_radius_m);
@@ -91,7 +91,7 @@ impl Controls {
         self.fly.speed_m
     }
 
-    /// Whether the camera circles.
+    /// Whether the camera orbits.
     #[must_use]
     pub fn is_orbiting(&self) -> bool {
         self.orbit.is_some()
@@ -138,7 +138,7 @@ impl Controls {
         self.fly.speed_m = (self.fly.speed_m * NOTCH.powf(notches)).clamp(*SPEED_M.start(), *SPEED_M.end());
     }
 
-    /// The window lost the keyboard: no key's release will be heard.
+    /// The window lost the keyboard focus: key releases will be missed.
     pub fn release_all(&mut self) {
         self.held = Held::default();
         self.dragging = false;

@@ -1,28 +1,31 @@
-//! The window: winit's event loop around a voyage, a renderer and a panel.
+//! The window: winit's event loop with a streamer, a renderer and a panel.
 
 pub mod controls;
 pub mod overlay;
 pub mod panel;
 
-use crate::camera::Lens;
-use crate::feed::Feed;
-use crate::frame::{Shot, TRIANGLES_PER_INSTANCE};
+use crate::cache::ChunkCache;
+use crate::cache::SLOT_BYTES;
+use crate::camera::Projection;
+use crate::features::terrain::pool::ChunkPool;
+use crate::features::terrain_shadow::pass::PER_FRAME;
+use crate::features::vegetation::gpu_cull::CullStats;
+use crate::frame::TRIANGLES_PER_INSTANCE;
+use crate::gpu;
+use crate::gpu::Gpu;
+use crate::gpu::surface::{NextTexture, WindowSurface};
 use crate::native::args::Args;
-use crate::native::shot::{feed, write_stats};
+use crate::native::screenshot::{open_stream, write_stats};
 use crate::native::textures;
-use crate::render::cast::PER_FRAME;
-use crate::render::cull::Told;
-use crate::render::pool::ChunkPool;
-use crate::render::surface::{NextTexture, WindowSurface};
-use crate::render::{Gpu, RenderOptions, Renderer, gpu};
+use crate::renderer::{RenderOptions, Renderer};
 use crate::stats::{FrameTimes, Stats};
-use crate::voyage::Voyage;
-use crate::world::World;
-use crate::world::resident::SLOT_BYTES;
+use crate::stream::ChunkStream;
+use crate::stream::streamer::WorldStreamer;
+use crate::view::ViewParams;
 use anyhow::{Context as _, anyhow};
 use controls::Controls;
 use overlay::Overlay;
-use panel::{Knobs, Readings};
+use panel::{Readings, ViewSettings};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use winit::application::ApplicationHandler;
@@ -31,27 +34,26 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, OwnedDisplayHan
 use winit::keyboard::{KeyCode, PhysicalKey};
 use winit::window::{Window, WindowId};
 
-/// Chunks taken in per frame: about 2 ms of uploads, so that a burst of arrivals does not stutter.
+/// Chunks inserted per frame: about 2 ms of uploads, so that bursts do not drop frames.
 const ARRIVALS_PER_FRAME: usize = 48;
 
-/// How long finer land takes to grow out of coarser land: long enough not to be seen as a jump,
-/// short enough not to be waited for.
+/// Fade-in time of finer chunks: long enough to hide popping, short enough not to be noticed.
 const ARRIVAL_FADE: Duration = Duration::from_millis(250);
 
-/// How long to leave a window alone that cannot be drawn into.
+/// Pause while a window cannot be drawn into.
 const HIDDEN_PAUSE: Duration = Duration::from_millis(50);
 
-/// Frames between two counts of the plants: reading one back waits for the GPU.
-const PLANTS_HEARD_EVERY: usize = 60;
+/// Frames between two reads of the culling counts: a read waits for the GPU.
+const CULL_STATS_INTERVAL: usize = 60;
 
-/// A longer step would jump; the camera pauses instead.
+/// Longest camera step; a longer one would jump.
 const LONGEST_STEP: Duration = Duration::from_millis(200);
 
 /// Opens the window and runs until it is closed.
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     let event_loop = EventLoop::new().map_err(|_| {
-        // The cause that winit gives names its own source file; on every system it means this.
-        anyhow!("no display to open a window on: set DISPLAY or WAYLAND_DISPLAY, or draw into a file with --shot FILE.png")
+        // winit's cause names its source file; on every system it means this.
+        anyhow!("no display to open a window on: set DISPLAY or WAYLAND_DISPLAY, or draw into a file with --view_params FILE.png")
     })?;
     let mut app = App {
         args: args.clone(),
@@ -79,34 +81,34 @@ struct App {
     failure: Option<anyhow::Error>,
 }
 
-/// Everything that exists while the window does.
+/// State while the window exists.
 struct Running {
     window: Arc<Window>,
     gpu: Gpu,
     surface: WindowSurface,
     renderer: Renderer,
     overlay: Overlay,
-    voyage: Voyage<Box<dyn Feed>>,
+    streamer: WorldStreamer<Box<dyn ChunkStream>>,
     controls: Controls,
-    knobs: Knobs,
+    settings: ViewSettings,
     args: Args,
     adapter: String,
     slots: u32,
     show_panel: bool,
     times: FrameTimes,
     frames: usize,
-    first_picture: Option<Duration>,
+    first_image: Option<Duration>,
     drawn: usize,
     instances: usize,
-    /// What was last heard of the plants.
-    plants: Told,
+    /// Last culling counts.
+    plants: CullStats,
     started: Instant,
     last: Instant,
-    /// Nothing is drawn before this.
+    /// No frame before this time.
     resume_at: Instant,
 }
 
-/// Whether to go on after a frame.
+/// What to do after a frame.
 enum After {
     Continue,
     Quit,
@@ -168,11 +170,12 @@ impl Running {
         let instance = gpu::instance(Some(Box::new(display)));
         let surface = instance
             .create_surface(Arc::clone(&window))
-            .context("cannot draw into this window: draw into a file with --shot FILE.png")?;
+            .context("cannot draw into this window: draw into a file with --view_params FILE.png")?;
         let gpu = pollster::block_on(Gpu::open(instance, Some(&surface)))?;
         let size = window.inner_size();
         let surface = WindowSurface::new(&gpu, surface, (size.width, size.height))?;
-        let slots = ChunkPool::slots_within(&gpu.device.limits(), World::capacity_for(args.chunk_mb << 20));
+        let slots =
+            ChunkPool::slots_within(&gpu.device.limits(), ChunkCache::capacity_for(args.chunk_mb << 20));
         let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let options = RenderOptions {
             scene: args.scene,
@@ -181,21 +184,23 @@ impl Running {
             format: surface.format,
             slots,
         };
-        let feed = feed(args)?;
+        let stream = open_stream(args)?;
         let now = Instant::now();
         Ok(Self {
-            renderer: Renderer::with_materials(&gpu, &options, &textures::own(args)?),
+            renderer: Renderer::with_materials(&gpu, &options, &textures::custom_materials(args)?),
             overlay: Overlay::new(&gpu, &window, surface.format),
-            voyage: Voyage::new(feed, slots).fading(ARRIVAL_FADE).stretched(args.vertical_scale()),
-            controls: if args.scene.is_room() {
+            streamer: WorldStreamer::new(stream, slots)
+                .fading(ARRIVAL_FADE)
+                .with_vertical_scale(args.vertical_scale()),
+            controls: if args.scene.is_indoor() {
                 Controls::indoors(args.pose(), args.orbit, args.scene.orbit_radius_m())
             } else {
                 Controls::new(args.pose(), args.orbit, args.scene.orbit_radius_m())
             },
-            knobs: Knobs {
+            settings: ViewSettings {
                 tolerance_px: args.tolerance,
                 view_distance_m: args.view_distance,
-                looks: args.looks(),
+                render: args.render_settings(),
             },
             args: args.clone(),
             adapter: gpu.name(),
@@ -203,10 +208,10 @@ impl Running {
             show_panel: true,
             times: FrameTimes::default(),
             frames: 0,
-            first_picture: None,
+            first_image: None,
             drawn: 0,
             instances: 0,
-            plants: Told::default(),
+            plants: CullStats::default(),
             started,
             last: now,
             resume_at: now,
@@ -229,7 +234,7 @@ impl Running {
                     match code {
                         KeyCode::Escape => return true,
                         KeyCode::F1 if pressed => self.show_panel = !self.show_panel,
-                        // A release is always heard, or a key would stay down under the panel.
+                        // Key releases always pass, or a key would stay down under the panel.
                         _ if key.repeat || (taken && pressed) => {}
                         _ => self.controls.key(code, key.state),
                     }
@@ -263,61 +268,62 @@ impl Running {
         let step = self.step();
         let (width, height) = self.surface.size();
         self.renderer.resize(&self.gpu, (width, height));
-        let shot = Shot {
+        let view_params = ViewParams {
             pose: self.controls.pose(),
-            lens: Lens { fov_deg: self.args.fov, width, height },
-            view_distance_m: self.knobs.view_distance_m,
-            tolerance_px: self.knobs.tolerance_px,
+            projection: Projection { fov_deg: self.args.fov, width, height },
+            view_distance_m: self.settings.view_distance_m,
+            tolerance_px: self.settings.tolerance_px,
             time_s: self.started.elapsed().as_secs_f32(),
-            looks: self.knobs.looks,
+            settings: self.settings.render,
         };
         let (gpu, renderer) = (&self.gpu, &mut self.renderer);
-        let selection = self
-            .voyage
-            .update(&shot, self.started.elapsed(), ARRIVALS_PER_FRAME, |chunk| renderer.upload(gpu, chunk));
-        let frame = shot.frame(self.args.scene, self.voyage.world(), &selection);
+        let selection =
+            self.streamer.update(&view_params, self.started.elapsed(), ARRIVALS_PER_FRAME, |chunk| {
+                renderer.upload(gpu, chunk)
+            });
+        let frame = view_params.frame(self.args.scene, self.streamer.cache(), &selection);
         (self.drawn, self.instances) = (frame.chunks, frame.instances.len());
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        renderer.cast(gpu, &frame, PER_FRAME, &mut encoder);
+        renderer.trace_shadows(gpu, &frame, PER_FRAME, &mut encoder);
         renderer.draw(gpu, &frame, &mut encoder, &view);
         if self.show_panel {
-            let traffic = self.voyage.feed().traffic();
+            let traffic = self.streamer.stream().traffic();
             let readings = Readings {
                 times: &self.times,
                 drawn: self.drawn,
-                resident: self.voyage.world().len(),
+                resident: self.streamer.cache().len(),
                 capacity: self.slots,
                 triangles: self.instances as u64 * TRIANGLES_PER_INSTANCE,
                 plants: self.plants,
-                wanting: selection.wanting,
+                missing: selection.missing,
                 bytes_received: traffic.bytes_received,
                 delivery: self.args.delivery,
                 credits: traffic.credits,
-                levels: self.voyage.world().level_histogram(),
-                local: self.args.scene.panels(),
-                link: self.voyage.link(),
+                levels: self.streamer.cache().level_histogram(),
+                local: self.args.scene.panel_legend(),
+                link: self.streamer.link(),
                 now: self.started.elapsed(),
-                camera: shot.pose.to_string(),
+                camera: view_params.pose.to_string(),
                 speed_m: self.controls.speed_m(),
                 orbiting: self.controls.is_orbiting(),
-                drawn_tolerance_px: self.voyage.tolerance_px(&shot),
+                drawn_tolerance_px: self.streamer.tolerance_px(&view_params),
                 adapter: &self.adapter,
             };
-            let knobs = &mut self.knobs;
+            let settings = &mut self.settings;
             let painted = self.overlay.run(&self.window, (width, height), |ctx| {
-                panel::show(ctx, &readings, knobs);
+                panel::show(ctx, &readings, settings);
             });
             self.overlay.paint(gpu, painted, &mut encoder, &view);
         }
         gpu.queue.submit([encoder.finish()]);
-        if self.frames.is_multiple_of(PLANTS_HEARD_EVERY) {
-            self.plants = self.hear_of_plants();
+        if self.frames.is_multiple_of(CULL_STATS_INTERVAL) {
+            self.plants = self.read_cull_stats();
         }
         self.window.pre_present_notify();
         gpu.queue.present(texture);
         self.times.push(step);
         self.frames += 1;
-        self.first_picture.get_or_insert_with(|| self.started.elapsed());
+        self.first_image.get_or_insert_with(|| self.started.elapsed());
         let wanted = self.args.frames.is_some_and(|frames| self.frames >= frames as usize);
         Ok(if wanted { After::Quit } else { After::Continue })
     }
@@ -328,21 +334,20 @@ impl Running {
         let step = now - self.last;
         self.last = now;
         let eye = self.controls.pose().eye();
-        let ground_m = self.voyage.world().ground(eye.units[0], eye.units[2]).map(|h| f64::from(h) / 256.0);
+        let ground_m = self.streamer.cache().ground(eye.units[0], eye.units[2]).map(|h| f64::from(h) / 256.0);
         self.controls.step(step.min(LONGEST_STEP).as_secs_f64(), ground_m);
         step
     }
 
-    /// What the choice of plants came to; a GPU that cannot say so will be told of by the next
-    /// frame.
-    fn hear_of_plants(&self) -> Told {
-        let garden = self.renderer.garden().filter(|_| self.knobs.looks.plants.any());
-        garden.and_then(|garden| garden.told(&self.gpu).ok()).unwrap_or_default()
+    /// Reads the culling counts; a failed GPU is reported by the next frame.
+    fn read_cull_stats(&self) -> CullStats {
+        let vegetation = self.renderer.vegetation().filter(|_| self.settings.render.plants.any());
+        vegetation.and_then(|vegetation| vegetation.read_stats(&self.gpu).ok()).unwrap_or_default()
     }
 
     fn stats(&self) -> Stats {
-        let milestones = self.voyage.milestones();
-        let resident = self.voyage.world().len();
+        let milestones = self.streamer.milestones();
+        let resident = self.streamer.cache().len();
         Stats {
             adapter: self.adapter.clone(),
             frames: self.frames,
@@ -353,16 +358,16 @@ impl Running {
             plants_lost: self.plants.clumps_lost,
             gpu_bytes_per_chunk: self.renderer.bytes_per_chunk(),
             delivery: if self.args.scene.is_local() { "none" } else { self.args.delivery.name() },
-            bytes_received: self.voyage.feed().traffic().bytes_received,
+            bytes_received: self.streamer.stream().traffic().bytes_received,
             seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
             seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),
-            seconds_to_first_picture: self.first_picture.map(|at| at.as_secs_f64()),
+            seconds_to_first_picture: self.first_image.map(|at| at.as_secs_f64()),
             frame_ms_p50: self.times.quantile_ms(0.5, usize::MAX),
             frame_ms_p99: self.times.quantile_ms(0.99, usize::MAX),
             chunks_resident: resident,
             chunk_bytes_resident: resident * SLOT_BYTES,
             chunk_bytes_budget: self.slots as usize * SLOT_BYTES,
-            tolerance_px: self.knobs.tolerance_px,
+            tolerance_px: self.settings.tolerance_px,
             camera: self.controls.pose().to_string(),
         }
     }

@@ -1,6 +1,6 @@
-//! The panel's way onto the picture: egui's input, tessellation and paint.
+//! egui over the image of a window.
 
-use crate::render::Gpu;
+use crate::gpu::Gpu;
 use winit::window::Window;
 
 /// egui over the picture of a window.
@@ -18,7 +18,7 @@ pub struct Painted {
 }
 
 impl Overlay {
-    /// egui for a window whose pictures have this format.
+    /// egui for a window with this image format.
     #[must_use]
     pub fn new(gpu: &Gpu, window: &Window, format: wgpu::TextureFormat) -> Self {
         let context = egui::Context::default();
@@ -35,7 +35,7 @@ impl Overlay {
         Self { context, input, painter }
     }
 
-    /// Shows an event to the panel; true if the panel takes it for itself.
+    /// Passes an event to the panel; true if the panel consumed it.
     pub fn takes(&mut self, window: &Window, event: &winit::event::WindowEvent) -> bool {
         self.input.on_window_event(window, event).consumed
     }
@@ -58,7 +58,7 @@ impl Overlay {
         Painted { jobs, textures: output.textures_delta, screen }
     }
 
-    /// Paints it over the picture in `view`.
+    /// Paints the panel over the image in `view`.
     pub fn paint(
         &mut self,
         gpu: &Gpu,
@@ -83,7 +83,7 @@ impl Overlay {
             })],
             ..Default::default()
         });
-        // egui asks for a pass that does not borrow the encoder; nothing else is recorded until it
+        // egui requires a pass that does not borrow the encoder; nothing else is recorded until it
         // ends here.
         self.painter.render(&mut pass.forget_lifetime(), &jobs, &screen);
         for id in textures.free.drain() {

@@ -1,21 +1,21 @@
-//! The panel: numbers of the frame and of the session, and the two sliders that trade detail for
-//! speed.
+//! The panel: numbers of frame and session, and all settings.
 
-use crate::looks::{Diffuse, Looks, Shadows, Show, SunPlace, Tiling, Visibility, WaterTier};
-use crate::plants::{Cull, PlantKnobs};
-use crate::relief::ReliefKnobs;
-use crate::relief::knobs::{Heights, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
-use crate::render::cull::Told;
+use crate::features::pom::PomSettings;
+use crate::features::pom::settings::{Heights, LoopForm, PomMethod, PomShadow, Refine, Silhouette};
+use crate::features::vegetation::gpu_cull::CullStats;
+use crate::features::vegetation::{Cull, VegetationSettings};
+use crate::features::water::WaterTier;
+use crate::settings::{Diffuse, RenderSettings, Shadows, Show, SunPosition, Tiling, Visibility};
 use crate::stats::FrameTimes;
-use crate::voyage::Link;
+use crate::stream::streamer::Link;
 use clap::ValueEnum;
 use protocol::Delivery;
 use std::time::Duration;
 
-/// Frames that the times of the panel look back on.
+/// Window of the displayed frame times.
 const RECENT: usize = 240;
 
-/// What the panel shows.
+/// Displayed values.
 #[derive(Debug)]
 pub struct Readings<'a> {
     /// Times of the latest frames.
@@ -29,18 +29,18 @@ pub struct Readings<'a> {
     /// Triangles of the frame.
     pub triangles: u64,
     /// Clumps of grass and trees.
-    pub plants: Told,
+    pub plants: CullStats,
     /// Chunks drawn coarser than wanted.
-    pub wanting: usize,
+    pub missing: usize,
     /// Bytes received.
     pub bytes_received: u64,
-    /// How chunks come.
+    /// Delivery mode.
     pub delivery: Delivery,
-    /// Credits out.
+    /// Granted credits.
     pub credits: u32,
     /// Resident chunks at each level.
     pub levels: [u32; 17],
-    /// What to say of a scene that has no session.
+    /// Legend of a local scene.
     pub local: Option<&'static str>,
     /// The session.
     pub link: &'a Link,
@@ -52,25 +52,25 @@ pub struct Readings<'a> {
     pub speed_m: f64,
     /// Whether the camera circles.
     pub orbiting: bool,
-    /// The tolerance that is drawn with, pixels.
+    /// The tolerance in use, pixels.
     pub drawn_tolerance_px: f64,
     /// The GPU.
     pub adapter: &'a str,
 }
 
-/// What the panel changes.
+/// Settings that the panel edits.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Knobs {
+pub struct ViewSettings {
     /// Tolerated screen error, pixels.
     pub tolerance_px: f64,
     /// View distance, metres.
     pub view_distance_m: u32,
     /// Knobs of the picture.
-    pub looks: Looks,
+    pub render: RenderSettings,
 }
 
 /// Lays the panel out.
-pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
+pub fn show(ctx: &egui::Context, readings: &Readings<'_>, settings: &mut ViewSettings) {
     egui::Window::new("Tombolo")
         .anchor(egui::Align2::LEFT_TOP, [12.0, 12.0])
         .resizable(false)
@@ -81,16 +81,16 @@ pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
             ui.separator();
             numbers(ui, readings);
             ui.separator();
-            // A scene without land has no levels and no chunks.
+            // Scenes without land have no levels and no chunks.
             let has_land = readings.local.is_none();
             if has_land {
-                detail(ui, readings, knobs);
+                detail(ui, readings, settings);
             }
-            ui.collapsing("Picture", |ui| picture(ui, &mut knobs.looks));
+            ui.collapsing("Image", |ui| image(ui, &mut settings.render));
             if has_land {
-                ui.collapsing("Plants", |ui| plants(ui, &mut knobs.looks.plants));
+                ui.collapsing("Vegetation", |ui| plants(ui, &mut settings.render.plants));
             }
-            ui.collapsing("Relief", |ui| relief(ui, &mut knobs.looks.relief, has_land));
+            ui.collapsing("Parallax", |ui| relief(ui, &mut settings.render.pom, has_land));
             ui.separator();
             if has_land {
                 histogram(ui, &readings.levels);
@@ -108,27 +108,27 @@ pub fn show(ctx: &egui::Context, readings: &Readings<'_>, knobs: &mut Knobs) {
         });
 }
 
-/// How fine and how far the land is.
-fn detail(ui: &mut egui::Ui, readings: &Readings<'_>, knobs: &mut Knobs) {
-    ui.add(egui::Slider::new(&mut knobs.tolerance_px, 0.5..=16.0).logarithmic(true).text("tolerance, px"));
-    if readings.drawn_tolerance_px > knobs.tolerance_px * 1.01 {
+/// Tolerance and view distance.
+fn detail(ui: &mut egui::Ui, readings: &Readings<'_>, settings: &mut ViewSettings) {
+    ui.add(egui::Slider::new(&mut settings.tolerance_px, 0.5..=16.0).logarithmic(true).text("tolerance, px"));
+    if readings.drawn_tolerance_px > settings.tolerance_px * 1.01 {
         ui.label(format!("chunk memory is full: drawn with {:.1} px", readings.drawn_tolerance_px));
     }
     ui.add(
-        egui::Slider::new(&mut knobs.view_distance_m, 1000..=32_000)
+        egui::Slider::new(&mut settings.view_distance_m, 1000..=32_000)
             .logarithmic(true)
             .text("view distance, m"),
     );
 }
 
 /// The knobs of the picture: one row each, named as their options are.
-fn picture(ui: &mut egui::Ui, looks: &mut Looks) {
+fn image(ui: &mut egui::Ui, settings: &mut RenderSettings) {
     egui::Grid::new("picture").num_columns(2).show(ui, |ui| {
-        choice::<Show>(ui, "show", &mut looks.show);
-        choice::<Shadows>(ui, "shadows", &mut looks.shadows);
-        choice::<Tiling>(ui, "tiling", &mut looks.tiling);
-        choice::<WaterTier>(ui, "water", &mut looks.water);
-        let waves = &mut looks.waves;
+        choice::<Show>(ui, "show", &mut settings.show);
+        choice::<Shadows>(ui, "shadows", &mut settings.shadows);
+        choice::<Tiling>(ui, "tiling", &mut settings.tiling);
+        choice::<WaterTier>(ui, "water", &mut settings.water);
+        let waves = &mut settings.waves;
         ui.weak("parallax");
         ui.add(egui::Slider::new(&mut waves.parallax_factor, 0.0..=1.0));
         ui.end_row();
@@ -138,77 +138,77 @@ fn picture(ui: &mut egui::Ui, looks: &mut Looks) {
         ui.weak("steepness");
         ui.add(egui::Slider::new(&mut waves.steepness, 0.0..=4.0));
         ui.end_row();
-        sun(ui, &mut looks.sun);
-        choice::<Diffuse>(ui, "diffuse", &mut looks.diffuse);
-        choice::<Visibility>(ui, "visibility", &mut looks.visibility);
+        sun(ui, &mut settings.sun);
+        choice::<Diffuse>(ui, "diffuse", &mut settings.diffuse);
+        choice::<Visibility>(ui, "visibility", &mut settings.visibility);
         ui.weak("exposure");
-        ui.add(egui::Slider::new(&mut looks.exposure_ev, -8.0..=8.0).suffix(" EV"));
+        ui.add(egui::Slider::new(&mut settings.exposure_ev, -8.0..=8.0).suffix(" EV"));
         ui.end_row();
     });
 }
 
 /// The knobs of plants and of what hides them.
-fn plants(ui: &mut egui::Ui, knobs: &mut PlantKnobs) {
+fn plants(ui: &mut egui::Ui, settings: &mut VegetationSettings) {
     fn row(ui: &mut egui::Ui, name: &str, slider: egui::Slider<'_>) {
         ui.weak(name);
         ui.add(slider);
         ui.end_row();
     }
     egui::Grid::new("plants").num_columns(2).show(ui, |ui| {
-        row(ui, "grass", egui::Slider::new(&mut knobs.density, 0..=PlantKnobs::MAX_DENSITY));
-        row(ui, "range", egui::Slider::new(&mut knobs.range_m, 0.0..=1000.0).suffix(" m"));
-        let thin_from = egui::Slider::new(&mut knobs.thin_from_m, 1.0..=400.0).logarithmic(true);
+        row(ui, "grass", egui::Slider::new(&mut settings.density, 0..=VegetationSettings::MAX_DENSITY));
+        row(ui, "range", egui::Slider::new(&mut settings.range_m, 0.0..=1000.0).suffix(" m"));
+        let thin_from = egui::Slider::new(&mut settings.thin_from_m, 1.0..=400.0).logarithmic(true);
         row(ui, "thin from", thin_from.suffix(" m"));
-        row(ui, "widest", egui::Slider::new(&mut knobs.widest, 1.0..=16.0));
-        row(ui, "trees", egui::Slider::new(&mut knobs.trees, 0..=PlantKnobs::MAX_TREES));
-        let farthest = 0.0..=PlantKnobs::MAX_RANGE_M;
-        row(ui, "tree range", egui::Slider::new(&mut knobs.tree_range_m, farthest).suffix(" m"));
-        row(ui, "wind", egui::Slider::new(&mut knobs.wind, 0.0..=1.0));
-        row(ui, "lean", egui::Slider::new(&mut knobs.lean, 0.0..=1.0));
-        choice::<Cull>(ui, "cull", &mut knobs.cull);
-        row(ui, "stay", egui::Slider::new(&mut knobs.stay, 0..=60).suffix(" frames"));
-        row(ui, "step", egui::Slider::new(&mut knobs.step_m, 0.25..=16.0).logarithmic(true).suffix(" m"));
+        row(ui, "widest", egui::Slider::new(&mut settings.widest, 1.0..=16.0));
+        row(ui, "trees", egui::Slider::new(&mut settings.trees, 0..=VegetationSettings::MAX_TREES));
+        let farthest = 0.0..=VegetationSettings::MAX_RANGE_M;
+        row(ui, "tree range", egui::Slider::new(&mut settings.tree_range_m, farthest).suffix(" m"));
+        row(ui, "wind", egui::Slider::new(&mut settings.wind, 0.0..=1.0));
+        row(ui, "lean", egui::Slider::new(&mut settings.lean, 0.0..=1.0));
+        choice::<Cull>(ui, "cull", &mut settings.cull);
+        row(ui, "stay", egui::Slider::new(&mut settings.stay, 0..=60).suffix(" frames"));
+        row(ui, "step", egui::Slider::new(&mut settings.step_m, 0.25..=16.0).logarithmic(true).suffix(" m"));
     });
 }
 
 /// The knobs of reliefs. Moving one builds no pipeline; the first choice of cones bakes them.
-fn relief(ui: &mut egui::Ui, knobs: &mut ReliefKnobs, has_land: bool) {
+fn relief(ui: &mut egui::Ui, settings: &mut PomSettings, has_land: bool) {
     fn row(ui: &mut egui::Ui, name: &str, slider: egui::Slider<'_>) {
         ui.weak(name);
         ui.add(slider);
         ui.end_row();
     }
     egui::Grid::new("relief").num_columns(2).show(ui, |ui| {
-        choice::<ReliefTier>(ui, "relief", &mut knobs.tier);
-        if knobs.tier == ReliefTier::Cones && has_land {
+        choice::<PomMethod>(ui, "relief", &mut settings.method);
+        if settings.method == PomMethod::Cones && has_land {
             ui.weak("");
-            ui.weak("the land has no cones: drawn by pyramid");
+            ui.weak("the land has no cones: using max mips");
             ui.end_row();
         }
-        let steps = 1..=ReliefKnobs::MAX_STEPS;
-        row(ui, "steps down", egui::Slider::new(&mut knobs.steps_min, steps.clone()).logarithmic(true));
-        row(ui, "steps along", egui::Slider::new(&mut knobs.steps_max, steps).logarithmic(true));
-        choice::<Refine>(ui, "refine", &mut knobs.refine);
-        let rounds = 0..=ReliefKnobs::MAX_REFINEMENTS;
-        row(ui, "refinements", egui::Slider::new(&mut knobs.refinements, rounds));
-        choice::<LoopForm>(ui, "loop", &mut knobs.loop_form);
-        choice::<Heights>(ui, "heights", &mut knobs.heights);
-        choice::<ReliefShadow>(ui, "shadow", &mut knobs.shadow);
-        row(ui, "pivot", egui::Slider::new(&mut knobs.pivot, 0.0..=1.0));
-        row(ui, "amplitude", egui::Slider::new(&mut knobs.amplitude, 0.0..=ReliefKnobs::MAX_AMPLITUDE));
+        let steps = 1..=PomSettings::MAX_STEPS;
+        row(ui, "steps down", egui::Slider::new(&mut settings.steps_min, steps.clone()).logarithmic(true));
+        row(ui, "steps along", egui::Slider::new(&mut settings.steps_max, steps).logarithmic(true));
+        choice::<Refine>(ui, "refine", &mut settings.refine);
+        let rounds = 0..=PomSettings::MAX_REFINEMENTS;
+        row(ui, "refinements", egui::Slider::new(&mut settings.refinements, rounds));
+        choice::<LoopForm>(ui, "loop", &mut settings.loop_form);
+        choice::<Heights>(ui, "heights", &mut settings.heights);
+        choice::<PomShadow>(ui, "shadow", &mut settings.shadow);
+        row(ui, "pivot", egui::Slider::new(&mut settings.pivot, 0.0..=1.0));
+        row(ui, "amplitude", egui::Slider::new(&mut settings.amplitude, 0.0..=PomSettings::MAX_AMPLITUDE));
         if !has_land {
-            let tiling = ReliefKnobs::MIN_TILING..=ReliefKnobs::MAX_TILING;
-            let [u, v] = &mut knobs.tiling;
+            let tiling = PomSettings::MIN_TILING..=PomSettings::MAX_TILING;
+            let [u, v] = &mut settings.tiling;
             row(ui, "tiling along u", egui::Slider::new(u, tiling.clone()).logarithmic(true));
             row(ui, "tiling along v", egui::Slider::new(v, tiling).logarithmic(true));
         }
-        let fade = 0.0..=ReliefKnobs::MAX_FADE_PX;
-        row(ui, "fade below", egui::Slider::new(&mut knobs.fade_px, fade).suffix(" px"));
+        let fade = 0.0..=PomSettings::MAX_FADE_PX;
+        row(ui, "fade below", egui::Slider::new(&mut settings.fade_px, fade).suffix(" px"));
         ui.weak("depth");
-        ui.checkbox(&mut knobs.depth, "its own");
+        ui.checkbox(&mut settings.depth, "displaced");
         ui.end_row();
-        choice::<Silhouette>(ui, "silhouette", &mut knobs.silhouette);
-        let horizon = &mut knobs.horizon;
+        choice::<Silhouette>(ui, "silhouette", &mut settings.silhouette);
+        let horizon = &mut settings.horizon;
         row(ui, "horizon", egui::Slider::new(&mut horizon.strength, 0.0..=4.0));
         row(ui, "height bias", egui::Slider::new(&mut horizon.height_bias, 0.0..=1.0));
         row(ui, "safe above", egui::Slider::new(&mut horizon.safe_threshold, 0.0..=0.95));
@@ -216,12 +216,12 @@ fn relief(ui: &mut egui::Ui, knobs: &mut ReliefKnobs, has_land: bool) {
     });
 }
 
-/// The sun: where the scene puts it, or where two sliders do.
-fn sun(ui: &mut egui::Ui, place: &mut Option<SunPlace>) {
+/// Sun position: that of the scene, or by two sliders.
+fn sun(ui: &mut egui::Ui, place: &mut Option<SunPosition>) {
     ui.weak("sun");
     let mut is_moved = place.is_some();
     if ui.checkbox(&mut is_moved, "moved").changed() {
-        *place = is_moved.then_some(SunPlace { azimuth_deg: 120.0, elevation_deg: 30.0 });
+        *place = is_moved.then_some(SunPosition { azimuth_deg: 120.0, elevation_deg: 30.0 });
     }
     ui.end_row();
     if let Some(place) = place {
@@ -234,7 +234,7 @@ fn sun(ui: &mut egui::Ui, place: &mut Option<SunPlace>) {
     }
 }
 
-/// One of several, by the words of the command line.
+/// A choice with the names of the command line.
 fn choice<T: ValueEnum + PartialEq + Copy>(ui: &mut egui::Ui, name: &str, value: &mut T) {
     let word =
         |value: T| value.to_possible_value().map_or_else(String::new, |word| word.get_name().to_owned());
@@ -270,8 +270,11 @@ fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>) {
         readings.times.quantile_ms(0.99, RECENT)
     );
     let session = [
-        ("chunks", format!("{} drawn, {} of {} here", readings.drawn, readings.resident, readings.capacity)),
-        ("still coarse", readings.wanting.to_string()),
+        (
+            "chunks",
+            format!("{} drawn, {} of {} resident", readings.drawn, readings.resident, readings.capacity),
+        ),
+        ("still coarse", readings.missing.to_string()),
         ("triangles", format!("{:.2} M", readings.triangles as f64 / 1e6)),
         ("plants", plants_of(&readings.plants)),
         (
@@ -297,13 +300,17 @@ fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>) {
     });
 }
 
-/// Plants drawn; those that found no room are told of too.
-fn plants_of(told: &Told) -> String {
-    let drawn = format!("{:.1} k", f64::from(told.clumps) / 1e3);
-    match told.clumps_lost + told.blocks_lost {
+/// Drawn plants, and those dropped for lack of capacity.
+fn plants_of(stats: &CullStats) -> String {
+    let drawn = format!("{:.1} k", f64::from(stats.clumps) / 1e3);
+    match stats.clumps_lost + stats.blocks_lost {
         0 => drawn,
         _ => {
-            format!("{drawn}; {} k clumps, {} blocks had no room", told.clumps_lost / 1000, told.blocks_lost)
+            format!(
+                "{drawn}; {} k clumps, {} blocks dropped: buffers full",
+                stats.clumps_lost / 1000,
+                stats.blocks_lost
+            )
         }
     }
 }
@@ -312,7 +319,7 @@ fn plants_of(told: &Told) -> String {
 fn histogram(ui: &mut egui::Ui, levels: &[u32; 17]) {
     let highest = levels.iter().copied().max().unwrap_or(0).max(1) as f32;
     let last = levels.iter().rposition(|count| *count > 0).unwrap_or(0);
-    ui.weak(format!("chunks here by level, 0 to {last}"));
+    ui.weak(format!("resident chunks by level, 0 to {last}"));
     let (area, _) = ui.allocate_exact_size(egui::vec2(ui.available_width(), 36.0), egui::Sense::hover());
     let width = area.width() / (last + 1) as f32;
     for (level, count) in levels.iter().enumerate().take(last + 1) {

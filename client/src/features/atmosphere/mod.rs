@@ -1,0 +1,7 @@
+//! Atmosphere: light of sun and sky, aerial perspective, the sky background.
+
+pub mod background;
+pub mod integrate;
+
+pub use background::BackgroundPass;
+pub use integrate::AtmospherePass;

@@ -1,0 +1,136 @@
+//! The terrain pass: one instanced, indexed draw of all visible chunks.
+
+use crate::features::materials::Materials;
+use crate::features::terrain::mesh;
+use crate::features::terrain::pool::ChunkPool;
+use crate::gpu::bind::{self, storage_entry, uniform_entry};
+use crate::gpu::pipeline::{Depth, HdrPass};
+use shaders::SHADERS;
+use shaders::layout::TerrainInstance;
+use wgpu::util::DeviceExt as _;
+
+/// The pass.
+#[derive(Debug)]
+pub struct TerrainPass {
+    pipeline: wgpu::RenderPipeline,
+    /// Depth only; built on first use.
+    depth: Option<wgpu::RenderPipeline>,
+    layout: wgpu::BindGroupLayout,
+    samples: u32,
+    bindings: wgpu::BindGroup,
+    indices: wgpu::Buffer,
+    instances: wgpu::Buffer,
+    capacity: usize,
+    count: u32,
+}
+
+impl TerrainPass {
+    /// The pass over a pool of `capacity` slots, which bounds the chunks of a frame.
+    #[must_use]
+    pub fn new(
+        device: &wgpu::Device,
+        frame: &wgpu::Buffer,
+        pool: &ChunkPool,
+        materials: &Materials,
+        capacity: u32,
+        samples: u32,
+    ) -> Self {
+        let vertex = wgpu::ShaderStages::VERTEX;
+        let entries = [uniform_entry(0), storage_entry(1, vertex, true), storage_entry(2, vertex, true)];
+        let layout = bind::layout(device, "draw_terrain", &entries);
+        let buffers = [frame, pool.heights(), pool.sun_clearances()];
+        let bindings = bind::bind_buffers(device, "draw_terrain", &layout, &buffers);
+        let pipeline = with_pass(&[&layout, materials.layout()], samples, |pass| pass.pipeline(device));
+        let indices = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("chunk indices"),
+            contents: bytemuck::cast_slice(&mesh::indices()),
+            usage: wgpu::BufferUsages::INDEX,
+        });
+        let instances = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("chunk instances"),
+            size: u64::from(capacity) * 4 * size_of::<TerrainInstance>() as u64,
+            usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        Self {
+            pipeline,
+            depth: None,
+            layout,
+            samples,
+            bindings,
+            indices,
+            instances,
+            capacity: 4 * capacity as usize,
+            count: 0,
+        }
+    }
+
+    /// Sets the instances of the next frame.
+    pub fn prepare(&mut self, queue: &wgpu::Queue, instances: &[TerrainInstance]) {
+        let instances = &instances[..instances.len().min(self.capacity)];
+        self.count = instances.len() as u32;
+        queue.write_buffer(&self.instances, 0, bytemuck::cast_slice(instances));
+    }
+
+    /// Bytes of the buffers that grow with the number of slots, without the pool.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.instances.size()
+    }
+
+    /// Records the draw; returns the number of draw calls.
+    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) -> u32 {
+        self.draw_with(&self.pipeline, pass, materials)
+    }
+
+    /// Draws depth only, into a pass without color attachments; for checks.
+    pub fn draw_depth(
+        &mut self,
+        device: &wgpu::Device,
+        pass: &mut wgpu::RenderPass<'_>,
+        materials: &Materials,
+    ) {
+        let layouts = [&self.layout, materials.layout()];
+        let build = || with_pass(&layouts, self.samples, |pass| pass.depth_pipeline(device));
+        let depth = self.depth.take().unwrap_or_else(build);
+        self.draw_with(&depth, pass, materials);
+        self.depth = Some(depth);
+    }
+
+    fn draw_with(
+        &self,
+        pipeline: &wgpu::RenderPipeline,
+        pass: &mut wgpu::RenderPass<'_>,
+        materials: &Materials,
+    ) -> u32 {
+        if self.count == 0 {
+            return 0;
+        }
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, &self.bindings, &[]);
+        pass.set_bind_group(1, materials.bindings(), &[]);
+        pass.set_vertex_buffer(0, self.instances.slice(..));
+        pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint16);
+        pass.draw_indexed(0..mesh::INDEX_COUNT, 0, 0..self.count);
+        1
+    }
+}
+
+/// The pass of both pipelines.
+fn with_pass<T>(layouts: &[&wgpu::BindGroupLayout], samples: u32, build: impl FnOnce(HdrPass<'_>) -> T) -> T {
+    let attributes = TerrainInstance::ATTRIBUTES.map(|attribute| wgpu::VertexAttribute {
+        shader_location: attribute.location,
+        offset: attribute.offset as u64,
+        format: match (attribute.float, attribute.components) {
+            (true, _) => wgpu::VertexFormat::Float32x4,
+            (false, 2) => wgpu::VertexFormat::Uint32x2,
+            (false, _) => wgpu::VertexFormat::Uint32x4,
+        },
+    });
+    let buffers = [Some(wgpu::VertexBufferLayout {
+        array_stride: size_of::<TerrainInstance>() as u64,
+        step_mode: wgpu::VertexStepMode::Instance,
+        attributes: &attributes,
+    })];
+    build(HdrPass { shader: &SHADERS.draw_terrain, layouts, buffers: &buffers, depth: Depth::Solid, samples })
+}

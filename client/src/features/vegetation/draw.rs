@@ -1,0 +1,138 @@
+//! Indirect draws of visible clumps, one for each level of detail.
+//!
+//! Owns pipelines and bind groups; the buffers are filled elsewhere.
+
+use crate::features::terrain::pool::ChunkPool;
+use crate::gpu::bind;
+use crate::gpu::pipeline::{Depth, HdrPass, Output};
+use shaders::layout::{CLUMP_BYTES, GRASS_VERTICES, TREE_VERTICES};
+use shaders::{SHADERS, Shader};
+use std::ops::Range;
+
+/// A plant species.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Species {
+    /// Clumps of three tapered quads.
+    Grass,
+    /// Conifers.
+    Tree,
+}
+
+impl Species {
+    /// Number of the species in [`shaders::layout::Field::kind`].
+    #[must_use]
+    pub fn kind(self) -> u32 {
+        match self {
+            Self::Grass => shaders::layout::KIND_GRASS,
+            Self::Tree => shaders::layout::KIND_TREES,
+        }
+    }
+
+    /// Vertices of a clump at each level of detail, finest first, for the indirect arguments.
+    #[must_use]
+    pub fn vertices(self) -> &'static [u32] {
+        match self {
+            Self::Grass => &GRASS_VERTICES,
+            Self::Tree => &TREE_VERTICES,
+        }
+    }
+
+    fn shader(self) -> &'static Shader {
+        match self {
+            Self::Grass => &SHADERS.draw_grass,
+            Self::Tree => &SHADERS.draw_trees,
+        }
+    }
+
+    fn topology(self, level: usize) -> wgpu::PrimitiveTopology {
+        match (self, level) {
+            (Self::Grass, 0) => wgpu::PrimitiveTopology::TriangleStrip,
+            _ => wgpu::PrimitiveTopology::TriangleList,
+        }
+    }
+}
+
+/// Buffers of the visible clumps of one species.
+#[derive(Clone, Debug)]
+pub struct VisibleClumps {
+    /// The species.
+    pub species: Species,
+    /// The [`shaders::layout::Field`].
+    pub field: wgpu::Buffer,
+    /// The [`shaders::layout::OcclusionNode`]s of the square that clumps are counted in; usage `STORAGE`.
+    pub tiles: wgpu::Buffer,
+    /// The [`shaders::layout::OccluderChunk`]s under them; usage `STORAGE`.
+    pub leaves: wgpu::Buffer,
+    /// Clumps of [`CLUMP_BYTES`] each; usage `VERTEX`.
+    pub clumps: wgpu::Buffer,
+    /// The region of `clumps`, in clumps, of each level of detail, finest first.
+    pub regions: Vec<Range<u32>>,
+    /// Four words for each level of detail: vertices, clumps, 0, 0; usage `INDIRECT`.
+    pub arguments: wgpu::Buffer,
+    /// Their offset, bytes.
+    pub arguments_at: u64,
+}
+
+/// Bytes of the arguments of one indirect draw.
+const ARGUMENT_BYTES: u64 = 16;
+
+/// The draw pass of one species.
+#[derive(Debug)]
+pub struct ClumpPass {
+    shader: &'static Shader,
+    /// One for each level of detail.
+    pipelines: Vec<wgpu::RenderPipeline>,
+    layout: wgpu::BindGroupLayout,
+}
+
+impl ClumpPass {
+    /// The pass of a species.
+    #[must_use]
+    pub fn new(device: &wgpu::Device, species: Species, output: Output<'_>, samples: u32) -> Self {
+        let shader = species.shader();
+        let vertex = wgpu::ShaderStages::VERTEX;
+        let entries = [
+            bind::uniform_entry(0),
+            bind::uniform_entry(1),
+            bind::storage_entry(2, vertex, true),
+            bind::storage_entry(3, vertex, true),
+            bind::storage_entry(4, vertex, true),
+        ];
+        let layout = bind::layout(device, shader.name, &entries);
+        let buffers = [Some(wgpu::VertexBufferLayout {
+            array_stride: CLUMP_BYTES as u64,
+            step_mode: wgpu::VertexStepMode::Instance,
+            attributes: &wgpu::vertex_attr_array![0 => Uint32x4],
+        })];
+        let pass = HdrPass { shader, layouts: &[&layout], buffers: &buffers, depth: Depth::Solid, samples };
+        let levels = 0..species.vertices().len();
+        let pipelines =
+            levels.map(|level| pass.clump_pipeline(device, output, species.topology(level), level)).collect();
+        Self { shader, pipelines, layout }
+    }
+
+    /// The bind group of these buffers.
+    #[must_use]
+    pub fn bind(
+        &self,
+        device: &wgpu::Device,
+        frame: &wgpu::Buffer,
+        pool: &ChunkPool,
+        clumps: &VisibleClumps,
+    ) -> wgpu::BindGroup {
+        let buffers = [frame, &clumps.field, &clumps.tiles, &clumps.leaves, pool.sun_clearances()];
+        bind::bind_buffers(device, self.shader.name, &self.layout, &buffers)
+    }
+
+    /// Draws the clumps that the buffers hold when the commands run; `bindings` must be of these
+    /// buffers.
+    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, bindings: &wgpu::BindGroup, clumps: &VisibleClumps) {
+        pass.set_bind_group(0, bindings, &[]);
+        for (level, (pipeline, region)) in self.pipelines.iter().zip(&clumps.regions).enumerate() {
+            let [start, end] = [region.start, region.end].map(|clump| u64::from(clump) * CLUMP_BYTES as u64);
+            pass.set_pipeline(pipeline);
+            pass.set_vertex_buffer(0, clumps.clumps.slice(start..end));
+            pass.draw_indirect(&clumps.arguments, clumps.arguments_at + level as u64 * ARGUMENT_BYTES);
+        }
+    }
+}

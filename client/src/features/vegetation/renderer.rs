@@ -1,0 +1,172 @@
+//! Vegetation of a frame on the GPU: culling, then drawing. Created with the first frame that has
+//! vegetation, so that other scenes have no cost.
+
+use crate::features::terrain::pool::ChunkPool;
+use crate::features::vegetation::draw::{ClumpPass, Species, VisibleClumps};
+use crate::features::vegetation::gpu_cull::{CullBuffers, CullPasses, CullStats};
+use crate::features::vegetation::species::{SpeciesParams, VegetationFrame};
+use crate::gpu::pipeline;
+use crate::gpu::{Gpu, GpuError};
+use shaders::layout::Field;
+
+/// Capacity for clumps of a species in each level of detail: 77 MB. More are dropped, farthest
+/// first, and counted.
+pub const MAX_CLUMPS: [u32; 3] = [1 << 17, 1 << 19, 1 << 22];
+
+/// Passes and buffers of all species.
+#[derive(Debug)]
+pub struct VegetationRenderer {
+    passes: CullPasses,
+    species: Vec<SpeciesPass>,
+    /// Frame number, from 1 on: the time stamp of visible blocks.
+    frame: u32,
+}
+
+/// Passes and buffers of one species.
+#[derive(Debug)]
+struct SpeciesPass {
+    species: Species,
+    pass: ClumpPass,
+    /// Draws ids; built on first use.
+    id_pass: Option<ClumpPass>,
+    buffers: SpeciesBuffers,
+}
+
+/// Recreated when the capacity grows. Pipelines are kept: some drivers take seconds to compile
+/// them.
+#[derive(Debug)]
+struct SpeciesBuffers {
+    culling: CullBuffers,
+    clumps: VisibleClumps,
+    bindings: wgpu::BindGroup,
+}
+
+impl VegetationRenderer {
+    /// A renderer without species.
+    #[must_use]
+    pub fn new(device: &wgpu::Device) -> Self {
+        Self { passes: CullPasses::new(device), species: Vec::new(), frame: 0 }
+    }
+
+    /// Records the culling of a frame's vegetation, to be submitted before or with its drawing.
+    pub fn cull(
+        &mut self,
+        gpu: &Gpu,
+        uniforms: &wgpu::Buffer,
+        pool: &ChunkPool,
+        samples: u32,
+        plants: &VegetationFrame,
+        encoder: &mut wgpu::CommandEncoder,
+    ) {
+        self.frame = self.frame.wrapping_add(1).max(1);
+        self.passes.prepare(&gpu.queue, &plants.grid);
+        for params in &plants.species {
+            let species =
+                if params.field.kind == Species::Grass.kind() { Species::Grass } else { Species::Tree };
+            let needed = clump_capacity(params);
+            let buffers = |pass: &ClumpPass, capacity| {
+                SpeciesBuffers::new(&gpu.device, &self.passes, uniforms, pool, (species, pass), capacity)
+            };
+            if let Some(existing) = self.species.iter_mut().find(|pass| pass.species == species) {
+                let old = existing.buffers.culling.capacity;
+                let capacity = std::array::from_fn(|level| needed[level].max(old[level]));
+                if capacity != old {
+                    existing.buffers = buffers(&existing.pass, capacity);
+                }
+            } else {
+                let pass = ClumpPass::new(&gpu.device, species, pipeline::HDR, samples);
+                let buffers = buffers(&pass, needed);
+                self.species.push(SpeciesPass { species, pass, id_pass: None, buffers });
+            }
+        }
+        for pass in &self.species {
+            let index = plants.species.iter().position(|params| params.field.kind == pass.species.kind());
+            let index = index.unwrap_or(plants.species.len());
+            if let Some(params) = plants.species.get(index) {
+                let field = bytemuck::bytes_of(&params.field);
+                gpu.queue.write_buffer(&pass.buffers.clumps.field, 0, field);
+            }
+            self.passes.record(&gpu.queue, plants, index, self.frame, &pass.buffers.culling, encoder);
+        }
+    }
+
+    /// Draws the visible clumps.
+    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>) {
+        for species in &self.species {
+            species.pass.draw(pass, &species.buffers.bindings, &species.buffers.clumps);
+        }
+    }
+
+    /// Draws the ids of the visible clumps, one sample per pixel; for checks.
+    pub fn draw_ids(&mut self, gpu: &Gpu, pass: &mut wgpu::RenderPass<'_>) {
+        for SpeciesPass { species, id_pass, buffers, .. } in &mut self.species {
+            let id_pass =
+                id_pass.get_or_insert_with(|| ClumpPass::new(&gpu.device, *species, pipeline::IDS, 1));
+            id_pass.draw(pass, &buffers.bindings, &buffers.clumps);
+        }
+    }
+
+    /// Counts of the last submitted culling, summed over all species. Waits for the GPU.
+    ///
+    /// # Errors
+    /// The GPU failed.
+    pub fn read_stats(&self, gpu: &Gpu) -> Result<CullStats, GpuError> {
+        let add = |sum: CullStats, pass: &SpeciesPass| Ok(sum.with(pass.buffers.culling.read_stats(gpu)?));
+        self.species.iter().try_fold(CullStats::default(), add)
+    }
+
+    /// The buffers of each species, for checks.
+    pub fn buffers(&self) -> impl Iterator<Item = (&VisibleClumps, &CullBuffers)> {
+        self.species.iter().map(|pass| (&pass.buffers.clumps, &pass.buffers.culling))
+    }
+}
+
+impl SpeciesBuffers {
+    fn new(
+        device: &wgpu::Device,
+        passes: &CullPasses,
+        uniforms: &wgpu::Buffer,
+        pool: &ChunkPool,
+        (species, pass): (Species, &ClumpPass),
+        capacity: [u32; 3],
+    ) -> Self {
+        let mut vertices = [0; 3];
+        for (own, given) in vertices.iter_mut().zip(species.vertices()) {
+            *own = *given;
+        }
+        let culling = passes.create_buffers(device, pool, capacity, vertices);
+        let field = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("field"),
+            size: size_of::<Field>() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let clumps = culling.visible_clumps(species, field, passes);
+        let bindings = pass.bind(device, uniforms, pool, &clumps);
+        Self { culling, clumps, bindings }
+    }
+}
+
+/// Clumps of a species that may be in each level of detail around the eye: its highest density
+/// everywhere plus a tenth, at most [`MAX_CLUMPS`].
+fn clump_capacity(params: &SpeciesParams) -> [u32; 3] {
+    let field = &params.field;
+    let cell_m = f64::from(1u32 << params.planting.cell_bits) / 4096.0;
+    let per_m2 = f64::from(params.planting.per_cell) / (cell_m * cell_m);
+    let (thin, range) = (f64::from(field.thin_from_m), f64::from(field.range_m));
+    // Clumps within a distance: all up to `thin`, beyond it a share that falls with the distance,
+    // plus those that are narrowing before removal: an eighth more, and one rank of 256.
+    let within = |distance: f64| {
+        let distance = distance.min(range);
+        let near = distance.min(thin);
+        let far = (distance - thin).max(0.0);
+        let ring = distance * distance - near * near;
+        per_m2 * std::f64::consts::PI * (near * near + 1.125 * 2.0 * thin * far + ring / 256.0)
+    };
+    let ends = [f64::from(field.lod_m[0]), f64::from(field.lod_m[1]), range];
+    let begins = [0.0, ends[0], ends[1]];
+    std::array::from_fn(|level| {
+        let needed = 1.1 * (within(ends[level]) - within(begins[level])).max(0.0) + 1024.0;
+        (needed as u32).min(MAX_CLUMPS[level])
+    })
+}

@@ -1,0 +1,15 @@
+//! The GPU device and what all passes share: pipelines, bind groups, render targets, timestamps,
+//! read-back.
+
+pub mod bind;
+pub mod device;
+pub mod offscreen;
+pub mod pipeline;
+pub mod readback;
+pub mod surface;
+pub mod targets;
+pub mod timer;
+
+pub use device::{Gpu, GpuError, instance};
+pub use offscreen::{Image, OffscreenTarget};
+pub use timer::PassTimes;

@@ -1,0 +1,9 @@
+//! Level of detail: chunk selection ([`mod@select`]), geometric error on screen ([`error`]) and
+//! geomorphing without cracks ([`geomorph`]).
+
+pub mod error;
+pub mod geomorph;
+pub mod select;
+
+pub use geomorph::Drawn;
+pub use select::{Fading, Selection, select, select_at};

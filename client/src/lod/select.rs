@@ -1,0 +1,263 @@
+//! Chunk selection: the finest cover of the view by resident chunks without hole or overlap, whose
+//! neighbours differ by one level at most.
+//!
+//! The rule is that of `terrain::lod`: split what is too coarse on screen, and what would be drawn
+//! beside something two levels finer. The server uses the level's error bound, before anything is
+//! generated; the viewer uses the chunk's own error, never above that bound. Both rules are
+//! monotone, so the server sends every chunk that is selected here.
+
+use crate::cache::ChunkCache;
+use crate::lod::error;
+use crate::lod::geomorph;
+use crate::lod::geomorph::Drawn;
+use rustc_hash::FxHashSet;
+use std::time::Duration;
+use terrain::ChunkKey;
+use terrain::lod::{self, Splits, Viewer};
+
+/// Selected chunks of a frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Selection {
+    /// Chunks to draw, none an ancestor of another.
+    pub drawn: Vec<Drawn>,
+    /// Chunks drawn coarser than wanted because children are missing; before land is first drawn
+    /// also the missing coarsest chunks.
+    pub missing: usize,
+}
+
+impl Selection {
+    /// Whether every drawn chunk has the detail that the view asks for. True also for an eye above
+    /// the view distance and for a new session, which need no chunk yet.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.missing == 0
+    }
+}
+
+/// Selects the chunks of one frame and marks them as used.
+pub fn select(cache: &mut ChunkCache, viewer: &Viewer) -> Selection {
+    select_at(cache, viewer, Fading::default())
+}
+
+/// Fade-in of finer chunks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Fading {
+    /// Current time, monotonic.
+    pub now: Duration,
+    /// Time from the parent's surface to the own one after all four children arrived; zero: at
+    /// once.
+    pub lasts: Duration,
+}
+
+/// [`select`] with a fade-in of finer chunks.
+pub fn select_at(cache: &mut ChunkCache, viewer: &Viewer, fading: Fading) -> Selection {
+    let (tops, missing_tops): (Vec<_>, Vec<_>) =
+        viewer.tops().into_iter().partition(|key| cache.get(*key).is_some());
+    let is_shown = cache.begin_frame(missing_tops.is_empty());
+    let wanted = wanted_splits(cache, viewer, &tops);
+    let split = possible_splits(cache, viewer, &wanted);
+    cache.note_splits(&split, fading.now);
+
+    let is_resident = |key: &ChunkKey| cache.get(*key).is_some() && viewer.sees(*key);
+    let below = split.iter().filter_map(|key| key.children()).flatten();
+    let nodes: Vec<ChunkKey> = tops.iter().copied().chain(below).filter(is_resident).collect();
+    let leaves: Vec<ChunkKey> = nodes.iter().copied().filter(|key| !split.contains(key)).collect();
+    let nodes_set: FxHashSet<ChunkKey> = nodes.iter().copied().collect();
+    let missing =
+        wanted.coarse_first().filter(|(key, _)| nodes_set.contains(key) && !split.contains(key)).count();
+    let drawn = if is_shown { geomorph::stitch(cache, viewer, &leaves, &split, fading) } else { Vec::new() };
+    nodes.into_iter().for_each(|key| cache.touch(key));
+    Selection { drawn, missing: missing + if is_shown { 0 } else { missing_tops.len() } }
+}
+
+/// Chunks to split, whether their children are resident or not.
+fn wanted_splits(cache: &ChunkCache, viewer: &Viewer, tops: &[ChunkKey]) -> Splits {
+    let mut wanted = Splits::default();
+    let mut open = tops.to_vec();
+    while let Some(key) = open.pop() {
+        let Some(chunk) = cache.get(key) else { continue };
+        if error::is_too_coarse(cache, viewer, key, chunk) {
+            wanted.insert(key, 0);
+            open.extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
+        }
+    }
+    lod::balance(&mut wanted, viewer);
+    wanted
+}
+
+/// The wanted splits that are possible: all visible children are resident, and so are all chunks
+/// that the balance requires. Decided from the coarsest level down, because a split depends on
+/// coarser ones only.
+fn possible_splits(cache: &ChunkCache, viewer: &Viewer, wanted: &Splits) -> FxHashSet<ChunkKey> {
+    let mut split = FxHashSet::default();
+    for (key, _) in wanted.coarse_first() {
+        let has_children = key.children().is_some_and(|children| {
+            children.iter().all(|child| cache.get(*child).is_some() || !viewer.sees(*child))
+        });
+        if cache.get(key).is_some()
+            && has_children
+            && lod::required(key, viewer).all(|above| split.contains(&above))
+        {
+            split.insert(key);
+        }
+    }
+    split
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::HashSet;
+    use std::sync::LazyLock;
+    use terrain::{Chunk, Land};
+
+    const VIEWER: Viewer =
+        Viewer { eye: (30_000, 20_000, -50_000), distance_m: 2000, pixels_per_radian: 300, tolerance_q4: 64 };
+
+    /// Everything that a server sends for the test's view, generated once.
+    static SENT: LazyLock<Vec<Chunk>> = LazyLock::new(|| {
+        let land = Land::new(1);
+        lod::select(&land, &VIEWER, usize::MAX).into_iter().map(|needed| land.chunk(needed.key)).collect()
+    });
+
+    fn world_of<'a>(chunks: impl IntoIterator<Item = &'a Chunk>) -> ChunkCache {
+        let mut cache = ChunkCache::new(10_000);
+        for chunk in chunks {
+            cache.insert(chunk.clone());
+        }
+        cache
+    }
+
+    fn keys(selection: &Selection) -> Vec<ChunkKey> {
+        selection.drawn.iter().map(|drawn| drawn.key).collect()
+    }
+
+    /// How many drawn chunks cover a place.
+    fn cover(drawn: &HashSet<ChunkKey>, x: i32, z: i32) -> usize {
+        (0..=16).filter(|level| drawn.contains(&ChunkKey::containing(*level, x, z))).count()
+    }
+
+    #[test]
+    fn the_server_sends_every_wanted_chunk() {
+        let mut cache = world_of(SENT.iter());
+        let selection = select(&mut cache, &VIEWER);
+        assert!(selection.is_complete());
+        for key in keys(&selection) {
+            let chunk = cache.get(key).unwrap();
+            let error = error::on_screen(&cache, &VIEWER, key, chunk);
+            assert!(error <= f64::from(VIEWER.tolerance_q4), "{key} at {error}/16 px");
+        }
+    }
+
+    #[test]
+    fn an_error_above_the_level_bound_requests_no_unsent_chunk() {
+        let excessive = |error: fn(&Chunk) -> u32| {
+            let chunks = SENT.iter().map(|chunk| Chunk { error: error(chunk), ..chunk.clone() });
+            let mut cache = world_of(&chunks.collect::<Vec<_>>());
+            let selection = select(&mut cache, &VIEWER);
+            (cache, selection)
+        };
+        // The open sea has no error, and no server splits it for one.
+        let (_, at_the_bound) =
+            excessive(|chunk| lod::level_error(chunk.key.level()).min(chunk.error * 1000));
+        let (cache, beyond) = excessive(|chunk| if chunk.error > 0 { u32::MAX } else { 0 });
+        assert!(beyond.is_complete() && beyond.drawn.len() >= at_the_bound.drawn.len());
+        // Judged by what they say of themselves, drawn chunks would want children, and those were
+        // not sent.
+        let wants = |key: &ChunkKey| {
+            let error = cache.get(*key).unwrap().error;
+            key.level() > 0 && VIEWER.screen_error_q4(error, VIEWER.distance_to(*key)) > VIEWER.tolerance()
+        };
+        let unsent = |key: &ChunkKey| key.children().unwrap().iter().any(|child| cache.get(*child).is_none());
+        assert!(keys(&beyond).iter().any(|key| wants(key) && unsent(key)));
+    }
+
+    #[test]
+    fn land_is_drawn_from_the_first_covered_view_on() {
+        let mut cache = ChunkCache::new(10_000);
+        let top = VIEWER.top_level();
+        let (tops, finer): (Vec<_>, Vec<_>) = SENT.iter().partition(|chunk| chunk.key.level() == top);
+        let (last, first) = tops.split_last().unwrap();
+        for chunk in first.iter().chain(&finer) {
+            let selection = select(&mut cache, &VIEWER);
+            assert!(selection.drawn.is_empty() && !selection.is_complete());
+            cache.insert((*chunk).clone());
+        }
+        cache.insert((*last).clone());
+        assert!(!select(&mut cache, &VIEWER).drawn.is_empty());
+        let moved = Viewer { eye: (200_000, 20_000, -50_000), ..VIEWER };
+        assert!(
+            !select(&mut cache, &moved).drawn.is_empty(),
+            "new land at the far end is missing, the rest stays"
+        );
+    }
+
+    #[test]
+    fn children_fade_in_from_their_parent() {
+        let lasts = Duration::from_millis(200);
+        let at = |cache: &mut ChunkCache, millis| {
+            select_at(cache, &VIEWER, Fading { now: Duration::from_millis(millis), lasts })
+        };
+        let mut cache = world_of(SENT.iter().filter(|chunk| chunk.key.level() == VIEWER.top_level()));
+        let coarse = at(&mut cache, 0);
+        for chunk in SENT.iter() {
+            cache.insert(chunk.clone());
+        }
+        let begun = at(&mut cache, 1000);
+        let insides = |selection: &Selection| {
+            selection.drawn.iter().map(|drawn| drawn.seams.inside).collect::<Vec<_>>()
+        };
+        let top = VIEWER.top_level();
+        assert!(coarse.drawn.len() < begun.drawn.len());
+        assert!(begun.drawn.iter().all(|drawn| drawn.key.level() == top || drawn.seams.inside == 64));
+        let half: u32 = insides(&at(&mut cache, 1100)).into_iter().map(u32::from).sum();
+        let whole: u32 = insides(&begun).into_iter().map(u32::from).sum();
+        let ended = at(&mut cache, 1200);
+        assert_eq!(ended, select(&mut world_of(SENT.iter()), &VIEWER));
+        let end: u32 = insides(&ended).into_iter().map(u32::from).sum();
+        assert!(end < half && half < whole, "{end} {half} {whole}");
+        assert_eq!(at(&mut cache, 5000), ended, "what is split stays grown");
+    }
+
+    #[test]
+    fn a_missing_child_keeps_its_parent_drawn() {
+        let drawn = keys(&select(&mut world_of(SENT.iter()), &VIEWER));
+        let gap = drawn.into_iter().find(|key| key.level() == 1).unwrap();
+        let parent = gap.parent().unwrap();
+        let below_gap = |key: ChunkKey| {
+            std::iter::successors(Some(key), |above| above.parent()).any(|above| above == gap)
+        };
+        let mut cache = world_of(SENT.iter().filter(|chunk| !below_gap(chunk.key)));
+        let selection = select(&mut cache, &VIEWER);
+        assert!(keys(&selection).contains(&parent) && selection.missing >= 1);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn whatever_is_missing_every_place_is_covered_once_and_neighbours_differ_by_one_level(
+            lost in proptest::collection::vec(any::<proptest::sample::Index>(), 0..200),
+            places in proptest::collection::vec((-500_000i32..500_000, -500_000i32..500_000), 50),
+        ) {
+            let top = VIEWER.top_level();
+            let lost: HashSet<ChunkKey> = lost.iter().map(|index| index.get(&SENT).key).filter(|key| key.level() != top).collect();
+            let mut cache = world_of(SENT.iter().filter(|chunk| !lost.contains(&chunk.key)));
+            let drawn: HashSet<ChunkKey> = keys(&select(&mut cache, &VIEWER)).into_iter().collect();
+            for (x, z) in places {
+                let (dx, dz) = (i64::from(x) - 30_000, i64::from(z) + 50_000);
+                let in_view = (dx * dx + dz * dz).isqrt() < 2000 * 256;
+                let covered = cover(&drawn, x, z);
+                prop_assert!(covered <= 1 && (!in_view || covered == 1), "({x}, {z}) is covered {covered} times");
+            }
+            for key in &drawn {
+                let around = (-1..=1).flat_map(|east| (-1..=1).filter_map(move |south| key.neighbour(east, south)));
+                for next in around.filter(|next| VIEWER.sees(*next)) {
+                    let over = std::iter::successors(Some(next), |key| key.parent()).find(|key| drawn.contains(key));
+                    prop_assert!(over.is_none_or(|over| over.level() <= key.level() + 1), "{key} beside {over:?}");
+                }
+            }
+        }
+    }
+}

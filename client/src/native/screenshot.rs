@@ -1,0 +1,103 @@
+//! `--shot`: an image and its measurements as files, with a progress display.
+
+use crate::gpu::Image;
+use crate::headless::{self, Progress};
+use crate::native::args::Args;
+use crate::native::stream::{ServerStream, Settings};
+use crate::native::textures;
+use crate::stats::Stats;
+use crate::stream::streamer::Link;
+use crate::stream::{ChunkStream, LocalStream, NullStream};
+use anyhow::Context as _;
+use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
+use protocol::limits::MAX_TEXT;
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tokio_tungstenite::tungstenite::http::Uri;
+
+/// Connects, waits for the complete view, renders, writes.
+pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
+    let Some(path) = &args.shot else { return Ok(()) };
+    // Checked before the view is loaded.
+    anyhow::ensure!(
+        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")),
+        "cannot write --shot {}: images are PNG files, choose a path that ends in .png",
+        path.display()
+    );
+    has_folder("--shot", path)?;
+    args.stats.as_deref().map_or(Ok(()), |path| has_folder("--stats", path))?;
+    let options =
+        headless::Options { materials: textures::custom_materials(args)?, ..args.headless_options() };
+    if args.scene.is_local() {
+        let (image_data, stats) = headless::render_local(&options, started)?;
+        return write(args, path, &image_data, &stats);
+    }
+    let stream = open_stream(args)?;
+    // Hidden automatically where stderr is not a terminal.
+    let bar = ProgressBar::new_spinner();
+    bar.set_style(ProgressStyle::with_template("{spinner} {elapsed} {msg}")?);
+    bar.enable_steady_tick(Duration::from_millis(100));
+    let (image_data, stats) = headless::render(&options, stream, started, |progress| {
+        bar.set_message(describe(progress));
+    })?;
+    bar.finish_and_clear();
+    write(args, path, &image_data, &stats)
+}
+
+/// Fails if the folder of a file is missing.
+fn has_folder(option: &str, path: &Path) -> anyhow::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    anyhow::ensure!(
+        folder.is_none_or(Path::is_dir),
+        "cannot write {option} {}: the folder does not exist, create it or choose another",
+        path.display()
+    );
+    Ok(())
+}
+
+/// Writes the image, and the measurements if requested.
+fn write(args: &Args, path: &Path, image_data: &Image, stats: &Stats) -> anyhow::Result<()> {
+    image::save_buffer(path, &image_data.rgba, image_data.width, image_data.height, image::ColorType::Rgba8)
+        .with_context(|| format!("cannot write --shot {}: choose a writable .png path", path.display()))?;
+    if let Some(path) = &args.stats {
+        write_stats(path, stats)?;
+    }
+    Ok(())
+}
+
+/// The stream of a scene: a server, or local generation.
+pub fn open_stream(args: &Args) -> anyhow::Result<Box<dyn ChunkStream>> {
+    let Some(url) = args.server() else {
+        return Ok(if args.scene.is_local() {
+            Box::new(NullStream)
+        } else {
+            Box::new(LocalStream::new(args.world_seed))
+        });
+    };
+    let stream =
+        ServerStream::connect(stream_settings(args, url)?).context("cannot start the network thread")?;
+    Ok(Box::new(stream))
+}
+
+/// Connection settings, with the token from its file.
+fn stream_settings(args: &Args, url: Uri) -> anyhow::Result<Settings> {
+    let token = args.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?;
+    Ok(Settings { url, token, digest: args.digest, delivery: args.delivery })
+}
+
+/// Writes the measurements of a run.
+pub fn write_stats(path: &Path, stats: &Stats) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(stats)?;
+    std::fs::write(path, text + "\n").with_context(|| format!("cannot write --stats {}", path.display()))
+}
+
+fn describe(progress: &Progress) -> String {
+    let Progress { resident, missing, bytes_received, link } = progress;
+    match link {
+        Link::Connecting => "connecting".to_owned(),
+        Link::Connected(_) => {
+            format!("{resident} chunks, {}, {missing} chunks still coarse", HumanBytes(*bytes_received))
+        }
+        Link::Waiting { cause, .. } | Link::Refused(cause) => cause.clone(),
+    }
+}

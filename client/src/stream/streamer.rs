@@ -1,0 +1,392 @@
+//! The streamer: moves chunks from a stream into the cache, sends the view, and detects a complete
+//! view. It has no clock: the caller passes the time.
+
+use crate::cache::{ChunkCache, Resident, vertical_scale};
+use crate::lod::{Fading, Selection, select_at};
+use crate::stream::{ChunkStream, StreamEvent};
+use crate::view::ViewParams;
+use protocol::view::View;
+use std::time::Duration;
+use terrain::{ChunkKey, WorldDigest};
+
+/// Least interval between two views of a moving camera.
+const VIEW_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Factor of the tolerance each time the budget cannot hold the view.
+const TOLERANCE_STEP: f64 = 1.25;
+
+/// At this scale a whole island is a few chunks.
+const MAX_TOLERANCE_SCALE: f64 = 1000.0;
+
+/// Time before the tolerance is raised again: chunks requested with the old one are still arriving.
+const TOLERANCE_INTERVAL: Duration = Duration::from_millis(400);
+
+/// State of the connection.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Link {
+    /// No session yet.
+    Connecting,
+    /// In a session with this server.
+    Connected(String),
+    /// Between sessions.
+    Waiting {
+        /// What ended the last session.
+        cause: String,
+        /// Time of the next attempt.
+        retry_at: Duration,
+    },
+    /// Given up: another attempt cannot help.
+    Refused(String),
+}
+
+/// Milestones, as times since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Milestones {
+    /// The first chunk arrived.
+    pub first_chunk: Option<Duration>,
+    /// The first complete view was ready to be drawn.
+    pub complete_view: Option<Duration>,
+}
+
+/// Connects a chunk stream to the chunk cache.
+#[derive(Debug)]
+pub struct WorldStreamer<F> {
+    stream: F,
+    cache: ChunkCache,
+    digest: Option<WorldDigest>,
+    link: Link,
+    failures: u32,
+    refusal: Option<String>,
+    sent: Option<(View, Duration)>,
+    next_view: u32,
+    settled: Option<u32>,
+    tolerance_scale: f64,
+    raised_at: Duration,
+    milestones: Milestones,
+    fade: Duration,
+    vertical_scale: i32,
+}
+
+impl<F: ChunkStream> WorldStreamer<F> {
+    /// A streamer over a cache of `capacity` chunks.
+    #[must_use]
+    pub fn new(stream: F, capacity: u32) -> Self {
+        Self {
+            stream,
+            cache: ChunkCache::new(capacity),
+            digest: None,
+            link: Link::Connecting,
+            failures: 0,
+            refusal: None,
+            sent: None,
+            next_view: 1,
+            settled: None,
+            tolerance_scale: 1.0,
+            raised_at: Duration::ZERO,
+            milestones: Milestones::default(),
+            fade: Duration::ZERO,
+            vertical_scale: vertical_scale::ONE,
+        }
+    }
+
+    /// Fades finer chunks in over this time.
+    #[must_use]
+    pub fn fading(self, lasts: Duration) -> Self {
+        Self { fade: lasts, ..self }
+    }
+
+    /// Scales all heights by this factor, 0.25 to 4.
+    #[must_use]
+    pub fn with_vertical_scale(mut self, times: f64) -> Self {
+        self.vertical_scale = (times.clamp(0.25, 4.0) * f64::from(vertical_scale::ONE)).round() as i32;
+        self.cache.set_vertical_scale(self.vertical_scale);
+        self
+    }
+
+    /// Handles up to `limit` events, sends the view and selects chunks. `upload` is called for
+    /// every chunk that got a slot; `now` counts from the start of the program.
+    pub fn update(
+        &mut self,
+        view: &ViewParams,
+        now: Duration,
+        limit: usize,
+        mut upload: impl FnMut(&Resident),
+    ) -> Selection {
+        for _ in 0..limit {
+            let Some(event) = self.stream.poll() else { break };
+            self.handle(event, now, &mut upload);
+        }
+        let is_sent = self.send_view(view, now);
+        let viewer = self.scaled_view(view).viewer();
+        let selection = select_at(&mut self.cache, &viewer, Fading { now, lasts: self.fade });
+        if is_sent && self.is_settled() {
+            if !selection.is_complete() {
+                // Everything was sent, so missing chunks have been evicted since.
+                self.raise_tolerance(now);
+            } else {
+                self.milestones.complete_view.get_or_insert(now);
+                // A mostly idle budget can afford a lower tolerance.
+                if self.tolerance_scale > 1.0 && selection.drawn.len() * 4 < self.cache.capacity() as usize {
+                    self.tolerance_scale = (self.tolerance_scale / TOLERANCE_STEP).max(1.0);
+                }
+            }
+        }
+        selection
+    }
+
+    fn handle(&mut self, event: StreamEvent, now: Duration, upload: &mut impl FnMut(&Resident)) {
+        match event {
+            StreamEvent::Connected { world, world_seed, server } => {
+                if self.digest.is_some_and(|known| known != world) {
+                    // Chunks of another world are invalid.
+                    self.cache = ChunkCache::new(self.cache.capacity());
+                    self.cache.set_vertical_scale(self.vertical_scale);
+                }
+                self.digest = Some(world);
+                self.cache.set_seed(world_seed);
+                self.link = Link::Connected(server);
+                self.failures = 0;
+                let keys: Vec<ChunkKey> = self.cache.keys().collect();
+                if !keys.is_empty() {
+                    self.stream.holding(&keys);
+                }
+                self.sent = None;
+            }
+            StreamEvent::Chunk(chunk) => {
+                self.milestones.first_chunk.get_or_insert(now);
+                let key = chunk.key;
+                let arrival = self.cache.insert(vertical_scale::scaled(*chunk, self.vertical_scale));
+                if let (Some(_), Some(resident)) = (arrival.slot, self.cache.get(key)) {
+                    upload(resident);
+                }
+                if !arrival.evicted.is_empty() {
+                    self.stream.release(&arrival.evicted);
+                }
+                if arrival.thrashing {
+                    self.raise_tolerance(now);
+                }
+            }
+            StreamEvent::Settled { view } => self.settled = Some(view),
+            StreamEvent::Refused { detail } => self.refusal = Some(detail),
+            StreamEvent::Disconnected { cause, retry } => {
+                self.failures += 1;
+                self.sent = None;
+                self.link = match retry {
+                    Some(delay) => Link::Waiting { cause, retry_at: now + delay },
+                    None => Link::Refused(cause),
+                };
+            }
+        }
+    }
+
+    /// The budget is too small: raises the tolerance instead of evicting and reloading forever.
+    fn raise_tolerance(&mut self, now: Duration) {
+        if now >= self.raised_at + TOLERANCE_INTERVAL {
+            self.tolerance_scale = (self.tolerance_scale * TOLERANCE_STEP).min(MAX_TOLERANCE_SCALE);
+            self.raised_at = now;
+        }
+    }
+
+    /// Sends the view if it changed. True if the server has the current view.
+    fn send_view(&mut self, view: &ViewParams, now: Duration) -> bool {
+        if !matches!(self.link, Link::Connected(_)) {
+            return false;
+        }
+        let mut view = self.scaled_view(view).protocol_view(self.next_view);
+        if let Some((sent, at)) = &self.sent {
+            let same = View { id: view.id, velocity: view.velocity, ..*sent } == view;
+            let elapsed = now.saturating_sub(*at);
+            if same || elapsed < VIEW_INTERVAL {
+                return same;
+            }
+            let seconds = elapsed.as_secs_f64().max(0.001);
+            view.velocity = [0, 1, 2].map(|axis| {
+                let moved = f64::from(view.eye[axis]) - f64::from(sent.eye[axis]);
+                (moved / seconds) as i32
+            });
+        }
+        self.next_view = self.next_view.wrapping_add(1);
+        self.stream.set_view(view);
+        self.cache.view_sent();
+        self.sent = Some((view, now));
+        true
+    }
+
+    /// The view with the tolerance for chunk selection: errors grow with the vertical scale, and the
+    /// server knows the unscaled land.
+    fn scaled_view(&self, view: &ViewParams) -> ViewParams {
+        let times = f64::from(self.vertical_scale) / f64::from(vertical_scale::ONE);
+        ViewParams { tolerance_px: self.tolerance_px(view) / times.max(1.0), ..*view }
+    }
+
+    /// Whether the server has sent every chunk of the last sent view.
+    #[must_use]
+    pub fn is_settled(&self) -> bool {
+        self.sent.as_ref().is_some_and(|(view, _)| self.settled == Some(view.id))
+    }
+
+    /// Tolerated screen error, pixels: the requested one, or more while the budget is too small.
+    #[must_use]
+    pub fn tolerance_px(&self, view: &ViewParams) -> f64 {
+        view.tolerance_px * self.tolerance_scale
+    }
+
+    /// The chunk cache.
+    #[must_use]
+    pub fn cache(&self) -> &ChunkCache {
+        &self.cache
+    }
+
+    /// The chunk stream.
+    #[must_use]
+    pub fn stream(&self) -> &F {
+        &self.stream
+    }
+
+    /// State of the connection.
+    #[must_use]
+    pub fn link(&self) -> &Link {
+        &self.link
+    }
+
+    /// Sessions that failed since the last success.
+    #[must_use]
+    pub fn failures(&self) -> u32 {
+        self.failures
+    }
+
+    /// The last rejected request, if any.
+    #[must_use]
+    pub fn refusal(&self) -> Option<&str> {
+        self.refusal.as_deref()
+    }
+
+    /// Milestones.
+    #[must_use]
+    pub fn milestones(&self) -> Milestones {
+        self.milestones
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Projection;
+    use crate::stream::{LocalStream, Traffic};
+    use std::collections::VecDeque;
+
+    fn view() -> ViewParams {
+        ViewParams {
+            pose: "0,200,0,0,-10".parse().unwrap(),
+            projection: Projection { fov_deg: 60.0, width: 640, height: 360 },
+            view_distance_m: 2000,
+            tolerance_px: 4.0,
+            time_s: 0.0,
+            settings: crate::settings::RenderSettings::default(),
+        }
+    }
+
+    const AT: fn(u64) -> Duration = Duration::from_millis;
+
+    #[test]
+    fn a_view_completes_and_each_chunk_is_uploaded_once() {
+        let mut streamer = WorldStreamer::new(LocalStream::new(1), 4000);
+        let mut slots = std::collections::HashSet::new();
+        let first = streamer.update(&view(), AT(0), usize::MAX, |_| ());
+        assert!(first.drawn.is_empty() && !streamer.is_settled());
+        let second = streamer
+            .update(&view(), AT(1), usize::MAX, |chunk| assert!(slots.insert(chunk.slot), "slot twice"));
+        assert!(second.is_complete() && streamer.is_settled());
+        assert_eq!(slots.len(), streamer.cache().len());
+        assert_eq!(
+            streamer.milestones(),
+            Milestones { first_chunk: Some(AT(1)), complete_view: Some(AT(1)) }
+        );
+    }
+
+    #[test]
+    fn a_small_budget_gives_a_coarser_complete_view() {
+        let mut streamer = WorldStreamer::new(LocalStream::new(1), 100);
+        let view = ViewParams { tolerance_px: 0.5, ..view() };
+        let mut complete = false;
+        for step in 0..200 {
+            let selection = streamer.update(&view, AT(step * 500), usize::MAX, |_| ());
+            complete = streamer.is_settled() && selection.is_complete();
+            assert!(streamer.cache().len() <= 100);
+            if complete {
+                break;
+            }
+        }
+        assert!(complete && streamer.tolerance_px(&view) > 0.5);
+    }
+
+    /// A stream that plays a script and records calls.
+    #[derive(Default)]
+    struct Script {
+        events: VecDeque<StreamEvent>,
+        views: Vec<View>,
+        held: Vec<ChunkKey>,
+    }
+
+    impl ChunkStream for Script {
+        fn poll(&mut self) -> Option<StreamEvent> {
+            self.events.pop_front()
+        }
+        fn set_view(&mut self, view: View) {
+            self.views.push(view);
+        }
+        fn release(&mut self, _: &[ChunkKey]) {}
+        fn holding(&mut self, keys: &[ChunkKey]) {
+            self.held.extend(keys);
+        }
+        fn delivery(&self) -> protocol::Delivery {
+            protocol::Delivery::Exact
+        }
+        fn traffic(&self) -> Traffic {
+            Traffic::default()
+        }
+    }
+
+    fn connected(world: u8) -> StreamEvent {
+        StreamEvent::Connected { world: WorldDigest([world; 32]), world_seed: 1, server: "test".into() }
+    }
+
+    #[test]
+    fn chunks_survive_a_reconnect_and_are_reported() {
+        let chunk = Box::new(terrain::Land::new(1).chunk(ChunkKey::new(3, 0, 0).unwrap()));
+        let lost = StreamEvent::Disconnected { cause: "gone".into(), retry: Some(AT(500)) };
+        let mut streamer = WorldStreamer::new(Script::default(), 10);
+        streamer.stream.events.extend([connected(1), StreamEvent::Chunk(chunk.clone())]);
+        streamer.update(&view(), AT(0), 10, |_| ());
+        streamer.stream.events.push_back(lost);
+        streamer.update(&view(), AT(1000), 10, |_| ());
+        assert_eq!(streamer.cache().keys().collect::<Vec<_>>(), [chunk.key], "keeps its chunks");
+        assert_eq!(streamer.link(), &Link::Waiting { cause: "gone".into(), retry_at: AT(1500) });
+        streamer.stream.events.push_back(connected(1));
+        streamer.update(&view(), AT(1500), 10, |_| ());
+        assert_eq!(streamer.stream.held, [chunk.key]);
+        assert_eq!(streamer.stream.views.len(), 2, "the view is sent again");
+
+        streamer.stream.events.push_back(connected(2));
+        streamer.update(&view(), AT(2000), 10, |_| ());
+        assert!(streamer.cache().is_empty(), "chunks of another world are dropped");
+    }
+
+    #[test]
+    fn a_still_camera_sends_one_view_and_a_moving_one_ten_a_second() {
+        let mut streamer = WorldStreamer::new(Script::default(), 10);
+        streamer.stream.events.push_back(connected(1));
+        for millis in 0..1000 {
+            streamer.update(&view(), AT(millis), 10, |_| ());
+        }
+        assert_eq!(streamer.stream.views.len(), 1);
+        for millis in 1000..2000 {
+            let mut moving = view();
+            moving.pose.position_m.x += millis as f64 / 10.0;
+            streamer.update(&moving, AT(millis), 10, |_| ());
+        }
+        assert!((9..=11).contains(&(streamer.stream.views.len() - 1)), "{}", streamer.stream.views.len());
+        let last = streamer.stream.views[streamer.stream.views.len() - 1];
+        assert!((last.velocity[0] - 100 * 256).abs() < 2000, "{}", last.velocity[0]);
+    }
+}
