@@ -1,65 +1,74 @@
-//! `tombolo-lab culling`: what is left out although it is seen, what is kept although it is hidden,
-//! and what either costs. `cargo xtask measure culling` holds the figures against their bars; here
-//! only a control that fails to fail is an error.
+//! `tombolo-lab culling`: false culls, false keeps and cost of every occlusion test of vegetation.
+//! `cargo xtask measure culling` compares the figures with their bars; here only a control that
+//! passes is an error.
 
-pub mod chunks;
-pub mod frames;
-pub mod leaves;
-pub mod lots;
-pub mod names;
-pub mod oracle;
-pub mod poses;
-pub mod same;
+mod bars;
+pub mod cases;
+pub(crate) mod chunks;
+pub mod clump_vertices;
+pub(crate) mod frames;
+mod gpu_cpu_equality;
+pub(crate) mod id_buffer;
+pub(crate) mod occlusion;
+mod random_attributes;
+pub mod reference;
 pub mod scene;
-pub mod sight;
 
+use crate::report::with_bars;
 use crate::{Outputs, note};
 use anyhow::{Result, ensure};
-use client::plants::PlantKnobs;
+use client::features::vegetation::VegetationSettings;
 use frames::Frames;
-use lots::Lots;
-use names::Shown;
-use same::Same;
+use gpu_cpu_equality::GpuCpuEquality;
+use id_buffer::VisiblePlants;
+use occlusion::Findings;
+use random_attributes::StreamTests;
 use serde::Serialize;
-use sight::Findings;
+use serde_json::Value;
 use terrain::Land;
 
 /// Options of `culling`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// Poses that are judged by sight in f64, 1 to 100000
-    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    /// Poses compared with visibility in f64, 1 to 100000
+    #[arg(long, value_name = "N", default_value_t = 300,
+          value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub poses: u32,
-    /// Poses that are drawn without culling to see which plants show, 0 to 100000
-    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    /// Poses whose visible plants are found in ID buffers drawn without culling, 0 to 100000
+    #[arg(long, value_name = "N", default_value_t = 300,
+          value_parser = clap::value_parser!(u32).range(0..=100_000))]
     pub drawn: u32,
-    /// Poses at which the GPU's choice is compared with the twin's, 0 to 1000
-    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    /// Poses at which the GPU's visible clumps are compared with those of the CPU twin, 0 to 1000
+    #[arg(long, value_name = "N", default_value_t = 24,
+          value_parser = clap::value_parser!(u32).range(0..=1000))]
     pub compared: u32,
 }
 
-/// Fewer and nearer plants, for comparing the GPU with the twin: a software driver chooses them
-/// too.
-const COMPARED: PlantKnobs =
-    PlantKnobs { density: 4, range_m: 160.0, tree_range_m: 800.0, ..PlantKnobs::STANDARD };
+/// Fewer and nearer plants than the standard: the comparison must also finish on a software driver.
+const COMPARED: VegetationSettings =
+    VegetationSettings { density: 4, range_m: 160.0, tree_range_m: 800.0, ..VegetationSettings::STANDARD };
 
-/// Fewer plants than the standard, for pictures on a software driver.
-const DRAWN: PlantKnobs =
-    PlantKnobs { density: 2, range_m: 200.0, tree_range_m: 1000.0, ..PlantKnobs::STANDARD };
+/// Fewer plants than the standard, for ID buffers on a software driver.
+const DRAWN: VegetationSettings =
+    VegetationSettings { density: 2, range_m: 200.0, tree_range_m: 1000.0, ..VegetationSettings::STANDARD };
 
 /// The result. Field names are a contract with scripts.
 #[derive(Clone, Debug, Serialize)]
 struct Report {
-    /// Poses asked for.
+    /// Poses requested.
     poses: u32,
-    sight: Findings,
-    /// Which plants show in pictures; none if none was asked for.
-    shown: Option<Shown>,
-    /// Cost of every way in frames of the valley scene.
+    #[serde(rename = "sight")]
+    occlusion: Findings,
+    /// Plants visible in ID buffers, if any were requested.
+    #[serde(rename = "shown")]
+    visible: Option<VisiblePlants>,
+    /// Cost of every culling method in frames of the valley scene.
     frames: Frames,
-    lots: Lots,
-    /// The GPU against the twin; none if it was not asked for.
-    same: Option<Same>,
+    #[serde(rename = "lots")]
+    streams: StreamTests,
+    /// The GPU against the twin, if requested.
+    #[serde(rename = "same")]
+    equality: Option<GpuCpuEquality>,
 }
 
 /// Measures everything, prints it, and checks that every control fails.
@@ -68,53 +77,57 @@ struct Report {
 /// There is no GPU, it failed, a control holds, or a result cannot be written.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let land = Land::new(1);
-    note("sight over the drawn triangles");
-    let trials = poses::seeded(&land, options.poses, PlantKnobs::STANDARD);
-    let sight = sight::judge(&land, &trials);
-    println!("{}", serde_json::to_string_pretty(&sight)?);
+    note("visibility over the drawn triangles");
+    let poses = cases::seeded(&land, options.poses, VegetationSettings::STANDARD);
+    let occlusion = printed(occlusion::score(&land, &poses))?;
     note(&format!("{} poses, drawn without culling", options.drawn));
-    let drawn = poses::seeded(&land, options.drawn, DRAWN);
-    let shown = (options.drawn > 0).then(|| names::look(&land, &drawn)).transpose()?;
-    println!("{}", serde_json::to_string_pretty(&shown)?);
+    let drawn = cases::seeded(&land, options.drawn, DRAWN);
+    let visible = printed((options.drawn > 0).then(|| id_buffer::measure(&land, &drawn)).transpose()?)?;
     note("frames of the valley scene");
-    let frames = frames::measure(&land, client::scene::Scene::Culling.plants())?;
-    println!("{}", serde_json::to_string_pretty(&frames)?);
-    let lots = lots::lots(7);
-    println!("{}", serde_json::to_string_pretty(&lots)?);
+    let frames = printed(frames::measure(&land, client::scene::Scene::Culling.plants())?)?;
+    let streams = printed(random_attributes::test(7))?;
     note("the GPU against the twin");
-    let compared = poses::seeded(&land, options.compared, COMPARED);
-    let same = (options.compared > 0).then(|| same::compare(&land, &compared)).transpose()?;
-    println!("{}", serde_json::to_string_pretty(&same)?);
-    let report = Report { poses: options.poses, sight, shown, frames, lots, same };
-    outputs.write_json(&report)?;
+    let compared = cases::seeded(&land, options.compared, COMPARED);
+    let equality = (options.compared > 0).then(|| gpu_cpu_equality::compare(&land, &compared));
+    let equality = printed(equality.transpose()?)?;
+    let report = Report { poses: options.poses, occlusion, visible, frames, streams, equality };
+    let json = serde_json::to_value(&report)?;
+    let (rows, notes) = (bars::rows(&json), bars::notes(&json));
+    print!("{}", ::bars::text(&rows));
+    let adapter = json.pointer("/same/adapter").and_then(Value::as_str).map(str::to_owned);
+    outputs.write_json(&with_bars(json, &rows, &notes, adapter))?;
     report.controls()
 }
 
+fn printed<T: Serialize>(result: T) -> Result<T> {
+    println!("{}", serde_json::to_string_pretty(&result)?);
+    Ok(result)
+}
+
 impl Report {
-    /// What must be wrong is.
+    /// Fails if a control passes.
     fn controls(&self) -> Result<()> {
-        let sight = &self.sight;
+        let scores = &self.occlusion;
         for (name, score) in [
-            ("T2", &sight.noise),
-            ("T3 as first published", &sight.march),
-            ("five points", &sight.five_points),
+            ("T2", &scores.noise),
+            ("T3 as first published", &scores.march),
+            ("five points", &scores.five_points),
         ] {
-            ensure!(score.false_culls > 0, "{name} lost nothing that is seen: the oracle could not tell");
+            ensure!(score.false_culls > 0, "{name} has no false cull: the reference detects nothing");
         }
-        for (name, lost) in self
-            .shown
-            .iter()
-            .flat_map(|shown| [("T2", shown.lost_noise), ("T3 as first published", shown.lost_march)])
+        let visible = self.visible.iter();
+        for (name, lost) in visible
+            .flat_map(|visible| [("T2", visible.lost_noise), ("T3 as first published", visible.lost_march)])
         {
-            ensure!(lost > 0, "{name} lost no plant that shows in a picture: the pictures could not tell");
+            ensure!(lost > 0, "{name} lost no plant of an ID buffer: the ID buffers detect nothing");
         }
         ensure!(
-            self.lots.poor_stream_p < 0.001 && self.lots.poor_pair_p < 0.001,
-            "poor streams pass: the test could not tell"
+            self.streams.poor_stream_p < 0.001 && self.streams.poor_pair_p < 0.001,
+            "correlated streams pass: the test detects nothing"
         );
         ensure!(
-            self.same.as_ref().is_none_or(|same| same.differing_control > 0),
-            "a twin that does not ask the land keeps the same clumps: the comparison could not tell"
+            self.equality.as_ref().is_none_or(|equality| equality.differing_control > 0),
+            "a twin without occlusion tests keeps the same clumps: the comparison detects nothing"
         );
         Ok(())
     }

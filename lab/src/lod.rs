@@ -1,24 +1,27 @@
-//! `tombolo-lab lod`: levels of detail as they are drawn, against the land that they stand for.
+//! `tombolo-lab lod`: levels of detail as drawn, against level 0.
 //!
 //! Screen error at every vertex of level 0 ([`screen`], on the drawn surface of [`drawn`]),
 //! triangles ([`triangles`]), gaps ([`crate::cracks`]), popping ([`popping`]), draw calls, memory
-//! and time ([`frames`]). `cargo xtask measure terrain` holds the figures against their bars; here
-//! only a control that fails to fail is an error.
+//! and time ([`frames`]). `cargo xtask measure terrain` compares the figures with their bars;
+//! here only a control that passes is an error.
 
-pub mod drawn;
-pub mod frames;
-pub mod popping;
+mod bars;
+pub(crate) mod drawn;
+pub(crate) mod frames;
+mod popping;
 pub mod screen;
-pub mod triangles;
+pub(crate) mod triangles;
 
 use crate::cracks::{self, Fault};
-use crate::scenery::Scenery;
+use crate::report::with_bars;
+use crate::world_builder::WorldBuilder;
 use crate::{Outputs, note};
 use anyhow::{Result, ensure};
-use client::frame::Shot;
-use client::world::select;
-use screen::{Place, Seen};
+use client::lod::select;
+use client::view::ViewParams;
+use screen::{ScreenErrors, ViewCase};
 use serde::Serialize;
+use serde_json::Value;
 use terrain::Land;
 
 /// The world that is measured.
@@ -38,13 +41,16 @@ const LOOSE: f64 = 4.0;
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
     /// Poses of the screen error, 1 to 10000
-    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 50,
+          value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub poses: u32,
     /// Poses of the search for gaps, 1 to 10000
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 200,
+          value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub views: u32,
     /// Frames of each flight, 2 to 10000
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 200,
+          value_parser = clap::value_parser!(u32).range(2..=10_000))]
     pub frames: u32,
 }
 
@@ -85,16 +91,17 @@ struct Cracks {
     no_seams: cracks::Count,
 }
 
-/// Measures everything, prints it, and checks that every control fails.
+/// Measures, prints and checks the controls.
 ///
 /// # Errors
 /// There is no GPU, it failed, a control holds, or a result cannot be written.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let land = Land::new(WORLD_SEED);
     note("screen error");
-    let screen = screen_error(&land, &screen::places(&land, options.poses, SCREEN_STREAM));
+    let screen = screen_error(&land, &screen::view_cases(&land, options.poses, SCREEN_STREAM));
     println!(
-        "screen error, {} poses, {} M vertices: at most {:.3} tolerances (inside {:.3}, border {:.3}); chosen for {LOOSE} tolerances {:.3}",
+        "screen error, {} poses, {} M vertices: at most {:.3} tolerances (inside {:.3}, border {:.3}); \
+         chosen for {LOOSE} tolerances {:.3}",
         screen.poses,
         screen.vertices / 1_000_000,
         screen.max,
@@ -111,13 +118,14 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         );
     }
     note("popping");
-    let mut studio = popping::studio()?;
+    let mut renderer = popping::renderer()?;
     let popping =
-        popping::FLIGHTS.iter().map(|flight| popping::fly(&mut studio, land, flight, options.frames));
+        popping::FLIGHTS.iter().map(|flight| popping::fly(&mut renderer, land, flight, options.frames));
     let popping: Vec<popping::Outcome> = popping.collect::<Result<_, _>>()?;
     for flight in &popping {
         println!(
-            "popping, {:<6} {} frames, {} level changes: block mean {:.2} of 255, pixel {} (99.9 % below {}); unmorphed {:.2}, {} ({}); motion {:.2}, {} ({})",
+            "popping, {:<6} {} frames, {} level changes: block mean {:.2} of 255, pixel {} (99.9 % below \
+             {}); unmorphed {:.2}, {} ({}); motion {:.2}, {} ({})",
             flight.flight,
             flight.frames,
             flight.level_changes,
@@ -132,7 +140,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
             flight.motion.p999
         );
     }
-    drop(studio);
+    drop(renderer);
     note("gaps");
     let cracks = gaps(land, options.views)?;
     println!(
@@ -167,12 +175,16 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         );
     }
     let report = Report { screen, triangles, cracks, popping, frames };
-    outputs.write_json(&report)?;
+    let json = serde_json::to_value(&report)?;
+    let (rows, notes) = (bars::rows(&json), bars::notes(&json));
+    print!("{}", ::bars::text(&rows));
+    let adapter = json.pointer("/frames/adapter").and_then(Value::as_str).map(str::to_owned);
+    outputs.write_json(&with_bars(json, &rows, &notes, adapter))?;
     report.controls()
 }
 
 impl Report {
-    /// Every control must fail, or what it controls has seen nothing.
+    /// Fails if a control passes.
     fn controls(&self) -> Result<()> {
         ensure!(self.screen.max_when_loose > 1.0, "chunks chosen for {LOOSE} tolerances keep one");
         let Cracks { whole, chunk_left_out, no_seams } = &self.cracks;
@@ -192,10 +204,9 @@ impl Report {
 }
 
 /// Screen error over poses.
-#[must_use]
-pub fn screen_error(land: &Land, places: &[Place]) -> Screen {
+pub fn screen_error(land: &Land, cases: &[ViewCase]) -> Screen {
     let mut result = Screen {
-        poses: places.len(),
+        poses: cases.len(),
         vertices: 0,
         max: 0.0,
         zones: [0.0; 2],
@@ -203,31 +214,31 @@ pub fn screen_error(land: &Land, places: &[Place]) -> Screen {
         camera: String::new(),
         max_when_loose: 0.0,
     };
-    let mut scenery = Scenery::new(*land);
-    for place in places {
-        let shot = place.shot();
-        let (mut world, selection) = screen::selected(&mut scenery, &shot);
-        scenery.clear();
+    let mut builder = WorldBuilder::new(*land);
+    for case in cases {
+        let shot = case.shot();
+        let (mut world, selection) = screen::selected(&mut builder, &shot);
+        builder.clear();
         let seen = screen::measure(land, &world, &selection, &shot);
-        let share = |pixels: f64| pixels / place.tolerance_px;
+        let share = |pixels: f64| pixels / case.tolerance_px;
         if share(seen.max_px()) > result.max {
-            (result.worst, result.camera) = (seen.worst, place.pose.to_string());
+            (result.worst, result.camera) = (seen.worst, case.pose.to_string());
         }
         result.vertices += seen.vertices;
         result.max = result.max.max(share(seen.max_px()));
         result.zones = [0, 1].map(|zone| result.zones[zone].max(share(seen.worst_px[zone])));
-        let loose = Shot { tolerance_px: LOOSE * place.tolerance_px, ..shot };
+        let loose = ViewParams { tolerance_px: LOOSE * case.tolerance_px, ..shot };
         let selection = select(&mut world, &loose.viewer());
-        let control: Seen = screen::measure(land, &world, &selection, &loose);
+        let control: ScreenErrors = screen::measure(land, &world, &selection, &loose);
         result.max_when_loose = result.max_when_loose.max(share(control.max_px()));
     }
     result
 }
 
 fn gaps(land: Land, views: u32) -> Result<Cracks> {
-    let mut studio = cracks::studio()?;
+    let mut renderer = cracks::renderer()?;
     let viewpoints = cracks::viewpoints(land.world_seed(), views, CRACKS_STREAM);
-    let mut count = |fault| cracks::count(&mut studio, land, &viewpoints, fault);
+    let mut count = |fault| cracks::count(&mut renderer, land, &viewpoints, fault);
     Ok(Cracks {
         whole: count(Fault::None)?,
         chunk_left_out: count(Fault::ChunkLeftOut)?,

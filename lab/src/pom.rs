@@ -1,18 +1,30 @@
-//! `tombolo-lab pom`: parallax occlusion mapping against its truth. `cargo xtask measure pom` holds
-//! the figures against their bars; here only a control that fails to fail is an error.
+//! `tombolo-lab pom`: parallax occlusion mapping against its reference. `cargo xtask measure pom`
+//! compares the figures with their bars; here only a control that passes is an error.
+//!
+//! Height maps that are hard to march over ([`maps`]), the reference in f64 ([`mod@reference`]) and
+//! the shipped marches on this machine's GPU ([`mod@bench`]), both compared ([`comparison`]); edges
+//! and depths in pictures ([`renderer`], [`pictures`]).
 
-pub mod pictures;
+mod bars;
+pub mod bench;
+pub mod comparison;
+pub mod maps;
+mod pictures;
+pub mod reference;
+pub mod renderer;
 
-use crate::accuracy::octaves::ratios;
-use crate::relief::bench::ReliefBench;
-use crate::relief::maps::Kind;
-use crate::relief::trial::{AMPLITUDE, ANGLES_DEG, Condition, Score, Stage, bundle, probes, relief};
+use crate::pom::bench::PomBench;
+use crate::pom::comparison::{AMPLITUDE, ANGLES_DEG, Condition, Score, Stage, bundle, probes, relief};
+use crate::pom::maps::Kind;
+use crate::report::with_bars;
+use crate::stats::{interleaved, ratios, worst};
 use crate::{Outputs, note};
 use anyhow::{Result, ensure};
-use client::relief::knobs::{LoopForm, Refine, ReliefTier};
+use client::features::pom::settings::{LoopForm, PomMethod, Refine};
 use pictures::Pictures;
 use serde::Serialize;
-use shaders::layout::Relief;
+use serde_json::Value;
+use shaders::layout::PomParams;
 
 /// Rounds of the timing, and rays of each condition in it.
 const ROUNDS: usize = 9;
@@ -24,7 +36,8 @@ const REPEATS: u32 = 2;
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
     /// Rays of each map and angle, 1000 to 10000000
-    #[arg(long, value_name = "N", default_value_t = 200_000, value_parser = clap::value_parser!(u32).range(1_000..=10_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 200_000,
+          value_parser = clap::value_parser!(u32).range(1_000..=10_000_000))]
     pub rays: u32,
 }
 
@@ -32,7 +45,7 @@ pub struct Options {
 #[derive(Clone, Debug, Serialize)]
 struct Report {
     adapter: String,
-    /// Whether the driver has no GPU: its times say nothing about one.
+    /// Whether the driver is a software rasteriser.
     is_software: bool,
     /// Rays of each map and angle.
     rays: u32,
@@ -73,19 +86,19 @@ struct Cost {
     early_exit: f64,
 }
 
-/// The constant search that others are compared with.
-fn constant(form: LoopForm) -> Relief {
-    Relief { steps_min: 64, steps_max: 64, loop_form: form as u32, ..relief(ReliefTier::Linear) }
+/// The search of a constant number of steps, the baseline.
+fn constant(form: LoopForm) -> PomParams {
+    PomParams { steps_min: 64, steps_max: 64, loop_form: form as u32, ..relief(PomMethod::Linear) }
 }
 
-/// Measures everything, prints it, and checks that every control fails.
+/// Measures, prints and checks the controls.
 ///
 /// # Errors
 /// There is no GPU, it failed, a control holds, or a result cannot be written.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
-    let bench = ReliefBench::open()?;
+    let bench = PomBench::open()?;
     let stage = Stage::new(&bench, false);
-    note("places against the truth");
+    note("places against the reference");
     let search = searches(&bench, &stage, options.rays)?;
     note("loop forms");
     let loops = loops(&bench, &stage)?;
@@ -106,24 +119,28 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         pictures,
         cost,
     };
-    outputs.write_json(&report)?;
+    let json = serde_json::to_value(&report)?;
+    let (rows, notes) = (bars::rows(&json), bars::notes(&json));
+    print!("{}", ::bars::text(&rows));
+    let adapter = json.pointer("/adapter").and_then(Value::as_str).map(str::to_owned);
+    outputs.write_json(&with_bars(json, &rows, &notes, adapter))?;
     report.controls()
 }
 
-fn searches(bench: &ReliefBench, stage: &Stage, rays: u32) -> Result<Vec<Search>> {
+fn searches(bench: &PomBench, stage: &Stage, rays: u32) -> Result<Vec<Search>> {
     let mut rows = Vec::new();
     for (layer, kind) in Kind::ALL.into_iter().enumerate() {
         for angle_deg in ANGLES_DEG {
             let condition = Condition::new(stage, layer, angle_deg, rays);
-            let score = |how: &Relief| condition.score(bench, stage, how);
+            let score = |how: &PomParams| condition.score(bench, stage, how);
             let row = Search {
                 map: kind.name(),
                 angle_deg,
-                pyramid: score(&relief(ReliefTier::Pyramid))?,
-                auto: score(&relief(ReliefTier::Auto))?,
+                pyramid: score(&relief(PomMethod::MaxMip))?,
+                auto: score(&relief(PomMethod::Auto))?,
                 linear: score(&constant(LoopForm::Exit))?,
             };
-            let told = |name: &str, score: &Score| {
+            let text = |name: &str, score: &Score| {
                 format!(
                     "{name} {:.4} % off ({:.4} % no tangents), residual {:.1e}, {:.1} fetches",
                     100.0 * score.wrong,
@@ -135,9 +152,9 @@ fn searches(bench: &ReliefBench, stage: &Stage, rays: u32) -> Result<Vec<Search>
             println!(
                 "{:<6} {angle_deg:>2} degrees: {}; {}; {}",
                 row.map,
-                told("pyramid", &row.pyramid),
-                told("auto", &row.auto),
-                told("64 + secant", &row.linear)
+                text("pyramid", &row.pyramid),
+                text("auto", &row.auto),
+                text("64 + secant", &row.linear)
             );
             rows.push(row);
         }
@@ -145,13 +162,13 @@ fn searches(bench: &ReliefBench, stage: &Stage, rays: u32) -> Result<Vec<Search>
     Ok(rows)
 }
 
-fn loops(bench: &ReliefBench, stage: &Stage) -> Result<Loops> {
+fn loops(bench: &PomBench, stage: &Stage) -> Result<Loops> {
     let mut loops = Loops { compared: 0, differing: 0, differing_control: 0 };
     for layer in 0..Kind::ALL.len() {
         for angle_deg in ANGLES_DEG {
             let probes = probes(layer, TIMED_RAYS, angle_deg, AMPLITUDE);
             let words = |refine: Refine, form: LoopForm| -> Result<Vec<u32>> {
-                let how = Relief { refine: refine as u32, ..constant(form) };
+                let how = PomParams { refine: refine as u32, ..constant(form) };
                 let (found, _) = bench.run(&stage.uploaded, &how, &probes, 1)?;
                 Ok(found
                     .iter()
@@ -172,25 +189,20 @@ fn loops(bench: &ReliefBench, stage: &Stage) -> Result<Loops> {
     Ok(loops)
 }
 
-/// All ways take turns in every round. They are branches of one pipeline, as in the viewer.
-fn costs(bench: &ReliefBench, stage: &Stage) -> Result<Vec<Cost>> {
-    let ways = [
+/// The methods are branches of one pipeline, as in the viewer.
+fn costs(bench: &PomBench, stage: &Stage) -> Result<Vec<Cost>> {
+    let methods = [
         constant(LoopForm::Flag),
-        relief(ReliefTier::Auto),
-        relief(ReliefTier::Pyramid),
+        relief(PomMethod::Auto),
+        relief(PomMethod::MaxMip),
         constant(LoopForm::Exit),
     ];
     let mut rows = Vec::new();
     for (layer, kind) in Kind::ALL.into_iter().enumerate() {
         for angle_deg in ANGLES_DEG {
             let probes = bundle(layer, TIMED_SIDE, angle_deg, AMPLITUDE);
-            let mut times = vec![Vec::new(); ways.len()];
-            for _ in 0..ROUNDS {
-                for (how, times) in ways.iter().zip(&mut times) {
-                    times.push(bench.run(&stage.uploaded, how, &probes, REPEATS)?.1);
-                }
-            }
-            let ratios = ratios(&times);
+            let run = |index: usize| Ok(bench.run(&stage.uploaded, &methods[index], &probes, REPEATS)?.1);
+            let ratios = ratios(&interleaved(ROUNDS, methods.len(), run)?);
             let row = Cost {
                 map: kind.name(),
                 angle_deg,
@@ -199,7 +211,8 @@ fn costs(bench: &ReliefBench, stage: &Stage) -> Result<Vec<Cost>> {
                 early_exit: ratios[3],
             };
             println!(
-                "{:<6} {angle_deg:>2} degrees, time over 64 steps without exit: auto {:.2}, pyramid {:.2}, 64 steps with exit {:.2}",
+                "{:<6} {angle_deg:>2} degrees, time over 64 steps without exit: auto {:.2}, pyramid {:.2}, \
+                 64 steps with exit {:.2}",
                 row.map, row.auto, row.pyramid, row.early_exit
             );
             rows.push(row);
@@ -209,16 +222,12 @@ fn costs(bench: &ReliefBench, stage: &Stage) -> Result<Vec<Cost>> {
 }
 
 impl Report {
-    /// Every control must fail, or what it controls has seen nothing.
+    /// Fails if a control passes.
     fn controls(&self) -> Result<()> {
         for map in Kind::ALL.map(Kind::name) {
-            let worst = self
-                .search
-                .iter()
-                .filter(|row| row.map == map)
-                .map(|row| row.linear.wrong)
-                .fold(0.0, f64::max);
-            ensure!(worst > 0.001, "64 steps miss nothing of {map}: the measurement cannot be trusted");
+            let rows = self.search.iter().filter(|row| row.map == map);
+            let missed = worst(rows.map(|row| row.linear.wrong));
+            ensure!(missed > 0.001, "64 steps miss nothing of {map}: the measurement detects nothing");
         }
         ensure!(
             self.loops.differing_control > 0,

@@ -2,15 +2,13 @@
 //! tests never check them; this does, and leaves a dated record.
 
 mod code;
-mod culling;
 mod end_to_end;
 mod heightfield;
-mod pom;
+mod lab;
 mod record;
 mod report;
 mod runs;
 mod streaming;
-mod terrain;
 
 use crate::process;
 use anyhow::{Result, bail};
@@ -18,19 +16,13 @@ use bars::{Bar, Limit};
 use serde_json::Value;
 use std::path::Path;
 
-/// Why a row has no figure on a software driver.
-const NEEDS_GPU: &str = "needs a GPU";
-
 /// A measurement by name.
 type Measurement = (&'static str, fn() -> Result<()>);
 
-const MEASUREMENTS: [Measurement; 7] = [
+const MEASUREMENTS: [Measurement; 4] = [
     ("code", code::run),
     ("end-to-end", end_to_end::run),
     ("heightfield", heightfield::run),
-    ("terrain", terrain::run),
-    ("pom", pom::run),
-    ("culling", culling::run),
     ("streaming", streaming::run),
 ];
 
@@ -43,22 +35,25 @@ pub fn run(name: &str) -> Result<()> {
     process::use_dist_profile();
     // The name of this measurement in older records and scripts.
     let name = if name == "first-voyage" { "end-to-end" } else { name };
-    match MEASUREMENTS.into_iter().find(|(known, _)| *known == name) {
-        Some((_, measurement)) => measurement(),
-        None => {
-            let known = MEASUREMENTS.map(|(known, _)| known).join(", ");
-            bail!("measure: `{name}` is not known; give one of: {known}")
-        }
+    if let Some((_, measurement)) = MEASUREMENTS.into_iter().find(|(known, _)| *known == name) {
+        return measurement();
     }
+    if let Some(measurement) = lab::ALL.into_iter().find(|known| known.name == name) {
+        return lab::run(measurement);
+    }
+    let known = MEASUREMENTS.map(|(known, _)| known).into_iter().chain(lab::ALL.map(|known| known.name));
+    bail!("measure: `{name}` is not known; give one of: {}", known.collect::<Vec<_>>().join(", "))
 }
 
-/// The rows that a GPU is needed for, from reports of `tombolo-lab`.
+/// The rows of a GPU bundle: those of every report that judge what a GPU computes, by their names.
 pub fn gpu_rows(digest: &Value, lod: &Value, pom: &Value, culling: &Value) -> Vec<Bar> {
     let twins = heightfield::differing_twins(digest);
     let mut rows = vec![Bar::new("GPU twins with another digest", twins, "", Limit::AtMost(0.0))];
-    rows.extend(terrain::rows(lod).into_iter().filter(|row| row.name == terrain::GPU_TIME));
-    rows.extend(pom::rows(pom));
-    rows.extend(culling::rows(culling).into_iter().filter(|row| culling::needs_gpu(&row.name)));
+    for (name, report) in [("lod", lod), ("pom", pom), ("culling", culling)] {
+        let all = lab::rows(name, report);
+        let is_whole = all.len() > 1;
+        rows.extend(all.into_iter().filter(|row| !is_whole || name == "pom" || row.name.contains("GPU")));
+    }
     rows
 }
 

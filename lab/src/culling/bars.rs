@@ -1,11 +1,6 @@
-//! `culling`: what is left out although it is seen, what is kept although it is hidden, what either
-//! costs, and whether the GPU chooses as its twin does.
+//! The bars of vegetation culling.
 
-use super::record::{self, Heading};
-use super::report::{self, number};
-use crate::process;
-use crate::setup::{self, Extent};
-use anyhow::{Context, Result};
+use crate::report::number;
 use bars::{Bar, Limit};
 use serde_json::Value;
 
@@ -16,42 +11,13 @@ const POSES: f64 = 300.0;
 const COMPARED: f64 = 20.0;
 
 const GPU_AGAINST_TWIN: &str = "GPU against the twin: differing clumps";
-const GPU_AGAINST_TWIN_CONTROL: &str = "the same with a twin that does not test the land (control)";
+const GPU_AGAINST_TWIN_CONTROL: &str = "GPU against a twin that does not test the land (control)";
 const GPU_TIME: &str = "on a GPU: 1 M clumps at 1080p, cull and draw";
-
-/// Whether a row is about what a GPU computes.
-pub fn needs_gpu(what: &str) -> bool {
-    [GPU_AGAINST_TWIN, GPU_AGAINST_TWIN_CONTROL, GPU_TIME].contains(&what)
-}
-
-/// Builds, measures, prints, records.
-///
-/// # Errors
-/// The build or the record failed, or a bar was missed.
-pub fn run() -> Result<()> {
-    setup::run(Extent::Headless)?;
-    process::run(process::build(&["tombolo-lab"])).context("measure: the build failed")?;
-    let folder = process::target().join("measure/culling");
-    std::fs::create_dir_all(&folder)
-        .with_context(|| format!("measure: cannot create {}", folder.display()))?;
-    let mut notes = Vec::new();
-    let json = folder.join("culling.json");
-    let mut lab = process::command(process::program("tombolo-lab"));
-    lab.args(["culling", "--poses", &POSES.to_string(), "--json"]).arg(&json);
-    process::quiet_drivers(&mut lab);
-    let culling = report::of(lab, &json, &mut notes)?;
-
-    let rows = rows(&culling);
-    notes.splice(0..0, how(&culling));
-    let adapter = culling.pointer("/same/adapter").and_then(Value::as_str);
-    let path = record::write(&Heading { name: "culling", adapter, notes: &notes }, &rows)?;
-    super::judge(&rows, &path)
-}
 
 /// Every figure beside its bar.
 pub fn rows(culling: &Value) -> Vec<Bar> {
     let at = |path: &str| culling.pointer(path).and_then(Value::as_f64);
-    let is_whole = at("/poses") >= Some(POSES) && at("/sight/scenes") >= Some(0.9 * POSES);
+    let is_whole = at("/poses") >= Some(POSES) && at("/sight/scenes") >= Some(POSES);
     let sight = |path: &str| at(&format!("/sight/{path}")).filter(|_| is_whole);
     // Of nothing nothing can be lost.
     let lost = |test: &str| {
@@ -63,7 +29,7 @@ pub fn rows(culling: &Value) -> Vec<Bar> {
     };
     let ratio = |above: Option<f64>, below: Option<f64>| Some(above? / below.filter(|below| *below > 0.0)?);
     let shown = |path: &str| {
-        let is_enough = at("/shown/poses") >= Some(0.9 * POSES) && at("/shown/seen") > Some(0.0);
+        let is_enough = at("/shown/poses") >= Some(POSES) && at("/shown/seen") > Some(0.0);
         at(&format!("/shown/{path}")).filter(|_| is_enough)
     };
     let frame = |way: &str, field: &str| {
@@ -97,8 +63,13 @@ pub fn rows(culling: &Value) -> Vec<Bar> {
         ),
         Bar::new("T4: hidden grass kept", kept("grass"), "%", Limit::Under(3.0)),
         Bar::new("T4: hidden trees kept", kept("trees"), "%", Limit::Reported),
-        Bar::new("T4: hidden chunks of grass with a clump kept", kept("chunks"), "%", Limit::Under(20.0)),
-        Bar::new("of these with a block kept", kept("chunks_by_blocks"), "%", Limit::Reported),
+        Bar::new(
+            "hidden chunks of grass that survive the chunk and block tests",
+            kept("chunks_by_blocks"),
+            "%",
+            Limit::Under(20.0),
+        ),
+        Bar::new("hidden chunks of grass with a clump kept", kept("chunks"), "%", Limit::Reported),
         Bar::new("T4: hidden chunks of trees with a clump kept", kept("tree_chunks"), "%", Limit::Reported),
         Bar::new(
             "fetches of a march in steps of 0.5 m over those of T3",
@@ -135,12 +106,12 @@ pub fn rows(culling: &Value) -> Vec<Bar> {
             "",
             Limit::Under(0.001),
         ),
-        Bar::not_measured(GPU_TIME, super::NEEDS_GPU, "ms", Limit::Under(1.5)),
+        Bar::not_measured(GPU_TIME, crate::report::NEEDS_GPU, "ms", Limit::Under(1.5)),
     ]
 }
 
-/// How the figures came about, for the record.
-fn how(culling: &Value) -> Vec<String> {
+/// How the figures were measured, for the record.
+pub fn notes(culling: &Value) -> Vec<String> {
     let mut notes = vec![
         format!("Sight: {POSES} seeded poses in valleys, on peaks and between, a person's height above the ground or a tower's, tolerances of 0.7 to 4 pixels, every third over land that is stretched 1.8 or 4 times, every fifth 10^6 m from the origin. Truth, in f64: a clump is seen if the drawn triangles leave any vertex of it in sight of the eye, as the twins of the shapes place it; a chunk of 128 m, if any clump of it that stands in the view is."),
         "Fetches: reads of heights, bounds and tiles of the same rays; time: one thread, the same rays one after the other.".into(),

@@ -1,11 +1,6 @@
-//! `terrain`: the drawn levels of detail. Screen error, triangles, gaps, popping, draw calls,
-//! memory, and time where there is a GPU to take it.
+//! The bars of the drawn levels of detail.
 
-use super::record::{self, Heading};
-use super::report::{self, number};
-use crate::process;
-use crate::setup::{self, Extent};
-use anyhow::{Context, Result};
+use crate::report::{list, number};
 use bars::{Bar, Limit, worst};
 use serde_json::Value;
 
@@ -16,31 +11,7 @@ const VIEWS: f64 = 200.0;
 const KIB: f64 = 1024.0;
 
 /// The row that needs a GPU.
-pub const GPU_TIME: &str = "GPU time of the island at 1920 x 1080";
-
-/// Builds, measures, prints, records.
-///
-/// # Errors
-/// The build or the record failed, or a bar was missed.
-pub fn run() -> Result<()> {
-    setup::run(Extent::Headless)?;
-    process::run(process::build(&["tombolo-lab"])).context("measure: the build failed")?;
-    let folder = process::target().join("measure/terrain");
-    std::fs::create_dir_all(&folder)
-        .with_context(|| format!("measure: cannot create {}", folder.display()))?;
-    let mut notes = Vec::new();
-    let json = folder.join("lod.json");
-    let mut lab = process::command(process::program("tombolo-lab"));
-    lab.args(["lod", "--poses", &POSES.to_string(), "--views", &VIEWS.to_string(), "--json"]).arg(&json);
-    process::quiet_drivers(&mut lab);
-    let lod = report::of(lab, &json, &mut notes)?;
-
-    let rows = rows(&lod);
-    notes.splice(0..0, how(&lod));
-    let adapter = lod.pointer("/frames/adapter").and_then(Value::as_str);
-    let path = record::write(&Heading { name: "terrain", adapter, notes: &notes }, &rows)?;
-    super::judge(&rows, &path)
-}
+const GPU_TIME: &str = "GPU time of the island at 1920 x 1080";
 
 /// Every figure beside its bar.
 pub fn rows(lod: &Value) -> Vec<Bar> {
@@ -118,7 +89,7 @@ fn times(lod: &Value) -> Vec<Bar> {
     let whole = at(1.0).and_then(passes).map(|(_, whole)| whole);
     let is_software = lod.pointer("/frames/is_software").and_then(Value::as_bool);
     let time = match is_software {
-        Some(true) => Bar::not_measured(GPU_TIME, super::NEEDS_GPU, "ms", Limit::Under(2.0)),
+        Some(true) => Bar::not_measured(GPU_TIME, crate::report::NEEDS_GPU, "ms", Limit::Under(2.0)),
         _ => Bar::new(GPU_TIME, whole, "ms", Limit::Under(2.0)),
     };
     let frame_ms = |tolerance| number(at(tolerance)?, "frame_ms");
@@ -140,12 +111,8 @@ fn times(lod: &Value) -> Vec<Bar> {
     ]
 }
 
-fn list<'a>(lod: &'a Value, path: &str) -> &'a [Value] {
-    lod.pointer(path).and_then(Value::as_array).map_or(&[], Vec::as_slice)
-}
-
-/// How the figures came about, for the record.
-fn how(lod: &Value) -> Vec<String> {
+/// How the figures were measured, for the record.
+pub fn notes(lod: &Value) -> Vec<String> {
     let mut notes = vec![
         "Screen error: at every vertex of level 0 within 8 km all round the eye, 1920 x 1080, 60 degrees, at tolerances of 0.5, 1, 2 and 4 px; the drawn triangles are evaluated by the twin of the vertex shader.".into(),
         "Gaps: pixels of 256 x 144 whose view ray comes below the deepest land within 3.6 km; most eyes on borders of chunks, more than half of them while chunks are still arriving, half of them on islands up to 4000 km out.".into(),

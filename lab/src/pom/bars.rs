@@ -1,11 +1,6 @@
-//! `pom`: parallax occlusion mapping against its truth. Missed features, residuals, identities,
-//! silhouettes, depth, and what it costs.
+//! The bars of parallax occlusion mapping.
 
-use super::record::{self, Heading};
-use super::report::{self, number};
-use crate::process;
-use crate::setup::{self, Extent};
-use anyhow::{Context, Result};
+use crate::report::{list, number};
 use bars::{Bar, Limit, worst};
 use serde_json::Value;
 
@@ -14,30 +9,6 @@ const RAYS: f64 = 200_000.0;
 
 /// Maps times angles.
 const CONDITIONS: usize = 24;
-
-/// Builds, measures, prints, records.
-///
-/// # Errors
-/// The build or the record failed, or a bar was missed.
-pub fn run() -> Result<()> {
-    setup::run(Extent::Headless)?;
-    process::run(process::build(&["tombolo-lab"])).context("measure: the build failed")?;
-    let folder = process::target().join("measure/pom");
-    std::fs::create_dir_all(&folder)
-        .with_context(|| format!("measure: cannot create {}", folder.display()))?;
-    let mut notes = Vec::new();
-    let json = folder.join("pom.json");
-    let mut lab = process::command(process::program("tombolo-lab"));
-    lab.args(["pom", "--rays", &RAYS.to_string(), "--json"]).arg(&json);
-    process::quiet_drivers(&mut lab);
-    let pom = report::of(lab, &json, &mut notes)?;
-
-    let rows = rows(&pom);
-    notes.splice(0..0, how(&pom));
-    let adapter = pom.get("adapter").and_then(Value::as_str);
-    let path = record::write(&Heading { name: "pom", adapter, notes: &notes }, &rows)?;
-    super::judge(&rows, &path)
-}
 
 /// Every figure beside its bar.
 pub fn rows(pom: &Value) -> Vec<Bar> {
@@ -134,17 +105,13 @@ pub fn rows(pom: &Value) -> Vec<Bar> {
 fn time(pom: &Value, ratio: Option<f64>) -> Bar {
     let what = "time of auto over 64 steps without exit, on a GPU";
     match pom.get("is_software").and_then(Value::as_bool) {
-        Some(true) => Bar::not_measured(what, super::NEEDS_GPU, "x", Limit::Under(0.4)),
+        Some(true) => Bar::not_measured(what, crate::report::NEEDS_GPU, "x", Limit::Under(0.4)),
         _ => Bar::new(what, ratio, "x", Limit::AtMost(0.4)),
     }
 }
 
-fn list<'a>(pom: &'a Value, path: &str) -> &'a [Value] {
-    pom.pointer(path).and_then(Value::as_array).map_or(&[], Vec::as_slice)
-}
-
-/// How the figures came about, for the record.
-fn how(pom: &Value) -> Vec<String> {
+/// How the figures were measured, for the record.
+pub fn notes(pom: &Value) -> Vec<String> {
     let mut notes = vec![
         format!("Search: {RAYS} rays of random place and heading for each of four maps of 512 x 512 texels (smooth hills, bricks, thin posts, ridges of one texel) under 0, 30, 60, 75, 85 and 89 degrees, relief 0.05 tiles high, on the GPU; truth: every cell that the ray crosses, in f64. A tangent clears what it passes, or goes into it, by at most a thousandth of the relief."),
         "Pictures: a plane of cobblestones, 960 x 540, one sample a pixel, against 131,072 displaced triangles; silhouettes from 60, 16 and 5 degrees and three bearings, lines of intersection with a sunken ball from 60, 40, 16 and 5 degrees.".into(),
