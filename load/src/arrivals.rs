@@ -1,9 +1,10 @@
-//! When an open loop wants something to happen: fixed before the run, whatever the server does.
+//! The times at which an open loop acts. They are fixed before the run and do not depend on the
+//! server.
 //!
-//! A closed loop waits for an answer before it asks again, so a server that stalls is asked less
-//! while it stalls, and the stall counts once instead of as often as it was felt ("coordinated
-//! omission", a term of G. Tene). Here the times are a Poisson process, the arrivals of many people
-//! who do not know of each other; latency counts from them, also where the sending was late.
+//! A closed loop waits for an answer before the next request, so a stalled server gets fewer
+//! requests and the stall counts once ("coordinated omission", a term of G. Tene). Here the times
+//! are a Poisson process, as of many independent users. Latency counts from them, also if a request
+//! was sent late.
 
 use std::time::Duration;
 use terrain::hash::{hash2, mix};
@@ -18,14 +19,14 @@ pub struct Arrivals {
     /// Mean time between two, seconds.
     mean_s: f64,
     epoch: Instant,
-    /// Time of the one to come.
+    /// Time of the next arrival.
     next_s: f64,
     /// No arrival is at this time or after it.
     end: Instant,
 }
 
 impl Arrivals {
-    /// The arrivals of client `index` from an epoch to an end, `rate` a second on average. Poisson
+    /// The arrivals of client `index` from `epoch` to `end`, `rate` a second on average. Poisson
     /// processes add up: all clients together have the sum of their rates.
     #[must_use]
     pub fn new(seed: u32, index: u32, rate: f64, epoch: Instant, end: Instant) -> Self {
@@ -43,7 +44,7 @@ impl Arrivals {
         (at < self.end).then_some(at)
     }
 
-    /// Goes on to the one after it.
+    /// Moves on to the next arrival.
     pub fn advance(&mut self) {
         self.number = self.number.wrapping_add(1);
         self.next_s += self.gap_s();
@@ -51,7 +52,7 @@ impl Arrivals {
 
     /// A time between two arrivals: exponentially distributed, by inversion of its distribution.
     fn gap_s(&self) -> f64 {
-        // Never 0, whose logarithm has no value.
+        // Never 0, which has no logarithm.
         let share = (f64::from(hash2(self.seed, self.number as i32, 1)) + 0.5) / (f64::from(u32::MAX) + 1.0);
         -share.ln() * self.mean_s
     }

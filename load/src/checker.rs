@@ -1,5 +1,4 @@
-//! What every chunk goes through that arrives, whichever way: the pyramids always, the whole chunk
-//! for a sample.
+//! Checks every chunk that arrives: its pyramids always, a sample against local generation.
 
 use crate::counters::Counters;
 use crate::regeneration::Regeneration;
@@ -8,34 +7,34 @@ use protocol::Delivery;
 use std::sync::Arc;
 use terrain::{Chunk, Land};
 
-/// One client's inspection.
+/// The checks of one client.
 #[derive(Debug)]
-pub struct Inspection {
+pub struct ChunkChecker {
     land: Land,
-    /// How chunks are to come.
-    asked: Delivery,
-    /// One in so many is compared whole; 0 is none.
+    /// The requested delivery.
+    requested: Delivery,
+    /// One in so many is compared with local generation; 0 is none.
     every: u32,
-    /// Chunks until the next of these.
+    /// Chunks until the next comparison.
     until: u32,
     counters: Arc<Counters>,
     regeneration: Regeneration,
 }
 
-impl Inspection {
-    /// The inspection of client `index`. Clients start at different places of the count, so that
-    /// short sessions are sampled too.
+impl ChunkChecker {
+    /// The checks of client `index`. Clients start their count at different values, so that short
+    /// sessions are sampled too.
     #[must_use]
     pub fn new(
         land: Land,
-        asked: Delivery,
+        requested: Delivery,
         (every, index): (u32, u32),
         counters: &Arc<Counters>,
         regeneration: &Regeneration,
     ) -> Self {
         Self {
             land,
-            asked,
+            requested,
             every,
             until: 1 + index % every.max(1),
             counters: Arc::clone(counters),
@@ -43,16 +42,16 @@ impl Inspection {
         }
     }
 
-    /// Inspects a chunk and lets it go. `delivery` says how it came.
-    pub async fn inspect(&mut self, chunk: Box<Chunk>, delivery: Delivery) {
+    /// Checks a chunk that came with this delivery.
+    pub async fn check(&mut self, chunk: Box<Chunk>, delivery: Delivery) {
         if let Err(mismatch) = verify::pyramids(&chunk) {
             self.counters.mismatch(&mismatch.to_string());
         }
-        // A seed-only frame was generated and verified by the session; its error is the server's
-        // word until it is sampled. An exact frame may come in seed-only delivery too, where every
-        // chunk is promised to be compared.
+        // The session generates and verifies seed-only chunks, except their error bound, which only
+        // a sample verifies. Exact frames can come in seed-only delivery, where every chunk is to
+        // be compared.
         let regenerated = delivery == Delivery::SeedOnly;
-        let sampled = self.is_sampled() || (self.asked == Delivery::SeedOnly && !regenerated);
+        let sampled = self.is_sampled() || (self.requested == Delivery::SeedOnly && !regenerated);
         if sampled || regenerated {
             self.counters.regenerated();
         }
@@ -61,7 +60,7 @@ impl Inspection {
         }
     }
 
-    /// Whether this is the one in `every` chunks that is generated again.
+    /// Whether this is the one in `every` chunks that is compared.
     const fn is_sampled(&mut self) -> bool {
         if self.every == 0 {
             return false;

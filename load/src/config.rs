@@ -1,7 +1,5 @@
-//! From what was typed to what is meant, checked once. Nothing deeper reads options, files or the
-//! environment.
+//! Options, checked once. No other module reads options, files or the environment.
 
-use crate::bench::Bench;
 use crate::mode::Mode;
 use crate::path::PathKind;
 use clap::Parser;
@@ -14,14 +12,14 @@ use tokio_tungstenite::tungstenite::http::Uri;
 
 /// Drives a Tombolo server with many headless clients and verifies every chunk that they receive.
 ///
-/// Exits with 0 only if chunks arrived, none of them was wrong and no session was lost.
+/// Exits with 0 only if chunks arrived, all were correct and no session was lost.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "tombolo-load", version)]
 pub struct Args {
     /// Stream of the server, `ws://HOST:PORT/v1/stream`
     #[arg(long, value_name = "URL", default_value = "ws://127.0.0.1:7580/v1/stream")]
     pub connect: String,
-    /// Clients at once, 1 to 100000
+    /// Number of clients, 1 to 100000
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub clients: u32,
     /// Length of the run in seconds, 1 to 86400
@@ -30,9 +28,9 @@ pub struct Args {
     /// File for the report as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// How chunks come: exact (all heights), refined (all heights in fewer bytes, for memory: up to
-    /// 17 MiB a client), seed (a digest each; every chunk is generated here and verified) or
-    /// quantised:METRES (heights no farther off than that)
+    /// Delivery: exact (all heights), refined (all heights in fewer bytes, with up to 17 MiB of
+    /// memory a client), seed (a digest each; every chunk is generated here and verified) or
+    /// quantised:METRES (heights within that error)
     #[arg(long, value_name = "exact|refined|seed|quantised:METRES", default_value_t = Delivery::Exact)]
     pub delivery: Delivery,
     /// View distance of every client in metres, 1 to 65536
@@ -42,92 +40,81 @@ pub struct Args {
     /// How clients move
     #[arg(long, value_name = "PATH", value_enum, default_value_t = PathKind::Fly)]
     pub path: PathKind,
-    /// How clients ask for chunks
+    /// How clients request chunks
     #[arg(long, value_name = "MODE", value_enum, default_value_t = Mode::View)]
     pub mode: Mode,
-    /// Requests (in view mode poses) a second over all clients, 0.01 to 1000000, at times fixed
-    /// beforehand whatever the server does (an open loop); latency counts from them, so a late send
-    /// counts [default: a closed loop, in which each client waits for answers]
+    /// Requests (in view mode poses) a second over all clients, 0.01 to 1000000, at times that do
+    /// not depend on the server (an open loop). Latency counts from these times, so it includes late
+    /// sends [default: a closed loop, in which each client waits for answers]
     #[arg(long, value_name = "R", value_parser = rate)]
     pub rate: Option<f64>,
-    /// Before the run, fly the first S seconds of the same paths, 0 to 86400. Reported apart: this
-    /// part is `cold`, the run itself, in which all begin again with new sessions and empty hands,
-    /// `warm`
+    /// Before the run, fly the first S seconds of the same paths, 0 to 86400. Reported separately:
+    /// this phase is `cold`; the run itself, in which clients start again with new sessions and no
+    /// chunks, is `warm`
     #[arg(long, value_name = "S", allow_negative_numbers = true, default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=86_400))]
     pub warm_up: u64,
-    /// Further clients that read only --slow-rate bytes a second, 0 to 10000; reported apart
+    /// Additional clients that read only --slow-rate bytes a second, 0 to 10000; reported separately
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=10_000))]
     pub slow: u32,
-    /// What each of these reads, bytes a second, 1 to 1000000
+    /// Read rate of each slow client, bytes a second, 1 to 1000000
     #[arg(long, value_name = "BYTES", default_value_t = 2048, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub slow_rate: u32,
-    /// Further clients that connect and say nothing, every other one once it has asked for a view,
-    /// 0 to 10000; reported apart
+    /// Additional idle clients, 0 to 10000, that send no Hello or, every other one, one view and then
+    /// nothing; reported separately
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=10_000))]
     pub silent: u32,
-    /// File for a picture of latency and throughput over time, .png
+    /// File for a plot of latency and throughput over time, .png
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
-    /// Say nothing while the run goes on
+    /// Show no progress
     #[arg(long)]
     pub quiet: bool,
-    /// Seed of the paths; the same seed flies the same paths
+    /// Seed of the paths; the same seed gives the same paths
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u32,
-    /// Compare one in N chunks of each client with the same chunk generated here, its measured
-    /// error included; 0 compares none, 1 all (one thread compares, so a small N slows the load)
+    /// Compare one in N chunks of each client with local generation, error bound included; 0
+    /// compares none, 1 all (one thread compares, so a small N slows the load)
     #[arg(long, value_name = "N", default_value_t = 32)]
     pub verify_every: u32,
-    /// Instead of a load, measures one promise of a server that is started for it in a process of
-    /// its own; Linux only. With it, of the options above only --seconds (of each timed part) and
-    /// --json count
-    #[arg(long, value_name = "BENCH", value_enum)]
-    pub bench: Option<Bench>,
-    /// Rounds of a benchmark, 1 to 100; its figures are medians over them
-    #[arg(long, value_name = "N", requires = "bench", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
-    pub rounds: u32,
-    /// Server program that a benchmark starts [default: tombolo-server beside this program]
-    #[arg(long, value_name = "FILE", requires = "bench")]
-    pub server: Option<PathBuf>,
-    /// Processors for the benchmark's server (and for nginx beside it), as `taskset -c` takes them,
-    /// such as 0 or 0-3 [default: all]
-    #[arg(long, value_name = "LIST", requires = "bench")]
-    pub server_cpus: Option<String>,
-    /// File whose first line is the access token, where the server asks for one
+    /// Moved to `tombolo-server-bench`. Takes all that follows, so that the error can show the
+    /// new command.
+    #[arg(long, hide = true, num_args = 0.., allow_hyphen_values = true)]
+    pub bench: Option<Vec<String>>,
+    /// File whose first line is the access token, if the server requires one
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
 }
 
-/// What a load test runs with. Every value is in range.
+/// Configuration of a load test. All values are in range.
 #[derive(Clone, Debug)]
 pub struct LoadConfig {
     /// The stream, a `ws://` address.
     pub connect: Uri,
-    /// Clients at once.
+    /// Number of clients.
     pub clients: u32,
     /// Length of the run, seconds.
     pub seconds: u64,
-    /// How chunks are to come.
+    /// Requested delivery.
     pub delivery: Delivery,
     /// View distance, metres.
     pub view_distance_m: u32,
     /// How clients move.
     pub path: PathKind,
-    /// How clients ask.
+    /// How clients request chunks.
     pub mode: Mode,
     /// Requests or poses a second over all clients in an open loop; none is a closed loop.
     pub rate: Option<f64>,
-    /// Seconds of a first part that is reported apart; 0 is none.
+    /// Length of the warm-up, seconds; 0 is none.
     pub warm_up_s: u64,
-    /// Further clients that read slowly.
+    /// Additional slow clients.
     pub slow: u32,
-    /// What each of them reads, bytes a second, at least 1.
+    /// Read rate of each of them, bytes a second, at least 1.
     pub slow_bytes_per_s: u32,
-    /// Further clients that say nothing.
+    /// Additional idle clients.
     pub silent: u32,
-    /// Seed of the paths, of what is asked for and of the arrivals.
+    /// Seed of paths, requests and arrivals.
     pub seed: u32,
-    /// One in so many chunks is generated again and compared; 0 is none.
+    /// One in so many chunks is compared with local generation; 0 is none.
     pub verify_every: u32,
     /// Access token.
     pub token: Option<String>,
@@ -158,20 +145,25 @@ impl LoadConfig {
 }
 
 impl Args {
-    /// Checks what clap cannot, and reads the token.
+    /// Checks what clap cannot check, and reads the token.
     ///
     /// # Errors
-    /// An address that is no `ws://` address, options that exclude each other, or a token file that
-    /// cannot be used.
+    /// An address that is no `ws://` address, incompatible options, or an invalid token file.
     pub fn resolve(self) -> Result<LoadConfig, UsageError> {
+        if let Some(bench) = self.bench {
+            let rest = bench.join(" ");
+            return Err(UsageError::new(format!(
+                "--bench: server benchmarks are in another program; run: tombolo-server-bench {rest}"
+            )));
+        }
         if self.mode == Mode::Http && self.delivery != Delivery::Exact {
             return Err(UsageError::new(format!(
-                "--delivery {}: chunks come exact over HTTP; leave it out or use --mode view or explicit",
+                "--delivery {}: HTTP delivers exact chunks only; leave it out or use --mode view or explicit",
                 self.delivery
             )));
         }
         if let Some(plot) = self.plot.filter(|plot| plot.extension().is_none_or(|end| end != "png")) {
-            return Err(UsageError::new(format!("--plot: `{}` is no .png file", plot.display())));
+            return Err(UsageError::new(format!("--plot: expected a .png file, got `{}`", plot.display())));
         }
         Ok(LoadConfig {
             connect: stream_address(&self.connect)?,
@@ -212,7 +204,7 @@ pub fn stream_address(text: &str) -> Result<Uri, UsageError> {
     match (address.scheme_str(), address.host()) {
         (Some("ws"), Some(host)) if !host.is_empty() => Ok(address),
         (Some("wss"), _) => {
-            Err(refuse("needs TLS, which this tool does not speak (point it behind the proxy)"))
+            Err(refuse("needs TLS, which this program does not support (connect behind the proxy)"))
         }
         _ => Err(refuse("is not a ws:// address")),
     }
@@ -236,13 +228,13 @@ mod tests {
         assert_eq!((config.path, config.verify_every, &config.token), (PathKind::Fly, 32, &None));
         assert_eq!((config.mode, config.rate, config.warm_up_s), (Mode::View, None, 0));
         assert_eq!((config.slow, config.silent), (0, 0));
-        // What a test begins with is what the command line begins with.
+        // Tests start from the same defaults as the command line.
         let plain = LoadConfig::new(config.connect.clone());
         assert_eq!(format!("{config:?}"), format!("{plain:?}"));
     }
 
     #[test]
-    fn values_out_of_range_and_unknown_options_are_refused_by_name() {
+    fn invalid_options_are_errors_that_name_them() {
         for (args, word) in [
             (&["--clients", "0"][..], "--clients"),
             (&["--seconds", "0"], "--seconds"),
@@ -254,8 +246,8 @@ mod tests {
             (&["--rate", "NaN"], "0.01 to 1000000"),
             (&["--slow-rate", "0"], "--slow-rate"),
             (&["--warm-up", "-1"], "--warm-up"),
-            (&["--rounds", "5"], "--bench"),
-            (&["--server-cpus", "0"], "--bench"),
+            (&["--rounds", "5"], "--rounds"),
+            (&["--server-cpus", "0"], "--server-cpus"),
             (&["--colour", "red"], "--colour"),
         ] {
             let error = parse(args).unwrap_err();
@@ -264,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_that_are_no_streams_are_refused_in_one_line() {
+    fn invalid_addresses_are_one_line_errors() {
         for bad in
             ["", "localhost:1", "http://127.0.0.1/v1/stream", "wss://a/v1/stream", "ws://", "nonsense here"]
         {
@@ -275,13 +267,21 @@ mod tests {
     }
 
     #[test]
-    fn seed_only_over_http_is_refused_with_what_to_do() {
+    fn seed_only_over_http_is_an_error_with_a_hint() {
         let args = parse(&["--mode", "http", "--delivery", "seed"]).unwrap();
         assert!(args.resolve().unwrap_err().to_string().contains("--mode view"));
     }
 
     #[test]
-    fn a_missing_token_file_is_refused_by_name() {
+    fn benchmarks_are_an_error_that_names_their_program() {
+        let args = parse(&["--seconds", "2", "--bench", "idle", "--rounds", "5"]).unwrap();
+        let error = args.resolve().unwrap_err().to_string();
+        assert!(error.ends_with("tombolo-server-bench idle --rounds 5"), "{error}");
+        assert!(!error.contains('\n'));
+    }
+
+    #[test]
+    fn a_missing_token_file_is_an_error_that_names_it() {
         let error = parse(&["--token-file", "/no/such/file"]).unwrap().resolve().unwrap_err().to_string();
         assert!(error.contains("token-file") && error.contains("/no/such/file"), "{error}");
     }

@@ -1,4 +1,4 @@
-//! What clients of one sort count in one part of a run, together, while they run.
+//! Counters that all clients of one kind share during one phase.
 
 use crate::latency::Latencies;
 use crate::timeline::Timeline;
@@ -7,15 +7,15 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Distinct troubles that are kept in words; all of them are counted.
+/// Distinct problems whose text is kept; all of them are counted.
 pub const MAX_PROBLEMS: usize = 8;
 
-/// Live counters. Relaxed atomics: nobody orders anything by them.
+/// Live counters. Relaxed atomics: nothing is ordered by them.
 #[derive(Debug, Default)]
 pub struct Counters {
-    /// Where the same is told second by second; nowhere for clients whose figures are kept apart.
+    /// The timeline that gets the same events; none for slow and idle clients.
     timeline: Option<Arc<Timeline>>,
-    /// Sessions that were admitted, or connections over HTTP that told their world.
+    /// Sessions admitted, or HTTP connections that received the world's description.
     pub(crate) admitted: AtomicU64,
     pub(crate) chunks: AtomicU64,
     pub(crate) bytes: AtomicU64,
@@ -28,32 +28,32 @@ pub struct Counters {
     pub(crate) requests: AtomicU64,
     pub(crate) unanswered: AtomicU64,
     pub(crate) unsent: AtomicU64,
-    /// When the last chunk came, microseconds since the start of the run.
+    /// Time of the last chunk, microseconds since the start of the run.
     last_chunk_us: AtomicU64,
-    /// Of slow and silent clients: still connected at the end of the run.
+    /// Of slow and idle clients: still connected at the end of the run.
     pub(crate) stayed: AtomicU64,
-    /// A mutex is right: some thousand records a second, nothing awaits under it.
+    /// A mutex suffices: some thousand records a second, and nothing awaits while it is held.
     latencies: Mutex<Latencies>,
     settling: Mutex<Latencies>,
     lateness: Mutex<Latencies>,
-    /// Of slow and silent clients: what ended their connections, and how often.
+    /// Of slow and idle clients: why their connections were closed, and how often.
     closed: Mutex<BTreeMap<String, u64>>,
     problems: Mutex<Vec<String>>,
 }
 
 impl Counters {
-    /// Counters that tell a timeline too.
+    /// Counters that feed a timeline too.
     #[must_use]
-    pub fn telling(timeline: Arc<Timeline>) -> Self {
+    pub fn with_timeline(timeline: Arc<Timeline>) -> Self {
         Self { timeline: Some(timeline), ..Self::default() }
     }
 
-    /// A client was let in.
+    /// A client was admitted.
     pub fn admitted(&self) {
         add(&self.admitted);
     }
 
-    /// A chunk arrived, right or wrong.
+    /// A chunk arrived, correct or not.
     pub fn chunk(&self, bytes: usize) {
         add(&self.chunks);
         self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
@@ -64,12 +64,12 @@ impl Counters {
         }
     }
 
-    /// When the last chunk came, from the start of the run.
+    /// Time of the last chunk since the start of the run.
     pub(crate) fn last_chunk(&self) -> Duration {
         Duration::from_micros(get(&self.last_chunk_us))
     }
 
-    /// The server said that what the client has is still right.
+    /// The server answered that a known chunk has not changed.
     pub fn not_modified(&self) {
         add(&self.not_modified);
     }
@@ -79,19 +79,19 @@ impl Counters {
         add(&self.regenerated);
     }
 
-    /// Something arrived that is not what it should be.
+    /// Something invalid arrived.
     pub fn mismatch(&self, problem: &str) {
         add(&self.mismatches);
         self.note(problem);
     }
 
-    /// A session ended before its time.
+    /// A session was lost before the end of the phase.
     pub fn dropped(&self, problem: &str) {
         add(&self.dropped);
         self.note(problem);
     }
 
-    /// A session was not admitted, or something asked for was refused.
+    /// A session was not admitted, or a request was refused.
     pub fn refused(&self, problem: &str) {
         add(&self.refused);
         self.note(problem);
@@ -107,13 +107,13 @@ impl Counters {
         lock(&self.settling).record(latency);
     }
 
-    /// A request was sent, or a pose that is measured, so long after it was due.
+    /// A request, or a measured pose, was sent so long after it was due.
     pub fn request(&self, late: Duration) {
         add(&self.requests);
         lock(&self.lateness).record(late);
     }
 
-    /// What was asked is answered after this time.
+    /// A request was answered after this time.
     pub fn answered(&self, latency: Duration) {
         lock(&self.latencies).record(latency);
         if let Some(timeline) = &self.timeline {
@@ -121,34 +121,33 @@ impl Counters {
         }
     }
 
-    /// This many requests were without an answer when their session ended.
+    /// So many requests had no answer when their session ended.
     pub fn unanswered(&self, requests: usize) {
         self.unanswered.fetch_add(requests as u64, Ordering::Relaxed);
     }
 
-    /// A request of an open loop was without an answer after this time, at the end of the run or of
-    /// its session. It counts with the time that it has waited, which is less than what an answer
-    /// would have taken.
+    /// A request of an open loop had no answer after this time, at the end of the run or of its
+    /// session. It counts with this time, a lower bound of its latency.
     pub fn abandoned(&self, waited: Duration) {
         add(&self.unanswered);
         lock(&self.latencies).record(waited);
     }
 
-    /// As [`Counters::abandoned`], of a request that was due and never sent.
+    /// As [`Counters::abandoned`], for a request that was due and never sent.
     pub fn unsent(&self, waited: Duration) {
         add(&self.unsent);
         lock(&self.latencies).record(waited);
     }
 
-    /// A slow or silent client's connection was ended by the server.
+    /// The server closed the connection of a slow or idle client.
     pub fn closed(&self, why: &str) {
         let mut closed = lock(&self.closed);
-        // Reasons are few; a server that makes up a new one each time is told as the others.
+        // Bounded, in case a server gives a new reason each time.
         let why = if closed.len() < MAX_PROBLEMS || closed.contains_key(why) { why } else { "other reasons" };
         *closed.entry(why.into()).or_default() += 1;
     }
 
-    /// A slow or silent client was still connected at the end of the run.
+    /// A slow or idle client was still connected at the end of the run.
     pub fn stayed(&self) {
         add(&self.stayed);
     }
@@ -181,7 +180,7 @@ impl Counters {
     }
 }
 
-/// A count so far.
+/// The current count.
 pub(crate) fn get(counter: &AtomicU64) -> u64 {
     counter.load(Ordering::Relaxed)
 }
@@ -199,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_same_problem_is_told_once_and_counted_always() {
+    fn a_repeated_problem_is_listed_once_and_always_counted() {
         let counters = Counters::default();
         for index in 0..100 {
             counters.dropped("gone");
@@ -212,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn reasons_are_counted_one_by_one_and_bounded() {
+    fn close_reasons_are_counted_separately_and_bounded() {
         let counters = Counters::default();
         for index in 0..100 {
             counters.closed("silent");
@@ -226,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_open_loop_never_got_counts_with_the_time_it_waited() {
+    fn missing_answers_of_an_open_loop_count_with_their_wait() {
         let counters = Counters::default();
         counters.answered(Duration::from_millis(1));
         counters.abandoned(Duration::from_secs(2));

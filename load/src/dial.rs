@@ -1,5 +1,5 @@
-//! How a connection comes about: the one seam between the clients and the network, so that tests
-//! can put a pipe in its place.
+//! Opens connections: the only interface between clients and network, which tests replace with
+//! pipes in memory.
 
 use std::future::Future;
 use std::io;
@@ -8,7 +8,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpSocket, TcpStream, lookup_host};
 use tokio_tungstenite::tungstenite::http::Uri;
 
-/// Port where an address names none.
+/// Default port.
 const HTTP_PORT: u16 = 80;
 
 /// Opens connections to one server.
@@ -16,8 +16,8 @@ pub trait Dial: Send + Sync + 'static {
     /// A connection.
     type Stream: AsyncRead + AsyncWrite + Send + Unpin + 'static;
 
-    /// Opens one. `receive_buffer`, bytes, bounds what the system takes in for a reader who does
-    /// not read; none leaves it to it.
+    /// Opens a connection. `receive_buffer` is the size of the system's receive buffer, bytes; none
+    /// is the system's default.
     fn dial(&self, receive_buffer: Option<u32>) -> impl Future<Output = io::Result<Self::Stream>> + Send;
 }
 
@@ -32,7 +32,7 @@ impl Tcp {
     /// To the host of a checked address.
     #[must_use]
     pub fn to(address: &Uri) -> Self {
-        // Brackets are how an address with colons stands in a URL, not how it is looked up.
+        // IPv6 addresses have brackets in URLs, but not in lookups.
         let host = address.host().unwrap_or_default().trim_matches(['[', ']']).to_owned();
         Self { host, port: address.port_u16().unwrap_or(HTTP_PORT) }
     }
@@ -56,11 +56,11 @@ impl Dial for Tcp {
 async fn connect(address: SocketAddr, receive_buffer: Option<u32>) -> io::Result<TcpStream> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
     if let Some(bytes) = receive_buffer {
-        // Before the connection: the window is agreed on with it.
+        // Before connecting, which negotiates the window.
         socket.set_recv_buffer_size(bytes)?;
     }
     let stream = socket.connect(address).await?;
-    // Requests are small and timed; Nagle would hold them back.
+    // Requests are small and timed; Nagle's algorithm would delay them.
     stream.set_nodelay(true)?;
     Ok(stream)
 }

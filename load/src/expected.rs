@@ -1,7 +1,7 @@
-//! What one client has asked for: views, requests, held chunks. It says whether a chunk may arrive
-//! at all, and how long a request took.
+//! The chunks that one client may receive, from its views, requests and held chunks. Also measures
+//! the latency of requests.
 //!
-//! Everything in it is bounded, whatever the server sends or keeps back.
+//! Its memory is bounded for any behaviour of the server.
 
 use protocol::limits::MAX_PENDING_REQUESTS;
 use protocol::message::{Refused, WireKey};
@@ -13,35 +13,34 @@ use terrain::lod::{self, Viewer};
 use terrain::{ChunkKey, Land};
 use tokio::time::Instant;
 
-/// Views that the server may still be serving to one who reads what comes. At four views a second
-/// 64 are 16 s; when it is full the oldest is forgotten, and a chunk of a view that old counts as
-/// unasked.
+/// Views that the server may still be serving. At four views a second 64 are 16 s. When the list is
+/// full the oldest view is dropped, and a chunk that only it needs counts as unexpected.
 pub const MAX_VIEWS: usize = 64;
 
-/// The same for one who reads slowly: what arrives was asked for long ago. At four views a second
-/// 17 minutes.
+/// The same for a slow client, whose chunks arrive long after their view. At four views a second 17
+/// minutes.
 pub const MAX_VIEWS_SLOW: usize = 4096;
 
-/// Requests without an answer. When it is full no further request is made until one is answered;
-/// those that stay open are reported as unanswered. Half of what a server takes.
+/// Maximum of requests without an answer; further ones wait. Those that stay open are reported as
+/// unanswered. Half of what a server accepts.
 pub const MAX_OPEN_REQUESTS: usize = MAX_PENDING_REQUESTS / 2;
 
-/// Chunks that a client pretends to hold, about three views of 2 km. When it is full the oldest
+/// Chunks that a client claims to hold, about three views of 2 km. When the list is full the oldest
 /// that the current view does not need is released, and the server may send it again.
 const MAX_HELD: usize = 1024;
 
 /// See the module.
 #[derive(Debug)]
-pub struct Interest {
+pub struct ExpectedChunks {
     land: Land,
     max_views: usize,
-    /// Newest last, with the id that a Settled or a refusal will name, and the viewer that the
-    /// server may look ahead for.
+    /// Newest last: the id in Settled and refusals, the viewer, and the predicted viewer that the
+    /// server may prefetch for.
     views: VecDeque<(u32, Viewer, Option<Viewer>)>,
-    /// By key, oldest first: two requests may name the same.
+    /// By key, oldest first: two requests may have the same key.
     requests: FxHashMap<ChunkKey, VecDeque<OpenRequest>>,
     n_requests: usize,
-    /// Keys that arrived, oldest first, and the same as a set.
+    /// Keys that arrived, oldest first, and as a set.
     order: VecDeque<ChunkKey>,
     held: FxHashSet<ChunkKey>,
 }
@@ -52,19 +51,19 @@ struct OpenRequest {
     since: Instant,
 }
 
-/// How a chunk that arrived relates to what was asked.
+/// Why a chunk arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Arrival {
-    /// A request is answered, after this time.
+pub enum ChunkStatus {
+    /// It answers a request, after this time.
     Requested(Duration),
     /// A view needs or needed it.
     InView,
-    /// Nobody asked for it.
-    Unasked,
+    /// No view or request explains it.
+    Unexpected,
 }
 
-impl Interest {
-    /// Nothing asked for yet. So many views are remembered: [`MAX_VIEWS`] or [`MAX_VIEWS_SLOW`].
+impl ExpectedChunks {
+    /// Nothing is expected yet. Remembers so many views: [`MAX_VIEWS`] or [`MAX_VIEWS_SLOW`].
     #[must_use]
     pub fn new(land: Land, max_views: usize) -> Self {
         Self {
@@ -78,22 +77,21 @@ impl Interest {
         }
     }
 
-    /// Notes a view that was sent.
-    pub fn view(&mut self, view: &View) {
+    /// Adds a view that was sent.
+    pub fn add_view(&mut self, view: &View) {
         if self.views.len() == self.max_views {
             self.views.pop_front();
         }
         self.views.push_back((view.id, view.viewer(), view.viewer_ahead()));
     }
 
-    /// Notes that a view is settled: nothing of an older one is under way any more.
+    /// A view is settled: no chunk of an older view is still to come.
     pub fn settled(&mut self, view: u32) {
         // Ids only grow within a session; wrapping would take thirty years.
         self.views.retain(|(id, _, _)| *id >= view);
     }
 
-    /// Whether a request for this key would measure the answer to the request: nothing else is
-    /// going to bring the chunk.
+    /// Whether only a request would bring this chunk, so that its latency is that of the request.
     #[must_use]
     pub fn can_request(&self, key: ChunkKey) -> bool {
         self.n_requests < MAX_OPEN_REQUESTS
@@ -102,13 +100,13 @@ impl Interest {
             && !self.is_needed_by_a_view(key)
     }
 
-    /// Notes a request that was sent, and since when it counts.
-    pub fn request(&mut self, id: u32, key: ChunkKey, since: Instant) {
+    /// Adds a request that was sent, with the time from which it counts.
+    pub fn add_request(&mut self, id: u32, key: ChunkKey, since: Instant) {
         self.requests.entry(key).or_default().push_back(OpenRequest { id, since });
         self.n_requests += 1;
     }
 
-    /// Notes a refusal, so that a refused request does not stay open.
+    /// Removes the requests that a refusal answers.
     pub fn refused(&mut self, refused: &Refused) {
         let id = refused.id;
         match refused.key.map(WireKey::check) {
@@ -126,13 +124,13 @@ impl Interest {
         self.n_requests = self.requests.values().map(VecDeque::len).sum();
     }
 
-    /// Judges a chunk that arrived and notes it as held. Returns what it answers, and a key to
-    /// release if holding it is one too many.
-    pub fn arrive(&mut self, key: ChunkKey, now: Instant) -> (Arrival, Option<ChunkKey>) {
+    /// Classifies a chunk that arrived and adds it to the held chunks. Also returns a key to release
+    /// if too many are held.
+    pub fn receive(&mut self, key: ChunkKey, now: Instant) -> (ChunkStatus, Option<ChunkKey>) {
         let arrival = match self.answered(key) {
-            Some(request) => Arrival::Requested(now.saturating_duration_since(request.since)),
-            None if self.is_needed_by_a_view(key) => Arrival::InView,
-            None => Arrival::Unasked,
+            Some(request) => ChunkStatus::Requested(now.saturating_duration_since(request.since)),
+            None if self.is_needed_by_a_view(key) => ChunkStatus::InView,
+            None => ChunkStatus::Unexpected,
         };
         if self.held.insert(key) {
             self.order.push_back(key);
@@ -147,12 +145,12 @@ impl Interest {
         self.n_requests
     }
 
-    /// Since when each of these counts.
+    /// The times from which these requests count.
     pub fn waiting_since(&self) -> impl Iterator<Item = Instant> {
         self.requests.values().flatten().map(|request| request.since)
     }
 
-    /// Takes the oldest request for a key.
+    /// Removes the oldest request for a key.
     fn answered(&mut self, key: ChunkKey) -> Option<OpenRequest> {
         let open = self.requests.get_mut(&key)?;
         let request = open.pop_front()?;
@@ -163,12 +161,11 @@ impl Interest {
         Some(request)
     }
 
-    /// Lets go of the oldest chunk that the current view does not need, or of the oldest if it
-    /// needs them all.
+    /// Releases the oldest chunk that the current view does not need, or the oldest of all.
     fn release_one(&mut self) -> Option<ChunkKey> {
         let current = self.views.back().map(|(_, viewer, _)| *viewer);
         let spare = |key: &ChunkKey| !current.is_some_and(|viewer| is_needed(&self.land, &viewer, *key));
-        // A view's coarse chunks are the oldest; looking at a few more is enough to pass over them.
+        // The oldest are often the coarse chunks of the view; 64 are enough to pass over them.
         let index = self.order.iter().take(64).position(spare).unwrap_or(0);
         let key = self.order.remove(index)?;
         self.held.remove(&key);
@@ -176,7 +173,7 @@ impl Interest {
     }
 
     fn is_needed_by_a_view(&self, key: ChunkKey) -> bool {
-        // Newest first: it is nearly always the one.
+        // Newest first: it nearly always matches.
         self.views.iter().rev().any(|(_, viewer, ahead)| {
             [Some(viewer), ahead.as_ref()]
                 .into_iter()
@@ -186,10 +183,10 @@ impl Interest {
     }
 }
 
-/// Whether a viewer needs a chunk, by the rule of [`lod::select`] asked for one key: it is within
-/// the distance, and the chunk above it is split.
+/// Whether a viewer needs a chunk, by the rule of [`lod::select`] for one key: it is within the
+/// distance, and its parent is split.
 ///
-/// Cheaper than a selection per view (nearly always one test), and said independently of it.
+/// Cheaper than a selection per view (nearly always one test), and implemented independently.
 #[must_use]
 pub fn is_needed(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
     key.level() <= viewer.top_level()
@@ -198,8 +195,8 @@ pub fn is_needed(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
             || key.parent().is_some_and(|parent| is_split(land, viewer, parent)))
 }
 
-/// Whether a chunk is split: it is too coarse itself, or one of its children or of the chunks
-/// around these is split, beside which it would be two levels too coarse.
+/// Whether a chunk is split: it is too coarse itself, or one of its children or of their neighbours
+/// is split, so that the chunk would differ from it by two levels.
 fn is_split(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
     if is_too_coarse(land, viewer, key) {
         return true;
@@ -207,8 +204,8 @@ fn is_split(land: &Land, viewer: &Viewer, key: ChunkKey) -> bool {
     let ring = |key: ChunkKey| {
         (-1..=1).flat_map(move |east| (-1..=1).filter_map(move |south| key.neighbour(east, south)))
     };
-    // A chain of such demands never leaves the chunks around the first one's ancestors, which are
-    // too coarse as it is.
+    // Such a chain never leaves the neighbours of the first chunk's ancestors, which are too coarse
+    // themselves.
     if !ring(key).any(|near| is_too_coarse(land, viewer, near)) {
         return false;
     }
@@ -243,14 +240,14 @@ mod tests {
     }
 
     #[test]
-    fn a_key_is_needed_exactly_if_the_selection_holds_it() {
+    fn a_key_is_needed_if_and_only_if_it_is_selected() {
         for (index, distance_m) in [(0, 2000), (1, 2000), (2, 300), (3, 8000), (4, 100)] {
             let viewer = view(1, index, distance_m).viewer();
             let selected: HashSet<_> =
                 lod::select(&land(), &viewer, usize::MAX).into_iter().map(|needed| needed.key).collect();
             assert!(!selected.is_empty());
-            // Every selected key, its children, its parent and its eastern neighbour: both sides of
-            // every border.
+            // Every selected key, its children, parent and eastern neighbour: both sides of every
+            // border.
             let around = |key: &ChunkKey| {
                 let east = ChunkKey::new(key.level(), key.x() + 1, key.z()).ok();
                 key.children()
@@ -272,98 +269,98 @@ mod tests {
     }
 
     #[test]
-    fn a_chunk_that_nobody_asked_for_is_unasked_until_it_is_requested() {
+    fn a_chunk_is_unexpected_unless_requested_or_in_view() {
         let now = Instant::now();
-        let mut interest = Interest::new(land(), MAX_VIEWS);
-        interest.view(&view(1, 0, 2000));
+        let mut expected = ExpectedChunks::new(land(), MAX_VIEWS);
+        expected.add_view(&view(1, 0, 2000));
         let far = key(0, 30_000, 30_000);
-        assert_eq!(interest.arrive(far, now).0, Arrival::Unasked);
-        interest.request(0, far, now);
+        assert_eq!(expected.receive(far, now).0, ChunkStatus::Unexpected);
+        expected.add_request(0, far, now);
         let later = now + Duration::from_millis(7);
-        assert_eq!(interest.arrive(far, later).0, Arrival::Requested(Duration::from_millis(7)));
-        assert_eq!(interest.arrive(far, later).0, Arrival::Unasked, "one request is one chunk");
+        assert_eq!(expected.receive(far, later).0, ChunkStatus::Requested(Duration::from_millis(7)));
+        assert_eq!(expected.receive(far, later).0, ChunkStatus::Unexpected, "one request is one chunk");
         let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
-        assert_eq!(interest.arrive(near, now).0, Arrival::InView);
+        assert_eq!(expected.receive(near, now).0, ChunkStatus::InView);
     }
 
     #[test]
     fn older_views_count_until_a_newer_one_is_settled() {
         let now = Instant::now();
-        let mut interest = Interest::new(land(), MAX_VIEWS);
+        let mut expected = ExpectedChunks::new(land(), MAX_VIEWS);
         let (old, new) = (view(1, 0, 300), view(2, 1, 300));
         let of_old = lod::select(&land(), &old.viewer(), usize::MAX).last().unwrap().key;
         assert!(!is_needed(&land(), &new.viewer(), of_old));
-        interest.view(&old);
-        interest.view(&new);
-        assert_eq!(interest.arrive(of_old, now).0, Arrival::InView);
-        interest.settled(2);
-        assert_eq!(interest.arrive(of_old, now).0, Arrival::Unasked);
+        expected.add_view(&old);
+        expected.add_view(&new);
+        assert_eq!(expected.receive(of_old, now).0, ChunkStatus::InView);
+        expected.settled(2);
+        assert_eq!(expected.receive(of_old, now).0, ChunkStatus::Unexpected);
     }
 
     #[test]
-    fn only_keys_that_nothing_else_brings_are_requested() {
+    fn only_keys_outside_of_views_and_requests_can_be_requested() {
         let now = Instant::now();
-        let mut interest = Interest::new(land(), MAX_VIEWS);
-        interest.view(&view(1, 0, 2000));
+        let mut expected = ExpectedChunks::new(land(), MAX_VIEWS);
+        expected.add_view(&view(1, 0, 2000));
         let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
         let far = key(0, 30_000, 30_000);
-        assert!(!interest.can_request(near));
-        assert!(interest.can_request(far));
-        interest.request(0, far, now);
-        assert!(!interest.can_request(far), "already open");
-        interest.arrive(far, now);
-        assert!(!interest.can_request(far), "already held");
+        assert!(!expected.can_request(near));
+        assert!(expected.can_request(far));
+        expected.add_request(0, far, now);
+        assert!(!expected.can_request(far), "already open");
+        expected.receive(far, now);
+        assert!(!expected.can_request(far), "already held");
     }
 
     #[test]
-    fn two_requests_for_one_chunk_are_two_answers_each_from_its_own_time() {
+    fn two_requests_for_a_chunk_are_answered_separately() {
         let now = Instant::now();
-        let mut interest = Interest::new(land(), MAX_VIEWS);
+        let mut expected = ExpectedChunks::new(land(), MAX_VIEWS);
         let far = key(0, 30_000, 30_000);
-        interest.request(0, far, now);
-        interest.request(1, far, now + Duration::from_millis(5));
-        assert_eq!(interest.open_requests(), 2);
+        expected.add_request(0, far, now);
+        expected.add_request(1, far, now + Duration::from_millis(5));
+        assert_eq!(expected.open_requests(), 2);
         let later = now + Duration::from_millis(9);
-        assert_eq!(interest.arrive(far, later).0, Arrival::Requested(Duration::from_millis(9)));
-        assert_eq!(interest.arrive(far, later).0, Arrival::Requested(Duration::from_millis(4)));
-        assert_eq!((interest.arrive(far, later).0, interest.open_requests()), (Arrival::Unasked, 0));
+        assert_eq!(expected.receive(far, later).0, ChunkStatus::Requested(Duration::from_millis(9)));
+        assert_eq!(expected.receive(far, later).0, ChunkStatus::Requested(Duration::from_millis(4)));
+        assert_eq!((expected.receive(far, later).0, expected.open_requests()), (ChunkStatus::Unexpected, 0));
     }
 
     #[test]
     fn refusals_close_requests_by_key_or_by_id() {
-        let mut interest = Interest::new(land(), MAX_VIEWS);
-        interest.request(5, key(0, 1, 1), Instant::now());
-        interest.request(6, key(0, 2, 2), Instant::now());
+        let mut expected = ExpectedChunks::new(land(), MAX_VIEWS);
+        expected.add_request(5, key(0, 1, 1), Instant::now());
+        expected.add_request(6, key(0, 2, 2), Instant::now());
         let refusal = |id, key: Option<ChunkKey>| Refused {
             id,
             key: key.map(Into::into),
             reason: RefusalReason::Overloaded,
             detail: "".into(),
         };
-        interest.refused(&refusal(5, Some(key(0, 1, 1))));
-        assert_eq!(interest.open_requests(), 1);
-        interest.refused(&refusal(6, None));
-        assert_eq!(interest.open_requests(), 0);
+        expected.refused(&refusal(5, Some(key(0, 1, 1))));
+        assert_eq!(expected.open_requests(), 1);
+        expected.refused(&refusal(6, None));
+        assert_eq!(expected.open_requests(), 0);
     }
 
     #[test]
-    fn what_is_held_is_bounded_and_the_current_view_is_kept() {
+    fn held_chunks_are_bounded_and_the_current_view_is_kept() {
         let now = Instant::now();
-        let mut interest = Interest::new(land(), MAX_VIEWS);
-        interest.view(&view(1, 0, 2000));
+        let mut expected = ExpectedChunks::new(land(), MAX_VIEWS);
+        expected.add_view(&view(1, 0, 2000));
         let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
-        interest.arrive(near, now);
+        expected.receive(near, now);
         let mut released = Vec::new();
         for x in 0..MAX_HELD as i32 + 50 {
-            released.extend(interest.arrive(key(0, 20_000 + x, 9), now).1);
+            released.extend(expected.receive(key(0, 20_000 + x, 9), now).1);
         }
-        assert_eq!(interest.held.len(), MAX_HELD);
+        assert_eq!(expected.held.len(), MAX_HELD);
         assert_eq!(released.len(), 51);
         assert_eq!(released[0], key(0, 20_000, 9), "the oldest that is not in view");
-        assert!(interest.held.contains(&near));
+        assert!(expected.held.contains(&near));
         for id in 0..1000 {
-            interest.view(&view(id, 0, 2000));
+            expected.add_view(&view(id, 0, 2000));
         }
-        assert_eq!(interest.views.len(), MAX_VIEWS);
+        assert_eq!(expected.views.len(), MAX_VIEWS);
     }
 }

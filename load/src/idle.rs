@@ -1,38 +1,38 @@
-//! A client that is silent: it opens the WebSocket and never says Hello, or asks for a view and
-//! then neither speaks nor answers.
+//! An idle client (`--silent`): it opens the WebSocket and sends no Hello, or sends one view and
+//! then nothing more.
 //!
-//! The bytes that come are taken, so that silence is all that there is against it, but no ping is
-//! answered. How the server ends it is read from its close frame.
+//! It reads all bytes but answers no ping, so only its inactivity can be the reason for a close,
+//! which it reads from the close frame.
 
 use crate::SOFTWARE;
-use crate::client::{End, Task};
 use crate::dial::Dial;
 use crate::path::FlightPath;
 use crate::session::{connect, transmit, view_of};
+use crate::task::{SessionEnd, Task};
 use protocol::CloseCode;
 use protocol::client::{ClientConfig, ClientSession};
 use terrain::Land;
 use tokio::io::{AsyncRead, AsyncReadExt};
 use tokio::time::timeout_at;
 
-/// Chunks that one lets the server send: enough for it to have something to say.
+/// Credit of a client with a view: enough that the server has chunks to send.
 const WINDOW: u32 = 64;
 
 /// Bytes read at once.
 const BUFFER: usize = 4096;
 
-/// Runs one until the server or the run ends it.
+/// Runs an idle client until the server closes the connection or the run ends.
 pub async fn run<D: Dial>(task: &Task<'_, D>) {
-    match timeout_at(task.end, keep_silent(task)).await {
+    match timeout_at(task.end, stay_idle(task)).await {
         Ok(Ok(why)) => task.counters.closed(&why),
-        Ok(Err(End::NotAdmitted { problem, .. })) => task.counters.refused(&problem),
-        Ok(Err(End::Lost(problem) | End::Wrong(problem))) => task.counters.closed(&problem),
-        Ok(Err(End::Finished)) | Err(_) => task.counters.stayed(),
+        Ok(Err(SessionEnd::NotAdmitted { problem, .. })) => task.counters.refused(&problem),
+        Ok(Err(SessionEnd::Lost(problem) | SessionEnd::Wrong(problem))) => task.counters.closed(&problem),
+        Ok(Err(SessionEnd::Finished)) | Err(_) => task.counters.stayed(),
     }
 }
 
-/// Connects and waits for the end. Returns how the server explains it.
-async fn keep_silent<D: Dial>(task: &Task<'_, D>) -> Result<String, End> {
+/// Connects and waits for the close. Returns its reason.
+async fn stay_idle<D: Dial>(task: &Task<'_, D>) -> Result<String, SessionEnd> {
     let mut socket = connect(task).await?;
     task.counters.admitted();
     if task.index % 2 == 1 {
@@ -44,16 +44,16 @@ async fn keep_silent<D: Dial>(task: &Task<'_, D>) -> Result<String, End> {
             window: WINDOW,
         });
         let path = FlightPath::new(task.config.path, task.config.seed, task.index);
-        // Any land does: the height of one pose matters to nobody.
+        // Any land serves: the height of the pose does not matter.
         session.set_view(view_of(0, &path.pose(&Land::new(0), 0.0), task.config.view_distance_m));
-        transmit(&mut socket, &mut session).await.map_err(End::Lost)?;
+        transmit(&mut socket, &mut session).await.map_err(SessionEnd::Lost)?;
     }
-    Ok(last_words(socket.into_inner()).await)
+    Ok(close_reason(socket.into_inner()).await)
 }
 
-/// Reads to the end. Returns what the close frame said.
-async fn last_words(mut stream: impl AsyncRead + Unpin) -> String {
-    let mut scan = Scan::default();
+/// Reads to the end. Returns the reason in the close frame.
+async fn close_reason(mut stream: impl AsyncRead + Unpin) -> String {
+    let mut scan = CloseScanner::default();
     let mut buffer = [0; BUFFER];
     loop {
         match stream.read(&mut buffer).await {
@@ -69,18 +69,17 @@ async fn last_words(mut stream: impl AsyncRead + Unpin) -> String {
     }
 }
 
-/// Walks over WebSocket frames (RFC 6455, section 5.2) without keeping them, looking for a close.
+/// Scans WebSocket frames (RFC 6455, section 5.2) for a close frame without storing them.
 #[derive(Debug, Default)]
-struct Scan {
-    /// The beginning of a frame: opcode, length, and of a close the two bytes of its code. At most
-    /// 12 bytes.
+struct CloseScanner {
+    /// The head of a frame: opcode, length, and the code of a close frame. At most 12 bytes.
     head: Vec<u8>,
-    /// Bytes of the present frame still to be passed over.
+    /// Bytes of the current frame to skip.
     skip: u64,
 }
 
-impl Scan {
-    /// Takes bytes; the code of a close frame among them, 1005 if it has none.
+impl CloseScanner {
+    /// Scans bytes. Returns the code of a close frame, 1005 if it has none.
     fn close(&mut self, mut bytes: &[u8]) -> Option<u16> {
         while let Some((first, rest)) = bytes.split_first() {
             if self.skip > 0 {
@@ -104,8 +103,7 @@ impl Scan {
         None
     }
 
-    /// Where the payload begins and its length, once that is known. A server's frames are not
-    /// masked.
+    /// Offset and length of the payload, once known. Frames of a server are not masked.
     fn frame(&self) -> Option<(usize, u64)> {
         let [_, second, rest @ ..] = self.head.as_slice() else { return None };
         match second & 127 {
@@ -129,18 +127,18 @@ mod tests {
     }
 
     #[test]
-    fn a_close_is_found_behind_any_frames_however_the_bytes_are_cut() {
+    fn a_close_frame_is_found_in_any_split_of_the_bytes() {
         let bytes = stream();
         for size in 1..bytes.len() {
-            let mut scan = Scan::default();
+            let mut scan = CloseScanner::default();
             let found: Vec<u16> = bytes.chunks(size).filter_map(|part| scan.close(part)).take(1).collect();
             assert_eq!(found, [CloseCode::HandshakeTimeout.code()], "in parts of {size}");
         }
         assert_eq!(
-            Scan::default().close(&stream()[..309]),
+            CloseScanner::default().close(&stream()[..309]),
             None,
-            "the control: bytes like a close inside of a frame"
+            "control: bytes like a close frame inside a payload"
         );
-        assert_eq!(Scan::default().close(&[0x88, 0]), Some(1005));
+        assert_eq!(CloseScanner::default().close(&[0x88, 0]), Some(1005));
     }
 }

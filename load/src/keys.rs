@@ -1,21 +1,21 @@
-//! Which chunk is asked for by key: a fine one near the path.
+//! Which chunks a client requests by key: fine ones near its path.
 //!
-//! Pure in seed, number and place, so that the second flight of a path asks for what the first did,
-//! and so that those who stand at one place ask for the same.
+//! A pure function of seed, number and position, so a second flight on a path requests the same
+//! chunks as the first, and clients at one position request the same chunks.
 
 use crate::path::{FlightPath, PathKind};
 use terrain::ChunkKey;
 use terrain::constants::UNITS_PER_METRE;
 use terrain::hash::{hash2, mix};
 
-/// Asked for are levels below this: the fine ones, which a view needs only near the eye.
+/// Levels below this are requested: the fine ones, which a view needs only near the eye.
 const LEVELS: u32 = 4;
 
-/// How far from the place a chunk is at most, on each axis, metres. A power of two, so that bits of
-/// a hash do.
+/// Maximal distance of a chunk from the position on each axis, metres. A power of two, so that bits
+/// of a hash suffice.
 const REACH_M: f64 = 2_048.0;
 
-/// What one client asks for.
+/// The chunks that one client requests.
 #[derive(Clone, Copy, Debug)]
 pub struct Keys {
     path: FlightPath,
@@ -23,15 +23,15 @@ pub struct Keys {
 }
 
 impl Keys {
-    /// What client `index` on this path asks for.
+    /// The chunks that client `index` on this path requests.
     #[must_use]
     pub fn new(kind: PathKind, seed: u32, index: u32, path: FlightPath) -> Self {
-        // A stampede is one of people who want the same.
+        // In a stampede all clients request the same chunks.
         let own = if kind == PathKind::Spawn { 0 } else { index };
         Self { path, seed: hash2(seed, own as i32, 0x72) }
     }
 
-    /// The chunk with a number, asked for at a time in seconds.
+    /// Chunk number `number`, requested at a time in seconds.
     #[must_use]
     pub fn key(&self, number: u32, seconds: f64) -> ChunkKey {
         let (east_m, south_m) = self.path.place_m(seconds);
@@ -54,7 +54,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_key_is_a_function_of_seed_client_number_and_time_and_lies_near_the_path(
+        fn keys_are_deterministic_and_near_the_path(
             kind in prop::sample::select(PathKind::ALL.to_vec()), seed: u32, index in 0..1000u32, number: u32,
             seconds in 0.0..3600.0f64,
         ) {
@@ -71,10 +71,10 @@ mod tests {
     }
 
     #[test]
-    fn a_stampede_asks_for_the_same_and_others_do_not() {
-        let asked =
+    fn only_clients_of_a_stampede_request_the_same_chunks() {
+        let requested =
             |kind, index| (0..50).map(|number| keys(kind, 1, index).key(number, 1.0)).collect::<Vec<_>>();
-        assert_eq!(asked(PathKind::Spawn, 1), asked(PathKind::Spawn, 2));
-        assert_ne!(asked(PathKind::Fly, 1), asked(PathKind::Fly, 2));
+        assert_eq!(requested(PathKind::Spawn, 1), requested(PathKind::Spawn, 2));
+        assert_ne!(requested(PathKind::Fly, 1), requested(PathKind::Fly, 2));
     }
 }

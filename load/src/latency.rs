@@ -1,22 +1,20 @@
-//! Latencies as HDR histograms (G. Tene, HdrHistogram): every value counts, at three significant
-//! digits.
+//! Latencies as HDR histograms (G. Tene, HdrHistogram): all values, with three significant digits.
 
 use hdrhistogram::Histogram;
 use serde::Serialize;
 use std::time::Duration;
 
-/// Longest latency that is told apart, microseconds (an hour); longer ones count as this.
+/// Upper bound of the histogram, microseconds (an hour); longer latencies count as this.
 const MAX_US: u64 = 3_600_000_000;
 
-/// Latencies of one sort. About 200 KiB, whatever is recorded.
+/// A histogram of latencies. About 200 KiB, independent of the number of values.
 #[derive(Clone, Debug)]
 pub struct Latencies(Histogram<u64>);
 
 impl Default for Latencies {
     fn default() -> Self {
         Self(Histogram::new_with_bounds(1, MAX_US, 3).unwrap_or_else(|_| {
-            // Unreachable with these constants; a histogram that grows by itself would serve as
-            // well.
+            // Unreachable with these constants; a growing histogram would serve as well.
             let mut growing = Histogram::new(3).unwrap_or_else(|_| unreachable!("3 digits are allowed"));
             growing.auto(true);
             growing
@@ -25,31 +23,31 @@ impl Default for Latencies {
 }
 
 impl Latencies {
-    /// Counts one latency.
+    /// Adds one latency.
     pub fn record(&mut self, latency: Duration) {
         let us = u64::try_from(latency.as_micros()).unwrap_or(u64::MAX);
         self.0.saturating_record(us.clamp(1, MAX_US));
     }
 
-    /// Counts all of the others too.
+    /// Adds all of another histogram.
     pub fn add(&mut self, others: &Self) {
-        // Both have the same bounds, so that everything has its place.
+        // Both have the same bounds, so this cannot fail.
         let _ = self.0.add(&others.0);
     }
 
-    /// How many were counted.
+    /// Number of latencies.
     #[must_use]
     pub fn len(&self) -> u64 {
         self.0.len()
     }
 
-    /// Whether none was counted.
+    /// Whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Forgets all.
+    /// Removes all.
     pub fn clear(&mut self) {
         self.0.reset();
     }
@@ -57,7 +55,7 @@ impl Latencies {
     /// The quantiles, in milliseconds.
     #[must_use]
     pub fn quantiles(&self) -> LatencyMs {
-        // No answer is not a latency of zero.
+        // Without answers there is no latency, not a latency of zero.
         let known = |value: u64| (!self.0.is_empty()).then(|| value as f64 / 1000.0);
         let quantile = |q| known(self.0.value_at_quantile(q));
         LatencyMs {
@@ -70,7 +68,7 @@ impl Latencies {
     }
 }
 
-/// Quantiles of a latency, milliseconds; none where nothing was answered.
+/// Quantiles of a latency, milliseconds; none without answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct LatencyMs {
     /// Median.
@@ -103,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn absurd_latencies_are_kept_at_the_bound() {
+    fn latencies_beyond_the_bound_count_as_the_bound() {
         let mut latencies = Latencies::default();
         latencies.record(Duration::MAX);
         assert!(latencies.quantiles().max.is_some_and(|ms| ms >= 3_590_000.0));
@@ -112,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn sums_hold_what_both_hold() {
+    fn a_sum_has_the_values_of_both() {
         let (mut one, mut other) = (Latencies::default(), Latencies::default());
         one.record(Duration::from_millis(1));
         other.record(Duration::from_millis(100));

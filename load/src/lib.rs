@@ -1,31 +1,31 @@
 //! The load test: many sessions on flight paths, every chunk verified.
 //!
-//! [`run()`] is the whole of it: a checked [`LoadConfig`] goes in, a [`Report`] comes out, and
-//! [`Report::verdict`] says whether the server passed. Reading order: [`config`], [`phases`] (the
-//! parts of a run), [`path`] (where a client flies), [`keys`] (which chunks it asks for),
-//! [`arrivals`] and [`agenda`] (when it does what), [`client`] (one client through one part),
-//! [`session`] (over WebSocket) and [`http`], [`slow`] and [`silent`] (the unpleasant ones);
-//! [`interest`] (what may be sent), [`verify`] (what a chunk must satisfy), [`inspection`] and
-//! [`regeneration`] (who looks); [`counters`], [`latency`], [`timeline`] and [`tally`] (what is
-//! counted), [`report`] and [`plot`]. Apart from all that, [`mod@bench`] measures a server's
-//! promises one by one.
+//! [`run()`] takes a checked [`LoadConfig`] and returns a [`Report`]; [`Report::verdict`] says
+//! whether the server passed. Reading order:
 //!
-//! What it refuses: drawing the land (no GPU crate is in its dependency tree), keeping chunks (a
-//! verified chunk is dropped), and deciding for itself what the wire looks like (the `protocol`
-//! crate's client machine does).
+//! - options and plan: [`config`], [`phases`] (parts of a run), [`path`] (where a client is),
+//!   [`keys`] (which chunks it requests), [`arrivals`] and [`schedule`] (when it does what);
+//! - clients: [`task`] (what a client gets, how a session ends), [`client`] (one client through one
+//!   phase), [`session`] (WebSocket), [`http`], [`slow`] and [`idle`] (background clients);
+//! - verification: [`expected`] (which chunks may arrive), [`verify`] (what a chunk must satisfy),
+//!   [`checker`] and [`regeneration`] (who checks);
+//! - results: [`counters`], [`latency`], [`timeline`], [`run_stats`], [`report`], [`plot`].
+//!
+//! The load test has no GPU crate in its dependencies, keeps no verified chunk, and speaks the
+//! protocol only through the client state machine of the `protocol` crate. Benchmarks of single
+//! properties of a server are in the package `server-bench`.
 
 #![forbid(unsafe_code)]
 
-pub mod agenda;
 pub mod arrivals;
-pub mod bench;
+pub mod checker;
 pub mod client;
 pub mod config;
 pub mod counters;
 pub mod dial;
+pub mod expected;
 pub mod http;
-pub mod inspection;
-pub mod interest;
+pub mod idle;
 pub mod keys;
 pub mod latency;
 pub mod mode;
@@ -35,10 +35,11 @@ pub mod plot;
 pub mod regeneration;
 pub mod report;
 pub mod run;
+pub mod run_stats;
+pub mod schedule;
 pub mod session;
-pub mod silent;
 pub mod slow;
-pub mod tally;
+pub mod task;
 pub mod throttle;
 pub mod timeline;
 pub mod verify;
@@ -48,7 +49,7 @@ pub use mode::Mode;
 pub use path::PathKind;
 pub use report::Report;
 pub use run::{run, run_counting};
-pub use tally::Tally;
+pub use run_stats::RunStats;
 
-/// Name and version, as told to servers.
+/// Name and version, sent to servers.
 pub const SOFTWARE: &str = concat!("tombolo-load ", env!("CARGO_PKG_VERSION"));

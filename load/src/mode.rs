@@ -1,21 +1,21 @@
-//! How clients ask for chunks.
+//! How clients request chunks.
 
 use clap::ValueEnum;
 
-/// How clients ask for chunks.
+/// How clients request chunks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Mode {
     /// Poses over WebSocket; the server chooses the chunks
     View,
     /// Requests by key over WebSocket
     Explicit,
-    /// GETs of the chunk route over one kept connection a client; what a client has had before it
-    /// asks for conditionally
+    /// GETs of the chunk route over one persistent connection per client, conditionally for chunks
+    /// that the client has received before
     Http,
 }
 
 impl Mode {
-    /// As it is written on the command line.
+    /// As on the command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -25,7 +25,7 @@ impl Mode {
         }
     }
 
-    /// From what to what a latency is measured.
+    /// What a latency is measured between.
     #[must_use]
     pub const fn measures(self, is_open: bool) -> &'static str {
         match (self, is_open) {

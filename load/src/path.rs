@@ -1,9 +1,8 @@
-//! Where a client is at a time: deterministic paths over the home island.
+//! The position of a client over time: deterministic paths over the home island.
 //!
-//! A pose is a function of the path and the time alone, so that a slow client skips poses instead
-//! of falling behind, and so that a second flight asks for what the first one asked for. Each kind
-//! of path has a file of its own; all of them only move on the map, and the height follows from the
-//! land here.
+//! A pose is a function of path and time alone, so a slow client skips poses instead of falling
+//! behind, and a second flight needs the same chunks as the first. Each kind of path is a file; the
+//! paths are horizontal, and this module adds the height from the land.
 
 mod fly;
 mod spawn;
@@ -23,9 +22,9 @@ pub enum PathKind {
     Walk,
     /// Circles of 0.5 to 2.5 km at 50 to 120 m/s, 100 to 400 m above the ground
     Fly,
-    /// Elsewhere on the island about every 2 s, at times of each client's own
+    /// A new position on the island about every 2 s, at different times for each client
     Teleport,
-    /// All begin at one place in the same moment, stay for 3 s and then go apart at 10 to 40 m/s
+    /// All start at one position at the same time, stay for 3 s and then disperse at 10 to 40 m/s
     Spawn,
 }
 
@@ -45,7 +44,7 @@ impl PathKind {
     }
 }
 
-/// Middles of paths lie within this distance of the origin on each axis, metres. With the farthest
+/// Middles of paths fault within this distance of the origin on each axis, metres. With the farthest
 /// that a path leads from its middle (2,500 m) it stays over the home island (6,656 m).
 const REACH_M: f64 = 3_000.0;
 
@@ -75,17 +74,17 @@ struct Motion {
 }
 
 impl Motion {
-    /// Looking where it goes.
+    /// With the heading of the velocity.
     fn along(place_m: (f64, f64), velocity: (f64, f64)) -> Self {
         Self { place_m, velocity, heading: velocity.0.atan2(-velocity.1) }
     }
 }
 
-/// Random numbers of one path, by name.
+/// Random numbers of one path, by stream.
 #[derive(Clone, Copy, Debug)]
-struct Draw(u32);
+struct PathRandom(u32);
 
-impl Draw {
+impl PathRandom {
     /// From 0 to 1.
     fn share(self, stream: u32) -> f64 {
         f64::from(mix(self.0 ^ stream)) / f64::from(u32::MAX)
@@ -125,15 +124,15 @@ impl FlightPath {
     /// The path of client `index`. The same three arguments give the same path.
     #[must_use]
     pub fn new(kind: PathKind, seed: u32, index: u32) -> Self {
-        let draw = Draw(hash2(mix(seed), index as i32, 0x70));
+        let random = PathRandom(hash2(mix(seed), index as i32, 0x70));
         let (course, clearance_m) = match kind {
-            PathKind::Walk => (Course::Walk(walk::Round::new(draw)), EYES_M),
-            PathKind::Fly => (Course::Fly(fly::Circle::new(draw)), draw.between(3, 100.0, 400.0)),
+            PathKind::Walk => (Course::Walk(walk::Round::new(random)), EYES_M),
+            PathKind::Fly => (Course::Fly(fly::Circle::new(random)), random.between(3, 100.0, 400.0)),
             PathKind::Teleport => {
-                (Course::Teleport(teleport::Stays::new(draw)), draw.between(3, 10.0, 200.0))
+                (Course::Teleport(teleport::Stays::new(random)), random.between(3, 10.0, 200.0))
             }
-            // The place is that of all clients; only the way from it is one's own.
-            PathKind::Spawn => (Course::Spawn(spawn::Dispersal::new(Draw(mix(seed)), draw)), EYES_M),
+            // All clients share the position; the direction is that of the client.
+            PathKind::Spawn => (Course::Spawn(spawn::Dispersal::new(PathRandom(mix(seed)), random)), EYES_M),
         };
         Self { course, clearance_m }
     }
@@ -190,8 +189,7 @@ mod tests {
             let land = Land::new(1);
             let pose = |index| FlightPath::new(kind, seed, index).pose(&land, seconds);
             prop_assert_eq!(pose(index), pose(index));
-            // Everybody's first seconds at the spawn point are the same; no other two clients are
-            // at one place.
+            // Only at the spawn point do clients share a position.
             if kind != PathKind::Spawn {
                 prop_assert_ne!(pose(index).eye, pose(index + 1).eye);
             }
@@ -217,7 +215,7 @@ mod tests {
         ) {
             let path = FlightPath::new(kind, seed, index);
             let (now, next) = (path.motion(seconds), path.motion(seconds + 1e-3));
-            // Where a leg ends or a stay does, the way changes between the two.
+            // At the end of a leg or stay the motion changes between the two poses.
             prop_assume!(now.velocity == path.motion(seconds + 2e-3).velocity || kind == PathKind::Fly || kind == PathKind::Spawn);
             let moved = (next.place_m.0 - now.place_m.0, next.place_m.1 - now.place_m.1);
             let speed = now.velocity.0.hypot(now.velocity.1);

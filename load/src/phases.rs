@@ -1,56 +1,54 @@
-//! The parts of a run: when each begins and ends, and when each client begins in it.
+//! The phases of a run: their start and end, and when each client connects.
 //!
-//! With a warm-up there are two. In the first everybody flies the beginning of the paths (cold:
-//! nobody asked before), in the second everybody begins again, with sessions and hands empty, and
-//! flies the same paths (warm: the server has made it before).
+//! With a warm-up there are two. In the first (cold) clients fly the beginning of their paths and
+//! the server generates the chunks. In the second (warm) they start again with new sessions and no
+//! chunks and fly the same paths.
 
 use std::time::Duration;
 
-/// Pause between two parts: the first one's last answers and good-byes come in it, not in the
-/// second.
+/// Pause between two phases, in which the last answers and closes of the first arrive.
 const PAUSE: Duration = Duration::from_secs(4);
 
-/// Time between two clients' first connections, unless the part is too short for it.
+/// Time between the first connections of two clients, unless the phase is too short.
 const RAMP_STEP: Duration = Duration::from_millis(10);
 
-/// One part of a run.
+/// One phase of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Phase {
-    /// `run` where it is the only one, else `cold` or `warm`.
+    /// `run` if it is the only one, otherwise `cold` or `warm`.
     pub name: &'static str,
-    /// From the start of the run.
-    pub begins: Duration,
+    /// Since the start of the run.
+    pub start: Duration,
     /// Its length.
-    pub lasts: Duration,
+    pub length: Duration,
 }
 
-/// The parts of a run of so many seconds after so many of warm-up.
+/// The phases of a run of so many seconds after a warm-up.
 #[must_use]
 pub fn phases(warm_up_s: u64, seconds: u64) -> Vec<Phase> {
-    let (warm_up, lasts) = (Duration::from_secs(warm_up_s), Duration::from_secs(seconds));
+    let (warm_up, length) = (Duration::from_secs(warm_up_s), Duration::from_secs(seconds));
     if warm_up_s == 0 {
-        return vec![Phase { name: "run", begins: Duration::ZERO, lasts }];
+        return vec![Phase { name: "run", start: Duration::ZERO, length }];
     }
     vec![
-        Phase { name: "cold", begins: Duration::ZERO, lasts: warm_up },
-        Phase { name: "warm", begins: warm_up + PAUSE, lasts },
+        Phase { name: "cold", start: Duration::ZERO, length: warm_up },
+        Phase { name: "warm", start: warm_up + PAUSE, length },
     ]
 }
 
 impl Phase {
-    /// When it is over, from the start of the run.
+    /// End, since the start of the run.
     #[must_use]
-    pub fn ends(&self) -> Duration {
-        self.begins + self.lasts
+    pub fn end(&self) -> Duration {
+        self.start + self.length
     }
 
-    /// When a client begins, from the start of the run. All at once would measure the accept queue,
-    /// not the streaming, so the first fifth of the part is for coming, except where all at once is
-    /// what was asked for.
+    /// When a client connects, since the start of the run. Clients are spread over at most the first
+    /// fifth of the phase, so that the accept queue is not measured, unless `at_once`.
     #[must_use]
-    pub fn begin_of(&self, index: u32, n_clients: u32, at_once: bool) -> Duration {
-        let step = if at_once { Duration::ZERO } else { RAMP_STEP.min(self.lasts / 5 / n_clients.max(1)) };
-        self.begins + step * index
+    pub fn client_start(&self, index: u32, n_clients: u32, at_once: bool) -> Duration {
+        let step = if at_once { Duration::ZERO } else { RAMP_STEP.min(self.length / 5 / n_clients.max(1)) };
+        self.start + step * index
     }
 }
 
@@ -63,21 +61,21 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_takes_at_most_a_fifth_of_the_part_and_a_stampede_none() {
-        assert_eq!(run(30).begin_of(1, 200, false), RAMP_STEP);
-        assert_eq!(run(5).begin_of(1, 1000, false), Duration::from_millis(1));
-        assert_eq!(run(1).begin_of(7, 8, false), RAMP_STEP * 7);
-        assert_eq!(run(30).begin_of(150, 200, true), Duration::ZERO);
+    fn a_ramp_takes_at_most_a_fifth_of_the_phase() {
+        assert_eq!(run(30).client_start(1, 200, false), RAMP_STEP);
+        assert_eq!(run(5).client_start(1, 1000, false), Duration::from_millis(1));
+        assert_eq!(run(1).client_start(7, 8, false), RAMP_STEP * 7);
+        assert_eq!(run(30).client_start(150, 200, true), Duration::ZERO);
     }
 
     #[test]
-    fn a_warm_up_is_a_part_of_its_own_and_the_two_do_not_touch() {
-        let [cold, warm] = phases(5, 30)[..] else { panic!("two parts") };
+    fn a_warm_up_is_a_phase_of_its_own_with_a_pause_after_it() {
+        let [cold, warm] = phases(5, 30)[..] else { panic!("two phases") };
         assert_eq!(
-            (cold.name, cold.lasts, warm.name, warm.lasts.as_secs()),
+            (cold.name, cold.length, warm.name, warm.length.as_secs()),
             ("cold", Duration::from_secs(5), "warm", 30)
         );
-        assert_eq!(warm.begins, cold.ends() + PAUSE);
+        assert_eq!(warm.start, cold.end() + PAUSE);
         assert_eq!(phases(0, 30).len(), 1);
     }
 }

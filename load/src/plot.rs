@@ -1,7 +1,6 @@
-//! A picture of a run: latency above, throughput below, over the same seconds, the parts of the run
-//! marked.
+//! A plot of a run: latency above, throughput below, over the same seconds, with the phases marked.
 //!
-//! Text is set in the font that the viewer embeds; no system font is looked for.
+//! Text uses the font that the viewer embeds; system fonts are not needed.
 
 use crate::report::Report;
 use crate::timeline::Second;
@@ -31,7 +30,7 @@ const FOOT: u32 = 58;
 const FONT: &str = "load";
 const INK: RGBColor = RGBColor(40, 44, 52);
 const FAINT: RGBColor = RGBColor(226, 229, 234);
-/// Behind the parts of a run; the pause between them stays white.
+/// Background of the phases; the pause between them is white.
 const PART: RGBColor = RGBColor(246, 247, 250);
 
 // Distinguishable for colour-blind readers too (Okabe and Ito, "Color Universal Design", 2008).
@@ -54,8 +53,7 @@ struct Line<'a> {
 }
 
 impl Line<'_> {
-    /// Its pieces as what is drawn. A second between two gaps has no line, so each has a dot where
-    /// it begins.
+    /// Its pieces as drawn. A second between two gaps has no line, so each piece starts with a dot.
     fn series(&self) -> impl Iterator<Item = LineSeries<BitMapBackend<'static>, (f64, f64)>> {
         let style = self.colour.stroke_width(self.width).filled();
         self.pieces.iter().map(move |piece| {
@@ -83,7 +81,7 @@ pub fn write(into: impl Write, report: &Report) -> Result<()> {
 fn draw(report: &Report) -> Result<Vec<u8>> {
     static FONTS: Once = Once::new();
     FONTS.call_once(|| {
-        // The only failure is a file that is no font; text would then be reported missing below.
+        // Fails only for a file that is no font; drawing text then reports it.
         let _ = register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT);
     });
     let mut pixels = vec![255; (SIZE.0 * SIZE.1 * 3) as usize];
@@ -123,22 +121,20 @@ fn subtitle(report: &Report) -> String {
     )
 }
 
-/// What the axis of time shows.
+/// Range of the time axis.
 fn span(report: &Report) -> Range<f64> {
     let ends = report.phases.iter().map(|phase| phase.begins_s + phase.seconds);
     0.0..ends.fold(1.0, f64::max)
 }
 
-/// Whether a second lies in a part of the run as a whole: what arrived in a piece of one would look
-/// like too little.
+/// Whether a whole second lies in a phase: arrivals of a fraction would look like a drop.
 fn is_whole(report: &Report, second: &Second) -> bool {
     let (from, to) = (second.second as f64, second.second as f64 + 1.0);
     report.phases.iter().any(|phase| phase.begins_s <= from && to <= phase.begins_s + phase.seconds + 1e-9)
 }
 
 fn latency(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<()> {
-    // What an open loop still waits for after its end comes in seconds of few answers, which have
-    // no part in the lines.
+    // The seconds after the end, with the last answers of an open loop, are not part of the lines.
     let late = |pick: fn(&Second) -> Option<f64>| {
         let end = seconds.end;
         move |second: &Second| {
@@ -208,7 +204,7 @@ fn throughput(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<(
         width,
         pieces: pieces(&report.timeline, |second| is_whole(report, second).then(|| pick(second))),
     };
-    // That nothing changed is an answer, and no chunk.
+    // A 304 is an answer, but no chunk.
     let (left, count): (_, fn(&Second) -> f64) = match report.mode {
         "http" => ("answers a second", |second| second.answers as f64),
         _ => ("chunks a second", |second| second.chunks as f64),
@@ -221,7 +217,7 @@ fn throughput(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<(
     ];
     let most = |line: &Line<'_>| {
         let values = line.pieces.iter().flatten().map(|(_, value)| *value);
-        // The scale of nothing is one.
+        // Without values the scale is 1.
         values.fold(0.0, f64::max).max(1e-3) * 1.08
     };
     let (counts, megabytes) = (most(&lines[0]), most(&lines[1]));
@@ -294,7 +290,7 @@ fn text(area: &Area<'_>, words: &str, at: (i32, i32), size: u32) -> Result<()> {
     area.draw(&text).map_err(|cause| anyhow!("{cause}"))
 }
 
-/// Draws something behind each part of a run that has several.
+/// Draws a background behind each phase, if there are several.
 fn mark(report: &Report, mut draw: impl FnMut(Range<f64>) -> Result<()>) -> Result<()> {
     if report.phases.len() < 2 {
         return Ok(());
@@ -343,7 +339,7 @@ fn plain(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{LoadConfig, Tally};
+    use crate::{LoadConfig, RunStats};
     use std::time::Duration;
 
     fn second(second: u64, p50_ms: Option<f64>) -> Second {
@@ -360,7 +356,7 @@ mod tests {
 
     fn report(timeline: Vec<Second>) -> Report {
         let config = LoadConfig::new("ws://127.0.0.1:1/v1/stream".parse().unwrap());
-        Report { timeline, ..Report::new(&config, &Tally::new(&config), Duration::from_secs(10)) }
+        Report { timeline, ..Report::new(&config, &RunStats::new(&config), Duration::from_secs(10)) }
     }
 
     fn has(pixels: &[u8], colour: RGBColor) -> bool {
@@ -383,7 +379,7 @@ mod tests {
     #[test]
     fn a_run_without_an_answer_has_a_picture_without_latencies() {
         let pixels = draw(&report(vec![second(0, None), second(1, None)])).unwrap();
-        // The legend names the line, nothing more of it is there.
+        // The line appears only in the legend.
         let blue = pixels.chunks_exact(3).filter(|pixel| *pixel == [BLUE.0, BLUE.1, BLUE.2]).count();
         assert!(blue < 150 && has(&pixels, GREEN), "{blue}");
         assert!(draw(&report(Vec::new())).is_ok());

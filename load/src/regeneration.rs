@@ -1,8 +1,7 @@
-//! Compares sampled chunks with local generation whole, measured error included, off the threads
-//! that drive the sessions.
+//! Compares sampled chunks with local generation, error bound included, on a thread of its own.
 //!
-//! A coarse chunk takes milliseconds to generate. On the threads that drive the sessions that would
-//! hold up their clocks, and the load test would measure itself.
+//! A coarse chunk takes milliseconds to generate. On the threads of the sessions that would delay
+//! their clocks, and the load test would measure itself.
 
 use crate::counters::Counters;
 use crate::verify;
@@ -12,9 +11,8 @@ use terrain::{Chunk, Land};
 use tokio::sync::mpsc;
 use tokio::task::{JoinHandle, spawn_blocking};
 
-/// Chunks waiting for their comparison, about 60 KiB each. While it is full a session that wants to
-/// add one waits, so a sample larger than one thread can compare slows the load instead of growing
-/// without end.
+/// Chunks waiting for comparison, about 60 KiB each. Sessions wait while the queue is full, so a
+/// sample that one thread cannot compare in time slows the load instead of growing without bound.
 const QUEUE: usize = 64;
 
 struct Waiting {
@@ -24,25 +22,24 @@ struct Waiting {
     delivery: Delivery,
 }
 
-/// The sessions' end of the queue.
+/// The sender of the queue.
 #[derive(Clone, Debug)]
 pub struct Regeneration {
     queue: mpsc::Sender<Waiting>,
 }
 
 impl Regeneration {
-    /// Starts the comparing. It ends when the last clone of the first value is gone and everything
-    /// queued is compared.
+    /// Starts the comparison task. It ends when the last sender is dropped and the queue is empty.
     ///
-    /// One chunk at a time is compared on a thread for blocking work. The task that feeds it ends
-    /// with the first comparison that panics, which the run's end reports.
+    /// One chunk at a time is compared on a blocking thread. A panic there ends the task and is
+    /// reported at the end of the run.
     #[must_use]
     pub fn start() -> (Self, JoinHandle<()>) {
         let (queue, mut waiting) = mpsc::channel::<Waiting>(QUEUE);
         let comparing = tokio::spawn(async move {
             while let Some(waiting) = waiting.recv().await {
                 if let Err(failed) = spawn_blocking(move || waiting.compare()).await {
-                    // Else the program is on its way out.
+                    // Otherwise the runtime is shutting down.
                     if let Ok(panic) = failed.try_into_panic() {
                         std::panic::resume_unwind(panic);
                     }
@@ -53,10 +50,10 @@ impl Regeneration {
         (Self { queue }, comparing)
     }
 
-    /// Queues a chunk of a world, with how it came and whose it is; waits while the queue is full.
+    /// Queues a chunk; waits while the queue is full.
     pub async fn compare(&self, counters: &Arc<Counters>, land: Land, chunk: Box<Chunk>, delivery: Delivery) {
         let waiting = Waiting { counters: Arc::clone(counters), land, chunk, delivery };
-        // The other end is gone only if a comparison panicked, which the run's end reports.
+        // The receiver is gone only after a panic, which the end of the run reports.
         let _ = self.queue.send(waiting).await;
     }
 }

@@ -1,4 +1,4 @@
-//! What a run found: as JSON and as a verdict. The table for a person is in `table`.
+//! The result of a run as JSON and as a verdict. The text table is in `table`.
 
 mod table;
 
@@ -6,23 +6,23 @@ use crate::config::LoadConfig;
 use crate::counters::{Counters, MAX_PROBLEMS, get};
 use crate::latency::{Latencies, LatencyMs};
 use crate::phases::Phase;
-use crate::tally::Tally;
+use crate::run_stats::RunStats;
 use crate::timeline::Second;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// The result of a run. Field names are a contract with scripts. The figures are those of all parts
-/// together and of the measured clients only.
+/// The result of a run. Field names are a contract with scripts. Figures are those of all phases
+/// together and of measured clients only.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Clients that were run, without the slow and the silent ones.
+    /// Measured clients, without slow and idle ones.
     pub clients: u32,
     /// Length of the run, seconds.
     pub seconds: f64,
-    /// How chunks were to come: `exact`, `seed` or `quantised`.
+    /// Requested delivery: `exact`, `refined`, `seed` or `quantised`.
     pub delivery: &'static str,
-    /// How clients asked: `view`, `explicit` or `http`.
+    /// Mode of the clients: `view`, `explicit` or `http`.
     pub mode: &'static str,
     /// How clients moved.
     pub path: &'static str,
@@ -35,48 +35,47 @@ pub struct Report {
     pub chunks: u64,
     /// Bytes of the chunks' frames.
     pub bytes: u64,
-    /// Answers that what the client has is still right; only over HTTP.
+    /// Answers that a chunk has not changed; only over HTTP.
     pub not_modified: u64,
-    /// Things that arrived and were not what they should be.
+    /// Invalid chunks, messages and announcements.
     pub mismatches: u64,
-    /// Sessions that ended before their time.
+    /// Sessions lost before the end of their phase.
     pub dropped: u64,
     /// Sessions not admitted, and chunks or views refused inside sessions.
     pub refused: u64,
-    /// From what to what [`Report::latency_ms`] is measured. In an open loop from when it was due.
+    /// What [`Report::latency_ms`] is measured between. In an open loop it starts at the due time.
     pub measures: &'static str,
-    /// See [`Report::measures`]. What an open loop got no answer to counts with the time that it
-    /// waited.
+    /// See [`Report::measures`]. In an open loop a missing answer counts with the time waited.
     pub latency_ms: LatencyMs,
-    /// From a pose to its view being complete, or a newer one; only in view mode.
+    /// From a pose to the completion of its view or a newer one; only in view mode.
     pub settle_ms: LatencyMs,
-    /// From when something was due to when it was sent; only in an open loop. Late is what waited
-    /// behind others on its connection, or for this machine: a run that is late without a slow
-    /// server measures itself.
+    /// From the due time of a request to its sending; only in an open loop. A request is late if it
+    /// waited for others on its connection or for this machine: a late run on a fast server
+    /// measures the load test.
     pub sent_late_ms: LatencyMs,
-    /// Chunks that were compared with local generation: a sample, in seed-only delivery all.
+    /// Chunks compared with local generation: a sample, or all in seed-only delivery.
     pub regenerated: u64,
     /// Views that the server reported complete.
     pub views_settled: u64,
     /// Requests sent; in an open loop in view mode, poses.
     pub requests: u64,
-    /// Of these, without an answer when their session ended.
+    /// Of these, without an answer at the end of their session.
     pub unanswered: u64,
-    /// What an open loop should have sent and could not.
+    /// Requests of an open loop that were due and never sent.
     pub unsent: u64,
-    /// The first distinct troubles, in words; they are in the counts above.
+    /// The first distinct problems as text; the counts above include them.
     pub problems: Vec<String>,
-    /// The parts of the run.
+    /// The phases.
     pub phases: Vec<PhaseReport>,
-    /// Clients that read slowly, if there were any.
-    pub slow: Option<Aside>,
-    /// Clients that said nothing, if there were any.
-    pub silent: Option<Aside>,
+    /// Slow clients, if any.
+    pub slow: Option<BackgroundClients>,
+    /// Idle clients, if any.
+    pub silent: Option<BackgroundClients>,
     /// The run second by second.
     pub timeline: Vec<Second>,
 }
 
-/// One part of a run.
+/// One phase.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PhaseReport {
     /// `run`, or `cold` and `warm`.
@@ -85,17 +84,17 @@ pub struct PhaseReport {
     pub begins_s: f64,
     /// Length, seconds.
     pub seconds: f64,
-    /// As in [`Report`], like all that follows.
+    /// As in [`Report`], like the following fields.
     pub chunks: u64,
     /// Bytes of the chunks' frames.
     pub bytes: u64,
-    /// Answers that nothing changed.
+    /// Answers that a chunk has not changed.
     pub not_modified: u64,
-    /// Things that were not what they should be.
+    /// Invalid data.
     pub mismatches: u64,
-    /// Sessions that ended before their time.
+    /// Sessions lost before the end of their phase.
     pub dropped: u64,
-    /// Not admitted or refused.
+    /// Sessions not admitted and requests refused.
     pub refused: u64,
     /// Latency.
     pub latency_ms: LatencyMs,
@@ -105,20 +104,20 @@ pub struct PhaseReport {
     pub requests: u64,
     /// Without an answer.
     pub unanswered: u64,
-    /// Due and not sent.
+    /// Due and never sent.
     pub unsent: u64,
 }
 
-/// Clients whose figures are kept apart.
+/// Slow or idle clients, whose figures are separate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Aside {
-    /// How many there were.
+pub struct BackgroundClients {
+    /// Number of clients.
     pub clients: u32,
-    /// Of these, let in by the server.
+    /// Of these, admitted.
     pub admitted: u64,
-    /// Refused, in the handshake or afterwards.
+    /// Refused in the handshake or later.
     pub refused: u64,
-    /// Ended by the server, by what it said.
+    /// Closed by the server, by reason.
     pub closed: BTreeMap<String, u64>,
     /// Still connected at the end of the run.
     pub stayed: u64,
@@ -126,19 +125,19 @@ pub struct Aside {
     pub chunks: u64,
     /// Bytes of their frames.
     pub bytes: u64,
-    /// Things that were not what they should be; a fault of the server here too.
+    /// Invalid data, which is a fault here too.
     pub mismatches: u64,
-    /// The first distinct troubles, in words.
+    /// The first distinct problems as text.
     pub problems: Vec<String>,
 }
 
 impl Report {
-    /// Everything counted in a run with these options that took so long.
+    /// The report of a run with these options that took so long.
     #[must_use]
-    pub fn new(config: &LoadConfig, tally: &Tally, took: Duration) -> Self {
+    pub fn new(config: &LoadConfig, stats: &RunStats, took: Duration) -> Self {
         let phases: Vec<_> =
-            tally.phases.iter().map(|(phase, counters)| PhaseReport::new(phase, counters, took)).collect();
-        let counters = || tally.phases.iter().map(|(_, counters)| counters);
+            stats.phases.iter().map(|(phase, counters)| PhaseReport::new(phase, counters, took)).collect();
+        let counters = || stats.phases.iter().map(|(_, counters)| counters);
         let all = |pick: fn(&Counters) -> Latencies| {
             let mut all = Latencies::default();
             counters().for_each(|counters| all.add(&pick(counters)));
@@ -152,7 +151,9 @@ impl Report {
         }
         let sum = |pick: fn(&PhaseReport) -> u64| phases.iter().map(pick).sum();
         let is_open = config.rate.is_some();
-        let aside = |clients: u32, counters: &Counters| (clients > 0).then(|| Aside::new(clients, counters));
+        let background = |clients: u32, counters: &Counters| {
+            (clients > 0).then(|| BackgroundClients::new(clients, counters))
+        };
         Self {
             clients: config.clients,
             seconds: phases.iter().map(|phase| phase.seconds).sum(),
@@ -177,9 +178,9 @@ impl Report {
             unanswered: sum(|phase| phase.unanswered),
             unsent: sum(|phase| phase.unsent),
             problems,
-            slow: aside(config.slow, &tally.slow),
-            silent: aside(config.silent, &tally.silent),
-            timeline: timeline(tally),
+            slow: background(config.slow, &stats.slow),
+            silent: background(config.silent, &stats.silent),
+            timeline: timeline(stats),
             phases,
         }
     }
@@ -193,11 +194,16 @@ impl Report {
         if self.mismatches > 0 {
             return Err(format!("{} mismatches in {} chunks{because}", self.mismatches, self.chunks));
         }
-        let aside = [("slow", &self.slow), ("silent", &self.silent)];
-        for (name, aside) in aside.into_iter().filter_map(|(name, aside)| Some((name, aside.as_ref()?))) {
-            if aside.mismatches > 0 {
-                let first = aside.problems.first().map(String::as_str).unwrap_or_default();
-                return Err(format!("{} mismatches of {name} clients; first: {first}", aside.mismatches));
+        let background = [("slow", &self.slow), ("silent", &self.silent)];
+        for (name, background) in
+            background.into_iter().filter_map(|(name, background)| Some((name, background.as_ref()?)))
+        {
+            if background.mismatches > 0 {
+                let first = background.problems.first().map(String::as_str).unwrap_or_default();
+                return Err(format!(
+                    "{} mismatches of {name} clients; first: {first}",
+                    background.mismatches
+                ));
             }
         }
         if self.dropped > 0 {
@@ -211,11 +217,11 @@ impl Report {
     }
 }
 
-/// All seconds, but for idle ones after the end of the run, in which comparisons were waited for.
-fn timeline(tally: &Tally) -> Vec<Second> {
-    let mut seconds = tally.timeline.seconds();
+/// All seconds, except idle ones after the end of the run, in which comparisons were finished.
+fn timeline(stats: &RunStats) -> Vec<Second> {
+    let mut seconds = stats.timeline.seconds();
     let is_idle = |second: &Second| second.chunks + second.answers == 0;
-    let lasts = tally.lasts().as_secs();
+    let lasts = stats.duration().as_secs();
     while seconds.last().is_some_and(|second| second.second >= lasts && is_idle(second)) {
         seconds.pop();
     }
@@ -223,16 +229,15 @@ fn timeline(tally: &Tally) -> Vec<Second> {
 }
 
 impl PhaseReport {
-    /// A part of a run that took so long altogether.
+    /// A phase of a run that took so long as a whole.
     fn new(phase: &Phase, counters: &Counters, took: Duration) -> Self {
-        // Good-byes and late comparisons are not load; the answers that an open loop waited for
-        // are.
-        let lasted = took.saturating_sub(phase.begins).min(phase.lasts);
-        let until = counters.last_chunk().saturating_sub(phase.begins);
+        // Closing and late comparisons do not count as load; late answers of an open loop do.
+        let length = took.saturating_sub(phase.start).min(phase.length);
+        let until = counters.last_chunk().saturating_sub(phase.start);
         Self {
             name: phase.name,
-            begins_s: phase.begins.as_secs_f64(),
-            seconds: lasted.max(until).as_secs_f64(),
+            begins_s: phase.start.as_secs_f64(),
+            seconds: length.max(until).as_secs_f64(),
             chunks: get(&counters.chunks),
             bytes: get(&counters.bytes),
             not_modified: get(&counters.not_modified),
@@ -248,7 +253,7 @@ impl PhaseReport {
     }
 }
 
-impl Aside {
+impl BackgroundClients {
     fn new(clients: u32, counters: &Counters) -> Self {
         Self {
             clients,
@@ -272,20 +277,20 @@ mod tests {
         LoadConfig { clients: 2, ..LoadConfig::new("ws://127.0.0.1:1/v1/stream".parse().unwrap()) }
     }
 
-    fn report(config: &LoadConfig, count: impl Fn(&Tally)) -> Report {
-        let tally = Tally::new(config);
-        count(&tally);
-        Report::new(config, &tally, Duration::from_secs(3600))
+    fn report(config: &LoadConfig, count: impl Fn(&RunStats)) -> Report {
+        let stats = RunStats::new(config);
+        count(&stats);
+        Report::new(config, &stats, Duration::from_secs(3600))
     }
 
     fn good() -> Report {
-        report(&config(), |tally| tally.phases[0].1.chunk(1000))
+        report(&config(), |stats| stats.phases[0].1.chunk(1000))
     }
 
     #[test]
     fn a_run_passes_only_with_chunks_and_without_faults() {
         assert_eq!(good().verdict(), Ok(()));
-        let silent = report(&config(), |tally| tally.phases[0].1.refused("connection refused"));
+        let silent = report(&config(), |stats| stats.phases[0].1.refused("connection refused"));
         let verdict = silent.verdict().unwrap_err();
         assert!(verdict.contains("no chunk") && verdict.contains("connection refused"), "{verdict}");
         let mismatched = Report { mismatches: 1, ..good() };
@@ -293,37 +298,37 @@ mod tests {
         let dropped = Report { dropped: 3, ..good() };
         assert!(dropped.verdict().unwrap_err().contains("3 sessions"));
         let refused = Report { refused: 3, ..good() };
-        assert_eq!(refused.verdict(), Ok(()), "shedding load is allowed");
+        assert_eq!(refused.verdict(), Ok(()), "rejecting load is allowed");
         let unchanged = Report { chunks: 0, not_modified: 1, ..good() };
-        assert_eq!(unchanged.verdict(), Ok(()), "that nothing changed is an answer");
+        assert_eq!(unchanged.verdict(), Ok(()), "304 is an answer");
     }
 
     #[test]
-    fn slow_and_silent_clients_are_apart_from_the_others_and_only_wrong_chunks_are_faults() {
+    fn slow_and_idle_clients_are_separate_and_only_mismatches_fail() {
         let config = LoadConfig { slow: 3, silent: 2, ..config() };
-        let count = |tally: &Tally| {
-            tally.phases[0].1.chunk(1000);
-            tally.slow.chunk(7);
-            tally.slow.closed("the connection ended without a close frame");
-            tally.silent.closed("handshake timed out (4408)");
+        let count = |stats: &RunStats| {
+            stats.phases[0].1.chunk(1000);
+            stats.slow.chunk(7);
+            stats.slow.closed("the connection ended without a close frame");
+            stats.silent.closed("handshake timed out (4408)");
         };
         let with = report(&config, count);
         assert_eq!((with.chunks, with.bytes, with.dropped), (1, 1000, 0));
         assert_eq!(with.timeline.iter().map(|second| second.chunks).sum::<u64>(), 1);
         assert_eq!(with.silent.as_ref().unwrap().closed["handshake timed out (4408)"], 1);
         assert_eq!(with.verdict(), Ok(()));
-        let wrong = report(&config, |tally| {
-            count(tally);
-            tally.slow.mismatch("a bit");
+        let wrong = report(&config, |stats| {
+            count(stats);
+            stats.slow.mismatch("a bit");
         });
         assert!(wrong.verdict().unwrap_err().contains("slow clients; first: a bit"));
     }
 
     #[test]
-    fn the_whole_is_the_sum_of_its_parts() {
+    fn the_totals_are_sums_over_the_phases() {
         let config = LoadConfig { warm_up_s: 5, ..config() };
-        let report = report(&config, |tally| {
-            for (index, (_, counters)) in tally.phases.iter().enumerate() {
+        let report = report(&config, |stats| {
+            for (index, (_, counters)) in stats.phases.iter().enumerate() {
                 (0..=index).for_each(|_| counters.chunk(10));
                 counters.request(Duration::ZERO);
                 counters.answered(Duration::from_millis(100 - 90 * index as u64));
@@ -349,9 +354,9 @@ mod tests {
     }
 
     #[test]
-    fn a_run_is_as_long_as_it_took_and_at_most_as_it_should() {
-        let tally = Tally::new(&config());
-        let seconds = |took| Report::new(&config(), &tally, Duration::from_secs(took)).seconds;
+    fn a_run_lasts_as_long_as_it_took_up_to_its_option() {
+        let stats = RunStats::new(&config());
+        let seconds = |took| Report::new(&config(), &stats, Duration::from_secs(took)).seconds;
         assert_eq!((seconds(3), seconds(11)), (3.0, 10.0));
     }
 }

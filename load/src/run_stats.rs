@@ -1,5 +1,4 @@
-//! What all clients count: the measured ones by parts of the run, the slow and the silent ones
-//! apart.
+//! Live statistics of a run: measured clients by phase, slow and idle clients separately.
 
 use crate::config::LoadConfig;
 use crate::counters::{Counters, get};
@@ -8,25 +7,25 @@ use crate::timeline::{Second, Timeline};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Live counts of a run. Time zero is when it is made.
+/// Live statistics of a run. Time zero is their creation.
 #[derive(Debug)]
-pub struct Tally {
+pub struct RunStats {
     /// The run second by second.
     pub(crate) timeline: Arc<Timeline>,
-    /// The parts of the run and what is counted in each.
+    /// The phases with their counters.
     pub(crate) phases: Vec<(Phase, Arc<Counters>)>,
-    /// Of clients that read slowly.
+    /// Slow clients.
     pub(crate) slow: Arc<Counters>,
-    /// Of clients that say nothing.
+    /// Idle clients.
     pub(crate) silent: Arc<Counters>,
 }
 
-/// Where a run is, for whoever watches it.
+/// Progress of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Time since its start.
+    /// Time since the start.
     pub elapsed: Duration,
-    /// The part that it is in, or `pause` before the next.
+    /// The current phase, or `pause` before the next.
     pub phase: &'static str,
     /// Chunks so far.
     pub chunks: u64,
@@ -36,33 +35,33 @@ pub struct Progress {
     pub last: Option<Second>,
 }
 
-impl Tally {
-    /// Counts of a run that begins now.
+impl RunStats {
+    /// Statistics of a run that starts now.
     #[must_use]
     pub fn new(config: &LoadConfig) -> Self {
         let timeline = Arc::new(Timeline::starting_now());
-        let counters = || Arc::new(Counters::telling(Arc::clone(&timeline)));
+        let counters = || Arc::new(Counters::with_timeline(Arc::clone(&timeline)));
         let phases = phases(config.warm_up_s, config.seconds).into_iter().map(|phase| (phase, counters()));
         let (phases, slow, silent) = (phases.collect(), Arc::default(), Arc::default());
         Self { timeline, phases, slow, silent }
     }
 
-    /// Length of the run, its pause included.
+    /// Length of the run, including the pause.
     #[must_use]
-    pub fn lasts(&self) -> Duration {
-        self.phases.last().map_or(Duration::ZERO, |(phase, _)| phase.ends())
+    pub fn duration(&self) -> Duration {
+        self.phases.last().map_or(Duration::ZERO, |(phase, _)| phase.end())
     }
 
-    /// Where the run is.
+    /// The progress.
     #[must_use]
     pub fn progress(&self) -> Progress {
         let elapsed = self.timeline.elapsed();
-        let phase = self.phases.iter().map(|(phase, _)| phase).find(|phase| elapsed < phase.ends());
+        let phase = self.phases.iter().map(|(phase, _)| phase).find(|phase| elapsed < phase.end());
         let phase = phase.or(self.phases.last().map(|(phase, _)| phase));
         let all = || self.phases.iter().map(|(_, counters)| counters);
         Progress {
             elapsed,
-            phase: phase.map_or("", |phase| if elapsed < phase.begins { "pause" } else { phase.name }),
+            phase: phase.map_or("", |phase| if elapsed < phase.start { "pause" } else { phase.name }),
             chunks: all().map(|counters| get(&counters.chunks)).sum(),
             faults: all().map(|counters| get(&counters.mismatches) + get(&counters.dropped)).sum(),
             last: self.timeline.last(),
@@ -76,12 +75,12 @@ mod tests {
     use tokio::time::advance;
 
     #[tokio::test(start_paused = true)]
-    async fn progress_names_the_part_that_a_run_is_in() {
+    async fn progress_has_the_current_phase() {
         let address = "ws://127.0.0.1:1/v1/stream".parse().unwrap();
-        let tally = Tally::new(&LoadConfig { warm_up_s: 3, seconds: 5, ..LoadConfig::new(address) });
+        let stats = RunStats::new(&LoadConfig { warm_up_s: 3, seconds: 5, ..LoadConfig::new(address) });
         let mut names = Vec::new();
-        for _ in 0..tally.lasts().as_secs() + 2 {
-            names.push(tally.progress().phase);
+        for _ in 0..stats.duration().as_secs() + 2 {
+            names.push(stats.progress().phase);
             advance(Duration::from_secs(1)).await;
         }
         names.dedup();

@@ -1,23 +1,22 @@
-//! A client that reads slowly: a viewer on a bad link, or an attack that costs its owner nothing.
+//! A slow client: a viewer on a bad link, or a cheap attack.
 //!
-//! It looks like any other viewer and verifies what it gets; only its reading is bounded, and it
-//! grants all the credit there can be, so that the server may have much to say to it. The server
-//! may end it, and that is no fault: how many were ended and why is what is counted. None comes
-//! back.
+//! It sends views like other clients and verifies chunks, but its read rate is limited, and it
+//! grants the maximal credit, so that the server always has data to send. That the server closes the
+//! connection is no fault; closes are counted by reason. A slow client does not reconnect.
 
-use crate::agenda::Agenda;
-use crate::client::{End, Task};
 use crate::dial::Dial;
+use crate::schedule::Schedule;
 use crate::session;
+use crate::task::{SessionEnd, Task};
 
-/// Runs one until the server or the run ends it.
+/// Runs a slow client until the server closes the connection or the run ends.
 pub async fn run<D: Dial>(task: &Task<'_, D>) {
-    let mut agenda = Agenda::watching(task.index, task.epoch);
-    match session::run(task, &mut agenda).await {
-        End::Finished => task.counters.stayed(),
-        End::NotAdmitted { problem, .. } => task.counters.refused(&problem),
-        End::Lost(problem) => task.counters.closed(&problem),
-        End::Wrong(problem) => {
+    let mut schedule = Schedule::views_only(task.index, task.epoch);
+    match session::run(task, &mut schedule).await {
+        SessionEnd::Finished => task.counters.stayed(),
+        SessionEnd::NotAdmitted { problem, .. } => task.counters.refused(&problem),
+        SessionEnd::Lost(problem) => task.counters.closed(&problem),
+        SessionEnd::Wrong(problem) => {
             task.counters.mismatch(&problem);
             task.counters.closed(&problem);
         }

@@ -1,4 +1,4 @@
-//! A reader that takes its time: at most so many bytes a second come through.
+//! A stream with a limited read rate.
 
 use std::io;
 use std::pin::Pin;
@@ -7,19 +7,19 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep, sleep_until};
 
-/// Bytes taken at once; a pause follows each that gives the rate.
-const SIP: usize = 512;
+/// Bytes read at once; a pause after each read gives the rate.
+const READ_SIZE: usize = 512;
 
-/// A stream of which reading is slow, or as it is where no rate is given. Writing is as it is.
+/// A stream with an optional limit of its read rate. Writes are not limited.
 #[derive(Debug)]
 pub struct Throttled<S> {
     stream: S,
-    /// Time that a byte takes, and the pause that the last bytes ask for.
+    /// Time per byte, and the pause after the last read.
     slow: Option<(Duration, Pin<Box<Sleep>>)>,
 }
 
 impl<S> Throttled<S> {
-    /// Lets `bytes_per_s`, at least 1, through; none lets through what comes.
+    /// Limits reads to `bytes_per_s`, at least 1; none is no limit.
     #[must_use]
     pub fn new(stream: S, bytes_per_s: Option<u32>) -> Self {
         let slow = bytes_per_s
@@ -27,7 +27,7 @@ impl<S> Throttled<S> {
         Self { stream, slow }
     }
 
-    /// The stream itself.
+    /// The inner stream.
     pub fn into_inner(self) -> S {
         self.stream
     }
@@ -44,11 +44,11 @@ impl<S: AsyncRead + Unpin> AsyncRead for Throttled<S> {
             return Pin::new(&mut this.stream).poll_read(cx, buffer);
         };
         ready!(pause.as_mut().poll(cx));
-        let mut sip = [0; SIP];
-        let mut sip = ReadBuf::new(&mut sip[..SIP.min(buffer.remaining())]);
-        ready!(Pin::new(&mut this.stream).poll_read(cx, &mut sip))?;
-        buffer.put_slice(sip.filled());
-        let taken = u32::try_from(sip.filled().len()).unwrap_or(u32::MAX);
+        let mut part = [0; READ_SIZE];
+        let mut part = ReadBuf::new(&mut part[..READ_SIZE.min(buffer.remaining())]);
+        ready!(Pin::new(&mut this.stream).poll_read(cx, &mut part))?;
+        buffer.put_slice(part.filled());
+        let taken = u32::try_from(part.filled().len()).unwrap_or(u32::MAX);
         pause.as_mut().reset(Instant::now() + *per_byte * taken);
         Poll::Ready(Ok(()))
     }
@@ -80,14 +80,14 @@ mod tests {
         let started = Instant::now();
         let mut all = Vec::new();
         Throttled::new(reader, rate).read_to_end(&mut all).await.unwrap();
-        assert_eq!(all, vec![7; bytes], "nothing is lost or changed");
+        assert_eq!(all, vec![7; bytes], "no byte is lost or changed");
         started.elapsed().as_secs_f64()
     }
 
     #[tokio::test(start_paused = true)]
-    async fn bytes_come_at_the_rate_and_without_one_at_once() {
+    async fn the_rate_limits_reads_and_no_rate_does_not() {
         let slow = seconds_for(20_000, Some(2000)).await;
         assert!((9.9..10.3).contains(&slow), "{slow}");
-        assert!(seconds_for(20_000, None).await < 1e-3, "the control");
+        assert!(seconds_for(20_000, None).await < 1e-3, "control");
     }
 }

@@ -1,7 +1,7 @@
-//! What happened in every second of a run.
+//! Figures of every second of a run.
 //!
-//! One histogram is enough for it: the clock only goes forward, so a second is summed up when the
-//! first event of a later one comes.
+//! One histogram suffices: the clock only moves forward, so a second is closed by the first event
+//! of a later one.
 
 use crate::latency::Latencies;
 use serde::Serialize;
@@ -9,8 +9,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// One second. A second in which nothing arrived has zeros and no latencies: a stall is seen as
-/// such.
+/// One second. A second without arrivals has zeros and no latencies, so a stall is visible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Second {
     /// Seconds since the start of the run.
@@ -19,7 +18,7 @@ pub struct Second {
     pub chunks: u64,
     /// Bytes of their frames.
     pub bytes: u64,
-    /// What was answered in this second, whenever it was asked.
+    /// Answers in this second, whenever they were requested.
     pub answers: u64,
     /// Median of their latencies, milliseconds.
     pub p50_ms: Option<f64>,
@@ -36,16 +35,16 @@ struct Seconds {
     latencies: Latencies,
 }
 
-/// See the module. Time zero is when it is made.
+/// See the module. Time zero is its creation.
 #[derive(Debug)]
 pub struct Timeline {
     started: Instant,
-    /// A mutex is right: the sections are tiny and nothing awaits under it.
+    /// A mutex suffices: its sections are short and nothing awaits while it is held.
     seconds: Mutex<Seconds>,
 }
 
 impl Timeline {
-    /// An empty timeline that begins now.
+    /// An empty timeline that starts now.
     #[must_use]
     pub fn starting_now() -> Self {
         let seconds =
@@ -61,35 +60,35 @@ impl Timeline {
 
     /// A chunk arrived.
     pub fn chunk(&self, bytes: usize) {
-        let mut seconds = self.at_present();
+        let mut seconds = self.advanced();
         seconds.current.chunks += 1;
         seconds.current.bytes += bytes as u64;
     }
 
-    /// Something was answered.
+    /// A request was answered.
     pub fn answered(&self, latency: Duration) {
-        let mut seconds = self.at_present();
+        let mut seconds = self.advanced();
         seconds.current.answers += 1;
         seconds.latencies.record(latency);
     }
 
-    /// All seconds until now. The last one is not over yet.
+    /// All seconds until now. The last one is incomplete.
     #[must_use]
     pub fn seconds(&self) -> Vec<Second> {
-        let seconds = self.at_present();
+        let seconds = self.advanced();
         let mut all = seconds.done.clone();
         all.push(seconds.so_far());
         all
     }
 
-    /// The last whole second, if one is over.
+    /// The last complete second, if any.
     #[must_use]
     pub fn last(&self) -> Option<Second> {
-        self.at_present().done.last().copied()
+        self.advanced().done.last().copied()
     }
 
-    /// The state with the present second as the current one.
-    fn at_present(&self) -> MutexGuard<'_, Seconds> {
+    /// The state, advanced to the current second.
+    fn advanced(&self) -> MutexGuard<'_, Seconds> {
         let mut seconds = self.seconds.lock().unwrap_or_else(PoisonError::into_inner);
         let now = self.started.elapsed().as_secs();
         while seconds.current.second < now {
@@ -117,7 +116,7 @@ mod tests {
     use super::*;
 
     #[tokio::test(start_paused = true)]
-    async fn every_second_has_its_row_and_an_idle_one_is_empty() {
+    async fn every_second_has_a_row_and_an_idle_second_is_empty() {
         let timeline = Timeline::starting_now();
         timeline.chunk(100);
         timeline.answered(Duration::from_millis(5));
@@ -130,7 +129,7 @@ mod tests {
             [(0, 1, 100), (1, 0, 0), (2, 2, 15)]
         );
         assert_eq!((rows[0].answers, rows[0].p50_ms.map(f64::round)), (1, Some(5.0)));
-        assert_eq!((rows[1].answers, rows[1].max_ms), (0, None), "no latency of an earlier second is left");
+        assert_eq!((rows[1].answers, rows[1].max_ms), (0, None), "latencies of earlier seconds are cleared");
         assert_eq!(timeline.last(), Some(rows[1]));
     }
 }

@@ -1,8 +1,7 @@
-//! What a chunk must satisfy beyond what the protocol's decoder already refuses (digest, key,
-//! ranges, extremes).
+//! What a chunk must satisfy beyond the checks of the protocol's decoder (digest, key, ranges,
+//! extremes).
 //!
-//! Pure functions over a chunk: no counting, no session state. What may be sent at all is judged in
-//! [`crate::interest`].
+//! Pure functions of a chunk. Which chunks may arrive is decided in [`crate::expected`].
 
 use protocol::Delivery;
 use protocol::chunk_codec::quantised;
@@ -12,13 +11,13 @@ use terrain::pyramid::{PYRAMID_LEVELS, side};
 use terrain::{Chunk, ChunkKey, Land, WorldDigest};
 use thiserror::Error;
 
-/// Something that arrived and is not what it should be.
+/// Invalid data from the server.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum Mismatch {
-    /// The key was not requested and no view that the server can know of needs it.
+    /// The key was not requested, and no view that was sent needs it.
     #[error("chunk {0} was neither requested nor needed by a view")]
-    Unasked(ChunkKey),
-    /// A bound of a pyramid does not hold.
+    Unexpected(ChunkKey),
+    /// A texel of a pyramid is no bound.
     #[error("chunk {key}: {which} pyramid, level {level}, texel {texel} does not bound what is under it")]
     Pyramid {
         /// The chunk.
@@ -30,15 +29,15 @@ pub enum Mismatch {
         /// Index of the texel in its level.
         texel: usize,
     },
-    /// The chunk differs from the same chunk generated here.
+    /// The chunk differs from local generation.
     #[error("chunk {key} differs from local generation: {what}")]
     Generation {
         /// The chunk.
         key: ChunkKey,
-        /// The first thing that differs.
+        /// The first difference.
         what: String,
     },
-    /// The announced seed does not make the announced world.
+    /// The announced digest is not that of the announced seed.
     #[error("the server announces world {announced} for seed {seed}, generation here gives {ours}")]
     World {
         /// The announced digest.
@@ -48,7 +47,7 @@ pub enum Mismatch {
         /// The digest of that seed here.
         ours: WorldDigest,
     },
-    /// The server generates by another formula, so nothing can be compared.
+    /// The server has another generator version, so nothing can be compared.
     #[error(
         "the server generates by formula {theirs}, this tool by {GENERATOR_VERSION}: update the older one"
     )]
@@ -58,7 +57,7 @@ pub enum Mismatch {
     },
 }
 
-/// The land that a Welcome announces, if it is what the announced digest says.
+/// The land of a Welcome, if the announced digest is that of its seed.
 ///
 /// # Errors
 /// [`Mismatch::Generator`] or [`Mismatch::World`].
@@ -66,7 +65,7 @@ pub fn world(welcome: &Welcome) -> Result<Land, Mismatch> {
     announced(welcome.world_seed, welcome.generator_version, WorldDigest(welcome.digest))
 }
 
-/// The land of a seed, if it is what a server says of it.
+/// The land of a seed, if the announced version and digest are right.
 ///
 /// # Errors
 /// [`Mismatch::Generator`] or [`Mismatch::World`].
@@ -86,7 +85,7 @@ pub fn announced(seed: u64, generator_version: u32, announced: WorldDigest) -> R
 /// texels below it.
 ///
 /// # Errors
-/// The first texel that does not hold.
+/// The first texel that is no bound.
 pub fn pyramids(chunk: &Chunk) -> Result<(), Mismatch> {
     let (max, min) = (&chunk.max_pyramid, &chunk.min_pyramid);
     let report = |which, failed: Option<(usize, usize)>| {
@@ -96,11 +95,11 @@ pub fn pyramids(chunk: &Chunk) -> Result<(), Mismatch> {
     report("min", first_failure(&chunk.heights, |level| min.level(level), |bound, value| bound <= value))
 }
 
-/// Compares a chunk with the same one generated here, and quantised here if it came so: heights,
-/// error, slope, pyramids and grass.
+/// Compares a chunk with local generation, quantised the same way if it was: heights, error, slope,
+/// pyramids and grass.
 ///
 /// # Errors
-/// The first thing that differs.
+/// The first difference.
 pub fn regeneration(land: &Land, chunk: &Chunk, delivery: Delivery) -> Result<(), Mismatch> {
     let mut ours = land.chunk(chunk.key);
     if let Delivery::Quantised(tolerance) = delivery {
@@ -124,8 +123,8 @@ pub fn regeneration(land: &Land, chunk: &Chunk, delivery: Delivery) -> Result<()
 
 /// The level and index of the first texel that does not bound what is under it.
 ///
-/// Every chunk of every client comes through here, so a row is first judged whole, without a branch
-/// that would keep the compiler from vectorising it; only a failing row is searched.
+/// Every chunk of every client is checked, so a row is first checked as a whole, without branches
+/// that would prevent vectorisation; only a failing row is searched.
 fn first_failure<'a>(
     heights: &[i32; VERTEX_COUNT],
     texels: impl Fn(usize) -> &'a [i32],
@@ -177,29 +176,30 @@ mod tests {
         land().chunk(ChunkKey::new(level, x, z).unwrap())
     }
 
-    /// A chunk as if the decoder had been told other heights, with everything derived made to fit.
-    fn with_falsified_vertex(chunk: &Chunk, vertex: usize) -> Chunk {
+    /// A chunk with another height and everything that derives from it.
+    fn with_wrong_height(chunk: &Chunk, vertex: usize) -> Chunk {
         let mut heights = chunk.heights.clone();
         heights[vertex] += 1;
         Chunk::from_parts(chunk.key, heights, chunk.error, chunk.grass.clone())
     }
 
     #[test]
-    fn honest_chunks_pass_at_every_level() {
+    fn correct_chunks_pass_at_every_level() {
         for level in 0..=16 {
-            let honest = chunk(level, 0, 0);
-            assert_eq!(pyramids(&honest), Ok(()));
-            assert_eq!(regeneration(&land(), &honest, Delivery::Exact), Ok(()));
+            let correct = chunk(level, 0, 0);
+            assert_eq!(pyramids(&correct), Ok(()));
+            assert_eq!(regeneration(&land(), &correct, Delivery::Exact), Ok(()));
         }
     }
 
     #[test]
-    fn one_falsified_height_is_told_from_local_generation_by_vertex() {
-        let honest = chunk(0, 3, -7);
+    fn a_wrong_height_is_found_by_local_generation() {
+        let correct = chunk(0, 3, -7);
         for vertex in [0, 64, VERTICES * 10 + 7, VERTEX_COUNT - 1] {
-            let lie = with_falsified_vertex(&honest, vertex);
-            assert_eq!(pyramids(&lie), Ok(()), "its own pyramids fit; only generation can tell");
-            let Err(Mismatch::Generation { what, .. }) = regeneration(&land(), &lie, Delivery::Exact) else {
+            let fault = with_wrong_height(&correct, vertex);
+            assert_eq!(pyramids(&fault), Ok(()), "its own pyramids fit; only generation shows it");
+            let Err(Mismatch::Generation { what, .. }) = regeneration(&land(), &fault, Delivery::Exact)
+            else {
                 panic!("vertex {vertex} passed");
             };
             assert!(what.contains(&format!("({}, {})", vertex % VERTICES, vertex / VERTICES)), "{what}");
@@ -207,28 +207,28 @@ mod tests {
     }
 
     #[test]
-    fn falsified_errors_and_grass_are_told_from_local_generation() {
-        let mut lie = chunk(2, 1, 1);
-        lie.error += 1;
+    fn wrong_errors_and_grass_are_found_by_local_generation() {
+        let mut fault = chunk(2, 1, 1);
+        fault.error += 1;
         assert!(
-            matches!(regeneration(&land(), &lie, Delivery::Exact), Err(Mismatch::Generation { what, .. }) if what.contains("error"))
+            matches!(regeneration(&land(), &fault, Delivery::Exact), Err(Mismatch::Generation { what, .. }) if what.contains("error"))
         );
-        let mut lie = chunk(0, 3, -7);
-        lie.grass.seed ^= 1;
+        let mut fault = chunk(0, 3, -7);
+        fault.grass.seed ^= 1;
         assert!(
-            matches!(regeneration(&land(), &lie, Delivery::Exact), Err(Mismatch::Generation { what, .. }) if what.contains("grass"))
+            matches!(regeneration(&land(), &fault, Delivery::Exact), Err(Mismatch::Generation { what, .. }) if what.contains("grass"))
         );
     }
 
     #[test]
-    fn every_vertex_that_leaves_its_base_texels_is_found() {
-        let honest = chunk(0, 3, -7);
+    fn every_vertex_outside_of_its_base_texels_is_found() {
+        let correct = chunk(0, 3, -7);
         for vertex in 0..VERTEX_COUNT {
-            // The heights say one thing and the pyramids, made from the honest ones, another.
-            for (height, which) in [(honest.max() + 1, "max"), (honest.min() - 1, "min")] {
-                let mut lie = honest.clone();
-                lie.heights[vertex] = height;
-                let found = pyramids(&lie);
+            // The pyramids are still those of the original heights.
+            for (height, which) in [(correct.max() + 1, "max"), (correct.min() - 1, "min")] {
+                let mut fault = correct.clone();
+                fault.heights[vertex] = height;
+                let found = pyramids(&fault);
                 assert!(
                     matches!(&found, Err(Mismatch::Pyramid { which: w, level: 0, .. }) if *w == which),
                     "vertex {vertex}: {found:?}"
@@ -239,22 +239,21 @@ mod tests {
 
     #[test]
     fn pyramids_of_other_heights_are_found() {
-        let (honest, other) = (chunk(0, 3, -7), chunk(0, 60, 60));
-        let lie = Chunk { max_pyramid: other.max_pyramid.clone(), ..honest.clone() };
-        assert!(matches!(pyramids(&lie), Err(Mismatch::Pyramid { which: "max", level: 0, texel: 0, .. })));
-        // A sea floor lies below the land, so as a lower bound it holds: loose, not wrong. A hill
-        // above it does not.
-        let lie = Chunk { min_pyramid: honest.min_pyramid.clone(), ..other };
-        assert!(matches!(pyramids(&lie), Err(Mismatch::Pyramid { which: "min", .. })));
+        let (correct, other) = (chunk(0, 3, -7), chunk(0, 60, 60));
+        let fault = Chunk { max_pyramid: other.max_pyramid.clone(), ..correct.clone() };
+        assert!(matches!(pyramids(&fault), Err(Mismatch::Pyramid { which: "max", level: 0, texel: 0, .. })));
+        // A sea floor below the land is a valid, loose lower bound; a hill above it is none.
+        let fault = Chunk { min_pyramid: correct.min_pyramid.clone(), ..other };
+        assert!(matches!(pyramids(&fault), Err(Mismatch::Pyramid { which: "min", .. })));
     }
 
     #[test]
-    fn every_parent_texel_that_is_below_its_children_is_found() {
-        let honest = chunk(0, 3, -7);
+    fn every_texel_that_is_no_bound_of_its_children_is_found() {
+        let correct = chunk(0, 3, -7);
         let mut levels: Vec<_> =
-            (0..PYRAMID_LEVELS).map(|level| honest.max_pyramid.level(level).to_vec()).collect();
+            (0..PYRAMID_LEVELS).map(|level| correct.max_pyramid.level(level).to_vec()).collect();
         let check = |levels: &[Vec<i32>]| {
-            first_failure(&honest.heights, |level| &levels[level][..], |bound, value| bound >= value)
+            first_failure(&correct.heights, |level| &levels[level][..], |bound, value| bound >= value)
         };
         assert_eq!(check(&levels), None);
         for level in 0..PYRAMID_LEVELS {
@@ -267,8 +266,8 @@ mod tests {
     }
 
     #[test]
-    fn a_world_that_its_seed_does_not_make_is_refused_with_both_digests() {
-        let honest = Welcome {
+    fn a_digest_of_another_seed_is_an_error_with_both_digests() {
+        let correct = Welcome {
             session: 1,
             world_seed: 1,
             generator_version: GENERATOR_VERSION,
@@ -277,11 +276,11 @@ mod tests {
             max_view_distance_m: 1,
             software: String::new(),
         };
-        assert_eq!(world(&honest).map(|land| land.world_seed()), Ok(1));
-        let lie = world(&Welcome { world_seed: 2, ..honest.clone() }).unwrap_err();
-        let text = lie.to_string();
+        assert_eq!(world(&correct).map(|land| land.world_seed()), Ok(1));
+        let fault = world(&Welcome { world_seed: 2, ..correct.clone() }).unwrap_err();
+        let text = fault.to_string();
         assert!(text.contains(&land().digest().to_string()) && text.contains("seed 2"), "{text}");
-        let newer = world(&Welcome { generator_version: 99, ..honest }).unwrap_err();
+        let newer = world(&Welcome { generator_version: 99, ..correct }).unwrap_err();
         assert_eq!(newer, Mismatch::Generator { theirs: 99 });
     }
 }

@@ -4,8 +4,8 @@
 mod pipes;
 
 use load::run::run_over;
-use load::{LoadConfig, Mode, PathKind, Report, Tally};
-use pipes::{Lie, SERVICE, Server, Speaks};
+use load::{LoadConfig, Mode, PathKind, Report, RunStats};
+use pipes::{Fault, SERVICE, Server, Transport};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -30,16 +30,16 @@ fn config(mode: Mode, rate: Option<f64>) -> LoadConfig {
     }
 }
 
-const fn speech(mode: Mode) -> Speaks {
+const fn transport(mode: Mode) -> Transport {
     match mode {
-        Mode::Http => Speaks::Http,
-        Mode::View | Mode::Explicit => Speaks::WebSocket,
+        Mode::Http => Transport::Http,
+        Mode::View | Mode::Explicit => Transport::WebSocket,
     }
 }
 
 async fn load_on(server: Server, config: LoadConfig) -> Report {
-    let tally = Arc::new(Tally::new(&config));
-    run_over(server, config, tally).await
+    let stats = Arc::new(RunStats::new(&config));
+    run_over(server, config, stats).await
 }
 
 async fn stalled(mode: Mode, rate: Option<f64>) -> Report {
@@ -49,36 +49,35 @@ async fn stalled(mode: Mode, rate: Option<f64>) -> Report {
 async fn stalled_over(config: LoadConfig) -> Report {
     let now = Instant::now();
     let stall = now + Duration::from_secs(STALL_S.0)..now + Duration::from_secs(STALL_S.1);
-    let report = load_on(Server { stall, ..Server::new(speech(config.mode)) }, config).await;
+    let report = load_on(Server { stall, ..Server::new(transport(config.mode)) }, config).await;
     assert_eq!(report.verdict(), Ok(()), "{report}");
     report
 }
 
 async fn calm(mode: Mode, rate: Option<f64>) -> Report {
-    let report = load_on(Server::new(speech(mode)), config(mode, rate)).await;
+    let report = load_on(Server::new(transport(mode)), config(mode, rate)).await;
     assert_eq!(report.verdict(), Ok(()), "{report}");
     report
 }
 
 #[tokio::test(start_paused = true)]
 async fn an_open_loop_shows_a_stall_that_a_closed_loop_hides() {
-    // A fifth of the run is stalled, so of arrivals at any time a tenth is expected to wait a
-    // second or more.
+    // A fifth of the run is stalled, so a tenth of the arrivals is expected to wait a second or more.
     let service_ms = SERVICE.as_secs_f64() * 1e3;
     for mode in [Mode::Http, Mode::Explicit] {
         let closed = stalled(mode, None).await;
         assert_eq!(closed.loop_, "closed");
-        // 16 are open at a time where requests are made by key.
+        // In explicit mode 16 are outstanding.
         let p90 = closed.latency_ms.p90.expect("answers");
-        assert!(p90 < 17.0 * service_ms, "a closed loop asks little while it waits: {closed}");
-        assert!(closed.latency_ms.max.expect("answers") > 1900.0, "though it was there: {closed}");
+        assert!(p90 < 17.0 * service_ms, "a closed loop sends little while it waits: {closed}");
+        assert!(closed.latency_ms.max.expect("answers") > 1900.0, "the maximum shows the stall: {closed}");
 
         let open = stalled(mode, Some(RATE)).await;
         assert_eq!((open.loop_, open.rate), ("open", Some(RATE)));
         assert!(open.latency_ms.p90.expect("answers") > 500.0, "{open}");
         assert!(open.latency_ms.p99.expect("answers") > 1500.0, "{open}");
 
-        // One GET waits for the one before it; requests by key do not.
+        // A GET waits for the previous one; requests by key do not.
         let late = open.sent_late_ms.p99.expect("requests") > 1000.0;
         assert_eq!((late, closed.sent_late_ms.p99), (mode == Mode::Http, None), "{open}");
 
@@ -88,18 +87,18 @@ async fn an_open_loop_shows_a_stall_that_a_closed_loop_hides() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn poses_of_an_open_loop_count_until_their_view_is_complete() {
-    // Whoever stays where he is needs nothing, and would not notice a stall.
+async fn open_loop_poses_count_until_their_view_is_complete() {
+    // A client at rest needs no chunks and would not notice a stall.
     let config = || LoadConfig { path: PathKind::Teleport, ..config(Mode::View, Some(RATE)) };
     let open = stalled_over(config()).await;
     assert_eq!((open.measures, open.latency_ms), ("pose to settled view", open.settle_ms));
     assert!(open.latency_ms.p99.expect("views") > 1500.0, "{open}");
-    let control = load_on(Server::new(Speaks::WebSocket), config()).await;
+    let control = load_on(Server::new(Transport::WebSocket), config()).await;
     assert!(control.latency_ms.p99.expect("views") < 800.0, "{control}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn every_arrival_is_accounted_for_whatever_the_server_does() {
+async fn every_arrival_is_accounted_for_on_a_stalled_server() {
     let expected = calm(Mode::Explicit, Some(RATE)).await;
     assert!((150..250).contains(&expected.requests), "20 a second for 10 s: {expected}");
     assert_eq!((expected.unanswered, expected.unsent), (0, 0));
@@ -108,75 +107,76 @@ async fn every_arrival_is_accounted_for_whatever_the_server_does() {
         // Stalled from the middle until long after the end.
         let now = Instant::now();
         let stall = now + 5 * second..now + 100 * second;
-        let report = load_on(Server { stall, ..Server::new(speech(mode)) }, config(mode, Some(RATE))).await;
+        let report =
+            load_on(Server { stall, ..Server::new(transport(mode)) }, config(mode, Some(RATE))).await;
         assert_eq!(report.requests + report.unsent, expected.requests, "{report}");
         let answers = report.timeline.iter().map(|second| second.answers).sum::<u64>();
         assert_eq!(answers + report.unanswered + report.unsent, expected.requests, "{report}");
         assert!(
             report.unanswered > 0 && report.latency_ms.max > Some(5000.0),
-            "what never came counts: {report}"
+            "missing answers count: {report}"
         );
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_second_flight_asks_for_what_the_first_asked_for() {
+async fn the_second_flight_requests_what_the_first_did() {
     let run = |seconds, warm_up_s| {
         let config = LoadConfig { seconds, warm_up_s, ..config(Mode::Http, Some(RATE)) };
-        load_on(Server::new(Speaks::Http), config)
+        load_on(Server::new(Transport::Http), config)
     };
     let report = run(5, 5).await;
-    let [cold, warm] = &report.phases[..] else { panic!("two parts: {report}") };
+    let [cold, warm] = &report.phases[..] else { panic!("two phases: {report}") };
     assert_eq!((cold.name, warm.name, cold.requests), ("cold", "warm", warm.requests));
-    assert_eq!((warm.chunks, warm.not_modified), (0, warm.requests), "all of it is known: {report}");
+    assert_eq!((warm.chunks, warm.not_modified), (0, warm.requests), "all chunks are known: {report}");
     assert!(cold.chunks > 0 && report.not_modified >= warm.not_modified);
     let longer = run(7, 5).await;
-    assert!(longer.phases[1].chunks > 0, "the control: beyond the warm-up is unknown: {longer}");
+    assert!(longer.phases[1].chunks > 0, "control: after the warm-up chunks are new: {longer}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stampede_begins_in_one_moment_and_others_do_not() {
+async fn clients_of_a_stampede_start_at_the_same_time() {
     let first_second = |path, clients| async move {
         let config = LoadConfig { path, clients, seconds: 2, ..config(Mode::View, None) };
-        load_on(Server::new(Speaks::WebSocket), config).await.timeline[0].chunks
+        load_on(Server::new(Transport::WebSocket), config).await.timeline[0].chunks
     };
-    // At one place everybody needs the same number of chunks at the same time.
+    // At one position all clients need the same number of chunks at the same time.
     let (one, ten) = (first_second(PathKind::Spawn, 1).await, first_second(PathKind::Spawn, 10).await);
     assert!(one > 0 && ten >= 9 * one, "{one} {ten}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn every_lie_over_http_is_a_mismatch_and_the_verdict_says_so() {
-    for (lie, word) in [
-        (Lie::Height, "vertex"),
-        (Lie::Bit, "digest"),
-        (Lie::Place, "came"),
-        (Lie::Tag, "ETag"),
-        (Lie::Unchanged, "304"),
-        (Lie::World, "announces world"),
+async fn every_http_fault_is_a_mismatch_in_the_verdict() {
+    for (fault, word) in [
+        (Fault::Height, "vertex"),
+        (Fault::Bit, "digest"),
+        (Fault::Place, "came"),
+        (Fault::Tag, "ETag"),
+        (Fault::Unchanged, "304"),
+        (Fault::World, "announces world"),
     ] {
         let config = LoadConfig { seconds: 1, verify_every: 1, ..config(Mode::Http, Some(RATE)) };
-        let report = load_on(Server { lie, ..Server::new(Speaks::Http) }, config).await;
-        let verdict = report.verdict().expect_err("a liar passed");
-        assert!(verdict.contains("mismatches") && verdict.contains(word), "{lie:?}: {verdict}");
+        let report = load_on(Server { fault, ..Server::new(Transport::Http) }, config).await;
+        let verdict = report.verdict().expect_err("a faulty server passed");
+        assert!(verdict.contains("mismatches") && verdict.contains(word), "{fault:?}: {verdict}");
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn explicit_requests_are_verified_as_views_are() {
-    for (lie, word) in
-        [(Lie::Height, "vertex"), (Lie::Bit, "digest"), (Lie::Place, "neither requested nor needed")]
+    for (fault, word) in
+        [(Fault::Height, "vertex"), (Fault::Bit, "digest"), (Fault::Place, "neither requested nor needed")]
     {
         let config = LoadConfig { seconds: 1, verify_every: 1, ..config(Mode::Explicit, None) };
-        let report = load_on(Server { lie, ..Server::new(Speaks::WebSocket) }, config).await;
-        let verdict = report.verdict().expect_err("a liar passed");
-        assert!(verdict.contains("mismatches") && verdict.contains(word), "{lie:?}: {verdict}");
+        let report = load_on(Server { fault, ..Server::new(Transport::WebSocket) }, config).await;
+        let verdict = report.verdict().expect_err("a faulty server passed");
+        assert!(verdict.contains("mismatches") && verdict.contains(word), "{fault:?}: {verdict}");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn refusals_over_http_are_waited_out_and_no_faults() {
-    let server = Server { lie: Lie::Refusal, ..Server::new(Speaks::Http) };
+async fn http_refusals_pause_the_client_and_are_no_faults() {
+    let server = Server { fault: Fault::Refusal, ..Server::new(Transport::Http) };
     let report = load_on(server, config(Mode::Http, None)).await;
     assert_eq!((report.mismatches, report.dropped, report.chunks), (0, 0, 0), "{report}");
     assert!(
@@ -187,9 +187,9 @@ async fn refusals_over_http_are_waited_out_and_no_faults() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn sessions_lost_in_an_open_loop_are_dropped_and_what_was_due_is_not_forgotten() {
+async fn lost_sessions_of_an_open_loop_keep_their_due_requests() {
     let expected = calm(Mode::Explicit, Some(RATE)).await.requests;
-    let server = Server { lie: Lie::HangUp, ..Server::new(Speaks::WebSocket) };
+    let server = Server { fault: Fault::HangUp, ..Server::new(Transport::WebSocket) };
     let report = load_on(server, config(Mode::Explicit, Some(RATE))).await;
     assert!(report.dropped > 2, "{report}");
     assert_eq!(report.requests + report.unsent, expected, "{report}");
@@ -197,10 +197,10 @@ async fn sessions_lost_in_an_open_loop_are_dropped_and_what_was_due_is_not_forgo
 }
 
 #[tokio::test(start_paused = true)]
-async fn slow_and_silent_clients_are_told_apart_and_leave_the_others_figures_alone() {
+async fn slow_and_idle_clients_do_not_change_other_figures() {
     let alone = calm(Mode::View, None).await;
     let config = LoadConfig { slow: 3, silent: 4, slow_bytes_per_s: 1000, ..config(Mode::View, None) };
-    let report = load_on(Server::new(Speaks::WebSocket), config).await;
+    let report = load_on(Server::new(Transport::WebSocket), config).await;
     assert_eq!(report.verdict(), Ok(()), "{report}");
     assert_eq!(
         (report.clients, report.chunks, report.requests),
@@ -209,7 +209,11 @@ async fn slow_and_silent_clients_are_told_apart_and_leave_the_others_figures_alo
     let (slow, silent) = (report.slow.as_ref().expect("slow"), report.silent.as_ref().expect("silent"));
     // 1000 bytes a second for 14 s at most, each.
     assert!(slow.bytes > 0 && slow.bytes < 3 * 14_000, "{report}");
-    assert_eq!((slow.clients, slow.admitted, slow.stayed), (3, 3, 3), "this server ends nobody: {report}");
+    assert_eq!(
+        (slow.clients, slow.admitted, slow.stayed),
+        (3, 3, 3),
+        "this server closes no connection: {report}"
+    );
     assert_eq!((silent.clients, silent.admitted, silent.stayed), (4, 4, 4), "{report}");
     assert_eq!((silent.chunks, alone.slow, alone.silent), (0, None, None));
 }

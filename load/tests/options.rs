@@ -1,4 +1,4 @@
-//! The program as a script meets it: exit codes and one-line messages.
+//! The program as a script uses it: exit codes and one-line messages.
 
 use std::process::{Command, Output};
 
@@ -6,17 +6,16 @@ fn run(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_tombolo-load")).args(args).output().expect("the program starts")
 }
 
-fn said(output: &Output) -> String {
+fn message(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
 #[test]
-fn what_cannot_be_used_ends_with_2_and_one_line() {
+fn invalid_options_end_with_2_and_one_line() {
     for (args, word) in [
         (&["--colour", "red"][..], "--colour"),
         (&["--clients", "0"], "--clients"),
-        (&["--bench", "swim"], "swim"),
-        (&["--bench", "idle", "--rounds", "0"], "--rounds"),
+        (&["--bench", "idle", "--rounds", "0"], "tombolo-server-bench idle --rounds 0"),
         (&["--rate", "0"], "--rate"),
         (&["--plot", "plot.jpg"], "plot.jpg"),
         (&["--mode", "http", "--delivery", "seed"], "--delivery"),
@@ -24,7 +23,7 @@ fn what_cannot_be_used_ends_with_2_and_one_line() {
         (&["--token-file", "/no/such/file"], "/no/such/file"),
     ] {
         let output = run(args);
-        let text = said(&output);
+        let text = message(&output);
         assert_eq!(output.status.code(), Some(2), "{text}");
         assert!(text.starts_with("tombolo-load: ") && text.contains(word), "{text}");
         assert_eq!(text.lines().count(), 1, "{text}");
@@ -32,7 +31,7 @@ fn what_cannot_be_used_ends_with_2_and_one_line() {
 }
 
 #[test]
-fn nobody_listening_ends_with_1_a_report_and_one_line() {
+fn no_server_ends_with_1_a_report_and_one_line() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("bound").to_string();
     drop(listener);
@@ -43,12 +42,12 @@ fn nobody_listening_ends_with_1_a_report_and_one_line() {
     let plot = picture.to_str().expect("a plain path");
     let output =
         run(&["--connect", &url, "--clients", "2", "--seconds", "1", "--json", path, "--plot", plot]);
-    let is_picture = std::fs::read(&picture).expect("a picture is left too").starts_with(b"\x89PNG");
+    let is_picture = std::fs::read(&picture).expect("the plot is written too").starts_with(b"\x89PNG");
     let _ = std::fs::remove_file(&picture);
     assert!(is_picture);
-    let report = std::fs::read_to_string(&json).expect("a report is left even of a failed run");
+    let report = std::fs::read_to_string(&json).expect("a failed run has a report too");
     let _ = std::fs::remove_file(&json);
-    let text = said(&output);
+    let text = message(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("no chunk arrived") && text.contains(&address), "{text}");
     assert_eq!(text.lines().count(), 1, "{text}");
@@ -56,25 +55,20 @@ fn nobody_listening_ends_with_1_a_report_and_one_line() {
 }
 
 #[test]
-fn a_benchmark_without_a_server_program_ends_with_1_and_one_line() {
-    let output = run(&["--bench", "idle", "--server", "/no/such/server"]);
-    let text = said(&output);
-    assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!(text.contains("/no/such/server") && text.contains("--server"), "{text}");
-    assert_eq!(text.lines().count(), 1, "{text}");
-}
-
-#[test]
-fn a_report_that_cannot_be_written_is_said_before_the_run() {
+fn an_unwritable_report_fails_before_the_run() {
     let output = run(&["--json", "/no/such/folder/report.json", "--seconds", "3600"]);
     assert_eq!(output.status.code(), Some(1));
-    assert!(said(&output).contains("/no/such/folder/report.json"), "{}", said(&output));
+    assert!(message(&output).contains("/no/such/folder/report.json"), "{}", message(&output));
     let output = run(&["--plot", "/no/such/folder/plot.png", "--seconds", "3600"]);
-    assert!(said(&output).contains("--plot: cannot write `/no/such/folder/plot.png`"), "{}", said(&output));
+    assert!(
+        message(&output).contains("--plot: cannot write `/no/such/folder/plot.png`"),
+        "{}",
+        message(&output)
+    );
 }
 
 #[test]
-fn help_names_units_and_defaults_and_ends_with_0() {
+fn help_has_units_and_defaults_and_ends_with_0() {
     let output = run(&["--help"]);
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert_eq!(output.status.code(), Some(0));

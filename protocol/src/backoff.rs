@@ -13,8 +13,8 @@ pub struct Backoff {
 }
 
 impl Backoff {
-    /// Delays from `first`, doubled after each failure, to at most `longest`. Clients with different
-    /// seeds spread their attempts.
+    /// Delays from `first`, doubled after each failure, to at most `longest`. Clients with
+    /// different seeds spread their attempts.
     #[must_use]
     pub const fn new(first: Duration, longest: Duration, seed: u64) -> Self {
         Self { first, longest, attempt: 0, seed: seed | 1 }

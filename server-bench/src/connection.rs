@@ -1,8 +1,7 @@
-//! A connection for measuring: says what it is told to and counts what comes, with as little work
-//! of its own as possible.
+//! A client connection with as little work per chunk as possible.
 //!
-//! The load test's own clients decode and verify every chunk, and would be the slower end here.
-//! What arrives is compared byte for byte where a benchmark knows what must come.
+//! The clients of the load test decode and verify every chunk and would be slower than the server.
+//! Here frames are compared byte for byte where a benchmark knows what must come.
 
 use anyhow::{Context, Result, bail};
 use protocol::limits::MAX_CREDITS;
@@ -14,16 +13,16 @@ use std::net::SocketAddr;
 use terrain::ChunkKey;
 use tokio::net::TcpStream;
 
-/// Bytes taken at once.
+/// Bytes read at once.
 const READ_BUFFER: usize = 256 * 1024;
 
 thread_local! {
     static SCRATCH: RefCell<Vec<u8>> = RefCell::new(vec![0; READ_BUFFER]);
 }
 
-/// Something that arrived.
+/// What the server sent.
 #[derive(Debug)]
-pub enum Arrived<'a> {
+pub enum Received<'a> {
     /// A chunk frame.
     Chunk(&'a [u8]),
     /// A control message.
@@ -32,17 +31,17 @@ pub enum Arrived<'a> {
 
 /// A session over a bare socket.
 #[derive(Debug)]
-pub struct Wire {
+pub struct Connection {
     stream: TcpStream,
-    /// The unfinished frame at the end of what was read.
+    /// The incomplete frame at the end of the bytes read so far.
     rest: Vec<u8>,
-    /// Grants left.
+    /// Chunks that the server may still send.
     credits: u32,
     next_request: u32,
 }
 
-impl Wire {
-    /// Connects, says Hello, grants all the credit there can be, and waits for the Welcome.
+impl Connection {
+    /// Connects, sends Hello and the maximal credit, and waits for the Welcome.
     ///
     /// # Errors
     /// The server cannot be reached or does not admit.
@@ -50,39 +49,43 @@ impl Wire {
         let stream =
             TcpStream::connect(address).await.with_context(|| format!("cannot connect to {address}"))?;
         stream.set_nodelay(true)?;
-        let mut wire = Self { stream, rest: Vec::new(), credits: MAX_CREDITS, next_request: 0 };
+        let mut connection = Self { stream, rest: Vec::new(), credits: MAX_CREDITS, next_request: 0 };
         let request = format!(
             "GET /v1/stream HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
              Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
              Sec-WebSocket-Protocol: {SUBPROTOCOL}\r\n\r\n"
         );
-        wire.write(request.as_bytes()).await?;
+        connection.write(request.as_bytes()).await?;
         let head = loop {
-            wire.read().await?;
-            if let Some(end) = wire.rest.windows(4).position(|four| four == b"\r\n\r\n") {
-                break wire.rest.drain(..end + 4).collect::<Vec<_>>();
+            connection.read().await?;
+            if let Some(end) = connection.rest.windows(4).position(|four| four == b"\r\n\r\n") {
+                break connection.rest.drain(..end + 4).collect::<Vec<_>>();
             }
         };
         if !head.starts_with(b"HTTP/1.1 101 ") {
-            bail!("the server answers {}", String::from_utf8_lossy(&head).lines().next().unwrap_or_default());
+            bail!(
+                "expected an upgrade from the server, got {}",
+                String::from_utf8_lossy(&head).lines().next().unwrap_or_default()
+            );
         }
         let hello =
             Hello { digest: None, delivery: Delivery::Exact, token: None, software: crate::SOFTWARE.into() };
         let mut bytes = Vec::new();
         push(&mut bytes, &ClientMessage::Hello(hello))?;
         push(&mut bytes, &ClientMessage::Credit { chunks: MAX_CREDITS })?;
-        wire.write(&bytes).await?;
+        connection.write(&bytes).await?;
         let mut welcomed = false;
         while !welcomed {
-            wire.receive(|arrived| {
-                welcomed |= matches!(arrived, Arrived::Message(ServerMessage::Welcome(_)));
-            })
-            .await?;
+            connection
+                .receive(|received| {
+                    welcomed |= matches!(received, Received::Message(ServerMessage::Welcome(_)));
+                })
+                .await?;
         }
-        Ok(wire)
+        Ok(connection)
     }
 
-    /// Asks for chunks, one request for each key; grants more credit when little is left.
+    /// Requests chunks, one request for each key. Sends more credit when little is left.
     ///
     /// # Errors
     /// The connection broke.
@@ -96,7 +99,7 @@ impl Wire {
         self.write(&bytes).await
     }
 
-    /// Asks for different chunks in one request.
+    /// Requests different chunks in one message.
     ///
     /// # Errors
     /// The connection broke, or there are more than 512 keys.
@@ -116,11 +119,11 @@ impl Wire {
         Ok(())
     }
 
-    /// Waits for bytes and gives every whole message among them.
+    /// Waits for bytes and passes on every complete message among them.
     ///
     /// # Errors
-    /// The connection ended, or something arrived that is no frame of this protocol.
-    pub async fn receive(&mut self, mut take: impl FnMut(Arrived<'_>)) -> Result<()> {
+    /// The connection ended, or the bytes are no frame of this protocol.
+    pub async fn receive(&mut self, mut take: impl FnMut(Received<'_>)) -> Result<()> {
         self.read().await?;
         let mut used = 0;
         while let Some((opcode, start, end)) = next_frame(&self.rest[used..])? {
@@ -129,9 +132,9 @@ impl Wire {
             match opcode {
                 2 if payload.starts_with(&chunk_codec::MAGIC) => {
                     self.credits = self.credits.saturating_sub(1);
-                    take(Arrived::Chunk(payload));
+                    take(Received::Chunk(payload));
                 }
-                2 => take(Arrived::Message(control::decode(payload).context("a control frame")?)),
+                2 => take(Received::Message(control::decode(payload).context("a control frame")?)),
                 8 => bail!(
                     "the server closed: {}",
                     String::from_utf8_lossy(payload.get(2..).unwrap_or_default())
@@ -170,10 +173,10 @@ impl Wire {
         self.write(&bytes).await
     }
 
-    /// Sends messages and drops what arrives meanwhile, so that neither end waits for the other.
+    /// Sends messages and drops everything that arrives in between, so that neither end blocks.
     ///
     /// # Errors
-    /// As [`Wire::send`].
+    /// As [`Connection::send`].
     pub async fn send_while_reading(&mut self, messages: &[ClientMessage]) -> Result<()> {
         let mut bytes = Vec::new();
         for message in messages {
@@ -181,7 +184,8 @@ impl Wire {
         }
         let mut written = 0;
         while written < bytes.len() {
-            let ready = self.stream.ready(tokio::io::Interest::READABLE | tokio::io::Interest::WRITABLE).await?;
+            let ready =
+                self.stream.ready(tokio::io::Interest::READABLE | tokio::io::Interest::WRITABLE).await?;
             if ready.is_readable() {
                 let read = SCRATCH.with_borrow_mut(|scratch| self.stream.try_read(scratch));
                 match read {
@@ -218,7 +222,7 @@ async fn write_all(stream: &TcpStream, mut bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Where the first frame's payload begins and ends; none if it is incomplete.
+/// Opcode, begin and end of the first frame's payload; none if the frame is incomplete.
 fn next_frame(bytes: &[u8]) -> Result<Option<(u8, usize, usize)>> {
     let [first, second, rest @ ..] = bytes else { return Ok(None) };
     let (start, length) = match second {
@@ -233,8 +237,7 @@ fn next_frame(bytes: &[u8]) -> Result<Option<(u8, usize, usize)>> {
     Ok((bytes.len() >= end).then_some((first & 15, start, end)))
 }
 
-/// Appends a message as a frame. The mask is zero: a mask hides nothing from a server, it protects
-/// proxies.
+/// Appends a message as a frame. The mask is zero: masks protect proxies, not servers.
 fn push(bytes: &mut Vec<u8>, message: &ClientMessage) -> Result<()> {
     push_frame(bytes, &control::encode(message)?);
     Ok(())
@@ -286,7 +289,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_are_found_whole_or_waited_for() {
+    fn incomplete_frames_are_waited_for() {
         let mut bytes = vec![0x82, 3, 1, 2, 3, 0x82, 126, 0, 200];
         bytes.extend([7; 200]);
         assert_eq!(next_frame(&bytes).unwrap(), Some((2, 2, 5)));
@@ -301,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn requests_are_frames_that_the_protocol_reads() {
+    fn requests_are_valid_protocol_frames() {
         let mut bytes = Vec::new();
         let key = ChunkKey::new(3, -5, 7).unwrap();
         push_request(&mut bytes, 9, vec![key.into()]).unwrap();

@@ -1,45 +1,46 @@
-//! Sessions that send views without pause, beside one polite client: the largest view that a server
-//! accepts, ordinary views, views of sessions that hold thousands of chunks and jump about, and
-//! views that are refused.
+//! Sessions that send views without pause, beside one polite client: the largest view that the
+//! server accepts, ordinary views, views at a new place each time from sessions that hold thousands
+//! of chunks, and views beyond the limit.
 //!
-//! Three promises are measured: a probe is answered, the polite client gets its chunks, and the
-//! server stops when it is told to.
+//! The liveness probe must be answered, the polite client must get its chunks, and the server must
+//! stop on SIGTERM.
 
-use super::host::Host;
-use super::land_keys::{WORLD_SEED, land_keys};
-use super::stats::{ms, quantile};
-use super::wire::{Arrived, Wire, get};
-use super::{Plan, to_end};
+use crate::connection::{Connection, Received, get};
+use crate::keys::{WORLD_SEED, land_keys};
+use crate::server_process::{ServerProcess, series};
+use crate::stats::{ms, quantile};
+use crate::{Plan, at, join_all};
 use anyhow::{Context, Result};
-use protocol::view::View;
+use bars::{Bar, Limit, worst};
 use protocol::chunk_codec;
 use protocol::limits::{MAX_KEYS, MAX_VIEW_ESTIMATE, MAX_VIEWPORT};
 use protocol::message::{ClientMessage, WireKey};
+use protocol::view::View;
 use rustc_hash::FxHashMap;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
-use tokio::runtime::Builder;
 use terrain::lod::{self, MAX_VIEW_DISTANCE_M};
 use terrain::{ChunkKey, Land};
+use tokio::runtime::Builder;
 
 /// Sessions that flood.
 const SESSIONS: [usize; 3] = [4, 8, 32];
 
-/// Views a second of a session that does not send as fast as it can.
+/// Views a second of a session with a fixed rate.
 const RATE: u32 = 60;
 
 /// Time between two requests of the polite client, and between two probes.
 const POLITE_INTERVAL: Duration = Duration::from_millis(50);
 const PROBE_INTERVAL: Duration = Duration::from_millis(100);
 
-/// A probe without an answer for so long is counted as lost.
+/// A probe without an answer for so long counts as lost, with this latency.
 const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Chunks that a session holds which jumps about.
+/// Chunks that a teleporting session holds.
 const HELD: i32 = 4096;
 
-/// The polite client still waits for so long for chunks that it asked for.
+/// The polite client waits so long after the end for chunks that it requested.
 const GRACE: Duration = Duration::from_secs(2);
 
 /// What the flooding sessions send.
@@ -63,7 +64,7 @@ impl Kind {
         }
     }
 
-    /// The view with a number.
+    /// View number `id`.
     fn view(self, id: u32) -> View {
         let ordinary = View {
             id,
@@ -76,7 +77,12 @@ impl Kind {
             tolerance_q4: 16,
             distance_m: 8000,
         };
-        let extreme = View { viewport: [MAX_VIEWPORT; 2], distance_m: MAX_VIEW_DISTANCE_M, tolerance_q4: 1, ..ordinary };
+        let extreme = View {
+            viewport: [MAX_VIEWPORT; 2],
+            distance_m: MAX_VIEW_DISTANCE_M,
+            tolerance_q4: 1,
+            ..ordinary
+        };
         match self {
             Self::Ordinary => ordinary,
             Self::Teleport => {
@@ -95,18 +101,17 @@ impl Kind {
     }
 }
 
-/// Runs every scenario against a server of its own.
+/// Runs every scenario, each against a fresh server.
 ///
 /// # Errors
 /// The server fails.
 pub async fn run(plan: &Plan) -> Result<Value> {
-    let keys = land_keys(&Land::new(WORLD_SEED), 64 * 1024);
+    let keys = land_keys(&Land::new(WORLD_SEED), 0, 64 * 1024);
     let mut scenarios = Vec::new();
     for kind in Kind::ALL {
         for sessions in SESSIONS {
             for rate in [Some(RATE), None] {
                 let figures = scenario(plan, &keys, kind, sessions, rate).await?;
-                eprintln!("{figures}");
                 scenarios.push(figures);
             }
         }
@@ -121,24 +126,24 @@ async fn scenario(
     sessions: usize,
     rate: Option<u32>,
 ) -> Result<Value> {
-    let mut host = Host::start(&plan.launch, &[])?;
+    let mut server = ServerProcess::start(&plan.launch, &[])?;
     let (first, second) = keys.split_at(keys.len() / 2);
     let length = Duration::from_secs(plan.seconds);
-    let alone = polite(host.address, first.to_vec(), Instant::now() + length).await?;
+    let alone = polite(server.address, first.to_vec(), Instant::now() + length).await?;
 
     let end = Instant::now() + length;
-    // On a thread of its own, so that the clients that are measured do not wait for it here. It
-    // goes on until the server has stopped.
+    // On a thread of its own, so that it does not delay the measured clients. It continues until
+    // the server has stopped.
     let flooders = Builder::new_multi_thread().worker_threads(1).enable_all().build().context("no thread")?;
     for _ in 0..sessions {
-        flooders.spawn(flood(host.address, kind, rate));
+        flooders.spawn(flood(server.address, kind, rate));
     }
-    let probes = tokio::spawn(probe(host.address, end));
-    let beside = tokio::spawn(polite(host.address, second.to_vec(), end));
-    let mut probes = to_end(vec![probes]).await?.remove(0);
-    let beside = to_end(vec![beside]).await?.remove(0);
-    let view_seconds = tokio::time::timeout(PROBE_TIMEOUT, host.metric("tombolo_view_seconds_total")).await;
-    let stopped = host.process.stop(Duration::from_secs(30)).await?;
+    let probes = tokio::spawn(probe(server.address, end));
+    let beside = tokio::spawn(polite(server.address, second.to_vec(), end));
+    let mut probes = join_all(vec![probes]).await?.remove(0);
+    let beside = join_all(vec![beside]).await?.remove(0);
+    let view_seconds = tokio::time::timeout(PROBE_TIMEOUT, server.metric(series::VIEW_SECONDS)).await;
+    let stopped = server.process.stop(Duration::from_secs(30)).await?;
     flooders.shutdown_background();
 
     let lost = probes.iter().filter(|latency| **latency >= PROBE_TIMEOUT).count();
@@ -162,17 +167,16 @@ async fn scenario(
 struct Polite {
     chunks: usize,
     refused: usize,
-    /// Of the answered requests; a request without an answer counts as the time that was waited for
-    /// it.
+    /// Of all requests; one without a chunk counts with the time until the client gave up.
     p99_ms: f64,
 }
 
-/// Asks for one chunk at a time, at a steady rate whatever comes back.
+/// Requests one chunk at a time, at a fixed rate.
 async fn polite(address: SocketAddr, keys: Vec<ChunkKey>, end: Instant) -> Result<Polite> {
-    let Ok(connected) = tokio::time::timeout_at(end.into(), Wire::connect(address)).await else {
+    let Ok(connected) = tokio::time::timeout_at(end.into(), Connection::connect(address)).await else {
         return Ok(Polite { chunks: 0, refused: 0, p99_ms: f64::INFINITY });
     };
-    let (mut wire, mut keys) = (connected?, keys.into_iter());
+    let (mut connection, mut keys) = (connected?, keys.into_iter());
     let mut open: FxHashMap<ChunkKey, Instant> = FxHashMap::default();
     let (mut latencies, mut refused) = (Vec::new(), 0);
     let mut ticks = tokio::time::interval(POLITE_INTERVAL);
@@ -183,22 +187,22 @@ async fn polite(address: SocketAddr, keys: Vec<ChunkKey>, end: Instant) -> Resul
         }
         let due = tokio::select! {
             _ = ticks.tick() => true,
-            received = wire.receive(|arrived| match arrived {
-                Arrived::Chunk(frame) => {
+            received = connection.receive(|received| match received {
+                Received::Chunk(frame) => {
                     let asked = chunk_codec::kind_and_key(frame).ok().and_then(|(_, key)| open.remove(&key));
                     latencies.extend(asked.map(|asked| asked.elapsed()));
                 }
-                Arrived::Message(protocol::message::ServerMessage::Refused(_)) => refused += 1,
-                Arrived::Message(_) => {}
+                Received::Message(protocol::message::ServerMessage::Refused(_)) => refused += 1,
+                Received::Message(_) => {}
             }) => {
                 received?;
                 false
             }
         };
         if due && Instant::now() < end {
-            let key = keys.next().context("too few keys for such a long run")?;
+            let key = keys.next().context("the run is too long for the list of keys")?;
             open.insert(key, Instant::now());
-            wire.request([key]).await?;
+            connection.request([key]).await?;
         }
     }
     let chunks = latencies.len();
@@ -206,7 +210,7 @@ async fn polite(address: SocketAddr, keys: Vec<ChunkKey>, end: Instant) -> Resul
     Ok(Polite { chunks, refused, p99_ms: quantile(&mut latencies, 0.99).map_or(f64::NAN, ms) })
 }
 
-/// Probes over new connections. Returns the time to each answer, [`PROBE_TIMEOUT`] for none.
+/// Probes over new connections. Returns the latency of each, [`PROBE_TIMEOUT`] without an answer.
 async fn probe(address: SocketAddr, end: Instant) -> Result<Vec<Duration>> {
     let mut latencies = Vec::new();
     let mut ticks = tokio::time::interval(PROBE_INTERVAL);
@@ -219,13 +223,14 @@ async fn probe(address: SocketAddr, end: Instant) -> Result<Vec<Duration>> {
     Ok(latencies)
 }
 
-/// Sends views until the server goes away or the task is aborted.
+/// Sends views until the connection ends or the task is aborted.
 async fn flood(address: SocketAddr, kind: Kind, rate: Option<u32>) -> Result<()> {
-    let mut wire = Wire::connect(address).await?;
+    let mut connection = Connection::connect(address).await?;
     if matches!(kind, Kind::Teleport) {
-        let keys: Vec<WireKey> = (0..HELD).map(|n| WireKey { level: 0, x: n % 64 - 32, z: n / 64 - 32 }).collect();
+        let keys: Vec<WireKey> =
+            (0..HELD).map(|n| WireKey { level: 0, x: n % 64 - 32, z: n / 64 - 32 }).collect();
         for keys in keys.chunks(MAX_KEYS) {
-            wire.send(&ClientMessage::Holding { keys: keys.to_vec() }).await?;
+            connection.send(&ClientMessage::Holding { keys: keys.to_vec() }).await?;
         }
     }
     let mut id = 0;
@@ -242,7 +247,63 @@ async fn flood(address: SocketAddr, kind: Kind, rate: Option<u32>) -> Result<()>
             }
             None => 64,
         };
-        wire.send_while_reading(&messages(count)).await?;
+        connection.send_while_reading(&messages(count)).await?;
         tokio::task::yield_now().await;
+    }
+}
+
+/// Scenarios of a whole run.
+const SCENARIOS: usize = Kind::ALL.len() * SESSIONS.len() * 2;
+
+/// The bars of this benchmark: the worst scenario counts.
+#[must_use]
+pub fn bars(figures: &Value) -> Vec<Bar> {
+    let scenarios = figures.pointer("/scenarios").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+    let is_whole = scenarios.len() == SCENARIOS;
+    let of = |field: &str, sign: f64| {
+        let path = format!("/{field}");
+        let figures: Vec<_> =
+            scenarios.iter().map(|scenario| at(scenario, &path).map(|figure| sign * figure)).collect();
+        worst(&figures).filter(|_| is_whole).map(|figure| sign * figure)
+    };
+    let note = "the worst of all scenarios";
+    vec![
+        Bar::new("flood: liveness probe, slowest", of("probe_worst_ms", 1.0), "ms", Limit::AtMost(100.0))
+            .with_note(note),
+        Bar::new(
+            "flood: chunks of a polite client over alone",
+            of("polite_chunks_share", -1.0),
+            "",
+            Limit::AtLeast(0.8),
+        )
+        .with_note(note),
+        Bar::new("flood: polite p99 over alone", of("polite_p99_ratio", 1.0), "x", Limit::AtMost(3.0))
+            .with_note(note),
+        Bar::new("flood: stop on SIGTERM", of("stop_s", 1.0), "s", Limit::AtMost(10.0)).with_note(note),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_bars::{check, check_absent};
+
+    #[test]
+    fn each_bar_can_be_missed_by_one_scenario() {
+        let scenario = json!({
+            "probe_worst_ms": 40.0, "polite_chunks_share": 0.97, "polite_p99_ratio": 1.5, "stop_s": 0.4,
+        });
+        let good = json!({ "scenarios": vec![scenario; SCENARIOS] });
+        let bad = [
+            ("/scenarios/3/probe_worst_ms", json!(101.0)),
+            ("/scenarios/0/polite_chunks_share", json!(0.79)),
+            ("/scenarios/23/polite_p99_ratio", json!(3.1)),
+            ("/scenarios/7/stop_s", json!(null)),
+        ];
+        check(bars, &good, &bad);
+        check_absent(bars, &good, &[("", "scenarios", 4), ("/scenarios/5", "stop_s", 1)]);
+        let mut short = good.clone();
+        short.pointer_mut("/scenarios").and_then(Value::as_array_mut).expect("a list").pop();
+        assert_eq!(crate::test_bars::missed(bars, &short), 4, "a scenario is missing");
     }
 }

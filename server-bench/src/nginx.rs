@@ -1,30 +1,30 @@
-//! What static files are served at: nginx with the same chunks as files, driven by wrk, both from
-//! the system's packages.
+//! The baseline for cached chunks: nginx serving the same frames as static files to wrk. Both come
+//! from the system's packages.
 
-use super::host::{Launch, Watched};
+use crate::server_process::{ChildProcess, Launch};
 use anyhow::{Context, Result, bail};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// nginx over a folder of files, ended when dropped.
+/// nginx serving a folder of files; killed when dropped.
 #[derive(Debug)]
-pub struct Rival {
+pub struct Nginx {
     folder: PathBuf,
     port: u16,
-    /// The only process: it is its own worker.
-    pub process: Watched,
+    /// The only process: there are no separate workers.
+    pub process: ChildProcess,
 }
 
-/// What wrk counted.
+/// Result of a run of wrk.
 #[derive(Clone, Copy, Debug)]
 pub struct Rate {
     /// Replies a second.
     pub replies_per_s: f64,
-    /// Server's processor seconds for each GB (10^9 bytes) of replies, headers included.
+    /// CPU seconds of nginx for each GB (10^9 bytes) of replies, headers included.
     pub cpu_s_per_gb: f64,
-    /// Share of the time in which the server was busy: a rival that waits is not measured.
+    /// CPU time of nginx over wall time. If it is low, wrk was the bottleneck.
     pub busy: f64,
 }
 
@@ -35,19 +35,19 @@ pub fn is_installed(program: &str) -> bool {
     status.is_ok()
 }
 
-impl Rival {
+impl Nginx {
     /// Writes the files `0.bin`, `1.bin` ... and serves them.
     ///
     /// # Errors
     /// The folder cannot be written or nginx does not start.
     pub fn start(launch: &Launch, files: &[impl AsRef<[u8]>]) -> Result<Self> {
-        let folder = std::env::temp_dir().join(format!("tombolo-rival-{}", std::process::id()));
+        let folder = std::env::temp_dir().join(format!("tombolo-nginx-{}", std::process::id()));
         let www = folder.join("www");
         std::fs::create_dir_all(&www).with_context(|| format!("cannot make {}", www.display()))?;
         for (index, file) in files.iter().enumerate() {
             std::fs::write(www.join(format!("{index}.bin")), file)?;
         }
-        // Asked for and given back; the port is free when nginx asks a moment later.
+        // Released again: nginx binds it a moment later.
         let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
         std::fs::write(folder.join("nginx.conf"), configuration(&folder, port))?;
         std::fs::write(folder.join("pipeline.lua"), PIPELINE)?;
@@ -60,20 +60,20 @@ impl Rival {
             .stderr(Stdio::null())
             .spawn()
             .context("cannot start nginx")?;
-        let rival = Self { folder, port, process: Watched::new(child) };
+        let nginx = Self { folder, port, process: ChildProcess::new(child) };
         for _ in 0..200 {
             if std::net::TcpStream::connect(("127.0.0.1", port)).is_ok() {
-                return Ok(rival);
+                return Ok(nginx);
             }
             std::thread::sleep(Duration::from_millis(10));
         }
         bail!("nginx does not answer on port {port}")
     }
 
-    /// Asks for all files in turn over so many connections with so many requests outstanding each.
+    /// Requests all files in turn, with `window` requests outstanding on each connection.
     ///
     /// # Errors
-    /// wrk fails or says something else than expected.
+    /// wrk fails or its output is not understood.
     pub fn measure(&self, connections: usize, window: usize, n_files: usize, seconds: u64) -> Result<Rate> {
         let before = self.process.cpu_s()?;
         let output = Command::new("wrk")
@@ -86,10 +86,12 @@ impl Rival {
         let cpu_s = self.process.cpu_s()? - before;
         let text = String::from_utf8_lossy(&output.stdout);
         let Some(line) = text.lines().find_map(|line| line.strip_prefix("MEASURED ")) else {
-            bail!("wrk does not say what it measured: {text}{}", String::from_utf8_lossy(&output.stderr));
+            bail!("no result in the output of wrk: {text}{}", String::from_utf8_lossy(&output.stderr));
         };
         let numbers: Vec<f64> = line.split_whitespace().filter_map(|number| number.parse().ok()).collect();
-        let [replies, bytes, duration_us, errors] = numbers[..] else { bail!("wrk says `{line}`") };
+        let [replies, bytes, duration_us, errors] = numbers[..] else {
+            bail!("expected four numbers from wrk, got `{line}`")
+        };
         if errors > 0.0 {
             bail!("wrk counts {errors} failed requests");
         }
@@ -102,16 +104,16 @@ impl Rival {
     }
 }
 
-impl Drop for Rival {
+impl Drop for Nginx {
     fn drop(&mut self) {
-        // In the system's folder for such things; what cannot be removed does no harm.
+        // A temporary folder: a failed removal is harmless.
         let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 
-/// One process, no log, descriptors of all files kept open, whole replies in one write: the fastest
-/// way for small files that was found. With `sendfile` a reply takes two calls, and with
-/// `tcp_nopush` pipelined replies wait for acknowledgements, tens of milliseconds each.
+/// The fastest configuration found for small files: one process, no log, all file descriptors kept
+/// open, each reply in one write. With `sendfile` a reply takes two calls; with `tcp_nopush`
+/// pipelined replies wait for acknowledgements, tens of milliseconds each.
 fn configuration(folder: &Path, port: u16) -> String {
     let folder = folder.display();
     format!(
@@ -125,8 +127,8 @@ fn configuration(folder: &Path, port: u16) -> String {
     )
 }
 
-/// wrk counts one reply for each request in a string of several, and keeps as many outstanding as
-/// the string holds.
+/// Makes wrk pipeline: it counts each request of a string with several, and keeps all of them
+/// outstanding.
 const PIPELINE: &str = r#"
 local requests, at = {}, 0
 function init(args)

@@ -1,12 +1,16 @@
-//! More than the server can do: arrivals at a fixed rate whatever is answered, from half of its
-//! capacity to five times as much.
+//! Open-loop load at a fixed rate, from half of the server's capacity to five times as much, and
+//! the recovery afterwards.
+//!
+//! Every time counts from when a request was due, so a late client or a full socket cannot improve
+//! a figure.
 
-use super::host::Host;
-use super::land_keys::{WORLD_SEED, land_keys};
-use super::stats::{median, ms, quantile};
-use super::wire::{Arrived, Wire};
-use super::{Plan, to_end};
+use crate::connection::{Connection, Received};
+use crate::keys::{WORLD_SEED, land_keys};
+use crate::server_process::ServerProcess;
+use crate::stats::{median, ms, quantile};
+use crate::{Plan, at, join_all, listed, shown};
 use anyhow::{Context, Result};
+use bars::{Bar, Limit};
 use protocol::chunk_codec;
 use protocol::message::ServerMessage;
 use rustc_hash::FxHashMap;
@@ -14,210 +18,271 @@ use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 use terrain::{ChunkKey, Land};
 
-/// Connections that the arrivals are spread over.
+/// Connections that the requests are spread over.
 const CONNECTIONS: usize = 64;
 
-/// Different chunks; asked for round and round from a cache that holds a hundredth of them.
+/// Requests outstanding on each connection in the closed loop that measures the capacity.
+const WINDOW: usize = 16;
+
+/// Different chunks, requested in turn. The cache holds a hundredth of them.
 const CHUNKS: usize = 16 * 1024;
 
-/// Loads as multiples of what was measured as capacity. The last is the overload that is judged.
+/// Loads as multiples of the capacity. The last one is judged.
 const LOADS: [f64; 5] = [0.5, 0.8, 1.0, 2.0, 5.0];
 
-/// Load after the overload.
+/// Load after the last one, while the server recovers; also the load whose latency is normal.
 const CALM: f64 = 0.5;
 
-/// Time between two bursts of one connection; the bursts of all are spread over it.
-const BURST: Duration = Duration::from_millis(10);
+/// Time between two bursts of one connection; the bursts of all connections are spread over it. A
+/// request is sent up to this long after it was due, which its latency includes.
+const BURST: Duration = Duration::from_millis(4);
 
-/// Width of the windows in which the return to normal is looked for, and for how long.
-const LOOK: Duration = Duration::from_millis(100);
-const LOOK_FOR: Duration = Duration::from_secs(4);
+/// Width of the windows of the recovery, and the time that they cover.
+const RECOVERY_WINDOW: Duration = Duration::from_millis(100);
+const RECOVERY: Duration = Duration::from_secs(4);
 
-/// Runs the benchmark: every round in a fresh server. Figures are medians; the loads are those of
-/// the last round.
+/// Time after the other loads in which late answers are still counted.
+const DRAIN: Duration = Duration::from_secs(1);
+
+/// Lower bounds of the latency that counts as normal, milliseconds. The first is what the scheduler
+/// of two shared cores alone can add; the second is reported beside it.
+const NORMAL_FLOORS_MS: [f64; 2] = [50.0, 20.0];
+
+/// How the recovery is defined, for readers of the figures.
+const RECOVERY_DEFINITION: &str = "seconds from the end of the overload to the end of the last \
+    100 ms window that is not normal, at half of the capacity; a window is normal if at least 99 % \
+    of the requests due in it were answered with a chunk within max(2 x p99 at half load, floor); a \
+    refusal or no answer is not";
+
+/// How the goodput is judged, for readers of the figures.
+const GOODPUT_DEFINITION: &str = "chunks a second at five times the capacity over the highest rate \
+    of the round at any load, the closed loop that measured the capacity included";
+
+/// Runs the benchmark, every round in a fresh server. Figures are medians over the rounds; `loads`
+/// are those of the last round.
 ///
 /// # Errors
 /// The server fails.
 pub async fn run(plan: &Plan) -> Result<Value> {
-    let keys = land_keys(&Land::new(WORLD_SEED), CHUNKS);
+    let keys = land_keys(&Land::new(WORLD_SEED), 0, CHUNKS);
     let mut rounds = Vec::new();
     for _ in 0..plan.rounds {
         rounds.push(round(plan, &keys).await?);
     }
     let all = |figure: fn(&Round) -> Option<f64>| rounds.iter().filter_map(figure).collect::<Vec<_>>();
-    let goodput_of_peak = all(|round| Some(round.goodput_of_peak));
-    // A round in which nothing was refused, or that never became normal again, has no such figure,
-    // and then there is none.
+    let goodput_of_peak = all(|round| Some(round.goodput / round.peak));
+    // A round without refusals or without recovery has no such figure; then the run has none.
     let whole = |figures: Vec<f64>| median(figures.clone()).filter(|_| figures.len() == rounds.len());
     let last = rounds.last().context("no round was run")?;
     Ok(json!({
         "connections": CONNECTIONS,
-        "rounds": plan.rounds,
+        "burst_ms": ms(BURST),
         "capacity_per_s": last.capacity,
         "loads": last.loads,
-        "peak_goodput_per_s": last.peak,
+        "peak_per_s": last.peak,
         "goodput_of_peak": median(goodput_of_peak.clone()),
+        "goodput_of_peak_worst": goodput_of_peak.iter().copied().reduce(f64::min),
         "goodput_of_peak_rounds": goodput_of_peak,
+        "goodput_definition": GOODPUT_DEFINITION,
         "refusal_p99_ms": whole(all(|round| round.refusal_p99_ms)),
         "normal_p99_ms": whole(all(|round| Some(round.normal_p99_ms))),
-        "recovery_s": whole(all(|round| round.recovery_s)),
+        "recovery_s": whole(all(|round| round.recovery_s[0])),
+        "recovery_floor_ms": NORMAL_FLOORS_MS[0],
+        "recovery_s_strict": whole(all(|round| round.recovery_s[1])),
+        "recovery_floor_ms_strict": NORMAL_FLOORS_MS[1],
+        "recovery_definition": RECOVERY_DEFINITION,
     }))
 }
 
-/// What one round came to.
+/// Figures of one round.
 struct Round {
     /// Chunks a second with full windows.
     capacity: f64,
     /// One value for each of [`LOADS`].
     loads: Vec<Value>,
-    /// The most chunks a second at any load.
+    /// The highest rate of chunks, the capacity included.
     peak: f64,
-    goodput_of_peak: f64,
+    /// Chunks a second at the last load.
+    goodput: f64,
     refusal_p99_ms: Option<f64>,
     normal_p99_ms: f64,
-    recovery_s: Option<f64>,
+    /// One value for each of [`NORMAL_FLOORS_MS`].
+    recovery_s: [Option<f64>; 2],
 }
 
 async fn round(plan: &Plan, keys: &[ChunkKey]) -> Result<Round> {
-    let host = Host::start(&plan.launch, &["--cache-mb", "1"])?;
+    let server = ServerProcess::start(&plan.launch, &["--cache-mb", "1"])?;
     let length = Duration::from_secs(plan.seconds);
-    let capacity = capacity(&host, keys, length).await?;
-    let (mut loads, mut peak, mut normal_p99) = (Vec::new(), 0.0f64, f64::NAN);
+    let capacity = capacity(&server, keys, length).await?;
+    let (mut loads, mut peak, mut normal_p99_ms) = (Vec::new(), capacity, f64::NAN);
     let mut last = None;
     for load in LOADS {
-        let calm = if load == LOADS[LOADS.len() - 1] { LOOK_FOR } else { Duration::ZERO };
-        let outcome = arrivals(&host, keys, &[(load * capacity, length), (CALM * capacity, calm)]).await?;
-        let mut answered: Vec<_> =
-            outcome.answers.iter().filter(|answer| answer.is_in(length)).copied().collect();
-        let goodput = answered.iter().filter(|answer| answer.is_chunk).count() as f64 / length.as_secs_f64();
-        peak = peak.max(goodput);
-        let p99 = |is_chunk: bool, answers: &mut Vec<Answer>| {
-            let mut waits: Vec<_> = answers
-                .iter()
-                .filter(|answer| answer.is_chunk == is_chunk)
-                .map(|answer| answer.wait)
-                .collect();
-            quantile(&mut waits, 0.99).map(ms)
-        };
-        let (chunk_p99, refusal_p99) = (p99(true, &mut answered), p99(false, &mut answered));
+        let is_last = load == LOADS[LOADS.len() - 1];
+        let after = if is_last { (CALM * capacity, RECOVERY) } else { (0.0, DRAIN) };
+        let requests = send_at_rates(&server, keys, &[(load * capacity, length), after]).await?;
+        let figures = LoadFigures::new(&requests, length);
+        peak = peak.max(figures.goodput_per_s);
         if load == CALM {
-            normal_p99 = chunk_p99.unwrap_or(f64::NAN);
+            normal_p99_ms = figures.chunk_p99_ms.unwrap_or(f64::NAN);
         }
-        loads.push(json!({
-            "load": load,
-            "offered_per_s": load * capacity,
-            "sent_per_s": outcome.sent as f64 / length.as_secs_f64(),
-            "goodput_per_s": goodput,
-            "chunk_p99_ms": chunk_p99,
-            "refused": answered.iter().filter(|answer| !answer.is_chunk).count(),
-            "refusal_p99_ms": refusal_p99,
-        }));
-        last = Some((goodput, refusal_p99, outcome));
+        loads.push(figures.to_json(load, load * capacity));
+        last = Some((figures, requests));
     }
-    let (goodput, refusal_p99, outcome) = last.context("no load was run")?;
+    let (figures, requests) = last.context("no load was run")?;
     Ok(Round {
         capacity,
         loads,
         peak,
-        goodput_of_peak: goodput / peak,
-        refusal_p99_ms: refusal_p99,
-        normal_p99_ms: normal_p99,
-        recovery_s: recovery(&outcome, length, normal_p99),
+        goodput: figures.goodput_per_s,
+        refusal_p99_ms: figures.refusal_p99_ms,
+        normal_p99_ms,
+        recovery_s: NORMAL_FLOORS_MS.map(|floor| recovery(&requests, length, normal_p99_ms, floor)),
     })
 }
 
-/// Seconds from the end of the overload until chunks take no longer than twice the normal 99th
-/// percentile (at least 50 ms, what the scheduler of two shared cores alone can take), window by
-/// window, for the rest of the run; none if that never comes.
-fn recovery(outcome: &Outcome, length: Duration, normal_p99_ms: f64) -> Option<f64> {
-    let bound_ms = (2.0 * normal_p99_ms).max(50.0);
-    let n_windows = (LOOK_FOR.as_millis() / LOOK.as_millis()) as u32;
-    let is_calm = |window: u32| {
-        let (from, to) = (length + LOOK * window, length + LOOK * (window + 1));
-        let inside = outcome.answers.iter().filter(|answer| (from..to).contains(&answer.asked));
-        let mut waits: Vec<_> = inside.map(|answer| answer.wait).collect();
+/// Figures of one load.
+#[derive(Debug, PartialEq)]
+struct LoadFigures {
+    sent_per_s: f64,
+    /// Chunks that arrived before the end of the load.
+    goodput_per_s: f64,
+    /// Of all requests that were due in the load, whenever the answer came.
+    chunk_p99_ms: Option<f64>,
+    refused: usize,
+    refusal_p99_ms: Option<f64>,
+    /// Without an answer until the end of the run.
+    unanswered: usize,
+}
+
+impl LoadFigures {
+    /// Of the requests that were due in the first part of a run.
+    fn new(requests: &[Request], length: Duration) -> Self {
+        let due = || requests.iter().filter(|request| request.due < length);
+        let waits = |is_chunk: bool| {
+            let waits =
+                due().filter_map(|request| request.answer).filter(|answer| answer.is_chunk == is_chunk);
+            waits.map(|answer| answer.wait).collect::<Vec<_>>()
+        };
+        let in_time = |request: &&Request| {
+            request.answer.is_some_and(|answer| answer.is_chunk && request.due + answer.wait < length)
+        };
+        let (mut chunks, mut refusals, seconds) = (waits(true), waits(false), length.as_secs_f64());
+        Self {
+            sent_per_s: due().count() as f64 / seconds,
+            goodput_per_s: due().filter(in_time).count() as f64 / seconds,
+            chunk_p99_ms: quantile(&mut chunks, 0.99).map(ms),
+            refused: refusals.len(),
+            refusal_p99_ms: quantile(&mut refusals, 0.99).map(ms),
+            unanswered: due().filter(|request| request.answer.is_none()).count(),
+        }
+    }
+
+    fn to_json(&self, load: f64, offered_per_s: f64) -> Value {
+        json!({
+            "load": load,
+            "offered_per_s": offered_per_s,
+            "sent_per_s": self.sent_per_s,
+            "goodput_per_s": self.goodput_per_s,
+            "chunk_p99_ms": self.chunk_p99_ms,
+            "refused": self.refused,
+            "refusal_p99_ms": self.refusal_p99_ms,
+            "unanswered": self.unanswered,
+        })
+    }
+}
+
+/// See [`RECOVERY_DEFINITION`]; none if the server does not recover within [`RECOVERY`].
+fn recovery(requests: &[Request], length: Duration, normal_p99_ms: f64, floor_ms: f64) -> Option<f64> {
+    let bound_ms = (2.0 * normal_p99_ms).max(floor_ms);
+    let n_windows = (RECOVERY.as_millis() / RECOVERY_WINDOW.as_millis()) as u32;
+    let is_normal = |window: u32| {
+        let window = length + RECOVERY_WINDOW * window..length + RECOVERY_WINDOW * (window + 1);
+        let inside = requests.iter().filter(|request| window.contains(&request.due));
+        let mut waits: Vec<_> = inside.map(Request::wait_for_chunk).collect();
         quantile(&mut waits, 0.99).is_some_and(|wait| ms(wait) <= bound_ms)
     };
-    // The last window's answers may come after the end of the run.
-    let unquiet = (0..n_windows - 1).rev().find(|window| !is_calm(*window));
-    match unquiet {
+    // Answers to the last window may come after the end of the run.
+    let last_bad = (0..n_windows - 1).rev().find(|window| !is_normal(*window));
+    match last_bad {
         Some(window) if window + 2 >= n_windows => None,
-        Some(window) => Some((LOOK * (window + 1)).as_secs_f64()),
+        Some(window) => Some((RECOVERY_WINDOW * (window + 1)).as_secs_f64()),
         None => Some(0.0),
     }
 }
 
-/// One answer.
-#[derive(Clone, Copy)]
+/// One request that was sent.
+#[derive(Clone, Copy, Debug)]
+struct Request {
+    /// When it was due, since the start of the run.
+    due: Duration,
+    answer: Option<Answer>,
+}
+
+#[derive(Clone, Copy, Debug)]
 struct Answer {
-    /// When it was due to be asked for, since the start of the run.
-    asked: Duration,
-    /// From then to the answer.
+    /// Since the request was due.
     wait: Duration,
+    /// Else a refusal.
     is_chunk: bool,
 }
 
-impl Answer {
-    fn is_in(&self, length: Duration) -> bool {
-        self.asked + self.wait < length
+impl Request {
+    /// Time until the chunk arrived; without a chunk, longer than any bound.
+    fn wait_for_chunk(&self) -> Duration {
+        self.answer.filter(|answer| answer.is_chunk).map_or(Duration::MAX, |answer| answer.wait)
     }
 }
 
-struct Outcome {
-    sent: u64,
-    answers: Vec<Answer>,
-}
-
 /// Chunks a second with a full window on each connection.
-async fn capacity(host: &Host, keys: &[ChunkKey], length: Duration) -> Result<f64> {
+async fn capacity(server: &ServerProcess, keys: &[ChunkKey], length: Duration) -> Result<f64> {
     let started = Instant::now();
     let mut clients = Vec::new();
     for (index, own) in keys.chunks(CHUNKS / CONNECTIONS).take(CONNECTIONS).enumerate() {
-        let (mut wire, own) = (Wire::connect(host.address).await?, own.to_vec());
+        let (mut connection, own) = (Connection::connect(server.address).await?, own.to_vec());
         clients.push(tokio::spawn(async move {
             let mut next = own.iter().copied().cycle().skip(index);
-            wire.request(next.by_ref().take(16)).await?;
+            connection.request(next.by_ref().take(WINDOW)).await?;
             let mut count = 0usize;
             while started.elapsed() < length {
                 let mut answered = 0;
-                wire.receive(|arrived| {
-                    answered += 1;
-                    count += usize::from(matches!(arrived, Arrived::Chunk(_)));
-                })
-                .await?;
-                wire.request(next.by_ref().take(answered)).await?;
+                connection
+                    .receive(|received| {
+                        answered += 1;
+                        count += usize::from(matches!(received, Received::Chunk(_)));
+                    })
+                    .await?;
+                connection.request(next.by_ref().take(answered)).await?;
             }
             Ok(count)
         }));
     }
-    let count: usize = to_end(clients).await?.into_iter().sum();
+    let count: usize = join_all(clients).await?.into_iter().sum();
     Ok(count as f64 / started.elapsed().as_secs_f64())
 }
 
-/// Arrivals at one rate (a second, all connections together) after the other, each for a time.
-async fn arrivals(host: &Host, keys: &[ChunkKey], rates: &[(f64, Duration)]) -> Result<Outcome> {
-    let mut wires = Vec::new();
+/// Sends requests at one rate (a second, all connections together) after the other, each for a time.
+async fn send_at_rates(
+    server: &ServerProcess,
+    keys: &[ChunkKey],
+    rates: &[(f64, Duration)],
+) -> Result<Vec<Request>> {
+    let mut connections = Vec::new();
     for _ in 0..CONNECTIONS {
-        wires.push(Wire::connect(host.address).await?);
+        connections.push(Connection::connect(server.address).await?);
     }
     let started = Instant::now() + BURST;
-    let clients = wires.into_iter().enumerate().map(|(index, wire)| {
+    let clients = connections.into_iter().enumerate().map(|(index, connection)| {
         let own: Vec<_> =
             keys.iter().copied().cycle().skip(index * CHUNKS / CONNECTIONS).take(CHUNKS).collect();
         let rates: Vec<_> = rates.iter().map(|(rate, time)| (rate / CONNECTIONS as f64, *time)).collect();
         let phase = BURST * index as u32 / CONNECTIONS as u32;
-        tokio::spawn(arrive(wire, own, rates, started + phase))
+        tokio::spawn(send_in_bursts(connection, own, rates, started + phase))
     });
-    let outcomes = to_end(clients.collect()).await?;
-    Ok(outcomes.into_iter().fold(Outcome { sent: 0, answers: Vec::new() }, |mut all, one| {
-        all.sent += one.sent;
-        all.answers.extend(one.answers);
-        all
-    }))
+    Ok(join_all(clients.collect()).await?.concat())
 }
 
-/// Arrivals due at one connection by a time since the start.
-fn due(rates: &[(f64, Duration)], mut elapsed: Duration) -> f64 {
+/// Requests due at one connection by a time since the start.
+fn due_count(rates: &[(f64, Duration)], mut elapsed: Duration) -> f64 {
     let mut count = 0.0;
     for (rate, time) in rates {
         count += rate * elapsed.min(*time).as_secs_f64();
@@ -226,82 +291,229 @@ fn due(rates: &[(f64, Duration)], mut elapsed: Duration) -> f64 {
     count
 }
 
-async fn arrive(
-    mut wire: Wire,
+/// When request number `index` of a connection, from 0, is due: the inverse of [`due_count`]. The
+/// end of the run if it never is.
+fn due_time(rates: &[(f64, Duration)], index: usize) -> Duration {
+    let (mut left, mut start) = ((index + 1) as f64, Duration::ZERO);
+    for (rate, time) in rates {
+        let count = rate * time.as_secs_f64();
+        if left <= count {
+            return start + Duration::from_secs_f64(left / rate);
+        }
+        left -= count;
+        start += *time;
+    }
+    start
+}
+
+async fn send_in_bursts(
+    mut connection: Connection,
     keys: Vec<ChunkKey>,
     rates: Vec<(f64, Duration)>,
     started: Instant,
-) -> Result<Outcome> {
+) -> Result<Vec<Request>> {
     let mut next = keys.iter().copied().cycle();
-    // By key: a client does not ask for a chunk again before 16,384 others.
-    let mut open: FxHashMap<ChunkKey, Duration> = FxHashMap::default();
-    let mut outcome = Outcome { sent: 0, answers: Vec::new() };
+    // Indices into `requests` by key: a client requests no chunk again before 16,384 others.
+    let mut open: FxHashMap<ChunkKey, usize> = FxHashMap::default();
+    let mut requests: Vec<Request> = Vec::new();
     let length: Duration = rates.iter().map(|(_, time)| *time).sum();
     let mut ticks = tokio::time::interval_at(started.into(), BURST);
     loop {
         tokio::select! {
             tick = ticks.tick() => {
-                // When the burst was due, which may be a while ago on a busy machine: a client that
-                // is late does not flatter the server. Bursts that were missed follow at once.
+                // The time of the tick, which may be in the past on a busy machine; missed bursts
+                // follow at once.
                 let now = tick.into_std().saturating_duration_since(started);
                 if now >= length {
-                    return Ok(outcome);
+                    return Ok(requests);
                 }
-                let due = due(&rates, now) as u64;
-                let burst: Vec<_> = next.by_ref().take((due - outcome.sent.min(due)) as usize).collect();
+                let count = (due_count(&rates, now) as usize).saturating_sub(requests.len());
+                let burst: Vec<_> = next.by_ref().take(count).collect();
                 if burst.is_empty() {
                     continue;
                 }
-                open.extend(burst.iter().map(|key| (*key, now)));
-                outcome.sent += burst.len() as u64;
-                wire.request(burst).await?;
+                for key in &burst {
+                    open.insert(*key, requests.len());
+                    requests.push(Request { due: due_time(&rates, requests.len()), answer: None });
+                }
+                connection.request(burst).await?;
             }
-            received = wire.receive(|arrived| {
-                let (key, is_chunk) = match arrived {
-                    Arrived::Chunk(frame) => (chunk_codec::kind_and_key(frame).ok().map(|(_, key)| key), true),
-                    Arrived::Message(ServerMessage::Refused(refused)) => {
+            received = connection.receive(|received| {
+                let (key, is_chunk) = match received {
+                    Received::Chunk(frame) => (chunk_codec::kind_and_key(frame).ok().map(|(_, key)| key), true),
+                    Received::Message(ServerMessage::Refused(refused)) => {
                         (refused.key.and_then(|key| key.check().ok()), false)
                     }
-                    Arrived::Message(_) => (None, false),
+                    Received::Message(_) => (None, false),
                 };
-                if let Some(asked) = key.and_then(|key| open.remove(&key)) {
-                    let wait = started.elapsed().saturating_sub(asked);
-                    outcome.answers.push(Answer { asked, wait, is_chunk });
+                if let Some(request) = key.and_then(|key| requests.get_mut(open.remove(&key)?)) {
+                    let wait = started.elapsed().saturating_sub(request.due);
+                    request.answer = Some(Answer { wait, is_chunk });
                 }
             }) => received?,
         }
     }
 }
 
+/// The bars of this benchmark.
+#[must_use]
+pub fn bars(figures: &Value) -> Vec<Bar> {
+    let is_overload = at(figures, "/loads/4/load") == Some(5.0);
+    let of = |field: &str| at(figures, &format!("/{field}")).filter(|_| is_overload);
+    vec![
+        Bar::new(
+            "five times the capacity: goodput over peak",
+            of("goodput_of_peak"),
+            "",
+            Limit::AtLeast(0.9),
+        )
+        .with_note(format!("median of the rounds; {GOODPUT_DEFINITION}")),
+        Bar::new("the same, worst round", of("goodput_of_peak_worst"), "", Limit::Reported),
+        Bar::new("refusals, p99", of("refusal_p99_ms"), "ms", Limit::AtMost(10.0)).with_note(format!(
+            "from when each request was due; the client sends in bursts every {:.0} ms, which is part of it",
+            ms(BURST)
+        )),
+        Bar::new("back to normal after", of("recovery_s"), "s", Limit::AtMost(2.0))
+            .with_note(format!("{RECOVERY_DEFINITION}; floor {:.0} ms", NORMAL_FLOORS_MS[0])),
+        Bar::new("the same with a floor of 20 ms", of("recovery_s_strict"), "s", Limit::Reported),
+        Bar::new("refused (control)", of("loads/4/refused"), "", Limit::AtLeast(1.0)),
+    ]
+}
+
+/// Further figures in sentences.
+#[must_use]
+pub fn notes(figures: &Value) -> Vec<String> {
+    let mut notes = Vec::new();
+    for load in figures.pointer("/loads").and_then(Value::as_array).into_iter().flatten() {
+        let of = |path: &str| shown(load, path);
+        let refused = match at(load, "/refusal_p99_ms") {
+            Some(p99) => format!("{:.0} refused, p99 {p99:.1} ms", of("/refused")),
+            None => "none refused".into(),
+        };
+        notes.push(format!(
+            "Load {} (of {:.0} a second): {:.0} chunks a second, p99 {:.1} ms; {refused}; {:.0} \
+             unanswered.",
+            of("/load"),
+            shown(figures, "/capacity_per_s"),
+            of("/goodput_per_s"),
+            of("/chunk_p99_ms"),
+            of("/unanswered"),
+        ));
+    }
+    notes.push(format!(
+        "Loads are those of the last round. Goodput over peak, round by round: {}.",
+        listed(figures, "/goodput_of_peak_rounds", 2)
+    ));
+    notes
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_bars::{check, check_absent};
+
+    const SECOND: Duration = Duration::from_secs(1);
 
     #[test]
-    fn arrivals_are_due_by_rate_and_time_and_stop_at_the_end() {
-        let second = Duration::from_secs(1);
-        let rates = [(100.0, second), (10.0, 2 * second)];
+    fn requests_are_due_by_rate_and_time_until_the_end() {
+        let rates = [(100.0, SECOND), (10.0, 2 * SECOND)];
         assert_eq!(
-            [0, 500, 1000, 2000, 3000, 9000].map(|ms| due(&rates, Duration::from_millis(ms))),
+            [0, 500, 1000, 2000, 3000, 9000].map(|ms| due_count(&rates, Duration::from_millis(ms))),
             [0.0, 50.0, 100.0, 110.0, 120.0, 120.0]
         );
     }
 
     #[test]
+    fn each_request_is_due_when_the_count_reaches_it() {
+        let rates = [(100.0, SECOND), (10.0, 2 * SECOND)];
+        assert_eq!(
+            [0, 49, 99, 100, 119].map(|index| due_time(&rates, index).as_millis()),
+            [10, 500, 1000, 1100, 3000]
+        );
+        assert_eq!(due_time(&rates, 120), 3 * SECOND);
+        assert_eq!(due_time(&[(5.0, SECOND), (0.0, SECOND)], 5), 2 * SECOND, "after a rate of zero");
+    }
+
+    /// A request a millisecond in the recovery, answered as `answer` says for its number.
+    fn requests(answer: impl Fn(u64) -> Option<Answer>) -> Vec<Request> {
+        let number = 0..RECOVERY.as_millis() as u64;
+        number.map(|at| Request { due: SECOND + Duration::from_millis(at), answer: answer(at) }).collect()
+    }
+
+    fn answer(wait_ms: u64, is_chunk: bool) -> Option<Answer> {
+        Some(Answer { wait: Duration::from_millis(wait_ms), is_chunk })
+    }
+
+    fn recovered(answer: impl Fn(u64) -> Option<Answer>) -> Option<f64> {
+        recovery(&requests(answer), SECOND, 5.0, NORMAL_FLOORS_MS[0])
+    }
+
+    #[test]
     fn recovery_is_the_end_of_the_last_window_with_a_slow_answer() {
-        let length = Duration::from_secs(1);
-        let answers = |slow_until_ms: u64| {
-            (0..LOOK_FOR.as_millis() as u64)
-                .map(|at| Answer {
-                    asked: length + Duration::from_millis(at),
-                    wait: Duration::from_millis(if at < slow_until_ms { 300 } else { 3 }),
-                    is_chunk: true,
-                })
-                .collect()
+        let slow_until = |end| recovered(move |at| answer(if at < end { 300 } else { 3 }, true));
+        assert_eq!([0, 150, 1000].map(slow_until), [Some(0.0), Some(0.2), Some(1.0)]);
+        assert_eq!(slow_until(10_000), None);
+    }
+
+    #[test]
+    fn a_server_that_continues_to_refuse_does_not_recover() {
+        assert_eq!(recovered(|_| answer(1, false)), None);
+        assert_eq!(recovered(|at| answer(1, at >= 150)), Some(0.2));
+        assert_eq!(recovered(|at| answer(1, at % 50 != 0)), None, "2 % of the requests");
+        assert_eq!(recovered(|at| answer(1, at % 500 != 7)), Some(0.0), "one request in a window of 100");
+    }
+
+    #[test]
+    fn a_server_that_does_not_answer_does_not_recover() {
+        assert_eq!(recovered(|_| None), None);
+        assert_eq!(recovery(&[], SECOND, 5.0, 50.0), None, "nothing was sent");
+    }
+
+    #[test]
+    fn the_floor_of_normal_matters_between_the_two_floors() {
+        let at_30_ms = requests(|_| answer(30, true));
+        let floors = NORMAL_FLOORS_MS.map(|floor| recovery(&at_30_ms, SECOND, 5.0, floor));
+        assert_eq!(floors, [Some(0.0), None]);
+    }
+
+    #[test]
+    fn a_load_counts_only_the_requests_that_were_due_in_it() {
+        let request = |due_ms, answer| Request { due: Duration::from_millis(due_ms), answer };
+        let requests = [
+            request(100, answer(10, true)),
+            request(200, answer(900, true)),
+            request(300, answer(4, false)),
+            request(400, None),
+            // In the calm part after it.
+            request(1500, answer(700, true)),
+            request(1600, answer(700, false)),
+        ];
+        let expected = LoadFigures {
+            sent_per_s: 4.0,
+            goodput_per_s: 1.0,
+            chunk_p99_ms: Some(900.0),
+            refused: 1,
+            refusal_p99_ms: Some(4.0),
+            unanswered: 1,
         };
-        let seconds =
-            |slow_until_ms| recovery(&Outcome { sent: 0, answers: answers(slow_until_ms) }, length, 5.0);
-        assert_eq!([0, 150, 1000].map(seconds), [Some(0.0), Some(0.2), Some(1.0)]);
-        assert_eq!(seconds(10_000), None);
+        assert_eq!(LoadFigures::new(&requests, SECOND), expected);
+    }
+
+    #[test]
+    fn each_bar_can_be_missed() {
+        let good = json!({
+            "goodput_of_peak": 0.95, "goodput_of_peak_worst": 0.9, "refusal_p99_ms": 3.0,
+            "recovery_s": 0.1, "recovery_s_strict": 0.4,
+            "loads": [{}, {}, {}, {}, { "load": 5.0, "refused": 1000 }],
+        });
+        let bad = [
+            ("/goodput_of_peak", json!(0.89)),
+            ("/refusal_p99_ms", json!(10.1)),
+            ("/recovery_s", json!(2.1)),
+            ("/loads/4/refused", json!(0)),
+        ];
+        check(bars, &good, &bad);
+        let absent = [("", "loads", 6), ("/loads/4", "load", 6), ("", "recovery_s", 1)];
+        check_absent(bars, &good, &absent);
     }
 }

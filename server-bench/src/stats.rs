@@ -1,23 +1,23 @@
-//! Small statistics over what a benchmark noted.
+//! Small statistics.
 
 use std::time::Duration;
 
-/// The value below which a share `q` (0 to 1) of the values lies; none of no values. Sorts.
+/// The quantile `q` (0 to 1) of the values; none if there are no values. Sorts the values.
 pub fn quantile<T: Copy + Ord>(values: &mut [T], q: f64) -> Option<T> {
     values.sort_unstable();
     let last = values.len().checked_sub(1)?;
     values.get((last as f64 * q).round() as usize).copied()
 }
 
-/// The middle of a few measurements; none of none.
+/// The median; none if there are no values.
 #[must_use]
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
 }
 
-/// Jain's fairness index: 1 if all shares are equal, 1/n if one has everything (Jain, Chiu and
-/// Hawe, DEC TR-301, 1984).
+/// Jain's fairness index: 1 if all shares are equal, 1/n if one client has everything (Jain, Chiu
+/// and Hawe, DEC TR-301, 1984).
 #[must_use]
 pub fn jain(shares: &[f64]) -> f64 {
     let (sum, squares) =

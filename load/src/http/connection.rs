@@ -1,8 +1,8 @@
-//! One kept HTTP/1.1 connection: a request out, an answer in, and how big that may be.
+//! One persistent HTTP/1.1 connection with bounded responses.
 
 use crate::SOFTWARE;
-use crate::client::Task;
 use crate::dial::Dial;
+use crate::task::Task;
 use crate::throttle::Throttled;
 use bytes::Bytes;
 use http_body_util::{BodyExt, Empty, Limited};
@@ -15,36 +15,34 @@ use std::fmt::Write;
 use std::time::Duration;
 use tokio::task::JoinHandle;
 
-/// Longest body that is taken, bytes. A chunk frame is shorter; the world's description and errors
-/// are too.
+/// Maximal length of a body, bytes. Chunk frames, the world's description and errors are shorter.
 const MAX_BODY: usize = 64 * 1024;
 
-/// What a refusal without Retry-After asks for.
+/// Pause after a refusal without Retry-After.
 const DEFAULT_PAUSE: Duration = Duration::from_secs(1);
 
-/// An answer, taken whole.
+/// A complete response.
 #[derive(Debug)]
-pub(super) struct Answer {
+pub(super) struct Response {
     pub status: StatusCode,
-    /// The strong tag, where it is a digest.
+    /// The strong ETag, if it is a digest.
     pub tag: Option<[u8; 16]>,
     pub retry_after: Duration,
     pub body: Bytes,
 }
 
-/// Of a problem document (RFC 9457), what tells the occasion.
+/// The field of a problem document (RFC 9457) that describes the occasion.
 #[derive(Deserialize)]
 struct Problem {
     detail: String,
 }
 
-impl Answer {
-    /// Status and what the body says, in one line.
+impl Response {
+    /// Status and message of the body, in one line.
     pub fn problem(&self) -> String {
-        // A Tombolo server says it as a problem document with one sentence; a proxy before it says
-        // what it likes.
-        let told = serde_json::from_slice::<Problem>(&self.body).map(|problem| problem.detail);
-        let text = told.unwrap_or_else(|_| String::from_utf8_lossy(&self.body).into_owned());
+        // A Tombolo server sends a problem document with one sentence; a proxy sends anything.
+        let detail = serde_json::from_slice::<Problem>(&self.body).map(|problem| problem.detail);
+        let text = detail.unwrap_or_else(|_| String::from_utf8_lossy(&self.body).into_owned());
         let line: String = text.lines().next().unwrap_or_default().chars().take(200).collect();
         if line.is_empty() { self.status.to_string() } else { format!("{}: {line}", self.status) }
     }
@@ -54,7 +52,7 @@ impl Answer {
 #[derive(Debug)]
 pub(super) struct Connection {
     sender: SendRequest<Empty<Bytes>>,
-    /// Moves the bytes; ends with the connection.
+    /// Transports the bytes; ends with the connection.
     driver: JoinHandle<()>,
     host: String,
     authorization: Option<String>,
@@ -69,9 +67,9 @@ impl Drop for Connection {
 impl Connection {
     pub async fn open<D: Dial>(task: &Task<'_, D>) -> Result<Self, String> {
         let stream = task.dial.dial(None).await.map_err(|error| error.to_string())?;
-        let io = TokioIo::new(Throttled::new(stream, task.reads));
+        let io = TokioIo::new(Throttled::new(stream, task.read_rate));
         let (sender, connection) = http1::handshake(io).await.map_err(|error| error.to_string())?;
-        // How it ends is told to whoever waits for an answer.
+        // The pending request gets the error.
         let driver = tokio::spawn(async move { _ = connection.await });
         let config = task.config;
         let host = config.connect.authority().map_or_else(String::new, ToString::to_string);
@@ -79,13 +77,13 @@ impl Connection {
         Ok(Self { sender, driver, host, authorization })
     }
 
-    /// Whether the server has not ended it.
+    /// Whether the connection is still open.
     pub async fn is_usable(&mut self) -> bool {
         self.sender.ready().await.is_ok()
     }
 
-    /// Asks for a path, conditionally if a tag is known.
-    pub async fn get(&mut self, path: &str, known: Option<[u8; 16]>) -> Result<Answer, String> {
+    /// Sends a GET, conditional if an ETag is known.
+    pub async fn get(&mut self, path: &str, known: Option<[u8; 16]>) -> Result<Response, String> {
         let mut request = Request::get(path).header(HOST, &self.host).header(USER_AGENT, SOFTWARE);
         if let Some(authorization) = &self.authorization {
             request = request.header(AUTHORIZATION, authorization);
@@ -99,7 +97,7 @@ impl Connection {
         let (tag, retry_after) = (tag_of(headers), retry_after(headers));
         let body =
             Limited::new(answer.into_body(), MAX_BODY).collect().await.map_err(|error| explain(&*error))?;
-        Ok(Answer { status, tag, retry_after, body: body.to_bytes() })
+        Ok(Response { status, tag, retry_after, body: body.to_bytes() })
     }
 }
 
@@ -112,7 +110,7 @@ fn explain(error: &dyn std::error::Error) -> String {
 
 fn tag_text(tag: [u8; 16]) -> String {
     let mut text = String::from("\"");
-    // Writing to a text cannot fail.
+    // Writing to a string cannot fail.
     tag.iter().for_each(|byte| _ = write!(text, "{byte:02x}"));
     text + "\""
 }
@@ -143,8 +141,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said_in_one_line_whoever_answers() {
-        let answer = |body: &'static str| Answer {
+    fn problems_are_one_line_from_any_server() {
+        let answer = |body: &'static str| Response {
             status: StatusCode::SERVICE_UNAVAILABLE,
             tag: None,
             retry_after: DEFAULT_PAUSE,
@@ -161,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn tags_are_digests_in_quotes_and_nothing_else() {
+    fn only_quoted_digests_are_etags() {
         let tag = std::array::from_fn(|index| index as u8 * 17);
         assert_eq!(tag_of(&headers(&tag_text(tag))), Some(tag));
         for bad in [

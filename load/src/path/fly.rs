@@ -1,6 +1,6 @@
 //! Flight: a circle at one speed.
 
-use super::{Draw, Motion, REACH_M};
+use super::{Motion, PathRandom, REACH_M};
 use std::f64::consts::TAU;
 
 #[derive(Clone, Copy, Debug)]
@@ -15,14 +15,14 @@ pub(super) struct Circle {
 }
 
 impl Circle {
-    pub(super) fn new(draw: Draw) -> Self {
-        let (radius_m, speed_m) = (draw.between(1, 500.0, 2_500.0), draw.between(2, 50.0, 120.0));
-        let direction = if draw.share(4) < 0.5 { -1.0 } else { 1.0 };
+    pub(super) fn new(random: PathRandom) -> Self {
+        let (radius_m, speed_m) = (random.between(1, 500.0, 2_500.0), random.between(2, 50.0, 120.0));
+        let direction = if random.share(4) < 0.5 { -1.0 } else { 1.0 };
         Self {
-            centre_m: draw.place_m((5, 6), REACH_M),
+            centre_m: random.place_m((5, 6), REACH_M),
             radius_m,
             turn: direction * speed_m / radius_m,
-            start: draw.between(7, 0.0, TAU),
+            start: random.between(7, 0.0, TAU),
         }
     }
 
@@ -43,7 +43,7 @@ mod tests {
     #[test]
     fn speeds_and_radii_are_within_what_is_promised() {
         for seed in 0..1000 {
-            let circle = Circle::new(Draw(seed));
+            let circle = Circle::new(PathRandom(seed));
             let speed = (circle.turn * circle.radius_m).abs();
             assert!((50.0..=120.0).contains(&speed) && (500.0..=2500.0).contains(&circle.radius_m));
         }

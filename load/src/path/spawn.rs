@@ -1,15 +1,15 @@
-//! A stampede: everybody at one place in the same moment, then apart.
+//! A stampede: all clients at one position at the same time, then dispersing.
 
-use super::{Draw, Motion, REACH_M};
+use super::{Motion, PathRandom, REACH_M};
 use std::f64::consts::TAU;
 
 /// Time at the spawn point, seconds.
 pub(super) const STAY_S: f64 = 3.0;
 
-/// How far one goes in the end, metres: least and most.
+/// Final distance, metres: minimum and maximum.
 const FAR_M: (f64, f64) = (500.0, 2_500.0);
 
-/// Speed on leaving, metres a second: least and most.
+/// Initial speed, metres a second: minimum and maximum.
 const SPEED: (f64, f64) = (10.0, 40.0);
 
 #[derive(Clone, Copy, Debug)]
@@ -23,8 +23,8 @@ pub(super) struct Dispersal {
 }
 
 impl Dispersal {
-    /// From the place that all share and the way that is one's own.
-    pub(super) fn new(all: Draw, own: Draw) -> Self {
+    /// `all` gives the shared position, `own` the direction.
+    pub(super) fn new(all: PathRandom, own: PathRandom) -> Self {
         let (sin, cos) = own.between(7, 0.0, TAU).sin_cos();
         Self {
             spawn_m: all.place_m((5, 6), REACH_M),
@@ -34,8 +34,7 @@ impl Dispersal {
         }
     }
 
-    /// The speed falls with what is left of the way, so that the end is never quite reached and
-    /// nothing jerks.
+    /// The speed is proportional to the remaining distance, so the motion is smooth.
     pub(super) fn motion(&self, seconds: f64) -> Motion {
         let left = (-self.speed * (seconds - STAY_S).max(0.0) / self.far_m).exp();
         let (gone, speed) = (self.far_m * (1.0 - left), self.speed * left);
@@ -55,7 +54,7 @@ mod tests {
     use crate::path::{FlightPath, PathKind};
 
     #[test]
-    fn everybody_begins_at_one_place_and_disperses() {
+    fn all_clients_start_at_one_position_and_disperse() {
         let clients: Vec<_> = (0..100).map(|index| FlightPath::new(PathKind::Spawn, 5, index)).collect();
         let place = clients[0].place_m(0.0);
         for path in &clients {

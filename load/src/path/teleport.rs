@@ -1,7 +1,6 @@
-//! Teleports: stays at places that have nothing to do with each other, so that no two views share
-//! fine chunks.
+//! Teleports: stays at unrelated positions, so that no two views share fine chunks.
 
-use super::{Draw, Motion, REACH_M};
+use super::{Motion, PathRandom, REACH_M};
 use std::f64::consts::TAU;
 use terrain::hash::hash2;
 
@@ -18,21 +17,21 @@ pub(super) struct Stays {
 }
 
 impl Stays {
-    pub(super) const fn new(draw: Draw) -> Self {
-        Self { seed: draw.0 }
+    pub(super) const fn new(random: PathRandom) -> Self {
+        Self { seed: random.0 }
     }
 
     pub(super) fn motion(&self, seconds: f64) -> Motion {
-        let draw = Draw(hash2(self.seed, self.stay(seconds), 0));
-        let heading = draw.between(3, 0.0, TAU);
-        Motion { place_m: draw.place_m((1, 2), REACH_M), velocity: (0.0, 0.0), heading }
+        let random = PathRandom(hash2(self.seed, self.stay(seconds), 0));
+        let heading = random.between(3, 0.0, TAU);
+        Motion { place_m: random.place_m((1, 2), REACH_M), velocity: (0.0, 0.0), heading }
     }
 
-    /// Number of the stay at a time: the slot's, or the one before while its jump is still to come.
+    /// Number of the stay at a time: that of the slot, or the previous one before the jump.
     fn stay(&self, seconds: f64) -> i32 {
         let slot = (seconds / MEAN_STAY_S).floor();
         let number = slot as i32;
-        let jump = slot * MEAN_STAY_S + Draw(hash2(self.seed, number, 1)).between(4, 0.0, LATE_S);
+        let jump = slot * MEAN_STAY_S + PathRandom(hash2(self.seed, number, 1)).between(4, 0.0, LATE_S);
         if number > 0 && seconds < jump { number - 1 } else { number }
     }
 }

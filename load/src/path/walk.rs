@@ -1,6 +1,6 @@
 //! A walk: a round of straight legs at a walking pace, turning where one leg ends.
 
-use super::{Draw, Motion, REACH_M};
+use super::{Motion, PathRandom, REACH_M};
 use std::f64::consts::TAU;
 
 /// Walking pace, metres a second: what people prefer on even ground (Browning et al., J. Appl.
@@ -22,13 +22,13 @@ pub(super) struct Round {
 }
 
 impl Round {
-    pub(super) fn new(draw: Draw) -> Self {
-        let middle = draw.place_m((5, 6), REACH_M);
-        let start = draw.between(7, 0.0, TAU);
-        let direction = if draw.share(4) < 0.5 { -1.0 } else { 1.0 };
+    pub(super) fn new(random: PathRandom) -> Self {
+        let middle = random.place_m((5, 6), REACH_M);
+        let start = random.between(7, 0.0, TAU);
+        let direction = if random.share(4) < 0.5 { -1.0 } else { 1.0 };
         let corners_m = std::array::from_fn(|corner| {
             let angle = start + direction * TAU * corner as f64 / CORNERS as f64;
-            let radius = draw.between(0x100 + corner as u32, RADIUS_M.0, RADIUS_M.1);
+            let radius = random.between(0x100 + corner as u32, RADIUS_M.0, RADIUS_M.1);
             (middle.0 + radius * angle.cos(), middle.1 + radius * angle.sin())
         });
         let mut way = 0.0;
@@ -62,7 +62,7 @@ mod tests {
     #[test]
     fn the_pace_is_kept_and_the_way_turns() {
         for seed in 0..200 {
-            let round = Round::new(Draw(seed));
+            let round = Round::new(PathRandom(seed));
             let mut turns = 0;
             let mut before = round.motion(0.0);
             for step in 1..6000 {

@@ -1,6 +1,6 @@
-//! A report for a person.
+//! The report as a text table.
 
-use super::{Aside, PhaseReport, Report};
+use super::{BackgroundClients, PhaseReport, Report};
 use crate::latency::LatencyMs;
 use std::fmt;
 
@@ -48,7 +48,7 @@ impl fmt::Display for Report {
             ("dropped", self.dropped.to_string()),
             ("mismatches", self.mismatches.to_string()),
         ];
-        // What a mode does not have is left out.
+        // Rows that a mode does not have are left out.
         rows.retain(|(name, _)| match *name {
             "unchanged" => self.mode == "http",
             "views settled" => self.mode == "view",
@@ -62,14 +62,14 @@ impl fmt::Display for Report {
         if self.phases.len() > 1 {
             phases(&self.phases, f)?;
         }
-        for (name, aside) in [("slow", &self.slow), ("silent", &self.silent)] {
-            if let Some(aside) = aside {
-                apart(name, aside, f)?;
+        for (name, background) in [("slow", &self.slow), ("silent", &self.silent)] {
+            if let Some(background) = background {
+                background_row(name, background, f)?;
             }
         }
         self.problems.iter().try_for_each(|problem| writeln!(f, "  ! {problem}"))?;
-        for (name, aside) in [("slow", &self.slow), ("silent", &self.silent)] {
-            let problems = aside.iter().flat_map(|aside| &aside.problems);
+        for (name, background) in [("slow", &self.slow), ("silent", &self.silent)] {
+            let problems = background.iter().flat_map(|background| &background.problems);
             problems.into_iter().try_for_each(|problem| writeln!(f, "  ! {name}: {problem}"))?;
         }
         Ok(())
@@ -98,29 +98,33 @@ fn phases(phases: &[PhaseReport], f: &mut fmt::Formatter<'_>) -> fmt::Result {
     Ok(())
 }
 
-fn apart(name: &str, aside: &Aside, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-    let Aside { clients, admitted, stayed, closed, chunks, .. } = aside;
-    write!(f, "{name:<14} {clients} besides, {admitted} let in, {chunks} chunks; ")?;
-    writeln!(f, "{} ended by the server, {stayed} still connected at the end", closed.values().sum::<u64>())?;
+fn background_row(name: &str, background: &BackgroundClients, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    let BackgroundClients { clients, admitted, stayed, closed, chunks, .. } = background;
+    write!(f, "{name:<14} {clients} clients, {admitted} admitted, {chunks} chunks; ")?;
+    writeln!(
+        f,
+        "{} closed by the server, {stayed} still connected at the end",
+        closed.values().sum::<u64>()
+    )?;
     closed.iter().try_for_each(|(why, count)| writeln!(f, "{:<14} {count} x {why}", ""))
 }
 
 #[cfg(test)]
 mod tests {
-    use crate::{LoadConfig, Report, Tally};
+    use crate::{LoadConfig, Report, RunStats};
     use std::time::Duration;
 
     fn report(warm_up_s: u64, slow: u32) -> Report {
         let address = "ws://127.0.0.1:1/v1/stream".parse().unwrap();
         let config = LoadConfig { warm_up_s, slow, ..LoadConfig::new(address) };
-        let tally = Tally::new(&config);
-        tally.phases[0].1.chunk(1000);
-        tally.slow.closed("too slow");
-        Report::new(&config, &tally, Duration::from_secs(3600))
+        let stats = RunStats::new(&config);
+        stats.phases[0].1.chunk(1000);
+        stats.slow.closed("too slow");
+        Report::new(&config, &stats, Duration::from_secs(3600))
     }
 
     #[test]
-    fn the_table_names_rates_units_and_the_loop() {
+    fn the_table_has_rates_units_and_the_loop() {
         let table = report(0, 0).to_string();
         assert!(table.contains("1 (0 a second)") && table.contains("MB/s"), "{table}");
         assert!(table.contains("latency p99.9  - ms"), "no answer is not zero: {table}");
@@ -128,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_and_slow_clients_have_rows_of_their_own() {
+    fn phases_and_slow_clients_have_rows() {
         let table = report(3, 2).to_string();
         let rows = |name: &str| table.lines().filter(|line| line.starts_with(name)).count();
         assert_eq!(["part", "cold", "warm", "slow"].map(rows), [1; 4], "{table}");

@@ -1,25 +1,25 @@
-//! What a session says and asks when its agenda tells it to, and when that counts as answered.
+//! The actions of a session: views and requests, and when they count as answered.
 
 use super::Session;
-use crate::agenda::{Agenda, Errand};
 use crate::dial::Dial;
-use crate::interest::MAX_VIEWS_SLOW;
+use crate::expected::MAX_VIEWS_SLOW;
 use crate::path::Pose;
+use crate::schedule::{Action, Schedule};
 use protocol::view::View;
 use std::collections::VecDeque;
 use tokio::time::Instant;
 
-/// Tries to find a chunk that no view brings.
+/// Attempts to find a chunk that no view brings.
 const PROBE_TRIES: usize = 8;
 
-/// Probes without an answer at most.
+/// Maximum of probes without an answer.
 const MAX_PROBES: usize = 64;
 
-/// Poses whose views are waited for. When it is full, as only a closed loop can make it, the oldest
-/// is forgotten.
+/// Maximum of poses that wait for their views. Only a closed loop can exceed it; then the oldest is
+/// dropped.
 const MAX_POSES: usize = MAX_VIEWS_SLOW;
 
-/// The view that a client at a pose has: 1280 x 720 at 60 degrees, 4 pixels of tolerance.
+/// The view of a client at a pose: 1280 x 720, 60 degrees, 4 pixels of tolerance.
 #[must_use]
 pub fn view_of(id: u32, pose: &Pose, distance_m: u32) -> View {
     View {
@@ -43,7 +43,7 @@ pub(super) struct Poses {
 }
 
 impl Poses {
-    /// Notes a pose and since when it counts. Returns the id for its view.
+    /// Adds a pose with the time from which it counts. Returns the id for its view.
     fn begin(&mut self, since: Instant) -> u32 {
         let id = self.next;
         // Ids only grow within a session; wrapping would take thirty years.
@@ -55,7 +55,7 @@ impl Poses {
         id
     }
 
-    /// Takes those that a settled view answers: its own pose, and the older ones, whose views it
+    /// Removes the poses that a settled view answers: its own and all older ones, whose views it
     /// replaced.
     fn settle(&mut self, view: u32) -> impl Iterator<Item = Instant> + use<> {
         let answered = self.waiting.partition_point(|(id, _)| *id <= view);
@@ -68,20 +68,20 @@ impl Poses {
 }
 
 impl<D: Dial> Session<'_, '_, D> {
-    pub(super) fn attend(&mut self, errand: Errand, agenda: &mut Agenda) {
-        match errand {
-            Errand::Look(since) => self.look(since, agenda.is_open()),
-            Errand::Probe(since) => self.probe(since, agenda),
-            Errand::Ask(since, chunks) => self.ask(since, chunks, agenda),
+    pub(super) fn perform(&mut self, action: Action, schedule: &mut Schedule) {
+        match action {
+            Action::View(since) => self.send_view(since, schedule.is_open()),
+            Action::Probe(since) => self.probe(since, schedule),
+            Action::Request(since, chunks) => self.request_chunks(since, chunks, schedule),
         }
     }
 
-    /// What is outstanding: requests, and poses where these are waited for.
+    /// Number of outstanding requests, and poses if these count.
     pub(super) fn outstanding(&self, with_poses: bool) -> usize {
-        self.interest.open_requests() + if with_poses { self.poses.waiting.len() } else { 0 }
+        self.expected.open_requests() + if with_poses { self.poses.waiting.len() } else { 0 }
     }
 
-    /// A view is complete, and with it the poses up to its own.
+    /// A view is complete, which answers its pose and all older ones.
     pub(super) fn settled(&mut self, view: u32, is_open: bool) {
         let (now, counters) = (Instant::now(), self.task.counters);
         counters.view_settled();
@@ -94,38 +94,37 @@ impl<D: Dial> Session<'_, '_, D> {
         }
     }
 
-    /// Says what is seen at a time.
-    fn look(&mut self, since: Instant, is_open: bool) {
+    /// Sends the view of the pose at a time.
+    fn send_view(&mut self, since: Instant, is_open: bool) {
         let pose = self.path.pose(&self.land, self.seconds(since));
         let view = view_of(self.poses.begin(since), &pose, self.task.config.view_distance_m);
-        self.interest.view(&view);
+        self.expected.add_view(&view);
         self.machine.set_view(view);
         if is_open {
             self.task.counters.request(since.elapsed());
         }
     }
 
-    /// Asks for one chunk near the path ahead that no view brings, to measure how long it takes.
-    fn probe(&mut self, since: Instant, agenda: &mut Agenda) {
-        if self.interest.open_requests() >= MAX_PROBES {
+    /// Requests one chunk ahead on the path that no view brings, to measure the latency.
+    fn probe(&mut self, since: Instant, schedule: &mut Schedule) {
+        if self.expected.open_requests() >= MAX_PROBES {
             return;
         }
         let ahead_s = self.seconds(since) + 20.0;
         let candidate = (0..PROBE_TRIES)
-            .map(|_| self.keys.key(agenda.number(), ahead_s))
-            .find(|key| self.interest.can_request(*key));
+            .map(|_| self.keys.key(schedule.next_number(), ahead_s))
+            .find(|key| self.expected.can_request(*key));
         if let Some(key) = candidate {
-            self.interest.request(self.machine.request(&[key]), key, since);
+            self.expected.add_request(self.machine.request(&[key]), key, since);
             self.task.counters.request(since.elapsed());
         }
     }
 
-    /// Asks for chunks by key. Each is a request of its own, so that each has an id to be refused
-    /// by.
-    fn ask(&mut self, since: Instant, chunks: usize, agenda: &mut Agenda) {
+    /// Requests chunks by key, each with an id of its own, which a refusal names.
+    fn request_chunks(&mut self, since: Instant, chunks: usize, schedule: &mut Schedule) {
         for _ in 0..chunks {
-            let key = self.keys.key(agenda.number(), self.seconds(since));
-            self.interest.request(self.machine.request(&[key]), key, since);
+            let key = self.keys.key(schedule.next_number(), self.seconds(since));
+            self.expected.add_request(self.machine.request(&[key]), key, since);
             self.task.counters.request(since.elapsed());
         }
     }
@@ -141,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_settled_view_answers_its_pose_and_the_older_ones() {
+    fn a_settled_view_answers_its_pose_and_older_ones() {
         let now = Instant::now();
         let mut poses = Poses::default();
         let ids: Vec<u32> = (0..5).map(|_| poses.begin(now)).collect();

@@ -1,8 +1,7 @@
-//! The WebSocket under a session: opening, writing under a deadline, closing, and why it ended in
-//! words.
+//! The WebSocket of a session: opening, writing with a timeout, closing, and error messages.
 
-use crate::client::{End, HANDSHAKE_TIMEOUT, Task};
 use crate::dial::Dial;
+use crate::task::{HANDSHAKE_TIMEOUT, SessionEnd, Task};
 use crate::throttle::Throttled;
 use futures_util::{SinkExt, StreamExt};
 use protocol::client::ClientSession;
@@ -17,17 +16,16 @@ use tokio_tungstenite::tungstenite::protocol::frame::CloseFrame;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use tokio_tungstenite::{WebSocketStream, client_async_with_config};
 
-/// Time that a server may take to accept what a client writes.
+/// Timeout of a write.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Time for the answer to a good-bye.
-const GOODBYE: Duration = Duration::from_secs(1);
+/// Timeout of the closing handshake.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Buffers of one connection, bytes. The library's 128 KiB each would be 50 MiB for 200 clients.
 const BUFFER: usize = 16 * 1024;
 
-/// What the system takes in for a slow reader, bytes: little, or its slowness would not be noticed
-/// for a while.
+/// Receive buffer of a slow client, bytes: small, so that the server notices the slow reader soon.
 const SLOW_RECEIVE_BUFFER: u32 = 4096;
 
 /// A WebSocket over any stream.
@@ -36,8 +34,8 @@ pub type Socket<S> = WebSocketStream<Throttled<S>>;
 /// Opens the WebSocket.
 ///
 /// # Errors
-/// Not admitted, and why.
-pub async fn connect<D: Dial>(task: &Task<'_, D>) -> Result<Socket<D::Stream>, End> {
+/// Not admitted, with the reason.
+pub async fn connect<D: Dial>(task: &Task<'_, D>) -> Result<Socket<D::Stream>, SessionEnd> {
     let address = &task.config.connect;
     let request = ClientRequestBuilder::new(address.clone()).with_sub_protocol(SUBPROTOCOL);
     let limits = WebSocketConfig::default()
@@ -46,20 +44,24 @@ pub async fn connect<D: Dial>(task: &Task<'_, D>) -> Result<Socket<D::Stream>, E
         .read_buffer_size(BUFFER)
         .write_buffer_size(BUFFER);
     let opening = async {
-        let stream = task.dial.dial(task.reads.map(|_| SLOW_RECEIVE_BUFFER)).await?;
-        client_async_with_config(request, Throttled::new(stream, task.reads), Some(limits)).await
+        let stream = task.dial.dial(task.read_rate.map(|_| SLOW_RECEIVE_BUFFER)).await?;
+        client_async_with_config(request, Throttled::new(stream, task.read_rate), Some(limits)).await
     };
     match timeout(HANDSHAKE_TIMEOUT, opening).await {
         Ok(Ok((socket, _))) => Ok(socket),
-        Ok(Err(error)) => Err(End::not_admitted(format!("cannot connect to {address}: {}", explain(error)))),
-        Err(_) => Err(End::not_admitted(format!("no answer from {address} within {HANDSHAKE_TIMEOUT:?}"))),
+        Ok(Err(error)) => {
+            Err(SessionEnd::not_admitted(format!("cannot connect to {address}: {}", explain(error))))
+        }
+        Err(_) => {
+            Err(SessionEnd::not_admitted(format!("no answer from {address} within {HANDSHAKE_TIMEOUT:?}")))
+        }
     }
 }
 
-/// Writes everything that the session has to say, in one flush.
+/// Writes all pending frames of the session, with one flush.
 ///
 /// # Errors
-/// The connection broke or the server does not read, in words.
+/// A message: the connection broke, or the server does not read.
 pub async fn transmit<S>(socket: &mut Socket<S>, machine: &mut ClientSession) -> Result<(), String>
 where
     S: AsyncRead + AsyncWrite + Unpin,
@@ -80,24 +82,24 @@ where
     }
 }
 
-/// Says good-bye and gives the server a moment to answer.
+/// Sends a close frame and waits for the server's, up to a timeout.
 pub(super) async fn close<S: AsyncRead + AsyncWrite + Unpin>(socket: &mut Socket<S>, code: CloseCode) {
     let frame = CloseFrame { code: code.code().into(), reason: "".into() };
-    let goodbye = async {
+    let closing = async {
         socket.close(Some(frame)).await?;
         while let Some(Ok(_)) = socket.next().await {}
         Ok::<_, Error>(())
     };
-    // A server that does not answer a good-bye has lost nothing of this session.
-    let _ = timeout(GOODBYE, goodbye).await;
+    // A missing answer to the close frame loses no data.
+    let _ = timeout(CLOSE_TIMEOUT, closing).await;
 }
 
-/// Why a stream of frames ended.
+/// Message for the end of a stream of frames.
 pub(super) fn lost(last: Option<Result<Message, Error>>) -> String {
     match last {
         Some(Ok(Message::Close(Some(frame)))) => match CloseCode::from_code(frame.code.into()) {
             Some(code) if frame.reason.is_empty() => format!("the server closed: {code}"),
-            // A close code says its number in its words.
+            // The text of a close code includes its number.
             Some(code) if frame.reason.as_str() == code.to_string() => format!("the server closed: {code}"),
             _ => format!("the server closed: {} ({})", frame.reason, u16::from(frame.code)),
         },
@@ -107,7 +109,7 @@ pub(super) fn lost(last: Option<Result<Message, Error>>) -> String {
     }
 }
 
-/// A library error in one line; what an HTTP refusal says is in its body.
+/// A library error in one line. The message of an HTTP refusal is in its body.
 fn explain(error: Error) -> String {
     let Error::Http(response) = error else {
         return match error {

@@ -1,6 +1,6 @@
-//! A server at the other end of pipes in memory, on a clock that only moves when everybody waits:
-//! what a test sees does not depend on the machine. It answers each request after a fixed time,
-//! except while it stalls.
+//! A server behind pipes in memory, on a paused clock that advances only when all tasks wait, so
+//! results do not depend on the machine. It answers each request after a fixed time, except during
+//! a stall.
 
 use bytes::Bytes;
 use futures_util::{SinkExt, StreamExt};
@@ -11,7 +11,7 @@ use hyper::{Request, Response, StatusCode};
 use hyper_util::rt::TokioIo;
 use load::dial::Dial;
 use protocol::server::{ServerOffer, ServerSession};
-use protocol::{Delivery, Incoming, SUBPROTOCOL, chunk_codec};
+use protocol::{DataFrame, Delivery, SUBPROTOCOL, chunk_codec};
 use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::io;
@@ -26,33 +26,33 @@ use tokio_tungstenite::accept_hdr_async;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::handshake::server::{ErrorResponse, Response as Upgrade};
 
-/// Time that an answer takes.
+/// Time of an answer.
 pub const SERVICE: Duration = Duration::from_millis(20);
 
-/// What a pipe holds, bytes.
+/// Capacity of a pipe, bytes.
 const PIPE: usize = 64 * 1024;
 
-/// What is spoken over a pipe.
+/// Protocol over a pipe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Speaks {
+pub enum Transport {
     WebSocket,
     Http,
 }
 
-/// What is wrong with a server.
+/// The fault of a server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Lie {
+pub enum Fault {
     #[default]
     Nothing,
-    /// One height is off by a unit, with everything else made to fit.
+    /// One height is off by one unit; digest, extremes and pyramids are made to fit.
     Height,
     /// A bit of the frame is flipped.
     Bit,
-    /// A chunk of another place, honest in itself.
+    /// A correct chunk of another position.
     Place,
-    /// A tag that is not the digest.
+    /// An ETag that is not the digest.
     Tag,
-    /// Nothing changed, says an answer to somebody who has nothing.
+    /// 304 to a request without condition.
     Unchanged,
     /// The announced digest is that of another seed.
     World,
@@ -62,20 +62,20 @@ pub enum Lie {
     HangUp,
 }
 
-/// See the module. Each connection is served by itself.
+/// See the module. Connections are independent.
 #[derive(Clone, Debug)]
 pub struct Server {
-    pub speaks: Speaks,
-    pub lie: Lie,
-    /// Nothing is answered from the first of these until the second.
+    pub transport: Transport,
+    pub fault: Fault,
+    /// No answers during this time.
     pub stall: Range<Instant>,
     pub land: Land,
 }
 
 impl Server {
-    pub fn new(speaks: Speaks) -> Self {
+    pub fn new(transport: Transport) -> Self {
         let never = Instant::now();
-        Self { speaks, lie: Lie::Nothing, stall: never..never, land: Land::new(1) }
+        Self { transport, fault: Fault::Nothing, stall: never..never, land: Land::new(1) }
     }
 
     async fn take_time(&self) {
@@ -86,42 +86,42 @@ impl Server {
     }
 
     fn digest(&self) -> terrain::WorldDigest {
-        if self.lie == Lie::World { Land::new(2).digest() } else { self.land.digest() }
+        if self.fault == Fault::World { Land::new(2).digest() } else { self.land.digest() }
     }
 
-    /// Honest frames are made once for all runs of a test.
+    /// Correct frames are generated once for all runs of a test.
     fn frame(&self, key: ChunkKey) -> Bytes {
-        static MADE: Mutex<BTreeMap<ChunkKey, Bytes>> = Mutex::new(BTreeMap::new());
-        if self.lie == Lie::Nothing {
-            let mut made = MADE.lock().expect("nobody panics with it");
-            return made.entry(key).or_insert_with(|| self.make(key)).clone();
+        static FRAMES: Mutex<BTreeMap<ChunkKey, Bytes>> = Mutex::new(BTreeMap::new());
+        if self.fault == Fault::Nothing {
+            let mut frames = FRAMES.lock().expect("no panic while locked");
+            return frames.entry(key).or_insert_with(|| self.generate(key)).clone();
         }
-        self.make(key)
+        self.generate(key)
     }
 
-    fn make(&self, key: ChunkKey) -> Bytes {
-        let key = match self.lie {
-            Lie::Place => ChunkKey::new(0, -30_000, key.x()).expect("exists"),
+    fn generate(&self, key: ChunkKey) -> Bytes {
+        let key = match self.fault {
+            Fault::Place => ChunkKey::new(0, -30_000, key.x()).expect("exists"),
             _ => key,
         };
         let mut chunk = self.land.chunk(key);
-        if self.lie == Lie::Height {
+        if self.fault == Fault::Height {
             chunk.heights[2000] += 1;
             chunk = terrain::Chunk::from_parts(chunk.key, chunk.heights, chunk.error, chunk.grass);
         }
         let mut frame = chunk_codec::encode_for(Delivery::Exact, &chunk, &self.land.digest()).to_vec();
-        if self.lie == Lie::Bit {
+        if self.fault == Fault::Bit {
             frame[30] ^= 1;
         }
         frame.into()
     }
 
     async fn serve(self, stream: DuplexStream) {
-        match self.speaks {
-            Speaks::WebSocket => self.serve_websocket(stream).await,
-            Speaks::Http => {
+        match self.transport {
+            Transport::WebSocket => self.serve_websocket(stream).await,
+            Transport::Http => {
                 let answer = service_fn(|request| self.answer(request));
-                // A client that hangs up at the end of a run is no fault.
+                // Clients disconnect at the end of a run.
                 let _ = hyper::server::conn::http1::Builder::new()
                     .serve_connection(TokioIo::new(stream), answer)
                     .await;
@@ -142,16 +142,16 @@ impl Server {
             let [level, x, z] = numbers[..] else { panic!("{path} names no chunk") };
             let frame = self.frame(ChunkKey::new(level as u8, x, z).expect("a key"));
             let digest = chunk_codec::digest(&frame).expect("a frame");
-            let digest = if self.lie == Lie::Tag { [0; 16] } else { digest };
+            let digest = if self.fault == Fault::Tag { [0; 16] } else { digest };
             let tag = digest.iter().fold(String::from("\""), |text, byte| format!("{text}{byte:02x}")) + "\"";
             let is_known = request.headers().get(IF_NONE_MATCH).is_some_and(|known| known == tag.as_str());
             let answer = Response::builder().header(ETAG, tag);
-            let built = match self.lie {
-                Lie::Refusal => answer
+            let built = match self.fault {
+                Fault::Refusal => answer
                     .status(StatusCode::SERVICE_UNAVAILABLE)
                     .header(RETRY_AFTER, "1")
                     .body(Full::new("try later".into())),
-                Lie::Unchanged => answer.status(StatusCode::NOT_MODIFIED).body(Full::default()),
+                Fault::Unchanged => answer.status(StatusCode::NOT_MODIFIED).body(Full::default()),
                 _ if is_known => answer.status(StatusCode::NOT_MODIFIED).body(Full::default()),
                 _ => answer.body(Full::new(frame)),
             };
@@ -183,7 +183,7 @@ impl Server {
             }
             if let Some((wanted, _)) = session.next_chunk() {
                 answered += 1;
-                if self.lie == Lie::HangUp && answered > 5 {
+                if self.fault == Fault::HangUp && answered > 5 {
                     let _ = socket.into_inner().shutdown().await;
                     return;
                 }
@@ -193,7 +193,7 @@ impl Server {
             }
             let Some(Ok(message)) = socket.next().await else { return };
             match message {
-                Message::Binary(bytes) if session.receive(Incoming::Binary(&bytes)).is_ok() => {}
+                Message::Binary(bytes) if session.receive(DataFrame::Binary(&bytes)).is_ok() => {}
                 Message::Binary(_) | Message::Close(_) => return,
                 _ => {}
             }

@@ -1,0 +1,62 @@
+//! What every kind of client gets for one phase, and how a session can end.
+
+use crate::config::LoadConfig;
+use crate::counters::Counters;
+use crate::regeneration::Regeneration;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Timeout of a connection with its handshake, and again of the Welcome.
+pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Time after the end in which an open loop waits for answers. A request without an answer by then
+/// counts with the time that it has waited.
+pub const GRACE: Duration = Duration::from_secs(2);
+
+/// What one client gets for one phase of a run.
+#[derive(Debug)]
+pub struct Task<'a, D> {
+    /// Number of the client.
+    pub index: u32,
+    /// Options of the whole run.
+    pub config: &'a LoadConfig,
+    /// Opens connections to the server.
+    pub dial: &'a D,
+    /// Counters of the phase.
+    pub counters: &'a Arc<Counters>,
+    /// Compares samples with local generation.
+    pub regeneration: &'a Regeneration,
+    /// Time zero of the path and of the arrivals.
+    pub epoch: Instant,
+    /// No request is started from here on.
+    pub end: Instant,
+    /// Limit of the read rate, bytes a second.
+    pub read_rate: Option<u32>,
+}
+
+/// How one session ended.
+#[derive(Debug)]
+pub enum SessionEnd {
+    /// The phase is over.
+    Finished,
+    /// Not admitted.
+    NotAdmitted {
+        /// What was wrong.
+        problem: String,
+        /// Whether another attempt may succeed.
+        retry: bool,
+    },
+    /// Admitted, then lost, with the cause.
+    Lost(String),
+    /// The server sent invalid data.
+    Wrong(String),
+}
+
+impl SessionEnd {
+    /// Not admitted; another attempt may succeed.
+    #[must_use]
+    pub const fn not_admitted(problem: String) -> Self {
+        Self::NotAdmitted { problem, retry: true }
+    }
+}
