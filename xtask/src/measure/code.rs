@@ -23,6 +23,9 @@ pub fn run() -> Result<()> {
          examples; the bar is a quarter of the {REPEATS_BEFORE:.0} at commit 667da50. Measuring code is \
          lab, server-bench, bars, benches and xtask/src/measure without tests."
     );
+    for repeat in repeats::find(&files) {
+        println!("repeat: {}:{}: {}", repeat.path, repeat.line, repeat.what);
+    }
     let heading = Heading { name: "code", adapter: None, notes: &[note] };
     let path = record::write(&heading, &rows).context("measure")?;
     super::judge(&rows, &path)
@@ -49,7 +52,7 @@ fn rows(files: &Files) -> Vec<Bar> {
         ),
         Bar::new(
             "repeats of six lines",
-            Some(repeats::count(files) as f64),
+            Some(repeats::find(files).len() as f64),
             "",
             Limit::AtMost((REPEATS_BEFORE / 4.0).floor()),
         ),
