@@ -27,7 +27,7 @@ fn passes(compute: bool) -> impl Iterator<Item = &'static Shader> {
 }
 
 #[test]
-fn every_shader_is_portable_webgpu_that_either_computes_or_draws() {
+fn every_shader_is_portable_and_either_computes_or_draws() {
     for shader in SHADERS.all() {
         validate(shader.name, shader.wgsl).unwrap_or_else(|complaint| panic!("{complaint}"));
     }
@@ -94,7 +94,7 @@ fn outside_the_ring_profile(name: &str, wgsl: &str) -> Vec<String> {
 }
 
 #[test]
-fn integer_passes_keep_to_the_ring_profile_and_the_check_can_fail() {
+fn integer_passes_keep_to_the_ring_profile() {
     for shader in [SHADERS.fill_chunks, SHADERS.probe_heights, SHADERS.cull_blocks, SHADERS.scan_plants] {
         assert_eq!(
             outside_the_ring_profile(shader.name, shader.wgsl),
@@ -126,7 +126,7 @@ fn reflected(shader: &Shader, name: &str) -> (Vec<(String, usize)>, usize) {
 }
 
 #[test]
-fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
+fn worlds_and_chunk_fills_have_the_layout_of_the_shaders() {
     let world = [
         ("octave_seeds".to_owned(), offset_of!(World, octave_seeds)),
         ("archipelago_seed".to_owned(), offset_of!(World, archipelago_seed)),
@@ -146,7 +146,7 @@ fn worlds_and_chunk_fills_lie_where_the_shaders_read_them() {
 }
 
 /// Asserts that a struct of a shader has the members of a Rust struct where that has them.
-macro_rules! assert_lies_alike {
+macro_rules! assert_same_layout {
     ($shader:expr, $type:ident, $($member:ident),+ $(,)?) => {
         let expected = vec![$((stringify!($member).to_owned(), offset_of!($type, $member))),+];
         let found = reflected(&$shader, stringify!($type));
@@ -155,19 +155,19 @@ macro_rules! assert_lies_alike {
 }
 
 #[test]
-fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
+fn pom_data_has_the_layout_of_the_shaders() {
     #[rustfmt::skip]
-    assert_lies_alike!(
+    assert_same_layout!(
         SHADERS.probe_pom, PomParams,
         tier, steps_min, steps_max, refine, refinements, loop_form, heights, shadow, silhouette, depth,
         pivot, amplitude, horizon,
         travel_flat, travel_offset, travel_linear, fade_px,
     );
     #[rustfmt::skip]
-    assert_lies_alike!(SHADERS.probe_pom, PomProbe, uv, amplitude, lod, to_eye, layer, to_sun, reserved);
-    assert_lies_alike!(SHADERS.probe_pom, PomResult, uv, height, residual, sun, fetches, reserved);
-    assert_lies_alike!(SHADERS.reduce_max_mip, MaxMipReduction, side, lod, level, reserved);
-    assert_lies_alike!(
+    assert_same_layout!(SHADERS.probe_pom, PomProbe, uv, amplitude, lod, to_eye, layer, to_sun, reserved);
+    assert_same_layout!(SHADERS.probe_pom, PomResult, uv, height, residual, sun, fetches, reserved);
+    assert_same_layout!(SHADERS.reduce_max_mip, MaxMipReduction, side, lod, level, reserved);
+    assert_same_layout!(
         SHADERS.bake_cones,
         ConeOrder,
         side,
@@ -180,7 +180,7 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
         directions
     );
     #[rustfmt::skip]
-    assert_lies_alike!(
+    assert_same_layout!(
         SHADERS.draw_pom, PomObject,
         origin_m, mode, tangent, silhouette, bitangent, shape, normal, layer, size_m, tile_m, tint,
         relief_m, repeats, reserved,
@@ -192,10 +192,10 @@ fn reliefs_and_their_probes_lie_where_the_shaders_read_them() {
 }
 
 #[test]
-fn fields_lie_where_the_shaders_read_them_and_plants_have_the_vertices_that_are_drawn() {
+fn fields_have_the_layout_and_vertices_of_the_shaders() {
     for shader in [SHADERS.draw_grass, SHADERS.draw_trees] {
         #[rustfmt::skip]
-        assert_lies_alike!(
+        assert_same_layout!(
             shader, Field,
             eye_x, eye_y, eye_z, kind, width_low_m, width_high_m, height_low_m, height_high_m, thin_from_m,
             widest, range_m,
@@ -219,7 +219,7 @@ fn fields_lie_where_the_shaders_read_them_and_plants_have_the_vertices_that_are_
 }
 
 #[test]
-fn wave_probes_and_the_wave_map_are_the_same_in_both_languages() {
+fn wave_probes_have_the_layout_of_the_shaders() {
     let probe = [
         ("place_m".to_owned(), offset_of!(WaveProbe, place_m)),
         ("footprint_m".to_owned(), offset_of!(WaveProbe, footprint_m)),
@@ -243,7 +243,7 @@ fn wave_probes_and_the_wave_map_are_the_same_in_both_languages() {
 }
 
 #[test]
-fn materials_lie_where_the_shaders_read_them_and_are_the_same_sets() {
+fn material_data_has_the_layout_and_sets_of_the_shaders() {
     let named = |names: &[(&str, usize)]| {
         names.iter().map(|(name, at)| ((*name).to_owned(), *at)).collect::<Vec<_>>()
     };
@@ -291,7 +291,7 @@ fn materials_lie_where_the_shaders_read_them_and_are_the_same_sets() {
 }
 
 #[test]
-fn probes_of_reflection_lie_where_the_shader_reads_them() {
+fn brdf_probes_have_the_layout_of_the_shader() {
     let probe = [
         ("normal", offset_of!(BrdfProbe, normal)),
         ("roughness", offset_of!(BrdfProbe, roughness)),
@@ -306,7 +306,7 @@ fn probes_of_reflection_lie_where_the_shader_reads_them() {
 }
 
 #[test]
-fn what_casts_shadows_lies_where_the_shader_reads_it_and_means_the_same() {
+fn shadow_data_has_the_layout_of_the_shader() {
     let shader = &SHADERS.trace_terrain_shadow;
     let sun_params = [
         ("toward", offset_of!(SunParams, toward)),
@@ -388,7 +388,7 @@ fn tint(name: &str, wgsl: &str) -> Option<Result<(), String>> {
 }
 
 #[test]
-fn every_shader_compiles_with_tint_and_a_broken_one_does_not() {
+fn every_shader_compiles_with_tint_and_a_broken_one_fails() {
     for shader in SHADERS.all() {
         let Some(outcome) = tint(shader.name, shader.wgsl) else {
             eprintln!("SKIPPED: `tint` is not on PATH; shaders were checked by naga only");
@@ -401,7 +401,7 @@ fn every_shader_compiles_with_tint_and_a_broken_one_does_not() {
 }
 
 #[test]
-fn the_frame_uniforms_lie_where_the_shaders_read_them() {
+fn frame_uniforms_have_the_layout_of_the_shaders() {
     let expected = [
         ("clip_from_camera", offset_of!(Frame, clip_from_camera)),
         ("ray_right", offset_of!(Frame, ray_right)),
@@ -459,7 +459,7 @@ fn the_frame_uniforms_lie_where_the_shaders_read_them() {
 }
 
 #[test]
-fn the_terrain_instance_has_the_attributes_that_the_shader_declares() {
+fn terrain_instances_have_the_attributes_of_the_shader() {
     let (module, _) = validate("draw_terrain", SHADERS.draw_terrain.wgsl).unwrap();
     let (_, instance) =
         module.types.iter().find(|(_, candidate)| candidate.name.as_deref() == Some("Instance")).unwrap();
@@ -483,7 +483,7 @@ fn the_terrain_instance_has_the_attributes_that_the_shader_declares() {
 }
 
 #[test]
-fn the_pattern_period_and_the_constants_of_the_land_are_the_same_in_both_languages() {
+fn terrain_constants_are_the_same_in_rust_and_wgsl() {
     let terrain = SHADERS.draw_terrain.wgsl;
     assert!(SHADERS.draw_water.wgsl.contains(&format!("PATTERN_PERIOD_M: f32 = {PATTERN_PERIOD_M}.0;")));
     for line in ["VERTICES: u32 = 65u", "VERTEX_COUNT: u32 = 4225u", "CELLS: u32 = 64u"] {
@@ -492,9 +492,9 @@ fn the_pattern_period_and_the_constants_of_the_land_are_the_same_in_both_languag
 }
 
 #[test]
-fn what_plants_are_chosen_by_lies_where_the_shaders_read_it() {
+fn culling_data_has_the_layout_of_the_shaders() {
     for shader in [&SHADERS.cull_blocks, &SHADERS.cull_clumps] {
-        assert_lies_alike!(
+        assert_same_layout!(
             shader,
             Culling,
             eye,
@@ -510,7 +510,7 @@ fn what_plants_are_chosen_by_lies_where_the_shaders_read_it() {
             octave_seeds,
             stretch,
         );
-        assert_lies_alike!(
+        assert_same_layout!(
             shader,
             Planting,
             kind,
@@ -536,8 +536,8 @@ fn what_plants_are_chosen_by_lies_where_the_shaders_read_it() {
             vertices,
             room,
         );
-        assert_lies_alike!(shader, OcclusionNode, top, bottom, chunk, reserved);
-        assert_lies_alike!(shader, OccluderChunk, slot, parent_slot, edges, corners, inside, place, x, z);
+        assert_same_layout!(shader, OcclusionNode, top, bottom, chunk, reserved);
+        assert_same_layout!(shader, OccluderChunk, slot, parent_slot, edges, corners, inside, place, x, z);
         for constant in
             [format!("GRID_NODES: i32 = {GRID_NODES}"), format!("RECORD_WORDS: u32 = {RECORD_WORDS}u")]
         {

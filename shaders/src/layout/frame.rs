@@ -63,7 +63,7 @@ pub struct Frame {
     pub atmosphere: Atmosphere,
 }
 
-/// What sun and sky give in a frame; `shared/frame.wesl` documents each field. Three components and
+/// Light of sun and sky in a frame; `shared/frame.wesl` documents each field. Three components and
 /// a gap each.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

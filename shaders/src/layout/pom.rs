@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-/// How reliefs are marched; `shared/pom.wesl` documents each field.
+/// Parameters of parallax occlusion mapping; `shared/pom.wesl` documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct PomParams {
@@ -90,7 +90,7 @@ pub const CONE_WORKGROUP: u32 = 64;
 pub struct PomObject {
     /// Middle, camera-relative metres.
     pub origin_m: [f32; 3],
-    /// 0 as the knobs say, 1 flat, 2 one offset, 3 displaced geometry, 4 plain.
+    /// 0 by the settings, 1 flat, 2 one offset, 3 displaced geometry, 4 plain.
     pub mode: u32,
     /// The object's first axis in those of the world.
     pub tangent: [f32; 3],

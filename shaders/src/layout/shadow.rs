@@ -46,7 +46,7 @@ pub struct PageNode {
     pub top: i32,
 }
 
-/// The bit of [`PageNode::link`] that says leaf.
+/// The bit of [`PageNode::link`] that marks a leaf.
 pub const LEAF: u32 = 1 << 31;
 
 /// [`PageNode::link`] where nothing is drawn.
@@ -77,7 +77,7 @@ pub const CLEAR_WORD: u32 = u32::MAX;
 /// `shared/shadow.wesl`.
 pub const SUN_RADIUS: f64 = 0.004651;
 
-/// Clearances are kept up to so many radii. Equal to the constant of `shared/shadow.wesl`.
+/// Clearances are clamped to this many radii. Equal to the constant of `shared/shadow.wesl`.
 pub const CLEARANCE_RANGE: f64 = 8.0;
 
 /// The clearance in radii of the sun that a byte means; the inverse of `clearance_byte` in
@@ -96,8 +96,8 @@ pub fn disc_share(clearance: f64) -> f64 {
     0.5 + (x * (1.0 - x * x).sqrt() + x.asin()) / std::f64::consts::PI
 }
 
-/// Nodes of the page table that there is room for besides [`MAX_ROOTS`], per slot. A balanced cover
-/// of the view needs 4/3 of a node per drawn chunk.
+/// Capacity of the page table per slot, nodes, in addition to [`MAX_ROOTS`]. A balanced cover of
+/// the view needs 4/3 of a node per drawn chunk.
 pub const NODES_PER_SLOT: usize = 8;
 
 /// Roots of the page table at most.

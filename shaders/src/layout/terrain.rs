@@ -120,8 +120,8 @@ impl From<ChunkKey> for ChunkFill {
     }
 }
 
-/// Words of a slot beside its heights that plants and their sight read: lower bounds as many as
-/// upper ones, then 16 x 16 densities of a byte.
+/// Words of a slot in addition to its heights, which placement and occlusion of plants read: as
+/// many lower bounds as upper ones, then 16 x 16 densities of a byte.
 pub const RECORD_WORDS: usize = BLOCK_TEXELS + 64;
 
 /// Words of a slot that hold the top of its max pyramid: 8 x 8 blocks, 4 x 4, 2 x 2, 1.
@@ -138,7 +138,7 @@ pub const FILL_WORKGROUP: u32 = 64;
 /// The material sets by the names of their files, in the order of `shared/material_sets.wesl`.
 pub const MATERIALS: [&str; 7] = ["sand", "meadow", "dry_grass", "thicket", "cliff", "scree", "cobbles"];
 
-/// What `bake_materials` is told of a set.
+/// Uniforms of `bake_materials`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Bake {

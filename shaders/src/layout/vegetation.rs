@@ -4,19 +4,19 @@ use super::terrain::TerrainInstance;
 use bytemuck::{Pod, Zeroable};
 use terrain::constants::OCTAVES;
 
-/// Tiles along a side of the square around the eye in which plants stand and sight is tested.
+/// Tiles of the occlusion grid along a side.
 pub const GRID_TILES: i32 = 32;
 
-/// Nodes over the tiles of the square: 32 x 32, 16 x 16, and so on to one.
+/// Nodes of the min-max quadtree over the tiles: 32 x 32, 16 x 16, and so on to one.
 pub const GRID_NODES: usize = (4 * 32 * 32 - 1) / 3;
 
-/// Leaves of the square at most: its tiles, were all of level 0.
+/// Most chunks in the occlusion grid: one for each tile.
 pub const MAX_OCCLUDER_CHUNKS: usize = 32 * 32;
 
 /// [`OcclusionNode::chunk`] where nothing is drawn.
 pub const NO_CHUNK: u32 = u32::MAX;
 
-/// A tile of the square, or a node above tiles; `bound/surface.wesl` reads it.
+/// A tile of the occlusion grid, or a node above tiles; `bound/surface.wesl` reads it.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct OcclusionNode {
@@ -30,7 +30,7 @@ pub struct OcclusionNode {
     pub reserved: u32,
 }
 
-/// A drawn chunk, as far as sight and plants are concerned; `bound/surface.wesl` reads it.
+/// A drawn chunk in the occlusion grid; `bound/surface.wesl` reads it.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct OccluderChunk {
@@ -47,7 +47,7 @@ pub struct OccluderChunk {
     /// Level in the lowest byte, bits 8 and 9 as in [`TerrainInstance::place`]; bits 16 and 17:
     /// palette of its plants.
     pub place: u32,
-    /// Low corner east of that of the square, steps of 2 m.
+    /// Low corner, east of that of the grid, steps of 2 m.
     pub x: i32,
     /// The same, south.
     pub z: i32,
@@ -58,19 +58,21 @@ impl OccluderChunk {
     pub const HALVED: u32 = TerrainInstance::HALVED;
 }
 
-/// [`Culling::path`]: what stands within its distance (T0).
+/// [`Culling::path`]: clumps within their draw distance (T0).
 pub const CULL_DISTANCE: u32 = 0;
 
-/// [`Culling::path`]: of that, what is inside the view (T1).
+/// [`Culling::path`]: of these, clumps in the frustum (T1).
 pub const CULL_FRUSTUM: u32 = 1;
 
-/// [`Culling::path`]: of that, what a march over the noise does not find hidden (T2). Wrong.
+/// [`Culling::path`]: of these, clumps that ray marching over the noise does not find occluded
+/// (T2). Loses visible clumps.
 pub const CULL_NOISE: u32 = 2;
 
-/// [`Culling::path`]: of that, what a march over the drawn vertices does not find hidden, chunks by five points (T3 as first published). Wrong.
+/// [`Culling::path`]: of these, clumps that ray marching over the drawn vertices does not find
+/// occluded, chunks by five points (T3 as first published). Loses visible clumps.
 pub const CULL_MARCH: u32 = 3;
 
-/// [`Culling::path`]: of that, what is not proved hidden by the drawn triangles (T3).
+/// [`Culling::path`]: of these, clumps that the drawn triangles do not provably occlude (T3).
 pub const CULL_EXACT: u32 = 4;
 
 /// [`Culling::path`]: the same, whole blocks first (T4).
@@ -82,26 +84,25 @@ pub const KIND_GRASS: u32 = 0;
 /// Kinds of fields: trees.
 pub const KIND_TREES: u32 = 1;
 
-/// From where a field is looked at; `shared/culling.wesl` documents each field. Fine units are
-/// 2^-12 m.
+/// Uniforms of culling; `shared/culling.wesl` documents each field. Fine units are 2^-12 m.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Culling {
-    /// The eye: east and south of the square's low corner, and above the sea; fine units.
+    /// The eye: east and south of the low corner of the grid, and above the sea; fine units.
     pub eye: [i32; 3],
     /// `CULL_*`.
     pub path: u32,
     /// Inward normals of the four side planes of the view, Q14, and a gap each.
     pub planes: [[i32; 4]; 4],
-    /// The land hides nothing nearer than this, fine units.
+    /// Terrain nearer than this occludes nothing, fine units.
     pub start: i32,
-    /// 0 where the eye is below the ground: then nothing is hidden.
+    /// 0 where the eye is below the ground: nothing is occluded then.
     pub occlusion_enabled: u32,
-    /// Step of the marches of T2 and T3 as first published, fine units.
+    /// Step of ray marching (T2 and T3 as first published), fine units.
     pub step: i32,
-    /// Frames for which a block stays after it was last seen.
+    /// Frames for which a block stays visible after it was last seen.
     pub stay: u32,
-    /// Low corner of the square, units.
+    /// Low corner of the grid, units.
     pub corner: [i32; 2],
     /// Number of the frame, for `stay`.
     pub frame: u32,
@@ -115,7 +116,7 @@ pub struct Culling {
     pub reserved: [u32; 3],
 }
 
-/// What grows in a field; `shared/culling.wesl` documents each field.
+/// One species of a field; `shared/culling.wesl` documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Planting {
@@ -127,7 +128,7 @@ pub struct Planting {
     pub cell_bits: u32,
     /// Clumps of a cell where the field is densest, 1 to 32.
     pub per_cell: u32,
-    /// Cells from the world's origin to the low corner of the square, east.
+    /// Cells from the world's origin to the low corner of the grid, east.
     pub cell_x: i32,
     /// The same, south.
     pub cell_z: i32,
@@ -159,21 +160,21 @@ pub struct Planting {
     /// The same of leaning away from the eye, where the eye is straight above; falls with the sine
     /// of its height.
     pub lean_reach: i32,
-    /// By rank, four to a row: the square of the distance up to which it stands, (1/16 m)².
+    /// By rank, four to a row: the square of the draw distance, (1/16 m)².
     pub draw_distance_squared: [[u32; 4]; 64],
     /// Vertices of a clump in each level of detail.
     pub vertices: [u32; 4],
-    /// Clumps that there is room for in each level of detail; blocks.
+    /// Capacity for clumps of each level of detail; for blocks.
     pub room: [u32; 4],
 }
 
-/// Patches of a field at most: all tiles of the square.
+/// Most patches of a field: all tiles of the grid.
 pub const MAX_PATCHES: usize = 1024;
 
 /// Blocks of a patch.
 pub const PATCH_BLOCK_COUNT: usize = 256;
 
-/// Bytes of a kept clump: four words, `shared/clump.wesl` documents their bits.
+/// Bytes of a visible clump: four words, `shared/clump.wesl` documents their bits.
 pub const CLUMP_BYTES: usize = 16;
 
 /// First word of the lists of visible blocks in the state of a culling.
@@ -181,28 +182,27 @@ pub const BLOCK_LIST: usize = 1280;
 /// First word of the visibility masks in the state of a culling.
 pub const MASK_BEGIN: usize = BLOCK_LIST + MAX_PATCHES * PATCH_BLOCK_COUNT;
 
-/// Words that are kept of a block while its clumps are chosen.
+/// Words of the visibility mask of a block: 2 bits a clump, then three counts.
 pub const VISIBILITY_WORDS: usize = 35;
 
-/// Words of the tally of a field: arguments of a dispatch, of three draws, and four counts.
+/// Words of the indirect arguments of a field: of a dispatch, of three draws, and four counts.
 pub const INDIRECT_WORDS: usize = 20;
 
-/// First word of the draws' arguments in a tally.
+/// First word of the draws in the indirect arguments.
 pub const INDIRECT_DRAWS: usize = 4;
 
-/// First word of the counts in a tally: blocks kept, blocks without room, clumps kept, clumps
-/// without room.
+/// First word of the counts in the indirect arguments: visible blocks, blocks without room, visible
+/// clumps, clumps without room.
 pub const INDIRECT_STATS: usize = 16;
 
-/// Words of the memory of blocks, for all kinds.
+/// Words of the buffer of last-seen frames, for all species.
 pub const LAST_SEEN_WORDS: usize = 2 << 18;
 
 /// One kind of plant in a frame; `shared/field.wesl` documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Field {
-    /// Eye east of the low corner of the square of clumps, fine units ([`FINE_PER_METRE`]),
-    /// rounded.
+    /// Eye east of the low corner of the grid, fine units ([`FINE_PER_METRE`]), rounded.
     pub eye_x: i32,
     /// Above the sea.
     pub eye_y: i32,

@@ -1,4 +1,4 @@
-//! Twin of `wgsl/shared/clump.wesl`: how a clump is packed, and how it stands.
+//! Twin of `wgsl/shared/clump.wesl`: how a clump is packed, and the pose of its stem.
 
 use crate::layout::{FINE_PER_METRE, Field, GRASS_TILT};
 
@@ -7,10 +7,10 @@ pub type Vec3 = [f32; 3];
 /// East and south.
 pub type Vec2 = [f32; 2];
 
-/// A kept clump, taken apart.
+/// A visible clump, unpacked.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clump {
-    /// East of the square's low corner, above sea level, south of the corner; fine units.
+    /// East of the low corner of the grid, above sea level, south of the corner; fine units.
     pub place: [i32; 3],
     /// Of the ground, unit.
     pub normal: Vec3,
@@ -86,7 +86,7 @@ pub const MAX_TILT: f32 = GRASS_TILT;
 const MAX_FOOT_TILT: f32 = std::f32::consts::FRAC_1_SQRT_2;
 const STEM_TILT: f32 = 0.45;
 
-/// How a clump stands.
+/// Pose of a stem.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StemPose {
     /// Normal of its foot, unit.
@@ -109,7 +109,7 @@ pub fn upright_direction(level: Vec2) -> Vec3 {
     return [level[0], (1.0 - dot(level, level)).max(0.0).sqrt(), level[1]];
 }
 
-/// How a clump stands whose tip is pushed aside by `push`.
+/// The pose of a clump whose tip is pushed aside by `push`.
 #[must_use]
 pub fn stem_pose(normal: Vec3, push: Vec2) -> StemPose {
     let foot = within_tilt([normal[0], normal[2]], MAX_FOOT_TILT);
@@ -182,7 +182,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_clump_comes_out_of_its_words_and_the_signs_of_its_normal_are_kept() {
+    fn a_clump_is_unpacked_with_the_signs_of_its_normal() {
         let words =
             [0x81_000001, 0x40_ffffff, (-5_i32) as u32, 9 | (63 << 6) | (1 << 12) | (32 << 18) | (200 << 24)];
         let clump = unpacked_clump(words);
@@ -196,7 +196,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn roots_are_placed_exactly_although_the_eye_is_rounded() {
+    fn roots_are_exact_although_the_eye_is_rounded() {
         let clump = unpacked_clump([9_000_000, 5_000_000, 123_456, 0]);
         for n in 0..1000 {
             // The true eye: whole units of 16 fine ones, and a part of a unit.
@@ -235,7 +235,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn bending_keeps_the_length_of_a_stem_at_every_level_of_detail() {
+    fn bending_keeps_the_length_of_a_stem() {
         for n in 0..20_000 {
             let normal = upright_direction(any_level(n, 0, 1.0));
             let pose = stem_pose(normal, any_level(n, 2, 2.0));
@@ -256,7 +256,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn pushes_stay_within_what_is_said_of_them_and_wind_has_no_seam() {
+    fn pushes_keep_within_their_bounds_and_wind_has_no_seam() {
         let (mut strongest, mut most) = (0.0f32, 0.0f32);
         for n in 0..50_000 {
             let turns = [unit(n, 0), unit(n, 1)];

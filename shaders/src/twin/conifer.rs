@@ -82,7 +82,7 @@ mod tests {
     use crate::layout::TREE_VERTICES;
 
     #[test]
-    fn every_vertex_of_any_tree_lies_inside_its_cylinder() {
+    fn every_vertex_of_a_tree_lies_inside_its_cylinder() {
         let (mut widest, mut highest) = (0.0f32, 0.0f32);
         for seed in 0..5_000 {
             let size_m = [20.0 * unit(seed, 0), 40.0 * unit(seed, 1)];
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_vertex_of_all_is_above_the_others_of_its_triangle_and_the_last_belongs_to_the_trunk() {
+    fn the_first_tree_vertex_is_an_apex_and_the_last_is_trunk() {
         let at = |index| conifer_vertex(0, index, [4.0, 10.0], 0.3, [0.0, 0.0]);
         assert!(at(0)[1] > at(1)[1] && at(0)[1] > at(2)[1]);
         let [x, _, z] = at(TREE_VERTICES[0] - 1);

@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn number_times_width_is_the_same_at_every_distance_up_to_the_widest() {
+    fn number_times_width_is_constant_up_to_the_widest() {
         let field = field();
         for tenth in 1..=800 {
             let distance_m = tenth as f32 / 10.0;
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_at_a_distance_stands_at_all_lesser_ones() {
+    fn a_clump_drawn_at_a_distance_is_drawn_at_lesser_ones() {
         let field = field();
         for rank in 0..256 {
             let stands: Vec<bool> =
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clump_narrows_to_nothing_before_it_is_left_out() {
+    fn a_clump_narrows_to_zero_before_thinning_removes_it() {
         let field = field();
         for rank in (0..256).step_by(5) {
             let at = |step: u32| field_widening(&field, rank, step as f32 / 200.0);
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn heights_collapse_in_the_last_band_only_and_levels_follow_the_distance() {
+    fn heights_collapse_in_the_last_band_only() {
         let field = field();
         assert_eq!([0.0, 100.0, 250.0].map(|d| field_height_scale(&field, d)), [1.0; 3]);
         assert_eq!([300.0, 400.0].map(|d| field_height_scale(&field, d)), [0.0; 2]);

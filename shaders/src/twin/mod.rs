@@ -1,8 +1,8 @@
-//! WGSL modules once more in plain Rust: same stem, same statements in the same order, so that the
-//! two can be read side by side and tested without a GPU. Integer modules, and the floats that
-//! something relies on besides the eye: the bounds of plants, which culling tests. All other floats
-//! are compared as pictures. The land's own modules (`hash`, `weights`, `noise`, `island`, `land`)
-//! have their twins in the `terrain` crate.
+//! Twins of WGSL modules in plain Rust: same stem, same functions, same statements in the same
+//! order, to be read side by side and tested without a GPU. Integer modules, and the floats that
+//! results depend on: the bounds of plants, which culling tests. All other floats are compared as
+//! pictures. The modules of the terrain (`hash`, `weights`, `noise`, `island`, `land`,
+//! `random_attributes`) have their twins in the `terrain` crate.
 #![expect(
     clippy::needless_return,
     clippy::cast_possible_truncation,

@@ -129,7 +129,7 @@ mod tests {
     };
 
     #[test]
-    fn border_vertices_depend_on_what_is_shared_alone() {
+    fn border_vertices_depend_on_shared_numbers_alone() {
         let other = Seams { inside: 51, edges: [64, 64, 64, 33], corners: [64, 0, 0, 7], ..Seams::default() };
         for row in 0..=64 {
             let vertex = GridVertex { column: 0, row };
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_morph_stays_between_the_numbers_that_it_blends_and_reaches_each() {
+    fn a_morph_keeps_between_its_numbers_and_reaches_each() {
         for vertex in grid() {
             assert!((0..=64).contains(&morph_at(&MIXED, vertex)));
         }
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_of_a_morph_are_exact_even_for_the_tallest_heights() {
+    fn the_ends_of_a_morph_are_exact_at_all_heights() {
         let limit = terrain::constants::HEIGHT_LIMIT - 1;
         for (own, parent) in [(limit, -limit), (-limit, limit), (5, -3), (0, 0)] {
             assert_eq!((morphed(own, parent, 0), morphed(own, parent, 64)), (own, parent));

@@ -23,10 +23,10 @@ pub const COARSE_BITS: u32 = 8;
 /// Distances beyond this, 1/16 m, are outside every field: their squares fit.
 pub const FARTHEST: i32 = 1 << 15;
 
-/// A clump of a field, before it is asked whether it is seen.
+/// A clump of a field, visible or not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Clump {
-    /// Place of the root in the square, fine units.
+    /// Place of the root in the grid, fine units.
     pub x: i32,
     /// The same, south.
     pub z: i32,
@@ -101,7 +101,7 @@ pub(super) fn height_scale_at(planting: &Planting, near: i32) -> i32 {
     return 256 - ((part * part * (768 - 2 * part)) >> 16) + 1;
 }
 
-/// Density of a field at a place that is off by lot, so that its edges are soft: 0 to 256.
+/// Density of a field at a place with a random offset, so that its edges are soft: 0 to 256.
 fn density_near<S: Slots>(
     surface: &Surface<'_, S>,
     planting: &Planting,
@@ -123,7 +123,7 @@ fn density_near<S: Slots>(
     return (2 * full).min(256);
 }
 
-/// Clump number `index` of a cell of the square, if one stands there.
+/// Clump number `index` of a cell of the grid, if there is one.
 #[must_use]
 pub fn clump_at<S: Slots>(
     surface: &Surface<'_, S>,
@@ -158,12 +158,12 @@ pub fn clump_at<S: Slots>(
     return Some(Clump { x, z, y, attributes });
 }
 
-/// Distance up to which a rank stands, squared.
+/// Square of the draw distance of a rank, (1/16 m)².
 pub(super) fn draw_distance_squared(planting: &Planting, rank: u32) -> u32 {
     return planting.draw_distance_squared[(rank >> 2) as usize][(rank & 3) as usize];
 }
 
-/// Whether thinning leaves a clump standing at a squared distance.
+/// Whether thinning draws a clump at a squared distance.
 #[must_use]
 pub fn is_within_draw_distance(planting: &Planting, clump: &Clump, far: u32) -> bool {
     return far <= draw_distance_squared(planting, clump.attributes >> 24);

@@ -1,7 +1,7 @@
-//! Twin of `wgsl/bound/raymarch_occlusion.wesl`: two tests that are wrong, as they were first published, kept to
-//! be measured against. A march in even steps over the noise finds peaks between vertices that are
-//! never drawn; one over the drawn vertices, bilinear, misses the triangles; and either asks for
-//! one point of what it judges.
+//! Twin of `wgsl/bound/raymarch_occlusion.wesl`: two published tests that lose visible plants, as
+//! reference methods. Ray marching in even steps over the noise finds peaks between vertices that
+//! are never drawn; over the drawn vertices, bilinear, it misses the triangles; both test one point
+//! of a clump.
 
 use super::placement::BLOCK_CELL_BITS;
 use super::ring::mul_hi;
@@ -12,7 +12,7 @@ use crate::layout::{Culling, Planting};
 /// Steps of a march at most.
 pub const MAX_STEPS: i32 = 2048;
 
-/// What is marched over: the height at a place of the square, fine units.
+/// A height field to march over: the height at a place of the grid, fine units.
 pub trait Ground {
     /// That height.
     fn height(&self, x: i32, z: i32) -> i32;
@@ -24,8 +24,8 @@ impl<F: Fn(i32, i32) -> i32> Ground for F {
     }
 }
 
-/// Whether a march from the eye to a point finds land above the line of sight; the last `skipped_end` of
-/// the way is passed over.
+/// Whether ray marching from the eye to a point finds terrain above the line of sight; the last
+/// `skipped_end` of the way is not tested.
 #[must_use]
 pub fn raymarch_occlusion(
     ground: &impl Ground,
@@ -111,7 +111,7 @@ pub fn raymarch_occlusion_of_corners<S: Slots>(
     });
 }
 
-/// Whether a march over the drawn vertices finds a thing hidden.
+/// Whether ray marching over the drawn vertices finds an occludee occluded.
 #[must_use]
 pub fn raymarch_occlusion_by_vertices<S: Slots>(
     surface: &Surface<'_, S>,

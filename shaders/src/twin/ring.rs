@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn halves_say_the_same_as_wide_arithmetic_around_every_power_of_two_and_at_random() {
+    fn products_of_halves_equal_64_bit_arithmetic() {
         let powers = (0..32).map(|bit| 1u32 << bit);
         let edges: Vec<i32> = powers
             .flat_map(|power| [power.wrapping_sub(1), power, power.wrapping_add(1)])

@@ -1,9 +1,9 @@
 //! Twin of `wgsl/bound/surface.wesl`: the drawn surface around the eye, at any point of it, in
 //! integers.
 //!
-//! Places are counted from the low corner of a square of 32 x 32 tiles of 128 m, in *fine units* of
-//! 2^-12 m; so are heights, from the level of the sea. Chunks of any level and morph lie under the
-//! tiles. What is computed here is the surface that `draw_terrain` draws, to 1/2 mm: the same
+//! Places are counted from the low corner of the occlusion grid of 32 x 32 tiles of 128 m, in *fine
+//! units* of 2^-12 m; so are heights, from the level of the sea. Chunks of any level and morph lie
+//! under the tiles. The result is the surface that `draw_terrain` draws, to 1/2 mm: the same
 //! vertices, the same diagonals, the same morphs.
 
 use super::grid::GridVertex;
@@ -16,7 +16,7 @@ use terrain::constants::{CELLS, SPACING_BITS};
 pub const FINE_BITS: u32 = 4;
 /// log2 of the side of a tile, fine units: 128 m.
 pub const TILE_BITS: u32 = 19;
-/// log2 of the side of the square, fine units.
+/// log2 of the side of the grid, fine units.
 pub const GRID_BITS: u32 = 24;
 /// log2 of the spacing of level-0 vertices, fine units: 2 m.
 pub const STEP_BITS: u32 = SPACING_BITS + FINE_BITS;
@@ -33,7 +33,7 @@ pub trait Slots {
     fn bottom(&self, slot: u32, texel: u32) -> i32;
     /// Word `word` of a slot's density grid: four texels of a byte.
     fn density(&self, slot: u32, word: u32) -> u32;
-    /// Told of every tile or node that is looked up: for those who count what a test reads.
+    /// Called for every tile or node that is read, for statistics.
     fn note(&self) {}
 }
 
@@ -80,7 +80,7 @@ pub fn part_of(difference: i32, part: i32, bits: u32) -> i32 {
     return mul_hi(difference << 2, part << (30 - bits));
 }
 
-/// The seams of a leaf, unpacked.
+/// The seams of a chunk, unpacked.
 fn seams_of(chunk: &OccluderChunk) -> Seams {
     let coarser = |side: u32| chunk.inside >> (8 + side) & 1 != 0;
     Seams {
@@ -93,7 +93,7 @@ fn seams_of(chunk: &OccluderChunk) -> Seams {
 }
 
 impl<S: Slots> Surface<'_, S> {
-    /// The leaf under a place of the square.
+    /// The chunk under a place of the grid.
     fn chunk_at(&self, x: i32, z: i32) -> u32 {
         return self.nodes[((z >> TILE_BITS) * GRID_TILES + (x >> TILE_BITS)) as usize].chunk;
     }
@@ -120,7 +120,7 @@ impl<S: Slots> Surface<'_, S> {
         return morphed(own, (first + second) >> 1, morph);
     }
 
-    /// The cell of a leaf that holds a place.
+    /// The cell of a chunk that holds a place.
     fn spot(&self, chunk: &OccluderChunk, x: i32, z: i32) -> Spot {
         let level = chunk.place & 255;
         let halved = u32::from(chunk.inside & OccluderChunk::HALVED != 0);
@@ -250,8 +250,8 @@ impl<S: Slots> Surface<'_, S> {
         return self.on_cell(chunk, &spot);
     }
 
-    /// Height between the four corners of the cell, bilinear, fine units: what is drawn are
-    /// triangles. For a test that is kept to be measured against.
+    /// Height between the four corners of the cell, bilinear, fine units; the drawn surface is
+    /// triangles. For a reference method.
     #[must_use]
     pub fn bilinear_at(&self, x: i32, z: i32) -> i32 {
         let index = self.chunk_at(x, z);
@@ -304,7 +304,7 @@ impl<S: Slots> Surface<'_, S> {
         return STEP_BITS + (self.chunks[index as usize].place & 255);
     }
 
-    /// Bounds of a block of a leaf, of `2^bits` fine units around a place or of the smallest that
+    /// Bounds of a block of a chunk, of `2^bits` fine units around a place or of the smallest that
     /// has bounds.
     fn block(&self, chunk: &OccluderChunk, bits: u32, x: i32, z: i32) -> Node {
         let level = chunk.place & 255;

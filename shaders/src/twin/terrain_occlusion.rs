@@ -157,8 +157,8 @@ fn ray_to(eye: [i32; 3], occludee: &Occludee, start: i32) -> Option<Ray> {
     // counts as a part of the slope.
     let farthest = distance + outer_radius + 1;
     let most = quotient_q24(steepest as u32, length as u32) as i32 + 1;
-    let lost =
-        mul_hi((occludee.taper + lean) << 12, slope.abs() << 6) + mul_hi(occludee.taper << 9, most) + 3;
+    let by_slope = mul_hi((occludee.taper + lean) << 12, slope.abs() << 6);
+    let lost = by_slope + mul_hi(occludee.taper << 9, most) + 3;
     let has_rim = occludee.taper > 0 && farthest >> 1 <= length;
     let drop = if has_rim { occludee.taper_drop - lost } else { 0 };
     let slope_radius = if occludee.taper == 0 || drop > 0 { occludee.slope_radius } else { outer_radius };

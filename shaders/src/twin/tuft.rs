@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn every_vertex_of_any_clump_lies_inside_the_cylinder_that_culling_tests() {
+    fn every_vertex_of_a_clump_lies_inside_its_cylinder() {
         let (mut widest, mut highest) = (0.0f32, 0.0f32);
         for seed in 0..20_000 {
             let (size_m, phase, pose) = any_clump(seed);

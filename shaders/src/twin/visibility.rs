@@ -15,7 +15,7 @@ use crate::layout::{
     Planting,
 };
 
-/// A thing to be seen: a clump or a block of them.
+/// Bounds of a clump or a block of clumps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
     /// The highest point and how far it reaches sideways.
@@ -47,7 +47,7 @@ pub fn may_be_in_view(culling: &Culling, extent: &Extent) -> bool {
     return true;
 }
 
-/// Whether a thing passes the tests of the chosen path but those of the land.
+/// Whether bounds pass the frustum test of the chosen path.
 fn is_in_view(culling: &Culling, extent: &Extent) -> bool {
     return culling.path == CULL_DISTANCE || may_be_in_view(culling, extent);
 }
@@ -126,10 +126,9 @@ fn tilt_of(culling: &Culling, y: i32, near: i32) -> i32 {
 /// phase. A test of `twin::tuft` compares.
 pub const LONGEST: [i32; 9] = [251, 253, 245, 254, 256, 255, 247, 250, 241];
 
-/// By how much a clump in the third level of detail surely sinks into the ground, fine units:
-/// `tuft_vertex` takes the lesser of 0.04 heights and 0.14 widths. Widths are known to 12 % where
-/// the thinning leaves them whole, of which distances within a third of a metre, at more than 32 m,
-/// tell as much.
+/// Lower bound of how far a clump in the third level of detail sinks into the ground, fine units:
+/// `tuft_vertex` takes the lesser of 0.04 heights and 0.14 widths. Where the thinning leaves widths
+/// whole they are known to 12 %, from distances known to a third of a metre at more than 32 m.
 fn sink_of(half: i32, height: i32, near: i32, presence: i32) -> i32 {
     if near <= 512 || presence < 256 {
         return 0;
@@ -230,8 +229,7 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: O
     };
 }
 
-/// The one point that the tests ask for that are kept to be measured against: the tip over the
-/// root, as high as it is drawn.
+/// The point that the reference methods test: the tip over the root, as high as it is drawn.
 #[must_use]
 pub fn tip_occludee(culling: &Culling, planting: &Planting, clump: &Clump) -> Occludee {
     let whole =
@@ -251,8 +249,8 @@ pub fn tip_occludee(culling: &Culling, planting: &Planting, clump: &Clump) -> Oc
     };
 }
 
-/// The level of detail at which a clump is drawn, if it is kept. `noise` is the height between
-/// vertices too, fine units: for T2.
+/// The level of detail of a visible clump. `noise` is the height between vertices too, fine units:
+/// for T2.
 #[must_use]
 pub fn visible_level<S: Slots>(
     surface: &Surface<'_, S>,
@@ -368,7 +366,7 @@ fn block_distance_squared(culling: &Culling, planting: &Planting, column: i32, r
     return distance_squared(culling, x, culling.eye[1], z);
 }
 
-/// Whether a block of the square may hold clumps that are seen.
+/// Whether a block of the grid may hold visible clumps.
 #[must_use]
 pub fn block_is_visible<S: Slots>(
     surface: &Surface<'_, S>,
@@ -405,7 +403,7 @@ mod tests {
     /// Half a millimetre for floats, two fine units for what is rounded down.
     const ROUNDING_M: f32 = 0.001;
 
-    /// A kind of plants as the shaders are told of it, twice.
+    /// The uniforms of a species, for culling and for drawing.
     fn kind(kind: u32, thin_from_m: f32, wind: f32, lean: f32) -> (Planting, Field) {
         let is_grass = kind == KIND_GRASS;
         let width_m = if is_grass { [0.16, 0.36] } else { [2.6, 5.0] };
@@ -534,7 +532,7 @@ mod tests {
     }
 
     #[test]
-    fn every_vertex_that_is_drawn_lies_inside_what_sight_is_tested_for() {
+    fn every_drawn_vertex_lies_inside_its_occludee() {
         let culling = Culling { eye: EYE, ..Culling::zeroed() };
         let (mut tested, mut tapers, mut closest) = (0, 0, [f32::MIN; 2]);
         for seed in 0..30_000 {
@@ -564,7 +562,7 @@ mod tests {
     }
 
     #[test]
-    fn every_vertex_of_a_tree_lies_inside_its_cone_and_not_inside_a_thinner_one() {
+    fn every_vertex_of_a_tree_lies_inside_its_cone() {
         let culling = Culling { eye: EYE, ..Culling::zeroed() };
         let mut left = 0;
         for seed in 0..4000 {
@@ -586,7 +584,7 @@ mod tests {
     }
 
     #[test]
-    fn the_longest_blade_is_no_longer_than_the_table_says() {
+    fn no_blade_is_longer_than_the_table_says() {
         for phase in 0..64u32 {
             let pose = stem_pose([0.0, 1.0, 0.0], [0.0; 2]);
             let tips = (0..GRASS_VERTICES[2])
@@ -598,8 +596,11 @@ mod tests {
                 x.hypot(y).hypot(z)
             });
             let longest = longest.fold(0.0, f32::max);
-            let told = LONGEST[(phase % 9) as usize] as f32 / 256.0;
-            assert!((longest..longest + 0.02).contains(&told), "{phase}: {longest} of {told}");
+            let longest_by_table = LONGEST[(phase % 9) as usize] as f32 / 256.0;
+            assert!(
+                (longest..longest + 0.02).contains(&longest_by_table),
+                "{phase}: {longest} of {longest_by_table}"
+            );
         }
     }
 }
