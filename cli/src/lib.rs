@@ -18,8 +18,8 @@ pub const FAILED: u8 = 1;
 /// An option, variable or file cannot be used.
 pub const USAGE: u8 = 2;
 
-/// Parses the command line. `--help` and `--version` print and exit with 0; an invalid option prints
-/// one line with its name, its value and the allowed values.
+/// Parses the command line. `--help` and `--version` print and exit with 0; an invalid option
+/// prints one line with its name, its value and the allowed values.
 ///
 /// # Errors
 /// The exit code for `main`; the message is already printed.

@@ -10,8 +10,9 @@
 //!
 //! Heights are predicted from three neighbours (`left + above - above left`, the plane predictor),
 //! the residuals zigzag-mapped, split into plain low bits and byte planes, and these compressed.
-//! Data that can be derived from the heights is not sent: the decoder rebuilds the pyramids, and the
-//! grass if it follows the land's own rule. Little-endian throughout; layout in `docs/protocol.md`.
+//! Data that can be derived from the heights is not sent: the decoder rebuilds the pyramids, and
+//! the grass if it follows the land's own rule. Little-endian throughout; layout in
+//! `docs/protocol.md`.
 //!
 //! The digest at the end of the header covers the world, the header and the encoded payload, so a
 //! chunk of another world, or a damaged one, is rejected before decompression. It identifies the
@@ -168,8 +169,8 @@ pub fn kind_and_key(frame: &[u8]) -> Result<(u8, ChunkKey), ChunkError> {
     Ok((prefix[6], key))
 }
 
-/// The chunk's error (units) in a frame of any kind; none if the frame is not a chunk frame. That of
-/// a quantised frame includes the quantisation error.
+/// The chunk's error (units) in a frame of any kind; none if the frame is not a chunk frame. That
+/// of a quantised frame includes the quantisation error.
 #[must_use]
 pub fn error(frame: &[u8]) -> Option<u32> {
     match kind_and_key(frame).ok()?.0 {
@@ -187,8 +188,8 @@ pub fn digest(frame: &[u8]) -> Option<[u8; DIGEST]> {
     frame.get(DIGEST_AT..CHUNK_HEADER)?.try_into().ok()
 }
 
-/// Encodes a frame with heights. `tolerance` (units) is the tolerance of rounded heights, 0 for exact
-/// ones; `known` are the heights that the receiver has.
+/// Encodes a frame with heights. `tolerance` (units) is the tolerance of rounded heights, 0 for
+/// exact ones; `known` are the heights that the receiver has.
 fn seal(
     kind: u8,
     chunk: &Chunk,

@@ -47,7 +47,8 @@ pub enum Event {
         chunk: Box<Chunk>,
         /// Bytes of its frame.
         bytes: usize,
-        /// The delivery of its frame: [`Delivery::SeedOnly`] means that the chunk was generated here.
+        /// The delivery of its frame: [`Delivery::SeedOnly`] means that the chunk was generated
+        /// here.
         delivery: Delivery,
     },
     /// Every chunk of a view has been sent.
@@ -173,7 +174,8 @@ impl ClientSession {
             self.world.as_ref().ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
         self.credits = self.credits.checked_sub(1).ok_or(PeerFault::CreditOverrun)?;
         let (kind, key) = chunk_codec::kind_and_key(frame)?;
-        // The exact decoder rejects every other kind. A generator exists in seed-only delivery only.
+        // The exact decoder rejects every other kind. A generator exists in seed-only delivery
+        // only.
         let (chunk, delivery) = match (self.delivery, land) {
             (Delivery::SeedOnly, Some(land)) if kind == chunk_codec::KIND_SEED_ONLY => {
                 (seed_only::decode(frame, land, digest)?, Delivery::SeedOnly)

@@ -125,8 +125,8 @@ pub enum PeerFault {
     CreditOverrun,
     /// Seed-only delivery: the announced seed does not generate the announced world here.
     #[error(
-        "the server serves world {server} (seed {seed}, generator version {generator}), generation here gives {client}: \
-         use exact delivery"
+        "the server serves world {server} (seed {seed}, generator version {generator}), generation here \
+         gives {client}: use exact delivery"
     )]
     OtherGenerator {
         /// The announced seed.

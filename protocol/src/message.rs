@@ -36,8 +36,8 @@ impl From<ChunkKey> for WireKey {
     }
 }
 
-/// Reads a list of keys. Serde's own reader allocates up to 1 MiB for the length field of a frame of
-/// 20 bytes.
+/// Reads a list of keys. Serde's own reader allocates up to 1 MiB for the length field of a frame
+/// of 20 bytes.
 fn read_keys<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<WireKey>, D::Error> {
     struct Keys;
 
@@ -207,8 +207,8 @@ impl fmt::Display for Rejection {
                 let (client, server) = (WorldDigest(*client), WorldDigest(*server));
                 write!(
                     f,
-                    "the client requires world {client}, the server serves {server}: connect to another server \
-                     or accept the served world"
+                    "the client requires world {client}, the server serves {server}: \
+                     connect to another server or accept the served world"
                 )
             }
             Self::Unauthorised => write!(f, "the access token is missing or wrong"),

@@ -92,8 +92,8 @@ impl View {
         Some(Viewer { eye: (moved(x, east), y, moved(z, south)), ..viewer })
     }
 
-    /// The priority of a needed chunk; larger is sooner. The gain in screen error, times a factor of
-    /// visibility (a quarter outside the horizontal field of view), times a factor of age (up to
+    /// The priority of a needed chunk; larger is sooner. The gain in screen error, times a factor
+    /// of visibility (a quarter outside the horizontal field of view), times a factor of age (up to
     /// four for a chunk that was pending in many views).
     #[must_use]
     pub fn priority(&self, needed: &Needed, views_waited: u32) -> u64 {
@@ -102,8 +102,8 @@ impl View {
         u64::from(needed.gain_q4) * seen * age
     }
 
-    /// Whether a chunk's bounding circle intersects the horizontal field of view. Floats suffice: the
-    /// result only affects the order.
+    /// Whether a chunk's bounding circle intersects the horizontal field of view. Floats suffice:
+    /// the result only affects the order.
     fn faces(&self, key: ChunkKey) -> bool {
         let half_side = f64::from(key.side()) / 2.0;
         let (x, z) = key.origin();
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_moving_view_looks_ahead_at_most_half_its_distance_and_never_out_of_the_world() {
+    fn prefetch_stays_within_half_the_distance_and_the_world() {
         let ahead = |velocity, eye| View { velocity, eye, ..view() }.viewer_ahead().map(|viewer| viewer.eye);
         assert_eq!(ahead([0; 3], [0; 3]), None);
         assert_eq!(ahead([1000, i32::MAX, 0], [0; 3]), None, "walking, or falling");

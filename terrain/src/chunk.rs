@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn every_vertex_is_the_height_at_its_place_with_the_octaves_of_its_level() {
+    fn every_vertex_is_the_height_with_the_octaves_of_its_level() {
         let land = Land::new(4);
         for key in [key(0, 0, 0), key(0, -1, 5), key(3, -2, 1), key(9, 3, -3), key(TOP_LEVEL, 0, 0)] {
             let heights = land.chunk_heights(key);
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn seams_are_equal_bit_for_bit_between_neighbours_at_every_level_and_at_the_world_border() {
+    fn neighbours_share_border_heights_at_every_level() {
         let land = Land::new(77);
         for level in 0..TOP_LEVEL {
             let last = ChunkKey::containing(level, WORLD_HALF, WORLD_HALF).x();
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn levels_agree_on_shared_vertices_bit_for_bit_or_up_to_the_octaves_that_they_drop() {
+    fn levels_agree_on_shared_vertices_up_to_dropped_octaves() {
         let land = Land::new(77);
         for level in 1..=TOP_LEVEL {
             let parent = ChunkKey::containing(level, 40_000, -90_000);

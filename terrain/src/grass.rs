@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn all_levels_of_a_world_share_seed_and_palette_and_other_worlds_have_others() {
+    fn all_levels_of_a_world_share_seed_and_palette() {
         let heights = [0; VERTEX_COUNT];
         let grow = |world, level, x| GrassSeed::grow(world, ChunkKey::new(level, x, -1).unwrap(), &heights);
         let fine = grow(1, 0, 37);

@@ -118,7 +118,8 @@ impl fmt::Display for InvalidGrid {
             Self::OutsideWorld(OutsideWorld { x, z }) => {
                 write!(
                     f,
-                    "a grid from ({x}, {z}) leaves the world: every vertex must lie within ±{WORLD_HALF} units"
+                    "a grid from ({x}, {z}) leaves the world: every vertex must lie within \
+                     ±{WORLD_HALF} units"
                 )
             }
             Self::TooManyVertices { columns, rows } => {

@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn islands_stay_inside_their_cells_and_fill_about_three_quarters_of_them() {
+    fn islands_stay_inside_three_quarters_of_the_cells() {
         let archipelago = Archipelago::new(7);
         let mut found = 0;
         for cell_x in -128..128 {

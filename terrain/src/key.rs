@@ -215,13 +215,16 @@ mod tests {
                 prop_assert_eq!(child.parent(), Some(key));
                 prop_assert_eq!(child.side() * 2, key.side());
                 let step = i64::from(child.side());
-                prop_assert_eq!(child.origin(), ((i64::from(x) + dx * step) as i32, (i64::from(z) + dz * step) as i32));
+                let at = |low: i32, quarter: i64| (i64::from(low) + quarter * step) as i32;
+                prop_assert_eq!(child.origin(), (at(x, dx), at(z, dz)));
                 prop_assert_eq!(ChunkKey::new(child.level, child.x, child.z), Ok(child));
             }
         }
 
         #[test]
-        fn neighbours_touch_and_quarters_tell_the_side_of_the_parent(key in any_key(), east in -1i32..=1, south in -1i32..=1) {
+        fn neighbours_touch_and_quarters_name_the_side_of_the_parent(
+            key in any_key(), east in -1i32..=1, south in -1i32..=1,
+        ) {
             let (x, z) = key.origin();
             let step = i64::from(key.side());
             if let Some(next) = key.neighbour(east, south) {
@@ -239,10 +242,13 @@ mod tests {
         }
 
         #[test]
-        fn a_point_lies_in_the_chunk_that_contains_it(level in 0..=TOP_LEVEL, x in -WORLD_HALF..=WORLD_HALF, z in -WORLD_HALF..=WORLD_HALF) {
+        fn a_point_is_inside_its_chunk(
+            level in 0..=TOP_LEVEL, x in -WORLD_HALF..=WORLD_HALF, z in -WORLD_HALF..=WORLD_HALF,
+        ) {
             let key = ChunkKey::containing(level, x, z);
             let (x0, z0) = key.origin();
-            let inside = |v: i32, low: i32| (0..=i64::from(key.side())).contains(&(i64::from(v) - i64::from(low)));
+            let side = i64::from(key.side());
+            let inside = |v: i32, low: i32| (0..=side).contains(&(i64::from(v) - i64::from(low)));
             prop_assert!(inside(x, x0) && inside(z, z0));
         }
     }

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn the_home_island_has_sea_beach_hills_and_high_ground_for_every_seed() {
+    fn every_home_island_has_sea_beach_hills_and_high_ground() {
         for seed in 0..12 {
             let land = Land::new(seed);
             let (mut sea, mut beach, mut hills, mut high) = (0, 0, 0, 0);

@@ -13,8 +13,8 @@
 //!
 //! Reading order: [`constants`] (every number), [`ring`] (the allowed arithmetic), [`hash`],
 //! [`weights`], [`octaves`], [`noise`], [`island`], [`land`] (the height of a point), [`grid`] and
-//! [`simd`] (many points, fast), [`key`] (the quadtree), [`pyramid`], [`grass`], [`random_attributes`],
-//! [`chunk`], [`digest`], [`lod`].
+//! [`simd`] (many points, fast), [`key`] (the quadtree), [`pyramid`], [`grass`],
+//! [`random_attributes`], [`chunk`], [`digest`], [`lod`].
 
 #![cfg_attr(not(test), deny(clippy::float_arithmetic, reason = "heights are integers on every machine"))]
 

@@ -74,7 +74,8 @@ pub struct Needed {
 /// A chunk that is too coarse for the viewer is split into its four children, and so is every chunk
 /// that would otherwise be drawn beside one two levels finer ([`balance`]): level borders can then
 /// be closed vertex by vertex. Contains every ancestor of a needed chunk up to
-/// [`Viewer::top_level`], so that something coarse can be drawn until the fine chunks arrive. Stops at `limit` chunks (coarse ones are found first).
+/// [`Viewer::top_level`], so that something coarse can be drawn until the fine chunks arrive. Stops
+/// at `limit` chunks (coarse ones are found first).
 #[must_use]
 pub fn select(land: &Land, viewer: &Viewer, limit: usize) -> Vec<Needed> {
     Selector::new(land, viewer, limit).finish()

@@ -114,7 +114,8 @@ mod tests {
                 assert!(off < REJECTED, "{name} >> {shift}: {off} standard deviations");
             }
         }
-        // Control: a hash of the cell alone. Sixteen clumps share each value, so the test must fail.
+        // Control: a hash of the cell alone. Sixteen clumps share each value, so the test must
+        // fail.
         let biased = meadow.iter().enumerate().map(|(n, _)| mix(n as u32 / 16) as usize & 255);
         assert!(chi_square(biased, 256) > REJECTED);
     }

@@ -8,8 +8,8 @@ pub const PYRAMID_LEVELS: usize = CELLS.trailing_zeros() as usize + 1;
 /// Texels over all levels: 64² + 32² + ... + 1.
 pub const PYRAMID_TEXELS: usize = (4 * CELLS * CELLS - 1) / 3;
 
-/// The texels of all levels, base first. Aligned to cache lines: a vector store across two lines costs
-/// twice.
+/// The texels of all levels, base first. Aligned to cache lines: a vector store across two lines
+/// costs twice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[repr(C, align(64))]
 pub(crate) struct Texels(pub(crate) [i32; PYRAMID_TEXELS]);

@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_are_the_stated_products_and_every_part_fits_sixteen_bits() {
+    fn weights_are_the_stated_products_and_fit_sixteen_bits() {
         for fraction in 0..1 << FRACTION_BITS {
             let t = f64::from(fraction) / f64::from(1 << FRACTION_BITS);
             let s = t * t * t * (t * (t * 6.0 - 15.0) + 10.0);

@@ -10,11 +10,11 @@ use std::cell::RefCell;
 /// The trade-off between encoding time and bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Effort {
-    /// Fast encoding: level -5, without entropy coding of literals. About a quarter more bytes, decoded
-    /// several times as fast.
+    /// Fast encoding: level -5, without entropy coding of literals. About a quarter more bytes,
+    /// decoded several times as fast.
     Fast,
-    /// Compact encoding, for frames that are sent more than once: coded literals, and the match search
-    /// of level 1 where its result is shorter.
+    /// Compact encoding, for frames that are sent more than once: coded literals, and the match
+    /// search of level 1 where its result is shorter.
     #[default]
     Compact,
 }
@@ -50,8 +50,8 @@ pub(super) fn decompress(frame: &[u8], out: &mut [u8]) -> Result<(), ChunkError>
     if filled == Some(out.len()) { Ok(()) } else { Err(ChunkError::Compression) }
 }
 
-/// Appends a string to `out`, compressed if that is shorter, else uncompressed. Returns whether it is
-/// compressed.
+/// Appends a string to `out`, compressed if that is shorter, else uncompressed. Returns whether it
+/// is compressed.
 pub(super) fn compress(content: &[u8], effort: Effort, out: &mut Vec<u8>) -> bool {
     CODER.with_borrow_mut(|coder| coder.compress(content, effort, out))
 }
@@ -200,7 +200,9 @@ mod tests {
                 if compress(&content, effort, &mut out) {
                     let frame = &out[1..];
                     prop_assert!(frame.len() < length);
-                    for decode in [|frame: &[u8], out: &mut [u8]| decompress(frame, out).ok().map(|()| out.len()), decompress_in_rust] {
+                    let by_c =
+                        |frame: &[u8], out: &mut [u8]| decompress(frame, out).ok().map(|()| out.len());
+                    for decode in [by_c, decompress_in_rust] {
                         let mut out = vec![0; length];
                         prop_assert_eq!(decode(frame, &mut out), Some(length));
                         prop_assert_eq!(&out, &content);
@@ -219,7 +221,8 @@ mod tests {
             frame[at] ^= 1u8 << bit;
             let (mut by_c, mut by_rust) = (vec![0; 3000], vec![0; 3000]);
             // Neither panics; where both read something, they read the same.
-            if decompress(&frame, &mut by_c).is_ok() && decompress_in_rust(&frame, &mut by_rust) == Some(3000) {
+            let is_valid = decompress(&frame, &mut by_c).is_ok();
+            if is_valid && decompress_in_rust(&frame, &mut by_rust) == Some(3000) {
                 prop_assert_eq!(by_c, by_rust);
             }
         }

@@ -82,14 +82,15 @@ pub(super) fn push(kernel: Kernel, residuals: &[u32], width: u32, effort: Effort
     push_part(packed, effort, out);
 }
 
-/// One of so many residuals is sampled to choose the number of plain bits. The sample is cheap, and a
-/// poor choice costs a few bytes.
+/// One of so many residuals is sampled to choose the number of plain bits. The sample is cheap, and
+/// a poor choice costs a few bytes.
 const SAMPLED: usize = 7;
 
 /// The number of plain low bits of residuals below `2^width`; less than `width`.
 fn plain_bits(residuals: &[u32], width: u32, effort: Effort) -> u32 {
-    // Magnitudes are about exponentially distributed. With a mean of `m` times the range of the plain
-    // bits, leaving these uncoded costs 0.06 / m^2 bits a residual: at most a thirtieth of a bit.
+    // Magnitudes are about exponentially distributed. With a mean of `m` times the range of the
+    // plain bits, leaving these uncoded costs 0.06 / m^2 bits a residual: at most a thirtieth of a
+    // bit.
     let sampled = residuals.iter().step_by(SAMPLED).map(|residual| u64::from(*residual));
     let mean = sampled.clone().sum::<u64>() / sampled.count().max(1) as u64;
     let enough = match effort {
@@ -254,7 +255,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn residuals_of_every_width_and_count_come_back(seed: u32, width in 0..=MAX_RESIDUAL_BITS, count in 1..=VERTEX_COUNT) {
+        fn residuals_of_every_width_and_count_round_trip(
+            seed: u32, width in 0..=MAX_RESIDUAL_BITS, count in 1..=VERTEX_COUNT,
+        ) {
             let mask = ((1u64 << width) - 1) as u32;
             let residuals: Vec<u32> = (0..count).map(|index| mix(seed ^ index as u32) & mask).collect();
             // The widest of a few may be narrower than the requested width.

@@ -1,11 +1,11 @@
 //! The refined chunk frame, for receivers with the parent: only the vertices that the parent lacks.
 //!
 //! Up to level 2 a chunk's vertices in even columns and rows are those of its parent, bit for bit.
-//! The others are predicted from both sides, with smaller residuals than those of the one-sided plane
-//! predictor. First the vertices between two known ones in a row, then in a column, by four-point
-//! interpolation (Deslauriers and Dubuc, "Symmetric iterative interpolation processes", 1989:
-//! weights -1, 9, 9, -1 over 16); then the middles, by the patch through their eight neighbours
-//! (Coons, 1967: half of the sides less a quarter of the corners).
+//! The others are predicted from both sides, with smaller residuals than those of the one-sided
+//! plane predictor. First the vertices between two known ones in a row, then in a column, by
+//! four-point interpolation (Deslauriers and Dubuc, "Symmetric iterative interpolation processes",
+//! 1989: weights -1, 9, 9, -1 over 16); then the middles, by the patch through their eight
+//! neighbours (Coons, 1967: half of the sides less a quarter of the corners).
 
 use super::entropy::Effort;
 use super::kernel::{self, Heights, Kernel, zigzag};
@@ -36,8 +36,8 @@ pub fn encode(chunk: &Chunk, parent: &Chunk, world: &WorldDigest, effort: Effort
 }
 
 /// As [`encode`] without the parent, for chunks of a land: if the parent's level is one of
-/// [`reference_window::LEVELS`], the chunk's vertices in even columns and rows are the parent's. None
-/// otherwise.
+/// [`reference_window::LEVELS`], the chunk's vertices in even columns and rows are the parent's.
+/// None otherwise.
 #[must_use]
 pub fn encode_alone(chunk: &Chunk, world: &WorldDigest, effort: Effort) -> Option<Bytes> {
     let parent = chunk.key.parent()?;

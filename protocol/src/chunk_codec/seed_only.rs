@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn chunks_are_made_again_at_every_level_and_equal_those_of_exact_frames() {
+    fn regenerated_chunks_equal_exact_frames_at_every_level() {
         for (level, x, z) in [(0, 3, -7), (0, 60, 60), (1, -3, -3), (4, 0, -1), (9, 2, 2), (16, 0, 0)] {
             let (chunk, land, world, frame) = sample(level, x, z);
             assert_eq!(frame.len(), SEED_ONLY_FRAME);
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn one_unit_of_one_vertex_or_one_grass_byte_or_another_world_is_noticed() {
+    fn one_unit_one_grass_byte_or_another_world_is_detected() {
         let (chunk, land, world, _) = sample(0, 3, -7);
         let expected = Err(ChunkError::Regenerated(chunk.key));
         for vertex in [0, 64, 2000, VERTEX_COUNT - 1] {

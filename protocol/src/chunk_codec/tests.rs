@@ -65,7 +65,7 @@ fn exact_chunks_survive_the_wire_at_every_level_and_effort() {
 }
 
 #[test]
-fn quantised_heights_are_within_the_stated_tolerance_and_the_error_grows_by_what_moved() {
+fn quantised_heights_and_errors_stay_within_the_tolerance() {
     for (level, x, z) in KEYS {
         let (chunk, world) = sample(level, x, z);
         let mut shorter = usize::MAX;
@@ -80,7 +80,8 @@ fn quantised_heights_are_within_the_stated_tolerance_and_the_error_grows_by_what
             assert_eq!((&got.grass, error(&frame)), (&chunk.grass, Some(got.error)));
             assert!(frame.len() <= shorter.saturating_add(8), "{level}: {} after {shorter}", frame.len());
             shorter = frame.len();
-            // A finer tolerance and exact delivery reject the frame, a coarser tolerance accepts it.
+            // A finer tolerance and exact delivery reject the frame, a coarser tolerance accepts
+            // it.
             if let Some(finer) = Tolerance::new(tolerance.units() / 2) {
                 let fault = ChunkError::Tolerance { theirs: tolerance.units(), ours: finer.units() };
                 assert_eq!(quantised::decode(&frame, &world, finer), Err(fault));
@@ -392,7 +393,9 @@ fn decompression_bombs_are_rejected() {
 
 proptest! {
     #[test]
-    fn any_heights_survive_in_every_kind(seed: u32, amplitude in 0u32..26, palette in 0..PALETTES, tolerance in 0usize..8, fast: bool) {
+    fn any_heights_round_trip_in_every_kind(
+        seed: u32, amplitude in 0u32..26, palette in 0..PALETTES, tolerance in 0usize..8, fast: bool,
+    ) {
         let mut heights = Box::new([0; VERTEX_COUNT]);
         for (index, height) in heights.iter_mut().enumerate() {
             let word = mix(seed.wrapping_add(index as u32)) as i32;
@@ -432,7 +435,10 @@ proptest! {
     }
 
     #[test]
-    fn well_signed_garbage_never_panics(bytes in proptest::collection::vec(any::<u8>(), 0..400), width in 0u8..40, kind in 0u8..4, tolerance: u16) {
+    fn random_payloads_with_valid_digests_cause_no_panic(
+        bytes in proptest::collection::vec(any::<u8>(), 0..400), width in 0u8..40, kind in 0u8..4,
+        tolerance: u16,
+    ) {
         let world = WorldDigest([0; 32]);
         prop_assert!(decode(&bytes, &world).is_err());
         let (chunk, _) = sample(0, 60, 60);

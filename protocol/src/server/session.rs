@@ -214,8 +214,8 @@ impl ServerSession {
         let estimate = lod::estimated_chunks(&view.viewer());
         if estimate > MAX_VIEW_ESTIMATE {
             let detail = format!(
-                "the view needs about {estimate} chunks, the limit is {MAX_VIEW_ESTIMATE}; raise the tolerance or \
-                 lower the view distance"
+                "the view needs about {estimate} chunks, the limit is {MAX_VIEW_ESTIMATE}; \
+                 raise the tolerance or lower the view distance"
             );
             self.refuse(view.id, None, RefusalReason::InvalidView, detail);
             return;

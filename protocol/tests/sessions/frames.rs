@@ -57,8 +57,10 @@ fn a_list_length_beyond_the_frame_is_rejected_before_allocation() {
 
 proptest! {
     #[test]
-    fn random_frames_cause_no_panic(frames in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..80), 1..8),
-                                      framing in 0usize..4) {
+    fn random_frames_cause_no_panic(
+        frames in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..80), 1..8),
+        framing in 0usize..4,
+    ) {
         // Bare, as a control frame, as each kind of chunk frame.
         let start = [&b""[..], b"TMBM\x03\x00", b"TMBC\x01\x00\x00", b"TMBC\x01\x00\x01"][framing];
         for config in [config(4), seed_only(4)] {

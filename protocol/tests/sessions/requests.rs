@@ -8,7 +8,7 @@ use protocol::{DataFrame, control, limits};
 use terrain::ChunkKey;
 
 #[test]
-fn explicit_requests_come_first_and_invalid_keys_are_refused_singly() {
+fn explicit_requests_come_first_and_invalid_keys_are_refused() {
     let mut pair = Pair::new(64);
     pair.run(0);
     let far = ChunkKey::new(0, 1000, 1000).unwrap();

@@ -17,7 +17,8 @@ pub(super) fn densities(
         let beyond: [i32; GRASS_GRID] = std::array::from_fn(|x| south[x * BLOCK_CELLS]);
         let middles: [i32; GRASS_GRID] = std::array::from_fn(|x| middle[x * BLOCK_CELLS + BLOCK_CELLS / 2]);
         for (x, share) in shares.iter_mut().enumerate() {
-            // Heights are below 2^24, so nothing wraps; overflow checks would prevent vectorisation.
+            // Heights are below 2^24, so nothing wraps; overflow checks would prevent
+            // vectorisation.
             let [east, south] =
                 [corners[x + 1], beyond[x]].map(|end| end.wrapping_sub(corners[x]).wrapping_abs());
             let slope_q8 = east.max(south).wrapping_shr(side_bits);

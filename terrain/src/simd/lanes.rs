@@ -5,8 +5,8 @@
 /// # Safety
 ///
 /// Every method may only be called where the CPU has the features of the implementing type;
-/// [`super::Kernel`] guarantees that once, at the entry of a kernel. Methods that take pointers read
-/// or write `COUNT` integers there, without any alignment beyond that of `i32`.
+/// [`super::Kernel`] guarantees that once, at the entry of a kernel. Methods that take pointers
+/// read or write `COUNT` integers there, without any alignment beyond that of `i32`.
 pub(super) trait Lanes: Copy {
     /// Integers per vector, a power of two up to [`MOST_LANES`].
     const COUNT: usize;

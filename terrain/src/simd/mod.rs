@@ -104,7 +104,11 @@ entry! {
 
 entry! {
     /// See [`density::densities`].
-    densities(heights: &[i32; VERTEX_COUNT], side_bits: u32, density: &mut [u8; GRASS_GRID * GRASS_GRID]) => densities_on
+    densities(
+        heights: &[i32; VERTEX_COUNT],
+        side_bits: u32,
+        density: &mut [u8; GRASS_GRID * GRASS_GRID]
+    ) => densities_on
 }
 
 /// Largest sum of squares of a triangle's two legs, units squared, of heights that lie within 2^15
@@ -119,7 +123,8 @@ pub(crate) fn steepest(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> i32 {
 type UninitTexels = MaybeUninit<Texels>;
 
 impl Fbm {
-    /// The sums of a grid, row by row, by a given kernel: equal to [`Fbm::at`] bit for bit. 2^-16 m.
+    /// The sums of a grid, row by row, by a given kernel: equal to [`Fbm::at`] bit for bit. 2^-16
+    /// m.
     ///
     /// # Panics
     /// If `hills` or `folds` does not hold exactly the grid's vertices.
@@ -178,7 +183,8 @@ impl<L: Lanes> Sink<L> for Relief<'_> {
     #[inline(always)]
     unsafe fn put(&mut self, row: usize, column: usize, hills: L, folds: L) {
         let index = row * self.grid.columns + self.columns.first + column;
-        // SAFETY: the caller guarantees the CPU features; the rest of the strip's row lies in both sums.
+        // SAFETY: the caller guarantees the CPU features; the rest of the strip's row lies in both
+        // sums.
         unsafe {
             shape::store_some(hills, self.hills.add(index), self.columns.count - column);
             shape::store_some(folds, self.folds.add(index), self.columns.count - column);
@@ -276,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn kernels_equal_points_on_every_level_at_the_origin_and_at_all_corners_of_the_world() {
+    fn kernels_equal_points_at_every_level_and_world_corner() {
         let land = Land::new(7);
         for level in 0..=TOP_LEVEL {
             let spacing = 1i64 << (SPACING_BITS + u32::from(level));

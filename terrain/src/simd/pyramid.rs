@@ -13,8 +13,8 @@ pub(super) unsafe fn reduce<L: Lanes, const MAX: bool>(
     heights: &[i32; VERTEX_COUNT],
     texels: &mut super::UninitTexels,
 ) {
-    // SAFETY: the caller guarantees the CPU features. A row of vertices has 65, of the base 64 texels, a multiple
-    // of twice COUNT.
+    // SAFETY: the caller guarantees the CPU features. A row of vertices has 65, of the base 64
+    // texels, a multiple of twice COUNT.
     unsafe {
         let texels: *mut i32 = texels.as_mut_ptr().cast();
         // The base and the level above it in one walk down each pair of vectors: a row of vertices
@@ -68,8 +68,8 @@ unsafe fn halve_any<L: Lanes, const MAX: bool>(near: *const i32, below: usize, t
 /// Reduces two rows of `below` texels to one of half as many.
 #[inline(always)]
 unsafe fn halve<L: Lanes, const MAX: bool>(near: *const i32, below: usize, to: *mut i32) {
-    // SAFETY: the caller guarantees the CPU features, and two rows of `below` texels at `near`, a multiple of twice
-    // COUNT.
+    // SAFETY: the caller guarantees the CPU features, and two rows of `below` texels at `near`, a
+    // multiple of twice COUNT.
     unsafe {
         for x in (0..below / 2).step_by(L::COUNT) {
             let pair = near.add(2 * x);

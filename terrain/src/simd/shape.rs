@@ -108,8 +108,8 @@ impl<L: Lanes> Sink<L> for Shaper<'_> {
     #[inline(always)]
     unsafe fn put(&mut self, row: usize, column: usize, hills: L, folds: L) {
         let dome_m = self.island.map_or(0, |island| island.dome_m);
-        // SAFETY: the caller guarantees the CPU features; tables hold WIDTH integers; `store_some` stays inside the
-        // row.
+        // SAFETY: the caller guarantees the CPU features; tables hold WIDTH integers; `store_some`
+        // stays inside the row.
         unsafe {
             let rest = L::splat(self.rest_z).sub(L::load(self.distance_x.as_ptr().add(column)));
             let inside = rest.max(L::splat(0)).shl(8);

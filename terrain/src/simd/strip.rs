@@ -197,8 +197,8 @@ impl Strip {
         for (octave, shift) in grid.octaves.shifts() {
             let cell_bits = FIRST_CELL_BITS - octave as u32;
             let first_z = grid.position(0, band).1.wrapping_add(shift.1);
-            // SAFETY: the caller guarantees the CPU features; tables hold WIDTH integers per octave, a multiple of
-            // COUNT.
+            // SAFETY: the caller guarantees the CPU features; tables hold WIDTH integers per
+            // octave, a multiple of COUNT.
             unsafe {
                 for row in (0..rows).step_by(L::COUNT) {
                     let z = first_z.wrapping_add((row as i32) << grid.spacing_bits);
@@ -238,8 +238,8 @@ impl Strip {
             let first_cell = first_x >> cell_bits;
             self.base[octave] = base;
             self.cell_z[octave] = None;
-            // SAFETY: the caller guarantees the CPU features; tables hold WIDTH integers per octave, a multiple of
-            // COUNT.
+            // SAFETY: the caller guarantees the CPU features; tables hold WIDTH integers per
+            // octave, a multiple of COUNT.
             unsafe {
                 let mut last_cell = 0;
                 for column in (0..columns.count).step_by(L::COUNT) {
@@ -299,8 +299,8 @@ impl Strip {
             let cell_bits = FIRST_CELL_BITS - octave as u32;
             let z = grid.position(0, band + row).1.wrapping_add(shift.1);
             let table = octave * WIDTH + row;
-            // SAFETY: the caller guarantees the CPU features; `cells` columns from `base` on lie in the lattice
-            // tables.
+            // SAFETY: the caller guarantees the CPU features; `cells` columns from `base` on lie in
+            // the lattice tables.
             unsafe {
                 self.enter_lattice_row::<L>(octave, z >> cell_bits);
                 let base = self.base[octave];
@@ -400,8 +400,8 @@ impl Strip {
         let at = OCTAVE * WIDTH + column;
         let cell = self.base[OCTAVE] + usize::from(self.window[OCTAVE][column / L::COUNT]);
         debug_assert!(cell + 1 + L::COUNT <= LATTICE);
-        // SAFETY: the caller guarantees the CPU features; a window and the one beside it end inside the lattice
-        // tables.
+        // SAFETY: the caller guarantees the CPU features; a window and the one beside it end inside
+        // the lattice tables.
         unsafe {
             let picker = L::load(self.picker.as_ptr().add(at));
             let (low, high) = (L::load(self.low.as_ptr().add(at)), L::load(self.high.as_ptr().add(at)));

@@ -1,8 +1,8 @@
 //! The integer loops of the codec, vectorised for this machine.
 //!
 //! One definition in plain integers per loop. The compiler vectorises all of them except the prefix
-//! sum of [`restore`], which has an implementation per instruction set. Every kernel yields the same
-//! bits.
+//! sum of [`restore`], which has an implementation per instruction set. Every kernel yields the
+//! same bits.
 //!
 //! The only unsafe code of this crate: vector instructions may only run on CPUs that have them. A
 //! [`Kernel`] that needs a feature exists only where that feature was detected.
@@ -84,7 +84,11 @@ impl fmt::Display for Kernel {
 
 /// Defines a function that runs a body compiled for the kernel's instruction set.
 macro_rules! entry {
-    ($(#[$doc:meta])* $name:ident($($argument:ident: $type:ty),*) $(-> $result:ty)?; $portable:path, $sse41:path, $avx2:path) => {
+    (
+        $(#[$doc:meta])*
+        $name:ident($($argument:ident: $type:ty),*) $(-> $result:ty)?;
+        $portable:path, $sse41:path, $avx2:path
+    ) => {
         $(#[$doc])*
         pub(super) fn $name(kernel: Kernel, $($argument: $type),*) $(-> $result)? {
             #[cfg(target_arch = "x86_64")]
@@ -164,8 +168,8 @@ fn residuals_on(heights: &Heights, shift: u32, out: &mut [u32; VERTEX_COUNT]) ->
     let mut above = [heights[0].wrapping_add(half) >> shift; VERTICES];
     let mut any = 0;
     for (row, out) in heights.as_chunks::<VERTICES>().0.iter().zip(out.as_chunks_mut::<VERTICES>().0) {
-        // The height of each vertex above the one a row earlier; the residual is its change along the
-        // row.
+        // The height of each vertex above the one a row earlier; the residual is its change along
+        // the row.
         let mut rise = [0; VERTICES];
         for ((rise, above), height) in rise.iter_mut().zip(&mut above).zip(row) {
             let height = height.wrapping_add(half) >> shift;
@@ -337,7 +341,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_kernel_gives_the_bytes_of_the_portable_one_and_undoes_itself(
+        fn every_kernel_equals_the_portable_one_and_round_trips(
             seed: u32, keep in 8u32..32, shift in 0u32..9, count in 1usize..600,
         ) {
             let heights = noise(seed, keep);
@@ -350,7 +354,9 @@ mod tests {
                 prop_assert_eq!(&got, &expected);
 
                 let mut planes = [(); 4].map(|()| vec![0; VERTEX_COUNT]);
-                planes.iter_mut().zip([0, 8, 16, 24]).for_each(|(out, shift)| split(kernel, &got[..], shift, 0xff, out));
+                for (out, shift) in planes.iter_mut().zip([0, 8, 16, 24]) {
+                    split(kernel, &got[..], shift, 0xff, out);
+                }
                 let planes: Vec<_> = planes.iter().map(|plane| &plane[..]).collect();
                 for used in 1..=4 {
                     let mut signed = Box::new([0; VERTEX_COUNT]);
@@ -360,7 +366,8 @@ mod tests {
                         prop_assert_eq!(zigzag(*signed), word & kept);
                     }
                     let first = (heights[0] + half) >> shift;
-                    let (mut restored, mut stated) = (Box::new([1; VERTEX_COUNT]), Box::new([2; VERTEX_COUNT]));
+                    let mut restored = Box::new([1; VERTEX_COUNT]);
+                    let mut stated = Box::new([2; VERTEX_COUNT]);
                     let range = restore(kernel, &planes[..used], first, &mut restored);
                     prop_assert_eq!(range, restore(Kernel::PORTABLE, &planes[..used], first, &mut stated));
                     prop_assert_eq!(&restored, &stated);
@@ -400,7 +407,9 @@ mod tests {
                     }
                     let above: Vec<_> = words.iter().map(|word| word >> bits).collect();
                     let mut planes = [(); 4].map(|()| vec![0; count]);
-                    planes.iter_mut().zip([0, 8, 16, 24]).for_each(|(out, shift)| split(kernel, &above, shift, 0xff, out));
+                    for (out, shift) in planes.iter_mut().zip([0, 8, 16, 24]) {
+                        split(kernel, &above, shift, 0xff, out);
+                    }
                     let planes: Vec<_> = planes.iter().map(|plane| &plane[..]).collect();
                     for (used, index) in (0..=4).flat_map(|used| (0..4).map(move |index| (used, index))) {
                         let mut out = vec![0xaa; count];
@@ -410,7 +419,8 @@ mod tests {
                         merge(kernel, &low, bits as u32, &planes[..used], index, &mut out);
                         let kept = ((1u64 << (8 * used + bits)) - 1) as u32;
                         for (out, word) in out.iter().zip(&words) {
-                            prop_assert_eq!(*out, ((word & kept) >> (8 * index)) as u8, "{} {} {}", bits, used, index);
+                            let expected = ((word & kept) >> (8 * index)) as u8;
+                            prop_assert_eq!(*out, expected, "{} {} {}", bits, used, index);
                         }
                     }
                 }
