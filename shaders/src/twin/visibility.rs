@@ -24,7 +24,7 @@ pub struct Extent {
     pub bottom: i32,
 }
 
-/// Whether a ball touches the inside of all four planes of the view; errs on the side of yes.
+/// Whether a bounding sphere touches the inside of all four planes of the frustum; conservative.
 #[must_use]
 pub fn may_be_in_view(culling: &Culling, extent: &Extent) -> bool {
     let middle = extent.bottom + ((extent.occludee.top - extent.bottom) >> 1);
@@ -52,8 +52,8 @@ fn is_in_view(culling: &Culling, extent: &Extent) -> bool {
     return culling.path == CULL_DISTANCE || may_be_in_view(culling, extent);
 }
 
-/// Slope of the ground around a place, east and south, Q14, over 4 m: that by which a clump is
-/// drawn. None where the land ends.
+/// Slope of the ground around a place, east and south, Q14, by central differences over 4 m. None
+/// where the terrain ends.
 #[must_use]
 pub fn gradient_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> Option<[i32; 2]> {
     let step = 1 << STEP_BITS;
@@ -68,31 +68,30 @@ pub fn gradient_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> Option
     return Some([east - west, south - north]);
 }
 
-/// The same; none also where it may be steeper than 1, which is more than a foot follows.
+/// The same; none also where it may be steeper than 1, which the foot of a clump does not follow.
 #[must_use]
 pub fn slope_at<S: Slots>(surface: &Surface<'_, S>, x: i32, z: i32) -> Option<[i32; 2]> {
     return gradient_at(surface, x, z).filter(|[along, across]| steepness(*along, *across) <= 1 << 14);
 }
 
-/// No less than the length of a vector: the hypotenuse is at most the long side and half of the
-/// short one.
+/// Upper bound of the length of a vector: the long side and half of the short one.
 fn steepness(along: i32, across: i32) -> i32 {
     let (along, across) = (along.abs(), across.abs());
     return along.max(across) + (along.min(across) >> 1);
 }
 
-/// How far the tip of a stem may be beside its root, on ground so steep (Q14), pushed aside by so
-/// much (Q8). The horizontal part of its direction goes evenly from 0.45 of the ground's at the
-/// root to that and the push at the tip, 0.75 at most, so on the way it is half of their sum.
+/// Upper bound of the horizontal distance from root to tip of a stem, on ground of a steepness
+/// (Q14), pushed aside by `push` (Q8). The horizontal part of its direction grows linearly from
+/// 0.45 of that of the ground at the root to that plus the push at the tip, 0.75 at most; its mean
+/// is half of their sum.
 fn lean_of(height: i32, steep: i32, push: i32) -> i32 {
     let tip = (push + ((116 * steep) >> 14) + 1).min(192);
     return ((height * tip) >> 9) + ((((15 * height) >> 6) * steep) >> 14) + (height >> 6) + 2;
 }
 
-/// What is added to the direction of a tip at most, Q8: how the clump has grown, by its hue in
-/// 64ths, the wind, and leaning away from an eye that is higher by a part `tilt` (Q8) of the
-/// distance. That last one goes with sine and cosine of the eye's height, whose product is at most
-/// 1/2.
+/// Upper bound of the push at a tip, Q8: growth by the hue in 64ths, the wind, and leaning away
+/// from an eye that is higher by a share `tilt` (Q8) of the distance. Leaning goes with sine times
+/// cosine of the elevation of the eye, at most 1/2.
 fn push_of(planting: &Planting, hue: i32, tilt: i32) -> i32 {
     return 21
         + ((41 * (hue + 1)) >> 6)
@@ -114,16 +113,16 @@ pub fn lean_reach(lean: f32) -> i32 {
     (0.9 * 256.0 * lean).ceil() as i32
 }
 
-/// By how much of the distance the eye is above a place, Q8, never too little; `near` is no more
-/// than the distance, 1/16 m.
+/// Upper bound of the height of the eye over a place as a share of the distance, Q8; `near` is no
+/// more than the distance, 1/16 m.
 fn tilt_of(culling: &Culling, y: i32, near: i32) -> i32 {
     let up = ((culling.eye[1] - y) >> COARSE_BITS) + 1;
     return (((up.clamp(0, FARTHEST) << 8) as u32 / near.max(1) as u32).min(256)) as i32 + 1;
 }
 
-/// Length of the longest of the six blades of a clump in the third level of detail, Q8, never too
-/// little, by its phase modulo 9: lengths follow `tuft_number`, which repeats with a ninth of a
-/// phase. A test of `twin::tuft` compares.
+/// Upper bound of the longest of the six blades of a clump in the third level of detail, Q8, by its
+/// phase modulo 9: lengths follow `tuft_number`, which repeats with a ninth of a phase. A test
+/// compares.
 pub const LONGEST: [i32; 9] = [251, 253, 245, 254, 256, 255, 247, 250, 241];
 
 /// Lower bound of how far a clump in the third level of detail sinks into the ground, fine units:
@@ -136,30 +135,20 @@ fn sink_of(half: i32, height: i32, near: i32, presence: i32) -> i32 {
     return ((height * 10) >> 8).min((half * 56) >> 8);
 }
 
-/// What a plant takes up, from its root, fine units: see [`Occludee`].
+/// Bounds of a plant, from its root, fine units: see [`Occludee`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Shape {
     radius: i32,
     slope_radius: i32,
     taper: i32,
     taper_drop: i32,
-    /// Its highest point over its root; of grass, over the plane through the root that has the
-    /// slope of the ground.
+    /// Highest point over the root; of grass, over the plane through the root that has the slope of
+    /// the ground.
     over: i32,
 }
 
-/// What a plant takes up of half a width and a height. `slope` is that of the ground, none if it is
-/// not known or steeper than 1.
-///
-/// A tree is a cone: at a share `y` of its height no vertex of it is farther from the vertical than
-/// 1.08 - 0.89 y half widths, sway and all; `twin::conifer` proves it by trying.
-///
-/// Grass: feet follow the ground; its normal travels in bytes, hence the 64th. What leans by a part
-/// l of its height does not follow it: downhill it is above the slope by g l, but lower by l² / 2
-/// for having leant, so by no more than g² / 2. Near by the blades spread up to their tips, which
-/// stand 0.49 of the width from the middle. In the third level of detail they close in: feet reach
-/// half the width, tips stand 0.3 (77/256) of it from the middle and lean; what is between is on
-/// straight lines from foot to tip, which the skirt holds.
+/// Bounds of a plant of half a width and a height. `slope` is that of the ground, none if it is not
+/// known or steeper than 1. `docs/vegetation-occlusion.md` derives the constants.
 fn shape_of(
     planting: &Planting,
     half: i32,
@@ -193,7 +182,7 @@ fn shape_of(
     return Shape { radius, slope_radius: half, taper: 0, taper_drop: 0, over };
 }
 
-/// What a clump takes up, as wide as its distance makes it, on ground of a slope.
+/// Bounds of a clump at its distance, on ground of a slope.
 #[must_use]
 pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: Option<[i32; 2]>) -> Extent {
     let width = planting.width_low + ((planting.width_span * ((clump.attributes & 63) as i32 + 1)) >> 6);
@@ -285,7 +274,7 @@ pub fn visible_level<S: Slots>(
     return Some(u32::from(far > planting.detail[0]) + u32::from(far > planting.detail[1]));
 }
 
-/// The highest and the lowest drawn point of a square of side `2^bits`, at most that of a block,
+/// The highest and the lowest drawn point of a square of side `2^bits`, no larger than a block,
 /// fine units; none where nothing is drawn.
 fn bounds_of<S: Slots>(surface: &Surface<'_, S>, bits: u32, column: i32, row: i32) -> Option<(i32, i32)> {
     let node = surface.node(bits, column, row);
@@ -315,7 +304,7 @@ fn bounds_of<S: Slots>(surface: &Surface<'_, S>, bits: u32, column: i32, row: i3
     return Some((top + 2, bottom));
 }
 
-/// What all clumps take up that may stand in a block.
+/// Bounds of all clumps of a block.
 #[must_use]
 pub fn block_extent<S: Slots>(
     surface: &Surface<'_, S>,
