@@ -53,8 +53,12 @@ impl ProbeTiling {
             [bind::compute_uniform_entry(0), bind::storage_entry(1, wgpu::ShaderStages::COMPUTE, false)];
         let layout = bind::layout(device, shader.name, &entries);
         let bindings = bind::bind_buffers(device, shader.name, &layout, &[&order, &luminances]);
-        let [look, without_period] =
-            compute_pipelines(device, &shader, &[&layout, materials.layout()], ["look", "without_period"]);
+        let [look, without_period] = compute_pipelines(
+            device,
+            &shader,
+            &[&layout, materials.layout()],
+            ["sample_material", "without_period"],
+        );
         Self { look, without_period, bindings, order, luminances }
     }
 
