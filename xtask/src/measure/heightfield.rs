@@ -1,7 +1,7 @@
 //! `heightfield`: the land's noise against other libraries, what comes on top of it, and the GPU's
 //! twin of it.
 //!
-//! Ratios come from `benches/rivals`, a package outside the workspace: it needs a C++ compiler,
+//! Ratios come from `benches/noise-comparison`, a package outside the workspace: it needs a C++ compiler,
 //! which nothing else here does.
 
 use super::record::{self, Heading};
@@ -13,7 +13,7 @@ use serde_json::Value;
 use std::path::Path;
 
 /// Times that the comparisons are started. Where a program's code and buffers happen to lie is
-/// decided once per start and moves single figures by half, ours and the rivals'; the median start
+/// decided once per start and moves single figures by half, ours and of other libraries; the median start
 /// counts.
 const STARTS: usize = 7;
 
@@ -26,7 +26,7 @@ const CPU_BACKEND: &str = "rust";
 /// Builds, measures, prints, records.
 ///
 /// # Errors
-/// The rivals cannot be built, the record cannot be written, or a bar was missed.
+/// The comparison cannot be built, the record cannot be written, or a bar was missed.
 pub fn run() -> Result<()> {
     let folder = process::target().join("measure/heightfield");
     std::fs::create_dir_all(&folder)
@@ -46,18 +46,18 @@ pub fn run() -> Result<()> {
 fn rivals(folder: &Path, notes: &mut Vec<String>) -> Result<Vec<Value>> {
     let compiler = Clang::find()?;
     // In its own folder, so that its `.cargo/config.toml` is read too.
-    let package = process::root().join("benches/rivals");
-    let target = process::target().join("rivals");
-    println!("measure: building the rivals with {}", compiler.cpp);
+    let package = process::root().join("benches/noise-comparison");
+    let target = process::target().join("noise-comparison");
+    println!("measure: building the noise comparison with {}", compiler.cpp);
     let mut build = process::cargo("build --release --locked --target-dir");
     build.arg(&target).current_dir(&package).env("CC", &compiler.c).env("CXX", &compiler.cpp);
     process::run(build).context(
-        "measure: the rivals were not built; CMake fetches a part of FastNoise2, so the first build needs the network",
+        "measure: the noise comparison was not built; CMake fetches a part of FastNoise2, so the first build needs the network",
     )?;
     let compare = |shift: usize| {
         println!("measure: comparing, start {} of {STARTS}", shift + 1);
-        let json = folder.join(format!("rivals-{shift}.json"));
-        let mut rivals = process::command(target.join("release/rivals"));
+        let json = folder.join(format!("noise-{shift}.json"));
+        let mut rivals = process::command(target.join("release/noise-comparison"));
         rivals.args(["--rounds", ROUNDS, "--shift", &shift.to_string(), "--json"]).arg(&json);
         report::of(rivals, &json, notes)
     };
@@ -116,7 +116,7 @@ fn middle(figures: &[Option<f64>]) -> Option<f64> {
     figures.get(figures.len() / 2).copied()
 }
 
-/// Starts in which a ratio known beforehand came out otherwise; missing if one start looked at
+/// Starts in which a known ratio was measured wrong; missing if one start looked at
 /// none.
 fn failed_controls(rivals: &[Value]) -> Option<f64> {
     let kept = |report: &Value| {

@@ -102,7 +102,10 @@ fn is_path(span: &str) -> bool {
     let has_extension =
         span.rsplit_once('.').is_some_and(|(stem, ext)| !stem.is_empty() && FILE_EXTENSIONS.contains(&ext));
     let is_folder = span.ends_with('/') && span.len() > 1 && !span.starts_with('/');
+    // A bare picture is an example of a user's own file.
+    let is_example = !span.contains('/') && span.ends_with(".png");
     span.chars().all(plain)
+        && !is_example
         && (has_extension || is_folder)
         && !span.starts_with("target/")
         && !span.starts_with('/')
