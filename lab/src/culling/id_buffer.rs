@@ -1,21 +1,24 @@
-//! The first oracle: pictures of which plant is seen where, drawn without culling by the renderer
-//! itself. Whatever shows in any of them has to be in the set that a test keeps; what no pixel
-//! happens to show is left to the second oracle.
+//! The first reference: ID buffers of plants, drawn without culling. A plant in any of them must be
+//! in the set that a test keeps. Plants that no pixel samples are left to the second reference
+//! ([`super::reference`]).
 
-use crate::culling::poses::Trial;
+use crate::culling::cases::Case;
 use crate::culling::scene::Scene;
-use crate::studio::{ChosenKind, Studio};
+use crate::headless_renderer::{ChosenKind, HeadlessRenderer};
 use anyhow::{Context, Result, ensure};
-use client::frame::{FrameData, Shot};
-use client::looks::Looks;
-use client::plants::kept::{BySlot, noise_of};
-use client::plants::{Cull, PlantKnobs};
+use client::features::vegetation::by_slot::BySlot;
+use client::features::vegetation::cpu_cull::noise_of;
+use client::features::vegetation::{Cull, VegetationSettings};
+use client::frame::FrameData;
+use client::lod::Selection;
 use client::scene;
-use client::world::Selection;
+use client::settings::RenderSettings;
+use client::view::ViewParams;
 use serde::Serialize;
 use shaders::layout::{CULL_EXACT, CULL_FRUSTUM, CULL_MARCH, CULL_NOISE, Culling};
-use shaders::twin::planting::{Clump, kept};
+use shaders::twin::placement::Clump;
 use shaders::twin::surface::Surface;
+use shaders::twin::visibility::visible_level;
 use std::collections::{BTreeMap, BTreeSet};
 use terrain::Land;
 
@@ -25,21 +28,21 @@ const SIZES: [(u32, u32); 3] = [(160, 90), (320, 180), (640, 360)];
 /// Slots of the pool.
 const SLOTS: u32 = 2000;
 
-/// The lower 24 bits of a name are a place; see `shaders/wgsl/shared/name.wesl`.
-const PLACE: u32 = 0xff_ffff;
+/// The lower 24 bits of an ID are a position; see `shaders/wgsl/shared/id_buffer.wesl`.
+const POSITION: u32 = 0xff_ffff;
 
-/// What the pictures showed.
+/// Plants found in ID buffers, and those of them that the tests lose.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Shown {
+pub struct VisiblePlants {
     /// Poses drawn.
     pub poses: u64,
-    /// Width of the pictures, pixels.
+    /// Widths of the ID buffers, pixels.
     pub widths: Vec<u32>,
     /// Plants seen at each of them, a plant once a pose.
     pub seen_by_width: Vec<u64>,
     /// Plants seen at any of them.
     pub seen: u64,
-    /// Of these, left out by the frustum alone (T1).
+    /// Of these, culled by the frustum alone (T1).
     pub lost_frustum: u64,
     /// By T2.
     pub lost_noise: u64,
@@ -47,99 +50,98 @@ pub struct Shown {
     pub lost_march: u64,
     /// By T3.
     pub lost_exact: u64,
-    /// By T4, as the GPU chose.
+    /// By T4, as the GPU selects.
     pub lost_hierarchical: u64,
-    /// Clumps that were there to be drawn.
+    /// Clumps drawn.
     pub drawn: u64,
-    /// The first few that T3 or T4 left out, for people.
+    /// The first few false culls of T3 or T4, for messages.
     pub culprits: Vec<String>,
 }
 
-/// Kind and place of a plant.
-type Name = (u32, u32, u32);
+/// Kind and position of a plant.
+type PlantId = (u32, u32, u32);
 
-/// Draws all trials.
-///
-/// # Errors
-/// There is no GPU, it failed, or it had not enough room for all that is to be drawn.
-pub fn look(land: &Land, trials: &[Trial]) -> Result<Shown> {
-    let mut studio = Studio::open(SIZES[0], SLOTS).context("pictures need a GPU")?;
-    let mut shown = Shown {
+/// Draws all cases.
+pub fn measure(land: &Land, cases: &[Case]) -> Result<VisiblePlants> {
+    let mut renderer = HeadlessRenderer::open(SIZES[0], SLOTS).context("pictures need a GPU")?;
+    let mut visible = VisiblePlants {
         widths: SIZES.iter().map(|size| size.0).collect(),
         seen_by_width: vec![0; SIZES.len()],
-        ..Shown::default()
+        ..VisiblePlants::default()
     };
-    for trial in trials {
-        let Some(scene) = Scene::of(land, trial, studio.slots()) else { continue };
-        studio.furnish(&scene.world);
-        one(&mut studio, &scene, &mut shown).with_context(|| format!("pose {}", trial.name))?;
+    for case in cases {
+        let Some(scene) = Scene::of(land, case, renderer.slots()) else { continue };
+        renderer.upload_world(&scene.world);
+        measure_case(&mut renderer, &scene, &mut visible).with_context(|| format!("pose {}", case.name))?;
     }
-    Ok(shown)
+    Ok(visible)
 }
 
-fn one(studio: &mut Studio, scene: &Scene, shown: &mut Shown) -> Result<()> {
+fn measure_case(renderer: &mut HeadlessRenderer, scene: &Scene, visible: &mut VisiblePlants) -> Result<()> {
     let whole = frame_of(scene, Cull::Distance);
-    let mut seen: BTreeSet<Name> = BTreeSet::new();
-    studio.choose(&whole)?;
-    for (size, count) in SIZES.into_iter().zip(&mut shown.seen_by_width) {
-        let pixels = studio.names(&whole, size)?;
-        let names: BTreeSet<Name> = pixels.into_iter().filter(|name| name[1] != 0).map(name_of).collect();
-        *count += names.len() as u64;
-        seen.extend(names);
+    let mut seen: BTreeSet<PlantId> = BTreeSet::new();
+    renderer.choose(&whole)?;
+    for (size, count) in SIZES.into_iter().zip(&mut visible.seen_by_width) {
+        let pixels = renderer.id_buffer(&whole, size)?;
+        let ids: BTreeSet<PlantId> = pixels.into_iter().filter(|id| id[1] != 0).map(plant_id).collect();
+        *count += ids.len() as u64;
+        seen.extend(ids);
     }
-    let all = clumps_by_name(studio)?;
-    studio.choose(&frame_of(scene, Cull::Hierarchical))?;
-    let chosen = clumps_by_name(studio)?;
+    let all = clumps_by_id(renderer)?;
+    renderer.choose(&frame_of(scene, Cull::Hierarchical))?;
+    let chosen = clumps_by_id(renderer)?;
 
     let slots = BySlot::new(&scene.world);
-    let square = &scene.plants.square;
-    let surface = Surface { slots: &slots, tiles: &square.tiles, leaves: &square.leaves };
+    let square = &scene.plants.grid;
+    let surface = Surface { slots: &slots, nodes: &square.nodes, chunks: &square.chunks };
     let noise = noise_of(&scene.world, square);
-    shown.poses += 1;
-    shown.seen += seen.len() as u64;
-    shown.drawn += all.len() as u64;
-    for name in seen {
-        let clump = all.get(&name).context("a plant is seen that was not drawn")?;
-        let stand = scene.plants.stands.iter().find(|stand| stand.field.kind == name.0);
+    visible.poses += 1;
+    visible.seen += seen.len() as u64;
+    visible.drawn += all.len() as u64;
+    for id in seen {
+        let clump = all.get(&id).context("a plant is seen that was not drawn")?;
+        let stand = scene.plants.species.iter().find(|stand| stand.field.kind == id.0);
         let stand = stand.context("a plant is seen of a kind that does not grow")?;
         let is_lost = |path| {
             let culling = Culling { path, ..stand.culling };
-            kept(&surface, &noise, &culling, &stand.planting, clump).is_none()
+            visible_level(&surface, &noise, &culling, &stand.planting, clump).is_none()
         };
-        shown.lost_frustum += u64::from(is_lost(CULL_FRUSTUM));
-        shown.lost_noise += u64::from(is_lost(CULL_NOISE));
-        shown.lost_march += u64::from(is_lost(CULL_MARCH));
-        let lost = (is_lost(CULL_EXACT), !chosen.contains_key(&name));
-        shown.lost_exact += u64::from(lost.0);
-        shown.lost_hierarchical += u64::from(lost.1);
-        if (lost.0 || lost.1) && shown.culprits.len() < 8 {
-            shown.culprits.push(format!("{}: {clump:?}", scene.name));
+        visible.lost_frustum += u64::from(is_lost(CULL_FRUSTUM));
+        visible.lost_noise += u64::from(is_lost(CULL_NOISE));
+        visible.lost_march += u64::from(is_lost(CULL_MARCH));
+        let lost = (is_lost(CULL_EXACT), !chosen.contains_key(&id));
+        visible.lost_exact += u64::from(lost.0);
+        visible.lost_hierarchical += u64::from(lost.1);
+        if (lost.0 || lost.1) && visible.culprits.len() < 8 {
+            visible.culprits.push(format!("{}: {clump:?}", scene.name));
         }
     }
     Ok(())
 }
 
-fn name_of([east, south]: [u32; 2]) -> Name {
-    (east >> 24, east & PLACE, south & PLACE)
+fn plant_id([east, south]: [u32; 2]) -> PlantId {
+    (east >> 24, east & POSITION, south & POSITION)
 }
 
-/// What the last choice kept.
-fn clumps_by_name(studio: &Studio) -> Result<BTreeMap<Name, Clump>> {
+/// Clumps of the last culling pass.
+fn clumps_by_id(renderer: &HeadlessRenderer) -> Result<BTreeMap<PlantId, Clump>> {
     let mut found = BTreeMap::new();
-    for ChosenKind { kind, clumps, told } in studio.chosen()? {
-        ensure!(told.blocks_lost + told.clumps_lost == 0, "no room for all that is kept: {told:?}");
-        found.extend(clumps.into_iter().map(|[x, z, y, looks]| {
-            let (x, z) = (x & PLACE, z & PLACE);
-            ((kind, x, z), Clump { x: x as i32, z: z as i32, y: y as i32, looks })
+    for ChosenKind { kind, clumps, stats } in renderer.chosen()? {
+        ensure!(stats.blocks_lost + stats.clumps_lost == 0, "no room for all visible clumps: {stats:?}");
+        found.extend(clumps.into_iter().map(|[x, z, y, settings]| {
+            let (x, z) = (x & POSITION, z & POSITION);
+            ((kind, x, z), Clump { x: x as i32, z: z as i32, y: y as i32, attributes: settings })
         }));
     }
     Ok(found)
 }
 
-/// The scene's frame with another way of choosing plants.
-#[must_use]
+/// The scene's frame with another culling method.
 pub fn frame_of(scene: &Scene, cull: Cull) -> FrameData {
-    let looks = Looks { plants: PlantKnobs { cull, ..scene.shot.looks.plants }, ..scene.shot.looks };
-    let selection = Selection { drawn: scene.drawn.clone(), wanting: 0 };
-    Shot { looks, ..scene.shot }.frame(scene::Scene::Island, &scene.world, &selection)
+    let settings = RenderSettings {
+        plants: VegetationSettings { cull, ..scene.shot.settings.plants },
+        ..scene.shot.settings
+    };
+    let selection = Selection { drawn: scene.drawn.clone(), missing: 0 };
+    ViewParams { settings, ..scene.shot }.frame(scene::Scene::Island, &scene.world, &selection)
 }
