@@ -1,4 +1,4 @@
-//! Our side: the only file that names the land's functions.
+//! Contenders of the crate `terrain`, the only file that uses it.
 
 use crate::rounds::{Contender, Corner};
 use anyhow::{Context, Result, ensure};
@@ -10,10 +10,10 @@ use terrain::pyramid::PYRAMID_LEVELS;
 use terrain::simd::Kernel;
 use terrain::{Grid, Land, Pyramid};
 
-/// World whose home island is timed.
+/// The world; its home island is timed.
 const WORLD_SEED: u64 = 1;
 
-/// What a kernel's contenders are called.
+/// Name of the contenders of a kernel.
 pub fn name(kernel: Kernel) -> String {
     format!("ours {kernel}")
 }
@@ -36,7 +36,7 @@ pub fn noise<'a>(name: impl Into<String>, kernel: Kernel, columns: usize, rows: 
     noise_repeated(name, kernel, columns, rows, 1)
 }
 
-/// The noise several times over, for the control that must be slower.
+/// The noise several times, for the control that must be slower.
 pub fn noise_repeated<'a>(
     name: impl Into<String>,
     kernel: Kernel,
@@ -59,7 +59,7 @@ pub fn chunk<'a>(name: impl Into<String>, kernel: Kernel) -> Contender<'a> {
     let land = Land::new(WORLD_SEED);
     Contender::new(name, VERTEX_COUNT, move |corner, heights: &mut [i32]| {
         land.heights_on(kernel, &grid(corner, VERTICES, VERTICES), heights);
-        let heights: &[i32; VERTEX_COUNT] = (&*heights).try_into().expect("as long as it was made");
+        let heights: &[i32; VERTEX_COUNT] = (&*heights).try_into().expect("the length is fixed");
         black_box((Pyramid::of_maxima_on(kernel, heights), Pyramid::of_minima_on(kernel, heights)));
     })
 }
@@ -79,15 +79,15 @@ pub fn copy<'a>(name: impl Into<String>) -> Result<Contender<'a>> {
     Ok(Contender::new(name, VERTEX_COUNT, move |_, out: &mut [i32]| out.copy_from_slice(chunks.next())))
 }
 
-/// The heights of one chunk into a buffer, with everything that a server computes of them; for many
-/// threads at once.
+/// The heights of one chunk into a buffer, with everything that a server computes from them; for
+/// several threads at once.
 pub fn produce(kernel: Kernel, corner: Corner, heights: &mut [i32; VERTEX_COUNT]) {
     let land = Land::new(WORLD_SEED);
     land.heights_on(kernel, &grid(corner, VERTICES, VERTICES), heights);
     black_box((Pyramid::of_maxima_on(kernel, heights), Pyramid::of_minima_on(kernel, heights)));
 }
 
-/// Refuses corners over the sea, where the land is flat and nearly free.
+/// Rejects corners over the sea, where the land is flat and costs almost nothing.
 ///
 /// # Errors
 /// A corner has a vertex on the open sea floor.
@@ -106,8 +106,8 @@ fn grid(corner: Corner, columns: usize, rows: usize) -> Grid {
     Grid::new(units(corner.x), units(corner.z), 0, columns, rows).expect("corners lie around the origin")
 }
 
-/// Finished chunks that come round. Only two, because a chunk's pyramids are built while it is
-/// still in a near cache.
+/// Finished chunks, used in turn. Only two, because a server builds the pyramids of a chunk while
+/// it is in a near cache.
 struct Finished {
     chunks: Vec<Box<[i32; VERTEX_COUNT]>>,
     next: usize,

@@ -3,8 +3,8 @@
 //! Two threads need two free cores. Rounds in which other programs took one are run again, for a
 //! while.
 
-use crate::ours;
-use crate::quiet;
+use crate::disturbance;
+use crate::land;
 use crate::rounds::{Corner, Spread, Times};
 use anyhow::Result;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,16 +15,17 @@ use terrain::simd::Kernel;
 /// Chunks of one run: 10 to 20 ms, against which starting a thread does not count.
 const CHUNKS: usize = 1000;
 
-/// Chunks that a thread takes at once: threads end together, and the counter is not fought for.
+/// Chunks that a thread takes at once: few, so that threads end together; enough that the counter
+/// is not contended.
 const BATCH: usize = 8;
 
-/// How long to wait for undisturbed rounds.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// Time limit for undisturbed rounds.
+const TIME_LIMIT: Duration = Duration::from_secs(60);
 
 const ONE: &str = "1 thread";
 const TWO: &str = "2 threads";
 
-/// What came out.
+/// The result.
 pub struct Scaling {
     /// Chunks per second on two threads, of those on one; not a number if too few rounds were
     /// undisturbed.
@@ -37,17 +38,17 @@ pub struct Scaling {
     pub disturbed: usize,
 }
 
-/// Measures until enough rounds were undisturbed or patience ends.
+/// Measures until enough rounds were undisturbed or the time limit is reached.
 ///
 /// # Errors
 /// This CPU has not the kernel that the bars are for.
 pub fn scaling(rounds: usize) -> Result<Scaling> {
-    let kernel = ours::avx2()?;
+    let kernel = land::avx2()?;
     produce(2, kernel);
     let (mut kept, mut disturbed) = (Vec::new(), 0);
     let began = Instant::now();
-    while kept.len() < rounds && began.elapsed() < PATIENCE {
-        // Whoever goes first finds the neighbours as the other does, on average.
+    while kept.len() < rounds && began.elapsed() < TIME_LIMIT {
+        // Alternates which one is first.
         let order = if (kept.len() + disturbed) % 2 == 0 { [1, 2] } else { [2, 1] };
         let runs = order.map(|threads| produce(threads, kernel));
         if runs.iter().any(|run| run.is_disturbed) {
@@ -56,7 +57,7 @@ pub fn scaling(rounds: usize) -> Result<Scaling> {
             kept.push(if order[0] == 1 { runs } else { [runs[1], runs[0]] });
         }
     }
-    // A handful of rounds has no median worth a name.
+    // The median of a few rounds means nothing.
     let enough = kept.len() >= rounds.min(9);
     let mut times = Times::of_rounds(if enough { kept.len() } else { 0 });
     for [one, two] in &kept {
@@ -75,7 +76,7 @@ struct Run {
 
 fn produce(threads: usize, kernel: Kernel) -> Run {
     let next = AtomicUsize::new(0);
-    let before = quiet::ready_time();
+    let before = disturbance::ready_time();
     let began = Instant::now();
     let waited: Duration = std::thread::scope(|scope| {
         let worker = || {
@@ -84,11 +85,11 @@ fn produce(threads: usize, kernel: Kernel) -> Run {
                 loop {
                     let first = next.fetch_add(BATCH, Ordering::Relaxed);
                     if first >= CHUNKS {
-                        // All its life, so that a thread that got its first core late counts as
+                        // Since its start, so that a thread that got its first core late counts as
                         // disturbed.
-                        return quiet::ready_time();
+                        return disturbance::ready_time();
                     }
-                    (first..first + BATCH).for_each(|n| ours::produce(kernel, Corner::of(n), &mut heights));
+                    (first..first + BATCH).for_each(|n| land::produce(kernel, Corner::of(n), &mut heights));
                 }
             })
         };
@@ -97,6 +98,6 @@ fn produce(threads: usize, kernel: Kernel) -> Run {
         workers.into_iter().map(|worker| worker.join().expect("the land does not panic")).sum()
     });
     let seconds = began.elapsed().as_secs_f64();
-    let waited = waited + quiet::ready_time().saturating_sub(before);
-    Run { seconds, is_disturbed: quiet::is_disturbed(waited, seconds * threads as f64) }
+    let waited = waited + disturbance::ready_time().saturating_sub(before);
+    Run { seconds, is_disturbed: disturbance::is_disturbed(waited, seconds * threads as f64) }
 }

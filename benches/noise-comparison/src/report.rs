@@ -1,29 +1,29 @@
-//! What was found: a table for people, JSON for `cargo xtask measure heightfield`.
+//! The result: a text table, and JSON for `cargo xtask measure heightfield`.
 
 use crate::rounds::Spread;
 use serde_json::{Value, json};
 use std::fmt;
 
-/// Versions are read where they were resolved.
+/// Versions come from the lock file.
 const LOCK: &str = include_str!("../Cargo.lock");
 
-/// Everything that one run found.
+/// The result of a run.
 pub struct Report {
     rounds: usize,
     compiler: String,
     /// Ratios of times within rounds.
     pub figures: Vec<Figure>,
-    /// Ratios whose value is known beforehand.
+    /// Ratios whose value is known.
     pub controls: Vec<Control>,
-    /// Absolute times, for orientation; they move with the machine's load.
+    /// Absolute times, for orientation; they depend on the machine's load.
     pub times: Vec<Timed>,
     /// Chunks per second of one thread: noise, shaping and both pyramids.
     pub chunks_per_second: f64,
-    /// Sentences on how the figures came about.
+    /// Remarks on the run.
     pub notes: Vec<String>,
 }
 
-/// A ratio that is compared with a bar elsewhere.
+/// A ratio that `cargo xtask measure heightfield` compares with a bar.
 pub struct Figure {
     /// Name in the JSON.
     pub key: String,
@@ -33,15 +33,15 @@ pub struct Figure {
     pub spread: Spread,
 }
 
-/// A ratio that must come out between two bounds, or this run proves nothing.
+/// A ratio that must be between two bounds, otherwise the run is invalid.
 pub struct Control {
     /// What was measured.
     pub what: String,
     /// The ratio.
     pub spread: Spread,
-    /// Smallest median that is believable.
+    /// Lower bound of the median.
     pub low: f64,
-    /// Largest one.
+    /// Upper bound.
     pub high: f64,
 }
 
@@ -55,38 +55,38 @@ impl Control {
 pub struct Timed {
     /// What was computed.
     pub group: &'static str,
-    /// By whom.
+    /// Name of the contender.
     pub name: String,
-    /// How long it took.
+    /// Median time.
     pub microseconds: f64,
-    /// How many samples.
+    /// Number of samples.
     pub samples: f64,
 }
 
 impl Report {
-    /// Nothing found yet.
+    /// An empty report.
     pub fn new(rounds: usize, compiler: String) -> Self {
         let (figures, controls, times, notes) = Default::default();
         Self { rounds, compiler, figures, controls, times, notes, chunks_per_second: f64::NAN }
     }
 
-    /// Whether every control came out as it must.
-    pub fn is_believable(&self) -> bool {
+    /// Whether all controls are within their bounds.
+    pub fn is_valid(&self) -> bool {
         self.controls.iter().all(Control::is_kept)
     }
 
-    /// Who was compared with.
-    fn rivals(&self) -> Vec<String> {
+    /// Libraries with their versions.
+    fn libraries(&self) -> Vec<String> {
         let crates = ["fastnoise2", "fastnoise2-sys", "noise", "fastnoise-lite"];
-        let mut rivals: Vec<_> = crates
+        let mut libraries: Vec<_> = crates
             .iter()
             .map(|name| format!("{name} {}", version(name).unwrap_or("of unknown version")))
             .collect();
-        rivals[1] += &format!(" (C++ built by {})", self.compiler);
-        rivals
+        libraries[1] += &format!(" (C++ built by {})", self.compiler);
+        libraries
     }
 
-    /// The same for programs.
+    /// The report as JSON.
     pub fn json(&self) -> Value {
         let spread = |s: &Spread| json!({ "median": s.median, "min": s.min, "max": s.max });
         let figures = self.figures.iter().map(|figure| {
@@ -103,7 +103,7 @@ impl Report {
         });
         json!({
             "rounds": self.rounds,
-            "rivals": self.rivals(),
+            "rivals": self.libraries(),
             "figures": figures.collect::<serde_json::Map<_, _>>(),
             "controls": controls.collect::<Vec<_>>(),
             "times": times.collect::<Vec<_>>(),
@@ -139,7 +139,7 @@ impl fmt::Display for Report {
         }
         writeln!(f, "\n{:.0} chunks per second on one thread", self.chunks_per_second)?;
         self.notes.iter().try_for_each(|note| writeln!(f, "{note}"))?;
-        writeln!(f, "{} rounds; {}", self.rounds, self.rivals().join(", "))
+        writeln!(f, "{} rounds; {}", self.rounds, self.libraries().join(", "))
     }
 }
 

@@ -1,12 +1,12 @@
 //! Interleaved timing: every round times every contender once, and only figures of the same round
 //! are compared.
 //!
-//! A machine that others use changes its speed by tens of percent within seconds. Contenders that
-//! are timed one after the other would be compared across such changes; contenders of one round
-//! share them. A slice in which the scheduler took the core away is repeated, and the median over
-//! many rounds forgets what that does not catch.
+//! The speed of a shared machine changes by tens of percent within seconds. Contenders timed one
+//! after the other would be compared across such changes; contenders of one round share them. A
+//! slice in which the scheduler took the core away is repeated, and the median over many rounds
+//! removes other outliers.
 
-use crate::quiet;
+use crate::disturbance;
 use anyhow::{Result, ensure};
 use std::collections::BTreeMap;
 use std::hint::black_box;
@@ -17,10 +17,10 @@ use std::time::{Duration, Instant};
 /// clock does not count.
 const SLICE: Duration = Duration::from_micros(1500);
 
-/// Slices tried for one that other programs did not disturb.
-const PATIENCE: usize = 6;
+/// Attempts to get a slice that other programs did not disturb.
+const MAX_ATTEMPTS: usize = 6;
 
-/// Low corner of what is to be computed, in samples of 2 m.
+/// Low corner of a grid, in samples of 2 m.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Corner {
     /// Samples east of the origin.
@@ -35,7 +35,7 @@ impl Corner {
     /// and nearly free.
     const SIDE: i32 = 52;
 
-    /// Corners that differ.
+    /// Number of different corners.
     pub const COUNT: usize = (Self::SIDE * Self::SIDE) as usize;
 
     /// A corner by number; neighbouring numbers are far apart.
@@ -46,7 +46,7 @@ impl Corner {
     }
 }
 
-/// What is timed.
+/// A function that is timed.
 pub struct Contender<'a> {
     name: String,
     body: Box<dyn Body + 'a>,
@@ -75,8 +75,8 @@ impl<T: Copy + Into<f64>, F: FnMut(Corner, &mut [T])> Body for Filling<T, F> {
 }
 
 impl<'a> Contender<'a> {
-    /// A contender that fills a buffer of `len` values, allocated once, from a corner that changes
-    /// with every call.
+    /// A contender that fills a buffer of `len` values, allocated once, from another corner in each
+    /// call.
     pub fn new<T: Copy + Default + Into<f64> + 'a>(
         name: impl Into<String>,
         len: usize,
@@ -97,7 +97,7 @@ impl<'a> Contender<'a> {
         &self.name
     }
 
-    /// Refuses a contender that does no work: constant, not finite, or the same from everywhere.
+    /// Rejects a contender without real output: constant, not finite, or independent of the corner.
     pub fn check(&mut self) -> Result<()> {
         let outputs = [0, 1].map(|number| self.output(Corner::of(number)));
         for output in &outputs {
@@ -113,33 +113,32 @@ impl<'a> Contender<'a> {
         Ok(())
     }
 
-    /// Finds how many calls fill a slice; warms code and buffers on the way.
+    /// Finds how many calls fill a slice, and warms code and buffers.
     fn calibrate(&mut self) {
         while self.slice(0).seconds < SLICE.as_secs_f64() / 2.0 {
             self.calls *= 2;
         }
     }
 
-    /// One slice. One call before it is not counted: it brings code and buffers back into the
-    /// caches.
+    /// One slice. One uncounted call before it brings code and buffers back into the caches.
     fn slice(&mut self, first: usize) -> Slice {
         self.body.run(Corner::of(first));
-        let before = quiet::ready_time();
+        let before = disturbance::ready_time();
         let began = Instant::now();
         for call in 1..=self.calls {
             self.body.run(Corner::of(first + call));
         }
         let elapsed = began.elapsed();
-        let waited = quiet::ready_time().saturating_sub(before);
-        // Without the wait, or whoever needs long for one call, and so is interrupted in every
-        // slice, would look slower.
+        let waited = disturbance::ready_time().saturating_sub(before);
+        // Without the wait: a contender with long calls is interrupted in every slice and would
+        // look slower.
         Slice { seconds: elapsed.saturating_sub(waited).as_secs_f64(), waited }
     }
 
-    /// The first undisturbed slice; if patience ends, the least disturbed one.
+    /// The first undisturbed slice; after [`MAX_ATTEMPTS`] the least disturbed one.
     fn quiet_slice(&mut self, first: usize) -> Slice {
         let mut best = self.slice(first);
-        for _ in 1..PATIENCE {
+        for _ in 1..MAX_ATTEMPTS {
             if !best.is_disturbed() {
                 break;
             }
@@ -152,7 +151,7 @@ impl<'a> Contender<'a> {
     }
 }
 
-/// How long one slice had a core, and how long it waited for one.
+/// Time with a core and time waiting for one, of a slice.
 #[derive(Clone, Copy)]
 struct Slice {
     seconds: f64,
@@ -161,7 +160,7 @@ struct Slice {
 
 impl Slice {
     fn is_disturbed(self) -> bool {
-        quiet::is_disturbed(self.waited, self.seconds)
+        disturbance::is_disturbed(self.waited, self.seconds)
     }
 }
 
@@ -171,14 +170,13 @@ pub struct Times {
     seconds: BTreeMap<String, Vec<f64>>,
 }
 
-/// Times the contenders; also says how many slices count although other programs disturbed them.
+/// Times the contenders. Also returns how many counted slices were disturbed.
 pub fn run(contenders: &mut [Contender<'_>], rounds: usize) -> (Times, usize) {
     contenders.iter_mut().for_each(Contender::calibrate);
     let (mut times, mut disturbed) = (Times::of_rounds(rounds), 0);
     for round in 0..rounds {
         for turn in 0..contenders.len() {
-            // Whoever runs after AVX-512 code may find the core slowed; taking turns spreads that
-            // over everybody.
+            // A core may be slower after AVX-512 code; the rotation spreads that over all.
             let contender = &mut contenders[(turn + round) % contenders.len()];
             let slice = contender.quiet_slice(round * 131);
             disturbed += usize::from(slice.is_disturbed());
@@ -209,7 +207,7 @@ impl Times {
         Spread::of(figures.collect())
     }
 
-    /// How much of `b`'s time `a` takes.
+    /// Time of `a` over time of `b`.
     pub fn ratio(&self, a: &str, b: &str) -> Spread {
         self.spread(|of| of(a) / of(b))
     }
@@ -219,7 +217,7 @@ impl Times {
         self.spread(|of| of(name)).median * 1e6
     }
 
-    /// Everyone who was timed.
+    /// All contenders.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.seconds.keys().map(String::as_str)
     }
@@ -228,11 +226,11 @@ impl Times {
 /// A figure over all rounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
-    /// What counts.
+    /// The median.
     pub median: f64,
-    /// The smallest of any round.
+    /// The smallest of all rounds.
     pub min: f64,
-    /// The largest of any round.
+    /// The largest of all rounds.
     pub max: f64,
 }
 

@@ -1,4 +1,4 @@
-//! The other side: one file per rival, each with the same fractal set up.
+//! Noise libraries for comparison: one file each, with the same fractal.
 
 pub mod fastnoise2;
 pub mod fastnoise_lite;
@@ -11,17 +11,16 @@ pub const OCTAVES: usize = 8;
 /// Side of the first octave's lattice cell in samples; the last one's is 4.
 pub const FIRST_CELL: usize = 512;
 
-/// Where samples lie between the corner's lattice lines. Half a sample, as in the land: whole
-/// samples would put every fourth one on a lattice line of the last octave, where gradient noise is
-/// zero.
+/// Offset of the samples from the lattice lines. Half a sample, as in the land: otherwise every
+/// fourth sample would be on a lattice line of the last octave, where gradient noise is zero.
 pub const SHIFT: f32 = 0.5;
 
-/// What a lacunarity of 2 and a gain of one half are called by everyone.
+/// Factor between the frequencies of two octaves; the gain is that between their amplitudes.
 pub const LACUNARITY: f32 = 2.0;
 /// See [`LACUNARITY`].
 pub const GAIN: f32 = 0.5;
 
-/// Fills a grid point by point, which is all that most libraries offer.
+/// Fills a grid point by point, for libraries without a grid function.
 pub fn fill_points(
     corner: crate::rounds::Corner,
     columns: usize,

@@ -2,10 +2,10 @@
 //! README.md beside this package.
 
 mod comparisons;
-mod ours;
-mod quiet;
+mod disturbance;
+mod land;
+mod libraries;
 mod report;
-mod rivals;
 mod rounds;
 mod threads;
 
@@ -21,8 +21,8 @@ struct Args {
     /// Rounds of the small comparisons; the large ones take a quarter of them
     #[arg(long, default_value_t = 201, value_parser = clap::value_parser!(u16).range(9..))]
     rounds: u16,
-    /// Shift everything on the heap by this many times 16 bytes: where buffers lie decides some
-    /// percent, and a program that is started again with another shift shows how many
+    /// Shift everything on the heap by this many times 16 bytes: the position of buffers
+    /// changes times by some percent, and starts with other shifts show by how many
     #[arg(long, default_value_t = 0)]
     shift: u8,
     /// Also write the figures to this file
@@ -35,20 +35,20 @@ fn main() -> ExitCode {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => {
             eprintln!(
-                "rivals: a control failed, so the figures prove nothing; is the machine busy? run it again"
+                "noise-comparison: a control failed, so the figures are invalid; run it \
+                 again on an idle machine"
             );
             ExitCode::FAILURE
         }
         Err(error) => {
-            eprintln!("rivals: {error:#}");
+            eprintln!("noise-comparison: {error:#}");
             ExitCode::FAILURE
         }
     }
 }
 
 fn run(args: &Args) -> Result<bool> {
-    // Large enough to be cut from the heap's end, where the buffers that follow come from too.
-    // Never freed.
+    // Large enough to come from the end of the heap, like the buffers after it. Never freed.
     std::mem::forget(black_box(vec![1u8; 4096 + 16 * usize::from(args.shift)]));
     let report = comparisons::run(args.rounds.into())?;
     print!("{report}");

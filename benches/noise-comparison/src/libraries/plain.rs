@@ -1,10 +1,9 @@
-//! What one writes without a library: f32 gradient noise with a quintic fade, summed point by
-//! point.
+//! A plain loop without a library: f32 gradient noise with a quintic fade, summed point by point.
 
 use super::{FIRST_CELL, GAIN, LACUNARITY, fill_points};
 use crate::rounds::Contender;
 
-/// A contender that fills a grid; [`super::OCTAVES`] for a fair one.
+/// A contender that fills a grid; [`super::OCTAVES`] for an equal one.
 pub fn contender<'a>(name: &str, octaves: usize, columns: usize, rows: usize) -> Contender<'a> {
     Contender::new(name, columns * rows, move |corner, out: &mut [f32]| {
         fill_points(corner, columns, out, |x, z| fbm(octaves, x, z));

@@ -1,8 +1,8 @@
 //! FastNoise2: Perlin FBM over a uniform grid, f32, at a chosen SIMD level.
 //!
-//! Through the bindings rather than through crate `fastnoise2`, for two reasons, both in the
-//! rival's favour: a level can be pinned, and no minimum and maximum are gathered that nobody asked
-//! for. [`as_shipped`] is the crate as its users get it.
+//! Uses the bindings instead of the crate `fastnoise2`, for two reasons that both favour
+//! FastNoise2: a level can be pinned, and no minimum and maximum are computed. [`as_shipped`] is
+//! the crate as its users call it.
 
 use super::{FIRST_CELL, GAIN, LACUNARITY, OCTAVES, SHIFT};
 use crate::rounds::{Contender, Corner};
@@ -30,7 +30,7 @@ impl Level {
     /// Levels from slow to fast.
     pub const ALL: [Self; 3] = [Self::Sse41, Self::Avx2, Self::Avx512];
 
-    /// What its contenders are called.
+    /// Name of its contenders.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Sse41 => "FastNoise2 SSE4.1",
@@ -52,7 +52,7 @@ impl Level {
 /// A contender that fills a grid at a level.
 ///
 /// # Errors
-/// The library does not offer what is asked for, or chose another level.
+/// The library lacks a node or parameter, or chose another level.
 pub fn contender<'a>(level: Level, columns: usize, rows: usize) -> Result<Contender<'a>> {
     let perlin = Generator::new("Perlin", level as u32)?;
     perlin.set_float("Feature Scale", FIRST_CELL as f32)?;
@@ -70,10 +70,10 @@ pub fn contender<'a>(level: Level, columns: usize, rows: usize) -> Result<Conten
     }))
 }
 
-/// The crate as its users get it: its own choice of level, minimum and maximum always gathered.
+/// The crate as its users call it: it chooses the level and always computes minimum and maximum.
 ///
 /// # Errors
-/// The library does not offer what is asked for.
+/// The library lacks a node or parameter.
 pub fn as_shipped<'a>(name: &str, columns: usize, rows: usize) -> Result<Contender<'a>> {
     let mut perlin = Node::from_name("Perlin")?;
     perlin.set("Feature Scale", FIRST_CELL as f32)?;
@@ -154,14 +154,14 @@ impl Generator {
         // SAFETY: the kind is one of the library's, the members are counted by itself.
         let found =
             (0..unsafe { count(self.kind) }).find(|i| is_named(unsafe { name_of(self.kind, *i) }, name));
-        found.with_context(|| format!("FastNoise2 has no member `{name}` where it is looked for"))
+        found.with_context(|| format!("FastNoise2 has no member `{name}` among the expected kind"))
     }
 
     fn fill(&self, corner: Corner, columns: usize, out: &mut [f32]) {
         let (x, z) = (corner.x as f32 + SHIFT, corner.z as f32 + SHIFT);
         let rows = out.len() / columns;
         // SAFETY: the library writes `columns` times `rows` values, which the slice holds. A null
-        // pointer asks for no minimum and maximum.
+        // pointer means no minimum and maximum.
         unsafe {
             sys::fnGenUniformGrid2D(
                 self.handle,
@@ -196,11 +196,11 @@ fn accepted(answer: bool, member: &str) -> Result<()> {
     Ok(())
 }
 
-/// The C++ compiler of the library in this program, as it signed its objects; the last one if there
-/// are several.
+/// The C++ compiler of the library, from the signatures of the objects in this program; the last if
+/// there are several.
 ///
 /// # Errors
-/// It is not clang: gcc's code is half as fast, and comparing with it would flatter us.
+/// It is not clang: code of gcc is half as fast, which would favour the land.
 pub fn compiler() -> Result<String> {
     const SIGNATURE: &[u8] = b"clang version ";
     let program = std::env::current_exe().and_then(std::fs::read).context("cannot read this program")?;
@@ -212,6 +212,7 @@ pub fn compiler() -> Result<String> {
         String::from_utf8(version).ok().filter(|version: &String| version.contains('.'))
     });
     versions.next_back().map(|version| format!("clang {version}")).context(
-        "FastNoise2 was not built by clang; run `cargo clean --package fastnoise2-sys`, then build with CC=clang-19 CXX=clang++-19",
+        "FastNoise2 was not built by clang; run `cargo clean --package fastnoise2-sys`, then build with \
+         CC=clang-19 CXX=clang++-19",
     )
 }

@@ -1,9 +1,9 @@
-//! What is compared with what.
+//! The comparisons.
 
-use crate::ours;
+use crate::land;
+use crate::libraries::fastnoise2::{self, Level};
+use crate::libraries::{OCTAVES, fastnoise_lite, noise, plain};
 use crate::report::{Control, Figure, Report, Timed};
-use crate::rivals::fastnoise2::{self, Level};
-use crate::rivals::{OCTAVES, fastnoise_lite, noise, plain};
 use crate::rounds::{self, Contender, Corner, Times};
 use crate::threads;
 use anyhow::{Result, ensure};
@@ -19,27 +19,27 @@ const CHUNK: &str = "ours avx2, shaped, with pyramids";
 const PYRAMID: &str = "one pyramid of 65 x 65";
 const COPY: &str = "copy of 65 x 65 heights";
 
-/// Everything.
+/// Runs all comparisons.
 ///
 /// # Errors
 /// The machine or a library lacks what a comparison needs, or a contender does not do its work.
 pub fn run(rounds: usize) -> Result<Report> {
-    ours::check_that_corners_are_on_land()?;
+    land::check_that_corners_are_on_land()?;
     let mut report = Report::new(rounds, fastnoise2::compiler()?);
     chunks(rounds, &mut report)?;
-    // A call takes a hundred times as long and is as steady: fewer rounds do.
+    // A call takes a hundred times as long with the same spread, so fewer rounds suffice.
     large(rounds.div_ceil(4), &mut report)?;
     pyramids(rounds, &mut report)?;
     scaling(rounds.div_ceil(4), &mut report)?;
     Ok(report)
 }
 
-/// 65 x 65 samples: every kernel, every rival, the controls.
+/// 65 x 65 samples: all kernels, all libraries, the controls.
 fn chunks(rounds: usize, report: &mut Report) -> Result<()> {
-    let (avx2, side) = (ours::avx2()?, VERTICES);
-    let (mine, rival) = (ours::name(avx2), Level::Avx2.name());
+    let (avx2, side) = (land::avx2()?, VERTICES);
+    let (mine, library) = (land::name(avx2), Level::Avx2.name());
     let mut contenders: Vec<Contender<'_>> =
-        ours::kernels().map(|kernel| ours::noise(ours::name(kernel), kernel, side, side)).collect();
+        land::kernels().map(|kernel| land::noise(land::name(kernel), kernel, side, side)).collect();
     for level in Level::ALL {
         if level.is_available()? {
             contenders.push(fastnoise2::contender(level, side, side)?);
@@ -50,16 +50,16 @@ fn chunks(rounds: usize, report: &mut Report) -> Result<()> {
     contenders.push(fastnoise_lite::contender("fastnoise-lite Perlin", side, side));
     contenders.push(plain::contender("plain f32 loop", OCTAVES, side, side));
     check_same_noise(&mut contenders)?;
-    contenders.push(ours::noise(AGAIN, avx2, side, side));
-    contenders.push(ours::noise_repeated(TWICE, avx2, side, side, 2));
-    contenders.push(ours::chunk(CHUNK, avx2));
+    contenders.push(land::noise(AGAIN, avx2, side, side));
+    contenders.push(land::noise_repeated(TWICE, avx2, side, side, 2));
+    contenders.push(land::chunk(CHUNK, avx2));
 
     let times = timed(&mut contenders, rounds, "65 x 65", (side * side) as f64, report)?;
-    for kernel in ours::kernels() {
+    for kernel in land::kernels() {
         report.figures.push(Figure {
             key: format!("chunk_{kernel}"),
-            what: format!("65 x 65, time of {} / {rival}", ours::name(kernel)),
-            spread: times.ratio(&ours::name(kernel), rival),
+            what: format!("65 x 65, time of {} / {library}", land::name(kernel)),
+            spread: times.ratio(&land::name(kernel), library),
         });
     }
     if times.names().any(|name| name == Level::Avx512.name()) {
@@ -85,10 +85,10 @@ fn chunks(rounds: usize, report: &mut Report) -> Result<()> {
         low: 0.95,
         high: 1.05,
     });
-    let once = times.ratio(&mine, rival).median;
+    let once = times.ratio(&mine, library).median;
     report.controls.push(Control {
-        what: format!("65 x 65, time of {mine} with twice the work / {rival}"),
-        spread: times.ratio(TWICE, rival),
+        what: format!("65 x 65, time of {mine} with twice the work / {library}"),
+        spread: times.ratio(TWICE, library),
         low: once * 1.9,
         high: once * 2.1,
     });
@@ -97,27 +97,27 @@ fn chunks(rounds: usize, report: &mut Report) -> Result<()> {
 
 /// 1024 x 1024 samples.
 fn large(rounds: usize, report: &mut Report) -> Result<()> {
-    let kernels = ours::kernels().filter(|kernel| kernel.to_string().starts_with("avx"));
+    let kernels = land::kernels().filter(|kernel| kernel.to_string().starts_with("avx"));
     let mut contenders: Vec<Contender<'_>> =
-        kernels.map(|kernel| ours::noise(ours::name(kernel), kernel, LARGE, LARGE)).collect();
+        kernels.map(|kernel| land::noise(land::name(kernel), kernel, LARGE, LARGE)).collect();
     for level in [Level::Avx2, Level::Avx512] {
         if level.is_available()? {
             contenders.push(fastnoise2::contender(level, LARGE, LARGE)?);
         }
     }
     let times = timed(&mut contenders, rounds, "1024 x 1024", (LARGE * LARGE) as f64, report)?;
-    let (mine, rival) = (ours::name(ours::avx2()?), Level::Avx2.name());
+    let (mine, library) = (land::name(land::avx2()?), Level::Avx2.name());
     report.figures.push(Figure {
         key: "large_avx2".into(),
-        what: format!("1024 x 1024, time of {mine} / {rival}"),
-        spread: times.ratio(&mine, rival),
+        what: format!("1024 x 1024, time of {mine} / {library}"),
+        spread: times.ratio(&mine, library),
     });
     Ok(())
 }
 
-/// One pyramid against a copy of the heights that it is made from.
+/// One pyramid against a copy of its heights.
 fn pyramids(rounds: usize, report: &mut Report) -> Result<()> {
-    let mut contenders = vec![ours::pyramid(PYRAMID, ours::avx2()?)?, ours::copy(COPY)?];
+    let mut contenders = vec![land::pyramid(PYRAMID, land::avx2()?)?, land::copy(COPY)?];
     let times = timed(&mut contenders, rounds, "pyramids", (VERTICES * VERTICES) as f64, report)?;
     report.figures.push(Figure {
         key: "pyramid".into(),
@@ -154,9 +154,7 @@ fn timed(
     let (times, disturbed) = rounds::run(contenders, rounds);
     if disturbed > 0 {
         let slices = rounds * contenders.len();
-        report
-            .notes
-            .push(format!("{group}: {disturbed} of {slices} slices were disturbed in spite of repeats"));
+        report.notes.push(format!("{group}: {disturbed} of {slices} slices were disturbed despite repeats"));
     }
     for contender in contenders {
         let microseconds = times.microseconds(contender.name());
@@ -165,10 +163,10 @@ fn timed(
     Ok(times)
 }
 
-/// Refuses a comparison of different noises: fewer octaves or larger cells would be less work.
+/// Rejects contenders with another noise: fewer octaves or larger cells would be less work.
 ///
-/// How rough samples are at a distance of 1, of how rough they are at 16, depends on octaves,
-/// cells, lacunarity and gain but not on amplitude.
+/// The ratio of roughness at a distance of 1 sample to that at 16 depends on octaves, cells,
+/// lacunarity and gain, but not on amplitude.
 fn check_same_noise(contenders: &mut [Contender<'_>]) -> Result<()> {
     const TOLERANCE: f64 = 0.12;
     let expected = roughness(&mut contenders[0]);
@@ -188,7 +186,7 @@ fn check_same_noise(contenders: &mut [Contender<'_>]) -> Result<()> {
     Ok(())
 }
 
-/// Mean second difference along x at a distance of 1 sample, of that at 16.
+/// Ratio of the mean second difference along x at a distance of 1 sample to that at 16.
 fn roughness(contender: &mut Contender<'_>) -> f64 {
     let (mut near, mut far) = (0.0, 0.0);
     for number in 0..64 {
