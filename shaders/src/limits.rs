@@ -36,7 +36,7 @@ const LIMITS: [(&str, u32); 13] = [
 /// measurements and debug views.
 const STORAGE_BUFFERS: u32 = 7;
 
-/// What stands before the rows of [`TABLE`].
+/// The text before the rows of [`TABLE`].
 const HEADER: &str = "# Shader resources
 
 Counts of every stage of every pass, by naga's reflection, against the [default limits of

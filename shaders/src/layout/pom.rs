@@ -38,7 +38,7 @@ pub struct PomParams {
     pub travel_offset: f32,
     /// Up to which the search is linear.
     pub travel_linear: f32,
-    /// Height of a relief on screen at which it begins to sink, pixels; 0: it never does.
+    /// Height of a relief on screen at which its amplitude begins to fade, pixels; 0 for never.
     pub fade_px: f32,
 }
 
@@ -77,14 +77,14 @@ pub struct ConeOrder {
     pub count: u32,
     /// Unused.
     pub reserved: [u32; 2],
-    /// Where cones look, 1/4096 texels along u and v.
+    /// Directions in which cones are measured, 1/4096 texels along u and v.
     pub directions: [[i32; 2]; 32],
 }
 
 /// Threads of a workgroup of `bake_cones`.
 pub const CONE_WORKGROUP: u32 = 64;
 
-/// An object of the relief scenes; `shared/pom_object.wesl` documents each field.
+/// An object of the parallax scenes; `shared/pom_object.wesl` documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct PomObject {
@@ -94,7 +94,7 @@ pub struct PomObject {
     pub mode: u32,
     /// The object's first axis in those of the world.
     pub tangent: [f32; 3],
-    /// As [`Relief::silhouette`], where that says none.
+    /// As [`PomParams::silhouette`], where that says none.
     pub silhouette: u32,
     /// The second axis.
     pub bitangent: [f32; 3],

@@ -77,7 +77,7 @@ pub struct PomResult {
 /// height.
 pub const PROBE_WORDS: usize = 5;
 
-/// What `probe_tiling` looks at.
+/// Uniforms of `probe_tiling`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct TilingProbe {

@@ -218,12 +218,12 @@ pub struct Field {
     pub height_low_m: f32,
     /// Highest plant, metres.
     pub height_high_m: f32,
-    /// Distance up to which every clump stands, metres; beyond it the share of them falls with the
-    /// distance.
+    /// Distance up to which every clump is drawn, metres; beyond, a share of them that falls with
+    /// the distance.
     pub thin_from_m: f32,
     /// Most that a clump is widened to make up for those that were left out, at least 1.
     pub widest: f32,
-    /// Nothing stands beyond, metres.
+    /// Draw distance, metres.
     pub range_m: f32,
     /// Heights sink to nothing over so much of the end of the range, metres.
     pub collapse_m: f32,

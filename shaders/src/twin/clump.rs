@@ -22,7 +22,7 @@ pub struct Clump {
     pub hue: f32,
     /// See [`Self::width`].
     pub phase: f32,
-    /// 0 to 255; the smaller, the farther away it still stands.
+    /// 0 to 255; the smaller, the farther away the clump is drawn.
     pub rank: u32,
 }
 

@@ -1,20 +1,20 @@
-//! Twin of `wgsl/shared/field.wesl`: which clumps stand, how wide and how high.
+//! Twin of `wgsl/shared/field.wesl`: which clumps are drawn, how wide and how high.
 
 use crate::layout::Field;
 
-/// Mean share of the clumps that stand at a distance.
+/// Mean share of the clumps that are drawn at a distance.
 #[must_use]
 pub fn field_share(field: &Field, distance_m: f32) -> f32 {
     return f32::min(1.0, field.thin_from_m / distance_m.max(1e-3));
 }
 
-/// Ranks over which a clump narrows to nothing, as a share of all ranks.
+/// Ranks over which a clump narrows to 0, as a share of all ranks.
 #[must_use]
 pub fn field_band(share: f32) -> f32 {
     return (0.25 * share).max(1.0 / 256.0).min(2.0 * (1.0 - share));
 }
 
-/// How much of its width the thinning leaves to a clump of `rank` 0 to 255.
+/// Share of its width that thinning leaves to a clump of `rank` 0 to 255.
 #[must_use]
 pub fn field_presence(share: f32, rank: u32) -> f32 {
     let band = field_band(share);
@@ -22,20 +22,20 @@ pub fn field_presence(share: f32, rank: u32) -> f32 {
     return (inside / band.max(1e-6)).clamp(0.0, 1.0);
 }
 
-/// Whether a clump stands at a distance at all.
+/// Whether a clump is drawn at a distance at all.
 #[must_use]
 pub fn field_keeps(field: &Field, rank: u32, distance_m: f32) -> bool {
     return distance_m < field.range_m && field_presence(field_share(field, distance_m), rank) > 0.0;
 }
 
-/// What the width of a clump is multiplied by.
+/// Factor of the width of a clump.
 #[must_use]
 pub fn field_widening(field: &Field, rank: u32, distance_m: f32) -> f32 {
     let share = field_share(field, distance_m);
     return (1.0 / share.max(1e-6)).min(field.widest) * field_presence(share, rank);
 }
 
-/// What the height of a clump is multiplied by.
+/// Factor of the height of a clump.
 #[must_use]
 pub fn field_height_scale(field: &Field, distance_m: f32) -> f32 {
     let band_m = field.collapse_m.max(1e-3);
