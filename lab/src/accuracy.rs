@@ -1,36 +1,36 @@
-//! `tombolo-lab accuracy`: what every shortcut costs, against a truth in which nothing is rounded.
+//! `tombolo-lab accuracy`: error against cost of every approximation, with a reference in f64.
 //!
-//! For the picture: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]),
-//! repetition of materials ([`tiling`]) and their relief ([`pom`], [`pom_pictures`]), what hides
-//! plants ([`mod@culling`]), and how many of them there are ([`grass`]).
+//! Rendering: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of
+//! materials ([`tiling`]), parallax occlusion mapping ([`pom`], [`pom_pictures`]), occlusion
+//! culling ([`mod@culling`]), density of grass ([`grass`]).
 //!
-//! For the heightfield: how far the integers are from the formula in f64 ([`heightfield`], with the
-//! bars that are promised), and four curves: octaves kept ([`octaves`]), height quantum
-//! ([`quantum`]), distance from the origin ([`distance`]), and dropping octaves on coarse levels
-//! ([`levels`]).
+//! Heightfield: integers against the formula in f64 ([`heightfield`], with its bars), octaves kept
+//! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), octaves of
+//! coarse levels ([`levels`]).
 //!
-//! For the wire: tolerances, efforts and seeds ([`codec`]).
+//! Wire: tolerances, efforts and seeds ([`codec`]).
 //!
-//! A missed bar, or a control that misses no bar, ends with an error.
+//! A missed bar, or a control that meets its bars, is an error.
 
-pub mod brdf;
-pub mod codec;
-pub mod culling;
-pub mod distance;
-pub mod errors;
-pub mod grass;
-pub mod heightfield;
-pub mod levels;
-pub mod lod;
-pub mod octaves;
-pub mod pom;
-pub mod pom_pictures;
-pub mod quantum;
-pub mod tiling;
-pub mod water;
+mod brdf;
+mod codec;
+mod culling;
+mod distance;
+mod errors;
+mod grass;
+mod heightfield;
+mod levels;
+mod lod;
+mod octaves;
+mod pom;
+mod pom_pictures;
+mod quantum;
+mod tiling;
+mod water;
 
-use crate::chart::{self, Panel};
-use crate::relief::maps::Kind;
+use crate::chart;
+use crate::curve::Curve;
+use crate::pom::maps::Kind;
 use crate::table::Table;
 use crate::{Outputs, note};
 use anyhow::{Result, anyhow};
@@ -41,7 +41,7 @@ use std::io::Write;
 /// Options of `accuracy`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// What to measure, several separated by commas; everything where it is left out
+    /// What to measure, separated by commas; everything if omitted
     #[arg(long, value_enum, value_name = "SUBJECTS", value_delimiter = ',')]
     pub only: Vec<Subject>,
     /// Random points of the headline, 1000 to 100000000; the curves take a fixed number
@@ -53,7 +53,7 @@ pub struct Options {
     pub world_seed: u64,
 }
 
-/// Something with a truth.
+/// A subject of measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Subject {
     /// The heights of the land
@@ -64,13 +64,13 @@ pub enum Subject {
     Water,
     /// Reflection of rough surfaces
     Brdf,
-    /// What hides that materials repeat
+    /// Hiding the repetition of materials
     Tiling,
     /// Parallax occlusion mapping
     Pom,
     /// Chunks on the wire
     Codec,
-    /// Tests of what the land hides
+    /// Occlusion tests of vegetation
     Culling,
     /// Density and thinning of grass
     Grass,
@@ -81,31 +81,18 @@ pub enum Subject {
 pub struct Report {
     /// Seed of the world.
     pub world_seed: u64,
-    /// The promised numbers of the heightfield, where it was measured.
+    /// Figures of the heightfield with bars, if measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub headline: Option<heightfield::Headline>,
     /// The curves.
     pub tables: Vec<Table>,
 }
 
-/// A curve: its tables, and its diagrams under one title.
-#[derive(Clone, Debug)]
-pub struct Curve {
-    /// Name of the picture.
-    pub name: &'static str,
-    /// Title over all diagrams.
-    pub title: &'static str,
-    /// What was measured.
-    pub tables: Vec<Table>,
-    /// Diagrams of it.
-    pub panels: Vec<Panel>,
-}
-
-/// Measures one curve of a world. What needs a GPU fails with a line that says what is missing.
+/// Measures one curve of a world. Without a required GPU the error says what to install.
 type Measure = fn(u64) -> Result<Curve>;
 
 impl Subject {
-    /// What is measured about it besides the headline, in order.
+    /// Its curves, in order.
     fn curves(self) -> &'static [(&'static str, Measure)] {
         match self {
             Self::Heightfield => &[
@@ -127,13 +114,13 @@ impl Subject {
                 ("pictures of parallax occlusion", pom_pictures::measure),
             ],
             Self::Codec => &[("codec of chunks", codec::measure)],
-            Self::Culling => &[("tests of sight", culling::measure)],
+            Self::Culling => &[("occlusion tests", culling::measure)],
             Self::Grass => &[("grass", grass::measure)],
         }
     }
 }
 
-/// Measures, prints, writes CSV and PNG where a folder was named, and judges.
+/// Measures, prints, writes CSV and PNG if a folder is given, and checks the bars.
 ///
 /// # Errors
 /// A bar is missed, a control misses none, or a result cannot be written.
@@ -161,7 +148,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     report.headline.map_or(Ok(()), |headline| headline.verdict().map_err(|problem| anyhow!(problem)))
 }
 
-/// Nobody reading the tables is no reason to fail; the exit code says what matters.
+/// A closed standard output is no failure; the exit code has the verdict.
 fn print(text: &dyn std::fmt::Display) {
     let _ = write!(std::io::stdout(), "{text}");
 }

@@ -17,7 +17,6 @@ pub struct OpenGpu {
 
 /// Every adapter of some backends. Environment variables of the drivers' loaders decide what there
 /// is to find.
-#[must_use]
 pub fn all(backends: wgpu::Backends) -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = backends;
@@ -26,14 +25,12 @@ pub fn all(backends: wgpu::Backends) -> Vec<wgpu::Adapter> {
 }
 
 /// Name, driver and backend of an adapter, for people.
-#[must_use]
 pub fn name(adapter: &wgpu::Adapter) -> String {
     let info = adapter.get_info();
     format!("{} ({})", info.name, info.backend)
 }
 
-/// The driver of an adapter and its version, as far as it says them, for people.
-#[must_use]
+/// The driver of an adapter and its version, as far as known, for people.
 pub fn driver(adapter: &wgpu::Adapter) -> String {
     let info = adapter.get_info();
     let said = [info.driver, info.driver_info].map(|text| one_line(&text));
@@ -41,10 +38,7 @@ pub fn driver(adapter: &wgpu::Adapter) -> String {
     if said.is_empty() { "a driver without a name".into() } else { said.join(" ") }
 }
 
-/// Opens an adapter with the limits that WebGPU promises everywhere.
-///
-/// # Errors
-/// The driver refuses.
+/// Opens an adapter with the limits that WebGPU guarantees everywhere.
 pub fn open(adapter: &wgpu::Adapter) -> Result<OpenGpu> {
     let descriptor = wgpu::DeviceDescriptor { label: Some("lab"), ..Default::default() };
     let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
@@ -62,14 +56,11 @@ pub fn open(adapter: &wgpu::Adapter) -> Result<OpenGpu> {
 
 impl OpenGpu {
     /// Blocks until everything submitted is done.
-    ///
-    /// # Errors
-    /// The first fault since the device was opened: what it computed since is not to be trusted.
     pub fn wait(&self) -> Result<()> {
         let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
         match &*self.faults.lock().unwrap_or_else(PoisonError::into_inner) {
             Some(fault) => bail!("the GPU failed: {fault}"),
-            None => waited.map(|_| ()).context("the GPU does not answer"),
+            None => waited.map(|_| ()).context("the GPU does not respond"),
         }
     }
 }

@@ -1,5 +1,4 @@
-//! Charts: panels of curves as one PNG, with the fonts that the viewer embeds. No system font is
-//! looked for.
+//! Charts: panels of curves as one PNG, with the fonts that the viewer embeds; no system fonts.
 
 use anyhow::{Context, Result, anyhow};
 use plotters::coord::Shift;
@@ -27,10 +26,10 @@ const LEGEND_LEFT: i32 = 108;
 /// under, pixels.
 const LINE: (u32, u32) = (2, 4);
 
-/// Radius of the ring around what ships, pixels.
+/// Radius of the ring around the default, pixels.
 const RING: i32 = 10;
 
-/// Lines that are nearer than this share of the axis cannot be told apart.
+/// Lines nearer than this share of the axis cannot be distinguished.
 const COINCIDES: f64 = 0.004;
 
 const FONT: &str = "lab";
@@ -75,9 +74,9 @@ pub enum Stroke {
     Stated,
     /// Grey dots: choices for which another one is better in both respects.
     Dominated,
-    /// Grey crosses: what is no choice and is only there to be compared with.
+    /// Grey crosses: controls.
     Control,
-    /// Rings around dots of other series: what ships.
+    /// Rings around dots of other series: the default.
     Shipped,
 }
 
@@ -90,11 +89,11 @@ pub struct Series {
     pub stroke: Stroke,
     /// Values, in order of x.
     pub points: Vec<(f64, f64)>,
-    /// What is written beside each of them; nothing where there are fewer names than points.
+    /// Labels of the points; there may be fewer labels than points.
     pub names: Vec<String>,
 }
 
-/// One setting of a knob: what it costs and what it gives, of both of which less is better.
+/// One setting of a knob: its cost and its error, of both of which less is better.
 #[derive(Clone, Debug)]
 pub struct Choice {
     /// Its name, written beside its dot.
@@ -119,34 +118,17 @@ pub struct Panel {
 }
 
 /// A linear axis.
-#[must_use]
 pub const fn linear(label: &'static str) -> Axis {
     Axis { label, scale: Scale::Linear }
 }
 
 /// A logarithmic axis.
-#[must_use]
 pub const fn log(label: &'static str) -> Axis {
     Axis { label, scale: Scale::Log }
 }
 
-/// A measured curve.
-pub fn measured(label: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Series {
-    series(label, Stroke::Measured, points)
-}
-
-/// A stated bound or bar.
-pub fn stated(label: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Series {
-    series(label, Stroke::Stated, points)
-}
-
 fn series(label: impl Into<String>, stroke: Stroke, points: impl IntoIterator<Item = (f64, f64)>) -> Series {
     Series { label: label.into(), stroke, points: points.into_iter().collect(), names: Vec::new() }
-}
-
-/// Controls, by name.
-pub fn controls(choices: impl IntoIterator<Item = Choice>) -> Series {
-    named("controls", Stroke::Control, choices)
 }
 
 fn named(label: &str, stroke: Stroke, choices: impl IntoIterator<Item = Choice>) -> Series {
@@ -154,12 +136,12 @@ fn named(label: &str, stroke: Stroke, choices: impl IntoIterator<Item = Choice>)
     Series { label: label.into(), stroke, points, names }
 }
 
-/// The front that none beats, joined by a line, the others in grey, and a ring around what ships.
-/// Choices that could not be measured are left out.
-pub fn front(choices: &[Choice]) -> Vec<Series> {
+/// The Pareto front joined by a line, dominated choices in grey, a ring around the default. Choices
+/// that could not be measured are left out.
+fn front(choices: &[Choice]) -> Vec<Series> {
     let known = |choice: &&Choice| choice.at.0.is_finite() && choice.at.1.is_finite();
     let choices: Vec<&Choice> = choices.iter().filter(known).collect();
-    let is_beaten = |choice: &&Choice| {
+    let is_dominated = |choice: &&Choice| {
         let (x, y) = choice.at;
         choices.iter().any(|other| {
             let (a, b) = other.at;
@@ -167,7 +149,7 @@ pub fn front(choices: &[Choice]) -> Vec<Series> {
         })
     };
     let (dominated, mut best): (Vec<&Choice>, Vec<&Choice>) =
-        choices.iter().partition(|choice| is_beaten(choice));
+        choices.iter().partition(|choice| is_dominated(choice));
     best.sort_by(|one, two| one.at.0.total_cmp(&two.at.0));
     let best = best.into_iter().cloned();
     let mut all = vec![named("nothing is better in both respects", Stroke::Measured, best)];
@@ -204,14 +186,22 @@ pub fn write(path: &Path, title: &str, panels: &[Panel]) -> Result<()> {
         .with_context(|| format!("--out: cannot write `{}`", path.display()))
 }
 
+/// Errors of plotters borrow the backend's error type; as text they are `'static`.
+trait OrText<T> {
+    fn or_text(self) -> Result<T>;
+}
+
+impl<T, E: std::fmt::Display> OrText<T> for std::result::Result<T, E> {
+    fn or_text(self) -> Result<T> {
+        self.map_err(|cause| anyhow!("{cause}"))
+    }
+}
+
 type Area<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
 
 fn draw(root: &Area<'_>, title: &str, panels: &[Panel], (rows, columns): (usize, usize)) -> Result<()> {
     let (head, body) = root.split_vertically(TITLE);
-    // Axes of plotters borrow the backend's error type; as text they can travel.
-    let told = |cause: &dyn std::fmt::Display| anyhow!("{cause}");
-    head.draw(&Text::new(title.to_owned(), (34, 22), (FONT, 30).into_font().color(&INK)))
-        .map_err(|e| told(&e))?;
+    head.draw(&Text::new(title.to_owned(), (34, 22), (FONT, 30).into_font().color(&INK))).or_text()?;
     for (panel, area) in panels.iter().zip(body.split_evenly((rows, columns))) {
         let x = range(panel, panel.x.scale, false, |point| point.0)?;
         let y = range(panel, panel.y.scale, true, |point| point.1)?;
@@ -226,7 +216,7 @@ fn draw(root: &Area<'_>, title: &str, panels: &[Panel], (rows, columns): (usize,
             (Scale::Log, Scale::Log) => draw_panel(&area, panel, log(x), log(y)),
         }?;
     }
-    root.present().map_err(|e| told(&e))
+    root.present().or_text()
 }
 
 fn draw_panel<X, Y>(area: &Area<'_>, panel: &Panel, x: X, y: Y) -> Result<()>
@@ -236,7 +226,6 @@ where
     X::CoordDescType: ValueFormatter<f64>,
     Y::CoordDescType: ValueFormatter<f64>,
 {
-    let told = |cause: &dyn std::fmt::Display| anyhow!("{cause}");
     let text = |size: u32| (FONT, size).into_font().color(&INK);
     let legend = panel.legend(area)?;
     let height = area.dim_in_pixel().1.saturating_sub(LEGEND.0 * legend.len() as u32);
@@ -248,7 +237,7 @@ where
         .x_label_area_size(58)
         .y_label_area_size(92)
         .build_cartesian_2d(x, y)
-        .map_err(|e| told(&e))?;
+        .or_text()?;
     chart
         .configure_mesh()
         .x_desc(panel.x.label)
@@ -261,7 +250,7 @@ where
         .bold_line_style(FAINT)
         .light_line_style(TRANSPARENT)
         .draw()
-        .map_err(|e| told(&e))?;
+        .or_text()?;
     for (index, (series, colour)) in panel.series.iter().zip(COLOURS).enumerate() {
         let shown: Vec<(f64, f64)> =
             series.points.iter().copied().filter(|point| panel.shows(*point)).collect();
@@ -269,7 +258,7 @@ where
         match series.stroke {
             Stroke::Measured => {
                 let dots = shown.iter().map(|point| Circle::new(*point, width / 2 + 3, colour.filled()));
-                chart.draw_series(dots).map_err(|e| told(&e))?;
+                chart.draw_series(dots).or_text()?;
                 chart.draw_series(LineSeries::new(shown, colour.stroke_width(width)))
             }
             Stroke::Stated => {
@@ -285,7 +274,7 @@ where
                 chart.draw_series(shown.iter().map(|point| Circle::new(*point, RING, INK.stroke_width(2))))
             }
         }
-        .map_err(|e| told(&e))?;
+        .or_text()?;
     }
     let place = |point: &(f64, f64)| chart.backend_coord(point);
     let shown = panel.series.iter().flat_map(|series| &series.points).filter(|point| panel.shows(**point));
@@ -296,11 +285,11 @@ where
     for series in &panel.series {
         for (point, name) in series.points.iter().zip(&series.names).filter(|(point, _)| panel.shows(**point))
         {
-            let size = area.estimate_text_size(name, &font).map_err(|e| told(&e))?;
+            let size = area.estimate_text_size(name, &font).or_text()?;
             let corner = free(place(point), (size.0 as i32, size.1 as i32), &frame, &mut taken);
             let (left, top) = area.get_base_pixel();
             let text = Text::new(name.clone(), (corner.0 - left, corner.1 - top), font.clone());
-            area.draw(&text).map_err(|e| told(&e))?;
+            area.draw(&text).or_text()?;
         }
     }
     for (row, entries) in legend.iter().enumerate() {
@@ -308,19 +297,19 @@ where
         for Entry { series: index, left } in entries {
             let (series, colour, width) = (&panel.series[*index], COLOURS[*index], panel.width(*index));
             let label = Text::new(series.label.clone(), (left + LEGEND.1 + 4, middle - 7), text(18));
-            below.draw(&label).map_err(|e| told(&e))?;
+            below.draw(&label).or_text()?;
             let alone = match series.stroke {
                 Stroke::Dominated => Some(Circle::new((left + 13, middle), 5, GREY.filled())),
                 Stroke::Shipped => Some(Circle::new((left + 13, middle), RING, INK.stroke_width(2))),
                 Stroke::Measured | Stroke::Stated | Stroke::Control => None,
             };
             if let Some(circle) = alone {
-                below.draw(&circle).map_err(|e| told(&e))?;
+                below.draw(&circle).or_text()?;
                 continue;
             }
             if series.stroke == Stroke::Control {
                 let cross = Cross::new((left + 13, middle), 5, GREY.stroke_width(3));
-                below.draw(&cross).map_err(|e| told(&e))?;
+                below.draw(&cross).or_text()?;
                 continue;
             }
             let is_measured = series.stroke == Stroke::Measured;
@@ -329,12 +318,10 @@ where
             let piece = |from: i32, to: i32| {
                 PathElement::new(vec![(left + from, middle), (left + to, middle)], style)
             };
-            below.draw(&piece(0, 13 - gap)).map_err(|e| told(&e))?;
-            below.draw(&piece(13 + gap, 26)).map_err(|e| told(&e))?;
+            below.draw(&piece(0, 13 - gap)).or_text()?;
+            below.draw(&piece(13 + gap, 26)).or_text()?;
             if is_measured {
-                below
-                    .draw(&Circle::new((left + 13, middle), width / 2 + 3, colour.filled()))
-                    .map_err(|e| told(&e))?;
+                below.draw(&Circle::new((left + 13, middle), width / 2 + 3, colour.filled())).or_text()?;
             }
         }
     }
@@ -349,7 +336,7 @@ struct Bounds {
 }
 
 impl Bounds {
-    /// What a dot takes.
+    /// Bounds of a dot.
     const fn around((x, y): (i32, i32)) -> Self {
         Self { low: (x - 7, y - 7), high: (x + 7, y + 7) }
     }
@@ -369,8 +356,8 @@ impl Bounds {
     }
 }
 
-/// Upper left corner of a name beside its dot, where it covers neither a dot nor another name, and
-/// takes the place. Lines may pass under it. A dot in a crowd keeps the first place.
+/// Upper left corner of a label beside its dot where it covers neither dots nor labels, and
+/// reserves it. Lines may pass under it. In a crowd the first corner is taken.
 fn free(
     (x, y): (i32, i32),
     (width, height): (i32, i32),
@@ -395,6 +382,36 @@ struct Entry {
 }
 
 impl Panel {
+    /// A panel without curves.
+    pub fn new(title: &'static str, x: Axis, y: Axis) -> Self {
+        Self { title, x, y, series: Vec::new() }
+    }
+
+    /// Adds a measured curve.
+    pub fn line(self, label: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.with([series(label, Stroke::Measured, points)])
+    }
+
+    /// Adds a stated bound or bar.
+    pub fn bound(self, label: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.with([series(label, Stroke::Stated, points)])
+    }
+
+    /// Adds the Pareto front of choices, see [`front`].
+    pub fn front(self, choices: &[Choice]) -> Self {
+        self.with(front(choices))
+    }
+
+    /// Adds controls, which are no choices.
+    pub fn controls(self, choices: impl IntoIterator<Item = Choice>) -> Self {
+        self.with([named("controls", Stroke::Control, choices)])
+    }
+
+    fn with(mut self, series: impl IntoIterator<Item = Series>) -> Self {
+        self.series.extend(series);
+        self
+    }
+
     fn shows(&self, (x, y): (f64, f64)) -> bool {
         let fits = |value: f64, scale: Scale| value.is_finite() && (scale == Scale::Linear || value > 0.0);
         fits(x, self.x.scale) && fits(y, self.y.scale)
@@ -410,7 +427,7 @@ impl Panel {
         let font = (FONT, 18).into_font().into_text_style(area);
         let mut left = i32::MAX;
         for (series, Series { label, .. }) in self.series.iter().enumerate().take(COLOURS.len()) {
-            let text = area.estimate_text_size(label, &font).map_err(|cause| anyhow!("{cause}"))?;
+            let text = area.estimate_text_size(label, &font).or_text()?;
             let width = LEGEND.1 + text.0 as i32 + 2 * LEGEND.2;
             if left.saturating_add(width) > PANEL.0 as i32 {
                 rows.push(Vec::new());
@@ -534,7 +551,7 @@ mod tests {
     }
 
     #[test]
-    fn the_front_is_what_nothing_beats_in_both_respects() {
+    fn the_front_has_the_choices_that_none_dominates() {
         let choice = |at: (f64, f64)| Choice { name: format!("{at:?}"), at, is_shipped: at == (2.5, 2.0) };
         let choices =
             [(3.0, 1.0), (1.0, 3.0), (2.0, 2.0), (2.5, 2.0), (3.0, 3.0), (f64::NAN, 0.0)].map(choice);
@@ -563,7 +580,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_dots_cover_neither_dots_nor_each_other() {
+    fn labels_cover_neither_dots_nor_each_other() {
         let frame = Bounds { low: (0, 0), high: (300, 300) };
         let spots = [(150, 150), (152, 160), (290, 8), (150, 120)];
         let mut taken = spots.map(Bounds::around).to_vec();
@@ -580,20 +597,19 @@ mod tests {
 
     #[test]
     fn a_line_under_another_is_wider_than_it() {
-        let line = |label: &str, last: f64| measured(label, [(0.0, 1.0), (1.0, 2.0), (2.0, last)]);
-        let series = vec![line("under", 3.0), line("over", 4.0), measured("apart", [(0.0, 9.0), (2.0, 8.0)])];
-        let panel = Panel { title: "test", x: linear("x"), y: linear("y"), series };
+        let points = |last: f64| [(0.0, 1.0), (1.0, 2.0), (2.0, last)];
+        let panel = Panel::new("test", linear("x"), linear("y"))
+            .line("under", points(3.0))
+            .line("over", points(4.0))
+            .line("apart", [(0.0, 9.0), (2.0, 8.0)]);
         assert_eq!([0, 1, 2].map(|index| panel.width(index)), [6, 2, 2]);
     }
 
     #[test]
-    fn a_chart_has_its_size_and_ink_and_an_empty_one_is_refused() {
+    fn a_chart_has_its_size_and_ink_and_an_empty_one_is_an_error() {
         let path = std::env::temp_dir().join(format!("tombolo-chart-{}.png", std::process::id()));
-        let panel = |points: Vec<(f64, f64)>| Panel {
-            title: "test",
-            x: log("x, m"),
-            y: linear("y"),
-            series: vec![measured("one", points.clone()), stated("bar", points)],
+        let panel = |points: Vec<(f64, f64)>| {
+            Panel::new("test", log("x, m"), linear("y")).line("one", points.clone()).bound("bar", points)
         };
         write(&path, "title", &[panel(vec![(1.0, 2.0), (100.0, 3.0)])]).unwrap();
         let picture = image::open(&path).unwrap().to_rgb8();

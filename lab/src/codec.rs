@@ -1,13 +1,11 @@
-//! `codec`: chunks on the wire against the codecs that others use, in bytes and in time, all
-//! interleaved in one run.
+//! `codec`: chunks on the wire against common codecs, in bytes and in time, interleaved in one run.
 //!
-//! Every codec gets the heights of the same level-0 chunks with land and must give them back; one
-//! that does not has no rate. Bytes are those of the heights alone: for ours the frame without its
-//! header and grass, so that nobody's container counts. A time is the shortest of all turns for
-//! each chunk, summed: what the code takes where nothing disturbs it. Decoding times are of the
+//! Every codec gets the heights of the same level-0 chunks with land and must restore them. Bytes
+//! are those of the heights alone: for ours the frame without its header and grass, without any
+//! container. A time is the shortest of all turns for each chunk, summed. Decoding times are of the
 //! heights alone too; those of whole frames, digest and pyramids included, stand beside them.
 
-mod rivals;
+mod baselines;
 
 use crate::Outputs;
 use anyhow::{Result, anyhow, bail};
@@ -41,10 +39,12 @@ pub const FAST_RATE_BAR: f64 = 3.0;
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
     /// Turns of every codec over all chunks, 3 to 1000
-    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(3..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 25,
+          value_parser = clap::value_parser!(u32).range(3..=1000))]
     pub turns: u32,
     /// Chunks, 1 to 256
-    #[arg(long, value_name = "N", default_value_t = 48, value_parser = clap::value_parser!(u32).range(1..=256))]
+    #[arg(long, value_name = "N", default_value_t = 48,
+          value_parser = clap::value_parser!(u32).range(1..=256))]
     pub chunks: u32,
     /// Seed of the world
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -73,23 +73,23 @@ pub struct Row {
     pub lossless: bool,
 }
 
-/// A promise, what was measured of it, and a codec that must break it. Field names are a contract
-/// with scripts.
+/// A bar, its figure, and a control codec that must miss it. Field names are a contract with
+/// scripts.
 #[derive(Clone, Debug, Serialize)]
 pub struct Bar {
-    /// What is promised.
+    /// Description.
     pub what: &'static str,
     /// Measured.
     pub measured: f64,
     /// The limit.
     pub bar: f64,
-    /// Whether it is kept.
+    /// Whether the figure meets it.
     pub holds: bool,
-    /// The codec that must not keep it.
+    /// The codec that must miss it.
     pub control: &'static str,
-    /// What was measured of that.
+    /// Figure of the control.
     pub control_measured: f64,
-    /// Whether the control keeps it: then the measurement is blind.
+    /// Whether the control meets it: then the measurement detects nothing.
     pub control_holds: bool,
 }
 
@@ -110,11 +110,11 @@ pub struct Report {
     pub entropy_bytes_per_sample: f64,
     /// Ours first.
     pub rows: Vec<Row>,
-    /// The promises.
+    /// The bars.
     pub bars: Vec<Bar>,
 }
 
-/// One chunk as the trials have it.
+/// One chunk.
 pub(crate) struct Sample {
     pub(crate) chunk: Chunk,
     pub(crate) parent: Chunk,
@@ -124,14 +124,13 @@ pub(crate) struct Sample {
 
 type Encode = Box<dyn FnMut(&Sample) -> Vec<u8>>;
 
-/// Writes the heights into the room it is given, so that nobody's allocations are timed; leaves it
-/// empty where it fails.
+/// Writes the heights into a buffer, so that no allocation is timed; leaves it empty on failure.
 type Decode = Box<dyn FnMut(&[u8], &Sample, &mut Vec<i32>)>;
 
 type Open = Box<dyn FnMut(&[u8], &Sample) -> bool>;
 
 /// A way to code heights.
-struct Trial {
+struct Case {
     codec: &'static str,
     encode: Encode,
     /// Bytes of an encoding that are not heights.
@@ -144,7 +143,7 @@ struct Trial {
 /// Measures, prints, judges.
 ///
 /// # Errors
-/// A codec loses something, a control keeps a promise, or an optimised build breaks one.
+/// A codec loses something, a control meets a bar, or an optimised build misses one.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let report = measure(options)?;
     println!("{report}");
@@ -165,19 +164,19 @@ pub fn measure(options: &Options) -> Result<Report> {
     }
     let entropy = samples.iter().map(|sample| entropy(&sample.chunk.heights)).sum::<f64>()
         / (samples.len() * VERTEX_COUNT) as f64;
-    let mut trials = ours(world);
-    trials.extend(rivals::all().into_iter().map(|rival| Trial {
-        codec: rival.codec,
-        encode: Box::new(move |sample| (rival.encode)(&sample.above)),
+    let mut cases = ours(world);
+    cases.extend(baselines::all().into_iter().map(|baseline| Case {
+        codec: baseline.codec,
+        encode: Box::new(move |sample| (baseline.encode)(&sample.above)),
         extra: 0,
         decode: Box::new(move |bytes, sample, out| {
             let low = sample.chunk.min();
             out.clear();
-            out.extend((rival.decode)(bytes).into_iter().map(|height| low + i32::from(height)));
+            out.extend((baseline.decode)(bytes).into_iter().map(|height| low + i32::from(height)));
         }),
         open: None,
     }));
-    let rows = compare(&mut trials, &samples, options.turns, entropy);
+    let rows = compare(&mut cases, &samples, options.turns, entropy);
     let bars = bars(&rows);
     Ok(Report {
         world_seed: options.world_seed,
@@ -242,8 +241,8 @@ fn heights(frame: &[u8], out: &mut Vec<i32>) {
     }
 }
 
-fn ours(world: WorldDigest) -> Vec<Trial> {
-    let exact = |codec, effort| Trial {
+fn ours(world: WorldDigest) -> Vec<Case> {
+    let exact = |codec, effort| Case {
         codec,
         encode: Box::new(move |sample: &Sample| {
             chunk_codec::encode_with(Delivery::Exact, effort, &sample.chunk, &world).into()
@@ -257,7 +256,7 @@ fn ours(world: WorldDigest) -> Vec<Trial> {
     vec![
         exact("exact, compact", Effort::Compact),
         exact("exact, fast", Effort::Fast),
-        Trial {
+        Case {
             codec: "refined, compact",
             encode: Box::new(move |sample| {
                 refined::encode(&sample.chunk, &sample.parent, &world, Effort::Compact)
@@ -273,7 +272,7 @@ fn ours(world: WorldDigest) -> Vec<Trial> {
             }),
             open: None,
         },
-        Trial {
+        Case {
             codec: LOSSY,
             encode: Box::new(move |sample| {
                 let delivery = Delivery::Quantised(Tolerance::FINEST);
@@ -289,55 +288,55 @@ fn ours(world: WorldDigest) -> Vec<Trial> {
 /// The control of losslessness.
 const LOSSY: &str = "control: quantised to 1/256 m";
 
-fn compare(trials: &mut [Trial], samples: &[Sample], turns: u32, entropy: f64) -> Vec<Row> {
-    struct Tally {
+fn compare(cases: &mut [Case], samples: &[Sample], turns: u32, entropy: f64) -> Vec<Row> {
+    struct Totals {
         bytes: usize,
         lossless: bool,
         /// Shortest times of each chunk, seconds: encoding, decoding, whole frame.
         best: Vec<[f64; 3]>,
     }
-    let mut tallies: Vec<_> = trials
+    let mut all_totals: Vec<_> = cases
         .iter()
-        .map(|_| Tally { bytes: 0, lossless: true, best: vec![[f64::INFINITY; 3]; samples.len()] })
+        .map(|_| Totals { bytes: 0, lossless: true, best: vec![[f64::INFINITY; 3]; samples.len()] })
         .collect();
     let mut heights = Vec::new();
     for turn in 0..turns {
         for (index, sample) in samples.iter().enumerate() {
-            for (trial, tally) in trials.iter_mut().zip(&mut tallies) {
-                let best = &mut tally.best[index];
+            for (case, totals) in cases.iter_mut().zip(&mut all_totals) {
+                let best = &mut totals.best[index];
                 let began = Instant::now();
-                let coded = black_box((trial.encode)(black_box(sample)));
+                let coded = black_box((case.encode)(black_box(sample)));
                 best[0] = best[0].min(began.elapsed().as_secs_f64());
                 let began = Instant::now();
-                (trial.decode)(black_box(&coded), sample, &mut heights);
+                (case.decode)(black_box(&coded), sample, &mut heights);
                 black_box(&heights);
                 best[1] = best[1].min(began.elapsed().as_secs_f64());
-                if let Some(open) = &mut trial.open {
+                if let Some(open) = &mut case.open {
                     let began = Instant::now();
-                    tally.lossless &= black_box(open(black_box(&coded), sample));
+                    totals.lossless &= black_box(open(black_box(&coded), sample));
                     best[2] = best[2].min(began.elapsed().as_secs_f64());
                 }
-                tally.lossless &= heights == sample.chunk.heights[..];
+                totals.lossless &= heights == sample.chunk.heights[..];
                 if turn == 0 {
-                    tally.bytes += coded.len() - trial.extra.min(coded.len());
+                    totals.bytes += coded.len() - case.extra.min(coded.len());
                 }
             }
         }
     }
-    let rows = trials.iter().zip(tallies).map(|(trial, tally)| {
+    let rows = cases.iter().zip(all_totals).map(|(case, totals)| {
         let mean_ns = |which: usize| {
-            1e9 * tally.best.iter().map(|best| best[which]).sum::<f64>() / samples.len() as f64
+            1e9 * totals.best.iter().map(|best| best[which]).sum::<f64>() / samples.len() as f64
         };
-        let bytes_per_sample = tally.bytes as f64 / (samples.len() * VERTEX_COUNT) as f64;
+        let bytes_per_sample = totals.bytes as f64 / (samples.len() * VERTEX_COUNT) as f64;
         Row {
-            codec: trial.codec,
+            codec: case.codec,
             bytes_per_sample,
             of_entropy: bytes_per_sample / entropy,
             encode_ns: mean_ns(0),
             decode_ns: mean_ns(1),
             decode_gb_per_s: U16_BYTES / mean_ns(1),
-            decode_frame_ns: trial.open.is_some().then(|| mean_ns(2)),
-            lossless: tally.lossless,
+            decode_frame_ns: case.open.is_some().then(|| mean_ns(2)),
+            lossless: totals.lossless,
         }
     });
     rows.collect()
@@ -362,7 +361,7 @@ fn bars(rows: &[Row]) -> Vec<Bar> {
         bar(
             "heights of a compact frame over the order-0 entropy of their plane residuals, at most",
             "exact, compact",
-            rivals::SCAN_DELTA,
+            baselines::SCAN_DELTA,
             |row| row.of_entropy,
             SIZE_BAR,
             true,
@@ -370,7 +369,7 @@ fn bars(rows: &[Row]) -> Vec<Bar> {
         bar(
             "decoding the heights of a compact frame, GB/s of u16, at least",
             "exact, compact",
-            rivals::SCAN_DELTA,
+            baselines::SCAN_DELTA,
             |row| row.decode_gb_per_s,
             COMPACT_RATE_BAR,
             false,
@@ -378,7 +377,7 @@ fn bars(rows: &[Row]) -> Vec<Bar> {
         bar(
             "decoding the heights of a fast frame, GB/s of u16, at least",
             "exact, fast",
-            rivals::PNG16,
+            baselines::PNG16,
             |row| row.decode_gb_per_s,
             FAST_RATE_BAR,
             false,
@@ -390,17 +389,16 @@ fn bars(rows: &[Row]) -> Vec<Bar> {
 }
 
 impl Report {
-    /// Whether every codec gives back what it got, the promises are kept, and no control keeps
-    /// them.
+    /// Whether every codec is lossless, every bar is met, and no control meets one.
     ///
     /// # Errors
     /// One line with the first that does not.
     pub fn verdict(&self) -> Result<()> {
         if let Some(row) = self.rows.iter().find(|row| row.lossless == (row.codec == LOSSY)) {
             return Err(if row.lossless {
-                anyhow!("the control `{}` loses nothing: the comparison is blind", row.codec)
+                anyhow!("the control `{}` loses nothing: the comparison detects nothing", row.codec)
             } else {
-                anyhow!("`{}` does not give back the heights that it got", row.codec)
+                anyhow!("`{}` does not restore its heights", row.codec)
             });
         }
         for bar in &self.bars {
@@ -408,13 +406,13 @@ impl Report {
             let judged = self.optimised || bar.bar == SIZE_BAR;
             if judged && bar.control_holds {
                 bail!(
-                    "the control `{}` keeps the promise `{}`: the measurement is blind",
+                    "the control `{}` meets the bar `{}`: the measurement detects nothing",
                     bar.control,
                     bar.what
                 );
             }
             if judged && !bar.holds {
-                bail!("{}: {:.3}, promised is {}", bar.what, bar.measured, bar.bar);
+                bail!("{}: {:.3}, the bar is {}", bar.what, bar.measured, bar.bar);
             }
         }
         Ok(())
@@ -426,7 +424,8 @@ impl fmt::Display for Report {
         let build = if self.optimised { "" } else { " (a debug build: times mean nothing)" };
         writeln!(
             f,
-            "{} level-0 chunks with land, shortest of {} turns, transform on {}{build}; order-0 entropy of plane residuals {:.4} bytes a sample",
+            "{} level-0 chunks with land, shortest of {} turns, transform on {}{build}; order-0 entropy of \
+             plane residuals {:.4} bytes a sample",
             self.chunks, self.turns, self.kernel, self.entropy_bytes_per_sample
         )?;
         writeln!(
@@ -470,7 +469,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_codec_is_lossless_but_the_control_and_sizes_hold_in_any_build() {
+    fn every_codec_but_the_control_is_lossless_and_sizes_hold() {
         let report = measure(&Options { turns: 3, chunks: 4, world_seed: 1 }).unwrap();
         for row in &report.rows {
             assert_eq!(row.lossless, row.codec != LOSSY, "{}", row.codec);
@@ -496,17 +495,17 @@ mod tests {
     }
 
     #[test]
-    fn a_blind_control_and_a_missed_bar_are_errors() {
+    fn a_control_that_holds_and_a_missed_bar_are_errors() {
         let mut report = measure(&Options { turns: 3, chunks: 2, world_seed: 1 }).unwrap();
         report.bars.truncate(1);
         assert!(report.verdict().is_ok());
-        let mut blind = report.clone();
-        blind.bars[0].control_holds = true;
-        assert!(blind.verdict().unwrap_err().to_string().contains("blind"));
+        let mut passing = report.clone();
+        passing.bars[0].control_holds = true;
+        assert!(passing.verdict().unwrap_err().to_string().contains("detects nothing"));
         report.bars[0].holds = false;
-        assert!(report.verdict().unwrap_err().to_string().contains("promised"));
-        let mut lossy = blind;
+        assert!(report.verdict().unwrap_err().to_string().contains("the bar is"));
+        let mut lossy = passing;
         lossy.rows[0].lossless = false;
-        assert!(lossy.verdict().unwrap_err().to_string().contains("give back"));
+        assert!(lossy.verdict().unwrap_err().to_string().contains("not restore"));
     }
 }

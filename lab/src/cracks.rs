@@ -1,22 +1,24 @@
-//! Cracks: does anything behind the land show through it?
+//! Cracks between chunks.
 //!
-//! Land is drawn without sky and sea before a magenta backdrop that no land can have. A view ray
-//! that comes below the lowest land well within the view distance has met the land, if the eye is
-//! above it; so its pixel must not be magenta. What can open a gap is met on purpose: eyes on
-//! borders and corners of chunks, level gazes along them, places up to 4 * 10^6 m out, and views
-//! whose chunks have only partly arrived.
+//! Terrain is drawn without sky and sea before a magenta background, a colour that terrain never
+//! has. A view ray from above the terrain that passes below its lowest height well within the view
+//! distance has hit it, so its pixel must not be magenta. The viewpoints include eyes on borders
+//! and corners of chunks, level views along them, positions up to 4 * 10^6 m out, and views with
+//! missing chunks.
 //!
-//! The same poses with a fault on purpose ([`Fault`]) must show magenta, or the count sees nothing.
+//! Control: the same poses with an injected fault ([`Fault`]) must show magenta.
 
+use crate::headless_renderer::HeadlessRenderer;
 use crate::sample::{self, unit, word};
-use crate::scenery::Scenery;
-use crate::studio::Studio;
-use client::camera::{Lens, Pose};
-use client::frame::{Backdrop, FrameData, Shot};
-use client::looks::{Looks, Show};
-use client::render::{GpuError, Picture};
+use crate::world_builder::WorldBuilder;
+use client::cache::ChunkCache;
+use client::camera::{Pose, Projection};
+use client::frame::{Background, FrameData};
+use client::gpu::{GpuError, Image};
+use client::lod::{Selection, select};
 use client::scene::Scene;
-use client::world::{Selection, World, select};
+use client::settings::{RenderSettings, Show};
+use client::view::ViewParams;
 use serde::Serialize;
 use shaders::layout::TerrainInstance;
 use terrain::constants::{CELLS, SEA_FLOOR_M, UNITS_PER_METRE, VERTICES};
@@ -44,7 +46,7 @@ const SLOTS: u32 = 4_096;
 /// Viewpoints around one place, which share most of their chunks.
 const PER_PLACE: u32 = 8;
 
-/// Where to look from, and what has arrived there.
+/// A viewpoint, and the chunks received there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Viewpoint {
     /// Eye and gaze. The eye is raised where the drawn ground is higher.
@@ -57,18 +59,18 @@ pub struct Viewpoint {
     pub salt: u32,
 }
 
-/// Something that is wrong on purpose.
+/// An injected fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// Nothing.
     None,
     /// The third nearest chunk in sight is left out.
     ChunkLeftOut,
-    /// No chunk heeds its neighbours: neither morphed nor welded.
+    /// Borders are neither morphed nor welded.
     NoSeams,
 }
 
-/// What was counted.
+/// Counted pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Count {
     /// Viewpoints.
@@ -87,7 +89,6 @@ pub struct Count {
 }
 
 /// Seeded viewpoints: half on the home island, half on islands all over the world.
-#[must_use]
 pub fn viewpoints(world_seed: u64, count: u32, stream: u32) -> Vec<Viewpoint> {
     let places = sample::land_points(world_seed, count.div_ceil(PER_PLACE), stream);
     let around = places.flat_map(|place| std::iter::repeat_n(place, PER_PLACE as usize));
@@ -128,31 +129,25 @@ fn viewpoint((x, z): (i32, i32), index: u32, stream: u32) -> Viewpoint {
 }
 
 /// A renderer for all viewpoints.
-///
-/// # Errors
-/// There is no GPU.
-pub fn studio() -> Result<Studio, GpuError> {
-    Studio::open(SIZE, SLOTS)
+pub fn renderer() -> Result<HeadlessRenderer, GpuError> {
+    HeadlessRenderer::open(SIZE, SLOTS)
 }
 
 /// Draws every viewpoint and counts.
-///
-/// # Errors
-/// The GPU failed.
 pub fn count(
-    studio: &mut Studio,
+    renderer: &mut HeadlessRenderer,
     land: Land,
     viewpoints: &[Viewpoint],
     fault: Fault,
 ) -> Result<Count, GpuError> {
-    let mut scenery = Scenery::new(land);
+    let mut builder = WorldBuilder::new(land);
     let mut count = Count::default();
     for (index, viewpoint) in viewpoints.iter().enumerate() {
         if index.is_multiple_of(PER_PLACE as usize) {
-            scenery.clear();
+            builder.clear();
         }
-        let (shot, frame) = viewpoint.frame(&mut scenery, studio, fault);
-        let picture = studio.picture(&frame)?;
+        let (shot, frame) = viewpoint.frame(&mut builder, renderer, fault);
+        let picture = renderer.picture(&frame)?;
         let (pixels, magenta) = judge(&shot, &picture);
         count.poses += 1;
         count.arriving += usize::from(viewpoint.lost > 0.0);
@@ -169,19 +164,24 @@ pub fn count(
 impl Viewpoint {
     /// How the picture is taken from a pose. Normals as colours: cheap, never without green, and
     /// never dissolved in haze.
-    fn shot(&self, pose: Pose) -> Shot {
-        Shot {
+    fn shot(&self, pose: Pose) -> ViewParams {
+        ViewParams {
             pose,
-            lens: Lens { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
+            projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
             view_distance_m: VIEW_DISTANCE_M,
             tolerance_px: self.tolerance_px,
             time_s: 0.0,
-            looks: Looks { show: Show::Normals, ..Looks::default() },
+            settings: RenderSettings { show: Show::Normals, ..RenderSettings::default() },
         }
     }
 
-    /// Chooses, furnishes the studio, and puts the frame together.
-    fn frame(&self, scenery: &mut Scenery, studio: &mut Studio, fault: Fault) -> (Shot, FrameData) {
+    /// Selects chunks, uploads the world and builds the frame.
+    fn frame(
+        &self,
+        builder: &mut WorldBuilder,
+        renderer: &mut HeadlessRenderer,
+        fault: Fault,
+    ) -> (ViewParams, FrameData) {
         let mut shot = self.shot(self.pose);
         let viewer = shot.viewer();
         let has_arrived = |key: ChunkKey| {
@@ -189,13 +189,13 @@ impl Viewpoint {
             let salt = place.into_iter().fold(self.salt, |salt, part| word(salt, part as u32));
             key.level() == viewer.top_level() || unit(salt) >= self.lost
         };
-        let mut world = scenery.world(&viewer, studio.slots(), has_arrived);
+        let mut world = builder.world(&viewer, renderer.slots(), has_arrived);
         let selection = select(&mut world, &viewer);
         let ground_m = drawn_ceiling(&world, &selection, self.pose);
         shot.pose.position_m.y = shot.pose.position_m.y.max(ground_m + CLEARANCE_M);
-        studio.furnish(&world);
+        renderer.upload_world(&world);
         let mut frame = shot.frame(Scene::Island, &world, &selection);
-        frame.backdrop = Backdrop::Plain([1.0, 0.0, 1.0]);
+        frame.background = Background::Plain([1.0, 0.0, 1.0]);
         match fault {
             Fault::None => {}
             Fault::ChunkLeftOut => {
@@ -218,7 +218,7 @@ impl Viewpoint {
 
 /// No drawn ground near an eye is higher than this, metres: the highest of its cell and the cells
 /// around, of the drawn chunk and of its parent, between which a morph moves it.
-fn drawn_ceiling(world: &World, selection: &Selection, pose: Pose) -> f64 {
+fn drawn_ceiling(world: &ChunkCache, selection: &Selection, pose: Pose) -> f64 {
     let [x, _, z] = pose.eye().units;
     let over = |key: ChunkKey| {
         let chunk = world.get(key)?;
@@ -247,9 +247,9 @@ fn drawn_ceiling(world: &World, selection: &Selection, pose: Pose) -> f64 {
 }
 
 /// Pixels that must show land, and how many of them show the backdrop.
-fn judge(shot: &Shot, picture: &Picture) -> (u64, u64) {
-    let (pose, lens) = (&shot.pose, &shot.lens);
-    let (half_height, aspect) = (lens.half_height(), lens.aspect());
+fn judge(shot: &ViewParams, picture: &Image) -> (u64, u64) {
+    let (pose, projection) = (&shot.pose, &shot.projection);
+    let (half_height, aspect) = (projection.half_height(), projection.aspect());
     let drop_m = pose.position_m.y + LOWEST_M;
     let reach_m = SURE_SHARE * f64::from(shot.view_distance_m);
     let (mut pixels, mut magenta) = (0, 0);

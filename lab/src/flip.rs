@@ -5,7 +5,7 @@
 //! Evaluator for Alternating Images", Proceedings of the ACM on Computer Graphics and Interactive
 //! Techniques 3(2) (HPG), 2020; numbers and section names are theirs. Low dynamic range only.
 
-use client::render::Picture;
+use client::gpu::Image;
 use rayon::prelude::*;
 
 /// Pixels per degree of sight that the authors assume: a 0.7 m wide 4K display seen from 0.7 m.
@@ -24,8 +24,7 @@ struct Field {
 ///
 /// # Panics
 /// If the pictures differ in size.
-#[must_use]
-pub fn map(reference: &Picture, test: &Picture, pixels_per_degree: f64) -> Vec<f64> {
+pub fn map(reference: &Image, test: &Image, pixels_per_degree: f64) -> Vec<f64> {
     assert_eq!((reference.width, reference.height), (test.width, test.height), "pictures of one size");
     let [reference, test] = [reference, test].map(opponent);
     let colours = [&reference, &test].map(|field| perceived(field, pixels_per_degree));
@@ -49,8 +48,7 @@ pub fn map(reference: &Picture, test: &Picture, pixels_per_degree: f64) -> Vec<f
 ///
 /// # Panics
 /// If the pictures differ in size.
-#[must_use]
-pub fn mean(reference: &Picture, test: &Picture, pixels_per_degree: f64) -> f64 {
+pub fn mean(reference: &Image, test: &Image, pixels_per_degree: f64) -> f64 {
     let map = map(reference, test, pixels_per_degree);
     map.iter().sum::<f64>() / map.len().max(1) as f64
 }
@@ -98,7 +96,7 @@ fn decoded(byte: u8) -> f64 {
 }
 
 /// The picture in the linear opponent space YCxCz.
-fn opponent(picture: &Picture) -> Field {
+fn opponent(picture: &Image) -> Field {
     let values = picture
         .rgba
         .chunks_exact(4)
@@ -247,7 +245,7 @@ fn convolved(source: &[f64], (width, height): (usize, usize), across: &[f64], do
 mod tests {
     use super::*;
 
-    fn picture(colour: impl Fn(u32, u32) -> [u8; 3]) -> Picture {
+    fn picture(colour: impl Fn(u32, u32) -> [u8; 3]) -> Image {
         let (width, height) = (48, 32);
         let rgba = (0..width * height)
             .flat_map(|index| {
@@ -255,11 +253,11 @@ mod tests {
                 [r, g, b, 255]
             })
             .collect();
-        Picture { width, height, rgba }
+        Image { width, height, rgba }
     }
 
     #[test]
-    fn a_picture_does_not_differ_from_itself_and_differs_from_another_as_much_as_that_from_it() {
+    fn the_difference_of_pictures_is_symmetric_and_0_for_itself() {
         let one = picture(|x, y| [(x * 5) as u8, (y * 7) as u8, 90]);
         let other = picture(|x, y| [(x * 5) as u8, (y * 5) as u8, if x == 20 { 255 } else { 60 }]);
         assert_eq!(mean(&one, &one, PIXELS_PER_DEGREE), 0.0);
@@ -269,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn black_and_white_and_green_and_blue_lie_where_the_paper_puts_them() {
+    fn differences_of_known_colours_are_those_of_the_paper() {
         let plain = |colour: [u8; 3]| picture(move |_, _| colour);
         // HyAB of black and white is 100, so by the paper's own steps 100^0.7 = 25.12 of 41.28:
         // 0.967.
@@ -281,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sharp_line_is_seen_where_the_same_light_spread_out_hardly_is() {
+    fn a_sharp_line_differs_more_than_the_same_light_spread_out() {
         let grey = picture(|_, _| [128; 3]);
         let line = picture(|x, _| if x == 24 { [255; 3] } else { [128; 3] });
         let veil = picture(|_, _| [131; 3]);

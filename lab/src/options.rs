@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 
 use crate::{accuracy, codec, culling, digest, lod, pom, stability, timings};
 
-/// Measures the land: digests of all backends, accuracy curves, stability sweeps, GPU timings.
+/// Measures the terrain: digests of all backends, accuracy curves, stability sweeps, GPU timings.
 ///
-/// Exits with 0 only if everything measured holds what is promised.
+/// Exits with 0 only if every bar is met.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "tombolo-lab", version)]
 pub struct Args {
@@ -29,16 +29,16 @@ pub struct Args {
 pub enum Command {
     /// Compare the integers of every backend of this machine: CPU kernels, GPU drivers, a browser
     Digest(digest::Options),
-    /// Measure what every shortcut costs in accuracy
+    /// Measure error against cost of every approximation
     Accuracy(accuracy::Options),
     /// Measure the drawn levels of detail: screen error, triangles, gaps, popping, draw calls,
     /// memory, time
     Lod(lod::Options),
-    /// Measure parallax occlusion: every march against the truth
+    /// Measure parallax occlusion mapping: every march against the reference
     Pom(pom::Options),
-    /// Measure culling: every test against what is seen
+    /// Measure culling: every test against visibility in f64
     Culling(culling::Options),
-    /// Sweep the ends of the world and every cell border
+    /// Sweep the borders of the world and of every cell
     Stability(stability::Options),
     /// Time chunk generation on GPU and CPU
     Timings(timings::Options),
@@ -46,7 +46,7 @@ pub enum Command {
     Codec(codec::Options),
 }
 
-/// Where results go besides standard output.
+/// Result files.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct Outputs {
     /// File for the results as JSON
@@ -75,7 +75,7 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes the JSON file, where one was asked for.
+    /// Writes the JSON file, if requested.
     ///
     /// # Errors
     /// It cannot be written.
@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn outputs_may_stand_before_or_after_the_command() {
+    fn outputs_come_before_or_after_the_command() {
         for line in ["--json a.json digest --out b", "digest --json a.json --out b"] {
             let args = Args::try_parse_from(std::iter::once("tombolo-lab").chain(line.split(' '))).unwrap();
             assert_eq!(args.outputs.json.as_deref(), Some(Path::new("a.json")));
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_that_cannot_be_written_is_refused_by_name_before_anything_is_measured() {
+    fn an_unwritable_output_is_an_error_that_names_its_option() {
         let missing = Outputs { json: Some("/no/such/folder/a.json".into()), out: None };
         let error = missing.prepare().unwrap_err().to_string();
         assert!(error.starts_with("--json: ") && error.lines().count() == 1, "{error}");

@@ -201,7 +201,9 @@ fn costs(bench: &PomBench, stage: &Stage) -> Result<Vec<Cost>> {
     for (layer, kind) in Kind::ALL.into_iter().enumerate() {
         for angle_deg in ANGLES_DEG {
             let probes = bundle(layer, TIMED_SIDE, angle_deg, AMPLITUDE);
-            let run = |index: usize| Ok(bench.run(&stage.uploaded, &methods[index], &probes, REPEATS)?.1);
+            let run = |index: usize| {
+                Ok::<_, anyhow::Error>(bench.run(&stage.uploaded, &methods[index], &probes, REPEATS)?.1)
+            };
             let ratios = ratios(&interleaved(ROUNDS, methods.len(), run)?);
             let row = Cost {
                 map: kind.name(),

@@ -1,9 +1,10 @@
-//! What every measurement on the GPU does around its shader: buffers in, dispatches, buffers out.
+//! Buffers and dispatches of measurements on the GPU.
 
 use crate::adapters::OpenGpu;
 use anyhow::{Context, Result};
 use bytemuck::Pod;
-use client::render::Gpu;
+use client::gpu::Gpu;
+use shaders::Shader;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 use wgpu::BufferUsages as Usage;
@@ -16,9 +17,6 @@ pub trait Opened {
     /// Its queue.
     fn queue(&self) -> &wgpu::Queue;
     /// Blocks until everything submitted is done.
-    ///
-    /// # Errors
-    /// The device failed since it was opened.
     fn finish(&self) -> Result<()>;
 }
 
@@ -46,14 +44,44 @@ impl Opened for OpenGpu {
     }
 }
 
+/// The compute pipeline of a shader, with the layout of its bindings; without a name its only entry
+/// point.
+pub fn pipeline(gpu: &impl Opened, shader: &Shader, entry_point: Option<&str>) -> wgpu::ComputePipeline {
+    let module = gpu.device().create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(shader.name),
+        source: wgpu::ShaderSource::Wgsl(shader.wgsl.into()),
+    });
+    gpu.device().create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some(shader.name),
+        layout: None,
+        module: &module,
+        entry_point,
+        compilation_options: wgpu::PipelineCompilationOptions::default(),
+        cache: None,
+    })
+}
+
+/// Bindings 0, 1, ... of group 0.
+pub fn bind<'a>(
+    gpu: &impl Opened,
+    pipeline: &wgpu::ComputePipeline,
+    resources: impl IntoIterator<Item = wgpu::BindingResource<'a>>,
+) -> wgpu::BindGroup {
+    let entries: Vec<_> =
+        (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
+    gpu.device().create_bind_group(&wgpu::BindGroupDescriptor {
+        label: None,
+        layout: &pipeline.get_bind_group_layout(0),
+        entries: &entries,
+    })
+}
+
 /// A uniform buffer with a value.
-#[must_use]
 pub fn uniform<T: Pod>(gpu: &impl Opened, label: &str, value: &T) -> wgpu::Buffer {
     filled(gpu, label, bytemuck::bytes_of(value), Usage::UNIFORM)
 }
 
 /// A storage buffer with values, to be read.
-#[must_use]
 pub fn input<T: Pod>(gpu: &impl Opened, label: &str, values: &[T]) -> wgpu::Buffer {
     filled(gpu, label, bytemuck::cast_slice(values), Usage::STORAGE)
 }
@@ -63,7 +91,6 @@ fn filled(gpu: &impl Opened, label: &str, contents: &[u8], usage: Usage) -> wgpu
 }
 
 /// A storage buffer for `count` values, to be written and [`read`].
-#[must_use]
 pub fn output<T: Pod>(gpu: &impl Opened, label: &str, count: usize) -> wgpu::Buffer {
     gpu.device().create_buffer(&wgpu::BufferDescriptor {
         label: Some(label),
@@ -75,9 +102,6 @@ pub fn output<T: Pod>(gpu: &impl Opened, label: &str, count: usize) -> wgpu::Buf
 
 /// Dispatches a row of workgroups, `repeats` times for a time that outweighs what a submission
 /// costs; how long the GPU took, uploads excluded.
-///
-/// # Errors
-/// The device failed.
 pub fn dispatch(
     gpu: &impl Opened,
     pipeline: &wgpu::ComputePipeline,
@@ -103,9 +127,6 @@ pub fn dispatch(
 }
 
 /// All values of an [`output`].
-///
-/// # Errors
-/// The device failed.
 pub fn read<T: Pod>(gpu: &impl Opened, output: &wgpu::Buffer) -> Result<Vec<T>> {
     let landing = gpu.device().create_buffer(&wgpu::BufferDescriptor {
         label: Some("results on the CPU"),
@@ -118,7 +139,7 @@ pub fn read<T: Pod>(gpu: &impl Opened, output: &wgpu::Buffer) -> Result<Vec<T>> 
     gpu.queue().submit([encoder.finish()]);
     let (done, mapped) = mpsc::channel();
     landing.map_async(wgpu::MapMode::Read, .., move |outcome| {
-        // Nobody listens any more only if waiting has failed.
+        // The receiver is gone only if waiting has failed.
         let _ = done.send(outcome);
     });
     gpu.finish()?;

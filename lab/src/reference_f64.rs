@@ -1,15 +1,16 @@
-//! The height formula in f64, where nothing is rounded: what the integers are measured against.
+//! The height formula in f64: the reference of the integers.
 //!
 //! The choices (gradients, islands) are the land's own integers, through its public hash; every
 //! number that follows from them is real arithmetic. An f64 keeps 52 bits of values below 512 m, so
 //! its own error is below a nanometre. Positions are integers (units), and cell and fraction are
-//! cut from them as integers, so the truth is as good at the border of the world as at the origin.
+//! cut from them as integers, so the reference is as good at the border of the world as at the
+//! origin.
 //!
 //! The formula, for octaves `o` of cell `c = 1024 m / 2^o` and amplitude `a = 128 m / 2^o`, with
 //! `t` the fraction in a cell and `s = 6t⁵ - 15t⁴ + 10t³` its fade:
 //!
 //! ```text
-//! line = [t (1 - s), (t - 1) s]      step = [s - 1, -s]          (negated steps, as the integers keep them)
+//! line = [t (1 - s), (t - 1) s]      step = [s - 1, -s]  (negated, as the integers keep them)
 //! noise = sum over corners (i, j) of  gx line_i(x) step_j(z) + gz step_i(x) line_j(z)
 //! hills = sum of a noise;  folds = octaves 1 and 2 of it
 //! w = max(0, 1 - d²/r²)²;  ease(w) = 1 - (1 - w)²
@@ -27,17 +28,17 @@ use terrain::island::{Archipelago, Island};
 
 /// The land of a seed in f64.
 #[derive(Clone, Copy, Debug)]
-pub struct Truth {
+pub struct ReferenceF64 {
     seeds: [u32; OCTAVES],
     archipelago: Archipelago,
     /// Rounds every weight to so many fraction bits: a control that must miss the bars. None for
-    /// the truth.
+    /// the reference.
     weight_bits: Option<u32>,
 }
 
-/// What the fractal sum yields at a point, metres.
+/// The fractal sum at a point, metres.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Relief {
+pub struct FractalSum {
     /// Sum of the octaves kept.
     pub hills_m: f64,
     /// Octaves 1 and 2 of it.
@@ -50,9 +51,8 @@ struct Weights {
     step: [f64; 2],
 }
 
-impl Truth {
-    /// The truth about a world.
-    #[must_use]
+impl ReferenceF64 {
+    /// The reference about a world.
     pub fn new(world_seed: u64) -> Self {
         Self {
             seeds: std::array::from_fn(|octave| stream_seed(world_seed, octave as u32)),
@@ -61,22 +61,19 @@ impl Truth {
         }
     }
 
-    /// The same formula with every weight rounded to `bits` fraction bits: what a careless
-    /// fixed-point design would give.
-    #[must_use]
+    /// The same formula with every weight rounded to `bits` fraction bits: a control.
     pub fn with_coarse_weights(self, bits: u32) -> Self {
         Self { weight_bits: Some(bits), ..self }
     }
 
     /// The height of a point (units), metres.
-    #[must_use]
     pub fn height_m(&self, x: i32, z: i32, octaves: Octaves) -> f64 {
         let Some(island) = self.archipelago.island_at(x, z) else { return -f64::from(SEA_FLOOR_M) };
         let weight = falloff(&island, x, z);
         if weight == 0.0 {
             return -f64::from(SEA_FLOOR_M);
         }
-        let Relief { hills_m, folds_m } = self.relief(x, z, octaves);
+        let FractalSum { hills_m, folds_m } = self.fractal_sum(x, z, octaves);
         let dome_m = f64::from(island.dome_m) * weight;
         let crest = (1.0 - folds_m.abs() / f64::from(RIDGE_M)).max(0.0);
         let ridge_m = f64::from(RIDGE_M) * crest * crest * weight * weight;
@@ -84,9 +81,8 @@ impl Truth {
     }
 
     /// The fractal sum at a point (units).
-    #[must_use]
-    pub fn relief(&self, x: i32, z: i32, octaves: Octaves) -> Relief {
-        let mut relief = Relief::default();
+    pub fn fractal_sum(&self, x: i32, z: i32, octaves: Octaves) -> FractalSum {
+        let mut relief = FractalSum::default();
         for octave in 0..octaves.count() {
             let value_m = amplitude_m(octave) * self.noise(octave, x, z);
             relief.hills_m += value_m;
@@ -123,25 +119,21 @@ impl Truth {
 }
 
 /// Amplitude of an octave, metres.
-#[must_use]
 pub fn amplitude_m(octave: usize) -> f64 {
     f64::from((1u32 << FIRST_AMPLITUDE_BITS) >> octave)
 }
 
 /// Lattice cell of an octave, metres.
-#[must_use]
 pub fn cell_m(octave: usize) -> f64 {
     f64::from(1i32 << (FIRST_CELL_BITS - octave as u32)) / f64::from(UNITS_PER_METRE)
 }
 
 /// The quintic fade (Perlin, "Improving Noise", 2002).
-#[must_use]
 pub fn fade(t: f64) -> f64 {
     t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
 }
 
 /// The gradient of a lattice point: a unit vector but for the rounding of the table.
-#[must_use]
 pub fn gradient(seed: u32, cell_x: i32, cell_z: i32) -> (f64, f64) {
     let (x, z) = GRADIENTS[(hash2(seed, cell_x, cell_z) >> 27) as usize];
     let scale = f64::from(1i32 << GRADIENT_BITS);
@@ -157,7 +149,6 @@ fn lattice(octave: usize, coordinate: i32, shift: i32) -> (i32, f64) {
 }
 
 /// `(1 - d²/r²)²` inside an island, 0 from the rim on.
-#[must_use]
 pub fn falloff(island: &Island, x: i32, z: i32) -> f64 {
     let metres = |v: i32, centre: i32| (f64::from(v) - f64::from(centre)) / f64::from(UNITS_PER_METRE);
     let (dx, dz) = (metres(x, island.centre.0), metres(z, island.centre.1));
@@ -166,13 +157,11 @@ pub fn falloff(island: &Island, x: i32, z: i32) -> f64 {
 }
 
 /// `1 - (1 - w)²`.
-#[must_use]
 pub fn ease_out(weight: f64) -> f64 {
     1.0 - (1.0 - weight) * (1.0 - weight)
 }
 
 /// The beach polynomial, metres in and out.
-#[must_use]
 pub fn beach_m(raw_m: f64) -> f64 {
     let r = raw_m / f64::from(BEACH_M);
     if r.abs() >= 1.0 {
@@ -195,12 +184,12 @@ mod tests {
     }
 
     #[test]
-    fn the_truth_agrees_with_the_integers_within_a_128th_of_a_metre_on_land_vertices() {
-        let (land, truth) = (Land::new(42), Truth::new(42));
+    fn integers_on_vertices_are_within_1_128_m_of_the_reference() {
+        let (land, reference) = (Land::new(42), ReferenceF64::new(42));
         let mut worst: f64 = 0.0;
         for (x, z) in sample::land_vertices(42, 20_000, 7) {
             let integer = f64::from(land.height_at(Position::new(x, z).unwrap())) / 256.0;
-            worst = worst.max((integer - truth.height_m(x, z, Octaves::ALL)).abs());
+            worst = worst.max((integer - reference.height_m(x, z, Octaves::ALL)).abs());
         }
         assert!(worst < 1.0 / 128.0, "{worst} m");
         assert!(
@@ -210,11 +199,11 @@ mod tests {
     }
 
     #[test]
-    fn the_fractal_sum_agrees_for_every_number_of_octaves_out_to_the_border() {
-        let (fbm, truth) = (Fbm::new(3), Truth::new(3));
+    fn the_fractal_sum_agrees_for_every_octave_count() {
+        let (fbm, reference) = (Fbm::new(3), ReferenceF64::new(3));
         for octaves in (0..=OCTAVES).map(|count| Octaves::new(count).unwrap()) {
             for (x, z) in sample::world_points(2_000, octaves.count() as u32) {
-                let (got, exact) = (fbm.at(x, z, octaves), truth.relief(x, z, octaves));
+                let (got, exact) = (fbm.at(x, z, octaves), reference.fractal_sum(x, z, octaves));
                 assert!((fine_m(got.hills) - exact.hills_m).abs() < 0.003, "({x}, {z})");
                 assert!((fine_m(got.folds) - exact.folds_m).abs() < 0.003, "({x}, {z})");
             }
@@ -222,15 +211,17 @@ mod tests {
     }
 
     #[test]
-    fn coarse_weights_and_another_seed_are_far_from_the_truth() {
-        let truth = Truth::new(42);
-        let apart = |other: Truth| {
+    fn coarse_weights_and_another_seed_are_far_from_the_reference() {
+        let reference = ReferenceF64::new(42);
+        let apart = |other: ReferenceF64| {
             sample::land_vertices(42, 2_000, 9)
-                .map(|(x, z)| (truth.height_m(x, z, Octaves::ALL) - other.height_m(x, z, Octaves::ALL)).abs())
+                .map(|(x, z)| {
+                    (reference.height_m(x, z, Octaves::ALL) - other.height_m(x, z, Octaves::ALL)).abs()
+                })
                 .fold(0.0, f64::max)
         };
-        assert!(apart(truth.with_coarse_weights(10)) > 1.0 / 128.0);
-        assert!(apart(Truth::new(43)) > 10.0);
-        assert!(apart(truth) == 0.0);
+        assert!(apart(reference.with_coarse_weights(10)) > 1.0 / 128.0);
+        assert!(apart(ReferenceF64::new(43)) > 10.0);
+        assert!(apart(reference) == 0.0);
     }
 }

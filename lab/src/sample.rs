@@ -1,18 +1,15 @@
-//! Where measurements look: reproducible pseudo-random places. The same arguments give the same
-//! places on every machine.
+//! Reproducible pseudo-random sample points, the same on every machine.
 
 use terrain::constants::{ISLAND_CELL_BITS, SPACING_BITS, UNITS_PER_METRE, WORLD_HALF};
 use terrain::hash::mix;
 use terrain::island::{Archipelago, Island};
 
 /// The `index`-th word of a stream.
-#[must_use]
 pub fn word(stream: u32, index: u32) -> u32 {
     mix(mix(stream ^ 0x5eed_1ab5).wrapping_add(index.wrapping_mul(0x9e37_79b9)))
 }
 
 /// A number in `[0, 1)` from a word.
-#[must_use]
 pub fn unit(word: u32) -> f64 {
     f64::from(word) / 4_294_967_296.0
 }
@@ -38,7 +35,6 @@ pub fn land_points(world_seed: u64, count: u32, stream: u32) -> impl Iterator<It
 }
 
 /// The island that two words choose: the home island for every other first word.
-#[must_use]
 pub fn island(archipelago: &Archipelago, first: u32, second: u32) -> Island {
     const SPAN: u32 = 31 - ISLAND_CELL_BITS;
     let home = archipelago.island(0, 0);
@@ -53,7 +49,6 @@ pub fn island(archipelago: &Archipelago, first: u32, second: u32) -> Island {
 }
 
 /// A point (units) inside an island's circle, even over its area.
-#[must_use]
 pub fn inside(island: &Island, first: u32, second: u32) -> (i32, i32) {
     let radius = f64::from(island.radius_m) * f64::from(UNITS_PER_METRE) * unit(first).sqrt();
     let (sin, cos) = (unit(second) * std::f64::consts::TAU).sin_cos();
@@ -62,7 +57,6 @@ pub fn inside(island: &Island, first: u32, second: u32) -> (i32, i32) {
 }
 
 /// The level-0 vertex line at or below a coordinate, units.
-#[must_use]
 pub const fn on_grid(coordinate: i32) -> i32 {
     coordinate & !((1 << SPACING_BITS) - 1)
 }

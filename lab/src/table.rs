@@ -1,4 +1,4 @@
-//! Tables of numbers: for people on standard output, for tools as CSV and JSON.
+//! Tables of numbers: text on standard output, CSV and JSON.
 
 use anyhow::{Context, Result};
 use serde::Serialize;
@@ -15,32 +15,13 @@ pub struct Table {
     pub caption: String,
     /// Names of the columns.
     pub columns: Vec<String>,
-    /// Rows of as many values; what does not exist is not a number.
+    /// Rows of as many values; a missing value is not a number.
     pub rows: Vec<Vec<f64>>,
 }
 
 impl Table {
-    /// An empty table.
-    pub fn new(name: &'static str, caption: impl Into<String>, columns: &[&str]) -> Self {
-        let columns = columns.iter().map(|column| (*column).to_owned()).collect();
-        Self { name, caption: caption.into(), columns, rows: Vec::new() }
-    }
-
-    /// Adds a row.
-    ///
-    /// # Panics
-    /// If it has another number of values than the table has columns.
-    pub fn push(&mut self, row: impl Into<Vec<f64>>) {
-        let row = row.into();
-        assert_eq!(row.len(), self.columns.len(), "columns of `{}`", self.name);
-        self.rows.push(row);
-    }
-
-    /// Pairs of two columns by name, for a chart.
-    ///
-    /// # Panics
-    /// If there is no such column.
-    #[must_use]
+    /// Pairs of two columns by name.
+    #[cfg(test)]
     pub fn curve(&self, x: &str, y: &str) -> Vec<(f64, f64)> {
         let index = |name: &str| {
             self.columns
@@ -111,19 +92,17 @@ mod tests {
     use super::*;
 
     fn table() -> Table {
-        let mut table = Table::new("t", "caption.", &["a, m", "b"]);
-        table.push([1.0, f64::NAN]);
-        table.push([0.012_345, 2e-7]);
-        table
+        let rows = vec![vec![1.0, f64::NAN], vec![0.012_345, 2e-7]];
+        Table { name: "t", caption: "caption.".into(), columns: vec!["a, m".into(), "b".into()], rows }
     }
 
     #[test]
-    fn csv_quotes_commas_and_leaves_out_what_does_not_exist() {
+    fn csv_quotes_commas_and_leaves_missing_values_empty() {
         assert_eq!(table().csv(), "\"a, m\",b\n1,\n0.012345,0.0000002\n");
     }
 
     #[test]
-    fn people_see_four_digits_and_a_dash() {
+    fn text_has_four_digits_and_a_dash() {
         let text = table().to_string();
         assert!(text.contains("0.01235") && text.contains("2.00e-7") && text.contains(" -  "), "{text}");
         assert_eq!(table().curve("a, m", "b")[1], (0.012_345, 2e-7));

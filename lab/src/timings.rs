@@ -4,9 +4,11 @@
 //! alternate, so that a machine that warms up or is disturbed slows both; the median turn counts.
 
 use crate::Outputs;
-use anyhow::{Context, Result, anyhow};
-use client::render::fill::{ChunkFiller, MAX_BATCH};
-use client::render::{Gpu, gpu};
+use crate::stats::median;
+use anyhow::{Result, anyhow};
+use client::features::terrain::fill::{ChunkFiller, MAX_BATCH};
+use client::gpu;
+use client::gpu::Gpu;
 use serde::Serialize;
 use std::time::Instant;
 use terrain::constants::VERTEX_COUNT;
@@ -19,10 +21,12 @@ const WORLD_SEED: u64 = 1;
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
     /// Turns of each side, 3 to 1000
-    #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(3..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 15,
+          value_parser = clap::value_parser!(u32).range(3..=1000))]
     pub turns: u32,
     /// Chunks of a turn, 1 to 256
-    #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=MAX_BATCH as i64))]
+    #[arg(long, value_name = "N", default_value_t = 128,
+          value_parser = clap::value_parser!(u32).range(1..=MAX_BATCH as i64))]
     pub chunks: u32,
 }
 
@@ -50,10 +54,6 @@ struct CpuRate {
 }
 
 /// Times both and prints the rates.
-///
-/// # Errors
-/// There is no GPU, or what it fills differs from the CPU's chunks: a rate of wrong chunks means
-/// nothing.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let land = Land::new(WORLD_SEED);
     let keys = land_chunks(&land, options.chunks as usize);
@@ -82,14 +82,14 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         on_cpu.push(began.elapsed().as_secs_f64());
     }
     gpu.check()?;
-    let rate = |seconds: Vec<f64>| Ok::<_, anyhow::Error>(keys.len() as f64 / median(seconds)?);
+    let rate = |seconds: Vec<f64>| keys.len() as f64 / median(seconds);
     let report = Report {
         gpu: GpuRate {
             adapter: gpu.name(),
-            chunks_per_second: rate(with_readback)?,
-            chunks_per_second_without_readback: rate(without)?,
+            chunks_per_second: rate(with_readback),
+            chunks_per_second_without_readback: rate(without),
         },
-        cpu: CpuRate { kernel: kernel.to_string(), threads: 1, chunks_per_second: rate(on_cpu)? },
+        cpu: CpuRate { kernel: kernel.to_string(), threads: 1, chunks_per_second: rate(on_cpu) },
     };
     let build = if cfg!(debug_assertions) { " (a debug build: rates mean little)" } else { "" };
     println!(
@@ -126,9 +126,4 @@ fn timed<E>(work: impl FnOnce() -> Result<(), E>) -> Result<f64, E> {
     let began = Instant::now();
     work()?;
     Ok(began.elapsed().as_secs_f64())
-}
-
-fn median(mut seconds: Vec<f64>) -> Result<f64> {
-    seconds.sort_by(f64::total_cmp);
-    seconds.get(seconds.len() / 2).copied().context("nothing was timed")
 }

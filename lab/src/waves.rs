@@ -1,16 +1,17 @@
-//! The shipped parallax of waves on this machine's GPU: rays in, places out.
+//! The shipped parallax of waves on this machine's GPU: rays in, intersections out.
 
 use crate::probe;
 use anyhow::Result;
 use bytemuck::Zeroable as _;
-use client::looks::WaveKnobs;
-use client::render::waves::WaveMap;
-use client::render::{Gpu, gpu};
+use client::features::water::WaveSettings;
+use client::features::water::waves::WaveMap;
+use client::gpu;
+use client::gpu::Gpu;
 use shaders::SHADERS;
 use shaders::layout::{Frame, WaveProbe};
 use std::time::Duration;
 
-/// What a method found of a ray.
+/// Intersection of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FoundWave {
     /// Place of the surface, pattern metres.
@@ -37,40 +38,25 @@ impl WaveBench {
     pub fn open() -> Result<Self> {
         let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
         let waves = WaveMap::bake(&gpu.device, &gpu.queue);
-        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(SHADERS.probe_waves.name),
-            source: wgpu::ShaderSource::Wgsl(SHADERS.probe_waves.wgsl.into()),
-        });
-        let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(SHADERS.probe_waves.name),
-            layout: None,
-            module: &module,
-            entry_point: None,
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            cache: None,
-        });
+        let pipeline = probe::pipeline(&gpu, &SHADERS.probe_waves, None);
         Ok(Self { gpu, waves, pipeline })
     }
 
     /// Name of the adapter, for people.
-    #[must_use]
     pub fn adapter(&self) -> String {
         self.gpu.name()
     }
 
     /// Runs probes under some knobs at a moment, `repeats` times for a time that outweighs what a
     /// submission costs; also how long the GPU took, upload and read-back excluded.
-    ///
-    /// # Errors
-    /// The device fails.
     pub fn run(
         &self,
-        knobs: WaveKnobs,
+        knobs: WaveSettings,
         time_s: f32,
         probes: &[WaveProbe],
         repeats: u32,
     ) -> Result<(Vec<FoundWave>, Duration)> {
-        let knobs = knobs.sane();
+        let knobs = knobs.sanitized();
         let uniforms = Frame {
             time_s,
             // Fine enough that no wave is faded for being small on screen.
@@ -84,17 +70,14 @@ impl WaveBench {
         let input = probe::input(&self.gpu, "probes", probes);
         let output = probe::output::<[f32; 4]>(&self.gpu, "found", probes.len());
         let [map, sampler] = self.waves.entries(1);
-        let bindings = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(SHADERS.probe_waves.name),
-            layout: &self.pipeline.get_bind_group_layout(0),
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
-                map,
-                sampler,
-                wgpu::BindGroupEntry { binding: 3, resource: input.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 4, resource: output.as_entire_binding() },
-            ],
-        });
+        let resources = [
+            frame.as_entire_binding(),
+            map.resource,
+            sampler.resource,
+            input.as_entire_binding(),
+            output.as_entire_binding(),
+        ];
+        let bindings = probe::bind(&self.gpu, &self.pipeline, resources);
         let groups = (probes.len() as u32).div_ceil(64);
         let took = probe::dispatch(&self.gpu, &self.pipeline, &bindings, groups, repeats)?;
         let words: Vec<[f32; 4]> = probe::read(&self.gpu, &output)?;

@@ -1,32 +1,37 @@
-//! Land as a viewer gets it: the chunks that a server would send for a view, kept for the next one.
+//! Worlds as a viewer receives them: the chunks that a server sends for a view, cached for the
+//! next.
 
-use client::world::World;
+use client::cache::ChunkCache;
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
 use terrain::lod::{self, Viewer};
 use terrain::{Chunk, ChunkKey, Land};
 
-/// The land of one world and the chunks of it that were asked for.
+/// A world seed with a cache of its chunks.
 #[derive(Debug)]
-pub struct Scenery {
+pub struct WorldBuilder {
     land: Land,
     chunks: HashMap<ChunkKey, Chunk>,
 }
 
-impl Scenery {
-    /// Land of which nothing has been generated.
-    #[must_use]
+impl WorldBuilder {
+    /// A builder with an empty cache.
     pub fn new(land: Land) -> Self {
         Self { land, chunks: HashMap::new() }
     }
 
     /// A world of `slots` slots with what a server sends for a view, as far as `has_arrived` says
     /// so.
-    pub fn world(&mut self, viewer: &Viewer, slots: u32, has_arrived: impl Fn(ChunkKey) -> bool) -> World {
+    pub fn world(
+        &mut self,
+        viewer: &Viewer,
+        slots: u32,
+        has_arrived: impl Fn(ChunkKey) -> bool,
+    ) -> ChunkCache {
         let keys: Vec<ChunkKey> =
             lod::select(&self.land, viewer, usize::MAX).into_iter().map(|needed| needed.key).collect();
         self.generate(&keys);
-        let mut world = World::new(slots);
+        let mut world = ChunkCache::new(slots);
         for key in keys.into_iter().filter(|key| has_arrived(*key)) {
             world.insert(self.chunks[&key].clone());
         }
@@ -37,7 +42,7 @@ impl Scenery {
     ///
     /// # Panics
     /// If it does not fit.
-    pub fn world_along(&mut self, viewers: &[Viewer], slots: u32) -> World {
+    pub fn world_along(&mut self, viewers: &[Viewer], slots: u32) -> ChunkCache {
         let land = &self.land;
         let keys: HashSet<ChunkKey> = viewers
             .par_iter()
@@ -48,14 +53,14 @@ impl Scenery {
         let mut keys: Vec<ChunkKey> = keys.into_iter().collect();
         keys.sort_unstable();
         self.generate(&keys);
-        let mut world = World::new(slots);
+        let mut world = ChunkCache::new(slots);
         for key in keys {
             world.insert(self.chunks[&key].clone());
         }
         world
     }
 
-    /// Forgets all chunks: a chunk with its pyramids takes 60 KB.
+    /// Empties the cache: a chunk with its pyramids takes 60 KB.
     pub fn clear(&mut self) {
         self.chunks.clear();
     }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-/// A file that is removed with this value, whatever the test came to.
+/// A file that is removed when dropped.
 struct Scratch(PathBuf);
 
 impl Drop for Scratch {
@@ -14,7 +14,7 @@ impl Drop for Scratch {
 }
 
 #[test]
-fn the_digest_of_every_backend_of_this_machine_is_the_frozen_one_and_the_float_control_differs() {
+fn every_backend_has_the_frozen_digest_and_the_control_differs() {
     let file = Scratch(std::env::temp_dir().join(format!("tombolo-digest-{}.json", std::process::id())));
     let output = Command::new(env!("CARGO_BIN_EXE_tombolo-lab"))
         .args(["digest", "--json"])
@@ -41,7 +41,7 @@ fn the_digest_of_every_backend_of_this_machine_is_the_frozen_one_and_the_float_c
 }
 
 #[test]
-fn a_result_that_cannot_be_written_is_refused_before_anything_is_measured() {
+fn an_unwritable_result_file_is_an_error_before_measuring() {
     let output = Command::new(env!("CARGO_BIN_EXE_tombolo-lab"))
         .args(["digest", "--json", "/no/such/folder/a.json"])
         .output()

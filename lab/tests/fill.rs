@@ -1,7 +1,8 @@
 //! Chunks filled on the GPU against chunks generated on the CPU, bit for bit.
 
-use client::render::fill::{ChunkFiller, FillError, FilledChunk, MAX_BATCH};
-use client::render::{Gpu, gpu};
+use client::features::terrain::fill::{ChunkFiller, FillError, FilledChunk, MAX_BATCH};
+use client::gpu;
+use client::gpu::Gpu;
 use terrain::constants::{TOP_LEVEL, WORLD_HALF};
 use terrain::hash::mix;
 use terrain::key::ROOT;
@@ -52,7 +53,7 @@ fn assert_equals_the_cpu(land: &Land, filled: &FilledChunk) {
 }
 
 #[test]
-fn the_gpu_fills_the_same_chunks_at_every_level_up_to_the_world_border() {
+fn the_gpu_fills_the_same_chunks_at_every_level() {
     let Some(gpu) = open() else { return };
     for seed in [7, u64::MAX << 32 | 7] {
         let land = Land::new(seed);

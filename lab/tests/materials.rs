@@ -1,10 +1,13 @@
 //! Baked materials, read back: that they tile, that their mips keep what they must, and that they
 //! can be told from what does not.
 
-use client::looks::Tiling;
-use client::render::materials::{MATERIAL_SIZE, MATERIAL_TEXELS, Materials, OwnMaterial, OwnMaterials};
-use client::render::tiling_probe::{FIELD, Look, ProbeTiling};
-use client::render::{Gpu, gpu};
+use client::features::materials::tiling_probe::{FIELD, Look, ProbeTiling};
+use client::features::materials::{
+    CustomMaterial, CustomMaterials, MATERIAL_SIZE, MATERIAL_TEXELS, Materials,
+};
+use client::gpu;
+use client::gpu::Gpu;
+use client::settings::Tiling;
 use shaders::SHADERS;
 use shaders::layout::{BakeTexel, MATERIALS};
 
@@ -20,7 +23,7 @@ fn open() -> Option<Gpu> {
     }
 }
 
-fn bake(gpu: &Gpu, own: &OwnMaterials) -> Materials {
+fn bake(gpu: &Gpu, own: &CustomMaterials) -> Materials {
     Materials::new(&gpu.device, &gpu.queue, own, true)
 }
 
@@ -121,7 +124,7 @@ fn seam(map: &[f32]) -> f32 {
 #[test]
 fn every_set_tiles_and_half_of_one_does_not() {
     let Some(gpu) = open() else { return };
-    let materials = bake(&gpu, &OwnMaterials::default());
+    let materials = bake(&gpu, &CustomMaterials::default());
     let side = MATERIAL_SIZE as usize;
     for (layer, name) in MATERIALS.iter().enumerate() {
         let map = heights(&gpu, &materials, layer as u32);
@@ -143,9 +146,9 @@ fn stated_mean(layer: usize) -> [f32; 3] {
 }
 
 #[test]
-fn normals_point_up_heights_fill_their_range_and_colours_are_those_that_the_land_is_tinted_by() {
+fn normals_heights_and_colours_are_in_range() {
     let Some(gpu) = open() else { return };
-    let materials = bake(&gpu, &OwnMaterials::default());
+    let materials = bake(&gpu, &CustomMaterials::default());
     for (layer, name) in MATERIALS.iter().enumerate() {
         let layer = layer as u32;
         let shapes = shapes(&gpu, &materials, layer, 0);
@@ -168,9 +171,9 @@ fn normals_point_up_heights_fill_their_range_and_colours_are_those_that_the_land
 }
 
 #[test]
-fn mips_keep_the_mean_of_colour_and_height_and_turn_lost_normals_into_roughness() {
+fn mips_keep_means_and_turn_normal_variance_into_roughness() {
     let Some(gpu) = open() else { return };
-    let materials = bake(&gpu, &OwnMaterials::default());
+    let materials = bake(&gpu, &CustomMaterials::default());
     for (layer, name) in MATERIALS.iter().enumerate() {
         let layer = layer as u32;
         let first = colours(&gpu, &materials, layer, 0);
@@ -194,12 +197,12 @@ fn mips_keep_the_mean_of_colour_and_height_and_turn_lost_normals_into_roughness(
 }
 
 /// A set of one grey; or with a slope in its height, so that it has something to lose.
-fn grey(luminance: f32) -> OwnMaterials {
+fn grey(luminance: f32) -> CustomMaterials {
     let texel =
         BakeTexel { albedo: [luminance; 3], height: 0.5, normal: [0.0; 2], roughness: 0.5, occlusion: 1.0 };
     let own =
-        OwnMaterial { texels: vec![texel; MATERIAL_TEXELS], normals_given: false, occlusion_given: false };
-    OwnMaterials::new(std::array::from_fn(|_| Some(own.clone())))
+        CustomMaterial { texels: vec![texel; MATERIAL_TEXELS], normals_given: false, occlusion_given: false };
+    CustomMaterials::new(std::array::from_fn(|_| Some(own.clone())))
 }
 
 #[test]
@@ -216,7 +219,7 @@ fn an_own_set_comes_out_as_it_went_in_and_flat_is_flat() {
 }
 
 #[test]
-fn hexagons_leave_a_constant_alone_and_end_the_repetition_that_off_has() {
+fn hexagons_keep_a_constant_and_remove_the_repetition() {
     let Some(gpu) = open() else { return };
     let seen = |materials: &Materials, look, anchor_m| {
         let probe = ProbeTiling::new(&gpu, materials);
@@ -227,7 +230,7 @@ fn hexagons_leave_a_constant_alone_and_end_the_repetition_that_off_has() {
     let constant = seen(&bake(&gpu, &grey(0.25)), hex, [0.0; 2]);
     assert!(constant.iter().all(|luminance| (luminance - 0.25).abs() < 1e-5));
 
-    let materials = bake(&gpu, &OwnMaterials::default());
+    let materials = bake(&gpu, &CustomMaterials::default());
     let (width, tile) = (FIELD.0 as usize, MATERIAL_SIZE as usize);
     let repeats = |field: &[f32]| {
         let change = |step: usize| {
@@ -245,9 +248,9 @@ fn hexagons_leave_a_constant_alone_and_end_the_repetition_that_off_has() {
     };
     let off = seen(&materials, Look::Textures(Tiling::Off as u32), [0.0; 2]);
     let hidden = seen(&materials, hex, [0.0; 2]);
-    let truth = seen(&materials, Look::Recipe, [0.0; 2]);
+    let reference = seen(&materials, Look::Recipe, [0.0; 2]);
     assert!(repeats(&off) < 0.01, "the control must repeat: {}", repeats(&off));
-    for (name, field) in [("hexagons", &hidden), ("the recipe", &truth)] {
+    for (name, field) in [("hexagons", &hidden), ("the recipe", &reference)] {
         assert!(repeats(field) > 0.9, "{name}: {}", repeats(field));
     }
     // A pattern period farther the hexagons are the same ones; a nearer anchor has others.

@@ -1,18 +1,20 @@
-//! The shipped marches against the truth, on this machine's GPU. `cargo xtask measure pom` asks the
-//! same with more rays.
+//! The shipped marches against the reference, on this machine's GPU. `cargo xtask measure pom` runs
+//! the same with more rays.
 
 use clap::ValueEnum as _;
-use client::relief::cones::relaxed_cones;
-use client::relief::knobs::{Heights, LoopForm, Refine, ReliefShadow, ReliefTier};
-use client::relief::{HeightMap, ReliefKnobs};
-use lab::relief::bench::ReliefBench;
-use lab::relief::maps::Kind;
-use lab::relief::trial::{AMPLITUDE, ANGLES_DEG, Condition, Score, Stage, probes, rays, relief, truths};
-use shaders::layout::{Relief, ReliefProbe};
+use client::features::pom::cones::relaxed_cones;
+use client::features::pom::settings::{Heights, LoopForm, PomMethod, PomShadow, Refine};
+use client::features::pom::{HeightMap, PomSettings};
+use lab::pom::bench::PomBench;
+use lab::pom::comparison::{
+    AMPLITUDE, ANGLES_DEG, Condition, Score, Stage, probes, rays, references, relief,
+};
+use lab::pom::maps::Kind;
+use shaders::layout::{PomParams, PomProbe};
 
 /// The bench; none, visibly, where there is no adapter and none is required.
-fn bench() -> Option<ReliefBench> {
-    match ReliefBench::open() {
+fn bench() -> Option<PomBench> {
+    match PomBench::open() {
         Ok(bench) => Some(bench),
         Err(error) => {
             assert!(std::env::var_os("TOMBOLO_REQUIRE_GPU").is_none(), "a GPU is required: {error}");
@@ -25,14 +27,14 @@ fn bench() -> Option<ReliefBench> {
 const RAYS: u32 = 4_000;
 
 #[test]
-fn the_walk_over_the_pyramid_misses_nothing_but_tangents_and_a_linear_search_does() {
+fn the_max_mip_traversal_misses_only_tangents() {
     let Some(bench) = bench() else { return };
     let stage = Stage::new(&bench, false);
-    let linear = Relief { steps_min: 64, steps_max: 64, ..relief(ReliefTier::Linear) };
+    let linear = PomParams { steps_min: 64, steps_max: 64, ..relief(PomMethod::Linear) };
     for (layer, kind) in Kind::ALL.into_iter().enumerate() {
         for angle in ANGLES_DEG {
             let condition = Condition::new(&stage, layer, angle, RAYS);
-            for tier in [ReliefTier::Pyramid, ReliefTier::Auto] {
+            for tier in [PomMethod::MaxMip, PomMethod::Auto] {
                 let score = condition.score(&bench, &stage, &relief(tier)).unwrap();
                 let what = format!("{tier:?} over {} at {angle} degrees: {score:?}", kind.name());
                 assert!(score.wrong <= 5e-4 && score.wrong_without_excuse == 0.0, "{what}");
@@ -53,7 +55,7 @@ fn both_loop_forms_find_the_same_to_the_last_bit() {
             let probes = probes(layer, RAYS, angle, AMPLITUDE);
             let places = |form: LoopForm| -> Vec<[u32; 3]> {
                 let how =
-                    Relief { refine: refine as u32, loop_form: form as u32, ..relief(ReliefTier::Linear) };
+                    PomParams { refine: refine as u32, loop_form: form as u32, ..relief(PomMethod::Linear) };
                 let (found, _) = bench.run(&stage.uploaded, &how, &probes, 1).unwrap();
                 found.iter().map(|found| [found.uv[0], found.uv[1], found.height].map(f32::to_bits)).collect()
             };
@@ -69,11 +71,11 @@ fn apart(one: &[f32], other: &[f32]) -> f32 {
 }
 
 #[test]
-fn cones_of_a_gpu_are_those_of_the_cpu_at_every_level_and_not_those_of_the_negative() {
+fn cones_of_the_gpu_equal_those_of_the_cpu_at_every_level() {
     let Some(bench) = bench() else { return };
     // A map of bricks, each cone of which holds for a block of four texels, and one of hills, each
     // of which holds for one.
-    let maps = [Kind::Brick.map(), Kind::Fbm.map().halved().halved()];
+    let maps = [Kind::Brick.map(), Kind::Fbm.map().next_mip().next_mip()];
     for (map, block) in maps.into_iter().zip([2, 1]) {
         let uploaded = bench.upload(std::slice::from_ref(&map), true);
         let (mut reduced, mut compared) = (map, 0);
@@ -93,29 +95,29 @@ fn cones_of_a_gpu_are_those_of_the_cpu_at_every_level_and_not_those_of_the_negat
                 assert!(apart(&baked, &control) > 0.01, "the control must fail at level {level}");
                 compared += 1;
             }
-            reduced = reduced.halved();
+            reduced = reduced.next_mip();
         }
         assert_eq!(compared, 2, "levels");
     }
 }
 
 #[test]
-fn cones_miss_less_than_as_many_even_steps_and_far_less_than_no_cones() {
+fn cones_miss_less_than_as_many_uniform_steps() {
     let Some(bench) = bench() else { return };
     let (stage, bare) = (Stage::new(&bench, true), Stage::new(&bench, false));
     // 16 steps into the relief and 8 halvings.
-    let even = Relief {
+    let even = PomParams {
         steps_min: 16,
         steps_max: 16,
         refine: Refine::Bisection as u32,
         refinements: 8,
-        ..relief(ReliefTier::Linear)
+        ..relief(PomMethod::Linear)
     };
     for angle in [60.0, 75.0] {
         let condition = Condition::new(&stage, 1, angle, RAYS);
-        let score = |stage: &Stage, how: &Relief| condition.score(&bench, stage, how).unwrap();
-        let (cones, even) = (score(&stage, &relief(ReliefTier::Cones)), score(&stage, &even));
-        let control = score(&bare, &relief(ReliefTier::Cones));
+        let score = |stage: &Stage, how: &PomParams| condition.score(&bench, stage, how).unwrap();
+        let (cones, even) = (score(&stage, &relief(PomMethod::Cones)), score(&stage, &even));
+        let control = score(&bare, &relief(PomMethod::Cones));
         println!("bricks at {angle} degrees: cones {cones:?}, even steps {even:?}");
         assert!(cones.odd == 0 && cones.wrong < 0.02 && 2.0 * cones.wrong < even.wrong, "{cones:?} {even:?}");
         assert!(control.wrong > 10.0 * cones.wrong, "the control must fail: {control:?}");
@@ -128,15 +130,13 @@ fn cones_of_a_mip_level_are_found_over_its_own_heights() {
     let stage = Stage::new(&bench, true);
     // Ridges of a texel: of level 0, their cones are so narrow that 16 steps lead nowhere.
     let (layer, lod) = (3, 3);
-    let coarse = (0..lod).fold(stage.maps[layer].clone(), |map, _| map.halved());
+    let coarse = (0..lod).fold(stage.maps[layer].clone(), |map, _| map.next_mip());
     let wrong = |lod: u32, map: &HeightMap| {
-        let probes: Vec<ReliefProbe> = probes(layer, RAYS, 75.0, AMPLITUDE)
-            .into_iter()
-            .map(|probe| ReliefProbe { lod, ..probe })
-            .collect();
+        let probes: Vec<PomProbe> =
+            probes(layer, RAYS, 75.0, AMPLITUDE).into_iter().map(|probe| PomProbe { lod, ..probe }).collect();
         let rays = rays(&probes, 0.5);
-        let (found, _) = bench.run(&stage.uploaded, &relief(ReliefTier::Cones), &probes, 1).unwrap();
-        Score::of(map, &rays, &found, &truths(map, &rays)).wrong
+        let (found, _) = bench.run(&stage.uploaded, &relief(PomMethod::Cones), &probes, 1).unwrap();
+        Score::of(map, &rays, &found, &references(map, &rays)).wrong
     };
     let (own, control) = (wrong(lod, &coarse), wrong(0, &stage.maps[layer]));
     println!("ridges: {own} wrong at level {lod}, {control} at level 0");
@@ -145,7 +145,7 @@ fn cones_of_a_mip_level_are_found_over_its_own_heights() {
 }
 
 /// Rays with everything that is odd about them.
-fn odd_rays(layer: u32) -> Vec<ReliefProbe> {
+fn odd_rays(layer: u32) -> Vec<PomProbe> {
     let mut rays = Vec::new();
     for amplitude in [0.0, 1e-6, 0.05, 0.5, 10.0] {
         for angle_deg in [0.0f32, 60.0, 89.9, 90.0, 120.0] {
@@ -154,7 +154,7 @@ fn odd_rays(layer: u32) -> Vec<ReliefProbe> {
                     let (sin, cos) = angle_deg.to_radians().sin_cos();
                     // At a right angle, exactly: the sine of a rounded angle leaves a rest.
                     let up = if angle_deg == 90.0 { 0.0 } else { cos };
-                    rays.push(ReliefProbe {
+                    rays.push(PomProbe {
                         uv: [origin + 0.37, origin + 0.61],
                         amplitude,
                         lod: 0,
@@ -171,7 +171,7 @@ fn odd_rays(layer: u32) -> Vec<ReliefProbe> {
 }
 
 #[test]
-fn every_odd_ray_over_every_odd_map_ends_at_a_number_after_bounded_work() {
+fn extreme_rays_over_extreme_maps_end_at_finite_places() {
     let Some(bench) = bench() else { return };
     let map = |side: usize, height: fn(f64, f64) -> f64| HeightMap::of(side, height).unwrap();
     let checkers =
@@ -192,18 +192,18 @@ fn every_odd_ray_over_every_odd_map_ends_at_a_number_after_bounded_work() {
         let uploaded = bench.upload(&maps, true);
         for layer in 0..maps.len() as u32 {
             let rays = odd_rays(layer);
-            for tier in ReliefTier::value_variants() {
+            for tier in PomMethod::value_variants() {
                 for steps in [1, 256] {
                     for (heights, shadow) in
-                        [(Heights::Exact, ReliefShadow::Hard), (Heights::Sampler, ReliefShadow::Soft)]
+                        [(Heights::Exact, PomShadow::Hard), (Heights::Sampler, PomShadow::Soft)]
                     {
-                        let knobs = ReliefKnobs {
-                            tier: *tier,
+                        let knobs = PomSettings {
+                            method: *tier,
                             steps_min: steps,
                             steps_max: steps,
                             heights,
                             shadow,
-                            ..ReliefKnobs::default()
+                            ..PomSettings::default()
                         };
                         let (found, _) = bench.run(&uploaded, &knobs.layout(), &rays, 1).unwrap();
                         for (ray, found) in rays.iter().zip(&found) {
@@ -216,7 +216,7 @@ fn every_odd_ray_over_every_odd_map_ends_at_a_number_after_bounded_work() {
                             );
                             assert!(found.fetches <= 5 * 8192, "{what}");
                             let goes_nowhere =
-                                ray.amplitude == 0.0 || ray.to_eye[2] <= 0.0 || *tier == ReliefTier::Flat;
+                                ray.amplitude == 0.0 || ray.to_eye[2] <= 0.0 || *tier == PomMethod::Flat;
                             assert!(!goes_nowhere || found.uv == ray.uv, "{what}");
                         }
                     }
@@ -233,7 +233,7 @@ fn a_constant_map_is_met_where_its_plane_is() {
         let map = HeightMap::new(16, vec![height; 256]).unwrap();
         let uploaded = bench.upload(&[map], false);
         let rays = probes(0, 500, 75.0, AMPLITUDE);
-        for tier in [ReliefTier::Offset, ReliefTier::Linear, ReliefTier::Pyramid, ReliefTier::Auto] {
+        for tier in [PomMethod::Offset, PomMethod::Linear, PomMethod::MaxMip, PomMethod::Auto] {
             let (found, _) = bench.run(&uploaded, &relief(tier), &rays, 1).unwrap();
             for (ray, found) in rays.iter().zip(&found) {
                 let expected = [0, 1].map(|axis| {
@@ -252,15 +252,15 @@ fn a_constant_map_is_met_where_its_plane_is() {
 #[test]
 fn the_largest_map_is_walked_like_a_small_one() {
     let Some(bench) = bench() else { return };
-    let side = client::relief::map::LARGEST_SIDE;
+    let side = client::features::pom::height_map::LARGEST_SIDE;
     let wave = |u: f64| 0.5 + 0.5 * (std::f64::consts::TAU * u).sin();
     let map = HeightMap::of(side, |u, v| wave(8.0 * u) * wave(8.0 * v)).unwrap();
     let uploaded = bench.upload(std::slice::from_ref(&map), false);
     let probes = probes(0, 500, 80.0, AMPLITUDE);
     let rays = rays(&probes, 0.5);
-    let truths = truths(&map, &rays);
-    let (found, _) = bench.run(&uploaded, &relief(ReliefTier::Pyramid), &probes, 1).unwrap();
-    let score = Score::of(&map, &rays, &found, &truths);
+    let references = references(&map, &rays);
+    let (found, _) = bench.run(&uploaded, &relief(PomMethod::MaxMip), &probes, 1).unwrap();
+    let score = Score::of(&map, &rays, &found, &references);
     assert!(score.wrong == 0.0 && score.odd == 0 && score.residual < 1.0 / 1024.0, "{score:?}");
 }
 
@@ -279,9 +279,9 @@ fn far_tiles_stretched_and_mirrored_ones_are_marched_as_exactly() {
                 }
             }
             let (map, rays) = (&stage.maps[layer], rays(&probes, 0.5));
-            let truths = truths(map, &rays);
-            let (found, _) = bench.run(&stage.uploaded, &relief(ReliefTier::Pyramid), &probes, 1).unwrap();
-            let score = Score::of(map, &rays, &found, &truths);
+            let references = references(map, &rays);
+            let (found, _) = bench.run(&stage.uploaded, &relief(PomMethod::MaxMip), &probes, 1).unwrap();
+            let score = Score::of(map, &rays, &found, &references);
             // A place a thousand tiles out is a multiple of a 32nd texel.
             assert!(score.wrong <= 2e-3 && score.texels[1] < 0.1, "{stretch:?} {origin} {score:?}");
         }

@@ -1,21 +1,19 @@
-//! Reflection: what the fast visibility term and fewer digits cost, against f64.
+//! Reflection: error and cost of the approximate visibility term and of lower precision.
 //!
-//! A pass evaluates the functions that the viewer draws with (`shared/brdf.wesl`) for directions
-//! that lie where the lobes of GGX are; the truth is the exact form in f64 for the same directions.
-//! Half precision is emulated here, since few devices compute in it: every intermediate result is
-//! rounded.
+//! A compute pass evaluates the functions of the viewer (`shared/brdf.wesl`) for directions inside
+//! the lobes of GGX; the reference is the exact form in f64. Half precision is emulated, since few
+//! devices compute in it: every intermediate result is rounded.
 
-use super::Curve;
-use super::octaves::ratios;
 use crate::adapters::{self, OpenGpu};
-use crate::chart::{Choice, Panel, front, linear, log, measured, stated};
+use crate::chart::{Panel, linear, log};
+use crate::curve::{Column, Curve, Sheet, numbered};
 use crate::probe;
-use crate::table::Table;
+use crate::stats::{Figures, interleaved, ratios};
 use anyhow::{Context as _, Result};
 use shaders::SHADERS;
 use shaders::layout::{BRDF_TERMS, BrdfProbe};
 use std::f64::consts::{PI, TAU};
-use std::time::Instant;
+use std::time::Duration;
 
 /// Reflectance at normal incidence of all probes.
 const F0: f64 = 0.04;
@@ -37,13 +35,20 @@ const TURNS: u32 = 12;
 const ROUNDS: usize = 41;
 const TIMED: u32 = 1 << 14;
 
-/// The timed entry points: label, and what they combine.
-const VARIANTS: [(&str, &str); 4] = [
-    ("time_exact", "exact visibility, N x H"),
-    ("time_fast", "fast visibility, N x H"),
-    ("time_exact_naive", "exact visibility, 1 - NH^2"),
-    ("time_fast_naive", "fast visibility, 1 - NH^2"),
+/// The timed entry points, their names, and whether the visibility term is the fast one.
+const VARIANTS: [(&str, &str, bool, Form); 4] = [
+    ("time_exact", "exact visibility, N x H", false, Form::Lagrange),
+    ("time_fast", "fast visibility, N x H", true, Form::Lagrange),
+    ("time_exact_naive", "exact visibility, 1 - NH^2", false, Form::Naive),
+    ("time_fast_naive", "fast visibility, 1 - NH^2", true, Form::Naive),
 ];
+
+/// Columns of errors.
+const ERRORS: [&str; 5] = ["fast", "f32", "f32 naive", "f16", "f16 naive"];
+
+const NO_GPU: &str = "\
+     reflection is measured on a GPU and none was found: install a Vulkan driver, on Debian or \
+     Ubuntu `apt install mesa-vulkan-drivers libvulkan1`";
 
 type Vector = [f64; 3];
 
@@ -68,8 +73,7 @@ fn widened(v: [f32; 3]) -> Vector {
     unit(v.map(f64::from))
 }
 
-/// A surface that is aligned with no axis, so that no product is exact by luck: normal and two
-/// tangents.
+/// A surface aligned with no axis, so that products round: normal and two tangents.
 fn surface() -> [Vector; 3] {
     let normal = unit([0.36, 0.81, -0.47]);
     let east = unit(cross(normal, [0.1, 0.2, 0.9]));
@@ -119,7 +123,7 @@ fn probes(roughness: f64) -> Vec<BrdfProbe> {
     probes
 }
 
-/// Distribution over everything else that a lobe consists of, by a formula that may round.
+/// Formula of the denominator of the distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Form {
     /// 1 - NH^2 from the cross product.
@@ -129,7 +133,7 @@ enum Form {
 }
 
 /// The sun's reflection, exact visibility, each result passed through `round`: identity for the
-/// truth.
+/// reference.
 fn reflection(probe: &BrdfProbe, form: Form, round: impl Fn(f64) -> f64 + Copy) -> f64 {
     let vector = |v: Vector| v.map(round);
     let product = |a: Vector, b: Vector| {
@@ -178,113 +182,61 @@ fn half(value: f64) -> f64 {
     if rounded.abs() > 65_504.0 { f64::INFINITY.copysign(value) } else { rounded }
 }
 
-/// A relative error beyond which it makes no difference how wrong a value is; what is no number
-/// counts as this wrong.
+/// Relative errors are cut here; values that are not finite count as this.
 const HOPELESS: f64 = 1000.0;
 
-/// Largest, root mean square and 99th percentile of relative errors.
-fn statistics(errors: impl Iterator<Item = f64>) -> [f64; 3] {
-    let mut errors: Vec<f64> =
-        errors.map(|error| if error.is_finite() { error.abs().min(HOPELESS) } else { HOPELESS }).collect();
-    errors.sort_unstable_by(f64::total_cmp);
-    let count = errors.len().max(1);
-    let square = errors.iter().map(|error| error * error).sum::<f64>() / count as f64;
-    let at = |share: f64| errors.get((share * (count - 1) as f64) as usize).copied().unwrap_or_default();
-    [at(1.0), square.sqrt(), at(0.99)]
+fn figures(errors: impl Iterator<Item = f64>) -> Figures {
+    let cut = |error: f64| if error.is_finite() { error.abs().min(HOPELESS) } else { HOPELESS };
+    Figures::of(errors.map(cut).collect())
 }
 
 /// Terms of the pass for some probes.
 type Terms = [f32; BRDF_TERMS];
 
 /// The pass on one device.
-struct Bench {
-    gpu: OpenGpu,
-    module: wgpu::ShaderModule,
-}
+struct Bench(OpenGpu);
 
 impl Bench {
     fn open() -> Result<Self> {
-        let adapter = adapters::all(wgpu::Backends::PRIMARY).into_iter().next().context(
-            "reflection is measured on a GPU and none was found: install a Vulkan driver, on Debian or Ubuntu `apt install mesa-vulkan-drivers libvulkan1`",
-        )?;
-        let gpu = adapters::open(&adapter).with_context(|| adapters::name(&adapter))?;
-        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(SHADERS.probe_brdf.name),
-            source: wgpu::ShaderSource::Wgsl(SHADERS.probe_brdf.wgsl.into()),
-        });
-        Ok(Self { gpu, module })
+        let adapter = adapters::all(wgpu::Backends::PRIMARY).into_iter().next().context(NO_GPU)?;
+        Ok(Self(adapters::open(&adapter).with_context(|| adapters::name(&adapter))?))
     }
 
+    /// An entry point with its buffers.
     fn job(&self, entry_point: &str, probes: &[BrdfProbe], words: usize) -> Job {
-        let device = &self.gpu.device;
-        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(entry_point),
-            layout: None,
-            module: &self.module,
-            entry_point: Some(entry_point),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            cache: None,
-        });
-        let input = probe::input(&self.gpu, "probes", probes);
-        let output = probe::output::<f32>(&self.gpu, "terms", words);
-        let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(entry_point),
-            layout: &pipeline.get_bind_group_layout(0),
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: input.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: output.as_entire_binding() },
-            ],
-        });
+        let pipeline = probe::pipeline(&self.0, &SHADERS.probe_brdf, Some(entry_point));
+        let input = probe::input(&self.0, "probes", probes);
+        let output = probe::output::<f32>(&self.0, "terms", words);
+        let resources = [&input, &output].map(wgpu::Buffer::as_entire_binding);
+        let bindings = probe::bind(&self.0, &pipeline, resources);
         Job { pipeline, bindings, output }
+    }
+
+    fn run(&self, job: &Job, invocations: u32) -> Result<Duration> {
+        probe::dispatch(&self.0, &job.pipeline, &job.bindings, invocations.div_ceil(64), 1)
     }
 
     /// The terms of probes, in their order.
     fn terms(&self, probes: &[BrdfProbe]) -> Result<Vec<Terms>> {
         let job = self.job("probe_brdf", probes, BRDF_TERMS * probes.len());
-        self.gpu.queue.submit([job.record(&self.gpu, probes.len() as u32).finish()]);
-        probe::read(&self.gpu, &job.output)
+        self.run(&job, probes.len() as u32)?;
+        probe::read(&self.0, &job.output)
     }
 
-    /// Costs of the variants over that of the first, in their order: medians over rounds in which
-    /// they take turns, so that a change of the machine's speed meets all.
+    /// Times of the variants over that of the first.
     fn costs(&self) -> Result<Vec<f64>> {
         let probes = probes(0.5);
-        let jobs: Vec<Job> =
-            VARIANTS.iter().map(|(entry, _)| self.job(entry, &probes, TIMED as usize)).collect();
-        let mut times = vec![Vec::new(); jobs.len()];
-        for round in 0..=ROUNDS {
-            for (job, times) in jobs.iter().zip(&mut times) {
-                let encoder = job.record(&self.gpu, TIMED);
-                let begun = Instant::now();
-                self.gpu.queue.submit([encoder.finish()]);
-                self.gpu.wait()?;
-                // The first round compiles and fills caches.
-                if round > 0 {
-                    times.push(begun.elapsed());
-                }
-            }
-        }
-        Ok(ratios(&times))
+        let jobs = VARIANTS.map(|(entry, ..)| self.job(entry, &probes, TIMED as usize));
+        // The first round compiles pipelines and fills caches.
+        interleaved(1, VARIANTS.len(), |index| self.run(&jobs[index], TIMED))?;
+        Ok(ratios(&interleaved(ROUNDS, VARIANTS.len(), |index| self.run(&jobs[index], TIMED))?))
     }
 }
 
-/// An entry point with its buffers.
 struct Job {
     pipeline: wgpu::ComputePipeline,
     bindings: wgpu::BindGroup,
     output: wgpu::Buffer,
-}
-
-impl Job {
-    fn record(&self, gpu: &OpenGpu, invocations: u32) -> wgpu::CommandEncoder {
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-        pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &self.bindings, &[]);
-        pass.dispatch_workgroups(invocations.div_ceil(64), 1, 1);
-        drop(pass);
-        encoder
-    }
 }
 
 /// The reflection that a variant makes of a probe's terms.
@@ -294,146 +246,109 @@ fn assembled(terms: &Terms, fast: bool, form: Form) -> f64 {
     distribution * if fast { approximate } else { exact } * fresnel * nl
 }
 
-/// Measures it.
-///
-/// # Errors
-/// There is no GPU, or it fails.
+/// Errors at one roughness.
+struct Row {
+    roughness: f64,
+    /// By [`ERRORS`].
+    errors: [Figures; 5],
+    /// Of each of [`VARIANTS`].
+    of_variants: [Vec<f64>; 4],
+}
+
+fn row(bench: &Bench, roughness: f64) -> Result<Row> {
+    let probes = probes(roughness);
+    let terms = bench.terms(&probes)?;
+    let reference: Vec<f64> =
+        probes.iter().map(|probe| reflection(probe, Form::Lagrange, |value| value)).collect();
+    let on_gpu = |fast, form| {
+        let pairs = terms.iter().zip(&reference);
+        pairs.map(move |(terms, reference)| assembled(terms, fast, form) / reference - 1.0)
+    };
+    let in_half = |form| {
+        let pairs = probes.iter().zip(&reference);
+        pairs.map(move |(probe, reference)| reflection(probe, form, half) / reference - 1.0)
+    };
+    let errors = [
+        figures(on_gpu(true, Form::Lagrange)),
+        figures(on_gpu(false, Form::Lagrange)),
+        figures(on_gpu(false, Form::Naive)),
+        figures(in_half(Form::Lagrange)),
+        figures(in_half(Form::Naive)),
+    ];
+    let of_variants = VARIANTS.map(|(.., fast, form)| on_gpu(fast, form).collect());
+    Ok(Row { roughness, errors, of_variants })
+}
+
 pub fn measure(_: u64) -> Result<Curve> {
     let bench = Bench::open()?;
-    let mut errors = Table::new(
-        "brdf",
-        format!(
-            "relative error of the sun's reflection (GGX, f0 {F0}) against f64 with exact visibility, at half vectors spread evenly over the lobe and eyes 0 to 85 degrees off the normal; f32 on {}, f16 emulated, errors cut at {HOPELESS}. The viewer draws no roughness below {FLOOR}.",
-            bench.gpu.name
-        ),
-        &[
-            "roughness",
-            "fast max",
-            "fast RMS",
-            "fast p99",
-            "f32 max",
-            "f32 RMS",
-            "f32 p99",
-            "f32 naive max",
-            "f32 naive RMS",
-            "f32 naive p99",
-            "f16 max",
-            "f16 RMS",
-            "f16 p99",
-            "f16 naive max",
-            "f16 naive RMS",
-            "f16 naive p99",
-        ],
-    );
-    // Over all roughnesses that are drawn, for each variant.
-    let mut of_variants: [Vec<f64>; 4] = Default::default();
-    for roughness in ROUGHNESSES {
-        let probes = probes(roughness);
-        let terms = bench.terms(&probes)?;
-        let truth: Vec<f64> =
-            probes.iter().map(|probe| reflection(probe, Form::Lagrange, |value| value)).collect();
-        let on_gpu = |fast, form| {
-            let pairs = terms.iter().zip(&truth);
-            pairs.map(move |(terms, truth)| assembled(terms, fast, form) / truth - 1.0)
-        };
-        let in_half = |form| {
-            let pairs = probes.iter().zip(&truth);
-            pairs.map(move |(probe, truth)| reflection(probe, form, half) / truth - 1.0)
-        };
-        let row = [
-            statistics(on_gpu(true, Form::Lagrange)),
-            statistics(on_gpu(false, Form::Lagrange)),
-            statistics(on_gpu(false, Form::Naive)),
-            statistics(in_half(Form::Lagrange)),
-            statistics(in_half(Form::Naive)),
-        ];
-        errors.push(std::iter::once(roughness).chain(row.into_iter().flatten()).collect::<Vec<_>>());
-        if roughness >= FLOOR {
-            let variants =
-                [(false, Form::Lagrange), (true, Form::Lagrange), (false, Form::Naive), (true, Form::Naive)];
-            for (all, (fast, form)) in of_variants.iter_mut().zip(variants) {
-                all.extend(on_gpu(fast, form));
-            }
-        }
-    }
-
-    let ratios = bench.costs()?;
-    let mut costs = Table::new(
+    let rows = ROUGHNESSES.map(|roughness| row(&bench, roughness)).into_iter().collect::<Result<Vec<_>>>()?;
+    let drawn = |row: &Row| row.roughness >= FLOOR;
+    let costs = bench.costs()?.into_iter().enumerate().map(|(index, cost)| {
+        let errors = rows.iter().filter(|row| drawn(row)).flat_map(|row| &row.of_variants[index]);
+        (index, cost, figures(errors.copied()))
+    });
+    let mut costs = Sheet::new(
         "brdf_cost",
         format!(
-            "cost of one reflection, over that of variant 0, median of {ROUNDS} interleaved rounds on {}, against the error over all roughnesses from {FLOOR} on; variants: {}.",
-            bench.gpu.name,
-            VARIANTS
-                .iter()
-                .enumerate()
-                .map(|(n, (_, name))| format!("{n} {name}"))
-                .collect::<Vec<_>>()
-                .join("; ")
+            "cost of one reflection, over that of variant 0, median of {ROUNDS} interleaved rounds on {}, \
+             against \
+             the error over all roughnesses from {FLOOR} on; variants: {}.",
+            bench.0.name,
+            numbered(VARIANTS.map(|variant| variant.1), "; ")
         ),
-        &["variant", "cost ratio", "RMS", "p99", "max"],
+        costs.collect(),
     );
-    for (index, (cost, all)) in ratios.iter().zip(of_variants).enumerate() {
-        let [max, rms, p99] = statistics(all.into_iter());
-        costs.push([index as f64, *cost, rms, p99, max]);
-    }
-    let curve = |column| errors.curve("roughness", column);
-    let drawn = |column| curve(column).into_iter().filter(|(roughness, _)| *roughness >= FLOOR);
-    let floor = || stated("least roughness drawn", [(FLOOR, 1e-6), (FLOOR, HOPELESS)]);
-    let choices: Vec<Choice> = costs
-        .curve("cost ratio", "RMS")
-        .into_iter()
-        .zip(VARIANTS)
-        .enumerate()
-        .map(|(index, (at, (_, name)))| Choice { name: name.to_owned(), at, is_shipped: index == 0 })
-        .collect();
+    costs.column("variant", |row| row.0 as f64);
+    let cost = costs.column("cost ratio", |row| row.1);
+    let rms = costs.column("RMS", |row| row.2.rms);
+    costs.column("p99", |row| row.2.p99);
+    costs.column("max", |row| row.2.max);
+    let mut errors = Sheet::new(
+        "brdf",
+        format!(
+            "relative error of the sun's reflection (GGX, f0 {F0}) against f64 with exact visibility, at \
+             half \
+             vectors spread evenly over the lobe and eyes 0 to 85 degrees off the normal; f32 on {}, f16 \
+             emulated, errors cut at {HOPELESS}. The viewer draws no roughness below {FLOOR}.",
+            bench.0.name
+        ),
+        rows,
+    );
+    let roughness = errors.column("roughness", |row| row.roughness);
+    let columns = [0, 1, 2, 3, 4].map(|index: usize| {
+        let name = ERRORS[index];
+        let max = errors.column(format!("{name} max"), |row| row.errors[index].max);
+        let rms = errors.column(format!("{name} RMS"), |row| row.errors[index].rms);
+        [max, rms, errors.column(format!("{name} p99"), |row| row.errors[index].p99)]
+    });
+    let [[fast_max, fast_rms, fast_p99], ..] = columns;
+
+    let of_drawn = |column: Column| errors.points_where(drawn, roughness, column);
+    let precision = |title, figure: usize| {
+        Panel::new(title, log("roughness"), log("relative error of the reflection, cut at 1000"))
+            .line("f32, N x H", errors.points(roughness, columns[1][figure]))
+            .line("f32, 1 - NH^2", errors.points(roughness, columns[2][figure]))
+            .line("f16, N x H", errors.points(roughness, columns[3][figure]))
+            .line("f16, 1 - NH^2", errors.points(roughness, columns[4][figure]))
+            .bound("least roughness drawn", [(FLOOR, 1e-6), (FLOOR, HOPELESS)])
+    };
+    let time = linear("time, share of exact visibility with N x H");
+    let error = log("relative error of the reflection");
     let panels = vec![
-        Panel {
-            title: "Fast visibility against exact",
-            x: linear("roughness"),
-            y: log("relative error of the reflection"),
-            series: vec![
-                measured("largest found", drawn("fast max")),
-                measured("99th percentile", drawn("fast p99")),
-                measured("RMS", drawn("fast RMS")),
-            ],
-        },
-        Panel {
-            title: "Precision, exact visibility: 99th percentile",
-            x: log("roughness"),
-            y: log("relative error of the reflection, cut at 1000"),
-            series: vec![
-                measured("f32, N x H", curve("f32 p99")),
-                measured("f32, 1 - NH^2", curve("f32 naive p99")),
-                measured("f16, N x H", curve("f16 p99")),
-                measured("f16, 1 - NH^2", curve("f16 naive p99")),
-                floor(),
-            ],
-        },
-        Panel {
-            title: "Precision, exact visibility: RMS",
-            x: log("roughness"),
-            y: log("relative error of the reflection, cut at 1000"),
-            series: vec![
-                measured("f32, N x H", curve("f32 RMS")),
-                measured("f32, 1 - NH^2", curve("f32 naive RMS")),
-                measured("f16, N x H", curve("f16 RMS")),
-                measured("f16, 1 - NH^2", curve("f16 naive RMS")),
-                floor(),
-            ],
-        },
-        Panel {
-            title: "What an error saves",
-            x: linear("time, share of exact visibility with N x H"),
-            y: log("RMS relative error"),
-            series: front(&choices),
-        },
+        Panel::new("Fast visibility against exact", linear("roughness"), error)
+            .line("largest found", of_drawn(fast_max))
+            .line("99th percentile", of_drawn(fast_p99))
+            .line("RMS", of_drawn(fast_rms)),
+        precision("Precision, exact visibility: 99th percentile", 2),
+        precision("Precision, exact visibility: RMS", 1),
+        Panel::new("Cost against error", time, log("RMS relative error")).front(&costs.choices(
+            cost,
+            rms,
+            |row| (VARIANTS[row.0].1.to_owned(), row.0 == 0),
+        )),
     ];
-    Ok(Curve {
-        name: "brdf",
-        title: "Reflection: visibility term and precision (truth: f64, exact visibility)",
-        tables: vec![errors, costs],
-        panels,
-    })
+    let title = "Reflection: visibility term and precision (reference: f64, exact visibility)";
+    Ok(Curve { name: "brdf", title, tables: vec![errors.into(), costs.into()], panels })
 }
 
 #[cfg(test)]
@@ -441,7 +356,7 @@ mod tests {
     use super::*;
     use crate::sample;
 
-    /// The pass; none, visibly, where there is no adapter and none is required.
+    /// The pass; skipped with a message without an adapter, unless one is required.
     fn bench() -> Option<Bench> {
         match Bench::open() {
             Ok(bench) => Some(bench),
@@ -454,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn half_floats_round_as_the_format_does() {
+    fn half_floats_round_to_nearest_even() {
         for (value, rounded) in [
             (1.0, 1.0),
             (1.0 + 1.0 / 2048.0, 1.0),
@@ -471,19 +386,19 @@ mod tests {
     }
 
     #[test]
-    fn f32_is_near_the_truth_where_the_viewer_draws_and_the_naive_form_is_not() {
+    fn f32_is_near_the_reference_and_the_naive_form_is_not() {
         let Some(bench) = bench() else { return };
         for roughness in [FLOOR, 0.2, 0.9] {
             let probes = probes(roughness);
             let terms = bench.terms(&probes).unwrap();
-            let [max, ..] = statistics(terms.iter().zip(&probes).map(|(terms, probe)| {
+            let Figures { max, .. } = figures(terms.iter().zip(&probes).map(|(terms, probe)| {
                 assembled(terms, false, Form::Lagrange) / reflection(probe, Form::Lagrange, |v| v) - 1.0
             }));
             assert!(max < 2e-3, "roughness {roughness}: {max}");
         }
         let probes = probes(FLOOR);
         let terms = bench.terms(&probes).unwrap();
-        let [max, ..] = statistics(terms.iter().zip(&probes).map(|(terms, probe)| {
+        let Figures { max, .. } = figures(terms.iter().zip(&probes).map(|(terms, probe)| {
             assembled(terms, false, Form::Naive) / reflection(probe, Form::Lagrange, |v| v) - 1.0
         }));
         assert!(max > 0.02, "the control must fail: {max}");
@@ -550,7 +465,7 @@ mod tests {
     }
 
     #[test]
-    fn no_surface_gives_back_more_than_it_gets_and_one_without_masking_does() {
+    fn no_surface_gains_energy_and_one_without_masking_does() {
         const TOLERANCE: f64 = 0.015;
         let Some(bench) = bench() else { return };
         let mut unmasked = 0.0f64;

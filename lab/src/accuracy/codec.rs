@@ -1,13 +1,12 @@
-//! The codec of chunks: what a tolerance and an effort cost and save, and samples against seeds.
+//! Chunk codec: bytes, time and error by tolerance and effort; samples against seeds.
 //!
 //! Times are the shortest of `TURNS` for each chunk, in milliseconds; in a debug build they mean
 //! little.
 
-use super::Curve;
-use crate::chart::{Panel, linear, log, measured, stated};
+use crate::chart::{Panel, linear, log};
+use crate::curve::{Column, Curve, Sheet};
 use crate::sample;
-use crate::table::Table;
-use anyhow::{Result, anyhow};
+use anyhow::{Result, ensure};
 use protocol::chunk_codec::{self, Effort, quantised, refined, seed_only};
 use protocol::{Delivery, Tolerance};
 use std::hint::black_box;
@@ -21,70 +20,69 @@ const TURNS: u32 = 7;
 /// Places whose chunks are coded.
 const PLACES: u32 = 32;
 
-/// Measures a world.
-///
+const EFFORTS: [(Effort, &str); 2] = [(Effort::Compact, "compact"), (Effort::Fast, "fast")];
+
+/// Deliveries: name in the table, name in diagrams.
+const DELIVERIES: [(&str, &str); 4] =
+    [("exact", "exact, compact"), ("fast", "exact, fast"), ("refined", "refined"), ("seed", "seed only")];
+
+const DELIVERY: &str = "\
+     bytes of a frame and the client's time to a verified chunk, one thread, by level of \
+     detail: samples at both efforts, samples for clients with the parent (up to level 1), and seeds.";
+const PYRAMIDS: &str = "\
+     both pyramids of a level-0 chunk: rebuilt from the heights, or sent as differences to the \
+     first corner of each cell in a zstd 1 frame; the frame without them for scale.";
+
 /// # Errors
-/// A quantised height is farther off than its frame states, or a frame does not give back its
-/// chunk.
+/// A quantised height is farther off than its frame states, or a frame does not restore its chunk.
 pub fn measure(world_seed: u64) -> Result<Curve> {
     let land = Land::new(world_seed);
     let world = land.digest();
-    let tolerances = tolerances(&land, &world)?;
-    let deliveries = deliveries(&land, &world)?;
+    let (tolerances, columns) = tolerances(&land, &world)?;
+    let (deliveries, client) = deliveries(&land, &world)?;
     let pyramids = pyramids(&land, &world);
-    let (tolerance, bytes) = ("tolerance, m", "bytes per vertex, compact");
+    let [stated, error, bytes, decode] = columns;
+    let points = |column| tolerances.points(stated[0], column).into_iter().skip(1);
     let span = [Tolerance::FINEST.metres(), Tolerance::COARSEST.metres()];
+    let x = log("tolerance, m");
+    let by_level = Panel::new(
+        "Bytes against the client's time, by level of detail",
+        log("bytes per chunk"),
+        log("client, ms per chunk"),
+    );
+    let line = |panel: Panel, ((_, label), [bytes, ms]): ((_, &str), [Column; 2])| {
+        let points = deliveries.points(bytes, ms).into_iter();
+        panel.line(label, points.filter(|(bytes, ms)| bytes.is_finite() && ms.is_finite()))
+    };
     let panels = vec![
-        Panel {
-            title: "Size against tolerance",
-            x: log(tolerance),
-            y: linear("bytes per vertex"),
-            series: vec![
-                measured("compact", tolerances.curve(tolerance, bytes).into_iter().skip(1)),
-                measured("fast", tolerances.curve(tolerance, "bytes per vertex, fast").into_iter().skip(1)),
-            ],
-        },
-        Panel {
-            title: "Height error against tolerance",
-            x: log(tolerance),
-            y: log("height error, m"),
-            series: vec![
-                measured("largest found", tolerances.curve(tolerance, "max error, m").into_iter().skip(1)),
-                stated("the tolerance", span.map(|m| (m, m))),
-            ],
-        },
-        Panel {
-            title: "What a tolerance costs to decode",
-            x: log(tolerance),
-            y: linear("decode, ms per chunk"),
-            series: vec![
-                measured("compact", tolerances.curve(tolerance, "decode, ms, compact").into_iter().skip(1)),
-                measured("fast", tolerances.curve(tolerance, "decode, ms, fast").into_iter().skip(1)),
-            ],
-        },
-        Panel {
-            title: "Bytes against the client's time, by level of detail",
-            x: log("bytes per chunk"),
-            y: log("client, ms per chunk"),
-            series: [
-                ("exact, compact", "exact"),
-                ("exact, fast", "fast"),
-                ("refined", "refined"),
-                ("seed only", "seed"),
-            ]
-            .map(|(label, name)| {
-                let points = deliveries.curve(&format!("bytes, {name}"), &format!("client ms, {name}"));
-                measured(label, points.into_iter().filter(|(bytes, ms)| bytes.is_finite() && ms.is_finite()))
-            })
-            .into(),
-        },
+        Panel::new("Size against tolerance", x, linear("bytes per vertex"))
+            .line("compact", points(bytes[0]))
+            .line("fast", points(bytes[1])),
+        Panel::new("Height error against tolerance", x, log("height error, m"))
+            .line("largest found", points(error[0]))
+            .bound("the tolerance", span.map(|m| (m, m))),
+        Panel::new("Decoding time against tolerance", x, linear("decode, ms per chunk"))
+            .line("compact", points(decode[0]))
+            .line("fast", points(decode[1])),
+        DELIVERIES.into_iter().zip(client).fold(by_level, line),
     ];
-    Ok(Curve {
-        name: "codec",
-        title: "Codec of chunks: bytes, milliseconds and error (truth: the land's own integers)",
-        tables: vec![tolerances, deliveries, pyramids],
-        panels,
-    })
+    let tables = vec![tolerances.into(), deliveries.into(), pyramids.into()];
+    let title = "Codec of chunks: bytes, milliseconds and error (reference: the land's own integers)";
+    Ok(Curve { name: "codec", title, tables, panels })
+}
+
+/// A tolerance; by effort: bytes of a frame, encoding and decoding in milliseconds.
+struct Coded {
+    stated_m: f64,
+    error_m: f64,
+    by_effort: [[f64; 3]; 2],
+}
+
+/// Bytes of a frame and milliseconds of the client by delivery.
+struct Delivered {
+    level: u8,
+    chunks: usize,
+    by_delivery: [[f64; 2]; 4],
 }
 
 /// Chunks with land of a level.
@@ -116,121 +114,110 @@ fn bytes<T: AsRef<[u8]>>(frames: &[T]) -> f64 {
     frames.iter().map(|frame| frame.as_ref().len()).sum::<usize>() as f64 / frames.len() as f64
 }
 
-fn tolerances(land: &Land, world: &WorldDigest) -> Result<Table> {
+/// All tolerances, with the columns: tolerance, error, bytes by effort, decoding by effort.
+fn tolerances(land: &Land, world: &WorldDigest) -> Result<(Sheet<Coded>, [[Column; 2]; 4])> {
     let chunks = chunks(land, 0);
-    let mut table = Table::new(
-        "codec_tolerance",
-        format!(
-            "whole frames of {} level-0 chunks with land, exact (tolerance 0) and quantised, at both efforts; times of one thread, digest and pyramids included.",
-            chunks.len()
-        ),
-        &[
-            "tolerance, m",
-            "max error, m",
-            "bytes per vertex, compact",
-            "encode, ms, compact",
-            "decode, ms, compact",
-            "bytes per vertex, fast",
-            "encode, ms, fast",
-            "decode, ms, fast",
-        ],
-    );
+    let mut rows = Vec::new();
     for tolerance in std::iter::once(None).chain(Tolerance::all().map(Some)) {
         let delivery = tolerance.map_or(Delivery::Exact, Delivery::Quantised);
         let decode = |frame: &[u8]| match tolerance {
             None => chunk_codec::decode(frame, world),
             Some(tolerance) => quantised::decode(frame, world, tolerance),
         };
-        let stated_m = tolerance.map_or(0.0, Tolerance::metres);
-        let (mut row, mut farthest) = (vec![stated_m, 0.0], 0);
-        for effort in [Effort::Compact, Effort::Fast] {
+        let (mut by_effort, mut error) = ([[0.0; 3]; 2], 0);
+        for ((effort, _), figures) in EFFORTS.into_iter().zip(&mut by_effort) {
             let encode = |chunk: &Chunk| chunk_codec::encode_with(delivery, effort, chunk, world);
             let frames: Vec<_> = chunks.iter().map(encode).collect();
             for (chunk, frame) in chunks.iter().zip(&frames) {
                 let got = decode(frame)?;
-                let apart = got.heights.iter().zip(&chunk.heights[..]).map(|(got, own)| got.abs_diff(*own));
-                farthest = farthest.max(apart.max().unwrap_or(0));
+                let errors = got.heights.iter().zip(&chunk.heights[..]).map(|(got, own)| got.abs_diff(*own));
+                error = error.max(errors.max().unwrap_or(0));
             }
-            row.extend([
-                bytes(&frames) / VERTEX_COUNT as f64,
+            *figures = [
+                bytes(&frames),
                 milliseconds(&chunks, |_, chunk| encode(chunk)),
                 milliseconds(&chunks, |index, _| decode(&frames[index])),
-            ]);
+            ];
         }
-        row[1] = f64::from(farthest) / f64::from(UNITS_PER_METRE);
-        if row[1] > stated_m {
-            return Err(anyhow!("a height is {} m off, the frame states {stated_m} m", row[1]));
-        }
-        table.push(row);
+        let stated_m = tolerance.map_or(0.0, Tolerance::metres);
+        let error_m = f64::from(error) / f64::from(UNITS_PER_METRE);
+        ensure!(error_m <= stated_m, "a height is {error_m} m off, the frame states {stated_m} m");
+        rows.push(Coded { stated_m, error_m, by_effort });
     }
-    // The comparison sees an error where there is one.
-    if table.rows.iter().skip(1).any(|row| row[1] * 2.0 < row[0]) {
-        return Err(anyhow!("quantising moves no height by half of its tolerance: the comparison is blind"));
-    }
-    Ok(table)
+    ensure!(
+        rows.iter().skip(1).all(|row| row.error_m * 2.0 >= row.stated_m),
+        "quantising moves no height by half of its tolerance: the comparison detects nothing"
+    );
+    let mut sheet = Sheet::new(
+        "codec_tolerance",
+        format!(
+            "whole frames of {} level-0 chunks with land, exact (tolerance 0) and quantised, at both \
+             efforts; \
+             times of one thread, digest and pyramids included.",
+            chunks.len()
+        ),
+        rows,
+    );
+    let stated = sheet.column("tolerance, m", |row| row.stated_m);
+    let error = sheet.column("max error, m", |row| row.error_m);
+    let by_effort = [0, 1].map(|effort: usize| {
+        let name = EFFORTS[effort].1;
+        let per_vertex = |row: &Coded| row.by_effort[effort][0] / VERTEX_COUNT as f64;
+        let bytes = sheet.column(format!("bytes per vertex, {name}"), per_vertex);
+        sheet.column(format!("encode, ms, {name}"), |row| row.by_effort[effort][1]);
+        (bytes, sheet.column(format!("decode, ms, {name}"), |row| row.by_effort[effort][2]))
+    });
+    let [(compact, compact_ms), (fast, fast_ms)] = by_effort;
+    Ok((sheet, [[stated; 2], [error; 2], [compact, fast], [compact_ms, fast_ms]]))
 }
 
-fn deliveries(land: &Land, world: &WorldDigest) -> Result<Table> {
-    let mut table = Table::new(
-        "codec_delivery",
-        "bytes of a frame and the client's time to a verified chunk, one thread, by level of detail: samples at both efforts, samples for who has the parent (up to level 1), and seeds.",
-        &[
-            "level",
-            "chunks",
-            "bytes, exact",
-            "client ms, exact",
-            "bytes, fast",
-            "client ms, fast",
-            "bytes, refined",
-            "client ms, refined",
-            "bytes, seed",
-            "client ms, seed",
-        ],
-    );
+/// All levels, with the columns of bytes and milliseconds by delivery.
+fn deliveries(land: &Land, world: &WorldDigest) -> Result<(Sheet<Delivered>, [[Column; 2]; 4])> {
+    let mut rows = Vec::new();
     for level in [0, 1, 2, 3, 4, 6, 8] {
         let chunks = chunks(land, level);
-        let mut row = vec![f64::from(level), chunks.len() as f64];
-        for effort in [Effort::Compact, Effort::Fast] {
-            let frames: Vec<_> = chunks
-                .iter()
-                .map(|chunk| chunk_codec::encode_with(Delivery::Exact, effort, chunk, world))
-                .collect();
+        let [compact, fast] = EFFORTS.map(|(effort, _)| {
+            let encode = |chunk| chunk_codec::encode_with(Delivery::Exact, effort, chunk, world);
+            let frames: Vec<_> = chunks.iter().map(encode).collect();
             let open = |index: usize, _: &Chunk| chunk_codec::decode(&frames[index], world);
-            row.extend([bytes(&frames), milliseconds(&chunks, open)]);
-        }
+            [bytes(&frames), milliseconds(&chunks, open)]
+        });
         let parents: Vec<_> =
             chunks.iter().filter_map(|chunk| chunk.key.parent()).map(|key| land.chunk(key)).collect();
-        let frames: Option<Vec<_>> = chunks
-            .iter()
-            .zip(&parents)
-            .map(|(chunk, parent)| refined::encode(chunk, parent, world, Effort::Compact))
-            .collect();
-        row.extend(frames.map_or([f64::NAN; 2], |frames| {
+        let pairs = chunks.iter().zip(&parents);
+        let encode = |(chunk, parent)| refined::encode(chunk, parent, world, Effort::Compact);
+        let frames: Option<Vec<_>> = pairs.map(encode).collect();
+        let refined = frames.map_or([f64::NAN; 2], |frames| {
             let open = |index: usize, _: &Chunk| refined::decode(&frames[index], world, &parents[index]);
             [bytes(&frames), milliseconds(&chunks, open)]
-        }));
+        });
         let frames: Vec<_> = chunks.iter().map(|chunk| seed_only::encode(chunk, world)).collect();
         for (frame, chunk) in frames.iter().zip(&chunks) {
-            if seed_only::decode(frame, land, world)? != *chunk {
-                return Err(anyhow!("chunk {} made from its seed is another", chunk.key));
-            }
+            ensure!(
+                seed_only::decode(frame, land, world)? == *chunk,
+                "chunk {} differs when generated from its seed",
+                chunk.key
+            );
         }
         let open = |index: usize, _: &Chunk| seed_only::decode(&frames[index], land, world);
-        row.extend([bytes(&frames), milliseconds(&chunks, open)]);
-        table.push(row);
+        let seed = [bytes(&frames), milliseconds(&chunks, open)];
+        rows.push(Delivered { level, chunks: chunks.len(), by_delivery: [compact, fast, refined, seed] });
     }
-    Ok(table)
+    let mut sheet = Sheet::new("codec_delivery", DELIVERY, rows);
+    sheet.column("level", |row| row.level.into());
+    sheet.column("chunks", |row| row.chunks as f64);
+    let columns = [0, 1, 2, 3].map(|delivery: usize| {
+        let name = DELIVERIES[delivery].0;
+        let bytes = sheet.column(format!("bytes, {name}"), |row| row.by_delivery[delivery][0]);
+        [bytes, sheet.column(format!("client ms, {name}"), |row| row.by_delivery[delivery][1])]
+    });
+    Ok((sheet, columns))
 }
 
-/// What sending the pyramids would cost instead of rebuilding them: every base texel follows from
-/// four heights, so whatever is sent of them is too much.
-fn pyramids(land: &Land, world: &WorldDigest) -> Table {
+/// Cost of sending the pyramids instead of rebuilding them. Every base texel follows from four
+/// heights, so any byte of them is redundant.
+fn pyramids(land: &Land, world: &WorldDigest) -> Sheet<[f64; 4]> {
     let chunks = chunks(land, 0);
-    let mut table = Table::new(
-        "codec_pyramids",
-        "both pyramids of a level-0 chunk: rebuilt from the heights, or sent as differences to the first corner of each cell in a zstd 1 frame; the frame without them for scale.",
-        &["rebuild, ms", "read, ms", "bytes sent", "bytes of the frame"],
-    );
     let content = |chunk: &Chunk| -> Vec<u8> {
         let texels = |pyramid: &Pyramid| -> Vec<u8> {
             let corner = |index: usize| chunk.vertex(index % 64, index / 64);
@@ -252,6 +239,11 @@ fn pyramids(land: &Land, world: &WorldDigest) -> Table {
         |_: usize, chunk: &Chunk| (Pyramid::of_maxima(&chunk.heights), Pyramid::of_minima(&chunk.heights));
     let room = content(&chunks[0]).len();
     let read = |index: usize, _: &Chunk| zstd::bulk::decompress(&sent[index], room);
-    table.push([milliseconds(&chunks, rebuild), milliseconds(&chunks, read), bytes(&sent), bytes(&frames)]);
-    table
+    let row = [milliseconds(&chunks, rebuild), milliseconds(&chunks, read), bytes(&sent), bytes(&frames)];
+    let mut sheet = Sheet::new("codec_pyramids", PYRAMIDS, vec![row]);
+    sheet.column("rebuild, ms", |row| row[0]);
+    sheet.column("read, ms", |row| row[1]);
+    sheet.column("bytes sent", |row| row[2]);
+    sheet.column("bytes of the frame", |row| row[3]);
+    sheet
 }

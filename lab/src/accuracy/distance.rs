@@ -1,17 +1,16 @@
-//! Distance from the origin: integers know none, floats lose a bit with every doubling.
+//! Distance from the origin: integers are unaffected, floats lose a bit with every doubling.
 //!
-//! Relief alone is compared (no islands), so that every place of the world counts. Each field has
-//! its own truth: for our formula f64 on exact cells; for the `noise` crate in f32 coordinates
-//! itself in f64 coordinates; for it in f64 coordinates itself one or more periods of its lattice
-//! (262,144 m) nearer to the origin, where a perfect one would be equal.
+//! Only the fractal sum is compared (no islands), so that every distance counts. Each field has its
+//! own reference: for our formula f64 on exact cells; for the `noise` crate in f32 coordinates the
+//! same in f64 coordinates; for it in f64 coordinates the same whole periods of its lattice
+//! (262,144 m) nearer to the origin, which should be equal.
 
-use super::Curve;
-use super::errors::Figures;
-use crate::chart::{Panel, log, measured, stated};
-use crate::floats::{FloatLand, RIVAL_PERIOD_M, metres, metres_f32, noise_crate};
+use crate::chart::{Panel, log};
+use crate::curve::{Column, Curve, Sheet};
+use crate::floats::{FloatLand, NOISE_CRATE_PERIOD_M, TOTAL_M, metres, metres_f32, noise_crate};
+use crate::reference_f64::ReferenceF64;
 use crate::sample::{unit, word};
-use crate::table::Table;
-use crate::truth::Truth;
+use crate::stats::Figures;
 use noise::NoiseFn;
 use rayon::prelude::*;
 use terrain::Octaves;
@@ -21,56 +20,32 @@ use terrain::noise::Fbm;
 /// Points at each distance.
 const POINTS: u32 = 20_000;
 
-/// Distances, metres; the last is the border of the world.
-const DISTANCES_M: [f64; 15] = [
-    1.0,
-    3.0,
-    10.0,
-    30.0,
-    100.0,
-    300.0,
-    1e3,
-    3e3,
-    1e4,
-    3e4,
-    1e5,
-    3e5,
-    1e6,
-    2e6,
-    (WORLD_HALF / UNITS_PER_METRE) as f64,
+/// The border of the world, metres.
+const BORDER_M: f64 = (WORLD_HALF / UNITS_PER_METRE) as f64;
+
+const DISTANCES_M: [f64; 15] =
+    [1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4, 3e4, 1e5, 3e5, 1e6, 2e6, BORDER_M];
+
+/// Names of the fields in the table and in diagrams.
+const FIELDS: [(&str, &str); 4] = [
+    ("ours", "ours: fixed point"),
+    ("f32", "our formula in f32"),
+    ("noise f32", "noise 0.9, coordinates through f32"),
+    ("noise f64", "noise 0.9, coordinates in f64"),
 ];
 
-/// Sum of the amplitudes, metres: scale of the `noise` crate's result.
-const TOTAL_M: f64 = 255.0;
-
-/// Measures all distances.
-#[must_use]
 pub fn measure(world_seed: u64) -> Curve {
-    let (fbm, truth, float) = (Fbm::new(world_seed), Truth::new(world_seed), FloatLand::new(world_seed));
+    let (fbm, reference, float) =
+        (Fbm::new(world_seed), ReferenceF64::new(world_seed), FloatLand::new(world_seed));
     let crate_noise = noise_crate(world_seed as u32);
-    let period = RIVAL_PERIOD_M * UNITS_PER_METRE;
-    let mut table = Table::new(
-        "distance",
-        format!("relief of 8 octaves at {POINTS} points per distance, each field against its own truth."),
-        &[
-            "distance, m",
-            "ours max, m",
-            "ours p99, m",
-            "f32 max, m",
-            "f32 p99, m",
-            "noise f32 max, m",
-            "noise f32 p99, m",
-            "noise f64 max, m",
-            "noise f64 p99, m",
-        ],
-    );
-    for (index, distance_m) in DISTANCES_M.into_iter().enumerate() {
+    let period = NOISE_CRATE_PERIOD_M * UNITS_PER_METRE;
+    let row = |(index, distance_m): (usize, f64)| {
         let errors: Vec<[f64; 4]> = points(distance_m, index as u32)
             .into_par_iter()
             .map(|(x, z)| {
-                let exact = truth.relief(x, z, Octaves::ALL).hills_m;
+                let exact = reference.fractal_sum(x, z, Octaves::ALL).hills_m;
                 let ours = f64::from(fbm.at(x, z, Octaves::ALL).hills) / f64::from(1i32 << FINE_BITS);
-                let f32_m = f64::from(float.relief(metres_f32(x), metres_f32(z)).0);
+                let f32_m = f64::from(float.fractal_sum(metres_f32(x), metres_f32(z)).0);
                 let in_f64 = crate_noise.get([metres(x), metres(z)]);
                 let in_f32 = crate_noise.get([f64::from(metres_f32(x)), f64::from(metres_f32(z))]);
                 let home = crate_noise.get([metres(x.rem_euclid(period)), metres(z.rem_euclid(period))]);
@@ -78,48 +53,35 @@ pub fn measure(world_seed: u64) -> Curve {
                     .map(f64::abs)
             })
             .collect();
-        let mut row = vec![distance_m];
-        for field in 0..4 {
-            let figures = Figures::of(errors.iter().map(|of_point| of_point[field]).collect());
-            row.extend([figures.max, figures.p99]);
-        }
-        table.push(row);
-    }
-    let curve = |y: &str| table.curve("distance, m", y);
-    let series = |suffix: &str| {
-        let name = |field: &str| format!("{field} {suffix}, m");
-        vec![
-            measured("ours: fixed point", curve(&name("ours"))),
-            measured("our formula in f32", curve(&name("f32"))),
-            measured("noise 0.9, coordinates through f32", curve(&name("noise f32"))),
-            measured(
-                format!("noise 0.9, coordinates in f64{}", all_zero(&curve(&name("noise f64")))),
-                curve(&name("noise f64")),
-            ),
-            stated("bar, 1/128 m", [(1.0, 1.0 / 128.0), (4.2e6, 1.0 / 128.0)]),
-        ]
+        let of_field = |field: usize| Figures::of(errors.iter().map(|point| point[field]).collect());
+        (distance_m, [0, 1, 2, 3].map(of_field))
     };
-    let panel = |title, suffix| Panel {
-        title,
-        x: log("distance from the origin, m"),
-        y: log("relief error, m"),
-        series: series(suffix),
+    let mut sheet = Sheet::new(
+        "distance",
+        format!("relief of 8 octaves at {POINTS} points per distance, each field against its own reference."),
+        DISTANCES_M.into_iter().enumerate().map(row).collect(),
+    );
+    let distance = sheet.column("distance, m", |row| row.0);
+    let columns = [0, 1, 2, 3].map(|field| {
+        let name = FIELDS[field].0;
+        let max = sheet.column(format!("{name} max, m"), |row| row.1[field].max);
+        [max, sheet.column(format!("{name} p99, m"), |row| row.1[field].p99)]
+    });
+    let panel = |title, figure: usize| {
+        let line = |panel: Panel, ((_, name), columns): ((_, &str), [Column; 2])| {
+            let points = sheet.points(distance, columns[figure]);
+            // A logarithmic axis cannot show zeros.
+            let zero = if points.iter().all(|point| point.1 == 0.0) { " (0 everywhere)" } else { "" };
+            panel.line(format!("{name}{zero}"), points)
+        };
+        let empty = Panel::new(title, log("distance from the origin, m"), log("relief error, m"));
+        let panel = FIELDS.into_iter().zip(columns).fold(empty, line);
+        panel.bound("bar, 1/128 m", [(1.0, 1.0 / 128.0), (4.2e6, 1.0 / 128.0)])
     };
-    let panels = vec![
-        panel("Largest error against distance", "max"),
-        panel("99th percentile against distance", "p99"),
-    ];
-    Curve {
-        name: "distance",
-        title: "Distance from the origin: relief error of integers and floats",
-        tables: vec![table],
-        panels,
-    }
-}
-
-/// What a legend says about a curve that a logarithmic axis cannot show.
-fn all_zero(curve: &[(f64, f64)]) -> &'static str {
-    if curve.iter().all(|point| point.1 == 0.0) { " (0 everywhere)" } else { "" }
+    let panels =
+        vec![panel("Largest error against distance", 0), panel("99th percentile against distance", 1)];
+    let title = "Distance from the origin: relief error of integers and floats";
+    Curve { name: "distance", title, tables: vec![sheet.into()], panels }
 }
 
 /// Points (units) in a square ring: one axis within 20 % of the distance, the other anywhere up to
@@ -142,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn integers_are_as_good_at_the_border_as_at_home_and_f32_is_not() {
+    fn integers_are_as_accurate_at_the_border_and_f32_is_not() {
         let curve = measure(5);
         let table = &curve.tables[0];
         for (distance, error) in table.curve("distance, m", "ours max, m") {

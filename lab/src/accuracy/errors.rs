@@ -1,40 +1,12 @@
-//! Error figures: heights in metres, slopes as the angle between two normals in degrees.
+//! Errors of height functions: heights in metres, slopes as the angle between normals in degrees.
 
-use crate::truth::Truth;
-use serde::Serialize;
+use crate::reference_f64::ReferenceF64;
+use crate::stats::Figures;
 use terrain::constants::{SPACING_BITS, UNITS_PER_METRE, WORLD_HALF};
 use terrain::{Land, Octaves, Position};
 
 /// Distance of the neighbours of a central difference, units: one vertex (2 m) to either side.
 pub const REACH: i32 = 1 << SPACING_BITS;
-
-/// Figures of a set of errors.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Figures {
-    /// How many.
-    pub count: usize,
-    /// The largest.
-    pub max: f64,
-    /// Ninety-nine in a hundred are no larger.
-    pub p99: f64,
-    /// Root of the mean square.
-    pub rms: f64,
-}
-
-impl Figures {
-    /// Figures of errors (none negative).
-    #[must_use]
-    pub fn of(mut errors: Vec<f64>) -> Self {
-        let count = errors.len();
-        if count == 0 {
-            return Self { count, max: f64::NAN, p99: f64::NAN, rms: f64::NAN };
-        }
-        errors.sort_unstable_by(f64::total_cmp);
-        let squares: f64 = errors.iter().map(|error| error * error).sum();
-        let rank = (count * 99).div_ceil(100).max(1) - 1;
-        Self { count, max: errors[count - 1], p99: errors[rank], rms: (squares / count as f64).sqrt() }
-    }
-}
 
 /// A height function: position (units) to metres.
 pub trait Height: Fn(i32, i32) -> f64 + Sync {}
@@ -49,9 +21,9 @@ pub fn integers(land: Land, octaves: Octaves) -> impl Height {
     }
 }
 
-/// The truth with all octaves, metres.
-pub fn exact(truth: Truth) -> impl Height {
-    move |x, z| truth.height_m(x, z, Octaves::ALL)
+/// The reference with all octaves, metres.
+pub fn exact(reference: ReferenceF64) -> impl Height {
+    move |x, z| reference.height_m(x, z, Octaves::ALL)
 }
 
 /// Slope at a vertex by central differences over its neighbours: rise per metre east and south.
@@ -63,7 +35,6 @@ pub fn slope(height: &impl Height, (x, z): (i32, i32)) -> (f64, f64) {
 }
 
 /// Angle between the normals of two slopes, degrees: steepness and aspect together.
-#[must_use]
 pub fn angle_deg((a_east, a_south): (f64, f64), (b_east, b_south): (f64, f64)) -> f64 {
     // |a x b| over a·b: precise for small angles, where the arc cosine is not.
     let cross = [a_south - b_south, a_east * b_south - a_south * b_east, a_east - b_east];
@@ -72,39 +43,24 @@ pub fn angle_deg((a_east, a_south): (f64, f64), (b_east, b_south): (f64, f64)) -
 }
 
 /// Height and slope errors of one height function against another over points.
-pub fn compare(got: &impl Height, truth: &impl Height, points: &[(i32, i32)]) -> (Figures, Figures) {
+pub fn compare(got: &impl Height, reference: &impl Height, points: &[(i32, i32)]) -> (Figures, Figures) {
     use rayon::prelude::*;
     let inner = WORLD_HALF - REACH;
     let errors: Vec<(f64, f64)> = points
         .par_iter()
         .filter(|(x, z)| x.abs() <= inner && z.abs() <= inner)
         .map(|point| {
-            let height = (got(point.0, point.1) - truth(point.0, point.1)).abs();
-            (height, angle_deg(slope(got, *point), slope(truth, *point)))
+            let height = (got(point.0, point.1) - reference(point.0, point.1)).abs();
+            (height, angle_deg(slope(got, *point), slope(reference, *point)))
         })
         .collect();
     let (heights, slopes) = errors.into_iter().unzip();
     (Figures::of(heights), Figures::of(slopes))
 }
 
-/// The value that a share `q` of all does not exceed; not a number if there is none.
-#[must_use]
-pub fn quantile(sorted: &[f64], q: f64) -> f64 {
-    let rank = (q * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(f64::NAN)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn figures_are_those_of_a_known_set() {
-        let figures = Figures::of((1..=200).map(f64::from).collect());
-        assert_eq!((figures.count, figures.max, figures.p99), (200, 200.0, 198.0));
-        assert!((Figures::of(vec![3.0, 4.0]).rms - 12.5f64.sqrt()).abs() < 1e-12);
-        assert!(Figures::of(Vec::new()).max.is_nan());
-    }
 
     #[test]
     fn angles_between_slopes_are_those_of_their_normals() {

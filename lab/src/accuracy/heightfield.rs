@@ -1,8 +1,10 @@
-//! The promise: integers within 1/128 m of the formula in f64, slopes within 0.2 degrees.
+//! The bars of the heightfield: integers within 1/128 m of the formula in f64, slopes within 0.2
+//! degrees.
 
-use super::errors::{Figures, compare, exact, integers};
+use super::errors::{compare, exact, integers};
+use crate::reference_f64::ReferenceF64;
 use crate::sample;
-use crate::truth::Truth;
+use crate::stats::Figures;
 use serde::Serialize;
 use std::fmt;
 use terrain::{Land, Octaves};
@@ -36,12 +38,11 @@ pub struct Headline {
     pub controls: Vec<Row>,
 }
 
-/// Compares integers and truth over so many points of each kind.
-#[must_use]
+/// Compares integers and reference over so many points of each kind.
 pub fn measure(world_seed: u64, points: u32) -> Headline {
-    let (land, truth) = (Land::new(world_seed), Truth::new(world_seed));
+    let (land, reference) = (Land::new(world_seed), ReferenceF64::new(world_seed));
     let got = integers(land, Octaves::ALL);
-    let exact = exact(truth);
+    let exact = exact(reference);
     let row = |what, places: Vec<(i32, i32)>| {
         let (height_m, slope_deg) = compare(&got, &exact, &places);
         Row { what, height_m, slope_deg }
@@ -53,7 +54,7 @@ pub fn measure(world_seed: u64, points: u32) -> Headline {
     ];
     let places: Vec<_> = sample::land_vertices(world_seed, CONTROL_POINTS, 4).collect();
     let sixteenth = |x, z| (got(x, z) * 16.0).round() / 16.0;
-    let coarse = truth.with_coarse_weights(10);
+    let coarse = reference.with_coarse_weights(10);
     let q10 = |x, z| coarse.height_m(x, z, Octaves::ALL);
     let control = |what, (height_m, slope_deg)| Row { what, height_m, slope_deg };
     let controls = vec![
@@ -69,7 +70,7 @@ pub fn measure(world_seed: u64, points: u32) -> Headline {
 
 impl Row {
     fn holds(&self) -> bool {
-        // Written so that something that is no number does not hold.
+        // False for values that are not a number.
         self.height_m.max <= HEIGHT_BAR_M && self.slope_deg.max <= SLOPE_BAR_DEG
     }
 }
@@ -82,13 +83,14 @@ impl Headline {
     pub fn verdict(&self) -> Result<(), String> {
         if let Some(row) = self.rows.iter().find(|row| !row.holds()) {
             return Err(format!(
-                "`{}` is {:.5} m and {:.3} degrees from the formula: allowed are {HEIGHT_BAR_M:.5} m and {SLOPE_BAR_DEG} degrees",
+                "`{}` is {:.5} m and {:.3} degrees from the formula: allowed are {HEIGHT_BAR_M:.5} m and \
+                 {SLOPE_BAR_DEG} degrees",
                 row.what, row.height_m.max, row.slope_deg.max
             ));
         }
         match self.controls.iter().find(|control| control.holds()) {
             Some(control) => {
-                Err(format!("the control `{}` holds the bars: the comparison is blind", control.what))
+                Err(format!("the control `{}` holds the bars: the comparison detects nothing", control.what))
             }
             None => Ok(()),
         }
@@ -134,17 +136,17 @@ mod tests {
     }
 
     #[test]
-    fn no_land_height_is_beyond_the_bar_anywhere_in_the_world() {
+    fn no_height_of_the_world_is_beyond_the_bar() {
         let headline = measure(2, 5_000);
         assert_eq!(headline.verdict(), Ok(()), "{headline}");
     }
 
     #[test]
-    fn a_missed_bar_and_a_blind_control_are_errors() {
+    fn a_missed_bar_and_a_control_that_holds_are_errors() {
         let good = measure(1, 1_000);
         let held = vec![good.rows[0].clone()];
-        let blind = Headline { controls: held.clone(), rows: held };
-        assert!(blind.verdict().unwrap_err().contains("blind"));
+        let passing = Headline { controls: held.clone(), rows: held };
+        assert!(passing.verdict().unwrap_err().contains("detects nothing"));
         let missed = Headline { rows: vec![good.controls[0].clone()], ..good };
         assert!(missed.verdict().unwrap_err().contains("heights rounded"));
     }

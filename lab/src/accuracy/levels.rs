@@ -4,23 +4,20 @@
 //! at least the vertex spacing (the land's rule, [`Octaves::at_level`]); keep it while **half** its
 //! cell is (the sampling theorem's). For each:
 //!
-//! - how far its vertices are from the full heights at the same places, beside the proved bound;
-//! - how far they are from the land's local mean (a box of one spacing), which is what a vertex
-//!   that stands for its surroundings should show: what is left of it is aliasing;
-//! - how far the drawn triangles are from the level-0 land under them: what screen error is charged
-//!   for;
+//! - distance of its vertices from the full heights, with the proved bound;
+//! - distance from the land's local mean (a box of one spacing), the aliasing of a vertex;
+//! - distance of the drawn triangles from level 0, which screen error is computed from;
 //! - roughness: the second difference of neighbouring vertices over their spacing, which flickers
 //!   when a camera moves;
 //! - bytes of a chunk on the wire, and time.
 
-use super::Curve;
-use super::errors::Figures;
-use super::octaves::median;
-use crate::chart::{Panel, linear, log, measured, stated};
+use crate::chart::{Panel, linear, log};
+use crate::curve::{Column, Curve, Sheet};
 use crate::sample::{self, word};
-use crate::table::Table;
+use crate::stats::{Figures, interleaved, median_s};
 use protocol::chunk_codec;
 use rayon::prelude::*;
+use std::convert::Infallible;
 use std::hint::black_box;
 use std::time::Instant;
 use terrain::chunk::drawn_height_scaled;
@@ -30,15 +27,23 @@ use terrain::{Chunk, ChunkKey, GrassSeed, Land, Octaves, Position, WorldDigest};
 /// Levels measured: a level-10 chunk is 131 km wide.
 const LEVELS: u8 = 11;
 
-/// Chunks per level, around places inside islands.
+/// Chunks per level, around places inside islands; [`ERRORS`] states the number.
 const CHUNKS: u32 = 24;
 
 /// Vertices per chunk whose local mean is taken, and samples per side of its box.
 const MEAN_VERTICES: u32 = 256;
 const MEAN_SIDE: i32 = 8;
 
-/// Level-0 vertices per chunk that the drawn surface is held against.
+/// Level-0 vertices per chunk that the drawn surface is compared with.
 const DRAWN_POINTS: u32 = 4_000;
+
+const ERRORS: &str = "\
+     rules all, cell, half on 24 chunks per level over islands. apart: vertices by rule cell \
+     against full heights; mean: RMS distance of vertices from the land's mean over one spacing; drawn: RMS \
+     of triangles against level-0 vertices; worst: the largest of it.";
+const COSTS: &str = "\
+     rough: RMS second difference of neighbouring vertices over their spacing; bytes: a chunk in \
+     the protocol's exact coding; cost: time per vertex against all octaves, point by point.";
 
 /// A rule for the octaves that a level keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,142 +74,89 @@ impl Rule {
     }
 }
 
-/// Measures all levels and rules.
-#[must_use]
-pub fn measure(world_seed: u64) -> Curve {
-    let land = Land::new(world_seed);
-    let mut accuracy = Table::new(
-        "levels",
-        format!(
-            "rules all, cell, half on {CHUNKS} chunks per level over islands. apart: vertices by rule cell against full heights; mean: RMS distance of vertices from the land's mean over one spacing; drawn: RMS of triangles against level-0 vertices; worst: the largest of it."
-        ),
-        &[
-            "level",
-            "spacing, m",
-            "octaves",
-            "apart max, m",
-            "apart p99, m",
-            "proved, m",
-            "mean all, m",
-            "mean cell, m",
-            "mean half, m",
-            "drawn all, m",
-            "drawn cell, m",
-            "drawn half, m",
-            "worst all, m",
-            "worst cell, m",
-        ],
-    );
-    let mut price = Table::new(
-        "levels_cost",
-        "rough: RMS second difference of neighbouring vertices over their spacing; bytes: a chunk in the protocol's exact coding; cost: time per vertex against all octaves, point by point.",
-        &[
-            "level",
-            "rough all",
-            "rough cell",
-            "rough half",
-            "bytes all",
-            "bytes cell",
-            "bytes half",
-            "cost all",
-            "cost cell",
-            "cost half",
-        ],
-    );
-    for level in 0..LEVELS {
-        // The same places on every level, so that neighbouring levels can be compared.
-        let chunks: Vec<_> = sample::land_vertices(world_seed, CHUNKS, 40)
-            .map(|(x, z)| ChunkKey::containing(level, x, z))
-            .collect();
-        let found = [Rule::All, Rule::Cell, Rule::Half].map(|rule| look(&land, &chunks, rule.octaves(level)));
-        let [all, cell, _] = &found;
-        let units = |value: u32| f64::from(value) / f64::from(UNITS_PER_METRE);
-        let mut row = vec![f64::from(level), units(1 << (SPACING_BITS + u32::from(level)))];
-        row.extend([cell.octaves.count() as f64, cell.apart_m.max, cell.apart_m.p99]);
-        row.push(units(cell.octaves.dropped_bound()));
-        row.extend(found.iter().map(|rule| rule.from_mean_m.rms));
-        row.extend(found.iter().map(|rule| rule.drawn_m.rms));
-        row.extend([all.drawn_m.max, cell.drawn_m.max]);
-        accuracy.push(row);
-        let mut row = vec![f64::from(level)];
-        row.extend(found.iter().map(|rule| rule.roughness));
-        row.extend(found.iter().map(|rule| rule.bytes));
-        row.extend(found.iter().map(|rule| rule.cost));
-        price.push(row);
-    }
-    let panels = panels(&accuracy, &price);
-    let title = "Levels: all octaves, or only those that the grid carries";
-    Curve { name: "levels", title, tables: vec![accuracy, price], panels }
-}
-
-/// Legends of the rules.
-const NAMES: [(&str, &str); 3] = [
-    ("all", "all octaves"),
-    ("cell", "cell at least the spacing (the land's rule)"),
-    ("half", "one octave fewer"),
+/// The rules: name in the tables, name in diagrams.
+const RULES: [(Rule, &str, &str); 3] = [
+    (Rule::All, "all", "all octaves"),
+    (Rule::Cell, "cell", "cell at least the spacing (the land's rule)"),
+    (Rule::Half, "half", "one octave fewer"),
 ];
 
-fn panels(accuracy: &Table, price: &Table) -> Vec<Panel> {
-    let of_rules = |table: &Table, prefix: &str, suffix: &str| {
-        let curve = |rule: &str| table.curve("level", &format!("{prefix} {rule}{suffix}"));
-        NAMES.map(|(rule, name)| measured(name, curve(rule))).to_vec()
-    };
-    // The rules differ by parts of a tenth over four decades: as shares of keeping all, the
-    // difference can be seen.
-    let shares = |prefix: &str| {
-        let curve = |rule: &str| accuracy.curve("level", &format!("{prefix} {rule}, m"));
-        let all = curve("all");
-        let share = |rule: &str| {
-            let pairs = curve(rule).into_iter().zip(all.clone());
-            pairs.filter(|(_, all)| all.1 > 0.0).map(|(own, all)| (own.0, own.1 / all.1)).collect::<Vec<_>>()
-        };
-        NAMES.map(|(rule, name)| measured(name, share(rule))).to_vec()
-    };
-    vec![
-        Panel {
-            title: "Vertices against full heights",
-            x: linear("level"),
-            y: log("height error, m"),
-            series: vec![
-                measured("largest found", accuracy.curve("level", "apart max, m")),
-                measured("99th percentile", accuracy.curve("level", "apart p99, m")),
-                stated("proved bound", accuracy.curve("level", "proved, m")),
-            ],
-        },
-        Panel {
-            title: "Aliasing: vertices against the local mean",
-            x: linear("level"),
-            y: linear("RMS distance, share of all octaves"),
-            series: shares("mean"),
-        },
-        Panel {
-            title: "Drawn triangles against the land",
-            x: linear("level"),
-            y: linear("RMS error, share of all octaves"),
-            series: shares("drawn"),
-        },
-        Panel {
-            title: "Roughness from vertex to vertex",
-            x: linear("level"),
-            y: linear("RMS second difference over spacing"),
-            series: of_rules(price, "rough", ""),
-        },
-        Panel {
-            title: "Chunk on the wire",
-            x: linear("level"),
-            y: linear("bytes"),
-            series: of_rules(price, "bytes", ""),
-        },
-        Panel {
-            title: "Cost per vertex",
-            x: linear("level"),
-            y: linear("time, share of all octaves"),
-            series: of_rules(price, "cost", ""),
-        },
-    ]
+struct Row {
+    level: u8,
+    /// By rule.
+    found: [Found; 3],
 }
 
-fn look(land: &Land, chunks: &[ChunkKey], octaves: Octaves) -> Found {
+pub fn measure(world_seed: u64) -> Curve {
+    let land = Land::new(world_seed);
+    let row = |level| {
+        // The same places on every level, so that neighbouring levels can be compared.
+        let places = sample::land_vertices(world_seed, CHUNKS, 40);
+        let chunks: Vec<_> = places.map(|(x, z)| ChunkKey::containing(level, x, z)).collect();
+        Row { level, found: RULES.map(|(rule, ..)| measure_rule(&land, &chunks, rule.octaves(level))) }
+    };
+    let rows: Vec<Row> = (0..LEVELS).map(row).collect();
+    let units = |value: u32| f64::from(value) / f64::from(UNITS_PER_METRE);
+    let mut errors = Sheet::new("levels", ERRORS, rows.iter().collect());
+    let level = errors.column("level", |row| row.level.into());
+    errors.column("spacing, m", |row| units(1 << (SPACING_BITS + u32::from(row.level))));
+    errors.column("octaves", |row| row.found[1].octaves.count() as f64);
+    let max = errors.column("apart max, m", |row| row.found[1].apart_m.max);
+    let p99 = errors.column("apart p99, m", |row| row.found[1].apart_m.p99);
+    let proved = errors.column("proved, m", |row| units(row.found[1].octaves.dropped_bound()));
+    let mean = by_rule(&mut errors, "mean", ", m", |found| found.from_mean_m.rms);
+    let drawn = by_rule(&mut errors, "drawn", ", m", |found| found.drawn_m.rms);
+    errors.column("worst all, m", |row| row.found[0].drawn_m.max);
+    errors.column("worst cell, m", |row| row.found[1].drawn_m.max);
+    let mut costs = Sheet::new("levels_cost", COSTS, rows.iter().collect());
+    costs.column("level", |row| row.level.into());
+    let rough = by_rule(&mut costs, "rough", "", |found| found.roughness);
+    let bytes = by_rule(&mut costs, "bytes", "", |found| found.bytes);
+    let cost = by_rule(&mut costs, "cost", "", |found| found.cost);
+
+    let x = linear("level");
+    // The rules differ by parts of a tenth over four decades: shares of keeping all show it.
+    let shares = |title, y, columns: [Column; 3]| {
+        let all = errors.points(level, columns[0]);
+        let share = |column| {
+            let pairs = errors.points(level, column).into_iter().zip(all.clone());
+            pairs.filter(|(_, all)| all.1 > 0.0).map(|(own, all)| (own.0, own.1 / all.1)).collect::<Vec<_>>()
+        };
+        let lines = RULES.into_iter().zip(columns);
+        lines.fold(Panel::new(title, x, y), |panel, ((.., name), column)| panel.line(name, share(column)))
+    };
+    let of_rules = |title, y, columns: [Column; 3]| {
+        let lines = RULES.into_iter().zip(columns);
+        lines.fold(Panel::new(title, x, y), |panel, ((.., name), column)| {
+            panel.line(name, costs.points(level, column))
+        })
+    };
+    let panels = vec![
+        Panel::new("Vertices against full heights", x, log("height error, m"))
+            .line("largest found", errors.points(level, max))
+            .line("99th percentile", errors.points(level, p99))
+            .bound("proved bound", errors.points(level, proved)),
+        shares(
+            "Aliasing: vertices against the local mean",
+            linear("RMS distance, share of all octaves"),
+            mean,
+        ),
+        shares("Drawn triangles against the land", linear("RMS error, share of all octaves"), drawn),
+        of_rules("Roughness from vertex to vertex", linear("RMS second difference over spacing"), rough),
+        of_rules("Chunk on the wire", linear("bytes"), bytes),
+        of_rules("Cost per vertex", linear("time, share of all octaves"), cost),
+    ];
+    let title = "Levels: all octaves, or only those that the grid carries";
+    Curve { name: "levels", title, tables: vec![errors.into(), costs.into()], panels }
+}
+
+fn by_rule(sheet: &mut Sheet<&Row>, name: &str, unit: &str, value: fn(&Found) -> f64) -> [Column; 3] {
+    [0, 1, 2].map(|rule: usize| {
+        sheet.column(format!("{name} {}{unit}", RULES[rule].1), |row| value(&row.found[rule]))
+    })
+}
+
+fn measure_rule(land: &Land, chunks: &[ChunkKey], octaves: Octaves) -> Found {
     let (mut apart, mut from_mean, mut drawn, mut seconds, mut bytes) = (vec![], vec![], vec![], vec![], 0);
     for key in chunks {
         let heights = heights(land, *key, octaves);
@@ -287,8 +239,8 @@ fn distances_of_drawn(land: &Land, key: ChunkKey, heights: &[i32; VERTEX_COUNT])
             let drawn = drawn_height_scaled(heights, column as usize, row as usize, key.level()) as f64
                 / f64::from(1u32 << key.level());
             let place = |low: i32, step: u32| i64::from(low) + (i64::from(step) << SPACING_BITS);
-            let truth = at(land, (place(x0, column), place(z0, row)), Octaves::ALL);
-            (drawn - f64::from(truth)).abs() / f64::from(UNITS_PER_METRE)
+            let reference = at(land, (place(x0, column), place(z0, row)), Octaves::ALL);
+            (drawn - f64::from(reference)).abs() / f64::from(UNITS_PER_METRE)
         })
         .collect()
 }
@@ -302,28 +254,24 @@ fn second_differences(key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> Vec<f64> 
         .collect()
 }
 
-/// Time per vertex against all octaves, of the definition point by point: grids above level 2
-/// cannot carry more than their level keeps, so their kernels cannot be timed with all.
-/// Interleaved, medians.
+/// Time per vertex over that with all octaves, of the point-by-point definition: the kernels of
+/// grids above level 2 cannot compute all octaves.
 fn cost(land: &Land, chunks: &[ChunkKey], octaves: Octaves) -> f64 {
     const ROUNDS: usize = 15;
     if octaves.count() == OCTAVES {
         return 1.0;
     }
-    let mut times = [Vec::new(), Vec::new()];
-    for _ in 0..ROUNDS {
-        for (octaves, times) in [octaves, Octaves::ALL].into_iter().zip(&mut times) {
-            let begun = Instant::now();
-            for key in chunks {
-                for index in (0..VERTEX_COUNT).step_by(41) {
-                    black_box(at(land, vertex(*key, index % VERTICES, index / VERTICES), octaves));
-                }
+    let Ok(times) = interleaved(ROUNDS, 2, |index| {
+        let begun = Instant::now();
+        for key in chunks {
+            for place in (0..VERTEX_COUNT).step_by(41) {
+                let vertex = vertex(*key, place % VERTICES, place / VERTICES);
+                black_box(at(land, vertex, [octaves, Octaves::ALL][index]));
             }
-            times.push(begun.elapsed());
         }
-    }
-    let [kept, all] = times.map(median);
-    kept.as_secs_f64() / all.as_secs_f64().max(f64::MIN_POSITIVE)
+        Ok::<_, Infallible>(begun.elapsed())
+    });
+    median_s(&times[0]) / median_s(&times[1]).max(f64::MIN_POSITIVE)
 }
 
 #[cfg(test)]
@@ -331,7 +279,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rules_agree_where_a_grid_carries_everything_and_part_where_it_does_not() {
+    fn rules_agree_on_levels_that_carry_all_octaves_and_differ_above() {
         for level in 0..=2 {
             assert_eq!(Rule::Cell.octaves(level), Octaves::ALL);
         }
@@ -340,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn no_vertex_is_farther_from_the_full_height_than_was_proved() {
+    fn no_vertex_is_farther_from_the_full_height_than_the_bound() {
         let land = Land::new(4);
         for level in [3, 5, 7] {
             let key = ChunkKey::containing(level, 40_000, -70_000);

@@ -1,142 +1,97 @@
-//! Octaves kept: cost against error, and the proved bound beside what was found.
+//! Octaves kept: cost against error, with the proved bound.
 
-use super::Curve;
 use super::errors::{compare, exact, integers};
-use crate::chart::{Panel, linear, log, measured, stated};
+use crate::chart::{Panel, linear, log};
+use crate::curve::{Curve, Sheet};
+use crate::reference_f64::ReferenceF64;
 use crate::sample;
-use crate::table::Table;
-use crate::truth::Truth;
+use crate::stats::{Figures, interleaved, median_s};
 use std::hint::black_box;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use terrain::constants::{OCTAVES, UNITS_PER_METRE, VERTEX_COUNT};
+use terrain::octaves::TooManyOctaves;
 use terrain::{ChunkKey, Grid, Land, Octaves};
 
 const POINTS: u32 = 40_000;
 
-/// Rounds of the interleaved timing; the median is kept.
+/// Rounds of the interleaved timing; the median counts.
 const ROUNDS: usize = 41;
-
-/// Measures all numbers of octaves.
-#[must_use]
-pub fn measure(world_seed: u64) -> Curve {
-    let (land, truth) = (Land::new(world_seed), exact(Truth::new(world_seed)));
-    let points: Vec<_> = sample::land_vertices(world_seed, POINTS, 21).collect();
-    let times = times(&land);
-    let full = times[OCTAVES].as_secs_f64();
-    let mut table = Table::new(
-        "octaves",
-        format!(
-            "errors against f64 with 8 octaves at {POINTS} vertices of islands; cost of 65 x 65 chunks on the home island, median of {ROUNDS} interleaved rounds."
-        ),
-        &[
-            "octaves",
-            "max, m",
-            "p99, m",
-            "proved bound, m",
-            "max, degrees",
-            "p99, degrees",
-            "cost ratio",
-            "ns per vertex",
-        ],
-    );
-    for (count, time) in times.iter().enumerate() {
-        let octaves = Octaves::new(count).expect("at most all");
-        let (height, slope) = compare(&integers(land, octaves), &truth, &points);
-        // The bound is between integers; the truth is half a unit and the arithmetic away.
-        let bound_m = f64::from(octaves.dropped_bound()) / f64::from(UNITS_PER_METRE);
-        let seconds = time.as_secs_f64();
-        let ns = seconds * 1e9 / (CHUNKS.len() * VERTEX_COUNT) as f64;
-        table.push([count as f64, height.max, height.p99, bound_m, slope.max, slope.p99, seconds / full, ns]);
-    }
-    let panels = vec![
-        Panel {
-            title: "Height error against octaves kept",
-            x: linear("octaves kept"),
-            y: log("height error, m"),
-            series: vec![
-                measured("largest found", table.curve("octaves", "max, m")),
-                measured("99th percentile", table.curve("octaves", "p99, m")),
-                stated("proved bound", table.curve("octaves", "proved bound, m")),
-                stated("bar, 1/128 m", [(0.0, 1.0 / 128.0), (8.0, 1.0 / 128.0)]),
-            ],
-        },
-        Panel {
-            title: "Slope error against octaves kept",
-            x: linear("octaves kept"),
-            y: log("slope error, degrees"),
-            series: vec![
-                measured("largest found", table.curve("octaves", "max, degrees")),
-                measured("99th percentile", table.curve("octaves", "p99, degrees")),
-                stated("bar, 0.2 degrees", [(0.0, 0.2), (8.0, 0.2)]),
-            ],
-        },
-        Panel {
-            title: "Cost against octaves kept",
-            x: linear("octaves kept"),
-            y: linear("time, share of 8 octaves"),
-            series: vec![measured("time per vertex", table.curve("octaves", "cost ratio"))],
-        },
-        Panel {
-            title: "What an error costs",
-            x: linear("time, share of 8 octaves"),
-            y: log("height error, m"),
-            series: vec![
-                measured("largest found", table.curve("cost ratio", "max, m")),
-                measured("99th percentile", table.curve("cost ratio", "p99, m")),
-            ],
-        },
-    ];
-    Curve {
-        name: "octaves",
-        title: "Octaves kept: cost and accuracy (truth: f64, 8 octaves)",
-        tables: vec![table],
-        panels,
-    }
-}
 
 /// Chunks of the home island, all of them land.
 const CHUNKS: [(i32, i32); 9] =
     [(-9, -9), (0, -9), (9, -9), (-9, 0), (0, 0), (9, 0), (-9, 9), (0, 9), (9, 9)];
 
-/// Median time over all chunks for 0 to 8 octaves. The numbers of octaves take turns in every
-/// round, so that a change of the machine's speed meets all of them.
-fn times(land: &Land) -> Vec<Duration> {
+struct Row {
+    octaves: Octaves,
+    height: Figures,
+    slope: Figures,
+    seconds: f64,
+}
+
+pub fn measure(world_seed: u64) -> Curve {
+    let (land, reference) = (Land::new(world_seed), exact(ReferenceF64::new(world_seed)));
+    let points: Vec<_> = sample::land_vertices(world_seed, POINTS, 21).collect();
+    let rows = seconds(&land).into_iter().enumerate().map(|(count, seconds)| {
+        let octaves = Octaves::new(count).expect("at most all");
+        let (height, slope) = compare(&integers(land, octaves), &reference, &points);
+        Row { octaves, height, slope, seconds }
+    });
+    let mut sheet = Sheet::new(
+        "octaves",
+        format!(
+            "errors against f64 with 8 octaves at {POINTS} vertices of islands; cost of 65 x 65 chunks on \
+             the \
+             home island, median of {ROUNDS} interleaved rounds."
+        ),
+        rows.collect(),
+    );
+    let full = sheet.rows.last().map_or(f64::NAN, |row| row.seconds);
+    // The bound is between integers; the reference is half a unit and the arithmetic away.
+    let bound_m = |row: &Row| f64::from(row.octaves.dropped_bound()) / f64::from(UNITS_PER_METRE);
+    let octaves = sheet.column("octaves", |row| row.octaves.count() as f64);
+    let max_m = sheet.column("max, m", |row| row.height.max);
+    let p99_m = sheet.column("p99, m", |row| row.height.p99);
+    let bound_m = sheet.column("proved bound, m", bound_m);
+    let max_deg = sheet.column("max, degrees", |row| row.slope.max);
+    let p99_deg = sheet.column("p99, degrees", |row| row.slope.p99);
+    let cost = sheet.column("cost ratio", |row| row.seconds / full);
+    sheet.column("ns per vertex", |row| row.seconds * 1e9 / (CHUNKS.len() * VERTEX_COUNT) as f64);
+
+    let (x, time) = (linear("octaves kept"), linear("time, share of 8 octaves"));
+    let (height, slope) = (log("height error, m"), log("slope error, degrees"));
+    let panels = vec![
+        Panel::new("Height error against octaves kept", x, height)
+            .line("largest found", sheet.points(octaves, max_m))
+            .line("99th percentile", sheet.points(octaves, p99_m))
+            .bound("proved bound", sheet.points(octaves, bound_m))
+            .bound("bar, 1/128 m", [(0.0, 1.0 / 128.0), (8.0, 1.0 / 128.0)]),
+        Panel::new("Slope error against octaves kept", x, slope)
+            .line("largest found", sheet.points(octaves, max_deg))
+            .line("99th percentile", sheet.points(octaves, p99_deg))
+            .bound("bar, 0.2 degrees", [(0.0, 0.2), (8.0, 0.2)]),
+        Panel::new("Cost against octaves kept", x, time).line("time per vertex", sheet.points(octaves, cost)),
+        Panel::new("Cost against error", time, height)
+            .line("largest found", sheet.points(cost, max_m))
+            .line("99th percentile", sheet.points(cost, p99_m)),
+    ];
+    let title = "Octaves kept: cost and accuracy (reference: f64, 8 octaves)";
+    Curve { name: "octaves", title, tables: vec![sheet.into()], panels }
+}
+
+/// Median times over all chunks for 0 to 8 octaves.
+fn seconds(land: &Land) -> Vec<f64> {
     let grids = CHUNKS.map(|(x, z)| Grid::of_chunk(ChunkKey::new(0, x, z).expect("a chunk near the origin")));
     let mut heights = vec![0; VERTEX_COUNT];
-    let mut times = vec![Vec::new(); OCTAVES + 1];
-    for _ in 0..ROUNDS {
-        for (count, times) in times.iter_mut().enumerate() {
-            let octaves = Octaves::new(count).expect("at most all");
-            let begun = Instant::now();
-            for grid in grids {
-                land.heights(black_box(&grid.keeping(octaves)), &mut heights);
-                black_box(&heights);
-            }
-            times.push(begun.elapsed());
+    let times = interleaved(ROUNDS, OCTAVES + 1, |count| {
+        let octaves = Octaves::new(count)?;
+        let begun = Instant::now();
+        for grid in grids {
+            land.heights(black_box(&grid.keeping(octaves)), &mut heights);
+            black_box(&heights);
         }
-    }
-    times.into_iter().map(median).collect()
-}
-
-/// Medians, over rounds in which all take turns, of each one's time over the first one's time in
-/// the same round: whatever slows the machine for longer than a round slows both.
-pub(crate) fn ratios(times: &[Vec<Duration>]) -> Vec<f64> {
-    let first = times.first().map_or(&[][..], Vec::as_slice);
-    let ratio = |(own, first): (&Duration, &Duration)| own.as_secs_f64() / first.as_secs_f64().max(1e-9);
-    times
-        .iter()
-        .map(|own| {
-            let mut ratios: Vec<f64> = own.iter().zip(first).map(ratio).collect();
-            ratios.sort_unstable_by(f64::total_cmp);
-            ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN)
-        })
-        .collect()
-}
-
-/// The median of some times.
-pub(super) fn median(mut times: Vec<Duration>) -> Duration {
-    times.sort_unstable();
-    times.get(times.len() / 2).copied().unwrap_or_default()
+        Ok::<_, TooManyOctaves>(begun.elapsed())
+    });
+    times.expect("at most all octaves").iter().map(|times| median_s(times)).collect()
 }
 
 #[cfg(test)]
@@ -144,27 +99,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_machine_that_slows_down_between_rounds_changes_no_ratio() {
-        let times =
-            [[2, 20, 20], [3, 3, 30], [8, 80, 80]].map(|times| times.map(Duration::from_secs).to_vec());
-        assert_eq!(ratios(&times), [1.0, 1.5, 4.0]);
-        let medians = times.map(median);
-        assert_ne!(
-            medians[1].as_secs_f64() / medians[0].as_secs_f64(),
-            1.5,
-            "the control: a ratio of medians"
-        );
-    }
-
-    #[test]
-    fn every_octave_brings_the_land_closer_to_the_truth_and_no_error_exceeds_its_bound() {
+    fn every_octave_reduces_the_error_and_no_error_exceeds_its_bound() {
         let curve = measure(3);
         let table = &curve.tables[0];
         assert_eq!(table.rows.len(), OCTAVES + 1);
-        for (x, y) in [("max, m", "proved bound, m")] {
-            for (found, bound) in table.curve(x, y) {
-                assert!(found <= bound + 1.0 / 128.0, "{found} m found, {bound} m proved");
-            }
+        for (found, bound) in table.curve("max, m", "proved bound, m") {
+            assert!(found <= bound + 1.0 / 128.0, "{found} m found, {bound} m proved");
         }
         let p99: Vec<f64> = table.curve("octaves", "p99, m").into_iter().map(|point| point.1).collect();
         assert!(p99.is_sorted_by(|a, b| a > b), "{p99:?}");

@@ -1,57 +1,55 @@
-//! Parallax occlusion: every way to march over every map under every angle against the f64 truth,
-//! the knees of the automatic tier, and what filtering heights by the sampler costs in accuracy
-//! when a texel fills the picture.
+//! Parallax occlusion mapping: every march over every map under every angle against the reference
+//! in f64, thresholds of the automatic tier, precision of heights filtered by the sampler, shadow.
 //!
-//! A search that must miss narrow features has to miss them, or the measurement is refused.
+//! Control: a coarse search that must miss narrow features.
 
-use super::Curve;
-use super::errors::quantile;
-use crate::chart::{Axis, Choice, Panel, Series, front, linear, log, measured};
-use crate::relief::bench::ReliefBench;
-use crate::relief::maps::{Kind, SIDE};
-use crate::relief::trial::{AMPLITUDE, Condition, Score, Stage, probes, relief};
-use crate::relief::truth;
-use crate::table::Table;
+use crate::chart::{Choice, Panel, linear, log};
+use crate::curve::{Column, Curve, Sheet, floored, numbered};
+use crate::pom::bench::PomBench;
+use crate::pom::comparison::{AMPLITUDE, Condition, Score, Stage, probes, relief};
+use crate::pom::maps::{Kind, SIDE};
+use crate::pom::reference;
+use crate::stats::{mean, quantiles, worst};
 use anyhow::{Result, ensure};
-use client::relief::ReliefKnobs;
-use client::relief::knobs::{Heights, Refine, ReliefShadow, ReliefTier};
-use shaders::layout::{Relief, ReliefProbe};
+use client::features::pom::PomSettings;
+use client::features::pom::settings::{Heights, PomMethod, PomShadow, Refine};
+use shaders::layout::{PomParams, PomProbe, PomResult};
 
 /// Rays of a condition.
 const RAYS: u32 = 20_000;
 /// Angles from the plane's normal, degrees; at 0 nothing travels.
 const ANGLES_DEG: [f32; 5] = [30.0, 60.0, 75.0, 85.0, 89.0];
-/// Shares below this cannot be told from none with so many rays, per cent.
+/// Shares below this cannot be distinguished from 0 with so many rays, per cent.
 const NONE: f64 = 100.0 / RAYS as f64;
 /// Travels at which the tiers are compared, texels.
 const TRAVELS: [f32; 11] = [0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0];
-/// Rays that are asked for the sun; each takes hundreds of shadow rays.
-const SUNNY: u32 = 1_000;
-/// Rays to the disc of the sun, and its radius as a share of the distance: that of the sun, four
-/// times over, so that penumbras are met.
+/// Positions with reference shadows.
+const SHADOWED: u32 = 1_000;
+/// Rays to the disc of the sun, and its radius as a share of the distance: four times that of the
+/// sun, for penumbras.
 const DISC: u32 = 64;
 const DISC_RADIUS: f64 = 0.0187;
 
-/// The sun stands so low that even smooth hills have shadows.
+/// Elevation of the sun: even smooth hills have shadows.
 const SUN_DEG: f32 = 12.0;
 
 /// A way to march.
 struct Method {
     name: String,
-    how: Relief,
+    how: PomParams,
     is_shipped: bool,
 }
 
 fn methods() -> Vec<Method> {
-    let search = |steps: u32, refine: Refine, rounds: u32| Relief {
+    let search = |steps: u32, refine: Refine, rounds: u32| PomParams {
         steps_min: steps,
         steps_max: steps,
         refine: refine as u32,
         refinements: rounds,
-        ..relief(ReliefTier::Linear)
+        ..relief(PomMethod::Linear)
     };
-    let method = |name: &str, how: Relief| Method { name: name.to_owned(), how, is_shipped: false };
-    let mut all = vec![method("offset", relief(ReliefTier::Offset))];
+    let method = |name: &str, how: PomParams| Method { name: name.to_owned(), how, is_shipped: false };
+    let mut all = vec![method("offset", relief(PomMethod::Offset))];
     all.extend(
         [4, 8, 16, 32, 64, 128]
             .map(|steps| method(&format!("{steps} + secant"), search(steps, Refine::Secant, 3))),
@@ -59,191 +57,188 @@ fn methods() -> Vec<Method> {
     all.push(method("16 + segment", search(16, Refine::Segment, 0)));
     all.push(method("16 + bisection", search(16, Refine::Bisection, 5)));
     all.push(method("64", search(64, Refine::None, 0)));
-    all.push(method("cones", relief(ReliefTier::Cones)));
-    all.push(method("pyramid", relief(ReliefTier::Pyramid)));
-    all.push(Method { is_shipped: true, ..method("auto", relief(ReliefTier::Auto)) });
+    all.push(method("cones", relief(PomMethod::Cones)));
+    all.push(method("pyramid", relief(PomMethod::MaxMip)));
+    all.push(Method { is_shipped: true, ..method("auto", relief(PomMethod::Auto)) });
     all
 }
 
+/// A march under an angle.
+struct Row {
+    angle_deg: f32,
+    method: usize,
+    score: Score,
+}
+
 /// Measures one map.
-///
-/// # Errors
-/// There is no GPU, it failed, or a search that must miss something misses nothing.
 pub fn measure(kind: Kind) -> Result<Curve> {
-    let bench = ReliefBench::open()?;
+    let bench = PomBench::open()?;
     let stage = Stage::new(&bench, true);
     let layer = Kind::ALL.iter().position(|other| *other == kind).unwrap_or(0);
     let methods = methods();
-    let names: Vec<String> =
-        methods.iter().enumerate().map(|(index, method)| format!("{index} {}", method.name)).collect();
-    let (name, title, titles) = words(kind);
-    let mut table = Table::new(
+    let mut rows = Vec::new();
+    for angle_deg in ANGLES_DEG {
+        let condition = Condition::new(&stage, layer, angle_deg, RAYS);
+        for (index, method) in methods.iter().enumerate() {
+            rows.push(Row { angle_deg, method: index, score: condition.score(&bench, &stage, &method.how)? });
+        }
+    }
+    // Method 1 takes 4 steps.
+    let coarse = worst(rows.iter().filter(|row| row.method == 1).map(|row| row.score.wrong));
+    ensure!(coarse > 0.01, "4 steps miss nothing of {}: the measurement detects nothing", kind.name());
+    let (name, title) = titles(kind);
+    let mut sheet = Sheet::new(
         name,
         format!(
-            "places found by each method against the f64 truth, map {} of {SIDE} texels, relief {AMPLITUDE} tiles high, {RAYS} rays each, {}; methods: {}.",
+            "places found by each method against the f64 reference, map {} of {SIDE} texels, relief \
+             {AMPLITUDE} \
+             tiles high, {RAYS} rays each, {}; methods: {}.",
             kind.name(),
             bench.adapter(),
-            names.join("; ")
+            numbered(methods.iter().map(|method| &method.name), "; ")
         ),
-        &[
-            "angle, degrees",
-            "method",
-            "p50, texels",
-            "p95, texels",
-            "p99.9, texels",
-            "more than 4 texels off, %",
-            "of these no tangents, % of all",
-            "residual p99.9, of the relief",
-            "fetches",
-        ],
+        rows,
     );
-    let mut panels = Vec::new();
-    for (angle_deg, title) in ANGLES_DEG.into_iter().zip(titles) {
-        let condition = Condition::new(&stage, layer, angle_deg, RAYS);
-        let mut choices = Vec::new();
-        for (index, method) in methods.iter().enumerate() {
-            let score = condition.score(&bench, &stage, &method.how)?;
-            let Score { texels: [p50, p95, p999], residual, fetches, .. } = score;
-            let (wrong, unexcused) = (100.0 * score.wrong, 100.0 * score.wrong_without_excuse);
-            table.push([
-                f64::from(angle_deg),
-                index as f64,
-                p50,
-                p95,
-                p999,
-                wrong,
-                unexcused,
-                residual,
-                fetches,
-            ]);
-            let at = (fetches, wrong.max(NONE));
-            choices.push(Choice { name: method.name.clone(), at, is_shipped: method.is_shipped });
-        }
-        let (x, y) =
-            (log("heights and bounds looked up, mean"), log("more than 4 texels off, % (0.005: none)"));
-        panels.push(Panel { title, x, y, series: front(&choices) });
-    }
-    let coarse = table.rows.iter().filter(|row| row[1] == 1.0).map(|row| row[5]).fold(0.0, f64::max);
-    ensure!(coarse > 1.0, "4 steps miss nothing of {}: the measurement cannot be trusted", kind.name());
-    Ok(Curve { name, title, tables: vec![table], panels })
+    sheet.column("angle, degrees", |row| row.angle_deg.into());
+    sheet.column("method", |row| row.method as f64);
+    sheet.column("p50, texels", |row| row.score.texels[0]);
+    sheet.column("p95, texels", |row| row.score.texels[1]);
+    sheet.column("p99.9, texels", |row| row.score.texels[2]);
+    sheet.column("more than 4 texels off, %", |row| 100.0 * row.score.wrong);
+    sheet.column("of these no tangents, % of all", |row| 100.0 * row.score.wrong_without_excuse);
+    sheet.column("residual p99.9, of the relief", |row| row.score.residual);
+    sheet.column("fetches", |row| row.score.fetches);
+    let choice = |row: &Row| Choice {
+        name: methods[row.method].name.clone(),
+        at: (row.score.fetches, (100.0 * row.score.wrong).max(NONE)),
+        is_shipped: methods[row.method].is_shipped,
+    };
+    let (x, y) = (log("heights and bounds looked up, mean"), log("more than 4 texels off, % (0.005: none)"));
+    let panel = |(angle_deg, title)| {
+        let rows = sheet.rows.iter().filter(|row| row.angle_deg == angle_deg);
+        Panel::new(title, x, y).front(&rows.map(choice).collect::<Vec<_>>())
+    };
+    let panels = ANGLES_DEG.into_iter().zip(ANGLE_TITLES).map(panel).collect();
+    Ok(Curve { name, title, tables: vec![sheet.into()], panels })
 }
 
-/// Name, title and titles of the panels.
-fn words(kind: Kind) -> (&'static str, &'static str, [&'static str; 5]) {
-    const ANGLES: [&str; 5] =
-        ["30 degrees from above", "60 degrees", "75 degrees", "85 degrees", "89 degrees: along the plane"];
+const ANGLE_TITLES: [&str; 5] =
+    ["30 degrees from above", "60 degrees", "75 degrees", "85 degrees", "89 degrees: along the plane"];
+
+/// Name and title of a map's curve.
+fn titles(kind: Kind) -> (&'static str, &'static str) {
     match kind {
-        Kind::Fbm => ("pom_fbm", "Parallax occlusion over smooth hills: what a missed feature costs", ANGLES),
-        Kind::Brick => ("pom_brick", "Parallax occlusion over bricks: what a missed feature costs", ANGLES),
-        Kind::Posts => {
-            ("pom_posts", "Parallax occlusion over thin posts: what a missed feature costs", ANGLES)
-        }
+        Kind::Fbm => ("pom_fbm", "Parallax occlusion over smooth hills: cost of a missed feature"),
+        Kind::Brick => ("pom_brick", "Parallax occlusion over bricks: cost of a missed feature"),
+        Kind::Posts => ("pom_posts", "Parallax occlusion over thin posts: cost of a missed feature"),
         Kind::Ridges => {
-            ("pom_ridges", "Parallax occlusion over ridges of one texel: what a missed feature costs", ANGLES)
+            ("pom_ridges", "Parallax occlusion over ridges of one texel: cost of a missed feature")
         }
     }
 }
 
-/// Measures the knobs that are no march: thresholds of the automatic tier, filtering of heights,
-/// shadow.
-///
-/// # Errors
-/// There is no GPU, it failed, or a control is no worse than what it controls.
+/// Measures the other knobs: thresholds of the automatic tier, filtering of heights, shadow.
 pub fn knobs(_: u64) -> Result<Curve> {
-    let bench = ReliefBench::open()?;
+    let bench = PomBench::open()?;
     let stage = Stage::new(&bench, false);
-    let (travel, travel_panels) = travels(&bench, &stage)?;
+    let (travel, mut panels) = travels(&bench, &stage)?;
     let (filter, filter_panel) = filtering(&bench, &stage)?;
     let (shadow, shadow_panel) = shadows(&bench, &stage)?;
-    let mut panels = travel_panels;
     panels.extend([filter_panel, shadow_panel]);
-    Ok(Curve {
-        name: "pom_knobs",
-        title: "Parallax occlusion: knees of the automatic tier, filtering, shadow",
-        tables: vec![travel, filter, shadow],
-        panels,
-    })
+    let tables = vec![travel.into(), filter.into(), shadow.into()];
+    let title = "Parallax occlusion: thresholds of the automatic tier, filtering, shadow";
+    Ok(Curve { name: "pom_knobs", title, tables, panels })
 }
 
-/// How far off each tier is and what it looks up, by travel.
-fn travels(bench: &ReliefBench, stage: &Stage) -> Result<(Table, Vec<Panel>)> {
-    let tiers = ["flat", "offset", "linear, a texel a step", "pyramid", "auto"];
-    let mut columns = vec!["map".to_owned(), "travel, texels".to_owned()];
-    columns.extend(
-        tiers.iter().flat_map(|tier| ["p99.9, texels", "fetches"].map(|what| format!("{tier} {what}"))),
-    );
-    let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
-    let maps = Kind::ALL
-        .iter()
-        .enumerate()
-        .map(|(index, kind)| format!("{index} {}", kind.name()))
-        .collect::<Vec<_>>()
-        .join("; ");
-    let mut table = Table::new(
+const TIERS: [&str; 5] = ["flat", "offset", "linear, a texel a step", "pyramid", "auto"];
+
+/// 99.9th percentile of the error and fetches of each tier, by travel of the ray in a map.
+struct Travel {
+    layer: usize,
+    texels: f32,
+    tiers: [[f64; 2]; 5],
+}
+
+fn travels(bench: &PomBench, stage: &Stage) -> Result<(Sheet<Travel>, Vec<Panel>)> {
+    let mut rows = Vec::new();
+    for (layer, texels) in (0..Kind::ALL.len()).flat_map(|layer| TRAVELS.map(|travel| (layer, travel))) {
+        let angle_deg = (texels / (AMPLITUDE * SIDE as f32)).atan().to_degrees();
+        let condition = Condition::new(stage, layer, angle_deg, RAYS);
+        let steps = (texels.ceil() as u32 + 1).min(PomSettings::MAX_STEPS);
+        let methods = [
+            relief(PomMethod::Flat),
+            relief(PomMethod::Offset),
+            PomParams { steps_min: steps, steps_max: steps, ..relief(PomMethod::Linear) },
+            relief(PomMethod::MaxMip),
+            relief(PomMethod::Auto),
+        ];
+        let mut tiers = [[0.0; 2]; 5];
+        for (how, tier) in methods.iter().zip(&mut tiers) {
+            let score = condition.score(bench, stage, how)?;
+            *tier = [score.texels[2], score.fetches];
+        }
+        rows.push(Travel { layer, texels, tiers });
+    }
+    let mut sheet = Sheet::new(
         "pom_travel",
         format!(
-            "error and work of each tier by how far the ray travels through the relief, {RAYS} rays each, {}; maps: {maps}.",
-            bench.adapter()
+            "error and work of each tier by how far the ray travels through the relief, {RAYS} rays each, \
+             {}; \
+             maps: {}.",
+            bench.adapter(),
+            numbered(Kind::ALL.map(Kind::name), "; ")
         ),
-        &columns,
+        rows,
     );
-    for layer in 0..Kind::ALL.len() {
-        for travel in TRAVELS {
-            let angle_deg = (travel / (AMPLITUDE * SIDE as f32)).atan().to_degrees();
-            let condition = Condition::new(stage, layer, angle_deg, RAYS);
-            let steps = (travel.ceil() as u32 + 1).min(ReliefKnobs::MAX_STEPS);
-            let ways = [
-                relief(ReliefTier::Flat),
-                relief(ReliefTier::Offset),
-                Relief { steps_min: steps, steps_max: steps, ..relief(ReliefTier::Linear) },
-                relief(ReliefTier::Pyramid),
-                relief(ReliefTier::Auto),
-            ];
-            let mut row = vec![layer as f64, f64::from(travel)];
-            for how in &ways {
-                let score = condition.score(bench, stage, how)?;
-                row.extend([score.texels[2], score.fetches]);
-            }
-            table.push(row);
-        }
-    }
-    let lines = |layer: usize, what: &str| -> Vec<Series> {
-        let x = table.columns.iter().position(|column| column == "travel, texels").unwrap_or(0);
-        let line = |tier: &&'static str| {
-            let y = table.columns.iter().position(|column| *column == format!("{tier} {what}")).unwrap_or(0);
-            let rows = table.rows.iter().filter(|row| row[0] == layer as f64);
-            measured(*tier, rows.map(|row| (row[x], row[y].max(1e-3))))
-        };
-        // A flat plane looks nothing up.
-        tiers.iter().skip(usize::from(what == "fetches")).map(line).collect()
+    sheet.column("map", |row| row.layer as f64);
+    let travel = sheet.column("travel, texels", |row| row.texels.into());
+    let columns = [0, 1, 2, 3, 4].map(|tier: usize| {
+        let error = sheet.column(format!("{} p99.9, texels", TIERS[tier]), |row| row.tiers[tier][0]);
+        [error, sheet.column(format!("{} fetches", TIERS[tier]), |row| row.tiers[tier][1])]
+    });
+    let lines = |panel: Panel, layer: usize, part: usize| {
+        // The flat tier looks nothing up.
+        let tiers = TIERS.into_iter().zip(columns).skip(part);
+        tiers.fold(panel, |panel, (tier, columns)| {
+            let points = sheet.points_where(|row| row.layer == layer, travel, columns[part]);
+            panel.line(tier, floored(points, 1e-3))
+        })
     };
     let x = log("travel through the relief, texels");
-    let panel = |title, y: Axis, series| Panel { title, x, y, series };
-    let off = "p99.9 error, texels (0.001: rounding)";
+    let (error, work) =
+        (log("p99.9 error, texels (0.001: rounding)"), linear("heights and bounds looked up, mean"));
     let panels = vec![
-        panel("Error by travel, bricks", log(off), lines(1, "p99.9, texels")),
-        panel("Error by travel, ridges of one texel", log(off), lines(3, "p99.9, texels")),
-        panel("Work by travel, bricks", linear("heights and bounds looked up, mean"), lines(1, "fetches")),
-        panel(
-            "Work by travel, ridges of one texel",
-            linear("heights and bounds looked up, mean"),
-            lines(3, "fetches"),
-        ),
+        lines(Panel::new("Error by travel, bricks", x, error), 1, 0),
+        lines(Panel::new("Error by travel, ridges of one texel", x, error), 3, 0),
+        lines(Panel::new("Work by travel, bricks", x, work), 1, 1),
+        lines(Panel::new("Work by travel, ridges of one texel", x, work), 3, 1),
     ];
-    Ok((table, panels))
+    Ok((sheet, panels))
 }
 
-/// Error of the height at the found place when a texel fills many pixels: rays through a patch of a
-/// quarter texel.
-fn filtering(bench: &ReliefBench, stage: &Stage) -> Result<(Table, Panel)> {
-    let mut table = Table::new(
-        "pom_filter",
-        format!(
-            "surface at the found place against the ray's height there, 2^-16 of the relief, {RAYS} rays through patches of a quarter texel, 60 degrees, 256 steps and 8 rounds of secant; {}.",
-            bench.adapter()
-        ),
-        &["map", "sampler p50", "sampler p95", "exact p50", "exact p95"],
-    );
+/// A sheet of figures by map, and its panel.
+fn by_map<const N: usize>(
+    sheet: &mut Sheet<[f64; N]>,
+    columns: [&str; N],
+    panel: Panel,
+    floor: f64,
+    lines: usize,
+) -> Panel {
+    let map = sheet.index_column("map");
+    let columns: [Column; N] = std::array::from_fn(|index| sheet.column(columns[index], |row| row[index]));
+    let points = |column| floored(sheet.points(map, column), floor);
+    columns
+        .into_iter()
+        .take(lines)
+        .fold(panel, |panel, column| panel.line(sheet.name_of(column), points(column)))
+}
+
+const MAPS: &str = "map: 0 hills, 1 bricks, 2 posts, 3 ridges";
+
+/// Error of the height at the found position when a texel covers many pixels: rays through a patch
+/// of a quarter texel.
+fn filtering(bench: &PomBench, stage: &Stage) -> Result<(Sheet<[f64; 4]>, Panel)> {
+    let mut rows = Vec::new();
     for layer in 0..Kind::ALL.len() {
         let mut rays = probes(layer, RAYS, 60.0, AMPLITUDE);
         for (index, ray) in rays.iter_mut().enumerate() {
@@ -252,111 +247,93 @@ fn filtering(bench: &ReliefBench, stage: &Stage) -> Result<(Table, Panel)> {
             let base = [patch % 10, patch / 10].map(|part| part as f32 / 10.0);
             ray.uv = [0, 1].map(|axis| base[axis] + ray.uv[axis] * 0.25 / SIDE as f32);
         }
-        let mut row = vec![layer as f64];
-        for heights in [Heights::Sampler, Heights::Exact] {
-            let how = Relief {
-                steps_min: ReliefKnobs::MAX_STEPS,
-                steps_max: ReliefKnobs::MAX_STEPS,
+        let percentiles = |heights: Heights| -> Result<[f64; 2]> {
+            let how = PomParams {
+                steps_min: PomSettings::MAX_STEPS,
+                steps_max: PomSettings::MAX_STEPS,
                 refinements: 8,
                 heights: heights as u32,
-                ..relief(ReliefTier::Linear)
+                ..relief(PomMethod::Linear)
             };
             let (found, _) = bench.run(&stage.uploaded, &how, &rays, 1)?;
-            // The bench's own look at the surface is exact.
-            let mut errors: Vec<f64> =
-                found.iter().map(|found| f64::from(found.residual.abs()) * 65_536.0).collect();
-            errors.sort_unstable_by(f64::total_cmp);
-            row.extend([0.5, 0.95].map(|q| quantile(&errors, q)));
-        }
-        table.push(row);
+            // The residual is computed from exact heights.
+            let errors = found.iter().map(|found| f64::from(found.residual.abs()) * 65_536.0);
+            Ok(quantiles(errors, [0.5, 0.95]))
+        };
+        let ([sampler50, sampler95], [exact50, exact95]) =
+            (percentiles(Heights::Sampler)?, percentiles(Heights::Exact)?);
+        rows.push([sampler50, sampler95, exact50, exact95]);
     }
-    let smooth = &table.rows[0];
     ensure!(
-        smooth[2] > smooth[4],
-        "the sampler is as exact as f32: it would have to know more than 256 places between two texels"
+        rows[0][1] > rows[0][3],
+        "the sampler is as exact as f32: it would need more than 256 positions between two texels"
     );
-    let line =
-        |name, column: usize| measured(name, table.rows.iter().map(|row| (row[0], row[column].max(1e-3))));
-    let panel = Panel {
-        title: "Heights under magnification",
-        x: linear("map: 0 hills, 1 bricks, 2 posts, 3 ridges"),
-        y: log("surface off the ray, 1/65536 of the relief"),
-        series: vec![
-            line("sampler p50", 1),
-            line("sampler p95", 2),
-            line("exact p50", 3),
-            line("exact p95", 4),
-        ],
-    };
-    Ok((table, panel))
+    let mut sheet = Sheet::new(
+        "pom_filter",
+        format!(
+            "surface at the found place against the ray's height there, 2^-16 of the relief, {RAYS} rays \
+             through \
+             patches of a quarter texel, 60 degrees, 256 steps and 8 rounds of secant; {}.",
+            bench.adapter()
+        ),
+        rows,
+    );
+    let y = log("surface off the ray, 1/65536 of the relief");
+    let panel = Panel::new("Heights under magnification", linear(MAPS), y);
+    let panel = by_map(&mut sheet, ["sampler p50", "sampler p95", "exact p50", "exact p95"], panel, 1e-3, 4);
+    Ok((sheet, panel))
 }
 
 /// Shadow of each kind against many rays to a disc.
-fn shadows(bench: &ReliefBench, stage: &Stage) -> Result<(Table, Panel)> {
-    let mut table = Table::new(
-        "pom_shadow",
-        format!(
-            "mean difference of the share of the sun from {DISC} f64 rays to a disc of radius {DISC_RADIUS}, sun {SUN_DEG} degrees high, {SUNNY} places seen 60 degrees from above, {}.",
-            bench.adapter()
-        ),
-        &["map", "none", "hard", "soft", "true share of shadow"],
-    );
+fn shadows(bench: &PomBench, stage: &Stage) -> Result<(Sheet<[f64; 4]>, Panel)> {
+    let mut rows = Vec::new();
     for (layer, map) in stage.maps.iter().enumerate() {
-        let mut rays = probes(layer, SUNNY, 60.0, AMPLITUDE);
+        let mut rays = probes(layer, SHADOWED, 60.0, AMPLITUDE);
         let (sin, cos) = SUN_DEG.to_radians().sin_cos();
         for ray in &mut rays {
             let level = cos / ray.to_sun[0].hypot(ray.to_sun[1]);
             ray.to_sun = [ray.to_sun[0] * level, ray.to_sun[1] * level, sin];
         }
-        let mut row = vec![layer as f64];
-        let mut truths: Vec<f64> = Vec::new();
-        for shadow in [ReliefShadow::Off, ReliefShadow::Hard, ReliefShadow::Soft] {
-            let how = Relief { shadow: shadow as u32, ..relief(ReliefTier::Pyramid) };
-            let (found, _) = bench.run(&stage.uploaded, &how, &rays, 1)?;
-            if truths.is_empty() {
-                truths = found
-                    .iter()
-                    .zip(&rays)
-                    .map(|(found, ray)| disc_share(map, [found.uv[0], found.uv[1]].map(f64::from), ray))
-                    .collect();
-            }
-            let differences =
-                found.iter().zip(&truths).map(|(found, truth)| (f64::from(found.sun) - truth).abs());
-            row.push(differences.sum::<f64>() / f64::from(SUNNY));
-        }
-        row.push(1.0 - truths.iter().sum::<f64>() / f64::from(SUNNY));
-        table.push(row);
+        let run = |shadow: PomShadow| -> Result<_> {
+            let how = PomParams { shadow: shadow as u32, ..relief(PomMethod::MaxMip) };
+            Ok(bench.run(&stage.uploaded, &how, &rays, 1)?.0)
+        };
+        let found = [run(PomShadow::Off)?, run(PomShadow::Hard)?, run(PomShadow::Soft)?];
+        let share = |(found, ray): (&PomResult, _)| disc_share(map, found.uv.map(f64::from), ray);
+        let references: Vec<f64> = found[0].iter().zip(&rays).map(share).collect();
+        let error = |(found, reference): (&PomResult, &f64)| (f64::from(found.sun) - reference).abs();
+        let [none, hard, soft] = found.map(|found| mean(found.iter().zip(&references).map(error)));
+        ensure!(none > hard, "no shadow is as near to the reference as hard shadow over map {layer}");
+        rows.push([none, hard, soft, 1.0 - mean(references)]);
     }
-    for row in &table.rows {
-        ensure!(
-            row[1] > row[2],
-            "a picture without shadows is as right as one with them over map {}",
-            row[0]
-        );
-    }
-    let line =
-        |name, column: usize| measured(name, table.rows.iter().map(|row| (row[0], row[column].max(1e-4))));
-    let panel = Panel {
-        title: "Shadow of the relief on itself",
-        x: linear("map: 0 hills, 1 bricks, 2 posts, 3 ridges"),
-        y: log("mean difference of the sun's share"),
-        series: vec![line("none", 1), line("hard", 2), line("soft", 3)],
-    };
-    Ok((table, panel))
+    let mut sheet = Sheet::new(
+        "pom_shadow",
+        format!(
+            "mean difference of the share of the sun from {DISC} f64 rays to a disc of radius \
+             {DISC_RADIUS}, sun \
+             {SUN_DEG} degrees high, {SHADOWED} places seen 60 degrees from above, {}.",
+            bench.adapter()
+        ),
+        rows,
+    );
+    let y = log("mean difference of the sun's share");
+    let panel = Panel::new("Shadow of the relief on itself", linear(MAPS), y);
+    let panel = by_map(&mut sheet, ["none", "hard", "soft", "true share of shadow"], panel, 1e-4, 3);
+    Ok((sheet, panel))
 }
 
-/// Share of the disc of the sun that is seen from a place on the surface.
-fn disc_share(map: &client::relief::HeightMap, uv: [f64; 2], probe: &ReliefProbe) -> f64 {
-    let height = truth::height(map, uv);
+/// Share of the disc of the sun that is visible from a point on the surface.
+fn disc_share(map: &client::features::pom::HeightMap, uv: [f64; 2], probe: &PomProbe) -> f64 {
+    let height = reference::height(map, uv);
     let sun = probe.to_sun.map(f64::from);
-    // A sunflower over the disc: even over its area.
-    let lit = |index: u32| {
+    // Points of a sunflower spiral, uniform over the area of the disc.
+    let is_lit = |index: u32| {
         let radius = DISC_RADIUS * ((f64::from(index) + 0.5) / f64::from(DISC)).sqrt();
         let (sin, cos) = (f64::from(index) * 2.399_963).sin_cos();
         let level = [sun[0] + radius * cos, sun[1] + radius * sin];
         let travel = level.map(|part| part / sun[2] * f64::from(probe.amplitude));
         let lift = 0.5 / (travel[0].hypot(travel[1]) * SIDE as f64).max(0.5);
-        truth::is_lit(map, uv, height, travel, lift)
+        reference::is_lit(map, uv, height, travel, lift)
     };
-    f64::from((0..DISC).filter(|index| lit(*index)).count() as u32) / f64::from(DISC)
+    f64::from((0..DISC).filter(|index| is_lit(*index)).count() as u32) / f64::from(DISC)
 }

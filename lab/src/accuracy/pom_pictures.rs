@@ -1,21 +1,20 @@
-//! Parallax occlusion in pictures: every way of marching beside displaced geometry by mean FLIP,
-//! from several heights and distances; edges and lines of intersection.
+//! Parallax occlusion in pictures: every method against displaced geometry by mean FLIP, from
+//! several heights and distances; silhouettes and lines of intersection.
 //!
-//! A flat plane must be farther from geometry than the exact march, or the measurement is refused.
+//! Control: the flat plane must be farther from geometry than the exact march.
 
-use super::Curve;
-use crate::chart::{Panel, linear, log, measured};
+use crate::chart::{Panel, linear, log};
+use crate::curve::{Column, Curve, Sheet};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
-use crate::relief::pictures::{ReliefStudio, around, cut_distance, plane, silhouette_overlap};
-use crate::table::Table;
+use crate::pom::renderer::{PomRenderer, around, cut_distance, plane, silhouette_overlap};
 use anyhow::{Result, ensure};
 use client::camera::Pose;
-use client::looks::Show;
-use client::relief::ReliefKnobs;
-use client::relief::knobs::{ReliefTier, Silhouette};
-use client::render::Picture;
-use client::render::scenes::relief::objects::Mode;
+use client::features::pom::PomSettings;
+use client::features::pom::settings::{PomMethod, Silhouette};
+use client::gpu::Image;
 use client::scene::Scene;
+use client::scene::objects::Mode;
+use client::settings::Show;
 
 /// Size of the pictures, pixels.
 const SIZE: (u32, u32) = (480, 270);
@@ -26,160 +25,153 @@ const ELEVATIONS_DEG: [f64; 5] = [75.0, 45.0, 25.0, 12.0, 5.0];
 const DISTANCES_M: [f64; 6] = [3.0, 6.0, 12.0, 24.0, 48.0, 96.0];
 /// Elevation of the pictures from a distance.
 const SLANT_DEG: f64 = 25.0;
-/// Where the camera stands otherwise.
+/// Distance and bearing otherwise.
 const NEAR_M: f64 = 3.5;
 const BEARING_DEG: f64 = 20.0;
 
-/// Ways of drawing; the last one is the default.
-fn ways() -> [(&'static str, Mode, ReliefKnobs); 7] {
+/// Methods; the last one is the default.
+fn methods() -> [(&'static str, Mode, PomSettings); 7] {
     // With the same edges, so that the difference is what lies between them.
-    let shell = ReliefKnobs { silhouette: Silhouette::Shell, ..ReliefKnobs::default() };
+    let shell = PomSettings { silhouette: Silhouette::Shell, ..PomSettings::default() };
     let search =
-        |steps| ReliefKnobs { tier: ReliefTier::Linear, steps_min: steps, steps_max: steps, ..shell };
+        |steps| PomSettings { method: PomMethod::Linear, steps_min: steps, steps_max: steps, ..shell };
     [
         ("flat", Mode::Flat, shell),
         ("offset", Mode::Offset, shell),
-        ("4 + secant", Mode::Knobs, search(4)),
-        ("16 + secant", Mode::Knobs, search(16)),
-        ("64 + secant", Mode::Knobs, search(64)),
-        ("pyramid", Mode::Knobs, ReliefKnobs { tier: ReliefTier::Pyramid, ..shell }),
-        ("auto", Mode::Knobs, shell),
+        ("4 + secant", Mode::Settings, search(4)),
+        ("16 + secant", Mode::Settings, search(16)),
+        ("64 + secant", Mode::Settings, search(64)),
+        ("pyramid", Mode::Settings, PomSettings { method: PomMethod::MaxMip, ..shell }),
+        ("auto", Mode::Settings, shell),
     ]
 }
 
-/// The ways in the diagrams, by their place in [`ways`]: at most six lines can be told apart, and
-/// the last two coincide.
+/// The methods in the diagrams, by their place in [`methods`]: at most six lines can be
+/// distinguished, and the last two coincide.
 const SHOWN: [usize; 6] = [0, 1, 2, 3, 4, 6];
 
+const EDGES: [&str; 5] = ["shell", "rectangle", "no silhouette", "own depth, px", "plane's depth, px"];
+
+/// A camera parameter with a figure of each method.
+struct Row<const N: usize> {
+    camera: f64,
+    figures: [f64; N],
+}
+
 /// Measures it; the world does not matter.
-///
-/// # Errors
-/// There is no GPU, it failed, or a flat plane looks as right as the exact march.
 pub fn measure(_: u64) -> Result<Curve> {
-    let mut studio = ReliefStudio::open(Scene::Pom, SIZE)?;
-    let by_elevation = flips(
-        &mut studio,
-        ("pom_flip", "camera above the plane, degrees", &ELEVATIONS_DEG),
-        &format!("{NEAR_M} m away"),
-        |elevation_deg| around(elevation_deg, BEARING_DEG, NEAR_M),
-    )?;
-    let by_distance = flips(
-        &mut studio,
-        ("pom_distance", "camera from the plane, metres", &DISTANCES_M),
-        &format!("{SLANT_DEG} degrees above the plane"),
-        |distance_m| around(SLANT_DEG, BEARING_DEG, distance_m),
-    )?;
-    for row in &by_elevation.rows {
-        ensure!(row[1] > row[7], "a flat plane looks as right as a marched one from {} degrees", row[0]);
+    let mut renderer = PomRenderer::open(Scene::Pom, SIZE)?;
+    let by_elevation =
+        flips(&mut renderer, &ELEVATIONS_DEG, |elevation_deg| around(elevation_deg, BEARING_DEG, NEAR_M))?;
+    let by_distance =
+        flips(&mut renderer, &DISTANCES_M, |distance_m| around(SLANT_DEG, BEARING_DEG, distance_m))?;
+    for row in &by_elevation {
+        ensure!(
+            row.figures[0] > row.figures[6],
+            "a flat plane is as near to geometry as a marched one from {} degrees",
+            row.camera
+        );
     }
-    let edges = edges(&mut studio)?;
-    let lines = |table: &Table| {
-        let ways = ways();
-        let x = table.columns[0].clone();
-        SHOWN.map(|index| measured(ways[index].0, table.curve(&x, ways[index].0))).to_vec()
+    let edges = ELEVATIONS_DEG.map(|elevation_deg| edges(&mut renderer, elevation_deg));
+    let edges = edges.into_iter().collect::<Result<_>>()?;
+    let caption = |from: String| {
+        format!(
+            "mean FLIP ({PIXELS_PER_DEGREE} pixels per degree) of a plane of cobblestones against displaced \
+             geometry, {from}, {} x {} pixels",
+            SIZE.0, SIZE.1
+        )
     };
-    let of_edges = |names: &[&str]| {
-        names
-            .iter()
-            .map(|name| measured(*name, edges.curve("camera above the plane, degrees", name)))
-            .collect::<Vec<_>>()
-    };
-    let up = linear("camera above the plane, degrees");
-    let flip = "mean FLIP against geometry, 67 pixels per degree";
-    let panels = vec![
-        Panel {
-            title: "Picture by the height of the camera",
-            x: up,
-            y: log(flip),
-            series: lines(&by_elevation),
-        },
-        Panel {
-            title: "Picture by distance, 25 degrees",
-            x: log("camera from the plane, metres"),
-            y: log(flip),
-            series: lines(&by_distance),
-        },
-        Panel {
-            title: "Edge of the relief",
-            x: up,
-            y: linear("intersection over union with geometry"),
-            series: of_edges(&["shell", "rectangle", "no silhouette"]),
-        },
-        Panel {
-            title: "Line in which an object meets the relief",
-            x: up,
-            y: log("p99 distance from the true line, pixels"),
-            series: of_edges(&["own depth, px", "plane's depth, px"]),
-        },
-    ];
-    Ok(Curve {
-        name: "pom_pictures",
-        title: "Parallax occlusion in pictures, against displaced geometry",
-        tables: vec![by_elevation, by_distance, edges],
-        panels,
-    })
-}
-
-/// Mean FLIP of each way against geometry, over one change of the camera.
-fn flips(
-    studio: &mut ReliefStudio,
-    (name, column, values): (&'static str, &str, &[f64]),
-    from: &str,
-    pose: impl Fn(f64) -> Pose,
-) -> Result<Table> {
-    let mut columns = vec![column];
-    columns.extend(ways().map(|(name, ..)| name));
-    let caption = format!(
-        "mean FLIP ({PIXELS_PER_DEGREE} pixels per degree) of a plane of cobblestones against displaced geometry, {from}, {} x {} pixels",
-        SIZE.0, SIZE.1
-    );
-    let mut table = Table::new(name, caption, &columns);
-    for value in values {
-        let mut of = |mode, knobs| -> Result<Picture> {
-            studio.shown(&[plane(mode)], pose(*value), knobs, Show::Picture)?;
-            Ok(studio.picture()?)
-        };
-        let truth = of(Mode::Geometry, ways()[5].2)?;
-        let mut row = vec![*value];
-        for (_, mode, knobs) in ways() {
-            row.push(mean(&truth, &of(mode, knobs)?, PIXELS_PER_DEGREE));
-        }
-        table.push(row);
-    }
-    Ok(table)
-}
-
-/// Edges and lines of intersection by elevation.
-fn edges(studio: &mut ReliefStudio) -> Result<Table> {
-    let mut table = Table::new(
+    const ELEVATION: &str = "camera above the plane, degrees";
+    const DISTANCE: &str = "camera from the plane, metres";
+    let names = methods().map(|(name, ..)| name);
+    let mut elevation = Sheet::new("pom_flip", caption(format!("{NEAR_M} m away")), by_elevation);
+    let by_elevation = columns(&mut elevation, ELEVATION, names);
+    let from = format!("{SLANT_DEG} degrees above the plane");
+    let mut distance = Sheet::new("pom_distance", caption(from), by_distance);
+    let by_distance = columns(&mut distance, DISTANCE, names);
+    let mut edge = Sheet::new(
         "pom_edges",
         format!(
-            "what a plane covers over what displaced geometry covers, least of three bearings, and how far the line in which a ball meets it is from geometry's, {} x {} pixels",
+            "what a plane covers over what displaced geometry covers, least of three bearings, and how far \
+             the \
+             line in which a ball meets it is from geometry's, {} x {} pixels",
             SIZE.0, SIZE.1
         ),
-        &[
-            "camera above the plane, degrees",
-            "shell",
-            "rectangle",
-            "no silhouette",
-            "own depth, px",
-            "plane's depth, px",
-        ],
+        edges,
     );
-    let exact = ways()[5].2;
-    for elevation_deg in ELEVATIONS_DEG {
-        let mut row = vec![elevation_deg];
-        for (mode, silhouette) in [
-            (Mode::Knobs, Silhouette::Shell),
-            (Mode::Knobs, Silhouette::Rectangle),
-            (Mode::Flat, Silhouette::None),
-        ] {
-            row.push(silhouette_overlap(studio, mode, ReliefKnobs { silhouette, ..exact }, elevation_deg)?);
+    let by_edge = columns(&mut edge, ELEVATION, EDGES);
+
+    let flip = log("mean FLIP against geometry, 67 pixels per degree");
+    let iou = linear("intersection over union with geometry");
+    let px = log("p99 distance from the true line, pixels");
+    let up = linear(ELEVATION);
+    let panels = vec![
+        lines(Panel::new("Image by the height of the camera", up, flip), &elevation, by_elevation, &SHOWN),
+        lines(
+            Panel::new("Image by distance, 25 degrees", log(DISTANCE), flip),
+            &distance,
+            by_distance,
+            &SHOWN,
+        ),
+        lines(Panel::new("Edge of the relief", up, iou), &edge, by_edge, &[0, 1, 2]),
+        lines(Panel::new("Line in which an object meets the relief", up, px), &edge, by_edge, &[3, 4]),
+    ];
+    let tables = vec![elevation.into(), distance.into(), edge.into()];
+    let title = "Parallax occlusion in pictures, against displaced geometry";
+    Ok(Curve { name: "pom_pictures", title, tables, panels })
+}
+
+fn columns<const N: usize>(
+    sheet: &mut Sheet<Row<N>>,
+    camera: &str,
+    names: [&str; N],
+) -> (Column, [Column; N]) {
+    let camera = sheet.column(camera, |row| row.camera);
+    (camera, std::array::from_fn(|index| sheet.column(names[index], |row| row.figures[index])))
+}
+
+fn lines<const N: usize>(
+    panel: Panel,
+    sheet: &Sheet<Row<N>>,
+    (camera, figures): (Column, [Column; N]),
+    shown: &[usize],
+) -> Panel {
+    shown
+        .iter()
+        .map(|index| figures[*index])
+        .fold(panel, |panel, figure| panel.line(sheet.name_of(figure), sheet.points(camera, figure)))
+}
+
+/// Mean FLIP of each method against geometry, over one change of the camera.
+fn flips(renderer: &mut PomRenderer, values: &[f64], pose: impl Fn(f64) -> Pose) -> Result<Vec<Row<7>>> {
+    let row = |value: &f64| {
+        let mut render = |mode, knobs| -> Result<Image> {
+            renderer.shown(&[plane(mode)], pose(*value), knobs, Show::Image)?;
+            Ok(renderer.picture()?)
+        };
+        let reference = render(Mode::Geometry, methods()[5].2)?;
+        let mut figures = [0.0; 7];
+        for ((_, mode, knobs), figure) in methods().into_iter().zip(&mut figures) {
+            *figure = mean(&reference, &render(mode, knobs)?, PIXELS_PER_DEGREE);
         }
-        for (depth, silhouette) in [(true, Silhouette::Shell), (false, Silhouette::None)] {
-            row.push(cut_distance(studio, ReliefKnobs { depth, silhouette, ..exact }, elevation_deg)?.0);
-        }
-        table.push(row);
-    }
-    Ok(table)
+        Ok(Row { camera: *value, figures })
+    };
+    values.iter().map(row).collect()
+}
+
+/// Overlap of silhouettes and distance of lines of intersection, by [`EDGES`].
+fn edges(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Row<5>> {
+    let exact = methods()[5].2;
+    let mut overlap = |mode, silhouette| {
+        silhouette_overlap(renderer, mode, PomSettings { silhouette, ..exact }, elevation_deg)
+    };
+    let [shell, rectangle, none] = [
+        overlap(Mode::Settings, Silhouette::Shell)?,
+        overlap(Mode::Settings, Silhouette::Rectangle)?,
+        overlap(Mode::Flat, Silhouette::None)?,
+    ];
+    let mut cut =
+        |depth, silhouette| cut_distance(renderer, PomSettings { depth, silhouette, ..exact }, elevation_deg);
+    let figures = [shell, rectangle, none, cut(true, Silhouette::Shell)?.0, cut(false, Silhouette::None)?.0];
+    Ok(Row { camera: elevation_deg, figures })
 }

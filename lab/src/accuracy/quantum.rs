@@ -1,99 +1,86 @@
-//! Height quantum: what coarser heights would save on the wire, and what they would cost.
+//! Height quantum: size on the wire against error.
 
-use super::Curve;
 use super::errors::{compare, exact, integers};
-use crate::chart::{Panel, linear, log, measured, stated};
+use crate::chart::{Panel, linear, log};
+use crate::curve::{Curve, Sheet};
+use crate::reference_f64::ReferenceF64;
 use crate::sample;
-use crate::table::Table;
-use crate::truth::Truth;
+use crate::stats::Figures;
 use protocol::chunk_codec;
 use terrain::constants::{UNIT_BITS, UNITS_PER_METRE, VERTEX_COUNT};
 use terrain::{Chunk, ChunkKey, Land, Octaves, WorldDigest};
 
 const POINTS: u32 = 40_000;
 
-/// Chunks whose coded size is averaged.
+/// Chunks whose encoded size is averaged.
 const CHUNKS: u32 = 48;
 
+struct Row {
+    quantum_m: f64,
+    height: Figures,
+    slope: Figures,
+    bytes_per_vertex: f64,
+}
+
 /// Measures quanta from 2^-8 m to 1 m.
-#[must_use]
 pub fn measure(world_seed: u64) -> Curve {
-    let (land, truth) = (Land::new(world_seed), exact(Truth::new(world_seed)));
+    let (land, reference) = (Land::new(world_seed), exact(ReferenceF64::new(world_seed)));
     let points: Vec<_> = sample::land_vertices(world_seed, POINTS, 22).collect();
     let chunks: Vec<Chunk> = sample::land_vertices(world_seed, CHUNKS, 23)
         .map(|(x, z)| land.chunk(ChunkKey::containing(0, x, z)))
         .collect();
-    let mut table = Table::new(
-        "quantum",
-        format!(
-            "integers rounded to a quantum against f64 at {POINTS} vertices of islands; bytes of {CHUNKS} level-0 chunks in the protocol's exact coding, over their vertices."
-        ),
-        &["quantum, m", "max, m", "p99, m", "max, degrees", "p99, degrees", "bytes per vertex"],
-    );
     let whole = integers(land, Octaves::ALL);
-    for dropped in 0..=UNIT_BITS {
+    let rows = (0..=UNIT_BITS).map(|dropped| {
         let quantum_m = f64::from(1u32 << dropped) / f64::from(UNITS_PER_METRE);
         let rounded = |x, z| (whole(x, z) / quantum_m).round() * quantum_m;
-        let (height, slope) = compare(&rounded, &truth, &points);
-        let bytes: usize = chunks.iter().map(|chunk| coded(chunk, dropped)).sum();
-        let per_vertex = bytes as f64 / (chunks.len() * VERTEX_COUNT) as f64;
-        table.push([quantum_m, height.max, height.p99, slope.max, slope.p99, per_vertex]);
-    }
+        let (height, slope) = compare(&rounded, &reference, &points);
+        let bytes: usize = chunks.iter().map(|chunk| encoded_bytes(chunk, dropped)).sum();
+        let bytes_per_vertex = bytes as f64 / (chunks.len() * VERTEX_COUNT) as f64;
+        Row { quantum_m, height, slope, bytes_per_vertex }
+    });
+    let mut sheet = Sheet::new(
+        "quantum",
+        format!(
+            "integers rounded to a quantum against f64 at {POINTS} vertices of islands; bytes of {CHUNKS} \
+             level-0 \
+             chunks in the protocol's exact coding, over their vertices."
+        ),
+        rows.collect(),
+    );
+    let quantum = sheet.column("quantum, m", |row| row.quantum_m);
+    let max_m = sheet.column("max, m", |row| row.height.max);
+    let p99_m = sheet.column("p99, m", |row| row.height.p99);
+    let max_deg = sheet.column("max, degrees", |row| row.slope.max);
+    let p99_deg = sheet.column("p99, degrees", |row| row.slope.p99);
+    let bytes = sheet.column("bytes per vertex", |row| row.bytes_per_vertex);
+
     let span = [1.0 / 256.0, 1.0];
+    let (x, size, height) = (log("quantum, m"), linear("bytes per vertex"), log("height error, m"));
     let panels = vec![
-        Panel {
-            title: "Height error against quantum",
-            x: log("quantum, m"),
-            y: log("height error, m"),
-            series: vec![
-                measured("largest found", table.curve("quantum, m", "max, m")),
-                measured("99th percentile", table.curve("quantum, m", "p99, m")),
-                stated("half a quantum", span.map(|q| (q, q / 2.0))),
-                stated("bar, 1/128 m", span.map(|q| (q, 1.0 / 128.0))),
-            ],
-        },
-        Panel {
-            title: "Slope error against quantum",
-            x: log("quantum, m"),
-            y: log("slope error, degrees"),
-            series: vec![
-                measured("largest found", table.curve("quantum, m", "max, degrees")),
-                measured("99th percentile", table.curve("quantum, m", "p99, degrees")),
-                stated("bar, 0.2 degrees", span.map(|q| (q, 0.2))),
-            ],
-        },
-        Panel {
-            title: "Coded size against quantum",
-            x: log("quantum, m"),
-            y: linear("bytes per vertex"),
-            series: vec![measured(
-                "plane residuals, byte planes, zstd",
-                table.curve("quantum, m", "bytes per vertex"),
-            )],
-        },
-        Panel {
-            title: "What an error saves",
-            x: linear("bytes per vertex"),
-            y: log("height error, m"),
-            series: vec![
-                measured("largest found", table.curve("bytes per vertex", "max, m")),
-                measured("99th percentile", table.curve("bytes per vertex", "p99, m")),
-            ],
-        },
+        Panel::new("Height error against quantum", x, height)
+            .line("largest found", sheet.points(quantum, max_m))
+            .line("99th percentile", sheet.points(quantum, p99_m))
+            .bound("half a quantum", span.map(|q| (q, q / 2.0)))
+            .bound("bar, 1/128 m", span.map(|q| (q, 1.0 / 128.0))),
+        Panel::new("Slope error against quantum", x, log("slope error, degrees"))
+            .line("largest found", sheet.points(quantum, max_deg))
+            .line("99th percentile", sheet.points(quantum, p99_deg))
+            .bound("bar, 0.2 degrees", span.map(|q| (q, 0.2))),
+        Panel::new("Encoded size against quantum", x, size)
+            .line("plane residuals, byte planes, zstd", sheet.points(quantum, bytes)),
+        Panel::new("Error against size", size, height)
+            .line("largest found", sheet.points(bytes, max_m))
+            .line("99th percentile", sheet.points(bytes, p99_m)),
     ];
-    Curve {
-        name: "quantum",
-        title: "Height quantum: accuracy and coded size (truth: f64)",
-        tables: vec![table],
-        panels,
-    }
+    let title = "Height quantum: accuracy and encoded size (reference: f64)";
+    Curve { name: "quantum", title, tables: vec![sheet.into()], panels }
 }
 
 /// Bytes of a chunk whose heights lose so many bits, in the exact coding.
-fn coded(chunk: &Chunk, dropped: u32) -> usize {
+fn encoded_bytes(chunk: &Chunk, dropped: u32) -> usize {
     let half = (1 << dropped) >> 1;
     let heights = Box::new(chunk.heights.map(|height| (height + half) >> dropped));
     let coarse = Chunk::from_parts(chunk.key, heights, chunk.error, chunk.grass.clone());
-    // Whose world it is does not change the size.
+    // The digest of the world does not change the size.
     chunk_codec::encode(&coarse, &WorldDigest([0; 32])).len()
 }

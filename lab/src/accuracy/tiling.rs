@@ -1,41 +1,47 @@
-//! Repetition of materials: what hides it, against the same recipe without its period.
+//! Repetition of materials: the settings of the tiling knob against the same recipe without period.
 //!
-//! The shader code that ships is asked for a field of whole tiles, a sample a texel. A texture that
-//! repeats correlates with itself one tile farther; what hides that blends samples, which costs
-//! contrast and time.
+//! The shipped shader renders a field of whole tiles, one sample a texel. A repeating texture
+//! correlates with itself at a distance of one tile; hiding the repetition blends samples, which
+//! costs contrast and time.
 
-use super::Curve;
-use super::octaves::ratios;
-use crate::chart::{Choice, Panel, front, linear, log, stated};
+use crate::chart::{Panel, linear, log};
+use crate::curve::{Column, Curve, Sheet};
+use crate::stats::{interleaved, mean, ratios};
 use crate::table::Table;
 use anyhow::{Context, Result};
-use client::looks::Tiling;
-use client::render::materials::{MATERIAL_SIZE, Materials, OwnMaterials};
-use client::render::tiling_probe::{FIELD, Look, ProbeTiling};
-use client::render::{Gpu, gpu};
+use client::features::materials::tiling_probe::{FIELD, Look, ProbeTiling};
+use client::features::materials::{CustomMaterials, MATERIAL_SIZE, Materials};
+use client::gpu;
+use client::gpu::Gpu;
+use client::settings::Tiling;
 use shaders::layout::MATERIALS;
 use std::time::Instant;
 use terrain::hash::mix;
 
-/// Rounds of the interleaved timing; the median is kept.
+/// Rounds of the interleaved timing; the median counts.
 const ROUNDS: usize = 25;
 
-/// The knob's settings with the samples that they take.
-const KNOB: [(Tiling, f64); 3] = [(Tiling::Off, 1.0), (Tiling::TwoScale, 2.0), (Tiling::Hex, 3.0)];
+/// The settings of the knob: name in diagrams and samples of each.
+const KNOB: [(Tiling, &str, f64); 3] =
+    [(Tiling::Off, "off", 1.0), (Tiling::TwoScale, "two scales", 2.0), (Tiling::Hex, "hexagons", 3.0)];
 
-/// What they are called in diagrams.
-const NAMES: [&str; 3] = ["off", "two scales", "hexagons"];
-
-/// The sets that are measured, one of small equal parts and one of large different ones: name,
-/// table, titles of diagrams.
+/// The measured materials, one of small equal parts and one of large different ones: name, table,
+/// titles of diagrams.
 const MEASURED: [(&str, &str, &str, &str); 2] = [
     ("meadow", "tiling_meadow", "Meadow: repetition", "Meadow: contrast"),
     ("cliff", "tiling_cliff", "Cliff: repetition", "Cliff: contrast"),
 ];
 
-/// What one setting shows of a material.
-struct Seen {
-    /// Correlation with itself one tile farther, the greatest of three directions.
+/// A setting with its time over that without hiding.
+struct Row {
+    knob: usize,
+    time_ratio: f64,
+    field: FieldStats,
+}
+
+/// Statistics of a rendered field.
+struct FieldStats {
+    /// Autocorrelation at one tile, the largest of three directions.
     repetition: f64,
     /// Standard deviation of luminance.
     deviation: f64,
@@ -43,133 +49,94 @@ struct Seen {
     sorted: Vec<f32>,
 }
 
-/// Measures all settings of the knob.
-///
-/// # Errors
-/// There is no GPU, or it fails.
 pub fn measure(world_seed: u64) -> Result<Curve> {
     let gpu =
         pollster::block_on(Gpu::open(gpu::instance(None), None)).context("tiling is measured on a GPU")?;
-    let materials = Materials::new(&gpu.device, &gpu.queue, &OwnMaterials::default(), true);
+    let materials = Materials::new(&gpu.device, &gpu.queue, &CustomMaterials::default(), true);
     let probe = ProbeTiling::new(&gpu, &materials);
-    // Anywhere in the 32 x 32 places where a field may start.
+    // One of the 32 x 32 places where a field may start.
     let place = |turn: u32| 256.0 * (mix(world_seed as u32 ^ turn) % 32) as f32;
     let anchor_m = [place(1), place(2)];
-    let (mut tables, mut truths) = (Vec::new(), Vec::new());
-    for (name, table, ..) in MEASURED {
+    let (mut tables, mut panels): (Vec<Table>, _) = (Vec::new(), Vec::new());
+    for (name, table, repetition_title, contrast_title) in MEASURED {
         let material = MATERIALS.iter().position(|known| *known == name).context("no such material")? as u32;
-        let look = |look| -> Result<Seen> {
+        let render = |look| -> Result<FieldStats> {
             probe.run(&gpu, &materials, material, look, anchor_m)?;
-            Ok(Seen::of(&probe.read(&gpu)?))
+            Ok(FieldStats::of(&probe.read(&gpu)?))
         };
-        let truth = look(Look::Recipe)?;
-        let times = times(|tiling: Tiling| {
-            probe.run(&gpu, &materials, material, Look::Textures(tiling as u32), anchor_m)
+        let texture = |knob: usize| Look::Textures(KNOB[knob].0 as u32);
+        let reference = render(Look::Recipe)?;
+        let times = interleaved(ROUNDS, KNOB.len(), |knob| {
+            let begun = Instant::now();
+            probe.run(&gpu, &materials, material, texture(knob), anchor_m)?;
+            Ok::<_, anyhow::Error>(begun.elapsed())
         })?;
-        let mut rows = Table::new(
+        let rows = ratios(&times).into_iter().enumerate();
+        let rows = rows.map(|(knob, time_ratio)| Ok(Row { knob, time_ratio, field: render(texture(knob))? }));
+        let tiles = |axis: u32| f64::from(axis / MATERIAL_SIZE);
+        let mut sheet = Sheet::new(
             table,
             format!(
-                "{name}, {} x {} texels of {:.0} x {:.0} tiles; knob 0 off, 1 two scales, 2 hexagons; against the recipe without period, whose own \
-                 correlation at that distance is {:.4}; time against off, median of {ROUNDS} interleaved rounds on {}.",
+                "{name}, {} x {} texels of {:.0} x {:.0} tiles; knob 0 off, 1 two scales, 2 hexagons; \
+                 against the \
+                 recipe without period, whose own correlation at that distance is {:.4}; time against off, \
+                 median of {ROUNDS} interleaved rounds on {}.",
                 FIELD.0,
                 FIELD.1,
-                f64::from(FIELD.0 / MATERIAL_SIZE),
-                f64::from(FIELD.1 / MATERIAL_SIZE),
-                truth.repetition,
+                tiles(FIELD.0),
+                tiles(FIELD.1),
+                reference.repetition,
                 gpu.name()
             ),
-            &[
-                "knob",
-                "samples",
-                "time ratio",
-                "repetition",
-                "contrast kept",
-                "contrast lost",
-                "histogram, deviations",
-            ],
+            rows.collect::<Result<_>>()?,
         );
-        for (at, (tiling, samples)) in KNOB.into_iter().enumerate() {
-            let seen = look(Look::Textures(tiling as u32))?;
-            let contrast = seen.deviation / truth.deviation;
-            rows.push([
-                at as f64,
-                samples,
-                times[at],
-                seen.repetition,
-                contrast,
-                (1.0 - contrast).abs(),
-                seen.apart(&truth) / truth.deviation,
-            ]);
-        }
-        tables.push(rows);
-        truths.push(truth.repetition);
-    }
-    let panels = MEASURED.iter().zip(&tables).zip(truths).flat_map(|((material, table), truth)| {
-        let trade = |against: &str| {
-            let choices = table.curve("time ratio", against).into_iter().zip(KNOB).zip(NAMES);
-            let choice = |((at, (tiling, _)), name): ((_, (Tiling, f64)), &str)| Choice {
-                name: name.to_owned(),
-                at,
-                is_shipped: tiling == Tiling::default(),
-            };
-            front(&choices.map(choice).collect::<Vec<_>>())
-        };
-        let mut repetition = trade("repetition");
-        let times = table.curve("time ratio", "repetition").into_iter().map(|point| (point.0, truth));
-        repetition.push(stated("the recipe without period", times));
+        let contrast = |row: &Row| row.field.deviation / reference.deviation;
+        sheet.column("knob", |row| row.knob as f64);
+        sheet.column("samples", |row| KNOB[row.knob].2);
+        let time = sheet.column("time ratio", |row| row.time_ratio);
+        let repetition = sheet.column("repetition", |row| row.field.repetition);
+        sheet.column("contrast kept", contrast);
+        let lost = sheet.column("contrast lost", |row| (1.0 - contrast(row)).abs());
+        sheet.column("histogram, deviations", |row| {
+            row.field.histogram_distance(&reference) / reference.deviation
+        });
+
         let x = log("time, ratio to off");
-        [
-            Panel { title: material.2, x, y: linear("correlation at one tile"), series: repetition },
-            Panel { title: material.3, x, y: linear("contrast lost, share"), series: trade("contrast lost") },
-        ]
-    });
-    let panels = panels.collect();
-    Ok(Curve {
-        name: "tiling",
-        title: "Repetition of materials: cost and what is left (truth: the recipe without period)",
-        tables,
-        panels,
-    })
-}
-
-/// Times of all settings over that of the first; they take turns in every round.
-fn times(mut run: impl FnMut(Tiling) -> Result<(), client::render::GpuError>) -> Result<Vec<f64>> {
-    let mut times = vec![Vec::new(); KNOB.len()];
-    for _ in 0..ROUNDS {
-        for ((tiling, _), times) in KNOB.into_iter().zip(&mut times) {
-            let begun = Instant::now();
-            run(tiling)?;
-            times.push(begun.elapsed());
-        }
+        let name = |row: &Row| (KNOB[row.knob].1.to_owned(), KNOB[row.knob].0 == Tiling::default());
+        let choices = |error: Column| sheet.choices(time, error, name);
+        let times = sheet.points(time, repetition).into_iter();
+        panels.push(
+            Panel::new(repetition_title, x, linear("correlation at one tile"))
+                .front(&choices(repetition))
+                .bound("the recipe without period", times.map(|point| (point.0, reference.repetition))),
+        );
+        panels.push(Panel::new(contrast_title, x, linear("contrast lost, share")).front(&choices(lost)));
+        tables.push(sheet.into());
     }
-    Ok(ratios(&times))
+    let title = "Repetition of materials: cost and what is left (reference: the recipe without period)";
+    Ok(Curve { name: "tiling", title, tables, panels })
 }
 
-impl Seen {
+impl FieldStats {
     fn of(luminances: &[f32]) -> Self {
-        let count = luminances.len() as f64;
-        let mean = luminances.iter().map(|value| f64::from(*value)).sum::<f64>() / count;
-        let square = |value: &f32| (f64::from(*value) - mean).powi(2);
-        let variance = luminances.iter().map(square).sum::<f64>() / count;
+        let average = mean(luminances.iter().map(|value| f64::from(*value)));
+        let variance = mean(luminances.iter().map(|value| (f64::from(*value) - average).powi(2)));
         let tile = MATERIAL_SIZE as usize;
-        let repetition = [(tile, 0), (0, tile), (tile, tile)]
-            .map(|(x, y)| covariance(luminances, mean, x, y) / variance.max(1e-18))
-            .into_iter()
-            .fold(f64::NEG_INFINITY, f64::max);
+        let shifts = [(tile, 0), (0, tile), (tile, tile)];
+        let repetition = shifts.map(|(x, y)| covariance(luminances, average, x, y) / variance.max(1e-18));
         let mut sorted = luminances.to_vec();
         sorted.sort_by(f32::total_cmp);
+        let repetition = repetition.into_iter().fold(f64::NEG_INFINITY, f64::max);
         Self { repetition, deviation: variance.sqrt(), sorted }
     }
 
-    /// Mean distance of the two histograms: what has to be moved how far to make one from the
-    /// other.
-    fn apart(&self, other: &Self) -> f64 {
-        let differences = self.sorted.iter().zip(&other.sorted).map(|(a, b)| f64::from((a - b).abs()));
-        differences.sum::<f64>() / self.sorted.len() as f64
+    /// Earth mover's distance of the two histograms.
+    fn histogram_distance(&self, other: &Self) -> f64 {
+        mean(self.sorted.iter().zip(&other.sorted).map(|(a, b)| f64::from((a - b).abs())))
     }
 }
 
-/// Mean product of what lies `x` and `y` texels apart.
+/// Autocovariance at a shift of `x` and `y` texels.
 fn covariance(luminances: &[f32], mean: f64, x: usize, y: usize) -> f64 {
     let (width, height) = (FIELD.0 as usize, FIELD.1 as usize);
     let mut sum = 0.0;

@@ -1,6 +1,6 @@
-//! What others send heights as: u16 above the lowest vertex, 65 x 65.
+//! Common codecs of heights: u16 above the lowest vertex, 65 x 65.
 //!
-//! Each as its own format has it, with an encoder that is common in Rust. LERC, whose only crate
+//! Each in its own format, with an encoder that is common in Rust. LERC, whose only crate
 //! compiles a C++ library, is in `benches/lerc`.
 
 use flate2::Compression;
@@ -12,9 +12,9 @@ use std::io::{Cursor, Read, Write};
 use terrain::constants::{VERTEX_COUNT, VERTICES};
 use zstd::bulk::{Compressor, Decompressor};
 
-/// A codec of u16 heights. Decoding answers nothing where it fails, which counts as a loss.
+/// A codec of u16 heights. A failed decoding returns no height, which counts as a loss.
 #[derive(Clone, Copy)]
-pub(super) struct Rival {
+pub(super) struct Baseline {
     pub(super) codec: &'static str,
     pub(super) encode: fn(&[u16]) -> Vec<u8>,
     pub(super) decode: fn(&[u8]) -> Vec<u16>,
@@ -27,13 +27,17 @@ pub(super) const PNG16: &str = "PNG, 16 bits, adaptive filters";
 /// send it.
 pub(super) const SCAN_DELTA: &str = "scan deltas, zigzag, gzip 6 (quantized-mesh)";
 
-pub(super) fn all() -> Vec<Rival> {
+pub(super) fn all() -> Vec<Baseline> {
     vec![
-        Rival { codec: "u16 as it is", encode: words, decode: from_words },
-        Rival { codec: "plane, byte planes, one zstd 1 frame", encode: plane_zstd, decode: from_plane_zstd },
-        Rival { codec: PNG16, encode: png, decode: from_png },
-        Rival { codec: SCAN_DELTA, encode: scan_delta, decode: from_scan_delta },
-        Rival { codec: "WebP lossless, terrain-RGB", encode: webp, decode: from_webp },
+        Baseline { codec: "u16 as it is", encode: words, decode: from_words },
+        Baseline {
+            codec: "plane, byte planes, one zstd 1 frame",
+            encode: plane_zstd,
+            decode: from_plane_zstd,
+        },
+        Baseline { codec: PNG16, encode: png, decode: from_png },
+        Baseline { codec: SCAN_DELTA, encode: scan_delta, decode: from_scan_delta },
+        Baseline { codec: "WebP lossless, terrain-RGB", encode: webp, decode: from_webp },
     ]
 }
 
@@ -53,7 +57,7 @@ const fn unzigzag(word: u16) -> u16 {
     (word >> 1) ^ (word & 1).wrapping_neg()
 }
 
-/// Contexts of a thread: what a server keeps too.
+/// Contexts of a thread, as in a server.
 struct Contexts {
     compressor: Option<Compressor<'static>>,
     decompressor: Option<Decompressor<'static>>,
@@ -64,7 +68,7 @@ thread_local! {
         RefCell::new(Contexts { compressor: Compressor::new(1).ok(), decompressor: Decompressor::new().ok() });
 }
 
-/// What the height at an index should be by those before it.
+/// Plane prediction of a height from those before it.
 fn predicted(heights: &[u16], index: usize) -> u16 {
     match (index % VERTICES, index / VERTICES) {
         (0, 0) => 0,

@@ -1,18 +1,19 @@
-//! Chunks of 128 m, judged by all of their clumps: seen if any vertex of any clump in them is.
+//! Occlusion of chunks of 128 m: visible if any vertex of any clump in them is.
 
-use crate::culling::leaves::leaves_of;
-use crate::culling::oracle::{Oracle, eye_of};
+use crate::culling::clump_vertices::clump_vertices;
+use crate::culling::occlusion::{LEAST_M, is_judged, judged, level_of};
+use crate::culling::reference::{VisibilityReference, eye_of};
 use crate::culling::scene::Scene;
-use crate::culling::sight::{LEAST_M, is_judged, judged, level_of};
-use client::plants::Stand;
-use client::plants::kept::{blocks_of, clumps_of};
-use shaders::twin::march::five_points_are_hidden;
-use shaders::twin::planting::{BLOCK_CELL_BITS, Extent, block_extent, extent_of, may_be_in_view, slope_at};
-use shaders::twin::sight::is_hidden;
+use client::features::vegetation::SpeciesParams;
+use client::features::vegetation::cpu_cull::{blocks_of, clumps_of};
+use shaders::twin::placement::BLOCK_CELL_BITS;
+use shaders::twin::raymarch_occlusion::raymarch_occlusion_of_corners;
 use shaders::twin::surface::{Slots, Surface, TILE_BITS};
+use shaders::twin::terrain_occlusion::is_occluded;
+use shaders::twin::visibility::{Extent, block_extent, extent_of, may_be_in_view, slope_at};
 use std::collections::BTreeMap;
 
-/// What sight and the tests say of a chunk.
+/// Visibility of a chunk by the reference and by the tests.
 #[derive(Clone, Copy, Debug)]
 pub struct ChunkVerdict {
     /// Column and row in the square.
@@ -27,13 +28,12 @@ pub struct ChunkVerdict {
     pub has_point: bool,
 }
 
-/// Of the chunks in view in which something grows, every so many-th.
-#[must_use]
+/// Every `every`-th of the chunks in view that have plants.
 pub fn chunks_of<S: Slots>(
     scene: &Scene,
-    oracle: &Oracle,
+    reference: &VisibilityReference,
     surface: &Surface<'_, S>,
-    stand: &Stand,
+    stand: &SpeciesParams,
     every: usize,
 ) -> Vec<ChunkVerdict> {
     let (culling, planting, eye) = (&stand.culling, &stand.planting, eye_of(&scene.shot.pose));
@@ -50,31 +50,32 @@ pub fn chunks_of<S: Slots>(
             is_judged(stand, clump) && may_be_in_view(culling, &extent_of(culling, planting, clump, slope()))
         })
     };
-    let asks = culling.sees_land != 0;
+    let is_tested = culling.occlusion_enabled != 0;
     let mut verdicts = Vec::new();
     for (at, blocks) in chunks.iter().step_by(every) {
         let (mut grows, mut hint_m) = (false, 0.0);
         let is_seen = blocks.iter().flat_map(|(block, _)| clumps(*block)).any(|clump| {
-            let leaves = leaves_of(scene, surface, stand, &clump, level_of(stand, &clump));
-            let is_judged = leaves.height_m >= LEAST_M;
+            let vertices = clump_vertices(scene, surface, stand, &clump, level_of(stand, &clump));
+            let is_judged = vertices.height_m >= LEAST_M;
             grows |= is_judged;
-            is_judged && oracle.sees_any(eye, &leaves.points, &mut hint_m)
+            is_judged && reference.sees_any(eye, &vertices.points, &mut hint_m)
         });
         if !grows {
             continue;
         }
-        let kept = blocks
-            .iter()
-            .filter(|(_, extent)| !asks || !is_hidden(surface, culling.eye, &extent.target, culling.start));
+        let kept = blocks.iter().filter(|(_, extent)| {
+            !is_tested || !is_occluded(surface, culling.eye, &extent.occludee, culling.start)
+        });
         let kept: Vec<[i32; 2]> = kept.map(|(block, _)| *block).collect();
         verdicts.push(ChunkVerdict {
             at: *at,
             is_seen,
             has_clump: kept
                 .iter()
-                .any(|block| clumps(*block).any(|clump| !judged(surface, stand, &clump).is_hidden)),
+                .any(|block| clumps(*block).any(|clump| !judged(surface, stand, &clump).is_occluded)),
             has_block: !kept.is_empty(),
-            has_point: !asks || !five_points_are_hidden(surface, culling, TILE_BITS, at[0], at[1]),
+            has_point: !is_tested
+                || !raymarch_occlusion_of_corners(surface, culling, TILE_BITS, at[0], at[1]),
         });
     }
     verdicts

@@ -1,23 +1,24 @@
-//! Where the vertices of a clump are drawn, by the twins of the shapes that `draw_grass` and
-//! `draw_trees` draw: what has to be in sight for the clump to be seen.
+//! Drawn vertices of a clump, by the twins of the vertex shaders of `draw_grass` and `draw_trees`.
+//! A clump is visible if one of them is.
 
-use crate::culling::oracle::Point;
+use crate::culling::reference::Point;
 use crate::culling::scene::Scene;
-use client::plants::Stand;
+use client::features::vegetation::SpeciesParams;
 use shaders::layout::{GRASS_VERTICES, KIND_GRASS, TREE_VERTICES};
-use shaders::twin::clump::{add, lean_push, root_offset_m, standing, unpacked_clump, wind_push};
+use shaders::twin::clump::{add, lean_push, root_offset_m, stem_pose, unpacked_clump, wind_push};
 use shaders::twin::conifer::conifer_vertex;
-use shaders::twin::field::{field_size_m, field_standing, field_widening};
-use shaders::twin::planting::{Clump, gradient_at};
+use shaders::twin::field::{field_height_scale, field_size_m, field_widening};
+use shaders::twin::placement::Clump;
 use shaders::twin::surface::{Slots, Surface};
 use shaders::twin::tuft::tuft_vertex;
+use shaders::twin::visibility::gradient_at;
 
 /// Metres after which patterns of the world repeat.
 const PATTERN_PERIOD_M: f64 = shaders::layout::PATTERN_PERIOD_M as f64;
 
-/// A clump as it is drawn.
+/// Vertices of a clump.
 #[derive(Clone, Debug, Default)]
-pub struct Leaves {
+pub struct ClumpVertices {
     /// Height above the root without lean, metres.
     pub height_m: f64,
     /// The vertices, metres, highest first.
@@ -25,14 +26,13 @@ pub struct Leaves {
 }
 
 /// The vertices of a clump in a level of detail, at time 0.
-#[must_use]
-pub fn leaves_of<S: Slots>(
+pub fn clump_vertices<S: Slots>(
     scene: &Scene,
     surface: &Surface<'_, S>,
-    stand: &Stand,
+    stand: &SpeciesParams,
     clump: &Clump,
     level: u32,
-) -> Leaves {
+) -> ClumpVertices {
     let field = &stand.field;
     let normal = gradient_at(surface, clump.x, clump.z).map_or([0; 2], |[east, south]| {
         let [east, south] = [east, south].map(|rise| f64::from(rise) / 16_384.0);
@@ -43,16 +43,16 @@ pub fn leaves_of<S: Slots>(
         clump.x as u32 | (normal[0] as u32) << 24,
         clump.z as u32 | (normal[1] as u32) << 24,
         clump.y as u32,
-        clump.looks,
+        clump.attributes,
     ]);
     let eye = scene.shot.pose.eye();
     let root_m = root_offset_m(field, &packed, eye.fraction_m.to_array());
     let distance_m = root_m.iter().map(|axis| axis * axis).sum::<f32>().sqrt();
-    let corner = scene.plants.square.corner.map(|units| f64::from(units) / 256.0);
+    let corner = scene.plants.grid.corner.map(|units| f64::from(units) / 256.0);
     let at = [f64::from(clump.x) / 4096.0 + corner[0], f64::from(clump.z) / 4096.0 + corner[1]];
     let turns = at.map(|metres| (metres / PATTERN_PERIOD_M).rem_euclid(1.0) as f32);
     let wide = field_widening(field, packed.rank, distance_m);
-    let tall = field_standing(field, distance_m);
+    let tall = field_height_scale(field, distance_m);
     let [width, height] = field_size_m(field, packed.width, packed.height);
     let size_m = [width * wide, height * tall];
     let wind = wind_push(field.wind, turns, 0.0, packed.phase);
@@ -60,7 +60,7 @@ pub fn leaves_of<S: Slots>(
         let grown = 0.08 + 0.16 * packed.hue;
         let own = [(40.0 * packed.phase).cos() * grown, (40.0 * packed.phase).sin() * grown];
         let push = add(add(own, wind), lean_push(field.lean, root_m, distance_m));
-        let stand = standing(packed.normal, push);
+        let stand = stem_pose(packed.normal, push);
         let vertices = 0..GRASS_VERTICES[level as usize];
         vertices.map(|index| tuft_vertex(level, index, size_m, packed.phase, &stand).offset_m).collect()
     } else {
@@ -77,5 +77,5 @@ pub fn leaves_of<S: Slots>(
         b[1].total_cmp(&a[1]).then(a[0].total_cmp(&b[0])).then(a[2].total_cmp(&b[2]))
     });
     points.dedup();
-    Leaves { height_m: f64::from(size_m[1]), points }
+    ClumpVertices { height_m: f64::from(size_m[1]), points }
 }

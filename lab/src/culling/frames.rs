@@ -1,18 +1,18 @@
-//! What each way of choosing plants costs in frames of the valley scene: choice alone and whole
-//! picture, one interleaved run.
+//! Cost of each culling method in frames of the valley scene: culling alone and the whole frame, in
+//! one interleaved run.
 
-use crate::culling::names::frame_of;
-use crate::culling::poses::{LENS, Place, Trial};
+use crate::culling::cases::{Case, LENS, Site};
+use crate::culling::id_buffer::frame_of;
 use crate::culling::scene::Scene;
-use crate::studio::Studio;
+use crate::headless_renderer::HeadlessRenderer;
+use crate::stats::median_s;
 use anyhow::{Context, Result};
-use client::camera::Lens;
-use client::frame::Shot;
-use client::looks::Looks;
-use client::plants::{Cull, PlantKnobs};
-use client::world::stretch;
+use client::cache::vertical_scale;
+use client::camera::Projection;
+use client::features::vegetation::{Cull, VegetationSettings};
+use client::settings::RenderSettings;
+use client::view::ViewParams;
 use serde::Serialize;
-use std::time::Duration;
 use terrain::Land;
 
 /// Size of the pictures, pixels.
@@ -24,7 +24,7 @@ const ROUNDS: usize = 5;
 /// Slots of the pool.
 const SLOTS: u32 = 2000;
 
-/// The ways in their order, T1 first because all are compared with it.
+/// The methods; all are compared with the first, T1.
 pub const WAYS: [(&str, Cull); 6] = [
     ("T1 frustum", Cull::Frustum),
     ("T0 distance", Cull::Distance),
@@ -34,98 +34,84 @@ pub const WAYS: [(&str, Cull); 6] = [
     ("T4 hierarchical", Cull::Hierarchical),
 ];
 
-/// Cost of one way.
+/// Cost of one method.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Cost {
-    /// Name of the way.
+    /// Name of the method.
     pub way: &'static str,
     /// Clumps drawn.
     pub clumps: u64,
-    /// Time of the choice over that of T1.
+    /// Time of culling over that of T1.
     pub choice_ratio: f64,
     /// Time of the frame over that of T1.
     pub frame_ratio: f64,
-    /// Median time of the choice, milliseconds.
+    /// Median time of culling, milliseconds.
     pub choice_ms: f64,
     /// Median time of the frame, milliseconds.
     pub frame_ms: f64,
 }
 
-/// What the frames came to.
+/// Costs of all methods.
 #[derive(Clone, Debug, Serialize)]
 pub struct Frames {
-    /// Who drew.
+    /// Name of the GPU.
     pub adapter: String,
-    /// Whether that is a processor that plays a GPU.
+    /// Whether it is a software rasteriser.
     pub is_software: bool,
-    /// By way, T1 first.
+    /// By method, T1 first.
     pub ways: Vec<Cost>,
 }
 
-/// Draws the scene `culling` as it starts, with some plants, by each way.
-///
-/// # Errors
-/// There is no GPU, or it failed.
-pub fn measure(land: &Land, plants: PlantKnobs) -> Result<Frames> {
-    let mut studio = Studio::open(SIZE, SLOTS).context("frames need a GPU")?;
+/// Draws the scene `culling` at its start with each method.
+pub fn measure(land: &Land, plants: VegetationSettings) -> Result<Frames> {
+    let mut renderer = HeadlessRenderer::open(SIZE, SLOTS).context("frames need a GPU")?;
     let start = client::scene::Scene::Culling;
-    let trial = Trial {
+    let case = Case {
         name: "the scene `culling`".into(),
-        place: Place::Valley,
-        shot: Shot {
+        site: Site::Valley,
+        shot: ViewParams {
             pose: start.start(),
-            lens: Lens { width: SIZE.0, height: SIZE.1, ..LENS },
+            projection: Projection { width: SIZE.0, height: SIZE.1, ..LENS },
             view_distance_m: 2600,
             tolerance_px: 2.0,
             time_s: 0.0,
-            looks: Looks { plants, ..Looks::default() },
+            settings: RenderSettings { plants, ..RenderSettings::default() },
         },
-        stretch: (start.vertical_scale() * f64::from(stretch::ONE)).round() as i32,
+        stretch: (start.vertical_scale() * f64::from(vertical_scale::ONE)).round() as i32,
     };
-    let scene = Scene::of(land, &trial, studio.slots()).context("nothing grows in the scene `culling`")?;
-    studio.furnish(&scene.world);
+    let scene = Scene::of(land, &case, renderer.slots()).context("nothing grows in the scene `culling`")?;
+    renderer.upload_world(&scene.world);
     let frames: Vec<_> = WAYS.iter().map(|(_, cull)| frame_of(&scene, *cull)).collect();
     let mut clumps = Vec::new();
     for frame in &frames {
         // Compiles what is to be compiled, and finds the shadows.
-        studio.picture(frame)?;
-        clumps.push(studio.chosen()?.iter().map(|kind| u64::from(kind.told.clumps)).sum::<u64>());
+        renderer.picture(frame)?;
+        clumps.push(renderer.chosen()?.iter().map(|kind| u64::from(kind.stats.clumps)).sum::<u64>());
     }
     let mut times = [vec![Vec::new(); WAYS.len()], vec![Vec::new(); WAYS.len()]];
     for round in 0..ROUNDS {
         for (index, frame) in frames.iter().enumerate() {
-            // A march over the noise takes seconds: once shows by how much.
+            // A march over the noise takes seconds: one round is enough.
             if round > 0 && WAYS[index].1 == Cull::Noise {
                 continue;
             }
-            times[0][index].push(studio.choose(frame)?);
-            times[1][index].push(studio.draw(frame)?);
+            times[0][index].push(renderer.choose(frame)?);
+            times[1][index].push(renderer.draw(frame)?);
         }
     }
-    let [choices, whole] = times.each_ref().map(|times| over_first(times));
+    let medians_ms = |times: Vec<Vec<_>>| times.iter().map(|times| 1e3 * median_s(times)).collect::<Vec<_>>();
+    let [culling_ms, frame_ms] = times.map(medians_ms);
     let cost = |(index, (way, _)): (usize, &(&'static str, Cull))| Cost {
         way,
         clumps: clumps[index],
-        choice_ratio: choices[index],
-        frame_ratio: whole[index],
-        choice_ms: median_ms(&times[0][index]),
-        frame_ms: median_ms(&times[1][index]),
+        choice_ratio: culling_ms[index] / culling_ms[0],
+        frame_ratio: frame_ms[index] / frame_ms[0],
+        choice_ms: culling_ms[index],
+        frame_ms: frame_ms[index],
     };
     Ok(Frames {
-        adapter: studio.adapter(),
-        is_software: studio.is_software(),
+        adapter: renderer.adapter(),
+        is_software: renderer.is_software(),
         ways: WAYS.iter().enumerate().map(cost).collect(),
     })
-}
-
-/// Medians over that of the first way.
-fn over_first(times: &[Vec<Duration>]) -> Vec<f64> {
-    let first = median_ms(&times[0]);
-    times.iter().map(|times| median_ms(times) / first).collect()
-}
-
-fn median_ms(times: &[Duration]) -> f64 {
-    let mut sorted = times.to_vec();
-    sorted.sort_unstable();
-    sorted.get(sorted.len() / 2).map_or(f64::NAN, |time| time.as_secs_f64() * 1e3)
 }

@@ -1,21 +1,22 @@
-//! Whether the GPU keeps the clumps that the twin keeps, word for word and in the same order.
+//! Equality of the visible clumps of GPU and CPU twin, word by word and in order.
 
-use crate::culling::poses::Trial;
+use crate::culling::cases::Case;
 use crate::culling::scene::Scene;
 use anyhow::{Context, Result};
-use client::plants::kept::{Kept, kept_of};
-use client::plants::{PlantFrame, Stand};
-use client::render::cull::{Chosen, CullPasses};
-use client::render::pool::ChunkPool;
-use client::render::{Gpu, gpu};
+use client::features::terrain::pool::ChunkPool;
+use client::features::vegetation::cpu_cull::{VisibleClump, cull_on_cpu};
+use client::features::vegetation::gpu_cull::{CullBuffers, CullPasses};
+use client::features::vegetation::{SpeciesParams, VegetationFrame};
+use client::gpu;
+use client::gpu::Gpu;
 use serde::Serialize;
 use shaders::layout::{CULL_FRUSTUM, Culling, GRASS_VERTICES, TREE_VERTICES};
 use terrain::Land;
 
-/// What the comparison came to.
+/// Result of the comparison.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Same {
-    /// Who chose.
+pub struct GpuCpuEquality {
+    /// The GPU.
     pub adapter: String,
     /// Poses compared.
     pub poses: u64,
@@ -25,74 +26,72 @@ pub struct Same {
     pub far: u64,
     /// Clumps that the twin keeps.
     pub clumps: u64,
-    /// Places in the order at which the two have other clumps, or one has none.
+    /// Positions in the list at which the two differ, or one has no clump.
     pub differing: u64,
-    /// The same against a twin that does not ask the land: a control that must differ.
+    /// Control, must differ: the same against a twin without occlusion tests.
     pub differing_control: u64,
 }
 
-/// Slots of the pool; trials with more drawn chunks are cut to it, in both.
+/// Slots of the pool; a case with more drawn chunks is cut to it, on both sides.
 const SLOTS: u32 = 1500;
 
-/// Clumps that there is room for in each level of detail.
+/// Capacity of each level of detail, clumps.
 const ROOM: [u32; 3] = [60_000, 120_000, 240_000];
 
-/// Compares all trials.
-///
-/// # Errors
-/// There is no GPU, it failed, or it had not enough room.
-pub fn compare(land: &Land, trials: &[Trial]) -> Result<Same> {
+/// Compares all cases.
+pub fn compare(land: &Land, cases: &[Case]) -> Result<GpuCpuEquality> {
     let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None)).context("culling needs a GPU")?;
     let pool = ChunkPool::new(&gpu.device, SLOTS);
     let passes = CullPasses::new(&gpu.device);
     let [near, middle, far] = GRASS_VERTICES;
-    let grass = passes.room_for(&gpu.device, &pool, ROOM, [near, middle, far]);
-    let trees = passes.room_for(&gpu.device, &pool, ROOM, [TREE_VERTICES[0], TREE_VERTICES[1], 0]);
-    let mut same = Same { adapter: gpu.name(), ..Same::default() };
-    for trial in trials {
-        let Some(scene) = Scene::of(land, trial, SLOTS) else { continue };
-        same.poses += 1;
-        same.stretched += u64::from(trial.stretch != client::world::stretch::ONE);
-        same.far += u64::from(trial.shot.pose.position_m.x > 5e5);
+    let grass = passes.create_buffers(&gpu.device, &pool, ROOM, [near, middle, far]);
+    let trees = passes.create_buffers(&gpu.device, &pool, ROOM, [TREE_VERTICES[0], TREE_VERTICES[1], 0]);
+    let mut equality = GpuCpuEquality { adapter: gpu.name(), ..GpuCpuEquality::default() };
+    for case in cases {
+        let Some(scene) = Scene::of(land, case, SLOTS) else { continue };
+        equality.poses += 1;
+        equality.stretched += u64::from(case.stretch != client::cache::vertical_scale::ONE);
+        equality.far += u64::from(case.shot.pose.position_m.x > 5e5);
         scene.world.residents().for_each(|chunk| pool.upload(&gpu.queue, chunk));
-        passes.prepare(&gpu.queue, &scene.plants.square);
-        for (index, stand) in scene.plants.stands.iter().enumerate() {
+        passes.prepare(&gpu.queue, &scene.plants.grid);
+        for (index, stand) in scene.plants.species.iter().enumerate() {
             let chosen = if index == 0 { &grass } else { &trees };
             let found = choose(&gpu, &passes, &scene.plants, index, chosen)
-                .with_context(|| format!("choosing plants failed at pose {}", trial.name))?;
+                .with_context(|| format!("choosing plants failed at pose {}", case.name))?;
             let expected = words_of(&scene, stand);
-            same.clumps += expected.len() as u64;
-            same.differing += differing(&found, &expected);
-            let blind = Stand { culling: Culling { path: CULL_FRUSTUM, ..stand.culling }, ..stand.clone() };
-            same.differing_control += differing(&found, &words_of(&scene, &blind));
+            equality.clumps += expected.len() as u64;
+            equality.differing += differing(&found, &expected);
+            let frustum =
+                SpeciesParams { culling: Culling { path: CULL_FRUSTUM, ..stand.culling }, ..stand.clone() };
+            equality.differing_control += differing(&found, &words_of(&scene, &frustum));
         }
     }
-    Ok(same)
+    Ok(equality)
 }
 
 fn choose(
     gpu: &Gpu,
     passes: &CullPasses,
-    plants: &PlantFrame,
+    plants: &VegetationFrame,
     index: usize,
-    chosen: &Chosen,
+    chosen: &CullBuffers,
 ) -> Result<Vec<[u32; 4]>> {
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     passes.record(&gpu.queue, plants, index, 1, chosen, &mut encoder);
     gpu.queue.submit([encoder.finish()]);
-    let told = chosen.told(gpu)?;
-    anyhow::ensure!(told.blocks_lost + told.clumps_lost == 0, "no room for all that is kept: {told:?}");
-    // The normal in the highest bytes is a float's business.
+    let told = chosen.read_stats(gpu)?;
+    anyhow::ensure!(told.blocks_lost + told.clumps_lost == 0, "no room for all visible clumps: {told:?}");
+    // The highest bytes hold the normal, a float result.
     let bare = |clump: &[u32; 4]| [clump[0] & 0xff_ffff, clump[1] & 0xff_ffff, clump[2], clump[3]];
     Ok(chosen.read(gpu)?.concat().iter().map(bare).collect())
 }
 
-/// What the twin keeps, in the order of the GPU: each level of detail by itself.
-fn words_of(scene: &Scene, stand: &Stand) -> Vec<[u32; 4]> {
-    let mut kept: Vec<Kept> = kept_of(&scene.world, &scene.plants, stand);
+/// Clumps that the twin keeps, in the order of the GPU: level of detail by level of detail.
+fn words_of(scene: &Scene, stand: &SpeciesParams) -> Vec<[u32; 4]> {
+    let mut kept: Vec<VisibleClump> = cull_on_cpu(&scene.world, &scene.plants, stand);
     kept.sort_by_key(|kept| kept.detail);
     kept.iter()
-        .map(|Kept { clump, .. }| [clump.x as u32, clump.z as u32, clump.y as u32, clump.looks])
+        .map(|VisibleClump { clump, .. }| [clump.x as u32, clump.z as u32, clump.y as u32, clump.attributes])
         .collect()
 }
 

@@ -1,49 +1,48 @@
-//! The second oracle: samples of clumps and chunks, judged by every test and by sight over the
-//! drawn triangles in f64.
+//! Every occlusion test against the visibility in f64 of [`super::reference`], over samples of
+//! clumps and chunks.
 
+use crate::culling::cases::Case;
 use crate::culling::chunks::chunks_of;
-use crate::culling::leaves::leaves_of;
-use crate::culling::oracle::{Oracle, Point, eye_of};
-use crate::culling::poses::Trial;
+use crate::culling::clump_vertices::clump_vertices;
+use crate::culling::reference::{Point, VisibilityReference, eye_of};
 use crate::culling::scene::Scene;
-use client::plants::Stand;
-use client::plants::kept::{BySlot, blocks_of_patch, noise_of};
+use client::features::vegetation::SpeciesParams;
+use client::features::vegetation::by_slot::BySlot;
+use client::features::vegetation::cpu_cull::{blocks_of_patch, noise_of};
 use rayon::prelude::*;
 use serde::Serialize;
 use shaders::layout::{Culling, KIND_GRASS};
-use shaders::twin::march::{is_hidden_by_vertices, marched_is_hidden};
-use shaders::twin::planting::{
-    BLOCK_CELL_BITS, Clump, Extent, block_extent, clump_at, distance_squared, extent_of, may_be_in_view,
-    slope_at, stands_at, tip_of,
-};
-use shaders::twin::sight::is_hidden;
+use shaders::twin::placement::{BLOCK_CELL_BITS, Clump, clump_at, distance_squared, is_within_draw_distance};
+use shaders::twin::raymarch_occlusion::{raymarch_occlusion, raymarch_occlusion_by_vertices};
 use shaders::twin::surface::{Slots, Surface};
+use shaders::twin::terrain_occlusion::is_occluded;
+use shaders::twin::visibility::{Extent, block_extent, extent_of, may_be_in_view, slope_at, tip_occludee};
 use std::cell::Cell;
 use std::f64::consts::TAU;
 use std::time::{Duration, Instant};
 use terrain::Land;
 
-/// Clumps of each kind that are judged in a scene.
+/// Clumps sampled of each kind in a scene.
 pub const SAMPLE: usize = 500;
 
-/// Of the chunks in view one in so many is judged.
+/// One in so many of the chunks in view is sampled.
 const EVERY_CHUNK: usize = 3;
 
 /// Points of a ring.
 const POINTS: u32 = 8;
 
-/// What is lower than this is not judged, metres: at the end of their range plants have sunk into
-/// the ground, where they are neither seen nor hidden.
+/// Plants lower than this are left out, metres: at the end of their range they have sunk into the
+/// ground.
 pub const LEAST_M: f64 = 0.1;
 
-/// How a test did.
+/// Confusion counts of a test.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Score {
-    /// Things that are seen.
+    /// Visible things.
     pub visible: u64,
-    /// Of these, left out.
+    /// Of these, culled.
     pub false_culls: u64,
-    /// Things that are hidden.
+    /// Occluded things.
     pub hidden: u64,
     /// Of these, kept.
     pub kept: u64,
@@ -61,7 +60,7 @@ impl Score {
         }
     }
 
-    /// Counts all that another one has counted.
+    /// Adds the counts of another score.
     pub fn add(&mut self, other: &Self) {
         self.visible += other.visible;
         self.false_culls += other.false_culls;
@@ -69,17 +68,16 @@ impl Score {
         self.kept += other.kept;
     }
 
-    /// Hidden things that were kept, of all hidden ones.
-    #[must_use]
+    /// Share of the occluded things that are kept.
     pub fn kept_share(&self) -> f64 {
         self.kept as f64 / (self.hidden as f64).max(1.0)
     }
 }
 
-/// What was found in all scenes.
+/// Scores over all scenes.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Findings {
-    /// Scenes judged.
+    /// Scenes.
     pub scenes: u64,
     /// T2, step of 2 m.
     pub noise: Score,
@@ -91,8 +89,7 @@ pub struct Findings {
     pub exact: Score,
     /// T4.
     pub hierarchical: Score,
-    /// T3 and T4 where any point of a clump's bound is in sight, not its top alone: the bound is
-    /// what they promise.
+    /// T4 where any point of a clump's bound is visible: the tests are conservative for the bound.
     pub bound: Score,
     /// Grass alone by T4, trees alone by T4.
     pub grass: Score,
@@ -120,7 +117,7 @@ pub struct Findings {
     rays: u64,
     #[serde(skip)]
     times: [Duration; 2],
-    /// The first few that were left out although they are seen, for people.
+    /// The first few false culls, for messages.
     pub culprits: Vec<String>,
 }
 
@@ -155,12 +152,11 @@ impl Findings {
     }
 }
 
-/// Judges all trials.
-#[must_use]
-pub fn judge(land: &Land, trials: &[Trial]) -> Findings {
-    let found = trials
+/// Scores all cases.
+pub fn score(land: &Land, cases: &[Case]) -> Findings {
+    let found = cases
         .par_iter()
-        .filter_map(|trial| Some(of_scene(&Scene::of(land, trial, 4000)?)))
+        .filter_map(|case| Some(of_scene(&Scene::of(land, case, 4000)?)))
         .reduce(Findings::default, Findings::join);
     let rays = (found.rays as f64).max(1.0);
     Findings {
@@ -171,12 +167,12 @@ pub fn judge(land: &Land, trials: &[Trial]) -> Findings {
     }
 }
 
-/// Counts what a test reads.
+/// Counts reads.
 #[derive(Debug)]
 pub struct Counting<'a, S> {
-    /// What is read.
+    /// The data.
     pub slots: &'a S,
-    /// How often.
+    /// Number of reads.
     pub reads: Cell<u64>,
 }
 
@@ -201,17 +197,16 @@ impl<S: Slots> Slots for Counting<'_, S> {
     }
 }
 
-/// Rings on the hull of all that a clump may take up, metres, as it is seen from an eye: what its
-/// test promises. What follows the plane of the top does so up to a part of the radius; the rest
-/// leans out of it by that much at most. Both are counted along the axis of the ground that the
-/// line of sight crosses faster, as the test does.
+/// Points on the bound of a clump as seen from an eye, metres, as the test defines it: the top
+/// follows its plane up to a part of the radius, the rest leans out of it by that much at most,
+/// both along the axis of the ground that the line of sight crosses faster.
 fn hull_of(scene: &Scene, extent: &Extent, eye: Point) -> Vec<Point> {
-    let corner = scene.plants.square.corner.map(|units| f64::from(units) / 256.0);
+    let corner = scene.plants.grid.corner.map(|units| f64::from(units) / 256.0);
     let metres = |fine: i32| f64::from(fine) / 4096.0;
-    let target = &extent.target;
+    let target = &extent.occludee;
     let (x, z) = (metres(target.x) + corner[0], metres(target.z) + corner[1]);
-    let (radius, skirt, follow) = (metres(target.radius), metres(target.skirt), metres(target.follow));
-    let rises = [target.east_rise, target.south_rise].map(|rise| f64::from(rise) / 16_384.0);
+    let (radius, skirt, follow) = (metres(target.radius), metres(target.taper), metres(target.slope_radius));
+    let rises = [target.slope_east, target.slope_south].map(|rise| f64::from(rise) / 16_384.0);
     let away = [x - eye[0], z - eye[2]];
     let main = usize::from(away[0].abs() < away[1].abs());
     let forward = away[main].signum();
@@ -230,52 +225,51 @@ fn hull_of(scene: &Scene, extent: &Extent, eye: Point) -> Vec<Point> {
             let mut place = [x, z];
             place[main] += behind * forward;
             place[1 - main] += beside;
-            [place[0], metres(target.top) - beyond * metres(target.fall) + plane, place[1]]
+            [place[0], metres(target.top) - beyond * metres(target.taper_drop) + plane, place[1]]
         })
     };
     ring(1.0, 0.0).chain(ring(0.5, 0.0)).chain(ring(1.0, 0.5)).chain(ring(1.0, 1.0)).collect()
 }
 
 /// The level of detail in which a clump is drawn.
-#[must_use]
-pub fn level_of(stand: &Stand, clump: &Clump) -> u32 {
+pub fn level_of(stand: &SpeciesParams, clump: &Clump) -> u32 {
     let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
     u32::from(far > stand.planting.detail[0]) + u32::from(far > stand.planting.detail[1])
 }
 
 fn of_scene(scene: &Scene) -> Findings {
     let mut found = Findings { scenes: 1, ..Findings::default() };
-    let oracle = Oracle::new(&scene.world, &scene.drawn);
+    let reference = VisibilityReference::new(&scene.world, &scene.drawn);
     let slots = BySlot::new(&scene.world);
-    let square = &scene.plants.square;
-    let surface = Surface { slots: &slots, tiles: &square.tiles, leaves: &square.leaves };
+    let square = &scene.plants.grid;
+    let surface = Surface { slots: &slots, nodes: &square.nodes, chunks: &square.chunks };
     let noise = noise_of(&scene.world, square);
     let eye = eye_of(&scene.shot.pose);
-    for stand in &scene.plants.stands {
+    for stand in &scene.plants.species {
         let culling = &stand.culling;
         let fine = Culling { step: 2048, ..*culling };
         let sample = sample(&surface, stand);
         let mut hint_m = 0.0;
         for clump in &sample {
-            let leaves = leaves_of(scene, &surface, stand, clump, level_of(stand, clump));
-            if leaves.height_m < LEAST_M {
+            let vertices = clump_vertices(scene, &surface, stand, clump, level_of(stand, clump));
+            if vertices.height_m < LEAST_M {
                 continue;
             }
             let judged = judged(&surface, stand, clump);
-            let is_seen = oracle.sees_any(eye, &leaves.points, &mut hint_m);
+            let is_seen = reference.sees_any(eye, &vertices.points, &mut hint_m);
             let is_bound_seen =
-                is_seen || oracle.sees_any(eye, &hull_of(scene, &judged.extent, eye), &mut hint_m);
+                is_seen || reference.sees_any(eye, &hull_of(scene, &judged.extent, eye), &mut hint_m);
             let corner = square.corner.map(|units| f64::from(units) / 256.0);
             let at = [clump.x, clump.z].map(|fine| f64::from(fine) / 4096.0);
-            if let Some(height) = oracle.height(at[0] + corner[0], at[1] + corner[1]) {
+            if let Some(height) = reference.height(at[0] + corner[0], at[1] + corner[1]) {
                 found.root_mm = found.root_mm.max((height - f64::from(clump.y) / 4096.0).abs() * 1e3);
             }
-            let hierarchical = judged.is_hidden || block_of(&surface, stand, clump);
-            let tip = tip_of(culling, &stand.planting, clump);
-            found.noise.count(is_seen, marched_is_hidden(&noise, culling, &tip, 0));
-            found.march.count(is_seen, is_hidden_by_vertices(&surface, culling, &tip));
-            found.march_fine.count(is_seen, is_hidden_by_vertices(&surface, &fine, &tip));
-            found.exact.count(is_seen, judged.is_hidden);
+            let hierarchical = judged.is_occluded || block_of(&surface, stand, clump);
+            let tip = tip_occludee(culling, &stand.planting, clump);
+            found.noise.count(is_seen, raymarch_occlusion(&noise, culling, &tip, 0));
+            found.march.count(is_seen, raymarch_occlusion_by_vertices(&surface, culling, &tip));
+            found.march_fine.count(is_seen, raymarch_occlusion_by_vertices(&surface, &fine, &tip));
+            found.exact.count(is_seen, judged.is_occluded);
             found.hierarchical.count(is_seen, hierarchical);
             found.bound.count(is_bound_seen, hierarchical);
             let is_grass = stand.planting.kind == KIND_GRASS;
@@ -286,7 +280,7 @@ fn of_scene(scene: &Scene) -> Findings {
         }
         count_cost(&mut found, &surface, stand, &sample, &fine);
         let is_grass = stand.planting.kind == KIND_GRASS;
-        for chunk in chunks_of(scene, &oracle, &surface, stand, EVERY_CHUNK) {
+        for chunk in chunks_of(scene, &reference, &surface, stand, EVERY_CHUNK) {
             let (by_clumps, by_blocks) = if is_grass {
                 (&mut found.chunks, &mut found.chunks_by_blocks)
             } else {
@@ -300,37 +294,36 @@ fn of_scene(scene: &Scene) -> Findings {
     found
 }
 
-/// What T3 says of a clump.
+/// Result of T3 for a clump.
 #[derive(Clone, Copy, Debug)]
 pub struct Judged {
-    /// What the clump takes up.
+    /// Bound of the clump.
     pub extent: Extent,
-    /// Whether all of that is hidden.
-    pub is_hidden: bool,
+    /// Whether all of it is occluded.
+    pub is_occluded: bool,
 }
 
-/// Asks T3 about a clump.
-#[must_use]
-pub fn judged<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) -> Judged {
+/// Applies T3 to a clump.
+pub fn judged<S: Slots>(surface: &Surface<'_, S>, stand: &SpeciesParams, clump: &Clump) -> Judged {
     let culling = &stand.culling;
     let extent = extent_of(culling, &stand.planting, clump, slope_at(surface, clump.x, clump.z));
-    let is_hidden = culling.sees_land != 0 && is_hidden(surface, culling.eye, &extent.target, culling.start);
-    Judged { extent, is_hidden }
+    let is_occluded =
+        culling.occlusion_enabled != 0 && is_occluded(surface, culling.eye, &extent.occludee, culling.start);
+    Judged { extent, is_occluded }
 }
 
-/// Whether T4 hides the whole block that a clump stands in.
-fn block_of<S: Slots>(surface: &Surface<'_, S>, stand: &Stand, clump: &Clump) -> bool {
+/// Whether T4 culls the block of a clump.
+fn block_of<S: Slots>(surface: &Surface<'_, S>, stand: &SpeciesParams, clump: &Clump) -> bool {
     let (culling, planting) = (&stand.culling, &stand.planting);
     let bits = planting.cell_bits + BLOCK_CELL_BITS;
     let (column, row) = (clump.x >> bits, clump.z >> bits);
     let block = block_extent(surface, culling, planting, column, row);
-    let hides = |block: Extent| is_hidden(surface, culling.eye, &block.target, culling.start);
-    culling.sees_land != 0 && block.is_none_or(hides)
+    let hides = |block: Extent| is_occluded(surface, culling.eye, &block.occludee, culling.start);
+    culling.occlusion_enabled != 0 && block.is_none_or(hides)
 }
 
-/// Clumps of a stand inside the view, evenly from all of its blocks; at most [`SAMPLE`].
-#[must_use]
-pub fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
+/// Clumps of a species inside the view, evenly from all of its blocks; at most [`SAMPLE`].
+pub fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &SpeciesParams) -> Vec<Clump> {
     let blocks: Vec<[i32; 2]> = stand.patches.iter().copied().flat_map(blocks_of_patch).collect();
     let mut found = Vec::new();
     // A stride that shares no factor with the blocks of a patch or with the cells of a block.
@@ -352,18 +345,17 @@ pub fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &Stand) -> Vec<Clump> {
     found
 }
 
-/// Whether thinning leaves a clump standing.
-#[must_use]
-pub fn is_judged(stand: &Stand, clump: &Clump) -> bool {
+/// Whether thinning keeps a clump.
+pub fn is_judged(stand: &SpeciesParams, clump: &Clump) -> bool {
     let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
-    stands_at(&stand.planting, clump, far)
+    is_within_draw_distance(&stand.planting, clump, far)
 }
 
-/// What T3 and the fine march read and take for the same rays.
+/// Reads and times of T3 and of the fine march for the same rays.
 fn count_cost<S: Slots>(
     found: &mut Findings,
     surface: &Surface<'_, S>,
-    stand: &Stand,
+    stand: &SpeciesParams,
     sample: &[Clump],
     fine: &Culling,
 ) {
@@ -372,22 +364,25 @@ fn count_cost<S: Slots>(
         .map(|clump| extent_of(&stand.culling, &stand.planting, clump, slope_at(surface, clump.x, clump.z)))
         .collect();
     let counting = Counting { slots: surface.slots, reads: Cell::new(0) };
-    let counted = Surface { slots: &counting, tiles: surface.tiles, leaves: surface.leaves };
+    let counted = Surface { slots: &counting, nodes: surface.nodes, chunks: surface.chunks };
     for extent in &extents {
-        let _ = is_hidden(&counted, fine.eye, &extent.target, fine.start);
+        let _ = is_occluded(&counted, fine.eye, &extent.occludee, fine.start);
     }
     found.fetches_exact += counting.reads.replace(0) as f64;
     for extent in &extents {
-        let _ = is_hidden_by_vertices(&counted, fine, &extent.target);
+        let _ = raymarch_occlusion_by_vertices(&counted, fine, &extent.occludee);
     }
     found.fetches_march += counting.reads.get() as f64;
     found.rays += extents.len() as u64;
     for part in extents.chunks(50) {
         let begun = Instant::now();
-        let exact = part.iter().filter(|extent| is_hidden(surface, fine.eye, &extent.target, fine.start));
+        let exact = part.iter().filter(|extent| is_occluded(surface, fine.eye, &extent.occludee, fine.start));
         let some = std::hint::black_box(exact.count());
         let between = Instant::now();
-        let march = part.iter().filter(|extent| is_hidden_by_vertices(surface, fine, &extent.target)).count();
+        let march = part
+            .iter()
+            .filter(|extent| raymarch_occlusion_by_vertices(surface, fine, &extent.occludee))
+            .count();
         std::hint::black_box((some, march));
         found.times[0] += between - begun;
         found.times[1] += between.elapsed();

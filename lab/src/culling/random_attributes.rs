@@ -1,22 +1,22 @@
-//! Whether the lots that plants are drawn by are even, and unrelated to each other: chi-square
-//! tests of every stream and of every pair of them.
+//! Chi-square tests of the random attributes of plants: uniformity of every stream, independence of
+//! every pair of streams.
 
 use serde::Serialize;
 use terrain::hash::mix;
-use terrain::streams::streams;
+use terrain::random_attributes::random_attributes;
 
-/// What the streams of a meadow came to.
+/// Results for the streams of a meadow.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Lots {
-    /// Clumps looked at.
+pub struct StreamTests {
+    /// Clumps tested.
     pub clumps: u64,
-    /// Least probability of any stream, of its high, its middle or its low bits.
+    /// Smallest p-value of any stream, of its high, its middle or its low bits.
     pub worst_stream_p: f64,
-    /// Least probability of any two streams.
+    /// Smallest p-value of any two streams.
     pub worst_pair_p: f64,
-    /// The same of a stream that is cut out of a hash of the cell alone: a control that must fail.
+    /// Control, must fail: a stream cut from a hash of the cell alone.
     pub poor_stream_p: f64,
-    /// The same of two streams that share bits of one hash: a control that must fail.
+    /// Control, must fail: two streams that share bits of one hash.
     pub poor_pair_p: f64,
 }
 
@@ -27,13 +27,12 @@ const SIDE: i32 = 64;
 const PER_CELL: u32 = 16;
 
 /// Tests the clumps of a meadow around the origin of a world.
-#[must_use]
-pub fn lots(seed: u32) -> Lots {
+pub fn test(seed: u32) -> StreamTests {
     let half = SIDE / 2;
     let cells = (-half..half).flat_map(|z| (-half..half).map(move |x| (x, z)));
     let meadow: Vec<[u32; 6]> = cells
-        .flat_map(|(x, z)| (0..PER_CELL).map(move |index| streams(seed, 0, x, z, index)))
-        .map(|lot| [lot.place, lot.width, lot.height, lot.hue, lot.phase, lot.fate])
+        .flat_map(|(x, z)| (0..PER_CELL).map(move |index| random_attributes(seed, 0, x, z, index)))
+        .map(|plant| [plant.place, plant.width, plant.height, plant.hue, plant.phase, plant.survival])
         .collect();
     let least = f64::min;
     let single = (0..6).flat_map(|stream| [24, 13, 0].map(|shift| (stream, shift)));
@@ -47,7 +46,7 @@ pub fn lots(seed: u32) -> Lots {
         )
     };
     let shifts = [(28, 28), (28, 0), (0, 28), (0, 0), (13, 13)];
-    Lots {
+    StreamTests {
         clumps: meadow.len() as u64,
         worst_stream_p: single.map(of_stream).fold(1.0, least),
         worst_pair_p: pairs.flat_map(|pair| shifts.map(|shift| of_pair(pair, shift))).fold(1.0, least),
@@ -58,8 +57,8 @@ pub fn lots(seed: u32) -> Lots {
     }
 }
 
-/// Probability of counts in 256 bins that are as uneven as these or more, by the cube-root
-/// approximation (Wilson and Hilferty, PNAS 17, 1931).
+/// p-value of the chi-square test for 256 equally likely bins, by the cube-root approximation
+/// (Wilson and Hilferty, PNAS 17, 1931).
 fn probability(values: impl Iterator<Item = usize>) -> f64 {
     let mut counts = [0u32; 256];
     values.for_each(|value| counts[value] += 1);
@@ -92,16 +91,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tails_are_those_of_the_tables() {
+    fn upper_tails_equal_published_tables() {
         for (x, p) in [(0.0, 0.5), (1.644_854, 0.05), (3.090_232, 0.001), (-1.0, 0.841_344_7)] {
             assert!((upper_tail(x) / p - 1.0).abs() < 1e-4, "{x}: {}", upper_tail(x));
         }
     }
 
     #[test]
-    fn the_streams_pass_and_the_poor_ones_do_not() {
-        let lots = lots(7);
-        assert!(lots.worst_stream_p >= 0.001 && lots.worst_pair_p >= 0.001, "{lots:?}");
-        assert!(lots.poor_stream_p < 1e-6 && lots.poor_pair_p < 1e-6, "{lots:?}");
+    fn streams_pass_and_correlated_streams_fail() {
+        let tests = test(7);
+        assert!(tests.worst_stream_p >= 0.001 && tests.worst_pair_p >= 0.001, "{tests:?}");
+        assert!(tests.poor_stream_p < 1e-6 && tests.poor_pair_p < 1e-6, "{tests:?}");
     }
 }

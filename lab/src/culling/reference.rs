@@ -1,34 +1,33 @@
-//! What is seen of a point, in f64, by nothing but the drawn triangles: every one along the way is
-//! clipped against the line of sight. Shares no code with the test that it judges: no pyramid, no
-//! rounding, no bound.
+//! The second reference: visibility of a point in f64. Every drawn triangle along the line of sight
+//! is clipped against it. No code is shared with the tests: no pyramid, no rounding, no bound.
 
 use crate::lod::drawn::DrawnChunk;
+use client::cache::ChunkCache;
 use client::camera::Pose;
-use client::world::{Drawn, World};
+use client::lod::Drawn;
 use std::collections::HashMap;
 use terrain::ChunkKey;
 use terrain::constants::{CELLS, UNITS_PER_METRE};
 
-/// The drawn land.
+/// The drawn terrain.
 #[derive(Debug)]
-pub struct Oracle {
+pub struct VisibilityReference {
     chunks: HashMap<ChunkKey, DrawnChunk>,
     finest: u8,
     coarsest: u8,
-    /// Nothing nearer than this to the eye hides anything, metres.
+    /// Terrain nearer to the eye than this occludes nothing, metres.
     near_m: f64,
 }
 
 /// A point in metres: east, up, south.
 pub type Point = [f64; 3];
 
-/// A ray that is below the land by less than this, metres, counts as clear: rounding, not sight.
+/// A ray below the terrain by less than this, metres, counts as clear: rounding.
 const TOUCH_M: f64 = 1e-6;
 
-impl Oracle {
-    /// Over what a selection draws.
-    #[must_use]
-    pub fn new(world: &World, drawn: &[Drawn]) -> Self {
+impl VisibilityReference {
+    /// Of a drawn selection.
+    pub fn new(world: &ChunkCache, drawn: &[Drawn]) -> Self {
         let chunks: HashMap<ChunkKey, DrawnChunk> =
             drawn.iter().filter_map(|drawn| Some((drawn.key, DrawnChunk::new(world, drawn)?))).collect();
         let levels = || chunks.keys().map(|key| key.level());
@@ -36,8 +35,7 @@ impl Oracle {
         Self { chunks, finest, coarsest, near_m: f64::from(client::camera::NEAR_M) }
     }
 
-    /// Whether the land leaves a point in sight of an eye.
-    #[must_use]
+    /// Whether a point is visible from an eye.
     pub fn sees(&self, eye: Point, point: Point) -> bool {
         self.first_in_the_way(eye, point).is_none()
     }
@@ -49,8 +47,8 @@ impl Oracle {
         if length <= self.near_m {
             return None;
         }
-        // Where the track crosses lines of the finest grid that is drawn: between two of them lies
-        // one cell of whatever is drawn there.
+        // Crossings of the ground track with lines of the finest drawn grid: between two of them
+        // lies one cell of one chunk.
         let spacing = f64::from(2 << self.finest);
         let mut crossings = vec![self.near_m / length, 1.0];
         for (from, by) in [(eye[0], east), (eye[2], south)] {
@@ -70,10 +68,8 @@ impl Oracle {
         blocked.map(|pair| 0.5 * (pair[0] + pair[1]))
     }
 
-    /// Whether any of some points is in sight. `hint_m`: how far from the eye over the ground the
-    /// land was last found in the way, metres; the land there is asked first, because what hides
-    /// one point of a plant mostly hides the next.
-    #[must_use]
+    /// Whether any of some points is visible. `hint_m`: horizontal distance of the last occluder,
+    /// metres. It is tested first, because it mostly occludes the next point of a plant too.
     pub fn sees_any(&self, eye: Point, points: &[Point], hint_m: &mut f64) -> bool {
         points.iter().any(|point| {
             let length = (point[0] - eye[0]).hypot(point[2] - eye[2]).max(1e-9);
@@ -93,9 +89,8 @@ impl Oracle {
     }
 
     /// Height of the drawn land at a place, metres, if any is drawn there.
-    #[must_use]
     pub fn height(&self, x: f64, z: f64) -> Option<f64> {
-        // A plumb line, a little off the vertical: the test asks for a track.
+        // A ray a little off the vertical: the test needs a ground track.
         let (low, high) = (-200.0, 3000.0);
         let mut bounds = (low, high);
         if !self.blocks([x, low, z], [x + 1e-9, low, z + 1e-9], (0.0, 1.0)) {
@@ -173,7 +168,6 @@ fn rises_above([a, b, c]: &[Point; 3], eye: Point, point: Point, (from, to): (f6
 }
 
 /// The eye of a pose, metres.
-#[must_use]
 pub fn eye_of(pose: &Pose) -> Point {
     pose.position_m.to_array()
 }

@@ -1,44 +1,43 @@
-//! A trial with its land: the world as a server would fill it, what of it is drawn, and the plants
-//! on it.
+//! A test case with its chunks as a server would send them, the drawn selection and the plants.
 
-use crate::culling::poses::Trial;
-use client::frame::Shot;
-use client::plants::PlantFrame;
-use client::world::{Drawn, World, select, stretch};
+use crate::culling::cases::Case;
+use client::cache::{ChunkCache, vertical_scale};
+use client::features::vegetation::VegetationFrame;
+use client::lod::{Drawn, select};
+use client::view::ViewParams;
 use terrain::{Land, lod};
 
-/// A trial, ready to be judged.
+/// A test case with its data.
 #[derive(Debug)]
 pub struct Scene {
     /// Its name.
     pub name: String,
     /// The shot, its eye lifted out of the ground.
-    pub shot: Shot,
+    pub shot: ViewParams,
     /// The land.
-    pub world: World,
-    /// What is drawn of it.
+    pub world: ChunkCache,
+    /// The drawn selection.
     pub drawn: Vec<Drawn>,
-    /// What grows on it.
-    pub plants: PlantFrame,
+    /// The plants.
+    pub plants: VegetationFrame,
 }
 
 impl Scene {
-    /// Fills the view of a trial; none where nothing is drawn.
-    #[must_use]
-    pub fn of(land: &Land, trial: &Trial, slots: u32) -> Option<Self> {
-        let mut world = World::new(slots);
+    /// Generates the view of a case; none if nothing is drawn.
+    pub fn of(land: &Land, case: &Case, slots: u32) -> Option<Self> {
+        let mut world = ChunkCache::new(slots);
         world.set_seed(land.world_seed());
-        world.set_stretch(trial.stretch);
-        let times = f64::from(trial.stretch) / f64::from(stretch::ONE);
-        let judged = Shot { tolerance_px: trial.shot.tolerance_px / times.max(1.0), ..trial.shot };
+        world.set_vertical_scale(case.stretch);
+        let times = f64::from(case.stretch) / f64::from(vertical_scale::ONE);
+        let judged = ViewParams { tolerance_px: case.shot.tolerance_px / times.max(1.0), ..case.shot };
         for needed in lod::select(land, &judged.viewer(), slots as usize) {
-            world.insert(stretch::stretched(land.chunk(needed.key), trial.stretch));
+            world.insert(vertical_scale::scaled(land.chunk(needed.key), case.stretch));
         }
-        let eye = trial.shot.pose.eye();
+        let eye = case.shot.pose.eye();
         let shot =
-            Shot { pose: trial.shot.pose.above(world.ground(eye.units[0], eye.units[2])), ..trial.shot };
+            ViewParams { pose: case.shot.pose.above(world.ground(eye.units[0], eye.units[2])), ..case.shot };
         let drawn = select(&mut world, &judged.viewer()).drawn;
         let plants = shot.plants(&world, &drawn)?;
-        Some(Self { name: trial.name.clone(), shot, world, drawn, plants })
+        Some(Self { name: case.name.clone(), shot, world, drawn, plants })
     }
 }

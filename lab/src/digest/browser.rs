@@ -3,7 +3,7 @@
 //! A page is served on the loopback interface; headless Chromium loads it, runs the pass and posts
 //! the words back.
 
-use crate::digest::child::{Guarded, Scratch};
+use crate::digest::child::{ChildGuard, Scratch};
 use crate::digest::probes::Probe;
 use anyhow::{Context, Result, anyhow, bail};
 use shaders::Shader;
@@ -22,7 +22,7 @@ const PROGRAMS: [&str; 5] =
 /// A browser starts within seconds and computes a million probes in a few more.
 const TIME_LIMIT: Duration = Duration::from_secs(120);
 
-/// A request that stalls must not keep the next from being heard.
+/// A stalled request must not block the next.
 const REQUEST_LIMIT: Duration = Duration::from_secs(20);
 
 /// Longest line of a request's head, and most of them.
@@ -31,22 +31,21 @@ const MAX_LINES: usize = 100;
 
 const PAGE: &str = include_str!("browser.html");
 
-/// What came of it.
+/// Outcome of a run.
 #[derive(Debug)]
-pub enum Answer {
-    /// The words, and what the browser says of its adapter.
+pub enum Outcome {
+    /// The words, and the name of the adapter.
     Words {
         /// As `probe_heights` writes them.
         words: Vec<i32>,
         /// For people.
         adapter: String,
     },
-    /// The browser has no WebGPU to offer here.
+    /// The browser has no WebGPU here.
     NoWebGpu(String),
 }
 
 /// The browser, where one is installed.
-#[must_use]
 pub fn program() -> Option<PathBuf> {
     let path = std::env::var_os("PATH")?;
     let folders: Vec<PathBuf> = std::env::split_paths(&path).collect();
@@ -57,14 +56,13 @@ pub fn program() -> Option<PathBuf> {
 ///
 /// # Errors
 /// The browser cannot be started, ends early, reports a failure, or takes too long.
-pub fn words(program: &Path, shader: &Shader, land: &Land, probes: &[Probe]) -> Result<Answer> {
+pub fn words(program: &Path, shader: &Shader, land: &Land, probes: &[Probe]) -> Result<Outcome> {
     let deadline = Instant::now() + TIME_LIMIT;
     let listener = TcpListener::bind("127.0.0.1:0").context("no port for the page")?;
     listener.set_nonblocking(true).context("no port for the page")?;
     let address = listener.local_addr().context("no port for the page")?;
-    // A profile of its own, so that nobody's settings and no running browser matter. What the
-    // browser would leave in the temporary folder goes there too; the name is short because sockets
-    // in it may have a hundred letters.
+    // An own profile, independent of settings and running browsers. Temporary files go there too.
+    // The name is short: paths of sockets in it are limited to about 100 characters.
     let profile = Scratch::new("tombolo-lab-browser")?;
     let temporary = profile.path().join("t");
     std::fs::create_dir_all(&temporary)
@@ -78,8 +76,8 @@ pub fn words(program: &Path, shader: &Shader, land: &Land, probes: &[Probe]) -> 
         .arg(format!("http://{address}/"));
     command.env("TMPDIR", &temporary).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     // Dropped, and so ended, before its profile.
-    let mut browser =
-        Guarded::start(&mut command).with_context(|| format!("`{}` cannot be started", program.display()))?;
+    let mut browser = ChildGuard::start(&mut command)
+        .with_context(|| format!("`{}` cannot be started", program.display()))?;
 
     let world = World::from(land.parameters());
     let served = Served { shader, world: bytemuck::bytes_of(&world), probes: bytemuck::cast_slice(probes) };
@@ -88,42 +86,42 @@ pub fn words(program: &Path, shader: &Shader, land: &Land, probes: &[Probe]) -> 
         match listener.accept() {
             Ok((stream, _)) => {
                 // Browsers open connections that they do not use.
-                let Ok(Some(Post { path, body })) = served.answer(&stream) else { continue };
+                let Ok(Some(Post { path, body })) = served.respond(&stream) else { continue };
                 match path.as_str() {
                     "/adapter" => adapter = text(&body),
-                    "/no-webgpu" => return Ok(Answer::NoWebGpu(text(&body))),
-                    "/words" => return Ok(Answer::Words { words: as_words(&body), adapter }),
+                    "/no-webgpu" => return Ok(Outcome::NoWebGpu(text(&body))),
+                    "/words" => return Ok(Outcome::Words { words: as_words(&body), adapter }),
                     _ => bail!("the page failed: {}", text(&body)),
                 }
             }
             Err(error) if error.kind() == ErrorKind::WouldBlock => {
                 if let Some(status) = browser.child().try_wait()? {
-                    bail!("the browser ended ({status}) before it answered");
+                    bail!("the browser ended ({status}) without a result");
                 }
                 std::thread::sleep(Duration::from_millis(5));
             }
             Err(error) => return Err(error).context("the page cannot be served"),
         }
     }
-    bail!("no answer within {} s", TIME_LIMIT.as_secs())
+    bail!("no result within {} s", TIME_LIMIT.as_secs())
 }
 
-/// What the page can ask for.
+/// Resources of the page.
 struct Served<'a> {
     shader: &'a Shader,
     world: &'a [u8],
     probes: &'a [u8],
 }
 
-/// What the page has said.
+/// A POST of the page.
 struct Post {
     path: String,
     body: Vec<u8>,
 }
 
 impl Served<'_> {
-    /// Answers one request; a POST is also handed on. One request per connection.
-    fn answer(&self, stream: &TcpStream) -> Result<Option<Post>> {
+    /// Answers one request, one per connection; returns a POST.
+    fn respond(&self, stream: &TcpStream) -> Result<Option<Post>> {
         stream.set_nonblocking(false)?;
         stream.set_read_timeout(Some(REQUEST_LIMIT))?;
         stream.set_write_timeout(Some(REQUEST_LIMIT))?;
@@ -131,10 +129,10 @@ impl Served<'_> {
             let mut reader = BufReader::new(stream);
             let head = Head::read(&mut reader)?;
             if head.method == "POST" {
-                // The largest answer is that of `/words`.
+                // The largest body is that of `/words`.
                 let limit = self.probes.len() / size_of::<Probe>() * PROBE_WORDS * 4;
                 if head.length > limit.max(MAX_LINE as usize) {
-                    bail!("an answer of {} bytes", head.length);
+                    bail!("a body of {} bytes", head.length);
                 }
                 let mut body = vec![0; head.length];
                 reader.read_exact(&mut body)?;
@@ -162,7 +160,7 @@ impl Served<'_> {
     }
 }
 
-/// As much of a request's head as matters here.
+/// The used part of a request's head.
 struct Head {
     method: String,
     path: String,
@@ -219,7 +217,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn heads_are_read_to_their_end_and_nonsense_is_refused() {
+    fn heads_are_read_to_their_end_and_malformed_ones_rejected() {
         let mut request: &[u8] = b"POST /words HTTP/1.1\r\nHost: a\r\ncontent-LENGTH: 12\r\n\r\nbody";
         let head = Head::read(&mut request).unwrap();
         assert_eq!((head.method.as_str(), head.path.as_str(), head.length), ("POST", "/words", 12));

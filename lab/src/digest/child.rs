@@ -1,4 +1,4 @@
-//! Child processes and scratch folders that must neither hang nor stay, whatever ends this program.
+//! Child processes and scratch folders with clean-up on exit and on interrupts.
 //!
 //! Each child leads a process group of its own, because browsers are many processes and scripts
 //! that wrap them are one more. An interrupt from the terminal therefore no longer reaches them by
@@ -11,25 +11,25 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Pause between looks at a child.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Interval of polling a child.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// How long a group has to end by itself after SIGTERM.
-const PATIENCE: Duration = Duration::from_secs(2);
+/// Time from SIGTERM to SIGKILL.
+const TERMINATE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Exit code after an interrupt, as shells say it of SIGINT.
+/// Exit code after an interrupt, as shells report SIGINT.
 const INTERRUPTED: i32 = 130;
 
-/// What is still to be ended and removed.
-struct Left {
+/// Resources to clean up.
+struct Resources {
     groups: Vec<u32>,
     folders: Vec<PathBuf>,
 }
 
-static LEFT: Mutex<Left> = Mutex::new(Left { groups: Vec::new(), folders: Vec::new() });
+static RESOURCES: Mutex<Resources> = Mutex::new(Resources { groups: Vec::new(), folders: Vec::new() });
 
-fn left() -> MutexGuard<'static, Left> {
-    LEFT.lock().unwrap_or_else(PoisonError::into_inner)
+fn resources() -> MutexGuard<'static, Resources> {
+    RESOURCES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// From now on SIGINT and SIGTERM end all children and remove all folders of this module before
@@ -39,11 +39,11 @@ fn left() -> MutexGuard<'static, Left> {
 /// Another handler is installed.
 pub fn clean_up_when_interrupted() -> Result<()> {
     let clean_up = || {
-        // Held to the end: a guard that is dropped meanwhile waits here, so that no other exit
-        // comes first.
-        let left = left();
-        left.groups.iter().for_each(|group| end(*group, || ()));
-        left.folders.iter().for_each(|folder| remove(folder));
+        // The lock is held to the end: a guard dropped meanwhile waits, so no other exit comes
+        // first.
+        let resources = resources();
+        resources.groups.iter().for_each(|group| end(*group, || ()));
+        resources.folders.iter().for_each(|folder| remove(folder));
         std::process::exit(INTERRUPTED);
     };
     ctrlc::set_handler(clean_up).context("interrupts cannot be caught")
@@ -51,22 +51,22 @@ pub fn clean_up_when_interrupted() -> Result<()> {
 
 /// A child that is ended with its whole process group when this is dropped.
 #[derive(Debug)]
-pub struct Guarded(Child);
+pub struct ChildGuard(Child);
 
-impl Guarded {
+impl ChildGuard {
     /// Starts it as the head of a group.
     ///
     /// # Errors
     /// It cannot be started.
     pub fn start(command: &mut Command) -> std::io::Result<Self> {
         // Locked before the start, so that no interrupt comes between it and the note.
-        let mut left = left();
+        let mut resources = resources();
         let child = command.process_group(0).spawn()?;
-        left.groups.push(child.id());
+        resources.groups.push(child.id());
         Ok(Self(child))
     }
 
-    /// The child, to talk to.
+    /// The child.
     pub const fn child(&mut self) -> &mut Child {
         &mut self.0
     }
@@ -74,21 +74,21 @@ impl Guarded {
     /// Waits until the child has ended by itself; none if it runs on at the deadline.
     ///
     /// # Errors
-    /// It cannot be asked.
+    /// Its status cannot be read.
     pub fn ends_before(&mut self, deadline: Instant) -> std::io::Result<Option<ExitStatus>> {
         loop {
             let status = self.0.try_wait()?;
             if status.is_some() || Instant::now() >= deadline {
                 return Ok(status);
             }
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 }
 
-impl Drop for Guarded {
+impl Drop for ChildGuard {
     fn drop(&mut self) {
-        let mut left = left();
+        let mut resources = resources();
         let group = self.0.id();
         // A head that has ended counts as a member of its group until it is collected.
         end(group, || {
@@ -98,17 +98,17 @@ impl Drop for Guarded {
         // no `kill` program.
         let _ = self.0.kill();
         let _ = self.0.wait();
-        left.groups.retain(|other| *other != group);
+        resources.groups.retain(|other| *other != group);
     }
 }
 
-/// Ends a group: SIGTERM, and after the patience SIGKILL. `look` runs between looks at it.
-fn end(group: u32, mut look: impl FnMut()) {
-    let deadline = Instant::now() + PATIENCE;
+/// Ends a group: SIGTERM, and after the timeout SIGKILL. `poll` runs at every interval.
+fn end(group: u32, mut poll: impl FnMut()) {
+    let deadline = Instant::now() + TERMINATE_TIMEOUT;
     let mut lives = signal(group, "-TERM");
     while lives && Instant::now() < deadline {
-        std::thread::sleep(LOOK_EVERY);
-        look();
+        std::thread::sleep(POLL_INTERVAL);
+        poll();
         lives = signal(group, "-0");
     }
     if lives {
@@ -116,8 +116,8 @@ fn end(group: u32, mut look: impl FnMut()) {
     }
 }
 
-/// Whether a signal reached anyone. The standard library can only kill a single child; a group
-/// takes the `kill` of the system.
+/// Whether a process received the signal. The standard library can only kill a single child; a
+/// group needs the `kill` program.
 fn signal(group: u32, signal: &str) -> bool {
     let mut kill = Command::new("kill");
     kill.args([signal, "--", &format!("-{group}")]);
@@ -135,15 +135,14 @@ impl Scratch {
     /// It cannot be created.
     pub fn new(name: &str) -> Result<Self> {
         let folder = std::env::temp_dir().join(format!("{name}-{}", std::process::id()));
-        let mut left = left();
+        let mut resources = resources();
         std::fs::create_dir_all(&folder)
             .with_context(|| format!("`{}` cannot be created", folder.display()))?;
-        left.folders.push(folder.clone());
+        resources.folders.push(folder.clone());
         Ok(Self(folder))
     }
 
     /// Where it is.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.0
     }
@@ -151,19 +150,19 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        let mut left = left();
+        let mut resources = resources();
         remove(&self.0);
-        left.folders.retain(|other| *other != self.0);
+        resources.folders.retain(|other| *other != self.0);
     }
 }
 
 fn remove(folder: &Path) {
-    // Who wrote into it may still be writing while it ends.
+    // An ending process may still be writing into it.
     for _ in 0..50 {
         if std::fs::remove_dir_all(folder).is_ok() || !folder.exists() {
             return;
         }
-        std::thread::sleep(LOOK_EVERY);
+        std::thread::sleep(POLL_INTERVAL);
     }
 }
 
@@ -173,15 +172,15 @@ mod tests {
 
     #[test]
     #[cfg(target_os = "linux")]
-    fn a_child_is_ended_with_those_that_it_started() {
+    fn a_child_is_ended_with_its_own_children() {
         let scratch = Scratch::new("tombolo-lab-child").unwrap();
         let (note, folder) = (scratch.path().join("pid"), scratch.path().to_owned());
         let mut command = Command::new("sh");
         command.args(["-c", "sleep 600 & echo $! > \"$0.new\"; mv \"$0.new\" \"$0\"; wait"]).arg(&note);
-        let guarded = Guarded::start(&mut command).unwrap();
+        let guarded = ChildGuard::start(&mut command).unwrap();
         let deadline = Instant::now() + Duration::from_secs(10);
         while !note.exists() && Instant::now() < deadline {
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
         let grandchild = std::fs::read_to_string(&note).unwrap();
         drop(guarded);
@@ -195,10 +194,10 @@ mod tests {
     }
 
     #[test]
-    fn a_child_that_runs_on_is_told_from_one_that_has_ended() {
-        let mut runs = Guarded::start(Command::new("sleep").arg("600")).unwrap();
+    fn running_and_ended_children_are_distinguished() {
+        let mut runs = ChildGuard::start(Command::new("sleep").arg("600")).unwrap();
         assert_eq!(runs.ends_before(Instant::now()).unwrap(), None);
-        let mut ends = Guarded::start(Command::new("false").stdin(Stdio::null())).unwrap();
+        let mut ends = ChildGuard::start(Command::new("false").stdin(Stdio::null())).unwrap();
         let status = ends.ends_before(Instant::now() + Duration::from_secs(10)).unwrap().unwrap();
         assert!(!status.success());
     }

@@ -21,12 +21,11 @@ const MOST_ROWS: usize = 3;
 const FULL_LEVELS: usize = 3;
 
 /// The definition, point by point.
-#[must_use]
 pub fn scalar(land: &Land, probes: &[Probe]) -> Vec<i32> {
     let mut words = Vec::with_capacity(probes.len() * PROBE_WORDS);
     for [x, z] in probes.iter().copied() {
         let relief = land.fbm().at(x, z, Octaves::ALL);
-        // No land is defined outside the world; backends that cannot refuse a position answer 0.
+        // No land is defined outside the world; backends that cannot reject a position return 0.
         let height = Position::new(x, z).map_or(0, |position| land.height_at(position));
         words.extend([mod_trunc(x, z), mod_floor(x, z), relief.hills, relief.folds, height]);
     }
@@ -37,7 +36,6 @@ pub fn scalar(land: &Land, probes: &[Probe]) -> Vec<i32> {
 /// probe lies in the world: grids lie nowhere else. Each comes from a grid of another size, with
 /// the probe in another column and row, so that every lane, every remainder, and what a row takes
 /// over from the one before are asked.
-#[must_use]
 pub fn by_kernel(land: &Land, kernel: Kernel, probes: &[Probe], scalar: &[i32]) -> Vec<i32> {
     let mut words = scalar.to_vec();
     let of_probe = words.par_chunks_exact_mut(PROBE_WORDS).zip(probes).enumerate();
@@ -71,8 +69,7 @@ fn grid_around(index: u32, x: i32, z: i32) -> (Grid, usize) {
     (grid, row * columns + column)
 }
 
-/// Our formula in f32: what a backend would answer that computed in floats. Remainders are granted.
-#[must_use]
+/// Our formula in f32: what a backend with float arithmetic returns. Remainders stay exact.
 pub fn floats(land: &Land, probes: &[Probe]) -> Vec<i32> {
     let float = FloatLand::new(land.world_seed());
     let fine = |metres: f32| (metres * (1i32 << FINE_BITS) as f32) as i32;
@@ -80,7 +77,7 @@ pub fn floats(land: &Land, probes: &[Probe]) -> Vec<i32> {
         .par_iter()
         .flat_map_iter(|[x, z]| {
             let (x_m, z_m) = (metres_f32(*x), metres_f32(*z));
-            let (hills, folds) = float.relief(x_m, z_m);
+            let (hills, folds) = float.fractal_sum(x_m, z_m);
             let is_inside = Position::new(*x, *z).is_ok();
             let height = if is_inside { float.height_m(x_m, z_m) * UNITS_PER_METRE as f32 } else { 0.0 };
             [mod_trunc(*x, *z), mod_floor(*x, *z), fine(hills), fine(folds), height as i32]
@@ -111,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn floats_are_near_the_definition_at_the_origin_and_not_equal() {
+    fn floats_are_near_the_definition_at_the_origin_but_not_equal() {
         let land = Land::new(3);
         let probes: Vec<Probe> = (0..200).map(|n| [n * 37 + 11, n * 53 + 5]).collect();
         let (exact, floats) = (scalar(&land, &probes), floats(&land, &probes));

@@ -12,38 +12,16 @@ use terrain::Land;
 const BATCH: usize = 1 << 18;
 
 /// Runs `probe_heights` or its float control over all probes.
-///
-/// # Errors
-/// The device fails.
 pub fn words(gpu: &OpenGpu, shader: &Shader, land: &Land, probes: &[Probe]) -> Result<Vec<i32>> {
-    let device = &gpu.device;
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some(shader.name),
-        source: wgpu::ShaderSource::Wgsl(shader.wgsl.into()),
-    });
-    let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some(shader.name),
-        layout: None,
-        module: &module,
-        entry_point: None,
-        compilation_options: wgpu::PipelineCompilationOptions::default(),
-        cache: None,
-    });
+    let pipeline = probe::pipeline(gpu, shader, None);
     let world = probe::input(gpu, "world", &[World::from(land.parameters())]);
 
     let mut words = Vec::with_capacity(probes.len() * PROBE_WORDS);
     for batch in probes.chunks(BATCH) {
         let input = probe::input(gpu, "probes", batch);
         let output = probe::output::<i32>(gpu, "words", PROBE_WORDS * batch.len());
-        let bindings = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(shader.name),
-            layout: &pipeline.get_bind_group_layout(0),
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: world.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: input.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 2, resource: output.as_entire_binding() },
-            ],
-        });
+        let bindings =
+            probe::bind(gpu, &pipeline, [&world, &input, &output].map(wgpu::Buffer::as_entire_binding));
         probe::dispatch(gpu, &pipeline, &bindings, (batch.len() as u32).div_ceil(FILL_WORKGROUP), 1)?;
         words.extend(probe::read::<i32>(gpu, &output)?);
     }

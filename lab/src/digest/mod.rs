@@ -1,24 +1,24 @@
 //! `digest`: every backend of this machine computes the same integers.
 //!
-//! All are asked the same [`probes`]; what each answers ([`words`]) is named by one blake3 digest,
-//! and all digests must equal a frozen one, so that builds and machines that never meet are
-//! compared too. Backends: this program ([`cpu`]), WGSL under naga on every adapter ([`gpu`],
-//! [`swiftshader`]), WGSL under Tint in a browser ([`browser`]). A float twin must differ: the
-//! control that proves the comparison can fail.
+//! All evaluate the same [`probes`]. The blake3 digest of the results ([`words`]) must equal a
+//! frozen one, which compares builds and machines that never run together. Backends: this program
+//! ([`cpu`]), WGSL under naga on every adapter ([`gpu`], [`swiftshader`]), WGSL under Tint in a
+//! browser ([`browser`]). A float twin must differ: the control that proves the comparison can
+//! fail.
 
-pub mod browser;
-pub mod child;
-pub mod cpu;
-pub mod gpu;
-pub mod probes;
-pub mod report;
-pub mod swiftshader;
-pub mod words;
+mod browser;
+mod child;
+mod cpu;
+mod gpu;
+mod probes;
+mod report;
+mod swiftshader;
+mod words;
 
 use crate::{Outputs, adapters};
 use anyhow::{Result, anyhow};
 use probes::Probe;
-use report::{Backend, Control, Heard, Report, State};
+use report::{AdapterResults, Backend, Control, Report, State};
 use shaders::SHADERS;
 use std::time::Instant;
 use terrain::{Kernel, Land};
@@ -26,12 +26,12 @@ use terrain::{Kernel, Land};
 /// The world that is probed; both halves of the seed count.
 pub const WORLD_SEED: u64 = 0x0123_4567_89ab_cdef;
 
-/// The digest of `terrain::constants::GENERATOR_VERSION` 2. It changes with the version and with
-/// the probe set, never else.
+/// The digest of `terrain::constants::GENERATOR_VERSION` 2. It changes only with the version and
+/// the probe set.
 pub const EXPECTED: &str = "3bdca1da810285de11091f6ce87425221d81c2de4e85e87de306c60d97ae1b9d";
 
-/// Differences that are told of one backend.
-const TOLD: usize = 3;
+/// Differences reported of one backend.
+const REPORTED: usize = 3;
 
 /// Options of `digest`.
 #[derive(Clone, Debug, clap::Args)]
@@ -39,13 +39,13 @@ pub struct Options {
     /// Fail where no GPU adapter is found, a software one included
     #[arg(long, env = "TOMBOLO_REQUIRE_GPU", value_parser = clap::builder::FalseyValueParser::new())]
     pub require_gpu: bool,
-    /// Ask the Vulkan adapters only and print their results as JSON: how this program asks itself
-    /// about SwiftShader
+    /// Run the Vulkan adapters only and print their results as JSON: how this program runs itself
+    /// under SwiftShader
     #[arg(long, hide = true)]
     pub child: bool,
 }
 
-/// Asks every backend, prints the table, writes the report.
+/// Runs every backend, prints the table, writes the report.
 ///
 /// # Errors
 /// A backend differs or fails, the control does not differ, or a required GPU is missing.
@@ -74,14 +74,14 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     verdict.map_err(|problem| anyhow!(problem))?;
     if options.require_gpu && !any_gpu {
         return Err(anyhow!(
-            "no GPU adapter was found and --require-gpu asks for one: install a driver, on Debian or Ubuntu \
+            "no GPU adapter was found and --require-gpu is set: install a driver, on Debian or Ubuntu \
              `apt install mesa-vulkan-drivers libvulkan1`"
         ));
     }
     Ok(())
 }
 
-/// What all backends are asked, and the answers of the definition.
+/// The probes, and the results of the definition.
 struct Bench {
     land: Land,
     probes: Vec<Probe>,
@@ -108,7 +108,7 @@ impl Bench {
         );
         if scalar.state == State::Different {
             scalar.detail =
-                "this build computes another land than the frozen digest: if that is meant, bump \
+                "this build computes another land than the frozen digest: if that is intended, bump \
                              GENERATOR_VERSION and freeze the new digest"
                     .into();
         }
@@ -128,7 +128,7 @@ impl Bench {
     }
 
     /// Every adapter of some backends, and the control on the first that works.
-    fn adapters(&self, which: wgpu::Backends) -> Heard {
+    fn adapters(&self, which: wgpu::Backends) -> AdapterResults {
         let (mut backends, mut control) = (Vec::new(), None);
         for adapter in adapters::all(which) {
             let name = format!("naga -> {}", adapters::name(&adapter));
@@ -154,17 +154,17 @@ impl Bench {
         if backends.is_empty() {
             backends.push(Backend::skipped("naga -> any adapter", "no adapter was found"));
         }
-        Heard { backends, control }
+        AdapterResults { backends, control }
     }
 
-    fn swiftshader(&self) -> Heard {
+    fn swiftshader(&self) -> AdapterResults {
         const NAME: &str = "naga -> SwiftShader (vulkan)";
-        let alone = |backend| Heard { backends: vec![backend], control: None };
+        let alone = |backend| AdapterResults { backends: vec![backend], control: None };
         let Some(manifest) = swiftshader::manifest() else {
             return alone(Backend::skipped(NAME, "not installed; it comes with Chromium"));
         };
         let began = Instant::now();
-        swiftshader::ask(&manifest).unwrap_or_else(|error| {
+        swiftshader::run(&manifest).unwrap_or_else(|error| {
             alone(Backend::failed(NAME, format!("{error:#}"), began.elapsed().as_secs_f64()))
         })
     }
@@ -175,18 +175,18 @@ impl Bench {
             return Backend::skipped(NAME, "Chromium is not installed");
         };
         let began = Instant::now();
-        let answer = browser::words(&program, &SHADERS.probe_heights, &self.land, &self.probes);
+        let outcome = browser::words(&program, &SHADERS.probe_heights, &self.land, &self.probes);
         let seconds = began.elapsed().as_secs_f64();
-        match answer {
-            Ok(browser::Answer::Words { words, adapter }) => {
+        match outcome {
+            Ok(browser::Outcome::Words { words, adapter }) => {
                 self.compare(NAME.into(), &words, seconds, &adapter)
             }
-            Ok(browser::Answer::NoWebGpu(why)) => Backend::skipped(NAME, why),
+            Ok(browser::Outcome::NoWebGpu(why)) => Backend::skipped(NAME, why),
             Err(error) => Backend::failed(NAME, format!("{error:#}"), seconds),
         }
     }
 
-    /// `about` is what there is to know of a backend that is equal.
+    /// `about`: the detail of an equal backend.
     fn compare(&self, name: String, words: &[i32], seconds: f64, about: &str) -> Backend {
         let digest = words::digest(words);
         let state = if digest == EXPECTED { State::Equal } else { State::Different };
@@ -195,8 +195,9 @@ impl Bench {
             (State::Different, 0) => "equal to the definition of this build, not to the frozen digest".into(),
             (_, 0) => about.into(),
             _ => {
-                let told = words::describe_differences(&self.probes, &self.scalar, words, TOLD).join("; ");
-                format!("{total} words differ from the definition of this build: {told}")
+                let first =
+                    words::describe_differences(&self.probes, &self.scalar, words, REPORTED).join("; ");
+                format!("{total} words differ from the definition of this build: {first}")
             }
         };
         Backend { name, digest: Some(digest), state, detail, seconds }

@@ -11,7 +11,6 @@ const SCATTERED: u32 = 1_000_000;
 pub type Probe = [i32; 2];
 
 /// All pairs of the edge values, then the places at random. The same on every machine.
-#[must_use]
 pub fn all() -> Vec<Probe> {
     let edges = edge_values();
     let mut probes = Vec::with_capacity(edges.len() * edges.len() + SCATTERED as usize);
@@ -57,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_set_holds_the_ends_of_the_world_and_both_sides_of_every_lattice_line() {
+    fn the_set_has_the_world_borders_and_both_sides_of_lattice_lines() {
         let edges = edge_values();
         let beyond = WORLD_HALF + 1;
         for value in [0, 1, -1, i32::MIN, i32::MAX, i32::MIN + 1, WORLD_HALF, -WORLD_HALF, beyond, -beyond] {

@@ -1,4 +1,4 @@
-//! What a comparison found: as JSON, as a table, and as a verdict.
+//! The report of a comparison: JSON, table, verdict.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -6,11 +6,11 @@ use std::fmt;
 /// The result of a run. Field names are a contract with scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Probes that every backend was asked.
+    /// Number of probes.
     pub probes: usize,
     /// The frozen digest that all must yield.
     pub expected: String,
-    /// Who was asked.
+    /// The backends.
     pub backends: Vec<Backend>,
     /// The float twin: on a GPU, or on this processor where there is none.
     pub control: Control,
@@ -27,7 +27,7 @@ pub struct Backend {
     pub digest: Option<String>,
     /// The verdict.
     pub state: State,
-    /// Why it was skipped or failed, or where it differs; else what there is to know of it.
+    /// Reason of a skip or a failure, or the first differences; else facts about the backend.
     pub detail: String,
     /// How long it took.
     pub seconds: f64,
@@ -60,10 +60,10 @@ pub struct Control {
     pub words_different: usize,
 }
 
-/// What the adapters of one process yield; as JSON it travels from a child of this program.
+/// Results of the adapters of one process; a child of this program sends them as JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Heard {
-    /// One for every adapter, or one that says that there is none.
+pub struct AdapterResults {
+    /// One for every adapter, or one skipped entry without adapters.
     pub backends: Vec<Backend>,
     /// The float twin on the first adapter that ran it.
     pub control: Option<Control>,
@@ -71,13 +71,11 @@ pub struct Heard {
 
 impl Backend {
     /// One that is not on this machine.
-    #[must_use]
     pub fn skipped(name: impl Into<String>, why: impl Into<String>) -> Self {
         Self { name: name.into(), digest: None, state: State::Skipped, detail: why.into(), seconds: 0.0 }
     }
 
     /// One that is there and computed nothing usable.
-    #[must_use]
     pub fn failed(name: impl Into<String>, why: impl Into<String>, seconds: f64) -> Self {
         Self { name: name.into(), digest: None, state: State::Failed, detail: why.into(), seconds }
     }
@@ -90,7 +88,7 @@ impl Report {
     /// One line with what does not.
     pub fn verdict(&self) -> Result<(), String> {
         let first = |state: State| self.backends.iter().find(|backend| backend.state == state);
-        // A wrong answer says more of the land than a missing one.
+        // A wrong result is reported before a missing one.
         if let Some(backend) = first(State::Different) {
             return Err(format!("{} differs: {}", backend.name, backend.detail));
         }
@@ -99,7 +97,9 @@ impl Report {
         }
         if !self.control.differs {
             let name = &self.control.name;
-            return Err(format!("the float control on {name} equals the integers: the comparison is blind"));
+            return Err(format!(
+                "the float control on {name} equals the integers: the comparison detects nothing"
+            ));
         }
         Ok(())
     }
@@ -117,14 +117,14 @@ impl fmt::Display for Report {
                 State::Failed => "FAILED",
                 State::Skipped => "skipped",
             };
-            // The first digits are enough for eyes; the JSON has all.
+            // The JSON has all digits.
             let digest = backend.digest.as_deref().map_or("-", |digest| &digest[..16]);
             let Backend { name, detail, seconds, .. } = backend;
             let line = format!("{name:width$}  {digest:16}  {state:9}  {seconds:6.2} s  {detail}");
             writeln!(f, "{}", line.trim_end())?;
         }
         let Control { name, digest, differs, words_different } = &self.control;
-        let state = if *differs { "differs, as it must" } else { "EQUAL: the comparison is blind" };
+        let state = if *differs { "differs, as it must" } else { "EQUAL: the comparison detects nothing" };
         let name = format!("control: {name}");
         writeln!(f, "{name:width$}  {:16}  {state} ({words_different} words)", &digest[..16])
     }
@@ -144,18 +144,18 @@ mod tests {
     }
 
     #[test]
-    fn a_backend_that_differs_or_fails_and_a_control_that_does_not_differ_are_refused() {
+    fn a_differing_or_failed_backend_and_an_equal_control_are_errors() {
         assert_eq!(report(State::Equal, true).verdict(), Ok(()));
         assert_eq!(report(State::Skipped, true).verdict(), Ok(()));
         let different = report(State::Different, true).verdict().unwrap_err();
         assert!(different.contains("hills is 1, expected 2"), "{different}");
         let failed = report(State::Failed, true).verdict().unwrap_err();
         assert!(failed.starts_with("b failed: ") && !failed.contains("differs"), "{failed}");
-        assert!(report(State::Equal, false).verdict().unwrap_err().contains("blind"));
+        assert!(report(State::Equal, false).verdict().unwrap_err().contains("detects nothing"));
     }
 
     #[test]
-    fn the_json_has_the_promised_fields() {
+    fn the_json_has_the_documented_fields() {
         let json = serde_json::to_value(report(State::Equal, true)).unwrap();
         assert_eq!(json["backends"][0]["state"], "equal");
         assert_eq!(serde_json::to_value(State::Failed).unwrap(), "failed");
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_has_a_line_for_every_backend_and_for_the_control() {
+    fn the_table_has_a_line_for_every_backend_and_the_control() {
         let text = report(State::Different, true).to_string();
         assert_eq!(text.lines().count(), 3, "{text}");
         assert!(text.contains("DIFFERENT") && text.contains("as it must"), "{text}");

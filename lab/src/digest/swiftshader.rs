@@ -3,15 +3,15 @@
 //! A Vulkan loader reads which drivers to load when an instance is made, from the environment. So
 //! this program runs itself once more with that variable set.
 
-use crate::digest::child::Guarded;
-use crate::digest::report::Heard;
+use crate::digest::child::ChildGuard;
+use crate::digest::report::AdapterResults;
 use anyhow::{Context, Result, bail};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Folders in which browsers keep it.
+/// Folders in which browsers install it.
 const FOLDERS: [&str; 8] = [
     "/usr/lib/chromium",
     "/usr/lib/chromium-browser",
@@ -28,29 +28,28 @@ const MANIFEST: &str = "vk_swiftshader_icd.json";
 const TIME_LIMIT: Duration = Duration::from_secs(180);
 
 /// Its manifest, where one is installed.
-#[must_use]
 pub fn manifest() -> Option<PathBuf> {
     FOLDERS.iter().map(|folder| Path::new(folder).join(MANIFEST)).find(|path| path.exists())
 }
 
-/// What a child of this program finds with that manifest.
+/// Results of a child of this program that runs with that manifest.
 ///
 /// # Errors
 /// The child cannot be started, fails, or takes too long.
-pub fn ask(manifest: &Path) -> Result<Heard> {
-    let program = std::env::current_exe().context("this program cannot find itself")?;
+pub fn run(manifest: &Path) -> Result<AdapterResults> {
+    let program = std::env::current_exe().context("the path of this program is unknown")?;
     let mut command = Command::new(program);
     command.args(["digest", "--child"]).env("VK_DRIVER_FILES", manifest).env("VK_ICD_FILENAMES", manifest);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit());
-    let mut guarded = Guarded::start(&mut command).context("it cannot be started")?;
+    let mut guarded = ChildGuard::start(&mut command).context("it cannot be started")?;
     let mut output = guarded.child().stdout.take().context("its output is not piped")?;
     // The report is shorter than a pipe holds, so the child never waits for this reader.
     match guarded.ends_before(Instant::now() + TIME_LIMIT)? {
         Some(status) if status.success() => {}
-        Some(status) => bail!("it ended ({status}) before it answered"),
-        None => bail!("no answer within {} s", TIME_LIMIT.as_secs()),
+        Some(status) => bail!("it ended ({status}) without a report"),
+        None => bail!("no report within {} s", TIME_LIMIT.as_secs()),
     }
     let mut text = String::new();
     output.read_to_string(&mut text).context("its report cannot be read")?;
-    serde_json::from_str(&text).with_context(|| format!("its report cannot be understood: `{}`", text.trim()))
+    serde_json::from_str(&text).with_context(|| format!("its report cannot be parsed: `{}`", text.trim()))
 }

@@ -7,7 +7,6 @@ use shaders::layout::PROBE_WORDS;
 pub const NAMES: [&str; PROBE_WORDS] = ["mod_trunc", "mod_floor", "hills", "folds", "height"];
 
 /// blake3 over the words, little-endian, as hexadecimal digits.
-#[must_use]
 pub fn digest(words: &[i32]) -> String {
     let mut hasher = blake3::Hasher::new();
     for part in words.chunks(1 << 14) {
@@ -18,14 +17,12 @@ pub fn digest(words: &[i32]) -> String {
 }
 
 /// Words that differ; a missing or surplus word differs too.
-#[must_use]
 pub fn count_differences(expected: &[i32], found: &[i32]) -> usize {
     let pairs = expected.iter().zip(found);
     pairs.filter(|(expected, found)| expected != found).count() + expected.len().abs_diff(found.len())
 }
 
 /// The first `limit` differences, one line each.
-#[must_use]
 pub fn describe_differences(probes: &[Probe], expected: &[i32], found: &[i32], limit: usize) -> Vec<String> {
     if expected.len() != found.len() {
         return vec![format!("{} words instead of {}", found.len(), expected.len())];
@@ -46,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_flipped_bit_changes_the_digest_and_is_named_with_both_values() {
+    fn one_flipped_bit_changes_the_digest_and_is_described() {
         let expected: Vec<i32> = (0..50_000).collect();
         let mut found = expected.clone();
         assert_eq!(digest(&found), digest(&expected));

@@ -1,7 +1,8 @@
 //! The drawn surface without a GPU: the triangles that `draw_terrain` draws of a chunk, by the twin
 //! of its arithmetic.
 
-use client::world::{Drawn, World};
+use client::cache::ChunkCache;
+use client::lod::Drawn;
 use shaders::twin::grid::GridVertex;
 use shaders::twin::morph::{Seams, morph_at, morphed, parent_height, welded};
 use terrain::ChunkKey;
@@ -23,8 +24,7 @@ type Corner = (i64, i64, i64);
 impl DrawnChunk {
     /// The surface of a chunk that a selection draws; none if the chunk, or a parent that it is
     /// morphed into, is not here.
-    #[must_use]
-    pub fn new(world: &World, drawn: &Drawn) -> Option<Self> {
+    pub fn new(world: &ChunkCache, drawn: &Drawn) -> Option<Self> {
         let chunk = world.get(drawn.key)?;
         let parent = drawn.key.parent().and_then(|parent| world.get(parent));
         let (east, south) = drawn.key.quarter();
@@ -45,13 +45,11 @@ impl DrawnChunk {
     }
 
     /// Which chunk.
-    #[must_use]
     pub fn key(&self) -> ChunkKey {
         self.key
     }
 
     /// Whether every vertex is drawn at one height, units.
-    #[must_use]
     pub fn is_flat_at(&self, height: i32) -> bool {
         self.heights.iter().all(|drawn| *drawn == height)
     }
@@ -61,7 +59,6 @@ impl DrawnChunk {
     ///
     /// # Panics
     /// If no triangle covers the vertex: the mesh would have a hole.
-    #[must_use]
     pub fn height_scaled(&self, column: usize, row: usize) -> f64 {
         let level = self.key.level();
         let cell = |vertex: usize| (vertex >> level).min(CELLS - 1);
@@ -154,9 +151,9 @@ mod tests {
     use super::*;
     use terrain::Land;
 
-    fn world_of(key: ChunkKey) -> World {
+    fn world_of(key: ChunkKey) -> ChunkCache {
         let land = Land::new(1);
-        let mut world = World::new(8);
+        let mut world = ChunkCache::new(8);
         world.insert(land.chunk(key));
         world.insert(land.chunk(key.parent().unwrap()));
         world
@@ -167,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn without_seams_it_is_the_chunks_own_surface_and_fully_morphed_the_parents() {
+    fn without_morph_it_is_the_chunk_and_with_full_morph_the_parent() {
         for level in [0, 1, 3] {
             let (key, world) = (key(level), world_of(key(level)));
             let all = Seams { inside: 64, edges: [64; 4], corners: [64; 4], ..Seams::default() };
@@ -194,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn moved_vertices_leave_no_hole_and_the_border_is_a_straight_line_between_even_vertices() {
+    fn moved_vertices_leave_no_hole_and_borders_are_straight() {
         let (key, world) = (key(2), world_of(key(2)));
         let side = CELLS << 2;
         for mask in 1..16 {

@@ -1,15 +1,15 @@
-//! Time of frames: on a GPU by timestamps per pass, on a software driver as ratios between
-//! tolerances.
+//! Frame times: GPU timestamps per pass, on a software driver ratios between tolerances.
 
-use super::screen::{self, Place};
-use crate::scenery::Scenery;
-use crate::studio::Studio;
-use anyhow::{Context, Result};
-use client::camera::{Lens, Pose};
+use super::screen::{self, ViewCase};
+use crate::headless_renderer::HeadlessRenderer;
+use crate::stats::median;
+use crate::world_builder::WorldBuilder;
+use anyhow::Result;
+use client::cache::ChunkCache;
+use client::camera::{Pose, Projection};
 use client::frame::FrameData;
-use client::render::PassTimes;
+use client::gpu::PassTimes;
 use client::scene::Scene;
-use client::world::World;
 use serde::Serialize;
 use terrain::Land;
 
@@ -19,7 +19,7 @@ pub const CAMERA: &str = super::triangles::CAMERAS[0];
 /// Frames timed per tolerance of a record; the median counts.
 pub const FRAMES: usize = 15;
 
-/// Frames before the clock counts.
+/// Frames before the timed ones.
 const WARM_UP: usize = 3;
 
 /// Slots of a world.
@@ -33,7 +33,7 @@ const SMALL: (u32, u32) = (640, 360);
 pub struct Frames {
     /// Name and backend of the GPU.
     pub adapter: String,
-    /// Whether it is a processor that plays one.
+    /// Whether it is a software rasteriser.
     pub is_software: bool,
     /// Picture size, pixels.
     pub size: (u32, u32),
@@ -73,63 +73,60 @@ pub struct Passes {
 
 /// Times `timed` frames of the 8 km view at each of some tolerances: 1920 x 1080 on a GPU, smaller
 /// on a processor.
-///
-/// # Errors
-/// There is no GPU, it failed, or its clock stands still.
 pub fn measure(land: Land, tolerances_px: &[f64], timed: usize) -> Result<Frames> {
-    let mut studio = Studio::open_timed(SMALL, SLOTS)?;
-    let is_software = studio.is_software();
+    let mut renderer = HeadlessRenderer::open_timed(SMALL, SLOTS)?;
+    let is_software = renderer.is_software();
     let mut size = SMALL;
     if !is_software {
         size = (screen::LENS.width, screen::LENS.height);
-        studio = Studio::open_timed(size, SLOTS)?;
+        renderer = HeadlessRenderer::open_timed(size, SLOTS)?;
     }
     let mut frames = Frames {
-        adapter: studio.adapter(),
+        adapter: renderer.adapter(),
         is_software,
         size,
         terrain_draws: 0,
         levels: 0,
-        bytes_per_chunk: studio.bytes_per_chunk(),
+        bytes_per_chunk: renderer.bytes_per_chunk(),
         rows: Vec::new(),
     };
-    let mut scenery = Scenery::new(land);
+    let mut builder = WorldBuilder::new(land);
     for tolerance_px in tolerances_px {
-        let (world, frame) = prepared(&mut scenery, &studio, *tolerance_px, size)?;
+        let (world, frame) = prepared(&mut builder, &renderer, *tolerance_px, size)?;
         let levels: std::collections::BTreeSet<u32> =
             frame.instances.iter().map(|instance| instance.place & 255).collect();
-        studio.furnish(&world);
+        renderer.upload_world(&world);
         // Finds all shadows once, so that none is left for the frames that are timed.
-        studio.picture(&frame)?;
+        renderer.picture(&frame)?;
         let (mut milliseconds, mut light, mut tone, mut whole) = (vec![], vec![], vec![], vec![]);
         for index in 0..WARM_UP + timed {
-            let taken = studio.draw(&frame)?;
-            let passes = studio.pass_times()?;
+            let taken = renderer.draw(&frame)?;
+            let passes = renderer.pass_times()?;
             if index >= WARM_UP {
                 milliseconds.push(taken.as_secs_f64() * 1e3);
-                if let Some(PassTimes { light_ns, tone_ns, whole_ns }) = passes {
-                    light.push(light_ns / 1e6);
-                    tone.push(tone_ns / 1e6);
+                if let Some(PassTimes { hdr_ns, tonemap_ns, whole_ns }) = passes {
+                    light.push(hdr_ns / 1e6);
+                    tone.push(tonemap_ns / 1e6);
                     whole.push(whole_ns / 1e6);
                 }
             }
         }
         // The largest number of any tolerance: more levels or chunks must not need more calls.
-        frames.terrain_draws = frames.terrain_draws.max(studio.terrain_draws());
+        frames.terrain_draws = frames.terrain_draws.max(renderer.terrain_draws());
         frames.levels = frames.levels.max(levels.len());
         let passes = (light.len() == timed).then(|| -> Result<Passes> {
-            let (light_ms, tone_ms, whole_ms) = (median(light)?, median(tone)?, median(whole)?);
+            let (light_ms, tone_ms, whole_ms) = (median(light), median(tone), median(whole));
             // A query set that is never written reads as zeros, and zero is no time.
             anyhow::ensure!(
                 light_ms > 0.0 && tone_ms > 0.0 && whole_ms >= light_ms,
-                "the GPU's clock stands still"
+                "the GPU's timestamps do not advance"
             );
             Ok(Passes { light_ms, tone_ms, whole_ms })
         });
         frames.rows.push(Row {
             tolerance_px: *tolerance_px,
             triangles: frame.instances.len() as u64 * client::frame::TRIANGLES_PER_INSTANCE,
-            frame_ms: median(milliseconds)?,
+            frame_ms: median(milliseconds),
             passes: passes.transpose()?,
         });
     }
@@ -138,27 +135,22 @@ pub fn measure(land: Land, tolerances_px: &[f64], timed: usize) -> Result<Frames
 
 /// The frame of the 8 km view at a tolerance of the full picture, drawn at a size.
 fn prepared(
-    scenery: &mut Scenery,
-    studio: &Studio,
+    builder: &mut WorldBuilder,
+    renderer: &HeadlessRenderer,
     tolerance_px: f64,
     size: (u32, u32),
-) -> Result<(World, FrameData)> {
+) -> Result<(ChunkCache, FrameData)> {
     let pose: Pose = CAMERA.parse()?;
-    // Chosen for the full picture, whatever the size that it is drawn at: the same triangles.
-    let mut shot = Place { pose, tolerance_px }.shot();
-    let (world, selection) = screen::selected(scenery, &shot);
+    // Selected for the full picture at every size: the same triangles.
+    let mut shot = ViewCase { pose, tolerance_px }.shot();
+    let (world, selection) = screen::selected(builder, &shot);
     anyhow::ensure!(
-        world.len() <= studio.slots() as usize,
+        world.len() <= renderer.slots() as usize,
         "{} chunks do not fit into the {} slots of this GPU: raise the tolerance",
         world.len(),
-        studio.slots()
+        renderer.slots()
     );
-    shot.lens = Lens { width: size.0, height: size.1, ..shot.lens };
+    shot.projection = Projection { width: size.0, height: size.1, ..shot.projection };
     let frame = shot.frame(Scene::Island, &world, &selection);
     Ok((world, frame))
-}
-
-fn median(mut values: Vec<f64>) -> Result<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().context("nothing was timed")
 }

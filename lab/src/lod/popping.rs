@@ -1,18 +1,20 @@
-//! Popping: what levels of detail alone change from one frame of a slow flight to the next.
+//! Popping: picture changes by levels of detail alone, from frame to frame of a slow flight.
 //!
-//! Each pose is drawn twice: with what is chosen for it, and with what was chosen one metre before.
-//! The two pictures differ by the change of levels and morphs alone, without any motion. The same
-//! flight without morphing is the control; what the motion of one frame changes, with levels
-//! frozen, is the scale: below it, a change of level is not seen.
+//! Each pose is drawn twice: with its own selection, and with the one of a metre before. The two
+//! pictures differ by levels and morphs alone. The same flight without morphing is the control; the
+//! change by one frame of motion, with levels frozen, is the scale below which a change of level is
+//! not visible.
 
-use crate::scenery::Scenery;
-use crate::studio::Studio;
-use client::camera::{Lens, Pose};
-use client::frame::{FrameData, Shot};
-use client::looks::Looks;
-use client::render::{GpuError, Picture};
+use crate::headless_renderer::HeadlessRenderer;
+use crate::world_builder::WorldBuilder;
+use client::cache::ChunkCache;
+use client::camera::{Pose, Projection};
+use client::frame::FrameData;
+use client::gpu::{GpuError, Image};
+use client::lod::{Selection, select};
 use client::scene::Scene;
-use client::world::{Selection, World, select};
+use client::settings::RenderSettings;
+use client::view::ViewParams;
 use serde::Serialize;
 use shaders::layout::TerrainInstance;
 use shaders::twin::morph::MORPH_ONE;
@@ -35,7 +37,7 @@ const VIEW_DISTANCE_M: u32 = 8_000;
 /// Slots of the world of a flight.
 const SLOTS: u32 = 6_000;
 
-/// Side of the blocks whose mean change is taken, pixels: one odd pixel is no pop, a patch is.
+/// Side of the blocks whose mean change is taken, pixels: a single pixel is not visible popping.
 const BLOCK: u32 = 8;
 
 /// A straight flight.
@@ -67,7 +69,7 @@ pub struct Change {
     pub block: f64,
 }
 
-/// What a flight showed.
+/// Result of a flight.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outcome {
     /// The flight.
@@ -87,22 +89,21 @@ pub struct Outcome {
 }
 
 /// A renderer for flights.
-///
-/// # Errors
-/// There is no GPU.
-pub fn studio() -> Result<Studio, GpuError> {
-    Studio::open(SIZE, SLOTS)
+pub fn renderer() -> Result<HeadlessRenderer, GpuError> {
+    HeadlessRenderer::open(SIZE, SLOTS)
 }
 
 /// Flies and compares.
-///
-/// # Errors
-/// The GPU failed.
-pub fn fly(studio: &mut Studio, land: Land, flight: &Flight, frames: u32) -> Result<Outcome, GpuError> {
-    let shots: Vec<Shot> = (0..=frames).map(|frame| flight.shot(&land, frame, frames)).collect();
-    let viewers: Vec<Viewer> = shots.iter().map(Shot::viewer).collect();
-    let mut world = Scenery::new(land).world_along(&viewers, studio.slots());
-    studio.furnish(&world);
+pub fn fly(
+    renderer: &mut HeadlessRenderer,
+    land: Land,
+    flight: &Flight,
+    frames: u32,
+) -> Result<Outcome, GpuError> {
+    let shots: Vec<ViewParams> = (0..=frames).map(|frame| flight.shot(&land, frame, frames)).collect();
+    let viewers: Vec<Viewer> = shots.iter().map(ViewParams::viewer).collect();
+    let mut world = WorldBuilder::new(land).world_along(&viewers, renderer.slots());
+    renderer.upload_world(&world);
 
     let mut outcome = Outcome {
         flight: flight.name,
@@ -114,11 +115,11 @@ pub fn fly(studio: &mut Studio, land: Land, flight: &Flight, frames: u32) -> Res
         worst_frame: 0,
     };
     let mut last = select(&mut world, &viewers[0]);
-    let mut last_picture = studio.picture(&frame(&shots[0], &world, &last))?;
+    let mut last_picture = renderer.picture(&frame(&shots[0], &world, &last))?;
     for (index, (shot, viewer)) in shots.iter().zip(&viewers).enumerate().skip(1) {
         let chosen = select(&mut world, viewer);
         let (stale, fresh) = (frame(shot, &world, &last), frame(shot, &world, &chosen));
-        let (before, after) = (studio.picture(&stale)?, studio.picture(&fresh)?);
+        let (before, after) = (renderer.picture(&stale)?, renderer.picture(&fresh)?);
         let change = Change::between(&before, &after);
         if change.block > outcome.morphed.block {
             outcome.worst_frame = index as u32;
@@ -129,7 +130,7 @@ pub fn fly(studio: &mut Studio, land: Land, flight: &Flight, frames: u32) -> Res
         if chosen.drawn.iter().map(|drawn| drawn.key).ne(last.drawn.iter().map(|drawn| drawn.key)) {
             outcome.level_changes += 1;
             let [before, after] = [stale, fresh].map(unmorphed);
-            let change = Change::between(&studio.picture(&before)?, &studio.picture(&after)?);
+            let change = Change::between(&renderer.picture(&before)?, &renderer.picture(&after)?);
             outcome.unmorphed = outcome.unmorphed.or(change);
         }
         (last, last_picture) = (chosen, after);
@@ -138,7 +139,7 @@ pub fn fly(studio: &mut Studio, land: Land, flight: &Flight, frames: u32) -> Res
 }
 
 impl Flight {
-    fn shot(&self, land: &Land, frame: u32, frames: u32) -> Shot {
+    fn shot(&self, land: &Land, frame: u32, frames: u32) -> ViewParams {
         let mut pose: Pose = self.start.parse().expect("the flights of this module begin at poses");
         let (sin, cos) = pose.yaw_deg.to_radians().sin_cos();
         let at = |frame: u32| {
@@ -153,18 +154,18 @@ impl Flight {
         let highest_m = (0..=frames).map(|frame| ground_m(at(frame))).fold(0.0, f64::max);
         let [x, z] = at(frame);
         pose.position_m = [x, highest_m + self.clearance_m, z].into();
-        Shot {
+        ViewParams {
             pose,
-            lens: Lens { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
+            projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
             view_distance_m: VIEW_DISTANCE_M,
             tolerance_px: TOLERANCE_PX,
             time_s: 0.0,
-            looks: Looks::default(),
+            settings: RenderSettings::default(),
         }
     }
 }
 
-fn frame(shot: &Shot, world: &World, selection: &Selection) -> FrameData {
+fn frame(shot: &ViewParams, world: &ChunkCache, selection: &Selection) -> FrameData {
     shot.frame(Scene::Island, world, selection)
 }
 
@@ -185,8 +186,7 @@ fn unmorphed(mut frame: FrameData) -> FrameData {
 
 impl Change {
     /// Between two pictures of one size.
-    #[must_use]
-    pub fn between(one: &Picture, other: &Picture) -> Self {
+    pub fn between(one: &Image, other: &Image) -> Self {
         let changes: Vec<u8> = one
             .rgba
             .chunks_exact(4)
@@ -211,7 +211,6 @@ impl Change {
     }
 
     /// The larger of each figure.
-    #[must_use]
     pub fn or(self, other: Self) -> Self {
         Self {
             max: self.max.max(other.max),
@@ -225,14 +224,14 @@ impl Change {
 mod tests {
     use super::*;
 
-    fn picture(value: impl Fn(u32, u32) -> u8) -> Picture {
+    fn picture(value: impl Fn(u32, u32) -> u8) -> Image {
         let (width, height) = (64, 32);
         let rgba = (0..width * height).flat_map(|index| [0, value(index % width, index / width), 0, 255]);
-        Picture { width, height, rgba: rgba.collect() }
+        Image { width, height, rgba: rgba.collect() }
     }
 
     #[test]
-    fn a_patch_counts_more_than_an_odd_pixel_and_equal_pictures_do_not_change() {
+    fn a_patch_counts_more_than_one_pixel_and_equal_pictures_are_0() {
         let still = picture(|_, _| 7);
         assert_eq!(Change::between(&still, &still), Change::default());
         let odd = Change::between(&still, &picture(|x, z| if (x, z) == (5, 5) { 107 } else { 7 }));

@@ -1,35 +1,35 @@
-//! Screen error: how far the drawn land is from the true land, in pixels, measured at every vertex
-//! of level 0 that is drawn.
+//! Screen-space error of the drawn terrain against level 0, in pixels, at every level-0 vertex.
 //!
-//! The drawn triangles' edges run along edges of the level-0 mesh, so nowhere between its vertices
-//! are the two surfaces farther apart than at one of them; only the triangles along a coarser
-//! neighbour, whose corners were moved, cut across.
+//! Edges of drawn triangles run along edges of the level-0 mesh, so the distance of the two
+//! surfaces is largest at a vertex; except for triangles along a coarser neighbour, whose corners
+//! are moved.
 
 use super::drawn::DrawnChunk;
 use crate::sample::{self, unit, word};
-use crate::scenery::Scenery;
-use client::camera::{Lens, Pose};
-use client::frame::Shot;
-use client::looks::Looks;
-use client::world::{Selection, World};
+use crate::world_builder::WorldBuilder;
+use client::cache::ChunkCache;
+use client::camera::{Pose, Projection};
+use client::lod::Selection;
+use client::settings::RenderSettings;
+use client::view::ViewParams;
 use rayon::prelude::*;
 use serde::Serialize;
 use terrain::constants::{CELLS, UNITS_PER_METRE};
 use terrain::land::SEA_FLOOR;
 use terrain::{ChunkKey, Grid, Land};
 
-/// The view that screen error is promised for.
-pub const LENS: Lens = Lens { fov_deg: 60.0, width: 1920, height: 1080 };
+/// The view of the bar of screen error.
+pub const LENS: Projection = Projection { fov_deg: 60.0, width: 1920, height: 1080 };
 
 /// Its view distance, metres.
 pub const VIEW_DISTANCE_M: u32 = 8_000;
 
-/// Rows of vertices whose truth is computed at a time.
+/// Rows of vertices whose reference is computed at a time.
 const ROWS: usize = 64;
 
-/// What a set of vertices showed.
+/// Errors of a set of vertices.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Seen {
+pub struct ScreenErrors {
     /// Vertices.
     pub vertices: u64,
     /// Sum of squared errors, square pixels.
@@ -58,21 +58,18 @@ pub struct Worst {
     pub error_px: f64,
 }
 
-impl Seen {
+impl ScreenErrors {
     /// The largest error, pixels.
-    #[must_use]
     pub fn max_px(&self) -> f64 {
         self.worst_px.into_iter().fold(0.0, f64::max)
     }
 
     /// Root of the mean square, pixels.
-    #[must_use]
     pub fn rms_px(&self) -> f64 {
         (self.squares / self.vertices.max(1) as f64).sqrt()
     }
 
     /// Both together.
-    #[must_use]
     pub fn and(self, other: Self) -> Self {
         let worse = |own: Option<Worst>, other: Option<Worst>| match (own, other) {
             (Some(own), Some(other)) if own.error_px >= other.error_px => Some(own),
@@ -87,34 +84,32 @@ impl Seen {
     }
 }
 
-/// A seeded pose and a tolerance.
+/// A pose with a tolerance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct ViewCase {
     /// Eye and gaze.
     pub pose: Pose,
     /// Tolerated screen error, pixels.
     pub tolerance_px: f64,
 }
 
-impl Place {
+impl ViewCase {
     /// How the picture is taken.
-    #[must_use]
-    pub fn shot(&self) -> Shot {
-        Shot {
+    pub fn shot(&self) -> ViewParams {
+        ViewParams {
             pose: self.pose,
-            lens: LENS,
+            projection: LENS,
             view_distance_m: VIEW_DISTANCE_M,
             tolerance_px: self.tolerance_px,
             time_s: 0.0,
-            looks: Looks::default(),
+            settings: RenderSettings::default(),
         }
     }
 }
 
 /// Seeded poses: over land, coasts and rims, half of them on islands all over the world, from eye
 /// level to 2 km.
-#[must_use]
-pub fn places(land: &Land, count: u32, stream: u32) -> Vec<Place> {
+pub fn view_cases(land: &Land, count: u32, stream: u32) -> Vec<ViewCase> {
     let points = sample::land_points(land.world_seed(), count, stream);
     let place = |((x, z), index): ((i32, i32), u32)| {
         let unit = |part: u32| unit(word(stream ^ 0x50_6f5e, 8 * index + part));
@@ -128,7 +123,7 @@ pub fn places(land: &Land, count: u32, stream: u32) -> Vec<Place> {
         let metres = |units: i32| f64::from(units) / f64::from(UNITS_PER_METRE);
         let position_m = [metres(x), ground_m.max(0.0) + height_m, metres(z)].into();
         let pose = Pose { position_m, yaw_deg: 360.0 * unit(1), pitch_deg: -20.0 * unit(2) }.clamped();
-        Place { pose, tolerance_px: [0.5, 1.0, 2.0, 4.0][index as usize % 4] }
+        ViewCase { pose, tolerance_px: [0.5, 1.0, 2.0, 4.0][index as usize % 4] }
     };
     points.zip(0..).map(place).collect()
 }
@@ -141,8 +136,7 @@ fn ground(land: &Land, x: i32, z: i32) -> i32 {
 ///
 /// # Panics
 /// If the selection draws a chunk that is not in the world.
-#[must_use]
-pub fn measure(land: &Land, world: &World, selection: &Selection, shot: &Shot) -> Seen {
+pub fn measure(land: &Land, world: &ChunkCache, selection: &Selection, shot: &ViewParams) -> ScreenErrors {
     let chunks: Vec<DrawnChunk> = selection
         .drawn
         .iter()
@@ -153,7 +147,10 @@ pub fn measure(land: &Land, world: &World, selection: &Selection, shot: &Shot) -
         .filter(|chunk| !is_open_sea(land, chunk))
         .flat_map(|chunk| (0..CELLS << chunk.key().level()).step_by(ROWS).map(move |row| (chunk, row)))
         .collect();
-    strips.par_iter().map(|(chunk, row)| strip(land, chunk, *row, shot)).reduce(Seen::default, Seen::and)
+    strips
+        .par_iter()
+        .map(|(chunk, row)| strip(land, chunk, *row, shot))
+        .reduce(ScreenErrors::default, ScreenErrors::and)
 }
 
 /// Whether a chunk is flat and truly so: nothing is to be measured there.
@@ -164,7 +161,7 @@ fn is_open_sea(land: &Land, chunk: &DrawnChunk) -> bool {
 
 /// Rows `first` to `first + ROWS` of the level-0 vertices under a chunk, the last one included: the
 /// neighbour draws it too.
-fn strip(land: &Land, chunk: &DrawnChunk, first: usize, shot: &Shot) -> Seen {
+fn strip(land: &Land, chunk: &DrawnChunk, first: usize, shot: &ViewParams) -> ScreenErrors {
     let key: ChunkKey = chunk.key();
     let level = key.level();
     let columns = (CELLS << level) + 1;
@@ -172,16 +169,16 @@ fn strip(land: &Land, chunk: &DrawnChunk, first: usize, shot: &Shot) -> Seen {
     let step = 1 << terrain::constants::SPACING_BITS;
     let grid =
         Grid::new(x0, z0 + first as i32 * step, 0, columns, ROWS + 1).expect("a chunk lies in the world");
-    let mut truth = vec![0; grid.vertex_count()];
-    land.heights(&grid, &mut truth);
+    let mut reference = vec![0; grid.vertex_count()];
+    land.heights(&grid, &mut reference);
 
     let unit_m = 1.0 / f64::from(UNITS_PER_METRE);
     let eye = shot.pose.position_m;
     let reach_squared = f64::from(shot.view_distance_m).powi(2);
-    // The exact number, not the rounded one that servers are told.
-    let pixels_squared = (f64::from(shot.lens.height) / (2.0 * shot.lens.half_height())).powi(2);
+    // The exact number, not the rounded one that clients send to servers.
+    let pixels_squared = (f64::from(shot.projection.height) / (2.0 * shot.projection.half_height())).powi(2);
     let scale = unit_m / f64::from(1 << level);
-    let mut seen = Seen::default();
+    let mut seen = ScreenErrors::default();
     let mut worst = [(0.0, 0, 0); 2];
     for row in 0..=ROWS {
         let south = f64::from(z0 + (first + row) as i32 * step) * unit_m - eye.z;
@@ -191,7 +188,7 @@ fn strip(land: &Land, chunk: &DrawnChunk, first: usize, shot: &Shot) -> Seen {
             if flat > reach_squared {
                 continue;
             }
-            let exact_m = f64::from(truth[row * columns + column]) * unit_m;
+            let exact_m = f64::from(reference[row * columns + column]) * unit_m;
             let error_m = chunk.height_scaled(column, first + row) * scale - exact_m;
             let up = exact_m - eye.y;
             let error = error_m * error_m * pixels_squared / (flat + up * up).max(1e-6);
@@ -207,7 +204,7 @@ fn strip(land: &Land, chunk: &DrawnChunk, first: usize, shot: &Shot) -> Seen {
     let (error, column, row) = worst.into_iter().fold((0.0, 0, 0), |a, b| if b.0 > a.0 { b } else { a });
     if error > 0.0 {
         let place = [x0 + column as i32 * step, z0 + row as i32 * step].map(|v| f64::from(v) * unit_m);
-        let exact_m = f64::from(truth[(row - first) * columns + column]) * unit_m;
+        let exact_m = f64::from(reference[(row - first) * columns + column]) * unit_m;
         let error_m = (chunk.height_scaled(column, row) * scale - exact_m).abs();
         seen.worst = Some(Worst {
             level,
@@ -232,10 +229,10 @@ fn zone(cells_from_border: usize) -> usize {
     usize::from(cells_from_border <= 1)
 }
 
-/// The selection for a place in a scenery, of all that a server sends for it.
-pub fn selected(scenery: &mut Scenery, shot: &Shot) -> (World, Selection) {
+/// The selection of a view from all chunks that a server sends for it.
+pub fn selected(builder: &mut WorldBuilder, shot: &ViewParams) -> (ChunkCache, Selection) {
     let viewer = shot.viewer();
-    let mut world = scenery.world(&viewer, u32::from(u16::MAX), |_| true);
-    let selection = client::world::select(&mut world, &viewer);
+    let mut world = builder.world(&viewer, u32::from(u16::MAX), |_| true);
+    let selection = client::lod::select(&mut world, &viewer);
     (world, selection)
 }

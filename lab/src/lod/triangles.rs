@@ -1,19 +1,21 @@
 //! Triangles of the 8 km view, culled as they are drawn, against the same view without levels of
 //! detail.
 
-use super::screen::{self, Place};
-use crate::scenery::Scenery;
+use super::screen::{self, ViewCase};
+use crate::world_builder::WorldBuilder;
+use client::cache::ChunkCache;
 use client::camera::Pose;
-use client::frame::{Shot, TRIANGLES_PER_INSTANCE};
+use client::frame::TRIANGLES_PER_INSTANCE;
+use client::lod::{Drawn, Selection};
 use client::scene::Scene;
-use client::world::{Drawn, Selection, World};
+use client::view::ViewParams;
 use rayon::prelude::*;
 use serde::Serialize;
 use shaders::twin::morph::Seams;
 use terrain::constants::{CHUNK_BITS, UNITS_PER_METRE, WORLD_HALF};
 use terrain::{ChunkKey, Land};
 
-/// Tolerance of the promise, pixels.
+/// Tolerance of the bar, pixels.
 pub const TOLERANCE_PX: f64 = 1.0;
 
 /// The 8 km view of `cargo xtask measure first-voyage`, then others: the start, a shore, a summit,
@@ -41,14 +43,13 @@ pub struct View {
 }
 
 /// Counts for every camera.
-#[must_use]
 pub fn count(land: &Land) -> Vec<View> {
-    let mut scenery = Scenery::new(*land);
+    let mut builder = WorldBuilder::new(*land);
     let view = |camera: &str| {
         let pose: Pose = camera.parse().expect("the cameras of this module are poses");
-        let shot = Place { pose, tolerance_px: TOLERANCE_PX }.shot();
-        let (world, selection) = screen::selected(&mut scenery, &shot);
-        scenery.clear();
+        let shot = ViewCase { pose, tolerance_px: TOLERANCE_PX }.shot();
+        let (world, selection) = screen::selected(&mut builder, &shot);
+        builder.clear();
         let (chunks, instances) = in_sight(&shot, &world, &selection);
         View {
             camera: camera.to_owned(),
@@ -61,13 +62,13 @@ pub fn count(land: &Land) -> Vec<View> {
 }
 
 /// Chunks in sight, and instances.
-fn in_sight(shot: &Shot, world: &World, selection: &Selection) -> (usize, usize) {
+fn in_sight(shot: &ViewParams, world: &ChunkCache, selection: &Selection) -> (usize, usize) {
     let frame = shot.frame(Scene::Island, world, selection);
     (frame.chunks, frame.instances.len())
 }
 
 /// Instances of all level-0 chunks in sight within the view distance.
-fn without_lod(land: &Land, shot: &Shot) -> usize {
+fn without_lod(land: &Land, shot: &ViewParams) -> usize {
     let viewer = shot.viewer();
     let reach = i64::from(viewer.distance_m) * i64::from(UNITS_PER_METRE);
     let range = |eye: i32| {
@@ -85,10 +86,10 @@ fn without_lod(land: &Land, shot: &Shot) -> usize {
     // A part at a time: all chunks with their pyramids take half a gigabyte.
     let part = |keys: &[ChunkKey]| {
         let chunks: Vec<_> = keys.par_iter().map(|key| land.chunk(*key)).collect();
-        let mut world = World::new(chunks.len() as u32);
+        let mut world = ChunkCache::new(chunks.len() as u32);
         chunks.into_iter().for_each(|chunk| drop(world.insert(chunk)));
         let drawn = keys.iter().map(|key| Drawn { key: *key, seams: Seams::default() }).collect();
-        in_sight(shot, &world, &Selection { drawn, wanting: 0 }).1
+        in_sight(shot, &world, &Selection { drawn, missing: 0 }).1
     };
     keys.chunks(1_024).map(part).sum()
 }

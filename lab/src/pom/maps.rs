@@ -1,7 +1,7 @@
 //! Height maps that are hard to march over, each in its own way.
 
 use crate::sample::{unit, word};
-use client::relief::HeightMap;
+use client::features::pom::HeightMap;
 
 /// Texels a side of all of them.
 pub const SIDE: usize = 512;
@@ -24,7 +24,6 @@ impl Kind {
     pub const ALL: [Self; 4] = [Self::Fbm, Self::Brick, Self::Posts, Self::Ridges];
 
     /// Its name.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Fbm => "fbm",
@@ -38,7 +37,6 @@ impl Kind {
     ///
     /// # Panics
     /// Never: the side is one that maps may have.
-    #[must_use]
     pub fn map(self) -> HeightMap {
         let height = match self {
             Self::Fbm => fbm,
@@ -101,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_map_has_high_and_low_ground_and_repeats_without_a_step_where_it_is_smooth() {
+    fn every_map_has_high_and_low_ground_and_the_smooth_one_tiles() {
         for kind in Kind::ALL {
             let map = kind.map();
             let share =

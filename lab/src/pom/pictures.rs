@@ -1,13 +1,13 @@
 //! Planes as they are drawn: what must be equal, the edges of reliefs, and the lines along which
 //! objects meet them.
 
-use crate::relief::pictures::{ReliefStudio, around, cut_distance, plane, silhouette_overlap};
+use crate::pom::renderer::{PomRenderer, around, cut_distance, plane, silhouette_overlap};
 use anyhow::{Result, ensure};
-use client::looks::Show;
-use client::relief::ReliefKnobs;
-use client::relief::knobs::{ReliefTier, Silhouette};
-use client::render::scenes::relief::objects::Mode;
+use client::features::pom::PomSettings;
+use client::features::pom::settings::{PomMethod, Silhouette};
 use client::scene::Scene;
+use client::scene::objects::Mode;
+use client::settings::Show;
 use serde::Serialize;
 
 /// Size of the pictures, pixels.
@@ -57,14 +57,11 @@ pub struct Line {
 }
 
 /// Draws and compares, and prints it.
-///
-/// # Errors
-/// There is no GPU, or it failed.
 pub fn measure() -> Result<Pictures> {
-    let mut studio = ReliefStudio::open(Scene::Pom, SIZE)?;
-    let (zero_compared, zero_differing, raised_differing) = identities(&mut studio)?;
-    let silhouettes = [60.0, 16.0, 5.0].map(|elevation_deg| silhouettes(&mut studio, elevation_deg));
-    let lines = [60.0, 40.0, 16.0, 5.0].map(|elevation_deg| line(&mut studio, elevation_deg));
+    let mut renderer = PomRenderer::open(Scene::Pom, SIZE)?;
+    let (zero_compared, zero_differing, raised_differing) = identities(&mut renderer)?;
+    let silhouettes = [60.0, 16.0, 5.0].map(|elevation_deg| silhouettes(&mut renderer, elevation_deg));
+    let lines = [60.0, 40.0, 16.0, 5.0].map(|elevation_deg| line(&mut renderer, elevation_deg));
     Ok(Pictures {
         zero_compared,
         zero_differing,
@@ -89,20 +86,18 @@ impl Pictures {
     }
 }
 
-fn exact() -> ReliefKnobs {
-    ReliefKnobs { tier: ReliefTier::Pyramid, ..ReliefKnobs::default() }
+fn exact() -> PomSettings {
+    PomSettings { method: PomMethod::MaxMip, ..PomSettings::default() }
 }
 
 /// Pixels compared, and those that differ from the flat plane's without amplitude and with it.
-fn identities(studio: &mut ReliefStudio) -> Result<(usize, usize, usize)> {
+fn identities(renderer: &mut PomRenderer) -> Result<(usize, usize, usize)> {
     let (mut compared, mut zero, mut raised) = (0, 0, 0);
-    for tier in
-        [ReliefTier::Offset, ReliefTier::Linear, ReliefTier::Cones, ReliefTier::Pyramid, ReliefTier::Auto]
-    {
+    for tier in [PomMethod::Offset, PomMethod::Linear, PomMethod::Cones, PomMethod::MaxMip, PomMethod::Auto] {
         let mut differing = |amplitude| -> Result<(usize, usize)> {
-            let relief = ReliefKnobs { tier, amplitude, ..ReliefKnobs::default() };
-            let mut of = |mode| studio.shown(&[plane(mode)], around(16.0, 20.0, 3.5), relief, Show::Picture);
-            let (own, flat) = (of(Mode::Knobs)?, of(Mode::Flat)?);
+            let relief = PomSettings { method: tier, amplitude, ..PomSettings::default() };
+            let mut of = |mode| renderer.shown(&[plane(mode)], around(16.0, 20.0, 3.5), relief, Show::Image);
+            let (own, flat) = (of(Mode::Settings)?, of(Mode::Flat)?);
             Ok((own.0.len(), own.differing(&flat).count()))
         };
         let (pixels, differs) = differing(0.0)?;
@@ -114,14 +109,14 @@ fn identities(studio: &mut ReliefStudio) -> Result<(usize, usize, usize)> {
     Ok((compared, zero, raised))
 }
 
-fn silhouettes(studio: &mut ReliefStudio, elevation_deg: f64) -> Result<Silhouettes> {
+fn silhouettes(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Silhouettes> {
     let mut overlap = |mode, silhouette| {
-        silhouette_overlap(studio, mode, ReliefKnobs { silhouette, ..exact() }, elevation_deg)
+        silhouette_overlap(renderer, mode, PomSettings { silhouette, ..exact() }, elevation_deg)
     };
     let row = Silhouettes {
         elevation_deg,
-        shell: overlap(Mode::Knobs, Silhouette::Shell)?,
-        rectangle: overlap(Mode::Knobs, Silhouette::Rectangle)?,
+        shell: overlap(Mode::Settings, Silhouette::Shell)?,
+        rectangle: overlap(Mode::Settings, Silhouette::Rectangle)?,
         flat: overlap(Mode::Flat, Silhouette::None)?,
     };
     println!(
@@ -131,13 +126,14 @@ fn silhouettes(studio: &mut ReliefStudio, elevation_deg: f64) -> Result<Silhouet
     Ok(row)
 }
 
-fn line(studio: &mut ReliefStudio, elevation_deg: f64) -> Result<Line> {
-    let deep = ReliefKnobs { depth: true, silhouette: Silhouette::Shell, ..exact() };
-    let shallow = ReliefKnobs { depth: false, silhouette: Silhouette::None, ..deep };
-    let (with_depth, pixels) = cut_distance(studio, deep, elevation_deg)?;
-    let (without_depth, _) = cut_distance(studio, shallow, elevation_deg)?;
+fn line(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Line> {
+    let deep = PomSettings { depth: true, silhouette: Silhouette::Shell, ..exact() };
+    let shallow = PomSettings { depth: false, silhouette: Silhouette::None, ..deep };
+    let (with_depth, pixels) = cut_distance(renderer, deep, elevation_deg)?;
+    let (without_depth, _) = cut_distance(renderer, shallow, elevation_deg)?;
     println!(
-        "line of intersection at {elevation_deg} degrees, {pixels} pixels: {with_depth:.2} px off, with the plane's depth {without_depth:.2} px"
+        "line of intersection at {elevation_deg} degrees, {pixels} pixels: {with_depth:.2} px off, with the \
+         plane's depth {without_depth:.2} px"
     );
     Ok(Line { elevation_deg, pixels, with_depth, without_depth })
 }

@@ -1,8 +1,7 @@
-//! Where a ray meets a relief, in f64, cell by cell: the surface is the bilinear one between texel
-//! centres that the shaders march over, and no cell that the ray crosses is left out. Knows neither
-//! bounds nor steps.
+//! Intersection of a ray with a height map in f64, cell by cell, over the bilinear surface between
+//! texel centres that the shaders march over. Exact: no steps, no bounds.
 
-use client::relief::HeightMap;
+use client::features::pom::HeightMap;
 
 /// A ray through the relief, from its top.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,7 +16,6 @@ impl Ray {
     /// The ray of a view, as `shared/relief.wesl` makes it: through `uv` (tiles) on a plane at
     /// height `pivot` of a relief `amplitude` high (tiles), towards the eye (unit vector along u,
     /// along v, along the normal).
-    #[must_use]
     pub fn new(uv: [f32; 2], to_eye: [f32; 3], amplitude: f32, pivot: f32) -> Self {
         let [x, y, z] = to_eye.map(f64::from);
         let travel = [-x / z * f64::from(amplitude), -y / z * f64::from(amplitude)];
@@ -27,7 +25,6 @@ impl Ray {
     }
 
     /// The place after a share of the travel.
-    #[must_use]
     pub fn at(&self, share: f64) -> [f64; 2] {
         [0, 1].map(|axis| self.entry[axis] + share * self.travel[axis])
     }
@@ -46,7 +43,6 @@ pub struct Contact {
 }
 
 /// Height of the surface at a place in tiles.
-#[must_use]
 pub fn height(map: &HeightMap, [u, v]: [f64; 2]) -> f64 {
     let side = map.side() as f64;
     let (x, y) = (u * side - 0.5, v * side - 0.5);
@@ -55,7 +51,6 @@ pub fn height(map: &HeightMap, [u, v]: [f64; 2]) -> f64 {
 }
 
 /// The first contact. Falling from the top to the bottom, every ray has one.
-#[must_use]
 pub fn contact(map: &HeightMap, ray: &Ray) -> Contact {
     let side = map.side() as f64;
     let start = ray.entry.map(|place| place * side - 0.5);
@@ -85,7 +80,6 @@ pub fn contact(map: &HeightMap, ray: &Ray) -> Contact {
 
 /// How deep below the surface a ray goes from its contact to where it comes out again, units of the
 /// relief; as found in steps of a 32nd texel.
-#[must_use]
 pub fn depth_after(map: &HeightMap, ray: &Ray, contact: &Contact) -> f64 {
     let texels = ray.travel[0].hypot(ray.travel[1]) * map.side() as f64;
     let pitch = 1.0 / (32.0 * texels.max(1.0));
@@ -104,7 +98,6 @@ pub fn depth_after(map: &HeightMap, ray: &Ray, contact: &Contact) -> f64 {
 
 /// Whether the sun is seen from a place on the surface, looking from `lift` of the way up: no cell
 /// on the way to the top is higher than the ray. `travel`: from the bottom to the top, tiles.
-#[must_use]
 pub fn is_lit(map: &HeightMap, from: [f64; 2], from_height: f64, travel: [f64; 2], lift: f64) -> bool {
     let steps = (travel[0].hypot(travel[1]) * map.side() as f64 * 16.0).ceil().max(1.0);
     let clear = |step: f64| {
@@ -174,7 +167,7 @@ impl Patch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::relief::maps::Kind;
+    use crate::pom::maps::Kind;
     use crate::sample::{unit, word};
 
     fn rays(count: u32, tan: f64) -> impl Iterator<Item = Ray> {
@@ -203,9 +196,9 @@ mod tests {
     }
 
     #[test]
-    fn a_dense_march_agrees_where_it_can_be_trusted_and_a_coarse_one_does_not() {
+    fn a_dense_march_agrees_and_a_coarse_one_does_not() {
         let map = Kind::Posts.map();
-        let strays = |steps: u32| {
+        let wrong = |steps: u32| {
             rays(400, 3.7)
                 .filter(|ray| {
                     let first = (0..=steps).map(|step| f64::from(step) / f64::from(steps));
@@ -214,7 +207,7 @@ mod tests {
                 })
                 .count()
         };
-        let (dense, coarse) = (strays(8_000), strays(8));
+        let (dense, coarse) = (wrong(8_000), wrong(8));
         assert!(dense <= 1 && coarse > 40, "{dense} {coarse}");
     }
 }

@@ -1,17 +1,20 @@
-//! What pictures of reliefs say: where their edge is, where objects are sunk into them, whether
-//! every pixel is a number. Against displaced geometry, by the shipped passes on this machine's
-//! GPU.
+//! Pictures of parallax-mapped surfaces against displaced geometry, by the shipped passes on this
+//! machine's GPU: silhouettes, lines of intersection, pixels that are not finite.
 
-use client::camera::{Lens, Pose};
-use client::feed::NoFeed;
-use client::frame::{FrameData, Shot};
-use client::looks::{Looks, Show};
-use client::relief::ReliefKnobs;
-use client::render::materials::OwnMaterials;
-use client::render::scenes::relief::objects::{Mode, Object};
-use client::render::{Canvas, Gpu, GpuError, Picture, RenderOptions, Renderer, gpu, picture};
+use crate::stats::quantile;
+use client::camera::{Pose, Projection};
+use client::features::materials::CustomMaterials;
+use client::features::pom::PomSettings;
+use client::frame::FrameData;
+use client::gpu;
+use client::gpu::{Gpu, GpuError, Image, OffscreenTarget, offscreen};
+use client::renderer::{RenderOptions, Renderer};
 use client::scene::Scene;
-use client::voyage::Voyage;
+use client::scene::objects::{Mode, Object};
+use client::settings::{RenderSettings, Show};
+use client::stream::NullStream;
+use client::stream::streamer::WorldStreamer;
+use client::view::ViewParams;
 use glam::{DVec3, Vec3};
 use std::time::Duration;
 
@@ -24,10 +27,10 @@ pub const TILE_M: f32 = 5.0;
 
 /// A renderer of a scene of reliefs whose objects can be exchanged; one sample per pixel.
 #[derive(Debug)]
-pub struct ReliefStudio {
+pub struct PomRenderer {
     gpu: Gpu,
     renderer: Renderer,
-    canvas: Canvas,
+    target: OffscreenTarget,
     scene: Scene,
     size: (u32, u32),
 }
@@ -38,14 +41,12 @@ pub struct Light(pub Vec<[u16; 4]>);
 
 impl Light {
     /// Pixels with a colour channel that is no finite number.
-    #[must_use]
     pub fn unlit(&self) -> usize {
         // An exponent of all ones is infinite or no number.
         self.0.iter().filter(|pixel| pixel[..3].iter().any(|half| half & 0x7c00 == 0x7c00)).count()
     }
 
     /// Pixels that are not the same, bit for bit.
-    #[must_use]
     pub fn differing(&self, other: &Self) -> Mask {
         Mask(self.0.iter().zip(&other.0).map(|(one, other)| one != other).collect())
     }
@@ -57,13 +58,11 @@ pub struct Mask(pub Vec<bool>);
 
 impl Mask {
     /// How many.
-    #[must_use]
     pub fn count(&self) -> usize {
         self.0.iter().filter(|is| **is).count()
     }
 
     /// Intersection over union; 1 of two empty ones.
-    #[must_use]
     pub fn overlap(&self, other: &Self) -> f64 {
         let both = self.0.iter().zip(&other.0).filter(|(one, other)| **one && **other).count();
         let any = self.0.iter().zip(&other.0).filter(|(one, other)| **one || **other).count();
@@ -71,100 +70,78 @@ impl Mask {
     }
 }
 
-impl ReliefStudio {
+impl PomRenderer {
     /// Opens the best adapter for pictures of a size in pixels, with the procedural materials.
-    ///
-    /// # Errors
-    /// There is no adapter, or it cannot be opened.
     pub fn open(scene: Scene, size: (u32, u32)) -> Result<Self, GpuError> {
-        Self::furnished(scene, size, &OwnMaterials::default())
+        Self::with_materials(scene, size, &CustomMaterials::default())
     }
 
     /// The same with own materials.
-    ///
-    /// # Errors
-    /// As [`ReliefStudio::open`].
-    pub fn furnished(scene: Scene, size: (u32, u32), own: &OwnMaterials) -> Result<Self, GpuError> {
+    pub fn with_materials(scene: Scene, size: (u32, u32), own: &CustomMaterials) -> Result<Self, GpuError> {
         let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
-        let options = RenderOptions { scene, size, samples: 1, format: picture::PICTURE_FORMAT, slots: 1 };
+        let options = RenderOptions { scene, size, samples: 1, format: offscreen::IMAGE_FORMAT, slots: 1 };
         let renderer = Renderer::with_materials(&gpu, &options, own);
-        let canvas = Canvas::new(&gpu.device, size.0, size.1);
-        Ok(Self { gpu, renderer, canvas, scene, size })
+        let target = OffscreenTarget::new(&gpu.device, size.0, size.1);
+        Ok(Self { gpu, renderer, target, scene, size })
     }
 
     /// Puts other objects into the scene.
-    pub fn arrange(&mut self, objects: Vec<Object>) {
-        self.renderer.arrange(&self.gpu, objects);
+    pub fn set_objects(&mut self, objects: Vec<Object>) {
+        self.renderer.set_objects(&self.gpu, objects);
     }
 
     /// The frame of a pose, by looks.
-    #[must_use]
-    pub fn frame(&self, pose: Pose, looks: Looks) -> FrameData {
-        let shot = Shot {
+    pub fn frame(&self, pose: Pose, settings: RenderSettings) -> FrameData {
+        let shot = ViewParams {
             pose,
-            lens: Lens { fov_deg: 40.0, width: self.size.0, height: self.size.1 },
+            projection: Projection { fov_deg: 40.0, width: self.size.0, height: self.size.1 },
             view_distance_m: 1000,
             tolerance_px: 2.0,
             time_s: 0.0,
-            looks,
+            settings,
         };
-        let mut voyage = Voyage::new(NoFeed, 1);
-        let selection = voyage.update(&shot, Duration::ZERO, usize::MAX, |_| {});
-        shot.frame(self.scene, voyage.world(), &selection)
+        let mut streamer = WorldStreamer::new(NullStream, 1);
+        let selection = streamer.update(&shot, Duration::ZERO, usize::MAX, |_| {});
+        shot.frame(self.scene, streamer.cache(), &selection)
     }
 
     /// Draws a frame and brings its light back.
-    ///
-    /// # Errors
-    /// The GPU failed.
     pub fn light(&mut self, frame: &FrameData) -> Result<Light, GpuError> {
-        let halves = self.renderer.light(&self.gpu, frame, &self.canvas)?.unwrap_or_default();
+        let halves = self.renderer.read_hdr(&self.gpu, frame, &self.target)?.unwrap_or_default();
         Ok(Light(halves.chunks_exact(4).map(|pixel| [pixel[0], pixel[1], pixel[2], pixel[3]]).collect()))
     }
 
     /// The light of objects by a pose and knobs.
-    ///
-    /// # Errors
-    /// The GPU failed.
     pub fn shown(
         &mut self,
         objects: &[Object],
         pose: Pose,
-        relief: ReliefKnobs,
+        pom: PomSettings,
         show: Show,
     ) -> Result<Light, GpuError> {
-        self.arrange(objects.to_vec());
-        self.light(&self.frame(pose, Looks { relief, show, ..Looks::default() }))
+        self.set_objects(objects.to_vec());
+        self.light(&self.frame(pose, RenderSettings { pom, show, ..RenderSettings::default() }))
     }
 
     /// The picture of the last frame.
-    ///
-    /// # Errors
-    /// The GPU failed.
-    pub fn picture(&self) -> Result<Picture, GpuError> {
-        self.canvas.read(&self.gpu)
+    pub fn picture(&self) -> Result<Image, GpuError> {
+        self.target.read(&self.gpu)
     }
 
     /// Pixels that objects cover.
-    ///
-    /// # Errors
-    /// The GPU failed.
-    pub fn cover(&mut self, objects: &[Object], pose: Pose, relief: ReliefKnobs) -> Result<Mask, GpuError> {
-        let nothing = self.shown(&[], pose, relief, Show::Picture)?;
-        Ok(self.shown(objects, pose, relief, Show::Picture)?.differing(&nothing))
+    pub fn cover(&mut self, objects: &[Object], pose: Pose, relief: PomSettings) -> Result<Mask, GpuError> {
+        let nothing = self.shown(&[], pose, relief, Show::Image)?;
+        Ok(self.shown(objects, pose, relief, Show::Image)?.differing(&nothing))
     }
 
     /// Where a ball is cut by what it is sunk into, as pixels of the picture: those of the ball
     /// next to ones that it would cover if it stood alone.
-    ///
-    /// # Errors
-    /// The GPU failed.
     pub fn cut_line(
         &mut self,
         relief: &Object,
         ball: &Object,
         pose: Pose,
-        knobs: ReliefKnobs,
+        knobs: PomSettings,
     ) -> Result<Vec<(i32, i32)>, GpuError> {
         // Normals do not depend on shadows, so the ball has the same light in both pictures.
         let nothing = self.shown(&[], pose, knobs, Show::Normals)?;
@@ -194,20 +171,17 @@ pub const BEARINGS_DEG: [f64; 3] = [0.0, 30.0, 77.0];
 
 /// How well what the plane covers in some mode agrees with what displaced geometry covers: the
 /// least intersection over union of all bearings, at an elevation of the camera.
-///
-/// # Errors
-/// The GPU failed.
 pub fn silhouette_overlap(
-    studio: &mut ReliefStudio,
+    renderer: &mut PomRenderer,
     mode: Mode,
-    knobs: ReliefKnobs,
+    knobs: PomSettings,
     elevation_deg: f64,
 ) -> Result<f64, GpuError> {
     let mut worst = 1.0f64;
     for bearing_deg in BEARINGS_DEG {
         let pose = around(elevation_deg, bearing_deg, 4.2);
-        let truth = studio.cover(&[plane(Mode::Geometry)], pose, knobs)?;
-        worst = worst.min(studio.cover(&[plane(mode)], pose, knobs)?.overlap(&truth));
+        let reference = renderer.cover(&[plane(Mode::Geometry)], pose, knobs)?;
+        worst = worst.min(renderer.cover(&[plane(mode)], pose, knobs)?.overlap(&reference));
     }
     Ok(worst)
 }
@@ -215,34 +189,28 @@ pub fn silhouette_overlap(
 /// How far the line in which the ball is cut by the marched plane is from the one in which
 /// displaced geometry cuts it: the distance in pixels that 99 % of both lines keep, and the length
 /// of the true line. Infinite if either is not there.
-///
-/// # Errors
-/// The GPU failed.
 pub fn cut_distance(
-    studio: &mut ReliefStudio,
-    knobs: ReliefKnobs,
+    renderer: &mut PomRenderer,
+    knobs: PomSettings,
     elevation_deg: f64,
 ) -> Result<(f64, usize), GpuError> {
     let pose = around(elevation_deg, 25.0, 2.6);
-    let truth = studio.cut_line(&plane(Mode::Geometry), &ball(), pose, knobs)?;
-    let own = studio.cut_line(&plane(Mode::Knobs), &ball(), pose, knobs)?;
-    Ok((quantile(&line_distances(&own, &truth), 0.99), truth.len()))
+    let reference = renderer.cut_line(&plane(Mode::Geometry), &ball(), pose, knobs)?;
+    let own = renderer.cut_line(&plane(Mode::Settings), &ball(), pose, knobs)?;
+    Ok((quantile(&line_distances(&own, &reference), 0.99), reference.len()))
 }
 
 /// The plane under measurement.
-#[must_use]
 pub fn plane(mode: Mode) -> Object {
     Object { relief_m: RELIEF_M, ..Object::ground(mode, DVec3::ZERO, SIDE_M, TILE_M) }
 }
 
 /// A ball sunk into it to the middle.
-#[must_use]
 pub fn ball() -> Object {
     Object::ball(DVec3::ZERO, 0.6, Vec3::splat(0.5))
 }
 
 /// A camera on a circle around the plane: degrees above it, degrees around.
-#[must_use]
 pub fn around(elevation_deg: f64, bearing_deg: f64, distance_m: f64) -> Pose {
     let (elevation, yaw) = (elevation_deg.to_radians(), bearing_deg.to_radians());
     let back = DVec3::new(-yaw.sin() * elevation.cos(), elevation.sin(), yaw.cos() * elevation.cos());
@@ -250,8 +218,7 @@ pub fn around(elevation_deg: f64, bearing_deg: f64, distance_m: f64) -> Pose {
 }
 
 /// Distance of each pixel of either line to the nearest one of the other, pixels, in ascending
-/// order; infinite if one line is empty.
-#[must_use]
+/// order; infinite if a line is empty.
 pub fn line_distances(one: &[(i32, i32)], other: &[(i32, i32)]) -> Vec<f64> {
     let nearest = |from: &(i32, i32), line: &[(i32, i32)]| {
         let squares = line.iter().map(|to| (to.0 - from.0).pow(2) + (to.1 - from.1).pow(2));
@@ -259,15 +226,11 @@ pub fn line_distances(one: &[(i32, i32)], other: &[(i32, i32)]) -> Vec<f64> {
     };
     let mut distances: Vec<f64> = one.iter().map(|from| nearest(from, other)).collect();
     distances.extend(other.iter().map(|from| nearest(from, one)));
+    if distances.is_empty() {
+        distances.push(f64::INFINITY);
+    }
     distances.sort_by(f64::total_cmp);
     distances
-}
-
-/// The value below which a share of sorted values lies; infinite of none.
-#[must_use]
-pub fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let index = (share * sorted.len() as f64).ceil() as usize;
-    sorted.get(index.clamp(1, sorted.len().max(1)) - 1).copied().unwrap_or(f64::INFINITY)
 }
 
 #[cfg(test)]
@@ -275,17 +238,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn masks_lines_and_quantiles_say_what_is_the_case() {
+    fn overlap_and_line_distances_are_those_of_known_masks() {
         let mask = |bits: [bool; 4]| Mask(bits.to_vec());
         let (left, all) = (mask([true, true, false, false]), mask([true; 4]));
         assert_eq!((left.overlap(&all), left.overlap(&left), left.count()), (0.5, 1.0, 2));
         assert_eq!(line_distances(&[(0, 0)], &[(3, 4), (0, 1)]), [1.0, 1.0, 5.0]);
         assert_eq!(line_distances(&[(0, 0)], &[]), [f64::INFINITY]);
-        let values: Vec<f64> = (1..=100).map(f64::from).collect();
-        assert_eq!(
-            (quantile(&values, 0.99), quantile(&values, 0.0), quantile(&[], 0.5)),
-            (99.0, 1.0, f64::INFINITY)
-        );
+        assert_eq!(line_distances(&[], &[]), [f64::INFINITY]);
         let light = Light(vec![[0, 0, 0x3c00, 0x7c00], [0x7e00, 0, 0, 0]]);
         assert_eq!(light.unlit(), 1);
     }

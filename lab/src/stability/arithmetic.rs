@@ -5,11 +5,10 @@ use super::check::Check;
 use crate::sample::word;
 use terrain::ring::{mod_floor, mod_trunc};
 
-/// Pseudo-random pairs tried besides the edges.
+/// Pseudo-random pairs tested in addition to the edges.
 const RANDOM_PAIRS: u32 = 200_000;
 
 /// Checks both remainders and the lattice rule `cell = p >> s, inside = p & (2^s - 1)`.
-#[must_use]
 pub fn check() -> Vec<Check> {
     let mut trunc = Check::new("mod_trunc keeps the dividend's sign over all of i32");
     let mut floor = Check::new("mod_floor stays within its divisor over all of i32");
@@ -43,9 +42,7 @@ pub fn check() -> Vec<Check> {
     vec![trunc, floor, lattice]
 }
 
-/// What plain truncation towards zero would make of the lattice: cells of double width around zero.
-/// Must be caught.
-#[must_use]
+/// Control: truncation towards zero gives cells of double width around zero.
 pub fn truncating_control() -> Check {
     let mut lattice = Check::new("cells cut towards zero");
     for p in edges() {
@@ -72,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn remainders_and_cells_are_right_at_both_signs_and_truncation_is_caught() {
+    fn remainders_and_cells_are_right_and_truncation_is_detected() {
         for check in check() {
             assert!(check.holds() && check.cases > 3_000, "{check:?}");
         }

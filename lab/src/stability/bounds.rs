@@ -9,7 +9,7 @@
 //!      <= sum of S_j(u) |( S_i(t) + S_i'(t)(t - i),  S_i'(t)(u - j) )|  =: B(t, u)
 //! ```
 //!
-//! whatever the gradients are. `B` is largest in the middle of a cell, 2.0691; [`NOISE_SLOPE`] is
+//! for any gradients. `B` is largest in the middle of a cell, 2.0691; [`NOISE_SLOPE`] is
 //! above it by more than a search on a grid can have missed (a test does the search). South is the
 //! same with the axes exchanged.
 //!
@@ -31,7 +31,7 @@
 //! **A step.** Heights are whole units and within [`HEIGHT_ERROR`] of the formula, so a step of `n`
 //! units along an axis changes them by at most `n slope + 2 HEIGHT_ERROR`.
 
-use crate::truth::{amplitude_m, cell_m, ease_out};
+use crate::reference_f64::{amplitude_m, cell_m, ease_out};
 use terrain::constants::{OCTAVES, RIDGE_M};
 use terrain::island::Island;
 
@@ -45,18 +45,16 @@ pub const NOISE_VALUE: f64 = 0.7072;
 /// Upper bound of the slope of the beach polynomial: `0.2 + 4.8 r² - 4 r⁴` at `r² = 0.6`.
 pub const BEACH_SLOPE: f64 = 1.64;
 
-/// How far an integer height may be from the formula, units: the promised 1/128 m, half a unit of
+/// How far an integer height may be from the formula, units: the bar of 1/128 m, half a unit of
 /// final rounding included.
 pub const HEIGHT_ERROR: f64 = 2.0;
 
 /// Slope bound of the fractal sum, metres per metre.
-#[must_use]
 pub fn hills_slope() -> f64 {
     (0..OCTAVES).map(|octave| NOISE_SLOPE * amplitude_m(octave) / cell_m(octave)).sum()
 }
 
 /// Slope bound along an axis anywhere on an island, metres per metre.
-#[must_use]
 pub fn land_slope(island: &Island) -> f64 {
     // Per unit of `q` the sum changes by less than 16 (hills 6.5, ridges 3.3, the rest below 5 for
     // radii of 1,536 m and more), so a search in steps of 1/512 misses less than 16 / 1024.
@@ -86,8 +84,8 @@ fn raw_slope(island: &Island, q: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::reference_f64::{ReferenceF64, fade};
     use crate::sample;
-    use crate::truth::{Truth, fade};
     use terrain::Octaves;
     use terrain::island::Archipelago;
 
@@ -120,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn every_island_is_flatter_than_5_6_and_the_smallest_is_the_steepest() {
+    fn every_island_is_flatter_than_5_6() {
         let archipelago = Archipelago::new(3);
         let slopes: Vec<f64> = (-9..9)
             .flat_map(|x| (-9..9).map(move |z| (x, z)))
@@ -133,12 +131,13 @@ mod tests {
 
     #[test]
     fn the_truth_never_climbs_faster_than_its_island_allows() {
-        let (truth, archipelago) = (Truth::new(6), Archipelago::new(6));
+        let (reference, archipelago) = (ReferenceF64::new(6), Archipelago::new(6));
         let mut steepest: f64 = 0.0;
         for (x, z) in sample::land_points(6, 1_000, 2) {
             let Some(island) = archipelago.island_at(x, z) else { continue };
             let rise = |dx, dz| {
-                (truth.height_m(x + dx, z + dz, Octaves::ALL) - truth.height_m(x, z, Octaves::ALL)).abs()
+                (reference.height_m(x + dx, z + dz, Octaves::ALL) - reference.height_m(x, z, Octaves::ALL))
+                    .abs()
                     * 256.0
             };
             let slope = rise(1, 0).max(rise(0, 1));

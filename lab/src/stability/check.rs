@@ -1,16 +1,16 @@
-//! Checks that count what breaks a bound, and remember the worst and the first.
+//! Checks that count violations of a bound, with the worst and the first.
 
 use serde::Serialize;
 use std::fmt::Display;
 
-/// One promise, tried many times.
+/// One property, tested many times.
 #[derive(Clone, Debug, Serialize)]
 pub struct Check {
-    /// The promise.
+    /// The property.
     pub name: String,
-    /// Times that it was tried.
+    /// Cases tested.
     pub cases: u64,
-    /// Times that it was broken.
+    /// Cases that violate it.
     pub violations: u64,
     /// Largest ratio of what was seen to what is allowed; where nothing is allowed, the largest
     /// value seen.
@@ -22,16 +22,16 @@ pub struct Check {
 }
 
 impl Check {
-    /// A promise that was not tried yet.
+    /// A property without tests.
     pub fn new(name: impl Into<String>) -> Self {
         Self { name: name.into(), cases: 0, violations: 0, worst: 0.0, worst_at: String::new(), first: None }
     }
 
-    /// Tries once: `value` must not exceed `allowed` (both at least 0, same unit).
+    /// Tests one case: `value` must not exceed `allowed` (both at least 0, same unit).
     pub fn expect_within(&mut self, value: f64, allowed: f64, place: impl Display) {
         self.cases += 1;
         let ratio = if allowed > 0.0 { value / allowed } else { value };
-        // A value that is no number breaks every promise.
+        // A value that is not a number violates every property.
         let broken = value.is_nan() || value > allowed;
         if ratio > self.worst || ratio.is_nan() {
             (self.worst, self.worst_at) = (ratio, place.to_string());
@@ -47,14 +47,12 @@ impl Check {
         self.expect_within(got.abs_diff(expected) as f64, 0.0, place);
     }
 
-    /// Whether the promise was tried and held.
-    #[must_use]
+    /// Whether the property was tested and holds.
     pub fn holds(&self) -> bool {
         self.cases > 0 && self.violations == 0
     }
 
-    /// Adds what another run of the same promise found.
-    #[must_use]
+    /// Adds the cases of another run.
     pub fn merged(mut self, other: Self) -> Self {
         self.cases += other.cases;
         self.violations += other.violations;
@@ -72,7 +70,7 @@ mod tests {
 
     #[test]
     fn a_check_counts_and_remembers_and_an_untried_one_does_not_hold() {
-        let mut check = Check::new("promise");
+        let mut check = Check::new("property");
         assert!(!check.holds());
         check.expect_within(1.0, 2.0, "here");
         assert!(check.holds() && check.worst == 0.5);
@@ -80,7 +78,7 @@ mod tests {
         check.expect_within(f64::NAN, 2.0, "nowhere");
         assert_eq!((check.cases, check.violations), (3, 2));
         assert!(!check.holds() && check.first.clone().unwrap().contains("there"));
-        let merged = Check::new("promise").merged(check);
+        let merged = Check::new("property").merged(check);
         assert_eq!((merged.cases, merged.violations), (3, 2));
     }
 }

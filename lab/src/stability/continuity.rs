@@ -1,14 +1,14 @@
 //! Continuity: every step across every line of interest, against the analytic bound and against the
-//! truth.
+//! reference.
 //!
 //! The same sweep runs over the integers, which must hold, and over fields that must not: it takes
 //! any height function.
 
 use super::bounds::{HEIGHT_ERROR, land_slope};
 use super::check::Check;
-use super::places::{self, Step, VERTEX_STEP};
+use super::samples::{self, Step, VERTEX_STEP};
+use crate::reference_f64::{ReferenceF64, falloff};
 use crate::sample;
-use crate::truth::{Truth, falloff};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use terrain::Octaves;
@@ -21,7 +21,7 @@ const CORNER_STEPS: i32 = 600;
 /// What the sweep of one world found.
 struct Sweep {
     archipelago: Archipelago,
-    truth: Truth,
+    reference: ReferenceF64,
     /// Slope bounds by island radius, which decides the dome as well but for the home island, whose
     /// radius is its own.
     slopes: HashMap<i32, f64>,
@@ -54,7 +54,7 @@ impl Sweep {
     fn new(seed: u64) -> Self {
         Self {
             archipelago: Archipelago::new(seed),
-            truth: Truth::new(seed),
+            reference: ReferenceF64::new(seed),
             slopes: HashMap::new(),
             unit_steps: Check::new("steps of one unit within the slope bound"),
             vertex_steps: Check::new("steps of one vertex (2 m) within the slope bound"),
@@ -69,11 +69,11 @@ impl Sweep {
     }
 
     fn run(&mut self, stream: u32, height: &dyn Fn(i32, i32) -> f64) {
-        let (archipelago, lines) = (self.archipelago, places::lines());
+        let (archipelago, lines) = (self.archipelago, samples::lines());
         for step in lines.iter().flat_map(|line| line.steps(&archipelago, stream)) {
             self.try_step(step, height);
         }
-        for step in places::corner_walks(CORNER_STEPS) {
+        for step in samples::corner_walks(CORNER_STEPS) {
             self.try_step(step, height);
         }
         for (x, z) in sample::land_vertices(u64::from(stream), 2_000, 31).filter(|(x, _)| *x < WORLD_HALF) {
@@ -88,10 +88,10 @@ impl Sweep {
         let place = || format!("({}, {}) to ({}, {})", from.0, from.1, to.0, to.1);
         let (low, high) = (height(from.0, from.1), height(to.0, to.1));
         for ((x, z), got) in [(from, low), (to, high)] {
-            let truth = self.truth.height_m(x, z, Octaves::ALL) * f64::from(UNITS_PER_METRE);
+            let reference = self.reference.height_m(x, z, Octaves::ALL) * f64::from(UNITS_PER_METRE);
             let is_vertex = x % VERTEX_STEP == 0 && z % VERTEX_STEP == 0;
             let check = if is_vertex { &mut self.at_vertices } else { &mut self.between_vertices };
-            check.expect_within((got - truth).abs(), HEIGHT_ERROR, format_args!("({x}, {z})"));
+            check.expect_within((got - reference).abs(), HEIGHT_ERROR, format_args!("({x}, {z})"));
         }
         let slope = self.slope_at(from).max(self.slope_at(to));
         let rise = (high - low).abs();

@@ -1,7 +1,7 @@
-//! What float noise does far from the origin: 64 samples one unit (1/256 m) apart, at growing
-//! distances.
+//! Float noise far from the origin: 64 samples one unit (1/256 m) apart, at growing distances.
 
-use crate::floats::{RIVAL_PERIOD_M, Rival, rivals};
+use super::baselines::{Baseline, baselines};
+use crate::floats::NOISE_CRATE_PERIOD_M;
 use crate::sample::word;
 use serde::Serialize;
 use terrain::constants::{UNITS_PER_METRE, WORLD_HALF};
@@ -39,15 +39,16 @@ pub struct FloatRow {
 }
 
 /// Measures all fields at all distances.
-#[must_use]
 pub fn measure(world_seed: u64) -> Vec<FloatRow> {
-    let rivals = rivals(world_seed);
-    rivals.iter().flat_map(|rival| DISTANCES_M.map(|distance_m| measure_at(rival, distance_m))).collect()
+    let baselines = baselines(world_seed);
+    baselines
+        .iter()
+        .flat_map(|baseline| DISTANCES_M.map(|distance_m| measure_at(baseline, distance_m)))
+        .collect()
 }
 
 /// Measures one field at one distance.
-#[must_use]
-pub fn measure_at(rival: &Rival, distance_m: i32) -> FloatRow {
+pub fn measure_at(baseline: &Baseline, distance_m: i32) -> FloatRow {
     let (mut distinct, mut largest, mut stuck, mut repeats) = (Vec::new(), 0.0f64, 0u32, true);
     for line in 0..LINES {
         let (first, second) = (word(0xf10a7, 2 * line), word(0xf10a7, 2 * line + 1));
@@ -55,12 +56,12 @@ pub fn measure_at(rival: &Rival, distance_m: i32) -> FloatRow {
         // alike.
         let x = distance_m * UNITS_PER_METRE + ((first >> 14) | 1) as i32;
         let z = ((second as i32) >> 1) / (WORLD_HALF / (distance_m * UNITS_PER_METRE)).max(1);
-        let values: Vec<f64> = (0..SAMPLES).map(|n| (rival.relief_m)(x + n, z)).collect();
+        let values: Vec<f64> = (0..SAMPLES).map(|n| (baseline.relief_m)(x + n, z)).collect();
         for pair in values.windows(2) {
             largest = largest.max((pair[1] - pair[0]).abs());
             stuck += u32::from(pair[0] == pair[1]);
         }
-        let west = (rival.relief_m)(x - RIVAL_PERIOD_M * UNITS_PER_METRE, z);
+        let west = (baseline.relief_m)(x - NOISE_CRATE_PERIOD_M * UNITS_PER_METRE, z);
         repeats &= (west - values[0]).abs() < 1e-6;
         let mut sorted = values;
         sorted.sort_by(f64::total_cmp);
@@ -68,12 +69,12 @@ pub fn measure_at(rival: &Rival, distance_m: i32) -> FloatRow {
         distinct.push(sorted.len());
     }
     FloatRow {
-        field: rival.name,
+        field: baseline.name,
         distance_m,
         distinct_mean: distinct.iter().sum::<usize>() as f64 / f64::from(LINES),
         distinct_least: distinct.into_iter().min().unwrap_or_default(),
         largest_jump_m: largest,
-        jump_over_bound: largest / (rival.slope / f64::from(UNITS_PER_METRE)),
+        jump_over_bound: largest / (baseline.slope / f64::from(UNITS_PER_METRE)),
         stuck: f64::from(stuck) / f64::from(LINES * (SAMPLES as u32 - 1)),
         repeats,
     }
@@ -85,12 +86,12 @@ mod tests {
 
     #[test]
     fn ours_stays_fine_at_every_distance_and_f32_does_not() {
-        let rivals = rivals(1);
+        let baselines = baselines(1);
         for distance_m in DISTANCES_M {
-            let row = measure_at(&rivals[0], distance_m);
+            let row = measure_at(&baselines[0], distance_m);
             assert!(row.distinct_mean > 50.0 && row.jump_over_bound < 1.5 && !row.repeats, "{row:?}");
         }
-        let far = measure_at(&rivals[1], 4_000_000);
+        let far = measure_at(&baselines[1], 4_000_000);
         assert!(far.distinct_mean < 4.0 && far.stuck > 0.9 && far.jump_over_bound > 5.0, "{far:?}");
     }
 }

@@ -10,7 +10,7 @@ use std::fmt;
 pub struct Report {
     /// Worlds swept.
     pub worlds: u32,
-    /// Promises about the land: all must hold.
+    /// Properties of the land: all must hold.
     pub checks: Vec<Check>,
     /// The same sweeps over broken fields: none may hold.
     pub controls: Vec<Check>,
@@ -19,17 +19,17 @@ pub struct Report {
 }
 
 impl Report {
-    /// Whether all promises held and all controls failed.
+    /// Whether all properties hold and all controls fail.
     ///
     /// # Errors
     /// One line with the first that did not.
     pub fn verdict(&self) -> Result<(), String> {
         if let Some(check) = self.checks.iter().find(|check| !check.holds()) {
-            let first = check.first.as_deref().unwrap_or("it was never tried");
-            return Err(format!("`{}` is broken {} times; first: {first}", check.name, check.violations));
+            let first = check.first.as_deref().unwrap_or("it was never tested");
+            return Err(format!("`{}` is violated {} times; first: {first}", check.name, check.violations));
         }
         if let Some(control) = self.controls.iter().find(|control| control.violations == 0) {
-            return Err(format!("the control `{}` found nothing: the sweep is blind", control.name));
+            return Err(format!("the control `{}` found nothing: the sweep detects nothing", control.name));
         }
         Ok(())
     }
@@ -39,16 +39,20 @@ impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "{:<66} {:>10} {:>7} {:>8}",
-            format!("promise ({} worlds)", self.worlds),
+            "{:<66} {:>10} {:>8} {:>8}",
+            format!("property ({} worlds)", self.worlds),
             "cases",
-            "broken",
+            "violated",
             "worst"
         )?;
         for check in &self.checks {
             write_row(f, check)?;
         }
-        writeln!(f, "\n{:<66} {:>10} {:>7} {:>8}", "control, must be broken", "cases", "broken", "worst")?;
+        writeln!(
+            f,
+            "\n{:<66} {:>10} {:>8} {:>8}",
+            "control, must be violated", "cases", "violated", "worst"
+        )?;
         for control in &self.controls {
             write_row(f, control)?;
         }
@@ -84,7 +88,7 @@ impl fmt::Display for Report {
 }
 
 fn write_row(f: &mut fmt::Formatter<'_>, check: &Check) -> fmt::Result {
-    writeln!(f, "{:<66} {:>10} {:>7} {:>8.2}", check.name, check.cases, check.violations, check.worst)?;
+    writeln!(f, "{:<66} {:>10} {:>8} {:>8.2}", check.name, check.cases, check.violations, check.worst)?;
     match &check.first {
         Some(first) => writeln!(f, "    first: {first}; worst at {}", check.worst_at),
         None => Ok(()),
@@ -96,7 +100,7 @@ mod tests {
     use super::*;
 
     fn check(violations: u64) -> Check {
-        Check { cases: 5, violations, ..Check::new("promise") }
+        Check { cases: 5, violations, ..Check::new("property") }
     }
 
     fn report(checks: Vec<Check>, controls: Vec<Check>) -> Report {
@@ -104,10 +108,10 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_promise_an_untried_one_and_a_blind_control_all_fail() {
+    fn a_violation_an_untested_property_and_a_passing_control_fail() {
         assert_eq!(report(vec![check(0)], vec![check(2)]).verdict(), Ok(()));
-        assert!(report(vec![check(1)], vec![check(2)]).verdict().unwrap_err().contains("broken 1 times"));
-        assert!(report(vec![Check::new("p")], vec![]).verdict().unwrap_err().contains("never tried"));
-        assert!(report(vec![check(0)], vec![check(0)]).verdict().unwrap_err().contains("blind"));
+        assert!(report(vec![check(1)], vec![check(2)]).verdict().unwrap_err().contains("violated 1 times"));
+        assert!(report(vec![Check::new("p")], vec![]).verdict().unwrap_err().contains("never tested"));
+        assert!(report(vec![check(0)], vec![check(0)]).verdict().unwrap_err().contains("detects nothing"));
     }
 }

@@ -40,7 +40,6 @@ pub const VERTEX_STEP: i32 = 1 << SPACING_BITS;
 const LAND_CROSSINGS: u32 = 24;
 
 /// Every line to cross.
-#[must_use]
 pub fn lines() -> Vec<Line> {
     let mut lines = Vec::new();
     for along_x in [false, true] {
@@ -80,7 +79,6 @@ fn multiples_of_interest(bits: u32) -> impl Iterator<Item = i64> {
 impl Line {
     /// The steps across this line in a world: one unit at a time from two units before to two
     /// behind, and from vertex to vertex.
-    #[must_use]
     pub fn steps(&self, archipelago: &Archipelago, stream: u32) -> Vec<Step> {
         let mut steps = Vec::new();
         for along in self.crossings(archipelago, stream) {
@@ -164,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_of_every_octave_lie_on_both_sides_of_both_axes_and_near_every_border() {
+    fn every_octave_has_lines_on_both_sides_and_near_the_borders() {
         let lines = lines();
         for along_x in [false, true] {
             for bits in (FIRST_CELL_BITS - 7)..=FIRST_CELL_BITS {

@@ -28,7 +28,6 @@ const PLACES: [(i32, i32); 13] = [
 const LAND_PLACES: u32 = 12;
 
 /// Looks at all seams of a world.
-#[must_use]
 pub fn check(land: &Land) -> Vec<Check> {
     let mut seams = Seams {
         land,
@@ -48,7 +47,6 @@ pub fn check(land: &Land) -> Vec<Check> {
 }
 
 /// The seam between two different worlds: must be caught.
-#[must_use]
 pub fn control() -> Check {
     let keys = [0, 1].map(|x| ChunkKey::new(0, x, 0).expect("a chunk at the origin"));
     let (here, east) = (Land::new(1).chunk_heights(keys[0]), Land::new(2).chunk_heights(keys[1]));

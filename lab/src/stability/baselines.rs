@@ -1,0 +1,89 @@
+//! Fields that the stability sweep compares: ours in fixed point and in f32, and the `noise` crate
+//! (0.9) with f64 coordinates and with coordinates rounded to f32, as in a vertex buffer.
+
+use super::bounds::NOISE_SLOPE;
+use crate::floats::{FloatLand, TOTAL_M, metres, metres_f32, noise_crate};
+use crate::reference_f64::{amplitude_m, cell_m};
+use noise::{NoiseFn, Perlin};
+use terrain::Octaves;
+use terrain::constants::{FINE_BITS, OCTAVES};
+
+/// A field of relief over the whole world, metres.
+pub struct Baseline {
+    /// What it is.
+    pub name: &'static str,
+    /// Upper bound of its slope along an axis in real arithmetic, metres per metre.
+    pub slope: f64,
+    /// Relief (metres) at a position (units).
+    pub relief_m: Box<dyn Fn(i32, i32) -> f64 + Sync>,
+}
+
+/// All fields, ours first.
+pub fn baselines(world_seed: u64) -> Vec<Baseline> {
+    let fixed = terrain::noise::Fbm::new(world_seed);
+    let float = FloatLand::new(world_seed);
+    let (sum, sum_f32) = (noise_crate(world_seed as u32), noise_crate(world_seed as u32));
+    let (perlin, perlin_f32) = (Perlin::new(world_seed as u32), Perlin::new(world_seed as u32));
+    // Its gradients are (±1, ±1) and its octave is scaled by √2: twice a unit gradient's.
+    let ours = NOISE_SLOPE * (0..OCTAVES).map(|octave| amplitude_m(octave) / cell_m(octave)).sum::<f64>();
+    let finest = 1.0 / cell_m(OCTAVES - 1);
+    vec![
+        Baseline {
+            name: "ours, fixed point",
+            slope: ours,
+            relief_m: Box::new(move |x, z| {
+                f64::from(fixed.at(x, z, Octaves::ALL).hills) / f64::from(1i32 << FINE_BITS)
+            }),
+        },
+        Baseline {
+            name: "our formula in f32",
+            slope: ours,
+            relief_m: Box::new(move |x, z| f64::from(float.fractal_sum(metres_f32(x), metres_f32(z)).0)),
+        },
+        Baseline {
+            name: "noise 0.9 Fbm<Perlin>, f32 coordinates",
+            slope: 2.0 * ours,
+            relief_m: Box::new(move |x, z| {
+                TOTAL_M * sum_f32.get([f64::from(metres_f32(x)), f64::from(metres_f32(z))])
+            }),
+        },
+        Baseline {
+            name: "noise 0.9 Fbm<Perlin>, f64 coordinates",
+            slope: 2.0 * ours,
+            relief_m: Box::new(move |x, z| TOTAL_M * sum.get([metres(x), metres(z)])),
+        },
+        Baseline {
+            name: "noise 0.9 Perlin (8 m), f32 coordinates",
+            slope: 2.0 * NOISE_SLOPE * finest,
+            relief_m: Box::new(move |x, z| {
+                perlin_f32.get([f64::from(metres_f32(x)) * finest, f64::from(metres_f32(z)) * finest])
+            }),
+        },
+        Baseline {
+            name: "noise 0.9 Perlin (8 m), f64 coordinates",
+            slope: 2.0 * NOISE_SLOPE * finest,
+            relief_m: Box::new(move |x, z| perlin.get([metres(x) * finest, metres(z) * finest])),
+        },
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::floats::NOISE_CRATE_PERIOD_M;
+    use crate::sample;
+    use terrain::constants::UNITS_PER_METRE;
+
+    #[test]
+    fn the_noise_crate_repeats_every_256_cells_and_ours_does_not() {
+        let shift = NOISE_CRATE_PERIOD_M * UNITS_PER_METRE;
+        for baseline in baselines(3) {
+            let repeats = sample::world_points(200, 8).all(|(x, z)| {
+                let (x, z) = (x >> 6, z >> 6);
+                ((baseline.relief_m)(x, z) - (baseline.relief_m)(x + shift, z)).abs() < 1e-6
+            });
+            let is_f64 = baseline.name.contains("f64");
+            assert!(repeats == is_f64 || baseline.name.contains("f32"), "{}", baseline.name);
+        }
+    }
+}
