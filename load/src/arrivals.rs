@@ -76,7 +76,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_same_seed_and_client_have_the_same_arrivals_in_order(seed: u32, index in 0..100_000u32, rate in 0.1..200.0f64) {
+        fn arrivals_are_ordered_and_depend_on_seed_and_client_only(
+            seed: u32, index in 0..100_000u32, rate in 0.1..200.0f64,
+        ) {
             let once = times(seed, index, rate, 5);
             prop_assert_eq!(&once, &times(seed, index, rate, 5));
             prop_assert!(once.windows(2).all(|pair| pair[0] <= pair[1]));

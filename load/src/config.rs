@@ -20,10 +20,12 @@ pub struct Args {
     #[arg(long, value_name = "URL", default_value = "ws://127.0.0.1:7580/v1/stream")]
     pub connect: String,
     /// Number of clients, 1 to 100000
-    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 16,
+          value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub clients: u32,
     /// Length of the run in seconds, 1 to 86400
-    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    #[arg(long, value_name = "S", default_value_t = 10,
+          value_parser = clap::value_parser!(u64).range(1..=86_400))]
     pub seconds: u64,
     /// File for the report as JSON
     #[arg(long, value_name = "FILE")]
@@ -44,24 +46,29 @@ pub struct Args {
     #[arg(long, value_name = "MODE", value_enum, default_value_t = Mode::View)]
     pub mode: Mode,
     /// Requests (in view mode poses) a second over all clients, 0.01 to 1000000, at times that do
-    /// not depend on the server (an open loop). Latency counts from these times, so it includes late
-    /// sends [default: a closed loop, in which each client waits for answers]
+    /// not depend on the server (an open loop). Latency counts from these times, so it includes
+    /// late sends [default: a closed loop, in which each client waits for answers]
     #[arg(long, value_name = "R", value_parser = rate)]
     pub rate: Option<f64>,
     /// Before the run, fly the first S seconds of the same paths, 0 to 86400. Reported separately:
     /// this phase is `cold`; the run itself, in which clients start again with new sessions and no
     /// chunks, is `warm`
-    #[arg(long, value_name = "S", allow_negative_numbers = true, default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=86_400))]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, default_value_t = 0,
+          value_parser = clap::value_parser!(u64).range(0..=86_400))]
     pub warm_up: u64,
-    /// Additional clients that read only --slow-rate bytes a second, 0 to 10000; reported separately
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=10_000))]
+    /// Additional clients that read only --slow-rate bytes a second, 0 to 10000; reported
+    /// separately
+    #[arg(long, value_name = "N", default_value_t = 0,
+          value_parser = clap::value_parser!(u32).range(0..=10_000))]
     pub slow: u32,
     /// Read rate of each slow client, bytes a second, 1 to 1000000
-    #[arg(long, value_name = "BYTES", default_value_t = 2048, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "BYTES", default_value_t = 2048,
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub slow_rate: u32,
-    /// Additional idle clients, 0 to 10000, that send no Hello or, every other one, one view and then
-    /// nothing; reported separately
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=10_000))]
+    /// Additional idle clients, 0 to 10000, that send no Hello or, every other one, one view and
+    /// then nothing; reported separately
+    #[arg(long, value_name = "N", default_value_t = 0,
+          value_parser = clap::value_parser!(u32).range(0..=10_000))]
     pub silent: u32,
     /// File for a plot of latency and throughput over time, .png
     #[arg(long, value_name = "FILE")]

@@ -124,8 +124,8 @@ impl ExpectedChunks {
         self.n_requests = self.requests.values().map(VecDeque::len).sum();
     }
 
-    /// Classifies a chunk that arrived and adds it to the held chunks. Also returns a key to release
-    /// if too many are held.
+    /// Classifies a chunk that arrived and adds it to the held chunks. Also returns a key to
+    /// release if too many are held.
     pub fn receive(&mut self, key: ChunkKey, now: Instant) -> (ChunkStatus, Option<ChunkKey>) {
         let arrival = match self.answered(key) {
             Some(request) => ChunkStatus::Requested(now.saturating_duration_since(request.since)),

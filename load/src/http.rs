@@ -1,5 +1,5 @@
-//! A client over HTTP, like a browser cache or a proxy: one persistent connection, one GET at a time,
-//! conditional for chunks that it has received before.
+//! A client over HTTP, like a browser cache or a proxy: one persistent connection, one GET at a
+//! time, conditional for chunks that it has received before.
 
 mod connection;
 

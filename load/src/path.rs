@@ -44,7 +44,7 @@ impl PathKind {
     }
 }
 
-/// Middles of paths fault within this distance of the origin on each axis, metres. With the farthest
+/// Centres of paths are within this distance of the origin on each axis, metres. With the farthest
 /// that a path leads from its middle (2,500 m) it stays over the home island (6,656 m).
 const REACH_M: f64 = 3_000.0;
 
@@ -216,7 +216,8 @@ mod tests {
             let path = FlightPath::new(kind, seed, index);
             let (now, next) = (path.motion(seconds), path.motion(seconds + 1e-3));
             // At the end of a leg or stay the motion changes between the two poses.
-            prop_assume!(now.velocity == path.motion(seconds + 2e-3).velocity || kind == PathKind::Fly || kind == PathKind::Spawn);
+            let is_curved = kind == PathKind::Fly || kind == PathKind::Spawn;
+            prop_assume!(now.velocity == path.motion(seconds + 2e-3).velocity || is_curved);
             let moved = (next.place_m.0 - now.place_m.0, next.place_m.1 - now.place_m.1);
             let speed = now.velocity.0.hypot(now.velocity.1);
             let jumped = kind == PathKind::Teleport && moved != (0.0, 0.0);

@@ -43,8 +43,8 @@ impl Phase {
         self.start + self.length
     }
 
-    /// When a client connects, since the start of the run. Clients are spread over at most the first
-    /// fifth of the phase, so that the accept queue is not measured, unless `at_once`.
+    /// When a client connects, since the start of the run. Clients are spread over at most the
+    /// first fifth of the phase, so that the accept queue is not measured, unless `at_once`.
     #[must_use]
     pub fn client_start(&self, index: u32, n_clients: u32, at_once: bool) -> Duration {
         let step = if at_once { Duration::ZERO } else { RAMP_STEP.min(self.length / 5 / n_clients.max(1)) };

@@ -108,7 +108,8 @@ fn subtitle(report: &Report) -> String {
     let quantile = |value: Option<f64>| value.map_or("-".into(), |ms| format!("{ms:.1} ms"));
     let megabytes = report.bytes as f64 / 1e6;
     format!(
-        "{} chunks, {megabytes:.1} MB in {:.0} s; {} p50 {}, p99 {}, max {}; {} mismatches, {} dropped, {} refused",
+        "{} chunks, {megabytes:.1} MB in {:.0} s; {} p50 {}, p99 {}, max {}; {} mismatches, \
+         {} dropped, {} refused",
         report.chunks,
         report.seconds,
         report.measures,

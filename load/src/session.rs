@@ -29,15 +29,16 @@ use terrain::{Chunk, Land};
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::{Error, Message};
 
-/// Credit window, chunks. Enough to hide a round trip, few enough that a new view takes effect soon.
+/// Credit window, chunks. Enough to hide a round trip, few enough that a new view takes effect
+/// soon.
 const WINDOW: u32 = 64;
 
 /// The same for a slow client: the maximum, so that credit never limits what the server has to
 /// send.
 const WINDOW_SLOW: u32 = MAX_CREDITS;
 
-/// Frames after which a session yields. A frame takes about 0.1 ms to decode or generate and verify;
-/// without yielding a burst would delay the clocks of all sessions.
+/// Frames after which a session yields. A frame takes about 0.1 ms to decode or generate and
+/// verify; without yielding a burst would delay the clocks of all sessions.
 const YIELD_EVERY: u32 = 16;
 
 /// One session from connect to close.

@@ -1,8 +1,8 @@
 //! A slow client: a viewer on a bad link, or a cheap attack.
 //!
 //! It sends views like other clients and verifies chunks, but its read rate is limited, and it
-//! grants the maximal credit, so that the server always has data to send. That the server closes the
-//! connection is no fault; closes are counted by reason. A slow client does not reconnect.
+//! grants the maximal credit, so that the server always has data to send. That the server closes
+//! the connection is no fault; closes are counted by reason. A slow client does not reconnect.
 
 use crate::dial::Dial;
 use crate::schedule::Schedule;

@@ -172,6 +172,14 @@ mod tests {
         Land::new(1)
     }
 
+    /// The difference to local generation.
+    fn difference(chunk: &Chunk) -> String {
+        match regeneration(&land(), chunk, Delivery::Exact) {
+            Err(Mismatch::Generation { what, .. }) => what,
+            other => panic!("{other:?}"),
+        }
+    }
+
     fn chunk(level: u8, x: i32, z: i32) -> Chunk {
         land().chunk(ChunkKey::new(level, x, z).unwrap())
     }
@@ -196,9 +204,9 @@ mod tests {
     fn a_wrong_height_is_found_by_local_generation() {
         let correct = chunk(0, 3, -7);
         for vertex in [0, 64, VERTICES * 10 + 7, VERTEX_COUNT - 1] {
-            let fault = with_wrong_height(&correct, vertex);
-            assert_eq!(pyramids(&fault), Ok(()), "its own pyramids fit; only generation shows it");
-            let Err(Mismatch::Generation { what, .. }) = regeneration(&land(), &fault, Delivery::Exact)
+            let wrong = with_wrong_height(&correct, vertex);
+            assert_eq!(pyramids(&wrong), Ok(()), "its own pyramids fit; only generation shows it");
+            let Err(Mismatch::Generation { what, .. }) = regeneration(&land(), &wrong, Delivery::Exact)
             else {
                 panic!("vertex {vertex} passed");
             };
@@ -208,16 +216,12 @@ mod tests {
 
     #[test]
     fn wrong_errors_and_grass_are_found_by_local_generation() {
-        let mut fault = chunk(2, 1, 1);
-        fault.error += 1;
-        assert!(
-            matches!(regeneration(&land(), &fault, Delivery::Exact), Err(Mismatch::Generation { what, .. }) if what.contains("error"))
-        );
-        let mut fault = chunk(0, 3, -7);
-        fault.grass.seed ^= 1;
-        assert!(
-            matches!(regeneration(&land(), &fault, Delivery::Exact), Err(Mismatch::Generation { what, .. }) if what.contains("grass"))
-        );
+        let mut wrong = chunk(2, 1, 1);
+        wrong.error += 1;
+        assert!(difference(&wrong).contains("error"));
+        let mut wrong = chunk(0, 3, -7);
+        wrong.grass.seed ^= 1;
+        assert!(difference(&wrong).contains("grass"));
     }
 
     #[test]
@@ -226,9 +230,9 @@ mod tests {
         for vertex in 0..VERTEX_COUNT {
             // The pyramids are still those of the original heights.
             for (height, which) in [(correct.max() + 1, "max"), (correct.min() - 1, "min")] {
-                let mut fault = correct.clone();
-                fault.heights[vertex] = height;
-                let found = pyramids(&fault);
+                let mut wrong = correct.clone();
+                wrong.heights[vertex] = height;
+                let found = pyramids(&wrong);
                 assert!(
                     matches!(&found, Err(Mismatch::Pyramid { which: w, level: 0, .. }) if *w == which),
                     "vertex {vertex}: {found:?}"
@@ -240,11 +244,11 @@ mod tests {
     #[test]
     fn pyramids_of_other_heights_are_found() {
         let (correct, other) = (chunk(0, 3, -7), chunk(0, 60, 60));
-        let fault = Chunk { max_pyramid: other.max_pyramid.clone(), ..correct.clone() };
-        assert!(matches!(pyramids(&fault), Err(Mismatch::Pyramid { which: "max", level: 0, texel: 0, .. })));
+        let wrong = Chunk { max_pyramid: other.max_pyramid.clone(), ..correct.clone() };
+        assert!(matches!(pyramids(&wrong), Err(Mismatch::Pyramid { which: "max", level: 0, texel: 0, .. })));
         // A sea floor below the land is a valid, loose lower bound; a hill above it is none.
-        let fault = Chunk { min_pyramid: correct.min_pyramid.clone(), ..other };
-        assert!(matches!(pyramids(&fault), Err(Mismatch::Pyramid { which: "min", .. })));
+        let wrong = Chunk { min_pyramid: correct.min_pyramid.clone(), ..other };
+        assert!(matches!(pyramids(&wrong), Err(Mismatch::Pyramid { which: "min", .. })));
     }
 
     #[test]
@@ -277,8 +281,8 @@ mod tests {
             software: String::new(),
         };
         assert_eq!(world(&correct).map(|land| land.world_seed()), Ok(1));
-        let fault = world(&Welcome { world_seed: 2, ..correct.clone() }).unwrap_err();
-        let text = fault.to_string();
+        let wrong = world(&Welcome { world_seed: 2, ..correct.clone() }).unwrap_err();
+        let text = wrong.to_string();
         assert!(text.contains(&land().digest().to_string()) && text.contains("seed 2"), "{text}");
         let newer = world(&Welcome { generator_version: 99, ..correct }).unwrap_err();
         assert_eq!(newer, Mismatch::Generator { theirs: 99 });

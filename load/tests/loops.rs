@@ -62,7 +62,8 @@ async fn calm(mode: Mode, rate: Option<f64>) -> Report {
 
 #[tokio::test(start_paused = true)]
 async fn an_open_loop_shows_a_stall_that_a_closed_loop_hides() {
-    // A fifth of the run is stalled, so a tenth of the arrivals is expected to wait a second or more.
+    // A fifth of the run is stalled, so a tenth of the arrivals is expected to wait a second or
+    // more.
     let service_ms = SERVICE.as_secs_f64() * 1e3;
     for mode in [Mode::Http, Mode::Explicit] {
         let closed = stalled(mode, None).await;

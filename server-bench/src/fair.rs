@@ -135,9 +135,9 @@ async fn keep_requesting(
                     outcome.refused += usize::from(Instant::now() >= from);
                     return;
                 };
-                let asked = chunk_codec::kind_and_key(frame).ok().and_then(|(_, key)| open.remove(&key));
-                if let Some(asked) = asked.filter(|_| Instant::now() >= from) {
-                    outcome.latencies.push(asked.elapsed());
+                let sent = chunk_codec::kind_and_key(frame).ok().and_then(|(_, key)| open.remove(&key));
+                if let Some(sent) = sent.filter(|_| Instant::now() >= from) {
+                    outcome.latencies.push(sent.elapsed());
                 }
             })
             .await?;

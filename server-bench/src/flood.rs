@@ -189,8 +189,8 @@ async fn polite(address: SocketAddr, keys: Vec<ChunkKey>, end: Instant) -> Resul
             _ = ticks.tick() => true,
             received = connection.receive(|received| match received {
                 Received::Chunk(frame) => {
-                    let asked = chunk_codec::kind_and_key(frame).ok().and_then(|(_, key)| open.remove(&key));
-                    latencies.extend(asked.map(|asked| asked.elapsed()));
+                    let sent = chunk_codec::kind_and_key(frame).ok().and_then(|(_, key)| open.remove(&key));
+                    latencies.extend(sent.map(|sent| sent.elapsed()));
                 }
                 Received::Message(protocol::message::ServerMessage::Refused(_)) => refused += 1,
                 Received::Message(_) => {}
@@ -216,9 +216,9 @@ async fn probe(address: SocketAddr, end: Instant) -> Result<Vec<Duration>> {
     let mut ticks = tokio::time::interval(PROBE_INTERVAL);
     while Instant::now() < end {
         ticks.tick().await;
-        let asked = Instant::now();
+        let sent = Instant::now();
         let answer = tokio::time::timeout(PROBE_TIMEOUT, get(address, "/livez")).await;
-        latencies.push(if matches!(answer, Ok(Ok(_))) { asked.elapsed() } else { PROBE_TIMEOUT });
+        latencies.push(if matches!(answer, Ok(Ok(_))) { sent.elapsed() } else { PROBE_TIMEOUT });
     }
     Ok(latencies)
 }

@@ -23,10 +23,12 @@ struct Args {
     #[arg(value_name = "BENCH", value_enum)]
     bench: Bench,
     /// Rounds, 1 to 100; figures are medians over them unless their note says otherwise
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    #[arg(long, value_name = "N", default_value_t = 3,
+          value_parser = clap::value_parser!(u32).range(1..=100))]
     rounds: u32,
     /// Length of each timed part in seconds, 1 to 3600
-    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=3600))]
+    #[arg(long, value_name = "S", default_value_t = 10,
+          value_parser = clap::value_parser!(u64).range(1..=3600))]
     seconds: u64,
     /// Server program to measure [default: tombolo-server beside this program]
     #[arg(long, value_name = "FILE")]

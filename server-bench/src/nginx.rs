@@ -121,9 +121,11 @@ fn configuration(folder: &Path, port: u16) -> String {
          events {{ worker_connections 4096; multi_accept on; }}\n\
          http {{ access_log off; sendfile off; tcp_nodelay on; keepalive_requests 1000000000;\n\
          open_file_cache max=4096 inactive=3600s; open_file_cache_valid 3600s;\n\
-         client_body_temp_path {folder}/body; proxy_temp_path {folder}/proxy; fastcgi_temp_path {folder}/fastcgi;\n\
+         client_body_temp_path {folder}/body; proxy_temp_path {folder}/proxy;\n\
+         fastcgi_temp_path {folder}/fastcgi;\n\
          uwsgi_temp_path {folder}/uwsgi; scgi_temp_path {folder}/scgi;\n\
-         server {{ listen 127.0.0.1:{port} backlog=4096; root {folder}/www; default_type application/octet-stream; }} }}\n"
+         server {{ listen 127.0.0.1:{port} backlog=4096; root {folder}/www;\n\
+         default_type application/octet-stream; }} }}\n"
     )
 }
 

@@ -260,7 +260,8 @@ async fn capacity(server: &ServerProcess, keys: &[ChunkKey], length: Duration) -
     Ok(count as f64 / started.elapsed().as_secs_f64())
 }
 
-/// Sends requests at one rate (a second, all connections together) after the other, each for a time.
+/// Sends requests at one rate after the other, each for a time. Rates are requests a second over
+/// all connections.
 async fn send_at_rates(
     server: &ServerProcess,
     keys: &[ChunkKey],
@@ -340,7 +341,9 @@ async fn send_in_bursts(
             }
             received = connection.receive(|received| {
                 let (key, is_chunk) = match received {
-                    Received::Chunk(frame) => (chunk_codec::kind_and_key(frame).ok().map(|(_, key)| key), true),
+                    Received::Chunk(frame) => {
+                        (chunk_codec::kind_and_key(frame).ok().map(|(_, key)| key), true)
+                    }
                     Received::Message(ServerMessage::Refused(refused)) => {
                         (refused.key.and_then(|key| key.check().ok()), false)
                     }

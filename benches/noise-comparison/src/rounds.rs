@@ -136,7 +136,7 @@ impl<'a> Contender<'a> {
     }
 
     /// The first undisturbed slice; after [`MAX_ATTEMPTS`] the least disturbed one.
-    fn quiet_slice(&mut self, first: usize) -> Slice {
+    fn undisturbed_slice(&mut self, first: usize) -> Slice {
         let mut best = self.slice(first);
         for _ in 1..MAX_ATTEMPTS {
             if !best.is_disturbed() {
@@ -178,7 +178,7 @@ pub fn run(contenders: &mut [Contender<'_>], rounds: usize) -> (Times, usize) {
         for turn in 0..contenders.len() {
             // A core may be slower after AVX-512 code; the rotation spreads that over all.
             let contender = &mut contenders[(turn + round) % contenders.len()];
-            let slice = contender.quiet_slice(round * 131);
+            let slice = contender.undisturbed_slice(round * 131);
             disturbed += usize::from(slice.is_disturbed());
             times.add(&contender.name, slice.seconds / contender.calls as f64);
         }
