@@ -1,36 +1,36 @@
-//! Land of another shape: the local land with every chunk's heights passed through a function.
+//! Deformed land: the local land with every chunk's heights passed through a function.
 
-use client::feed::{Feed, FeedEvent, LocalFeed, Traffic};
+use client::stream::{ChunkStream, LocalStream, StreamEvent, Traffic};
 use protocol::Delivery;
 use protocol::view::View;
 use terrain::constants::VERTEX_COUNT;
 use terrain::{Chunk, ChunkKey};
 
-/// Changes the heights of a chunk (units) and returns the error that they have then.
-pub type Mold = fn(ChunkKey, &mut [i32; VERTEX_COUNT], u32) -> u32;
+/// Changes the heights of a chunk (units) and returns their error.
+pub type Deformation = fn(ChunkKey, &mut [i32; VERTEX_COUNT], u32) -> u32;
 
-/// The local land, molded.
+/// The local land, deformed.
 #[derive(Debug)]
-pub struct Molded {
-    land: LocalFeed,
-    mold: Mold,
+pub struct DeformedSource {
+    land: LocalStream,
+    deformation: Deformation,
 }
 
-impl Molded {
-    /// The land of a seed in another shape.
+impl DeformedSource {
+    /// The land of a seed, deformed.
     #[must_use]
-    pub fn new(world_seed: u64, mold: Mold) -> Self {
-        Self { land: LocalFeed::new(world_seed), mold }
+    pub fn new(world_seed: u64, deformation: Deformation) -> Self {
+        Self { land: LocalStream::new(world_seed), deformation }
     }
 }
 
-impl Feed for Molded {
-    fn poll(&mut self) -> Option<FeedEvent> {
+impl ChunkStream for DeformedSource {
+    fn poll(&mut self) -> Option<StreamEvent> {
         Some(match self.land.poll()? {
-            FeedEvent::Chunk(chunk) => {
+            StreamEvent::Chunk(chunk) => {
                 let Chunk { key, mut heights, error, grass, .. } = *chunk;
-                let error = (self.mold)(key, &mut heights, error);
-                FeedEvent::Chunk(Box::new(Chunk::from_parts(key, heights, error, grass)))
+                let error = (self.deformation)(key, &mut heights, error);
+                StreamEvent::Chunk(Box::new(Chunk::from_parts(key, heights, error, grass)))
             }
             event => event,
         })

@@ -1,32 +1,36 @@
-//! A server that keeps the protocol and lies about the land: the session machine over real sockets,
-//! with frames of a suite's choice.
+//! A server that follows the protocol and sends wrong chunks: the session machine over real
+//! sockets, with frames from a function of the suite.
 
 use bytes::Bytes;
 use futures_util::{SinkExt, StreamExt};
 use protocol::server::{ServerOffer, ServerSession};
-use protocol::{Delivery, Incoming, SUBPROTOCOL};
+use protocol::{DataFrame, Delivery, SUBPROTOCOL};
 use terrain::{ChunkKey, Land, WorldDigest};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_tungstenite::accept_hdr_async;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::handshake::server::{ErrorResponse, Request, Response};
 
-/// Makes the frame of a chunk for a delivery.
+/// Encodes the frame of a chunk for a delivery.
 pub type Frames = fn(&Land, ChunkKey, Delivery) -> Bytes;
 
-/// A lying server on a free port; it ends with the suite's runtime.
-pub struct Liar {
-    /// The WebSocket address of the session door.
+/// A faulty server on a free port; it ends with the suite's runtime.
+pub struct FaultyServer {
+    /// The WebSocket URL of the stream endpoint.
     pub stream_url: String,
 }
 
-impl Liar {
-    /// Serves seed 1, announced under a digest.
+impl FaultyServer {
+    /// Serves seed 1 under an announced digest.
     pub async fn start(announced: WorldDigest, frames: Frames) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a loopback port is free");
         let address = listener.local_addr().expect("a bound listener has an address");
-        let offer =
-            ServerOffer { land: Land::new(1), digest: announced, token: None, software: "liar".into() };
+        let offer = ServerOffer {
+            land: Land::new(1),
+            digest: announced,
+            token: None,
+            software: "faulty server".into(),
+        };
         tokio::spawn(async move {
             while let Ok((socket, _)) = listener.accept().await {
                 tokio::spawn(serve(socket, offer.clone(), frames));
@@ -52,14 +56,14 @@ async fn serve(socket: TcpStream, offer: ServerOffer, frames: Frames) {
                 return;
             }
         }
-        if let Some((wanted, delivery)) = session.next_chunk() {
-            let frame = frames(&land, wanted.key, delivery);
-            session.deliver(wanted, frame);
+        if let Some((request, delivery)) = session.next_chunk() {
+            let frame = frames(&land, request.key, delivery);
+            session.deliver(request, frame);
             continue;
         }
         match socket.next().await {
             Some(Ok(Message::Binary(bytes))) => {
-                if session.receive(Incoming::Binary(&bytes)).is_err() {
+                if session.receive(DataFrame::Binary(&bytes)).is_err() {
                     return;
                 }
             }

@@ -1,12 +1,12 @@
 //! Comparing pictures with golden ones.
 //!
-//! A golden picture lies under `tests/golden/`. `TOMBOLO_BLESS=1` writes it; a failure writes what
-//! was drawn and says where.
+//! Golden pictures are in `tests/golden/`. `TOMBOLO_BLESS=1` writes them; a failure writes the
+//! rendered picture and names its path.
 
-use client::render::Picture;
+use client::gpu::Image;
 use std::path::{Path, PathBuf};
 
-/// How different two pictures are.
+/// The difference of two pictures.
 #[must_use]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
@@ -16,14 +16,14 @@ pub struct Difference {
     pub outliers: f64,
 }
 
-/// What is still called the same picture: drivers may round, fuse and reorder float arithmetic and
-/// place the edges of triangles differently by a fraction of a pixel. That moves single pixels at
-/// silhouettes a lot and all others hardly; a wrong shade, place or shape moves many.
+/// The tolerated difference. Drivers may round, fuse and reorder float arithmetic, and triangle
+/// edges may move by a fraction of a pixel: single pixels at silhouettes change a lot, all others
+/// hardly. A wrong shade, position or shape changes many pixels.
 pub const TOLERANCE: Difference = Difference { mean: 1.5, outliers: 0.01 };
 
 impl Difference {
     /// Measures two pictures. Pictures of different size are entirely different.
-    pub fn between(one: &Picture, two: &Picture) -> Self {
+    pub fn between(one: &Image, two: &Image) -> Self {
         if (one.width, one.height) != (two.width, two.height) {
             return Self { mean: 255.0, outliers: 1.0 };
         }
@@ -37,7 +37,7 @@ impl Difference {
         Self { mean: sum as f64 / (3.0 * pixels), outliers: outliers as f64 / pixels }
     }
 
-    /// Whether the difference is no more than drivers may differ by.
+    /// Whether the difference is within [`TOLERANCE`].
     #[must_use]
     pub fn is_tolerable(&self) -> bool {
         self.mean <= TOLERANCE.mean && self.outliers <= TOLERANCE.outliers
@@ -47,32 +47,32 @@ impl Difference {
 /// Compares a picture with the golden one of a name, or writes that one when blessing.
 ///
 /// # Errors
-/// One line that says how different the pictures are and where the new one lies.
-pub fn check(name: &str, picture: &Picture) -> Result<(), String> {
+/// One line with the difference and the path of the rendered picture.
+pub fn check(name: &str, picture: &Image) -> Result<(), String> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("golden").join(format!("{name}.png"));
     if std::env::var_os("TOMBOLO_BLESS").is_some() {
         return write(&path, picture);
     }
     let golden =
         image::open(&path).map_err(|error| format!("cannot read {}: {error}", path.display()))?.to_rgba8();
-    let golden = Picture { width: golden.width(), height: golden.height(), rgba: golden.into_raw() };
+    let golden = Image { width: golden.width(), height: golden.height(), rgba: golden.into_raw() };
     let difference = Difference::between(&golden, picture);
     if difference.is_tolerable() {
         return Ok(());
     }
-    let drawn = drawn_path(name);
-    write(&drawn, picture)?;
+    let rendered = rendered_path(name);
+    write(&rendered, picture)?;
     Err(format!(
         "{name} differs from its golden picture: {difference:?} against {TOLERANCE:?}; see {}",
-        drawn.display()
+        rendered.display()
     ))
 }
 
-fn drawn_path(name: &str) -> PathBuf {
-    std::env::temp_dir().join(format!("tombolo-{name}-drawn.png"))
+fn rendered_path(name: &str) -> PathBuf {
+    std::env::temp_dir().join(format!("tombolo-{name}-rendered.png"))
 }
 
-fn write(path: &Path, picture: &Picture) -> Result<(), String> {
+fn write(path: &Path, picture: &Image) -> Result<(), String> {
     image::save_buffer(path, &picture.rgba, picture.width, picture.height, image::ColorType::Rgba8)
         .map_err(|error| format!("cannot write {}: {error}", path.display()))
 }

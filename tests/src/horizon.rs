@@ -1,10 +1,10 @@
-//! The land's horizon by its definition, in f64: what shadows on the GPU are compared with.
+//! The land's horizon by its definition, in f64: the reference of shadows on the GPU.
 //!
 //! Every drawn chunk that a track crosses is tested at every crossing of its mesh. No pyramid, no
-//! page table, no stepping, nothing shared with the shader but the rule that a cell is cut from its
+//! page table, no stepping; the only rule shared with the shader is the diagonal of a cell from its
 //! low to its high corner.
 
-use client::world::Resident;
+use client::cache::Resident;
 use shaders::layout::{CLEARANCE_RANGE, SUN_RADIUS};
 use terrain::ChunkKey;
 use terrain::constants::{CELLS, VERTICES};
@@ -12,12 +12,12 @@ use terrain::constants::{CELLS, VERTICES};
 /// Some drawn chunks.
 #[derive(Debug)]
 pub struct Drawn<'a> {
-    /// What is drawn, none above or below another.
+    /// The drawn chunks; none covers another.
     pub chunks: Vec<(ChunkKey, &'a Resident)>,
 }
 
-/// Units of the nearest crossing that is looked at. The nearest there is lies 0.35 vertex spacings
-/// of level 0 away.
+/// Units of the nearest tested crossing. The nearest possible one is 0.35 vertex spacings of level
+/// 0 away.
 const NEAREST: f64 = 128.0;
 
 impl Drawn<'_> {

@@ -1,39 +1,37 @@
-//! The harness of the suites under `tests/tests`: a server on port 0, a raw WebSocket peer, HTTP,
-//! and picture comparison.
+//! The harness of the suites under `tests/tests`: a server on a free port, WebSocket clients, HTTP,
+//! headless rendering, and picture comparison.
 //!
-//! | suite | what belongs there |
+//! | suite | content |
 //! | --- | --- |
-//! | `streaming` | what a well-behaved client gets over real sockets |
-//! | `delivery` | exact and seed-only delivery: equal land, equal pictures, servers that lie |
-//! | `hostile` | peers that break the rules, and that the others do not notice |
-//! | `http` | probes, metrics, the world's description, chunk downloads |
-//! | `faults` | servers that go away, and clients that live on |
-//! | `far` | that a picture does not depend on the distance from the origin |
-//! | `light` | that no sun, height or direction leaves a pixel without light |
+//! | `culling` | vegetation culling: the GPU against the twin on the CPU |
+//! | `culling_extremes` | vegetation culling at extreme eyes and shapes of land |
+//! | `delivery` | exact, refined, quantised and seed-only delivery; faulty servers |
+//! | `extremes` | extreme eyes, lenses, sizes and shapes of land |
+//! | `far` | pictures are independent of the distance from the origin |
+//! | `faults` | servers that go away, and clients that reconnect |
 //! | `ground_relief` | parallax on the streamed land |
-//! | `extremes` | eyes, lenses, sizes and shapes of land at their ends |
-//! | `pictures` | what the headless viewer draws, against golden pictures |
-//! | `shadows` | the land's shadow on itself, against its definition and in pictures |
+//! | `harness` | the harness itself, and this table |
+//! | `hostile` | peers that violate the protocol; other sessions are unaffected |
+//! | `http` | probes, metrics, the description of the world, chunk downloads |
+//! | `light` | finite light in every pixel, for every sun, height and direction |
+//! | `pictures` | the headless viewer against golden pictures |
 //! | `programs` | the built binaries: options, exit codes, messages |
-//! | `harness` | that the harness itself fails when it should |
+//! | `relief` | parallax scenes: identities, extreme settings, displaced geometry |
+//! | `shadows` | terrain shadows against their definition and in pictures |
+//! | `streaming` | the stream of a correct client over real sockets |
+//! | `water` | the sea and the water scene: identities, tiers, extreme cameras |
 
 #![forbid(unsafe_code)]
 
+pub mod deformed_source;
+pub mod faulty_server;
 pub mod golden;
 pub mod horizon;
-pub mod liar;
-pub mod molded;
 pub mod peer;
 pub mod program;
+pub mod rendering;
 pub mod running;
 
 pub use peer::Peer;
+pub use rendering::{gpu_is_required, gpu_or_skip, open_gpu_or_skip, options_at, render_or_skip, view_at};
 pub use running::RunningServer;
-
-/// Whether a missing GPU adapter is a failure instead of a visible skip. Continuous integration
-/// installs a software driver and sets `TOMBOLO_REQUIRE_GPU`, so that the pictures cannot go
-/// untested there.
-#[must_use]
-pub fn gpu_is_required() -> bool {
-    std::env::var_os("TOMBOLO_REQUIRE_GPU").is_some()
-}

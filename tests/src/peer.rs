@@ -1,9 +1,9 @@
-//! A WebSocket client that says exactly what a suite tells it to.
+//! WebSocket clients for suites: raw frames, or the session machine.
 
 use futures_util::{SinkExt, StreamExt};
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::view::View;
-use protocol::{Delivery, Incoming, SUBPROTOCOL};
+use protocol::{DataFrame, Delivery, SUBPROTOCOL};
 use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
@@ -11,8 +11,8 @@ use tokio_tungstenite::tungstenite::protocol::CloseFrame;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 
-/// Longest wait for anything; a suite that hits it has failed.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// Longest wait for a frame; a suite that reaches it fails.
+const RECEIVE_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// A raw connection to a server.
 pub struct Peer {
@@ -25,10 +25,10 @@ impl Peer {
         Self::try_connect(url, Some(SUBPROTOCOL)).await.expect("the server accepts")
     }
 
-    /// Connects with any subprotocol, or none.
+    /// Connects with a given subprotocol, or none.
     ///
     /// # Errors
-    /// The handshake failed; an HTTP answer is in the error.
+    /// The handshake failed; the error holds the HTTP response, if any.
     pub async fn try_connect(url: &str, subprotocol: Option<&str>) -> Result<Self, Box<Error>> {
         let mut request = url.into_client_request()?;
         if let Some(name) = subprotocol {
@@ -39,7 +39,7 @@ impl Peer {
         Ok(Self { socket })
     }
 
-    /// Sends a message; a closed connection is noticed by the next receive.
+    /// Sends a message. The next receive reports a closed connection.
     pub async fn send(&mut self, message: Message) {
         let _ = self.socket.send(message).await;
     }
@@ -65,10 +65,10 @@ impl Peer {
                 }
             }
         };
-        tokio::time::timeout(PATIENCE, next).await.expect("the server answers in time")
+        tokio::time::timeout(RECEIVE_TIMEOUT, next).await.expect("the server sends a frame in time")
     }
 
-    /// Reads until the connection ends and gives the close code.
+    /// Reads until the connection ends; returns the close code.
     pub async fn closed(&mut self) -> Option<u16> {
         loop {
             if let Err(frame) = self.receive().await {
@@ -79,15 +79,15 @@ impl Peer {
 }
 
 /// A well-behaved client: the session machine over a [`Peer`].
-pub struct Guest {
+pub struct TestClient {
     peer: Peer,
     /// The session, for direct use between two calls.
     pub session: ClientSession,
 }
 
-/// A client configuration that accepts any world and wants exact chunks.
+/// A client configuration: any world, exact delivery.
 #[must_use]
-pub fn guest_config() -> ClientConfig {
+pub fn client_config() -> ClientConfig {
     ClientConfig {
         digest: None,
         delivery: Delivery::Exact,
@@ -97,31 +97,31 @@ pub fn guest_config() -> ClientConfig {
     }
 }
 
-impl Guest {
+impl TestClient {
     /// Connects and completes the handshake.
     pub async fn connect(url: &str) -> Self {
-        Self::connect_as(url, guest_config()).await
+        Self::connect_as(url, client_config()).await
     }
 
-    /// As [`Guest::connect`], with a configuration.
+    /// As [`TestClient::connect`], with a configuration.
     pub async fn connect_as(url: &str, config: ClientConfig) -> Self {
-        let mut guest = Self { peer: Peer::connect(url).await, session: ClientSession::new(config) };
-        let welcome = guest.event().await.expect("a welcome");
+        let mut client = Self { peer: Peer::connect(url).await, session: ClientSession::new(config) };
+        let welcome = client.event().await.expect("a welcome");
         assert!(matches!(welcome, Event::Welcome(_)), "{welcome:?}");
-        guest
+        client
     }
 
-    /// Sends what is waiting and gives the next event.
+    /// Sends all waiting frames and returns the next event.
     ///
     /// # Errors
     /// The connection ended, with its close frame if there was one.
     pub async fn event(&mut self) -> Result<Event, Option<CloseFrame>> {
         self.flush().await;
         let frame = self.peer.receive().await?;
-        Ok(self.session.receive(Incoming::Binary(&frame)).expect("a server without faults"))
+        Ok(self.session.receive(DataFrame::Binary(&frame)).expect("a correct server"))
     }
 
-    /// Sends what is waiting.
+    /// Sends all waiting frames.
     pub async fn flush(&mut self) {
         while let Some(frame) = self.session.poll_transmit() {
             self.peer.send_bytes(&frame).await;

@@ -17,10 +17,9 @@ pub fn command(name: &str) -> Command {
         assert!(built.is_ok_and(|status| status.success()), "the programs build");
     });
     let mut command = Command::new(directory().join(name));
-    // A Vulkan layer of Mesa complains on standard error where it is unset; that line is not the
-    // program's.
+    // Without it, a Vulkan layer of Mesa writes a line to standard error.
     command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
-    // What a developer has set must not decide a test.
+    // The environment of a developer must not change a test.
     for (variable, _) in std::env::vars_os() {
         if variable.to_string_lossy().starts_with("TOMBOLO_") {
             command.env_remove(variable);
@@ -59,19 +58,19 @@ pub struct ServerProgram {
 }
 
 impl ServerProgram {
-    /// Starts the server and waits until it says where it listens.
+    /// Starts the server and waits for the line with its address.
     ///
     /// # Panics
-    /// It does not say so.
+    /// The server does not print its address.
     #[must_use]
     pub fn start(arguments: &[&str]) -> Self {
         Self::start_at("127.0.0.1:0", arguments)
     }
 
-    /// Starts the server at an address, for suites that bring one back where it was.
+    /// Starts the server at an address, for suites that restart one.
     ///
     /// # Panics
-    /// It does not say where it listens.
+    /// The server does not print its address.
     #[must_use]
     pub fn start_at(address: &str, arguments: &[&str]) -> Self {
         let mut child = command("tombolo-server")
@@ -83,12 +82,12 @@ impl ServerProgram {
             .expect("the server starts");
         let mut line = String::new();
         let output = child.stdout.as_mut().expect("standard output is piped");
-        BufReader::new(output).read_line(&mut line).expect("the server says where it listens");
+        BufReader::new(output).read_line(&mut line).expect("the server prints its address");
         let address = line.trim().strip_prefix("listening on http://").expect("an address").to_owned();
         Self { child, address }
     }
 
-    /// The WebSocket address of the session door.
+    /// The WebSocket URL of the stream endpoint.
     #[must_use]
     pub fn stream_url(&self) -> String {
         format!("ws://{}/v1/stream", self.address)

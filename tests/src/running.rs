@@ -9,14 +9,13 @@ use tokio::task::JoinHandle;
 
 /// A server that listens on a loopback port of its own.
 pub struct RunningServer {
-    /// Where it listens.
+    /// The listen address.
     pub address: SocketAddr,
     stop: Option<oneshot::Sender<()>>,
     task: JoinHandle<()>,
 }
 
-/// The defaults with one generation thread and short timeouts, so that suites about silence end
-/// soon.
+/// The defaults with one generation thread and short timeouts, so that timeout suites end soon.
 #[must_use]
 pub fn quick_config() -> ServerConfig {
     ServerConfig {
@@ -39,7 +38,7 @@ impl RunningServer {
         Self::start_at(SocketAddr::from(([127, 0, 0, 1], 0)), config).await
     }
 
-    /// Starts a server at an address, for suites that bring one back where it was.
+    /// Starts a server at an address, for suites that restart one.
     pub async fn start_at(address: SocketAddr, config: ServerConfig) -> Self {
         let listener = TcpListener::bind(address).await.expect("a loopback port is free");
         let address = listener.local_addr().expect("a bound listener has an address");
@@ -54,19 +53,19 @@ impl RunningServer {
         Self { address, stop: Some(stop), task }
     }
 
-    /// The WebSocket address of the session door.
+    /// The WebSocket URL of the stream endpoint.
     #[must_use]
     pub fn stream_url(&self) -> String {
         format!("ws://{}/v1/stream", self.address)
     }
 
-    /// The HTTP address of a path.
+    /// The HTTP URL of a path.
     #[must_use]
     pub fn url(&self, path: &str) -> String {
         format!("http://{}{path}", self.address)
     }
 
-    /// Asks the server to drain and waits until it is gone.
+    /// Drains the server and waits for its end.
     pub async fn stop(mut self) {
         drop(self.stop.take());
         (&mut self.task).await.expect("the server ends without a panic");

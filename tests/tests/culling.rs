@@ -1,73 +1,68 @@
-//! Plants as the GPU chooses them against the twin on the CPU, clump for clump.
+//! Vegetation culling on the GPU against the twin on the CPU, clump for clump.
 
-use client::camera::Lens;
-use client::frame::Shot;
-use client::looks::Looks;
-use client::plants::kept::{Kept, kept_of};
-use client::plants::{Cull, PlantKnobs};
-use client::render::cull::{Chosen, CullPasses, Told};
-use client::render::pool::ChunkPool;
-use client::render::{Gpu, gpu};
-use client::world::{World, select};
+use client::cache::ChunkCache;
+use client::features::terrain::pool::ChunkPool;
+use client::features::vegetation::cpu_cull::{VisibleClump, cull_on_cpu};
+use client::features::vegetation::gpu_cull::{CullBuffers, CullPasses, CullStats};
+use client::features::vegetation::{Cull, VegetationSettings};
+use client::gpu::Gpu;
+use client::lod::select;
+use client::settings::RenderSettings;
+use client::view::ViewParams;
 use terrain::{Land, lod};
 
 const SLOTS: u32 = 1500;
 
-fn shot(camera: &str, knobs: PlantKnobs) -> Shot {
-    Shot {
-        pose: camera.parse().unwrap(),
-        lens: Lens { fov_deg: 60.0, width: 640, height: 360 },
-        view_distance_m: 3000,
-        tolerance_px: 2.0,
-        time_s: 0.0,
-        looks: Looks { plants: knobs, ..Looks::default() },
-    }
+/// A view with settings of the vegetation.
+fn view(camera: &str, vegetation: VegetationSettings) -> ViewParams {
+    let view = tests::view_at(camera, (640, 360), 3000, 2.0);
+    ViewParams { settings: RenderSettings { plants: vegetation, ..shot.settings }, ..shot }
 }
 
-/// Something that chooses plants on the GPU.
+/// The culling passes on the GPU, with buffers of a fixed capacity.
 struct Field {
     gpu: Gpu,
     pool: ChunkPool,
     passes: CullPasses,
-    grass: Chosen,
-    trees: Chosen,
+    grass: CullBuffers,
+    trees: CullBuffers,
 }
 
 fn field(room: [u32; 3]) -> Option<Field> {
-    let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None)).ok()?;
+    let gpu = tests::open_gpu_or_skip()?;
     let pool = ChunkPool::new(&gpu.device, SLOTS);
     let passes = CullPasses::new(&gpu.device);
-    let grass = passes.room_for(&gpu.device, &pool, room, [18, 12, 6]);
-    let trees = passes.room_for(&gpu.device, &pool, room, [60, 12, 0]);
+    let grass = passes.create_buffers(&gpu.device, &pool, room, [18, 12, 6]);
+    let trees = passes.create_buffers(&gpu.device, &pool, room, [60, 12, 0]);
     Some(Field { gpu, pool, passes, grass, trees })
 }
 
 impl Field {
-    /// What the GPU keeps of a frame: of grass, then of trees.
+    /// The clumps of a frame that the GPU keeps: grass, then trees.
     fn choose(
         &self,
-        world: &World,
-        shot: &Shot,
-        drawn: &[client::world::Drawn],
-    ) -> [(Vec<[u32; 4]>, Told); 2] {
+        world: &ChunkCache,
+        view: &ViewParams,
+        drawn: &[client::lod::Drawn],
+    ) -> [(Vec<[u32; 4]>, CullStats); 2] {
         world.residents().for_each(|chunk| self.pool.upload(&self.gpu.queue, chunk));
-        let plants = shot.plants(world, drawn).expect("something grows");
-        self.passes.prepare(&self.gpu.queue, &plants.square);
+        let plants = view.plants(world, drawn).expect("the view has vegetation");
+        self.passes.prepare(&self.gpu.queue, &plants.grid);
         [(&self.grass, 0), (&self.trees, 1)].map(|(chosen, index)| {
             let mut encoder =
                 self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             self.passes.record(&self.gpu.queue, &plants, index, 1, chosen, &mut encoder);
             self.gpu.queue.submit([encoder.finish()]);
             let clumps = chosen.read(&self.gpu).unwrap().concat();
-            (clumps, chosen.told(&self.gpu).unwrap())
+            (clumps, chosen.read_stats(&self.gpu).unwrap())
         })
     }
 }
 
-/// A clump without its normal, which is a float's business.
-fn words(kept: &Kept) -> [u32; 4] {
+/// A clump without its normal, which is a float.
+fn words(kept: &VisibleClump) -> [u32; 4] {
     let clump = &kept.clump;
-    [clump.x as u32, clump.z as u32, clump.y as u32, clump.looks]
+    [clump.x as u32, clump.z as u32, clump.y as u32, clump.attributes]
 }
 
 fn without_normal(clump: &[u32; 4]) -> [u32; 4] {
@@ -75,30 +70,35 @@ fn without_normal(clump: &[u32; 4]) -> [u32; 4] {
 }
 
 #[test]
-fn the_gpu_keeps_exactly_what_the_twin_keeps_in_the_same_order() {
+fn the_gpu_keeps_the_clumps_of_the_twin_in_the_same_order() {
     let Some(field) = field([20_000, 60_000, 90_000]) else { return };
     let land = Land::new(1);
-    let few = PlantKnobs { density: 2, range_m: 160.0, tree_range_m: 800.0, ..PlantKnobs::STANDARD };
+    let few = VegetationSettings {
+        density: 2,
+        range_m: 160.0,
+        tree_range_m: 800.0,
+        ..VegetationSettings::STANDARD
+    };
     let mut kept_by_path = Vec::new();
     for camera in ["-1700,60,900,70,-6", "300,60,900,200,-3", "-600,300,-600,10,-30"] {
         for cull in [Cull::Distance, Cull::Frustum, Cull::Noise, Cull::March, Cull::Exact, Cull::Hierarchical]
         {
-            let shot = shot(camera, PlantKnobs { cull, ..few });
-            let mut world = World::new(SLOTS);
+            let view = view(camera, VegetationSettings { cull, ..few });
+            let mut world = ChunkCache::new(SLOTS);
             world.set_seed(1);
-            for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
+            for needed in lod::select(&land, &view.viewer(), usize::MAX) {
                 world.insert(land.chunk(needed.key));
             }
-            let eye = shot.pose.eye();
-            let shot = Shot { pose: shot.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
-            let selection = select(&mut world, &shot.viewer());
-            let plants = shot.plants(&world, &selection.drawn).unwrap();
-            let chosen = field.choose(&world, &shot, &selection.drawn);
-            for (stand, (clumps, told)) in plants.stands.iter().zip(&chosen) {
-                let mut twin = kept_of(&world, &plants, stand);
-                // The GPU gathers each level of detail by itself.
+            let eye = view.pose.eye();
+            let view = ViewParams { pose: view.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
+            let selection = select(&mut world, &view.viewer());
+            let plants = view.plants(&world, &selection.drawn).unwrap();
+            let chosen = field.choose(&world, &view, &selection.drawn);
+            for (stand, (clumps, stats)) in plants.species.iter().zip(&chosen) {
+                let mut twin = cull_on_cpu(&world, &plants, stand);
+                // The GPU writes each level of detail separately.
                 twin.sort_by_key(|kept| kept.detail);
-                assert_eq!((told.blocks_lost, told.clumps_lost), (0, 0), "{camera} {cull:?}");
+                assert_eq!((stats.blocks_lost, stats.clumps_lost), (0, 0), "{camera} {cull:?}");
                 let expected: Vec<_> = twin.iter().map(words).collect();
                 let found: Vec<_> = clumps.iter().map(without_normal).collect();
                 assert_eq!(found.len(), expected.len(), "{camera} {cull:?}");
@@ -113,64 +113,80 @@ fn the_gpu_keeps_exactly_what_the_twin_keeps_in_the_same_order() {
     }
 }
 
-/// A frame of plants over land that is all here.
-fn frame_of(world: &mut World, shot: &Shot, cull: Cull, knobs: PlantKnobs) -> client::frame::FrameData {
-    let looks = Looks { plants: PlantKnobs { cull, ..knobs }, ..shot.looks };
-    let shot = Shot { looks, ..*shot };
-    let selection = select(world, &shot.viewer());
-    shot.frame(client::scene::Scene::Island, world, &selection)
+/// A frame with vegetation over complete land.
+fn frame_of(
+    world: &mut ChunkCache,
+    view: &ViewParams,
+    cull: Cull,
+    vegetation: VegetationSettings,
+) -> client::frame::FrameData {
+    let settings = RenderSettings { plants: VegetationSettings { cull, ..vegetation }, ..shot.settings };
+    let view = ViewParams { settings, ..*view };
+    let selection = select(world, &view.viewer());
+    view.frame(client::scene::Scene::Island, world, &selection)
 }
 
 #[test]
-fn a_picture_without_what_is_hidden_is_the_picture_with_it_byte_for_byte() {
-    let Ok(mut studio) = lab::studio::Studio::open((192, 108), SLOTS) else { return };
+fn culling_hidden_plants_changes_no_byte_of_the_picture() {
+    let opened = lab::headless_renderer::HeadlessRenderer::open((192, 108), SLOTS);
+    let Some(mut renderer) = tests::gpu_or_skip(opened) else { return };
     let land = Land::new(1);
-    let knobs = PlantKnobs { density: 3, range_m: 150.0, tree_range_m: 900.0, ..PlantKnobs::STANDARD };
+    let vegetation = VegetationSettings {
+        density: 3,
+        range_m: 150.0,
+        tree_range_m: 900.0,
+        ..VegetationSettings::STANDARD
+    };
     for camera in ["-3900,36.5,1000,30,-2", "300,60,900,200,-3"] {
-        let shot = shot(camera, knobs);
-        let mut world = World::new(SLOTS);
+        let view = view(camera, vegetation);
+        let mut world = ChunkCache::new(SLOTS);
         world.set_seed(1);
-        for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
+        for needed in lod::select(&land, &view.viewer(), usize::MAX) {
             world.insert(land.chunk(needed.key));
         }
-        let eye = shot.pose.eye();
-        let shot = Shot { pose: shot.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
-        studio.furnish(&world);
-        let mut picture = |cull, knobs| {
-            let frame = frame_of(&mut world, &shot, cull, knobs);
-            studio.picture(&frame).unwrap().rgba
+        let eye = view.pose.eye();
+        let view = ViewParams { pose: view.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
+        renderer.upload_world(&world);
+        let mut picture = |cull, vegetation| {
+            let frame = frame_of(&mut world, &view, cull, vegetation);
+            renderer.picture(&frame).unwrap().rgba
         };
-        let all = picture(Cull::Distance, knobs);
+        let all = picture(Cull::Distance, vegetation);
         for cull in [Cull::Frustum, Cull::Exact, Cull::Hierarchical] {
-            let differing = all.iter().zip(picture(cull, knobs)).filter(|(a, b)| **a != *b).count();
+            let differing = all.iter().zip(picture(cull, vegetation)).filter(|(a, b)| **a != *b).count();
             assert_eq!(differing, 0, "{camera} {cull:?}");
         }
-        let bare = picture(Cull::Hierarchical, PlantKnobs::NONE);
+        let bare = picture(Cull::Hierarchical, VegetationSettings::NONE);
         assert!(all != bare, "{camera}: plants are part of the picture");
     }
 }
 
 #[test]
-fn a_block_that_was_seen_stays_as_long_as_it_is_told_to_and_no_longer() {
+fn a_visible_block_is_kept_for_the_configured_frames() {
     let Some(field) = field([20_000, 60_000, 90_000]) else { return };
     let land = Land::new(1);
-    let knobs =
-        PlantKnobs { density: 2, range_m: 120.0, trees: 1, tree_range_m: 400.0, ..PlantKnobs::STANDARD };
-    let kept = |stay: u32, camera: &str, frame: u32, world: &mut World| {
-        let shot = shot(camera, PlantKnobs { stay, cull: Cull::Frustum, ..knobs });
-        for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
+    let vegetation = VegetationSettings {
+        density: 2,
+        range_m: 120.0,
+        trees: 1,
+        tree_range_m: 400.0,
+        ..VegetationSettings::STANDARD
+    };
+    let kept = |stay: u32, camera: &str, frame: u32, world: &mut ChunkCache| {
+        let view = view(camera, VegetationSettings { stay, cull: Cull::Frustum, ..vegetation });
+        for needed in lod::select(&land, &view.viewer(), usize::MAX) {
             world.insert(land.chunk(needed.key));
         }
-        let selection = select(world, &shot.viewer());
+        let selection = select(world, &view.viewer());
         world.residents().for_each(|chunk| field.pool.upload(&field.gpu.queue, chunk));
-        let plants = shot.plants(world, &selection.drawn).unwrap();
-        field.passes.prepare(&field.gpu.queue, &plants.square);
+        let plants = view.plants(world, &selection.drawn).unwrap();
+        field.passes.prepare(&field.gpu.queue, &plants.grid);
         let mut encoder = field.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         field.passes.record(&field.gpu.queue, &plants, 0, frame, &field.grass, &mut encoder);
         field.gpu.queue.submit([encoder.finish()]);
-        field.grass.told(&field.gpu).unwrap().blocks
+        field.grass.read_stats(&field.gpu).unwrap().blocks
     };
-    let mut world = World::new(SLOTS);
+    let mut world = ChunkCache::new(SLOTS);
     world.set_seed(1);
     let (here, turned) = ("-3900,60,1000,30,-10", "-3900,60,1000,75,-10");
     let before = kept(3, here, 10, &mut world);
@@ -183,48 +199,53 @@ fn a_block_that_was_seen_stays_as_long_as_it_is_told_to_and_no_longer() {
 }
 
 #[test]
-fn one_clump_none_and_more_than_there_is_room_for() {
+fn zero_one_and_too_many_clumps_are_kept_and_counted() {
     let Some(field) = field([40, 40, 40]) else { return };
     let land = Land::new(1);
     let camera = "-1700,60,900,70,-6";
     let mut choose = |range_m: f32| {
-        let knobs =
-            PlantKnobs { density: 1, trees: 0, range_m, cull: Cull::Distance, ..PlantKnobs::STANDARD };
-        let shot = shot(camera, knobs);
-        let mut world = World::new(SLOTS);
+        let vegetation = VegetationSettings {
+            density: 1,
+            trees: 0,
+            range_m,
+            cull: Cull::Distance,
+            ..VegetationSettings::STANDARD
+        };
+        let view = view(camera, vegetation);
+        let mut world = ChunkCache::new(SLOTS);
         world.set_seed(1);
-        for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
+        for needed in lod::select(&land, &view.viewer(), usize::MAX) {
             world.insert(land.chunk(needed.key));
         }
-        let eye = shot.pose.eye();
-        let shot = Shot { pose: shot.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
-        let selection = select(&mut world, &shot.viewer());
-        let plants = shot.plants(&world, &selection.drawn).unwrap();
-        let mut twin = kept_of(&world, &plants, &plants.stands[0]);
+        let eye = view.pose.eye();
+        let view = ViewParams { pose: view.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
+        let selection = select(&mut world, &view.viewer());
+        let plants = view.plants(&world, &selection.drawn).unwrap();
+        let mut twin = cull_on_cpu(&world, &plants, &plants.species[0]);
         twin.sort_by_key(|kept| kept.detail);
         world.residents().for_each(|chunk| field.pool.upload(&field.gpu.queue, chunk));
-        field.passes.prepare(&field.gpu.queue, &plants.square);
+        field.passes.prepare(&field.gpu.queue, &plants.grid);
         let mut encoder = field.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         field.passes.record(&field.gpu.queue, &plants, 0, 1, &field.grass, &mut encoder);
         field.gpu.queue.submit([encoder.finish()]);
-        (twin, field.grass.read(&field.gpu).unwrap(), field.grass.told(&field.gpu).unwrap())
+        (twin, field.grass.read(&field.gpu).unwrap(), field.grass.read_stats(&field.gpu).unwrap())
     };
-    // Too near for any clump to stand there; then as far as it takes to hold exactly one.
-    let (twin, chosen, told) = choose(0.05);
-    assert_eq!((twin.len(), chosen.concat().len(), told.clumps, told.clumps_lost), (0, 0, 0, 0));
+    // A range without any clump; then the least range with exactly one.
+    let (twin, chosen, stats) = choose(0.05);
+    assert_eq!((twin.len(), chosen.concat().len(), stats.clumps, stats.clumps_lost), (0, 0, 0, 0));
     let one = (1..200).map(|step| 0.05 * step as f32).map(&mut choose).find(|(twin, ..)| !twin.is_empty());
-    let (twin, chosen, told) = one.expect("some grass within 10 m");
-    assert_eq!((twin.len(), told.clumps, told.clumps_lost), (1, 1, 0));
+    let (twin, chosen, stats) = one.expect("some grass within 10 m");
+    assert_eq!((twin.len(), stats.clumps, stats.clumps_lost), (1, 1, 0));
     assert_eq!(without_normal(&chosen.concat()[0]), words(&twin[0]));
-    // The buffers are full: what there is room for is drawn, the rest is counted, and no other
-    // memory is touched.
-    let (twin, chosen, told) = choose(150.0);
-    let wanted = |level: u32| twin.iter().filter(|kept| kept.detail == level).count();
-    let room = [0, 1, 2].map(|level| wanted(level).min(40));
+    // The buffers are full: they hold the nearest clumps, the rest is counted, and no other memory
+    // is written.
+    let (twin, chosen, stats) = choose(150.0);
+    let expected = |level: u32| twin.iter().filter(|kept| kept.detail == level).count();
+    let room = [0, 1, 2].map(|level| expected(level).min(40));
     assert_eq!(chosen.each_ref().map(Vec::len), room);
-    assert_eq!(told.clumps as usize, room.iter().sum::<usize>());
-    assert_eq!(told.clumps_lost as usize, twin.len() - told.clumps as usize);
-    assert!(told.clumps_lost > 100, "the control: {told:?}");
+    assert_eq!(stats.clumps as usize, room.iter().sum::<usize>());
+    assert_eq!(stats.clumps_lost as usize, twin.len() - stats.clumps as usize);
+    assert!(stats.clumps_lost > 100, "control: {stats:?}");
     for (level, clumps) in chosen.iter().enumerate() {
         let nearest: Vec<_> =
             twin.iter().filter(|kept| kept.detail as usize == level).take(40).map(words).collect();

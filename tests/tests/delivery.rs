@@ -1,10 +1,10 @@
 //! The deliveries: equal land, equal pictures, and faulty servers.
 
-use client::stream::{ChunkStream, StreamEvent};
-use client::native::stream::{ServerStream, Settings};
 use client::gpu::Image;
+use client::native::stream::{ServerStream, Settings};
 use client::scene::Scene;
 use client::stats::Stats;
+use client::stream::{ChunkStream, StreamEvent};
 use protocol::chunk_codec::{encode_for, quantised};
 use protocol::client::{ClientConfig, Event};
 use protocol::limits::SEED_ONLY_FRAME;
@@ -12,8 +12,8 @@ use protocol::{Delivery, Tolerance};
 use std::time::{Duration, Instant};
 use terrain::{Chunk, Land, WorldDigest};
 use tests::RunningServer;
+use tests::faulty_server::{FaultyServer, Frames};
 use tests::golden::{self, Difference};
-use tests::faulty_server::{Frames, FaultyServer};
 use tests::peer::{TestClient, client_config, view};
 use tests::running::quick_config;
 
@@ -31,7 +31,10 @@ async fn received(url: &str, delivery: Delivery) -> (Vec<Chunk>, usize) {
     for event in client.settle(view(1, 1200)).await {
         if let Event::Chunk { chunk, bytes, delivery: received } = event {
             // Chunks without a parent in the reference window are exact.
-            assert!(received == delivery || (delivery, received) == (Delivery::Refined, Delivery::Exact), "{received}");
+            assert!(
+                received == delivery || (delivery, received) == (Delivery::Refined, Delivery::Exact),
+                "{received}"
+            );
             chunks.push(*chunk);
             total += bytes;
         }

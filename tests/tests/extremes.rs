@@ -1,50 +1,33 @@
-//! Eyes, lenses, sizes and shapes of land at their ends: each one has a defined picture.
+//! Extreme eyes, lenses, sizes and shapes of land: each has a defined picture.
 
-use client::camera::{Lens, Pose};
-use client::feed::{Feed, LocalFeed};
-use client::headless::{self, HeadlessError, Options};
-use client::looks::{Looks, Show};
-use client::render::pool::ChunkPool;
-use client::render::{Canvas, Gpu, Picture, RenderOptions, Renderer, gpu, picture};
+use client::camera::Pose;
+use client::features::terrain::pool::ChunkPool;
+use client::gpu::{Image, OffscreenTarget, offscreen};
+use client::headless::Options;
+use client::renderer::{RenderOptions, Renderer};
 use client::scene::Scene;
-use client::stats::Stats;
-use client::voyage::Voyage;
-use std::time::{Duration, Instant};
+use client::settings::{RenderSettings, Show};
+use client::stream::LocalStream;
+use client::stream::streamer::WorldStreamer;
+use std::time::Duration;
 use terrain::constants::{UNITS_PER_METRE, VERTEX_COUNT, VERTICES};
 use terrain::{ChunkKey, Land, Position};
+use tests::deformed_source::DeformedSource;
 use tests::golden::Difference;
-use tests::molded::Molded;
+use tests::render_or_skip;
 
 fn options(camera: &str) -> Options {
-    Options {
-        pose: camera.parse::<Pose>().unwrap(),
-        lens: Lens { width: 96, height: 54, fov_deg: 60.0 },
-        view_distance_m: 3000,
-        samples: 1,
-        ..Options::default()
-    }
+    Options { view_distance_m: 3000, ..tests::options_at(camera, (96, 54)) }
 }
 
-/// Draws; none, visibly, where there is no adapter and none is required.
-fn drawn_from(feed: impl Feed, options: &Options) -> Option<(Picture, Stats)> {
-    match headless::render(options, feed, Instant::now(), |_| {}) {
-        Ok(drawn) => Some(drawn),
-        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
-}
-
-fn drawn(options: &Options) -> Option<Picture> {
-    let (picture, _) = drawn_from(LocalFeed::new(1), options)?;
+fn drawn(options: &Options) -> Option<Image> {
+    let (picture, _) = render_or_skip(LocalStream::new(1), options)?;
     assert!(picture.rgba.chunks_exact(4).all(|pixel| pixel[3] == 255));
     Some(picture)
 }
 
 /// Mean of a channel, 0 to 255.
-fn mean(picture: &Picture, channel: usize) -> f64 {
+fn mean(picture: &Image, channel: usize) -> f64 {
     let sum: u64 = picture.rgba.chunks_exact(4).map(|pixel| u64::from(pixel[channel])).sum();
     sum as f64 / (picture.rgba.len() / 4) as f64
 }
@@ -55,15 +38,17 @@ fn ground_m(x_m: i32, z_m: i32) -> f64 {
     f64::from(Land::new(1).height_at(place)) / f64::from(UNITS_PER_METRE)
 }
 
-/// A place on a hill of the home island, metres.
+/// A point on a hill of the home island, metres.
 const HILL: (i32, i32) = (400, 900);
 
 #[test]
-fn an_eye_under_the_ground_sees_what_one_just_above_it_sees() {
+fn an_eye_below_the_ground_is_lifted_to_just_above_it() {
     let ground = ground_m(HILL.0, HILL.1);
     assert!(ground > 60.0, "{ground}");
     let at = |height: f64| format!("{},{height},{},30,-5", HILL.0, HILL.1);
-    let Some((buried, stats)) = drawn_from(LocalFeed::new(1), &options(&at(ground - 50.0))) else { return };
+    let Some((buried, stats)) = render_or_skip(LocalStream::new(1), &options(&at(ground - 50.0))) else {
+        return;
+    };
     let lifted: Pose = stats.camera.parse().unwrap();
     assert!((0.4..4.0).contains(&(lifted.position_m.y - ground)), "{} over {ground}", lifted.position_m.y);
     let exact = Options {
@@ -77,7 +62,7 @@ fn an_eye_under_the_ground_sees_what_one_just_above_it_sees() {
 }
 
 #[test]
-fn every_extreme_eye_and_lens_has_a_picture() {
+fn extreme_eyes_and_lenses_yield_pictures() {
     let ground = ground_m(HILL.0, HILL.1);
     for (height, pitch) in [
         (ground + 0.5, 0.0),
@@ -89,7 +74,7 @@ fn every_extreme_eye_and_lens_has_a_picture() {
         for fov_deg in [1.0, 60.0, 170.0] {
             let camera = format!("{},{height},{},0,{pitch}", HILL.0, HILL.1);
             let mut options = options(&camera);
-            options.lens.fov_deg = fov_deg;
+            options.projection.fov_deg = fov_deg;
             let Some(picture) = drawn(&options) else { return };
             let [red, green, blue] = [0, 1, 2].map(|channel| mean(&picture, channel));
             let is_sky = pitch == 90.0 && fov_deg < 100.0;
@@ -108,42 +93,38 @@ fn every_extreme_eye_and_lens_has_a_picture() {
 }
 
 #[test]
-fn pictures_of_one_pixel_and_of_odd_shapes_are_drawn() {
+fn pictures_of_extreme_sizes_are_drawn() {
     for (width, height) in [(1, 1), (1, 300), (300, 1), (7, 13)] {
         let mut options = options("-1300,160,1500,70,-8");
-        (options.lens.width, options.lens.height) = (width, height);
+        (options.projection.width, options.projection.height) = (width, height);
         let Some(picture) = drawn(&options) else { return };
         assert_eq!((picture.width, picture.height), (width, height));
     }
 }
 
 #[test]
-fn a_renderer_that_is_resized_in_every_frame_draws_every_size() {
-    let gpu = match pollster::block_on(Gpu::open(gpu::instance(None), None)) {
-        Ok(gpu) => gpu,
-        Err(error) if !tests::gpu_is_required() => return eprintln!("SKIPPED: {error}"),
-        Err(error) => panic!("{error}"),
-    };
+fn a_renderer_resized_in_every_frame_draws_every_size() {
+    let Some(gpu) = tests::open_gpu_or_skip() else { return };
     let slots = ChunkPool::slots_within(&gpu.device.limits(), 2000);
     let options = options("-1300,160,1500,70,-8");
-    let format = picture::PICTURE_FORMAT;
+    let format = offscreen::IMAGE_FORMAT;
     let mut renderer =
         Renderer::new(&gpu, &RenderOptions { scene: options.scene, size: (0, 0), samples: 1, format, slots });
-    let mut voyage = Voyage::new(LocalFeed::new(1), slots);
+    let mut streamer = WorldStreamer::new(LocalStream::new(1), slots);
     for (width, height) in [(0, 0), (64, 36), (1, 1), (0, 7), (200, 3), (64, 36), (65, 36), (64, 36)] {
         renderer.resize(&gpu, (width, height));
-        let mut shot = options.shot(0, voyage.world());
-        (shot.lens.width, shot.lens.height) = (width.max(1), height.max(1));
-        let selection = voyage.update(&shot, Duration::ZERO, usize::MAX, |chunk| {
+        let mut view = options.view(0, streamer.cache());
+        (view.projection.width, view.projection.height) = (width.max(1), height.max(1));
+        let selection = streamer.update(&view, Duration::ZERO, usize::MAX, |chunk| {
             renderer.upload(&gpu, chunk);
         });
-        let frame = shot.frame(Scene::Island, voyage.world(), &selection);
-        let canvas = Canvas::new(&gpu.device, width, height);
+        let frame = view.frame(Scene::Island, streamer.cache(), &selection);
+        let target = OffscreenTarget::new(&gpu.device, width, height);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
+        renderer.draw(&gpu, &frame, &mut encoder, &target.view);
         gpu.queue.submit([encoder.finish()]);
         gpu.wait().unwrap();
-        let picture = canvas.read(&gpu).unwrap();
+        let picture = target.read(&gpu).unwrap();
         assert_eq!((picture.width, picture.height), (width.max(1), height.max(1)));
         assert!(mean(&picture, 2) > 5.0, "{width} x {height}");
     }
@@ -174,10 +155,11 @@ fn spiked(key: ChunkKey, heights: &mut [i32; VERTEX_COUNT], error: u32) -> u32 {
 #[test]
 fn flat_land_is_drawn_coarse_and_whole() {
     let options = options("30,40,20,10,-30");
-    let Some((picture, stats)) = drawn_from(Molded::new(1, flat), &options) else { return };
-    assert!((1..=25).contains(&stats.chunks_drawn), "nothing asks for detail: {stats:?}");
-    let levels = Options { looks: Looks { show: Show::Levels, ..Looks::default() }, ..options };
-    let Some((levels, _)) = drawn_from(Molded::new(1, flat), &levels) else { return };
+    let Some((picture, stats)) = render_or_skip(DeformedSource::new(1, flat), &options) else { return };
+    assert!((1..=25).contains(&stats.chunks_drawn), "flat land needs no detail: {stats:?}");
+    let levels =
+        Options { settings: RenderSettings { show: Show::Levels, ..RenderSettings::default() }, ..options };
+    let Some((levels, _)) = render_or_skip(DeformedSource::new(1, flat), &levels) else { return };
     // One level, lit alike everywhere: below the horizon all pixels are of one colour but for
     // dither.
     let low = &levels.rgba[levels.rgba.len() / 2..];
@@ -186,11 +168,11 @@ fn flat_land_is_drawn_coarse_and_whole() {
 }
 
 #[test]
-fn a_spike_of_one_vertex_and_four_kilometres_is_drawn_and_harms_nothing_else() {
+fn a_spike_of_one_vertex_and_4_km_is_drawn_where_it_stands() {
     // On the ground 25 m south of the spike, whose foot is 4 m wide, looking north.
     let options = options("300,0,-775,0,20");
-    let Some((plain, _)) = drawn_from(LocalFeed::new(1), &options) else { return };
-    let Some((spiky, stats)) = drawn_from(Molded::new(1, spiked), &options) else { return };
+    let Some((plain, _)) = render_or_skip(LocalStream::new(1), &options) else { return };
+    let Some((spiky, stats)) = render_or_skip(DeformedSource::new(1, spiked), &options) else { return };
     assert!(stats.chunks_drawn > 4, "{stats:?}");
     let differs = |x: usize, y: usize| {
         let at = 4 * (y * 96 + x);

@@ -1,18 +1,16 @@
-//! Far from the origin the picture is the same, pixel for pixel.
+//! Pictures are independent of the distance from the origin, pixel for pixel.
 //!
-//! The land differs from place to place, so no two places look alike by themselves. Here the home
-//! island's chunks are carried to another place: a feed answers every view from the land at the
-//! origin and shifts the keys by whole chunks of level 13 (2^20 m, a multiple of every drawn
-//! chunk's side and of the period of all patterns). Camera, culling, selection, patterns and the
-//! GPU see nothing but far coordinates, and must not notice.
+//! Land differs between places, so the home island's chunks are translated: a source answers every
+//! view from the land at the origin and shifts the keys by whole chunks of level 13 (2^20 m, a
+//! multiple of every drawn chunk's side and of the period of all patterns). Camera, culling,
+//! selection, patterns and the GPU get far coordinates only, and must draw the same picture.
 
-use client::camera::{Lens, Pose};
-use client::feed::{Feed, FeedEvent, LocalFeed, Traffic};
-use client::headless::{self, HeadlessError, Options};
-use client::render::Picture;
+use client::camera::{Pose, Projection};
+use client::gpu::Image;
+use client::headless::Options;
+use client::stream::{ChunkStream, LocalStream, StreamEvent, Traffic};
 use protocol::Delivery;
 use protocol::view::View;
-use std::time::Instant;
 use terrain::ChunkKey;
 use terrain::constants::{CHUNK_BITS, UNITS_PER_METRE};
 
@@ -22,14 +20,14 @@ const SHIFT_LEVEL: u8 = 13;
 /// Side of such a chunk, metres: 1,048,576.
 const SHIFT_M: f64 = ((1i64 << (CHUNK_BITS + SHIFT_LEVEL as u32)) / UNITS_PER_METRE as i64) as f64;
 
-/// The home island, carried `x` chunks of level 13 east and `z` south.
-struct Carried {
-    home: LocalFeed,
+/// The home island, translated by `x` chunks of level 13 east and `z` south.
+struct Translated {
+    home: LocalStream,
     x: i32,
     z: i32,
 }
 
-impl Carried {
+impl Translated {
     fn moved(&self, key: ChunkKey, sign: i32) -> ChunkKey {
         assert!(key.level() <= SHIFT_LEVEL, "{key} is larger than the shift");
         let chunks = sign << (SHIFT_LEVEL - key.level());
@@ -41,12 +39,12 @@ impl Carried {
     }
 }
 
-impl Feed for Carried {
-    fn poll(&mut self) -> Option<FeedEvent> {
+impl ChunkStream for Translated {
+    fn poll(&mut self) -> Option<StreamEvent> {
         Some(match self.home.poll()? {
-            FeedEvent::Chunk(mut chunk) => {
+            StreamEvent::Chunk(mut chunk) => {
                 chunk.key = self.moved(chunk.key, 1);
-                FeedEvent::Chunk(chunk)
+                StreamEvent::Chunk(chunk)
             }
             event => event,
         })
@@ -92,35 +90,22 @@ fn pose(camera: &str, (x, z): (i32, i32)) -> Pose {
     pose
 }
 
-/// Draws the carried island; none, visibly, where there is no adapter and none is required.
-fn drawn(pose: Pose, (x, z): (i32, i32)) -> Option<Picture> {
-    let options = Options {
-        pose,
-        lens: Lens { width: 256, height: 144, ..Options::default().lens },
-        samples: 1,
-        ..Options::default()
-    };
-    match headless::render(&options, Carried { home: LocalFeed::new(1), x, z }, Instant::now(), |_| {}) {
-        Ok((picture, stats)) => {
-            assert!(stats.chunks_drawn > 6, "{stats:?}");
-            Some(picture)
-        }
-        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
+/// Renders the translated island.
+fn drawn(pose: Pose, (x, z): (i32, i32)) -> Option<Image> {
+    let options = Options { pose, ..tests::options_at(CAMERAS[0], (256, 144)) };
+    let (picture, stats) = tests::render_or_skip(Translated { home: LocalStream::new(1), x, z }, &options)?;
+    assert!(stats.chunks_drawn > 6, "{stats:?}");
+    Some(picture)
 }
 
 /// Pixels that are not the same in every byte.
-fn differing(one: &Picture, two: &Picture) -> usize {
+fn differing(one: &Image, two: &Image) -> usize {
     assert_eq!((one.width, one.height), (two.width, two.height));
     one.rgba.chunks_exact(4).zip(two.rgba.chunks_exact(4)).filter(|(a, b)| a != b).count()
 }
 
 #[test]
-fn a_million_metres_from_the_origin_the_same_scene_is_the_same_pixel_for_pixel() {
+fn a_scene_a_million_metres_from_the_origin_is_identical() {
     for (camera, place) in CAMERAS.into_iter().zip(PLACES).chain([(CAMERAS[2], PLACES[0])]) {
         let Some(home) = drawn(pose(camera, (0, 0)), (0, 0)) else { return };
         let Some(far) = drawn(pose(camera, place), place) else { return };
@@ -130,7 +115,7 @@ fn a_million_metres_from_the_origin_the_same_scene_is_the_same_pixel_for_pixel()
 }
 
 #[test]
-fn a_quarter_of_a_metre_is_seen_far_out_and_so_is_an_eye_that_went_through_f32() {
+fn small_offsets_and_f32_rounding_are_visible_far_out() {
     let (camera, place) = (CAMERAS[1], PLACES[0]);
     let Some(home) = drawn(pose(camera, (0, 0)), (0, 0)) else { return };
     let mut moved = pose(camera, place);
@@ -138,8 +123,7 @@ fn a_quarter_of_a_metre_is_seen_far_out_and_so_is_an_eye_that_went_through_f32()
     let Some(moved) = drawn(moved, place) else { return };
     assert!(differing(&home, &moved) > 1_000, "{} pixels", differing(&home, &moved));
 
-    // 1/16 m is half of what an f32 can tell apart at 2^20 m: the camera of an engine in absolute
-    // floats.
+    // 1/16 m is half the resolution of f32 at 2^20 m: the camera of an engine with absolute floats.
     let shifted = |place| {
         let mut pose = pose(camera, place);
         pose.position_m.x += 0.0625;
@@ -153,23 +137,23 @@ fn a_quarter_of_a_metre_is_seen_far_out_and_so_is_an_eye_that_went_through_f32()
     assert!(differing(&home, &far) > 100, "{} pixels", differing(&home, &far));
 }
 
-/// Where a point lands, pixels, when its clip position is `matrix * point` in f32.
-fn pixels_f32(matrix: [[f32; 4]; 4], point: [f32; 3], lens: &Lens) -> [f64; 2] {
+/// The pixel position of a point whose clip position is `matrix * point` in f32.
+fn pixels_f32(matrix: [[f32; 4]; 4], point: [f32; 3], projection: &Projection) -> [f64; 2] {
     let clip = [0, 1, 3].map(|row| {
         matrix[0][row] * point[0] + matrix[1][row] * point[1] + matrix[2][row] * point[2] + matrix[3][row]
     });
-    let half = [f64::from(lens.width) / 2.0, f64::from(lens.height) / 2.0];
+    let half = [f64::from(projection.width) / 2.0, f64::from(projection.height) / 2.0];
     [f64::from(clip[0] / clip[2]) * half[0], f64::from(clip[1] / clip[2]) * half[1]]
 }
 
-/// What the integers spare us, without a GPU: the same points, 20 to 500 m away, through a
-/// camera-relative matrix and through an absolute one.
+/// Without a GPU: the same points, 20 to 500 m away, through a camera-relative matrix and through
+/// an absolute one.
 #[test]
-fn an_absolute_f32_transform_misses_by_pixels_where_a_relative_one_does_not() {
-    let lens = Lens { width: 1280, height: 720, fov_deg: 60.0 };
+fn absolute_f32_transforms_err_by_pixels_relative_ones_do_not() {
+    let projection = Projection { width: 1280, height: 720, fov_deg: 60.0 };
     let worst = |place| {
         let pose = pose("300.0009765625,420.125,899.9990234375,20,-12", place);
-        let relative = lens.clip_from_camera(&pose).to_cols_array_2d();
+        let relative = projection.clip_from_camera(&pose).to_cols_array_2d();
         let eye = pose.position_m.to_array();
         // clip_from_world = clip_from_camera * translation by the negated eye, as an engine would
         // multiply it in f32.
@@ -185,12 +169,12 @@ fn an_absolute_f32_transform_misses_by_pixels_where_a_relative_one_does_not() {
                 let (far, wide) = (f64::from(step) * 20.0, f64::from(step * aside) * 2.0);
                 let offset = [0, 1, 2].map(|axis| ahead[axis] * far + right[axis] * wide);
                 // In f64, by the camera's own axes: `wide` to the right at the distance `far`.
-                let truth = wide / far / lens.half_height() * f64::from(lens.height) / 2.0;
+                let truth = wide / far / projection.half_height() * f64::from(projection.height) / 2.0;
                 let from_eye = offset.map(|metres| metres as f32);
                 let in_world = [0, 1, 2].map(|axis| (eye[axis] + offset[axis]) as f32);
                 let miss = |got: [f64; 2]| (got[0] - truth).hypot(got[1]);
-                of_relative = of_relative.max(miss(pixels_f32(relative, from_eye, &lens)));
-                of_absolute = of_absolute.max(miss(pixels_f32(absolute, in_world, &lens)));
+                of_relative = of_relative.max(miss(pixels_f32(relative, from_eye, &projection)));
+                of_absolute = of_absolute.max(miss(pixels_f32(absolute, in_world, &projection)));
             }
         }
         (of_relative, of_absolute)

@@ -3,7 +3,7 @@
 use protocol::message::{ClientMessage, Hello, RefusalReason, ServerMessage, WireKey};
 use protocol::{CloseCode, Delivery, PROTOCOL_VERSION, SUBPROTOCOL, control, limits};
 use std::time::Duration;
-use tests::peer::{TestClient, Peer, view};
+use tests::peer::{Peer, TestClient, view};
 use tests::{RunningServer, running};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -57,8 +57,8 @@ async fn invalid_frames_get_typed_close_codes() {
     ];
     for (name, message, code) in cases {
         let got = outcome(&server, message).await;
-        // The connection ends while a far oversized frame is still being sent; the close frame may be
-        // lost.
+        // The connection ends while a far oversized frame is still being sent; the close frame may
+        // be lost.
         assert!(got == Some(code.code()) || (name == "far oversized" && got.is_none()), "{name}: {got:?}");
     }
     other_client.settle(view(2, 500)).await;
@@ -160,7 +160,8 @@ async fn a_client_that_stops_reading_is_closed() {
         let keys = vec![WireKey { level: 0, x: 3, z: -7 }];
         control::encode(&ClientMessage::Request { id, keys }).unwrap()
     };
-    // The Welcome and one chunk, which is cached from then on: further requests are answered at once.
+    // The Welcome and one chunk, which is cached from then on: further requests are answered at
+    // once.
     stalled.send_bytes(request(0)).await;
     for _ in 0..2 {
         stalled.receive().await.expect("a frame");

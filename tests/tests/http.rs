@@ -1,24 +1,24 @@
-//! The HTTP side: probes, metrics, the world's description, chunk downloads.
+//! HTTP: probes, metrics, the description of the world, chunk downloads.
 
 use protocol::chunk_codec;
 use terrain::{ChunkKey, Land};
 use tests::RunningServer;
 use ureq::http::Response;
 
-struct Answer {
+struct Reply {
     status: u16,
     etag: Option<String>,
     cache: Option<String>,
     body: Vec<u8>,
 }
 
-impl Answer {
+impl Reply {
     fn text(&self) -> String {
         String::from_utf8_lossy(&self.body).into_owned()
     }
 }
 
-async fn get(url: String, known: Option<String>) -> Answer {
+async fn get(url: String, known: Option<String>) -> Reply {
     let blocking = move || {
         let agent: ureq::Agent = ureq::Agent::config_builder().http_status_as_error(false).build().into();
         let mut request = agent.get(url);
@@ -29,7 +29,7 @@ async fn get(url: String, known: Option<String>) -> Answer {
         let header =
             |name: &str| response.headers().get(name).map(|value| value.to_str().unwrap().to_owned());
         let (etag, cache) = (header("etag"), header("cache-control"));
-        Answer {
+        Reply {
             status: response.status().as_u16(),
             etag,
             cache,
@@ -40,23 +40,23 @@ async fn get(url: String, known: Option<String>) -> Answer {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_downloaded_chunk_is_the_streamed_chunk_and_may_be_cached_for_ever() {
+async fn a_downloaded_chunk_is_exact_and_immutable() {
     let server = RunningServer::start().await;
     let land = Land::new(1);
     let key = ChunkKey::new(2, -3, 1).unwrap();
     let url = server.url(&format!("/v1/{}/chunk/{key}", land.digest()));
-    let answer = get(url.clone(), None).await;
-    assert_eq!(answer.status, 200);
-    assert_eq!(chunk_codec::decode(&answer.body, &land.digest()), Ok(land.chunk(key)));
-    assert!(answer.cache.unwrap().contains("immutable"));
-    let again = get(url.clone(), answer.etag.clone()).await;
-    assert_eq!((again.status, again.body.len(), again.etag), (304, 0, answer.etag));
+    let reply = get(url.clone(), None).await;
+    assert_eq!(reply.status, 200);
+    assert_eq!(chunk_codec::decode(&reply.body, &land.digest()), Ok(land.chunk(key)));
+    assert!(reply.cache.unwrap().contains("immutable"));
+    let again = get(url.clone(), reply.etag.clone()).await;
+    assert_eq!((again.status, again.body.len(), again.etag), (304, 0, reply.etag));
     assert_eq!(get(url, Some("\"other\"".into())).await.status, 200);
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_does_not_exist_is_refused_with_a_sentence_that_tells_what_does() {
+async fn missing_resources_are_404_with_what_exists() {
     let server = RunningServer::start().await;
     let digest = Land::new(1).digest().to_string();
     let zeros = "0".repeat(64);
@@ -70,15 +70,15 @@ async fn what_does_not_exist_is_refused_with_a_sentence_that_tells_what_does() {
         ("/v1/nonsense/chunk/0/0/0".into(), 404, &digest),
         ("/nowhere".into(), 404, "/v1/world"),
     ] {
-        let answer = get(server.url(&path), None).await;
-        assert_eq!(answer.status, status, "{path}");
-        assert!(answer.text().contains(word), "{path}: {}", answer.text());
+        let reply = get(server.url(&path), None).await;
+        assert_eq!(reply.status, status, "{path}");
+        assert!(reply.text().contains(word), "{path}: {}", reply.text());
     }
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_world_describes_itself_and_the_probes_answer() {
+async fn the_world_and_the_probes_respond() {
     let server = RunningServer::start().await;
     let world: serde_json::Value =
         serde_json::from_slice(&get(server.url("/v1/world"), None).await.body).unwrap();

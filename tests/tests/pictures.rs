@@ -1,43 +1,29 @@
-//! What the headless viewer draws.
+//! The headless viewer against golden pictures.
 
-use client::camera::{Lens, Pose};
-use client::feed::LocalFeed;
-use client::headless::{self, HeadlessError, Options};
-use client::native::stream::{Settings, SocketFeed};
-use client::render::Picture;
+use client::gpu::Image;
+use client::headless::{self, Options};
+use client::native::stream::{ServerStream, Settings};
 use client::scene::Scene;
 use client::stats::Stats;
+use client::stream::LocalStream;
 use std::time::Instant;
 use tests::RunningServer;
 use tests::golden::{self, Difference};
 
 fn options(camera: &str) -> Options {
-    Options {
-        pose: camera.parse::<Pose>().unwrap(),
-        lens: Lens { width: 256, height: 144, ..Options::default().lens },
-        // One sample: where edges are sampled is the driver's choice.
-        samples: 1,
-        ..Options::default()
-    }
+    tests::options_at(camera, (256, 144))
 }
 
 /// The start view of the island scene.
 const START: &str = "-5200.0,160.0,1500.0,70.0,-8.0";
 
-/// Draws from local land; none, visibly, where there is no adapter and none is required.
-fn drawn(options: &Options) -> Option<(Picture, Stats)> {
-    match headless::render(options, LocalFeed::new(1), Instant::now(), |_| {}) {
-        Ok(drawn) => Some(drawn),
-        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
+/// Renders local land.
+fn drawn(options: &Options) -> Option<(Image, Stats)> {
+    tests::render_or_skip(LocalStream::new(1), options)
 }
 
 #[test]
-fn the_island_looks_as_it_should() {
+fn the_island_equals_its_golden_pictures() {
     assert_eq!(options(START).pose, Scene::Island.start());
     for (name, camera) in [
         ("start", START),
@@ -53,10 +39,10 @@ fn the_island_looks_as_it_should() {
 #[test]
 fn blank_shifted_and_other_pictures_fail_the_comparison() {
     let Some((picture, _)) = drawn(&options(START)) else { return };
-    let blank = Picture { rgba: vec![0; picture.rgba.len()], ..picture.clone() };
+    let blank = Image { rgba: vec![0; picture.rgba.len()], ..picture.clone() };
     let mut shifted = picture.clone();
     shifted.rgba.rotate_right(4 * 8);
-    let sky = Picture { rgba: picture.rgba[..4].repeat(picture.rgba.len() / 4), ..picture.clone() };
+    let sky = Image { rgba: picture.rgba[..4].repeat(picture.rgba.len() / 4), ..picture.clone() };
     for (name, other) in [("blank", blank), ("shifted by 8 pixels", shifted), ("sky only", sky)] {
         let difference = Difference::between(&picture, &other);
         assert!(!difference.is_tolerable(), "{name} passed: {difference:?}");
@@ -72,7 +58,7 @@ async fn the_streamed_picture_equals_the_local_one_byte_for_byte() {
         let options = options(START);
         let Some((local, _)) = drawn(&options) else { return };
         let settings = Settings::new(url.parse().unwrap());
-        let feed = SocketFeed::connect(settings).unwrap();
+        let feed = ServerStream::connect(settings).unwrap();
         let (streamed, stats) = headless::render(&options, feed, Instant::now(), |_| {}).unwrap();
         assert!(local.rgba == streamed.rgba, "{:?}", Difference::between(&local, &streamed));
         assert!(stats.bytes_received > 100_000 && stats.chunks_drawn > 6, "{stats:?}");
@@ -82,8 +68,8 @@ async fn the_streamed_picture_equals_the_local_one_byte_for_byte() {
 }
 
 #[test]
-fn a_small_budget_is_kept_and_costs_detail_instead_of_holes() {
-    // The least that the viewer's option allows.
+fn a_small_chunk_budget_costs_detail_and_leaves_no_holes() {
+    // The least budget that the viewer's option allows.
     let small = Options { chunk_bytes: 8 << 20, ..options(START) };
     let (Some((coarse, stats)), Some((fine, _))) = (drawn(&small), drawn(&options(START))) else { return };
     assert!(stats.chunk_bytes_resident <= small.chunk_bytes, "{stats:?}");

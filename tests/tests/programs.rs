@@ -1,11 +1,11 @@
-//! The built binaries: options, exit codes, and messages that fit on one line.
+//! The built binaries: options, exit codes, and one-line messages.
 
 use std::time::{Duration, Instant};
 use tests::program::{ServerProgram, command, errors, run};
 
 const PROGRAMS: [&str; 3] = ["tombolo-server", "tombolo-view", "tombolo-load"];
 
-/// Fails unless the program ends with the code and one line of error that holds every word.
+/// Asserts that a program ends with the code and one line on standard error with every word.
 fn refused(name: &str, arguments: &[&str], code: i32, words: &[&str]) {
     let output = run(name, arguments);
     let line = errors(&output);
@@ -17,7 +17,7 @@ fn refused(name: &str, arguments: &[&str], code: i32, words: &[&str]) {
 }
 
 #[test]
-fn every_program_explains_itself() {
+fn every_program_has_help_and_a_version() {
     for name in PROGRAMS {
         let help = run(name, &["--help"]);
         let text = String::from_utf8(help.stdout).unwrap();
@@ -32,14 +32,14 @@ fn every_program_explains_itself() {
 }
 
 #[test]
-fn an_unknown_option_is_named_and_ends_with_2() {
+fn an_unknown_option_is_named_with_exit_code_2() {
     for name in PROGRAMS {
         refused(name, &["--no-such-option", "5"], 2, &["--no-such-option"]);
     }
 }
 
 #[test]
-fn values_out_of_range_are_named_with_what_is_allowed() {
+fn values_out_of_range_are_named_with_their_range() {
     refused("tombolo-server", &["--threads", "0"], 2, &["threads", "0", "1 to 1024"]);
     refused("tombolo-server", &["--world-seed", "minus"], 2, &["--world-seed", "minus"]);
     refused("tombolo-server", &["--listen", "nowhere"], 2, &["listen", "nowhere", "ADDR:PORT"]);
@@ -84,7 +84,7 @@ fn a_port_in_use_is_named_with_what_to_do() {
 }
 
 #[test]
-fn a_server_that_is_not_there_is_named() {
+fn an_unreachable_server_is_named() {
     let nowhere = "ws://127.0.0.1:9/v1/stream";
     refused("tombolo-load", &["--connect", nowhere, "--clients", "1", "--seconds", "1"], 1, &[nowhere]);
     let picture = std::env::temp_dir().join("tombolo-never.png");
@@ -98,7 +98,7 @@ fn a_server_that_is_not_there_is_named() {
 }
 
 #[test]
-fn a_picture_that_cannot_be_written_is_told_before_anything_is_waited_for() {
+fn an_unwritable_picture_is_reported_before_connecting() {
     let nowhere = ["--connect", "ws://127.0.0.1:9/v1/stream", "--shot"];
     let with = |more: &[&'static str]| [nowhere.as_slice(), more].concat();
     refused("tombolo-view", &with(&["/no/such/folder/a.png"]), 1, &["--shot", "/no/such/folder", "create"]);
@@ -107,7 +107,7 @@ fn a_picture_that_cannot_be_written_is_told_before_anything_is_waited_for() {
 }
 
 #[test]
-fn without_a_gpu_the_viewer_says_what_to_install() {
+fn without_a_gpu_the_viewer_names_a_driver_package() {
     let output = command("tombolo-view")
         .args(["--shot", "never.png", "--size", "64x64"])
         .env("VK_DRIVER_FILES", "/dev/null")
@@ -122,7 +122,7 @@ fn without_a_gpu_the_viewer_says_what_to_install() {
 }
 
 #[test]
-fn without_a_display_the_window_is_refused_with_the_way_out() {
+fn without_a_display_the_viewer_names_the_shot_option() {
     let output =
         command("tombolo-view").env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").output().unwrap();
     let line = errors(&output);
@@ -131,7 +131,7 @@ fn without_a_display_the_window_is_refused_with_the_way_out() {
 }
 
 #[test]
-fn a_terminated_server_drains_and_ends_with_0() {
+fn a_terminated_server_drains_and_exits_with_0() {
     let mut server = ServerProgram::start(&[]);
     server.signal("TERM");
     let started = Instant::now();
@@ -174,7 +174,7 @@ fn a_short_load_test_verifies_chunks_and_writes_its_record() {
 }
 
 #[test]
-fn a_shot_writes_a_picture_of_the_asked_size_and_all_statistics() {
+fn a_shot_writes_a_picture_and_all_statistics() {
     let server = ServerProgram::start(&[]);
     let base = std::env::temp_dir().join(format!("tombolo-shot-{}", std::process::id()));
     let (picture, stats) = (base.with_extension("png"), base.with_extension("json"));

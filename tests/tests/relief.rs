@@ -1,17 +1,18 @@
-//! Scenes of reliefs: what must be the same byte for byte, knobs and cameras at the ends of their
-//! ranges, and edges and depths against displaced geometry.
+//! Parallax scenes: identities byte for byte, extreme settings and cameras, and outlines and depths
+//! against displaced geometry.
 
 use client::camera::Pose;
-use client::headless::{self, HeadlessError, Options};
-use client::looks::{Looks, Show};
-use client::relief::ReliefKnobs;
-use client::relief::knobs::{Heights, Horizon, LoopForm, Refine, ReliefShadow, ReliefTier, Silhouette};
-use client::render::Picture;
-use client::render::materials::{MATERIAL_TEXELS, OwnMaterial, OwnMaterials};
-use client::render::scenes::relief::objects::{self, COMPARED, LAYER, Mode, Object, Shape};
+use client::features::materials::{CustomMaterial, CustomMaterials, MATERIAL_TEXELS};
+use client::features::pom::PomSettings;
+use client::features::pom::settings::{Heights, Horizon, LoopForm, PomMethod, PomShadow, Refine, Silhouette};
+use client::gpu::Image;
+use client::headless::{self, Options};
 use client::scene::Scene;
-use lab::relief::pictures::{
-    Light, RELIEF_M, ReliefStudio, SIDE_M, around, ball, cut_distance, line_distances, plane, quantile,
+use client::scene::objects;
+use client::scene::objects::{COMPARED, LAYER, Mode, Object, Shape};
+use client::settings::{RenderSettings, Show};
+use lab::pom::renderer::{
+    Light, PomRenderer, RELIEF_M, SIDE_M, around, ball, cut_distance, line_distances, plane, quantile,
     silhouette_overlap,
 };
 use std::sync::Arc;
@@ -19,86 +20,72 @@ use std::time::Instant;
 
 const SCENES: [Scene; 3] = [Scene::Pom, Scene::Brick, Scene::Spom];
 
-/// A studio; none, visibly, where there is no adapter and none is required.
-fn studio(scene: Scene, size: (u32, u32)) -> Option<ReliefStudio> {
-    match ReliefStudio::open(scene, size) {
-        Ok(studio) => Some(studio),
-        Err(error) if !tests::gpu_is_required() => {
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
+fn renderer(scene: Scene, size: (u32, u32)) -> Option<PomRenderer> {
+    tests::gpu_or_skip(PomRenderer::open(scene, size))
 }
 
-fn drawn(options: &Options) -> Option<Picture> {
-    match headless::render_local(options, Instant::now()) {
-        Ok((picture, stats)) => {
-            assert_eq!((stats.chunks_drawn, stats.bytes_received, stats.delivery), (0, 0, "none"));
-            Some(picture)
-        }
-        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
+fn drawn(options: &Options) -> Option<Image> {
+    let rendered = headless::render_local(options, Instant::now());
+    let (picture, stats) = tests::rendering::rendered_or_skip(rendered)?;
+    assert_eq!((stats.chunks_drawn, stats.bytes_received, stats.delivery), (0, 0, "none"));
+    Some(picture)
 }
 
-fn options(scene: Scene, relief: ReliefKnobs) -> Options {
+fn options(scene: Scene, relief: PomSettings) -> Options {
     let mut options = Options { scene, pose: scene.start(), samples: 1, ..Options::default() };
-    (options.lens.width, options.lens.height) = (160, 90);
-    options.looks.relief = relief;
+    (options.projection.width, options.projection.height) = (160, 90);
+    options.settings.pom = relief;
     options
 }
 
-fn knobs(tier: ReliefTier) -> ReliefKnobs {
-    ReliefKnobs { tier, ..ReliefKnobs::default() }
+fn pom_settings(method: PomMethod) -> PomSettings {
+    PomSettings { method: tier, ..PomSettings::default() }
 }
 
 /// Mean difference of two pictures, all channels, of 255.
-fn apart(one: &Picture, other: &Picture) -> f64 {
+fn apart(one: &Image, other: &Image) -> f64 {
     let sum: u64 = one.rgba.iter().zip(&other.rgba).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
     sum as f64 / one.rgba.len().max(1) as f64
 }
 
-const TIERS: [ReliefTier; 6] = [
-    ReliefTier::Flat,
-    ReliefTier::Offset,
-    ReliefTier::Linear,
-    ReliefTier::Cones,
-    ReliefTier::Pyramid,
-    ReliefTier::Auto,
+const TIERS: [PomMethod; 6] = [
+    PomMethod::Flat,
+    PomMethod::Offset,
+    PomMethod::Linear,
+    PomMethod::Cones,
+    PomMethod::MaxMip,
+    PomMethod::Auto,
 ];
 
 #[test]
 fn without_amplitude_every_tier_draws_the_flat_plane_byte_for_byte() {
-    let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
+    let Some(mut renderer) = renderer(Scene::Pom, (192, 108)) else { return };
     let pose = around(16.0, 20.0, 3.5);
-    let mut of = |mode, relief| studio.shown(&[plane(mode)], pose, relief, Show::Picture).unwrap();
+    let mut of = |mode, relief| renderer.shown(&[plane(mode)], pose, relief, Show::Image).unwrap();
     for tier in TIERS {
         for silhouette in [Silhouette::None, Silhouette::Shell] {
             for (depth, tiling) in [(false, [1.0; 2]), (true, [1.0; 2]), (true, [3.0, 0.7])] {
-                let none = ReliefKnobs { amplitude: 0.0, silhouette, depth, tiling, ..knobs(tier) };
+                let none = PomSettings { amplitude: 0.0, silhouette, depth, tiling, ..pom_settings(tier) };
                 let flat = of(Mode::Flat, none);
-                assert_eq!(of(Mode::Knobs, none).differing(&flat).count(), 0, "{none:?}");
+                assert_eq!(of(Mode::Settings, none).differing(&flat).count(), 0, "{none:?}");
             }
         }
-        // The control: with its amplitude it is another picture, unless it is the flat tier.
-        let changed = of(Mode::Knobs, knobs(tier)).differing(&of(Mode::Flat, knobs(tier))).count();
-        assert_eq!(changed == 0, tier == ReliefTier::Flat, "{tier:?}: {changed} pixels");
+        // Control: with its amplitude it is another picture, unless it is the flat tier.
+        let changed =
+            of(Mode::Settings, pom_settings(tier)).differing(&of(Mode::Flat, pom_settings(tier))).count();
+        assert_eq!(changed == 0, tier == PomMethod::Flat, "{tier:?}: {changed} pixels");
     }
 }
 
 #[test]
-fn a_relief_that_has_faded_is_the_flat_plane_byte_for_byte_and_one_that_never_does_is_not() {
-    let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
+fn a_faded_relief_equals_the_flat_plane_byte_for_byte() {
+    let Some(mut renderer) = renderer(Scene::Pom, (192, 108)) else { return };
     // The highest relief of the scene is less than 8 pixels high from here.
     let pose = around(20.0, 20.0, 4.5);
     let mut differing = |fade_px| {
-        let relief = ReliefKnobs { fade_px, ..ReliefKnobs::default() };
-        let mut of = |mode| studio.shown(&[plane(mode)], pose, relief, Show::Picture).unwrap();
-        of(Mode::Knobs).differing(&of(Mode::Flat)).count()
+        let relief = PomSettings { fade_px, ..PomSettings::default() };
+        let mut of = |mode| renderer.shown(&[plane(mode)], pose, relief, Show::Image).unwrap();
+        of(Mode::Settings).differing(&of(Mode::Flat)).count()
     };
     assert_eq!(differing(16.0), 0);
     let whole = differing(0.0);
@@ -106,25 +93,25 @@ fn a_relief_that_has_faded_is_the_flat_plane_byte_for_byte_and_one_that_never_do
 }
 
 #[test]
-fn a_loop_that_runs_to_its_end_draws_what_one_that_leaves_draws_byte_for_byte() {
-    let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
+fn a_loop_with_a_flag_equals_one_with_an_early_exit() {
+    let Some(mut renderer) = renderer(Scene::Pom, (192, 108)) else { return };
     let pose = around(12.0, -35.0, 3.0);
     for refine in [Refine::None, Refine::Segment, Refine::Secant, Refine::Bisection] {
         for heights in [Heights::Exact, Heights::Sampler] {
-            let exit = ReliefKnobs { refine, heights, ..knobs(ReliefTier::Linear) };
-            let flag = ReliefKnobs { loop_form: LoopForm::Flag, ..exit };
-            let mut of = |relief| studio.shown(&[plane(Mode::Knobs)], pose, relief, Show::Picture).unwrap();
+            let exit = PomSettings { refine, heights, ..pom_settings(PomMethod::Linear) };
+            let flag = PomSettings { loop_form: LoopForm::Flag, ..exit };
+            let mut of =
+                |relief| renderer.shown(&[plane(Mode::Settings)], pose, relief, Show::Image).unwrap();
             let (left, ran) = (of(exit), of(flag));
             assert_eq!(left.differing(&ran).count(), 0, "{refine:?} {heights:?}");
-            // The control: another number of steps is another picture.
-            let fewer = of(ReliefKnobs { steps_min: 2, steps_max: 3, ..exit });
+            // Control: another number of steps is another picture.
+            let fewer = of(PomSettings { steps_min: 2, steps_max: 3, ..exit });
             assert!(left.differing(&fewer).count() > 100, "{refine:?} {heights:?}");
         }
     }
 }
 
-/// Cameras that ask for what has no answer: straight down, along the plane, at its height, in the
-/// relief, under it.
+/// Degenerate cameras: straight down, along the plane, at its height, in the relief, under it.
 fn odd_poses() -> Vec<Pose> {
     let texts = [
         "0,3,0,0,-90",
@@ -139,17 +126,17 @@ fn odd_poses() -> Vec<Pose> {
 }
 
 #[test]
-fn every_pixel_is_a_number_whatever_camera_amplitude_and_steps_are() {
-    let Some(mut studio) = studio(Scene::Pom, (64, 36)) else { return };
+fn light_is_finite_for_every_camera_amplitude_and_step_count() {
+    let Some(mut renderer) = renderer(Scene::Pom, (64, 36)) else { return };
     let silhouettes = [Silhouette::None, Silhouette::Rectangle, Silhouette::Horizon, Silhouette::Shell];
-    let shadows = [ReliefShadow::Hard, ReliefShadow::Soft];
+    let shadows = [PomShadow::Hard, PomShadow::Soft];
     let (mut index, mut seen) = (0, 0);
     for pose in odd_poses() {
         // Relative to a tile of 5 m, whose relief is 0.1 m.
         for amplitude in [1e-6, 0.05, 0.5, 10.0f32] {
             for steps in [1, 256] {
-                for tier in [ReliefTier::Linear, ReliefTier::Auto, ReliefTier::Offset] {
-                    let relief = ReliefKnobs {
+                for tier in [PomMethod::Linear, PomMethod::Auto, PomMethod::Offset] {
+                    let relief = PomSettings {
                         amplitude,
                         steps_min: steps,
                         steps_max: steps,
@@ -158,12 +145,12 @@ fn every_pixel_is_a_number_whatever_camera_amplitude_and_steps_are() {
                         depth: index % 3 == 0,
                         pivot: [0.5, 0.0, 1.0][index % 3],
                         tiling: [[1.0, 1.0], [8.0, 0.25], [0.25, 8.0]][index / 3 % 3],
-                        ..knobs(tier)
+                        ..pom_settings(tier)
                     };
                     index += 1;
                     let mut everything = objects::of(Scene::Spom);
-                    everything.extend([plane(Mode::Knobs), plane(Mode::Geometry)]);
-                    let light = studio.shown(&everything, pose, relief, Show::Picture).unwrap();
+                    everything.extend([plane(Mode::Settings), plane(Mode::Geometry)]);
+                    let light = renderer.shown(&everything, pose, relief, Show::Image).unwrap();
                     assert_eq!(light.unlit(), 0, "{pose} {relief:?}");
                     seen += light.0.len();
                 }
@@ -171,46 +158,47 @@ fn every_pixel_is_a_number_whatever_camera_amplitude_and_steps_are() {
         }
     }
     assert!(seen > 0);
-    // The control: a sun that is no number is seen.
-    let mut frame = studio.frame(around(30.0, 0.0, 3.0), Looks::default());
+    // Control: a NaN sun is detected.
+    let mut frame = renderer.frame(around(30.0, 0.0, 3.0), RenderSettings::default());
     frame.uniforms.sun = [f32::NAN; 3];
-    assert!(studio.light(&frame).unwrap().unlit() > 100, "the control must fail");
+    assert!(renderer.read_hdr(&frame).unwrap().unlit() > 100, "the control must fail");
 }
 
 #[test]
-fn every_scene_is_drawn_by_every_knob_and_at_odd_numbers() {
+fn every_scene_is_drawn_with_every_setting_and_with_nan() {
     let odd = Horizon { strength: f32::NAN, height_bias: 9.0, safe_threshold: -1.0, falloff: f32::INFINITY };
     let rows = [
-        ReliefKnobs::default(),
-        ReliefKnobs {
+        PomSettings::default(),
+        PomSettings {
             silhouette: Silhouette::Rectangle,
-            shadow: ReliefShadow::Hard,
-            ..knobs(ReliefTier::Linear)
+            shadow: PomShadow::Hard,
+            ..pom_settings(PomMethod::Linear)
         },
-        ReliefKnobs {
+        PomSettings {
             silhouette: Silhouette::Horizon,
             horizon: odd,
             depth: true,
-            ..knobs(ReliefTier::Cones)
+            ..pom_settings(PomMethod::Cones)
         },
-        ReliefKnobs {
+        PomSettings {
             silhouette: Silhouette::Shell,
             depth: true,
             amplitude: f32::NAN,
-            ..knobs(ReliefTier::Pyramid)
+            ..pom_settings(PomMethod::MaxMip)
         },
     ];
     for scene in SCENES {
-        let Some(mut studio) = studio(scene, (160, 90)) else { return };
+        let Some(mut renderer) = renderer(scene, (160, 90)) else { return };
         let mut of = |relief, show| {
-            let frame = studio.frame(scene.start(), Looks { relief, show, ..Looks::default() });
-            let light = studio.light(&frame).unwrap();
+            let frame = renderer
+                .frame(scene.start(), RenderSettings { pom: relief, show, ..RenderSettings::default() });
+            let light = renderer.read_hdr(&frame).unwrap();
             assert_eq!(light.unlit(), 0, "{scene:?} {show:?} {relief:?}");
             light
         };
-        let standard = of(rows[0], Show::Picture);
+        let standard = of(rows[0], Show::Image);
         for relief in &rows[1..] {
-            let changed = of(*relief, Show::Picture).differing(&standard).count();
+            let changed = of(*relief, Show::Image).differing(&standard).count();
             assert!(changed > 0, "{scene:?}: {relief:?} changes nothing");
         }
         for show in [Show::Error, Show::Normals, Show::Levels, Show::Wireframe] {
@@ -220,7 +208,7 @@ fn every_scene_is_drawn_by_every_knob_and_at_odd_numbers() {
 }
 
 /// A set of one colour whose heights are stripes.
-fn striped() -> OwnMaterials {
+fn striped() -> CustomMaterials {
     let texel = |index: usize| shaders::layout::BakeTexel {
         albedo: [0.8, 0.05, 0.6],
         height: f32::from(u8::from(index % 64 < 32)),
@@ -229,18 +217,18 @@ fn striped() -> OwnMaterials {
         occlusion: 1.0,
     };
     let texels = (0..MATERIAL_TEXELS).map(texel).collect();
-    let mut sets: [Option<OwnMaterial>; 7] = Default::default();
-    sets[LAYER as usize] = Some(OwnMaterial { texels, normals_given: false, occlusion_given: false });
+    let mut sets: [Option<CustomMaterial>; 7] = Default::default();
+    sets[LAYER as usize] = Some(CustomMaterial { texels, normals_given: false, occlusion_given: false });
     Arc::new(sets)
 }
 
 #[test]
 fn a_users_textures_cover_the_objects_of_every_scene() {
     for scene in SCENES {
-        let base = options(scene, ReliefKnobs::default());
+        let base = options(scene, PomSettings::default());
         let Some(own) = drawn(&Options { materials: striped(), ..base.clone() }) else { return };
         let Some(procedural) = drawn(&base) else { return };
-        let pink = |picture: &Picture| {
+        let pink = |picture: &Image| {
             picture
                 .rgba
                 .chunks_exact(4)
@@ -259,44 +247,45 @@ fn a_users_textures_cover_the_objects_of_every_scene() {
 }
 
 #[test]
-fn a_shell_has_the_silhouette_of_displaced_geometry_and_a_flat_plane_has_not() {
-    let Some(mut studio) = studio(Scene::Pom, (480, 270)) else { return };
+fn a_shell_has_the_silhouette_of_displaced_geometry() {
+    let Some(mut renderer) = renderer(Scene::Pom, (480, 270)) else { return };
     for elevation_deg in [16.0, 5.0] {
         let mut overlap = |mode, silhouette, tier| {
-            let knobs = ReliefKnobs { silhouette, ..knobs(tier) };
-            silhouette_overlap(&mut studio, mode, knobs, elevation_deg).unwrap()
+            let settings = PomSettings { silhouette, ..pom_settings(tier) };
+            silhouette_overlap(&mut renderer, mode, settings, elevation_deg).unwrap()
         };
-        for tier in [ReliefTier::Auto, ReliefTier::Pyramid, ReliefTier::Linear] {
-            let own = overlap(Mode::Knobs, Silhouette::Shell, tier);
+        for tier in [PomMethod::Auto, PomMethod::MaxMip, PomMethod::Linear] {
+            let own = overlap(Mode::Settings, Silhouette::Shell, tier);
             println!("{tier:?} at {elevation_deg} degrees: shell {own:.4}");
             assert!(own >= 0.98, "{tier:?} at {elevation_deg} degrees: {own}");
         }
-        let flat = overlap(Mode::Flat, Silhouette::Shell, ReliefTier::Auto);
-        let rectangle = overlap(Mode::Knobs, Silhouette::Rectangle, ReliefTier::Auto);
+        let flat = overlap(Mode::Flat, Silhouette::Shell, PomMethod::Auto);
+        let rectangle = overlap(Mode::Settings, Silhouette::Rectangle, PomMethod::Auto);
         println!("at {elevation_deg} degrees: flat {flat:.4}, rectangle {rectangle:.4}");
         assert!(flat < 0.98, "the control must fail: {flat} at {elevation_deg} degrees");
     }
 }
 
 #[test]
-fn an_eye_inside_a_shell_still_sees_the_relief() {
-    let Some(mut studio) = studio(Scene::Pom, (96, 54)) else { return };
+fn an_eye_inside_a_shell_sees_the_relief() {
+    let Some(mut renderer) = renderer(Scene::Pom, (96, 54)) else { return };
     // The relief reaches from 0.05 m below the plane to 0.05 m above it, times the amplitude.
-    let shell = ReliefKnobs { silhouette: Silhouette::Shell, amplitude: 16.0, ..knobs(ReliefTier::Pyramid) };
+    let shell =
+        PomSettings { silhouette: Silhouette::Shell, amplitude: 16.0, ..pom_settings(PomMethod::MaxMip) };
     for height_m in [0.4, 1.2] {
         let pose: Pose = format!("0,{height_m},0.5,0,-60").parse().unwrap();
-        let seen = studio.cover(&[plane(Mode::Knobs)], pose, shell).unwrap().count();
+        let seen = renderer.cover(&[plane(Mode::Settings)], pose, shell).unwrap().count();
         assert!(seen > 96 * 54 / 2, "{seen} pixels from {height_m} m");
     }
 }
 
 #[test]
-fn objects_are_cut_by_the_depth_of_the_relief_where_displaced_geometry_cuts_them() {
-    let Some(mut studio) = studio(Scene::Pom, (480, 270)) else { return };
+fn relief_depth_cuts_objects_where_displaced_geometry_does() {
+    let Some(mut renderer) = renderer(Scene::Pom, (480, 270)) else { return };
     for elevation_deg in [16.0, 40.0] {
         let mut distance = |depth, silhouette| {
-            let knobs = ReliefKnobs { depth, silhouette, ..knobs(ReliefTier::Pyramid) };
-            cut_distance(&mut studio, knobs, elevation_deg).unwrap()
+            let settings = PomSettings { depth, silhouette, ..pom_settings(PomMethod::MaxMip) };
+            cut_distance(&mut renderer, settings, elevation_deg).unwrap()
         };
         let (own, length) = distance(true, Silhouette::Shell);
         let (shallow, _) = distance(false, Silhouette::None);
@@ -308,53 +297,55 @@ fn objects_are_cut_by_the_depth_of_the_relief_where_displaced_geometry_cuts_them
 }
 
 #[test]
-fn the_exact_walk_and_displaced_geometry_look_alike_and_flat_and_one_offset_do_not() {
-    let Some(mut studio) = studio(Scene::Pom, (320, 180)) else { return };
+fn maximum_mipmap_traversal_resembles_displaced_geometry() {
+    let Some(mut renderer) = renderer(Scene::Pom, (320, 180)) else { return };
     let pose = around(25.0, 10.0, 3.0);
     let mut of = |mode| {
-        let relief = ReliefKnobs { silhouette: Silhouette::Shell, ..knobs(ReliefTier::Pyramid) };
-        let light = studio.shown(&[plane(mode)], pose, relief, Show::Picture).unwrap();
+        let relief = PomSettings { silhouette: Silhouette::Shell, ..pom_settings(PomMethod::MaxMip) };
+        let light = renderer.shown(&[plane(mode)], pose, relief, Show::Image).unwrap();
         assert_eq!(light.unlit(), 0);
-        studio.picture().unwrap()
+        renderer.picture().unwrap()
     };
-    let truth = of(Mode::Geometry);
-    let [own, flat, offset] = [Mode::Knobs, Mode::Flat, Mode::Offset].map(|mode| apart(&of(mode), &truth));
+    let reference = of(Mode::Geometry);
+    let [own, flat, offset] =
+        [Mode::Settings, Mode::Flat, Mode::Offset].map(|mode| apart(&of(mode), &reference));
     println!("mean difference to geometry: walk {own:.2}, flat {flat:.2}, offset {offset:.2}");
     assert!(own < 0.35 * flat && own < 0.35 * offset, "{own} against {flat} and {offset}");
 }
 
 #[test]
-fn every_scene_bakes_cones_when_they_are_asked_for() {
+fn every_scene_bakes_cones_on_request() {
     for scene in SCENES {
-        let Some(mut studio) = studio(scene, (192, 108)) else { return };
+        let Some(mut renderer) = renderer(scene, (192, 108)) else { return };
         // The view of levels has a colour for each tier.
         let mut of = |tier| {
-            let looks = Looks { relief: knobs(tier), show: Show::Levels, ..Looks::default() };
-            studio.light(&studio.frame(scene.start(), looks)).unwrap()
+            let settings =
+                RenderSettings { pom: pom_settings(tier), show: Show::Levels, ..RenderSettings::default() };
+            renderer.read_hdr(&renderer.frame(scene.start(), settings)).unwrap()
         };
-        let walk = of(ReliefTier::Pyramid);
-        assert!(of(ReliefTier::Cones).differing(&walk).count() > 500, "{scene:?} has no cones");
+        let walk = of(PomMethod::MaxMip);
+        assert!(of(PomMethod::Cones).differing(&walk).count() > 500, "{scene:?} has no cones");
         assert_eq!(
-            of(ReliefTier::Pyramid).differing(&walk).count(),
+            of(PomMethod::MaxMip).differing(&walk).count(),
             0,
-            "{scene:?}: cones have changed the walk"
+            "{scene:?}: cones changed the traversal"
         );
     }
 }
 
 #[test]
-fn cones_of_a_scene_find_what_the_exact_walk_finds_and_one_offset_does_not() {
-    let Some(mut studio) = studio(Scene::Pom, (320, 180)) else { return };
+fn cones_agree_with_maximum_mipmap_traversal() {
+    let Some(mut renderer) = renderer(Scene::Pom, (320, 180)) else { return };
     // Of the finest mip level, and of coarser ones.
     for distance_m in [3.0, 8.0] {
         let mut of = |tier| {
-            let relief = ReliefKnobs { fade_px: 0.0, ..knobs(tier) };
-            studio
-                .shown(&[plane(Mode::Knobs)], around(25.0, 10.0, distance_m), relief, Show::Normals)
+            let relief = PomSettings { fade_px: 0.0, ..pom_settings(tier) };
+            renderer
+                .shown(&[plane(Mode::Settings)], around(25.0, 10.0, distance_m), relief, Show::Normals)
                 .unwrap();
-            studio.picture().unwrap()
+            renderer.picture().unwrap()
         };
-        let [walk, cones, offset] = [ReliefTier::Pyramid, ReliefTier::Cones, ReliefTier::Offset].map(&mut of);
+        let [walk, cones, offset] = [PomMethod::MaxMip, PomMethod::Cones, PomMethod::Offset].map(&mut of);
         let (own, control) = (apart(&cones, &walk), apart(&offset, &walk));
         println!(
             "{distance_m} m: normals of cones {own:.4} off those of the walk, of one offset {control:.4}"
@@ -363,32 +354,32 @@ fn cones_of_a_scene_find_what_the_exact_walk_finds_and_one_offset_does_not() {
     }
 }
 
-/// Rows of what is seen, bit for bit, by objects and knobs.
-fn of_all(studio: &mut ReliefStudio, objects: &[Object], tiling: [f32; 2], show: Show) -> Light {
+/// The light of objects with a tiling.
+fn of_all(renderer: &mut PomRenderer, objects: &[Object], tiling: [f32; 2], show: Show) -> Light {
     let relief =
-        ReliefKnobs { tiling, silhouette: Silhouette::Shell, depth: true, ..knobs(ReliefTier::Pyramid) };
-    studio.shown(objects, around(30.0, 20.0, 5.0), relief, show).unwrap()
+        PomSettings { tiling, silhouette: Silhouette::Shell, depth: true, ..pom_settings(PomMethod::MaxMip) };
+    renderer.shown(objects, around(30.0, 20.0, 5.0), relief, show).unwrap()
 }
 
 #[test]
-fn a_material_tiled_twice_is_one_of_tiles_half_as_large_byte_for_byte() {
-    let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
-    // In sight one after another.
-    let position_m = plane(Mode::Knobs).position_m;
+fn tiling_by_two_equals_tiles_of_half_the_size() {
+    let Some(mut renderer) = renderer(Scene::Pom, (192, 108)) else { return };
+    // One object at a time.
+    let position_m = plane(Mode::Settings).position_m;
     let solids = objects::of(Scene::Spom).into_iter().map(|object| vec![Object { position_m, ..object }]);
     let shapes = COMPARED.map(|mode| vec![plane(mode)]).into_iter().chain(solids);
     for whole in shapes.filter(|objects| objects[0].mode != Mode::Plain) {
         let halved = [Object { tile_m: 0.5 * whole[0].tile_m, ..whole[0] }];
-        for show in [Show::Picture, Show::Wireframe] {
-            let tiled = of_all(&mut studio, &whole, [2.0; 2], show);
+        for show in [Show::Image, Show::Wireframe] {
+            let tiled = of_all(&mut renderer, &whole, [2.0; 2], show);
             assert_eq!(
-                tiled.differing(&of_all(&mut studio, &halved, [1.0; 2], show)).count(),
+                tiled.differing(&of_all(&mut renderer, &halved, [1.0; 2], show)).count(),
                 0,
                 "{whole:?}"
             );
             for tiling in [[1.0, 1.0], [2.0, 1.0], [1.0, 2.0]] {
-                let control = of_all(&mut studio, &whole, tiling, show).differing(&tiled).count();
-                let is_seen = show == Show::Picture || whole[0].mode == Mode::Geometry;
+                let control = of_all(&mut renderer, &whole, tiling, show).differing(&tiled).count();
+                let is_seen = show == Show::Image || whole[0].mode == Mode::Geometry;
                 assert!(!is_seen || control > 300, "{tiling:?} {whole:?}: {control}");
             }
         }
@@ -396,28 +387,28 @@ fn a_material_tiled_twice_is_one_of_tiles_half_as_large_byte_for_byte() {
 }
 
 #[test]
-fn tiling_leaves_metres_of_height_as_they_are() {
-    let Some(mut studio) = studio(Scene::Pom, (192, 108)) else { return };
+fn tiling_does_not_change_heights_in_metres() {
+    let Some(mut renderer) = renderer(Scene::Pom, (192, 108)) else { return };
     // Seen from twice as far, everything twice as large is the same picture; its material is tiled
     // half as often, and its relief is twice as high.
     let mut of = |scale: f32, relief_m: f32, tiling: f32, mode| {
         let shape = Shape::Plane { width_m: SIDE_M * scale, height_m: SIDE_M * scale };
         let object = Object { shape, relief_m, ..plane(mode) };
-        let relief = ReliefKnobs {
+        let relief = PomSettings {
             tiling: [tiling; 2],
             fade_px: 0.0,
             silhouette: Silhouette::Shell,
-            ..knobs(ReliefTier::Pyramid)
+            ..pom_settings(PomMethod::MaxMip)
         };
-        studio.shown(&[object], around(25.0, 10.0, 3.0 * f64::from(scale)), relief, Show::Normals).unwrap();
-        studio.picture().unwrap()
+        renderer.shown(&[object], around(25.0, 10.0, 3.0 * f64::from(scale)), relief, Show::Normals).unwrap();
+        renderer.picture().unwrap()
     };
     // The sky depends on the height of the eye, a little.
-    let differing = |one: &Picture, other: &Picture| {
+    let differing = |one: &Image, other: &Image| {
         let pixels = one.rgba.chunks_exact(4).zip(other.rgba.chunks_exact(4));
         pixels.filter(|(a, b)| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > 4)).count()
     };
-    for mode in [Mode::Knobs, Mode::Geometry] {
+    for mode in [Mode::Settings, Mode::Geometry] {
         let small = of(1.0, RELIEF_M, 2.0, mode);
         let same = differing(&of(2.0, 2.0 * RELIEF_M, 1.0, mode), &small);
         let control = differing(&of(2.0, RELIEF_M, 1.0, mode), &small);
@@ -427,49 +418,52 @@ fn tiling_leaves_metres_of_height_as_they_are() {
 }
 
 #[test]
-fn a_tiled_march_meets_displaced_geometry_in_outline_light_and_depth() {
-    let Some(mut studio) = studio(Scene::Pom, (320, 180)) else { return };
+fn a_tiled_relief_matches_displaced_geometry() {
+    let Some(mut renderer) = renderer(Scene::Pom, (320, 180)) else { return };
     // Tiles half as long along u as along v, and a vertex for every texel of both.
     let shape = Shape::Plane { width_m: 0.5 * SIDE_M, height_m: SIDE_M };
     let object = |mode| Object { shape, ..plane(mode) };
-    let relief = ReliefKnobs {
+    let relief = PomSettings {
         tiling: [2.0, 1.0],
         silhouette: Silhouette::Shell,
         depth: true,
-        ..knobs(ReliefTier::Pyramid)
+        ..pom_settings(PomMethod::MaxMip)
     };
     let pose = around(16.0, 30.0, 2.6);
-    let mut cover = |mode| studio.cover(&[object(mode)], pose, relief).unwrap();
-    let truth = cover(Mode::Geometry);
-    let (own, flat) = (cover(Mode::Knobs).overlap(&truth), cover(Mode::Flat).overlap(&truth));
+    let mut cover = |mode| renderer.cover(&[object(mode)], pose, relief).unwrap();
+    let reference = cover(Mode::Geometry);
+    let (own, flat) = (cover(Mode::Settings).overlap(&reference), cover(Mode::Flat).overlap(&reference));
     println!("overlap: marched {own:.4}, flat {flat:.4}");
     assert!(own >= 0.98 && flat < 0.98, "{own}, the control must fail: {flat}");
 
     let pose = around(25.0, 10.0, 2.0);
     let mut of = |mode, tiling| {
-        studio.shown(&[object(mode)], pose, ReliefKnobs { tiling, ..relief }, Show::Picture).unwrap();
-        studio.picture().unwrap()
+        renderer.shown(&[object(mode)], pose, PomSettings { tiling, ..relief }, Show::Image).unwrap();
+        renderer.picture().unwrap()
     };
-    let truth = of(Mode::Geometry, relief.tiling);
-    let own = apart(&of(Mode::Knobs, relief.tiling), &truth);
-    let control = apart(&of(Mode::Knobs, [1.0, 2.0]), &truth);
+    let reference = of(Mode::Geometry, relief.tiling);
+    let own = apart(&of(Mode::Settings, relief.tiling), &reference);
+    let control = apart(&of(Mode::Settings, [1.0, 2.0]), &reference);
     println!("mean difference to geometry: {own:.2}, of another tiling {control:.2}");
     assert!(own < 0.35 * control, "{own} against {control}");
 
     let ball = Object { shape: Shape::Capsule { radius_m: 0.35, half_length_m: 0.0 }, ..ball() };
     let mut line = |mode, depth| {
-        let knobs = ReliefKnobs { depth, ..relief };
-        studio.cut_line(&object(mode), &ball, pose, knobs).unwrap()
+        let settings = PomSettings { depth, ..relief };
+        renderer.cut_line(&object(mode), &ball, pose, settings).unwrap()
     };
-    let truth = line(Mode::Geometry, true);
-    let mut off = |depth| quantile(&line_distances(&line(Mode::Knobs, depth), &truth), 0.99);
+    let reference = line(Mode::Geometry, true);
+    let mut off = |depth| quantile(&line_distances(&line(Mode::Settings, depth), &reference), 0.99);
     let (own, control) = (off(true), off(false));
-    println!("line in which a ball is cut: {own} px off, without depth {control} px, {} pixels", truth.len());
-    assert!(own <= 1.0 && control > 1.0 && truth.len() > 30, "{own}, the control must fail: {control}");
+    println!(
+        "line in which a ball is cut: {own} px off, without depth {control} px, {} pixels",
+        reference.len()
+    );
+    assert!(own <= 1.0 && control > 1.0 && reference.len() > 30, "{own}, the control must fail: {control}");
 }
 
 #[test]
-fn light_that_differs_is_seen_to_differ() {
+fn differing_light_is_counted() {
     let one = Light(vec![[1, 2, 3, 4]; 4]);
     let mut other = one.clone();
     assert_eq!(one.differing(&other).count(), 0);

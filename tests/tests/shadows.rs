@@ -1,81 +1,64 @@
-//! The land's shadow on itself: against its definition, at odd suns and odd land, and in pictures.
+//! Terrain shadows: against their definition, for extreme suns and land, and in pictures.
 
-use client::camera::Lens;
-use client::feed::LocalFeed;
-use client::frame::{FrameData, Shot};
-use client::headless::{self, HeadlessError, Options};
-use client::looks::{Looks, Shadows, SunPlace};
-use client::render::{Gpu, Picture, RenderOptions, Renderer, picture};
+use client::cache::{ChunkCache, Resident};
+use client::frame::FrameData;
+use client::gpu::{Gpu, Image, offscreen};
+use client::headless::Options;
+use client::lod::{Drawn, Selection, select};
+use client::renderer::{RenderOptions, Renderer};
 use client::scene::Scene;
-use client::world::{Drawn, Resident, Selection, World, select};
+use client::settings::{RenderSettings, Shadows, SunPosition};
+use client::stream::LocalStream;
+use client::view::ViewParams;
 use shaders::layout::{clearance_of_byte, disc_share};
 use shaders::twin::morph::Seams;
 use std::collections::HashMap;
-use std::time::Instant;
 use terrain::constants::{CELLS, VERTEX_COUNT, VERTICES};
 use terrain::{Chunk, ChunkKey, GrassSeed, Land, Pyramid, lod};
 use tests::horizon;
 
 const SLOTS: u32 = 1000;
 
-/// A device; none, visibly, where there is no adapter and none is required.
-fn device() -> Option<Gpu> {
-    match Gpu::open_blocking() {
-        Ok(gpu) => Some(gpu),
-        Err(error) if !tests::gpu_is_required() => {
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
-}
-
 fn renderer(gpu: &Gpu) -> Renderer {
     let options = RenderOptions {
         scene: Scene::Island,
         size: (64, 36),
         samples: 1,
-        format: picture::PICTURE_FORMAT,
+        format: offscreen::IMAGE_FORMAT,
         slots: SLOTS,
     };
     Renderer::new(gpu, &options)
 }
 
-fn shot(camera: &str, sun: (f32, f32)) -> Shot {
-    let sun = SunPlace { azimuth_deg: sun.0, elevation_deg: sun.1 };
-    Shot {
-        pose: camera.parse().unwrap(),
-        lens: Lens { fov_deg: 60.0, width: 640, height: 360 },
-        view_distance_m: 4000,
-        tolerance_px: 3.0,
-        time_s: 0.0,
-        looks: Looks { sun: Some(sun), ..Looks::default() },
-    }
+fn view(camera: &str, sun: (f32, f32)) -> ViewParams {
+    let sun = SunPosition { azimuth_deg: sun.0, elevation_deg: sun.1 };
+    let view = tests::view_at(camera, (640, 360), 4000, 3.0);
+    ViewParams { settings: RenderSettings { sun: Some(sun), ..shot.settings }, ..shot }
 }
 
-/// What is drawn, and the clearances that the GPU finds for the chunks in sight.
+/// A drawn world, and the clearances that the GPU computes for its visible chunks.
 struct Scenery {
-    world: World,
+    world: ChunkCache,
     selection: Selection,
     gpu: Gpu,
     renderer: Renderer,
 }
 
 impl Scenery {
-    fn of(shot: &Shot) -> Option<Self> {
-        let (gpu, land) = (device()?, Land::new(1));
-        let mut world = World::new(SLOTS);
-        for needed in lod::select(&land, &shot.viewer(), usize::MAX) {
+    fn of(view: &ViewParams) -> Option<Self> {
+        let (gpu, land) = (tests::open_gpu_or_skip()?, Land::new(1));
+        let mut world = ChunkCache::new(SLOTS);
+        for needed in lod::select(&land, &view.viewer(), usize::MAX) {
             assert!(
                 world.insert(land.chunk(needed.key)).evicted.is_empty(),
                 "the pool is too small for the test"
             );
         }
-        let selection = select(&mut world, &shot.viewer());
+        let selection = select(&mut world, &view.viewer());
         Some(Self::with(gpu, world, selection))
     }
 
-    fn with(gpu: Gpu, world: World, selection: Selection) -> Self {
+    fn with(gpu: Gpu, world: ChunkCache, selection: Selection) -> Self {
         let mut renderer = renderer(&gpu);
         for key in world.keys() {
             renderer.upload(&gpu, world.get(key).unwrap());
@@ -83,17 +66,17 @@ impl Scenery {
         Self { world, selection, gpu, renderer }
     }
 
-    fn frame(&self, shot: &Shot) -> FrameData {
-        shot.frame(Scene::Island, &self.world, &self.selection)
+    fn frame(&self, view: &ViewParams) -> FrameData {
+        view.frame(Scene::Island, &self.world, &self.selection)
     }
 
-    /// Clearances as bytes, of every chunk in sight.
-    fn cast(&mut self, shot: &Shot) -> HashMap<ChunkKey, Vec<u8>> {
-        let frame = self.frame(shot);
+    /// Clearances as bytes, of every visible chunk.
+    fn cast(&mut self, view: &ViewParams) -> HashMap<ChunkKey, Vec<u8>> {
+        let frame = self.frame(view);
         self.renderer.finish_shadows(&self.gpu, &frame).unwrap();
         let seen = frame.candidates.iter().filter(|candidate| candidate.in_sight);
         seen.map(|seen| {
-            let bytes = self.renderer.pool().read_clearances(&self.gpu, seen.page.slot).unwrap();
+            let bytes = self.renderer.pool().read_sun_clearances(&self.gpu, seen.page.slot).unwrap();
             assert_eq!(bytes.len(), VERTEX_COUNT);
             assert!(!bytes.contains(&0), "no clearance is written as 0");
             (seen.page.key, bytes)
@@ -112,8 +95,8 @@ fn place(key: ChunkKey, index: usize) -> (i64, i64) {
     (at(x, index % VERTICES), at(z, index / VERTICES))
 }
 
-/// Share of some vertices whose share of the sun is off by more than a tolerance, and the share of
-/// those that are neither fully lit nor fully dark by definition.
+/// The share of sampled vertices whose visible part of the sun deviates by more than a tolerance,
+/// and the share of those in the penumbra by definition.
 ///
 /// Tolerance: a byte holds a clearance near the rim to 1/45 of a radius, the share changes by 2/pi
 /// per radius, and corners of cells that are cut by less than 16 mm may be missed.
@@ -130,9 +113,9 @@ fn disagreement(
     for (nth, key) in keys.into_iter().enumerate() {
         for index in (nth * 97 % stride..VERTEX_COUNT).step_by(stride) {
             let clearance = truth.clearance(place(key, index), azimuth, elevation);
-            let wanted = disc_share(clearance);
+            let expected = disc_share(clearance);
             let got = disc_share(clearance_of_byte(cast[&key][index]));
-            off += u32::from((wanted - got).abs() > 0.03);
+            off += u32::from((expected - got).abs() > 0.03);
             partial += u32::from(clearance.abs() < 1.0);
             all += 1;
         }
@@ -146,8 +129,8 @@ const SUNS: [(f32, f32); 6] =
     [(130.0, 3.0), (290.0, 8.0), (90.0, 8.0), (315.0, 8.0), (33.0, 20.0), (127.1, 43.0)];
 
 #[test]
-fn shadows_agree_with_their_definition_and_the_comparison_can_fail() {
-    let shot_at = |sun| shot("300,420,900,20,-12", sun);
+fn shadows_agree_with_their_definition() {
+    let shot_at = |sun| view("300,420,900,20,-12", sun);
     let Some(mut scenery) = Scenery::of(&shot_at(SUNS[0])) else { return };
     for sun in SUNS {
         let cast = scenery.cast(&shot_at(sun));
@@ -187,7 +170,7 @@ fn shadows_agree_with_their_definition_and_the_comparison_can_fail() {
     assert!(skipped > 0.03, "blocks skipped by their minima: {skipped}");
 }
 
-/// Vertices that two drawn chunks share, as bytes of both.
+/// The bytes of both chunks at the vertices that two drawn chunks share.
 fn shared(cast: &HashMap<ChunkKey, Vec<u8>>) -> Vec<(bool, u8, u8)> {
     let mut at: HashMap<(i64, i64), (u8, u8)> = HashMap::new();
     let mut shared = Vec::new();
@@ -208,11 +191,11 @@ fn shared(cast: &HashMap<ChunkKey, Vec<u8>>) -> Vec<(bool, u8, u8)> {
 }
 
 #[test]
-fn chunks_that_meet_agree_about_the_sun_on_their_border() {
+fn adjacent_chunks_agree_about_the_sun_on_their_border() {
     let sun = (290.0, 8.0);
-    let shot = shot("300,420,900,20,-12", sun);
-    let Some(mut scenery) = Scenery::of(&shot) else { return };
-    let shared = shared(&scenery.cast(&shot));
+    let view = view("300,420,900,20,-12", sun);
+    let Some(mut scenery) = Scenery::of(&view) else { return };
+    let shared = shared(&scenery.cast(&view));
     let count = |equal: bool| shared.iter().filter(|(level, ..)| *level == equal).count();
     assert!(count(true) > 1000 && count(false) > 500, "{} {}", count(true), count(false));
     let apart = shared.iter().filter(|(_, one, two)| one.abs_diff(*two) > 2).count();
@@ -223,7 +206,7 @@ fn chunks_that_meet_agree_about_the_sun_on_their_border() {
 
 /// A row of level-0 chunks 10 m above the sea, one vertex of the first one `spike_m` high.
 fn plain(gpu: Gpu, spike_m: i32, from_x: i32, z: i32) -> Scenery {
-    let mut world = World::new(SLOTS);
+    let mut world = ChunkCache::new(SLOTS);
     let mut drawn = Vec::new();
     for x in 0..16 {
         let key = ChunkKey::new(0, from_x + x, z).unwrap();
@@ -235,18 +218,18 @@ fn plain(gpu: Gpu, spike_m: i32, from_x: i32, z: i32) -> Scenery {
         world.insert(Chunk::from_parts(key, heights, 0, grass));
         drawn.push(Drawn { key, seams: Seams::default() });
     }
-    Scenery::with(gpu, world, Selection { drawn, wanting: 0 })
+    Scenery::with(gpu, world, Selection { drawn, missing: 0 })
 }
 
-/// From high above, everything in sight.
+/// From high above: every chunk is visible.
 const ABOVE: &str = "1024,9000,64,0,-90";
 
 #[test]
-fn a_spike_four_kilometres_high_on_one_cell_casts_a_shadow_of_the_right_length() {
-    let Some(gpu) = device() else { return };
+fn a_spike_of_4_km_casts_a_shadow_of_the_right_length() {
+    let Some(gpu) = tests::open_gpu_or_skip() else { return };
     let mut plain = plain(gpu, 4000, 0, 0);
     let sun = (270.0, 70.0);
-    let cast = plain.cast(&shot(ABOVE, sun));
+    let cast = plain.cast(&view(ABOVE, sun));
     assert_eq!(cast.len(), 16);
     // Row 32 lies behind the spike; 3990 m / tan(70 degrees) = 1452 m from x = 64.
     for metres in (80..2000).step_by(8) {
@@ -262,14 +245,14 @@ fn a_spike_four_kilometres_high_on_one_cell_casts_a_shadow_of_the_right_length()
 }
 
 #[test]
-fn every_sun_gives_a_defined_shadow_on_flat_land_and_spikes_in_the_corner_of_the_world_too() {
-    let Some(gpu) = device() else { return };
+fn every_sun_yields_a_defined_shadow_at_the_corner_of_the_world() {
+    let Some(gpu) = tests::open_gpu_or_skip() else { return };
     let last = 32_767;
     let mut plain = plain(gpu, 4000, last - 15, last);
     for elevation in [-90.0, -8.0, -0.3, -0.2, 0.0, 0.01, 0.3, 45.0, 89.0, 89.9, 90.0] {
         for azimuth in [0.0, 45.0, 270.0, 359.9] {
             let camera = format!("{},9000,{},0,-90", (last - 7) * 128, last * 128 + 64);
-            let cast = plain.cast(&shot(&camera, (azimuth, elevation)));
+            let cast = plain.cast(&view(&camera, (azimuth, elevation)));
             assert_eq!(cast.len(), 16);
             let all = cast.values().flatten();
             let (dark, lit) = all.fold((0, 0), |(dark, lit), byte| {
@@ -287,36 +270,25 @@ fn every_sun_gives_a_defined_shadow_on_flat_land_and_spikes_in_the_corner_of_the
     }
 }
 
-fn drawn(camera: &str, sun: Option<(f32, f32)>, shadows: Shadows) -> Option<Picture> {
-    let sun = sun.map(|(azimuth_deg, elevation_deg)| SunPlace { azimuth_deg, elevation_deg });
-    let options = Options {
-        pose: camera.parse().unwrap(),
-        lens: Lens { width: 256, height: 144, ..Options::default().lens },
-        samples: 1,
-        looks: Looks { sun, shadows, ..Looks::default() },
-        ..Options::default()
-    };
-    match headless::render(&options, LocalFeed::new(1), Instant::now(), |_| {}) {
-        Ok((picture, _)) => Some(picture),
-        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
+fn drawn(camera: &str, sun: Option<(f32, f32)>, shadows: Shadows) -> Option<Image> {
+    let sun = sun.map(|(azimuth_deg, elevation_deg)| SunPosition { azimuth_deg, elevation_deg });
+    let options = tests::options_at(camera, (256, 144));
+    let settings = RenderSettings { sun, shadows, ..options.settings };
+    let rendered = tests::render_or_skip(LocalStream::new(1), &Options { settings, ..options });
+    rendered.map(|(picture, _)| picture)
 }
 
 /// Mean of all channels of the lower half, where the land is.
-fn brightness(picture: &Picture) -> f64 {
+fn brightness(picture: &Image) -> f64 {
     let half = &picture.rgba[picture.rgba.len() / 2..];
     let sum: u64 = half.chunks_exact(4).map(|p| p[..3].iter().map(|c| u64::from(*c)).sum::<u64>()).sum();
     sum as f64 / (half.len() / 4 * 3) as f64
 }
 
 #[test]
-fn in_the_evening_the_far_side_of_the_hills_is_darker_with_shadows_than_without() {
+fn low_suns_darken_the_far_side_of_hills() {
     let summit = "300,420,900,20,-12";
-    // Into the sun, so that what is seen are the shadow sides; and with the sun behind.
+    // Towards the sun, where the shadow sides are visible, and away from it.
     let darker = |azimuth| {
         let lit = drawn(summit, Some((azimuth, 8.0)), Shadows::Off)?;
         let shaded = drawn(summit, Some((azimuth, 8.0)), Shadows::Soft)?;
@@ -328,11 +300,11 @@ fn in_the_evening_the_far_side_of_the_hills_is_darker_with_shadows_than_without(
 }
 
 #[test]
-fn under_the_zenith_shadows_change_nothing_and_in_the_evening_their_kind_shows() {
+fn shadow_kinds_differ_at_low_suns_and_not_at_the_zenith() {
     let summit = "300,420,900,20,-12";
     let Some(off) = drawn(summit, Some((0.0, 90.0)), Shadows::Off) else { return };
     let Some(soft) = drawn(summit, Some((0.0, 90.0)), Shadows::Soft) else { return };
-    assert!(off.rgba == soft.rgba, "nothing stands before the zenith");
+    assert!(off.rgba == soft.rgba, "no land occludes the zenith");
     let evening = |shadows| drawn(summit, Some((130.0, 8.0)), shadows).unwrap().rgba;
     let (off, hard, soft) = (evening(Shadows::Off), evening(Shadows::Hard), evening(Shadows::Soft));
     assert!(off != soft && hard != soft && off != hard);

@@ -79,7 +79,10 @@ async fn clients_with_equal_views_share_one_generation_per_chunk() {
     })
     .await
     .unwrap();
-    let generated = format!("tombolo_generation_jobs_total{{outcome=\"completed\"}} {}\n", counts.into_iter().next().unwrap());
+    let generated = format!(
+        "tombolo_generation_jobs_total{{outcome=\"completed\"}} {}\n",
+        counts.into_iter().next().unwrap()
+    );
     assert!(metrics.contains(&generated), "{metrics}");
 }
 

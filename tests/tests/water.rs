@@ -1,46 +1,31 @@
-//! The sea and the scene of the water: identities, the order of the tiers, and cameras at the ends
-//! of their ranges.
+//! The sea and the water scene: identities, the order of the tiers, and extreme cameras.
 
-use client::camera::{Lens, Pose};
-use client::feed::{LocalFeed, NoFeed};
-use client::headless::{self, HeadlessError, Options};
-use client::looks::{Looks, WaterTier, WaveKnobs};
-use client::render::{Canvas, Gpu, Picture, RenderOptions, Renderer, picture};
+use client::features::water::{WaterTier, WaveSettings};
+use client::gpu::{Image, OffscreenTarget, offscreen};
+use client::headless::Options;
+use client::renderer::{RenderOptions, Renderer};
 use client::scene::Scene;
+use client::settings::RenderSettings;
 use client::stats::Stats;
-use client::voyage::Voyage;
-use std::time::{Duration, Instant};
+use client::stream::streamer::WorldStreamer;
+use client::stream::{LocalStream, NullStream};
+use std::time::Duration;
 
 fn options(scene: Scene, camera: &str) -> Options {
-    Options {
-        scene,
-        pose: camera.parse::<Pose>().unwrap(),
-        lens: Lens { width: 192, height: 108, ..Options::default().lens },
-        samples: 1,
-        time_s: 3.0,
-        view_distance_m: 1500,
-        ..Options::default()
-    }
+    Options { scene, time_s: 3.0, view_distance_m: 1500, ..tests::options_at(camera, (192, 108)) }
 }
 
-fn with(options: &Options, water: WaterTier, waves: WaveKnobs) -> Options {
-    Options { looks: Looks { water, waves, ..options.looks }, ..options.clone() }
+fn with(options: &Options, water: WaterTier, waves: WaveSettings) -> Options {
+    Options { settings: RenderSettings { water, waves, ..options.settings }, ..options.clone() }
 }
 
-/// Draws without a server; none, visibly, where there is no adapter and none is required.
-fn drawn(options: &Options) -> Option<(Picture, Stats)> {
-    match headless::render(options, LocalFeed::new(1), Instant::now(), |_| {}) {
-        Ok(drawn) => Some(drawn),
-        Err(HeadlessError::Gpu(error)) if !tests::gpu_is_required() => {
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
+/// Renders local land.
+fn drawn(options: &Options) -> Option<(Image, Stats)> {
+    tests::render_or_skip(LocalStream::new(1), options)
 }
 
 /// Mean absolute difference of two panels of a picture of three, 0 to 255.
-fn between_panels(picture: &Picture, one: u32, other: u32) -> f64 {
+fn between_panels(picture: &Image, one: u32, other: u32) -> f64 {
     let width = picture.width / 3;
     let pixel = |x: u32, y: u32, channel: u32| {
         f64::from(picture.rgba[(4 * (y * picture.width + x) + channel) as usize])
@@ -57,11 +42,11 @@ fn between_panels(picture: &Picture, one: u32, other: u32) -> f64 {
     sum / f64::from(3 * (width - 2) * picture.height)
 }
 
-/// Why a picture cannot be one, if it cannot: the tone pass writes magenta, which nothing natural
-/// is, where light is no number.
-fn broken(picture: &Picture) -> Option<String> {
+/// The first invalid pixel, if any: the tone pass writes magenta, a colour of no material, where
+/// light is not finite.
+fn broken(picture: &Image) -> Option<String> {
     let wrong = picture.rgba.chunks_exact(4).position(|pixel| pixel == [255, 0, 255, 255] || pixel[3] != 255);
-    wrong.map(|index| format!("pixel {index} is no number"))
+    wrong.map(|index| format!("pixel {index} is not finite"))
 }
 
 /// A view of the sea before the home island's shore, and the scene at its start.
@@ -72,8 +57,8 @@ const BAY: &str = "0,7.5,7,0,-29";
 fn without_parallax_every_tier_draws_flat_water_byte_for_byte() {
     for (scene, camera) in [(Scene::Island, SEA), (Scene::Water, BAY)] {
         let base = options(scene, camera);
-        let Some((flat, _)) = drawn(&with(&base, WaterTier::Flat, WaveKnobs::default())) else { return };
-        let none = WaveKnobs { parallax_factor: 0.0, ..WaveKnobs::default() };
+        let Some((flat, _)) = drawn(&with(&base, WaterTier::Flat, WaveSettings::default())) else { return };
+        let none = WaveSettings { parallax_factor: 0.0, ..WaveSettings::default() };
         for tier in [WaterTier::Offset, WaterTier::Three, WaterTier::March] {
             let Some((zero, _)) = drawn(&with(&base, tier, none)) else { return };
             if scene == Scene::Island {
@@ -81,24 +66,24 @@ fn without_parallax_every_tier_draws_flat_water_byte_for_byte() {
             } else {
                 assert_eq!(middle(&zero), middle(&flat), "{tier:?} without parallax is not flat water");
             }
-            // The control: with parallax it is another picture.
-            let Some((some, _)) = drawn(&with(&base, tier, WaveKnobs::default())) else { return };
+            // Control: with parallax the picture differs.
+            let Some((some, _)) = drawn(&with(&base, tier, WaveSettings::default())) else { return };
             assert!(middle(&some) != middle(&flat), "{tier:?} does nothing");
         }
     }
 }
 
-/// The middle panel: the only one that the tier decides.
-fn middle(picture: &Picture) -> Vec<u8> {
+/// The middle panel: the only one that depends on the tier.
+fn middle(picture: &Image) -> Vec<u8> {
     let (row, third) = (4 * picture.width as usize, 4 * (picture.width / 3) as usize);
     picture.rgba.chunks_exact(row).flat_map(|line| &line[third..2 * third]).copied().collect()
 }
 
 #[test]
-fn the_middle_panel_is_nearer_to_the_truth_than_the_plain_one_and_marching_is_the_truth() {
+fn every_tier_is_nearer_to_the_reference_than_flat_water() {
     let base = options(Scene::Water, BAY);
     for tier in [WaterTier::Offset, WaterTier::Two, WaterTier::Three, WaterTier::Four, WaterTier::March] {
-        let Some((picture, stats)) = drawn(&with(&base, tier, WaveKnobs::default())) else { return };
+        let Some((picture, stats)) = drawn(&with(&base, tier, WaveSettings::default())) else { return };
         assert_eq!((stats.chunks_drawn, stats.bytes_received, stats.delivery), (0, 0, "none"));
         let (left, centre) = (between_panels(&picture, 0, 2), between_panels(&picture, 1, 2));
         assert!(centre < 0.5 * left, "{tier:?}: {centre} against {left}");
@@ -108,12 +93,12 @@ fn the_middle_panel_is_nearer_to_the_truth_than_the_plain_one_and_marching_is_th
 }
 
 #[test]
-fn the_sea_is_defined_wherever_the_eye_is_and_whatever_the_knobs_say() {
-    let wild = [
-        WaveKnobs::default(),
-        WaveKnobs { parallax_factor: 1.0, parallax_bias_m: 2.0, steepness: 4.0 },
-        WaveKnobs { parallax_factor: 1e30, parallax_bias_m: f32::NEG_INFINITY, steepness: f32::INFINITY },
-        WaveKnobs { parallax_factor: f32::NAN, parallax_bias_m: f32::NAN, steepness: f32::NAN },
+fn the_sea_is_finite_for_extreme_eyes_and_settings() {
+    let extreme = [
+        WaveSettings::default(),
+        WaveSettings { parallax_factor: 1.0, parallax_bias_m: 2.0, steepness: 4.0 },
+        WaveSettings { parallax_factor: 1e30, parallax_bias_m: f32::NEG_INFINITY, steepness: f32::INFINITY },
+        WaveSettings { parallax_factor: f32::NAN, parallax_bias_m: f32::NAN, steepness: f32::NAN },
     ];
     let cameras = [
         // At the plane, a hair above and below it, under water; looking level, straight down and
@@ -134,9 +119,9 @@ fn the_sea_is_defined_wherever_the_eye_is_and_whatever_the_knobs_say() {
             if scene == Scene::Water {
                 (options.pose.position_m.x, options.pose.position_m.z) = (0.0, 4.0);
             }
-            (options.lens.width, options.lens.height) = (96, 54);
-            options.lens.fov_deg = [1.0, 60.0, 170.0][index % 3];
-            let waves = wild[index % wild.len()];
+            (options.projection.width, options.projection.height) = (96, 54);
+            options.projection.fov_deg = [1.0, 60.0, 170.0][index % 3];
+            let waves = extreme[index % extreme.len()];
             let tier = [WaterTier::Three, WaterTier::March, WaterTier::Offset][index % 3];
             let Some((picture, _)) = drawn(&with(&options, tier, waves)) else { return };
             assert_eq!(broken(&picture), None, "{scene:?} {camera} {tier:?} {waves:?}");
@@ -145,43 +130,44 @@ fn the_sea_is_defined_wherever_the_eye_is_and_whatever_the_knobs_say() {
 }
 
 #[test]
-fn light_that_is_no_number_is_called_broken() {
+fn light_that_is_not_finite_is_detected() {
     let options = options(Scene::Water, BAY);
     let Some((picture, _)) = drawn(&options) else { return };
     assert_eq!(broken(&picture), None);
-    // The control: an exposure that is no number makes all light so. No option can do it, so the
-    // uniforms are spoilt.
-    let gpu = Gpu::open_blocking().unwrap();
-    let size = (options.lens.width, options.lens.height);
-    let format = picture::PICTURE_FORMAT;
+    // Control: a NaN exposure makes all light NaN. No option allows it, so the uniforms are
+    // changed.
+    let Some(gpu) = tests::open_gpu_or_skip() else { return };
+    let size = (options.projection.width, options.projection.height);
+    let format = offscreen::IMAGE_FORMAT;
     let mut renderer =
         Renderer::new(&gpu, &RenderOptions { scene: Scene::Water, size, samples: 1, format, slots: 1 });
-    let (canvas, mut voyage) = (Canvas::new(&gpu.device, size.0, size.1), Voyage::new(NoFeed, 1));
-    let shot = options.shot(0, voyage.world());
-    let selection = voyage.update(&shot, Duration::ZERO, usize::MAX, |_| {});
-    let mut frame = shot.frame(Scene::Water, voyage.world(), &selection);
+    let (target, mut streamer) =
+        (OffscreenTarget::new(&gpu.device, size.0, size.1), WorldStreamer::new(NullStream, 1));
+    let shot = options.view(0, streamer.cache());
+    let selection = streamer.update(&shot, Duration::ZERO, usize::MAX, |_| {});
+    let mut frame = shot.frame(Scene::Water, streamer.cache(), &selection);
     frame.uniforms.exposure = f32::NAN;
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    renderer.draw(&gpu, &frame, &mut encoder, &canvas.view);
+    renderer.draw(&gpu, &frame, &mut encoder, &target.view);
     gpu.queue.submit([encoder.finish()]);
-    assert!(broken(&canvas.read(&gpu).unwrap()).is_some(), "the check cannot fail");
+    assert!(broken(&target.read(&gpu).unwrap()).is_some(), "the check cannot fail");
 }
 
 #[test]
-fn the_knobs_change_the_picture_and_what_is_no_number_is_the_default() {
+fn settings_change_the_picture_and_nan_is_the_default() {
     let base = options(Scene::Water, BAY);
     let tier = WaterTier::Three;
-    let standard = WaveKnobs::default();
+    let standard = WaveSettings::default();
     let Some((plain, _)) = drawn(&with(&base, tier, standard)) else { return };
     for waves in [
-        WaveKnobs { parallax_factor: 0.6, ..standard },
-        WaveKnobs { parallax_bias_m: 0.5, ..standard },
-        WaveKnobs { steepness: 2.0, ..standard },
+        WaveSettings { parallax_factor: 0.6, ..standard },
+        WaveSettings { parallax_bias_m: 0.5, ..standard },
+        WaveSettings { steepness: 2.0, ..standard },
     ] {
         let Some((changed, _)) = drawn(&with(&base, tier, waves)) else { return };
         assert!(changed.rgba != plain.rgba, "{waves:?} changes nothing");
     }
-    let none = WaveKnobs { parallax_factor: f32::NAN, parallax_bias_m: f32::NAN, steepness: f32::NAN };
+    let none = WaveSettings { parallax_factor: f32::NAN, parallax_bias_m: f32::NAN, steepness: f32::NAN };
     let Some((same, _)) = drawn(&with(&base, tier, none)) else { return };
     assert!(same.rgba == plain.rgba);
 }
