@@ -1,18 +1,18 @@
-// The connected clients: an arrow for each, with its heading and what it looks at. They glide from one report to the next.
+// The connected clients: an arrow per client with its heading and view cone, animated between two reports.
 
 const SVG = 'http://www.w3.org/2000/svg';
 const REPORT_MS = 1000;
-// Labels of more than so many clients would cover the map.
+// Maximum number of labelled clients; more labels would cover the map.
 const LABELLED = 40;
 const ARROW = 'M0 -11 L8 9 L0 5 L-8 9 Z';
 const CONE = 'M0 0 L-26 -46 A53 53 0 0 1 26 -46 Z';
-// Beyond the edge of the screen by so many pixels nothing of an arrow shows.
+// An arrow this many pixels outside the screen is not visible.
 const MARGIN = 60;
 
 function element(name, attributes = {}) {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  return made;
+  const created = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) created.setAttribute(key, value);
+  return created;
 }
 
 export class Clients {
@@ -24,14 +24,14 @@ export class Clients {
     view.onChange(() => this.#update());
   }
 
-  // Takes the sessions of a report.
+  // Updates the clients from a report.
   report(sessions) {
     const now = performance.now();
     const present = new Set();
     for (const { session, view } of sessions) {
       if (!view) continue;
       present.add(session);
-      const client = this.#shown.get(session) ?? this.#enter(session, view);
+      const client = this.#shown.get(session) ?? this.#add(session, view);
       client.from = this.#at(client, now);
       client.to = view;
       client.since = now;
@@ -47,7 +47,7 @@ export class Clients {
     this.#update();
   }
 
-  #enter(session, view) {
+  #add(session, view) {
     const group = element('g', { class: 'client' });
     const turned = element('g');
     turned.append(element('path', { class: 'cone', d: CONE }), element('path', { class: 'arrow', d: ARROW }));
@@ -63,7 +63,7 @@ export class Clients {
   #at({ from, to, since }, now) {
     const share = this.view.calm.matches ? 1 : Math.min(1, Math.max(0, now - since) / REPORT_MS);
     const mix = (a, b) => a + (b - a) * share;
-    // The shorter way round.
+    // The shorter direction of rotation.
     const turn = ((to.heading_deg - from.heading_deg + 540) % 360) - 180;
     return {
       x_m: mix(from.x_m, to.x_m),

@@ -1,34 +1,34 @@
-// The page: asks the server what world it has, then shows its map, its clients and its figures, and says when it is away.
+// The page: reads the description of the world, shows its map, clients and statistics, and reports outages.
 
 import { Clients } from './clients.js';
-import { Panel, whereabouts } from './panel.js';
+import { Panel, formatPosition } from './panel.js';
 import { Tiles } from './tiles.js';
 import { View } from './view.js';
 
-const ASK_EVERY_MS = 1000;
-const MAX_WAIT_MS = 5000;
-const HEIGHT_AFTER_MS = 120;
-const LIMIT_MS = 8000;
+const POLL_MS = 1000;
+const MAX_RETRY_MS = 5000;
+const HEIGHT_DELAY_MS = 120;
+const TIMEOUT_MS = 8000;
 
 const byId = (id) => document.getElementById(id);
 const token = { text: sessionStorage.getItem('token'), refused: false };
 
-// Everything that the page asks goes through here.
-async function ask(address, options = {}) {
+// All requests of the page.
+async function request(address, options = {}) {
   if (token.refused) throw new Error('locked');
   const { text } = token;
-  const limit = AbortSignal.timeout(LIMIT_MS);
+  const limit = AbortSignal.timeout(TIMEOUT_MS);
   const signal = options.signal ? AbortSignal.any([options.signal, limit]) : limit;
   const headers = text ? { Authorization: `Bearer ${text}` } : {};
   const answer = await fetch(address, { ...options, headers, signal });
-  // Unless another token was entered meanwhile.
+  // Unless another token has been entered meanwhile.
   if (answer.status === 401 && text === token.text) lock();
   return answer;
 }
 
 const pause = (milliseconds) => new Promise((done) => { setTimeout(done, milliseconds); });
 
-function say(state, text, notice = '') {
+function showState(state, text, notice = '') {
   if (document.body.dataset.state === state) return;
   document.body.dataset.state = state;
   byId('state').textContent = text;
@@ -39,61 +39,61 @@ function say(state, text, notice = '') {
 function lock() {
   token.refused = true;
   byId('token').hidden = false;
-  say('locked', 'Locked');
+  showState('locked', 'Locked');
 }
 
-async function askWorld() {
-  const answer = await ask('/v1/world');
+async function fetchWorld() {
+  const answer = await request('/v1/world');
   if (!answer.ok) throw new Error(`status ${answer.status}`);
   return answer.json();
 }
 
-// Waits for the server, however long it takes.
-async function untilWorld() {
-  for (let wait = ASK_EVERY_MS; ; wait = Math.min(MAX_WAIT_MS, wait * 1.5)) {
+// Retries until the server responds.
+async function waitForWorld() {
+  for (let wait = POLL_MS; ; wait = Math.min(MAX_RETRY_MS, wait * 1.5)) {
     try {
-      return await askWorld();
+      return await fetchWorld();
     } catch {
-      away();
+      outage();
       await pause(wait);
     }
   }
 }
 
-function away() {
-  say('away', 'Away', 'The server does not answer. Trying again …');
+function outage() {
+  showState('away', 'Away', 'The server does not answer. Trying again …');
 }
 
-// Asks what happens once a second, less often while nobody answers, not at all while nobody looks.
-async function watch(world, tiles, clients, panel) {
-  let wait = ASK_EVERY_MS;
+// Polls the statistics once per second, less often during an outage, and not while the page is hidden.
+async function poll(world, tiles, clients, panel) {
+  let wait = POLL_MS;
   for (;;) {
-    if (document.hidden) await new Promise((seen) => { addEventListener('visibilitychange', seen, { once: true }); });
+    if (document.hidden) await new Promise((visible) => { addEventListener('visibilitychange', visible, { once: true }); });
     const start = performance.now();
     if (token.refused) {
-      await pause(ASK_EVERY_MS / 4);
+      await pause(POLL_MS / 4);
       continue;
     }
     try {
       if (document.body.dataset.state === 'away') {
-        const { digest } = await askWorld();
-        // The same address, another world: begin anew.
+        const { digest } = await fetchWorld();
+        // The server has another world now.
         if (digest !== world.digest) location.reload();
       }
-      const answer = await ask('/v1/live');
+      const answer = await request('/v1/live');
       if (answer.ok) {
         const report = await answer.json();
         if (document.body.dataset.state === 'away') tiles.retry();
-        say('live', 'Live');
+        showState('live', 'Live');
         clients.report(report.sessions.listed);
         panel.report(report);
       } else if (answer.status !== 401) {
         throw new Error(`status ${answer.status}`);
       }
-      wait = ASK_EVERY_MS;
+      wait = POLL_MS;
     } catch {
-      away();
-      wait = Math.min(MAX_WAIT_MS, wait * 1.5);
+      outage();
+      wait = Math.min(MAX_RETRY_MS, wait * 1.5);
     }
     await pause(Math.max(200, wait - (performance.now() - start)));
   }
@@ -107,11 +107,11 @@ function showScale(view) {
   byId('scale-text').textContent = metres < 1000 ? `${metres} m` : `${metres / 1000} km`;
 }
 
-// The place under the pointer, or in the middle of the screen, with its height a moment later.
-class Place {
+// The position under the pointer or at the centre of the screen, and its height after a delay.
+class PositionDisplay {
   #pointer = null;
   #timer = 0;
-  #asking = null;
+  #pending = null;
 
   constructor(view, world) {
     Object.assign(this, { view, world });
@@ -128,24 +128,24 @@ class Place {
     const { view, world } = this;
     const [x, z] = view.toWorld(...(this.#pointer ?? [view.width / 2, view.height / 2])).map(Math.floor);
     clearTimeout(this.#timer);
-    this.#asking?.abort();
+    this.#pending?.abort();
     const inside = [x, z].every((metres) => metres >= -world.world_half_m && metres < world.world_half_m);
-    byId('place').textContent = inside ? whereabouts(x, z) : 'outside the world';
+    byId('place').textContent = inside ? formatPosition(x, z) : 'outside the world';
     if (!inside) return;
-    this.#timer = setTimeout(() => this.#height(x, z), HEIGHT_AFTER_MS);
+    this.#timer = setTimeout(() => this.#height(x, z), HEIGHT_DELAY_MS);
   }
 
   async #height(x, z) {
-    this.#asking = new AbortController();
+    this.#pending = new AbortController();
     try {
       const address = this.world.heights.replace('{x}', x).replace('{z}', z);
-      const answer = await ask(address, { signal: this.#asking.signal });
+      const answer = await request(address, { signal: this.#pending.signal });
       if (!answer.ok) return;
       const { height_m: height } = await answer.json();
       const text = height < 0 ? `${(-height).toFixed(1)} m deep` : `${height.toFixed(1)} m high`;
-      byId('place').textContent = `${whereabouts(x, z)}, ${text}`;
+      byId('place').textContent = `${formatPosition(x, z)}, ${text}`;
     } catch {
-      // Moved on, or away: the coordinates alone are right.
+      // Aborted or failed: the coordinates stay.
     }
   }
 }
@@ -170,14 +170,14 @@ function showCommand() {
 
 async function main() {
   showCommand();
-  const world = await untilWorld();
+  const world = await waitForWorld();
   byId('world').textContent = `World ${world.world_seed} · ${world.digest.slice(0, 8)} · ${world.server.replace('tombolo-server ', 'v')}`;
   document.title = `Tombolo · world ${world.world_seed}`;
   const view = new View(byId('map'), world);
-  const tiles = new Tiles(byId('relief'), view, world, ask);
+  const tiles = new Tiles(byId('relief'), view, world, request);
   const clients = new Clients(byId('clients'), view);
   const panel = new Panel(view);
-  new Place(view, world);
+  new PositionDisplay(view, world);
   view.onChange(() => showScale(view));
   showScale(view);
   byId('closer').addEventListener('click', () => view.zoomBy(-1));
@@ -188,10 +188,10 @@ async function main() {
     Object.assign(token, { text: byId('token-text').value, refused: false });
     sessionStorage.setItem('token', token.text);
     byId('token').hidden = true;
-    say('starting', 'Connecting');
+    showState('starting', 'Connecting');
     tiles.retry();
   });
-  await watch(world, tiles, clients, panel);
+  await poll(world, tiles, clients, panel);
 }
 
 main();

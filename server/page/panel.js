@@ -1,8 +1,8 @@
-// Figures with their recent past, and who is on the map.
+// Statistics with their history, and the list of clients.
 
 const SVG = 'http://www.w3.org/2000/svg';
-// A minute.
-const REMEMBERED = 60;
+// Values in the history: one minute.
+const HISTORY = 60;
 const LISTED = 6;
 
 const byId = (id) => document.getElementById(id);
@@ -29,17 +29,17 @@ const duration = (seconds) => {
 
 const kilometres = (metres) => (metres < 10000 ? `${whole.format(metres)} m` : `${tenths.format(metres / 1000)} km`);
 
-// A place as people say it: how far from the middle of the world, and which way.
-export const whereabouts = (x, z) =>
+// A position as distances and directions from the centre of the world.
+export const formatPosition = (x, z) =>
   `${kilometres(Math.abs(x))} ${x < 0 ? 'W' : 'E'}, ${kilometres(Math.abs(z))} ${z < 0 ? 'N' : 'S'}`;
 
-// A curve of the last values; gaps where nothing was known.
-class Spark {
+// A sparkline of the history, with gaps for missing values.
+class Sparkline {
   #values = [];
 
   constructor(id) {
     this.svg = byId(id);
-    this.svg.setAttribute('viewBox', `0 0 ${REMEMBERED - 1} 100`);
+    this.svg.setAttribute('viewBox', `0 0 ${HISTORY - 1} 100`);
     this.svg.setAttribute('preserveAspectRatio', 'none');
     [this.area, this.curve] = ['area', 'curve'].map((name) => {
       const path = document.createElementNS(SVG, 'path');
@@ -50,9 +50,9 @@ class Spark {
   }
 
   push(value) {
-    this.#values = [...this.#values, value ?? null].slice(-REMEMBERED);
+    this.#values = [...this.#values, value ?? null].slice(-HISTORY);
     const top = Math.max(1e-9, ...this.#values.map((value) => value ?? 0)) * 1.08;
-    const first = REMEMBERED - this.#values.length;
+    const first = HISTORY - this.#values.length;
     let [curve, area, start] = ['', '', null];
     const close = (end) => { if (start !== null) area += `L${end} 100L${start} 100Z`; start = null; };
     this.#values.forEach((value, index) => {
@@ -66,14 +66,14 @@ class Spark {
       area += `${start === null ? 'M' : 'L'}${point}`;
       start ??= x;
     });
-    close(REMEMBERED - 1);
+    close(HISTORY - 1);
     this.curve.setAttribute('d', curve);
     this.area.setAttribute('d', area);
   }
 }
 
 export class Panel {
-  #sparks = Object.fromEntries(['clients', 'chunks', 'bytes', 'latency'].map((name) => [name, new Spark(`spark-${name}`)]));
+  #sparks = Object.fromEntries(['clients', 'chunks', 'bytes', 'latency'].map((name) => [name, new Sparkline(`spark-${name}`)]));
 
   constructor(view) {
     this.view = view;
@@ -107,20 +107,20 @@ export class Panel {
     const placed = listed.filter(({ view }) => view);
     const busiest = [...placed].sort((a, b) => (b.bytes_per_s ?? 0) - (a.bytes_per_s ?? 0) || a.session - b.session);
     const list = byId('list');
-    // Entries are reused, so that the one with the focus keeps it.
+    // Entries are reused, so that the focus stays.
     busiest.slice(0, LISTED).sort((a, b) => a.session - b.session).forEach((client, index) => {
       const entry = list.children[index] ?? this.#entry(list);
       const { session, view } = client;
       const [number, where, rate] = entry.firstChild.children;
       number.textContent = session;
-      where.textContent = whereabouts(view.x_m, view.z_m);
+      where.textContent = formatPosition(view.x_m, view.z_m);
       rate.textContent = `${short(client.chunks_per_s)} /s`;
       entry.firstChild.setAttribute('aria-label', `Show session ${session}`);
       entry.target = view;
     });
     while (list.children.length > Math.min(LISTED, placed.length)) list.lastChild.remove();
     const rest = open - list.children.length;
-    byId('rest').textContent = open === 0 ? 'Nobody is connected.' : rest > 0 ? `and ${whole.format(rest)} more` : '';
+    byId('rest').textContent = open === 0 ? 'No client is connected.' : rest > 0 ? `and ${whole.format(rest)} more` : '';
   }
 
   #entry(list) {

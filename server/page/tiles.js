@@ -1,11 +1,11 @@
-// The relief: asks for tiles, nearest to the middle first, keeps the latest ones, and draws them with coarser or finer ones in the
-// meantime.
+// Map tiles: requests visible tiles, nearest to the centre first, caches recent ones, and draws coarser or finer ones in place of
+// missing ones.
 
-// A tile takes 256 KiB as a picture; so many are 64 MiB.
+// A decoded tile takes 256 KiB; the cache takes 64 MiB.
 const KEPT = 256;
-// What browsers open to one HTTP/1.1 server, less one for everything else.
+// Browsers open six connections per HTTP/1.1 server; one is left for other requests.
 const AT_ONCE = 5;
-// Coarser levels that are looked through for something to show in the meantime.
+// Number of coarser levels searched for a replacement.
 const ANCESTORS = 8;
 const MAX_WAIT_MS = 8000;
 
@@ -15,17 +15,17 @@ export class Tiles {
   #failed = new Map();
   #frame = 0;
 
-  constructor(canvas, view, world, ask) {
-    Object.assign(this, { canvas, view, world, ask });
+  constructor(canvas, view, world, request) {
+    Object.assign(this, { canvas, view, world, request });
     this.context = canvas.getContext('2d', { alpha: false });
     this.pixels = world.map_tile_pixels;
-    // The single tile of the top level begins at the border of the world instead of the middle, and nobody needs it.
+    // The single tile of the top level begins at the border of the world; it is not used.
     this.topLevel = world.levels - 2;
     view.onChange(() => this.update());
     this.update();
   }
 
-  // Draws at the next frame, however often it is called before.
+  // Draws in the next frame; repeated calls are merged.
   update() {
     this.#frame ||= requestAnimationFrame(() => {
       this.#frame = 0;
@@ -33,7 +33,7 @@ export class Tiles {
     });
   }
 
-  // Tries at once what has failed, for when the server is back.
+  // Retries failed tiles at once, after an outage.
   retry() {
     this.#failed.clear();
     this.update();
@@ -44,7 +44,7 @@ export class Tiles {
     const ratio = devicePixelRatio || 1;
     const [width, height] = [Math.round(view.width * ratio), Math.round(view.height * ratio)];
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    // As sharp as the screen, with a little less where that saves three tiles of four.
+    // The resolution of the screen, or slightly less where that saves three of four tiles.
     const level = Math.min(this.topLevel, Math.max(0, Math.floor(view.level - Math.log2(ratio) + 0.35)));
     const wanted = this.#visible(level);
     context.fillStyle = getComputedStyle(canvas).getPropertyValue('--ground').trim() || '#264e7a';
@@ -53,9 +53,9 @@ export class Tiles {
     let drawn = 0;
     for (const tile of wanted) {
       const [left, top, right, bottom] = this.#box(tile, ratio);
-      const picture = this.#picture(tile.key);
-      if (picture) {
-        context.drawImage(picture, left, top, right - left, bottom - top);
+      const image = this.#image(tile.key);
+      if (image) {
+        context.drawImage(image, left, top, right - left, bottom - top);
         drawn += 1;
       } else {
         this.#drawAncestor(tile, left, top, right - left, bottom - top);
@@ -66,7 +66,7 @@ export class Tiles {
     Object.assign(canvas.dataset, { level, wanted: wanted.length, drawn });
   }
 
-  // The tiles of a level on the screen, nearest to its middle first.
+  // The visible tiles of a level, nearest to the centre first.
   #visible(level) {
     const { view } = this;
     const side = this.world.level_0_side_m * 2 ** level;
@@ -84,32 +84,32 @@ export class Tiles {
     return tiles.sort((a, b) => a.away - b.away);
   }
 
-  // Where a tile lies on the canvas, in whole device pixels, so that neighbours meet.
+  // The rectangle of a tile on the canvas, in whole device pixels, so that neighbours meet.
   #box({ level, x, z }, ratio) {
     const side = this.world.level_0_side_m * 2 ** level;
     const corner = (x, z) => this.view.toScreen(x * side, z * side).map((pixel) => Math.round(pixel * ratio));
     return [...corner(x, z), ...corner(x + 1, z + 1)];
   }
 
-  #picture(key) {
-    const picture = this.#kept.get(key);
-    if (picture) {
-      // Used last, dropped last.
+  #image(key) {
+    const image = this.#kept.get(key);
+    if (image) {
+      // Least recently used eviction.
       this.#kept.delete(key);
-      this.#kept.set(key, picture);
+      this.#kept.set(key, image);
     }
-    return picture;
+    return image;
   }
 
   #drawAncestor({ level, x, z }, left, top, width, height) {
     for (let up = 1; up <= ANCESTORS && level + up <= this.topLevel; up += 1) {
       const parts = 2 ** up;
       const [px, pz] = [Math.floor(x / parts), Math.floor(z / parts)];
-      const picture = this.#picture(`${level + up}/${px}/${pz}`);
-      if (picture) {
+      const image = this.#image(`${level + up}/${px}/${pz}`);
+      if (image) {
         const side = this.pixels / parts;
         const [sx, sz] = [(x - px * parts) * side, (z - pz * parts) * side];
-        this.context.drawImage(picture, sx, sz, side, side, left, top, width, height);
+        this.context.drawImage(image, sx, sz, side, side, left, top, width, height);
         return;
       }
     }
@@ -118,10 +118,10 @@ export class Tiles {
   #drawChildren({ level, x, z }, ratio) {
     for (const [dx, dz] of [[0, 0], [1, 0], [0, 1], [1, 1]]) {
       const child = { level: level - 1, x: 2 * x + dx, z: 2 * z + dz };
-      const picture = this.#kept.get(`${child.level}/${child.x}/${child.z}`);
-      if (picture) {
+      const image = this.#kept.get(`${child.level}/${child.x}/${child.z}`);
+      if (image) {
         const [left, top, right, bottom] = this.#box(child, ratio);
-        this.context.drawImage(picture, left, top, right - left, bottom - top);
+        this.context.drawImage(image, left, top, right - left, bottom - top);
       }
     }
   }
@@ -147,10 +147,10 @@ export class Tiles {
     const address = this.world.map.replace('{level}', level).replace('{x}', x).replace('{z}', z);
     let again = 0;
     try {
-      const answer = await this.ask(address, { signal: abort.signal });
+      const answer = await this.request(address, { signal: abort.signal });
       if (answer.ok) {
-        const picture = await createImageBitmap(await answer.blob());
-        this.#keep(key, picture);
+        const image = await createImageBitmap(await answer.blob());
+        this.#keep(key, image);
         this.#failed.delete(key);
       } else {
         again = 1000 * Number.parseFloat(answer.headers.get('Retry-After') ?? '5');
@@ -158,7 +158,7 @@ export class Tiles {
     } catch {
       again = abort.signal.aborted ? 0 : 1000;
     }
-    // An aborted one may have been asked for again meanwhile.
+    // An aborted tile may have been requested again meanwhile.
     if (this.#loading.get(key) === abort) this.#loading.delete(key);
     if (again > 0) {
       const tries = (this.#failed.get(key)?.tries ?? 0) + 1;
@@ -169,14 +169,14 @@ export class Tiles {
     this.update();
   }
 
-  #keep(key, picture) {
-    this.#kept.set(key, picture);
+  #keep(key, image) {
+    this.#kept.set(key, image);
     for (const [oldest, dropped] of this.#kept) {
       if (this.#kept.size <= KEPT) break;
       dropped.close();
       this.#kept.delete(oldest);
     }
-    // What failed long ago is not worth remembering.
+    // Removes old failures.
     if (this.#failed.size > KEPT) this.#failed.clear();
   }
 }

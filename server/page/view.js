@@ -1,12 +1,12 @@
-// Which part of the world the screen shows, and every way to change it: drag, wheel, pinch, keys, buttons, the address.
+// The visible part of the world and its controls: drag, wheel, pinch, keys, buttons, the URL fragment.
 //
-// x is east and z is south, in metres. The level is a real number: at level k a CSS pixel covers 0.5 * 2^k metres, which is what a
-// tile of level k has.
+// x is east and z is south, in metres. The level is a real number: at level k a CSS pixel covers 0.5 * 2^k metres, as a pixel of a
+// tile of level k does.
 
 const MIN_LEVEL = -3;
 const KEY_STEP_PX = 90;
 const ZOOM_STEP = 0.75;
-// Levels for one unit of wheel movement; a notch of a mouse wheel is about 100 units.
+// Levels per unit of wheel movement; a notch of a mouse wheel is about 100 units.
 const WHEEL = 1 / 240;
 const GLIDE_MS = 220;
 
@@ -44,7 +44,7 @@ export class View {
     return [this.x + (px - this.width / 2) * scale, this.z + (py - this.height / 2) * scale];
   }
 
-  // The home island and some sea around it, in what the cards leave free.
+  // The home island and some sea around it, in the area without cards.
   home(glides = true) {
     const free = Math.min(this.width > 640 ? this.width - 350 : this.width, this.height > 500 ? this.height - 60 : this.height);
     const level = Math.log2(13500 / Math.max(free, 100) / 0.5);
@@ -76,7 +76,7 @@ export class View {
     this.goTo({ x: this.x + px * scale, z: this.z + py * scale }, glides);
   }
 
-  // Zooms so that what is under a point of the screen stays there.
+  // Zooms around a point of the screen.
   zoomAt(px, py, levels, glides = false) {
     const level = Math.min(this.maxLevel, Math.max(MIN_LEVEL, this.level + levels));
     const [x, z] = this.toWorld(px, py);
@@ -133,7 +133,7 @@ export class View {
     }
     map.addEventListener('wheel', (event) => {
       event.preventDefault();
-      // Lines and pages, as some browsers count, are about so many units.
+      // Approximate units of lines and pages, which some browsers report.
       const units = event.deltaY * [1, 33, 400][event.deltaMode];
       const levels = Math.max(-1, Math.min(1, units * WHEEL * (event.ctrlKey ? 4 : 1)));
       this.zoomAt(event.offsetX, event.offsetY, levels);
@@ -153,7 +153,7 @@ export class View {
       this.panBy(before[0] - now[0], before[1] - now[1]);
       return;
     }
-    // Two fingers: their middle drags, their distance zooms.
+    // Two fingers: their centre drags, their distance zooms.
     const apart = (point) => Math.max(1, Math.hypot(point[0] - other[0], point[1] - other[1]));
     this.panBy((before[0] - now[0]) / 2, (before[1] - now[1]) / 2);
     this.zoomAt((now[0] + other[0]) / 2, (now[1] + other[1]) / 2, Math.log2(apart(before) / apart(now)));

@@ -13,28 +13,28 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 
-/// Names under which it is installed.
+/// Program names.
 const PROGRAMS: [&str; 5] =
     ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome"];
 
-/// What to do where there is none.
+/// Message without a browser.
 pub const MISSING: &str =
     "no Chromium is on the path, so the page is not tested in a browser; install `chromium`";
 
-/// Longest wait for anything. Generous: it is reached only by a failure.
+/// Timeout of every wait. Only a failure reaches it.
 const PATIENCE: Duration = Duration::from_secs(90);
 
-/// Between two looks at the page.
+/// Polling interval of the page.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// The browser, where one is installed.
+/// Path of the installed browser, if any.
 pub fn program() -> Option<PathBuf> {
     let path = std::env::var_os("PATH")?;
     let folders: Vec<PathBuf> = std::env::split_paths(&path).collect();
     PROGRAMS.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name))).find(|p| p.is_file())
 }
 
-/// A running browser with a profile of its own; ended and swept up when dropped.
+/// A browser process with its own profile; killed and cleaned up on drop.
 pub struct Browser {
     child: Child,
     profile: PathBuf,
@@ -45,11 +45,11 @@ impl Browser {
     pub fn start() -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        // A short name: sockets in it may have a hundred letters.
+        // A short name: paths of sockets are limited to about a hundred bytes.
         let profile = std::env::temp_dir().join(format!("tombolo-page-{}-{number}", std::process::id()));
         std::fs::create_dir_all(&profile).unwrap();
         let mut child = Command::new(program().expect(MISSING))
-            // The sandbox needs rights that containers lack; the only page it opens is ours.
+            // The sandbox needs privileges that containers lack; only trusted pages are opened.
             .args([
                 "--headless=new",
                 "--no-sandbox",
@@ -72,12 +72,12 @@ impl Browser {
             .map_while(Result::ok)
             .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
             .expect("the browser says where it listens");
-        // Read on, so that a talkative browser does not wait for us.
+        // Drains the output, so that the browser does not block on it.
         std::thread::spawn(move || said.for_each(drop));
         Self { child, profile, address }
     }
 
-    /// A tab of its own, whose faults are recorded from the beginning.
+    /// A new tab, whose errors are recorded from the start.
     pub async fn tab(&self) -> Tab {
         // A screenshot is one message of a few megabytes.
         let config =
@@ -100,7 +100,7 @@ impl Drop for Browser {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
-        // Its helpers end a moment after it, and write until then.
+        // Its child processes end slightly later and write to the profile until then.
         for _ in 0..50 {
             if std::fs::remove_dir_all(&self.profile).is_ok() || !self.profile.exists() {
                 return;
@@ -116,12 +116,12 @@ pub struct Tab {
     session: Option<String>,
     next: u64,
     faults: Vec<String>,
-    /// Everything that the page asked for over the network.
+    /// URLs of all network requests.
     pub requests: Vec<String>,
 }
 
 impl Tab {
-    /// Calls a method and gives its result.
+    /// Calls a method and returns its result.
     pub async fn call(&mut self, method: &str, params: Value) -> Value {
         self.next += 1;
         let mut message = json!({ "id": self.next, "method": method, "params": params });
@@ -152,7 +152,7 @@ impl Tab {
         }
     }
 
-    /// Keeps what events tell of faults and requests.
+    /// Records errors and requests from events.
     fn note(&mut self, event: &Value) {
         let params = &event["params"];
         match event["method"].as_str().unwrap_or_default() {
@@ -175,7 +175,7 @@ impl Tab {
         }
     }
 
-    /// Opens an address anew, also where only its fragment differs, and waits until it is loaded.
+    /// Loads a URL, also if only its fragment differs, and waits for the load.
     pub async fn open(&mut self, url: &str) {
         self.call("Page.navigate", json!({ "url": "about:blank" })).await;
         self.wait_for("location.href === 'about:blank'", "an empty page").await;
@@ -184,7 +184,7 @@ impl Tab {
         self.wait_for("location.href !== 'about:blank' && document.readyState === 'complete'", url).await;
     }
 
-    /// What a script comes to; promises are waited for.
+    /// The value of a script; promises are awaited.
     pub async fn evaluate(&mut self, script: &str) -> Value {
         let params = json!({ "expression": script, "returnByValue": true, "awaitPromise": true });
         let result = self.call("Runtime.evaluate", params).await;
@@ -192,10 +192,10 @@ impl Tab {
         result["result"]["value"].clone()
     }
 
-    /// Waits until a script comes to `true`.
+    /// Waits until a script returns `true`.
     pub async fn wait_for(&mut self, script: &str, what: &str) {
         let start = Instant::now();
-        // A page that is just being left answers with an exception.
+        // During a navigation scripts fail with an exception.
         let guarded =
             format!("(() => {{ try {{ return Boolean({script}); }} catch {{ return false; }} }})()");
         while self.evaluate(&guarded).await != true {
@@ -206,7 +206,7 @@ impl Tab {
                     )
                     .await;
                 panic!(
-                    "waited in vain for {what}; the page says: {page}; faults: {:?}",
+                    "timed out waiting for {what}; text of the page: {page}; errors: {:?}",
                     &self.faults[..self.faults.len().min(3)]
                 );
             }
@@ -214,24 +214,24 @@ impl Tab {
         }
     }
 
-    /// What was wrong since the last time.
-    pub fn take_faults(&mut self) -> Vec<String> {
+    /// Errors since the last call.
+    pub fn take_errors(&mut self) -> Vec<String> {
         std::mem::take(&mut self.faults)
     }
 
-    /// Makes the screen so large, in CSS pixels, and a phone's if need be.
+    /// Sets the size of the screen in CSS pixels, and whether it is a phone.
     pub async fn resize(&mut self, width: u32, height: u32, is_phone: bool) {
         let params = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": is_phone });
         self.call("Emulation.setDeviceMetricsOverride", params).await;
     }
 
-    /// Sets what the visitor prefers, as a media feature of CSS.
+    /// Sets a user preference as a CSS media feature.
     pub async fn prefer(&mut self, feature: &str, value: &str) {
         let features = json!([{ "name": feature, "value": value }]);
         self.call("Emulation.setEmulatedMedia", json!({ "features": features })).await;
     }
 
-    /// Drags with the left button, in a few steps as a hand does.
+    /// Drags with the left button in several steps.
     pub async fn drag(&mut self, from: (f64, f64), to: (f64, f64)) {
         self.mouse("mousePressed", from, json!({ "button": "left", "buttons": 1, "clickCount": 1 })).await;
         for step in 1..=4 {
@@ -242,13 +242,12 @@ impl Tab {
         self.mouse("mouseReleased", to, json!({ "button": "left", "clickCount": 1 })).await;
     }
 
-    /// Turns the wheel over a place; less than 0 is towards the screen.
+    /// Turns the wheel at a position; negative is away from the user.
     pub async fn wheel(&mut self, at: (f64, f64), units: f64) {
         self.mouse("mouseWheel", at, json!({ "deltaX": 0, "deltaY": units })).await;
     }
 
-    /// Puts two fingers down on both sides of a place, so many pixels from it, and moves them apart
-    /// or together.
+    /// Touches with two fingers at a distance around a position, and moves them apart or together.
     pub async fn pinch(&mut self, (x, y): (f64, f64), from: f64, to: f64) {
         self.call("Emulation.setTouchEmulationEnabled", json!({ "enabled": true, "maxTouchPoints": 2 }))
             .await;
@@ -273,14 +272,14 @@ impl Tab {
         self.call("Input.dispatchMouseEvent", params).await;
     }
 
-    /// Presses and releases a key by its name.
+    /// Presses and releases a key.
     pub async fn key(&mut self, key: &str) {
         for kind in ["rawKeyDown", "keyUp"] {
             self.call("Input.dispatchKeyEvent", json!({ "type": kind, "key": key })).await;
         }
     }
 
-    /// The screen as PNG.
+    /// A screenshot as PNG.
     pub async fn screenshot(&mut self) -> Vec<u8> {
         let shot = self.call("Page.captureScreenshot", json!({ "format": "png" })).await;
         base64(shot["data"].as_str().unwrap())

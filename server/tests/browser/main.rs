@@ -1,14 +1,14 @@
 //! The page in a real browser: headless Chromium, driven over its debugging protocol, against the
 //! real `tombolo-server`.
 //!
-//! | module | what it is |
+//! | module | job |
 //! | --- | --- |
-//! | `chromium` | finding, starting and ending the browser; one tab and what it says |
-//! | `programs` | the server as a program, and clients that wander about |
+//! | `chromium` | the browser process and the DevTools protocol |
+//! | `programs` | the server process, and moving clients |
 //!
-//! Where no browser is installed these tests are listed as ignored, which no runner takes for a
-//! pass, and the reason is said. Where `TOMBOLO_REQUIRE_BROWSER` is set they fail instead.
-//! `TOMBOLO_SCREENSHOTS` names a folder in which the pictures are left.
+//! Without an installed browser the tests are listed as ignored, not as passed, with the reason. With
+//! `TOMBOLO_REQUIRE_BROWSER` they fail instead. `TOMBOLO_SCREENSHOTS` is a folder for the
+//! screenshots.
 
 mod chromium;
 mod programs;
@@ -37,15 +37,15 @@ fn main() -> ExitCode {
         Trial::test(name, run).with_ignored_flag(is_missing && !is_required)
     };
     let trials = vec![
-        trial("a_visitor_sees_the_land_its_clients_and_its_load_and_can_go_everywhere", |runtime| {
+        trial("the_page_shows_map_clients_and_load_and_can_be_navigated", |runtime| {
             runtime.block_on(visit());
             Ok(())
         }),
-        trial("a_server_that_goes_away_is_told_and_found_again", |runtime| {
+        trial("an_outage_is_shown_and_the_page_reconnects", |runtime| {
             runtime.block_on(outage());
             Ok(())
         }),
-        trial("a_server_with_a_token_lets_in_who_has_it", |runtime| {
+        trial("a_server_with_a_token_requires_it", |runtime| {
             runtime.block_on(token());
             Ok(())
         }),
@@ -53,16 +53,16 @@ fn main() -> ExitCode {
     libtest_mimic::run(&arguments, trials).exit_code()
 }
 
-/// All tiles on the screen are there, and there are some.
+/// All visible tiles are drawn, and there are some.
 const PAINTED: &str = "(({ wanted, drawn }) => Number(wanted) > 3 && wanted === drawn)(document.getElementById('relief').dataset)";
 
-/// The page's own words.
+/// Text of an element.
 async fn text(tab: &mut Tab, id: &str) -> String {
     let value = tab.evaluate(&format!("document.getElementById('{id}').textContent")).await;
     value.as_str().unwrap().to_owned()
 }
 
-/// Where the arrow of a session is, in CSS pixels.
+/// Position of a session's arrow, CSS pixels.
 async fn arrow(tab: &mut Tab, session: u64) -> (f64, f64) {
     let script = format!(
         "[...document.querySelectorAll('.client')].find((group) => group.querySelector('text').textContent === '{session}')
@@ -72,8 +72,7 @@ async fn arrow(tab: &mut Tab, session: u64) -> (f64, f64) {
     (place[0].as_f64().unwrap(), place[1].as_f64().unwrap())
 }
 
-/// Colours on the canvas: how many there are among a grid of points, and how many of these are blue
-/// as the sea is.
+/// Number of colours in a grid of points of the canvas, and of those that are blue.
 async fn colours(tab: &mut Tab) -> (u64, u64) {
     let script = "(() => {
         const canvas = document.getElementById('relief');
@@ -107,7 +106,7 @@ async fn visit() {
     tab.resize(1280, 800, false).await;
     tab.open(&server.page()).await;
 
-    // What a visitor sees first.
+    // The initial state.
     tab.wait_for(PAINTED, "all tiles").await;
     tab.wait_for("document.body.dataset.state === 'live'", "the server's figures").await;
     tab.wait_for("document.getElementById('clients').dataset.shown === '4'", "an arrow for every client")
@@ -130,7 +129,7 @@ async fn visit() {
     let scale = text(&mut tab, "scale-text").await;
     assert_eq!(scale, "2 km");
 
-    // Dragging moves the land and what stands on it alike.
+    // Dragging moves map and clients equally.
     let before = arrow(&mut tab, still.session).await;
     tab.drag((600.0, 500.0), (480.0, 440.0)).await;
     tab.wait_for(PAINTED, "all tiles after a drag").await;
@@ -138,7 +137,7 @@ async fn visit() {
     let moved = (after.0 - before.0, after.1 - before.1);
     assert!((moved.0 + 120.0).abs() < 1.0 && (moved.1 + 60.0).abs() < 1.0, "{moved:?}");
 
-    // The wheel zooms, and what is under the pointer stays there.
+    // The wheel zooms around the pointer.
     let level =
         tab.evaluate("Number(document.getElementById('relief').dataset.level)").await.as_i64().unwrap();
     tab.wheel(after, -480.0).await;
@@ -167,7 +166,7 @@ async fn visit() {
         format!("Math.abs({} - {}) < 1", ARROW_X.replace("SESSION", &still.session.to_string()), before.0);
     tab.wait_for(&home, "home by key").await;
 
-    // A place can be shared.
+    // The URL contains the view.
     tab.open(&format!("{}#x=2000&z=-1500&level=2.50", server.page())).await;
     tab.wait_for(PAINTED, "all tiles of a shared place").await;
     assert_eq!(tab.evaluate("document.getElementById('relief').dataset.level").await, "2");
@@ -181,7 +180,7 @@ async fn visit() {
         "the place itself",
     )
     .await;
-    // By a button, and to where somebody is.
+    // By button, and to a client's position.
     tab.evaluate("document.getElementById('closer').click()").await;
     tab.wait_for("document.getElementById('relief').dataset.level === '1'", "the button that zooms in").await;
     tab.wait_for("document.querySelectorAll('#list li').length === 4", "the list again").await;
@@ -192,7 +191,7 @@ async fn visit() {
     )
     .await;
 
-    // Who wants no motion gets the end of it at once; the control is that others do not.
+    // With reduced motion an animation ends at once; the control is without.
     let jumps = "(() => {
         const width = () => document.getElementById('scale-bar').style.width + document.getElementById('scale-text').textContent;
         const before = width();
@@ -204,26 +203,26 @@ async fn visit() {
     assert_eq!(tab.evaluate(jumps).await, true);
     tab.prefer("prefers-reduced-motion", "no-preference").await;
 
-    // Nothing was wrong on the way, and everything came from here.
-    let faults = tab.take_faults();
+    // No errors, and all requests went to this server.
+    let faults = tab.take_errors();
     assert_eq!(faults, Vec::<String>::new());
     assert!(
         tab.requests.len() > 50 && tab.requests.iter().all(|url| url.starts_with(&server.page())),
         "{:?}",
         tab.requests
     );
-    // The controls: a fault is noticed, and what the policy forbids does not happen.
+    // The controls: an error is detected, and the policy blocks other servers.
     tab.evaluate("console.error('a control')").await;
     tab.wait_for("true", "a moment").await;
-    assert!(tab.take_faults().iter().any(|fault| fault.contains("a control")));
+    assert!(tab.take_errors().iter().any(|fault| fault.contains("a control")));
     let foreign = "new Promise((done) => {
         addEventListener('securitypolicyviolation', (event) => done(event.effectiveDirective), { once: true });
         new Image().src = 'http://127.0.0.1:9/picture.png';
     })";
     assert_eq!(tab.evaluate(foreign).await, "img-src");
-    assert!(!tab.take_faults().is_empty(), "which the browser tells as a fault");
+    assert!(!tab.take_errors().is_empty(), "which the browser reports as an error");
 
-    // For people to look at.
+    // Screenshots for inspection.
     for (name, width, height, scheme, fragment) in [
         ("wide", 1280, 800, "light", ""),
         ("wide-dark", 1280, 800, "dark", ""),
@@ -237,7 +236,7 @@ async fn visit() {
         tab.open(&format!("{}{fragment}", server.page())).await;
         tab.wait_for(PAINTED, "all tiles of a picture").await;
         tab.wait_for("document.querySelectorAll('#list li').length === 4", "the list of a picture").await;
-        // A curve needs a past.
+        // A sparkline needs several values.
         let points = if folder().is_some() { 20 } else { 3 };
         let curve = format!(
             "(document.querySelector('#spark-chunks .curve').getAttribute('d') ?? '').split('L').length > {points}"
@@ -245,10 +244,10 @@ async fn visit() {
         tab.wait_for(&curve, "a curve").await;
         let overflows = tab.evaluate("document.documentElement.scrollWidth > innerWidth || document.documentElement.scrollHeight > innerHeight").await;
         assert_eq!(overflows, false, "{name} fits its screen");
-        leave_picture(&mut tab, name, width, height).await;
+        save_screenshot(&mut tab, name, width, height).await;
     }
 
-    // On a phone the rest is behind a button, and two fingers zoom.
+    // On a phone details are behind a button, and two fingers zoom.
     tab.resize(390, 844, true).await;
     tab.open(&server.page()).await;
     tab.wait_for(PAINTED, "all tiles on a phone").await;
@@ -257,20 +256,19 @@ async fn visit() {
     tab.wait_for("document.getElementById('details').checkVisibility()", "the rest").await;
     assert_eq!(tab.evaluate("document.getElementById('more').getAttribute('aria-expanded')").await, "true");
     tab.wait_for("document.querySelectorAll('#list li').length === 4", "the list on a phone").await;
-    leave_picture(&mut tab, "narrow-open", 390, 844).await;
+    save_screenshot(&mut tab, "narrow-open", 390, 844).await;
     tab.evaluate("document.getElementById('more').click()").await;
     let level =
         tab.evaluate("Number(document.getElementById('relief').dataset.level)").await.as_i64().unwrap();
     tab.pinch((195.0, 400.0), 30.0, 150.0).await;
     let finer = format!("Number(document.getElementById('relief').dataset.level) === {level} - 2");
     tab.wait_for(&finer, "two levels finer at five times the distance of two fingers").await;
-    assert_eq!(tab.take_faults(), Vec::<String>::new());
+    assert_eq!(tab.take_errors(), Vec::<String>::new());
     drop((still, others));
 }
 
-/// Takes the screen, checks that it is a picture of that size, and leaves it where it was asked
-/// for.
-async fn leave_picture(tab: &mut Tab, name: &str, width: u32, height: u32) {
+/// Takes a screenshot, checks its size, and saves it if requested.
+async fn save_screenshot(tab: &mut Tab, name: &str, width: u32, height: u32) {
     assert_eq!(tab.evaluate(OVERLAPS).await, json!([]), "{name}");
     let picture = tab.screenshot().await;
     let mut decoded = png::Decoder::new(std::io::Cursor::new(&picture)).read_info().unwrap();
@@ -282,7 +280,7 @@ async fn leave_picture(tab: &mut Tab, name: &str, width: u32, height: u32) {
     }
 }
 
-/// The cards that lie on each other.
+/// Overlapping cards.
 const OVERLAPS: &str = "(() => {
     const cards = ['title', 'panel', 'controls', 'legend'].map((id) => [id, document.getElementById(id).getBoundingClientRect()]);
     return cards.flatMap(([a, first], index) => cards.slice(index + 1)
@@ -293,7 +291,7 @@ const OVERLAPS: &str = "(() => {
 /// East coordinate of the arrow of SESSION.
 const ARROW_X: &str = "Number([...document.querySelectorAll('.client')].find((group) => group.querySelector('text').textContent === 'SESSION').getAttribute('transform').match(/-?[\\d.]+/)[0])";
 
-/// Where pictures are left, if anywhere.
+/// Folder for screenshots, if any.
 fn folder() -> Option<PathBuf> {
     std::env::var_os("TOMBOLO_SCREENSHOTS").map(|folder| Path::new(&folder).to_owned())
 }
@@ -315,7 +313,7 @@ async fn outage() {
     )
     .await;
     assert!(text(&mut tab, "notice").await.contains("does not answer"));
-    // Somewhere whose tiles the page does not have; no server, no tiles.
+    // A place without cached tiles: without a server there are none.
     tab.evaluate("location.hash = '#x=30000&z=9000&level=4.00'").await;
     tab.wait_for("Number(document.getElementById('relief').dataset.drawn) === 0", "nothing to draw").await;
     let _back = Program::start(&address, &[]);

@@ -1,4 +1,4 @@
-//! The server as a program, and clients that wander about in its world.
+//! The server process, and moving clients.
 
 use futures_util::{SinkExt, StreamExt};
 use protocol::client::{ClientConfig, ClientSession, Event};
@@ -27,7 +27,7 @@ pub struct Program {
 impl Program {
     pub fn start(address: &str, arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_tombolo-server"));
-        // What a developer has set must not decide a test.
+        // The developer's environment must not affect a test.
         for (variable, _) in
             std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("TOMBOLO_"))
         {
@@ -58,16 +58,16 @@ impl Drop for Program {
     }
 }
 
-/// A real session whose view moves on whenever it is settled; ends when dropped.
+/// A session whose view moves whenever it is settled; ends when dropped.
 pub struct MovingClient {
-    /// Its number.
+    /// Number of the session.
     pub session: u64,
     task: JoinHandle<()>,
 }
 
 impl MovingClient {
-    /// Connects at a place in metres with a heading, and then walks `pace_m` metres a step along a
-    /// wide circle.
+    /// Connects at a position in metres with a heading, and moves `pace_m` metres per step along a wide
+    /// circle.
     pub async fn start(server: &Program, [x_m, z_m]: [i32; 2], yaw_mdeg: i32, pace_m: i32) -> Self {
         let mut request = server.stream().into_client_request().unwrap();
         request.headers_mut().insert("Sec-WebSocket-Protocol", SUBPROTOCOL.parse().unwrap());
@@ -104,7 +104,7 @@ impl MovingClient {
                 if !matches!(event, Event::Settled { .. }) {
                     continue;
                 }
-                // The pace of a walk through the world, not of a load test.
+                // A rate of steps far below a load test.
                 tokio::time::sleep(Duration::from_millis(150)).await;
                 let heading = (f64::from(view.yaw_mdeg) / 1000.0).to_radians();
                 let pace = f64::from(pace_m * 256);
@@ -112,7 +112,7 @@ impl MovingClient {
                 view.eye[0] += (heading.sin() * pace) as i32;
                 view.eye[2] -= (heading.cos() * pace) as i32;
                 view.yaw_mdeg += if pace_m == 0 { 0 } else { 2000 };
-                // A small memory, so that there is always something to send to who moves.
+                // A small cache, so that a moving client always needs chunks.
                 if held.len() > HELD {
                     session.release(&held.drain(..held.len() - HELD).collect::<Vec<_>>());
                 }
@@ -129,7 +129,7 @@ impl Drop for MovingClient {
     }
 }
 
-/// Says what the session has to say and hears the next event; none when the connection ended.
+/// Sends pending messages and receives the next event; none after the end of the connection.
 async fn step(
     socket: &mut WebSocketStream<MaybeTlsStream<TcpStream>>,
     session: &mut ClientSession,
@@ -141,7 +141,7 @@ async fn step(
         match socket.next().await?.ok()? {
             Message::Binary(frame) => return session.receive(DataFrame::Binary(&frame)).ok(),
             Message::Close(_) => return None,
-            // Pings are answered by the library on the next write.
+            // The library answers pings on the next write.
             _ => {}
         }
     }
