@@ -6,6 +6,7 @@ mod bars;
 pub mod cases;
 pub(crate) mod chunks;
 pub mod clump_vertices;
+pub(crate) mod clumps;
 pub(crate) mod frames;
 mod gpu_cpu_equality;
 pub(crate) mod id_buffer;

@@ -23,6 +23,7 @@ mod floats;
 pub mod headless_renderer;
 pub mod lod;
 mod options;
+mod outputs;
 pub mod pom;
 mod probe;
 mod reference_f64;
@@ -37,7 +38,8 @@ mod world_builder;
 
 pub use options::Args;
 
-use options::{Command, Outputs};
+use options::Command;
+use outputs::Outputs;
 
 /// Runs the measurement that the command line names.
 ///

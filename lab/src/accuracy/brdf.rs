@@ -183,10 +183,10 @@ fn half(value: f64) -> f64 {
 }
 
 /// Relative errors are cut here; values that are not finite count as this.
-const HOPELESS: f64 = 1000.0;
+const ERROR_CAP: f64 = 1000.0;
 
 fn figures(errors: impl Iterator<Item = f64>) -> Figures {
-    let cut = |error: f64| if error.is_finite() { error.abs().min(HOPELESS) } else { HOPELESS };
+    let cut = |error: f64| if error.is_finite() { error.abs().min(ERROR_CAP) } else { ERROR_CAP };
     Figures::of(errors.map(cut).collect())
 }
 
@@ -309,7 +309,7 @@ pub fn measure(_: u64) -> Result<Curve> {
             "relative error of the sun's reflection (GGX, f0 {F0}) against f64 with exact visibility, at \
              half \
              vectors spread evenly over the lobe and eyes 0 to 85 degrees off the normal; f32 on {}, f16 \
-             emulated, errors cut at {HOPELESS}. The viewer draws no roughness below {FLOOR}.",
+             emulated, errors cut at {ERROR_CAP}. The viewer draws no roughness below {FLOOR}.",
             bench.0.name
         ),
         rows,
@@ -330,7 +330,7 @@ pub fn measure(_: u64) -> Result<Curve> {
             .line("f32, 1 - NH^2", errors.points(roughness, columns[2][figure]))
             .line("f16, N x H", errors.points(roughness, columns[3][figure]))
             .line("f16, 1 - NH^2", errors.points(roughness, columns[4][figure]))
-            .bound("least roughness drawn", [(FLOOR, 1e-6), (FLOOR, HOPELESS)])
+            .bound("least roughness drawn", [(FLOOR, 1e-6), (FLOOR, ERROR_CAP)])
     };
     let time = linear("time, share of exact visibility with N x H");
     let error = log("relative error of the reflection");

@@ -64,8 +64,10 @@ struct Contexts {
 }
 
 thread_local! {
-    static CONTEXTS: RefCell<Contexts> =
-        RefCell::new(Contexts { compressor: Compressor::new(1).ok(), decompressor: Decompressor::new().ok() });
+    static CONTEXTS: RefCell<Contexts> = RefCell::new(Contexts {
+        compressor: Compressor::new(1).ok(),
+        decompressor: Decompressor::new().ok(),
+    });
 }
 
 /// Plane prediction of a height from those before it.

@@ -1,7 +1,7 @@
 //! Occlusion of chunks of 128 m: visible if any vertex of any clump in them is.
 
 use crate::culling::clump_vertices::clump_vertices;
-use crate::culling::occlusion::{LEAST_M, is_judged, judged, level_of};
+use crate::culling::clumps::{LEAST_M, is_judged, judged, level_of};
 use crate::culling::reference::{VisibilityReference, eye_of};
 use crate::culling::scene::Scene;
 use client::features::vegetation::SpeciesParams;

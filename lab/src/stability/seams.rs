@@ -6,7 +6,7 @@ use crate::sample;
 use terrain::constants::{CELLS, SPACING_BITS, TOP_LEVEL, VERTICES, WORLD_HALF};
 use terrain::{ChunkKey, Grid, Land, Octaves, Position};
 
-/// Places at whose chunks seams are looked at, units: corners and middles of the borders, both
+/// Positions whose chunks are checked, units: corners and middles of the borders, both
 /// signs of the origin.
 const PLACES: [(i32, i32); 13] = [
     (-WORLD_HALF, -WORLD_HALF),
@@ -27,7 +27,7 @@ const PLACES: [(i32, i32); 13] = [
 /// Further places inside islands.
 const LAND_PLACES: u32 = 12;
 
-/// Looks at all seams of a world.
+/// Checks all seams of a world.
 pub fn check(land: &Land) -> Vec<Check> {
     let mut seams = Seams {
         land,
@@ -40,7 +40,7 @@ pub fn check(land: &Land) -> Vec<Check> {
     let places = PLACES.into_iter().chain(sample::land_vertices(land.world_seed(), LAND_PLACES, 5));
     for (x, z) in places {
         for level in 0..=TOP_LEVEL {
-            seams.look_at(ChunkKey::containing(level, x, z));
+            seams.check_chunk(ChunkKey::containing(level, x, z));
         }
     }
     vec![seams.east, seams.south, seams.points, seams.grids, seams.finer]
@@ -67,7 +67,7 @@ struct Seams<'a> {
 }
 
 impl Seams<'_> {
-    fn look_at(&mut self, key: ChunkKey) {
+    fn check_chunk(&mut self, key: ChunkKey) {
         let heights = self.land.chunk_heights(key);
         let at = |column: usize, row: usize| i64::from(heights[row * VERTICES + column]);
         if let Ok(neighbour) = ChunkKey::new(key.level(), key.x() + 1, key.z()) {
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn heights_of_another_world_are_no_seam() {
+    fn heights_of_another_world_violate_the_seam() {
         let seam = control();
         assert!(!seam.holds() && seam.violations > 60);
     }
