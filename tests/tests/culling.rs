@@ -16,7 +16,7 @@ const SLOTS: u32 = 1500;
 /// A view with settings of the vegetation.
 fn view(camera: &str, vegetation: VegetationSettings) -> ViewParams {
     let view = tests::view_at(camera, (640, 360), 3000, 2.0);
-    ViewParams { settings: RenderSettings { plants: vegetation, ..shot.settings }, ..shot }
+    ViewParams { settings: RenderSettings { plants: vegetation, ..view.settings }, ..view }
 }
 
 /// The culling passes on the GPU, with buffers of a fixed capacity.
@@ -90,7 +90,7 @@ fn the_gpu_keeps_the_clumps_of_the_twin_in_the_same_order() {
                 world.insert(land.chunk(needed.key));
             }
             let eye = view.pose.eye();
-            let view = ViewParams { pose: view.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
+            let view = ViewParams { pose: view.pose.above(world.ground(eye.units[0], eye.units[2])), ..view };
             let selection = select(&mut world, &view.viewer());
             let plants = view.plants(&world, &selection.drawn).unwrap();
             let chosen = field.choose(&world, &view, &selection.drawn);
@@ -120,7 +120,7 @@ fn frame_of(
     cull: Cull,
     vegetation: VegetationSettings,
 ) -> client::frame::FrameData {
-    let settings = RenderSettings { plants: VegetationSettings { cull, ..vegetation }, ..shot.settings };
+    let settings = RenderSettings { plants: VegetationSettings { cull, ..vegetation }, ..view.settings };
     let view = ViewParams { settings, ..*view };
     let selection = select(world, &view.viewer());
     view.frame(client::scene::Scene::Island, world, &selection)
@@ -145,7 +145,7 @@ fn culling_hidden_plants_changes_no_byte_of_the_picture() {
             world.insert(land.chunk(needed.key));
         }
         let eye = view.pose.eye();
-        let view = ViewParams { pose: view.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
+        let view = ViewParams { pose: view.pose.above(world.ground(eye.units[0], eye.units[2])), ..view };
         renderer.upload_world(&world);
         let mut picture = |cull, vegetation| {
             let frame = frame_of(&mut world, &view, cull, vegetation);
@@ -218,7 +218,7 @@ fn zero_one_and_too_many_clumps_are_kept_and_counted() {
             world.insert(land.chunk(needed.key));
         }
         let eye = view.pose.eye();
-        let view = ViewParams { pose: view.pose.above(world.ground(eye.units[0], eye.units[2])), ..shot };
+        let view = ViewParams { pose: view.pose.above(world.ground(eye.units[0], eye.units[2])), ..view };
         let selection = select(&mut world, &view.viewer());
         let plants = view.plants(&world, &selection.drawn).unwrap();
         let mut twin = cull_on_cpu(&world, &plants, &plants.species[0]);

@@ -70,13 +70,13 @@ fn view(height_m: f64, pitch_deg: f64, fov_deg: f64) -> ViewParams {
     // The same detail of the land through every lens: a fine grid is not tested here.
     let tolerance_px = 12.0 * 60.0 / fov_deg;
     let view = tests::view_at(&format!("4300,{height_m},300,-60,{pitch_deg}"), SIZE, 3000, tolerance_px);
-    ViewParams { projection: Projection { fov_deg, ..shot.projection }, time_s: 1.0, ..shot }
+    ViewParams { projection: Projection { fov_deg, ..view.projection }, time_s: 1.0, ..view }
 }
 
 fn under_sun(view: &ViewParams, elevation_deg: f32) -> ViewParams {
     // In the middle of the picture, so that the disc and its reflection are in view.
     let sun = Some(SunPosition { azimuth_deg: -60.0, elevation_deg });
-    ViewParams { settings: RenderSettings { sun, ..shot.settings }, ..*view }
+    ViewParams { settings: RenderSettings { sun, ..view.settings }, ..*view }
 }
 
 #[test]

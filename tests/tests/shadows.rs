@@ -33,7 +33,7 @@ fn renderer(gpu: &Gpu) -> Renderer {
 fn view(camera: &str, sun: (f32, f32)) -> ViewParams {
     let sun = SunPosition { azimuth_deg: sun.0, elevation_deg: sun.1 };
     let view = tests::view_at(camera, (640, 360), 4000, 3.0);
-    ViewParams { settings: RenderSettings { sun: Some(sun), ..shot.settings }, ..shot }
+    ViewParams { settings: RenderSettings { sun: Some(sun), ..view.settings }, ..view }
 }
 
 /// A drawn world, and the clearances that the GPU computes for its visible chunks.
@@ -74,7 +74,7 @@ impl Scenery {
     fn cast(&mut self, view: &ViewParams) -> HashMap<ChunkKey, Vec<u8>> {
         let frame = self.frame(view);
         self.renderer.finish_shadows(&self.gpu, &frame).unwrap();
-        let seen = frame.candidates.iter().filter(|candidate| candidate.in_sight);
+        let seen = frame.candidates.iter().filter(|candidate| candidate.is_visible);
         seen.map(|seen| {
             let bytes = self.renderer.pool().read_sun_clearances(&self.gpu, seen.page.slot).unwrap();
             assert_eq!(bytes.len(), VERTEX_COUNT);
