@@ -1,7 +1,7 @@
 //! Camera: poses, projections, flying and orbiting. Pure arithmetic; time is passed as steps.
 //!
-//! Axes of the world: x east, y up, z south. Yaw 0 looks north (-z) and grows to the right (east);
-//! pitch grows upward.
+//! World axes: x east, y up, z south. Yaw 0 looks north (-z) and increases to the right (east);
+//! pitch increases upward.
 
 use glam::camera::rh::{proj::directx::perspective_infinite_reverse, view::look_to_mat4};
 use glam::{DVec3, Mat4, Vec3};
@@ -232,10 +232,10 @@ impl Fly {
         self.pose.yaw_deg += steering.turn_deg;
         self.pose.pitch_deg += steering.tilt_deg;
         self.pose = self.pose.clamped();
-        let wish = self.pose.forward() * steering.forward
+        let direction = self.pose.forward() * steering.forward
             + self.pose.right() * steering.right
             + DVec3::Y * steering.up;
-        self.pose.position_m += wish.clamp_length_max(1.0) * self.speed_m * dt_s;
+        self.pose.position_m += direction.clamp_length_max(1.0) * self.speed_m * dt_s;
         self.pose = self.pose.clamped();
     }
 }

@@ -6,7 +6,7 @@ use crate::features::vegetation::VegetationSettings;
 use crate::features::water::{WaterTier, WaveSettings};
 use clap::ValueEnum;
 
-/// All render settings: what a frame depends on besides camera and chunks.
+/// All render settings: what a frame depends on apart from camera and chunks.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RenderSettings {
     /// Diffuse reflection.

@@ -1,4 +1,4 @@
-//! View parameters: everything that a frame depends on besides the chunks.
+//! View parameters: everything that a frame depends on apart from the chunks.
 
 use crate::camera::{Pose, Projection};
 use crate::settings::RenderSettings;

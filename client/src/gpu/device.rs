@@ -65,7 +65,7 @@ impl Gpu {
     pub async fn open_with(
         instance: wgpu::Instance,
         surface: Option<&wgpu::Surface<'_>>,
-        wished: wgpu::Features,
+        optional: wgpu::Features,
     ) -> Result<Self, GpuError> {
         let options = wgpu::RequestAdapterOptions {
             power_preference: wgpu::PowerPreference::HighPerformance,
@@ -78,7 +78,7 @@ impl Gpu {
             .map_err(|error| GpuError::NoAdapter(first_line(&error.to_string())))?;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("tombolo"),
-            required_features: adapter.features() & wished,
+            required_features: adapter.features() & optional,
             ..Default::default()
         };
         let (device, queue) = adapter.request_device(&descriptor).await.map_err(|error| {

@@ -15,10 +15,10 @@
 //! if all neighbours tolerate the parent's border.
 
 use crate::cache::ChunkCache;
-use crate::lod::Fading;
 use crate::lod::error;
 use rustc_hash::{FxHashMap, FxHashSet};
 use shaders::twin::morph::{MORPH_ONE, Seams};
+use std::time::Duration;
 use terrain::ChunkKey;
 use terrain::lod::Viewer;
 
@@ -40,6 +40,16 @@ pub struct Drawn {
     pub key: ChunkKey,
     /// Morph factors of interior, edges and corners.
     pub seams: Seams,
+}
+
+/// Fade-in of finer chunks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Fading {
+    /// Current time, monotonic.
+    pub now: Duration,
+    /// Time from the parent's surface to the own one after all four children arrived; zero: at
+    /// once.
+    pub lasts: Duration,
 }
 
 /// The neighbour of a drawn chunk at an edge or corner.

@@ -5,5 +5,5 @@ pub mod error;
 pub mod geomorph;
 pub mod select;
 
-pub use geomorph::Drawn;
-pub use select::{Fading, Selection, select, select_at};
+pub use geomorph::{Drawn, Fading};
+pub use select::{Selection, select, select_at};

@@ -9,9 +9,8 @@
 use crate::cache::ChunkCache;
 use crate::lod::error;
 use crate::lod::geomorph;
-use crate::lod::geomorph::Drawn;
+use crate::lod::geomorph::{Drawn, Fading};
 use rustc_hash::FxHashSet;
-use std::time::Duration;
 use terrain::ChunkKey;
 use terrain::lod::{self, Splits, Viewer};
 
@@ -37,16 +36,6 @@ impl Selection {
 /// Selects the chunks of one frame and marks them as used.
 pub fn select(cache: &mut ChunkCache, viewer: &Viewer) -> Selection {
     select_at(cache, viewer, Fading::default())
-}
-
-/// Fade-in of finer chunks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Fading {
-    /// Current time, monotonic.
-    pub now: Duration,
-    /// Time from the parent's surface to the own one after all four children arrived; zero: at
-    /// once.
-    pub lasts: Duration,
 }
 
 /// [`select`] with a fade-in of finer chunks.
@@ -110,6 +99,7 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::HashSet;
     use std::sync::LazyLock;
+    use std::time::Duration;
     use terrain::{Chunk, Land};
 
     const VIEWER: Viewer =

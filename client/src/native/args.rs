@@ -254,7 +254,7 @@ fn parse_url(text: &str) -> Result<Uri, String> {
 
 fn parse_digest(text: &str) -> Result<WorldDigest, String> {
     WorldDigest::from_hex(text)
-        .ok_or_else(|| "expected the 64 hexadecimal digits that a server tells at /v1/cache".to_owned())
+        .ok_or_else(|| "expected the 64 hexadecimal digits that a server reports at /v1/world".to_owned())
 }
 
 fn parse_size(text: &str) -> Result<(u32, u32), String> {

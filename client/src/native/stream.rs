@@ -394,10 +394,10 @@ async fn connect(url: &Uri) -> Result<Socket, tungstenite::Error> {
 mod tests {
     use super::*;
 
-    fn poll_until(feed: &mut ServerStream, what: impl Fn(&StreamEvent) -> bool) -> StreamEvent {
+    fn poll_until(source: &mut ServerStream, what: impl Fn(&StreamEvent) -> bool) -> StreamEvent {
         let limit = std::time::Instant::now() + Duration::from_secs(20);
         while std::time::Instant::now() < limit {
-            match feed.poll() {
+            match source.poll() {
                 Some(event) if what(&event) => return event,
                 Some(_) => {}
                 None => std::thread::sleep(Duration::from_millis(2)),
@@ -406,7 +406,7 @@ mod tests {
         panic!("nothing happened");
     }
 
-    fn feed_of(address: std::net::SocketAddr) -> ServerStream {
+    fn connect_to(address: std::net::SocketAddr) -> ServerStream {
         let url = format!("ws://{address}/v1/stream").parse().unwrap();
         ServerStream::connect(Settings::new(url)).unwrap()
     }
@@ -415,9 +415,9 @@ mod tests {
     fn a_server_that_is_not_there_is_named_and_tried_again() {
         // A port that was free a moment ago.
         let address = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        let mut feed = feed_of(address);
+        let mut source = connect_to(address);
         for _ in 0..2 {
-            let event = poll_until(&mut feed, |event| matches!(event, StreamEvent::Disconnected { .. }));
+            let event = poll_until(&mut source, |event| matches!(event, StreamEvent::Disconnected { .. }));
             let StreamEvent::Disconnected { cause, retry } = event else { unreachable!() };
             assert!(cause.contains(&address.to_string()) && cause.contains("--connect"), "{cause}");
             assert!(retry.is_some());
@@ -435,8 +435,8 @@ mod tests {
             let _ = socket.read(&mut request).unwrap();
             socket.write_all(b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n").unwrap();
         });
-        let mut feed = feed_of(address);
-        let event = poll_until(&mut feed, |event| matches!(event, StreamEvent::Disconnected { .. }));
+        let mut source = connect_to(address);
+        let event = poll_until(&mut source, |event| matches!(event, StreamEvent::Disconnected { .. }));
         let StreamEvent::Disconnected { cause, retry } = event else { unreachable!() };
         assert!(cause.contains("404") && retry.is_none(), "{cause}");
         server.join().unwrap();

@@ -338,7 +338,7 @@ mod tests {
         complete(&folder);
         let whole = std::fs::read(folder.path("sand_BaseColor.png")).unwrap();
         std::fs::write(folder.path("cliff_albedo.png"), &whole[..whole.len() / 2]).unwrap();
-        std::fs::write(folder.path("scree_color.png"), b"no picture").unwrap();
+        std::fs::write(folder.path("scree_color.png"), b"not an image").unwrap();
         std::fs::write(folder.path("meadow_diffuse.png"), []).unwrap();
         std::fs::create_dir(folder.path("cobbles_albedo.png")).unwrap();
         GrayImage::from_pixel(1, 1, Luma([9])).save(folder.path("thicket_height.png")).unwrap();

@@ -1,7 +1,7 @@
 //! Chunks without a server, generated on request: for tests, and as the reference of streamed
 //! images.
 
-use crate::stream::{ChunkStream, StreamEvent, Traffic};
+use crate::stream::chunk_stream::{ChunkStream, StreamEvent, Traffic};
 use protocol::Delivery;
 use protocol::view::View;
 use std::collections::{HashSet, VecDeque};

@@ -3,99 +3,11 @@
 //! A stream is polled once a frame and never blocks. Waiting, reconnecting and generating are
 //! internal to each implementation.
 
+pub mod chunk_stream;
 pub mod local;
 pub mod null;
 pub mod streamer;
 
+pub use chunk_stream::{ChunkStream, StreamEvent, Traffic};
 pub use local::LocalStream;
 pub use null::NullStream;
-
-use protocol::Delivery;
-use protocol::view::View;
-use std::time::Duration;
-use terrain::{Chunk, ChunkKey, WorldDigest};
-
-/// An event of a stream.
-#[derive(Debug)]
-pub enum StreamEvent {
-    /// A session began. Resident chunks of another world must be dropped.
-    Connected {
-        /// Digest of the served world.
-        world: WorldDigest,
-        /// Stated seed of the world; nothing that is drawn depends on it.
-        world_seed: u64,
-        /// Name and version of the server, for display.
-        server: String,
-    },
-    /// A verified chunk.
-    Chunk(Box<Chunk>),
-    /// Every chunk of the view with this id has been sent.
-    Settled {
-        /// The view's id.
-        view: u32,
-    },
-    /// A request was rejected.
-    Refused {
-        /// One sentence.
-        detail: String,
-    },
-    /// The session ended.
-    Disconnected {
-        /// One sentence: the cause and what to do.
-        cause: String,
-        /// Delay until the next attempt; none if another attempt cannot help.
-        retry: Option<Duration>,
-    },
-}
-
-/// Counters of a stream.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Traffic {
-    /// Bytes of frames received since the start, over all sessions.
-    pub bytes_received: u64,
-    /// Chunks that the server may still send before more credit.
-    pub credits: u32,
-}
-
-/// A source of chunks for the viewer.
-pub trait ChunkStream {
-    /// The next event, if there is one.
-    fn poll(&mut self) -> Option<StreamEvent>;
-    /// Sets the current view; replaces the previous one.
-    fn set_view(&mut self, view: View);
-    /// Releases evicted chunks: they may be needed again.
-    fn release(&mut self, keys: &[ChunkKey]);
-    /// Reports the resident chunks after a reconnect.
-    fn holding(&mut self, keys: &[ChunkKey]);
-    /// Delivery mode, for the statistics.
-    fn delivery(&self) -> Delivery;
-    /// Counters.
-    fn traffic(&self) -> Traffic;
-}
-
-/// The implementation may be chosen at run time.
-impl ChunkStream for Box<dyn ChunkStream> {
-    fn poll(&mut self) -> Option<StreamEvent> {
-        (**self).poll()
-    }
-
-    fn set_view(&mut self, view: View) {
-        (**self).set_view(view);
-    }
-
-    fn release(&mut self, keys: &[ChunkKey]) {
-        (**self).release(keys);
-    }
-
-    fn holding(&mut self, keys: &[ChunkKey]) {
-        (**self).holding(keys);
-    }
-
-    fn delivery(&self) -> Delivery {
-        (**self).delivery()
-    }
-
-    fn traffic(&self) -> Traffic {
-        (**self).traffic()
-    }
-}

@@ -1,6 +1,6 @@
 //! An empty stream, for scenes without chunks.
 
-use crate::stream::{ChunkStream, StreamEvent, Traffic};
+use crate::stream::chunk_stream::{ChunkStream, StreamEvent, Traffic};
 use protocol::Delivery;
 use protocol::view::View;
 use terrain::ChunkKey;

@@ -3,7 +3,7 @@
 
 use crate::cache::{ChunkCache, Resident, vertical_scale};
 use crate::lod::{Fading, Selection, select_at};
-use crate::stream::{ChunkStream, StreamEvent};
+use crate::stream::chunk_stream::{ChunkStream, StreamEvent};
 use crate::view::ViewParams;
 use protocol::view::View;
 use std::time::Duration;

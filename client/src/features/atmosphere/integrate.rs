@@ -89,7 +89,7 @@ mod tests {
     fn uniforms(eye_height_m: f64, sun_elevation_deg: f32) -> Frame {
         let pose: Pose = format!("0,{eye_height_m},0,0,0").parse().unwrap();
         let sun = Some(SunPosition { azimuth_deg: 90.0, elevation_deg: sun_elevation_deg });
-        let shot = ViewParams {
+        let view = ViewParams {
             pose,
             projection: Projection { fov_deg: 60.0, width: 64, height: 36 },
             view_distance_m: 1000,
@@ -98,8 +98,8 @@ mod tests {
             settings: RenderSettings { sun, ..RenderSettings::default() },
         };
         let mut cache = ChunkCache::new(8);
-        let selection = select(&mut cache, &shot.viewer());
-        shot.frame(Scene::Island, &cache, &selection).uniforms
+        let selection = select(&mut cache, &view.viewer());
+        view.frame(Scene::Island, &cache, &selection).uniforms
     }
 
     /// Measures the sky of a frame, then asks for segments of `(direction, distance in metres)`.

@@ -3,7 +3,7 @@
 
 use crate::features::pom::cones;
 use crate::features::pom::cones::MOST_CONES;
-use crate::features::pom::maps::{EXACT, PomMaps, texture, whole};
+use crate::features::pom::textures::{EXACT, texture, whole};
 use crate::gpu::bind;
 use crate::gpu::pipeline::compute_pipelines;
 use shaders::SHADERS;
@@ -30,11 +30,11 @@ pub fn bake(
     let levels = most.ilog2() + 1;
     let baked = texture(device, "cones", EXACT, most, most, heights.depth_or_array_layers(), levels);
     let shader = SHADERS.bake_cones;
-    let [numbers, ..] = PomMaps::layout_entries(1, wgpu::ShaderStages::COMPUTE);
+    let (stages, array) = (wgpu::ShaderStages::COMPUTE, wgpu::TextureViewDimension::D2Array);
     let entries = [
         bind::compute_uniform_entry(0),
-        numbers,
-        wgpu::BindGroupLayoutEntry { binding: 2, ..numbers },
+        bind::texture_entry(1, stages, array, false),
+        bind::texture_entry(2, stages, array, false),
         bind::storage_texture_entry(3, EXACT, wgpu::StorageTextureAccess::WriteOnly),
     ];
     let layout = bind::layout(device, shader.name, &entries);

@@ -4,7 +4,7 @@
 //!
 //! The CPU definition; the `bake_cones` shader computes the same and is used for drawing.
 
-use crate::features::pom::HeightMap;
+use crate::features::pom::height_map::HeightMap;
 use std::f64::consts::TAU;
 
 /// Largest radius: wider cones would step over a whole tile.

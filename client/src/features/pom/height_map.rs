@@ -12,7 +12,7 @@ pub enum MapError {
     #[error("a height map of {0} texels a side: the side must be a power of two, {LARGEST_SIDE} at most")]
     Side(usize),
     /// The number of heights is not the square of the side.
-    #[error("{0} heights for a map of {1} texels a side: it takes the grid of the side")]
+    #[error("{0} heights for a map of {1} texels a side: expected the square of the side")]
     Count(usize, usize),
     /// A height is NaN.
     #[error("height {0} of the map is not a number: every height must be from 0 to 1")]

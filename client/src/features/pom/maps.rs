@@ -1,7 +1,8 @@
 //! Textures of parallax occlusion mapping: heights twice (exact, and filterable), max mips, cones.
 
-use crate::features::pom::HeightMap;
 use crate::features::pom::cone_bake;
+use crate::features::pom::height_map::HeightMap;
+use crate::features::pom::textures::{EXACT, texture, whole};
 use crate::gpu::bind;
 use crate::gpu::pipeline::compute_pipelines;
 use half::f16;
@@ -9,8 +10,6 @@ use shaders::SHADERS;
 use shaders::layout::{MAX_MIP_WORKGROUP, MaxMipReduction};
 use wgpu::util::DeviceExt as _;
 
-/// Exact heights and bounds; not filterable everywhere.
-pub(super) const EXACT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
 /// Filterable heights, in alpha.
 const SMOOTH: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 
@@ -38,7 +37,7 @@ impl PomMaps {
         smooth: &wgpu::Texture,
     ) -> Self {
         let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
-            label: Some("reliefs"),
+            label: Some("parallax maps"),
             address_mode_u: wgpu::AddressMode::Repeat,
             address_mode_v: wgpu::AddressMode::Repeat,
             mag_filter: wgpu::FilterMode::Linear,
@@ -69,7 +68,7 @@ impl PomMaps {
         let layers = (maps.len() as u32).max(1);
         let levels = side.ilog2() + 1;
         let heights = texture(device, "heights", EXACT, side, side, layers, levels);
-        let smooth = texture(device, "heights to be filtered", SMOOTH, side, side, layers, levels);
+        let smooth = texture(device, "filterable heights", SMOOTH, side, side, layers, levels);
         for (layer, map) in maps.into_iter().enumerate() {
             let layer = layer as u32;
             let mut map = map.clone();
@@ -139,29 +138,6 @@ impl PomMaps {
     }
 }
 
-pub(super) fn texture(
-    device: &wgpu::Device,
-    label: &str,
-    format: wgpu::TextureFormat,
-    width: u32,
-    height: u32,
-    layers: u32,
-    levels: u32,
-) -> wgpu::Texture {
-    use wgpu::TextureUsages as Usage;
-    let stored = if format == EXACT { Usage::STORAGE_BINDING } else { Usage::empty() };
-    device.create_texture(&wgpu::TextureDescriptor {
-        label: Some(label),
-        size: wgpu::Extent3d { width, height, depth_or_array_layers: layers },
-        mip_level_count: levels,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format,
-        usage: Usage::TEXTURE_BINDING | Usage::COPY_DST | Usage::COPY_SRC | stored,
-        view_formats: &[],
-    })
-}
-
 fn write<T: bytemuck::Pod>(
     queue: &wgpu::Queue,
     texture: &wgpu::Texture,
@@ -187,20 +163,13 @@ fn write<T: bytemuck::Pod>(
     );
 }
 
-pub(super) fn whole(texture: &wgpu::Texture) -> wgpu::TextureView {
-    texture.create_view(&wgpu::TextureViewDescriptor {
-        dimension: Some(wgpu::TextureViewDimension::D2Array),
-        ..Default::default()
-    })
-}
-
 /// The max mips of all mip levels of heights (maximum mipmaps: Tevs, Ihrke, Seidel, "Maximum
 /// Mipmaps for Fast, Accurate, and Scalable Dynamic Height Field Rendering", I3D 2008), in the
 /// layout that the shader reads.
 #[must_use]
 pub fn max_mips(device: &wgpu::Device, queue: &wgpu::Queue, heights: &wgpu::Texture) -> wgpu::Texture {
     let (side, layers) = (heights.width(), heights.depth_or_array_layers());
-    let max_mips = texture(device, "bounds of reliefs", EXACT, side + side / 2, 2 * side, layers, 1);
+    let max_mips = texture(device, "max mips", EXACT, side + side / 2, 2 * side, layers, 1);
     let shader = SHADERS.reduce_max_mip;
     let entries = [
         bind::compute_uniform_entry(0),
@@ -221,7 +190,7 @@ pub fn max_mips(device: &wgpu::Device, queue: &wgpu::Queue, heights: &wgpu::Text
     for (lod, level) in (0..=bits).flat_map(|lod| (0..=bits - lod).map(move |level| (lod, level))) {
         let order = MaxMipReduction { side, lod, level, reserved: 0 };
         let order = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("bounds to find"),
+            label: Some("max mips to compute"),
             contents: bytemuck::bytes_of(&order),
             usage: wgpu::BufferUsages::UNIFORM,
         });

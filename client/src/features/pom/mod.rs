@@ -5,6 +5,7 @@ pub mod cones;
 pub mod height_map;
 pub mod maps;
 pub mod settings;
+mod textures;
 
 pub use height_map::{HeightMap, MapError};
 pub use maps::PomMaps;

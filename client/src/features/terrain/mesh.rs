@@ -1,5 +1,5 @@
 //! The index buffer that all instances share: 32 x 32 cells, a quarter of a chunk. Quarters are
-//! culled one by one: near the eye a whole chunk is much wider than the picture.
+//! culled one by one: near the eye a whole chunk is much wider than the image.
 //!
 //! Cells are cut from their low corner to their high corner, the rule that the land is defined by
 //! (`terrain::chunk::drawn_height_scaled`). Seen from above, triangles run counter-clockwise.

@@ -22,11 +22,11 @@ pub struct ChunkPool {
 }
 
 impl ChunkPool {
-    /// Slots that fit one storage binding of this device, at most `wished`.
+    /// Slots that fit one storage binding of this device, at most `requested`.
     #[must_use]
-    pub fn slots_within(limits: &wgpu::Limits, wished: u32) -> u32 {
+    pub fn slots_within(limits: &wgpu::Limits, requested: u32) -> u32 {
         let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        wished.min(u32::try_from(bytes / HEIGHTS).unwrap_or(u32::MAX)).max(1)
+        requested.min(u32::try_from(bytes / HEIGHTS).unwrap_or(u32::MAX)).max(1)
     }
 
     /// A pool of `slots` slots, see [`ChunkPool::slots_within`].

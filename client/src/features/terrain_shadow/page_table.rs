@@ -54,7 +54,7 @@ impl PageTable {
         let leaves: FxHashMap<ChunkKey, &Page> = pages.iter().map(|page| (page.key, page)).collect();
         let above = |page: &Page| std::iter::successors(page.key.parent(), |key| key.parent());
         let split: FxHashSet<ChunkKey> = pages.iter().flat_map(above).collect();
-        let room = MAX_ROOTS + NODES_PER_SLOT * slots as usize;
+        let capacity = MAX_ROOTS + NODES_PER_SLOT * slots as usize;
 
         let mut keys: Vec<Option<ChunkKey>> = roots.keys().collect();
         let mut nodes = Vec::with_capacity(2 * pages.len());
@@ -63,7 +63,7 @@ impl PageTable {
             let children = key.filter(|key| split.contains(key)).and_then(ChunkKey::children);
             nodes.push(match (leaf, children) {
                 (Some(page), _) => PageNode { link: LEAF | page.slot, top: page.top },
-                (None, Some(children)) if keys.len() + children.len() <= room => {
+                (None, Some(children)) if keys.len() + children.len() <= capacity => {
                     let link = keys.len() as u32;
                     keys.extend(children.map(Some));
                     PageNode { link, top: i32::MIN }

@@ -69,10 +69,10 @@ mod tests {
             Vec3::splat(f32::MIN_POSITIVE),
             Vec3::INFINITY,
         ];
-        for caster in odd.map(|sun| sun_params(sun, &PageTable::default())) {
-            let [x, z] = caster.toward;
-            assert!((x.hypot(z) - 1.0).abs() < 1e-6 && caster.slope_low >= 0.0, "{caster:?}");
-            assert!(caster.slope_high.is_finite() && caster.slope_high >= caster.slope_low, "{caster:?}");
+        for params in odd.map(|sun| sun_params(sun, &PageTable::default())) {
+            let [x, z] = params.toward;
+            assert!((x.hypot(z) - 1.0).abs() < 1e-6 && params.slope_low >= 0.0, "{params:?}");
+            assert!(params.slope_high.is_finite() && params.slope_high >= params.slope_low, "{params:?}");
         }
         assert_eq!(sun_params(Vec3::Y, &PageTable::default()).sky, SKY_LIT);
     }

@@ -59,7 +59,7 @@ pub struct VisibleClumps {
     pub species: Species,
     /// The [`shaders::layout::Field`].
     pub field: wgpu::Buffer,
-    /// The [`shaders::layout::OcclusionNode`]s of the square that clumps are counted in; usage `STORAGE`.
+    /// The [`shaders::layout::OcclusionNode`]s of the grid; usage `STORAGE`.
     pub tiles: wgpu::Buffer,
     /// The [`shaders::layout::OccluderChunk`]s under them; usage `STORAGE`.
     pub leaves: wgpu::Buffer,

@@ -108,7 +108,7 @@ impl CullPasses {
         let clumps_layout =
             layout("clump culling", &[storage_entry(0, compute, false), storage_entry(1, compute, false)]);
         let scan_layout = layout(
-            "species scan",
+            "plant scan",
             &[uniform(0), uniform(1), storage_entry(2, compute, false), storage_entry(3, compute, false)],
         );
         let [blocks] = compute_pipelines(
@@ -183,7 +183,7 @@ impl CullPasses {
             patched: group("land and patches", &self.patches_layout, &land),
             block_group: group("block culling", &self.blocks_layout, &[&visible_blocks, &self.memory]),
             clump_group: group("clump culling", &self.clumps_layout, &[&visible_blocks, &clumps]),
-            scan: group("species scan", &self.scan_layout, &[&planting, &size, &visible_blocks, &indirect]),
+            scan: group("plant scan", &self.scan_layout, &[&planting, &size, &visible_blocks, &indirect]),
             culling,
             planting,
             patches,

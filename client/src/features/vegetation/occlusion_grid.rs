@@ -48,7 +48,7 @@ impl OcclusionGrid {
         grid
     }
 
-    /// The eye in the square: east, up, south in fine units, rounded.
+    /// The eye in the grid: east, up, south in fine units, rounded.
     #[must_use]
     pub fn eye(&self, eye: &Eye) -> [i32; 3] {
         let fine = f64::from(UNITS_PER_METRE << FINE_BITS);

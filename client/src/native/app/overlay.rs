@@ -3,7 +3,7 @@
 use crate::gpu::Gpu;
 use winit::window::Window;
 
-/// egui over the picture of a window.
+/// egui over the image of a window.
 pub struct Overlay {
     context: egui::Context,
     input: egui_winit::State,

@@ -65,7 +65,7 @@ pub struct ViewSettings {
     pub tolerance_px: f64,
     /// View distance, metres.
     pub view_distance_m: u32,
-    /// Knobs of the picture.
+    /// Render settings.
     pub render: RenderSettings,
 }
 
@@ -90,7 +90,7 @@ pub fn show(ctx: &egui::Context, readings: &Readings<'_>, settings: &mut ViewSet
             if has_land {
                 ui.collapsing("Vegetation", |ui| plants(ui, &mut settings.render.plants));
             }
-            ui.collapsing("Parallax", |ui| relief(ui, &mut settings.render.pom, has_land));
+            ui.collapsing("Parallax", |ui| pom(ui, &mut settings.render.pom, has_land));
             ui.separator();
             if has_land {
                 histogram(ui, &readings.levels);
@@ -121,9 +121,9 @@ fn detail(ui: &mut egui::Ui, readings: &Readings<'_>, settings: &mut ViewSetting
     );
 }
 
-/// The knobs of the picture: one row each, named as their options are.
+/// Render settings, one row each, with the names of the options.
 fn image(ui: &mut egui::Ui, settings: &mut RenderSettings) {
-    egui::Grid::new("picture").num_columns(2).show(ui, |ui| {
+    egui::Grid::new("image").num_columns(2).show(ui, |ui| {
         choice::<Show>(ui, "show", &mut settings.show);
         choice::<Shadows>(ui, "shadows", &mut settings.shadows);
         choice::<Tiling>(ui, "tiling", &mut settings.tiling);
@@ -147,7 +147,7 @@ fn image(ui: &mut egui::Ui, settings: &mut RenderSettings) {
     });
 }
 
-/// The knobs of plants and of what hides them.
+/// Vegetation and culling settings.
 fn plants(ui: &mut egui::Ui, settings: &mut VegetationSettings) {
     fn row(ui: &mut egui::Ui, name: &str, slider: egui::Slider<'_>) {
         ui.weak(name);
@@ -171,14 +171,14 @@ fn plants(ui: &mut egui::Ui, settings: &mut VegetationSettings) {
     });
 }
 
-/// The knobs of reliefs. Moving one builds no pipeline; the first choice of cones bakes them.
-fn relief(ui: &mut egui::Ui, settings: &mut PomSettings, has_land: bool) {
+/// Parallax settings. None builds a pipeline; the first selection of cones bakes them.
+fn pom(ui: &mut egui::Ui, settings: &mut PomSettings, has_land: bool) {
     fn row(ui: &mut egui::Ui, name: &str, slider: egui::Slider<'_>) {
         ui.weak(name);
         ui.add(slider);
         ui.end_row();
     }
-    egui::Grid::new("relief").num_columns(2).show(ui, |ui| {
+    egui::Grid::new("parallax").num_columns(2).show(ui, |ui| {
         choice::<PomMethod>(ui, "relief", &mut settings.method);
         if settings.method == PomMethod::Cones && has_land {
             ui.weak("");
