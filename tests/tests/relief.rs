@@ -12,9 +12,10 @@ use client::scene::objects;
 use client::scene::objects::{COMPARED, LAYER, Mode, Object, Shape};
 use client::settings::{RenderSettings, Show};
 use lab::pom::renderer::{
-    Light, PomRenderer, RELIEF_M, SIDE_M, around, ball, cut_distance, line_distances, plane, quantile,
+    Light, PomRenderer, RELIEF_M, SIDE_M, around, ball, cut_distance, line_distances, plane,
     silhouette_overlap,
 };
+use lab::stats::quantile;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -39,7 +40,7 @@ fn options(scene: Scene, relief: PomSettings) -> Options {
 }
 
 fn pom_settings(method: PomMethod) -> PomSettings {
-    PomSettings { method: tier, ..PomSettings::default() }
+    PomSettings { method, ..PomSettings::default() }
 }
 
 /// Mean difference of two pictures, all channels, of 255.
@@ -161,7 +162,7 @@ fn light_is_finite_for_every_camera_amplitude_and_step_count() {
     // Control: a NaN sun is detected.
     let mut frame = renderer.frame(around(30.0, 0.0, 3.0), RenderSettings::default());
     frame.uniforms.sun = [f32::NAN; 3];
-    assert!(renderer.read_hdr(&frame).unwrap().unlit() > 100, "the control must fail");
+    assert!(renderer.light(&frame).unwrap().unlit() > 100, "the control must fail");
 }
 
 #[test]
@@ -192,7 +193,7 @@ fn every_scene_is_drawn_with_every_setting_and_with_nan() {
         let mut of = |relief, show| {
             let frame = renderer
                 .frame(scene.start(), RenderSettings { pom: relief, show, ..RenderSettings::default() });
-            let light = renderer.read_hdr(&frame).unwrap();
+            let light = renderer.light(&frame).unwrap();
             assert_eq!(light.unlit(), 0, "{scene:?} {show:?} {relief:?}");
             light
         };
@@ -321,7 +322,7 @@ fn every_scene_bakes_cones_on_request() {
         let mut of = |tier| {
             let settings =
                 RenderSettings { pom: pom_settings(tier), show: Show::Levels, ..RenderSettings::default() };
-            renderer.read_hdr(&renderer.frame(scene.start(), settings)).unwrap()
+            renderer.light(&renderer.frame(scene.start(), settings)).unwrap()
         };
         let walk = of(PomMethod::MaxMip);
         assert!(of(PomMethod::Cones).differing(&walk).count() > 500, "{scene:?} has no cones");
