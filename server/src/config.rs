@@ -41,7 +41,8 @@ pub struct Args {
     /// [default: 128]
     #[arg(long, value_name = "N", env = "TOMBOLO_CACHE_MB")]
     pub cache_mb: Option<u64>,
-    /// Folder of the disk cache for chunks of level 2 and coarser; without it there is no disk cache
+    /// Folder of the disk cache for chunks of level 2 and coarser; without it there is no disk
+    /// cache
     #[arg(long, value_name = "DIR", env = "TOMBOLO_DISK_CACHE")]
     pub disk_cache: Option<PathBuf>,
     /// Size of the disk cache in MiB, 64 to 262144 [default: 1024]
@@ -57,8 +58,8 @@ pub struct Args {
     /// with 503 [default: as --max-sessions]
     #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS_PER_ADDRESS")]
     pub max_sessions_per_address: Option<usize>,
-    /// Rate limit per IPv4 address or IPv6 /64 network: milliseconds of work (chunks generated, bytes
-    /// sent) per second, 1 to 1000000; 1000 is one thread [default: no limit]
+    /// Rate limit per IPv4 address or IPv6 /64 network: milliseconds of work (chunks generated,
+    /// bytes sent) per second, 1 to 1000000; 1000 is one thread [default: no limit]
     #[arg(long, value_name = "MS", env = "TOMBOLO_RATE_LIMIT_MS")]
     pub rate_limit_ms: Option<u64>,
     /// Former name of --rate-limit-ms.

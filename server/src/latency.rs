@@ -1,8 +1,8 @@
-//! A histogram of durations: an observation costs two relaxed additions, and quantiles are available
-//! for the interval between any two readings.
+//! A histogram of durations: an observation costs two relaxed additions, and quantiles are
+//! available for the interval between any two readings.
 //!
-//! Buckets are eighths of octaves from 16 us to 69 s, so the error of a quantile is at most 6 %. The
-//! metrics merge them to octaves.
+//! Buckets are eighths of octaves from 16 us to 69 s, so the error of a quantile is at most 6 %.
+//! The metrics merge them to octaves.
 
 use prometheus_client::encoding::{EncodeMetric, MetricEncoder, NoLabelSet};
 use prometheus_client::metrics::MetricType;

@@ -1,5 +1,5 @@
-//! Metrics of one server in the OpenMetrics text format. There is no global registry: two servers in
-//! one process count separately.
+//! Metrics of one server in the OpenMetrics text format. There is no global registry: two servers
+//! in one process count separately.
 //!
 //! Names follow the Prometheus conventions: base units, `_total` for counters, and one family with
 //! an `outcome` or `reason` label instead of sibling counters. `docs/operations.md` lists them.

@@ -1,5 +1,5 @@
-//! LiveStats statistics: positions of the clients and rates of the server. Sampled on request, about once
-//! per second at most.
+//! Live statistics: positions of the clients and rates of the server. Sampled on request, about
+//! once per second at most.
 //!
 //! A session publishes its view and counts in [`SessionStats`], which costs a few relaxed stores.
 //! The statistics contain no addresses, names or tokens: a session is a number and a position.
@@ -19,8 +19,8 @@ use terrain::constants::UNITS_PER_METRE;
 /// Sessions that are listed, the oldest first; the others are only counted.
 pub const MAX_LISTED: usize = 256;
 
-/// Minimum age of a snapshot before it is replaced. Slightly below the polling interval of the page,
-/// one second.
+/// Minimum age of a snapshot before it is replaced. Slightly below the polling interval of the
+/// page, one second.
 const REFRESH: Duration = Duration::from_millis(900);
 
 /// Maximum age of the snapshot that rates are computed from: a mean over minutes is not a live
@@ -184,7 +184,7 @@ impl LiveStats {
         SessionStatsGuard { stats, number, live: self.clone() }
     }
 
-    /// The report as JSON. A recent report is reused, whatever the rate of requests.
+    /// The report as JSON. A recent report is reused at any rate of requests.
     #[must_use]
     pub fn report(&self, now: Instant, metrics: &Metrics, generation: &Generation) -> Bytes {
         let mut last = lock(&self.shared.last);

@@ -1,21 +1,21 @@
 //! The generation service: one job per chunk key for any number of requests, on a pool of compute
 //! threads behind a bounded, fair queue.
 //!
-//! A chunk has one frame per delivery. A job generates the chunk once and encodes only the requested
-//! frames: a server whose clients all regenerate spends neither time nor cache on exact frames of a
-//! hundred times the size. A later request for another delivery of a cached chunk generates the
-//! heights again but takes the error, the expensive part, from the cached frame.
+//! A chunk has one frame per delivery. A job generates the chunk once and encodes only the
+//! requested frames: a server whose clients all regenerate spends neither time nor cache on exact
+//! frames of a hundred times the size. A later request for another delivery of a cached chunk
+//! generates the heights again but takes the error, the expensive part, from the cached frame.
 //!
 //! Clients of the service are [`Flow`]s: one per session, one per download. A thread takes one
 //! flow's turn at a time, which is several cheap chunks or one expensive one, and completes it as a
 //! whole, so that a session wakes and writes once per turn. A job belongs to the service, not to a
-//! flow, so a flow that ends does not affect others; a queued job without requests is dropped. A job
-//! looks on disk first ([`crate::cache::disk`]). Finished frames enter the cache before the job is
-//! removed, so a key is never generated twice at the same time.
+//! flow, so a flow that ends does not affect others; a queued job without requests is dropped. A
+//! job looks on disk first ([`crate::cache::disk`]). Finished frames enter the cache before the job
+//! is removed, so a key is never generated twice at the same time.
 //!
 //! Modules from the bottom up: [`result`], [`cost`] (estimates), [`views`] (view selection),
-//! [`queue`] (scheduling), `shared` (state of the service), `runner` (execution), [`flow`] (requests
-//! of one client), [`service`] (the public handle).
+//! [`queue`] (scheduling), `shared` (state of the service), `runner` (execution), [`flow`]
+//! (requests of one client), [`service`] (the public handle).
 
 pub mod cost;
 pub mod flow;

@@ -2,10 +2,10 @@
 //!
 //! One job per key for any number of requests; a job belongs to the queue, not to a flow. Flows
 //! (sessions and downloads) take turns by cost: surplus round robin, the variant of deficit round
-//! robin (Shreedhar and Varghese, "Efficient fair queueing using deficit round robin", SIGCOMM 1995)
-//! in which a flow may overdraw its turn by one job and pays it back in the next. Within a flow the
-//! highest priority comes first, among equals the oldest request. So a flow with a thousand keys
-//! gets the same share of the threads as one with two.
+//! robin (Shreedhar and Varghese, "Efficient fair queueing using deficit round robin", SIGCOMM
+//! 1995) in which a flow may overdraw its turn by one job and pays it back in the next. Within a
+//! flow the highest priority comes first, among equals the oldest request. So a flow with a
+//! thousand keys gets the same share of the threads as one with two.
 //!
 //! A flow that was idle has its first turn before all others (the new queues of FQ-CoDel, RFC 8290,
 //! section 4.2), so that a light client does not wait for a round of heavy ones. A flow is idle
@@ -183,8 +183,8 @@ impl Queue {
         self.add_turn(id);
     }
 
-    /// Returns a view job after a turn that took `spent_us`, to be continued; none if it is done. The
-    /// view of a removed flow is dropped.
+    /// Returns a view job after a turn that took `spent_us`, to be continued; none if it is done.
+    /// The view of a removed flow is dropped.
     pub fn return_view(&mut self, id: FlowId, view: Option<ViewJob>, spent_us: i64) {
         let Some(flow) = self.flows.get_mut(&id) else { return };
         flow.credit_us -= spent_us;

@@ -1,5 +1,5 @@
-//! Execution of jobs on the generation threads: takes turns from the queue, reads frames from disk or
-//! generates and encodes them, and sends the results.
+//! Execution of jobs on the generation threads: takes turns from the queue, reads frames from disk
+//! or generates and encodes them, and sends the results.
 //!
 //! A panic during generation fails its own job only.
 
@@ -128,7 +128,8 @@ impl Shared {
         finished
     }
 
-    /// Reads a frame from disk, or encodes it; the first encoded frame of a job generates the chunk.
+    /// Reads a frame from disk, or encodes it; the first encoded frame of a job generates the
+    /// chunk.
     fn frame(&self, key: ChunkKey, delivery: Delivery, chunk: &mut Option<Chunk>) -> FrameResult {
         let (started, is_first) = (Instant::now(), chunk.is_none());
         let effort = self.effort(key);

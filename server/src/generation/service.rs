@@ -84,12 +84,12 @@ impl Generation {
         Flow::new(Arc::clone(&self.shared), Arc::clone(&self.pool), id, bucket)
     }
 
-    /// Further requests that one flow can complete within the deadline, by the recent job costs. The
-    /// caller rejects the rest at once, which is better than after a wait.
+    /// Further requests that one flow can complete within the deadline, by the recent job costs.
+    /// The caller rejects the rest at once, which is better than after a wait.
     #[must_use]
     pub fn allowance(&self) -> usize {
         let Limits { threads, deadline, .. } = self.shared.limits;
-        // An empty queue is no reason to reject, whatever the estimate.
+        // An empty queue is no reason to reject, regardless of the estimate.
         if self.shared.lock().waiting() == 0 {
             return usize::MAX;
         }

@@ -72,8 +72,8 @@ fn is_matched(headers: &HeaderMap, name: &HeaderName, etag: &[u8], matches_weak:
     })
 }
 
-/// The entity tags of one line: whether weak, and the tag with its quotes. Ends at the first invalid
-/// tag.
+/// The entity tags of one line: whether weak, and the tag with its quotes. Ends at the first
+/// invalid tag.
 struct Tags<'a>(&'a [u8]);
 
 impl<'a> Iterator for Tags<'a> {

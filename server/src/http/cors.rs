@@ -1,8 +1,8 @@
 //! CORS: the routes that pages of other origins may read, whose responses are the same for all
 //! clients. Fetch standard, section 3.3.
 //!
-//! No cookies are used, and `*` excludes them. The token is sent in `Authorization`, which a preflight
-//! has to name because `*` does not include it.
+//! No cookies are used, and `*` excludes them. The token is sent in `Authorization`, which a
+//! preflight has to name because `*` does not include it.
 
 use crate::state::ServerState;
 use axum::http::{HeaderValue, StatusCode, header};

@@ -39,8 +39,8 @@ pub async fn get(
     Ok(([(header::CACHE_CONTROL, "no-cache")], Json(body)).into_response())
 }
 
-/// Height of the finest mesh at a position inside the world, metres. The terrain is the mesh, not the
-/// noise between its vertices (`docs/heightfield.md`), so the triangle is evaluated.
+/// Height of the finest mesh at a position inside the world, metres. The terrain is the mesh, not
+/// the noise between its vertices (`docs/heightfield.md`), so the triangle is evaluated.
 fn drawn_height_m(land: &Land, x: i32, z: i32) -> f64 {
     let (cell, spacing) = ((x >> SPACING_BITS, z >> SPACING_BITS), 1 << SPACING_BITS);
     let corner = |east: i32, south: i32| {

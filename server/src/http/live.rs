@@ -1,8 +1,8 @@
 //! Live statistics.
 //!
-//! Polled, not pushed: a browser opens six connections to one HTTP/1.1 server. An event stream would
-//! occupy one of them and a connection permit while the page is open, and would have to be closed on
-//! shutdown.
+//! Polled, not pushed: a browser opens six connections to one HTTP/1.1 server. An event stream
+//! would occupy one of them and a connection permit while the page is open, and would have to be
+//! closed on shutdown.
 
 use crate::http::path;
 use crate::http::problem::Problem;

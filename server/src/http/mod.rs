@@ -1,5 +1,5 @@
-//! HTTP routes: the page and its map, chunks, live statistics, probes, metrics, and the upgrade to a
-//! session.
+//! HTTP routes: the page and its map, chunks, live statistics, probes, metrics, and the upgrade to
+//! a session.
 //!
 //! [`routes`] lists them in the order of `openapi.json`. All error responses are made by
 //! [`problem`], all responses with a validator by [`conditional`]; [`cors`] allows other origins.

@@ -1,5 +1,5 @@
-//! The OpenAPI document. Written by hand for its readers; `server/tests/http/openapi.rs` compares it
-//! with the routes.
+//! The OpenAPI document. Written by hand for its readers; `server/tests/http/openapi.rs` compares
+//! it with the routes.
 
 use crate::http::conditional::{Representation, etag};
 use axum::http::HeaderMap;

@@ -41,8 +41,8 @@ pub fn chunk_key(
     ChunkKey::new(level, x, z).map_err(|error| Problem::new(ProblemKind::OutsideWorld, error.to_string()))
 }
 
-/// A number in its canonical form only: with `+1`, `01` and `-0` a cache would store one chunk under
-/// several URLs.
+/// A number in its canonical form only: with `+1`, `01` and `-0` a cache would store one chunk
+/// under several URLs.
 fn number<N: FromStr + ToString>(text: &str) -> Option<N> {
     text.parse().ok().filter(|number: &N| number.to_string() == text)
 }

@@ -168,8 +168,8 @@ impl IntoResponse for Problem {
             headers.insert(header::RETRY_AFTER, HeaderValue::from_static(seconds));
         }
         match kind {
-            // RFC 9110, sections 11.6.1 and 15.5.22: these statuses require a header that names what
-            // is accepted.
+            // RFC 9110, sections 11.6.1 and 15.5.22: these statuses require a header that names
+            // what is accepted.
             ProblemKind::Unauthorised => {
                 headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
             }

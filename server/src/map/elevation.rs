@@ -1,5 +1,5 @@
-//! Heights and slopes of one tile, from the base of the chunks' maximum pyramids, with a margin from
-//! the neighbours.
+//! Heights and slopes of one tile, from the base of the chunks' maximum pyramids, with a margin
+//! from the neighbours.
 //!
 //! A tile of level `k` covers the chunk of level `k`. Its sources are the chunks two levels finer,
 //! 4 x 4 of 64 texels, one texel per pixel; at levels 0 and 1 a texel covers four or two pixels.
@@ -68,8 +68,8 @@ pub fn sources(key: ChunkKey) -> Vec<ChunkKey> {
 }
 
 impl ElevationGrid {
-    /// The grid of a tile. `chunks` are those of [`sources`], in any order; texels of a missing chunk
-    /// get the height of the nearest one.
+    /// The grid of a tile. `chunks` are those of [`sources`], in any order; texels of a missing
+    /// chunk get the height of the nearest one.
     #[must_use]
     pub fn new(key: ChunkKey, chunks: &[Chunk]) -> Self {
         let (_, per_side) = chunk_layout(key);
@@ -92,8 +92,8 @@ impl ElevationGrid {
         grid
     }
 
-    /// Copies a chunk's texels on the tile and its margin; `x` and `z` are the position of the first
-    /// one, in texels.
+    /// Copies a chunk's texels on the tile and its margin; `x` and `z` are the position of the
+    /// first one, in texels.
     fn copy(&mut self, texels: &[i32], x: i64, z: i64) {
         let (stride, margin) = ((self.side + 2 * MARGIN) as i64, MARGIN as i64);
         for row in 0..CELLS {
@@ -131,8 +131,8 @@ impl ElevationGrid {
         }
     }
 
-    /// Slopes with the weights of B. K. P. Horn, "Hill shading and the reflectance map", Proceedings
-    /// of the IEEE 69 (1981).
+    /// Slopes with the weights of B. K. P. Horn, "Hill shading and the reflectance map",
+    /// Proceedings of the IEEE 69 (1981).
     fn compute_slopes(&mut self) {
         let (stride, inner) = (self.side + 2 * MARGIN, self.side + 2 * MARGIN - 2);
         let scale = 1.0 / (8.0 * self.spacing_m);

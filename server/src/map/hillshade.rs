@@ -1,5 +1,5 @@
-//! Shaded relief: hypsometric tints, light from the north-west, a shore line, and contours where they
-//! are readable.
+//! Shaded relief: hypsometric tints, light from the north-west, a shore line, and contours where
+//! they are readable.
 //!
 //! Colours are sRGB bytes and are mixed in that space. A pixel depends on its own sample only, so
 //! tiles meet without a seam.
@@ -105,8 +105,8 @@ fn contour(height_m: f32, rise_m: f32, level: u8) -> f32 {
     0.25 * apart * line((height_m - nearest_m).abs(), rise_m, 0.9)
 }
 
-/// Coverage of a line at a vertical distance, 0 to 1: full within `half_width` - 0.5 pixels, none one
-/// pixel further.
+/// Coverage of a line at a vertical distance, 0 to 1: full within `half_width` - 0.5 pixels, none
+/// one pixel further.
 fn line(away_m: f32, rise_m: f32, half_width: f32) -> f32 {
     if rise_m <= 0.0 { 0.0 } else { (half_width + 0.5 - away_m / rise_m).clamp(0.0, 1.0) }
 }

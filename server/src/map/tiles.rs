@@ -29,8 +29,8 @@ const MAX_WAITING: usize = 96;
 /// Longest wait for a render permit. The client has moved on by then.
 const MAX_WAIT: Duration = Duration::from_secs(10);
 
-/// Chunks of one tile in generation at once. With all at once, the last would wait for the first and
-/// exceed a short deadline.
+/// Chunks of one tile in generation at once. With all at once, the last would wait for the first
+/// and exceed a short deadline.
 const JOB_WINDOW: usize = 8;
 
 /// Bytes per entry in addition to the image: key, digest, handle and the map's share.
@@ -60,8 +60,8 @@ pub struct Tile {
 pub struct Map {
     world: WorldDigest,
     cache: Cache<ChunkKey, Tile, TileWeight>,
-    /// One permit per tile being rendered, held to the end even if the request is cancelled: clients
-    /// that cancel must not get more tiles rendered at once than others.
+    /// One permit per tile being rendered, held to the end even if the request is cancelled:
+    /// clients that cancel must not get more tiles rendered at once than others.
     render_permits: Arc<Semaphore>,
     /// One permit per tile that waits or is rendered.
     queue_permits: Semaphore,
@@ -90,8 +90,8 @@ impl Map {
         }
     }
 
-    /// The tile of a key; rendering and sending are charged to a bucket. Dropping the future cancels
-    /// its requests.
+    /// The tile of a key; rendering and sending are charged to a bucket. Dropping the future
+    /// cancels its requests.
     ///
     /// # Errors
     /// See [`MapError`].

@@ -1,7 +1,7 @@
 //! Frame headers of RFC 6455 on the server side, and unmasking. No IO, no state.
 //!
-//! A frame that a client may not send (section 5) is rejected with a [`FrameError`] before its payload is
-//! read.
+//! A frame that a client may not send (section 5) is rejected with a [`FrameError`] before its
+//! payload is read.
 
 use thiserror::Error;
 

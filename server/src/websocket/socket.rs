@@ -22,8 +22,8 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 /// Bytes per read: about 400 requests of one key. Their answers are written before more is read.
 const READ_BUFFER: usize = 16 * 1024;
 
-/// Slices per write: header and payload of 64 messages, about 300 KiB of exact chunks. Linux accepts
-/// up to 1,024.
+/// Slices per write: header and payload of 64 messages, about 300 KiB of exact chunks. Linux
+/// accepts up to 1,024.
 const MAX_SLICES: usize = 128;
 
 thread_local! {

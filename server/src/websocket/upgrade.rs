@@ -33,7 +33,8 @@ impl Upgrade {
         {
             return Err((
                 StatusCode::UPGRADE_REQUIRED,
-                "this path accepts WebSocket sessions only: send `Connection: upgrade` and `Upgrade: websocket`",
+                "this path accepts WebSocket sessions only: \
+                 send `Connection: upgrade` and `Upgrade: websocket`",
             ));
         }
         if headers.get(header::SEC_WEBSOCKET_VERSION).is_none_or(|version| version != "13") {

@@ -66,14 +66,14 @@ impl Browser {
             .stderr(Stdio::piped())
             .spawn()
             .expect("the browser starts");
-        let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
-        let address = said
+        let mut output = BufReader::new(child.stderr.take().unwrap()).lines();
+        let address = output
             .by_ref()
             .map_while(Result::ok)
             .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
-            .expect("the browser says where it listens");
+            .expect("the browser prints its address");
         // Drains the output, so that the browser does not block on it.
-        std::thread::spawn(move || said.for_each(drop));
+        std::thread::spawn(move || output.for_each(drop));
         Self { child, profile, address }
     }
 

@@ -6,8 +6,8 @@
 //! | `chromium` | the browser process and the DevTools protocol |
 //! | `programs` | the server process, and moving clients |
 //!
-//! Without an installed browser the tests are listed as ignored, not as passed, with the reason. With
-//! `TOMBOLO_REQUIRE_BROWSER` they fail instead. `TOMBOLO_SCREENSHOTS` is a folder for the
+//! Without an installed browser the tests are listed as ignored, not as passed, with the reason.
+//! With `TOMBOLO_REQUIRE_BROWSER` they fail instead. `TOMBOLO_SCREENSHOTS` is a folder for the
 //! screenshots.
 
 mod chromium;

@@ -66,8 +66,8 @@ pub struct MovingClient {
 }
 
 impl MovingClient {
-    /// Connects at a position in metres with a heading, and moves `pace_m` metres per step along a wide
-    /// circle.
+    /// Connects at a position in metres with a heading, and moves `pace_m` metres per step along a
+    /// wide circle.
     pub async fn start(server: &Program, [x_m, z_m]: [i32; 2], yaw_mdeg: i32, pace_m: i32) -> Self {
         let mut request = server.stream().into_client_request().unwrap();
         request.headers_mut().insert("Sec-WebSocket-Protocol", SUBPROTOCOL.parse().unwrap());

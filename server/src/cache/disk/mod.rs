@@ -1,11 +1,11 @@
-//! Frame cache on disk. It survives restarts, and holds the levels whose generation takes longer than
-//! a read.
+//! Frame cache on disk. It survives restarts, and holds the levels whose generation takes longer
+//! than a read.
 //!
-//! A chunk never changes, so every file can be lost: a missing, corrupt or foreign frame is generated
-//! again. One thread reads for the generation threads (`reader`), one writes behind them (`writer`).
-//! Neither fails or delays a client: a slow read times out, a full queue drops the write, an
-//! unavailable folder is retried later. Files are not synced; a partial write after a crash fails the
-//! digest check, as does every other file that is not a frame of this server.
+//! A chunk never changes, so every file can be lost: a missing, corrupt or foreign frame is
+//! generated again. One thread reads for the generation threads (`reader`), one writes behind them
+//! (`writer`). Neither fails or delays a client: a slow read times out, a full queue drops the
+//! write, an unavailable folder is retried later. Files are not synced; a partial write after a
+//! crash fails the digest check, as does every other file that is not a frame of this server.
 //!
 //! The measured alternatives are crates: cacache 13 verifies, but has no budget and no eviction by
 //! age; foyer 0.22 has both, but keeps one store of fixed blocks with its own index in memory, its
@@ -32,10 +32,10 @@ use terrain::{ChunkKey, WorldDigest};
 use tokio::sync::{mpsc, oneshot};
 use writer::{DiskWriter, WriterCommand};
 
-/// The finest cached level. A file of 4 KiB is read and verified in 10 us from the page cache, and in
-/// 0.1 to 0.2 ms from flash. A chunk of level 0 is generated and encoded in less than 0.1 ms, one of
-/// level 1 in about 0.2 ms, and coarser ones in 0.4 to 3 ms, since their error is measured over the
-/// levels below.
+/// The finest cached level. A file of 4 KiB is read and verified in 10 us from the page cache, and
+/// in 0.1 to 0.2 ms from flash. A chunk of level 0 is generated and encoded in less than 0.1 ms,
+/// one of level 1 in about 0.2 ms, and coarser ones in 0.4 to 3 ms, since their error is measured
+/// over the levels below.
 pub const FINEST_LEVEL: u8 = 2;
 
 /// Capacity of the write queue, frames: about 1 MiB, 6 MiB with frames of maximum length. One more
@@ -117,8 +117,8 @@ impl Disk {
     fn discard(&self, path: &Path) -> Option<Bytes> {
         self.metrics.disk_corrupt.inc();
         tracing::debug!(path = %path.display(), "corrupt or foreign file deleted");
-        // If it cannot be deleted, a write replaces it, or it is rejected again. A folder is deleted
-        // only if it is empty.
+        // If it cannot be deleted, a write replaces it, or it is rejected again. A folder is
+        // deleted only if it is empty.
         let _ = fs::remove_file(path).or_else(|_| fs::remove_dir(path));
         None
     }

@@ -1,8 +1,8 @@
 //! File names: `SHARD/WORLD.FORMAT.DELIVERY.LEVEL.X.Z`.
 //!
-//! The name contains everything that decides the content, so a frame of another world or of an older
-//! format is never opened; it ages and is evicted. All worlds share the shards, so that one budget
-//! applies to the whole folder.
+//! The name contains everything that decides the content, so a frame of another world or of an
+//! older format is never opened; it ages and is evicted. All worlds share the shards, so that one
+//! budget applies to the whole folder.
 
 use protocol::Delivery;
 use protocol::chunk_codec::VERSION;

@@ -1,8 +1,8 @@
 //! The reader thread, which bounds the wait for a slow disk.
 //!
 //! A network file system may block forever. A generation thread waits until a deadline and then
-//! generates the chunk; further reads fail at once until the blocked read has returned. So a blocked
-//! disk costs each generation thread one timeout.
+//! generates the chunk; further reads fail at once until the blocked read has returned. So a
+//! blocked disk costs each generation thread one timeout.
 
 use crate::metrics::Metrics;
 use protocol::limits::MAX_CHUNK_FRAME;

@@ -1,15 +1,15 @@
 //! The writer thread: writes, counts and evicts.
 //!
 //! Every shard has an equal share of the budget; names spread frames evenly over the shards, so
-//! shards are independent. A shard over its share loses its oldest files, by modification time, until
-//! an eighth of the share is free. Since every shard is a fair sample, these are nearly the oldest of
-//! all; and no index in memory is needed.
+//! shards are independent. A shard over its share loses its oldest files, by modification time,
+//! until an eighth of the share is free. Since every shard is a fair sample, these are nearly the
+//! oldest of all; and no index in memory is needed.
 //!
-//! Shards are counted one by one while the queue is empty, and before the first write to them. Reads
-//! do not wait for the count.
+//! Shards are counted one by one while the queue is empty, and before the first write to them.
+//! Reads do not wait for the count.
 //!
-//! If the folder is unavailable (full, read-only, removed, locked by another server), the thread logs
-//! it once, drops writes, and retries every minute.
+//! If the folder is unavailable (full, read-only, removed, locked by another server), the thread
+//! logs it once, drops writes, and retries every minute.
 
 use super::names::{SHARDS, shard_name, shard_of};
 use crate::metrics::Metrics;
@@ -63,7 +63,8 @@ pub struct DiskConfig {
 pub struct DiskWriter {
     config: DiskConfig,
     metrics: Arc<Metrics>,
-    /// Bytes by shard; none before its count. Deletions by the reader are noticed at the next count.
+    /// Bytes by shard; none before its count. Deletions by the reader are noticed at the next
+    /// count.
     counts: Vec<Option<u64>>,
     /// The next shard to count after the folder was opened.
     next_to_count: usize,
@@ -256,7 +257,8 @@ impl DiskWriter {
                 self.counts.fill(None);
                 self.metrics.disk_up.set(1);
                 if self.is_outage_logged {
-                    tracing::info!(folder = %self.config.folder.display(), "the disk cache is available again");
+                    let folder = self.config.folder.display();
+                    tracing::info!(%folder, "the disk cache is available again");
                 }
                 self.is_outage_logged = false;
             }
