@@ -76,6 +76,11 @@ async fn serve(socket: TcpStream, offer: ServerOffer, fault: Fault) {
                 return;
             }
         }
+        // Without workers the server selects the chunks of a view here.
+        while let Some(mut selection) = session.take_view() {
+            selection.step(&land, usize::MAX);
+            session.apply_view(selection);
+        }
         if let Some((wanted, delivery)) = session.next_chunk() {
             sent += 1;
             match fault {

@@ -181,6 +181,11 @@ impl Server {
                     return;
                 }
             }
+            // Without workers the server selects the chunks of a view here.
+            while let Some(mut selection) = session.take_view() {
+                selection.step(&self.land, usize::MAX);
+                session.apply_view(selection);
+            }
             if let Some((wanted, _)) = session.next_chunk() {
                 answered += 1;
                 if self.fault == Fault::HangUp && answered > 5 {
