@@ -65,7 +65,8 @@ pub struct Args {
     pub size: (u32, u32),
 
     /// Frames to draw and time, then exit [default: 1 with --shot, unlimited in a window]
-    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub frames: Option<u32>,
 
     /// Writes measurements into this JSON file at the end
@@ -78,16 +79,19 @@ pub struct Args {
     pub view_distance: u32,
 
     /// Tolerated geometric error on screen in pixels, 0.0625 to 1000; less is finer
-    #[arg(long, value_name = "PX", default_value_t = 2.0, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0625, 1000.0))]
+    #[arg(long, value_name = "PX", default_value_t = 2.0, allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.0625, 1000.0))]
     pub tolerance: f64,
 
     /// Vertical field of view in degrees, 1 to 170
-    #[arg(long, value_name = "DEG", default_value_t = 60.0, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 1.0, 170.0))]
+    #[arg(long, value_name = "DEG", default_value_t = 60.0, allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 1.0, 170.0))]
     pub fov: f64,
 
     /// Memory for chunks in MiB, main and GPU memory together, 8 to 256; a view that needs more is
     /// drawn coarser
-    #[arg(long, value_name = "N", default_value_t = 128, allow_negative_numbers = true, value_parser = RangedU64ValueParser::<usize>::new().range(8..=256))]
+    #[arg(long, value_name = "N", default_value_t = 128, allow_negative_numbers = true,
+          value_parser = RangedU64ValueParser::<usize>::new().range(8..=256))]
     pub chunk_mb: usize,
 
     /// Samples per pixel, 1 or 4 [default: 4, in a window on a software driver 1]
@@ -95,11 +99,13 @@ pub struct Args {
     pub samples: Option<u32>,
 
     /// Orbits the point that the camera looks towards, degrees a second, -90 to 90
-    #[arg(long, value_name = "DEG", allow_hyphen_values = true, value_parser = |text: &str| parse_within(text, -90.0, 90.0))]
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true,
+          value_parser = |text: &str| parse_within(text, -90.0, 90.0))]
     pub orbit: Option<f64>,
 
     /// Animation time of waves and clouds in the first frame of a shot, seconds, 0 to 86400
-    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 86_400.0))]
+    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.0, 86_400.0))]
     pub time: f64,
 
     /// What is shown
@@ -112,7 +118,8 @@ pub struct Args {
     pub sun: Option<SunPosition>,
 
     /// Exposure in stops relative to the scene's, -8 to 8
-    #[arg(long, value_name = "EV", default_value_t = 0.0, allow_hyphen_values = true, value_parser = |text: &str| parse_within(text, -8.0, 8.0))]
+    #[arg(long, value_name = "EV", default_value_t = 0.0, allow_hyphen_values = true,
+          value_parser = |text: &str| parse_within(text, -8.0, 8.0))]
     pub exposure: f64,
 
     /// Shadows of the terrain on itself
@@ -142,15 +149,18 @@ pub struct Args {
     pub textures: Option<PathBuf>,
 
     /// Depth of the waves' parallax, 0 to 1; 0 is flat water, 0.2 the true height of the waves
-    #[arg(long, value_name = "F", default_value_t = 0.2, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
+    #[arg(long, value_name = "F", default_value_t = 0.2, allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub parallax_factor: f64,
 
     /// Offset of the water surface, metres, -2 to 2
-    #[arg(long, value_name = "M", default_value_t = 0.0, allow_hyphen_values = true, value_parser = |text: &str| parse_within(text, -2.0, 2.0))]
+    #[arg(long, value_name = "M", default_value_t = 0.0, allow_hyphen_values = true,
+          value_parser = |text: &str| parse_within(text, -2.0, 2.0))]
     pub parallax_bias: f64,
 
     /// Steepness of the waves, 0 to 4; 1 is a fresh breeze
-    #[arg(long, value_name = "S", default_value_t = 1.0, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 4.0))]
+    #[arg(long, value_name = "S", default_value_t = 1.0, allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.0, 4.0))]
     pub wave_steepness: f64,
 
     /// Parallax occlusion mapping.
@@ -166,7 +176,8 @@ pub struct Args {
     pub token_file: Option<PathBuf>,
 
     /// Time limit of a shot for its complete view, seconds, 1 to 3600
-    #[arg(long, value_name = "S", default_value_t = 60, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(1..=3600))]
+    #[arg(long, value_name = "S", default_value_t = 60, allow_negative_numbers = true,
+          value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub timeout: u64,
 }
 

@@ -25,7 +25,8 @@ pub struct PomArgs {
     pub relief_refine: Refine,
 
     /// Iterations of secant or bisection, 0 to 16
-    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 3, value_parser = RangedU64ValueParser::<u32>::new().range(0..=MOST_REFINEMENTS))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, default_value_t = 3,
+          value_parser = RangedU64ValueParser::<u32>::new().range(0..=MOST_REFINEMENTS))]
     pub relief_refinements: u32,
 
     /// Exit of the search loop
@@ -49,20 +50,24 @@ pub struct PomArgs {
     pub relief_depth: bool,
 
     /// Height that lies on the plane, 0 to 1
-    #[arg(long, value_name = "H", allow_negative_numbers = true, default_value_t = 0.5, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
+    #[arg(long, value_name = "H", allow_negative_numbers = true, default_value_t = 0.5,
+          value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub relief_pivot: f64,
 
     /// Factor of all height ranges, 0 to 16
-    #[arg(long, value_name = "A", allow_negative_numbers = true, default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
+    #[arg(long, value_name = "A", allow_negative_numbers = true, default_value_t = 1.0,
+          value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
     pub relief_amplitude: f64,
 
     /// Material repeats on the objects of a parallax scene, relative to the scene's own, 0.25 to 8;
     /// F,F: along u and v. Heights in metres stay
-    #[arg(long, value_name = "F[,F]", allow_negative_numbers = true, default_value = "1", value_parser = parse_tiling)]
+    #[arg(long, value_name = "F[,F]", allow_negative_numbers = true, default_value = "1",
+          value_parser = parse_tiling)]
     pub relief_tiling: Tiles,
 
     /// Height range on screen below which parallax fades out, pixels, 0 to 16; 0: never
-    #[arg(long, value_name = "PX", allow_negative_numbers = true, default_value_t = 1.0, value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
+    #[arg(long, value_name = "PX", allow_negative_numbers = true, default_value_t = 1.0,
+          value_parser = |text: &str| parse_within(text, 0.0, 16.0))]
     pub relief_fade: f64,
 
     /// Parameters of the silhouette `horizon`: strength 0 to 4, height bias 0 to 1, safe threshold

@@ -295,7 +295,8 @@ impl Worker {
                 }
                 _ = pings.tick() => {
                     if last_received.elapsed() > IDLE_TIMEOUT {
-                        return Ok(lost(format!("{} sent nothing for too long: the connection was given up", self.settings.url), true));
+                        let cause = format!("no message from {} for too long", self.settings.url);
+                        return Ok(lost(cause, true));
                     }
                     if let Err(error) = socket.feed(Message::Ping(bytes::Bytes::new())).await {
                         return Ok(self.broken(&error, hint));
@@ -350,7 +351,8 @@ impl Worker {
             }
             tungstenite::Error::Io(cause) => lost(
                 format!(
-                    "cannot connect to {url}: {cause}; start a server with `tombolo-server` or name one with --connect"
+                    "cannot connect to {url}: {cause}; start a server with `tombolo-server` \
+                     or name one with --connect"
                 ),
                 true,
             ),

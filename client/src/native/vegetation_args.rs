@@ -15,29 +15,35 @@ const FARTHEST_M: f64 = VegetationSettings::MAX_RANGE_M as f64;
 pub struct VegetationArgs {
     /// Clumps of grass on 2 x 2 m at the highest density, 0 to 32 [default: 32 in the scene grass,
     /// 8 in culling, else 0]
-    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(0..=MOST_GRASS))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = clap::value_parser!(u32).range(0..=MOST_GRASS))]
     pub grass: Option<u32>,
 
     /// Range of grass, metres, 0 to 1900 [default: 260; 240 in culling]
-    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
+    #[arg(long, value_name = "M", allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
     pub grass_range: Option<f64>,
 
     /// Range of full density, metres, 1 to 1900; beyond, fewer and wider clumps [default: 42; 80 in
     /// culling]
-    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 1.0, FARTHEST_M))]
+    #[arg(long, value_name = "M", allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 1.0, FARTHEST_M))]
     pub grass_thin_from: Option<f64>,
 
     /// Largest widening factor of far clumps, 1 to 16 [default: 6; 4 in culling]
-    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 1.0, 16.0))]
+    #[arg(long, value_name = "F", allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 1.0, 16.0))]
     pub grass_widest: Option<f64>,
 
     /// Trees on 8 x 8 m at the highest density, 0 to 4 [default: 1 in the scenes grass and culling,
     /// else 0]
-    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(0..=MOST_TREES))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = clap::value_parser!(u32).range(0..=MOST_TREES))]
     pub trees: Option<u32>,
 
     /// Range of trees, metres, 0 to 1900 [default: 1500]
-    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
+    #[arg(long, value_name = "M", allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
     pub tree_range: Option<f64>,
 
     /// Visibility test of plants
@@ -46,23 +52,28 @@ pub struct VegetationArgs {
 
     /// Frames for which a block of plants stays visible after its last visible frame, 0 to 60;
     /// exact tests need none
-    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(0..=60))]
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true,
+          value_parser = clap::value_parser!(u32).range(0..=60))]
     pub cull_stay: u32,
 
     /// Ray step of --cull noise and march, metres, 0.25 to 16
-    #[arg(long, value_name = "M", default_value_t = 2.0, allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.25, 16.0))]
+    #[arg(long, value_name = "M", default_value_t = 2.0, allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.25, 16.0))]
     pub cull_step: f64,
 
     /// Wind, 0 to 1 [default: 0.4]
-    #[arg(long, value_name = "W", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
+    #[arg(long, value_name = "W", allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub wind: Option<f64>,
 
     /// How far grass leans away from an eye above it, 0 to 1 [default: 0.6]
-    #[arg(long, value_name = "L", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
+    #[arg(long, value_name = "L", allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub lean: Option<f64>,
 
     /// Vertical scale of the land, 0.25 to 4 [default: 1.8 in the scene culling, else 1]
-    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = |text: &str| parse_within(text, 0.25, 4.0))]
+    #[arg(long, value_name = "F", allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.25, 4.0))]
     pub vertical_scale: Option<f64>,
 }
 

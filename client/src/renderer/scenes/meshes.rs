@@ -195,7 +195,7 @@ mod tests {
     fn modes_and_segments_are_those_of_the_shader() {
         let text = shaders::SHADERS.draw_pom.wgsl;
         for (name, mode) in [
-            ("KNOBS", Mode::Settings),
+            ("PARAMS", Mode::Settings),
             ("FLAT", Mode::Flat),
             ("OFFSET", Mode::Offset),
             ("GEOMETRY", Mode::Geometry),
