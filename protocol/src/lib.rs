@@ -18,6 +18,7 @@ pub mod close;
 pub mod control;
 pub mod delivery;
 pub mod error;
+pub mod fault;
 pub mod limits;
 pub mod message;
 pub mod reference_window;
@@ -26,7 +27,8 @@ pub mod view;
 
 pub use close::CloseCode;
 pub use delivery::{Delivery, Tolerance};
-pub use error::{ChunkError, ControlError, PeerFault};
+pub use error::{ChunkError, ControlError};
+pub use fault::PeerFault;
 
 /// The WebSocket subprotocol that both sides must name. It covers the transport of frames and stays
 /// the same across values of [`PROTOCOL_VERSION`], which covers their content: a peer of another

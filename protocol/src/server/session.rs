@@ -5,7 +5,8 @@ use crate::DataFrame;
 use crate::chunk_codec;
 use crate::control;
 use crate::delivery::Delivery;
-use crate::error::{ControlError, PeerFault};
+use crate::error::ControlError;
+use crate::fault::PeerFault;
 use crate::limits::{
     MAX_CHUNK_FRAME, MAX_CREDIT_BYTES, MAX_CREDITS, MAX_HELD, MAX_PENDING_REQUESTS, MAX_TEXT,
     MAX_VIEW_ESTIMATE, SEED_ONLY_FRAME,
