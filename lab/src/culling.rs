@@ -25,7 +25,6 @@ use id_buffer::VisiblePlants;
 use occlusion::Findings;
 use random_attributes::StreamTests;
 use serde::Serialize;
-use serde_json::Value;
 use terrain::Land;
 
 /// Options of `culling`.
@@ -95,8 +94,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let json = serde_json::to_value(&report)?;
     let (rows, notes) = (bars::rows(&json), bars::notes(&json));
     print!("{}", ::bars::text(&rows));
-    let adapter = json.pointer("/same/adapter").and_then(Value::as_str).map(str::to_owned);
-    outputs.write_json(&with_bars(json, &rows, &notes, adapter))?;
+    outputs.write_json(&with_bars(json, &rows, &notes, "/same/adapter"))?;
     report.controls()
 }
 

@@ -21,7 +21,6 @@ use client::lod::select;
 use client::view::ViewParams;
 use screen::{ScreenErrors, ViewCase};
 use serde::Serialize;
-use serde_json::Value;
 use terrain::Land;
 
 /// The world that is measured.
@@ -178,8 +177,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let json = serde_json::to_value(&report)?;
     let (rows, notes) = (bars::rows(&json), bars::notes(&json));
     print!("{}", ::bars::text(&rows));
-    let adapter = json.pointer("/frames/adapter").and_then(Value::as_str).map(str::to_owned);
-    outputs.write_json(&with_bars(json, &rows, &notes, adapter))?;
+    outputs.write_json(&with_bars(json, &rows, &notes, "/frames/adapter"))?;
     report.controls()
 }
 

@@ -23,7 +23,6 @@ use anyhow::{Result, ensure};
 use client::features::pom::settings::{LoopForm, PomMethod, Refine};
 use pictures::Pictures;
 use serde::Serialize;
-use serde_json::Value;
 use shaders::layout::PomParams;
 
 /// Rounds of the timing, and rays of each condition in it.
@@ -122,8 +121,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let json = serde_json::to_value(&report)?;
     let (rows, notes) = (bars::rows(&json), bars::notes(&json));
     print!("{}", ::bars::text(&rows));
-    let adapter = json.pointer("/adapter").and_then(Value::as_str).map(str::to_owned);
-    outputs.write_json(&with_bars(json, &rows, &notes, adapter))?;
+    outputs.write_json(&with_bars(json, &rows, &notes, "/adapter"))?;
     report.controls()
 }
 

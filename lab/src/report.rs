@@ -18,9 +18,11 @@ pub fn list<'a>(report: &'a Value, path: &str) -> &'a [Value] {
     report.pointer(path).and_then(Value::as_array).map_or(&[], Vec::as_slice)
 }
 
-/// The report with its bars, the notes of its record and the adapter that it ran on.
+/// The report with its bars, the notes of its record and the adapter that it ran on, which stands at
+/// the path `adapter` of the report.
 #[must_use]
-pub fn with_bars(mut report: Value, bars: &[Bar], notes: &[String], adapter: Option<String>) -> Value {
+pub fn with_bars(mut report: Value, bars: &[Bar], notes: &[String], adapter: &str) -> Value {
+    let adapter = report.pointer(adapter).cloned();
     report["bars"] = json!(bars);
     report["notes"] = json!(notes);
     report["record_adapter"] = json!(adapter);

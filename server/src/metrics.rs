@@ -373,7 +373,7 @@ impl Metrics {
     #[must_use]
     pub fn frame_requests(&self) -> u64 {
         [&self.frame_cache_hits, &self.frames_coalesced, &self.frames_enqueued, &self.frames_rejected]
-            .map(|counter| counter.get())
+            .map(Counter::get)
             .iter()
             .sum()
     }

@@ -279,7 +279,7 @@ impl Running {
         let (gpu, renderer) = (&self.gpu, &mut self.renderer);
         let selection =
             self.streamer.update(&view_params, self.started.elapsed(), ARRIVALS_PER_FRAME, |chunk| {
-                renderer.upload(gpu, chunk)
+                renderer.upload(gpu, chunk);
             });
         let frame = view_params.frame(self.args.scene, self.streamer.cache(), &selection);
         (self.drawn, self.instances) = (frame.chunks, frame.instances.len());
