@@ -71,17 +71,18 @@ async fn serve(socket: TcpStream, offer: ServerOffer, fault: Fault) {
     let mut session = ServerSession::new(offer, 1);
     let mut sent = 0;
     loop {
-        while let Some(frame) = session.poll_transmit() {
-            if socket.send(Message::Binary(frame)).await.is_err() {
-                return;
-            }
-        }
         // Without workers the server selects the chunks of a view here.
         while let Some(mut selection) = session.take_view() {
             selection.step(&land, usize::MAX);
             session.apply_view(selection);
         }
-        if let Some((wanted, delivery)) = session.next_chunk() {
+        let next = session.next_chunk();
+        while let Some(frame) = session.poll_transmit() {
+            if socket.send(Message::Binary(frame)).await.is_err() {
+                return;
+            }
+        }
+        if let Some((wanted, delivery)) = next {
             sent += 1;
             match fault {
                 Fault::HangUp if sent > 5 => return,

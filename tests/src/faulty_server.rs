@@ -51,12 +51,17 @@ async fn serve(socket: TcpStream, offer: ServerOffer, frames: Frames) {
     let land = offer.land;
     let mut session = ServerSession::new(offer, 1);
     loop {
+        // Without workers the server selects the chunks of a view here.
+        while let Some(selection) = session.take_view() {
+            session.apply_view(selection);
+        }
+        let next = session.next_chunk();
         while let Some(frame) = session.poll_transmit() {
             if socket.send(Message::Binary(frame)).await.is_err() {
                 return;
             }
         }
-        if let Some((request, delivery)) = session.next_chunk() {
+        if let Some((request, delivery)) = next {
             let frame = frames(&land, request.key, delivery);
             session.deliver(request, frame);
             continue;

@@ -176,17 +176,18 @@ impl Server {
         let mut session = ServerSession::new(offer, 1);
         let mut answered = 0;
         loop {
-            while let Some(frame) = session.poll_transmit() {
-                if socket.send(Message::Binary(frame)).await.is_err() {
-                    return;
-                }
-            }
             // Without workers the server selects the chunks of a view here.
             while let Some(mut selection) = session.take_view() {
                 selection.step(&self.land, usize::MAX);
                 session.apply_view(selection);
             }
-            if let Some((wanted, _)) = session.next_chunk() {
+            let next = session.next_chunk();
+            while let Some(frame) = session.poll_transmit() {
+                if socket.send(Message::Binary(frame)).await.is_err() {
+                    return;
+                }
+            }
+            if let Some((wanted, _)) = next {
                 answered += 1;
                 if self.fault == Fault::HangUp && answered > 5 {
                     let _ = socket.into_inner().shutdown().await;
