@@ -151,8 +151,10 @@ fn rust_source(linked: &[(String, String, naga::Module)]) -> Result<String, std:
     let list = linked.iter().map(|(stem, ..)| format!("&self.{stem}")).collect::<Vec<_>>().join(", ");
     let count = linked.len();
     Ok(format!(
-        "/// Every pass.\npub struct Shaders {{\n{fields}}}\n\n/// Every pass, linked and validated when this crate was built.\n\
-         pub static SHADERS: Shaders = Shaders {{\n{values}}};\n\nimpl Shaders {{\n    /// All passes, by name.\n    #[must_use]\n    \
+        "/// Every pass.\npub struct Shaders {{\n{fields}}}\n\n\
+         /// Every pass, linked and validated when this crate was built.\n\
+         pub static SHADERS: Shaders = Shaders {{\n{values}}};\n\n\
+         impl Shaders {{\n    /// All passes, by name.\n    #[must_use]\n    \
          pub fn all(&self) -> [&Shader; {count}] {{\n        [{list}]\n    }}\n}}\n"
     ))
 }

@@ -85,7 +85,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let percent = |count: u32| 100.0 * f64::from(count) / f64::from(all.max(1));
         let (cast, draw) = (cast.as_secs_f64() * 1e3, draw.as_secs_f64() * 1e3);
         println!(
-            "sun {elevation_deg:>4} deg: {chunks} chunks in {cast:.0} ms, {:.2} ms each; frame {draw:.0} ms; {:.1} % dark, {:.1} % in the penumbra",
+            "sun {elevation_deg:>4} deg: {chunks} chunks in {cast:.0} ms, {:.2} ms each; frame \
+             {draw:.0} ms; {:.1} % dark, {:.1} % in the penumbra",
             cast / f64::from(chunks.max(1)),
             percent(dark),
             percent(partial),

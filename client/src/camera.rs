@@ -374,7 +374,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whole_units_and_fraction_are_the_position(x in -WORLD_HALF_M..WORLD_HALF_M, y in -64.0f64..20_000.0) {
+        fn whole_units_and_fraction_are_the_position(
+            x in -WORLD_HALF_M..WORLD_HALF_M,
+            y in -64.0f64..20_000.0,
+        ) {
             let eye = Pose { position_m: DVec3::new(x, y, -x), yaw_deg: 0.0, pitch_deg: 0.0 }.eye();
             prop_assert!(eye.fraction_m.min_element() >= 0.0 && eye.fraction_m.max_element() <= 1.0 / 256.0);
             let back = f64::from(eye.units[0]) / 256.0 + f64::from(eye.fraction_m.x);

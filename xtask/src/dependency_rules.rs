@@ -71,7 +71,8 @@ pub fn check() -> Result<()> {
         let tree = process::output(process::cargo(&line)).context("cannot ask for the dependency tree")?;
         if let Some(found) = violation(package, rule.forbidden, &tree)? {
             bail!(
-                "{package} depends on {found}, and {}; see: cargo tree --package {package} --edges {edges} --invert {found}",
+                "{package} depends on {found}, and {}; see: cargo tree --package {package} --edges \
+                 {edges} --invert {found}",
                 rule.why
             );
         }

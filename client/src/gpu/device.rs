@@ -21,12 +21,14 @@ pub struct Gpu {
 pub enum GpuError {
     /// No adapter was found.
     #[error(
-        "no GPU adapter found ({0}): install a Vulkan driver, on Debian or Ubuntu `apt install mesa-vulkan-drivers libvulkan1`"
+        "no GPU adapter found ({0}): install a Vulkan driver, on Debian or Ubuntu `apt install \
+         mesa-vulkan-drivers libvulkan1`"
     )]
     NoAdapter(String),
     /// The adapter lacks what portable WebGPU guarantees.
     #[error(
-        "the GPU `{adapter}` cannot be used ({cause}): update its driver or choose another with WGPU_ADAPTER_NAME"
+        "the GPU `{adapter}` cannot be used ({cause}): update its driver or choose another with \
+         WGPU_ADAPTER_NAME"
     )]
     NoDevice {
         /// Its name.

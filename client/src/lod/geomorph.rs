@@ -342,7 +342,8 @@ mod tests {
             lost in proptest::collection::vec(any::<proptest::sample::Index>(), 0..300),
         ) {
             let top = VIEWER.top_level();
-            let lost = lost.iter().map(|index| index.get(&SENT).key).filter(|key| key.level() != top).collect();
+            let lost = lost.iter().map(|index| index.get(&SENT).key);
+            let lost = lost.filter(|key| key.level() != top).collect();
             let mut cache = cache_without(&lost);
             let drawn = select(&mut cache, &VIEWER).drawn;
             let (open, all) = open_sides(&cache, &drawn);
@@ -350,8 +351,13 @@ mod tests {
         }
 
         #[test]
-        fn all_who_share_a_corner_compute_the_same_morph(mut morphs in proptest::collection::vec(0.0f64..=1.0, 1..5), turn in 0usize..4) {
-            let equal = |others: &[f64]| others.iter().map(|morph| Neighbour::Equal(*morph)).collect::<Vec<_>>();
+        fn chunks_at_a_corner_compute_the_same_morph(
+            mut morphs in proptest::collection::vec(0.0f64..=1.0, 1..5),
+            turn in 0usize..4,
+        ) {
+            let equal = |others: &[f64]| {
+                others.iter().map(|morph| Neighbour::Equal(*morph)).collect::<Vec<_>>()
+            };
             let first = border_morph(morphs[0], &equal(&morphs[1..]));
             let turn = turn % morphs.len();
             morphs.rotate_left(turn);

@@ -232,20 +232,25 @@ mod tests {
             places in proptest::collection::vec((-500_000i32..500_000, -500_000i32..500_000), 50),
         ) {
             let top = VIEWER.top_level();
-            let lost: HashSet<ChunkKey> = lost.iter().map(|index| index.get(&SENT).key).filter(|key| key.level() != top).collect();
+            let lost = lost.iter().map(|index| index.get(&SENT).key);
+            let lost: HashSet<ChunkKey> = lost.filter(|key| key.level() != top).collect();
             let mut cache = world_of(SENT.iter().filter(|chunk| !lost.contains(&chunk.key)));
             let drawn: HashSet<ChunkKey> = keys(&select(&mut cache, &VIEWER)).into_iter().collect();
             for (x, z) in places {
                 let (dx, dz) = (i64::from(x) - 30_000, i64::from(z) + 50_000);
                 let in_view = (dx * dx + dz * dz).isqrt() < 2000 * 256;
                 let covered = cover(&drawn, x, z);
-                prop_assert!(covered <= 1 && (!in_view || covered == 1), "({x}, {z}) is covered {covered} times");
+                prop_assert!(covered <= 1 && (!in_view || covered == 1), "({x}, {z}) is covered \
+                    {covered} times");
             }
             for key in &drawn {
-                let around = (-1..=1).flat_map(|east| (-1..=1).filter_map(move |south| key.neighbour(east, south)));
+                let around = (-1..=1)
+                    .flat_map(|east| (-1..=1).filter_map(move |south| key.neighbour(east, south)));
                 for next in around.filter(|next| VIEWER.sees(*next)) {
-                    let over = std::iter::successors(Some(next), |key| key.parent()).find(|key| drawn.contains(key));
-                    prop_assert!(over.is_none_or(|over| over.level() <= key.level() + 1), "{key} beside {over:?}");
+                    let mut above = std::iter::successors(Some(next), |key| key.parent());
+                    let over = above.find(|key| drawn.contains(key));
+                    prop_assert!(over.is_none_or(|over| over.level() <= key.level() + 1), "{key} \
+                        beside {over:?}");
                 }
             }
         }

@@ -113,9 +113,20 @@ pub fn rows(culling: &Value) -> Vec<Bar> {
 /// How the figures were measured, for the record.
 pub fn notes(culling: &Value) -> Vec<String> {
     let mut notes = vec![
-        format!("Sight: {POSES} seeded poses in valleys, on peaks and between, a person's height above the ground or a tower's, tolerances of 0.7 to 4 pixels, every third over land that is stretched 1.8 or 4 times, every fifth 10^6 m from the origin. Truth, in f64: a clump is seen if the drawn triangles leave any vertex of it in sight of the eye, as the twins of the shapes place it; a chunk of 128 m, if any clump of it that stands in the view is."),
-        "Fetches: reads of heights, bounds and tiles of the same rays; time: one thread, the same rays one after the other.".into(),
-        "T2 marches over the noise, T3 by marching over the drawn vertices, bilinear, both in steps of 2 m and to the tip of the clump; five points are a chunk's corners and middle at its highest.".into(),
+        format!(
+            "Sight: {POSES} seeded poses in valleys, on peaks and between, a person's height \
+            above the ground or a tower's, tolerances of 0.7 to 4 pixels, every third over land \
+            that is stretched 1.8 or 4 times, every fifth 10^6 m from the origin. Truth, in f64: a \
+            clump is seen if the drawn triangles leave any vertex of it in sight of the eye, as the \
+            twins of the shapes place it; a chunk of 128 m, if any clump of it that stands in the view is."
+        ),
+        "Fetches: reads of heights, bounds and tiles of the same rays; time: one thread, the same \
+         rays one after the other."
+            .into(),
+        "T2 marches over the noise, T3 by marching over the drawn vertices, bilinear, both in steps \
+         of 2 m and to the tip of the clump; five points are a chunk's corners and middle at its \
+         highest."
+            .into(),
     ];
     for (test, what) in [
         ("exact", "T3 exact"),
@@ -149,8 +160,11 @@ pub fn notes(culling: &Value) -> Vec<String> {
     if let Some(shown) = culling.get("shown").filter(|shown| shown.is_object()) {
         let of = |field: &str| number(shown, field).unwrap_or(f64::NAN);
         notes.push(format!(
-            "Pictures: {} poses drawn without culling, each pixel the place of the plant that it shows, at {} pixels across; {} plants show of {} that are there; of those that show T1 loses {}, \
-             T2 {}, T3 by marching {}, T3 exact {}, T4 {}, so fewer than {:.1e} of them with 95 % certainty where none is lost.",
+            "Pictures: {} poses drawn without culling, each pixel the place of the plant that it \
+             shows, at {} pixels across; {} plants show of {} that are there; of those that show T1 \
+             loses {}, \
+             T2 {}, T3 by marching {}, T3 exact {}, T4 {}, so fewer than {:.1e} of them with 95 % \
+             certainty where none is lost.",
             of("poses"),
             shown.get("widths").map_or_else(String::new, ToString::to_string),
             of("seen"),
@@ -176,7 +190,8 @@ pub fn notes(culling: &Value) -> Vec<String> {
     if let Some(same) = culling.get("same").filter(|same| same.is_object()) {
         let of = |field: &str| number(same, field).unwrap_or(f64::NAN);
         notes.push(format!(
-            "GPU against the twin: {} clumps at {} poses, {} of them over stretched land, {} 10^6 m from the origin; grass up to 160 m with 4 clumps on a cell, trees up to 800 m.",
+            "GPU against the twin: {} clumps at {} poses, {} of them over stretched land, {} 10^6 m \
+             from the origin; grass up to 160 m with 4 clumps on a cell, trees up to 800 m.",
             of("clumps"),
             of("poses"),
             of("stretched"),
@@ -197,14 +212,19 @@ mod tests {
         json!({
             "poses": 300,
             "sight": {
-                "scenes": 299, "exact": good, "hierarchical": good, "bound": good, "grass": good, "trees": good, "chunks": good,
-                "chunks_by_blocks": good, "tree_chunks": good, "noise": poor, "march": poor, "march_fine": poor, "five_points": poor,
+                "scenes": 299, "exact": good, "hierarchical": good, "bound": good, "grass": good,
+                    "trees": good, "chunks": good,
+                "chunks_by_blocks": good, "tree_chunks": good, "noise": poor, "march": poor,
+                    "march_fine": poor, "five_points": poor,
                 "fetches_exact": 100.0, "fetches_march": 900.0, "time_ratio": 0.1, "root_mm": 0.4,
             },
-            "shown": { "poses": 299, "widths": [160], "seen": 1000, "drawn": 9000, "lost_noise": 9, "lost_march": 5, "lost_exact": 0, "lost_hierarchical": 0 },
-            "frames": { "ways": [{ "way": "T1 frustum", "frame_ratio": 1.0 }, { "way": "T4 hierarchical", "frame_ratio": 0.4 }] },
+            "shown": { "poses": 299, "widths": [160], "seen": 1000, "drawn": 9000, "lost_noise": 9,
+                "lost_march": 5, "lost_exact": 0, "lost_hierarchical": 0 },
+            "frames": { "ways": [{ "way": "T1 frustum", "frame_ratio": 1.0 }, { "way": "T4 hierarchical",
+                "frame_ratio": 0.4 }] },
             "lots": { "worst_stream_p": 0.1, "worst_pair_p": 0.01, "poor_stream_p": 0.0, "poor_pair_p": 0.0 },
-            "same": { "adapter": "soft", "poses": 24, "stretched": 8, "far": 5, "clumps": 9999, "differing": 0, "differing_control": 50 },
+            "same": { "adapter": "soft", "poses": 24, "stretched": 8, "far": 5, "clumps": 9999,
+                "differing": 0, "differing_control": 50 },
         })
     }
 

@@ -114,9 +114,17 @@ fn times(lod: &Value) -> Vec<Bar> {
 /// How the figures were measured, for the record.
 pub fn notes(lod: &Value) -> Vec<String> {
     let mut notes = vec![
-        "Screen error: at every vertex of level 0 within 8 km all round the eye, 1920 x 1080, 60 degrees, at tolerances of 0.5, 1, 2 and 4 px; the drawn triangles are evaluated by the twin of the vertex shader.".into(),
-        "Gaps: pixels of 256 x 144 whose view ray comes below the deepest land within 3.6 km; most eyes on borders of chunks, more than half of them while chunks are still arriving, half of them on islands up to 4000 km out.".into(),
-        "Popping: each pose of a flight, a metre apart, is drawn with what is chosen for it and with what was chosen for the pose before; 256 x 144, tolerance 0.5 px.".into(),
+        "Screen error: at every vertex of level 0 within 8 km all round the eye, 1920 x 1080, 60 \
+         degrees, at tolerances of 0.5, 1, 2 and 4 px; the drawn triangles are evaluated by the \
+         twin of the vertex shader."
+            .into(),
+        "Gaps: pixels of 256 x 144 whose view ray comes below the deepest land within 3.6 km; most \
+         eyes on borders of chunks, more than half of them while chunks are still arriving, half of \
+         them on islands up to 4000 km out."
+            .into(),
+        "Popping: each pose of a flight, a metre apart, is drawn with what is chosen for it and \
+         with what was chosen for the pose before; 256 x 144, tolerance 0.5 px."
+            .into(),
     ];
     for view in list(lod, "/triangles") {
         let count = |field| number(view, field).map_or("unknown".into(), |count| format!("{count:.0}"));
@@ -131,7 +139,8 @@ pub fn notes(lod: &Value) -> Vec<String> {
             figure.map_or("unknown".into(), |figure| format!("{figure:.2}"))
         };
         notes.push(format!(
-            "Flight {name}: 8 x 8 pixels change by {} with morphs, {} without, {} by motion; single pixels by {}, {} and {}; 99.9 % of them by at most {}, {} and {}.",
+            "Flight {name}: 8 x 8 pixels change by {} with morphs, {} without, {} by motion; single \
+             pixels by {}, {} and {}; 99.9 % of them by at most {}, {} and {}.",
             of("morphed", "block"),
             of("unmorphed", "block"),
             of("motion", "block"),
@@ -153,13 +162,17 @@ mod tests {
 
     fn lod() -> Value {
         let change = |block: f64| json!({ "max": 9, "p999": 2, "block": block });
-        let row = |tolerance: f64, ms: f64| json!({ "tolerance_px": tolerance, "frame_ms": ms, "passes": { "light_ms": 1.0, "tone_ms": 0.5, "whole_ms": 1.6 } });
+        let row = |tolerance: f64, ms: f64| {
+            json!({ "tolerance_px": tolerance, "frame_ms": ms,
+            "passes": { "light_ms": 1.0, "tone_ms": 0.5, "whole_ms": 1.6 } })
+        };
         json!({
             "screen": { "poses": 50, "max": 0.99, "max_when_loose": 3.0 },
             "triangles": [{ "camera": "0", "triangles": 1_000_000, "triangles_without_lod": 20_000_000 }],
             "cracks": { "whole": { "poses": 200, "pixels": 5, "magenta": 0 },
                         "chunk_left_out": { "magenta": 7 }, "no_seams": { "magenta": 1 } },
-            "popping": [{ "flight": "low", "morphed": change(1.0), "unmorphed": change(4.0), "motion": change(9.0) }],
+            "popping": [{ "flight": "low", "morphed": change(1.0), "unmorphed": change(4.0),
+                "motion": change(9.0) }],
             "frames": { "adapter": "soft", "is_software": false, "terrain_draws": 1, "levels": 5,
                         "bytes_per_chunk": 17_000, "rows": [row(1.0, 2.0), row(4.0, 1.0)] },
         })

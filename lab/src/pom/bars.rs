@@ -113,9 +113,20 @@ fn time(pom: &Value, ratio: Option<f64>) -> Bar {
 /// How the figures were measured, for the record.
 pub fn notes(pom: &Value) -> Vec<String> {
     let mut notes = vec![
-        format!("Search: {RAYS} rays of random place and heading for each of four maps of 512 x 512 texels (smooth hills, bricks, thin posts, ridges of one texel) under 0, 30, 60, 75, 85 and 89 degrees, relief 0.05 tiles high, on the GPU; truth: every cell that the ray crosses, in f64. A tangent clears what it passes, or goes into it, by at most a thousandth of the relief."),
-        "Pictures: a plane of cobblestones, 960 x 540, one sample a pixel, against 131,072 displaced triangles; silhouettes from 60, 16 and 5 degrees and three bearings, lines of intersection with a sunken ball from 60, 40, 16 and 5 degrees.".into(),
-        "Time: 65,536 neighbouring rays of each map and angle, all ways in turn; the geometric mean of all conditions. 64 steps are as far off as the table of the search says.".into(),
+        format!(
+            "Search: {RAYS} rays of random place and heading for each of four maps of 512 x 512 \
+            texels (smooth hills, bricks, thin posts, ridges of one texel) under 0, 30, 60, 75, 85 \
+            and 89 degrees, relief 0.05 tiles high, on the GPU; truth: every cell that the ray \
+            crosses, in f64. A tangent clears what it passes, or goes into it, by at most a \
+            thousandth of the relief."
+        ),
+        "Pictures: a plane of cobblestones, 960 x 540, one sample a pixel, against 131,072 \
+         displaced triangles; silhouettes from 60, 16 and 5 degrees and three bearings, lines of \
+         intersection with a sunken ball from 60, 40, 16 and 5 degrees."
+            .into(),
+        "Time: 65,536 neighbouring rays of each map and angle, all ways in turn; the geometric mean \
+         of all conditions. 64 steps are as far off as the table of the search says."
+            .into(),
     ];
     for row in list(pom, "/search") {
         let of = |tier: &str, field: &str| {
@@ -136,7 +147,8 @@ pub fn notes(pom: &Value) -> Vec<String> {
     for row in list(pom, "/cost") {
         let of = |field: &str| number(row, field).unwrap_or(f64::NAN);
         notes.push(format!(
-            "Time over 64 steps without exit, map {}, {} degrees: auto {:.2}, pyramid {:.2}, 64 steps with exit {:.2}.",
+            "Time over 64 steps without exit, map {}, {} degrees: auto {:.2}, pyramid {:.2}, 64 \
+             steps with exit {:.2}.",
             row.get("map").and_then(Value::as_str).unwrap_or("unknown"),
             of("angle_deg"),
             of("auto"),
@@ -157,7 +169,8 @@ pub fn notes(pom: &Value) -> Vec<String> {
     for row in list(pom, "/pictures/lines") {
         let of = |field: &str| number(row, field).unwrap_or(f64::NAN);
         notes.push(format!(
-            "Line of intersection from {} degrees, {} pixels long: {:.2} px off, with the plane's depth {:.2} px.",
+            "Line of intersection from {} degrees, {} pixels long: {:.2} px off, with the plane's \
+             depth {:.2} px.",
             of("elevation_deg"),
             of("pixels"),
             of("with_depth"),
@@ -173,15 +186,22 @@ mod tests {
     use serde_json::json;
 
     fn pom() -> Value {
-        let score = |wrong: f64, unexcused: f64, residual: f64| json!({ "wrong": wrong, "wrong_without_excuse": unexcused, "residual": residual, "fetches": 9.0 });
-        let search = json!({ "map": "fbm", "angle_deg": 60.0, "pyramid": score(1e-5, 0.0, 1e-5), "auto": score(1e-5, 0.0, 1e-5), "linear": score(0.2, 0.2, 0.1) });
+        let score = |wrong: f64, unexcused: f64, residual: f64| {
+            json!({ "wrong": wrong,
+            "wrong_without_excuse": unexcused, "residual": residual, "fetches": 9.0 })
+        };
+        let search = json!({ "map": "fbm", "angle_deg": 60.0, "pyramid": score(1e-5, 0.0, 1e-5),
+            "auto": score(1e-5, 0.0, 1e-5), "linear": score(0.2, 0.2, 0.1) });
         let cost = json!({ "map": "fbm", "angle_deg": 60.0, "auto": 0.3, "pyramid": 0.3, "early_exit": 0.8 });
         json!({
-            "adapter": "hard", "is_software": false, "rays": 200_000, "search": vec![search; 24], "cost": vec![cost; 24],
+            "adapter": "hard", "is_software": false, "rays": 200_000, "search": vec![search; 24],
+                "cost": vec![cost; 24],
             "loops": { "compared": 9, "differing": 0, "differing_control": 5 },
             "pictures": { "zero_compared": 9, "zero_differing": 0, "raised_differing": 7,
-                          "silhouettes": [{ "elevation_deg": 5.0, "shell": 0.99, "rectangle": 0.9, "flat": 0.8 }],
-                          "lines": [{ "elevation_deg": 5.0, "pixels": 99, "with_depth": 1.0, "without_depth": 7.0 }] },
+                          "silhouettes": [{ "elevation_deg": 5.0, "shell": 0.99, "rectangle": 0.9,
+                              "flat": 0.8 }],
+                          "lines": [{ "elevation_deg": 5.0, "pixels": 99, "with_depth": 1.0,
+                              "without_depth": 7.0 }] },
         })
     }
 

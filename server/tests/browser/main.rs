@@ -54,7 +54,8 @@ fn main() -> ExitCode {
 }
 
 /// All visible tiles are drawn, and there are some.
-const PAINTED: &str = "(({ wanted, drawn }) => Number(wanted) > 3 && wanted === drawn)(document.getElementById('relief').dataset)";
+const PAINTED: &str = "(({ wanted, drawn }) => Number(wanted) > 3 && wanted === drawn)\
+    (document.getElementById('relief').dataset)";
 
 /// Text of an element.
 async fn text(tab: &mut Tab, id: &str) -> String {
@@ -65,7 +66,8 @@ async fn text(tab: &mut Tab, id: &str) -> String {
 /// Position of a session's arrow, CSS pixels.
 async fn arrow(tab: &mut Tab, session: u64) -> (f64, f64) {
     let script = format!(
-        "[...document.querySelectorAll('.client')].find((group) => group.querySelector('text').textContent === '{session}')
+        "[...document.querySelectorAll('.client')]
+            .find((group) => group.querySelector('text').textContent === '{session}')
             .getAttribute('transform').match(/-?[\\d.]+/g).map(Number)"
     );
     let place = tab.evaluate(&script).await;
@@ -193,7 +195,8 @@ async fn visit() {
 
     // With reduced motion an animation ends at once; the control is without.
     let jumps = "(() => {
-        const width = () => document.getElementById('scale-bar').style.width + document.getElementById('scale-text').textContent;
+        const text = () => document.getElementById('scale-text').textContent;
+        const width = () => document.getElementById('scale-bar').style.width + text();
         const before = width();
         document.getElementById('farther').click();
         return width() !== before;
@@ -216,7 +219,8 @@ async fn visit() {
     tab.wait_for("true", "a moment").await;
     assert!(tab.take_errors().iter().any(|fault| fault.contains("a control")));
     let foreign = "new Promise((done) => {
-        addEventListener('securitypolicyviolation', (event) => done(event.effectiveDirective), { once: true });
+        addEventListener('securitypolicyviolation',
+            (event) => done(event.effectiveDirective), { once: true });
         new Image().src = 'http://127.0.0.1:9/picture.png';
     })";
     assert_eq!(tab.evaluate(foreign).await, "img-src");
@@ -239,10 +243,16 @@ async fn visit() {
         // A sparkline needs several values.
         let points = if folder().is_some() { 20 } else { 3 };
         let curve = format!(
-            "(document.querySelector('#spark-chunks .curve').getAttribute('d') ?? '').split('L').length > {points}"
+            "(document.querySelector('#spark-chunks .curve').getAttribute('d') ?? '')\
+             .split('L').length > {points}"
         );
         tab.wait_for(&curve, "a curve").await;
-        let overflows = tab.evaluate("document.documentElement.scrollWidth > innerWidth || document.documentElement.scrollHeight > innerHeight").await;
+        let overflows = tab
+            .evaluate(
+                "document.documentElement.scrollWidth > innerWidth \
+             || document.documentElement.scrollHeight > innerHeight",
+            )
+            .await;
         assert_eq!(overflows, false, "{name} fits its screen");
         save_screenshot(&mut tab, name, width, height).await;
     }
@@ -282,14 +292,18 @@ async fn save_screenshot(tab: &mut Tab, name: &str, width: u32, height: u32) {
 
 /// Overlapping cards.
 const OVERLAPS: &str = "(() => {
-    const cards = ['title', 'panel', 'controls', 'legend'].map((id) => [id, document.getElementById(id).getBoundingClientRect()]);
+    const box = (id) => document.getElementById(id).getBoundingClientRect();
+    const cards = ['title', 'panel', 'controls', 'legend'].map((id) => [id, box(id)]);
     return cards.flatMap(([a, first], index) => cards.slice(index + 1)
-        .filter(([, second]) => first.left < second.right && second.left < first.right && first.top < second.bottom && second.top < first.bottom)
+        .filter(([, second]) => first.left < second.right && second.left < first.right
+            && first.top < second.bottom && second.top < first.bottom)
         .map(([b]) => `${a} and ${b}`));
 })()";
 
 /// East coordinate of the arrow of SESSION.
-const ARROW_X: &str = "Number([...document.querySelectorAll('.client')].find((group) => group.querySelector('text').textContent === 'SESSION').getAttribute('transform').match(/-?[\\d.]+/)[0])";
+const ARROW_X: &str = "Number([...document.querySelectorAll('.client')]\
+    .find((group) => group.querySelector('text').textContent === 'SESSION')\
+    .getAttribute('transform').match(/-?[\\d.]+/)[0])";
 
 /// Folder for screenshots, if any.
 fn folder() -> Option<PathBuf> {
@@ -341,7 +355,8 @@ async fn token() {
     .await;
     let enter = |token: &str| {
         format!(
-            "document.getElementById('token-text').value = {}; document.querySelector('#token button').click()",
+            "document.getElementById('token-text').value = {}; \
+             document.querySelector('#token button').click()",
             json!(token)
         )
     };

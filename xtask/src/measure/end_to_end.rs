@@ -136,7 +136,8 @@ fn how(load: &Value) -> String {
     let latency = |name| load.get("latency_ms").and_then(|latency| number(latency, name));
     let rate = number(load, "chunks").zip(number(load, "seconds")).map(|(chunks, seconds)| chunks / seconds);
     format!(
-        "View times, bytes and frame times are the worst of {STARTS} fresh servers. Under load: {}, request to chunk p50 {}, p99 {}, p99.9 {}.",
+        "View times, bytes and frame times are the worst of {STARTS} fresh servers. Under load: {}, \
+         request to chunk p50 {}, p99 {}, p99.9 {}.",
         figure(rate, "chunks/s"),
         figure(latency("p50"), "ms"),
         figure(latency("p99"), "ms"),
@@ -193,7 +194,8 @@ mod tests {
     use serde_json::json;
 
     fn view() -> Value {
-        json!({ "adapter": "soft", "bytes_received": 1 << 20, "seconds_to_complete_view": 0.25, "seconds_to_first_picture": 1.0,
+        json!({ "adapter": "soft", "bytes_received": 1 << 20, "seconds_to_complete_view": 0.25,
+            "seconds_to_first_picture": 1.0,
                 "frame_ms_p50": 20.0, "frame_ms_p99": 40.0, "chunk_bytes_resident": 8 << 20 })
     }
 

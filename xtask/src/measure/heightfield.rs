@@ -52,7 +52,8 @@ fn rivals(folder: &Path, notes: &mut Vec<String>) -> Result<Vec<Value>> {
     let mut build = process::cargo("build --release --locked --target-dir");
     build.arg(&target).current_dir(&package).env("CC", &compiler.c).env("CXX", &compiler.cpp);
     process::run(build).context(
-        "measure: the noise comparison was not built; CMake fetches a part of FastNoise2, so the first build needs the network",
+        "measure: the noise comparison was not built; CMake fetches a part of FastNoise2, so the \
+         first build needs the network",
     )?;
     let compare = |shift: usize| {
         println!("measure: comparing, start {} of {STARTS}", shift + 1);
@@ -150,7 +151,8 @@ fn how(rivals: &[Value], digest: &Value, timings: &Value) -> Vec<String> {
     let first = rivals.first().unwrap_or(&Value::Null);
     let versions: Vec<_> = list(first, "rivals").iter().filter_map(Value::as_str).collect();
     let mut notes = vec![format!(
-        "Ratios are the median of {} starts, each the median of {} interleaved rounds in one process. Rivals: {}.",
+        "Ratios are the median of {} starts, each the median of {} interleaved rounds in one \
+         process. Rivals: {}.",
         rivals.len(),
         number(first, "rounds").unwrap_or(0.0),
         versions.join(", ")
@@ -224,7 +226,8 @@ impl Clang {
         match found {
             Some(clang) if ["cmake", "make"].into_iter().all(runs) => Ok(clang),
             _ => bail!(
-                "measure: FastNoise2 is built with clang, cmake and make; run: apt-get install --no-install-recommends clang-19 cmake make"
+                "measure: FastNoise2 is built with clang, cmake and make; run: apt-get install \
+                 --no-install-recommends clang-19 cmake make"
             ),
         }
     }
@@ -252,7 +255,8 @@ mod tests {
         });
         let backend = |name: &str, state: &str| json!({ "name": name, "state": state, "digest": "00" });
         let digest = json!({
-            "backends": [backend("Rust scalar", "equal"), backend("naga on llvmpipe", "equal"), backend("tint", "skipped")],
+            "backends": [backend("Rust scalar", "equal"), backend("naga on \
+             llvmpipe", "equal"), backend("tint", "skipped")],
             "control": { "differs": true },
         });
         let timings = json!({

@@ -6,7 +6,7 @@ use super::{Files, Finding};
 /// comments.
 const RETIRED: &str = include_str!("retired_words.txt");
 
-/// Files that are not checked: the list itself, its tests, lock files, and records of what was measured before
+/// Files that are not checked: the list itself, its tests, lock files, and records from before
 /// a word was retired.
 const EXEMPT: [&str; 3] = ["xtask/src/source/retired_words.txt", "xtask/src/source/words.rs", "Cargo.lock"];
 

@@ -257,7 +257,8 @@ mod tests {
             }
         }
         eprintln!(
-            "worst error of the share of light left: {worst:.5}, against air without haze {worst_without_haze:.5}"
+            "worst error of the share of light left: {worst:.5}, against air without haze \
+             {worst_without_haze:.5}"
         );
         assert!(worst < 0.005, "{worst}");
         assert!(worst_without_haze > 0.1, "the control must fail: {worst_without_haze}");

@@ -256,7 +256,9 @@ mod tests {
         ) {
             let pages = |(east, south): (i32, i32)| {
                 let places = places.iter().enumerate();
-                places.map(|(n, (x, z))| page(0, x + (east << 12), z + (south << 12), n as u32)).collect::<Vec<_>>()
+                places
+                    .map(|(n, (x, z))| page(0, x + (east << 12), z + (south << 12), n as u32))
+                    .collect::<Vec<_>>()
             };
             let (home, far) = (PageTable::of(&pages((0, 0)), 100), PageTable::of(&pages(shift), 100));
             prop_assert_eq!(PageTable { origin: home.origin, ..far }, home);

@@ -53,7 +53,10 @@ const LONGEST_STEP: Duration = Duration::from_millis(200);
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     let event_loop = EventLoop::new().map_err(|_| {
         // winit's cause names its source file; on every system it means this.
-        anyhow!("no display to open a window on: set DISPLAY or WAYLAND_DISPLAY, or draw into a file with --view_params FILE.png")
+        anyhow!(
+            "no display to open a window on: set DISPLAY or WAYLAND_DISPLAY, or draw into a \
+            file with --shot FILE.png"
+        )
     })?;
     let mut app = App {
         args: args.clone(),
@@ -170,7 +173,7 @@ impl Running {
         let instance = gpu::instance(Some(Box::new(display)));
         let surface = instance
             .create_surface(Arc::clone(&window))
-            .context("cannot draw into this window: draw into a file with --view_params FILE.png")?;
+            .context("cannot draw into this window: draw into a file with --shot FILE.png")?;
         let gpu = pollster::block_on(Gpu::open(instance, Some(&surface)))?;
         let size = window.inner_size();
         let surface = WindowSurface::new(&gpu, surface, (size.width, size.height))?;
