@@ -115,11 +115,12 @@ pub fn notes(culling: &Value) -> Vec<String> {
     let scenes = culling.pointer("/sight/scenes").and_then(Value::as_f64).unwrap_or(f64::NAN);
     let mut notes = vec![
         format!(
-            "Sight: {scenes:.0} of {POSES} seeded poses with a scene, in valleys, on peaks and between, a person's height \
-            above the ground or a tower's, tolerances of 0.7 to 4 pixels, every third over land \
-            that is stretched 1.8 or 4 times, every fifth 10^6 m from the origin. Truth, in f64: a \
-            clump is seen if the drawn triangles leave any vertex of it in sight of the eye, as the \
-            twins of the shapes place it; a chunk of 128 m, if any clump of it that stands in the view is."
+            "Sight: {scenes:.0} of {POSES} seeded poses with a scene, in valleys, on peaks \
+             and between, a person's height above the ground or a tower's, tolerances of 0.7 \
+             to 4 pixels, every third over land that is stretched 1.8 or 4 times, every fifth \
+             10^6 m from the origin. Truth, in f64: a clump is seen if the drawn triangles \
+             leave any vertex of it in sight of the eye, as the twins of the shapes place it; \
+             a chunk of 128 m, if any clump of it that stands in the view is."
         ),
         "Fetches: reads of heights, bounds and tiles of the same rays; time: one thread, the same \
          rays one after the other."

@@ -43,6 +43,8 @@ pub struct Flow {
     open: usize,
     /// Whether a view job is in flight.
     is_selecting: bool,
+    /// Whether it takes no frame in the fast encoding.
+    must_be_compact: bool,
     /// Charged for generation and bytes sent. The caller checks it before a request.
     bucket: TokenBucket,
 }
@@ -51,7 +53,25 @@ impl Flow {
     pub(super) fn new(shared: Arc<Shared>, pool: Arc<ThreadPool>, id: FlowId, bucket: TokenBucket) -> Self {
         let (sender, receiver) = unbounded_channel();
         let selections = unbounded_channel();
-        Self { shared, pool, id, sender, receiver, selections, open: 0, is_selecting: false, bucket }
+        Self {
+            shared,
+            pool,
+            id,
+            sender,
+            receiver,
+            selections,
+            open: 0,
+            is_selecting: false,
+            must_be_compact: false,
+            bucket,
+        }
+    }
+
+    /// The flow, with compact frames only: the same bytes whenever and wherever they are encoded.
+    #[must_use]
+    pub fn compact(mut self) -> Self {
+        self.must_be_compact = true;
+        self
     }
 
     /// One frame, for a client that requests no other. Dropping the future cancels the request.
@@ -70,7 +90,7 @@ impl Flow {
     /// The cached frame of a key for a delivery, charged by its bytes.
     #[must_use]
     pub fn cached(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
-        let frame = self.shared.cached(key, delivery)?;
+        let frame = self.shared.cached(key, delivery, self.must_be_compact)?;
         self.charge_bytes(frame.len());
         Some(frame)
     }
@@ -94,13 +114,14 @@ impl Flow {
         let Shared { frames, metrics, costs, .. } = &*self.shared;
         let mut queue = self.shared.lock();
         // Under the lock: a job leaves the queue only after its frames are in the cache.
-        if let Some(frame) = frames.get(chunk.key, delivery, || queue.jobs() == 0) {
+        if let Some(frame) = frames.get(chunk.key, delivery, || self.must_be_compact || queue.jobs() == 0) {
             metrics.frame_cache_hits.inc();
             self.complete(chunk, Ok(frame));
             return;
         }
         let (since, sender) = (Instant::now(), self.sender.clone());
-        let request = FrameRequest { flow: self.id, chunk, delivery, since, sender };
+        let must_be_compact = self.must_be_compact;
+        let request = FrameRequest { flow: self.id, chunk, delivery, must_be_compact, since, sender };
         let cost_us = costs.expected_us(chunk.key);
         match queue.enqueue(request, cost_us) {
             Enqueued::Coalesced => {

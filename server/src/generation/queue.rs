@@ -67,6 +67,8 @@ pub struct FrameRequest {
     pub chunk: ChunkRequest,
     /// The delivery.
     pub delivery: Delivery,
+    /// Whether the fast encoding does not do: for addresses with one representation.
+    pub must_be_compact: bool,
     /// When it was made.
     pub since: Instant,
     /// Receives the result.
@@ -290,23 +292,28 @@ impl Queue {
         self.new_turns.pop_front().or_else(|| self.turns.pop_front())
     }
 
-    /// A requested delivery for which `is_encoded` is false; none if there is no such delivery.
+    /// The delivery of a request for which `is_encoded` is false, and whether it must be compact;
+    /// none if there is no such request.
     #[must_use]
-    pub fn missing_delivery(&self, key: ChunkKey, is_encoded: impl Fn(Delivery) -> bool) -> Option<Delivery> {
-        let job = self.jobs.get(&key)?;
-        job.requests.iter().map(|request| request.delivery).find(|delivery| !is_encoded(*delivery))
+    pub fn missing_frame(
+        &self,
+        key: ChunkKey,
+        is_encoded: impl Fn(&FrameRequest) -> bool,
+    ) -> Option<(Delivery, bool)> {
+        let missing = self.jobs.get(&key)?.requests.iter().find(|request| !is_encoded(request))?;
+        Some((missing.delivery, missing.must_be_compact))
     }
 
-    /// Removes and returns the requests of a job for encoded deliveries. The job is removed if no
-    /// request is left; otherwise it is queued again.
-    pub fn finish(&mut self, key: ChunkKey, is_encoded: impl Fn(Delivery) -> bool) -> Vec<FrameRequest> {
+    /// Removes and returns the requests of a job that `is_encoded` has frames for. The job is
+    /// removed if no request is left; otherwise it is queued again.
+    pub fn finish(&mut self, key: ChunkKey, is_encoded: impl Fn(&FrameRequest) -> bool) -> Vec<FrameRequest> {
         let Some(mut job) = self.jobs.remove(&key) else { return Vec::new() };
-        if job.requests.iter().all(|request| is_encoded(request.delivery)) {
+        if job.requests.iter().all(&is_encoded) {
             return job.requests;
         }
         // Another delivery was requested after the last check. Rare, so the chunk is generated
         // again.
-        let finished = job.requests.extract_if(.., |request| is_encoded(request.delivery)).collect();
+        let finished = job.requests.extract_if(.., |request| is_encoded(request)).collect();
         let again: Vec<_> =
             job.requests.iter().map(|request| (request.flow, request.chunk.priority)).collect();
         job.is_running = false;
@@ -419,7 +426,10 @@ mod tests {
             let (sender, receiver) = unbounded_channel();
             self.receivers.insert(flow * 1_000_000 + x as u64, receiver);
             let chunk = ChunkRequest { key: key(x), request, priority };
-            self.queue.enqueue(FrameRequest { flow, chunk, delivery, since: self.now, sender }, cost_us)
+            self.queue.enqueue(
+                FrameRequest { flow, chunk, delivery, must_be_compact: false, since: self.now, sender },
+                cost_us,
+            )
         }
 
         /// Runs one turn to its end and returns its chunks.
@@ -612,10 +622,10 @@ mod tests {
         assert_eq!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).keys, [key(1)]);
         fixture.request_delivery(Delivery::SeedOnly, 2, 1, 1, 10, None);
         assert_eq!(
-            fixture.queue.missing_delivery(key(1), |delivery| delivery == Delivery::Exact),
-            Some(Delivery::SeedOnly)
+            fixture.queue.missing_frame(key(1), |request| request.delivery == Delivery::Exact),
+            Some((Delivery::SeedOnly, false))
         );
-        assert_eq!(fixture.queue.finish(key(1), |delivery| delivery == Delivery::Exact).len(), 1);
+        assert_eq!(fixture.queue.finish(key(1), |request| request.delivery == Delivery::Exact).len(), 1);
         assert_eq!(fixture.turn(), [1]);
         assert_eq!(fixture.queue.jobs(), 0);
     }

@@ -3,7 +3,7 @@
 //!
 //! A panic during generation fails its own job only.
 
-use super::queue::{FlowId, Queue};
+use super::queue::{FlowId, FrameRequest, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
 use super::views::ViewJob;
@@ -36,12 +36,23 @@ const BACKLOG_PER_FLOW: usize = 8;
 /// The frames of a finished job.
 struct GeneratedFrames {
     key: ChunkKey,
-    results: Vec<(Delivery, FrameResult)>,
+    results: Vec<GeneratedFrame>,
+}
+
+/// One of them.
+struct GeneratedFrame {
+    delivery: Delivery,
+    is_fast_encoded: bool,
+    result: FrameResult,
 }
 
 impl GeneratedFrames {
-    fn has(&self, delivery: Delivery) -> bool {
-        self.results.iter().any(|(encoded, _)| *encoded == delivery)
+    /// The result that answers a request.
+    fn of(&self, request: &FrameRequest) -> Option<&FrameResult> {
+        let answers = |frame: &&GeneratedFrame| {
+            frame.delivery == request.delivery && !(frame.is_fast_encoded && request.must_be_compact)
+        };
+        self.results.iter().find(answers).map(|frame| &frame.result)
     }
 }
 
@@ -121,18 +132,27 @@ impl Shared {
         // Dropped at the end of this job, so that the next one reuses its memory.
         let mut chunk = None;
         let mut finished = GeneratedFrames { key, results: Vec::with_capacity(1) };
-        while let Some(delivery) = { self.lock().missing_delivery(key, |delivery| finished.has(delivery)) } {
-            let result = self.frame(key, delivery, &mut chunk);
-            finished.results.push((delivery, result));
+        let missing = |finished: &GeneratedFrames| {
+            self.lock().missing_frame(key, |request| finished.of(request).is_some())
+        };
+        while let Some((delivery, must_be_compact)) = missing(&finished) {
+            let effort = if must_be_compact { Effort::Compact } else { self.effort(key) };
+            let frame = self.frame(key, delivery, effort, &mut chunk);
+            finished.results.push(frame);
         }
         finished
     }
 
     /// Reads a frame from disk, or encodes it; the first encoded frame of a job generates the
     /// chunk.
-    fn frame(&self, key: ChunkKey, delivery: Delivery, chunk: &mut Option<Chunk>) -> FrameResult {
+    fn frame(
+        &self,
+        key: ChunkKey,
+        delivery: Delivery,
+        effort: Effort,
+        chunk: &mut Option<Chunk>,
+    ) -> GeneratedFrame {
         let (started, is_first) = (Instant::now(), chunk.is_none());
-        let effort = self.effort(key);
         let result = catch_unwind(AssertUnwindSafe(|| {
             // With a chunk in memory, encoding is faster than reading.
             if chunk.is_none()
@@ -147,7 +167,8 @@ impl Shared {
         let Ok((frame, is_stored)) = result else {
             self.metrics.jobs_failed.inc();
             tracing::error!(%key, %delivery, "generation panicked");
-            return Err(GenerationError::Failed);
+            let result = Err(GenerationError::Failed);
+            return GeneratedFrame { delivery, is_fast_encoded: false, result };
         };
         let took = started.elapsed();
         if is_first {
@@ -169,7 +190,7 @@ impl Shared {
         if let Some(disk) = self.disk.as_ref().filter(|_| !is_stored) {
             disk.write(key, delivery, frame.clone());
         }
-        Ok(frame)
+        GeneratedFrame { delivery, is_fast_encoded, result: Ok(frame) }
     }
 
     /// The fast encoding for level 0 under backlog: bytes are cheaper than time then. Encoding is a
@@ -220,9 +241,8 @@ impl Shared {
         {
             let mut queue = self.lock();
             for frames in turn {
-                for request in queue.finish(frames.key, |delivery| frames.has(delivery)) {
-                    let result = frames.results.iter().find(|(delivery, _)| *delivery == request.delivery);
-                    let result = result.map_or(Err(GenerationError::Failed), |(_, result)| result.clone());
+                for request in queue.finish(frames.key, |request| frames.of(request).is_some()) {
+                    let result = frames.of(&request).cloned().unwrap_or(Err(GenerationError::Failed));
                     let (_, completions) = flows.entry(request.flow).or_insert((request.sender, Vec::new()));
                     completions.push((request.chunk, result));
                 }
@@ -386,6 +406,40 @@ mod tests {
             Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::from_secs(3600) };
         let service = Generation::with_disk(source, limits, Some(disk), Arc::clone(&metrics)).unwrap();
         (service, metrics, measured)
+    }
+
+    /// The immutable address of a chunk has one representation, before, during and after load.
+    #[tokio::test]
+    async fn a_compact_flow_gets_the_same_bytes_whatever_the_load() {
+        let land = Land::new(1);
+        let limits =
+            Limits { threads: 1, cache_bytes: 16 << 20, jobs: 10_000, deadline: Duration::from_secs(3600) };
+        let keys: Vec<_> = (0..400).map(|n| ChunkKey::new(0, n % 20 - 10, n / 20 - 10).unwrap()).collect();
+        let compact = |key: ChunkKey| chunk_codec::encode(&land.chunk(key), &land.digest());
+        let (mut fast_differs, mut compared) = (0, 0);
+        for _ in 0..2 {
+            let metrics = Arc::new(Metrics::default());
+            let service = Generation::new(ProceduralSource::new(land), limits, Arc::clone(&metrics)).unwrap();
+            let mut flow = service.flow();
+            keys.iter().for_each(|key| flow.request(chunk_request(*key, 1), Delivery::Exact));
+            // During the load, of keys that are queued, running or cached in the fast encoding.
+            for key in keys.iter().step_by(37) {
+                let frame = service.flow().compact().frame(chunk_request(*key, 1), Delivery::Exact).await;
+                assert_eq!(frame.unwrap(), compact(*key), "{key}");
+                compared += 1;
+            }
+            while flow.in_flight() > 0 {
+                for (chunk, frame) in flow.completions().await {
+                    fast_differs += u32::from(frame.unwrap() != compact(chunk.key));
+                }
+            }
+            // After it.
+            for key in keys.iter().step_by(41) {
+                let frame = service.flow().compact().frame(chunk_request(*key, 1), Delivery::Exact).await;
+                assert_eq!(frame.unwrap(), compact(*key), "{key}");
+            }
+        }
+        assert!(compared > 20 && fast_differs > 0, "the control: the load used the fast encoding");
     }
 
     #[tokio::test]

@@ -68,7 +68,7 @@ impl Generation {
     /// The cached frame of a key for a delivery; counts a request only on a hit.
     #[must_use]
     pub fn cached(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
-        self.shared.cached(key, delivery)
+        self.shared.cached(key, delivery, false)
     }
 
     /// A new flow without a rate limit. Dropping it cancels its requests.

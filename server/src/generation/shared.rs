@@ -53,9 +53,10 @@ impl Shared {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The cached frame of a key for a delivery; counts a request only on a hit.
-    pub fn cached(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
-        let is_idle = || self.lock().jobs() == 0;
+    /// The cached frame of a key for a delivery; counts a request only on a hit. A fast-encoded
+    /// frame is no hit if the frame `must_be_compact`, or if the server is idle.
+    pub fn cached(&self, key: ChunkKey, delivery: Delivery, must_be_compact: bool) -> Option<Bytes> {
+        let is_idle = || must_be_compact || self.lock().jobs() == 0;
         let frame = self.frames.get(key, delivery, is_idle)?;
         self.metrics.frame_cache_hits.inc();
         Some(frame)

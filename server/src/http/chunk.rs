@@ -24,7 +24,9 @@ pub async fn get(
     // Always exact: a cached chunk must be usable without a generator.
     let chunk = ChunkRequest { key, request: Some(0), priority: u64::MAX };
     let bucket = path::wait_for_tokens(&state, peer).await?;
-    let frame = state.generation.limited_flow(bucket).frame(chunk, Delivery::Exact).await.map_err(problem)?;
+    // Compact: the address is immutable, so it has one representation for ever.
+    let flow = state.generation.limited_flow(bucket).compact();
+    let frame = flow.frame(chunk, Delivery::Exact).await.map_err(problem)?;
     let representation = Representation {
         // The frame contains its digest, over all of its bytes.
         etag: etag(&chunk_codec::digest(&frame).unwrap_or_default()),
