@@ -1,9 +1,9 @@
 //! Measurements of the terrain and its renderer, behind `tombolo-lab`.
 //!
 //! Each compares with a reference: [`digest`] (all backends compute the same integers),
-//! [`accuracy`] (error against cost), [`mod@lod`] (levels of detail as drawn), [`mod@pom`]
-//! (parallax occlusion mapping), [`mod@culling`] (occlusion culling of vegetation), [`stability`]
-//! (borders of the world and of cells), [`timings`] (GPU against CPU), [`codec`] (chunks on the
+//! `accuracy` (error against cost), [`mod@lod`] (levels of detail as drawn), [`mod@pom`]
+//! (parallax occlusion mapping), [`mod@culling`] (occlusion culling of vegetation), `stability`
+//! (borders of the world and of cells), `timings` (GPU against CPU), `codec` (chunks on the
 //! wire against other codecs).
 //!
 //! A missed bar is an error and sets the exit code.

@@ -1,8 +1,8 @@
 //! `tombolo-lab lod`: levels of detail as drawn, against level 0.
 //!
-//! Screen error at every vertex of level 0 ([`screen`], on the drawn surface of [`drawn`]),
-//! triangles ([`triangles`]), gaps ([`crate::cracks`]), popping ([`popping`]), draw calls, memory
-//! and time ([`frames`]). `cargo xtask measure terrain` compares the figures with their bars;
+//! Screen error at every vertex of level 0 ([`screen`], on the drawn surface of `drawn`),
+//! triangles (`triangles`), gaps ([`crate::cracks`]), popping (`popping`), draw calls, memory
+//! and time (`frames`). `cargo xtask measure terrain` compares the figures with their bars;
 //! here only a control that passes is an error.
 
 mod bars;

@@ -3,7 +3,7 @@
 //!
 //! Height maps that are hard to march over ([`maps`]), the reference in f64 ([`mod@reference`]) and
 //! the shipped marches on this machine's GPU ([`mod@bench`]), both compared ([`comparison`]); edges
-//! and depths in pictures ([`renderer`], [`pictures`]).
+//! and depths in pictures ([`renderer`], `pictures`).
 
 mod bars;
 pub mod bench;

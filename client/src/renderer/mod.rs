@@ -165,7 +165,7 @@ impl Renderer {
     /// chunks are left: 0 when all shadows are current. Chunks that were never traced are drawn
     /// fully lit.
     ///
-    /// [`MAX_SHADOW_CHUNKS`]: pass::MAX_CASTS
+    /// [`MAX_SHADOW_CHUNKS`]: crate::features::terrain_shadow::pass::MAX_SHADOW_CHUNKS
     pub fn trace_shadows(
         &mut self,
         gpu: &Gpu,

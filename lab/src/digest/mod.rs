@@ -1,9 +1,9 @@
 //! `digest`: every backend of this machine computes the same integers.
 //!
-//! All evaluate the same [`probes`]. The blake3 digest of the results ([`words`]) must equal a
+//! All evaluate the same `probes`. The blake3 digest of the results (`words`) must equal a
 //! frozen one, which compares builds and machines that never run together. Backends: this program
-//! ([`cpu`]), WGSL under naga on every adapter ([`gpu`], [`swiftshader`]), WGSL under Tint in a
-//! browser ([`browser`]). A float twin must differ: the control that proves the comparison can
+//! (`cpu`), WGSL under naga on every adapter (`gpu`, `swiftshader`), WGSL under Tint in a
+//! browser (`browser`). A float twin must differ: the control that proves the comparison can
 //! fail.
 
 mod browser;

@@ -1,7 +1,7 @@
 //! Token-bucket rate limit per client network.
 //!
 //! A token is one microsecond of work: generation, view selection and bytes sent, in one unit. A
-//! bucket refills at a fixed rate and holds at most [`CAPACITY_S`] seconds of it. While a bucket is
+//! bucket refills at a fixed rate and holds at most 10 seconds of it. While a bucket is
 //! empty, views are delayed, requests are delayed up to their deadline, and requests that would
 //! exceed the deadline are rejected as overloaded at once.
 //!
