@@ -79,8 +79,8 @@ fn choose(
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     passes.record(&gpu.queue, plants, index, 1, chosen, &mut encoder);
     gpu.queue.submit([encoder.finish()]);
-    let told = chosen.read_stats(gpu)?;
-    anyhow::ensure!(told.blocks_lost + told.clumps_lost == 0, "no room for all visible clumps: {told:?}");
+    let stats = chosen.read_stats(gpu)?;
+    anyhow::ensure!(stats.blocks_lost + stats.clumps_lost == 0, "no room for all visible clumps: {stats:?}");
     // The highest bytes hold the normal, a float result.
     let bare = |clump: &[u32; 4]| [clump[0] & 0xff_ffff, clump[1] & 0xff_ffff, clump[2], clump[3]];
     Ok(chosen.read(gpu)?.concat().iter().map(bare).collect())

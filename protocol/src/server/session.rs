@@ -231,7 +231,7 @@ impl ServerSession {
     }
 
     /// The selection of the newest view, for a worker to run; none if no view waits or a selection
-    /// is running. It must be returned through [`ServerSession::apply_view`].
+    /// is running. It must end in [`ServerSession::apply_view`] or [`ServerSession::fail_view`].
     pub fn take_view(&mut self) -> Option<ViewSelection> {
         self.views.take(&self.offer.land)
     }
@@ -243,6 +243,14 @@ impl ServerSession {
         let keys = self.views.apply(selection, &self.offer.land);
         self.find_stale(|key, request| request.is_none() && !keys.contains(&key));
         self.settle();
+    }
+
+    /// Gives up the selection that is running: its view is refused as failed, and the view before it
+    /// stays active.
+    pub fn fail_view(&mut self, detail: impl Into<Cow<'static, str>>) {
+        if let Some(id) = self.views.fail() {
+            self.refuse(id, None, RefusalReason::Failed, detail);
+        }
     }
 
     /// Checks a grant. Refuses zero, and more than may be outstanding.

@@ -11,8 +11,8 @@ pub(super) struct ViewQueue {
     active: Option<ActiveView>,
     /// The newest view that is not selected yet. A newer one replaces it.
     queued: Option<View>,
-    /// Whether a selection was taken and not applied yet.
-    is_selecting: bool,
+    /// Id of the view whose selection was taken and is neither applied nor failed.
+    selecting: Option<u32>,
 }
 
 /// The latest selected view and its remaining chunks.
@@ -44,22 +44,27 @@ impl ViewQueue {
 
     /// Starts the selection of the queued view; none if no view waits or a selection is running.
     pub(super) fn take(&mut self, land: &Land) -> Option<ViewSelection> {
-        if self.is_selecting {
+        if self.selecting.is_some() {
             return None;
         }
         let view = self.queued.take()?;
-        self.is_selecting = true;
+        self.selecting = Some(view.id);
         let waited = self.active.as_mut().map(|old| std::mem::take(&mut old.waited)).unwrap_or_default();
         Some(ViewSelection::new(land, view, waited))
     }
 
     /// Makes the view of a selection the active one. Returns its chunks, prefetch included.
     pub(super) fn apply(&mut self, selection: ViewSelection, land: &Land) -> FxHashSet<ChunkKey> {
-        self.is_selecting = false;
+        self.selecting = None;
         let (view, selected) = selection.finish(land);
         let Selected { chunks, keys, needed, ahead, waited } = selected;
         self.active = Some(ActiveView { view, chunks, pending: needed, ahead, waited, settled: false });
         keys
+    }
+
+    /// Gives up the selection in progress. Returns the id of its view.
+    pub(super) fn fail(&mut self) -> Option<u32> {
+        self.selecting.take()
     }
 
     /// The active view.

@@ -122,6 +122,23 @@ fn a_moving_view_prefetches_after_it_is_settled() {
 }
 
 #[test]
+fn a_failed_selection_refuses_its_view_and_lets_the_next_one_through() {
+    let mut server = welcomed(64);
+    send(&mut server, &ClientMessage::View(view(1, 300)));
+    let next = control::encode(&ClientMessage::View(view(2, 300))).unwrap();
+    server.receive(DataFrame::Binary(&next)).unwrap();
+    drop(server.take_view().unwrap());
+    server.fail_view("it failed");
+    assert_eq!(refusals(&mut server), [(2, RefusalReason::Failed)]);
+    assert_eq!(server.view().map(|view| view.id), Some(1));
+    send(&mut server, &ClientMessage::View(view(3, 300)));
+    assert_eq!(server.view().map(|view| view.id), Some(3));
+    // Nothing is selected, so nothing fails.
+    server.fail_view("it failed");
+    assert_eq!(refusals(&mut server), []);
+}
+
+#[test]
 fn only_the_newest_view_is_selected_one_at_a_time() {
     let mut server = welcomed(64);
     let receive = |server: &mut ServerSession, id| {

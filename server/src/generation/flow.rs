@@ -26,6 +26,8 @@ pub enum FlowEvent {
     Chunks(Vec<Completion>),
     /// A finished selection.
     View(Box<ViewSelection>),
+    /// The selection panicked; the panic was logged.
+    ViewFailed,
 }
 
 /// One client of the service. The threads are shared fairly between flows.
@@ -38,7 +40,7 @@ pub struct Flow {
     /// Holds at most one result per request, so the caller's bound on requests bounds it.
     receiver: UnboundedReceiver<Vec<Completion>>,
     /// Finished view selections: at most one, since a session has one view job at a time.
-    selections: (UnboundedSender<ViewSelection>, UnboundedReceiver<ViewSelection>),
+    selections: (UnboundedSender<Option<ViewSelection>>, UnboundedReceiver<Option<ViewSelection>>),
     /// Requests without a received result, a view job included.
     open: usize,
     /// Whether a view job is in flight.
@@ -162,7 +164,7 @@ impl Flow {
             Some(selection) = self.selections.1.recv() => {
                 self.remove_open(1);
                 self.is_selecting = false;
-                FlowEvent::View(Box::new(selection))
+                selection.map_or(FlowEvent::ViewFailed, |selection| FlowEvent::View(Box::new(selection)))
             }
             Some(done) = self.receiver.recv() => {
                 self.receive(&done);

@@ -358,10 +358,8 @@ impl Queue {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::generation::test_source::view_selection;
     use crate::limits::rate_limit::TokenBucket;
-    use protocol::message::{ClientMessage, Hello};
-    use protocol::server::{ServerOffer, ServerSession};
-    use protocol::view::View;
     use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 
     const QUANTUM: i64 = 100;
@@ -373,29 +371,14 @@ mod tests {
 
     /// A view job that is never run.
     fn view() -> ViewJob {
-        let land = terrain::Land::new(1);
-        let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
-        let mut session = ServerSession::new(offer, 1);
-        let hello = Hello { digest: None, delivery: Delivery::Exact, token: None, software: String::new() };
-        let view = View {
-            id: 1,
-            eye: [0; 3],
-            velocity: [0; 3],
-            yaw_mdeg: 0,
-            pitch_mdeg: 0,
-            fov_mdeg: 60_000,
-            viewport: [640, 360],
-            tolerance_q4: 16,
-            distance_m: 500,
-        };
-        for message in [ClientMessage::Hello(hello), ClientMessage::View(view)] {
-            session
-                .receive(protocol::DataFrame::Binary(&protocol::control::encode(&message).unwrap()))
-                .unwrap();
-        }
-        let selection = session.take_view().unwrap();
         let (completion, _) = unbounded_channel();
-        ViewJob { selection, land, bucket: TokenBucket::default(), spent: Duration::ZERO, completion }
+        ViewJob {
+            selection: view_selection(1),
+            land: terrain::Land::new(1),
+            bucket: TokenBucket::default(),
+            spent: Duration::ZERO,
+            completion,
+        }
     }
 
     struct Fixture {

@@ -111,9 +111,15 @@ impl Shared {
     }
 
     /// Continues a view within its budget. A finished selection is sent to its session; an
-    /// unfinished one waits for the flow's next turn.
+    /// unfinished one waits for the flow's next turn. A panic fails this view only.
     fn select_view(&self, flow: FlowId, mut job: ViewJob, budget_us: i64) {
-        let (is_done, spent) = job.run(budget_us);
+        let Ok((is_done, spent)) = catch_unwind(AssertUnwindSafe(|| job.run(budget_us))) else {
+            self.metrics.jobs_failed.inc();
+            tracing::error!(view = ?job.selection.view(), "view selection panicked");
+            self.lock().return_view(flow, None, budget_us);
+            let _ = job.completion.send(None);
+            return;
+        };
         self.metrics.view_busy_seconds.inc_by(spent.as_secs_f64());
         let spent_us = i64::try_from(spent.as_micros()).unwrap_or(i64::MAX);
         job.bucket.charge_view(spent_us, tokio::time::Instant::now());
@@ -121,7 +127,7 @@ impl Shared {
             self.metrics.view_selection_seconds.observe(job.spent.as_secs_f64());
             self.lock().return_view(flow, None, spent_us);
             // The session may have ended.
-            let _ = job.completion.send(job.selection);
+            let _ = job.completion.send(Some(job.selection));
         } else {
             self.lock().return_view(flow, Some(job), spent_us);
         }
@@ -261,9 +267,9 @@ mod tests {
     use crate::cache::disk::{Disk, DiskConfig};
     use crate::generation::test_source::{
         MEASURED, chunk_request, fixture, fixture_with_deadline, flat_frame_bytes, key, request,
-        request_delivery,
+        request_delivery, view_selection,
     };
-    use crate::generation::{Generation, Limits};
+    use crate::generation::{FlowEvent, Generation, Limits};
     use crate::metrics::Metrics;
     use crate::source::{ChunkSource, ProceduralSource};
     use protocol::delivery::Tolerance;
@@ -406,6 +412,23 @@ mod tests {
             Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::from_secs(3600) };
         let service = Generation::with_disk(source, limits, Some(disk), Arc::clone(&metrics)).unwrap();
         (service, metrics, measured)
+    }
+
+    #[tokio::test]
+    async fn a_panic_fails_its_own_view_only() {
+        let land = Land::new(1);
+        let limits = Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::ZERO };
+        let metrics = Arc::new(Metrics::default());
+        let service = Generation::new(ProceduralSource::new(land), limits, Arc::clone(&metrics)).unwrap();
+        let (mut bad, mut good) = (service.flow(), service.flow());
+        bad.select(view_selection(666), land);
+        good.select(view_selection(1), land);
+        assert!(matches!(bad.next_event().await, FlowEvent::ViewFailed));
+        assert!(matches!(good.next_event().await, FlowEvent::View(_)));
+        assert_eq!(metrics.jobs_failed.get(), 1);
+        // The session of the failed view goes on.
+        bad.select(view_selection(2), land);
+        assert!(matches!(bad.next_event().await, FlowEvent::View(_)));
     }
 
     /// The immutable address of a chunk has one representation, before, during and after load.

@@ -3,12 +3,14 @@
 use super::{FrameResult, Generation, Limits};
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
-use protocol::server::ChunkRequest;
+use protocol::message::{ClientMessage, Hello};
+use protocol::server::{ChunkRequest, ServerOffer, ServerSession, ViewSelection};
+use protocol::view::View;
 use protocol::{Delivery, chunk_codec};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
-use terrain::{Chunk, ChunkKey, GrassSeed, WorldDigest};
+use terrain::{Chunk, ChunkKey, GrassSeed, Land, WorldDigest};
 
 /// A source that waits for a permit before each chunk and reports the chunk.
 pub struct GatedSource {
@@ -48,6 +50,30 @@ pub fn key(x: i32) -> ChunkKey {
 
 pub fn chunk_request(key: ChunkKey, priority: u64) -> ChunkRequest {
     ChunkRequest { key, request: None, priority }
+}
+
+/// The selection of a small view of world 1. That of view 666 panics when it is run.
+pub fn view_selection(id: u32) -> ViewSelection {
+    let land = Land::new(1);
+    let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
+    let mut session = ServerSession::new(offer, 1);
+    let hello = Hello { digest: None, delivery: Delivery::Exact, token: None, software: String::new() };
+    let view = View {
+        id,
+        eye: [0; 3],
+        velocity: [0; 3],
+        yaw_mdeg: 0,
+        pitch_mdeg: 0,
+        fov_mdeg: 60_000,
+        viewport: [640, 360],
+        tolerance_q4: 16,
+        distance_m: 500,
+    };
+    for message in [ClientMessage::Hello(hello), ClientMessage::View(view)] {
+        let frame = protocol::control::encode(&message).unwrap();
+        session.receive(protocol::DataFrame::Binary(&frame)).unwrap();
+    }
+    session.take_view().unwrap()
 }
 
 /// A service with one thread over a [`GatedSource`].

@@ -24,14 +24,16 @@ pub struct ViewJob {
     pub bucket: TokenBucket,
     /// Time spent so far.
     pub spent: Duration,
-    /// Receives the finished selection.
-    pub completion: UnboundedSender<ViewSelection>,
+    /// Receives the finished selection; none if it panicked.
+    pub completion: UnboundedSender<Option<ViewSelection>>,
 }
 
 impl ViewJob {
     /// Continues for about `budget_us` microseconds. Returns whether the selection is finished or
     /// its session has ended, and the time that this call took.
     pub fn run(&mut self, budget_us: i64) -> (bool, Duration) {
+        #[cfg(test)]
+        assert_ne!(self.selection.view().id, 666, "this view panics");
         let started = Instant::now();
         let budget = Duration::from_micros(budget_us.max(0).unsigned_abs());
         let mut is_done = self.completion.is_closed();

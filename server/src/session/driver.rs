@@ -137,6 +137,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 event = self.flow.next_event() => {
                     match event {
                         FlowEvent::View(selection) => self.apply_view(*selection),
+                        FlowEvent::ViewFailed => {
+                            self.session.fail_view("the selection of the view failed");
+                        }
                         FlowEvent::Chunks(done) => done.into_iter().for_each(|done| self.finish(done)),
                     }
                     while let Some(done) = self.flow.try_completions() {
