@@ -74,7 +74,7 @@ fn the_gpu_fills_the_same_chunks_at_every_level() {
 }
 
 #[test]
-fn another_world_is_told_apart() {
+fn another_world_is_detected() {
     let Some(gpu) = open() else { return };
     let key = ChunkKey::new(0, 1, 1).unwrap();
     let filler = ChunkFiller::new(&gpu.device, &gpu.queue, &Land::new(1), 1).unwrap();

@@ -1,5 +1,5 @@
 //! Baked materials, read back: that they tile, that their mips keep what they must, and that they
-//! can be told from what does not.
+//! differs from what does not.
 
 use client::features::materials::tiling_probe::{FIELD, Look, ProbeTiling};
 use client::features::materials::{

@@ -82,7 +82,7 @@ impl Drop for Server {
     }
 }
 
-/// A port that is free now. Somebody may take it before the server does; then the server says so
+/// A port that is free now. Another process may take it before the server does; then the server says so
 /// and ends.
 fn free_address() -> Result<SocketAddr> {
     let listener = TcpListener::bind("127.0.0.1:0").context("no free port on 127.0.0.1")?;

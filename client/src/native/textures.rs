@@ -403,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn two_files_for_one_map_are_told_apart_and_names_need_a_known_set() {
+    fn two_files_for_one_map_give_a_warning_and_sets_are_known_by_name() {
         let folder = Folder::new("two");
         for name in ["sand_albedo.png", "sand_color.png"] {
             RgbImage::from_pixel(1, 1, Rgb([1, 2, 3])).save(folder.path(name)).unwrap();

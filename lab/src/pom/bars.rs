@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn a_good_report_meets_every_bar_and_a_software_driver_tells_no_time() {
+    fn a_good_report_meets_every_bar_and_a_software_driver_has_no_time() {
         assert_eq!(missed(&pom()), 0);
         let mut software = pom();
         software["is_software"] = json!(true);

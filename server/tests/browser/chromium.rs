@@ -22,7 +22,7 @@ pub const MISSING: &str =
     "no Chromium is on the path, so the page is not tested in a browser; install `chromium`";
 
 /// Timeout of every wait. Only a failure reaches it.
-const PATIENCE: Duration = Duration::from_secs(90);
+const TIMEOUT: Duration = Duration::from_secs(90);
 
 /// Polling interval of the page.
 const LOOK: Duration = Duration::from_millis(50);
@@ -139,7 +139,7 @@ impl Tab {
                 self.note(&message);
             }
         };
-        tokio::time::timeout(PATIENCE, answer).await.unwrap_or_else(|_| panic!("{method} is not answered"))
+        tokio::time::timeout(TIMEOUT, answer).await.unwrap_or_else(|_| panic!("{method} is not answered"))
     }
 
     async fn next_message(&mut self) -> Value {
@@ -199,7 +199,7 @@ impl Tab {
         let guarded =
             format!("(() => {{ try {{ return Boolean({script}); }} catch {{ return false; }} }})()");
         while self.evaluate(&guarded).await != true {
-            if start.elapsed() > PATIENCE {
+            if start.elapsed() > TIMEOUT {
                 let page = self
                     .evaluate(
                         "document.body.innerText + JSON.stringify(document.getElementById('relief').dataset)",

@@ -130,7 +130,7 @@ fn failed_controls(rivals: &[Value]) -> Option<f64> {
 }
 
 /// Backends of the GPU's language whose digest is not the CPU's; missing if none ran, if the CPU's
-/// backends disagree, or if the control, which must differ, was not told apart.
+/// backends disagree, or if the control, which must differ, did not differ.
 pub fn differing_twins(digest: &Value) -> Option<f64> {
     let is_cpu = |backend: &&Value| {
         let name = backend.get("name").and_then(Value::as_str).unwrap_or_default();

@@ -78,12 +78,17 @@ fn page(
     page.push_str("\n| what | median | bar | | range | kept |\n| --- | ---: | --- | --- | --- | --- |\n");
     for row in rows {
         let spread = runs.of(&row.name);
-        let median =
-            Bar { figure: spread.median().map_or_else(|| row.figure.clone(), Figure::from), ..row.clone() };
-        let (range, kept) = match spread.figures.as_slice() {
-            [] | [_] => (String::new(), format!("{} of 1", u32::from(row.is_met()))),
-            figures => (spread.range(), format!("{} of {}", spread.kept, figures.len())),
+        let (figure, range, kept) = match (&row.figure, spread.figures.as_slice()) {
+            (Figure::NotMeasured { .. }, _) => (row.figure.clone(), String::new(), String::new()),
+            (figure, [] | [_]) => {
+                (figure.clone(), String::new(), format!("{} of 1", u32::from(row.is_met())))
+            }
+            // A run without a figure leaves none: it cannot be outvoted.
+            (_, figures) => {
+                (spread.median().into(), spread.range(), format!("{} of {}", spread.kept, figures.len()))
+            }
         };
+        let median = Bar { figure, ..row.clone() };
         let _ = writeln!(page, "| {} | {} | {range} | {kept} |", cell(&row.name), median.cells().join(" | "));
     }
     if !heading.notes.is_empty() {
@@ -104,6 +109,41 @@ fn cell(text: &str) -> String {
 mod tests {
     use super::*;
     use bars::Limit;
+
+    #[test]
+    fn the_figure_is_the_median_of_all_runs_and_missing_if_one_run_has_none() {
+        let machine = machine::Machine { cpu: "CPU".into(), cores: 2, memory_mib: None, os: "OS".into() };
+        let commit = machine::Commit { hash: "abc".into(), is_clean: true };
+        let heading = Heading { name: "x", adapter: None, notes: &[] };
+        let rows = [
+            Bar::new("time", Some(1.0), "s", Limit::Under(3.0)),
+            Bar::not_measured("on a GPU", "needs a GPU", "ms", Limit::Under(2.0)),
+        ];
+        let path = std::env::temp_dir().join(format!("tombolo-record-{}.csv", std::process::id()));
+        let _ = std::fs::remove_file(&path);
+        let mut pages = Vec::new();
+        for figure in [Some(1.0), Some(2.5), Some(9.0), None] {
+            let run = [Bar { figure: figure.into(), ..rows[0].clone() }, rows[1].clone()];
+            let runs = runs::append(&path, "x", "abc", &run).unwrap();
+            pages.push(page(&heading, &rows, &runs, &machine, "2026-01-02", &commit));
+        }
+        std::fs::remove_file(&path).unwrap();
+        assert!(
+            pages[2].contains("| time | 2.500 s | under 3 s | ok | 1.000 to 9.000 | 2 of 3 |"),
+            "{}",
+            pages[2]
+        );
+        assert!(
+            pages[3].contains("| time | missing | under 3 s | MISSED | 1.000 to 9.000 | 2 of 4 |"),
+            "{}",
+            pages[3]
+        );
+        assert!(
+            pages[3].contains("| on a GPU | not measured | under 2 ms | needs a GPU |  |  |"),
+            "{}",
+            pages[3]
+        );
+    }
 
     #[test]
     fn a_page_names_machine_commit_command_and_every_row() {
