@@ -49,7 +49,7 @@ pub fn run(options: Options) -> Result<()> {
     let headless = options.headless || !has_display();
     setup::run(if headless { Extent::Headless } else { Extent::Everything })?;
     println!(
-        "demo: building the server and the viewer: some 5 minutes on 2 cores the first time, seconds later"
+        "demo: building the server and the viewer: 10 to 15 minutes on 2 cores the first time, seconds later"
     );
     process::run(process::build(&["tombolo-server", "tombolo-view"])).context("demo: the build failed")?;
     let server = Server::start(WORLD_SEED).context("demo")?;
