@@ -13,7 +13,8 @@ use crate::verify;
 use bytes::Bytes;
 use connection::{Connection, Response};
 use hyper::StatusCode;
-use protocol::{Delivery, chunk_codec};
+use protocol::Delivery;
+use protocol::chunk_codec::{self, seed_only};
 use rustc_hash::FxHashMap;
 use serde::Deserialize;
 use std::time::Duration;
@@ -182,8 +183,10 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
         if chunk.key != key {
             return Err(wrong(format!("chunk {} came", chunk.key)));
         }
-        let tag = chunk_codec::digest(frame).filter(|digest| answer.tag == Some(*digest));
-        let tag = tag.ok_or_else(|| wrong("the ETag is not the digest of the frame".into()))?;
+        let tag = seed_only::digest(&chunk, &self.digest);
+        if answer.tag != Some(tag) {
+            return Err(wrong("the ETag is not the digest of the chunk's heights and grass".into()));
+        }
         self.checker.check(Box::new(chunk), Delivery::Exact).await;
         Ok(tag)
     }

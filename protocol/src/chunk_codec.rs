@@ -182,12 +182,6 @@ pub fn error(frame: &[u8]) -> Option<u32> {
     }
 }
 
-/// The digest of a frame with heights; none if the frame is too short to hold one.
-#[must_use]
-pub fn digest(frame: &[u8]) -> Option<[u8; DIGEST]> {
-    frame.get(DIGEST_AT..CHUNK_HEADER)?.try_into().ok()
-}
-
 /// Encodes a frame with heights. `tolerance` (units) is the tolerance of rounded heights, 0 for
 /// exact ones; `known` are the heights that the receiver has.
 fn seal(

@@ -20,11 +20,24 @@ const _: () = assert!(DIGEST_AT + DIGEST == SEED_ONLY_FRAME);
 #[must_use]
 pub fn encode(chunk: &Chunk, world: &WorldDigest) -> Bytes {
     let mut frame = Vec::with_capacity(SEED_ONLY_FRAME);
-    push_prefix(&mut frame, KIND_SEED_ONLY, chunk.key);
-    frame.extend_from_slice(&chunk.error.to_le_bytes());
-    let digest = content_digest(world, [&frame[..], &content(chunk)]);
+    push_header(&mut frame, chunk);
+    let digest = digest(chunk, world);
     frame.extend_from_slice(&digest);
     frame.into()
+}
+
+/// The digest of a chunk's content: world, key, error, heights and grass record. Equal for every
+/// encoding of the chunk, on every server of the world; the ETag of the chunk's address.
+#[must_use]
+pub fn digest(chunk: &Chunk, world: &WorldDigest) -> [u8; DIGEST] {
+    let mut header = Vec::with_capacity(DIGEST_AT);
+    push_header(&mut header, chunk);
+    content_digest(world, [&header, &content(chunk)])
+}
+
+fn push_header(frame: &mut Vec<u8>, chunk: &Chunk) {
+    push_prefix(frame, KIND_SEED_ONLY, chunk.key);
+    frame.extend_from_slice(&chunk.error.to_le_bytes());
 }
 
 /// Generates the chunk that a frame names and verifies it. `world` is the digest of `land`,

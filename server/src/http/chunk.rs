@@ -2,39 +2,38 @@
 
 use crate::generation::GenerationError;
 use crate::http::conditional::{Representation, etag, immutable_cache_control};
-use crate::http::path::{self, RawChunkPath};
+use crate::http::path::ChunkPathRequest;
 use crate::http::problem::{Problem, ProblemKind};
 use crate::state::ServerState;
-use axum::extract::{Extension, State};
-use axum::http::HeaderMap;
+use axum::extract::State;
 use axum::response::Response;
+use protocol::Delivery;
+use protocol::chunk_codec::{self, seed_only};
 use protocol::server::ChunkRequest;
-use protocol::{Delivery, chunk_codec};
-use std::net::SocketAddr;
 use std::sync::Arc;
 
 /// `GET /v1/{digest}/chunk/{level}/{x}/{z}`.
 pub async fn get(
     State(state): State<Arc<ServerState>>,
-    headers: HeaderMap,
-    peer: Option<Extension<SocketAddr>>,
-    raw: RawChunkPath,
+    request: ChunkPathRequest,
 ) -> Result<Response, Problem> {
-    let key = path::chunk_key(&state, &headers, raw, "")?;
+    let (key, bucket) = request.admit(&state, "").await?;
     // Always exact: a cached chunk must be usable without a generator.
     let chunk = ChunkRequest { key, request: Some(0), priority: u64::MAX };
-    let bucket = path::wait_for_tokens(&state, peer).await?;
     // Compact: the address is immutable, so it has one representation for ever.
     let flow = state.generation.limited_flow(bucket).compact();
     let frame = flow.frame(chunk, Delivery::Exact).await.map_err(problem)?;
+    let chunk = chunk_codec::decode(&frame, &state.offer.digest).map_err(|error| {
+        Problem::new(ProblemKind::Failed, format!("the chunk's frame is damaged: {error}"))
+    })?;
     let representation = Representation {
-        // The frame contains its digest, over all of its bytes.
-        etag: etag(&chunk_codec::digest(&frame).unwrap_or_default()),
+        // Of the content: replicas with other versions of the compressor have the same ETag.
+        etag: etag(&seed_only::digest(&chunk, &state.offer.digest)),
         content_type: "application/octet-stream",
         cache_control: immutable_cache_control(state.offer.token.is_some()),
         body: frame,
     };
-    Ok(representation.respond(&headers))
+    Ok(representation.respond(&request.headers))
 }
 
 /// The problem document for a chunk that is not available.

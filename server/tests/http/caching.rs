@@ -1,7 +1,10 @@
 //! Validators, conditional requests and `Cache-Control`: RFC 9110 and RFC 9111.
 
 use crate::client::Server;
+use protocol::chunk_codec::{self, seed_only};
 use server::ServerConfig;
+use terrain::constants::TOP_LEVEL;
+use terrain::{ChunkKey, Land};
 
 const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 
@@ -32,6 +35,35 @@ async fn immutable_resources_have_a_strong_validator() {
     }
     let (one, other) = (server.path("chunk/0/0/0"), server.path("chunk/0/0/1"));
     assert_ne!(server.get(&one).await.header("etag"), server.get(&other).await.header("etag"));
+}
+
+/// Replicas behind one cache agree on every address, whatever else they are doing.
+#[tokio::test]
+async fn the_etag_is_the_digest_of_the_content_on_every_server() {
+    let (idle, busy) = (Server::start().await, Server::start().await);
+    let land = Land::new(ServerConfig::default().world_seed);
+    let load: Vec<_> = (0..400).map(|n| busy.path(&format!("chunk/0/{}/{}", n % 20, n / 20))).collect();
+    let mut load = std::pin::pin!(futures_util::future::join_all(load.iter().map(|path| busy.get(path))));
+    let checks = async {
+        for level in 0..=TOP_LEVEL {
+            let key = ChunkKey::new(level, 0, 0).unwrap();
+            let content = seed_only::digest(&land.chunk(key), &land.digest());
+            let etag: String = content.iter().map(|byte| format!("{byte:02x}")).collect();
+            for server in [&idle, &busy, &idle] {
+                let reply = server.get(&server.path(&format!("chunk/{level}/0/0"))).await;
+                assert_eq!(
+                    (reply.status, reply.header("etag")),
+                    (200, format!("\"{etag}\"").as_str()),
+                    "{key}"
+                );
+                // The control: the digest in the frame is another one, of the encoded bytes.
+                assert!(!reply.body.windows(16).any(|bytes| bytes == content), "{key}");
+                assert_eq!(chunk_codec::decode(&reply.body, &land.digest()).unwrap(), land.chunk(key));
+            }
+        }
+    };
+    let replies = futures_util::future::join(&mut load, checks).await.0;
+    assert!(replies.iter().all(|reply| [200, 503].contains(&reply.status)));
 }
 
 #[tokio::test]
