@@ -22,7 +22,7 @@ use actions::Poses;
 use futures_util::StreamExt;
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::limits::MAX_CREDITS;
-use protocol::message::Welcome;
+use protocol::message::{Settled, Welcome};
 use protocol::{CloseCode, DataFrame, Delivery, PeerFault};
 use socket::lost;
 use terrain::{Chunk, Land};
@@ -155,7 +155,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         };
         match event {
             Ok(Event::Chunk { chunk, bytes, delivery }) => self.take(chunk, bytes, delivery).await,
-            Ok(Event::Settled { view, .. }) => {
+            Ok(Event::Settled(Settled { view, .. })) => {
                 self.expected.settled(view);
                 self.settled(view, is_open);
             }

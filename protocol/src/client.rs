@@ -13,7 +13,7 @@ use crate::delivery::Delivery;
 use crate::error::{ChunkError, ControlError};
 use crate::fault::PeerFault;
 use crate::limits::{MAX_CREDITS, MAX_KEYS, MAX_TEXT};
-use crate::message::{ClientMessage, Hello, Refused, Rejection, ServerMessage, Welcome, WireKey};
+use crate::message::{ClientMessage, Hello, Refused, Rejection, ServerMessage, Settled, Welcome, WireKey};
 use crate::reference_window::ReferenceWindow;
 use crate::view::View;
 use bytes::Bytes;
@@ -53,12 +53,7 @@ pub enum Event {
         delivery: Delivery,
     },
     /// Every chunk of a view has been sent.
-    Settled {
-        /// The view's id.
-        view: u32,
-        /// Chunks that the view needs.
-        chunks: u32,
-    },
+    Settled(Settled),
     /// A request, a chunk or a view is refused.
     Refused(Refused),
     /// The server is about to close.
@@ -165,7 +160,7 @@ impl ClientSession {
             (ServerMessage::Draining { reconnect_after_ms }, _) => Ok(Event::Draining { reconnect_after_ms }),
             (_, None) => Err(PeerFault::OutOfOrder("a message before the Welcome")),
             (ServerMessage::Rejected(_), _) => Err(PeerFault::OutOfOrder("a rejection after the Welcome")),
-            (ServerMessage::Settled { view, chunks }, _) => Ok(Event::Settled { view, chunks }),
+            (ServerMessage::Settled(settled), _) => Ok(Event::Settled(settled)),
             (ServerMessage::Refused(refused), _) => Ok(Event::Refused(refused)),
         }
     }

@@ -126,12 +126,7 @@ pub enum ServerMessage {
     /// The handshake failed; the connection closes.
     Rejected(Rejection),
     /// Every chunk of a view has been sent (or was held, or refused).
-    Settled {
-        /// The view's id.
-        view: u32,
-        /// Chunks that the view needs.
-        chunks: u32,
-    },
+    Settled(Settled),
     /// A request, a chunk or a view is refused; the session continues.
     Refused(Refused),
     /// The server is shutting down and will close the connection.
@@ -139,6 +134,15 @@ pub enum ServerMessage {
         /// Delay before reconnecting, milliseconds; jittered by the server.
         reconnect_after_ms: u32,
     },
+}
+
+/// The end of a view's delivery.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Settled {
+    /// The view's id.
+    pub view: u32,
+    /// Chunks that the view needs.
+    pub chunks: u32,
 }
 
 /// The server's half of the handshake.
@@ -314,7 +318,7 @@ impl Limited for ServerMessage {
         match self {
             Self::Welcome(welcome) => check_text(&welcome.software),
             Self::Refused(refused) => check_text(&refused.detail),
-            Self::Rejected(_) | Self::Settled { .. } | Self::Draining { .. } => Ok(()),
+            Self::Rejected(_) | Self::Settled(_) | Self::Draining { .. } => Ok(()),
         }
     }
 }

@@ -8,7 +8,8 @@
 use protocol::chunk_codec::{Effort, quantised, refined, seed_only};
 use protocol::client::{ClientConfig, ClientSession};
 use protocol::message::{
-    ClientMessage, Hello, Limited, RefusalReason, Refused, Rejection, ServerMessage, Welcome, WireKey,
+    ClientMessage, Hello, Limited, RefusalReason, Refused, Rejection, ServerMessage, Settled, Welcome,
+    WireKey,
 };
 use protocol::server::{ServerOffer, ServerSession};
 use protocol::view::View;
@@ -106,7 +107,7 @@ fn server_messages_are_frozen() {
     check("rejected_version", &rejected(Rejection::WrongVersion { client: 2, server: 1 }));
     check("rejected_world", &rejected(Rejection::WrongWorld { client: [1; 32], server: [2; 32] }));
     check("rejected_unauthorised", &rejected(Rejection::Unauthorised));
-    check("settled", &ServerMessage::Settled { view: 7, chunks: 396 });
+    check("settled", &ServerMessage::Settled(Settled { view: 7, chunks: 396 }));
     for (name, reason) in [
         ("refused_outside_world", RefusalReason::OutsideWorld),
         ("refused_invalid_view", RefusalReason::InvalidView),

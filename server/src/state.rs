@@ -78,7 +78,12 @@ impl ServerState {
         let token = config.token.clone();
         Ok(Self {
             offer: ServerOffer { land, digest: land.digest(), token, software: SOFTWARE.into() },
-            map: Map::new(land.digest(), config.cache_bytes / MAP_CACHE_DIVISOR, config.threads),
+            map: Map::new(
+                land.digest(),
+                config.cache_bytes / MAP_CACHE_DIVISOR,
+                config.threads,
+                Arc::clone(&metrics),
+            ),
             stats: LiveStats::default(),
             generation,
             metrics,

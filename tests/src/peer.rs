@@ -134,7 +134,7 @@ impl TestClient {
         let mut events = Vec::new();
         loop {
             let event = self.event().await.expect("the session stays open");
-            let done = matches!(event, Event::Settled { view: id, .. } if id == view.id);
+            let done = matches!(event, Event::Settled(settled) if settled.view == view.id);
             events.push(event);
             if done {
                 return events;

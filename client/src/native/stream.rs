@@ -324,7 +324,7 @@ impl Worker {
                     StreamEvent::Connected { world, world_seed: welcome.world_seed, server: welcome.software }
                 }
                 Event::Chunk { chunk, .. } => StreamEvent::Chunk(chunk),
-                Event::Settled { view, .. } => StreamEvent::Settled { view },
+                Event::Settled(settled) => StreamEvent::Settled { view: settled.view },
                 Event::Refused(refused) => StreamEvent::Refused { detail: refused.detail.into_owned() },
                 Event::Draining { reconnect_after_ms } => {
                     hint = Some(Duration::from_millis(reconnect_after_ms.into()));

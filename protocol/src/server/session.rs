@@ -12,7 +12,7 @@ use crate::limits::{
     MAX_VIEW_ESTIMATE, SEED_ONLY_FRAME,
 };
 use crate::message::{
-    ClientMessage, Hello, RefusalReason, Refused, Rejection, ServerMessage, Welcome, WireKey,
+    ClientMessage, Hello, RefusalReason, Refused, Rejection, ServerMessage, Settled, Welcome, WireKey,
 };
 use crate::reference_window::ReferenceWindow;
 use crate::view::View;
@@ -543,7 +543,7 @@ impl ServerSession {
         if self.in_flight.is_empty()
             && let Some((view, chunks)) = self.views.settle(&self.held)
         {
-            self.send(&ServerMessage::Settled { view, chunks });
+            self.send(&ServerMessage::Settled(Settled { view, chunks }));
         }
     }
 

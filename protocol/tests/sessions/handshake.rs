@@ -2,7 +2,7 @@
 
 use crate::pair::{config, offer, seed_only, view, welcome_frame};
 use protocol::client::{ClientConfig, ClientSession, Event};
-use protocol::message::{ClientMessage, Rejection, ServerMessage};
+use protocol::message::{ClientMessage, Rejection, ServerMessage, Settled};
 use protocol::server::{ServerOffer, ServerSession};
 use protocol::{ChunkError, CloseCode, DataFrame, PROTOCOL_VERSION, PeerFault, chunk_codec, control};
 use terrain::{ChunkKey, Land, WorldDigest};
@@ -50,7 +50,7 @@ fn order_is_enforced_on_both_sides() {
     assert!(matches!(server.receive(DataFrame::Text), Err(PeerFault::Text)));
 
     let mut client = ClientSession::new(config(1));
-    let settled = control::encode(&ServerMessage::Settled { view: 1, chunks: 1 }).unwrap();
+    let settled = control::encode(&ServerMessage::Settled(Settled { view: 1, chunks: 1 })).unwrap();
     assert!(matches!(client.receive(DataFrame::Binary(&settled)), Err(PeerFault::OutOfOrder(_))));
     let chunk = chunk_codec::encode(&Land::new(1).chunk(ChunkKey::new(0, 60, 60).unwrap()), &offer().digest);
     assert!(matches!(client.receive(DataFrame::Binary(&chunk)), Err(PeerFault::OutOfOrder(_))));

@@ -97,7 +97,7 @@ impl Pair {
 
     pub fn settled(&self) -> Vec<(u32, u32)> {
         let settled = |event: &Event| match event {
-            Event::Settled { view, chunks } => Some((*view, *chunks)),
+            Event::Settled(settled) => Some((settled.view, settled.chunks)),
             _ => None,
         };
         self.events.iter().filter_map(settled).collect()

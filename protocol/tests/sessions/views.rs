@@ -101,7 +101,7 @@ fn a_moving_view_prefetches_after_it_is_settled() {
     pair.client.set_view(moving(1, 0));
     pair.run(usize::MAX);
     let (_, needed) = pair.settled()[0];
-    let settled_at = pair.events.iter().position(|event| matches!(event, Event::Settled { .. })).unwrap();
+    let settled_at = pair.events.iter().position(|event| matches!(event, Event::Settled(_))).unwrap();
     let before =
         pair.events[..settled_at].iter().filter(|event| matches!(event, Event::Chunk { .. })).count();
     assert_eq!(before, needed as usize);

@@ -2,26 +2,21 @@
 
 use crate::http::chunk::problem;
 use crate::http::conditional::{Representation, etag, immutable_cache_control};
-use crate::http::path::{self, RawChunkPath};
+use crate::http::path::ChunkPathRequest;
 use crate::http::problem::{Problem, ProblemKind};
 use crate::map::tiles::MapError;
 use crate::state::ServerState;
-use axum::extract::{Extension, State};
-use axum::http::HeaderMap;
+use axum::extract::State;
 use axum::response::Response;
-use std::net::SocketAddr;
 use std::sync::Arc;
 
 /// `GET /v1/{digest}/map/{level}/{x}/{z}.png`.
 pub async fn get(
     State(state): State<Arc<ServerState>>,
-    headers: HeaderMap,
-    peer: Option<Extension<SocketAddr>>,
-    raw: RawChunkPath,
+    request: ChunkPathRequest,
 ) -> Result<Response, Problem> {
-    let key = path::chunk_key(&state, &headers, raw, ".png")?;
-    let bucket = path::wait_for_tokens(&state, peer).await?;
-    let tile = state.map.tile(key, &state.generation, &bucket, &state.metrics).await;
+    let (key, bucket) = request.admit(&state, ".png").await?;
+    let tile = state.map.tile(key, &state.generation, &bucket).await;
     let tile = tile.map_err(|error| match error {
         MapError::Busy => Problem::new(ProblemKind::MapBusy, error.to_string()),
         MapError::Generation(error) => problem(error),
@@ -32,5 +27,5 @@ pub async fn get(
         cache_control: immutable_cache_control(state.offer.token.is_some()),
         body: tile.png,
     };
-    Ok(representation.respond(&headers))
+    Ok(representation.respond(&request.headers))
 }

@@ -4,35 +4,67 @@ use crate::http::problem::{Problem, ProblemKind};
 use crate::limits::rate_limit::TokenBucket;
 use crate::state::ServerState;
 use axum::extract::rejection::PathRejection;
-use axum::extract::{Extension, Path};
+use axum::extract::{FromRequestParts, Path};
+use axum::http::request::Parts;
 use axum::http::{HeaderMap, header};
+use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::str::FromStr;
+use std::sync::Arc;
 use terrain::{ChunkKey, WorldDigest};
 use tokio::time::{Instant, sleep};
 
 /// Digest, level, x and z of a path, unparsed.
-pub type RawChunkPath = Result<Path<(String, String, String, String)>, PathRejection>;
+type RawChunkPath = Result<Path<(String, String, String, String)>, PathRejection>;
 
-/// The chunk key of an authorised request's path; z is followed by `suffix`.
-///
-/// # Errors
-/// What is wrong, in this order: token, encoding, world, numbers, key.
-pub fn chunk_key(
+/// A request for a resource with the path `/v1/{digest}/.../{level}/{x}/{z}`. Extracting it checks
+/// nothing.
+#[derive(Debug)]
+pub struct ChunkPathRequest {
+    /// Headers of the request.
+    pub headers: HeaderMap,
+    peer: Option<SocketAddr>,
+    raw: RawChunkPath,
+}
+
+impl FromRequestParts<Arc<ServerState>> for ChunkPathRequest {
+    type Rejection = Infallible;
+
+    async fn from_request_parts(parts: &mut Parts, state: &Arc<ServerState>) -> Result<Self, Infallible> {
+        let raw = Path::from_request_parts(parts, state).await;
+        let peer = parts.extensions.get().copied();
+        Ok(Self { headers: parts.headers.clone(), peer, raw })
+    }
+}
+
+impl ChunkPathRequest {
+    /// The chunk key, and the token bucket of the client after waiting until it is not empty; z is
+    /// followed by `suffix`.
+    ///
+    /// # Errors
+    /// What is wrong, in this order: token, encoding, world, numbers, key, rate limit.
+    pub async fn admit(&self, state: &ServerState, suffix: &str) -> Result<(ChunkKey, TokenBucket), Problem> {
+        let key = chunk_key(state, &self.headers, &self.raw, suffix)?;
+        Ok((key, wait_for_tokens(state, self.peer).await?))
+    }
+}
+
+/// The chunk key of an authorised request's path.
+fn chunk_key(
     state: &ServerState,
     headers: &HeaderMap,
-    raw: RawChunkPath,
+    raw: &RawChunkPath,
     suffix: &str,
 ) -> Result<ChunkKey, Problem> {
     authorise(state, headers)?;
     let Ok(Path((digest, level, x, z))) = raw else {
         return Err(Problem::new(ProblemKind::Malformed, "the percent-encoded path is not UTF-8"));
     };
-    check_world(state, &digest)?;
+    check_world(state, digest)?;
     let Some(z) = z.strip_suffix(suffix) else {
         return Err(Problem::new(ProblemKind::NoRoute, format!("the path of a tile ends with `{suffix}`")));
     };
-    let (Some(level), Some(x), Some(z)) = (number(&level), number(&x), number(z)) else {
+    let (Some(level), Some(x), Some(z)) = (number(level), number(x), number(z)) else {
         return Err(Problem::new(
             ProblemKind::Malformed,
             "level, x and z must be whole numbers in their shortest form (level 0 to 255, x and z 32-bit)",
@@ -61,15 +93,10 @@ pub fn check_world(state: &ServerState, digest: &str) -> Result<(), Problem> {
     Err(Problem::new(ProblemKind::WrongWorld, detail))
 }
 
-/// The token bucket of the client, after waiting until it is not empty.
-///
-/// # Errors
-/// The wait would exceed the deadline of requests.
-pub async fn wait_for_tokens(
-    state: &ServerState,
-    peer: Option<Extension<SocketAddr>>,
-) -> Result<TokenBucket, Problem> {
-    let bucket = state.rate_limiter.bucket(peer.map(|Extension(peer)| peer.ip()));
+/// The token bucket of the client, after waiting until it is not empty. A wait that would exceed
+/// the deadline of requests is an error.
+async fn wait_for_tokens(state: &ServerState, peer: Option<SocketAddr>) -> Result<TokenBucket, Problem> {
+    let bucket = state.rate_limiter.bucket(peer.map(|peer| peer.ip()));
     let by = Instant::now() + state.config.deadline;
     loop {
         let now = Instant::now();

@@ -65,6 +65,7 @@ pub struct Map {
     render_permits: Arc<Semaphore>,
     /// One permit per tile that waits or is rendered.
     queue_permits: Semaphore,
+    metrics: Arc<Metrics>,
 }
 
 #[derive(Clone)]
@@ -79,7 +80,7 @@ impl Weighter<ChunkKey, Tile> for TileWeight {
 impl Map {
     /// A map with a cache of `cache_bytes`; `threads` is the number of generation threads.
     #[must_use]
-    pub fn new(world: WorldDigest, cache_bytes: u64, threads: usize) -> Self {
+    pub fn new(world: WorldDigest, cache_bytes: u64, threads: usize, metrics: Arc<Metrics>) -> Self {
         // About 64 KiB per tile; the estimate only sizes the first tables.
         let cache = Cache::with_weighter((cache_bytes >> 16) as usize, cache_bytes, TileWeight);
         Self {
@@ -87,6 +88,7 @@ impl Map {
             cache,
             render_permits: Arc::new(Semaphore::new(threads.div_ceil(4))),
             queue_permits: Semaphore::new(MAX_WAITING),
+            metrics,
         }
     }
 
@@ -100,12 +102,11 @@ impl Map {
         key: ChunkKey,
         generation: &Generation,
         bucket: &TokenBucket,
-        metrics: &Metrics,
     ) -> Result<Tile, MapError> {
-        let tile = self.cached_or_rendered(key, generation, bucket, metrics).await;
+        let tile = self.cached_or_rendered(key, generation, bucket).await;
         match &tile {
             Ok(tile) => bucket.charge_bytes(tile.png.len(), Instant::now()),
-            Err(_) => drop(metrics.tiles_failed.inc()),
+            Err(_) => drop(self.metrics.tiles_failed.inc()),
         }
         tile
     }
@@ -115,10 +116,9 @@ impl Map {
         key: ChunkKey,
         generation: &Generation,
         bucket: &TokenBucket,
-        metrics: &Metrics,
     ) -> Result<Tile, MapError> {
         if let Some(tile) = self.cache.get(&key) {
-            metrics.tile_cache_hits.inc();
+            self.metrics.tile_cache_hits.inc();
             return Ok(tile);
         }
         let _waiting = self.queue_permits.try_acquire().map_err(|_| MapError::Busy)?;
@@ -127,7 +127,7 @@ impl Map {
         let Ok(Ok(permit)) = permit else { return Err(MapError::Busy) };
         // Another request may have rendered this tile meanwhile.
         if let Some(tile) = self.cache.get(&key) {
-            metrics.tile_cache_hits.inc();
+            self.metrics.tile_cache_hits.inc();
             return Ok(tile);
         }
         let frames = fetch_frames(&elevation::sources(key), generation, bucket).await?;
@@ -143,7 +143,7 @@ impl Map {
         })
         .await;
         let Ok(Some(tile)) = rendered else { return Err(GenerationError::Failed.into()) };
-        metrics.tiles_rendered.inc();
+        self.metrics.tiles_rendered.inc();
         self.cache.insert(key, tile.clone());
         Ok(tile)
     }
@@ -226,20 +226,20 @@ mod tests {
         let metrics = Arc::new(Metrics::default());
         // The queue has exactly the size of the window.
         let (land, generation) = service(&metrics, JOB_WINDOW);
-        let map = Map::new(land.digest(), 1 << 20, 1);
-        let tile = map.tile(key(4, 0, -1), &generation, &TokenBucket::default(), &metrics).await.unwrap();
+        let map = Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics));
+        let tile = map.tile(key(4, 0, -1), &generation, &TokenBucket::default()).await.unwrap();
         assert_eq!(metrics.jobs_completed.get(), 36);
         assert_eq!(
-            map.tile(key(4, 0, -1), &generation, &TokenBucket::default(), &metrics).await.unwrap().digest,
+            map.tile(key(4, 0, -1), &generation, &TokenBucket::default()).await.unwrap().digest,
             tile.digest
         );
         assert_eq!((metrics.tiles_rendered.get(), metrics.tile_cache_hits.get()), (1, 1));
         // Its neighbour to the east shares two columns of six chunks with it.
-        map.tile(key(4, 1, -1), &generation, &TokenBucket::default(), &metrics).await.unwrap();
+        map.tile(key(4, 1, -1), &generation, &TokenBucket::default()).await.unwrap();
         assert_eq!(metrics.jobs_completed.get(), 36 + 24);
         // The control: with a smaller queue than the window it is rejected.
         let (_, small) = service(&metrics, 2);
-        let rejected = map.tile(key(4, 5, 5), &small, &TokenBucket::default(), &metrics).await;
+        let rejected = map.tile(key(4, 5, 5), &small, &TokenBucket::default()).await;
         assert_eq!(rejected.err(), Some(MapError::Generation(GenerationError::Overloaded)));
     }
 
@@ -247,14 +247,15 @@ mod tests {
     async fn a_tile_over_the_limit_is_rejected_and_others_continue() {
         let metrics = Arc::new(Metrics::default());
         let (land, generation) = service(&metrics, 100);
-        let map = Arc::new(Map { queue_permits: Semaphore::new(2), ..Map::new(land.digest(), 1 << 20, 1) });
+        let map = Arc::new(Map {
+            queue_permits: Semaphore::new(2),
+            ..Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics))
+        });
         // The only render permit is taken.
         let permit = map.render_permits.acquire().await.unwrap();
         let wait_for = |x| {
-            let (map, generation, metrics) = (Arc::clone(&map), generation.clone(), Arc::clone(&metrics));
-            tokio::spawn(async move {
-                map.tile(key(0, x, 0), &generation, &TokenBucket::default(), &metrics).await
-            })
+            let (map, generation) = (Arc::clone(&map), generation.clone());
+            tokio::spawn(async move { map.tile(key(0, x, 0), &generation, &TokenBucket::default()).await })
         };
         let waiting = [wait_for(1), wait_for(2)];
         while map.queue_permits.available_permits() > 0 {
@@ -272,15 +273,15 @@ mod tests {
     async fn a_session_waits_for_two_map_windows_at_most() {
         let metrics = Arc::new(Metrics::default());
         let (land, generation) = service(&metrics, 1000);
-        let map = Arc::new(Map::new(land.digest(), 1 << 24, 1));
+        let map = Arc::new(Map::new(land.digest(), 1 << 24, 1, Arc::clone(&metrics)));
         // All over the home island: some thousand expensive chunks.
         let tiles: Vec<_> = (-4..4)
             .flat_map(|x| (-4..4).map(move |z| key(4, x, z)))
             .map(|key| {
-                let (map, generation, metrics) = (Arc::clone(&map), generation.clone(), Arc::clone(&metrics));
-                tokio::spawn(async move {
-                    map.tile(key, &generation, &TokenBucket::default(), &metrics).await.map(drop)
-                })
+                let (map, generation) = (Arc::clone(&map), generation.clone());
+                tokio::spawn(
+                    async move { map.tile(key, &generation, &TokenBucket::default()).await.map(drop) },
+                )
             })
             .collect();
         while metrics.jobs_completed.get() < 10 || map.queue_permits.available_permits() > MAX_WAITING - 60 {
@@ -312,15 +313,11 @@ mod tests {
         let metrics = Arc::new(Metrics::default());
         let (land, generation) = service(&metrics, 100);
         let budget = 300 << 10;
-        let map = Map::new(land.digest(), budget, 1);
+        let map = Map::new(land.digest(), budget, 1, Arc::clone(&metrics));
         let mut rendered = 0;
         for x in 0..12 {
-            rendered += map
-                .tile(key(0, x, 3), &generation, &TokenBucket::default(), &metrics)
-                .await
-                .unwrap()
-                .png
-                .len() as u64;
+            rendered +=
+                map.tile(key(0, x, 3), &generation, &TokenBucket::default()).await.unwrap().png.len() as u64;
         }
         assert!(rendered > 2 * budget, "{rendered} bytes exceed the budget");
         assert!(map.cache.weight() <= budget && map.cache.weight() > 0);

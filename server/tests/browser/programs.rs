@@ -101,7 +101,7 @@ impl MovingClient {
                 if let Event::Chunk { chunk, .. } = &event {
                     held.push_back(chunk.key);
                 }
-                if !matches!(event, Event::Settled { .. }) {
+                if !matches!(event, Event::Settled(_)) {
                     continue;
                 }
                 // A rate of steps far below a load test.

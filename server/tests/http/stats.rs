@@ -46,7 +46,7 @@ async fn a_session_is_listed_with_position_and_counts_only() {
             let Some(Ok(Message::Binary(frame))) = socket.next().await else { panic!("the session ended") };
             match session.receive(DataFrame::Binary(&frame)).unwrap() {
                 Event::Chunk { .. } => chunks += 1,
-                Event::Settled { .. } => settled = true,
+                Event::Settled(_) => settled = true,
                 _ => {}
             }
         }

@@ -79,10 +79,8 @@ impl Disk {
         delivery: Delivery,
         is_valid: impl FnOnce(&[u8]) -> bool,
     ) -> Option<Bytes> {
-        if key.level() < FINEST_LEVEL {
-            return None;
-        }
-        let found = self.peek(key, delivery, is_valid);
+        let path = self.path(key, delivery)?;
+        let found = self.load(&path, is_valid);
         let counter = if found.is_some() { &self.metrics.disk_hits } else { &self.metrics.disk_misses };
         counter.inc();
         found
@@ -96,14 +94,20 @@ impl Disk {
         delivery: Delivery,
         is_valid: impl FnOnce(&[u8]) -> bool,
     ) -> Option<Bytes> {
-        if key.level() < FINEST_LEVEL {
-            return None;
-        }
-        let path = self.folder.join(self.names.path(key, delivery));
-        match self.reader.read(path.clone()) {
+        self.load(&self.path(key, delivery)?, is_valid)
+    }
+
+    /// The path of a chunk's file. None for a level that is not cached.
+    fn path(&self, key: ChunkKey, delivery: Delivery) -> Option<PathBuf> {
+        (key.level() >= FINEST_LEVEL).then(|| self.folder.join(self.names.path(key, delivery)))
+    }
+
+    /// A file's frame if `is_valid` accepts it.
+    fn load(&self, path: &Path, is_valid: impl FnOnce(&[u8]) -> bool) -> Option<Bytes> {
+        match self.reader.read(path.to_owned()) {
             Ok(frame) if is_valid(&frame) => Some(frame.into()),
-            Ok(_) => self.discard(&path),
-            Err(error) if error.kind() == io::ErrorKind::InvalidData => self.discard(&path),
+            Ok(_) => self.discard(path),
+            Err(error) if error.kind() == io::ErrorKind::InvalidData => self.discard(path),
             Err(error) => {
                 if !matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::TimedOut) {
                     self.metrics.disk_io_errors.inc();
