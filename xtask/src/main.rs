@@ -6,6 +6,7 @@
 
 #![forbid(unsafe_code)]
 
+mod advisories;
 mod bless;
 mod ci;
 mod demo;
@@ -14,6 +15,7 @@ mod gpu_bundle;
 mod machine;
 mod measure;
 mod process;
+mod records;
 mod server;
 mod setup;
 mod source;
@@ -38,7 +40,15 @@ enum Command {
     /// Start a server and fly over its island; without a display, render a short flight to PNGs
     Demo(demo::Options),
     /// Everything that a change must pass
-    Ci,
+    Ci(ci::Options),
+    /// Check the dependencies against a dated snapshot of known vulnerabilities
+    Advisories {
+        /// A clone of RustSec's database, bare or not: redraw the snapshot from it
+        #[arg(long)]
+        update: Option<std::path::PathBuf>,
+    },
+    /// List the records of measurements: commit, machine, runs, and which are out of date
+    Records(records::Options),
     /// Measure the built programs against the project's bars and write the record
     Measure {
         /// What to measure
@@ -63,7 +73,10 @@ fn main() -> ExitCode {
     let result = process::catch_interrupts().and_then(|()| match args.command {
         Command::Setup => setup::run(setup::Extent::Everything),
         Command::Demo(options) => demo::run(options),
-        Command::Ci => ci::run(),
+        Command::Ci(options) => ci::run(&options),
+        Command::Advisories { update: None } => advisories::check(),
+        Command::Advisories { update: Some(clone) } => advisories::update(&clone),
+        Command::Records(options) => records::run(&options),
         Command::Measure { name } => measure::run(&name),
         Command::GpuBundle => gpu_bundle::build(),
         Command::GpuRecord { folder } => gpu_bundle::record(&folder),

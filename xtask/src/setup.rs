@@ -16,6 +16,17 @@ pub enum Extent {
     Headless,
     /// Windows too.
     Everything,
+    /// As [`Extent::Headless`], and what `ci` looks with: a browser, Node, compilers. What cannot be
+    /// installed of these is mentioned; `ci` lists the checks that it skips for it.
+    Checks,
+}
+
+/// What needs a thing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Purpose {
+    Pictures,
+    Windows,
+    Checks,
 }
 
 /// One thing that must be present, and the Debian package that brings it.
@@ -23,8 +34,7 @@ pub enum Extent {
 struct Need {
     package: &'static str,
     sign: Sign,
-    /// Whether only windows need it.
-    window: bool,
+    purpose: Purpose,
 }
 
 /// How its presence shows.
@@ -34,12 +44,26 @@ enum Sign {
     Library(&'static str),
     /// A driver manifest in one of the loader's folders.
     VulkanDriver,
+    /// SwiftShader's manifest, which comes with a browser.
+    SwiftShader,
+    /// A program on `PATH`.
+    Program(&'static str),
+    /// The library that bindings to C++ are generated with.
+    Libclang,
 }
 
 /// Loaded at run time by the GPU and window crates, so the linker never asks for them.
-const NEEDS: [Need; 12] = [
-    Need { package: "libvulkan1", sign: Sign::Library("libvulkan.so.1"), window: false },
-    Need { package: "mesa-vulkan-drivers", sign: Sign::VulkanDriver, window: false },
+const NEEDS: [Need; 20] = [
+    Need { package: "libvulkan1", sign: Sign::Library("libvulkan.so.1"), purpose: Purpose::Pictures },
+    Need { package: "mesa-vulkan-drivers", sign: Sign::VulkanDriver, purpose: Purpose::Pictures },
+    check("chromium", Sign::SwiftShader),
+    check("libegl1", Sign::Library("libEGL.so.1")),
+    check("nodejs", Sign::Program("node")),
+    check("clang-19", Sign::Program("clang-19")),
+    check("cmake", Sign::Program("cmake")),
+    check("make", Sign::Program("make")),
+    check("g++", Sign::Program("g++")),
+    check("libclang-19-dev", Sign::Libclang),
     window("libx11-6", "libX11.so.6"),
     window("libx11-xcb1", "libX11-xcb.so.1"),
     window("libxcb1", "libxcb.so.1"),
@@ -53,12 +77,27 @@ const NEEDS: [Need; 12] = [
 ];
 
 const fn window(package: &'static str, library: &'static str) -> Need {
-    Need { package, sign: Sign::Library(library), window: true }
+    Need { package, sign: Sign::Library(library), purpose: Purpose::Windows }
+}
+
+const fn check(package: &'static str, sign: Sign) -> Need {
+    Need { package, sign, purpose: Purpose::Checks }
 }
 
 /// Where a Vulkan loader looks for drivers.
 const DRIVER_FOLDERS: [&str; 3] =
     ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d"];
+
+/// Where browsers install SwiftShader; the list of the command `tombolo-lab digest`.
+const BROWSER_FOLDERS: [&str; 7] = [
+    "/usr/lib/chromium",
+    "/usr/lib/chromium-browser",
+    "/usr/lib64/chromium-browser",
+    "/opt/google/chrome",
+    "/opt/chromium",
+    "/usr/share/vulkan/icd.d",
+    "/usr/local/share/vulkan/icd.d",
+];
 
 /// Makes sure that everything is there.
 ///
@@ -69,7 +108,18 @@ pub fn run(extent: Extent) -> Result<()> {
         println!("setup: nothing to install on this system");
         return Ok(());
     }
-    let missing = missing();
+    install(extent, |need| need.purpose != Purpose::Checks)?;
+    if extent == Extent::Checks
+        && let Err(why) = install(extent, |need| need.purpose == Purpose::Checks)
+    {
+        println!("setup: some checks will be skipped; {why:#}");
+    }
+    Ok(())
+}
+
+/// Installs what is missing of some needs.
+fn install(extent: Extent, is_wanted: fn(&Need) -> bool) -> Result<()> {
+    let missing = missing(is_wanted);
     if missing.is_empty() {
         println!("setup: everything is there");
         return Ok(());
@@ -91,13 +141,33 @@ pub fn run(extent: Extent) -> Result<()> {
     println!("setup: installing {packages}");
     apt("update --quiet")?;
     apt(&format!("install --quiet --yes --no-install-recommends {packages}"))?;
-    let still = self::missing();
+    let still = self::missing(is_wanted);
     match still.first() {
         Some(need) if is_vital(&still, extent) => {
             bail!("setup: {} was installed and is still not found ({:?})", need.package, need.sign)
         }
         _ => Ok(()),
     }
+}
+
+/// Whether a Vulkan driver is installed, a software one included.
+pub fn has_vulkan_driver() -> bool {
+    is_present(Sign::VulkanDriver, "")
+}
+
+/// Whether EGL is installed, which OpenGL without a window needs.
+pub fn has_egl() -> bool {
+    is_present(Sign::Library("libEGL.so.1"), &linker_cache())
+}
+
+/// Whether SwiftShader is installed.
+pub fn has_swiftshader() -> bool {
+    is_present(Sign::SwiftShader, "")
+}
+
+/// Whether libclang is installed.
+pub fn has_libclang() -> bool {
+    is_present(Sign::Libclang, "")
 }
 
 /// Makes sure that a cargo subcommand is there; `probe` is a command line that succeeds with it.
@@ -114,23 +184,29 @@ pub fn cargo_tool(probe: &str, package: &str, version: &str) -> Result<()> {
 }
 
 fn mention(message: &str) -> Result<()> {
-    println!("setup: windows will not open yet; {message}");
+    println!("setup: not everything will work yet; {message}");
     Ok(())
 }
 
 fn is_vital(missing: &[Need], extent: Extent) -> bool {
-    extent == Extent::Everything || missing.iter().any(|need| !need.window)
+    missing.iter().any(|need| match need.purpose {
+        Purpose::Pictures => true,
+        Purpose::Windows => extent == Extent::Everything,
+        Purpose::Checks => false,
+    })
 }
 
-fn missing() -> Vec<Need> {
+fn missing(is_wanted: fn(&Need) -> bool) -> Vec<Need> {
+    let cache = linker_cache();
+    NEEDS.into_iter().filter(|need| is_wanted(need) && !is_present(need.sign, &cache)).collect()
+}
+
+/// The linker's list of libraries.
+fn linker_cache() -> String {
     // Not always on PATH; without its output every library counts as missing and apt decides.
-    let cache = process::output({
-        let mut ldconfig = process::command("/sbin/ldconfig");
-        ldconfig.arg("-p");
-        ldconfig
-    })
-    .unwrap_or_default();
-    NEEDS.into_iter().filter(|need| !is_present(need.sign, &cache)).collect()
+    let mut ldconfig = process::command("/sbin/ldconfig");
+    ldconfig.arg("-p");
+    process::output(ldconfig).unwrap_or_default()
 }
 
 fn is_present(sign: Sign, linker_cache: &str) -> bool {
@@ -141,6 +217,23 @@ fn is_present(sign: Sign, linker_cache: &str) -> bool {
         Sign::VulkanDriver => {
             let named = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"].map(std::env::var_os).into_iter().flatten();
             named.into_iter().any(|list| !list.is_empty()) || DRIVER_FOLDERS.into_iter().any(has_manifest)
+        }
+        Sign::SwiftShader => BROWSER_FOLDERS
+            .into_iter()
+            .any(|folder| Path::new(folder).join("vk_swiftshader_icd.json").is_file()),
+        Sign::Program(name) => {
+            let path = std::env::var_os("PATH").unwrap_or_default();
+            std::env::split_paths(&path).any(|folder| folder.join(name).is_file())
+        }
+        // Debian keeps each version of LLVM in a folder of its own.
+        Sign::Libclang => {
+            let versions = std::fs::read_dir("/usr/lib").into_iter().flatten().flatten();
+            std::env::var_os("LIBCLANG_PATH").is_some()
+                || versions.into_iter().any(|entry| {
+                    let lib = entry.path().join("lib");
+                    entry.file_name().to_string_lossy().starts_with("llvm-")
+                        && ["libclang.so", "libclang.so.1"].iter().any(|name| lib.join(name).exists())
+                })
         }
     }
 }
@@ -181,5 +274,13 @@ mod tests {
         assert!(!is_vital(&of("libxi6"), Extent::Headless));
         assert!(is_vital(&of("libxi6"), Extent::Everything));
         assert!(is_vital(&of("libvulkan1"), Extent::Headless));
+        assert!(!is_vital(&of("libxi6"), Extent::Checks));
+        assert!(is_vital(&of("libvulkan1"), Extent::Checks));
+    }
+
+    #[test]
+    fn a_check_without_its_tool_is_skipped_by_ci_and_stops_no_setup() {
+        let checks: Vec<_> = NEEDS.into_iter().filter(|need| need.purpose == Purpose::Checks).collect();
+        assert!(!checks.is_empty() && !is_vital(&checks, Extent::Checks));
     }
 }

@@ -47,6 +47,9 @@ pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
     let path = folder.join(heading.name).with_extension("md");
     let text = page(heading, rows, &runs, &machine, &date, &commit);
     std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    if commit.is_clean {
+        crate::records::write_page()?;
+    }
     Ok(path)
 }
 
@@ -91,10 +94,15 @@ fn page(
         let median = Bar { figure, ..row.clone() };
         let _ = writeln!(page, "| {} | {} | {range} | {kept} |", cell(&row.name), median.cells().join(" | "));
     }
-    if !heading.notes.is_empty() {
+    // Some measurements have their rows' definitions among their notes already.
+    let has_note = |row: &Bar| heading.notes.iter().any(|note| note.starts_with(&format!("{}: ", row.name)));
+    let defined = rows.iter().filter(|row| !has_note(row));
+    let defined = defined.filter_map(|row| Some(format!("{}: {}", row.name, row.note.as_ref()?)));
+    let notes: Vec<_> = defined.chain(heading.notes.iter().cloned()).collect();
+    if !notes.is_empty() {
         page.push('\n');
-        for note in heading.notes {
-            let _ = writeln!(page, "- {note}");
+        for note in notes {
+            let _ = writeln!(page, "- {}", note.replace('\n', " "));
         }
     }
     page
@@ -117,7 +125,7 @@ mod tests {
         let heading = Heading { name: "x", adapter: None, notes: &[] };
         let rows = [
             Bar::new("time", Some(1.0), "s", Limit::Under(3.0)),
-            Bar::not_measured("on a GPU", "needs a GPU", "ms", Limit::Under(2.0)),
+            Bar::under("on a GPU", None, "ms", 2.0).not_measured_if(true, "needs a GPU"),
         ];
         let path = std::env::temp_dir().join(format!("tombolo-record-{}.csv", std::process::id()));
         let _ = std::fs::remove_file(&path);
@@ -150,7 +158,7 @@ mod tests {
         let machine =
             machine::Machine { cpu: "Some | CPU".into(), cores: 2, memory_mib: Some(4096), os: "OS".into() };
         let rows = [
-            Bar::new("cold", Some(1.5), "s", Limit::Under(3.0)),
+            Bar::new("cold", Some(1.5), "s", Limit::Under(3.0)).with_note("until all chunks are there"),
             Bar::new("lost", None, "", Limit::AtMost(0.0)),
         ];
         let notes = ["worst of three".into()];
@@ -167,6 +175,7 @@ mod tests {
             "| cold | 1.500 s | under 3 s | ok |  | 1 of 1 |",
             "| lost | missing | at most 0 | MISSED |  | 0 of 1 |",
             "- worst of three",
+            "- cold: until all chunks are there",
         ] {
             assert!(page.contains(part), "{part} is not in:\n{page}");
         }

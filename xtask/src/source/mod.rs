@@ -63,14 +63,21 @@ pub struct Finding {
 type Check = fn(&Files) -> Vec<Finding>;
 
 /// Checks that must find nothing, with their names.
-pub const CHECKS: [(&str, Check); 6] = [
+pub const CHECKS: [(&str, Check); 7] = [
     ("lines over the limit", columns::check),
     ("retired words", words::check),
     ("names in documents that do not exist", names::check),
     ("import circles between files", circles::check),
     ("length of the README", lines::check_readme),
     ("figures of the README that differ from their records", figures::check),
+    ("page of the measurements that differs from the records", measurements),
 ];
+
+/// The page of all records against the records.
+fn measurements(files: &Files) -> Vec<Finding> {
+    let faults = crate::records::page::faults(&files.0);
+    faults.into_iter().map(|(path, what)| Finding { path, line: 1, what }).collect()
+}
 
 /// Runs every check.
 ///

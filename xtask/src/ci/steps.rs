@@ -1,0 +1,257 @@
+//! The steps of `ci`, in the order in which failures are cheapest.
+
+use super::digest;
+use super::host::{Host, Tool};
+use super::outcome::Outcome;
+use crate::{advisories, dependency_rules, process};
+use anyhow::{Result, bail};
+use std::collections::BTreeSet;
+use std::process::Command;
+
+/// The target of browsers.
+const WASM: &str = "wasm32-unknown-unknown";
+
+/// A step: what it is called and what it does.
+#[derive(Clone, Copy)]
+pub struct Step {
+    /// For `--only` and `--allow-skips`.
+    pub name: &'static str,
+    /// What it looks at.
+    pub about: &'static str,
+    /// How to repeat it by hand.
+    pub again: &'static str,
+    /// Looks; an error is a failure.
+    pub action: fn(&dyn Host) -> Result<Shown>,
+}
+
+/// What a step has shown. Each part that looks with a tool of its own has an outcome of its own.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    /// Of the step.
+    pub outcome: Outcome,
+    /// Of its parts, by name.
+    pub parts: Vec<(String, Outcome)>,
+}
+
+/// Every step.
+pub const ALL: [Step; 14] = [
+    Step {
+        name: "format",
+        about: "Rust is formatted",
+        again: "cargo fmt --all --check",
+        action: |host| ran(host, process::cargo("fmt --all --check")),
+    },
+    Step {
+        name: "source",
+        about: "columns, words, names in documents, import circles, quoted figures",
+        again: "cargo xtask source",
+        action: |host| checked(host, crate::source::run),
+    },
+    Step {
+        name: "architecture",
+        about: "dependencies that a crate must not have",
+        again: "cargo tree --package PACKAGE",
+        action: |host| checked(host, dependency_rules::check),
+    },
+    Step {
+        name: "licences",
+        about: "licences, bans and sources of dependencies",
+        again: "cargo deny check bans licenses sources",
+        action: |host| ran(host, process::cargo("deny check bans licenses sources")),
+    },
+    Step {
+        name: "advisories",
+        about: "known vulnerabilities of dependencies, in a dated snapshot",
+        again: "cargo xtask advisories",
+        action: |host| checked(host, advisories::check),
+    },
+    Step {
+        name: "clippy",
+        about: "lints",
+        again: "cargo clippy --workspace --all-targets -- -D warnings",
+        action: |host| ran(host, process::cargo("clippy --workspace --all-targets -- -D warnings")),
+    },
+    Step {
+        name: "build",
+        about: "every target builds",
+        again: "cargo build --workspace --all-targets",
+        action: |host| ran(host, process::cargo("build --workspace --all-targets")),
+    },
+    Step {
+        name: "tests",
+        about: "every test",
+        again: "TOMBOLO_REQUIRE_GPU=1 TOMBOLO_REQUIRE_BROWSER=1 cargo nextest run --workspace",
+        action: tests,
+    },
+    Step {
+        name: "doc-tests",
+        about: "examples in the documentation",
+        again: "cargo test --workspace --doc",
+        action: |host| ran(host, process::cargo("test --workspace --doc")),
+    },
+    Step {
+        name: "shaders",
+        about: "shaders compile with naga and with Tint",
+        again: "cargo nextest run --workspace -E 'package(shaders)'",
+        action: shaders,
+    },
+    Step {
+        name: "digest",
+        about: "every backend computes the same integers",
+        again: "cargo run --bin tombolo-lab -- digest",
+        action: digest_of_backends,
+    },
+    Step {
+        name: "wasm",
+        about: "the crates of a browser build; the kernels run in Node",
+        again: "cargo check --target wasm32-unknown-unknown --package terrain",
+        action: webassembly,
+    },
+    Step {
+        name: "docs",
+        about: "documentation builds without warnings",
+        again: "RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps",
+        action: docs,
+    },
+    Step {
+        name: "benches",
+        about: "the comparisons with other libraries are formatted, lint-free and build",
+        again: "cd benches/PACKAGE && cargo clippy --release --all-targets -- -D warnings",
+        action: benches,
+    },
+];
+
+fn passed() -> Shown {
+    Shown { outcome: Outcome::Passed, parts: Vec::new() }
+}
+
+fn skipped(tool: Tool, reason: String) -> Outcome {
+    Outcome::Skipped { lacks: tool.name(), reason }
+}
+
+fn ran(host: &dyn Host, command: Command) -> Result<Shown> {
+    host.run(command).map(|()| passed())
+}
+
+fn checked(host: &dyn Host, check: fn() -> Result<()>) -> Result<Shown> {
+    host.own(check).map(|()| passed())
+}
+
+fn tests(host: &dyn Host) -> Result<Shown> {
+    let mut tests = process::cargo("nextest run --workspace");
+    // Setup has installed a software driver, so pictures that are not drawn are a failure.
+    tests.env("TOMBOLO_REQUIRE_GPU", "1");
+    let lacks_browser = host.lacks(Tool::Chromium);
+    if lacks_browser.is_none() {
+        tests.env("TOMBOLO_REQUIRE_BROWSER", "1");
+    }
+    host.run(tests)?;
+    let page = lacks_browser.map_or(Outcome::Passed, |why| skipped(Tool::Chromium, why));
+    Ok(Shown { outcome: Outcome::Passed, parts: vec![("page in a browser".into(), page)] })
+}
+
+/// The shaders' own tests once more by themselves: naga always, Tint where it is installed. Which
+/// of them looked must be said here, because the output of passing tests is not shown.
+fn shaders(host: &dyn Host) -> Result<Shown> {
+    // Chosen among the workspace: one package alone would be built with other features.
+    host.run(process::cargo("nextest run --workspace -E package(shaders)"))?;
+    let tint = host.lacks(Tool::Tint).map_or(Outcome::Passed, |why| skipped(Tool::Tint, why));
+    Ok(Shown {
+        outcome: Outcome::Passed,
+        parts: vec![("naga".into(), Outcome::Passed), ("tint".into(), tint)],
+    })
+}
+
+fn digest_of_backends(host: &dyn Host) -> Result<Shown> {
+    let json = process::target().join("ci-digest.json");
+    // Without --package: one package alone would be built with other features.
+    let mut lab = process::cargo("run --quiet --bin tombolo-lab -- digest --json");
+    lab.arg(&json).env("TOMBOLO_REQUIRE_GPU", "1");
+    process::quiet_drivers(&mut lab);
+    let report = host.report(lab, &json)?;
+    Ok(Shown { outcome: Outcome::Passed, parts: digest::parts(&report)? })
+}
+
+/// The crates that a browser will run, with and without its vectors; the land's kernels are run too
+/// where Node is installed.
+fn webassembly(host: &dyn Host) -> Result<Shown> {
+    if let Some(why) = host.lacks(Tool::WasmTarget) {
+        return Ok(Shown { outcome: skipped(Tool::WasmTarget, why), parts: Vec::new() });
+    }
+    let check = format!("check --target {WASM} --package terrain --package protocol --package shaders");
+    host.run(process::cargo(&check))?;
+    let build = format!("build --release --target {WASM} --package terrain --example kernels_wasm");
+    let mut build = process::cargo(&build);
+    build.env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_RUSTFLAGS", "-C target-feature=+simd128");
+    host.run(build)?;
+    let part = |outcome| vec![("kernels in Node".into(), outcome)];
+    if let Some(why) = host.lacks(Tool::Node) {
+        return Ok(Shown { outcome: Outcome::Passed, parts: part(skipped(Tool::Node, why)) });
+    }
+    let mut node = process::command("node");
+    node.args(["-e", RUN_KERNELS])
+        .arg(process::target().join(WASM).join("release/examples/kernels_wasm.wasm"));
+    let here = host.output(process::cargo("run --quiet --example kernels"))?;
+    let there = host.output(node)?;
+    println!("native:\n{here}WebAssembly:\n{there}");
+    let digests: BTreeSet<_> =
+        here.lines().chain(there.lines()).filter_map(|line| line.rsplit(' ').next()).collect();
+    if digests.len() != 1 || there.trim().is_empty() {
+        bail!("the kernels' digests differ: {digests:?}");
+    }
+    Ok(Shown { outcome: Outcome::Passed, parts: part(Outcome::Passed) })
+}
+
+/// Runs the kernels of a WebAssembly module.
+const RUN_KERNELS: &str =
+    "const module = new WebAssembly.Module(require('fs').readFileSync(process.argv[1]));
+const { scalar, best } = new WebAssembly.Instance(module).exports;
+for (const [name, call] of [['scalar', scalar], ['simd128', best]])
+    console.log(name, BigInt.asUintN(64, call()).toString(16).padStart(16, '0'));";
+
+fn docs(host: &dyn Host) -> Result<Shown> {
+    let mut docs = process::cargo("doc --workspace --no-deps");
+    docs.env("RUSTDOCFLAGS", "-D warnings");
+    ran(host, docs)
+}
+
+/// A package under `benches/`, with what its build needs.
+struct Bench {
+    name: &'static str,
+    needs: &'static [Tool],
+}
+
+const BENCHES: [Bench; 2] = [
+    Bench { name: "noise-comparison", needs: &[Tool::Clang, Tool::Cmake, Tool::FastSimd] },
+    Bench { name: "lerc", needs: &[Tool::Libclang] },
+];
+
+/// Workspaces of their own, so the other steps do not see them.
+fn benches(host: &dyn Host) -> Result<Shown> {
+    let mut parts = Vec::new();
+    for bench in BENCHES {
+        let folder = process::root().join("benches").join(bench.name);
+        let cargo = |line: &str| {
+            let mut cargo = process::cargo(line);
+            // As the measurements build them, whose results are then used again.
+            cargo.current_dir(&folder).env("CARGO_TARGET_DIR", process::target().join(bench.name));
+            if let (Tool::Clang, Some((c, cpp))) = (bench.needs[0], super::host::clang()) {
+                cargo.env("CC", c).env("CXX", cpp);
+            }
+            cargo
+        };
+        host.run(cargo("fmt --check"))?;
+        parts.push((format!("{}, format", bench.name), Outcome::Passed));
+        let lacks = bench.needs.iter().find_map(|tool| Some(skipped(*tool, host.lacks(*tool)?)));
+        let outcome = match lacks {
+            Some(skip) => skip,
+            None => {
+                host.run(cargo("clippy --release --locked --all-targets -- -D warnings"))?;
+                host.run(cargo("build --release --locked"))?;
+                Outcome::Passed
+            }
+        };
+        parts.push((format!("{}, clippy and build", bench.name), outcome));
+    }
+    Ok(Shown { outcome: Outcome::Passed, parts })
+}

@@ -1,0 +1,93 @@
+//! Whether the code that a record measured has changed since.
+
+use crate::process;
+
+/// What each measurement measures: paths from the root. Tests and documents in them do not count.
+const MEASURED: [(&str, &[&str]); 8] = [
+    ("code", &["*.rs", "*.wesl", "*.md"]),
+    (
+        "heightfield",
+        &["terrain", "shaders", "lab/src/digest", "lab/src/timings.rs", "benches/noise-comparison"],
+    ),
+    ("end-to-end", &["terrain", "protocol", "shaders", "server", "client", "load", "cli"]),
+    (
+        "streaming",
+        &[
+            "terrain",
+            "protocol",
+            "server",
+            "load",
+            "server-bench",
+            "lab/src/codec",
+            "lab/src/codec.rs",
+            "benches/lerc",
+        ],
+    ),
+    ("terrain", &["terrain", "shaders", "client", "lab/src/lod", "lab/src/lod.rs", "lab/src/cracks.rs"]),
+    ("pom", &["shaders", "client/src/features", "lab/src/pom", "lab/src/pom.rs"]),
+    ("culling", &["terrain", "shaders", "client", "lab/src/culling", "lab/src/culling.rs"]),
+    // The page that generated figures stand on measures nothing itself.
+    ("audit", &["docs/measurements", "README.md", "xtask"]),
+];
+
+/// Paths that a measurement measures; none if it is not known.
+pub fn measured(name: &str) -> Option<&'static [&'static str]> {
+    MEASURED.into_iter().find(|(known, _)| *known == name).map(|(_, paths)| paths)
+}
+
+/// Why a record no longer speaks of this working tree; none if it does.
+pub fn reason(name: &str, commit: &str) -> Option<String> {
+    let Some(paths) = measured(name) else { return Some(format!("nothing is known of `{name}`")) };
+    let git = |args: &[&str]| {
+        let mut git = process::command("git");
+        git.args(args);
+        git
+    };
+    let resolved = format!("{commit}^{{commit}}");
+    if commit.is_empty() || !process::succeeds(git(&["rev-parse", "--verify", "--quiet", &resolved])) {
+        return Some(format!("its commit `{commit}` does not exist"));
+    }
+    let mut diff = git(&["diff", "--name-only", commit, "--"]);
+    diff.args(paths).args([
+        ":(exclude,glob)**/tests/**",
+        ":(exclude,glob)**/README.md",
+        ":(exclude)docs/measurements",
+    ]);
+    match process::output(diff) {
+        Ok(changed) if changed.trim().is_empty() => None,
+        Ok(changed) => Some(format!("{} measured files changed since", changed.lines().count())),
+        Err(why) => Some(format!("{why:#}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_measured_path_exists() {
+        for (name, paths) in MEASURED {
+            for path in paths.iter().filter(|path| !path.contains('*')) {
+                assert!(process::root().join(path).exists(), "{name}: {path}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_commit_that_does_not_exist_and_an_unknown_measurement_are_stale() {
+        for (name, commit) in [("streaming", "0000000000"), ("streaming", ""), ("nothing", "HEAD")] {
+            assert!(reason(name, commit).is_some(), "{name} {commit}");
+        }
+    }
+
+    #[test]
+    fn the_first_commit_is_stale_for_every_measurement() {
+        let mut first = process::command("git");
+        first.args(["rev-list", "--max-parents=0", "HEAD"]);
+        let first = process::output(first).unwrap();
+        let first = first.lines().next().unwrap();
+        for (name, _) in MEASURED {
+            assert!(reason(name, first).is_some(), "{name}");
+        }
+    }
+}
