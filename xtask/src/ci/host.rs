@@ -88,6 +88,9 @@ impl Tool {
 
 /// A machine.
 pub trait Host {
+    /// Announces a step before its output.
+    fn begin(&self, step: &str, about: &str);
+
     /// Why a tool cannot be used; none if it can.
     fn lacks(&self, tool: Tool) -> Option<String>;
 
@@ -188,6 +191,10 @@ fn answers(command: &mut Command) -> bool {
 }
 
 impl Host for Here {
+    fn begin(&self, step: &str, about: &str) {
+        println!("\n== {step}: {about}");
+    }
+
     fn lacks(&self, tool: Tool) -> Option<String> {
         let subcommand = |probe: &str, cure: &str| {
             (!process::succeeds(process::cargo(probe))).then(|| format!("`cargo {probe}` fails; {cure}"))

@@ -106,7 +106,7 @@ fn run_steps(host: &dyn Host, steps: &[Step], mut report: Report) -> Report {
             report.lines.push(line(String::new(), outcome, None));
             continue;
         }
-        println!("\n== {}: {}", step.name, step.about);
+        host.begin(step.name, step.about);
         let began = Instant::now();
         let shown = (step.action)(host);
         let took = Some(began.elapsed());

@@ -61,6 +61,8 @@ fn tools_of(command: &Command) -> Vec<Tool> {
 }
 
 impl Host for Rehearsal {
+    fn begin(&self, _: &str, _: &str) {}
+
     fn lacks(&self, tool: Tool) -> Option<String> {
         (self.0 == Fault::Hidden(tool)).then(|| "hidden".into())
     }

@@ -87,12 +87,6 @@ impl Record {
     pub fn runs(&self) -> u32 {
         self.fact("Runs of this commit").parse().unwrap_or(1)
     }
-
-    /// The number of a row at the beginning of its figure; none without such a row or number.
-    pub fn number(&self, what: &str) -> Option<f64> {
-        let row = self.rows.iter().find(|row| row.what == what)?;
-        row.figure.split_whitespace().next()?.parse().ok()
-    }
 }
 
 /// The cells of a line of a table.
@@ -150,8 +144,6 @@ mod tests {
             (record.rows[0].range.as_str(), record.rows[0].kept.as_str()),
             ("1.000 to 9.000", "2 of 3")
         );
-        assert_eq!(record.number("time"), Some(2.5));
-        assert_eq!((record.number("on a GPU"), record.number("absent")), (None, None));
         assert_eq!(record.notes, ["time: from request to socket."]);
     }
 

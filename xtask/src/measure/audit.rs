@@ -1,0 +1,265 @@
+//! `audit`: what can be counted of the honesty of figures and checks.
+//!
+//! Figures of other measurements come from their newest records; a record without a row misses it.
+
+use super::run::Run;
+use crate::ci::rehearsal;
+use crate::records::{self, record::Record};
+use crate::source::Files;
+use anyhow::{Context, Result, bail};
+use bars::{Bar, Figure, Limit};
+use toml::{Table, Value};
+
+/// The table of findings.
+const FINDINGS: &str = "docs/measurements/audit.toml";
+
+/// Every row.
+///
+/// # Errors
+/// Files cannot be read, or the table of findings is not one.
+pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
+    let files = Files::tracked()?;
+    let table = files.0.get(FINDINGS).with_context(|| format!("there is no {FINDINGS}"))?;
+    let findings = findings(table)?;
+    let unsettled: Vec<_> = findings.iter().filter_map(|finding| finding.fault(&files)).collect();
+    let blind = rehearsal::green_without_looking();
+    let mut rows = vec![
+        at_most("findings of severity 2+ without a fix or an answer", Some(unsettled.len() as f64), "", 0.0),
+        at_most(
+            "records quoted in the README: stale, dirty, or of a single run",
+            Some(records::unfit_quotes()? as f64),
+            "",
+            0.0,
+        ),
+        at_most(
+            "ci steps that can be green without running",
+            blind.as_ref().map(|blind| blind.len() as f64),
+            "",
+            0.0,
+        ),
+        Bar::new(
+            "near-miss controls that pass a golden",
+            Figure::NotMeasured { reason: "the golden tests do not report it".into() },
+            "",
+            Limit::AtMost(0.0),
+        ),
+    ];
+    rows.extend(recorded(&newest("streaming")?, &newest("culling")?));
+    run.notes.push(format!(
+        "findings of severity 2+ without a fix or an answer: of {} in {FINDINGS}, whose files and texts are \
+         looked up.",
+        findings.len()
+    ));
+    run.notes.extend(unsettled.iter().map(|fault| format!("Open: {fault}.")));
+    run.notes.extend(blind.into_iter().flatten().map(|name| format!("Green without looking: {name}.")));
+    Ok(rows)
+}
+
+fn at_most(what: &str, figure: Option<f64>, unit: &'static str, limit: f64) -> Bar {
+    Bar::new(what, figure, unit, Limit::AtMost(limit))
+}
+
+/// The newest record of a measurement on any machine; an empty one if there is none.
+fn newest(name: &str) -> Result<Record> {
+    let records = records::of(name)?;
+    Ok(records.into_iter().max_by(|one, other| one.path.cmp(&other.path)).unwrap_or_default())
+}
+
+/// Rows that other measurements have recorded, judged here.
+fn recorded(streaming: &Record, culling: &Record) -> Vec<Bar> {
+    let least =
+        |what: &str, figure, unit: &'static str, limit| Bar::new(what, figure, unit, Limit::AtLeast(limit));
+    vec![
+        least(
+            "whole-frame decode, cached level, one thread",
+            number(streaming, "whole frame to verified chunk, cached level"),
+            "GB/s",
+            1.2,
+        ),
+        least(
+            "whole-frame decode, hot level, one thread",
+            number(streaming, "whole frame to verified chunk, hot level"),
+            "GB/s",
+            3.0,
+        ),
+        at_most(
+            "chunks of hidden grass that survive the chunk and block stage",
+            number(culling, "hidden chunks of grass that survive the chunk and block tests"),
+            "%",
+            20.0,
+        ),
+        least(
+            "goodput at five times capacity over the best rate ever shown, worst round",
+            number(streaming, "five times the capacity: goodput over peak, worst round"),
+            "",
+            0.85,
+        ),
+    ]
+}
+
+/// The number of a row; "the same, X" names X of the row before.
+fn number(record: &Record, what: &str) -> Option<f64> {
+    let mut base = "";
+    for row in &record.rows {
+        let more = row.what.strip_prefix("the same");
+        base = if more.is_some() { base } else { &row.what };
+        if more.is_some_and(|more| what.strip_prefix(base) == Some(more)) || row.what == what {
+            return row.figure.split_whitespace().next()?.parse().ok();
+        }
+    }
+    None
+}
+
+/// A finding of the audit, and what is claimed to settle it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Finding {
+    what: String,
+    /// Texts that must be in a file: path and text.
+    present: Vec<(String, String)>,
+    /// Texts that must not.
+    absent: Vec<(String, String)>,
+    /// Files that must change.
+    open: Vec<String>,
+}
+
+impl Finding {
+    /// Why it is not settled; none if it is.
+    fn fault(&self, files: &Files) -> Option<String> {
+        let what = &self.what;
+        if !self.open.is_empty() {
+            return Some(format!("{what}: {}", self.open.join(", ")));
+        }
+        let joined = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+        for (pairs, is_wanted) in [(&self.present, true), (&self.absent, false)] {
+            for (path, text) in pairs {
+                let Some(file) = files.0.get(path) else {
+                    return Some(format!("{what}: {path} does not exist"));
+                };
+                // A comment marks each of its lines.
+                let plain = joined(&file.replace("\n//!", "\n").replace("\n///", "\n"));
+                if plain.contains(&joined(text)) != is_wanted {
+                    let word = if is_wanted { "lacks" } else { "still has" };
+                    return Some(format!("{what}: {path} {word} `{text}`"));
+                }
+            }
+        }
+        None
+    }
+}
+
+/// The findings of severity 2 and more.
+fn findings(text: &str) -> Result<Vec<Finding>> {
+    let table: Table = text.parse().with_context(|| format!("{FINDINGS} is no table"))?;
+    let all = table.get("finding").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+    if all.is_empty() {
+        bail!("{FINDINGS} has no findings");
+    }
+    let mut findings = Vec::new();
+    for entry in all {
+        let what = entry.get("what").and_then(Value::as_str).context("a finding does not say what")?;
+        let severity = entry.get("severity").and_then(Value::as_integer).unwrap_or(5);
+        if severity < 2 {
+            continue;
+        }
+        let list = |key: &str| -> Vec<String> {
+            let items = entry.get(key).and_then(Value::as_array).into_iter().flatten();
+            items.filter_map(Value::as_str).map(str::to_owned).collect()
+        };
+        let pairs = |key: &str| -> Result<Vec<(String, String)>> {
+            let split = |item: String| {
+                let (path, text) = item
+                    .split_once(" :: ")
+                    .with_context(|| format!("{what}: `{item}` is no PATH :: TEXT"))?;
+                Ok((path.to_owned(), text.to_owned()))
+            };
+            list(key).into_iter().map(split).collect()
+        };
+        let (answers, absent, open) = (pairs("answer")?, pairs("gone")?, list("open"));
+        if answers.iter().any(|(path, _)| !path.starts_with("docs/measurements/")) {
+            bail!("{what}: an answer stands in docs/measurements");
+        }
+        let present = [pairs("fixed")?, answers].concat();
+        if present.is_empty() && absent.is_empty() && open.is_empty() {
+            bail!("{what}: neither fixed, answered nor open");
+        }
+        findings.push(Finding { what: what.into(), present, absent, open });
+    }
+    Ok(findings)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::records::record::Row;
+
+    fn record(rows: &[(&str, &str)]) -> Record {
+        let row = |(what, figure): &(&str, &str)| Row {
+            what: (*what).into(),
+            figure: (*figure).into(),
+            ..Row::default()
+        };
+        Record { rows: rows.iter().map(row).collect(), ..Record::default() }
+    }
+
+    #[test]
+    fn rows_of_records_are_judged_and_a_record_without_them_misses_all() {
+        let streaming = |hot, worst| {
+            record(&[
+                ("whole frame to verified chunk, cached level", "1.3 GB/s"),
+                ("whole frame to verified chunk, hot level", hot),
+                ("five times the capacity: goodput over peak", "0.99"),
+                ("the same, worst round", worst),
+            ])
+        };
+        let culling = record(&[("hidden chunks of grass that survive the chunk and block tests", "19 %")]);
+        let missed =
+            |streaming: &Record| recorded(streaming, &culling).iter().filter(|b| b.is_missed()).count();
+        assert_eq!(missed(&streaming("3.1 GB/s", "0.86")), 0);
+        assert_eq!(missed(&streaming("2.9 GB/s", "0.86")), 1);
+        assert_eq!(missed(&streaming("3.1 GB/s", "0.84")), 1);
+        assert_eq!(missed(&streaming("missing", "0.84")), 2);
+        let none = Record::default();
+        assert_eq!(recorded(&none, &none).iter().filter(|bar| bar.is_missed()).count(), 4);
+    }
+
+    fn fault(entry: &str) -> Option<String> {
+        let files = Files::of(&[
+            ("a.rs", "//! One thing\n//! is said.\nfn test() {}\n"),
+            ("docs/measurements/b.md", "c"),
+        ]);
+        findings(&format!("[[finding]]\nwhat = \"x\"\nseverity = 3\n{entry}\n")).unwrap()[0].fault(&files)
+    }
+
+    #[test]
+    fn a_finding_is_settled_only_by_what_exists() {
+        assert_eq!(fault("fixed = [\"a.rs :: fn test()\"]"), None);
+        assert_eq!(fault("fixed = [\"a.rs :: One thing is said.\"]"), None);
+        assert_eq!(fault("answer = [\"docs/measurements/b.md :: c\"]"), None);
+        assert_eq!(fault("gone = [\"a.rs :: fn other()\"]"), None);
+        for entry in [
+            "fixed = [\"a.rs :: fn other()\"]",
+            "fixed = [\"a.rs :: fn test()\", \"b.rs :: fn test()\"]",
+            "gone = [\"a.rs :: fn test()\"]",
+            "gone = [\"b.rs :: fn test()\"]",
+            "fixed = [\"a.rs :: fn test()\"]\nopen = [\"a.rs\"]",
+            "open = [\"a.rs\"]",
+        ] {
+            assert!(fault(entry).is_some(), "{entry}");
+        }
+    }
+
+    #[test]
+    fn a_table_that_settles_nothing_is_an_error() {
+        for text in [
+            "",
+            "x",
+            "[[finding]]\nseverity = 3\nopen = [\"a\"]",
+            "[[finding]]\nwhat = \"x\"\nseverity = 3",
+            "[[finding]]\nwhat = \"x\"\nseverity = 3\nanswer = [\"src/a.rs :: b\"]",
+            "[[finding]]\nwhat = \"x\"\nseverity = 3\nfixed = [\"src/a.rs\"]",
+        ] {
+            assert!(findings(text).is_err(), "{text}");
+        }
+        assert!(findings("[[finding]]\nwhat = \"x\"\nseverity = 1").unwrap().is_empty());
+    }
+}
