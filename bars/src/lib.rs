@@ -9,7 +9,9 @@
 
 #![forbid(unsafe_code)]
 
+pub mod figures;
 mod record;
+pub mod stats;
 mod table;
 
 pub use table::{markdown, text};
@@ -27,8 +29,6 @@ pub enum Limit {
     AtMost(f64),
     /// Not less.
     AtLeast(f64),
-    /// Exactly this: for counts.
-    Equals(f64),
     /// No bar, but the figure must exist.
     Reported,
 }
@@ -99,14 +99,41 @@ impl Bar {
         Self { name: name.into(), figure: figure.into(), unit: unit.into(), limit, note: None }
     }
 
-    /// A row whose figure cannot be measured on this machine.
-    pub fn not_measured(
-        name: impl Into<String>,
-        reason: impl Into<String>,
-        unit: impl Into<Cow<'static, str>>,
-        limit: Limit,
-    ) -> Self {
-        Self::new(name, Figure::NotMeasured { reason: reason.into() }, unit, limit)
+    /// A figure that must be less.
+    pub fn under(name: impl Into<String>, figure: Option<f64>, unit: &'static str, limit: f64) -> Self {
+        Self::new(name, figure, unit, Limit::Under(limit))
+    }
+
+    /// A figure that must not be more.
+    pub fn at_most(name: impl Into<String>, figure: Option<f64>, unit: &'static str, limit: f64) -> Self {
+        Self::new(name, figure, unit, Limit::AtMost(limit))
+    }
+
+    /// A figure that must not be less.
+    pub fn at_least(name: impl Into<String>, figure: Option<f64>, unit: &'static str, limit: f64) -> Self {
+        Self::new(name, figure, unit, Limit::AtLeast(limit))
+    }
+
+    /// A figure without a bar, which must exist.
+    pub fn reported(name: impl Into<String>, figure: Option<f64>, unit: &'static str) -> Self {
+        Self::new(name, figure, unit, Limit::Reported)
+    }
+
+    /// A count that must be 0.
+    pub fn none(name: impl Into<String>, count: Option<f64>) -> Self {
+        Self::at_most(name, count, "", 0.0)
+    }
+
+    /// A count that must not be 0: what a control found.
+    pub fn some(name: impl Into<String>, count: Option<f64>) -> Self {
+        Self::at_least(name, count, "", 1.0)
+    }
+
+    /// The row without its figure where this machine cannot produce it.
+    #[must_use]
+    pub fn not_measured_if(self, cannot: bool, reason: &str) -> Self {
+        let figure = if cannot { Figure::NotMeasured { reason: reason.into() } } else { self.figure };
+        Self { figure, ..self }
     }
 
     /// The row with a note.
@@ -128,7 +155,6 @@ impl Bar {
             Limit::Under(limit) => figure < limit,
             Limit::AtMost(limit) => figure <= limit,
             Limit::AtLeast(limit) => figure >= limit,
-            Limit::Equals(limit) => figure == limit,
             Limit::Reported if figure.is_finite() => return Verdict::Reported,
             Limit::Reported => false,
         };
@@ -185,14 +211,6 @@ impl fmt::Display for Summary {
     }
 }
 
-/// The largest of several runs; none if there is no run or one of them has no figure, so that a
-/// failed run cannot improve the result.
-#[must_use]
-pub fn worst(figures: &[Option<f64>]) -> Option<f64> {
-    let figures: Option<Vec<f64>> = figures.iter().copied().collect();
-    figures?.into_iter().reduce(f64::max)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -207,8 +225,6 @@ mod tests {
             (Limit::Under(3.0), 2.999, 3.0),
             (Limit::AtMost(3.0), 3.0, 3.001),
             (Limit::AtLeast(3.0), 3.0, 2.999),
-            (Limit::Equals(3.0), 3.0, 3.001),
-            (Limit::Equals(3.0), 3.0, 2.999),
         ] {
             assert_eq!(verdict(met, limit), Verdict::Met, "{limit:?}");
             assert_eq!(verdict(missed, limit), Verdict::Missed, "{limit:?}");
@@ -217,13 +233,9 @@ mod tests {
 
     #[test]
     fn missing_figures_and_nan_miss_every_limit() {
-        for limit in [
-            Limit::Under(f64::MAX),
-            Limit::AtMost(f64::MAX),
-            Limit::AtLeast(f64::MIN),
-            Limit::Equals(0.0),
-            Limit::Reported,
-        ] {
+        for limit in
+            [Limit::Under(f64::MAX), Limit::AtMost(f64::MAX), Limit::AtLeast(f64::MIN), Limit::Reported]
+        {
             assert_eq!(verdict(None, limit), Verdict::Missed);
             assert_eq!(verdict(f64::NAN, limit), Verdict::Missed);
             assert_eq!(verdict(Figure::Measured(f64::NAN), limit), Verdict::Missed);
@@ -240,7 +252,7 @@ mod tests {
     #[test]
     fn what_was_not_measured_is_neither_met_nor_missed() {
         for limit in [Limit::AtMost(f64::MAX), Limit::AtLeast(f64::MIN), Limit::Reported] {
-            let bar = Bar::not_measured("x", "needs a GPU", "ms", limit);
+            let bar = Bar::new("x", 0.0, "ms", limit).not_measured_if(true, "needs a GPU");
             assert!(!bar.is_met() && !bar.is_missed());
             assert_eq!(bar.verdict(), Verdict::NotMeasured);
         }
@@ -253,17 +265,10 @@ mod tests {
             Bar::new("b", 2.0, "", Limit::AtMost(1.0)),
             Bar::new("c", None, "", Limit::AtMost(1.0)),
             Bar::new("d", 1.0, "", Limit::Reported),
-            Bar::not_measured("e", "needs a GPU", "", Limit::AtMost(1.0)),
+            Bar::new("e", 0.0, "", Limit::AtMost(1.0)).not_measured_if(true, "needs a GPU"),
         ];
         let summary = Summary::of(&bars);
         assert_eq!(summary, Summary { met: 1, missed: 2, reported: 1, not_measured: 1 });
         assert_eq!(summary.to_string(), "1 bars met, 2 missed, 1 not measured");
-    }
-
-    #[test]
-    fn the_worst_of_several_runs_counts_and_a_failed_run_has_no_figure() {
-        assert_eq!(worst(&[Some(1.0), Some(3.0), Some(2.0)]), Some(3.0));
-        assert_eq!(worst(&[Some(1.0), None]), None);
-        assert_eq!(worst(&[]), None);
     }
 }

@@ -29,7 +29,6 @@ enum Direction {
     Under,
     AtMost,
     AtLeast,
-    Equals,
     Reported,
 }
 
@@ -40,7 +39,6 @@ impl From<Bar> for Record {
             Limit::Under(limit) => (Direction::Under, Some(limit)),
             Limit::AtMost(limit) => (Direction::AtMost, Some(limit)),
             Limit::AtLeast(limit) => (Direction::AtLeast, Some(limit)),
-            Limit::Equals(limit) => (Direction::Equals, Some(limit)),
             Limit::Reported => (Direction::Reported, None),
         };
         let (figure, not_measured) = match bar.figure {
@@ -71,7 +69,6 @@ impl TryFrom<Record> for Bar {
             (Direction::Under, Some(limit)) => Limit::Under(limit),
             (Direction::AtMost, Some(limit)) => Limit::AtMost(limit),
             (Direction::AtLeast, Some(limit)) => Limit::AtLeast(limit),
-            (Direction::Equals, Some(limit)) => Limit::Equals(limit),
             (direction, None) => return Err(format!("`{name}`: direction {direction:?} needs a bar")),
         };
         let figure = match (figure, not_measured) {
@@ -94,9 +91,8 @@ mod tests {
             Bar::new("a", 2.5, "ms", Limit::Under(3.0)).with_note("definition"),
             Bar::new("b", 2.5, "", Limit::AtMost(2.0)),
             Bar::new("c", None, "x", Limit::AtLeast(2.0)),
-            Bar::new("d", 1.0, "", Limit::Equals(1.0)),
             Bar::new("e", 1.0, "", Limit::Reported),
-            Bar::not_measured("f", "needs a GPU", "ms", Limit::AtMost(2.0)),
+            Bar::new("f", None, "ms", Limit::AtMost(2.0)).not_measured_if(true, "needs a GPU"),
         ] {
             let text = serde_json::to_string(&bar).unwrap();
             assert_eq!(serde_json::from_str::<Bar>(&text).unwrap(), bar, "{text}");
@@ -110,8 +106,8 @@ mod tests {
             "name": "a", "figure": 2.5, "unit": "ms", "direction": "at_most", "bar": 2.0, "met": false,
         });
         assert_eq!(json, expected);
-        let json =
-            serde_json::to_value(Bar::not_measured("a", "needs a GPU", "", Limit::Under(1.0))).unwrap();
+        let json = serde_json::to_value(Bar::under("a", None, "", 1.0).not_measured_if(true, "needs a GPU"))
+            .unwrap();
         assert_eq!((&json["not_measured"], &json["met"]), (&json!("needs a GPU"), &json!(false)));
         assert_eq!(json["figure"], Value::Null);
     }

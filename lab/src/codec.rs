@@ -5,35 +5,32 @@
 //! container. A time is the shortest of all turns for each chunk, summed. Decoding times are of the
 //! heights alone too; those of whole frames, digest and pyramids included, stand beside them.
 
+mod bars;
 mod baselines;
+pub(crate) mod samples;
 
 use crate::Outputs;
-use anyhow::{Result, anyhow, bail};
+use crate::report::publish;
+use ::bars::figures::at;
+use anyhow::{Result, bail};
+use bars::{COMPACT, FAST};
 use protocol::chunk_codec::{self, Effort, Kernel, refined};
 use protocol::limits::CHUNK_HEADER;
 use protocol::{Delivery, Tolerance};
 use serde::Serialize;
+use serde_json::{Value, json};
 use std::collections::HashMap;
-use std::fmt;
 use std::hint::black_box;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 use terrain::constants::{VERTEX_COUNT, VERTICES};
-use terrain::{Chunk, ChunkKey, Land, WorldDigest};
+use terrain::{Chunk, Land, WorldDigest};
 
 /// Bytes of the first lines of a payload: grass seed and palette.
 const GRASS_SEED: usize = 5;
 
 /// Bytes of a chunk's heights as u16, to which rates refer.
 const U16_BYTES: f64 = 2.0 * VERTEX_COUNT as f64;
-
-/// Largest allowed size of a compact frame's heights over the order-0 entropy of their plane
-/// residuals.
-pub const SIZE_BAR: f64 = 1.08;
-
-/// Slowest allowed decoding of heights at the two efforts, GB/s of u16.
-pub const COMPACT_RATE_BAR: f64 = 1.2;
-/// See [`COMPACT_RATE_BAR`].
-pub const FAST_RATE_BAR: f64 = 3.0;
 
 /// Options of `codec`.
 #[derive(Clone, Debug, clap::Args)]
@@ -49,77 +46,59 @@ pub struct Options {
     /// Seed of the world
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub world_seed: u64,
+    /// Figures of `benches/lerc`, for its row
+    #[arg(long, value_name = "FILE")]
+    pub lerc: Option<PathBuf>,
 }
 
 /// What one codec does. Field names are a contract with scripts.
 #[derive(Clone, Debug, Serialize)]
-pub struct Row {
-    /// Its name.
-    pub codec: &'static str,
-    /// Bytes a height.
-    pub bytes_per_sample: f64,
-    /// Those over the order-0 entropy of the plane residuals.
-    pub of_entropy: f64,
-    /// Encoding a chunk, nanoseconds; ours with header and digest.
-    pub encode_ns: f64,
-    /// Decoding the heights of a chunk, nanoseconds.
-    pub decode_ns: f64,
-    /// Its heights as u16 over that time, GB/s.
-    pub decode_gb_per_s: f64,
-    /// Whole frame to verified chunk with pyramids, nanoseconds; ours only.
+struct Row {
+    codec: &'static str,
+    bytes_per_sample: f64,
+    /// Bytes over the order-0 entropy of the plane residuals.
+    of_entropy: f64,
+    /// Encoding a chunk; ours with header and digest.
+    encode_ns: f64,
+    /// Decoding the heights of a chunk.
+    decode_ns: f64,
+    decode_gb_per_s: f64,
+    /// Whole frame to verified chunk with pyramids; ours only.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub decode_frame_ns: Option<f64>,
+    decode_frame_ns: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    frame_gb_per_s: Option<f64>,
     /// Whether every chunk came back.
-    pub lossless: bool,
-}
-
-/// A bar, its figure, and a control codec that must miss it. Field names are a contract with
-/// scripts.
-#[derive(Clone, Debug, Serialize)]
-pub struct Bar {
-    /// Description.
-    pub what: &'static str,
-    /// Measured.
-    pub measured: f64,
-    /// The limit.
-    pub bar: f64,
-    /// Whether the figure meets it.
-    pub holds: bool,
-    /// The codec that must miss it.
-    pub control: &'static str,
-    /// Figure of the control.
-    pub control_measured: f64,
-    /// Whether the control meets it: then the measurement detects nothing.
-    pub control_holds: bool,
+    lossless: bool,
 }
 
 /// The result. Field names are a contract with scripts.
 #[derive(Clone, Debug, Serialize)]
-pub struct Report {
-    /// Seed of the world.
-    pub world_seed: u64,
+struct Report {
+    world_seed: u64,
     /// Level-0 chunks with land whose relief fits u16.
-    pub chunks: usize,
-    /// Turns.
-    pub turns: u32,
+    chunks: usize,
+    turns: u32,
     /// Whether the build is optimised; otherwise times mean nothing.
-    pub optimised: bool,
+    optimised: bool,
     /// The kernel of the plane transform.
-    pub kernel: String,
-    /// Order-0 entropy of the plane residuals, each chunk by its own, bytes a sample.
-    pub entropy_bytes_per_sample: f64,
+    kernel: String,
+    /// Order-0 entropy of the plane residuals, each chunk by its own.
+    entropy_bytes_per_sample: f64,
     /// Ours first.
-    pub rows: Vec<Row>,
-    /// The bars.
-    pub bars: Vec<Bar>,
+    rows: Vec<Row>,
+    /// The figures of LERC with their share of the entropy, if a file was named; null if that
+    /// cannot be read.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lerc: Option<Value>,
 }
 
 /// One chunk.
-pub(crate) struct Sample {
-    pub(crate) chunk: Chunk,
-    pub(crate) parent: Chunk,
+struct Sample {
+    chunk: Chunk,
+    parent: Chunk,
     /// Heights above the lowest.
-    pub(crate) above: Vec<u16>,
+    above: Vec<u16>,
 }
 
 type Encode = Box<dyn FnMut(&Sample) -> Vec<u8>>;
@@ -143,22 +122,30 @@ struct Case {
 /// Measures, prints, judges.
 ///
 /// # Errors
-/// A codec loses something, a control meets a bar, or an optimised build misses one.
+/// A codec loses something, or a bar is missed.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let report = measure(options)?;
-    println!("{report}");
-    outputs.write_json(&report)?;
-    report.verdict()
+    publish(&report, bars::rows, bars::notes, "/adapter", outputs)?;
+    verdict(&report)
 }
 
-/// Measures.
-///
-/// # Errors
-/// There is no chunk to measure.
-pub fn measure(options: &Options) -> Result<Report> {
+fn verdict(report: &Report) -> Result<()> {
+    if let Some(bar) = bars::rows(&serde_json::to_value(report)?).into_iter().find(::bars::Bar::is_missed) {
+        let [figure, limit, _] = bar.cells();
+        bail!("{}: {figure}, the bar is {limit}", bar.name);
+    }
+    Ok(())
+}
+
+fn measure(options: &Options) -> Result<Report> {
     let land = Land::new(options.world_seed);
     let world = land.digest();
-    let samples = samples(&land, options.chunks as usize);
+    let with_parent = |(chunk, above): (Chunk, _)| {
+        let parent = land.chunk(chunk.key.parent()?);
+        Some(Sample { chunk, parent, above })
+    };
+    let samples: Vec<Sample> =
+        samples::chunks(&land, options.chunks as usize).filter_map(with_parent).collect();
     if samples.is_empty() {
         bail!("no chunk of the home island has a relief below 256 m: try another --world-seed");
     }
@@ -176,8 +163,6 @@ pub fn measure(options: &Options) -> Result<Report> {
         }),
         open: None,
     }));
-    let rows = compare(&mut cases, &samples, options.turns, entropy);
-    let bars = bars(&rows);
     Ok(Report {
         world_seed: options.world_seed,
         chunks: samples.len(),
@@ -185,38 +170,24 @@ pub fn measure(options: &Options) -> Result<Report> {
         optimised: !cfg!(debug_assertions),
         kernel: Kernel::best().to_string(),
         entropy_bytes_per_sample: entropy,
-        rows,
-        bars,
+        rows: compare(&mut cases, &samples, options.turns, entropy),
+        lerc: options.lerc.as_deref().map(|file| lerc(file, entropy)),
     })
 }
 
-/// Chunks of the home island spread evenly, none of them open sea.
-fn samples(land: &Land, count: usize) -> Vec<Sample> {
-    let near = (-24..24).flat_map(|z| (-24..24).map(move |x| (x, z)));
-    let keys: Vec<_> = near
-        .filter_map(|(x, z)| ChunkKey::new(0, x, z).ok())
-        .filter(|key| {
-            let (x, z) = key.origin();
-            !land.archipelago().is_open_sea(x, z, key.side())
-        })
-        .collect();
-    let step = (keys.len() / count.max(1)).max(1);
-    keys.into_iter()
-        .step_by(step)
-        .filter_map(|key| {
-            let (chunk, parent) = (land.chunk(key), land.chunk(key.parent()?));
-            let low = chunk.min();
-            let above =
-                chunk.heights.iter().map(|height| u16::try_from(height - low).ok()).collect::<Option<_>>()?;
-            Some(Sample { chunk, parent, above })
-        })
-        .take(count)
-        .collect()
+/// The figures that `benches/lerc` left.
+fn lerc(file: &Path, entropy: f64) -> Value {
+    let text = std::fs::read_to_string(file).unwrap_or_default();
+    let mut lerc: Value = serde_json::from_str(&text).unwrap_or_default();
+    if let Some(bytes) = at(&lerc, "bytes_per_sample") {
+        lerc["of_entropy"] = json!(bytes / entropy);
+    }
+    lerc
 }
 
 /// Bits of information in the plane residuals of a chunk if each were coded alone by its share in
 /// this chunk; bytes.
-pub(crate) fn entropy(heights: &[i32; VERTEX_COUNT]) -> f64 {
+fn entropy(heights: &[i32; VERTEX_COUNT]) -> f64 {
     let mut shares = HashMap::<i32, u32>::new();
     for index in 0..VERTEX_COUNT {
         let at = |back: usize| heights[index - back];
@@ -254,8 +225,8 @@ fn ours(world: WorldDigest) -> Vec<Case> {
         })),
     };
     vec![
-        exact("exact, compact", Effort::Compact),
-        exact("exact, fast", Effort::Fast),
+        exact(COMPACT, Effort::Compact),
+        exact(FAST, Effort::Fast),
         Case {
             codec: "refined, compact",
             encode: Box::new(move |sample| {
@@ -336,132 +307,11 @@ fn compare(cases: &mut [Case], samples: &[Sample], turns: u32, entropy: f64) -> 
             decode_ns: mean_ns(1),
             decode_gb_per_s: U16_BYTES / mean_ns(1),
             decode_frame_ns: case.open.is_some().then(|| mean_ns(2)),
+            frame_gb_per_s: case.open.is_some().then(|| U16_BYTES / mean_ns(2)),
             lossless: totals.lossless,
         }
     });
     rows.collect()
-}
-
-fn bars(rows: &[Row]) -> Vec<Bar> {
-    let of = |codec: &str| rows.iter().find(|row| row.codec == codec);
-    let bar = |what, ours, control: &'static str, value: fn(&Row) -> f64, bar: f64, at_most: bool| {
-        let (measured, control_measured) = (value(of(ours)?), value(of(control)?));
-        let holds = |value: f64| if at_most { value <= bar } else { value >= bar };
-        Some(Bar {
-            what,
-            measured,
-            bar,
-            holds: holds(measured),
-            control,
-            control_measured,
-            control_holds: holds(control_measured),
-        })
-    };
-    [
-        bar(
-            "heights of a compact frame over the order-0 entropy of their plane residuals, at most",
-            "exact, compact",
-            baselines::SCAN_DELTA,
-            |row| row.of_entropy,
-            SIZE_BAR,
-            true,
-        ),
-        bar(
-            "decoding the heights of a compact frame, GB/s of u16, at least",
-            "exact, compact",
-            baselines::SCAN_DELTA,
-            |row| row.decode_gb_per_s,
-            COMPACT_RATE_BAR,
-            false,
-        ),
-        bar(
-            "decoding the heights of a fast frame, GB/s of u16, at least",
-            "exact, fast",
-            baselines::PNG16,
-            |row| row.decode_gb_per_s,
-            FAST_RATE_BAR,
-            false,
-        ),
-    ]
-    .into_iter()
-    .flatten()
-    .collect()
-}
-
-impl Report {
-    /// Whether every codec is lossless, every bar is met, and no control meets one.
-    ///
-    /// # Errors
-    /// One line with the first that does not.
-    pub fn verdict(&self) -> Result<()> {
-        if let Some(row) = self.rows.iter().find(|row| row.lossless == (row.codec == LOSSY)) {
-            return Err(if row.lossless {
-                anyhow!("the control `{}` loses nothing: the comparison detects nothing", row.codec)
-            } else {
-                anyhow!("`{}` does not restore its heights", row.codec)
-            });
-        }
-        for bar in &self.bars {
-            // Times of a build that is not optimised say nothing; bytes do.
-            let judged = self.optimised || bar.bar == SIZE_BAR;
-            if judged && bar.control_holds {
-                bail!(
-                    "the control `{}` meets the bar `{}`: the measurement detects nothing",
-                    bar.control,
-                    bar.what
-                );
-            }
-            if judged && !bar.holds {
-                bail!("{}: {:.3}, the bar is {}", bar.what, bar.measured, bar.bar);
-            }
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Display for Report {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let build = if self.optimised { "" } else { " (a debug build: times mean nothing)" };
-        writeln!(
-            f,
-            "{} level-0 chunks with land, shortest of {} turns, transform on {}{build}; order-0 entropy of \
-             plane residuals {:.4} bytes a sample",
-            self.chunks, self.turns, self.kernel, self.entropy_bytes_per_sample
-        )?;
-        writeln!(
-            f,
-            "{:<44} {:>8} {:>9} {:>11} {:>11} {:>8} {:>11}",
-            "codec", "B/sample", "/entropy", "encode, ns", "decode, ns", "GB/s", "frame, ns"
-        )?;
-        for row in &self.rows {
-            let whole = row.decode_frame_ns.map_or_else(|| "-".into(), |ns| format!("{ns:.0}"));
-            writeln!(
-                f,
-                "{:<44} {:>8.4} {:>9.3} {:>11.0} {:>11.0} {:>8.2} {:>11}{}",
-                row.codec,
-                row.bytes_per_sample,
-                row.of_entropy,
-                row.encode_ns,
-                row.decode_ns,
-                row.decode_gb_per_s,
-                whole,
-                if row.lossless { "" } else { "  lossy" }
-            )?;
-        }
-        for bar in &self.bars {
-            writeln!(
-                f,
-                "{}: {:.3} (bar {}, {}; control `{}` {:.3})",
-                bar.what,
-                bar.measured,
-                bar.bar,
-                if bar.holds { "held" } else { "missed" },
-                bar.control,
-                bar.control_measured
-            )?;
-        }
-        Ok(())
-    }
 }
 
 #[cfg(test)]
@@ -470,13 +320,13 @@ mod tests {
 
     #[test]
     fn every_codec_but_the_control_is_lossless_and_sizes_hold() {
-        let report = measure(&Options { turns: 3, chunks: 4, world_seed: 1 }).unwrap();
+        let report = measure(&Options { turns: 3, chunks: 4, world_seed: 1, lerc: None }).unwrap();
         for row in &report.rows {
             assert_eq!(row.lossless, row.codec != LOSSY, "{}", row.codec);
         }
-        assert!(report.bars.len() == 3 && report.bars[0].holds && !report.bars[0].control_holds, "{report}");
+        verdict(&report).unwrap();
         let refined = report.rows.iter().find(|row| row.codec.starts_with("refined")).unwrap();
-        assert!(refined.bytes_per_sample < 0.8 * report.rows[0].bytes_per_sample, "{report}");
+        assert!(refined.bytes_per_sample < 0.8 * report.rows[0].bytes_per_sample, "{report:?}");
     }
 
     #[test]
@@ -495,17 +345,26 @@ mod tests {
     }
 
     #[test]
-    fn a_control_that_holds_and_a_missed_bar_are_errors() {
-        let mut report = measure(&Options { turns: 3, chunks: 2, world_seed: 1 }).unwrap();
-        report.bars.truncate(1);
-        assert!(report.verdict().is_ok());
-        let mut passing = report.clone();
-        passing.bars[0].control_holds = true;
-        assert!(passing.verdict().unwrap_err().to_string().contains("detects nothing"));
-        report.bars[0].holds = false;
-        assert!(report.verdict().unwrap_err().to_string().contains("the bar is"));
-        let mut lossy = passing;
-        lossy.rows[0].lossless = false;
-        assert!(lossy.verdict().unwrap_err().to_string().contains("not restore"));
+    fn a_lossy_codec_and_a_control_that_holds_are_errors() {
+        let good = measure(&Options { turns: 3, chunks: 2, world_seed: 1, lerc: None }).unwrap();
+        verdict(&good).unwrap();
+        let spoiled = |spoil: fn(&mut Row), codec: &str| {
+            let mut report = good.clone();
+            report.rows.iter_mut().filter(|row| row.codec == codec).for_each(spoil);
+            verdict(&report).unwrap_err().to_string()
+        };
+        assert!(spoiled(|row| row.lossless = false, COMPACT).contains("lose something"));
+        assert!(spoiled(|row| row.lossless = true, LOSSY).contains("control"));
+        assert!(spoiled(|row| row.of_entropy = 1.0, baselines::SCAN_DELTA).contains("control"));
+        assert!(spoiled(|row| row.of_entropy = 1.1, COMPACT).contains("the bar is at most 1.080 x"));
+    }
+
+    #[test]
+    fn lerc_is_compared_with_the_same_entropy_and_is_null_without_its_file() {
+        let file = std::env::temp_dir().join(format!("lerc-{}.json", std::process::id()));
+        std::fs::write(&file, r#"{"bytes_per_sample":1.5}"#).unwrap();
+        assert_eq!(lerc(&file, 0.75)["of_entropy"], 2.0);
+        std::fs::remove_file(&file).unwrap();
+        assert_eq!(lerc(&file, 0.75), Value::Null);
     }
 }

@@ -15,7 +15,7 @@ mod random_attributes;
 pub mod reference;
 pub mod scene;
 
-use crate::report::with_bars;
+use crate::report::publish;
 use crate::{Outputs, note};
 use anyhow::{Result, ensure};
 use client::features::vegetation::VegetationSettings;
@@ -79,28 +79,19 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let land = Land::new(1);
     note("visibility over the drawn triangles");
     let poses = cases::seeded(&land, options.poses, VegetationSettings::STANDARD);
-    let occlusion = printed(occlusion::score(&land, &poses))?;
+    let occlusion = occlusion::score(&land, &poses);
     note(&format!("{} poses, drawn without culling", options.drawn));
     let drawn = cases::seeded(&land, options.drawn, DRAWN);
-    let visible = printed((options.drawn > 0).then(|| id_buffer::measure(&land, &drawn)).transpose()?)?;
+    let visible = (options.drawn > 0).then(|| id_buffer::measure(&land, &drawn)).transpose()?;
     note("frames of the valley scene");
-    let frames = printed(frames::measure(&land, client::scene::Scene::Culling.plants())?)?;
-    let streams = printed(random_attributes::test(7))?;
+    let frames = frames::measure(&land, client::scene::Scene::Culling.plants())?;
+    let streams = random_attributes::test(7);
     note("the GPU against the twin");
     let compared = cases::seeded(&land, options.compared, COMPARED);
-    let equality = (options.compared > 0).then(|| gpu_cpu_equality::compare(&land, &compared));
-    let equality = printed(equality.transpose()?)?;
+    let equality = (options.compared > 0).then(|| gpu_cpu_equality::compare(&land, &compared)).transpose()?;
     let report = Report { poses: options.poses, occlusion, visible, frames, streams, equality };
-    let json = serde_json::to_value(&report)?;
-    let (rows, notes) = (bars::rows(&json), bars::notes(&json));
-    print!("{}", ::bars::text(&rows));
-    outputs.write_json(&with_bars(json, &rows, &notes, "/same/adapter"))?;
+    publish(&report, bars::rows, bars::notes, "/same/adapter", outputs)?;
     report.controls()
-}
-
-fn printed<T: Serialize>(result: T) -> Result<T> {
-    println!("{}", serde_json::to_string_pretty(&result)?);
-    Ok(result)
 }
 
 impl Report {

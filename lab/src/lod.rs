@@ -13,7 +13,7 @@ pub mod screen;
 pub(crate) mod triangles;
 
 use crate::cracks::{self, Fault};
-use crate::report::with_bars;
+use crate::report::publish;
 use crate::world_builder::WorldBuilder;
 use crate::{Outputs, note};
 use anyhow::{Result, ensure};
@@ -98,86 +98,20 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let land = Land::new(WORLD_SEED);
     note("screen error");
     let screen = screen_error(&land, &screen::view_cases(&land, options.poses, SCREEN_STREAM));
-    println!(
-        "screen error, {} poses, {} M vertices: at most {:.3} tolerances (inside {:.3}, border {:.3}); \
-         chosen for {LOOSE} tolerances {:.3}",
-        screen.poses,
-        screen.vertices / 1_000_000,
-        screen.max,
-        screen.zones[0],
-        screen.zones[1],
-        screen.max_when_loose
-    );
     note("triangles");
     let triangles = triangles::count(&land);
-    for view in &triangles {
-        println!(
-            "triangles, {:<24} {:5} chunks {:>9}; without levels {:>9}",
-            view.camera, view.chunks, view.triangles, view.triangles_without_lod
-        );
-    }
     note("popping");
     let mut renderer = popping::renderer()?;
     let popping =
         popping::FLIGHTS.iter().map(|flight| popping::fly(&mut renderer, land, flight, options.frames));
-    let popping: Vec<popping::Outcome> = popping.collect::<Result<_, _>>()?;
-    for flight in &popping {
-        println!(
-            "popping, {:<6} {} frames, {} level changes: block mean {:.2} of 255, pixel {} (99.9 % below \
-             {}); unmorphed {:.2}, {} ({}); motion {:.2}, {} ({})",
-            flight.flight,
-            flight.frames,
-            flight.level_changes,
-            flight.morphed.block,
-            flight.morphed.max,
-            flight.morphed.p999,
-            flight.unmorphed.block,
-            flight.unmorphed.max,
-            flight.unmorphed.p999,
-            flight.motion.block,
-            flight.motion.max,
-            flight.motion.p999
-        );
-    }
+    let popping = popping.collect::<Result<_, _>>()?;
     drop(renderer);
     note("gaps");
     let cracks = gaps(land, options.views)?;
-    println!(
-        "gaps, {} poses: {} of {} pixels magenta; a chunk left out {}; without seams {}",
-        cracks.whole.poses,
-        cracks.whole.magenta,
-        cracks.whole.pixels,
-        cracks.chunk_left_out.magenta,
-        cracks.no_seams.magenta
-    );
     note("frames");
     let frames = frames::measure(land, &TOLERANCES_PX, frames::FRAMES)?;
-    println!(
-        "frames on {} at {} x {}: {} draw calls for {} levels, {} bytes per chunk",
-        frames.adapter,
-        frames.size.0,
-        frames.size.1,
-        frames.terrain_draws,
-        frames.levels,
-        frames.bytes_per_chunk
-    );
-    for row in &frames.rows {
-        let passes = row.passes.map_or("no clock".into(), |passes| {
-            format!(
-                "light {:.3} ms, tone {:.3} ms, whole {:.3} ms",
-                passes.light_ms, passes.tone_ms, passes.whole_ms
-            )
-        });
-        println!(
-            "frames, tolerance {} px: {} triangles, {:.3} ms; {passes}",
-            row.tolerance_px, row.triangles, row.frame_ms
-        );
-    }
     let report = Report { screen, triangles, cracks, popping, frames };
-    let json = serde_json::to_value(&report)?;
-    let (rows, notes) = (bars::rows(&json), bars::notes(&json));
-    print!("{}", ::bars::text(&rows));
-    outputs.write_json(&with_bars(json, &rows, &notes, "/frames/adapter"))?;
+    publish(&report, bars::rows, bars::notes, "/frames/adapter", outputs)?;
     report.controls()
 }
 

@@ -16,10 +16,10 @@ pub mod renderer;
 use crate::pom::bench::PomBench;
 use crate::pom::comparison::{AMPLITUDE, ANGLES_DEG, Condition, Score, Stage, bundle, probes, relief};
 use crate::pom::maps::Kind;
-use crate::report::with_bars;
+use crate::report::publish;
 use crate::stats::{interleaved, ratios, worst};
 use crate::{Outputs, note};
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use client::features::pom::settings::{LoopForm, PomMethod, Refine};
 use pictures::Pictures;
 use serde::Serialize;
@@ -101,10 +101,6 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let search = searches(&bench, &stage, options.rays)?;
     note("loop forms");
     let loops = loops(&bench, &stage)?;
-    println!(
-        "loops: {} of {} words differ; control {}",
-        loops.differing, loops.compared, loops.differing_control
-    );
     note("pictures");
     let pictures = pictures::measure()?;
     note("cost");
@@ -118,10 +114,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         pictures,
         cost,
     };
-    let json = serde_json::to_value(&report)?;
-    let (rows, notes) = (bars::rows(&json), bars::notes(&json));
-    print!("{}", ::bars::text(&rows));
-    outputs.write_json(&with_bars(json, &rows, &notes, "/adapter"))?;
+    publish(&report, bars::rows, bars::notes, "/adapter", outputs)?;
     report.controls()
 }
 
@@ -131,30 +124,13 @@ fn searches(bench: &PomBench, stage: &Stage, rays: u32) -> Result<Vec<Search>> {
         for angle_deg in ANGLES_DEG {
             let condition = Condition::new(stage, layer, angle_deg, rays);
             let score = |how: &PomParams| condition.score(bench, stage, how);
-            let row = Search {
+            rows.push(Search {
                 map: kind.name(),
                 angle_deg,
                 pyramid: score(&relief(PomMethod::MaxMip))?,
                 auto: score(&relief(PomMethod::Auto))?,
                 linear: score(&constant(LoopForm::Exit))?,
-            };
-            let text = |name: &str, score: &Score| {
-                format!(
-                    "{name} {:.4} % off ({:.4} % no tangents), residual {:.1e}, {:.1} fetches",
-                    100.0 * score.wrong,
-                    100.0 * score.wrong_without_excuse,
-                    score.residual,
-                    score.fetches
-                )
-            };
-            println!(
-                "{:<6} {angle_deg:>2} degrees: {}; {}; {}",
-                row.map,
-                text("pyramid", &row.pyramid),
-                text("auto", &row.auto),
-                text("64 + secant", &row.linear)
-            );
-            rows.push(row);
+            });
         }
     }
     Ok(rows)
@@ -203,19 +179,8 @@ fn costs(bench: &PomBench, stage: &Stage) -> Result<Vec<Cost>> {
                 Ok::<_, anyhow::Error>(bench.run(&stage.uploaded, &methods[index], &probes, REPEATS)?.1)
             };
             let ratios = ratios(&interleaved(ROUNDS, methods.len(), run)?);
-            let row = Cost {
-                map: kind.name(),
-                angle_deg,
-                auto: ratios[1],
-                pyramid: ratios[2],
-                early_exit: ratios[3],
-            };
-            println!(
-                "{:<6} {angle_deg:>2} degrees, time over 64 steps without exit: auto {:.2}, pyramid {:.2}, \
-                 64 steps with exit {:.2}",
-                row.map, row.auto, row.pyramid, row.early_exit
-            );
-            rows.push(row);
+            let [_, auto, pyramid, early_exit] = ratios[..] else { bail!("{} times", ratios.len()) };
+            rows.push(Cost { map: kind.name(), angle_deg, auto, pyramid, early_exit });
         }
     }
     Ok(rows)

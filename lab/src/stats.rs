@@ -28,9 +28,7 @@ impl Figures {
 
 /// The nearest-rank quantile of sorted values; not a number if there are none.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
-    // `q * n` may exceed a whole rank by its rounding.
-    let rank = (q * sorted.len() as f64 - 1e-9).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(f64::NAN)
+    bars::stats::quantile(sorted, q).unwrap_or(f64::NAN)
 }
 
 /// Quantiles of values in any order.
@@ -42,9 +40,7 @@ pub fn quantiles<const N: usize>(values: impl IntoIterator<Item = f64>, qs: [f64
 
 /// The median, the upper one of an even number; not a number if there is none.
 pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.into_iter().collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+    bars::stats::median(values).unwrap_or(f64::NAN)
 }
 
 /// Median of durations in seconds.

@@ -4,6 +4,7 @@
 //! alternate, so that a machine that warms up or is disturbed slows both; the median turn counts.
 
 use crate::Outputs;
+use crate::codec::samples::land_keys;
 use crate::stats::median;
 use anyhow::{Result, anyhow};
 use client::features::terrain::fill::{ChunkFiller, MAX_BATCH};
@@ -56,7 +57,8 @@ struct CpuRate {
 /// Times both and prints the rates.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let land = Land::new(WORLD_SEED);
-    let keys = land_chunks(&land, options.chunks as usize);
+    // None of them is open sea, where nothing is to be computed.
+    let keys: Vec<_> = land_keys(&land, 16).take(options.chunks as usize).collect();
     let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
     let (device, queue) = (&gpu.device, &gpu.queue);
     let filler = ChunkFiller::new(device, queue, &land, keys.len())?;
@@ -101,18 +103,6 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     println!("GPU  {:10.0} chunks/s  without readback", report.gpu.chunks_per_second_without_readback);
     println!("CPU  {:10.0} chunks/s  {kernel}, 1 thread", report.cpu.chunks_per_second);
     outputs.write_json(&report)
-}
-
-/// Chunks of the home island, nearest rows first: none of them is open sea, where nothing is to be
-/// computed.
-fn land_chunks(land: &Land, count: usize) -> Vec<ChunkKey> {
-    let near = (-16..16).flat_map(|z| (-16..16).map(move |x| (x, z)));
-    let keys = near.filter_map(|(x, z)| ChunkKey::new(0, x, z).ok());
-    let with_land = |key: &ChunkKey| {
-        let (x, z) = key.origin();
-        !land.archipelago().is_open_sea(x, z, key.side())
-    };
-    keys.filter(with_land).take(count).collect()
 }
 
 fn generate(land: &Land, kernel: Kernel, key: ChunkKey) {

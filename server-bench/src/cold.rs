@@ -4,19 +4,20 @@
 //! The error bound of a coarse chunk costs many times its heights; level 0 has none. A figure of
 //! one level therefore says little about another.
 
-use crate::connection::{Connection, Received};
+use crate::Plan;
+use crate::clients::{Window, closed_loop, run_all};
 use crate::keys::{WORLD_SEED, land_keys};
+use crate::rounds::Rounds;
 use crate::server_process::{ServerProcess, series};
-use crate::stats::median;
-use crate::{Plan, at, join_all, listed, shown};
-use anyhow::{Result, ensure};
-use bars::{Bar, Limit};
+use anyhow::{Context, Result, ensure};
+use bars::Bar;
+use bars::figures::{at, each, fill};
 use protocol::Delivery;
 use protocol::chunk_codec::{self, Effort};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use std::hint::black_box;
 use std::time::Instant;
-use terrain::{Chunk, GrassSeed, Land};
+use terrain::{Chunk, ChunkKey, GrassSeed, Land};
 
 /// Connections that the requests are spread over.
 const CONNECTIONS: usize = 16;
@@ -42,22 +43,19 @@ const LEVELS: [LevelPlan; 3] = [
 ];
 
 /// Runs the benchmark: every round of every level in a fresh server, so that nothing is cached.
-///
-/// # Errors
-/// The server fails or refuses.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let land = Land::new(WORLD_SEED);
     let mut levels = Vec::new();
     for level in LEVELS {
         levels.push(measure(plan, &land, level).await?);
     }
-    let is_fast = at(&levels[0], "/fast_encoded_share") > Some(0.5);
+    let is_fast = at(&levels[0], "fast_encoded_share") > Some(0.5);
     let effort = if is_fast { Effort::Fast } else { Effort::Compact };
     let stages = stages(&land, &land_keys(&land, 0, STAGE_CHUNKS), effort);
     let generation_us: f64 = stages.iter().map(|(_, us)| us).sum();
-    let mut stages: serde_json::Map<_, _> =
-        stages.into_iter().map(|(name, us)| (name.to_owned(), json!(us))).collect();
-    stages.insert("serve_us".into(), json!(shown(&levels[0], "/total_us") - generation_us));
+    let mut stages: Map<_, _> = stages.into_iter().map(|(name, us)| (name.to_owned(), json!(us))).collect();
+    let total_us = at(&levels[0], "total_us").context("no chunk of level 0 was timed")?;
+    stages.insert("serve_us".into(), json!(total_us - generation_us));
     Ok(json!({ "connections": CONNECTIONS, "levels": levels, "stages": stages }))
 }
 
@@ -65,68 +63,40 @@ async fn measure(plan: &Plan, land: &Land, level: LevelPlan) -> Result<Value> {
     let LevelPlan { level, chunks, window } = level;
     let keys = land_keys(land, level, chunks);
     ensure!(keys.len() == chunks, "level {level} has only {} chunks with land", keys.len());
-    let (mut per_core, mut per_second, mut bytes, mut fast) = (Vec::new(), Vec::new(), 0, Vec::new());
+    let parts: Vec<_> = keys.chunks(chunks / CONNECTIONS).collect();
+    let (mut rounds, mut bytes) = (Rounds::default(), 0);
     for _ in 0..plan.rounds {
         let server = ServerProcess::start(&plan.launch, &[])?;
-        let mut connections = Vec::new();
-        for _ in 0..CONNECTIONS {
-            connections.push(Connection::connect(server.address).await?);
-        }
+        let connections = server.connect(CONNECTIONS).await?;
         let (cpu_before, started) = (server.process.cpu_s()?, Instant::now());
-        let parts = keys.chunks(chunks / CONNECTIONS).map(<[_]>::to_vec);
-        let clients = connections.into_iter().zip(parts);
-        let clients = clients.map(|(connection, keys)| tokio::spawn(take_all(connection, keys, window)));
-        bytes = join_all(clients.collect()).await?.into_iter().sum::<u64>();
-        let seconds = started.elapsed().as_secs_f64();
-        per_second.push(chunks as f64 / seconds);
-        per_core.push(chunks as f64 / (server.process.cpu_s()? - cpu_before));
+        let totals = run_all(connections, |index, mut connection| {
+            let keys = parts[index].to_vec();
+            async move {
+                let totals = closed_loop(&mut connection, keys, Window::OneByOne(window), None, |_| ()).await;
+                totals?.without_refusals().with_context(|| format!("with {window} requests outstanding"))
+            }
+        });
+        bytes = totals.await?.iter().map(|totals| totals.bytes).sum();
+        let (seconds, cpu_s) = (started.elapsed().as_secs_f64(), server.process.cpu_s()? - cpu_before);
         let generated = server.metric(series::GENERATED).await?;
         ensure!(generated as usize == chunks, "{generated} chunks were generated instead of {chunks}");
-        fast.push(server.metric(series::FAST_ENCODED).await? / chunks as f64);
+        rounds.push("chunks_per_s", chunks as f64 / seconds);
+        rounds.push("chunks_per_core_s", chunks as f64 / cpu_s);
+        rounds.push("total_us", 1e6 * cpu_s / chunks as f64);
+        rounds.push("fast_encoded_share", server.metric(series::FAST_ENCODED).await? / chunks as f64);
     }
-    Ok(json!({
+    Ok(rounds.add_to(json!({
         "level": level,
         "chunks": chunks,
         "window": window,
         "frame_bytes": bytes / chunks as u64,
-        "fast_encoded_share": median(fast),
-        "chunks_per_core_s": median(per_core.clone()),
-        "chunks_per_core_s_rounds": per_core,
-        "chunks_per_s": median(per_second.clone()),
-        "chunks_per_s_rounds": per_second,
-        "total_us": median(per_core).map(|rate| 1e6 / rate),
-    }))
-}
-
-/// Requests all chunks with a window of so many. Returns their bytes.
-async fn take_all(mut connection: Connection, keys: Vec<terrain::ChunkKey>, window: usize) -> Result<u64> {
-    let mut next = keys.iter().copied();
-    connection.request(next.by_ref().take(window)).await?;
-    let (mut chunks, mut bytes, mut refused) = (0, 0, 0u64);
-    while chunks < keys.len() {
-        let before = chunks;
-        connection
-            .receive(|received| match received {
-                Received::Chunk(frame) => {
-                    chunks += 1;
-                    bytes += frame.len() as u64;
-                }
-                Received::Message(_) => refused += 1,
-            })
-            .await?;
-        ensure!(refused == 0, "the server refused a chunk with {window} requests outstanding");
-        let more: Vec<_> = next.by_ref().take(chunks - before).collect();
-        if !more.is_empty() {
-            connection.request(more).await?;
-        }
-    }
-    Ok(bytes)
+    })))
 }
 
 /// Microseconds of each stage for a chunk of level 0, run in this process as a thread of the server
 /// does it. The fastest of three passes, to leave out disturbances. Encoded with the effort that
 /// the server used for most of its frames.
-fn stages(land: &Land, keys: &[terrain::ChunkKey], effort: Effort) -> Vec<(&'static str, f64)> {
+fn stages(land: &Land, keys: &[ChunkKey], effort: Effort) -> Vec<(&'static str, f64)> {
     let digest = land.digest();
     let mut best = [f64::INFINITY; 4];
     for _ in 0..3 {
@@ -155,47 +125,30 @@ fn timed<T>(job: impl FnOnce() -> T) -> (T, f64) {
 }
 
 /// The bars of this benchmark.
-#[must_use]
 pub fn bars(figures: &Value) -> Vec<Bar> {
-    let rate = |index: usize, level: u8| {
-        let is_level = at(figures, &format!("/levels/{index}/level")) == Some(f64::from(level));
-        at(figures, &format!("/levels/{index}/chunks_per_core_s")).filter(|_| is_level)
+    let rate = |index: usize| {
+        let level = at(figures, &format!("levels/{index}/level"));
+        let is_level = level == Some(f64::from(LEVELS[index].level));
+        at(figures, &format!("levels/{index}/chunks_per_core_s")).filter(|_| is_level)
     };
     vec![
-        Bar::new("new chunks of level 0 a second and core", rate(0, 0), "", Limit::AtLeast(25_000.0))
+        Bar::at_least("new chunks of level 0 a second and core", rate(0), "", 25_000.0)
             .with_note("level 0 needs no error bound"),
-        Bar::new("new chunks of level 2 a second and core", rate(1, 2), "", Limit::Reported),
-        Bar::new("new chunks of level 4 a second and core", rate(2, 4), "", Limit::Reported),
+        Bar::reported("new chunks of level 2 a second and core", rate(1), ""),
+        Bar::reported("new chunks of level 4 a second and core", rate(2), ""),
     ]
 }
 
 /// Further figures in sentences.
-#[must_use]
 pub fn notes(figures: &Value) -> Vec<String> {
-    let of = |path: &str| shown(figures, path);
-    let mut notes = vec![format!(
-        "New chunks of level 0: {:.1} us of CPU each, of which heights {:.1}, grass {:.1}, pyramids \
-         {:.1}, encoding {:.1}, and the rest (requests, queues, sockets, and the slowdown in a busy \
-         server) {:.1}.",
-        of("/levels/0/total_us"),
-        of("/stages/generate_us"),
-        of("/stages/grass_us"),
-        of("/stages/pyramids_us"),
-        of("/stages/encode_us"),
-        of("/stages/serve_us"),
-    )];
-    for index in 0..LEVELS.len() {
-        let of = |field: &str| of(&format!("/levels/{index}/{field}"));
-        notes.push(format!(
-            "New chunks of level {:.0}: {:.0} bytes each, {:.0} % encoded fast because of the \
-             backlog; a second and core, round by round: {}.",
-            of("level"),
-            of("frame_bytes"),
-            100.0 * of("fast_encoded_share"),
-            listed(figures, &format!("/levels/{index}/chunks_per_core_s_rounds"), 0),
-        ));
-    }
-    notes
+    let stages = "New chunks of level 0: {levels/0/total_us:.1} us of CPU each, of which heights \
+                  {stages/generate_us:.1}, grass {stages/grass_us:.1}, pyramids {stages/pyramids_us:.1}, \
+                  encoding {stages/encode_us:.1}, and the rest (requests, queues, sockets, and the slowdown \
+                  in a busy server) {stages/serve_us:.1}.";
+    let level = "New chunks of level {level:.0}: {frame_bytes:.0} bytes each, {fast_encoded_share*100:.0} % \
+                 encoded fast because of the backlog; a second and core, round by round: \
+                 {chunks_per_core_s_rounds:.0}.";
+    std::iter::once(fill(stages, figures)).chain(each(figures, "levels", level)).collect()
 }
 
 #[cfg(test)]

@@ -7,18 +7,16 @@ use anyhow::{Context, Result, bail};
 use protocol::limits::MAX_CREDITS;
 use protocol::message::{ClientMessage, Hello, ServerMessage, WireKey};
 use protocol::{Delivery, SUBPROTOCOL, chunk_codec, control};
-use std::cell::RefCell;
-use std::io::ErrorKind;
 use std::net::SocketAddr;
 use terrain::ChunkKey;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
+
+/// Name and version, sent to the server in the Hello message.
+const SOFTWARE: &str = concat!("tombolo-server-bench ", env!("CARGO_PKG_VERSION"));
 
 /// Bytes read at once.
 const READ_BUFFER: usize = 256 * 1024;
-
-thread_local! {
-    static SCRATCH: RefCell<Vec<u8>> = RefCell::new(vec![0; READ_BUFFER]);
-}
 
 /// What the server sent.
 #[derive(Debug)]
@@ -27,6 +25,14 @@ pub enum Received<'a> {
     Chunk(&'a [u8]),
     /// A control message.
     Message(ServerMessage),
+}
+
+impl Received<'_> {
+    /// The key of a chunk frame.
+    pub fn key(&self) -> Option<ChunkKey> {
+        let Self::Chunk(frame) = self else { return None };
+        chunk_codec::kind_and_key(frame).ok().map(|(_, key)| key)
+    }
 }
 
 /// A session over a bare socket.
@@ -42,20 +48,16 @@ pub struct Connection {
 
 impl Connection {
     /// Connects, sends Hello and the maximal credit, and waits for the Welcome.
-    ///
-    /// # Errors
-    /// The server cannot be reached or does not admit.
     pub async fn connect(address: SocketAddr) -> Result<Self> {
-        let stream =
-            TcpStream::connect(address).await.with_context(|| format!("cannot connect to {address}"))?;
+        let mut stream = open(address).await?;
         stream.set_nodelay(true)?;
-        let mut connection = Self { stream, rest: Vec::new(), credits: MAX_CREDITS, next_request: 0 };
         let request = format!(
             "GET /v1/stream HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
              Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
              Sec-WebSocket-Protocol: {SUBPROTOCOL}\r\n\r\n"
         );
-        connection.write(request.as_bytes()).await?;
+        stream.write_all(request.as_bytes()).await?;
+        let mut connection = Self { stream, rest: Vec::new(), credits: MAX_CREDITS, next_request: 0 };
         let head = loop {
             connection.read().await?;
             if let Some(end) = connection.rest.windows(4).position(|four| four == b"\r\n\r\n") {
@@ -63,66 +65,44 @@ impl Connection {
             }
         };
         if !head.starts_with(b"HTTP/1.1 101 ") {
-            bail!(
-                "expected an upgrade from the server, got {}",
-                String::from_utf8_lossy(&head).lines().next().unwrap_or_default()
-            );
+            let head = String::from_utf8_lossy(&head);
+            bail!("expected an upgrade from the server, got {}", head.lines().next().unwrap_or_default());
         }
-        let hello =
-            Hello { digest: None, delivery: Delivery::Exact, token: None, software: crate::SOFTWARE.into() };
-        let mut bytes = Vec::new();
-        push(&mut bytes, &ClientMessage::Hello(hello))?;
-        push(&mut bytes, &ClientMessage::Credit { chunks: MAX_CREDITS })?;
-        connection.write(&bytes).await?;
+        let hello = Hello { digest: None, delivery: Delivery::Exact, token: None, software: SOFTWARE.into() };
+        let credit = ClientMessage::Credit { chunks: MAX_CREDITS };
+        connection.send(&[ClientMessage::Hello(hello), credit]).await?;
         let mut welcomed = false;
         while !welcomed {
-            connection
-                .receive(|received| {
-                    welcomed |= matches!(received, Received::Message(ServerMessage::Welcome(_)));
-                })
-                .await?;
+            let note = |received: Received<'_>| {
+                welcomed |= matches!(received, Received::Message(ServerMessage::Welcome(_)));
+            };
+            connection.receive(note).await?;
         }
         Ok(connection)
     }
 
-    /// Requests chunks, one request for each key. Sends more credit when little is left.
-    ///
-    /// # Errors
-    /// The connection broke.
-    pub async fn request(&mut self, keys: impl IntoIterator<Item = ChunkKey>) -> Result<()> {
-        let mut bytes = Vec::new();
-        for key in keys {
-            push_request(&mut bytes, self.next_request, vec![key.into()])?;
+    /// Requests chunks: all in one message, at most 512, or one message for each. Sends more credit
+    /// when little is left.
+    pub async fn request(
+        &mut self,
+        keys: impl IntoIterator<Item = ChunkKey>,
+        are_together: bool,
+    ) -> Result<()> {
+        let keys: Vec<WireKey> = keys.into_iter().map(WireKey::from).collect();
+        let size = if are_together { keys.len() } else { 1 };
+        let mut messages = Vec::new();
+        for keys in keys.chunks(size.max(1)) {
+            messages.push(ClientMessage::Request { id: self.next_request, keys: keys.to_vec() });
             self.next_request = self.next_request.wrapping_add(1);
         }
-        self.refill(&mut bytes)?;
-        self.write(&bytes).await
-    }
-
-    /// Requests different chunks in one message.
-    ///
-    /// # Errors
-    /// The connection broke, or there are more than 512 keys.
-    pub async fn request_together(&mut self, keys: impl IntoIterator<Item = ChunkKey>) -> Result<()> {
-        let mut bytes = Vec::new();
-        push_request(&mut bytes, self.next_request, keys.into_iter().map(WireKey::from).collect())?;
-        self.next_request = self.next_request.wrapping_add(1);
-        self.refill(&mut bytes)?;
-        self.write(&bytes).await
-    }
-
-    fn refill(&mut self, bytes: &mut Vec<u8>) -> Result<()> {
         if self.credits < MAX_CREDITS / 2 {
-            push(bytes, &ClientMessage::Credit { chunks: MAX_CREDITS - self.credits })?;
+            messages.push(ClientMessage::Credit { chunks: MAX_CREDITS - self.credits });
             self.credits = MAX_CREDITS;
         }
-        Ok(())
+        self.send(&messages).await
     }
 
-    /// Waits for bytes and passes on every complete message among them.
-    ///
-    /// # Errors
-    /// The connection ended, or the bytes are no frame of this protocol.
+    /// Waits for bytes and passes on every complete message among them. Can be cancelled.
     pub async fn receive(&mut self, mut take: impl FnMut(Received<'_>)) -> Result<()> {
         self.read().await?;
         let mut used = 0;
@@ -147,79 +127,37 @@ impl Connection {
     }
 
     async fn read(&mut self) -> Result<()> {
-        loop {
-            self.stream.readable().await?;
-            let read = SCRATCH.with_borrow_mut(|scratch| {
-                let count = self.stream.try_read(scratch)?;
-                self.rest.extend_from_slice(&scratch[..count]);
-                Ok(count)
-            });
-            match read {
-                Ok(0) => bail!("the server ended the connection"),
-                Ok(_) => return Ok(()),
-                Err(error) if ErrorKind::WouldBlock == std::io::Error::kind(&error) => {}
-                Err(error) => return Err(error.into()),
-            }
+        // Pages of the buffer that nothing is read into take no memory.
+        self.rest.reserve(READ_BUFFER);
+        match self.stream.read_buf(&mut self.rest).await? {
+            0 => bail!("the server ended the connection"),
+            _ => Ok(()),
         }
     }
 
-    /// Sends one message.
-    ///
-    /// # Errors
-    /// The connection broke, or the message exceeds the protocol's limits.
-    pub async fn send(&mut self, message: &ClientMessage) -> Result<()> {
-        let mut bytes = Vec::new();
-        push(&mut bytes, message)?;
-        self.write(&bytes).await
+    /// Sends messages.
+    pub async fn send(&mut self, messages: &[ClientMessage]) -> Result<()> {
+        Ok(self.stream.write_all(&frames(messages)?).await?)
     }
 
     /// Sends messages and drops everything that arrives in between, so that neither end blocks.
-    ///
-    /// # Errors
-    /// As [`Connection::send`].
     pub async fn send_while_reading(&mut self, messages: &[ClientMessage]) -> Result<()> {
-        let mut bytes = Vec::new();
-        for message in messages {
-            push(&mut bytes, message)?;
+        let bytes = frames(messages)?;
+        let (mut reader, mut writer) = self.stream.split();
+        let mut dropped = vec![0; READ_BUFFER];
+        let drop_all = async {
+            while reader.read(&mut dropped).await? > 0 {}
+            bail!("the server ended the connection")
+        };
+        tokio::select! {
+            sent = writer.write_all(&bytes) => Ok(sent?),
+            ended = drop_all => ended,
         }
-        let mut written = 0;
-        while written < bytes.len() {
-            let ready =
-                self.stream.ready(tokio::io::Interest::READABLE | tokio::io::Interest::WRITABLE).await?;
-            if ready.is_readable() {
-                let read = SCRATCH.with_borrow_mut(|scratch| self.stream.try_read(scratch));
-                match read {
-                    Ok(0) => bail!("the server ended the connection"),
-                    Err(error) if error.kind() != ErrorKind::WouldBlock => return Err(error.into()),
-                    _ => {}
-                }
-            }
-            if ready.is_writable() {
-                match self.stream.try_write(&bytes[written..]) {
-                    Ok(count) => written += count,
-                    Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-                    Err(error) => return Err(error.into()),
-                }
-            }
-        }
-        Ok(())
-    }
-
-    async fn write(&mut self, bytes: &[u8]) -> Result<()> {
-        write_all(&self.stream, bytes).await
     }
 }
 
-async fn write_all(stream: &TcpStream, mut bytes: &[u8]) -> Result<()> {
-    while !bytes.is_empty() {
-        stream.writable().await?;
-        match stream.try_write(bytes) {
-            Ok(count) => bytes = &bytes[count..],
-            Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-            Err(error) => return Err(error.into()),
-        }
-    }
-    Ok(())
+async fn open(address: SocketAddr) -> Result<TcpStream> {
+    TcpStream::connect(address).await.with_context(|| format!("cannot connect to {address}"))
 }
 
 /// Opcode, begin and end of the first frame's payload; none if the frame is incomplete.
@@ -237,49 +175,32 @@ fn next_frame(bytes: &[u8]) -> Result<Option<(u8, usize, usize)>> {
     Ok((bytes.len() >= end).then_some((first & 15, start, end)))
 }
 
-/// Appends a message as a frame. The mask is zero: masks protect proxies, not servers.
-fn push(bytes: &mut Vec<u8>, message: &ClientMessage) -> Result<()> {
-    push_frame(bytes, &control::encode(message)?);
-    Ok(())
-}
-
-fn push_frame(bytes: &mut Vec<u8>, payload: &[u8]) {
-    bytes.push(0x82);
-    match u8::try_from(payload.len()) {
-        Ok(short @ ..126) => bytes.push(0x80 | short),
-        _ => {
-            bytes.push(0x80 | 126);
-            bytes.extend_from_slice(&(payload.len() as u16).to_be_bytes());
+/// Messages as frames. Masks are zero: they protect proxies, not servers.
+fn frames(messages: &[ClientMessage]) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    for message in messages {
+        let payload = control::encode(message)?;
+        bytes.push(0x82);
+        match u8::try_from(payload.len()) {
+            Ok(short @ ..126) => bytes.push(0x80 | short),
+            _ => {
+                bytes.push(0x80 | 126);
+                bytes.extend_from_slice(&(payload.len() as u16).to_be_bytes());
+            }
         }
+        bytes.extend_from_slice(&[0; 4]);
+        bytes.extend_from_slice(&payload);
     }
-    bytes.extend_from_slice(&[0; 4]);
-    bytes.extend_from_slice(payload);
-}
-
-fn push_request(bytes: &mut Vec<u8>, id: u32, keys: Vec<WireKey>) -> Result<()> {
-    push(bytes, &ClientMessage::Request { id, keys })
+    Ok(bytes)
 }
 
 /// The body of a GET, for metrics.
-///
-/// # Errors
-/// The server does not answer.
 pub async fn get(address: SocketAddr, path: &str) -> Result<String> {
-    let stream = TcpStream::connect(address).await.with_context(|| format!("cannot connect to {address}"))?;
+    let mut stream = open(address).await?;
     let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
-    write_all(&stream, request.as_bytes()).await?;
-    let mut all = Vec::new();
-    loop {
-        stream.readable().await?;
-        let mut buffer = [0; 16 * 1024];
-        match stream.try_read(&mut buffer) {
-            Ok(0) => break,
-            Ok(count) => all.extend_from_slice(&buffer[..count]),
-            Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-            Err(error) => return Err(error.into()),
-        }
-    }
-    let text = String::from_utf8(all).context("the answer is no text")?;
+    stream.write_all(request.as_bytes()).await?;
+    let mut text = String::new();
+    stream.read_to_string(&mut text).await.context("the answer is no text")?;
     let (_, body) = text.split_once("\r\n\r\n").context("the answer has no body")?;
     Ok(body.to_owned())
 }
@@ -305,12 +226,11 @@ mod tests {
 
     #[test]
     fn requests_are_valid_protocol_frames() {
-        let mut bytes = Vec::new();
         let key = ChunkKey::new(3, -5, 7).unwrap();
-        push_request(&mut bytes, 9, vec![key.into()]).unwrap();
-        let length = usize::from(bytes[1] & 0x7f);
-        assert_eq!(bytes.len(), 6 + length);
-        let expected = ClientMessage::Request { id: 9, keys: vec![key.into()] };
-        assert_eq!(control::decode(&bytes[6..]), Ok(expected));
+        let request = ClientMessage::Request { id: 9, keys: vec![key.into()] };
+        let bytes = frames(&[request.clone(), request.clone()]).unwrap();
+        let length = 6 + usize::from(bytes[1] & 0x7f);
+        assert_eq!(bytes.len(), 2 * length);
+        assert_eq!(control::decode(&bytes[6..length]), Ok(request));
     }
 }

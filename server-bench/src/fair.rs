@@ -2,14 +2,14 @@
 //! that must be generated, together more than the server can generate, so that its scheduling alone
 //! decides the shares.
 
-use crate::connection::{Connection, Received};
+use crate::Plan;
+use crate::clients::{Event, Window, closed_loop, rotated, run_all};
 use crate::keys::{WORLD_SEED, land_keys};
+use crate::rounds::{Rounds, jain, quantile_ms};
 use crate::server_process::ServerProcess;
-use crate::stats::{jain, median, ms, quantile};
-use crate::{Plan, at, join_all, listed, shown};
 use anyhow::Result;
-use bars::{Bar, Limit};
-use protocol::chunk_codec;
+use bars::Bar;
+use bars::figures::{at, fill};
 use rustc_hash::FxHashMap;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
@@ -29,40 +29,28 @@ const CHUNKS: usize = 16 * 1024;
 const SETTLE: Duration = Duration::from_millis(500);
 
 /// Runs the benchmark, without and with the greedy client in turn.
-///
-/// # Errors
-/// The server fails.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let keys = land_keys(&Land::new(WORLD_SEED), 0, CHUNKS);
-    let (mut alone, mut beside, mut ratios, mut indices, mut polite) =
-        (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let (mut greedy_share, mut refused) = (Vec::new(), 0);
+    let (mut rounds, mut refused) = (Rounds::default(), 0);
     for _ in 0..plan.rounds {
         let without = round(plan, &keys, 0).await?;
         let with = round(plan, &keys, 1).await?;
-        alone.push(without.p99_ms);
-        beside.push(with.p99_ms);
-        ratios.push(with.p99_ms / without.p99_ms);
         refused += with.polite_refused;
-        indices.push(jain(&with.shares));
-        polite.push(jain(&with.shares[..POLITE]));
         let mean = with.shares.iter().sum::<f64>() / with.shares.len() as f64;
-        greedy_share.push(with.shares[POLITE] / mean);
+        rounds.push("p99_alone_ms", without.p99_ms);
+        rounds.push("p99_beside_greedy_ms", with.p99_ms);
+        rounds.push("p99_ratio", with.p99_ms / without.p99_ms);
+        rounds.push("jain_index", jain(&with.shares));
+        rounds.push("jain_index_polite", jain(&with.shares[..POLITE]));
+        rounds.push("greedy_share_of_mean", with.shares[POLITE] / mean);
     }
-    Ok(json!({
+    Ok(rounds.add_to(json!({
         "polite": POLITE,
         "polite_window": POLITE_WINDOW,
         "greedy_window": GREEDY_WINDOW,
         "rounds": plan.rounds,
-        "p99_alone_ms": median(alone),
-        "p99_beside_greedy_ms": median(beside),
         "polite_refused": refused,
-        "p99_ratio": median(ratios.clone()),
-        "p99_ratio_rounds": ratios,
-        "jain_index": median(indices),
-        "jain_index_polite": median(polite),
-        "greedy_share_of_mean": median(greedy_share),
-    }))
+    })))
 }
 
 struct Round {
@@ -77,111 +65,58 @@ struct Round {
 async fn round(plan: &Plan, keys: &[ChunkKey], greedy: usize) -> Result<Round> {
     let server = ServerProcess::start(&plan.launch, &["--cache-mb", "1"])?;
     let n_clients = POLITE + greedy;
-    let mut connections = Vec::new();
-    for _ in 0..n_clients {
-        connections.push(Connection::connect(server.address).await?);
-    }
+    let connections = server.connect(n_clients).await?;
     let from = Instant::now() + SETTLE;
     let end = from + Duration::from_secs(plan.seconds);
-    let clients = connections.into_iter().enumerate().map(|(index, connection)| {
-        let window = if index < POLITE { POLITE_WINDOW } else { GREEDY_WINDOW };
-        // Far apart in the list: no client finds chunks of another in the cache.
-        let own: Vec<_> =
-            keys.iter().copied().cycle().skip(index * CHUNKS / n_clients).take(CHUNKS).collect();
-        tokio::spawn(keep_requesting(connection, own, window, from, end))
-    });
-    let outcomes = join_all(clients.collect()).await?;
-    let shares = outcomes.iter().map(|outcome| outcome.latencies.len() as f64).collect();
-    let (mut all, mut polite_refused) = (Vec::new(), 0);
-    for outcome in outcomes.into_iter().take(POLITE) {
-        all.extend(outcome.latencies);
-        polite_refused += outcome.refused;
-    }
-    all.extend(std::iter::repeat_n(Duration::from_secs(plan.seconds), polite_refused));
-    let p99_ms = quantile(&mut all, 0.99).map_or(f64::NAN, ms);
-    Ok(Round { p99_ms, polite_refused, shares })
-}
-
-/// What one client received after the start of the measured part.
-struct Outcome {
-    /// Of each chunk.
-    latencies: Vec<Duration>,
-    refused: usize,
-}
-
-/// Keeps a window full until the end.
-async fn keep_requesting(
-    mut connection: Connection,
-    keys: Vec<ChunkKey>,
-    window: usize,
-    from: Instant,
-    end: Instant,
-) -> Result<Outcome> {
-    let mut next = keys.iter().copied().cycle();
-    let mut open: FxHashMap<ChunkKey, Instant> = FxHashMap::default();
-    let mut outcome = Outcome { latencies: Vec::new(), refused: 0 };
-    let mut free = window;
-    while Instant::now() < end {
-        if free > 0 {
-            let (now, more) = (Instant::now(), next.by_ref().take(free).collect::<Vec<_>>());
-            open.extend(more.iter().map(|key| (*key, now)));
-            connection.request(more).await?;
-            free = 0;
-        }
-        connection
-            .receive(|received| {
-                free += 1;
-                let Received::Chunk(frame) = received else {
-                    outcome.refused += usize::from(Instant::now() >= from);
-                    return;
-                };
-                let sent = chunk_codec::kind_and_key(frame).ok().and_then(|(_, key)| open.remove(&key));
-                if let Some(sent) = sent.filter(|_| Instant::now() >= from) {
-                    outcome.latencies.push(sent.elapsed());
+    let outcomes = run_all(connections, |index, mut connection| {
+        let window = Window::OneByOne(if index < POLITE { POLITE_WINDOW } else { GREEDY_WINDOW });
+        let keys = rotated(keys, index, n_clients).into_iter().cycle();
+        async move {
+            // Latencies and refusals of the measured part.
+            let (mut latencies, mut refused) = (Vec::new(), 0);
+            let mut open: FxHashMap<ChunkKey, Instant> = FxHashMap::default();
+            let note = |event: Event<'_>| match event {
+                Event::Sent(key) => _ = open.insert(key, Instant::now()),
+                Event::Received(received) => {
+                    let sent = received.key().and_then(|key| open.remove(&key));
+                    if Instant::now() >= from {
+                        refused += usize::from(received.key().is_none());
+                        latencies.extend(sent.map(|sent| sent.elapsed()));
+                    }
                 }
-            })
-            .await?;
-    }
-    Ok(outcome)
+            };
+            closed_loop(&mut connection, keys, window, Some(end), note).await?;
+            Ok((latencies, refused))
+        }
+    });
+    let mut outcomes = outcomes.await?;
+    let shares = outcomes.iter().map(|(latencies, _)| latencies.len() as f64).collect();
+    outcomes.truncate(POLITE);
+    let (latencies, refused): (Vec<_>, Vec<usize>) = outcomes.into_iter().unzip();
+    let (mut all, polite_refused) = (latencies.concat(), refused.into_iter().sum());
+    all.extend(std::iter::repeat_n(Duration::from_secs(plan.seconds), polite_refused));
+    Ok(Round { p99_ms: quantile_ms(all, 0.99).unwrap_or(f64::NAN), polite_refused, shares })
 }
 
 /// The bars of this benchmark.
-#[must_use]
 pub fn bars(figures: &Value) -> Vec<Bar> {
+    let of = |path| at(figures, path);
     vec![
-        Bar::new(
-            "polite p99 beside a greedy client over alone",
-            at(figures, "/p99_ratio"),
-            "x",
-            Limit::AtMost(1.3),
-        )
-        .with_note("median of the rounds; a refused request counts as the whole length of its round"),
-        Bar::new(
-            "refused requests of polite clients",
-            at(figures, "/polite_refused"),
-            "",
-            Limit::AtMost(0.0),
-        )
-        .with_note("beside the greedy client, all rounds together"),
-        Bar::new("Jain's index of their shares", at(figures, "/jain_index"), "", Limit::AtLeast(0.95)),
+        Bar::at_most("polite p99 beside a greedy client over alone", of("p99_ratio"), "x", 1.3)
+            .with_note("median of the rounds; a refused request counts as the whole length of its round"),
+        Bar::none("refused requests of polite clients", of("polite_refused"))
+            .with_note("beside the greedy client, all rounds together"),
+        Bar::at_least("Jain's index of their shares", of("jain_index"), "", 0.95),
     ]
 }
 
 /// Further figures in sentences.
-#[must_use]
 pub fn notes(figures: &Value) -> Vec<String> {
-    let shown = |path| shown(figures, path);
-    let line = format!(
-        "Polite clients: p99 {:.1} ms alone, {:.1} ms beside the greedy one, whose share is {:.2} of \
-         the mean; Jain's index of the polite ones alone {:.3}. Polite p99 over alone, round by \
-         round: {}.",
-        shown("/p99_alone_ms"),
-        shown("/p99_beside_greedy_ms"),
-        shown("/greedy_share_of_mean"),
-        shown("/jain_index_polite"),
-        listed(figures, "/p99_ratio_rounds", 2),
-    );
-    vec![line]
+    let line = "Polite clients: p99 {p99_alone_ms:.1} ms alone, {p99_beside_greedy_ms:.1} ms beside the \
+                greedy one, whose share is {greedy_share_of_mean:.2} of the mean; Jain's index of the polite \
+                ones alone {jain_index_polite:.3}. Polite p99 over alone, round by round: \
+                {p99_ratio_rounds:.2}.";
+    vec![fill(line, figures)]
 }
 
 #[cfg(test)]

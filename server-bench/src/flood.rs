@@ -5,16 +5,16 @@
 //! The liveness probe must be answered, the polite client must get its chunks, and the server must
 //! stop on SIGTERM.
 
+use crate::Plan;
 use crate::connection::{Connection, Received, get};
 use crate::keys::{WORLD_SEED, land_keys};
+use crate::rounds::{Rounds, quantile_ms};
 use crate::server_process::{ServerProcess, series};
-use crate::stats::{ms, quantile};
-use crate::{Plan, at, join_all};
 use anyhow::{Context, Result};
-use bars::{Bar, Limit, worst};
-use protocol::chunk_codec;
+use bars::Bar;
+use bars::figures::{at, least, list, worst};
 use protocol::limits::{MAX_KEYS, MAX_VIEW_ESTIMATE, MAX_VIEWPORT};
-use protocol::message::{ClientMessage, WireKey};
+use protocol::message::{ClientMessage, ServerMessage, WireKey};
 use protocol::view::View;
 use rustc_hash::FxHashMap;
 use serde_json::{Value, json};
@@ -101,18 +101,19 @@ impl Kind {
     }
 }
 
-/// Runs every scenario, each against a fresh server.
-///
-/// # Errors
-/// The server fails.
+/// Runs every scenario, each round of it against a fresh server.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let keys = land_keys(&Land::new(WORLD_SEED), 0, 64 * 1024);
     let mut scenarios = Vec::new();
     for kind in Kind::ALL {
         for sessions in SESSIONS {
             for rate in [Some(RATE), None] {
-                let figures = scenario(plan, &keys, kind, sessions, rate).await?;
-                scenarios.push(figures);
+                let mut rounds = Rounds::default();
+                for _ in 0..plan.rounds {
+                    scenario(plan, &keys, kind, sessions, rate, &mut rounds).await?;
+                }
+                let scenario = json!({ "views": kind.name(), "sessions": sessions, "views_per_s": rate });
+                scenarios.push(rounds.add_to(scenario));
             }
         }
     }
@@ -125,7 +126,8 @@ async fn scenario(
     kind: Kind,
     sessions: usize,
     rate: Option<u32>,
-) -> Result<Value> {
+    rounds: &mut Rounds,
+) -> Result<()> {
     let mut server = ServerProcess::start(&plan.launch, &[])?;
     let (first, second) = keys.split_at(keys.len() / 2);
     let length = Duration::from_secs(plan.seconds);
@@ -138,30 +140,24 @@ async fn scenario(
     for _ in 0..sessions {
         flooders.spawn(flood(server.address, kind, rate));
     }
-    let probes = tokio::spawn(probe(server.address, end));
-    let beside = tokio::spawn(polite(server.address, second.to_vec(), end));
-    let mut probes = join_all(vec![probes]).await?.remove(0);
-    let beside = join_all(vec![beside]).await?.remove(0);
+    let (probes, beside) =
+        tokio::try_join!(probe(server.address, end), polite(server.address, second.to_vec(), end))?;
     let view_seconds = tokio::time::timeout(PROBE_TIMEOUT, server.metric(series::VIEW_SECONDS)).await;
     let stopped = server.process.stop(Duration::from_secs(30)).await?;
     flooders.shutdown_background();
 
     let lost = probes.iter().filter(|latency| **latency >= PROBE_TIMEOUT).count();
-    Ok(json!({
-        "views": kind.name(),
-        "sessions": sessions,
-        "views_per_s": rate,
-        "probe_worst_ms": quantile(&mut probes, 1.0).map(ms),
-        "probes": probes.len(),
-        "probes_lost": lost,
-        "polite_chunks_share": beside.chunks as f64 / alone.chunks as f64,
-        "polite_refused": beside.refused,
-        "polite_p99_alone_ms": alone.p99_ms,
-        "polite_p99_ms": beside.p99_ms,
-        "polite_p99_ratio": beside.p99_ms / alone.p99_ms,
-        "view_seconds": view_seconds.ok().and_then(Result::ok),
-        "stop_s": stopped.map(|time| time.as_secs_f64()),
-    }))
+    rounds.push("probes", probes.len() as f64);
+    rounds.push("probes_lost", lost as f64);
+    rounds.push("probe_worst_ms", quantile_ms(probes, 1.0));
+    rounds.push("polite_chunks_share", beside.chunks as f64 / alone.chunks as f64);
+    rounds.push("polite_refused", beside.refused as f64);
+    rounds.push("polite_p99_alone_ms", alone.p99_ms);
+    rounds.push("polite_p99_ms", beside.p99_ms);
+    rounds.push("polite_p99_ratio", beside.p99_ms / alone.p99_ms);
+    rounds.push("view_seconds", view_seconds.ok().and_then(Result::ok));
+    rounds.push("stop_s", stopped.map(|time| time.as_secs_f64()));
+    Ok(())
 }
 
 struct Polite {
@@ -188,12 +184,11 @@ async fn polite(address: SocketAddr, keys: Vec<ChunkKey>, end: Instant) -> Resul
         let due = tokio::select! {
             _ = ticks.tick() => true,
             received = connection.receive(|received| match received {
-                Received::Chunk(frame) => {
-                    let sent = chunk_codec::kind_and_key(frame).ok().and_then(|(_, key)| open.remove(&key));
+                Received::Message(ServerMessage::Refused(_)) => refused += 1,
+                received => {
+                    let sent = received.key().and_then(|key| open.remove(&key));
                     latencies.extend(sent.map(|sent| sent.elapsed()));
                 }
-                Received::Message(protocol::message::ServerMessage::Refused(_)) => refused += 1,
-                Received::Message(_) => {}
             }) => {
                 received?;
                 false
@@ -202,12 +197,12 @@ async fn polite(address: SocketAddr, keys: Vec<ChunkKey>, end: Instant) -> Resul
         if due && Instant::now() < end {
             let key = keys.next().context("the run is too long for the list of keys")?;
             open.insert(key, Instant::now());
-            connection.request([key]).await?;
+            connection.request([key], false).await?;
         }
     }
     let chunks = latencies.len();
     latencies.extend(open.values().map(Instant::elapsed));
-    Ok(Polite { chunks, refused, p99_ms: quantile(&mut latencies, 0.99).map_or(f64::NAN, ms) })
+    Ok(Polite { chunks, refused, p99_ms: quantile_ms(latencies, 0.99).unwrap_or(f64::NAN) })
 }
 
 /// Probes over new connections. Returns the latency of each, [`PROBE_TIMEOUT`] without an answer.
@@ -230,7 +225,7 @@ async fn flood(address: SocketAddr, kind: Kind, rate: Option<u32>) -> Result<()>
         let keys: Vec<WireKey> =
             (0..HELD).map(|n| WireKey { level: 0, x: n % 64 - 32, z: n / 64 - 32 }).collect();
         for keys in keys.chunks(MAX_KEYS) {
-            connection.send(&ClientMessage::Holding { keys: keys.to_vec() }).await?;
+            connection.send(&[ClientMessage::Holding { keys: keys.to_vec() }]).await?;
         }
     }
     let mut id = 0;
@@ -256,31 +251,19 @@ async fn flood(address: SocketAddr, kind: Kind, rate: Option<u32>) -> Result<()>
 const SCENARIOS: usize = Kind::ALL.len() * SESSIONS.len() * 2;
 
 /// The bars of this benchmark: the worst scenario counts.
-#[must_use]
 pub fn bars(figures: &Value) -> Vec<Bar> {
-    let scenarios = figures.pointer("/scenarios").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-    let is_whole = scenarios.len() == SCENARIOS;
-    let of = |field: &str, sign: f64| {
-        let path = format!("/{field}");
-        let figures: Vec<_> =
-            scenarios.iter().map(|scenario| at(scenario, &path).map(|figure| sign * figure)).collect();
-        worst(&figures).filter(|_| is_whole).map(|figure| sign * figure)
-    };
-    let note = "the worst of all scenarios";
-    vec![
-        Bar::new("flood: liveness probe, slowest", of("probe_worst_ms", 1.0), "ms", Limit::AtMost(100.0))
-            .with_note(note),
-        Bar::new(
-            "flood: chunks of a polite client over alone",
-            of("polite_chunks_share", -1.0),
-            "",
-            Limit::AtLeast(0.8),
-        )
-        .with_note(note),
-        Bar::new("flood: polite p99 over alone", of("polite_p99_ratio", 1.0), "x", Limit::AtMost(3.0))
-            .with_note(note),
-        Bar::new("flood: stop on SIGTERM", of("stop_s", 1.0), "s", Limit::AtMost(10.0)).with_note(note),
-    ]
+    let scenarios = list(figures, "scenarios");
+    let of = |field| scenarios.iter().map(move |scenario| at(scenario, field));
+    let whole = |figure: Option<f64>| figure.filter(|_| scenarios.len() == SCENARIOS);
+    let worst_of = |field| whole(worst(of(field)));
+    let share = whole(least(of("polite_chunks_share")));
+    let rows = [
+        Bar::at_most("flood: liveness probe, slowest", worst_of("probe_worst_ms"), "ms", 100.0),
+        Bar::at_least("flood: chunks of a polite client over alone", share, "", 0.8),
+        Bar::at_most("flood: polite p99 over alone", worst_of("polite_p99_ratio"), "x", 3.0),
+        Bar::at_most("flood: stop on SIGTERM", worst_of("stop_s"), "s", 10.0),
+    ];
+    rows.map(|row| row.with_note("the worst of all scenarios")).into()
 }
 
 #[cfg(test)]

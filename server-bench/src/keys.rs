@@ -7,7 +7,6 @@ pub const WORLD_SEED: u64 = 1;
 
 /// `count` different chunks of a level that contain land, nearest to the origin first. Fewer if the
 /// world has fewer.
-#[must_use]
 pub fn land_keys(land: &Land, level: u8, count: usize) -> Vec<ChunkKey> {
     let mut keys = Vec::with_capacity(count);
     for ring in 0i32.. {

@@ -29,7 +29,6 @@ pub struct Rate {
 }
 
 /// Whether a program of this name can be run.
-#[must_use]
 pub fn is_installed(program: &str) -> bool {
     let status = Command::new(program).arg("-v").stdout(Stdio::null()).stderr(Stdio::null()).status();
     status.is_ok()
@@ -37,9 +36,6 @@ pub fn is_installed(program: &str) -> bool {
 
 impl Nginx {
     /// Writes the files `0.bin`, `1.bin` ... and serves them.
-    ///
-    /// # Errors
-    /// The folder cannot be written or nginx does not start.
     pub fn start(launch: &Launch, files: &[impl AsRef<[u8]>]) -> Result<Self> {
         let folder = std::env::temp_dir().join(format!("tombolo-nginx-{}", std::process::id()));
         let www = folder.join("www");
@@ -60,7 +56,7 @@ impl Nginx {
             .stderr(Stdio::null())
             .spawn()
             .context("cannot start nginx")?;
-        let nginx = Self { folder, port, process: ChildProcess::new(child) };
+        let nginx = Self { folder, port, process: ChildProcess(child) };
         for _ in 0..200 {
             if std::net::TcpStream::connect(("127.0.0.1", port)).is_ok() {
                 return Ok(nginx);
@@ -71,9 +67,6 @@ impl Nginx {
     }
 
     /// Requests all files in turn, with `window` requests outstanding on each connection.
-    ///
-    /// # Errors
-    /// wrk fails or its output is not understood.
     pub fn measure(&self, connections: usize, window: usize, n_files: usize, seconds: u64) -> Result<Rate> {
         let before = self.process.cpu_s()?;
         let output = Command::new("wrk")

@@ -4,14 +4,15 @@
 //! Every time counts from when a request was due, so a late client or a full socket cannot improve
 //! a figure.
 
+use crate::Plan;
+use crate::clients::{Window, closed_loop, rotated, run_all};
 use crate::connection::{Connection, Received};
 use crate::keys::{WORLD_SEED, land_keys};
+use crate::rounds::{Rounds, ms, quantile_ms};
 use crate::server_process::ServerProcess;
-use crate::stats::{median, ms, quantile};
-use crate::{Plan, at, join_all, listed, shown};
 use anyhow::{Context, Result};
-use bars::{Bar, Limit};
-use protocol::chunk_codec;
+use bars::Bar;
+use bars::figures::{at, fill, list};
 use protocol::message::ServerMessage;
 use rustc_hash::FxHashMap;
 use serde_json::{Value, json};
@@ -60,38 +61,33 @@ const GOODPUT_DEFINITION: &str = "chunks a second at five times the capacity ove
 
 /// Runs the benchmark, every round in a fresh server. Figures are medians over the rounds; `loads`
 /// are those of the last round.
-///
-/// # Errors
-/// The server fails.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let keys = land_keys(&Land::new(WORLD_SEED), 0, CHUNKS);
-    let mut rounds = Vec::new();
+    let (mut rounds, mut last, mut lowest) = (Rounds::default(), None, f64::INFINITY);
     for _ in 0..plan.rounds {
-        rounds.push(round(plan, &keys).await?);
+        let round = round(plan, &keys).await?;
+        lowest = lowest.min(round.goodput / round.peak);
+        rounds.push("goodput_of_peak", round.goodput / round.peak);
+        // A round without refusals or without recovery has no such figure; then the run has none.
+        rounds.push("refusal_p99_ms", round.refusal_p99_ms);
+        rounds.push("normal_p99_ms", round.normal_p99_ms);
+        rounds.push("recovery_s", round.recovery_s[0]);
+        rounds.push("recovery_s_strict", round.recovery_s[1]);
+        last = Some(round);
     }
-    let all = |figure: fn(&Round) -> Option<f64>| rounds.iter().filter_map(figure).collect::<Vec<_>>();
-    let goodput_of_peak = all(|round| Some(round.goodput / round.peak));
-    // A round without refusals or without recovery has no such figure; then the run has none.
-    let whole = |figures: Vec<f64>| median(figures.clone()).filter(|_| figures.len() == rounds.len());
-    let last = rounds.last().context("no round was run")?;
-    Ok(json!({
+    let last = last.context("no round was run")?;
+    Ok(rounds.add_to(json!({
         "connections": CONNECTIONS,
         "burst_ms": ms(BURST),
         "capacity_per_s": last.capacity,
         "loads": last.loads,
         "peak_per_s": last.peak,
-        "goodput_of_peak": median(goodput_of_peak.clone()),
-        "goodput_of_peak_worst": goodput_of_peak.iter().copied().reduce(f64::min),
-        "goodput_of_peak_rounds": goodput_of_peak,
+        "goodput_of_peak_worst": lowest,
         "goodput_definition": GOODPUT_DEFINITION,
-        "refusal_p99_ms": whole(all(|round| round.refusal_p99_ms)),
-        "normal_p99_ms": whole(all(|round| Some(round.normal_p99_ms))),
-        "recovery_s": whole(all(|round| round.recovery_s[0])),
         "recovery_floor_ms": NORMAL_FLOORS_MS[0],
-        "recovery_s_strict": whole(all(|round| round.recovery_s[1])),
         "recovery_floor_ms_strict": NORMAL_FLOORS_MS[1],
         "recovery_definition": RECOVERY_DEFINITION,
-    }))
+    })))
 }
 
 /// Figures of one round.
@@ -105,7 +101,7 @@ struct Round {
     /// Chunks a second at the last load.
     goodput: f64,
     refusal_p99_ms: Option<f64>,
-    normal_p99_ms: f64,
+    normal_p99_ms: Option<f64>,
     /// One value for each of [`NORMAL_FLOORS_MS`].
     recovery_s: [Option<f64>; 2],
 }
@@ -114,8 +110,7 @@ async fn round(plan: &Plan, keys: &[ChunkKey]) -> Result<Round> {
     let server = ServerProcess::start(&plan.launch, &["--cache-mb", "1"])?;
     let length = Duration::from_secs(plan.seconds);
     let capacity = capacity(&server, keys, length).await?;
-    let (mut loads, mut peak, mut normal_p99_ms) = (Vec::new(), capacity, f64::NAN);
-    let mut last = None;
+    let (mut loads, mut peak, mut normal_p99_ms, mut last) = (Vec::new(), capacity, None, None);
     for load in LOADS {
         let is_last = load == LOADS[LOADS.len() - 1];
         let after = if is_last { (CALM * capacity, RECOVERY) } else { (0.0, DRAIN) };
@@ -123,12 +118,13 @@ async fn round(plan: &Plan, keys: &[ChunkKey]) -> Result<Round> {
         let figures = LoadFigures::new(&requests, length);
         peak = peak.max(figures.goodput_per_s);
         if load == CALM {
-            normal_p99_ms = figures.chunk_p99_ms.unwrap_or(f64::NAN);
+            normal_p99_ms = figures.chunk_p99_ms;
         }
-        loads.push(figures.to_json(load, load * capacity));
+        loads.push(figures.to_json(load, capacity));
         last = Some((figures, requests));
     }
     let (figures, requests) = last.context("no load was run")?;
+    let recovery_s = |floor| recovery(&requests, length, normal_p99_ms.unwrap_or(f64::NAN), floor);
     Ok(Round {
         capacity,
         loads,
@@ -136,7 +132,7 @@ async fn round(plan: &Plan, keys: &[ChunkKey]) -> Result<Round> {
         goodput: figures.goodput_per_s,
         refusal_p99_ms: figures.refusal_p99_ms,
         normal_p99_ms,
-        recovery_s: NORMAL_FLOORS_MS.map(|floor| recovery(&requests, length, normal_p99_ms, floor)),
+        recovery_s: NORMAL_FLOORS_MS.map(recovery_s),
     })
 }
 
@@ -166,21 +162,22 @@ impl LoadFigures {
         let in_time = |request: &&Request| {
             request.answer.is_some_and(|answer| answer.is_chunk && request.due + answer.wait < length)
         };
-        let (mut chunks, mut refusals, seconds) = (waits(true), waits(false), length.as_secs_f64());
+        let (refusals, seconds) = (waits(false), length.as_secs_f64());
         Self {
             sent_per_s: due().count() as f64 / seconds,
             goodput_per_s: due().filter(in_time).count() as f64 / seconds,
-            chunk_p99_ms: quantile(&mut chunks, 0.99).map(ms),
+            chunk_p99_ms: quantile_ms(waits(true), 0.99),
             refused: refusals.len(),
-            refusal_p99_ms: quantile(&mut refusals, 0.99).map(ms),
+            refusal_p99_ms: quantile_ms(refusals, 0.99),
             unanswered: due().filter(|request| request.answer.is_none()).count(),
         }
     }
 
-    fn to_json(&self, load: f64, offered_per_s: f64) -> Value {
+    fn to_json(&self, load: f64, capacity_per_s: f64) -> Value {
         json!({
             "load": load,
-            "offered_per_s": offered_per_s,
+            "capacity_per_s": capacity_per_s,
+            "offered_per_s": load * capacity_per_s,
             "sent_per_s": self.sent_per_s,
             "goodput_per_s": self.goodput_per_s,
             "chunk_p99_ms": self.chunk_p99_ms,
@@ -198,8 +195,7 @@ fn recovery(requests: &[Request], length: Duration, normal_p99_ms: f64, floor_ms
     let is_normal = |window: u32| {
         let window = length + RECOVERY_WINDOW * window..length + RECOVERY_WINDOW * (window + 1);
         let inside = requests.iter().filter(|request| window.contains(&request.due));
-        let mut waits: Vec<_> = inside.map(Request::wait_for_chunk).collect();
-        quantile(&mut waits, 0.99).is_some_and(|wait| ms(wait) <= bound_ms)
+        quantile_ms(inside.map(Request::wait_for_chunk).collect(), 0.99).is_some_and(|wait| wait <= bound_ms)
     };
     // Answers to the last window may come after the end of the run.
     let last_bad = (0..n_windows - 1).rev().find(|window| !is_normal(*window));
@@ -235,29 +231,15 @@ impl Request {
 
 /// Chunks a second with a full window on each connection.
 async fn capacity(server: &ServerProcess, keys: &[ChunkKey], length: Duration) -> Result<f64> {
+    let connections = server.connect(CONNECTIONS).await?;
     let started = Instant::now();
-    let mut clients = Vec::new();
-    for (index, own) in keys.chunks(CHUNKS / CONNECTIONS).take(CONNECTIONS).enumerate() {
-        let (mut connection, own) = (Connection::connect(server.address).await?, own.to_vec());
-        clients.push(tokio::spawn(async move {
-            let mut next = own.iter().copied().cycle().skip(index);
-            connection.request(next.by_ref().take(WINDOW)).await?;
-            let mut count = 0usize;
-            while started.elapsed() < length {
-                let mut answered = 0;
-                connection
-                    .receive(|received| {
-                        answered += 1;
-                        count += usize::from(matches!(received, Received::Chunk(_)));
-                    })
-                    .await?;
-                connection.request(next.by_ref().take(answered)).await?;
-            }
-            Ok(count)
-        }));
-    }
-    let count: usize = join_all(clients).await?.into_iter().sum();
-    Ok(count as f64 / started.elapsed().as_secs_f64())
+    let totals = run_all(connections, |index, mut connection| {
+        let keys = rotated(keys, index, CONNECTIONS).into_iter().cycle();
+        let window = Window::OneByOne(WINDOW);
+        async move { closed_loop(&mut connection, keys, window, Some(started + length), |_| ()).await }
+    });
+    let chunks: u64 = totals.await?.iter().map(|totals| totals.chunks).sum();
+    Ok(chunks as f64 / started.elapsed().as_secs_f64())
 }
 
 /// Sends requests at one rate after the other, each for a time. Rates are requests a second over
@@ -267,19 +249,14 @@ async fn send_at_rates(
     keys: &[ChunkKey],
     rates: &[(f64, Duration)],
 ) -> Result<Vec<Request>> {
-    let mut connections = Vec::new();
-    for _ in 0..CONNECTIONS {
-        connections.push(Connection::connect(server.address).await?);
-    }
+    let connections = server.connect(CONNECTIONS).await?;
+    let rates: Vec<_> = rates.iter().map(|(rate, time)| (rate / CONNECTIONS as f64, *time)).collect();
     let started = Instant::now() + BURST;
-    let clients = connections.into_iter().enumerate().map(|(index, connection)| {
-        let own: Vec<_> =
-            keys.iter().copied().cycle().skip(index * CHUNKS / CONNECTIONS).take(CHUNKS).collect();
-        let rates: Vec<_> = rates.iter().map(|(rate, time)| (rate / CONNECTIONS as f64, *time)).collect();
+    let requests = run_all(connections, |index, connection| {
         let phase = BURST * index as u32 / CONNECTIONS as u32;
-        tokio::spawn(send_in_bursts(connection, own, rates, started + phase))
+        send_in_bursts(connection, rotated(keys, index, CONNECTIONS), rates.clone(), started + phase)
     });
-    Ok(join_all(clients.collect()).await?.concat())
+    Ok(requests.await?.concat())
 }
 
 /// Requests due at one connection by a time since the start.
@@ -337,17 +314,14 @@ async fn send_in_bursts(
                     open.insert(*key, requests.len());
                     requests.push(Request { due: due_time(&rates, requests.len()), answer: None });
                 }
-                connection.request(burst).await?;
+                connection.request(burst, false).await?;
             }
             received = connection.receive(|received| {
-                let (key, is_chunk) = match received {
-                    Received::Chunk(frame) => {
-                        (chunk_codec::kind_and_key(frame).ok().map(|(_, key)| key), true)
-                    }
+                let (key, is_chunk) = match &received {
                     Received::Message(ServerMessage::Refused(refused)) => {
                         (refused.key.and_then(|key| key.check().ok()), false)
                     }
-                    Received::Message(_) => (None, false),
+                    received => (received.key(), true),
                 };
                 if let Some(request) = key.and_then(|key| requests.get_mut(open.remove(&key)?)) {
                     let wait = started.elapsed().saturating_sub(request.due);
@@ -359,55 +333,38 @@ async fn send_in_bursts(
 }
 
 /// The bars of this benchmark.
-#[must_use]
 pub fn bars(figures: &Value) -> Vec<Bar> {
-    let is_overload = at(figures, "/loads/4/load") == Some(5.0);
-    let of = |field: &str| at(figures, &format!("/{field}")).filter(|_| is_overload);
+    let is_overload = at(figures, "loads/4/load") == Some(5.0);
+    let of = |path| at(figures, path).filter(|_| is_overload);
     vec![
-        Bar::new(
-            "five times the capacity: goodput over peak",
-            of("goodput_of_peak"),
-            "",
-            Limit::AtLeast(0.9),
-        )
-        .with_note(format!("median of the rounds; {GOODPUT_DEFINITION}")),
-        Bar::new("the same, worst round", of("goodput_of_peak_worst"), "", Limit::Reported),
-        Bar::new("refusals, p99", of("refusal_p99_ms"), "ms", Limit::AtMost(10.0)).with_note(format!(
+        Bar::at_least("five times the capacity: goodput over peak", of("goodput_of_peak"), "", 0.9)
+            .with_note(format!("median of the rounds; {GOODPUT_DEFINITION}")),
+        Bar::reported("the same, worst round", of("goodput_of_peak_worst"), ""),
+        Bar::at_most("refusals, p99", of("refusal_p99_ms"), "ms", 10.0).with_note(format!(
             "from when each request was due; the client sends in bursts every {:.0} ms, which is part of it",
             ms(BURST)
         )),
-        Bar::new("back to normal after", of("recovery_s"), "s", Limit::AtMost(2.0))
+        Bar::at_most("back to normal after", of("recovery_s"), "s", 2.0)
             .with_note(format!("{RECOVERY_DEFINITION}; floor {:.0} ms", NORMAL_FLOORS_MS[0])),
-        Bar::new("the same with a floor of 20 ms", of("recovery_s_strict"), "s", Limit::Reported),
-        Bar::new("refused (control)", of("loads/4/refused"), "", Limit::AtLeast(1.0)),
+        Bar::reported("the same with a floor of 20 ms", of("recovery_s_strict"), "s"),
+        Bar::some("refused (control)", of("loads/4/refused")),
     ]
 }
 
 /// Further figures in sentences.
-#[must_use]
 pub fn notes(figures: &Value) -> Vec<String> {
-    let mut notes = Vec::new();
-    for load in figures.pointer("/loads").and_then(Value::as_array).into_iter().flatten() {
-        let of = |path: &str| shown(load, path);
-        let refused = match at(load, "/refusal_p99_ms") {
-            Some(p99) => format!("{:.0} refused, p99 {p99:.1} ms", of("/refused")),
-            None => "none refused".into(),
+    let of_load = |load: &Value| {
+        let refused = match at(load, "refusal_p99_ms") {
+            Some(_) => "{refused:.0} refused, p99 {refusal_p99_ms:.1} ms",
+            None => "none refused",
         };
-        notes.push(format!(
-            "Load {} (of {:.0} a second): {:.0} chunks a second, p99 {:.1} ms; {refused}; {:.0} \
-             unanswered.",
-            of("/load"),
-            shown(figures, "/capacity_per_s"),
-            of("/goodput_per_s"),
-            of("/chunk_p99_ms"),
-            of("/unanswered"),
-        ));
-    }
-    notes.push(format!(
-        "Loads are those of the last round. Goodput over peak, round by round: {}.",
-        listed(figures, "/goodput_of_peak_rounds", 2)
-    ));
-    notes
+        let line = "Load {load} (of {capacity_per_s:.0} a second): {goodput_per_s:.0} chunks a second, p99 \
+                    {chunk_p99_ms:.1} ms; ";
+        fill(&format!("{line}{refused}; {{unanswered:.0}} unanswered."), load)
+    };
+    let rounds = "Loads are those of the last round. Goodput over peak, round by round: \
+                  {goodput_of_peak_rounds:.2}.";
+    list(figures, "loads").iter().map(of_load).chain([fill(rounds, figures)]).collect()
 }
 
 #[cfg(test)]

@@ -1,7 +1,9 @@
 //! The server under measurement: the real program in a process of its own, observed through `/proc`
 //! and its metrics.
 
+use crate::connection::{self, Connection};
 use anyhow::{Context, Result, anyhow, bail};
+use std::env::consts::EXE_SUFFIX;
 use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -29,54 +31,46 @@ pub mod series {
 }
 
 /// How to start a program under measurement.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Launch {
-    /// The server program.
-    pub server: PathBuf,
-    /// Processors for it as `taskset -c` takes them; none leaves them to the system.
+    /// Server program to measure [default: tombolo-server beside this program]
+    #[arg(long, value_name = "FILE")]
+    pub server: Option<PathBuf>,
+    /// Processors for the server, and for nginx in `cached`, as `taskset -c` takes them, such as 0
+    /// or 0-3 [default: all]
+    #[arg(long = "server-cpus", value_name = "LIST")]
     pub cpus: Option<String>,
 }
 
 impl Launch {
     /// A command that runs a program on those processors.
-    #[must_use]
     pub fn command(&self, program: &Path) -> Command {
-        match &self.cpus {
-            None => Command::new(program),
-            Some(cpus) => {
-                let mut command = Command::new("taskset");
-                command.arg("-c").arg(cpus).arg(program);
-                command
-            }
-        }
+        let Some(cpus) = &self.cpus else { return Command::new(program) };
+        let mut command = Command::new("taskset");
+        command.arg("-c").arg(cpus).arg(program);
+        command
+    }
+
+    fn server(&self) -> Result<PathBuf> {
+        let beside = || Ok(std::env::current_exe()?.with_file_name(format!("tombolo-server{EXE_SUFFIX}")));
+        self.server.clone().map_or_else(beside, Ok)
     }
 }
 
 /// A running program that is killed when dropped.
 #[derive(Debug)]
-pub struct ChildProcess {
-    child: Child,
-}
+pub struct ChildProcess(pub Child);
 
 impl Drop for ChildProcess {
     fn drop(&mut self) {
         // It may have ended by itself.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        let _ = self.0.kill();
+        let _ = self.0.wait();
     }
 }
 
 impl ChildProcess {
-    /// Takes over a process.
-    #[must_use]
-    pub const fn new(child: Child) -> Self {
-        Self { child }
-    }
-
     /// CPU time used so far by all threads, seconds.
-    ///
-    /// # Errors
-    /// The process is gone, or this is not Linux.
     pub fn cpu_s(&self) -> Result<f64> {
         let stat = self.proc("stat")?;
         // The name in parentheses may hold anything; user and system time are the 12th and 13th
@@ -89,9 +83,6 @@ impl ChildProcess {
     }
 
     /// Resident memory, bytes.
-    ///
-    /// # Errors
-    /// As [`ChildProcess::cpu_s`].
     pub fn rss_bytes(&self) -> Result<u64> {
         let status = self.proc("status")?;
         let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("no VmRSS")?;
@@ -101,17 +92,14 @@ impl ChildProcess {
 
     /// Sends SIGTERM and waits for the end. Returns the time that it took; none if that is more
     /// than `limit`.
-    ///
-    /// # Errors
-    /// The signal cannot be sent.
     pub async fn stop(&mut self, limit: Duration) -> Result<Option<Duration>> {
         let started = Instant::now();
-        let killed = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status();
+        let killed = Command::new("kill").args(["-TERM", &self.0.id().to_string()]).status();
         if !killed.context("cannot run kill")?.success() {
             bail!("cannot send SIGTERM to the server");
         }
         while started.elapsed() < limit {
-            if self.child.try_wait().context("cannot wait for the server")?.is_some() {
+            if self.0.try_wait().context("cannot wait for the server")?.is_some() {
                 return Ok(Some(started.elapsed()));
             }
             tokio::time::sleep(Duration::from_millis(20)).await;
@@ -120,7 +108,7 @@ impl ChildProcess {
     }
 
     fn proc(&self, file: &str) -> Result<String> {
-        let path = format!("/proc/{}/{file}", self.child.id());
+        let path = format!("/proc/{}/{file}", self.0.id());
         std::fs::read_to_string(&path).with_context(|| format!("cannot read {path}; measuring needs Linux"))
     }
 }
@@ -136,19 +124,17 @@ pub struct ServerProcess {
 
 impl ServerProcess {
     /// Starts a server with the default world and these further options.
-    ///
-    /// # Errors
-    /// It cannot be started, or does not print its address.
     pub fn start(launch: &Launch, options: &[&str]) -> Result<Self> {
+        let program = launch.server().context("the path of this program is unknown; give --server")?;
         let mut child = launch
-            .command(&launch.server)
+            .command(&program)
             .args(["--listen", "127.0.0.1:0", "--log", "warn", "--max-sessions", "4096"])
             .args(options)
             .stdout(Stdio::piped())
             .spawn()
-            .with_context(|| format!("cannot start {}; name it with --server", launch.server.display()))?;
+            .with_context(|| format!("cannot start {}; name it with --server", program.display()))?;
         let out = child.stdout.take().ok_or_else(|| anyhow!("the server has no standard output"))?;
-        let process = ChildProcess::new(child);
+        let process = ChildProcess(child);
         let mut line = String::new();
         BufReader::new(out).read_line(&mut line).context("cannot read the server's first line")?;
         let Some(address) = line.trim().strip_prefix("listening on http://") else {
@@ -157,12 +143,18 @@ impl ServerProcess {
         Ok(Self { address: address.parse().context("the server's address")?, process })
     }
 
+    /// So many clients, one after the other.
+    pub async fn connect(&self, count: usize) -> Result<Vec<Connection>> {
+        let mut connections = Vec::with_capacity(count);
+        for _ in 0..count {
+            connections.push(Connection::connect(self.address).await?);
+        }
+        Ok(connections)
+    }
+
     /// The value of a counter or gauge in the server's metrics. `name` includes its labels.
-    ///
-    /// # Errors
-    /// The server does not answer, or has no such metric.
     pub async fn metric(&self, name: &str) -> Result<f64> {
-        let text = crate::connection::get(self.address, "/metrics").await?;
+        let text = connection::get(self.address, "/metrics").await?;
         text.lines()
             .find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse().ok())
             .with_context(|| format!("the server has no metric {name}"))

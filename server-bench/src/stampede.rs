@@ -4,12 +4,14 @@
 //! Other connections first occupy the one generation thread with coarse chunks. The chunk under
 //! test waits behind them, so that its requests join one job instead of finding it in the cache.
 
-use crate::connection::{Connection, Received};
+use crate::Plan;
+use crate::clients::{Event, Window, closed_loop, run_all};
+use crate::connection::Received;
 use crate::keys::WORLD_SEED;
 use crate::server_process::{ServerProcess, series};
-use crate::{Plan, at, join_all};
 use anyhow::{Result, ensure};
-use bars::{Bar, Limit};
+use bars::Bar;
+use bars::figures::at;
 use protocol::chunk_codec;
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -26,49 +28,36 @@ const LEVEL: u8 = 8;
 
 /// Connections that request one other chunk of the level each. Generation takes turns by
 /// connection, so the chunk under test waits for nearly all of them.
-const BLOCKERS: i32 = 128;
+const BLOCKERS: usize = 128;
 
 /// Runs the benchmark once: its figures are counts.
-///
-/// # Errors
-/// The server fails, or an answer is not the chunk.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let land = Land::new(WORLD_SEED);
     let key = ChunkKey::new(LEVEL, 0, 0)?;
     let expected = chunk_codec::encode(&land.chunk(key), &land.digest());
     // The default deadline would reject requests that wait for the blockers.
     let server = ServerProcess::start(&plan.launch, &["--threads", "1", "--deadline-ms", "60000"])?;
-    let mut blockers = Vec::new();
-    for _ in 0..BLOCKERS {
-        blockers.push(Connection::connect(server.address).await?);
-    }
-    let mut connections = Vec::new();
-    for _ in 0..CONNECTIONS {
-        connections.push(Connection::connect(server.address).await?);
-    }
+    let mut blockers = server.connect(BLOCKERS).await?;
+    let connections = server.connect(CONNECTIONS).await?;
     for (index, blocker) in (1..).zip(&mut blockers) {
-        blocker.request([ChunkKey::new(LEVEL, index % 16, index / 16)?]).await?;
+        blocker.request([ChunkKey::new(LEVEL, index % 16, index / 16)?], false).await?;
     }
     let (start, started) = (Arc::new(Barrier::new(CONNECTIONS)), Instant::now());
-    let clients = connections.into_iter().map(|mut connection| {
+    let answers = run_all(connections, |_, mut connection| {
         let (start, expected) = (Arc::clone(&start), expected.clone());
-        tokio::spawn(async move {
+        async move {
             start.wait().await;
-            connection.request([key; REQUESTS]).await?;
-            let (mut right, mut wrong) = (0, 0);
-            while right + wrong < REQUESTS {
-                connection
-                    .receive(|received| match received {
-                        Received::Chunk(frame) if frame == expected => right += 1,
-                        _ => wrong += 1,
-                    })
-                    .await?;
-            }
-            ensure!(wrong == 0, "{wrong} answers are not the chunk");
+            let mut right = 0;
+            let compare = |event: Event<'_>| {
+                let is_right = matches!(event, Event::Received(Received::Chunk(frame)) if frame == expected);
+                right += usize::from(is_right);
+            };
+            closed_loop(&mut connection, [key; REQUESTS], Window::OneByOne(REQUESTS), None, compare).await?;
+            ensure!(right == REQUESTS, "{} answers are not the chunk", REQUESTS - right);
             Ok(right)
-        })
+        }
     });
-    let answers: usize = join_all(clients.collect()).await?.into_iter().sum();
+    let answers: usize = answers.await?.into_iter().sum();
     let seconds = started.elapsed().as_secs_f64();
     for blocker in &mut blockers {
         let mut is_answered = false;
@@ -81,7 +70,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         "requests": CONNECTIONS * REQUESTS,
         "blockers": BLOCKERS,
         "answers": answers,
-        "generations": server.metric(series::GENERATED).await? - f64::from(BLOCKERS),
+        "generations": server.metric(series::GENERATED).await? - BLOCKERS as f64,
         "coalesced": server.metric(series::COALESCED).await?,
         "cache_hits": server.metric(series::CACHE_HITS).await?,
         "seconds": seconds,
@@ -89,20 +78,14 @@ pub async fn run(plan: &Plan) -> Result<Value> {
 }
 
 /// The bars of this benchmark.
-#[must_use]
 pub fn bars(figures: &Value) -> Vec<Bar> {
+    let of = |path| at(figures, path);
     vec![
-        Bar::new("stampede: generations", at(figures, "/generations"), "", Limit::AtMost(1.0)),
-        Bar::new("stampede: right answers", at(figures, "/answers"), "", Limit::AtLeast(10_000.0)),
-        Bar::new(
-            "stampede: requests that joined one job",
-            at(figures, "/coalesced"),
-            "",
-            Limit::AtLeast(9_000.0),
-        )
-        .with_note(
-            "the others found the chunk in the cache; without enough coalesced requests the \
-                        count of generations says nothing",
+        Bar::at_most("stampede: generations", of("generations"), "", 1.0),
+        Bar::at_least("stampede: right answers", of("answers"), "", 10_000.0),
+        Bar::at_least("stampede: requests that joined one job", of("coalesced"), "", 9_000.0).with_note(
+            "the others found the chunk in the cache; without enough coalesced requests the count of \
+             generations says nothing",
         ),
     ]
 }

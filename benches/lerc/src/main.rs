@@ -5,7 +5,11 @@ use serde_json::json;
 use std::hint::black_box;
 use std::time::Instant;
 use terrain::constants::{VERTEX_COUNT, VERTICES};
-use terrain::{ChunkKey, Land};
+use terrain::Land;
+
+/// The chunks of `tombolo-lab codec`.
+#[path = "../../../lab/src/codec/samples.rs"]
+mod samples;
 
 /// Number of chunks and of turns, as in `tombolo-lab codec`.
 const CHUNKS: usize = 48;
@@ -13,7 +17,8 @@ const TURNS: usize = 25;
 
 fn main() -> Result<()> {
     let file = std::env::args_os().nth(1).context("expected a file for the figures, such as lerc.json")?;
-    let chunks = chunks();
+    let land = Land::new(1);
+    let chunks: Vec<_> = samples::chunks(&land, CHUNKS).map(|(_, heights)| heights).collect();
     ensure!(chunks.len() == CHUNKS, "{} chunks instead of {CHUNKS}", chunks.len());
     let (mut bytes, mut best) = (0, vec![[f64::INFINITY; 2]; chunks.len()]);
     for turn in 0..TURNS {
@@ -42,28 +47,4 @@ fn main() -> Result<()> {
     println!("{report}");
     std::fs::write(&file, report.to_string())
         .with_context(|| format!("cannot write {}", file.to_string_lossy()))
-}
-
-/// Heights of the chunks that `tombolo-lab codec` uses: evenly spread over the home island, no open
-/// sea, relative to the lowest vertex.
-fn chunks() -> Vec<Vec<u16>> {
-    let land = Land::new(1);
-    let near = (-24..24).flat_map(|z| (-24..24).map(move |x| (x, z)));
-    let keys: Vec<_> = near
-        .filter_map(|(x, z)| ChunkKey::new(0, x, z).ok())
-        .filter(|key| {
-            let (x, z) = key.origin();
-            !land.archipelago().is_open_sea(x, z, key.side())
-        })
-        .collect();
-    let step = (keys.len() / CHUNKS).max(1);
-    keys.into_iter()
-        .step_by(step)
-        .filter_map(|key| {
-            let chunk = land.chunk(key);
-            let low = chunk.min();
-            chunk.heights.iter().map(|height| u16::try_from(height - low).ok()).collect()
-        })
-        .take(CHUNKS)
-        .collect()
 }

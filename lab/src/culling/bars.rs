@@ -1,7 +1,8 @@
 //! The bars of vegetation culling.
 
-use crate::report::number;
-use bars::{Bar, Limit};
+use crate::report::NEEDS_GPU;
+use bars::Bar;
+use bars::figures::{at, each, fill, list, ratio, text, value};
 use serde_json::Value;
 
 /// Poses that are judged by sight.
@@ -10,196 +11,145 @@ const POSES: f64 = 300.0;
 /// Poses at which the GPU is compared with the twin, at least.
 const COMPARED: f64 = 20.0;
 
-const GPU_AGAINST_TWIN: &str = "GPU against the twin: differing clumps";
-const GPU_AGAINST_TWIN_CONTROL: &str = "GPU against a twin that does not test the land (control)";
-const GPU_TIME: &str = "on a GPU: 1 M clumps at 1080p, cull and draw";
-
 /// Every figure beside its bar.
 pub fn rows(culling: &Value) -> Vec<Bar> {
-    let at = |path: &str| culling.pointer(path).and_then(Value::as_f64);
-    let is_whole = at("/poses") >= Some(POSES) && at("/sight/scenes") >= Some(0.99 * POSES);
-    let sight = |path: &str| at(&format!("/sight/{path}")).filter(|_| is_whole);
+    let least = |path, count: f64| at(culling, path) >= Some(count);
+    let is_positive = |figure: &f64| *figure > 0.0;
+    let is_whole = least("poses", POSES) && least("sight/scenes", 0.99 * POSES);
+    let sight = |path: &str| at(culling, &format!("sight/{path}")).filter(|_| is_whole);
     // Of nothing nothing can be lost.
     let lost = |test: &str| {
-        sight(&format!("{test}/false_culls")).filter(|_| sight(&format!("{test}/visible")) > Some(0.0))
+        sight(&format!("{test}/visible")).filter(is_positive)?;
+        sight(&format!("{test}/false_culls"))
     };
     let kept = |test: &str| {
-        let hidden = sight(&format!("{test}/hidden")).filter(|hidden| *hidden > 0.0)?;
-        Some(100.0 * sight(&format!("{test}/kept"))? / hidden)
+        let hidden = sight(&format!("{test}/hidden")).filter(is_positive);
+        ratio(sight(&format!("{test}/kept")), hidden).map(|share| 100.0 * share)
     };
-    let ratio = |above: Option<f64>, below: Option<f64>| Some(above? / below.filter(|below| *below > 0.0)?);
-    let shown = |path: &str| {
-        let is_enough = at("/shown/poses") >= Some(0.99 * POSES) && at("/shown/seen") > Some(0.0);
-        at(&format!("/shown/{path}")).filter(|_| is_enough)
-    };
-    let frame = |way: &str, field: &str| {
-        let ways = culling.pointer("/frames/ways").and_then(Value::as_array)?;
-        number(ways.iter().find(|cost| cost.get("way").and_then(Value::as_str) == Some(way))?, field)
-    };
-    let same = |path: &str| {
-        let is_enough = at("/same/poses") >= Some(COMPARED)
-            && at("/same/stretched") >= Some(1.0)
-            && at("/same/far") >= Some(1.0)
-            && at("/same/clumps") > Some(0.0);
-        at(&format!("/same/{path}")).filter(|_| is_enough)
-    };
+    let is_drawn = least("shown/poses", 0.99 * POSES) && at(culling, "shown/seen") > Some(0.0);
+    let shown = |path| at(culling, path).filter(|_| is_drawn);
+    let frame_ratio =
+        list(culling, "frames/ways").iter().find(|way| text(way, "way") == Some("T4 hierarchical"));
+    let is_compared = least("same/poses", COMPARED)
+        && least("same/stretched", 1.0)
+        && least("same/far", 1.0)
+        && at(culling, "same/clumps") > Some(0.0);
+    let same = |path| at(culling, path).filter(|_| is_compared);
+    let fetches = ratio(sight("fetches_march"), sight("fetches_exact").filter(is_positive));
+    let time = ratio(Some(1.0), sight("time_ratio").filter(is_positive));
     vec![
-        Bar::new("T3 exact: clumps lost that are seen", lost("exact"), "", Limit::AtMost(0.0)),
-        Bar::new("T4: the same", lost("hierarchical"), "", Limit::AtMost(0.0)),
-        Bar::new("T4: clumps lost of whose bound a point is seen", lost("bound"), "", Limit::AtMost(0.0)),
-        Bar::new("T4: chunks of grass lost that are seen", lost("chunks"), "", Limit::AtMost(0.0)),
-        Bar::new("T4: chunks of trees lost that are seen", lost("tree_chunks"), "", Limit::AtMost(0.0)),
-        Bar::new("T3 exact: plants lost that show in a picture", shown("lost_exact"), "", Limit::AtMost(0.0)),
-        Bar::new("T4 on the GPU: the same", shown("lost_hierarchical"), "", Limit::AtMost(0.0)),
-        Bar::new("T2: the same (control)", shown("lost_noise"), "", Limit::AtLeast(1.0)),
-        Bar::new("T3 by marching: the same (control)", shown("lost_march"), "", Limit::AtLeast(1.0)),
-        Bar::new("T2: clumps lost that are seen (control)", lost("noise"), "", Limit::AtLeast(1.0)),
-        Bar::new("T3 by marching: the same (control)", lost("march"), "", Limit::AtLeast(1.0)),
-        Bar::new(
-            "five points: chunks lost that are seen (control)",
-            lost("five_points"),
-            "",
-            Limit::AtLeast(1.0),
-        ),
-        Bar::new("T4: hidden grass kept", kept("grass"), "%", Limit::Under(3.0)),
-        Bar::new("T4: hidden trees kept", kept("trees"), "%", Limit::Reported),
-        Bar::new(
+        Bar::none("T3 exact: clumps lost that are seen", lost("exact")),
+        Bar::none("T4: the same", lost("hierarchical")),
+        Bar::none("T4: clumps lost of whose bound a point is seen", lost("bound")),
+        Bar::none("T4: chunks of grass lost that are seen", lost("chunks")),
+        Bar::none("T4: chunks of trees lost that are seen", lost("tree_chunks")),
+        Bar::none("T3 exact: plants lost that show in a picture", shown("shown/lost_exact")),
+        Bar::none("T4 on the GPU: the same", shown("shown/lost_hierarchical")),
+        Bar::some("T2: the same (control)", shown("shown/lost_noise")),
+        Bar::some("T3 by marching: the same (control)", shown("shown/lost_march")),
+        Bar::some("T2: clumps lost that are seen (control)", lost("noise")),
+        Bar::some("T3 by marching: the same (control)", lost("march")),
+        Bar::some("five points: chunks lost that are seen (control)", lost("five_points")),
+        Bar::under("T4: hidden grass kept", kept("grass"), "%", 3.0),
+        Bar::reported("T4: hidden trees kept", kept("trees"), "%"),
+        Bar::under(
             "hidden chunks of grass that survive the chunk and block tests",
             kept("chunks_by_blocks"),
             "%",
-            Limit::Under(20.0),
+            20.0,
         ),
-        Bar::new("hidden chunks of grass with a clump kept", kept("chunks"), "%", Limit::Reported),
-        Bar::new("T4: hidden chunks of trees with a clump kept", kept("tree_chunks"), "%", Limit::Reported),
-        Bar::new(
-            "fetches of a march in steps of 0.5 m over those of T3",
-            ratio(sight("fetches_march"), sight("fetches_exact")),
-            "x",
-            Limit::AtLeast(6.0),
-        ),
-        Bar::new(
-            "time of the march over that of T3, CPU",
-            ratio(Some(1.0), sight("time_ratio")),
-            "x",
-            Limit::AtLeast(4.0),
-        ),
-        Bar::new(
+        Bar::reported("hidden chunks of grass with a clump kept", kept("chunks"), "%"),
+        Bar::reported("T4: hidden chunks of trees with a clump kept", kept("tree_chunks"), "%"),
+        Bar::at_least("fetches of a march in steps of 0.5 m over those of T3", fetches, "x", 6.0),
+        Bar::at_least("time of the march over that of T3, CPU", time, "x", 4.0),
+        Bar::at_most(
             "valley scene: time of a frame with T4 over that with T1",
-            frame("T4 hierarchical", "frame_ratio"),
+            frame_ratio.and_then(|way| at(way, "frame_ratio")),
             "x",
-            Limit::AtMost(0.5),
+            0.5,
         ),
-        Bar::new(GPU_AGAINST_TWIN, same("differing"), "", Limit::AtMost(0.0)),
-        Bar::new(GPU_AGAINST_TWIN_CONTROL, same("differing_control"), "", Limit::AtLeast(1.0)),
-        Bar::new("root off the drawn triangle, worst", sight("root_mm"), "mm", Limit::AtMost(1.0)),
-        Bar::new("streams: chi-square, worst, as p", at("/lots/worst_stream_p"), "", Limit::AtLeast(0.001)),
-        Bar::new("two streams: the same", at("/lots/worst_pair_p"), "", Limit::AtLeast(0.001)),
-        Bar::new(
+        Bar::none("GPU against the twin: differing clumps", same("same/differing")),
+        Bar::some("GPU against a twin that does not test the land (control)", same("same/differing_control")),
+        Bar::at_most("root off the drawn triangle, worst", sight("root_mm"), "mm", 1.0),
+        Bar::at_least("streams: chi-square, worst, as p", at(culling, "lots/worst_stream_p"), "", 0.001),
+        Bar::at_least("two streams: the same", at(culling, "lots/worst_pair_p"), "", 0.001),
+        Bar::under(
             "streams cut out of a hash of the cell (control)",
-            at("/lots/poor_stream_p"),
+            at(culling, "lots/poor_stream_p"),
             "",
-            Limit::Under(0.001),
+            0.001,
         ),
-        Bar::new(
-            "two streams with bits in common (control)",
-            at("/lots/poor_pair_p"),
-            "",
-            Limit::Under(0.001),
-        ),
-        Bar::not_measured(GPU_TIME, crate::report::NEEDS_GPU, "ms", Limit::Under(1.5)),
+        Bar::under("two streams with bits in common (control)", at(culling, "lots/poor_pair_p"), "", 0.001),
+        Bar::under("on a GPU: 1 M clumps at 1080p, cull and draw", None, "ms", 1.5)
+            .not_measured_if(true, NEEDS_GPU),
     ]
 }
 
+/// The tests that notes count, by their field.
+const TESTS: [(&str, &str); 10] = [
+    ("exact", "T3 exact"),
+    ("hierarchical", "T4"),
+    ("grass", "T4, grass"),
+    ("trees", "T4, trees"),
+    ("chunks", "T4, chunks of grass"),
+    ("tree_chunks", "T4, chunks of trees"),
+    ("noise", "T2"),
+    ("march", "T3 by marching"),
+    ("march_fine", "T3 by marching in steps of 0.5 m"),
+    ("five_points", "five points"),
+];
+
 /// How the figures were measured, for the record.
 pub fn notes(culling: &Value) -> Vec<String> {
-    let scenes = culling.pointer("/sight/scenes").and_then(Value::as_f64).unwrap_or(f64::NAN);
+    let scenes = at(culling, "sight/scenes").unwrap_or(f64::NAN);
     let mut notes = vec![
         format!(
-            "Sight: {scenes:.0} of {POSES} seeded poses with a scene, in valleys, on peaks \
-             and between, a person's height above the ground or a tower's, tolerances of 0.7 \
-             to 4 pixels, every third over land that is stretched 1.8 or 4 times, every fifth \
-             10^6 m from the origin. Truth, in f64: a clump is seen if the drawn triangles \
-             leave any vertex of it in sight of the eye, as the twins of the shapes place it; \
-             a chunk of 128 m, if any clump of it that stands in the view is."
+            "Sight: {scenes:.0} of {POSES} seeded poses with a scene, in valleys, on peaks and between, a \
+             person's height above the ground or a tower's, tolerances of 0.7 to 4 pixels, every third over \
+             land that is stretched 1.8 or 4 times, every fifth 10^6 m from the origin. Truth, in f64: a \
+             clump is seen if the drawn triangles leave any vertex of it in sight of the eye, as the twins \
+             of the shapes place it; a chunk of 128 m, if any clump of it that stands in the view is."
         ),
-        "Fetches: reads of heights, bounds and tiles of the same rays; time: one thread, the same \
-         rays one after the other."
+        "Fetches: reads of heights, bounds and tiles of the same rays; time: one thread, the same rays one \
+         after the other."
             .into(),
-        "T2 marches over the noise, T3 by marching over the drawn vertices, bilinear, both in steps \
-         of 2 m and to the tip of the clump; five points are a chunk's corners and middle at its \
-         highest."
+        "T2 marches over the noise, T3 by marching over the drawn vertices, bilinear, both in steps of 2 m \
+         and to the tip of the clump; five points are a chunk's corners and middle at its highest."
             .into(),
     ];
-    for (test, what) in [
-        ("exact", "T3 exact"),
-        ("hierarchical", "T4"),
-        ("grass", "T4, grass"),
-        ("trees", "T4, trees"),
-        ("chunks", "T4, chunks of grass"),
-        ("tree_chunks", "T4, chunks of trees"),
-        ("noise", "T2"),
-        ("march", "T3 by marching"),
-        ("march_fine", "T3 by marching in steps of 0.5 m"),
-        ("five_points", "five points"),
-    ] {
-        let Some(score) = culling.pointer(&format!("/sight/{test}")) else { continue };
-        let of = |field: &str| number(score, field).unwrap_or(f64::NAN);
-        // With none lost of n, the share that would be is below 3 / n with 95 % certainty (Hanley
-        // and Lippman-Hand, JAMA 249(13), 1983).
-        let bound = if of("false_culls") == 0.0 {
-            format!(", so fewer than {:.1e} of them with 95 % certainty", 3.0 / of("visible"))
-        } else {
-            String::new()
+    // With none lost of n, the share that would be is below 3 / n with 95 % certainty (Hanley and
+    // Lippman-Hand, JAMA 249(13), 1983).
+    let certain = |seen: f64| format!("fewer than {:.1e} of them with 95 % certainty", 3.0 / seen);
+    for (test, what) in TESTS {
+        let Some(score) = value(culling, "sight").and_then(|sight| sight.get(test)) else { continue };
+        let bound = match (at(score, "false_culls"), at(score, "visible")) {
+            (Some(0.0), Some(seen)) => format!(", so {}", certain(seen)),
+            _ => String::new(),
         };
-        notes.push(format!(
-            "{what}: {} lost of {} that are seen{bound}; {} kept of {} that are hidden.",
-            of("false_culls"),
-            of("visible"),
-            of("kept"),
-            of("hidden")
-        ));
+        let sentence = "{false_culls} lost of {visible} that are seen";
+        let hidden = fill("{kept} kept of {hidden} that are hidden.", score);
+        notes.push(format!("{what}: {}{bound}; {hidden}", fill(sentence, score)));
     }
     if let Some(shown) = culling.get("shown").filter(|shown| shown.is_object()) {
-        let of = |field: &str| number(shown, field).unwrap_or(f64::NAN);
-        notes.push(format!(
-            "Pictures: {} poses drawn without culling, each pixel the place of the plant that it \
-             shows, at {} pixels across; {} plants show of {} that are there; of those that show T1 \
-             loses {}, \
-             T2 {}, T3 by marching {}, T3 exact {}, T4 {}, so fewer than {:.1e} of them with 95 % \
-             certainty where none is lost.",
-            of("poses"),
-            shown.get("widths").map_or_else(String::new, ToString::to_string),
-            of("seen"),
-            of("drawn"),
-            of("lost_frustum"),
-            of("lost_noise"),
-            of("lost_march"),
-            of("lost_exact"),
-            of("lost_hierarchical"),
-            3.0 / of("seen")
-        ));
+        let pictures = "Pictures: {poses} poses drawn without culling, each pixel the place of the plant \
+                        that it shows, at {widths} pixels across; {seen} plants show of {drawn} that are \
+                        there; of those that show T1 loses {lost_frustum}, T2 {lost_noise}, T3 by marching \
+                        {lost_march}, T3 exact {lost_exact}, T4 {lost_hierarchical}, so ";
+        let certain = certain(at(shown, "seen").unwrap_or(f64::NAN));
+        notes.push(format!("{}{certain} where none is lost.", fill(pictures, shown)));
     }
-    for cost in culling.pointer("/frames/ways").and_then(Value::as_array).into_iter().flatten() {
-        let of = |field: &str| number(cost, field).unwrap_or(f64::NAN);
-        notes.push(format!(
-            "Frames of the valley scene, {}: {} clumps, choice {:.2} and frame {:.2} of those with T1.",
-            cost.get("way").and_then(Value::as_str).unwrap_or("unknown"),
-            of("clumps"),
-            of("choice_ratio"),
-            of("frame_ratio")
-        ));
-    }
-    if let Some(same) = culling.get("same").filter(|same| same.is_object()) {
-        let of = |field: &str| number(same, field).unwrap_or(f64::NAN);
-        notes.push(format!(
-            "GPU against the twin: {} clumps at {} poses, {} of them over stretched land, {} 10^6 m \
-             from the origin; grass up to 160 m with 4 clumps on a cell, trees up to 800 m.",
-            of("clumps"),
-            of("poses"),
-            of("stretched"),
-            of("far")
-        ));
-    }
+    notes.extend(each(
+        culling,
+        "frames/ways",
+        "Frames of the valley scene, {way}: {clumps} clumps, choice {choice_ratio:.2} and frame \
+         {frame_ratio:.2} of those with T1.",
+    ));
+    notes.extend(culling.get("same").filter(|same| same.is_object()).map(|same| {
+        let twin = "GPU against the twin: {clumps} clumps at {poses} poses, {stretched} of them over \
+                    stretched land, {far} 10^6 m from the origin; grass up to 160 m with 4 clumps on a cell, \
+                    trees up to 800 m.";
+        fill(twin, same)
+    }));
     notes
 }
 

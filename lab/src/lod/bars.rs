@@ -1,7 +1,8 @@
 //! The bars of the drawn levels of detail.
 
-use crate::report::{list, number};
-use bars::{Bar, Limit, worst};
+use crate::report::NEEDS_GPU;
+use bars::Bar;
+use bars::figures::{at, each, list, ratio, worst};
 use serde_json::Value;
 
 /// Poses of the screen error and of the search for gaps; fewer measure nothing.
@@ -10,149 +11,84 @@ const VIEWS: f64 = 200.0;
 
 const KIB: f64 = 1024.0;
 
-/// The row that needs a GPU.
-const GPU_TIME: &str = "GPU time of the island at 1920 x 1080";
-
 /// Every figure beside its bar.
 pub fn rows(lod: &Value) -> Vec<Bar> {
-    let at = |path: &str| lod.pointer(path).and_then(Value::as_f64);
-    let screen = |field: &str| at(&format!("/screen/{field}")).filter(|_| at("/screen/poses") >= Some(POSES));
-    let views = list(lod, "/triangles");
-    let flights = list(lod, "/popping");
-    let is_whole = at("/cracks/whole/poses") >= Some(VIEWS) && at("/cracks/whole/pixels") > Some(0.0);
-    let magenta = |fault: &str| at(&format!("/cracks/{fault}/magenta")).filter(|_| is_whole);
-    let of_views = |field: &str| worst(&views.iter().map(|view| number(view, field)).collect::<Vec<_>>());
-    let block = |kind: &str| {
-        let figures: Vec<_> = flights.iter().map(|flight| number(flight.get(kind)?, "block")).collect();
-        worst(&figures)
+    let screen = |field| at(lod, field).filter(|_| at(lod, "screen/poses") >= Some(POSES));
+    let of_views = |field| list(lod, "triangles").iter().map(move |view| at(view, field));
+    let eight_km = |field| of_views(field).next()?;
+    let is_whole = at(lod, "cracks/whole/poses") >= Some(VIEWS) && at(lod, "cracks/whole/pixels") > Some(0.0);
+    let magenta = |field| at(lod, field).filter(|_| is_whole);
+    let block = |change| worst(list(lod, "popping").iter().map(|flight| at(flight, change)));
+    let morphed = block("morphed/block");
+    let draws = at(lod, "frames/terrain_draws").filter(|draws| *draws > 0.0);
+    let chunk_kib = at(lod, "frames/bytes_per_chunk").map(|bytes| bytes / KIB);
+    // Absolute times of a GPU; of a software driver ratios alone, which say how work grows and
+    // nothing about a GPU.
+    let is_software = lod.pointer("/frames/is_software") == Some(&Value::Bool(true));
+    let timed = |tolerance_px: f64, field| {
+        let mut rows = list(lod, "frames/rows").iter();
+        at(rows.find(|row| at(row, "tolerance_px") == Some(tolerance_px))?, field)
     };
-    let eight_km = |field: &str| number(views.first()?, field);
-    let share = |part: Option<f64>, whole: Option<f64>| Some(part? / whole?);
-    let mut rows = vec![
-        Bar::new("screen error over 50 poses: tolerances", screen("max"), "", Limit::AtMost(1.0)),
-        Bar::new(
-            "the same, chosen for 4 tolerances (control)",
-            screen("max_when_loose"),
-            "",
-            Limit::AtLeast(1.0),
-        ),
-        Bar::new("triangles of the 8 km view at 1 px", eight_km("triangles"), "", Limit::Under(1.5e6)),
-        Bar::new(
-            "share of the triangles without levels",
-            share(eight_km("triangles"), eight_km("triangles_without_lod")),
-            "x",
-            Limit::Reported,
-        ),
-        Bar::new("triangles of the worst of all cameras", of_views("triangles"), "", Limit::Reported),
-        Bar::new("magenta pixels in 200 poses", magenta("whole"), "", Limit::AtMost(0.0)),
-        Bar::new("with a chunk left out (control)", magenta("chunk_left_out"), "", Limit::AtLeast(1.0)),
-        Bar::new("with borders that do not meet (control)", magenta("no_seams"), "", Limit::AtLeast(1.0)),
-        Bar::new(
-            "GPU memory of a resident chunk, heights and normals",
-            at("/frames/bytes_per_chunk").map(|bytes| bytes / KIB),
-            "KiB",
-            Limit::Under(24.0),
-        ),
-        Bar::new(
-            "draw calls for terrain, bar: levels drawn",
-            at("/frames/terrain_draws").filter(|draws| *draws > 0.0),
-            "",
-            Limit::AtMost(at("/frames/levels").unwrap_or(0.0)),
-        ),
-        Bar::new("change by levels in a frame, 8 x 8 pixels of 255", block("morphed"), "", Limit::Reported),
-        Bar::new(
-            "the same without morphs (control)",
-            share(block("unmorphed"), block("morphed")),
-            "x",
-            Limit::AtLeast(2.0),
-        ),
-        Bar::new(
-            "change by the motion of that frame",
-            share(block("motion"), block("morphed")),
-            "x",
-            Limit::Reported,
-        ),
-    ];
-    rows.extend(times(lod));
-    rows
-}
-
-/// Absolute times of a GPU; of a software driver ratios alone, which say how work grows and nothing
-/// about a GPU.
-fn times(lod: &Value) -> Vec<Bar> {
-    let frames = list(lod, "/frames/rows");
-    let at = |tolerance: f64| frames.iter().find(|row| number(row, "tolerance_px") == Some(tolerance));
-    let passes = |row: &Value| {
-        let of = |pass: &str| row.pointer(&format!("/passes/{pass}")).and_then(Value::as_f64);
-        Some((of("light_ms")?, of("whole_ms")?))
-    };
-    let whole = at(1.0).and_then(passes).map(|(_, whole)| whole);
-    let is_software = lod.pointer("/frames/is_software").and_then(Value::as_bool);
-    let time = match is_software {
-        Some(true) => Bar::not_measured(GPU_TIME, crate::report::NEEDS_GPU, "ms", Limit::Under(2.0)),
-        _ => Bar::new(GPU_TIME, whole, "ms", Limit::Under(2.0)),
-    };
-    let frame_ms = |tolerance| number(at(tolerance)?, "frame_ms");
-    let ratio = |part: Option<f64>, whole: Option<f64>| Some(part? / whole?);
+    let (light, whole) = (timed(1.0, "passes/light_ms"), timed(1.0, "passes/whole_ms"));
+    let all_triangles = eight_km("triangles_without_lod");
     vec![
-        time,
-        Bar::new(
+        Bar::at_most("screen error over 50 poses: tolerances", screen("screen/max"), "", 1.0),
+        Bar::some("the same, chosen for 4 tolerances (control)", screen("screen/max_when_loose")),
+        Bar::under("triangles of the 8 km view at 1 px", eight_km("triangles"), "", 1.5e6),
+        Bar::reported(
+            "share of the triangles without levels",
+            ratio(eight_km("triangles"), all_triangles),
+            "x",
+        ),
+        Bar::reported("triangles of the worst of all cameras", worst(of_views("triangles")), ""),
+        Bar::none("magenta pixels in 200 poses", magenta("cracks/whole/magenta")),
+        Bar::some("with a chunk left out (control)", magenta("cracks/chunk_left_out/magenta")),
+        Bar::some("with borders that do not meet (control)", magenta("cracks/no_seams/magenta")),
+        Bar::under("GPU memory of a resident chunk, heights and normals", chunk_kib, "KiB", 24.0),
+        Bar::at_most(
+            "draw calls for terrain, bar: levels drawn",
+            draws,
+            "",
+            at(lod, "frames/levels").unwrap_or(0.0),
+        ),
+        Bar::reported("change by levels in a frame, 8 x 8 pixels of 255", morphed, ""),
+        Bar::at_least(
+            "the same without morphs (control)",
+            ratio(block("unmorphed/block"), morphed),
+            "x",
+            2.0,
+        ),
+        Bar::reported("change by the motion of that frame", ratio(block("motion/block"), morphed), "x"),
+        Bar::under("GPU time of the island at 1920 x 1080", whole, "ms", 2.0)
+            .not_measured_if(is_software, NEEDS_GPU),
+        Bar::reported(
             "time of a frame at 1 px: of one at 4 px",
-            ratio(frame_ms(1.0), frame_ms(4.0)),
+            ratio(timed(1.0, "frame_ms"), timed(4.0, "frame_ms")),
             "x",
-            Limit::Reported,
         ),
-        Bar::new(
-            "land, sky and sea: share of the frame",
-            ratio(at(1.0).and_then(passes).map(|(light, _)| light), whole),
-            "x",
-            Limit::Reported,
-        ),
+        Bar::reported("land, sky and sea: share of the frame", ratio(light, whole), "x"),
     ]
 }
 
+const NOTES: [&str; 3] = [
+    "Screen error: at every vertex of level 0 within 8 km all round the eye, 1920 x 1080, 60 degrees, at \
+     tolerances of 0.5, 1, 2 and 4 px; the drawn triangles are evaluated by the twin of the vertex shader.",
+    "Gaps: pixels of 256 x 144 whose view ray comes below the deepest land within 3.6 km; most eyes on \
+     borders of chunks, more than half of them while chunks are still arriving, half of them on islands up \
+     to 4000 km out.",
+    "Popping: each pose of a flight, a metre apart, is drawn with what is chosen for it and with what was \
+     chosen for the pose before; 256 x 144, tolerance 0.5 px.",
+];
+
 /// How the figures were measured, for the record.
 pub fn notes(lod: &Value) -> Vec<String> {
-    let mut notes = vec![
-        "Screen error: at every vertex of level 0 within 8 km all round the eye, 1920 x 1080, 60 \
-         degrees, at tolerances of 0.5, 1, 2 and 4 px; the drawn triangles are evaluated by the \
-         twin of the vertex shader."
-            .into(),
-        "Gaps: pixels of 256 x 144 whose view ray comes below the deepest land within 3.6 km; most \
-         eyes on borders of chunks, more than half of them while chunks are still arriving, half of \
-         them on islands up to 4000 km out."
-            .into(),
-        "Popping: each pose of a flight, a metre apart, is drawn with what is chosen for it and \
-         with what was chosen for the pose before; 256 x 144, tolerance 0.5 px."
-            .into(),
-    ];
-    for view in list(lod, "/triangles") {
-        let count = |field| number(view, field).map_or("unknown".into(), |count| format!("{count:.0}"));
-        let camera = view.get("camera").and_then(Value::as_str).unwrap_or("unknown");
-        let (own, all) = (count("triangles"), count("triangles_without_lod"));
-        notes.push(format!("Camera {camera}: {own} triangles, {all} without levels."));
-    }
-    for flight in list(lod, "/popping") {
-        let name = flight.get("flight").and_then(Value::as_str).unwrap_or("unknown");
-        let of = |kind: &str, field: &str| {
-            let figure = flight.get(kind).and_then(|change| number(change, field));
-            figure.map_or("unknown".into(), |figure| format!("{figure:.2}"))
-        };
-        notes.push(format!(
-            "Flight {name}: 8 x 8 pixels change by {} with morphs, {} without, {} by motion; single \
-             pixels by {}, {} and {}; 99.9 % of them by at most {}, {} and {}.",
-            of("morphed", "block"),
-            of("unmorphed", "block"),
-            of("motion", "block"),
-            of("morphed", "max"),
-            of("unmorphed", "max"),
-            of("motion", "max"),
-            of("morphed", "p999"),
-            of("unmorphed", "p999"),
-            of("motion", "p999"),
-        ));
-    }
-    notes
+    let camera = "Camera {camera}: {triangles:.0} triangles, {triangles_without_lod:.0} without levels.";
+    let flight = "Flight {flight}: 8 x 8 pixels change by {morphed/block:.2} with morphs, \
+                  {unmorphed/block:.2} without, {motion/block:.2} by motion; single pixels by \
+                  {morphed/max:.2}, {unmorphed/max:.2} and {motion/max:.2}; 99.9 % of them by at most \
+                  {morphed/p999:.2}, {unmorphed/p999:.2} and {motion/p999:.2}.";
+    let measured = each(lod, "triangles", camera).chain(each(lod, "popping", flight));
+    NOTES.map(str::to_owned).into_iter().chain(measured).collect()
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! The bars of parallax occlusion mapping.
 
-use crate::report::{list, number};
-use bars::{Bar, Limit, worst};
+use crate::report::NEEDS_GPU;
+use bars::figures::{at, each, least, list, worst};
+use bars::{Bar, Limit};
 use serde_json::Value;
 
 /// Rays of each map and angle; fewer cannot show the bar's ten-thousandth.
@@ -12,170 +13,99 @@ const CONDITIONS: usize = 24;
 
 /// Every figure beside its bar.
 pub fn rows(pom: &Value) -> Vec<Bar> {
-    let at = |path: &str| pom.pointer(path).and_then(Value::as_f64);
-    let search = list(pom, "/search");
-    let is_whole = at("/rays") >= Some(RAYS) && search.len() == CONDITIONS;
-    let of = |tier: &str, field: &str| {
-        let figure = |row: &Value| number(row.get(tier)?, field);
-        worst(&search.iter().map(figure).collect::<Vec<_>>()).filter(|_| is_whole)
+    let of = |path, field| list(pom, path).iter().map(move |row| at(row, field));
+    let is_whole = at(pom, "rays") >= Some(RAYS) && list(pom, "search").len() == CONDITIONS;
+    let search =
+        |field, scale: f64| worst(of("search", field)).filter(|_| is_whole).map(|worst| scale * worst);
+    let (per_cent, residual) = (|field| search(field, 100.0), |field| search(field, 1024.0));
+    let counted = |path, compared| at(pom, path).filter(|_| at(pom, compared) > Some(0.0));
+    let (pixels, words) =
+        (|path| counted(path, "pictures/zero_compared"), |path| counted(path, "loops/compared"));
+    let line = |field| worst(of("pictures/lines", field));
+    let overlap = |field| least(of("pictures/silhouettes", field));
+    let cost = |tier| {
+        let ratios: Vec<f64> = of("cost", tier).collect::<Option<_>>()?;
+        let mean = ratios.iter().map(|ratio| ratio.ln()).sum::<f64>() / CONDITIONS as f64;
+        (ratios.len() == CONDITIONS).then(|| mean.exp())
     };
-    let per_cent = |tier: &str, field: &str| of(tier, field).map(|share| 100.0 * share);
-    let thousandths = |tier: &str| of(tier, "residual").map(|residual| 1024.0 * residual);
-    let pixels = at("/pictures/zero_compared").filter(|compared| *compared > 0.0);
-    let words = at("/loops/compared").filter(|compared| *compared > 0.0);
-    let lines = list(pom, "/pictures/lines");
-    let line = |field: &str| worst(&lines.iter().map(|row| number(row, field)).collect::<Vec<_>>());
-    let silhouettes = list(pom, "/pictures/silhouettes");
-    let overlaps = |field: &str| -> Vec<Option<f64>> {
-        silhouettes.iter().map(|row| number(row, field).map(|overlap| -overlap)).collect()
-    };
-    let least = |field: &str| worst(&overlaps(field)).map(|overlap| -overlap);
-    let costs = list(pom, "/cost");
-    let cost = |tier: &str| {
-        let ratios: Option<Vec<f64>> = costs.iter().map(|row| number(row, tier)).collect();
-        ratios
-            .filter(|ratios| ratios.len() == CONDITIONS)
-            .map(|ratios| ratios.iter().map(|ratio| ratio.ln()).sum::<f64>() / CONDITIONS as f64)
-            .map(f64::exp)
-    };
+    // A software driver, which runs eight rays in step and pays for every instruction, gives only
+    // the ratio.
+    let is_software = pom.pointer("/is_software") == Some(&Value::Bool(true));
+    let time = if is_software { Limit::Under(0.4) } else { Limit::AtMost(0.4) };
     vec![
-        Bar::new(
+        Bar::at_most(
             "pyramid: rays more than 4 texels off, worst condition",
-            per_cent("pyramid", "wrong"),
+            per_cent("pyramid/wrong"),
             "%",
-            Limit::AtMost(0.01),
+            0.01,
         ),
-        Bar::new(
-            "of these no tangents to a feature",
-            per_cent("pyramid", "wrong_without_excuse"),
-            "%",
-            Limit::AtMost(0.0),
-        ),
-        Bar::new("automatic tier: the same", per_cent("auto", "wrong"), "%", Limit::AtMost(0.1)),
-        Bar::new(
-            "64 steps and a secant: the same (control)",
-            per_cent("linear", "wrong"),
-            "%",
-            Limit::AtLeast(0.1),
-        ),
-        Bar::new(
+        Bar::at_most("of these no tangents to a feature", per_cent("pyramid/wrong_without_excuse"), "%", 0.0),
+        Bar::at_most("automatic tier: the same", per_cent("auto/wrong"), "%", 0.1),
+        Bar::at_least("64 steps and a secant: the same (control)", per_cent("linear/wrong"), "%", 0.1),
+        Bar::at_most(
             "pyramid: residual at p99.9, 1/1024 of the relief",
-            thousandths("pyramid"),
+            residual("pyramid/residual"),
             "",
-            Limit::AtMost(1.0),
+            1.0,
         ),
-        Bar::new("automatic tier: the same", thousandths("auto"), "", Limit::AtMost(1.0)),
-        Bar::new("64 steps and a secant: the same (control)", thousandths("linear"), "", Limit::AtLeast(1.0)),
-        Bar::new(
-            "no amplitude against flat: differing pixels",
-            at("/pictures/zero_differing").filter(|_| pixels.is_some()),
-            "",
-            Limit::AtMost(0.0),
-        ),
-        Bar::new(
-            "with amplitude (control)",
-            at("/pictures/raised_differing").filter(|_| pixels.is_some()),
-            "",
-            Limit::AtLeast(1.0),
-        ),
-        Bar::new(
-            "loop forms against each other: differing words",
-            at("/loops/differing").filter(|_| words.is_some()),
-            "",
-            Limit::AtMost(0.0),
-        ),
-        Bar::new(
-            "another refinement (control)",
-            at("/loops/differing_control").filter(|_| words.is_some()),
-            "",
-            Limit::AtLeast(1.0),
-        ),
-        Bar::new("line of intersection against geometry, p99", line("with_depth"), "px", Limit::AtMost(1.0)),
-        Bar::new("with the plane's depth (control)", line("without_depth"), "px", Limit::AtLeast(1.0)),
-        Bar::new("silhouette of the shell over geometry's, least", least("shell"), "", Limit::AtLeast(0.98)),
-        Bar::new("without a silhouette (control)", least("flat"), "", Limit::Under(0.98)),
-        time(pom, cost("auto")),
-        Bar::new("time of auto over 64 steps without exit, mean of all", cost("auto"), "x", Limit::Reported),
-        Bar::new("time of 64 steps with exit over the same", cost("early_exit"), "x", Limit::Reported),
+        Bar::at_most("automatic tier: the same", residual("auto/residual"), "", 1.0),
+        Bar::some("64 steps and a secant: the same (control)", residual("linear/residual")),
+        Bar::none("no amplitude against flat: differing pixels", pixels("pictures/zero_differing")),
+        Bar::some("with amplitude (control)", pixels("pictures/raised_differing")),
+        Bar::none("loop forms against each other: differing words", words("loops/differing")),
+        Bar::some("another refinement (control)", words("loops/differing_control")),
+        Bar::at_most("line of intersection against geometry, p99", line("with_depth"), "px", 1.0),
+        Bar::at_least("with the plane's depth (control)", line("without_depth"), "px", 1.0),
+        Bar::at_least("silhouette of the shell over geometry's, least", overlap("shell"), "", 0.98),
+        Bar::under("without a silhouette (control)", overlap("flat"), "", 0.98),
+        Bar::new("time of auto over 64 steps without exit, on a GPU", cost("auto"), "x", time)
+            .not_measured_if(is_software, NEEDS_GPU),
+        Bar::reported("time of auto over 64 steps without exit, mean of all", cost("auto"), "x"),
+        Bar::reported("time of 64 steps with exit over the same", cost("early_exit"), "x"),
     ]
-}
-
-/// The bar of the time holds on a GPU; a software driver, which runs eight rays in step and pays
-/// for every instruction, gives only the ratio below.
-fn time(pom: &Value, ratio: Option<f64>) -> Bar {
-    let what = "time of auto over 64 steps without exit, on a GPU";
-    match pom.get("is_software").and_then(Value::as_bool) {
-        Some(true) => Bar::not_measured(what, crate::report::NEEDS_GPU, "x", Limit::Under(0.4)),
-        _ => Bar::new(what, ratio, "x", Limit::AtMost(0.4)),
-    }
 }
 
 /// How the figures were measured, for the record.
 pub fn notes(pom: &Value) -> Vec<String> {
     let mut notes = vec![
         format!(
-            "Search: {RAYS} rays of random place and heading for each of four maps of 512 x 512 \
-            texels (smooth hills, bricks, thin posts, ridges of one texel) under 0, 30, 60, 75, 85 \
-            and 89 degrees, relief 0.05 tiles high, on the GPU; truth: every cell that the ray \
-            crosses, in f64. A tangent clears what it passes, or goes into it, by at most a \
-            thousandth of the relief."
+            "Search: {RAYS} rays of random place and heading for each of four maps of 512 x 512 texels \
+             (smooth hills, bricks, thin posts, ridges of one texel) under 0, 30, 60, 75, 85 and 89 degrees, \
+             relief 0.05 tiles high, on the GPU; truth: every cell that the ray crosses, in f64. A tangent \
+             clears what it passes, or goes into it, by at most a thousandth of the relief."
         ),
-        "Pictures: a plane of cobblestones, 960 x 540, one sample a pixel, against 131,072 \
-         displaced triangles; silhouettes from 60, 16 and 5 degrees and three bearings, lines of \
-         intersection with a sunken ball from 60, 40, 16 and 5 degrees."
+        "Pictures: a plane of cobblestones, 960 x 540, one sample a pixel, against 131,072 displaced \
+         triangles; silhouettes from 60, 16 and 5 degrees and three bearings, lines of intersection with a \
+         sunken ball from 60, 40, 16 and 5 degrees."
             .into(),
-        "Time: 65,536 neighbouring rays of each map and angle, all ways in turn; the geometric mean \
-         of all conditions. 64 steps are as far off as the table of the search says."
+        "Time: 65,536 neighbouring rays of each map and angle, all ways in turn; the geometric mean of all \
+         conditions. 64 steps are as far off as the table of the search says."
             .into(),
     ];
-    for row in list(pom, "/search") {
-        let of = |tier: &str, field: &str| {
-            row.get(tier).and_then(|score| number(score, field)).unwrap_or(f64::NAN)
-        };
-        let shown = |tier: &str| {
-            format!("{:.4} % off, {:.1} lookups", 100.0 * of(tier, "wrong"), of(tier, "fetches"))
-        };
-        notes.push(format!(
-            "Map {}, {} degrees: pyramid {}; auto {}; 64 steps and a secant {}.",
-            row.get("map").and_then(Value::as_str).unwrap_or("unknown"),
-            number(row, "angle_deg").unwrap_or(f64::NAN),
-            shown("pyramid"),
-            shown("auto"),
-            shown("linear"),
-        ));
-    }
-    for row in list(pom, "/cost") {
-        let of = |field: &str| number(row, field).unwrap_or(f64::NAN);
-        notes.push(format!(
-            "Time over 64 steps without exit, map {}, {} degrees: auto {:.2}, pyramid {:.2}, 64 \
-             steps with exit {:.2}.",
-            row.get("map").and_then(Value::as_str).unwrap_or("unknown"),
-            of("angle_deg"),
-            of("auto"),
-            of("pyramid"),
-            of("early_exit"),
-        ));
-    }
-    for row in list(pom, "/pictures/silhouettes") {
-        let of = |field: &str| number(row, field).unwrap_or(f64::NAN);
-        notes.push(format!(
-            "Silhouette over geometry's from {} degrees: shell {:.4}, rectangle {:.4}, none {:.4}.",
-            of("elevation_deg"),
-            of("shell"),
-            of("rectangle"),
-            of("flat"),
-        ));
-    }
-    for row in list(pom, "/pictures/lines") {
-        let of = |field: &str| number(row, field).unwrap_or(f64::NAN);
-        notes.push(format!(
-            "Line of intersection from {} degrees, {} pixels long: {:.2} px off, with the plane's \
-             depth {:.2} px.",
-            of("elevation_deg"),
-            of("pixels"),
-            of("with_depth"),
-            of("without_depth"),
-        ));
+    for (path, sentence) in [
+        (
+            "search",
+            "Map {map}, {angle_deg} degrees: pyramid {pyramid/wrong*100:.4} % off, {pyramid/fetches:.1} \
+             lookups; auto {auto/wrong*100:.4} % off, {auto/fetches:.1} lookups; 64 steps and a secant \
+             {linear/wrong*100:.4} % off, {linear/fetches:.1} lookups.",
+        ),
+        (
+            "cost",
+            "Time over 64 steps without exit, map {map}, {angle_deg} degrees: auto {auto:.2}, pyramid \
+             {pyramid:.2}, 64 steps with exit {early_exit:.2}.",
+        ),
+        (
+            "pictures/silhouettes",
+            "Silhouette over geometry's from {elevation_deg} degrees: shell {shell:.4}, rectangle \
+             {rectangle:.4}, none {flat:.4}.",
+        ),
+        (
+            "pictures/lines",
+            "Line of intersection from {elevation_deg} degrees, {pixels} pixels long: {with_depth:.2} px \
+             off, with the plane's depth {without_depth:.2} px.",
+        ),
+    ] {
+        notes.extend(each(pom, path, sentence));
     }
     notes
 }

@@ -56,7 +56,7 @@ pub struct Line {
     pub without_depth: f64,
 }
 
-/// Draws and compares, and prints it.
+/// Draws and compares.
 pub fn measure() -> Result<Pictures> {
     let mut renderer = PomRenderer::open(Scene::Pom, SIZE)?;
     let (zero_compared, zero_differing, raised_differing) = identities(&mut renderer)?;
@@ -105,7 +105,6 @@ fn identities(renderer: &mut PomRenderer) -> Result<(usize, usize, usize)> {
         zero += differs;
         raised += differing(1.0)?.1;
     }
-    println!("without amplitude {zero} of {compared} pixels differ from the flat plane's, with it {raised}");
     Ok((compared, zero, raised))
 }
 
@@ -113,17 +112,12 @@ fn silhouettes(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Silhoue
     let mut overlap = |mode, silhouette| {
         silhouette_overlap(renderer, mode, PomSettings { silhouette, ..exact() }, elevation_deg)
     };
-    let row = Silhouettes {
+    Ok(Silhouettes {
         elevation_deg,
         shell: overlap(Mode::Settings, Silhouette::Shell)?,
         rectangle: overlap(Mode::Settings, Silhouette::Rectangle)?,
         flat: overlap(Mode::Flat, Silhouette::None)?,
-    };
-    println!(
-        "silhouette at {elevation_deg} degrees: shell {:.4}, rectangle {:.4}, none {:.4}",
-        row.shell, row.rectangle, row.flat
-    );
-    Ok(row)
+    })
 }
 
 fn line(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Line> {
@@ -131,9 +125,5 @@ fn line(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Line> {
     let shallow = PomSettings { depth: false, silhouette: Silhouette::None, ..deep };
     let (with_depth, pixels) = cut_distance(renderer, deep, elevation_deg)?;
     let (without_depth, _) = cut_distance(renderer, shallow, elevation_deg)?;
-    println!(
-        "line of intersection at {elevation_deg} degrees, {pixels} pixels: {with_depth:.2} px off, with the \
-         plane's depth {without_depth:.2} px"
-    );
     Ok(Line { elevation_deg, pixels, with_depth, without_depth })
 }

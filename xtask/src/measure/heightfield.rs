@@ -4,13 +4,12 @@
 //! Ratios come from `benches/noise-comparison`, a package outside the workspace: it needs a C++ compiler,
 //! which nothing else here does.
 
-use super::record::{self, Heading};
-use super::report::{self, number};
+use super::run::Run;
 use crate::process;
 use anyhow::{Context, Result, bail};
+use bars::figures::{at, each, fill, list, median, ratio, text};
 use bars::{Bar, Limit};
-use serde_json::Value;
-use std::path::Path;
+use serde_json::{Value, json};
 
 /// Times that the comparisons are started. Where a program's code and buffers happen to lie is
 /// decided once per start and moves single figures by half, ours and of other libraries; the median start
@@ -23,27 +22,22 @@ const ROUNDS: &str = "101";
 /// How the names of backends that run on the CPU begin; all others are twins.
 const CPU_BACKEND: &str = "rust";
 
-/// Builds, measures, prints, records.
+/// The bars of ratios, by their key in the reports of the comparisons.
+const RATIOS: [(&str, &str, Limit); 7] = [
+    ("65 x 65, AVX2: time of FastNoise2's", "chunk_avx2", Limit::AtMost(0.30)),
+    ("1024 x 1024, AVX2: time of FastNoise2's", "large_avx2", Limit::AtMost(0.33)),
+    ("65 x 65: speed of `noise` Fbm<Perlin>'s", "noise_crate", Limit::AtLeast(40.0)),
+    ("shaping and pyramids: time of the noise's", "shaping_and_pyramids", Limit::AtMost(0.5)),
+    ("one pyramid: time of a copy's of the heights", "pyramid", Limit::AtMost(2.0)),
+    ("2 threads: chunks per second of one's", "two_threads", Limit::AtLeast(1.8)),
+    ("65 x 65, 128 bits: time of FastNoise2's AVX2", "chunk_sse4.1", Limit::AtMost(0.45)),
+];
+
+/// Builds the comparisons, runs all, and takes the digests and timings of the land on CPU and GPU.
 ///
 /// # Errors
-/// The comparison cannot be built, the record cannot be written, or a bar was missed.
-pub fn run() -> Result<()> {
-    let folder = process::target().join("measure/heightfield");
-    std::fs::create_dir_all(&folder)
-        .with_context(|| format!("measure: cannot create {}", folder.display()))?;
-    let mut notes = Vec::new();
-    let rivals = rivals(&folder, &mut notes)?;
-    let (digest, timings) = lab(&folder, &mut notes)?;
-
-    let rows = rows(&rivals, &digest, &timings);
-    notes.splice(0..0, how(&rivals, &digest, &timings));
-    let adapter = timings.pointer("/gpu/adapter").and_then(Value::as_str);
-    let path = record::write(&Heading { name: "heightfield", adapter, notes: &notes }, &rows)?;
-    super::judge(&rows, &path)
-}
-
-/// Builds and runs the comparisons; one report per start.
-fn rivals(folder: &Path, notes: &mut Vec<String>) -> Result<Vec<Value>> {
+/// The comparison cannot be built, or a program was interrupted.
+pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     let compiler = Clang::find()?;
     // In its own folder, so that its `.cargo/config.toml` is read too.
     let package = process::root().join("benches/noise-comparison");
@@ -52,92 +46,65 @@ fn rivals(folder: &Path, notes: &mut Vec<String>) -> Result<Vec<Value>> {
     let mut build = process::cargo("build --release --locked --target-dir");
     build.arg(&target).current_dir(&package).env("CC", &compiler.c).env("CXX", &compiler.cpp);
     process::run(build).context(
-        "measure: the noise comparison was not built; CMake fetches a part of FastNoise2, so the \
-         first build needs the network",
+        "the noise comparison was not built; CMake fetches a part of FastNoise2, so the first build needs \
+         the network",
     )?;
-    let compare = |shift: usize| {
-        println!("measure: comparing, start {} of {STARTS}", shift + 1);
-        let json = folder.join(format!("noise-{shift}.json"));
-        let mut rivals = process::command(target.join("release/noise-comparison"));
-        rivals.args(["--rounds", ROUNDS, "--shift", &shift.to_string(), "--json"]).arg(&json);
-        report::of(rivals, &json, notes)
-    };
-    (0..STARTS).map(compare).collect()
-}
-
-/// Digests and timings of the land on CPU and GPU.
-fn lab(folder: &Path, notes: &mut Vec<String>) -> Result<(Value, Value)> {
-    println!("measure: CPU and GPU");
-    process::run(process::build(&["tombolo-lab"])).context("measure: the build failed")?;
-    let mut ask = |question: &str| {
-        let json = folder.join(question).with_extension("json");
-        let mut lab = process::command(process::program("tombolo-lab"));
-        lab.args([question, "--json"]).arg(&json);
-        process::quiet_drivers(&mut lab);
-        report::of(lab, &json, notes)
-    };
-    Ok((ask("digest")?, ask("timings")?))
+    let mut starts = Vec::new();
+    for shift in 0..STARTS {
+        let mut comparison = process::command(target.join("release/noise-comparison"));
+        comparison.args(["--rounds", ROUNDS, "--shift", &shift.to_string()]);
+        starts.push(run.report(&format!("noise-{shift}"), comparison, "--json")?);
+    }
+    let (digest, timings) = (run.lab("digest", &["digest"])?, run.lab("timings", &["timings"])?);
+    run.notes.extend(how(&starts, &digest, &timings));
+    run.adapter = text(&timings, "gpu/adapter").map(str::to_owned);
+    Ok(bars_of(&starts, &digest, &timings))
 }
 
 /// Every figure beside its bar.
-fn rows(rivals: &[Value], digest: &Value, timings: &Value) -> Vec<Bar> {
-    let side = |name: &str| timings.get(name).and_then(|side| number(side, "chunks_per_second"));
-    let (gpu, cpu) = (side("gpu"), side("cpu"));
-    let row = |what: &str, figure, bar| Bar::new(what, figure, "x", bar);
-    let ratio = |what, key, bar| row(what, middle(&medians(rivals, key)), bar);
-    vec![
-        ratio("65 x 65, AVX2: time of FastNoise2's", "chunk_avx2", Limit::AtMost(0.30)),
-        ratio("1024 x 1024, AVX2: time of FastNoise2's", "large_avx2", Limit::AtMost(0.33)),
-        ratio("65 x 65: speed of `noise` Fbm<Perlin>'s", "noise_crate", Limit::AtLeast(40.0)),
-        ratio("shaping and pyramids: time of the noise's", "shaping_and_pyramids", Limit::AtMost(0.5)),
-        ratio("one pyramid: time of a copy's of the heights", "pyramid", Limit::AtMost(2.0)),
-        ratio("2 threads: chunks per second of one's", "two_threads", Limit::AtLeast(1.8)),
-        ratio("65 x 65, 128 bits: time of FastNoise2's AVX2", "chunk_sse4.1", Limit::AtMost(0.45)),
-        Bar::new("starts in which a control failed", failed_controls(rivals), "", Limit::AtMost(0.0)),
-        Bar::new("GPU twins with another digest", differing_twins(digest), "", Limit::AtMost(0.0)),
-        Bar::new("GPU twin: chunks per second", gpu, "", Limit::Reported),
-        row(
-            "GPU twin: chunks per second of the CPU's",
-            gpu.zip(cpu).map(|(gpu, cpu)| gpu / cpu),
-            Limit::Reported,
-        ),
-    ]
+fn bars_of(starts: &[Value], digest: &Value, timings: &Value) -> Vec<Bar> {
+    let (gpu, cpu) = (at(timings, "gpu/chunks_per_second"), at(timings, "cpu/chunks_per_second"));
+    let ratios = RATIOS.map(|(what, key, limit)| Bar::new(what, median(medians(starts, key)), "x", limit));
+    let mut rows = Vec::from(ratios);
+    rows.extend([
+        Bar::none("starts in which a control failed", failed_controls(starts)),
+        twins(digest),
+        Bar::reported("GPU twin: chunks per second", gpu, ""),
+        Bar::reported("GPU twin: chunks per second of the CPU's", ratio(gpu, cpu), "x"),
+    ]);
+    rows
 }
 
 /// A figure of every start.
-fn medians(rivals: &[Value], key: &str) -> Vec<Option<f64>> {
-    let median = |report: &Value| number(report.get("figures")?.get(key)?.get("ratio")?, "median");
-    rivals.iter().map(median).collect()
+fn medians(starts: &[Value], key: &str) -> impl Iterator<Item = Option<f64>> {
+    let path = format!("figures/{key}/ratio/median");
+    starts.iter().map(move |report| at(report, &path))
 }
 
-/// The median start; none if one of them has no figure, so that a lost start cannot improve it.
-fn middle(figures: &[Option<f64>]) -> Option<f64> {
-    let mut figures: Vec<f64> = figures.iter().copied().collect::<Option<_>>()?;
-    figures.sort_by(f64::total_cmp);
-    figures.get(figures.len() / 2).copied()
-}
-
-/// Starts in which a known ratio was measured wrong; missing if one start looked at
-/// none.
-fn failed_controls(rivals: &[Value]) -> Option<f64> {
+/// Starts in which a known ratio was measured wrong; missing if one start looked at none.
+fn failed_controls(starts: &[Value]) -> Option<f64> {
     let kept = |report: &Value| {
-        let controls = report.get("controls")?.as_array()?;
-        let kept = controls.iter().all(|control| control.get("kept") == Some(&Value::Bool(true)));
-        (!controls.is_empty()).then_some(kept)
+        let controls = list(report, "controls");
+        let is_kept = |control: &Value| control.get("kept") == Some(&Value::Bool(true));
+        (!controls.is_empty()).then_some(controls.iter().all(is_kept))
     };
-    let kept: Vec<bool> = rivals.iter().map(kept).collect::<Option<_>>()?;
+    let kept: Vec<bool> = starts.iter().map(kept).collect::<Option<_>>()?;
     (!kept.is_empty()).then(|| kept.iter().filter(|kept| !**kept).count() as f64)
+}
+
+/// The row of the GPU's twins.
+pub fn twins(digest: &Value) -> Bar {
+    Bar::none("GPU twins with another digest", differing_twins(digest))
 }
 
 /// Backends of the GPU's language whose digest is not the CPU's; missing if none ran, if the CPU's
 /// backends disagree, or if the control, which must differ, did not differ.
-pub fn differing_twins(digest: &Value) -> Option<f64> {
+fn differing_twins(digest: &Value) -> Option<f64> {
     let is_cpu = |backend: &&Value| {
-        let name = backend.get("name").and_then(Value::as_str).unwrap_or_default();
-        name.to_lowercase().starts_with(CPU_BACKEND)
+        text(backend, "name").is_some_and(|name| name.to_lowercase().starts_with(CPU_BACKEND))
     };
-    let state = |backend: &Value| backend.get("state").and_then(Value::as_str).map(str::to_owned);
-    let (cpu, twins): (Vec<&Value>, Vec<_>) = digest.get("backends")?.as_array()?.iter().partition(is_cpu);
+    let state = |backend: &Value| text(backend, "state").map(str::to_owned);
+    let (cpu, twins): (Vec<&Value>, Vec<_>) = list(digest, "backends").iter().partition(is_cpu);
     let agree = cpu.iter().all(|backend| state(backend).is_some_and(|state| state != "different"));
     let ran: Vec<_> =
         twins.iter().filter(|twin| state(twin).is_some_and(|state| state != "skipped")).collect();
@@ -147,55 +114,35 @@ pub fn differing_twins(digest: &Value) -> Option<f64> {
 }
 
 /// How the figures came about, for the record.
-fn how(rivals: &[Value], digest: &Value, timings: &Value) -> Vec<String> {
-    let first = rivals.first().unwrap_or(&Value::Null);
-    let versions: Vec<_> = list(first, "rivals").iter().filter_map(Value::as_str).collect();
+fn how(starts: &[Value], digest: &Value, timings: &Value) -> Vec<String> {
+    let first = starts.first().unwrap_or(&Value::Null);
+    let texts = |path| list(first, path).iter().filter_map(Value::as_str);
     let mut notes = vec![format!(
-        "Ratios are the median of {} starts, each the median of {} interleaved rounds in one \
-         process. Rivals: {}.",
-        rivals.len(),
-        number(first, "rounds").unwrap_or(0.0),
-        versions.join(", ")
+        "Ratios are the median of {} starts, each the median of {} interleaved rounds in one process. \
+         Rivals: {}.",
+        starts.len(),
+        at(first, "rounds").unwrap_or(0.0),
+        texts("rivals").collect::<Vec<_>>().join(", ")
     )];
     for (key, figure) in first.get("figures").and_then(Value::as_object).into_iter().flatten() {
-        let starts: Vec<f64> = medians(rivals, key).into_iter().flatten().collect();
-        let low = starts.iter().copied().fold(f64::INFINITY, f64::min);
-        let high = starts.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        notes.push(format!("{}: {low:.3} to {high:.3} over the starts.", text(figure, "what")));
+        let (low, high) = medians(starts, key)
+            .flatten()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+        let spread = json!({ "what": figure.get("what"), "low": low, "high": high });
+        notes.push(fill("{what}: {low:.3} to {high:.3} over the starts.", &spread));
     }
-    for timed in list(first, "times") {
-        let figure = |field| number(timed, field).unwrap_or(f64::NAN);
-        let (group, name) = (text(timed, "group"), text(timed, "name"));
-        let (us, ns) = (figure("microseconds"), figure("ns_per_sample"));
-        notes.push(format!("First start, {group}, {name}: {us:.2} us, {ns:.2} ns per sample."));
-    }
-    notes.extend(
-        list(first, "notes").iter().filter_map(Value::as_str).map(|note| format!("First start, {note}.")),
-    );
-    for backend in list(digest, "backends") {
-        let (name, state, detail) = (text(backend, "name"), text(backend, "state"), text(backend, "detail"));
-        notes.push(format!("Digest on {name}: {state} ({detail})."));
-    }
-    if let (Some(gpu), Some(cpu)) = (timings.get("gpu"), timings.get("cpu")) {
-        let rate = |side| number(side, "chunks_per_second").unwrap_or(f64::NAN);
-        notes.push(format!(
-            "Chunks per second: {:.0} on {}; {:.0} on the CPU ({}, {} thread).",
-            rate(gpu),
-            text(gpu, "adapter"),
-            rate(cpu),
-            text(cpu, "kernel"),
-            number(cpu, "threads").unwrap_or(f64::NAN),
+    let time = "First start, {group}, {name}: {microseconds:.2} us, {ns_per_sample:.2} ns per sample.";
+    notes.extend(each(first, "times", time));
+    notes.extend(texts("notes").map(|note| format!("First start, {note}.")));
+    notes.extend(each(digest, "backends", "Digest on {name}: {state} ({detail})."));
+    if timings.is_object() {
+        notes.push(fill(
+            "Chunks per second: {gpu/chunks_per_second:.0} on {gpu/adapter}; {cpu/chunks_per_second:.0} on \
+             the CPU ({cpu/kernel}, {cpu/threads} thread).",
+            timings,
         ));
     }
     notes
-}
-
-fn text<'a>(value: &'a Value, field: &str) -> &'a str {
-    value.get(field).and_then(Value::as_str).unwrap_or("unknown")
-}
-
-fn list<'a>(value: &'a Value, field: &str) -> &'a [Value] {
-    value.get(field).and_then(Value::as_array).map_or(&[], Vec::as_slice)
 }
 
 /// The compiler that FastNoise2 is fastest with; code of gcc takes twice as long, and beating that
@@ -226,7 +173,7 @@ impl Clang {
         match found {
             Some(clang) if ["cmake", "make"].into_iter().all(runs) => Ok(clang),
             _ => bail!(
-                "measure: FastNoise2 is built with clang, cmake and make; run: apt-get install \
+                "FastNoise2 is built with clang, cmake and make; run: apt-get install \
                  --no-install-recommends clang-19 cmake make"
             ),
         }
@@ -267,7 +214,7 @@ mod tests {
     }
 
     fn missed((rivals, digest, timings): &Reports) -> usize {
-        let rows = rows(rivals, digest, timings);
+        let rows = bars_of(rivals, digest, timings);
         assert_eq!(rows.len(), 11);
         rows.iter().filter(|row| row.is_missed()).count()
     }

@@ -1,56 +1,94 @@
 //! `measure`: the built programs against the project's bars. Figures depend on the machine, so
 //! tests never check them; this does, and leaves a dated record.
 
+mod audit;
 mod code;
 mod end_to_end;
 mod heightfield;
-mod lab;
 mod record;
-mod report;
+mod run;
 mod runs;
 mod streaming;
 
 use crate::process;
-use anyhow::{Result, bail};
-use bars::{Bar, Limit};
+use crate::setup::{self, Extent};
+use anyhow::{Context, Result, bail};
+use bars::Bar;
+use record::Heading;
+use run::Run;
 use serde_json::Value;
 use std::path::Path;
 
-/// A measurement by name.
-type Measurement = (&'static str, fn() -> Result<()>);
+/// A measurement: the programs that it builds, and the rows that it makes with them.
+struct Measurement {
+    name: &'static str,
+    programs: &'static [&'static str],
+    rows: fn(&mut Run) -> Result<Vec<Bar>>,
+}
 
-const MEASUREMENTS: [Measurement; 4] = [
-    ("code", code::run),
-    ("end-to-end", end_to_end::run),
-    ("heightfield", heightfield::run),
-    ("streaming", streaming::run),
+/// A measurement by `tombolo-lab`, with the sample sizes that the bars require.
+macro_rules! by_lab {
+    ($name:literal, $arguments:expr) => {
+        Measurement {
+            name: $name,
+            programs: &["tombolo-lab"],
+            rows: |run| {
+                let report = run.lab($name, &$arguments)?;
+                Ok(run.rows_of($name, &report))
+            },
+        }
+    };
+}
+
+const MEASUREMENTS: [Measurement; 8] = [
+    Measurement { name: "audit", programs: &[], rows: audit::rows },
+    Measurement { name: "code", programs: &[], rows: code::rows },
+    Measurement {
+        name: "end-to-end",
+        programs: &["tombolo-server", "tombolo-view", "tombolo-load"],
+        rows: end_to_end::rows,
+    },
+    Measurement { name: "heightfield", programs: &["tombolo-lab"], rows: heightfield::rows },
+    Measurement {
+        name: "streaming",
+        programs: &["tombolo-lab", "tombolo-server", "tombolo-server-bench"],
+        rows: streaming::rows,
+    },
+    by_lab!("terrain", ["lod", "--poses", "50", "--views", "200"]),
+    by_lab!("pom", ["pom", "--rays", "200000"]),
+    by_lab!("culling", ["culling", "--poses", "300"]),
 ];
 
-/// Runs one measurement.
+/// Builds, measures, prints and records one measurement.
 ///
 /// # Errors
-/// An unknown name (with those that are known), a measurement that could not run, or a bar that was
+/// An unknown name (with those that are known), a build or a record that failed, or a bar that was
 /// missed.
 pub fn run(name: &str) -> Result<()> {
     process::use_dist_profile();
     // The name of this measurement in older records and scripts.
     let name = if name == "first-voyage" { "end-to-end" } else { name };
-    if let Some((_, measurement)) = MEASUREMENTS.into_iter().find(|(known, _)| *known == name) {
-        return measurement();
+    let Some(measurement) = MEASUREMENTS.iter().find(|known| known.name == name) else {
+        let known = MEASUREMENTS.map(|known| known.name).join(", ");
+        bail!("measure: `{name}` is not known; give one of: {known}")
+    };
+    if !measurement.programs.is_empty() {
+        setup::run(Extent::Headless)?;
+        process::run(process::build(measurement.programs)).context("measure: the build failed")?;
     }
-    if let Some(measurement) = lab::ALL.into_iter().find(|known| known.name == name) {
-        return lab::run(measurement);
-    }
-    let known = MEASUREMENTS.map(|(known, _)| known).into_iter().chain(lab::ALL.map(|known| known.name));
-    bail!("measure: `{name}` is not known; give one of: {}", known.collect::<Vec<_>>().join(", "))
+    let mut run = Run::new(name).context("measure")?;
+    let rows = (measurement.rows)(&mut run).context("measure")?;
+    run.notes.append(&mut run.faults);
+    let heading = Heading { name, adapter: run.adapter.as_deref(), notes: &run.notes };
+    let path = record::write(&heading, &rows).context("measure")?;
+    judge(&rows, &path)
 }
 
 /// The rows of a GPU bundle: those of every report that judge what a GPU computes, by their names.
 pub fn gpu_rows(digest: &Value, lod: &Value, pom: &Value, culling: &Value) -> Vec<Bar> {
-    let twins = heightfield::differing_twins(digest);
-    let mut rows = vec![Bar::new("GPU twins with another digest", twins, "", Limit::AtMost(0.0))];
+    let mut rows = vec![heightfield::twins(digest)];
     for (name, report) in [("lod", lod), ("pom", pom), ("culling", culling)] {
-        let all = lab::rows(name, report);
+        let all = run::rows(name, report);
         let is_whole = all.len() > 1;
         rows.extend(all.into_iter().filter(|row| !is_whole || name == "pom" || row.name.contains("GPU")));
     }
@@ -74,6 +112,13 @@ pub fn judge(rows: &[Bar], recorded: &Path) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn every_measurement_says_what_makes_its_record_stale() {
+        for measurement in super::MEASUREMENTS {
+            assert!(crate::records::is_known(measurement.name), "{}", measurement.name);
+        }
+    }
+
     #[test]
     fn an_unknown_name_is_answered_with_the_known_ones() {
         let error = super::run("end-to-start").unwrap_err().to_string();

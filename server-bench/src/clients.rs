@@ -1,0 +1,136 @@
+//! Clients of a benchmark: tasks that run at the same time, and closed loops of requests.
+
+use crate::connection::{Connection, Received};
+use anyhow::{Context, Result, ensure};
+use std::time::Instant;
+use terrain::ChunkKey;
+
+/// Runs a client on each connection, all at the same time. The first that fails fails the
+/// benchmark.
+pub async fn run_all<T: Send + 'static, F: Future<Output = Result<T>> + Send + 'static>(
+    connections: Vec<Connection>,
+    client: impl Fn(usize, Connection) -> F,
+) -> Result<Vec<T>> {
+    let clients = connections.into_iter().enumerate();
+    let clients: Vec<_> =
+        clients.map(|(index, connection)| tokio::spawn(client(index, connection))).collect();
+    let mut results = Vec::with_capacity(clients.len());
+    for client in clients {
+        results.push(client.await.context("a client failed")??);
+    }
+    Ok(results)
+}
+
+/// The keys in the order of client `index` of `count`: each starts far from the others, so that
+/// together they cover the whole list and none finds chunks of another in the cache.
+pub fn rotated(keys: &[ChunkKey], index: usize, count: usize) -> Vec<ChunkKey> {
+    let mut own = keys.to_vec();
+    own.rotate_left(index * keys.len() / count);
+    own
+}
+
+/// Requests outstanding of a closed loop.
+#[derive(Clone, Copy, Debug)]
+pub enum Window {
+    /// One request a chunk, as soon as another is answered, like wrk.
+    OneByOne(usize),
+    /// Half a window in one request, when half is answered, like a viewer.
+    Halves(usize),
+}
+
+/// What happens in a closed loop.
+pub enum Event<'a> {
+    /// A chunk is being requested.
+    Sent(ChunkKey),
+    /// The server sent something.
+    Received(Received<'a>),
+}
+
+/// What a client received.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Totals {
+    pub chunks: u64,
+    /// Of the chunk frames.
+    pub bytes: u64,
+    /// Everything that is no chunk.
+    pub refused: u64,
+}
+
+impl Totals {
+    /// The totals of a client that must not be refused anything.
+    pub fn without_refusals(self) -> Result<Self> {
+        ensure!(
+            self.refused == 0,
+            "the server refused {} of {} chunks",
+            self.refused,
+            self.chunks + self.refused
+        );
+        Ok(self)
+    }
+}
+
+/// Keeps the window full until a time; without one, until all keys are answered.
+pub async fn closed_loop(
+    connection: &mut Connection,
+    keys: impl IntoIterator<Item = ChunkKey>,
+    window: Window,
+    until: Option<Instant>,
+    mut note: impl FnMut(Event<'_>),
+) -> Result<Totals> {
+    let (mut keys, mut totals) = (keys.into_iter(), Totals::default());
+    let (size, at_once) = match window {
+        Window::OneByOne(size) => (size, 1),
+        Window::Halves(size) => (size, size / 2),
+    };
+    let mut outstanding = 0;
+    while until.is_none_or(|until| Instant::now() < until) {
+        while size - outstanding >= at_once {
+            let count = if at_once == 1 { size - outstanding } else { at_once };
+            let more: Vec<_> = keys.by_ref().take(count).collect();
+            if more.is_empty() {
+                break;
+            }
+            outstanding += more.len();
+            more.iter().for_each(|key| note(Event::Sent(*key)));
+            connection.request(more, at_once > 1).await?;
+        }
+        if outstanding == 0 {
+            break;
+        }
+        connection
+            .receive(|received| {
+                outstanding = outstanding.saturating_sub(1);
+                match received {
+                    Received::Chunk(frame) => {
+                        totals.chunks += 1;
+                        totals.bytes += frame.len() as u64;
+                    }
+                    Received::Message(_) => totals.refused += 1,
+                }
+                note(Event::Received(received));
+            })
+            .await?;
+    }
+    Ok(totals)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clients_start_evenly_spread_over_all_keys() {
+        let keys: Vec<_> = (0..8).map(|x| ChunkKey::new(0, x, 0).unwrap()).collect();
+        let first = |index| rotated(&keys, index, 4)[0].x();
+        assert_eq!([0, 1, 2, 3].map(first), [0, 2, 4, 6]);
+        assert_eq!(rotated(&keys, 3, 4).len(), 8);
+    }
+
+    #[test]
+    fn a_refusal_is_an_error_where_none_may_be() {
+        let totals = Totals { chunks: 3, bytes: 9, refused: 0 };
+        assert_eq!(totals.without_refusals().unwrap().chunks, 3);
+        let refused = Totals { refused: 1, ..totals }.without_refusals();
+        assert!(refused.unwrap_err().to_string().contains("1 of 4"));
+    }
+}
