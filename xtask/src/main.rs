@@ -64,8 +64,12 @@ enum Command {
     },
     /// Check the source text: columns, retired words, names in documents, import circles
     Source,
-    /// Rewrite frozen fixtures and golden pictures from what the code does now
-    Bless,
+    /// Rewrite frozen fixtures or golden pictures from what the code does now
+    Bless {
+        /// Which of them; a fixture that exists changes only with a version
+        #[arg(value_enum)]
+        what: bless::What,
+    },
 }
 
 fn main() -> ExitCode {
@@ -81,7 +85,7 @@ fn main() -> ExitCode {
         Command::GpuBundle => gpu_bundle::build(),
         Command::GpuRecord { folder } => gpu_bundle::record(&folder),
         Command::Source => source::run(),
-        Command::Bless => bless::run(),
+        Command::Bless { what } => bless::run(what),
     });
     let Err(error) = result else { return ExitCode::SUCCESS };
     if process::interrupted() {

@@ -60,7 +60,7 @@ pub fn run(options: &Options) -> Result<()> {
     let seconds = began.elapsed().as_secs_f64();
     let faults: Vec<_> = report.faults().collect();
     if !report.is_green() {
-        let again = faults.iter().filter(|line| line.part.is_empty());
+        let again = faults.iter().filter(|line| matches!(line.outcome, Outcome::Failed(_)));
         for step in again.filter_map(|line| chosen.iter().find(|step| step.name == line.step)) {
             println!("repeat {} with: {}", step.name, step.again);
         }
