@@ -4,8 +4,8 @@ use anyhow::{Context, Result, ensure};
 use serde_json::json;
 use std::hint::black_box;
 use std::time::Instant;
-use terrain::constants::{VERTEX_COUNT, VERTICES};
 use terrain::Land;
+use terrain::constants::{VERTEX_COUNT, VERTICES};
 
 /// The chunks of `tombolo-lab codec`.
 #[path = "../../../lab/src/codec/samples.rs"]
