@@ -7,8 +7,8 @@ mod outcome;
 pub mod rehearsal;
 mod steps;
 
-use crate::process;
 use crate::setup::{self, Extent};
+use crate::{process, records};
 use anyhow::{Result, bail};
 use host::{Here, Host, Tool};
 use outcome::{Line, Outcome, Report};
@@ -18,6 +18,11 @@ use steps::Step;
 /// Versions installed where the tools are missing; any that is there already is used.
 const NEXTEST: &str = "0.9.143";
 const DENY: &str = "0.20.2";
+
+/// Whether a run fails if the README quotes a record that is out of date, of a changed tree, or of
+/// one run. Off until the quoted records have been measured again; `cargo xtask records --check`
+/// fails already.
+const HOLD_README_TO_RECORDS: bool = false;
 
 /// Options of `ci`.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -54,8 +59,7 @@ pub fn run(options: &Options) -> Result<()> {
     let report = run_steps(&Here::new(), &chosen, report);
     println!("\n{report}");
     if is_whole {
-        // Until every quoted record is new, clean and repeated, the list is shown and not judged.
-        crate::records::show()?;
+        judge_records()?;
     }
     let seconds = began.elapsed().as_secs_f64();
     let faults: Vec<_> = report.faults().collect();
@@ -68,6 +72,18 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let what = if is_whole { "all steps" } else { "the chosen steps, not the whole," };
     println!("ci: {what} passed in {seconds:.0} s");
+    Ok(())
+}
+
+/// Shows the records and what the README quotes of them.
+fn judge_records() -> Result<()> {
+    records::show()?;
+    let unfit = records::unfit_quotes()?;
+    let what = "records that the README quotes and that are out of date, changed, or of one run";
+    println!("{what}: {unfit}");
+    if HOLD_README_TO_RECORDS && unfit > 0 {
+        bail!("ci: {unfit} {what}; see: cargo xtask records");
+    }
     Ok(())
 }
 
