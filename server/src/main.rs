@@ -4,7 +4,9 @@ use server::config::{Args, ServerConfig};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use tokio::net::TcpListener;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 const NAME: &str = "tombolo-server";
 
@@ -74,17 +76,17 @@ fn interruption() -> std::io::Result<impl Future<Output = ()>> {
 }
 
 fn set_up_logging(config: &ServerConfig) -> Result<(), String> {
-    let filter = EnvFilter::try_new(&config.log).map_err(|error| {
+    let filter: Targets = config.log.parse().map_err(|error| {
         format!("log: `{}` is not a filter ({error}); give for example info or info,server=debug", config.log)
     })?;
-    let builder = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let lines = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal());
+    let registry = tracing_subscriber::registry().with(filter);
     if config.log_json {
-        builder.json().init();
+        registry.with(lines.json()).init();
     } else {
-        builder.init();
+        registry.with(lines).init();
     }
     Ok(())
 }

@@ -3,6 +3,7 @@
 pub mod app;
 pub mod args;
 pub mod parse;
+pub mod png_file;
 pub mod pom_args;
 pub mod screenshot;
 pub mod stream;

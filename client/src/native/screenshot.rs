@@ -3,6 +3,7 @@
 use crate::gpu::Image;
 use crate::headless::{self, Progress};
 use crate::native::args::Args;
+use crate::native::png_file;
 use crate::native::stream::{ServerStream, Settings};
 use crate::native::textures;
 use crate::stats::Stats;
@@ -57,7 +58,7 @@ fn has_folder(option: &str, path: &Path) -> anyhow::Result<()> {
 
 /// Writes the image, and the measurements if requested.
 fn write(args: &Args, path: &Path, image_data: &Image, stats: &Stats) -> anyhow::Result<()> {
-    image::save_buffer(path, &image_data.rgba, image_data.width, image_data.height, image::ColorType::Rgba8)
+    png_file::write(path, image_data)
         .with_context(|| format!("cannot write --shot {}: choose a writable .png path", path.display()))?;
     if let Some(path) = &args.stats {
         write_stats(path, stats)?;

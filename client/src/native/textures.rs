@@ -5,17 +5,11 @@
 
 use crate::features::materials::{CustomMaterial, CustomMaterials, MATERIAL_SIZE, MATERIAL_TEXELS};
 use crate::native::args::Args;
+use crate::native::png_file::{self, Pixels};
 use anyhow::Context as _;
-use image::{DynamicImage, ImageReader, Limits};
 use shaders::layout::{BakeTexel, MATERIALS};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// Largest side of an image, pixels.
-const MAX_SIDE: u32 = 8192;
-
-/// Most memory for one image, bytes: 8192 x 8192 pixels of 8 bytes.
-const MAX_BYTES: u64 = 512 << 20;
 
 /// Squares of the checker along a side.
 const CHECKS: usize = 16;
@@ -139,7 +133,7 @@ fn assemble(
             warnings.push(format!("{}: the file does not exist, using {}", path.display(), map.substitute()));
             return None;
         };
-        match decode(path) {
+        match png_file::read(path) {
             Ok(image) => Some(resampled(&image, map == Map::Albedo)),
             Err(cause) => {
                 warnings.push(format!("{}: {cause}, using {}", path.display(), map.substitute()));
@@ -183,45 +177,14 @@ fn unit_part(encoded: [f32; 3]) -> [f32; 2] {
     [x / length, -y / length]
 }
 
-/// Decodes an image within limits. Errors are one line.
-fn decode(path: &Path) -> Result<DynamicImage, String> {
-    let one_line = |error: &dyn std::fmt::Display| error.to_string().replace('\n', " ");
-    let mut reader = ImageReader::open(path).map_err(|error| one_line(&error))?;
-    reader.set_format(image::ImageFormat::Png);
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    limits.max_alloc = Some(MAX_BYTES);
-    reader.limits(limits);
-    let image = reader.decode().map_err(|error| one_line(&error))?;
-    if image.width() == 0 || image.height() == 0 {
-        return Err("it has no pixels".to_owned());
-    }
-    Ok(image)
-}
-
 /// Pixels in [0, 1] at texture size; `colour` ones are decoded from sRGB first. Averages larger
 /// images, interpolates smaller ones; edges wrap, because textures repeat.
-fn resampled(image: &DynamicImage, colour: bool) -> Vec<[f32; 3]> {
-    let (width, height) = (image.width() as usize, image.height() as usize);
+fn resampled(image: &Pixels, colour: bool) -> Vec<[f32; 3]> {
+    let (width, height) = (image.width, image.height);
     let side = MATERIAL_SIZE as usize;
     // Row by row, to avoid a float copy of a large image.
-    let pixel = |x: usize, y: usize| -> [f32; 3] {
-        let (x, y) = ((x % width) as u32, (y % height) as u32);
-        let channels = match image {
-            DynamicImage::ImageLuma8(image) => [f32::from(image.get_pixel(x, y).0[0]) / 255.0; 3],
-            DynamicImage::ImageLumaA8(image) => [f32::from(image.get_pixel(x, y).0[0]) / 255.0; 3],
-            DynamicImage::ImageLuma16(image) => [f32::from(image.get_pixel(x, y).0[0]) / 65_535.0; 3],
-            DynamicImage::ImageLumaA16(image) => [f32::from(image.get_pixel(x, y).0[0]) / 65_535.0; 3],
-            DynamicImage::ImageRgb8(image) => image.get_pixel(x, y).0.map(|c| f32::from(c) / 255.0),
-            DynamicImage::ImageRgba8(image) => three(image.get_pixel(x, y).0).map(|c| f32::from(c) / 255.0),
-            DynamicImage::ImageRgb16(image) => image.get_pixel(x, y).0.map(|c| f32::from(c) / 65_535.0),
-            DynamicImage::ImageRgba16(image) => {
-                three(image.get_pixel(x, y).0).map(|c| f32::from(c) / 65_535.0)
-            }
-            // PNG has no other kinds.
-            _ => [0.0; 3],
-        };
+    let pixel = |x: usize, y: usize| {
+        let channels = image.rgb(x % width, y % height);
         if colour { channels.map(linear) } else { channels }
     };
     let across = taps(width, side);
@@ -242,10 +205,6 @@ fn resampled(image: &DynamicImage, colour: bool) -> Vec<[f32; 3]> {
         }
     }
     out
-}
-
-fn three<T: Copy>([a, b, c, _]: [T; 4]) -> [T; 3] {
-    [a, b, c]
 }
 
 /// Filter taps: for each of `to` positions the samples of `from` and their weights, which sum to 1.
