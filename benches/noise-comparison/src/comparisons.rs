@@ -3,7 +3,7 @@
 use crate::land;
 use crate::libraries::fastnoise2::{self, Level};
 use crate::libraries::{OCTAVES, fastnoise_lite, noise, plain};
-use crate::report::{Control, Figure, Report, Timed};
+use crate::report::{Report, Timed};
 use crate::rounds::{self, Contender, Corner, Times};
 use crate::threads;
 use anyhow::{Result, ensure};
@@ -56,42 +56,32 @@ fn chunks(rounds: usize, report: &mut Report) -> Result<()> {
 
     let times = timed(&mut contenders, rounds, "65 x 65", (side * side) as f64, report)?;
     for kernel in land::kernels() {
-        report.figures.push(Figure {
-            key: format!("chunk_{kernel}"),
-            what: format!("65 x 65, time of {} / {library}", land::name(kernel)),
-            spread: times.ratio(&land::name(kernel), library),
-        });
+        report.figure(
+            format!("chunk_{kernel}"),
+            format!("65 x 65, time of {} / {library}", land::name(kernel)),
+            times.ratio(&land::name(kernel), library),
+        );
     }
     if times.names().any(|name| name == Level::Avx512.name()) {
-        report.figures.push(Figure {
-            key: "chunk_avx2_of_avx512".into(),
-            what: format!("65 x 65, time of {mine} / {}", Level::Avx512.name()),
-            spread: times.ratio(&mine, Level::Avx512.name()),
-        });
+        report.figure(
+            "chunk_avx2_of_avx512",
+            format!("65 x 65, time of {mine} / {}", Level::Avx512.name()),
+            times.ratio(&mine, Level::Avx512.name()),
+        );
     }
-    report.figures.push(Figure {
-        key: "noise_crate".into(),
-        what: format!("65 x 65, time of {NOISE} / {mine}"),
-        spread: times.ratio(NOISE, &mine),
-    });
-    report.figures.push(Figure {
-        key: "shaping_and_pyramids".into(),
-        what: "65 x 65, time of shaping and both pyramids / noise".into(),
-        spread: times.spread(|of| (of(CHUNK) - of(&mine)) / of(&mine)),
-    });
-    report.controls.push(Control {
-        what: format!("65 x 65, time of {mine} / itself"),
-        spread: times.ratio(AGAIN, &mine),
-        low: 0.95,
-        high: 1.05,
-    });
+    report.figure("noise_crate", format!("65 x 65, time of {NOISE} / {mine}"), times.ratio(NOISE, &mine));
+    report.figure(
+        "shaping_and_pyramids",
+        "65 x 65, time of shaping and both pyramids / noise",
+        times.spread(|of| (of(CHUNK) - of(&mine)) / of(&mine)),
+    );
+    report.control(format!("65 x 65, time of {mine} / itself"), times.ratio(AGAIN, &mine), 0.95..=1.05);
     let once = times.ratio(&mine, library).median;
-    report.controls.push(Control {
-        what: format!("65 x 65, time of {mine} with twice the work / {library}"),
-        spread: times.ratio(TWICE, library),
-        low: once * 1.9,
-        high: once * 2.1,
-    });
+    report.control(
+        format!("65 x 65, time of {mine} with twice the work / {library}"),
+        times.ratio(TWICE, library),
+        once * 1.9..=once * 2.1,
+    );
     Ok(())
 }
 
@@ -107,11 +97,11 @@ fn large(rounds: usize, report: &mut Report) -> Result<()> {
     }
     let times = timed(&mut contenders, rounds, "1024 x 1024", (LARGE * LARGE) as f64, report)?;
     let (mine, library) = (land::name(land::avx2()?), Level::Avx2.name());
-    report.figures.push(Figure {
-        key: "large_avx2".into(),
-        what: format!("1024 x 1024, time of {mine} / {library}"),
-        spread: times.ratio(&mine, library),
-    });
+    report.figure(
+        "large_avx2",
+        format!("1024 x 1024, time of {mine} / {library}"),
+        times.ratio(&mine, library),
+    );
     Ok(())
 }
 
@@ -119,22 +109,14 @@ fn large(rounds: usize, report: &mut Report) -> Result<()> {
 fn pyramids(rounds: usize, report: &mut Report) -> Result<()> {
     let mut contenders = vec![land::pyramid(PYRAMID, land::avx2()?)?, land::copy(COPY)?];
     let times = timed(&mut contenders, rounds, "pyramids", (VERTICES * VERTICES) as f64, report)?;
-    report.figures.push(Figure {
-        key: "pyramid".into(),
-        what: format!("time of {PYRAMID} / {COPY}"),
-        spread: times.ratio(PYRAMID, COPY),
-    });
+    report.figure("pyramid", format!("time of {PYRAMID} / {COPY}"), times.ratio(PYRAMID, COPY));
     Ok(())
 }
 
 /// Two threads against one.
 fn scaling(rounds: usize, report: &mut Report) -> Result<()> {
     let scaling = threads::scaling(rounds)?;
-    report.figures.push(Figure {
-        key: "two_threads".into(),
-        what: "chunks per second, 2 threads / 1 thread".into(),
-        spread: scaling.ratio,
-    });
+    report.figure("two_threads", "chunks per second, 2 threads / 1 thread", scaling.ratio);
     report.chunks_per_second = scaling.per_second;
     report.notes.push(format!(
         "2 threads: {} rounds count, {} in which other programs took a core were run again",

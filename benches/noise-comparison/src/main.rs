@@ -56,5 +56,5 @@ fn run(args: &Args) -> Result<bool> {
         std::fs::write(path, format!("{:#}\n", report.json()))
             .with_context(|| format!("cannot write {}", path.display()))?;
     }
-    Ok(report.is_believable())
+    Ok(report.is_valid())
 }

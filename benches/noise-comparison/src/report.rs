@@ -3,6 +3,7 @@
 use crate::rounds::Spread;
 use serde_json::{Value, json};
 use std::fmt;
+use std::ops::RangeInclusive;
 
 /// Versions come from the lock file.
 const LOCK: &str = include_str!("../Cargo.lock");
@@ -12,9 +13,9 @@ pub struct Report {
     rounds: usize,
     compiler: String,
     /// Ratios of times within rounds.
-    pub figures: Vec<Figure>,
+    figures: Vec<Figure>,
     /// Ratios whose value is known.
-    pub controls: Vec<Control>,
+    controls: Vec<Control>,
     /// Absolute times, for orientation; they depend on the machine's load.
     pub times: Vec<Timed>,
     /// Chunks per second of one thread: noise, shaping and both pyramids.
@@ -24,30 +25,23 @@ pub struct Report {
 }
 
 /// A ratio that `cargo xtask measure heightfield` compares with a bar.
-pub struct Figure {
+struct Figure {
     /// Name in the JSON.
-    pub key: String,
-    /// What was measured.
-    pub what: String,
-    /// The ratio.
-    pub spread: Spread,
+    key: String,
+    what: String,
+    spread: Spread,
 }
 
-/// A ratio that must be between two bounds, otherwise the run is invalid.
-pub struct Control {
-    /// What was measured.
-    pub what: String,
-    /// The ratio.
-    pub spread: Spread,
-    /// Lower bound of the median.
-    pub low: f64,
-    /// Upper bound.
-    pub high: f64,
+/// A ratio whose median must lie within bounds, otherwise the run is invalid.
+struct Control {
+    what: String,
+    spread: Spread,
+    bounds: RangeInclusive<f64>,
 }
 
 impl Control {
     fn is_kept(&self) -> bool {
-        (self.low..=self.high).contains(&self.spread.median)
+        self.bounds.contains(&self.spread.median)
     }
 }
 
@@ -68,6 +62,16 @@ impl Report {
     pub fn new(rounds: usize, compiler: String) -> Self {
         let (figures, controls, times, notes) = Default::default();
         Self { rounds, compiler, figures, controls, times, notes, chunks_per_second: f64::NAN }
+    }
+
+    /// Adds a figure.
+    pub fn figure(&mut self, key: impl Into<String>, what: impl Into<String>, spread: Spread) {
+        self.figures.push(Figure { key: key.into(), what: what.into(), spread });
+    }
+
+    /// Adds a control, whose median must lie within bounds.
+    pub fn control(&mut self, what: impl Into<String>, spread: Spread, bounds: RangeInclusive<f64>) {
+        self.controls.push(Control { what: what.into(), spread, bounds });
     }
 
     /// Whether all controls are within their bounds.
@@ -94,8 +98,8 @@ impl Report {
             (figure.key.clone(), value)
         });
         let controls = self.controls.iter().map(|control| {
-            json!({ "what": control.what, "ratio": spread(&control.spread), "low": control.low,
-                    "high": control.high, "kept": control.is_kept() })
+            json!({ "what": control.what, "ratio": spread(&control.spread), "low": control.bounds.start(),
+                    "high": control.bounds.end(), "kept": control.is_kept() })
         });
         let times = self.times.iter().map(|timed| {
             json!({ "group": timed.group, "name": timed.name, "microseconds": timed.microseconds,
@@ -134,7 +138,8 @@ impl fmt::Display for Report {
         writeln!(f, "\n{:<72}", "controls")?;
         for control in &self.controls {
             let word = if control.is_kept() { "ok" } else { "FAILED" };
-            let verdict = format!("   must be {:.3} to {:.3}: {word}", control.low, control.high);
+            let verdict =
+                format!("   must be {:.3} to {:.3}: {word}", control.bounds.start(), control.bounds.end());
             line(f, &control.what, control.spread, verdict)?;
         }
         writeln!(f, "\n{:.0} chunks per second on one thread", self.chunks_per_second)?;
