@@ -184,6 +184,7 @@ mod tests {
     use crate::lod::select;
     use crate::settings::RenderSettings;
     use glam::DVec3;
+    use shaders::layout::ChunkWords;
     use std::collections::HashSet;
     use terrain::{Land, lod};
 
@@ -240,10 +241,10 @@ mod tests {
             let selection = select(&mut cache, &view.viewer());
             let frame = view.frame(Scene::Island, &cache, &selection);
             let quarters = |instance: &TerrainInstance| {
-                let is_decimated_chunk = instance.inside & TerrainInstance::HALVED != 0;
-                let first = instance.place >> 10;
+                let is_decimated_chunk = instance.words.inside & ChunkWords::HALVED != 0;
+                let first = instance.words.place >> 10;
                 (if is_decimated_chunk { 0..4 } else { first..first + 1 })
-                    .map(|quarter| (instance.slot, quarter))
+                    .map(|quarter| (instance.words.slot, quarter))
                     .collect()
             };
             let shown: HashSet<(u32, u32)> =

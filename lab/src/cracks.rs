@@ -20,7 +20,7 @@ use client::scene::Scene;
 use client::settings::{RenderSettings, Show};
 use client::view::ViewParams;
 use serde::Serialize;
-use shaders::layout::TerrainInstance;
+use shaders::layout::ChunkWords;
 use terrain::constants::{CELLS, SEA_FLOOR_M, UNITS_PER_METRE, VERTICES};
 use terrain::{ChunkKey, Land};
 
@@ -199,16 +199,17 @@ impl Viewpoint {
         match fault {
             Fault::None => {}
             Fault::ChunkLeftOut => {
-                let mut slots: Vec<u32> = frame.instances.iter().map(|instance| instance.slot).collect();
+                let mut slots: Vec<u32> =
+                    frame.instances.iter().map(|instance| instance.words.slot).collect();
                 slots.dedup();
                 let third = slots.get(2).or(slots.last()).copied();
-                frame.instances.retain(|instance| Some(instance.slot) != third);
+                frame.instances.retain(|instance| Some(instance.words.slot) != third);
             }
             Fault::NoSeams => {
                 for instance in &mut frame.instances {
                     // Halved chunks stay so: three quarters of them would be missing altogether.
-                    (instance.edges, instance.corners, instance.inside) =
-                        (0, 0, instance.inside & TerrainInstance::HALVED);
+                    (instance.words.edges, instance.words.corners, instance.words.inside) =
+                        (0, 0, instance.words.inside & ChunkWords::HALVED);
                 }
             }
         }

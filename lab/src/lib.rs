@@ -20,6 +20,7 @@ mod curve;
 pub mod digest;
 mod flip;
 mod floats;
+pub mod gpu_probes;
 pub mod headless_renderer;
 pub mod lod;
 mod options;

@@ -5,9 +5,9 @@
 
 use crate::Outputs;
 use crate::codec::samples::land_keys;
+use crate::gpu_probes::fill::{ChunkFiller, MAX_BATCH};
 use crate::stats::median;
 use anyhow::{Result, anyhow};
-use client::features::terrain::fill::{ChunkFiller, MAX_BATCH};
 use client::gpu;
 use client::gpu::Gpu;
 use serde::Serialize;

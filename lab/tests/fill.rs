@@ -1,8 +1,8 @@
 //! Chunks filled on the GPU against chunks generated on the CPU, bit for bit.
 
-use client::features::terrain::fill::{ChunkFiller, FillError, FilledChunk, MAX_BATCH};
 use client::gpu;
 use client::gpu::Gpu;
+use lab::gpu_probes::fill::{ChunkFiller, FillError, FilledChunk, MAX_BATCH};
 use terrain::constants::{TOP_LEVEL, WORLD_HALF};
 use terrain::hash::mix;
 use terrain::key::ROOT;

@@ -1,13 +1,13 @@
 //! Baked materials, read back: that they tile, that their mips keep what they must, and that they
 //! differs from what does not.
 
-use client::features::materials::tiling_probe::{FIELD, Look, ProbeTiling};
 use client::features::materials::{
     CustomMaterial, CustomMaterials, MATERIAL_SIZE, MATERIAL_TEXELS, Materials,
 };
 use client::gpu;
 use client::gpu::Gpu;
 use client::settings::Tiling;
+use lab::gpu_probes::tiling::{FIELD, Look, ProbeTiling};
 use shaders::SHADERS;
 use shaders::layout::{BakeTexel, MATERIALS};
 

@@ -9,10 +9,10 @@ use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInn
 
 use crate::layout::{
     Atmosphere, BAKE_WORKGROUP, BLOCK_LIST, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe,
-    CLEARANCE_RANGE, CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ConeOrder, Culling, EMPTY_LINK, FILL_WORKGROUP,
-    FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_TILT, GRID_NODES, LEAF, MASK_BEGIN, MATERIALS,
-    MAX_MIP_WORKGROUP, MaxMipReduction, OccluderChunk, OcclusionNode, PATTERN_PERIOD_M, PROBE_FIXED,
-    PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult,
+    CLEARANCE_RANGE, CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ChunkWords, ConeOrder, Culling, EMPTY_LINK,
+    FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_TILT, GRID_NODES, LEAF, MASK_BEGIN,
+    MATERIALS, MAX_MIP_WORKGROUP, MaxMipReduction, OccluderChunk, OcclusionNode, PATTERN_PERIOD_M,
+    PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult,
     RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE, SUN_RADIUS, ShadowTarget, SunParams,
     TILING_WORKGROUP, TerrainInstance, TilingProbe, VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP,
     WaveProbe, World,
@@ -537,7 +537,8 @@ fn culling_data_has_the_layout_of_the_shaders() {
             room,
         );
         assert_same_layout!(shader, OcclusionNode, top, bottom, chunk, reserved);
-        assert_same_layout!(shader, OccluderChunk, slot, parent_slot, edges, corners, inside, place, x, z);
+        assert_same_layout!(shader, OccluderChunk, words, x, z);
+        assert_same_layout!(shader, ChunkWords, slot, parent_slot, edges, corners, inside, place);
         for constant in
             [format!("GRID_NODES: i32 = {GRID_NODES}"), format!("RECORD_WORDS: u32 = {RECORD_WORDS}u")]
         {

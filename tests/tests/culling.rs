@@ -2,13 +2,13 @@
 
 use client::cache::ChunkCache;
 use client::features::terrain::pool::ChunkPool;
-use client::features::vegetation::cpu_cull::{VisibleClump, cull_on_cpu};
 use client::features::vegetation::gpu_cull::{CullBuffers, CullPasses, CullStats};
 use client::features::vegetation::{Cull, VegetationSettings};
 use client::gpu::Gpu;
 use client::lod::select;
 use client::settings::RenderSettings;
 use client::view::ViewParams;
+use lab::gpu_probes::cpu_cull::{VisibleClump, cull_on_cpu};
 use terrain::{Land, lod};
 
 const SLOTS: u32 = 1500;

@@ -4,7 +4,6 @@
 use client::cache::ChunkCache;
 use client::camera::{Pose, Projection};
 use client::features::vegetation::by_slot::BySlot;
-use client::features::vegetation::cpu_cull::cull_on_cpu;
 use client::features::vegetation::{Cull, SpeciesParams, VegetationSettings};
 use client::lod::select;
 use client::settings::RenderSettings;
@@ -13,6 +12,7 @@ use glam::DVec3;
 use lab::culling::clump_vertices::clump_vertices;
 use lab::culling::reference::{VisibilityReference, eye_of};
 use lab::culling::scene::Scene;
+use lab::gpu_probes::cpu_cull::cull_on_cpu;
 use shaders::layout::{CULL_DISTANCE, CULL_FRUSTUM, CULL_HIERARCHICAL, Culling};
 use shaders::twin::placement::distance_squared;
 use shaders::twin::surface::Surface;

@@ -1,7 +1,8 @@
-//! The GPU device and what all passes share: pipelines, bind groups, render targets, timestamps,
+//! The GPU device and what all passes share: pipelines, bind groups, buffers, render targets, timestamps,
 //! read-back.
 
 pub mod bind;
+pub mod buffer;
 pub mod device;
 pub mod offscreen;
 pub mod pipeline;

@@ -1,6 +1,6 @@
 //! Render and compute pipelines of linked shaders.
 
-use crate::gpu::targets::{DEPTH_FORMAT, HDR_FORMAT, ID_FORMAT};
+use crate::gpu::targets::{DEPTH_FORMAT, HDR_FORMAT};
 use shaders::{Shader, Stage};
 
 /// Depth test and depth write of a pass. Reversed-Z: nearer is greater, infinity is 0.
@@ -17,10 +17,12 @@ pub enum Depth {
 /// Color target and entry points of a pass; the shader's first entry points where none is named.
 #[derive(Clone, Copy, Debug)]
 pub struct Output<'a> {
-    vertex: Option<&'a str>,
-    fragment: Option<&'a str>,
+    /// Vertex entry point.
+    pub vertex: Option<&'a str>,
+    /// Fragment entry point.
+    pub fragment: Option<&'a str>,
     /// Format of the color target; none for depth only.
-    format: Option<wgpu::TextureFormat>,
+    pub format: Option<wgpu::TextureFormat>,
 }
 
 /// Linear HDR color, by the first entry points.
@@ -28,10 +30,6 @@ pub const HDR: Output<'static> = Output { vertex: None, fragment: None, format: 
 
 /// Depth only: no fragment shader.
 pub const DEPTH: Output<'static> = Output { vertex: None, fragment: None, format: None };
-
-/// Ids of drawn plants, for shaders with entry points for that.
-pub const IDS: Output<'static> =
-    Output { vertex: Some("id_vertex"), fragment: Some("id_fragment"), format: Some(ID_FORMAT) };
 
 /// A pass that writes the HDR target.
 #[derive(Debug)]
@@ -236,4 +234,10 @@ fn build_compute<const N: usize>(
             cache: None,
         })
     })
+}
+
+/// Begins a compute pass without timestamps.
+#[must_use]
+pub fn compute_pass<'a>(encoder: &'a mut wgpu::CommandEncoder, label: &str) -> wgpu::ComputePass<'a> {
+    encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(label), timestamp_writes: None })
 }

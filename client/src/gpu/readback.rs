@@ -4,6 +4,7 @@
 //! submission, then [`PendingRead::poll`] until [`PendingRead::result`] has the bytes. A browser
 //! cannot block, so a blocking wait exists only on native targets ([`Gpu::read`]).
 
+use crate::gpu::buffer::create_buffer;
 use crate::gpu::device::{Gpu, GpuError};
 use std::ops::Range;
 use std::sync::mpsc;
@@ -40,12 +41,8 @@ impl Readback {
     /// A staging buffer of `bytes` bytes.
     #[must_use]
     pub fn new(device: &wgpu::Device, label: &str, bytes: u64) -> Self {
-        let staging = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size: bytes,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let staging =
+            create_buffer(device, label, bytes, wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
         Self { staging }
     }
 

@@ -1,6 +1,7 @@
 //! GPU timestamps at the beginning and end of a frame's passes. Only on devices opened with
 //! timestamp queries.
 
+use crate::gpu::buffer::create_buffer;
 use crate::gpu::device::{Gpu, GpuError};
 use crate::gpu::readback::Readback;
 
@@ -50,12 +51,12 @@ impl GpuTimer {
                 ty: wgpu::QueryType::Timestamp,
                 count: TIMESTAMPS,
             }),
-            resolved: device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("pass times"),
-                size: BYTES,
-                usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
-                mapped_at_creation: false,
-            }),
+            resolved: create_buffer(
+                device,
+                "pass times",
+                BYTES,
+                wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+            ),
             readback: Readback::new(device, "pass times, read back", BYTES),
         })
     }

@@ -14,6 +14,7 @@ use crate::features::terrain_shadow::{Quota, Schedule, TerrainShadowPass, pass};
 use crate::features::vegetation::renderer::VegetationRenderer;
 use crate::features::water::{WaterPass, WaveMap};
 use crate::frame::{Background, FrameData};
+use crate::gpu::buffer::create_buffer;
 use crate::gpu::targets::{self, Targets};
 use crate::gpu::timer::{GpuTimer, TimedPass};
 use crate::gpu::{Gpu, GpuError, OffscreenTarget, PassTimes, offscreen};
@@ -74,12 +75,12 @@ impl Renderer {
     #[must_use]
     pub fn with_materials(gpu: &Gpu, options: &RenderOptions, custom: &CustomMaterials) -> Self {
         let (device, samples) = (&gpu.device, options.samples);
-        let uniforms = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("frame"),
-            size: size_of::<Frame>() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let uniforms = create_buffer(
+            device,
+            "frame",
+            size_of::<Frame>() as u64,
+            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        );
         let pool = ChunkPool::new(device, options.slots);
         let targets = Targets::new(device, options.size, samples);
         let waves = WaveMap::bake(device, &gpu.queue);

@@ -6,10 +6,10 @@
 
 use crate::chart::{Panel, linear, log};
 use crate::curve::{Column, Curve, Sheet};
+use crate::gpu_probes::tiling::{FIELD, Look, ProbeTiling};
 use crate::stats::{interleaved, mean, ratios};
 use crate::table::Table;
 use anyhow::{Context, Result};
-use client::features::materials::tiling_probe::{FIELD, Look, ProbeTiling};
 use client::features::materials::{CustomMaterials, MATERIAL_SIZE, Materials};
 use client::gpu;
 use client::gpu::Gpu;

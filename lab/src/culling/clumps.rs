@@ -1,7 +1,7 @@
 //! Samples of clumps, and T3 applied to a clump.
 
+use crate::gpu_probes::cpu_cull::blocks_of_patch;
 use client::features::vegetation::SpeciesParams;
-use client::features::vegetation::cpu_cull::blocks_of_patch;
 use shaders::twin::placement::{Clump, clump_at, distance_squared, is_within_draw_distance};
 use shaders::twin::surface::{Slots, Surface};
 use shaders::twin::terrain_occlusion::is_occluded;

@@ -2,9 +2,9 @@
 
 use crate::culling::cases::Case;
 use crate::culling::scene::Scene;
+use crate::gpu_probes::cpu_cull::{VisibleClump, cull_on_cpu};
 use anyhow::{Context, Result};
 use client::features::terrain::pool::ChunkPool;
-use client::features::vegetation::cpu_cull::{VisibleClump, cull_on_cpu};
 use client::features::vegetation::gpu_cull::{CullBuffers, CullPasses};
 use client::features::vegetation::{SpeciesParams, VegetationFrame};
 use client::gpu;

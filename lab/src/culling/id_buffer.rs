@@ -4,10 +4,10 @@
 
 use crate::culling::cases::Case;
 use crate::culling::scene::Scene;
+use crate::gpu_probes::cpu_cull::noise_of;
 use crate::headless_renderer::{ChosenKind, HeadlessRenderer};
 use anyhow::{Context, Result, ensure};
 use client::features::vegetation::by_slot::BySlot;
-use client::features::vegetation::cpu_cull::noise_of;
 use client::features::vegetation::{Cull, VegetationSettings};
 use client::frame::FrameData;
 use client::lod::Selection;
@@ -28,7 +28,7 @@ const SIZES: [(u32, u32); 3] = [(160, 90), (320, 180), (640, 360)];
 /// Slots of the pool.
 const SLOTS: u32 = 2000;
 
-/// The lower 24 bits of an ID are a position; see `shaders/wgsl/shared/id_buffer.wesl`.
+/// The lower 24 bits of an ID are a position; see `shaders/wgsl/draw_plant_ids.wesl`.
 const POSITION: u32 = 0xff_ffff;
 
 /// Plants found in ID buffers, and those of them that the tests lose.

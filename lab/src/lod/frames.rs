@@ -94,7 +94,7 @@ pub fn measure(land: Land, tolerances_px: &[f64], timed: usize) -> Result<Frames
     for tolerance_px in tolerances_px {
         let (world, frame) = prepared(&mut builder, &renderer, *tolerance_px, size)?;
         let levels: std::collections::BTreeSet<u32> =
-            frame.instances.iter().map(|instance| instance.place & 255).collect();
+            frame.instances.iter().map(|instance| instance.words.place & 255).collect();
         renderer.upload_world(&world);
         // Finds all shadows once, so that none is left for the frames that are timed.
         renderer.picture(&frame)?;

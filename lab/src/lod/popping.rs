@@ -16,7 +16,7 @@ use client::scene::Scene;
 use client::settings::RenderSettings;
 use client::view::ViewParams;
 use serde::Serialize;
-use shaders::layout::TerrainInstance;
+use shaders::layout::{ChunkWords, TerrainInstance};
 use shaders::twin::morph::MORPH_ONE;
 use terrain::constants::UNITS_PER_METRE;
 use terrain::lod::Viewer;
@@ -175,11 +175,12 @@ fn unmorphed(mut frame: FrameData) -> FrameData {
     let only_whole =
         |word: u32| u32::from_le_bytes(word.to_le_bytes().map(|m| if m == MORPH_ONE { m } else { 0 }));
     // A halved chunk has no vertices to be anything but its parent with.
-    let is_halved = |instance: &TerrainInstance| instance.inside & TerrainInstance::HALVED != 0;
+    let is_halved = |instance: &TerrainInstance| instance.words.inside & ChunkWords::HALVED != 0;
     for instance in frame.instances.iter_mut().filter(|instance| !is_halved(instance)) {
-        instance.edges = only_whole(instance.edges);
-        instance.corners = only_whole(instance.corners);
-        instance.inside &= !255;
+        let words = &mut instance.words;
+        words.edges = only_whole(words.edges);
+        words.corners = only_whole(words.corners);
+        words.inside &= !255;
     }
     frame
 }

@@ -5,21 +5,10 @@ use bytemuck::{Pod, Zeroable};
 use terrain::constants::{OCTAVES, VERTEX_COUNT};
 use terrain::{ChunkKey, Octaves, Parameters};
 
-/// A quarter of a drawn chunk.
+/// How a chunk is drawn: what terrain instances and occluder chunks have in common.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub struct TerrainInstance {
-    /// Low corner minus the eye's whole units, metres; the vertical part is minus the eye's height.
-    /// Exact below 65 km.
-    pub origin_m: [f32; 3],
-    /// Distance between vertices, metres.
-    pub spacing_m: f32,
-    /// Low corner modulo [`super::PATTERN_PERIOD_M`], metres.
-    pub pattern_m: [f32; 2],
-    /// Bound of the vertical error of the chunk's own surface, metres.
-    pub error_m: f32,
-    /// The same of its parent's surface.
-    pub parent_error_m: f32,
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct ChunkWords {
     /// Slot of its heights in the pool.
     pub slot: u32,
     /// Slot of its parent's heights; its own where nothing is morphed.
@@ -37,10 +26,29 @@ pub struct TerrainInstance {
     pub place: u32,
 }
 
-impl TerrainInstance {
+impl ChunkWords {
     /// The bit of [`Self::inside`] that says that the instance is all of a chunk, drawn with every
     /// other vertex.
     pub const HALVED: u32 = 1 << 12;
+}
+
+/// A quarter of a drawn chunk.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct TerrainInstance {
+    /// Low corner minus the eye's whole units, metres; the vertical part is minus the eye's height.
+    /// Exact below 65 km.
+    pub origin_m: [f32; 3],
+    /// Distance between vertices, metres.
+    pub spacing_m: f32,
+    /// Low corner modulo [`super::PATTERN_PERIOD_M`], metres.
+    pub pattern_m: [f32; 2],
+    /// Bound of the vertical error of the chunk's own surface, metres.
+    pub error_m: f32,
+    /// The same of its parent's surface.
+    pub parent_error_m: f32,
+    /// Its slots, morphs and level.
+    pub words: ChunkWords,
 }
 
 /// One vertex attribute: shader location, byte offset, number of 32-bit components, float or
@@ -69,13 +77,13 @@ impl TerrainInstance {
         },
         Attribute {
             location: 2,
-            offset: std::mem::offset_of!(TerrainInstance, slot),
+            offset: std::mem::offset_of!(TerrainInstance, words.slot),
             components: 4,
             float: false,
         },
         Attribute {
             location: 3,
-            offset: std::mem::offset_of!(TerrainInstance, inside),
+            offset: std::mem::offset_of!(TerrainInstance, words.inside),
             components: 2,
             float: false,
         },

@@ -1,6 +1,6 @@
 //! Vegetation: occlusion grid, culling, placement, visible clumps, drawing.
 
-use super::terrain::TerrainInstance;
+use super::terrain::ChunkWords;
 use bytemuck::{Pod, Zeroable};
 use terrain::constants::OCTAVES;
 
@@ -34,28 +34,12 @@ pub struct OcclusionNode {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct OccluderChunk {
-    /// Its slot.
-    pub slot: u32,
-    /// That of its parent; its own where nothing is morphed.
-    pub parent_slot: u32,
-    /// As in [`TerrainInstance::edges`].
-    pub edges: u32,
-    /// As in [`TerrainInstance::corners`].
-    pub corners: u32,
-    /// As in [`TerrainInstance::inside`].
-    pub inside: u32,
-    /// Level in the lowest byte, bits 8 and 9 as in [`TerrainInstance::place`]; bits 16 and 17:
-    /// palette of its plants.
-    pub place: u32,
+    /// Its slots, morphs and level; bits 16 and 17 of [`ChunkWords::place`]: palette of its plants.
+    pub words: ChunkWords,
     /// Low corner, east of that of the grid, steps of 2 m.
     pub x: i32,
     /// The same, south.
     pub z: i32,
-}
-
-impl OccluderChunk {
-    /// See [`TerrainInstance::HALVED`].
-    pub const HALVED: u32 = TerrainInstance::HALVED;
 }
 
 /// [`Culling::path`]: clumps within their draw distance (T0).

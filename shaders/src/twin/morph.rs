@@ -1,7 +1,7 @@
 //! Twin of `wgsl/shared/morph.wesl`: the height at which a vertex of a chunk is drawn.
 
 use super::grid::GridVertex;
-use crate::layout::TerrainInstance;
+use crate::layout::ChunkWords;
 use terrain::constants::{CELLS, VERTEX_COUNT, VERTICES};
 
 /// A morph of one: entirely the parent's surface.
@@ -43,7 +43,7 @@ impl Seams {
     };
 }
 
-impl TerrainInstance {
+impl ChunkWords {
     /// Seams as an instance carries them: edges, corners, inside.
     #[must_use]
     pub fn seam_words(seams: &Seams) -> [u32; 3] {

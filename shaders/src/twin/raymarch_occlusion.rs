@@ -3,11 +3,10 @@
 //! are never drawn; over the drawn vertices, bilinear, it misses the triangles; both test one point
 //! of a clump.
 
-use super::placement::BLOCK_CELL_BITS;
 use super::ring::mul_hi;
 use super::surface::{FINE_BITS, GRID_BITS, Slots, Surface};
-use super::terrain_occlusion::{Occludee, quotient_q24};
-use crate::layout::{Culling, Planting};
+use super::terrain_occlusion::{Occludee, point_occludee, quotient_q24};
+use crate::layout::Culling;
 
 /// Steps of a march at most.
 pub const MAX_STEPS: i32 = 2048;
@@ -61,24 +60,6 @@ pub fn raymarch_occlusion(
     return false;
 }
 
-/// The test of a patch as first published: see [`raymarch_occlusion_of_corners`].
-#[must_use]
-pub fn raymarch_occlusion_of_patch<S: Slots>(
-    surface: &Surface<'_, S>,
-    culling: &Culling,
-    planting: &Planting,
-    column: i32,
-    row: i32,
-) -> bool {
-    return raymarch_occlusion_of_corners(
-        surface,
-        culling,
-        planting.cell_bits + BLOCK_CELL_BITS + 4,
-        column,
-        row,
-    );
-}
-
 /// The test of a chunk of side `2^bits` as first published: four corners and the middle, at its
 /// highest point; its own ground hides nothing of the middle. True if all five are hidden.
 #[must_use]
@@ -96,17 +77,10 @@ pub fn raymarch_occlusion_of_corners<S: Slots>(
         let toward = [(corner & 1) * 2 - 1, (corner >> 1) * 2 - 1];
         let reach = if corner == 4 { 0 } else { side / 2 };
         let at = |middle: i32, toward: i32| (middle + toward * reach).clamp(0, last);
-        let occludee = Occludee {
-            x: at((column << bits) + side / 2, toward[0]),
-            top: surface.node(bits, column, row).top << FINE_BITS,
-            z: at((row << bits) + side / 2, toward[1]),
-            radius: 0,
-            slope_radius: 0,
-            taper: 0,
-            taper_drop: 0,
-            slope_east: 0,
-            slope_south: 0,
-        };
+        let x = at((column << bits) + side / 2, toward[0]);
+        let z = at((row << bits) + side / 2, toward[1]);
+        let top = surface.node(bits, column, row).top << FINE_BITS;
+        let occludee = point_occludee(x, top, z);
         raymarch_occlusion(&bilinear, culling, &occludee, if corner == 4 { side / 2 } else { 0 })
     });
 }

@@ -9,7 +9,9 @@
 use super::grid::GridVertex;
 use super::morph::{Seams, morph_at, morphed, welded};
 use super::ring::mul_hi;
-use crate::layout::{BLOCK_TEXELS, GRID_NODES, GRID_TILES, NO_CHUNK, OccluderChunk, OcclusionNode};
+use crate::layout::{
+    BLOCK_TEXELS, ChunkWords, GRID_NODES, GRID_TILES, NO_CHUNK, OccluderChunk, OcclusionNode,
+};
 use terrain::constants::{CELLS, SPACING_BITS};
 
 /// log2 of the fine units in a unit.
@@ -81,15 +83,20 @@ pub fn part_of(difference: i32, part: i32, bits: u32) -> i32 {
 }
 
 /// The seams of a chunk, unpacked.
-fn seams_of(chunk: &OccluderChunk) -> Seams {
-    let coarser = |side: u32| chunk.inside >> (8 + side) & 1 != 0;
+fn seams_of(words: &ChunkWords) -> Seams {
+    let coarser = |side: u32| words.inside >> (8 + side) & 1 != 0;
     Seams {
-        inside: chunk.inside as u8,
-        edges: chunk.edges.to_le_bytes(),
-        corners: chunk.corners.to_le_bytes(),
+        inside: words.inside as u8,
+        edges: words.edges.to_le_bytes(),
+        corners: words.corners.to_le_bytes(),
         is_coarser: [coarser(0), coarser(1), coarser(2), coarser(3)],
-        is_halved: chunk.inside & OccluderChunk::HALVED != 0,
+        is_halved: words.inside & ChunkWords::HALVED != 0,
     }
+}
+
+/// The block of 2 x 2 cells that holds a cell.
+fn block_around(cell: GridVertex) -> GridVertex {
+    return GridVertex { column: cell.column & !1, row: cell.row & !1 };
 }
 
 impl<S: Slots> Surface<'_, S> {
@@ -101,29 +108,29 @@ impl<S: Slots> Surface<'_, S> {
     /// Height at which a vertex is drawn, units. Twin of what `draw_terrain` does.
     fn drawn_vertex(&self, chunk: &OccluderChunk, vertex: GridVertex) -> i32 {
         // Nothing is morphed, so nothing beside it is coarser either, and no vertex is moved.
-        if chunk.edges | chunk.corners | chunk.inside == 0 {
-            return self.slots.height(chunk.slot, vertex.row * 65 + vertex.column);
+        if chunk.words.edges | chunk.words.corners | chunk.words.inside == 0 {
+            return self.slots.height(chunk.words.slot, vertex.row * 65 + vertex.column);
         }
-        let seams = seams_of(chunk);
+        let seams = seams_of(&chunk.words);
         let at = welded(&seams, vertex);
-        let own = self.slots.height(chunk.slot, at.row * 65 + at.column);
+        let own = self.slots.height(chunk.words.slot, at.row * 65 + at.column);
         let morph = morph_at(&seams, at);
         if morph == 0 {
             return own;
         }
         let half = CELLS as u32 / 2;
-        let column = (chunk.place >> 8 & 1) * half + (at.column >> 1);
-        let row = (chunk.place >> 9 & 1) * half + (at.row >> 1);
-        let first = self.slots.height(chunk.parent_slot, row * 65 + column);
+        let column = (chunk.words.place >> 8 & 1) * half + (at.column >> 1);
+        let row = (chunk.words.place >> 9 & 1) * half + (at.row >> 1);
+        let first = self.slots.height(chunk.words.parent_slot, row * 65 + column);
         let second =
-            self.slots.height(chunk.parent_slot, (row + (at.row & 1)) * 65 + column + (at.column & 1));
+            self.slots.height(chunk.words.parent_slot, (row + (at.row & 1)) * 65 + column + (at.column & 1));
         return morphed(own, (first + second) >> 1, morph);
     }
 
     /// The cell of a chunk that holds a place.
     fn spot(&self, chunk: &OccluderChunk, x: i32, z: i32) -> Spot {
-        let level = chunk.place & 255;
-        let halved = u32::from(chunk.inside & OccluderChunk::HALVED != 0);
+        let level = chunk.words.place & 255;
+        let halved = u32::from(chunk.words.inside & ChunkWords::HALVED != 0);
         let last = CELLS as i32 - 1;
         let (steps_x, steps_z) = ((x >> STEP_BITS) - chunk.x, (z >> STEP_BITS) - chunk.z);
         let column = (steps_x >> level).clamp(0, last) & !(halved as i32);
@@ -139,11 +146,21 @@ impl<S: Slots> Surface<'_, S> {
         };
     }
 
+    /// The chunk and the cell under a place. None where nothing is drawn.
+    fn cell_at(&self, x: i32, z: i32) -> Option<(&OccluderChunk, Spot)> {
+        let index = self.chunk_at(x, z);
+        if index == NO_CHUNK {
+            return None;
+        }
+        let chunk = &self.chunks[index as usize];
+        return Some((chunk, self.spot(chunk, x, z)));
+    }
+
     /// Whether the triangles of a block of 2 x 2 cells are not those of the grid: it lies at a
     /// border that a coarser chunk shares.
     fn is_block_rough(&self, chunk: &OccluderChunk, block: GridVertex) -> bool {
-        let (coarser, last) = (chunk.inside >> 8, CELLS as u32 - 2);
-        if chunk.inside & OccluderChunk::HALVED != 0 {
+        let (coarser, last) = (chunk.words.inside >> 8, CELLS as u32 - 2);
+        if chunk.words.inside & ChunkWords::HALVED != 0 {
             return false;
         }
         return (coarser & 1 != 0 && block.row == 0)
@@ -161,18 +178,19 @@ impl<S: Slots> Surface<'_, S> {
             return true;
         }
         let chunk = &self.chunks[index as usize];
-        return (chunk.place & 255) >= 2 && chunk.inside & 0xf00 != 0;
+        return (chunk.words.place & 255) >= 2 && chunk.words.inside & 0xf00 != 0;
+    }
+
+    /// Height of a corner of a cell, 0 or 1 east and south, fine units.
+    fn cell_corner(&self, chunk: &OccluderChunk, spot: &Spot, east: u32, south: u32) -> i32 {
+        let column = spot.low.column + east * spot.stride;
+        let row = spot.low.row + south * spot.stride;
+        return self.drawn_vertex(chunk, GridVertex { column, row }) << FINE_BITS;
     }
 
     /// Height on the triangles of a cell of the grid, fine units, rounded down.
     fn on_cell(&self, chunk: &OccluderChunk, spot: &Spot) -> i32 {
-        let corner = |east: u32, south: u32| {
-            let vertex = GridVertex {
-                column: spot.low.column + east * spot.stride,
-                row: spot.low.row + south * spot.stride,
-            };
-            self.drawn_vertex(chunk, vertex) << FINE_BITS
-        };
+        let corner = |east, south| self.cell_corner(chunk, spot, east, south);
         let (low, high) = (corner(0, 0), corner(1, 1));
         if spot.east >= spot.south {
             let side = corner(1, 0);
@@ -194,7 +212,7 @@ impl<S: Slots> Surface<'_, S> {
         south: u32,
     ) -> (i32, i32, i32) {
         let vertex = GridVertex { column: block.column + east, row: block.row + south };
-        let at = welded(&seams_of(chunk), vertex);
+        let at = welded(&seams_of(&chunk.words), vertex);
         let height = self.drawn_vertex(chunk, vertex) << FINE_BITS;
         return (at.column as i32 - block.column as i32, at.row as i32 - block.row as i32, height);
     }
@@ -202,7 +220,7 @@ impl<S: Slots> Surface<'_, S> {
     /// Height on the triangles of a block of 2 x 2 cells beside a coarser chunk, where some
     /// vertices have been moved; fine units, rounded down.
     fn on_rough(&self, chunk: &OccluderChunk, spot: &Spot) -> i32 {
-        let block = GridVertex { column: spot.low.column & !1, row: spot.low.row & !1 };
+        let block = block_around(spot.low);
         let east = spot.east + (((spot.low.column & 1) as i32) << spot.bits);
         let south = spot.south + (((spot.low.row & 1) as i32) << spot.bits);
         for triangle in 0..8u32 {
@@ -237,14 +255,8 @@ impl<S: Slots> Surface<'_, S> {
     /// in fine units where nothing is drawn.
     #[must_use]
     pub fn height_at(&self, x: i32, z: i32) -> i32 {
-        let index = self.chunk_at(x, z);
-        if index == NO_CHUNK {
-            return NOWHERE << FINE_BITS;
-        }
-        let chunk = &self.chunks[index as usize];
-        let spot = self.spot(chunk, x, z);
-        let block = GridVertex { column: spot.low.column & !1, row: spot.low.row & !1 };
-        if self.is_block_rough(chunk, block) {
+        let Some((chunk, spot)) = self.cell_at(x, z) else { return NOWHERE << FINE_BITS };
+        if self.is_block_rough(chunk, block_around(spot.low)) {
             return self.on_rough(chunk, &spot);
         }
         return self.on_cell(chunk, &spot);
@@ -254,19 +266,8 @@ impl<S: Slots> Surface<'_, S> {
     /// triangles. For a reference method.
     #[must_use]
     pub fn bilinear_at(&self, x: i32, z: i32) -> i32 {
-        let index = self.chunk_at(x, z);
-        if index == NO_CHUNK {
-            return NOWHERE << FINE_BITS;
-        }
-        let chunk = &self.chunks[index as usize];
-        let spot = self.spot(chunk, x, z);
-        let corner = |east: u32, south: u32| {
-            let vertex = GridVertex {
-                column: spot.low.column + east * spot.stride,
-                row: spot.low.row + south * spot.stride,
-            };
-            self.drawn_vertex(chunk, vertex) << FINE_BITS
-        };
+        let Some((chunk, spot)) = self.cell_at(x, z) else { return NOWHERE << FINE_BITS };
+        let corner = |east, south| self.cell_corner(chunk, &spot, east, south);
         let near = corner(0, 0) + part_of(corner(1, 0) - corner(0, 0), spot.east, spot.bits);
         let far = corner(0, 1) + part_of(corner(1, 1) - corner(0, 1), spot.east, spot.bits);
         return near + part_of(far - near, spot.south, spot.bits);
@@ -276,13 +277,8 @@ impl<S: Slots> Surface<'_, S> {
     /// moved, for all of the block of 2 x 2 cells around it; fine units.
     #[must_use]
     pub fn lowest_at(&self, x: i32, z: i32) -> i32 {
-        let index = self.chunk_at(x, z);
-        if index == NO_CHUNK {
-            return NOWHERE << FINE_BITS;
-        }
-        let chunk = &self.chunks[index as usize];
-        let spot = self.spot(chunk, x, z);
-        let block = GridVertex { column: spot.low.column & !1, row: spot.low.row & !1 };
+        let Some((chunk, spot)) = self.cell_at(x, z) else { return NOWHERE << FINE_BITS };
+        let block = block_around(spot.low);
         if !self.is_block_rough(chunk, block) {
             return self.on_cell(chunk, &spot);
         }
@@ -301,13 +297,13 @@ impl<S: Slots> Surface<'_, S> {
         if index == NO_CHUNK {
             return GRID_BITS;
         }
-        return STEP_BITS + (self.chunks[index as usize].place & 255);
+        return STEP_BITS + (self.chunks[index as usize].words.place & 255);
     }
 
     /// Bounds of a block of a chunk, of `2^bits` fine units around a place or of the smallest that
     /// has bounds.
     fn block(&self, chunk: &OccluderChunk, bits: u32, x: i32, z: i32) -> Node {
-        let level = chunk.place & 255;
+        let level = chunk.words.place & 255;
         let finest = STEP_BITS + level + 3;
         // Blocks a side: 8, 4, 2, 1.
         let coarser = (bits.max(finest) - finest).min(3);
@@ -317,19 +313,19 @@ impl<S: Slots> Surface<'_, S> {
         let column = (((x >> STEP_BITS) - chunk.x) >> shift).clamp(0, last);
         let row = (((z >> STEP_BITS) - chunk.z) >> shift).clamp(0, last);
         let texel = BLOCK_TEXELS as i32 - (4 * side * side - 1) / 3 + row * side + column;
-        let mut top = self.slots.top(chunk.slot, texel as u32);
-        let mut bottom = self.slots.bottom(chunk.slot, texel as u32);
-        if chunk.edges | chunk.corners | (chunk.inside & 255) != 0 {
+        let mut top = self.slots.top(chunk.words.slot, texel as u32);
+        let mut bottom = self.slots.bottom(chunk.words.slot, texel as u32);
+        if chunk.words.edges | chunk.words.corners | (chunk.words.inside & 255) != 0 {
             // The block of the parent that holds this one: the same place, as large or, for the
             // smallest, twice as large.
             let above = (8 >> (coarser.max(1) - 1)).min(8);
             let half = above / 2;
             let down = if coarser == 0 { 1 } else { 0 };
-            let column = (chunk.place >> 8 & 1) as i32 * half + (column >> down);
-            let row = (chunk.place >> 9 & 1) as i32 * half + (row >> down);
+            let column = (chunk.words.place >> 8 & 1) as i32 * half + (column >> down);
+            let row = (chunk.words.place >> 9 & 1) as i32 * half + (row >> down);
             let texel = BLOCK_TEXELS as i32 - (4 * above * above - 1) / 3 + row * above + column;
-            top = top.max(self.slots.top(chunk.parent_slot, texel as u32));
-            bottom = bottom.min(self.slots.bottom(chunk.parent_slot, texel as u32));
+            top = top.max(self.slots.top(chunk.words.parent_slot, texel as u32));
+            bottom = bottom.min(self.slots.bottom(chunk.words.parent_slot, texel as u32));
         }
         return Node { top, bottom, finest };
     }
@@ -361,9 +357,9 @@ impl<S: Slots> Surface<'_, S> {
             return 0;
         }
         let chunk = &self.chunks[index as usize];
-        let shift = (chunk.place & 255) + 2;
+        let shift = (chunk.words.place & 255) + 2;
         let column = (((x >> STEP_BITS) - chunk.x) >> shift).clamp(0, 15) as u32;
         let row = (((z >> STEP_BITS) - chunk.z) >> shift).clamp(0, 15) as u32;
-        return self.slots.density(chunk.slot, row * 4 + (column >> 2)) >> (8 * (column & 3)) & 255;
+        return self.slots.density(chunk.words.slot, row * 4 + (column >> 2)) >> (8 * (column & 3)) & 255;
     }
 }

@@ -86,6 +86,22 @@ struct Taper {
     drop: i32,
 }
 
+/// An occludee that is a point of the grid, fine units.
+#[must_use]
+pub fn point_occludee(x: i32, top: i32, z: i32) -> Occludee {
+    return Occludee {
+        x,
+        top,
+        z,
+        radius: 0,
+        slope_radius: 0,
+        taper: 0,
+        taper_drop: 0,
+        slope_east: 0,
+        slope_south: 0,
+    };
+}
+
 /// `part / whole`, Q24, rounded down. `whole` below 2^24, the quotient below 16.
 #[must_use]
 pub fn quotient_q24(part: u32, whole: u32) -> u32 {

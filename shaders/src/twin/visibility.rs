@@ -9,7 +9,7 @@ use super::placement::{
 };
 use super::raymarch_occlusion::{Ground, raymarch_occlusion, raymarch_occlusion_by_vertices};
 use super::surface::{FINE_BITS, GRID_BITS, NOWHERE, STEP_BITS, Slots, Surface, TILE_BITS};
-use super::terrain_occlusion::{Occludee, is_occluded};
+use super::terrain_occlusion::{Occludee, is_occluded, point_occludee};
 use crate::layout::{
     CULL_DISTANCE, CULL_EXACT, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, GRID_TILES, KIND_GRASS,
     Planting,
@@ -225,17 +225,7 @@ pub fn tip_occludee(culling: &Culling, planting: &Planting, clump: &Clump) -> Oc
         planting.height_low + ((planting.height_span * ((clump.attributes >> 6 & 63) as i32 + 1)) >> 6);
     let near = distance_bound(culling, clump.x, clump.y, clump.z) - 5;
     let height = (whole * height_scale_at(planting, near)) >> 8;
-    return Occludee {
-        x: clump.x,
-        top: clump.y + height,
-        z: clump.z,
-        radius: 0,
-        slope_radius: 0,
-        taper: 0,
-        taper_drop: 0,
-        slope_east: 0,
-        slope_south: 0,
-    };
+    return point_occludee(clump.x, clump.y + height, clump.z);
 }
 
 /// The level of detail of a visible clump. `noise` is the height between vertices too, fine units:

@@ -1,6 +1,7 @@
 //! Integrates sun and sky light on the GPU, before all other passes, into the frame's uniforms.
 
 use crate::gpu::bind::{bind_buffers, compute_uniform_entry, layout, storage_entry};
+use crate::gpu::buffer::create_buffer;
 use crate::gpu::pipeline::compute_pipelines;
 use shaders::SHADERS;
 use shaders::layout::{Atmosphere, Frame};
@@ -24,12 +25,12 @@ impl AtmospherePass {
         let shader = SHADERS.integrate_sky;
         let entries = [compute_uniform_entry(0), storage_entry(1, wgpu::ShaderStages::COMPUTE, false)];
         let layout = layout(device, shader.name, &entries);
-        let result = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("atmosphere"),
-            size: ATMOSPHERE_BYTES,
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
-            mapped_at_creation: false,
-        });
+        let result = create_buffer(
+            device,
+            "atmosphere",
+            ATMOSPHERE_BYTES,
+            wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
+        );
         let bindings = bind_buffers(device, shader.name, &layout, &[frame, &result]);
         let [pipeline] = compute_pipelines(device, &shader, &[&layout], ["integrate_sky"]);
         Self { pipeline, bindings, result }

@@ -2,11 +2,10 @@
 //!
 //! Owns the textures and their bind group. Reads no files: custom sets are passed as texels.
 
-pub mod tiling_probe;
-
 use crate::features::pom::maps;
 use crate::gpu::bind;
-use crate::gpu::pipeline::compute_pipelines;
+use crate::gpu::buffer::create_buffer;
+use crate::gpu::pipeline::{compute_pass, compute_pipelines};
 use shaders::SHADERS;
 use shaders::layout::{BAKE_WORKGROUP, Bake, BakeTexel, MATERIALS, REDUCE_WORKGROUP};
 use std::sync::Arc;
@@ -147,14 +146,7 @@ fn level(texture: &wgpu::Texture, level: u32) -> wgpu::TextureView {
 /// Writes the largest level of every set.
 fn bake(device: &wgpu::Device, queue: &wgpu::Queue, textures: [&wgpu::Texture; 3], custom: &CustomMaterials) {
     use wgpu::BufferUsages as Usage;
-    let buffer = |label, size, usage| {
-        device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size,
-            usage,
-            mapped_at_creation: false,
-        })
-    };
+    let buffer = |label, size, usage| create_buffer(device, label, size, usage);
     let order = buffer("material to bake", size_of::<Bake>() as u64, Usage::UNIFORM | Usage::COPY_DST);
     let bytes = (MATERIAL_TEXELS * size_of::<BakeTexel>()) as u64;
     let texels = buffer("texels to bake", bytes, Usage::STORAGE | Usage::COPY_DST);
@@ -188,10 +180,7 @@ fn bake(device: &wgpu::Device, queue: &wgpu::Queue, textures: [&wgpu::Texture; 3
         }
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some(shader.name),
-                timestamp_writes: None,
-            });
+            let mut pass = compute_pass(&mut encoder, shader.name);
             pass.set_bind_group(0, &bindings, &[]);
             let columns = MATERIAL_SIZE.div_ceil(BAKE_WORKGROUP);
             if custom.is_none() {
@@ -230,10 +219,7 @@ fn reduce(device: &wgpu::Device, queue: &wgpu::Queue, textures: [&wgpu::Texture;
         let resources = resources.map(wgpu::BindingResource::TextureView);
         let bindings = bind::bind(device, shader.name, &layout, &resources);
         let groups = (MATERIAL_SIZE >> below).div_ceil(REDUCE_WORKGROUP);
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some(shader.name),
-            timestamp_writes: None,
-        });
+        let mut pass = compute_pass(&mut encoder, shader.name);
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &bindings, &[]);
         pass.dispatch_workgroups(groups, groups, LAYERS);

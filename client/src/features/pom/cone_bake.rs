@@ -5,7 +5,7 @@ use crate::features::pom::cones;
 use crate::features::pom::cones::MOST_CONES;
 use crate::features::pom::textures::{EXACT, texture, whole};
 use crate::gpu::bind;
-use crate::gpu::pipeline::compute_pipelines;
+use crate::gpu::pipeline::{compute_pass, compute_pipelines};
 use shaders::SHADERS;
 use shaders::layout::{CONE_WORKGROUP, ConeOrder};
 use wgpu::util::DeviceExt as _;
@@ -67,10 +67,7 @@ pub fn bake(
             let mut encoder =
                 device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(shader.name) });
             {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                    label: Some(shader.name),
-                    timestamp_writes: None,
-                });
+                let mut pass = compute_pass(&mut encoder, shader.name);
                 pass.set_pipeline(&pipeline);
                 pass.set_bind_group(0, &bindings, &[]);
                 pass.dispatch_workgroups(count.div_ceil(CONE_WORKGROUP), 1, 1);

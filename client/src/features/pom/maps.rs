@@ -4,7 +4,7 @@ use crate::features::pom::cone_bake;
 use crate::features::pom::height_map::HeightMap;
 use crate::features::pom::textures::{EXACT, texture, whole};
 use crate::gpu::bind;
-use crate::gpu::pipeline::compute_pipelines;
+use crate::gpu::pipeline::{compute_pass, compute_pipelines};
 use half::f16;
 use shaders::SHADERS;
 use shaders::layout::{MAX_MIP_WORKGROUP, MaxMipReduction};
@@ -181,10 +181,7 @@ pub fn max_mips(device: &wgpu::Device, queue: &wgpu::Queue, heights: &wgpu::Text
     let (read, written) = (whole(heights), whole(&max_mips));
     let mut encoder =
         device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(shader.name) });
-    let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-        label: Some(shader.name),
-        timestamp_writes: None,
-    });
+    let mut pass = compute_pass(&mut encoder, shader.name);
     pass.set_pipeline(&pipeline);
     let bits = side.ilog2();
     for (lod, level) in (0..=bits).flat_map(|lod| (0..=bits - lod).map(move |level| (lod, level))) {

@@ -4,6 +4,7 @@ use crate::features::materials::Materials;
 use crate::features::terrain::mesh;
 use crate::features::terrain::pool::ChunkPool;
 use crate::gpu::bind::{self, storage_entry, uniform_entry};
+use crate::gpu::buffer::create_buffer;
 use crate::gpu::pipeline::{Depth, HdrPass};
 use shaders::SHADERS;
 use shaders::layout::TerrainInstance;
@@ -46,12 +47,12 @@ impl TerrainPass {
             contents: bytemuck::cast_slice(&mesh::indices()),
             usage: wgpu::BufferUsages::INDEX,
         });
-        let instances = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("chunk instances"),
-            size: u64::from(capacity) * 4 * size_of::<TerrainInstance>() as u64,
-            usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let instances = create_buffer(
+            device,
+            "chunk instances",
+            u64::from(capacity) * 4 * size_of::<TerrainInstance>() as u64,
+            wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
+        );
         Self {
             pipeline,
             depth: None,

@@ -3,35 +3,16 @@
 use crate::cache::Resident;
 use crate::camera::Eye;
 use crate::lod::Drawn;
-use shaders::layout::{PATTERN_PERIOD_M, TerrainInstance};
+use shaders::layout::{ChunkWords, PATTERN_PERIOD_M, TerrainInstance};
 use terrain::constants::UNITS_PER_METRE;
 
-/// What terrain instances and occluder chunks have in common.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ChunkWords {
-    /// Slot of the chunk.
-    pub slot: u32,
-    /// Slot of its parent; the chunk's own without a resident parent.
-    pub parent_slot: u32,
-    /// Morphs of the four edges.
-    pub edges: u32,
-    /// Morphs of the four corners.
-    pub corners: u32,
-    /// Morph of the interior, and flags.
-    pub inside: u32,
-    /// Level in bits 0 to 7, quarter of the parent in bits 8 (east) and 9 (south).
-    pub place: u32,
-}
-
-impl ChunkWords {
-    /// The words of a drawn chunk.
-    #[must_use]
-    pub fn new(drawn: &Drawn, chunk: &Resident, parent: &Resident) -> Self {
-        let [edges, corners, inside] = TerrainInstance::seam_words(&drawn.seams);
-        let (east, south) = drawn.key.quarter();
-        let place = u32::from(drawn.key.level()) | ((east as u32) << 8) | ((south as u32) << 9);
-        Self { slot: chunk.slot, parent_slot: parent.slot, edges, corners, inside, place }
-    }
+/// The words of a drawn chunk, for terrain instances and for occluder chunks.
+#[must_use]
+pub fn chunk_words(drawn: &Drawn, chunk: &Resident, parent: &Resident) -> ChunkWords {
+    let [edges, corners, inside] = ChunkWords::seam_words(&drawn.seams);
+    let (east, south) = drawn.key.quarter();
+    let place = u32::from(drawn.key.level()) | ((east as u32) << 8) | ((south as u32) << 9);
+    ChunkWords { slot: chunk.slot, parent_slot: parent.slot, edges, corners, inside, place }
 }
 
 /// The instance of a quarter of a drawn chunk, 0 or 1 east and 0 or 1 south.
@@ -45,8 +26,7 @@ pub fn terrain_instance(
 ) -> TerrainInstance {
     let key = drawn.key;
     let (x, z) = key.origin();
-    let ChunkWords { slot, parent_slot, edges, corners, inside, place } =
-        ChunkWords::new(drawn, chunk, parent);
+    let words = chunk_words(drawn, chunk, parent);
     // Integers first, so that the distance to a near chunk is exact at any distance from the origin.
     let relative = |low: i32, eye: i32| metres((i64::from(low) - i64::from(eye)) as f64) as f32;
     let period = PATTERN_PERIOD_M * UNITS_PER_METRE;
@@ -56,12 +36,10 @@ pub fn terrain_instance(
         pattern_m: [x, z].map(|low| metres(f64::from(low & (period - 1))) as f32),
         error_m: metres(f64::from(chunk.error)) as f32,
         parent_error_m: metres(f64::from(parent.error)) as f32,
-        slot,
-        parent_slot,
-        edges,
-        corners,
-        inside,
-        place: place | ((quarter.0 as u32) << 10) | ((quarter.1 as u32) << 11),
+        words: ChunkWords {
+            place: words.place | ((quarter.0 as u32) << 10) | ((quarter.1 as u32) << 11),
+            ..words
+        },
     }
 }
 

@@ -1,7 +1,6 @@
 //! Terrain: chunk data on the GPU and the pass that draws it.
 
 pub mod draw;
-pub mod fill;
 pub mod instance;
 pub mod mesh;
 pub mod pool;

@@ -1,6 +1,7 @@
 //! GPU buffers of all resident chunks: equal slots, allocated once.
 
 use crate::cache::Resident;
+use crate::gpu::buffer::create_buffer;
 use crate::gpu::{Gpu, GpuError};
 use shaders::layout::{BLOCK_TEXELS, CLEAR_WORD, CLEARANCE_WORDS, RECORD_WORDS};
 use terrain::constants::{VERTEX_COUNT, VERTICES};
@@ -33,12 +34,12 @@ impl ChunkPool {
     #[must_use]
     pub fn new(device: &wgpu::Device, slots: u32) -> Self {
         let buffer = |label, bytes, more| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: bytes * u64::from(slots),
-                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | more,
-                mapped_at_creation: false,
-            })
+            create_buffer(
+                device,
+                label,
+                bytes * u64::from(slots),
+                wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | more,
+            )
         };
         Self {
             heights: buffer("chunk heights", HEIGHTS, wgpu::BufferUsages::empty()),

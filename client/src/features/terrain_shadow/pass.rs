@@ -4,7 +4,8 @@
 use crate::features::terrain::pool::ChunkPool;
 use crate::features::terrain_shadow::schedule::{Quota, ShadowBatch};
 use crate::gpu::bind;
-use crate::gpu::pipeline::compute_pipelines;
+use crate::gpu::buffer::create_buffer;
+use crate::gpu::pipeline::{compute_pass, compute_pipelines};
 use shaders::SHADERS;
 use shaders::layout::{
     CLEARANCE_WORDS, FILL_WORKGROUP, MAX_ROOTS, NODES_PER_SLOT, PageNode, ShadowTarget, SunParams,
@@ -35,14 +36,8 @@ impl TerrainShadowPass {
     #[must_use]
     pub fn new(device: &wgpu::Device, pool: &ChunkPool, slots: u32) -> Self {
         use wgpu::BufferUsages as Usage;
-        let buffer = |label, size: usize, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: size as u64,
-                usage: usage | Usage::COPY_DST,
-                mapped_at_creation: false,
-            })
-        };
+        let buffer =
+            |label, size: usize, usage| create_buffer(device, label, size as u64, usage | Usage::COPY_DST);
         let sun = buffer("sun", size_of::<SunParams>(), Usage::UNIFORM);
         let nodes = MAX_ROOTS + NODES_PER_SLOT * slots as usize;
         let nodes = buffer("page table", nodes * size_of::<PageNode>(), Usage::STORAGE);
@@ -80,10 +75,7 @@ impl TerrainShadowPass {
         if let Some(table) = batch.table {
             queue.write_buffer(&self.nodes, 0, bytemuck::cast_slice(&table.nodes));
         }
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some("terrain shadow"),
-            timestamp_writes: None,
-        });
+        let mut pass = compute_pass(encoder, "terrain shadow");
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &self.bindings, &[]);
         pass.dispatch_workgroups((CLEARANCE_WORDS as u32).div_ceil(FILL_WORKGROUP), targets.len() as u32, 1);

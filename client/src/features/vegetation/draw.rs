@@ -4,7 +4,8 @@
 
 use crate::features::terrain::pool::ChunkPool;
 use crate::gpu::bind;
-use crate::gpu::pipeline::{Depth, HdrPass, Output};
+use crate::gpu::pipeline::{Depth, HDR, HdrPass, Output};
+use crate::gpu::targets::ID_FORMAT;
 use shaders::layout::{CLUMP_BYTES, GRASS_VERTICES, TREE_VERTICES};
 use shaders::{SHADERS, Shader};
 use std::ops::Range;
@@ -86,10 +87,30 @@ pub struct ClumpPass {
 }
 
 impl ClumpPass {
-    /// The pass of a species.
+    /// The pass that draws the light of a species.
     #[must_use]
-    pub fn new(device: &wgpu::Device, species: Species, output: Output<'_>, samples: u32) -> Self {
-        let shader = species.shader();
+    pub fn new(device: &wgpu::Device, species: Species, samples: u32) -> Self {
+        Self::with_shader(device, species, species.shader(), HDR, samples)
+    }
+
+    /// The pass that draws the IDs of a species, one sample per pixel; for checks.
+    #[must_use]
+    pub fn ids(device: &wgpu::Device, species: Species) -> Self {
+        let vertex = match species {
+            Species::Grass => "grass_vertex",
+            Species::Tree => "tree_vertex",
+        };
+        let output = Output { vertex: Some(vertex), fragment: None, format: Some(ID_FORMAT) };
+        Self::with_shader(device, species, &SHADERS.draw_plant_ids, output, 1)
+    }
+
+    fn with_shader(
+        device: &wgpu::Device,
+        species: Species,
+        shader: &'static Shader,
+        output: Output<'_>,
+        samples: u32,
+    ) -> Self {
         let vertex = wgpu::ShaderStages::VERTEX;
         let entries = [
             bind::uniform_entry(0),

@@ -6,7 +6,8 @@ use crate::features::vegetation::draw::{Species, VisibleClumps};
 use crate::features::vegetation::occlusion_grid::OcclusionGrid;
 use crate::features::vegetation::species::VegetationFrame;
 use crate::gpu::bind::{self, storage_entry};
-use crate::gpu::pipeline::compute_pipelines;
+use crate::gpu::buffer::create_buffer;
+use crate::gpu::pipeline::{compute_pass, compute_pipelines};
 use crate::gpu::{Gpu, GpuError};
 use shaders::SHADERS;
 use shaders::layout::{
@@ -243,10 +244,7 @@ impl CullPasses {
         queue.write_buffer(&buffers.planting, 0, bytemuck::bytes_of(&planting));
         queue.write_buffer(&buffers.patches, 0, bytemuck::cast_slice(&packed));
         queue.write_buffer(&buffers.size, 0, bytemuck::bytes_of(&[packed.len() as u32, 0, 0, 0]));
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some("cull plants"),
-            timestamp_writes: None,
-        });
+        let mut pass = compute_pass(encoder, "cull plants");
         let mut one =
             |pipeline: &wgpu::ComputePipeline, groups: [Option<&wgpu::BindGroup>; 2], size: Size| {
                 pass.set_pipeline(pipeline);
@@ -333,12 +331,7 @@ impl CullBuffers {
 }
 
 fn buffer(device: &wgpu::Device, label: &str, size: usize, usage: Usage) -> wgpu::Buffer {
-    device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some(label),
-        size: size.max(16) as u64,
-        usage,
-        mapped_at_creation: false,
-    })
+    create_buffer(device, label, size.max(16) as u64, usage)
 }
 
 fn read_words(gpu: &Gpu, buffer: &wgpu::Buffer, words: Range<usize>) -> Result<Vec<u32>, GpuError> {

@@ -7,12 +7,10 @@
 //! | [`occlusion_grid`] | drawn land around the eye, as the occlusion tests read it |
 //! | [`by_slot`] | slot data on the CPU, as the shaders read it |
 //! | [`gpu_cull`] | culling on the GPU: blocks, prefix sums, clumps |
-//! | [`cpu_cull`] | the same selection on the CPU, as reference |
 //! | [`draw`] | indirect draws of visible clumps |
 //! | [`renderer`] | passes and buffers of all species |
 
 pub mod by_slot;
-pub mod cpu_cull;
 pub mod draw;
 pub mod gpu_cull;
 pub mod occlusion_grid;

@@ -5,9 +5,11 @@
 
 use crate::cache::{ChunkCache, Resident};
 use crate::camera::Eye;
-use crate::features::terrain::instance::ChunkWords;
+use crate::features::terrain::instance::chunk_words;
 use crate::lod::Drawn;
-use shaders::layout::{GRID_NODES, GRID_TILES, MAX_OCCLUDER_CHUNKS, NO_CHUNK, OccluderChunk, OcclusionNode};
+use shaders::layout::{
+    ChunkWords, GRID_NODES, GRID_TILES, MAX_OCCLUDER_CHUNKS, NO_CHUNK, OccluderChunk, OcclusionNode,
+};
 use shaders::twin::surface::{FINE_BITS, NOWHERE, TILE_BITS};
 use terrain::ChunkKey;
 use terrain::constants::{SPACING_BITS, UNITS_PER_METRE};
@@ -90,16 +92,10 @@ impl OcclusionGrid {
                     OcclusionNode { top, bottom, chunk: index, reserved: 0 };
             }
         }
-        let ChunkWords { slot, parent_slot, edges, corners, inside, place } =
-            ChunkWords::new(drawn, chunk, parent);
+        let words = chunk_words(drawn, chunk, parent);
         let steps = |low: i32, corner: i32| ((i64::from(low) - i64::from(corner)) >> SPACING_BITS) as i32;
         self.chunks.push(OccluderChunk {
-            slot,
-            parent_slot,
-            edges,
-            corners,
-            inside,
-            place: place | (u32::from(chunk.grass.palette) << 16),
+            words: ChunkWords { place: words.place | (u32::from(chunk.grass.palette) << 16), ..words },
             x: steps(x, self.corner[0]),
             z: steps(z, self.corner[1]),
         });

@@ -5,7 +5,7 @@ use crate::features::terrain::pool::ChunkPool;
 use crate::features::vegetation::draw::{ClumpPass, Species, VisibleClumps};
 use crate::features::vegetation::gpu_cull::{CullBuffers, CullPasses, CullStats};
 use crate::features::vegetation::species::{SpeciesParams, VegetationFrame};
-use crate::gpu::pipeline;
+use crate::gpu::buffer::create_buffer;
 use crate::gpu::{Gpu, GpuError};
 use shaders::layout::Field;
 
@@ -74,7 +74,7 @@ impl VegetationRenderer {
                     existing.buffers = buffers(&existing.pass, capacity);
                 }
             } else {
-                let pass = ClumpPass::new(&gpu.device, species, pipeline::HDR, samples);
+                let pass = ClumpPass::new(&gpu.device, species, samples);
                 let buffers = buffers(&pass, needed);
                 self.species.push(SpeciesPass { species, pass, id_pass: None, buffers });
             }
@@ -100,8 +100,7 @@ impl VegetationRenderer {
     /// Draws the ids of the visible clumps, one sample per pixel; for checks.
     pub fn draw_ids(&mut self, gpu: &Gpu, pass: &mut wgpu::RenderPass<'_>) {
         for SpeciesPass { species, id_pass, buffers, .. } in &mut self.species {
-            let id_pass =
-                id_pass.get_or_insert_with(|| ClumpPass::new(&gpu.device, *species, pipeline::IDS, 1));
+            let id_pass = id_pass.get_or_insert_with(|| ClumpPass::ids(&gpu.device, *species));
             id_pass.draw(pass, &buffers.bindings, &buffers.clumps);
         }
     }
@@ -135,12 +134,12 @@ impl SpeciesBuffers {
             *own = *given;
         }
         let culling = passes.create_buffers(device, pool, capacity, vertices);
-        let field = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("field"),
-            size: size_of::<Field>() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let field = create_buffer(
+            device,
+            "field",
+            size_of::<Field>() as u64,
+            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        );
         let clumps = culling.visible_clumps(species, field, passes);
         let bindings = pass.bind(device, uniforms, pool, &clumps);
         Self { culling, clumps, bindings }

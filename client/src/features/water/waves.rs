@@ -1,7 +1,7 @@
 //! The wave map of the sea, baked once by compute passes.
 
 use crate::gpu::bind;
-use crate::gpu::pipeline::derived_compute_pipelines;
+use crate::gpu::pipeline::{compute_pass, derived_compute_pipelines};
 use shaders::SHADERS;
 use shaders::layout::{WAVE_MAP_SIDE, WAVE_WORKGROUP};
 
@@ -53,10 +53,7 @@ impl WaveMap {
             let resources = if target == 0 { &resources[..1] } else { &resources[..] };
             let group = pipeline.get_bind_group_layout(0);
             let bindings = bind::bind(device, "bake waves", &group, resources);
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some("bake waves"),
-                timestamp_writes: None,
-            });
+            let mut pass = compute_pass(&mut encoder, "bake waves");
             pass.set_pipeline(pipeline);
             pass.set_bind_group(0, &bindings, &[]);
             let groups = (WAVE_MAP_SIDE >> target).div_ceil(WAVE_WORKGROUP);

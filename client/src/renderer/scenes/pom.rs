@@ -11,6 +11,7 @@ use crate::features::pom::settings::PomMethod;
 use crate::frame::FrameData;
 use crate::gpu::Gpu;
 use crate::gpu::bind;
+use crate::gpu::buffer::create_buffer;
 use crate::gpu::pipeline::{Depth, HdrPass};
 use crate::renderer::scenes::meshes::{Mesh, Vertex};
 use crate::scene::Scene;
@@ -148,12 +149,12 @@ impl SceneObjects {
         };
         let vertices = filled("objects", bytemuck::cast_slice(&vertices), wgpu::BufferUsages::VERTEX);
         let indices = filled("indices of objects", bytemuck::cast_slice(&indices), wgpu::BufferUsages::INDEX);
-        let instances = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("places of objects"),
-            size: (size_of::<PomObject>() * objects.len().max(1)) as u64,
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let instances = create_buffer(
+            device,
+            "places of objects",
+            (size_of::<PomObject>() * objects.len().max(1)) as u64,
+            wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+        );
         let bindings = bindings(device, layout, frame, &instances, maps);
         Self { objects, ranges, vertices, indices, instances, bindings }
     }

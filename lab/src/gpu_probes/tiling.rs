@@ -1,9 +1,10 @@
 //! Read-back of a tiled material: for measurements and tests of tiling.
 
-use crate::features::materials::{MATERIAL_SIZE, Materials};
-use crate::gpu::bind;
-use crate::gpu::pipeline::compute_pipelines;
-use crate::gpu::{Gpu, GpuError};
+use client::features::materials::{MATERIAL_SIZE, Materials};
+use client::gpu::bind;
+use client::gpu::buffer::create_buffer;
+use client::gpu::pipeline::{compute_pass, compute_pipelines};
+use client::gpu::{Gpu, GpuError};
 use shaders::SHADERS;
 use shaders::layout::{TILING_WORKGROUP, TilingProbe};
 
@@ -37,14 +38,7 @@ impl ProbeTiling {
     pub fn new(gpu: &Gpu, materials: &Materials) -> Self {
         use wgpu::BufferUsages as Usage;
         let device = &gpu.device;
-        let buffer = |label, size, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
+        let buffer = |label, size, usage| create_buffer(device, label, size, usage);
         let order =
             buffer("probe of tiling", size_of::<TilingProbe>() as u64, Usage::UNIFORM | Usage::COPY_DST);
         let luminances = buffer("luminances", BYTES, Usage::STORAGE | Usage::COPY_SRC);
@@ -84,10 +78,7 @@ impl ProbeTiling {
         gpu.queue.write_buffer(&self.order, 0, bytemuck::bytes_of(&probe));
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some("probe_tiling"),
-                timestamp_writes: None,
-            });
+            let mut pass = compute_pass(&mut encoder, "probe_tiling");
             pass.set_pipeline(if look == Look::Recipe { &self.without_period } else { &self.look });
             pass.set_bind_group(0, &self.bindings, &[]);
             pass.set_bind_group(1, materials.bindings(), &[]);

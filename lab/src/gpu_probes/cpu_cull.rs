@@ -1,13 +1,13 @@
 //! Vegetation culling on the CPU: the reference of the GPU passes, in the same order.
 
-use crate::cache::ChunkCache;
-use crate::cache::vertical_scale::scaled_height;
-use crate::features::vegetation::by_slot::BySlot;
-use crate::features::vegetation::occlusion_grid::OcclusionGrid;
-use crate::features::vegetation::species::{SpeciesParams, VegetationFrame};
+use client::cache::ChunkCache;
+use client::cache::vertical_scale::scaled_height;
+use client::features::vegetation::by_slot::BySlot;
+use client::features::vegetation::occlusion_grid::OcclusionGrid;
+use client::features::vegetation::species::{SpeciesParams, VegetationFrame};
 use shaders::layout::CULL_MARCH;
 use shaders::twin::placement::{BLOCK_CELL_BITS, BLOCK_CELLS, Clump, PATCH_BLOCKS, clump_at};
-use shaders::twin::raymarch_occlusion::raymarch_occlusion_of_patch;
+use shaders::twin::raymarch_occlusion::raymarch_occlusion_of_corners;
 use shaders::twin::surface::{FINE_BITS, Slots, Surface};
 use shaders::twin::visibility::{block_is_visible, visible_level};
 use terrain::Position;
@@ -35,8 +35,9 @@ pub fn cull_on_cpu(
     let (culling, planting) = (&species.culling, &species.planting);
     let noise = noise_of(cache, grid);
     let is_march = culling.path == CULL_MARCH && culling.occlusion_enabled != 0;
+    let patch_bits = planting.cell_bits + BLOCK_CELL_BITS + PATCH_BLOCKS.ilog2();
     let patches = species.patches.iter().copied().filter(|[column, row]| {
-        !is_march || !raymarch_occlusion_of_patch(&surface, culling, planting, *column, *row)
+        !is_march || !raymarch_occlusion_of_corners(&surface, culling, patch_bits, *column, *row)
     });
     let blocks = patches
         .flat_map(blocks_of_patch)

@@ -2,9 +2,10 @@
 //!
 //! Owns one batch of buffers, allocated once. Depends on a device and a queue only.
 
-use crate::gpu::bind;
-use crate::gpu::pipeline::compute_pipelines;
-use crate::gpu::readback::Readback;
+use client::gpu::bind;
+use client::gpu::buffer::create_buffer;
+use client::gpu::pipeline::{compute_pass, compute_pipelines};
+use client::gpu::readback::Readback;
 use shaders::SHADERS;
 use shaders::layout::{ChunkFill, FILL_WORKGROUP, World};
 use terrain::constants::VERTEX_COUNT;
@@ -84,14 +85,7 @@ impl ChunkFiller {
 
     fn build(device: &wgpu::Device, queue: &wgpu::Queue, land: &Land, batch: usize) -> Self {
         use wgpu::BufferUsages as Usage;
-        let buffer = |label, size, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
+        let buffer = |label, size, usage| create_buffer(device, label, size, usage);
         let n = batch as u64;
         let world = buffer("world", size_of::<World>() as u64, Usage::STORAGE | Usage::COPY_DST);
         queue.write_buffer(&world, 0, bytemuck::bytes_of(&World::from(land.parameters())));
@@ -169,10 +163,7 @@ impl ChunkFiller {
         let mut encoder =
             device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("fill chunks") });
         let n = keys.len() as u32;
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some("fill chunks"),
-            timestamp_writes: None,
-        });
+        let mut pass = compute_pass(&mut encoder, "fill chunks");
         pass.set_bind_group(0, &self.bindings, &[]);
         pass.set_pipeline(&self.fill_heights);
         pass.dispatch_workgroups((VERTEX_COUNT as u32).div_ceil(FILL_WORKGROUP), n, 1);
