@@ -18,11 +18,8 @@ pub struct Curve {
     pub panels: Vec<Panel>,
 }
 
-/// A column of a [`Sheet`].
-#[derive(Clone, Copy, Debug)]
-pub struct Column(usize);
-
-/// Measured rows with the columns declared over them.
+/// Measured rows with the columns declared over them. Columns are named by their titles in the
+/// table.
 #[derive(Clone, Debug)]
 pub struct Sheet<R> {
     pub rows: Vec<R>,
@@ -38,42 +35,40 @@ impl<R> Sheet<R> {
     }
 
     /// Declares a column: its name with unit, and its value in a row.
-    pub fn column(&mut self, name: impl Into<String>, value: impl Fn(&R) -> f64) -> Column {
+    pub fn column(&mut self, name: impl Into<String>, value: impl Fn(&R) -> f64) {
         self.table.columns.push(name.into());
         self.rows.iter().zip(&mut self.table.rows).for_each(|(row, values)| values.push(value(row)));
-        Column(self.table.columns.len() - 1)
-    }
-
-    /// Declares a column with the number of each row.
-    pub fn index_column(&mut self, name: &str) -> Column {
-        self.table.columns.push(name.into());
-        self.table.rows.iter_mut().enumerate().for_each(|(index, values)| values.push(index as f64));
-        Column(self.table.columns.len() - 1)
-    }
-
-    /// Name of a column.
-    pub fn name_of(&self, column: Column) -> &str {
-        &self.table.columns[column.0]
     }
 
     /// Pairs of two columns.
-    pub fn points(&self, x: Column, y: Column) -> Vec<(f64, f64)> {
-        self.table.rows.iter().map(|values| (values[x.0], values[y.0])).collect()
+    pub fn points(&self, x: &str, y: &str) -> Vec<(f64, f64)> {
+        self.table.points(x, y)
     }
 
     /// Pairs of two columns in some rows.
-    pub fn points_where(&self, is_wanted: impl Fn(&R) -> bool, x: Column, y: Column) -> Vec<(f64, f64)> {
+    pub fn points_where(&self, is_wanted: impl Fn(&R) -> bool, x: &str, y: &str) -> Vec<(f64, f64)> {
         let rows = self.rows.iter().zip(self.points(x, y));
         rows.filter(|(row, _)| is_wanted(row)).map(|(_, point)| point).collect()
     }
 
-    /// Cost and error of every row as a choice; `name`: its label, and whether it is the default.
-    pub fn choices(&self, cost: Column, error: Column, name: impl Fn(&R) -> (String, bool)) -> Vec<Choice> {
+    /// A panel with curves over a column, each with its label and its column.
+    pub fn lines(
+        &self,
+        panel: Panel,
+        x: &str,
+        curves: impl IntoIterator<Item = (&'static str, impl AsRef<str>)>,
+    ) -> Panel {
+        curves.into_iter().fold(panel, |panel, (label, y)| panel.line(label, self.points(x, y.as_ref())))
+    }
+
+    /// A panel with the front of two columns; `name`: the label of a row, and whether it is the
+    /// default.
+    pub fn front(&self, panel: Panel, x: &str, y: &str, name: impl Fn(&R) -> (String, bool)) -> Panel {
         let choice = |(row, at)| {
             let (name, is_shipped) = name(row);
             Choice { name, at, is_shipped }
         };
-        self.rows.iter().zip(self.points(cost, error)).map(choice).collect()
+        panel.front(&self.rows.iter().zip(self.points(x, y)).map(choice).collect::<Vec<_>>())
     }
 }
 
@@ -97,16 +92,20 @@ pub fn floored(points: Vec<(f64, f64)>, floor: f64) -> Vec<(f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chart::linear;
 
     #[test]
     fn columns_are_values_of_rows_in_order() {
         let mut sheet = Sheet::new("t", "caption", vec![1.0, 2.0]);
-        let x = sheet.column("x", |row| *row);
-        let y = sheet.column("y, m", |row| row * row);
-        assert_eq!(sheet.points(x, y), [(1.0, 1.0), (2.0, 4.0)]);
-        assert_eq!(sheet.points_where(|row| *row > 1.0, y, x), [(4.0, 2.0)]);
-        let choices = sheet.choices(x, y, |row| (row.to_string(), *row == 2.0));
-        assert_eq!((choices[1].name.as_str(), choices[1].at, choices[1].is_shipped), ("2", (2.0, 4.0), true));
+        sheet.column("x", |row| *row);
+        sheet.column("y, m", |row| row * row);
+        assert_eq!(sheet.points("x", "y, m"), [(1.0, 1.0), (2.0, 4.0)]);
+        assert_eq!(sheet.points_where(|row| *row > 1.0, "y, m", "x"), [(4.0, 2.0)]);
+        let empty = || Panel::new("t", linear("x"), linear("y"));
+        let panel = sheet.lines(empty(), "x", [("curve", "y, m")]);
+        assert_eq!((&*panel.series[0].label, panel.series[0].points.len()), ("curve", 2));
+        let front = sheet.front(empty(), "x", "y, m", |row| (row.to_string(), *row == 2.0));
+        assert_eq!((&*front.series[0].names[0], &*front.series[2].label), ("1", "the default"));
         let table = Table::from(sheet);
         assert_eq!((table.columns, table.rows[1].clone()), (vec!["x".into(), "y, m".into()], vec![2.0, 4.0]));
         assert_eq!(numbered(["a", "b"], "; "), "0 a; 1 b");

@@ -9,7 +9,7 @@ mod bars;
 pub mod bench;
 pub mod comparison;
 pub mod maps;
-mod pictures;
+pub(crate) mod pictures;
 pub mod reference;
 pub mod renderer;
 

@@ -20,16 +20,13 @@ pub struct Table {
 }
 
 impl Table {
-    /// Pairs of two columns by name.
-    #[cfg(test)]
-    pub fn curve(&self, x: &str, y: &str) -> Vec<(f64, f64)> {
-        let index = |name: &str| {
-            self.columns
-                .iter()
-                .position(|column| column == name)
-                .unwrap_or_else(|| panic!("no column `{name}`"))
-        };
-        let (x, y) = (index(x), index(y));
+    /// Pairs of two columns.
+    ///
+    /// # Panics
+    /// If there is no such column.
+    pub fn points(&self, x: &str, y: &str) -> Vec<(f64, f64)> {
+        let column = |name: &str| self.columns.iter().position(|column| column == name);
+        let [x, y] = [x, y].map(|name| column(name).unwrap_or_else(|| panic!("no column `{name}`")));
         self.rows.iter().map(|row| (row[x], row[y])).collect()
     }
 
@@ -105,6 +102,6 @@ mod tests {
     fn text_has_four_digits_and_a_dash() {
         let text = table().to_string();
         assert!(text.contains("0.01235") && text.contains("2.00e-7") && text.contains(" -  "), "{text}");
-        assert_eq!(table().curve("a, m", "b")[1], (0.012_345, 2e-7));
+        assert_eq!(table().points("a, m", "b")[1], (0.012_345, 2e-7));
     }
 }

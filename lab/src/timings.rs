@@ -8,7 +8,6 @@ use crate::codec::samples::land_keys;
 use crate::gpu_probes::fill::{ChunkFiller, MAX_BATCH};
 use crate::stats::median;
 use anyhow::{Result, anyhow};
-use client::gpu;
 use client::gpu::Gpu;
 use serde::Serialize;
 use std::time::Instant;
@@ -59,7 +58,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let land = Land::new(WORLD_SEED);
     // None of them is open sea, where nothing is to be computed.
     let keys: Vec<_> = land_keys(&land, 16).take(options.chunks as usize).collect();
-    let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
+    let gpu = Gpu::open_blocking()?;
     let (device, queue) = (&gpu.device, &gpu.queue);
     let filler = ChunkFiller::new(device, queue, &land, keys.len())?;
     let kernel = Kernel::best();

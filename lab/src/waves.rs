@@ -1,11 +1,10 @@
 //! The shipped parallax of waves on this machine's GPU: rays in, intersections out.
 
-use crate::probe;
+use crate::probe::{self, Dispatch};
 use anyhow::Result;
 use bytemuck::Zeroable as _;
 use client::features::water::WaveSettings;
 use client::features::water::waves::WaveMap;
-use client::gpu;
 use client::gpu::Gpu;
 use shaders::SHADERS;
 use shaders::layout::{Frame, WaveProbe};
@@ -36,7 +35,7 @@ impl WaveBench {
     /// # Errors
     /// There is none; the line says what to install.
     pub fn open() -> Result<Self> {
-        let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
+        let gpu = Gpu::open_blocking()?;
         let waves = WaveMap::bake(&gpu.device, &gpu.queue);
         let pipeline = probe::pipeline(&gpu, &SHADERS.probe_waves, None);
         Ok(Self { gpu, waves, pipeline })
@@ -66,21 +65,12 @@ impl WaveBench {
             wave_steepness: knobs.steepness,
             ..Frame::zeroed()
         };
-        let frame = probe::uniform(&self.gpu, "frame", &uniforms);
-        let input = probe::input(&self.gpu, "probes", probes);
-        let output = probe::output::<[f32; 4]>(&self.gpu, "found", probes.len());
-        let [map, sampler] = self.waves.entries(1);
-        let resources = [
-            frame.as_entire_binding(),
-            map.resource,
-            sampler.resource,
-            input.as_entire_binding(),
-            output.as_entire_binding(),
-        ];
-        let bindings = probe::bind(&self.gpu, &self.pipeline, resources);
-        let groups = (probes.len() as u32).div_ceil(64);
-        let took = probe::dispatch(&self.gpu, &self.pipeline, &bindings, groups, repeats)?;
-        let words: Vec<[f32; 4]> = probe::read(&self.gpu, &output)?;
+        let frame = probe::filled(&self.gpu, bytemuck::bytes_of(&uniforms), wgpu::BufferUsages::UNIFORM);
+        let [map, sampler] = self.waves.entries(1).map(|entry| entry.resource);
+        let dispatch = Dispatch { repeats, ..Dispatch::once(probes.len()) };
+        let resources = [frame.as_entire_binding(), map, sampler];
+        let (words, took): (Vec<[f32; 4]>, _) =
+            probe::run(&self.gpu, &self.pipeline, resources, probes, dispatch)?;
         let found = words
             .iter()
             .map(|[x, z, at_m, residual_m]| FoundWave {

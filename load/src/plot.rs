@@ -6,6 +6,7 @@ use crate::report::Report;
 use crate::timeline::Second;
 use anyhow::{Context, Result, anyhow};
 use plotters::coord::Shift;
+use plotters::coord::ranged1d::{Ranged, ValueFormatter};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{FontStyle, RGBColor, register_font};
@@ -42,6 +43,8 @@ const PURPLE: RGBColor = RGBColor(204, 121, 167);
 const GREY: RGBColor = RGBColor(190, 195, 203);
 
 type Area<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
+
+type Chart<'a, 'b, X, Y> = ChartContext<'a, BitMapBackend<'b>, Cartesian2d<X, Y>>;
 
 /// A line and its name.
 struct Line<'a> {
@@ -171,18 +174,7 @@ fn latency(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<()> 
         let bar = Rectangle::new([(phase.start, ms.start), (phase.end, ms.end)], PART.filled());
         chart.draw_series([bar]).map(|_| ()).map_err(|cause| anyhow!("{cause}"))
     })?;
-    chart
-        .configure_mesh()
-        .y_desc("milliseconds")
-        .y_label_formatter(&|ms| plain(*ms))
-        .x_label_formatter(&|second| plain(*second))
-        .label_style((FONT, 17).into_font().color(&INK))
-        .axis_desc_style((FONT, 19).into_font().color(&INK))
-        .axis_style(INK)
-        .bold_line_style(FAINT)
-        .light_line_style(TRANSPARENT)
-        .draw()
-        .map_err(|cause| anyhow!("{cause}"))?;
+    axes(&mut chart, None, "milliseconds")?;
     for line in &lines {
         for series in line.series() {
             chart.draw_series(series).map_err(|cause| anyhow!("{cause}"))?;
@@ -236,19 +228,7 @@ fn throughput(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<(
         let bar = Rectangle::new([(phase.start, 0.0), (phase.end, counts)], PART.filled());
         chart.draw_series([bar]).map(|_| ()).map_err(|cause| anyhow!("{cause}"))
     })?;
-    chart
-        .configure_mesh()
-        .x_desc("seconds since the start of the run")
-        .y_desc(left)
-        .y_label_formatter(&|value| plain(*value))
-        .x_label_formatter(&|second| plain(*second))
-        .label_style((FONT, 17).into_font().color(&INK))
-        .axis_desc_style((FONT, 19).into_font().color(&INK))
-        .axis_style(INK)
-        .bold_line_style(FAINT)
-        .light_line_style(TRANSPARENT)
-        .draw()
-        .map_err(|cause| anyhow!("{cause}"))?;
+    axes(&mut chart, Some("seconds since the start of the run"), left)?;
     chart
         .configure_secondary_axes()
         .y_desc("MB a second")
@@ -265,6 +245,26 @@ fn throughput(area: &Area<'_>, report: &Report, seconds: Range<f64>) -> Result<(
         chart.draw_secondary_series(series).map_err(|cause| anyhow!("{cause}"))?;
     }
     Ok(())
+}
+
+/// Draws the axes of a panel and its grid.
+fn axes<X, Y>(chart: &mut Chart<'_, '_, X, Y>, below: Option<&str>, left: &str) -> Result<()>
+where
+    X: Ranged<ValueType = f64> + ValueFormatter<f64>,
+    Y: Ranged<ValueType = f64> + ValueFormatter<f64>,
+{
+    let mut mesh = chart.configure_mesh();
+    below.into_iter().for_each(|below| _ = mesh.x_desc(below));
+    mesh.y_desc(left)
+        .y_label_formatter(&|value| plain(*value))
+        .x_label_formatter(&|second| plain(*second))
+        .label_style((FONT, 17).into_font().color(&INK))
+        .axis_desc_style((FONT, 19).into_font().color(&INK))
+        .axis_style(INK)
+        .bold_line_style(FAINT)
+        .light_line_style(TRANSPARENT)
+        .draw()
+        .map_err(|cause| anyhow!("{cause}"))
 }
 
 /// Writes the line above a panel, its name at the left and its legend at the right. Returns the

@@ -78,6 +78,15 @@ impl Gpu {
             .request_adapter(&options)
             .await
             .map_err(|error| GpuError::NoAdapter(first_line(&error.to_string())))?;
+        Self::of_adapter(instance, adapter, optional).await
+    }
+
+    /// Opens an adapter of an instance, as [`Gpu::open_with`].
+    pub async fn of_adapter(
+        instance: wgpu::Instance,
+        adapter: wgpu::Adapter,
+        optional: wgpu::Features,
+    ) -> Result<Self, GpuError> {
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("tombolo"),
             required_features: adapter.features() & optional,

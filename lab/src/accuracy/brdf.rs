@@ -4,12 +4,13 @@
 //! the lobes of GGX; the reference is the exact form in f64. Half precision is emulated, since few
 //! devices compute in it: every intermediate result is rounded.
 
-use crate::adapters::{self, OpenGpu};
 use crate::chart::{Panel, linear, log};
-use crate::curve::{Column, Curve, Sheet, numbered};
-use crate::probe;
+use crate::curve::{Curve, Sheet, numbered};
+use crate::probe::{self, Dispatch};
 use crate::stats::{Figures, interleaved, ratios};
 use anyhow::{Context as _, Result};
+use client::gpu::Gpu;
+use glam::DVec3;
 use shaders::SHADERS;
 use shaders::layout::{BRDF_TERMS, BrdfProbe};
 use std::f64::consts::{PI, TAU};
@@ -33,7 +34,7 @@ const TURNS: u32 = 12;
 
 /// Rounds of the timing, and invocations of one of them.
 const ROUNDS: usize = 41;
-const TIMED: u32 = 1 << 14;
+const TIMED: usize = 1 << 14;
 
 /// The timed entry points, their names, and whether the visibility term is the fast one.
 const VARIANTS: [(&str, &str, bool, Form); 4] = [
@@ -46,42 +47,15 @@ const VARIANTS: [(&str, &str, bool, Form); 4] = [
 /// Columns of errors.
 const ERRORS: [&str; 5] = ["fast", "f32", "f32 naive", "f16", "f16 naive"];
 
-const NO_GPU: &str = "\
-     reflection is measured on a GPU and none was found: install a Vulkan driver, on Debian or \
-     Ubuntu `apt install mesa-vulkan-drivers libvulkan1`";
-
-type Vector = [f64; 3];
-
-fn dot(a: Vector, b: Vector) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: Vector, b: Vector) -> Vector {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-fn unit(v: Vector) -> Vector {
-    let length = dot(v, v).sqrt();
-    v.map(|component| component / length)
-}
-
-fn sum(a: Vector, b: Vector) -> Vector {
-    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
-}
-
-fn widened(v: [f32; 3]) -> Vector {
-    unit(v.map(f64::from))
+fn widened(v: [f32; 3]) -> DVec3 {
+    DVec3::from(v.map(f64::from)).normalize()
 }
 
 /// A surface aligned with no axis, so that products round: normal and two tangents.
-fn surface() -> [Vector; 3] {
-    let normal = unit([0.36, 0.81, -0.47]);
-    let east = unit(cross(normal, [0.1, 0.2, 0.9]));
-    [normal, east, cross(normal, east)]
-}
-
-fn narrow(v: Vector) -> [f32; 3] {
-    v.map(|component| component as f32)
+fn surface() -> [DVec3; 3] {
+    let normal = DVec3::new(0.36, 0.81, -0.47).normalize();
+    let east = normal.cross(DVec3::new(0.1, 0.2, 0.9)).normalize();
+    [normal, east, normal.cross(east)]
 }
 
 /// The directions of one roughness: half vectors by equal shares of the lobe's facets, eyes by
@@ -90,30 +64,27 @@ fn probes(roughness: f64) -> Vec<BrdfProbe> {
     let [normal, east, south] = surface();
     let place = |polar: f64, turn: f64| {
         let (level, up) = polar.sin_cos();
-        std::array::from_fn(|axis| {
-            up * normal[axis] + level * (turn.cos() * east[axis] + turn.sin() * south[axis])
-        })
+        up * normal + level * (turn.cos() * east + turn.sin() * south)
     };
     let alpha = roughness * roughness;
     let mut probes = Vec::new();
     for eye in 0..EYES {
-        let to_eye: Vector = place(f64::from(eye) * 5.0f64.to_radians(), 0.3);
+        let to_eye = place(f64::from(eye) * 5.0f64.to_radians(), 0.3);
         for lobe in 0..LOBES {
             // Inverse of the lobe's distribution (Walter et al., 2007, eq. 35).
             let share = (f64::from(lobe) + 0.5) / f64::from(LOBES);
             let polar = (alpha * (share / (1.0 - share)).sqrt()).atan();
             for turn in 0..TURNS {
-                let middle: Vector = place(polar, f64::from(turn) / f64::from(TURNS) * TAU);
-                let along = 2.0 * dot(to_eye, middle);
-                let to_light = std::array::from_fn(|axis| along * middle[axis] - to_eye[axis]);
+                let middle = place(polar, f64::from(turn) / f64::from(TURNS) * TAU);
+                let to_light = 2.0 * to_eye.dot(middle) * middle - to_eye;
                 // Light from below, and so grazing that its share is lost in any picture.
-                if dot(normal, to_light) > 0.01 && dot(to_eye, middle) > 0.0 {
+                if normal.dot(to_light) > 0.01 && to_eye.dot(middle) > 0.0 {
                     probes.push(BrdfProbe {
-                        normal: narrow(normal),
+                        normal: normal.as_vec3().to_array(),
                         roughness: roughness as f32,
-                        to_eye: narrow(to_eye),
+                        to_eye: to_eye.as_vec3().to_array(),
                         f0: F0 as f32,
-                        to_light: narrow(to_light),
+                        to_light: to_light.as_vec3().to_array(),
                         gap: 0.0,
                     });
                 }
@@ -135,14 +106,14 @@ enum Form {
 /// The sun's reflection, exact visibility, each result passed through `round`: identity for the
 /// reference.
 fn reflection(probe: &BrdfProbe, form: Form, round: impl Fn(f64) -> f64 + Copy) -> f64 {
-    let vector = |v: Vector| v.map(round);
-    let product = |a: Vector, b: Vector| {
-        let parts: [f64; 3] = std::array::from_fn(|axis| round(a[axis] * b[axis]));
-        round(round(parts[0] + parts[1]) + parts[2])
+    let vector = |v: DVec3| v.map(round);
+    let product = |a: DVec3, b: DVec3| {
+        let parts = (a * b).map(round);
+        round(round(parts.x + parts.y) + parts.z)
     };
     let normal = vector(widened(probe.normal));
     let (to_eye, to_light) = (vector(widened(probe.to_eye)), vector(widened(probe.to_light)));
-    let both = vector(sum(to_eye, to_light));
+    let both = vector(to_eye + to_light);
     let length = round(product(both, both).sqrt());
     let middle = both.map(|component| round(component / length));
     let roughness = round(f64::from(probe.roughness));
@@ -153,7 +124,7 @@ fn reflection(probe: &BrdfProbe, form: Form, round: impl Fn(f64) -> f64 + Copy) 
     let along = round(nh * alpha);
     let off = match form {
         Form::Lagrange => {
-            let aside = cross(normal, middle).map(round);
+            let aside = normal.cross(middle).map(round);
             product(aside, aside)
         }
         Form::Naive => round(1.0 - round(nh * nh)),
@@ -193,50 +164,23 @@ fn figures(errors: impl Iterator<Item = f64>) -> Figures {
 /// Terms of the pass for some probes.
 type Terms = [f32; BRDF_TERMS];
 
-/// The pass on one device.
-struct Bench(OpenGpu);
-
-impl Bench {
-    fn open() -> Result<Self> {
-        let adapter = adapters::all(wgpu::Backends::PRIMARY).into_iter().next().context(NO_GPU)?;
-        Ok(Self(adapters::open(&adapter).with_context(|| adapters::name(&adapter))?))
-    }
-
-    /// An entry point with its buffers.
-    fn job(&self, entry_point: &str, probes: &[BrdfProbe], words: usize) -> Job {
-        let pipeline = probe::pipeline(&self.0, &SHADERS.probe_brdf, Some(entry_point));
-        let input = probe::input(&self.0, "probes", probes);
-        let output = probe::output::<f32>(&self.0, "terms", words);
-        let resources = [&input, &output].map(wgpu::Buffer::as_entire_binding);
-        let bindings = probe::bind(&self.0, &pipeline, resources);
-        Job { pipeline, bindings, output }
-    }
-
-    fn run(&self, job: &Job, invocations: u32) -> Result<Duration> {
-        probe::dispatch(&self.0, &job.pipeline, &job.bindings, invocations.div_ceil(64), 1)
-    }
-
-    /// The terms of probes, in their order.
-    fn terms(&self, probes: &[BrdfProbe]) -> Result<Vec<Terms>> {
-        let job = self.job("probe_brdf", probes, BRDF_TERMS * probes.len());
-        self.run(&job, probes.len() as u32)?;
-        probe::read(&self.0, &job.output)
-    }
-
-    /// Times of the variants over that of the first.
-    fn costs(&self) -> Result<Vec<f64>> {
-        let probes = probes(0.5);
-        let jobs = VARIANTS.map(|(entry, ..)| self.job(entry, &probes, TIMED as usize));
-        // The first round compiles pipelines and fills caches.
-        interleaved(1, VARIANTS.len(), |index| self.run(&jobs[index], TIMED))?;
-        Ok(ratios(&interleaved(ROUNDS, VARIANTS.len(), |index| self.run(&jobs[index], TIMED))?))
-    }
+/// The terms of probes, in their order.
+fn terms(gpu: &Gpu, probes: &[BrdfProbe]) -> Result<Vec<Terms>> {
+    let pipeline = probe::pipeline(gpu, &SHADERS.probe_brdf, Some("probe_brdf"));
+    Ok(probe::run(gpu, &pipeline, [], probes, Dispatch::once(probes.len()))?.0)
 }
 
-struct Job {
-    pipeline: wgpu::ComputePipeline,
-    bindings: wgpu::BindGroup,
-    output: wgpu::Buffer,
+/// Times of the variants over that of the first.
+fn costs(gpu: &Gpu) -> Result<Vec<f64>> {
+    let probes = probes(0.5);
+    let pipelines = VARIANTS.map(|(entry, ..)| probe::pipeline(gpu, &SHADERS.probe_brdf, Some(entry)));
+    let run = |index: usize| -> Result<Duration> {
+        let found = probe::run::<_, f32>(gpu, &pipelines[index], [], &probes, Dispatch::once(TIMED));
+        Ok(found?.1)
+    };
+    // The first round compiles pipelines and fills caches.
+    interleaved(1, VARIANTS.len(), run)?;
+    Ok(ratios(&interleaved(ROUNDS, VARIANTS.len(), run)?))
 }
 
 /// The reflection that a variant makes of a probe's terms.
@@ -255,9 +199,9 @@ struct Row {
     of_variants: [Vec<f64>; 4],
 }
 
-fn row(bench: &Bench, roughness: f64) -> Result<Row> {
+fn row(gpu: &Gpu, roughness: f64) -> Result<Row> {
     let probes = probes(roughness);
-    let terms = bench.terms(&probes)?;
+    let terms = terms(gpu, &probes)?;
     let reference: Vec<f64> =
         probes.iter().map(|probe| reflection(probe, Form::Lagrange, |value| value)).collect();
     let on_gpu = |fast, form| {
@@ -280,72 +224,63 @@ fn row(bench: &Bench, roughness: f64) -> Result<Row> {
 }
 
 pub fn measure(_: u64) -> Result<Curve> {
-    let bench = Bench::open()?;
-    let rows = ROUGHNESSES.map(|roughness| row(&bench, roughness)).into_iter().collect::<Result<Vec<_>>>()?;
+    let gpu = Gpu::open_blocking().context("reflection is measured on a GPU")?;
+    let rows = ROUGHNESSES.map(|roughness| row(&gpu, roughness)).into_iter().collect::<Result<Vec<_>>>()?;
     let drawn = |row: &Row| row.roughness >= FLOOR;
-    let costs = bench.costs()?.into_iter().enumerate().map(|(index, cost)| {
+    let costs = costs(&gpu)?.into_iter().enumerate().map(|(index, cost)| {
         let errors = rows.iter().filter(|row| drawn(row)).flat_map(|row| &row.of_variants[index]);
         (index, cost, figures(errors.copied()))
     });
-    let mut costs = Sheet::new(
-        "brdf_cost",
-        format!(
-            "cost of one reflection, over that of variant 0, median of {ROUNDS} interleaved rounds on {}, \
-             against \
-             the error over all roughnesses from {FLOOR} on; variants: {}.",
-            bench.0.name,
-            numbered(VARIANTS.map(|variant| variant.1), "; ")
-        ),
-        costs.collect(),
+    let caption = format!(
+        "cost of one reflection, over that of variant 0, median of {ROUNDS} interleaved rounds on {}, \
+         against the error over all roughnesses from {FLOOR} on; variants: {}.",
+        gpu.name(),
+        numbered(VARIANTS.map(|variant| variant.1), "; ")
     );
+    let mut costs = Sheet::new("brdf_cost", caption, costs.collect());
     costs.column("variant", |row| row.0 as f64);
-    let cost = costs.column("cost ratio", |row| row.1);
-    let rms = costs.column("RMS", |row| row.2.rms);
+    costs.column("cost ratio", |row| row.1);
+    costs.column("RMS", |row| row.2.rms);
     costs.column("p99", |row| row.2.p99);
     costs.column("max", |row| row.2.max);
-    let mut errors = Sheet::new(
-        "brdf",
-        format!(
-            "relative error of the sun's reflection (GGX, f0 {F0}) against f64 with exact visibility, at \
-             half \
-             vectors spread evenly over the lobe and eyes 0 to 85 degrees off the normal; f32 on {}, f16 \
-             emulated, errors cut at {ERROR_CAP}. The viewer draws no roughness below {FLOOR}.",
-            bench.0.name
-        ),
-        rows,
+    let caption = format!(
+        "relative error of the sun's reflection (GGX, f0 {F0}) against f64 with exact visibility, at \
+         half vectors spread evenly over the lobe and eyes 0 to 85 degrees off the normal; f32 on {}, \
+         f16 emulated, errors cut at {ERROR_CAP}. The viewer draws no roughness below {FLOOR}.",
+        gpu.name()
     );
-    let roughness = errors.column("roughness", |row| row.roughness);
-    let columns = [0, 1, 2, 3, 4].map(|index: usize| {
-        let name = ERRORS[index];
-        let max = errors.column(format!("{name} max"), |row| row.errors[index].max);
-        let rms = errors.column(format!("{name} RMS"), |row| row.errors[index].rms);
-        [max, rms, errors.column(format!("{name} p99"), |row| row.errors[index].p99)]
-    });
-    let [[fast_max, fast_rms, fast_p99], ..] = columns;
+    let mut errors = Sheet::new("brdf", caption, rows);
+    errors.column("roughness", |row| row.roughness);
+    for (index, name) in ERRORS.into_iter().enumerate() {
+        errors.column(format!("{name} max"), |row| row.errors[index].max);
+        errors.column(format!("{name} RMS"), |row| row.errors[index].rms);
+        errors.column(format!("{name} p99"), |row| row.errors[index].p99);
+    }
 
-    let of_drawn = |column: Column| errors.points_where(drawn, roughness, column);
-    let precision = |title, figure: usize| {
-        Panel::new(title, log("roughness"), log("relative error of the reflection, cut at 1000"))
-            .line("f32, N x H", errors.points(roughness, columns[1][figure]))
-            .line("f32, 1 - NH^2", errors.points(roughness, columns[2][figure]))
-            .line("f16, N x H", errors.points(roughness, columns[3][figure]))
-            .line("f16, 1 - NH^2", errors.points(roughness, columns[4][figure]))
+    let of_drawn = |column: &str| errors.points_where(drawn, "roughness", column);
+    let precision = |title, figure: &str| {
+        let panel = Panel::new(title, log("roughness"), log("relative error of the reflection, cut at 1000"));
+        let curves = [
+            ("f32, N x H", "f32"),
+            ("f32, 1 - NH^2", "f32 naive"),
+            ("f16, N x H", "f16"),
+            ("f16, 1 - NH^2", "f16 naive"),
+        ];
+        errors
+            .lines(panel, "roughness", curves.map(|(label, name)| (label, format!("{name} {figure}"))))
             .bound("least roughness drawn", [(FLOOR, 1e-6), (FLOOR, ERROR_CAP)])
     };
     let time = linear("time, share of exact visibility with N x H");
     let error = log("relative error of the reflection");
+    let cost = Panel::new("Cost against error", time, log("RMS relative error"));
     let panels = vec![
         Panel::new("Fast visibility against exact", linear("roughness"), error)
-            .line("largest found", of_drawn(fast_max))
-            .line("99th percentile", of_drawn(fast_p99))
-            .line("RMS", of_drawn(fast_rms)),
-        precision("Precision, exact visibility: 99th percentile", 2),
-        precision("Precision, exact visibility: RMS", 1),
-        Panel::new("Cost against error", time, log("RMS relative error")).front(&costs.choices(
-            cost,
-            rms,
-            |row| (VARIANTS[row.0].1.to_owned(), row.0 == 0),
-        )),
+            .line("largest found", of_drawn("fast max"))
+            .line("99th percentile", of_drawn("fast p99"))
+            .line("RMS", of_drawn("fast RMS")),
+        precision("Precision, exact visibility: 99th percentile", "p99"),
+        precision("Precision, exact visibility: RMS", "RMS"),
+        costs.front(cost, "cost ratio", "RMS", |row| (VARIANTS[row.0].1.to_owned(), row.0 == 0)),
     ];
     let title = "Reflection: visibility term and precision (reference: f64, exact visibility)";
     Ok(Curve { name: "brdf", title, tables: vec![errors.into(), costs.into()], panels })
@@ -357,9 +292,9 @@ mod tests {
     use crate::sample;
 
     /// The pass; skipped with a message without an adapter, unless one is required.
-    fn bench() -> Option<Bench> {
-        match Bench::open() {
-            Ok(bench) => Some(bench),
+    fn gpu() -> Option<Gpu> {
+        match Gpu::open_blocking() {
+            Ok(gpu) => Some(gpu),
             Err(error) => {
                 assert!(std::env::var_os("TOMBOLO_REQUIRE_GPU").is_none(), "a GPU is required: {error}");
                 eprintln!("SKIPPED: {error}");
@@ -387,17 +322,17 @@ mod tests {
 
     #[test]
     fn f32_is_near_the_reference_and_the_naive_form_is_not() {
-        let Some(bench) = bench() else { return };
+        let Some(gpu) = gpu() else { return };
         for roughness in [FLOOR, 0.2, 0.9] {
             let probes = probes(roughness);
-            let terms = bench.terms(&probes).unwrap();
+            let terms = terms(&gpu, &probes).unwrap();
             let Figures { max, .. } = figures(terms.iter().zip(&probes).map(|(terms, probe)| {
                 assembled(terms, false, Form::Lagrange) / reflection(probe, Form::Lagrange, |v| v) - 1.0
             }));
             assert!(max < 2e-3, "roughness {roughness}: {max}");
         }
         let probes = probes(FLOOR);
-        let terms = bench.terms(&probes).unwrap();
+        let terms = terms(&gpu, &probes).unwrap();
         let Figures { max, .. } = figures(terms.iter().zip(&probes).map(|(terms, probe)| {
             assembled(terms, false, Form::Naive) / reflection(probe, Form::Lagrange, |v| v) - 1.0
         }));
@@ -407,11 +342,11 @@ mod tests {
     /// Share of white light from everywhere that a surface gives back to an eye at the cosine `nv`:
     /// the lobe for a Fresnel term of 1, the lobe with the shipped Fresnel term, the same plus the
     /// body below it, and the first without masking and shadowing.
-    fn furnace(bench: &Bench, roughness: f64, nv: f64) -> [f64; 4] {
+    fn furnace(gpu: &Gpu, roughness: f64, nv: f64) -> [f64; 4] {
         const SAMPLES: u32 = 1 << 14;
         let [normal, east, south] = surface();
         let level = (1.0 - nv * nv).sqrt();
-        let to_eye: Vector = std::array::from_fn(|axis| nv * normal[axis] + level * east[axis]);
+        let to_eye = nv * normal + level * east;
         let mut probes = Vec::new();
         let mut weights = Vec::new();
         let alpha = roughness * roughness;
@@ -423,31 +358,29 @@ mod tests {
             let of_lobe = index % 2 == 0;
             let polar = if of_lobe { (alpha * (u / (1.0 - u)).sqrt()).atan() } else { u.sqrt().asin() };
             let (sin, cos) = polar.sin_cos();
-            let middle: Vector = std::array::from_fn(|axis| {
-                cos * normal[axis] + sin * (turn.cos() * east[axis] + turn.sin() * south[axis])
-            });
+            let middle = cos * normal + sin * (turn.cos() * east + turn.sin() * south);
             let (to_light, density) = if of_lobe {
-                let along = dot(to_eye, middle);
-                let to_light = std::array::from_fn(|axis| 2.0 * along * middle[axis] - to_eye[axis]);
+                let along = to_eye.dot(middle);
+                let to_light = 2.0 * along * middle - to_eye;
                 let k = alpha / (sin * sin + cos * cos * alpha * alpha);
                 (to_light, k * k / PI * cos / (4.0 * along.abs().max(1e-9)))
             } else {
                 (middle, cos / PI)
             };
-            let above = dot(normal, to_light) > 1e-6 && dot(to_eye, sum(to_eye, to_light)) > 0.0;
+            let above = normal.dot(to_light) > 1e-6 && to_eye.dot(to_eye + to_light) > 0.0;
             probes.push(BrdfProbe {
-                normal: narrow(normal),
+                normal: normal.as_vec3().to_array(),
                 roughness: roughness as f32,
-                to_eye: narrow(to_eye),
+                to_eye: to_eye.as_vec3().to_array(),
                 f0: F0 as f32,
-                to_light: narrow(if above { to_light } else { normal }),
+                to_light: (if above { to_light } else { normal }).as_vec3().to_array(),
                 gap: 0.0,
             });
             weights.push((of_lobe, if above { 1.0 / density } else { 0.0 }));
         }
         let half = f64::from(SAMPLES) / 2.0;
         let mut shares = [0.0; 4];
-        for ((of_lobe, weight), terms) in weights.into_iter().zip(bench.terms(&probes).unwrap()) {
+        for ((of_lobe, weight), terms) in weights.into_iter().zip(terms(gpu, &probes).unwrap()) {
             let [distribution, _, visibility, _, fresnel, burley, albedo, nl] = terms.map(f64::from);
             if of_lobe {
                 let lobe = distribution * visibility * nl * weight / half;
@@ -467,11 +400,11 @@ mod tests {
     #[test]
     fn no_surface_gains_energy_and_one_without_masking_does() {
         const TOLERANCE: f64 = 0.015;
-        let Some(bench) = bench() else { return };
+        let Some(gpu) = gpu() else { return };
         let mut unmasked = 0.0f64;
         for roughness in [0.1, 0.3, 0.5, 0.7, 0.9, 1.0] {
             for nv in [0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 1.0] {
-                let [lobe, gloss, all, without] = furnace(&bench, roughness, nv);
+                let [lobe, gloss, all, without] = furnace(&gpu, roughness, nv);
                 eprintln!(
                     "roughness {roughness}, cosine {nv}: lobe {lobe:.3}, gloss {gloss:.3}, all {all:.3}"
                 );

@@ -4,7 +4,7 @@
 //! little.
 
 use crate::chart::{Panel, linear, log};
-use crate::curve::{Column, Curve, Sheet};
+use crate::curve::{Curve, Sheet};
 use crate::sample;
 use anyhow::{Result, ensure};
 use protocol::chunk_codec::{self, Effort, quantised, refined, seed_only};
@@ -38,33 +38,32 @@ const PYRAMIDS: &str = "\
 pub fn measure(world_seed: u64) -> Result<Curve> {
     let land = Land::new(world_seed);
     let world = land.digest();
-    let (tolerances, columns) = tolerances(&land, &world)?;
-    let (deliveries, client) = deliveries(&land, &world)?;
+    let tolerances = tolerances(&land, &world)?;
+    let deliveries = deliveries(&land, &world)?;
     let pyramids = pyramids(&land, &world);
-    let [stated, error, bytes, decode] = columns;
-    let points = |column| tolerances.points(stated[0], column).into_iter().skip(1);
+    let points = |column: &str| tolerances.points("tolerance, m", column).into_iter().skip(1);
     let span = [Tolerance::FINEST.metres(), Tolerance::COARSEST.metres()];
     let x = log("tolerance, m");
+    let by_effort = |title, y, figure: &str| {
+        let line = |panel: Panel, (_, name)| panel.line(name, points(&format!("{figure}, {name}")));
+        EFFORTS.into_iter().fold(Panel::new(title, x, linear(y)), line)
+    };
     let by_level = Panel::new(
         "Bytes against the client's time, by level of detail",
         log("bytes per chunk"),
         log("client, ms per chunk"),
     );
-    let line = |panel: Panel, ((_, label), [bytes, ms]): ((_, &str), [Column; 2])| {
-        let points = deliveries.points(bytes, ms).into_iter();
-        panel.line(label, points.filter(|(bytes, ms)| bytes.is_finite() && ms.is_finite()))
+    let line = |panel: Panel, (name, label)| {
+        let points = deliveries.points(&format!("bytes, {name}"), &format!("client ms, {name}"));
+        panel.line(label, points.into_iter().filter(|(bytes, ms)| bytes.is_finite() && ms.is_finite()))
     };
     let panels = vec![
-        Panel::new("Size against tolerance", x, linear("bytes per vertex"))
-            .line("compact", points(bytes[0]))
-            .line("fast", points(bytes[1])),
+        by_effort("Size against tolerance", "bytes per vertex", "bytes per vertex"),
         Panel::new("Height error against tolerance", x, log("height error, m"))
-            .line("largest found", points(error[0]))
+            .line("largest found", points("max error, m"))
             .bound("the tolerance", span.map(|m| (m, m))),
-        Panel::new("Decoding time against tolerance", x, linear("decode, ms per chunk"))
-            .line("compact", points(decode[0]))
-            .line("fast", points(decode[1])),
-        DELIVERIES.into_iter().zip(client).fold(by_level, line),
+        by_effort("Decoding time against tolerance", "decode, ms per chunk", "decode, ms"),
+        DELIVERIES.into_iter().fold(by_level, line),
     ];
     let tables = vec![tolerances.into(), deliveries.into(), pyramids.into()];
     let title = "Codec of chunks: bytes, milliseconds and error (reference: the land's own integers)";
@@ -114,8 +113,8 @@ fn bytes<T: AsRef<[u8]>>(frames: &[T]) -> f64 {
     frames.iter().map(|frame| frame.as_ref().len()).sum::<usize>() as f64 / frames.len() as f64
 }
 
-/// All tolerances, with the columns: tolerance, error, bytes by effort, decoding by effort.
-fn tolerances(land: &Land, world: &WorldDigest) -> Result<(Sheet<Coded>, [[Column; 2]; 4])> {
+/// All tolerances.
+fn tolerances(land: &Land, world: &WorldDigest) -> Result<Sheet<Coded>> {
     let chunks = chunks(land, 0);
     let mut rows = Vec::new();
     for tolerance in std::iter::once(None).chain(Tolerance::all().map(Some)) {
@@ -148,31 +147,25 @@ fn tolerances(land: &Land, world: &WorldDigest) -> Result<(Sheet<Coded>, [[Colum
         rows.iter().skip(1).all(|row| row.error_m * 2.0 >= row.stated_m),
         "quantising moves no height by half of its tolerance: the comparison detects nothing"
     );
-    let mut sheet = Sheet::new(
-        "codec_tolerance",
-        format!(
-            "whole frames of {} level-0 chunks with land, exact (tolerance 0) and quantised, at both \
-             efforts; \
-             times of one thread, digest and pyramids included.",
-            chunks.len()
-        ),
-        rows,
+    let caption = format!(
+        "whole frames of {} level-0 chunks with land, exact (tolerance 0) and quantised, at both \
+         efforts; times of one thread, digest and pyramids included.",
+        chunks.len()
     );
-    let stated = sheet.column("tolerance, m", |row| row.stated_m);
-    let error = sheet.column("max error, m", |row| row.error_m);
-    let by_effort = [0, 1].map(|effort: usize| {
-        let name = EFFORTS[effort].1;
+    let mut sheet = Sheet::new("codec_tolerance", caption, rows);
+    sheet.column("tolerance, m", |row| row.stated_m);
+    sheet.column("max error, m", |row| row.error_m);
+    for (effort, (_, name)) in EFFORTS.into_iter().enumerate() {
         let per_vertex = |row: &Coded| row.by_effort[effort][0] / VERTEX_COUNT as f64;
-        let bytes = sheet.column(format!("bytes per vertex, {name}"), per_vertex);
+        sheet.column(format!("bytes per vertex, {name}"), per_vertex);
         sheet.column(format!("encode, ms, {name}"), |row| row.by_effort[effort][1]);
-        (bytes, sheet.column(format!("decode, ms, {name}"), |row| row.by_effort[effort][2]))
-    });
-    let [(compact, compact_ms), (fast, fast_ms)] = by_effort;
-    Ok((sheet, [[stated; 2], [error; 2], [compact, fast], [compact_ms, fast_ms]]))
+        sheet.column(format!("decode, ms, {name}"), |row| row.by_effort[effort][2]);
+    }
+    Ok(sheet)
 }
 
-/// All levels, with the columns of bytes and milliseconds by delivery.
-fn deliveries(land: &Land, world: &WorldDigest) -> Result<(Sheet<Delivered>, [[Column; 2]; 4])> {
+/// All levels.
+fn deliveries(land: &Land, world: &WorldDigest) -> Result<Sheet<Delivered>> {
     let mut rows = Vec::new();
     for level in [0, 1, 2, 3, 4, 6, 8] {
         let chunks = chunks(land, level);
@@ -206,12 +199,11 @@ fn deliveries(land: &Land, world: &WorldDigest) -> Result<(Sheet<Delivered>, [[C
     let mut sheet = Sheet::new("codec_delivery", DELIVERY, rows);
     sheet.column("level", |row| row.level.into());
     sheet.column("chunks", |row| row.chunks as f64);
-    let columns = [0, 1, 2, 3].map(|delivery: usize| {
-        let name = DELIVERIES[delivery].0;
-        let bytes = sheet.column(format!("bytes, {name}"), |row| row.by_delivery[delivery][0]);
-        [bytes, sheet.column(format!("client ms, {name}"), |row| row.by_delivery[delivery][1])]
-    });
-    Ok((sheet, columns))
+    for (delivery, (name, _)) in DELIVERIES.into_iter().enumerate() {
+        sheet.column(format!("bytes, {name}"), |row| row.by_delivery[delivery][0]);
+        sheet.column(format!("client ms, {name}"), |row| row.by_delivery[delivery][1]);
+    }
+    Ok(sheet)
 }
 
 /// Cost of sending the pyramids instead of rebuilding them. Every base texel follows from four

@@ -11,16 +11,18 @@ use crate::culling::frames;
 use crate::culling::occlusion::{Counting, Score};
 use crate::culling::reference::{VisibilityReference, eye_of};
 use crate::culling::scene::Scene;
-use crate::curve::{Column, Curve, Sheet, numbered};
+use crate::curve::{Curve, Sheet, numbered};
 use crate::gpu_probes::cpu_cull::noise_of;
+use crate::table::Table;
 use anyhow::{Result, ensure};
 use client::cache::vertical_scale;
 use client::features::vegetation::by_slot::BySlot;
-use client::features::vegetation::{Cull, VegetationSettings};
+use client::features::vegetation::{Cull, SpeciesParams, VegetationSettings};
 use rayon::prelude::*;
 use shaders::layout::Culling;
+use shaders::twin::placement::Clump;
 use shaders::twin::raymarch_occlusion::{raymarch_occlusion, raymarch_occlusion_by_vertices};
-use shaders::twin::surface::Surface;
+use shaders::twin::surface::{Slots, Surface};
 use shaders::twin::visibility::tip_occludee;
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -124,6 +126,22 @@ impl Test {
     const fn is_march(&self) -> bool {
         matches!(self, Self::March(_))
     }
+
+    fn culls<S: Slots>(
+        self,
+        surface: &Surface<'_, S>,
+        noise: &impl Fn(i32, i32) -> i32,
+        stand: &SpeciesParams,
+        clump: &Clump,
+    ) -> bool {
+        let with = |step: f64| Culling { step: (step * FINE) as i32, ..stand.culling };
+        let tip = tip_occludee(&stand.culling, &stand.planting, clump);
+        match self {
+            Self::Noise(step) => raymarch_occlusion(noise, &with(step), &tip, 0),
+            Self::March(step) => raymarch_occlusion_by_vertices(surface, &with(step), &tip),
+            Self::Exact => judged(surface, stand, clump).is_occluded,
+        }
+    }
 }
 
 fn tests() -> Vec<(String, Test)> {
@@ -159,17 +177,13 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
         let has_lost = |(_, test, outcome): (_, &Test, &Outcome)| is(test) && outcome.score.false_culls > 0;
         ensure!(results().any(has_lost), "{name} loses nothing: the reference detects nothing");
     }
-    let mut sheet = Sheet::new(
-        "culling",
-        format!(
-            "clumps of grass and trees that stand in the view, judged by sight over the drawn triangles in \
-             f64; \
-             scenes: {}; tests: {}; {POSES} poses a scene; time of one ray on one thread.",
-            numbered(SCENES.map(|scene| scene.0), ", "),
-            numbered(tests.iter().map(|test| &test.0), ", ")
-        ),
-        rows,
+    let caption = format!(
+        "clumps of grass and trees that stand in the view, judged by sight over the drawn triangles in f64; \
+         scenes: {}; tests: {}; {POSES} poses a scene; time of one ray on one thread.",
+        numbered(SCENES.map(|scene| scene.0), ", "),
+        numbered(tests.iter().map(|test| &test.0), ", ")
     );
+    let mut sheet = Sheet::new("culling", caption, rows);
     sheet.column("scene", |row| row.scene as f64);
     sheet.column("test", |row| row.test as f64);
     sheet.column("seen", |row| row.outcome.score.visible as f64);
@@ -190,8 +204,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
     };
     let exact = totals.last().copied().unwrap_or_default();
     let level = |value: f64| STEPS_M.map(|step| (step, value));
-    let (hysteresis, frames, columns) = hysteresis(&land, &all)?;
-    let by_frames = |test: usize, part: usize| hysteresis.points(frames, columns[test][part]);
+    let hysteresis = hysteresis(&land, &all)?;
     let (costs, cost_panel) = costs(&land)?;
     let panels = vec![
         Panel::new(
@@ -207,16 +220,14 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
             .line("T3 march: hidden kept", by_step(Test::is_march, Outcome::kept_percent))
             .line("T3 exact: lost", level(exact.lost_percent()))
             .line("T3 exact: hidden kept", level(exact.kept_percent())),
-        Panel::new("Frames that a chunk stays: a walk of 0.5 m a frame", linear("frames"), linear("%"))
-            .line("five points: seen chunks lost", by_frames(0, 0))
-            .line("five points: hidden chunks kept", by_frames(0, 1))
-            .line("five points: changes, % of chunk-frames", by_frames(0, 2))
-            .line("T4: seen chunks lost", by_frames(1, 0))
-            .line("T4: hidden chunks kept", by_frames(1, 1))
-            .line("T4: changes, % of chunk-frames", by_frames(1, 2)),
+        hysteresis.lines(
+            Panel::new("Frames that a chunk stays: a walk of 0.5 m a frame", linear("frames"), linear("%")),
+            "frames",
+            HYSTERESIS_CURVES,
+        ),
         cost_panel,
     ];
-    let tables = vec![sheet.into(), hysteresis.into(), costs.into()];
+    let tables = vec![sheet.into(), hysteresis.into(), costs];
     let title = "Occlusion tests: losses, keeps and cost (reference: the drawn triangles in f64)";
     Ok(Curve { name: "culling", title, tables, panels })
 }
@@ -253,18 +264,10 @@ fn judge(scene: &Scene, tests: &[(String, Test)]) -> Vec<Outcome> {
                     .then(|| reference.sees_any(eye_of(&scene.shot.pose), &vertices.points, &mut hint_m))
             })
             .collect();
-        let with = |step: f64| Culling { step: (step * FINE) as i32, ..stand.culling };
-        let tip = |clump| tip_occludee(&stand.culling, &stand.planting, clump);
         for ((_, test), outcome) in tests.iter().zip(&mut outcomes) {
             let begun = Instant::now();
-            let culled: Vec<bool> = clumps
-                .iter()
-                .map(|clump| match *test {
-                    Test::Noise(step) => raymarch_occlusion(&noise, &with(step), &tip(clump), 0),
-                    Test::March(step) => raymarch_occlusion_by_vertices(&surface, &with(step), &tip(clump)),
-                    Test::Exact => judged(&surface, stand, clump).is_occluded,
-                })
-                .collect();
+            let culled: Vec<bool> =
+                clumps.iter().map(|clump| test.culls(&surface, &noise, stand, clump)).collect();
             outcome.time += begun.elapsed();
             outcome.rays += clumps.len() as u64;
             for (seen, culled) in seen.iter().zip(culled) {
@@ -274,11 +277,7 @@ fn judge(scene: &Scene, tests: &[(String, Test)]) -> Vec<Outcome> {
             }
             counting.reads.set(0);
             for clump in &clumps {
-                black_box(match *test {
-                    Test::Noise(step) => raymarch_occlusion(&counted_noise, &with(step), &tip(clump), 0),
-                    Test::March(step) => raymarch_occlusion_by_vertices(&counted, &with(step), &tip(clump)),
-                    Test::Exact => judged(&counted, stand, clump).is_occluded,
-                });
+                black_box(test.culls(&counted, &counted_noise, stand, clump));
             }
             outcome.reads += counting.reads.get();
         }
@@ -292,9 +291,18 @@ struct Hysteresis {
     tests: [[f64; 3]; 2],
 }
 
-/// Chunks along walks, each kept for some frames after a test last kept it; with the columns:
-/// frames, and the figures of each test.
-fn hysteresis(land: &Land, all: &[Case]) -> Result<(Sheet<Hysteresis>, Column, [[Column; 3]; 2])> {
+/// Curves of the hysteresis, with their columns.
+const HYSTERESIS_CURVES: [(&str, &str); 6] = [
+    ("five points: seen chunks lost", "five points: lost, % of seen"),
+    ("five points: hidden chunks kept", "five points: kept, % of hidden"),
+    ("five points: changes, % of chunk-frames", "five points: changes, %"),
+    ("T4: seen chunks lost", "T4: lost, % of seen"),
+    ("T4: hidden chunks kept", "T4: kept, % of hidden"),
+    ("T4: changes, % of chunk-frames", "T4: changes, %"),
+];
+
+/// Chunks along walks, each kept for some frames after a test last kept it.
+fn hysteresis(land: &Land, all: &[Case]) -> Result<Sheet<Hysteresis>> {
     let walks: Vec<&Case> = [Site::Valley, Site::Slope]
         .into_iter()
         .filter_map(|site| all.iter().find(|case| is_home(case) && case.site == site))
@@ -329,27 +337,19 @@ fn hysteresis(land: &Land, all: &[Case]) -> Result<(Sheet<Hysteresis>, Column, [
         tests: [figures(frames, |chunk| chunk.has_point), figures(frames, |chunk| chunk.has_clump)],
     };
     let rows = HYSTERESIS.map(row).into();
-    let mut sheet = Sheet::new(
-        "culling_stay",
-        format!(
-            "chunks of 128 m in view on {} walks of {FRAMES} frames, {STRIDE_M} m apart, each kept for some \
-             frames \
-             after a test last kept it; a change is a chunk in view that is kept in one of two neighbouring \
-             frames and left out in the other.",
-            walks.len()
-        ),
-        rows,
+    let caption = format!(
+        "chunks of 128 m in view on {} walks of {FRAMES} frames, {STRIDE_M} m apart, each kept for \
+         some frames after a test last kept it; a change is a chunk in view that is kept in one of two \
+         neighbouring frames and left out in the other.",
+        walks.len()
     );
+    let mut sheet = Sheet::new("culling_stay", caption, rows);
     ensure!(sheet.rows.iter().all(|row: &Hysteresis| row.tests[1][0] == 0.0), "T4 lost a visible chunk");
-    let frames = sheet.column("frames", |row| row.frames as f64);
-    let columns = [0, 1].map(|test: usize| {
-        let name = ["five points", "T4"][test];
-        [0, 1, 2].map(|part: usize| {
-            let what = ["lost, % of seen", "kept, % of hidden", "changes, %"][part];
-            sheet.column(format!("{name}: {what}"), |row| row.tests[test][part])
-        })
-    });
-    Ok((sheet, frames, columns))
+    sheet.column("frames", |row| row.frames as f64);
+    for (index, (_, column)) in HYSTERESIS_CURVES.into_iter().enumerate() {
+        sheet.column(column, |row| row.tests[index / 3][index % 3]);
+    }
+    Ok(sheet)
 }
 
 fn chunks(
@@ -374,26 +374,24 @@ fn chunks(
 }
 
 /// Cost of the methods in the valley scene.
-fn costs(land: &Land) -> Result<(Sheet<(usize, frames::Cost)>, Panel)> {
+fn costs(land: &Land) -> Result<(Table, Panel)> {
     let frames = frames::measure(land, client::scene::Scene::Culling.plants())?;
-    let mut sheet = Sheet::new(
-        "culling_ways",
-        format!(
-            "the scene `culling` as it starts, 320 x 180 pixels, medians of interleaved rounds on {}; ways: \
-             {}.",
-            frames.adapter,
-            numbered(frames.ways.iter().map(|cost| cost.way), ", ")
-        ),
-        frames.ways.into_iter().enumerate().collect(),
+    let caption = format!(
+        "the scene `culling` as it starts, 320 x 180 pixels, medians of interleaved rounds on {}; ways: {}.",
+        frames.adapter,
+        numbered(frames.ways.iter().map(|cost| cost.way), ", ")
     );
-    sheet.column("way", |row| row.0 as f64);
-    let clumps = sheet.column("clumps", |row| row.1.clumps as f64);
+    let mut sheet = Sheet::new("culling_ways", caption, frames.ways.into_iter().enumerate().collect());
+    sheet.column("way", |row: &(usize, frames::Cost)| row.0 as f64);
+    sheet.column("clumps", |row| row.1.clumps as f64);
     sheet.column("choice, ms", |row| row.1.choice_ms);
     sheet.column("frame, ms", |row| row.1.frame_ms);
     sheet.column("choice ratio", |row| row.1.choice_ratio);
-    let ratio = sheet.column("frame ratio", |row| row.1.frame_ratio);
+    sheet.column("frame ratio", |row| row.1.frame_ratio);
     let (x, y) = (linear("clumps drawn"), linear("time of a frame over that of T1"));
-    let name = |row: &(usize, frames::Cost)| (row.1.way.to_owned(), frames::WAYS[row.0].1 == Cull::default());
-    let panel = Panel::new("Methods in the valley scene", x, y).front(&sheet.choices(clumps, ratio, name));
-    Ok((sheet, panel))
+    let panel = Panel::new("Methods in the valley scene", x, y);
+    let panel = sheet.front(panel, "clumps", "frame ratio", |row| {
+        (row.1.way.to_owned(), frames::WAYS[row.0].1 == Cull::default())
+    });
+    Ok((sheet.into(), panel))
 }

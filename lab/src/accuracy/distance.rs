@@ -6,7 +6,7 @@
 //! (262,144 m) nearer to the origin, which should be equal.
 
 use crate::chart::{Panel, log};
-use crate::curve::{Column, Curve, Sheet};
+use crate::curve::{Curve, Sheet};
 use crate::floats::{FloatLand, NOISE_CRATE_PERIOD_M, TOTAL_M, metres, metres_f32, noise_crate};
 use crate::reference_f64::ReferenceF64;
 use crate::sample::{unit, word};
@@ -61,25 +61,26 @@ pub fn measure(world_seed: u64) -> Curve {
         format!("relief of 8 octaves at {POINTS} points per distance, each field against its own reference."),
         DISTANCES_M.into_iter().enumerate().map(row).collect(),
     );
-    let distance = sheet.column("distance, m", |row| row.0);
-    let columns = [0, 1, 2, 3].map(|field| {
-        let name = FIELDS[field].0;
-        let max = sheet.column(format!("{name} max, m"), |row| row.1[field].max);
-        [max, sheet.column(format!("{name} p99, m"), |row| row.1[field].p99)]
-    });
-    let panel = |title, figure: usize| {
-        let line = |panel: Panel, ((_, name), columns): ((_, &str), [Column; 2])| {
-            let points = sheet.points(distance, columns[figure]);
+    sheet.column("distance, m", |row| row.0);
+    for (field, (name, _)) in FIELDS.into_iter().enumerate() {
+        sheet.column(format!("{name} max, m"), |row| row.1[field].max);
+        sheet.column(format!("{name} p99, m"), |row| row.1[field].p99);
+    }
+    let panel = |title, figure| {
+        let line = |panel: Panel, (column, name): (&str, &str)| {
+            let points = sheet.points("distance, m", &format!("{column} {figure}, m"));
             // A logarithmic axis cannot show zeros.
             let zero = if points.iter().all(|point| point.1 == 0.0) { " (0 everywhere)" } else { "" };
             panel.line(format!("{name}{zero}"), points)
         };
         let empty = Panel::new(title, log("distance from the origin, m"), log("relief error, m"));
-        let panel = FIELDS.into_iter().zip(columns).fold(empty, line);
+        let panel = FIELDS.into_iter().fold(empty, line);
         panel.bound("bar, 1/128 m", [(1.0, 1.0 / 128.0), (4.2e6, 1.0 / 128.0)])
     };
-    let panels =
-        vec![panel("Largest error against distance", 0), panel("99th percentile against distance", 1)];
+    let panels = vec![
+        panel("Largest error against distance", "max"),
+        panel("99th percentile against distance", "p99"),
+    ];
     let title = "Distance from the origin: relief error of integers and floats";
     Curve { name: "distance", title, tables: vec![sheet.into()], panels }
 }
@@ -107,13 +108,13 @@ mod tests {
     fn integers_are_as_accurate_at_the_border_and_f32_is_not() {
         let curve = measure(5);
         let table = &curve.tables[0];
-        for (distance, error) in table.curve("distance, m", "ours max, m") {
+        for (distance, error) in table.points("distance, m", "ours max, m") {
             assert!(error < 0.002, "{error} m at {distance} m");
         }
-        let f32_errors = table.curve("distance, m", "f32 p99, m");
+        let f32_errors = table.points("distance, m", "f32 p99, m");
         let (near, far) = (f32_errors[6].1, f32_errors[DISTANCES_M.len() - 1].1);
         assert!(near < 0.001 && far > 0.05, "{near} near, {far} far");
-        let in_f64 = table.curve("distance, m", "noise f64 max, m");
+        let in_f64 = table.points("distance, m", "noise f64 max, m");
         assert!(in_f64.iter().all(|point| point.1 < 1e-6), "f64 is fine enough: {in_f64:?}");
     }
 }

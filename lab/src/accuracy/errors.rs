@@ -5,6 +5,12 @@ use crate::stats::Figures;
 use terrain::constants::{SPACING_BITS, UNITS_PER_METRE, WORLD_HALF};
 use terrain::{Land, Octaves, Position};
 
+/// Curves of height and slope errors, with their columns.
+pub const HEIGHTS: [(&str, &str); 2] = [("largest found", "max, m"), ("99th percentile", "p99, m")];
+/// See [`HEIGHTS`].
+pub const SLOPES: [(&str, &str); 2] =
+    [("largest found", "max, degrees"), ("99th percentile", "p99, degrees")];
+
 /// Distance of the neighbours of a central difference, units: one vertex (2 m) to either side.
 pub const REACH: i32 = 1 << SPACING_BITS;
 

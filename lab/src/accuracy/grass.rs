@@ -1,19 +1,15 @@
 //! Grass: density and thinning with distance against the full field: coverage, mean FLIP, clumps.
 
 use crate::chart::{Choice, Panel, linear, log};
-use crate::culling::cases::{Case, LENS, Site};
+use crate::culling::cases::Case;
 use crate::culling::id_buffer::frame_of;
 use crate::culling::scene::Scene;
 use crate::curve::{Curve, Sheet};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
 use crate::headless_renderer::HeadlessRenderer;
 use anyhow::{Context, Result, ensure};
-use client::cache::vertical_scale;
-use client::camera::Projection;
 use client::features::vegetation::{Cull, VegetationSettings};
 use client::gpu::Image;
-use client::settings::RenderSettings;
-use client::view::ViewParams;
 use terrain::Land;
 
 /// Size of the compared pictures, pixels, and the factor of supersampling.
@@ -67,9 +63,8 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
         "no grass is visible at the start of the scene `grass` in world {world_seed}"
     );
     let caption = format!(
-        "the scene `grass` from where it starts, {} x {} pixels averaged from {} x {}; against all 32 \
-         clumps on \
-         every cell up to {} m, which cover {:.1} % of the picture with {:.0} clumps; FLIP at \
+        "the scene `grass` from where it starts, {} x {} pixels averaged from {} x {}; against all 32 clumps \
+         on every cell up to {} m, which cover {:.1} % of the picture with {:.0} clumps; FLIP at \
          {PIXELS_PER_DEGREE} pixels per degree; {}.",
         SIZE.0,
         SIZE.1,
@@ -146,22 +141,9 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
 }
 
 fn render(renderer: &mut HeadlessRenderer, land: &Land, plants: VegetationSettings) -> Result<Rendered> {
-    let start = client::scene::Scene::Grass;
     let fine = (SIZE.0 * FINER, SIZE.1 * FINER);
-    let case = Case {
-        name: "the scene `grass`".into(),
-        site: Site::Slope,
-        shot: ViewParams {
-            pose: start.start(),
-            // Levels of detail of the small picture: the terrain does not depend on the resolution.
-            projection: Projection { width: SIZE.0, height: SIZE.1, ..LENS },
-            view_distance_m: 2600,
-            tolerance_px: 2.0,
-            time_s: 0.0,
-            settings: RenderSettings { plants, ..RenderSettings::default() },
-        },
-        stretch: vertical_scale::ONE,
-    };
+    // Levels of detail of the small picture: the terrain does not depend on the resolution.
+    let case = Case::at_start(client::scene::Scene::Grass, SIZE, plants);
     let scene = Scene::of(land, &case, renderer.slots()).context("nothing grows in the scene `grass`")?;
     renderer.upload_world(&scene.world);
     let frame = frame_of(&scene, Cull::Frustum);

@@ -12,7 +12,7 @@
 //! - bytes of a chunk on the wire, and time.
 
 use crate::chart::{Panel, linear, log};
-use crate::curve::{Column, Curve, Sheet};
+use crate::curve::{Curve, Sheet};
 use crate::sample::{self, word};
 use crate::stats::{Figures, interleaved, median_s};
 use protocol::chunk_codec;
@@ -98,62 +98,59 @@ pub fn measure(world_seed: u64) -> Curve {
     let rows: Vec<Row> = (0..LEVELS).map(row).collect();
     let units = |value: u32| f64::from(value) / f64::from(UNITS_PER_METRE);
     let mut errors = Sheet::new("levels", ERRORS, rows.iter().collect());
-    let level = errors.column("level", |row| row.level.into());
+    errors.column("level", |row| row.level.into());
     errors.column("spacing, m", |row| units(1 << (SPACING_BITS + u32::from(row.level))));
     errors.column("octaves", |row| row.found[1].octaves.count() as f64);
-    let max = errors.column("apart max, m", |row| row.found[1].apart_m.max);
-    let p99 = errors.column("apart p99, m", |row| row.found[1].apart_m.p99);
-    let proved = errors.column("proved, m", |row| units(row.found[1].octaves.dropped_bound()));
-    let mean = by_rule(&mut errors, "mean", ", m", |found| found.from_mean_m.rms);
-    let drawn = by_rule(&mut errors, "drawn", ", m", |found| found.drawn_m.rms);
+    errors.column("apart max, m", |row| row.found[1].apart_m.max);
+    errors.column("apart p99, m", |row| row.found[1].apart_m.p99);
+    errors.column("proved, m", |row| units(row.found[1].octaves.dropped_bound()));
+    by_rule(&mut errors, "mean", ", m", |found| found.from_mean_m.rms);
+    by_rule(&mut errors, "drawn", ", m", |found| found.drawn_m.rms);
     errors.column("worst all, m", |row| row.found[0].drawn_m.max);
     errors.column("worst cell, m", |row| row.found[1].drawn_m.max);
     let mut costs = Sheet::new("levels_cost", COSTS, rows.iter().collect());
     costs.column("level", |row| row.level.into());
-    let rough = by_rule(&mut costs, "rough", "", |found| found.roughness);
-    let bytes = by_rule(&mut costs, "bytes", "", |found| found.bytes);
-    let cost = by_rule(&mut costs, "cost", "", |found| found.cost);
+    by_rule(&mut costs, "rough", "", |found| found.roughness);
+    by_rule(&mut costs, "bytes", "", |found| found.bytes);
+    by_rule(&mut costs, "cost", "", |found| found.cost);
 
     let x = linear("level");
     // The rules differ by parts of a tenth over four decades: shares of keeping all show it.
-    let shares = |title, y, columns: [Column; 3]| {
-        let all = errors.points(level, columns[0]);
-        let share = |column| {
-            let pairs = errors.points(level, column).into_iter().zip(all.clone());
+    let shares = |title, y, name: &str| {
+        let points = |rule: &str| errors.points("level", &format!("{name} {rule}, m"));
+        let share = |rule: &str| {
+            let pairs = points(rule).into_iter().zip(points("all"));
             pairs.filter(|(_, all)| all.1 > 0.0).map(|(own, all)| (own.0, own.1 / all.1)).collect::<Vec<_>>()
         };
-        let lines = RULES.into_iter().zip(columns);
-        lines.fold(Panel::new(title, x, y), |panel, ((.., name), column)| panel.line(name, share(column)))
+        RULES.iter().fold(Panel::new(title, x, y), |panel, (_, rule, label)| panel.line(*label, share(rule)))
     };
-    let of_rules = |title, y, columns: [Column; 3]| {
-        let lines = RULES.into_iter().zip(columns);
-        lines.fold(Panel::new(title, x, y), |panel, ((.., name), column)| {
-            panel.line(name, costs.points(level, column))
-        })
+    let of_rules = |title, y, name: &str| {
+        let columns = RULES.map(|(_, rule, label)| (label, format!("{name} {rule}")));
+        costs.lines(Panel::new(title, x, y), "level", columns)
     };
+    let apart = [("largest found", "apart max, m"), ("99th percentile", "apart p99, m")];
     let panels = vec![
-        Panel::new("Vertices against full heights", x, log("height error, m"))
-            .line("largest found", errors.points(level, max))
-            .line("99th percentile", errors.points(level, p99))
-            .bound("proved bound", errors.points(level, proved)),
+        errors
+            .lines(Panel::new("Vertices against full heights", x, log("height error, m")), "level", apart)
+            .bound("proved bound", errors.points("level", "proved, m")),
         shares(
             "Aliasing: vertices against the local mean",
             linear("RMS distance, share of all octaves"),
-            mean,
+            "mean",
         ),
-        shares("Drawn triangles against the land", linear("RMS error, share of all octaves"), drawn),
-        of_rules("Roughness from vertex to vertex", linear("RMS second difference over spacing"), rough),
-        of_rules("Chunk on the wire", linear("bytes"), bytes),
-        of_rules("Cost per vertex", linear("time, share of all octaves"), cost),
+        shares("Drawn triangles against the land", linear("RMS error, share of all octaves"), "drawn"),
+        of_rules("Roughness from vertex to vertex", linear("RMS second difference over spacing"), "rough"),
+        of_rules("Chunk on the wire", linear("bytes"), "bytes"),
+        of_rules("Cost per vertex", linear("time, share of all octaves"), "cost"),
     ];
     let title = "Levels: all octaves, or only those that the grid carries";
     Curve { name: "levels", title, tables: vec![errors.into(), costs.into()], panels }
 }
 
-fn by_rule(sheet: &mut Sheet<&Row>, name: &str, unit: &str, value: fn(&Found) -> f64) -> [Column; 3] {
-    [0, 1, 2].map(|rule: usize| {
-        sheet.column(format!("{name} {}{unit}", RULES[rule].1), |row| value(&row.found[rule]))
-    })
+fn by_rule(sheet: &mut Sheet<&Row>, name: &str, unit: &str, value: fn(&Found) -> f64) {
+    for (index, (_, rule, _)) in RULES.into_iter().enumerate() {
+        sheet.column(format!("{name} {rule}{unit}"), |row| value(&row.found[index]));
+    }
 }
 
 fn measure_rule(land: &Land, chunks: &[ChunkKey], octaves: Octaves) -> Found {

@@ -1,7 +1,7 @@
 //! Levels of detail: cost in triangles and time against screen-space error, by tolerance.
 
 use crate::chart::{Panel, linear, log};
-use crate::curve::{Column, Curve, Sheet};
+use crate::curve::{Curve, Sheet};
 use crate::lod::frames;
 use crate::lod::screen::{self, ScreenErrors, ViewCase};
 use crate::stats::median;
@@ -58,44 +58,48 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
         }
         Ok(row)
     });
-    let mut sheet = Sheet::new(
-        "lod",
-        format!(
-            "{} views of 8 km at 1920 x 1080: worst and RMS vertical error on screen over all vertices of \
-             level 0 \
-             around the eye; triangles and chunks in sight, and drawn all round, mean of the views; time of \
-             a frame of the first view from {TIMED_FROM_PX} px on, as a share of that at {REFERENCE_PX} px \
-             before and after it, median of {ROUNDS} rounds of medians of {FRAMES} on {}.",
-            CAMERAS.len(),
-            times.as_ref().map_or("no GPU", |times| times.adapter.as_str())
-        ),
-        rows.into_iter().collect::<Result<_>>()?,
+    let caption = format!(
+        "{} views of 8 km at 1920 x 1080: worst and RMS vertical error on screen over all vertices of \
+         level 0 around the eye; triangles and chunks in sight, and drawn all round, mean of the \
+         views; time of a frame of the first view from {TIMED_FROM_PX} px on, as a share of that at \
+         {REFERENCE_PX} px before and after it, median of {ROUNDS} rounds of medians of {FRAMES} on \
+         {}.",
+        CAMERAS.len(),
+        times.as_ref().map_or("no GPU", |times| times.adapter.as_str())
     );
-    let tolerance = sheet.column("tolerance, px", |row| row.tolerance_px);
-    let max = sheet.column("max, px", |row| row.errors.max_px());
-    let rms = sheet.column("rms, px", |row| row.errors.rms_px());
+    let mut sheet = Sheet::new("lod", caption, rows.into_iter().collect::<Result<_>>()?);
+    sheet.column("tolerance, px", |row| row.tolerance_px);
+    sheet.column("max, px", |row| row.errors.max_px());
+    sheet.column("rms, px", |row| row.errors.rms_px());
     sheet.column("max, tolerances", |row| row.errors.max_px() / row.tolerance_px);
-    let triangles = sheet.column("triangles", |row| row.triangles);
+    sheet.column("triangles", |row| row.triangles);
     sheet.column("chunks", |row| row.chunks);
-    let time = sheet.column("time ratio", |row| row.time_ratio);
+    sheet.column("time ratio", |row| row.time_ratio);
 
-    let front = |title, x, y, error: Column, cost: Column| {
+    let front = |title, x, y, error: &str, cost: &str| {
         let name = |row: &Row| (format!("{} px", row.tolerance_px), row.tolerance_px == SHIPPED_PX);
-        Panel::new(title, x, y).front(&sheet.choices(error, cost, name))
+        sheet.front(Panel::new(title, x, y), error, cost, name)
     };
     let (by_max, by_rms) = (log("largest vertical error, px"), log("RMS vertical error, px"));
     let in_sight = log("triangles in sight");
+    let on_screen =
+        Panel::new("Error on screen against the tolerance", log("tolerance, px"), log("vertical error, px"));
     let mut panels = vec![
-        Panel::new("Error on screen against the tolerance", log("tolerance, px"), log("vertical error, px"))
-            .line("largest", sheet.points(tolerance, max))
-            .line("RMS", sheet.points(tolerance, rms))
+        sheet
+            .lines(on_screen, "tolerance, px", [("largest", "max, px"), ("RMS", "rms, px")])
             .bound("the bar", TOLERANCES_PX.map(|tolerance| (tolerance, tolerance))),
-        front("Triangles against the largest error", by_max, in_sight, max, triangles),
-        front("Triangles against the RMS error", by_rms, in_sight, rms, triangles),
+        front("Triangles against the largest error", by_max, in_sight, "max, px", "triangles"),
+        front("Triangles against the RMS error", by_rms, in_sight, "rms, px", "triangles"),
     ];
     if times.is_some() {
         let share = linear("time, share of that at 1 px");
-        panels.push(front("Time of a frame against the largest error", by_max, share, max, time));
+        panels.push(front(
+            "Time of a frame against the largest error",
+            by_max,
+            share,
+            "max, px",
+            "time ratio",
+        ));
     }
     let title = "Levels of detail: cost against error";
     Ok(Curve { name: "lod", title, tables: vec![sheet.into()], panels })

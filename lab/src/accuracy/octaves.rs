@@ -1,6 +1,6 @@
 //! Octaves kept: cost against error, with the proved bound.
 
-use super::errors::{compare, exact, integers};
+use super::errors::{HEIGHTS, SLOPES, compare, exact, integers};
 use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet};
 use crate::reference_f64::ReferenceF64;
@@ -36,43 +36,36 @@ pub fn measure(world_seed: u64) -> Curve {
         let (height, slope) = compare(&integers(land, octaves), &reference, &points);
         Row { octaves, height, slope, seconds }
     });
-    let mut sheet = Sheet::new(
-        "octaves",
-        format!(
-            "errors against f64 with 8 octaves at {POINTS} vertices of islands; cost of 65 x 65 chunks on \
-             the \
-             home island, median of {ROUNDS} interleaved rounds."
-        ),
-        rows.collect(),
+    let caption = format!(
+        "errors against f64 with 8 octaves at {POINTS} vertices of islands; cost of 65 x 65 chunks on \
+         the home island, median of {ROUNDS} interleaved rounds."
     );
+    let mut sheet = Sheet::new("octaves", caption, rows.collect());
     let full = sheet.rows.last().map_or(f64::NAN, |row| row.seconds);
+    sheet.column("octaves", |row| row.octaves.count() as f64);
+    sheet.column("max, m", |row| row.height.max);
+    sheet.column("p99, m", |row| row.height.p99);
     // The bound is between integers; the reference is half a unit and the arithmetic away.
-    let bound_m = |row: &Row| f64::from(row.octaves.dropped_bound()) / f64::from(UNITS_PER_METRE);
-    let octaves = sheet.column("octaves", |row| row.octaves.count() as f64);
-    let max_m = sheet.column("max, m", |row| row.height.max);
-    let p99_m = sheet.column("p99, m", |row| row.height.p99);
-    let bound_m = sheet.column("proved bound, m", bound_m);
-    let max_deg = sheet.column("max, degrees", |row| row.slope.max);
-    let p99_deg = sheet.column("p99, degrees", |row| row.slope.p99);
-    let cost = sheet.column("cost ratio", |row| row.seconds / full);
+    sheet
+        .column("proved bound, m", |row| f64::from(row.octaves.dropped_bound()) / f64::from(UNITS_PER_METRE));
+    sheet.column("max, degrees", |row| row.slope.max);
+    sheet.column("p99, degrees", |row| row.slope.p99);
+    sheet.column("cost ratio", |row| row.seconds / full);
     sheet.column("ns per vertex", |row| row.seconds * 1e9 / (CHUNKS.len() * VERTEX_COUNT) as f64);
 
     let (x, time) = (linear("octaves kept"), linear("time, share of 8 octaves"));
     let (height, slope) = (log("height error, m"), log("slope error, degrees"));
     let panels = vec![
-        Panel::new("Height error against octaves kept", x, height)
-            .line("largest found", sheet.points(octaves, max_m))
-            .line("99th percentile", sheet.points(octaves, p99_m))
-            .bound("proved bound", sheet.points(octaves, bound_m))
+        sheet
+            .lines(Panel::new("Height error against octaves kept", x, height), "octaves", HEIGHTS)
+            .bound("proved bound", sheet.points("octaves", "proved bound, m"))
             .bound("bar, 1/128 m", [(0.0, 1.0 / 128.0), (8.0, 1.0 / 128.0)]),
-        Panel::new("Slope error against octaves kept", x, slope)
-            .line("largest found", sheet.points(octaves, max_deg))
-            .line("99th percentile", sheet.points(octaves, p99_deg))
+        sheet
+            .lines(Panel::new("Slope error against octaves kept", x, slope), "octaves", SLOPES)
             .bound("bar, 0.2 degrees", [(0.0, 0.2), (8.0, 0.2)]),
-        Panel::new("Cost against octaves kept", x, time).line("time per vertex", sheet.points(octaves, cost)),
-        Panel::new("Cost against error", time, height)
-            .line("largest found", sheet.points(cost, max_m))
-            .line("99th percentile", sheet.points(cost, p99_m)),
+        Panel::new("Cost against octaves kept", x, time)
+            .line("time per vertex", sheet.points("octaves", "cost ratio")),
+        sheet.lines(Panel::new("Cost against error", time, height), "cost ratio", HEIGHTS),
     ];
     let title = "Octaves kept: cost and accuracy (reference: f64, 8 octaves)";
     Curve { name: "octaves", title, tables: vec![sheet.into()], panels }
@@ -103,10 +96,10 @@ mod tests {
         let curve = measure(3);
         let table = &curve.tables[0];
         assert_eq!(table.rows.len(), OCTAVES + 1);
-        for (found, bound) in table.curve("max, m", "proved bound, m") {
+        for (found, bound) in table.points("max, m", "proved bound, m") {
             assert!(found <= bound + 1.0 / 128.0, "{found} m found, {bound} m proved");
         }
-        let p99: Vec<f64> = table.curve("octaves", "p99, m").into_iter().map(|point| point.1).collect();
+        let p99: Vec<f64> = table.points("octaves", "p99, m").into_iter().map(|point| point.1).collect();
         assert!(p99.is_sorted_by(|a, b| a > b), "{p99:?}");
     }
 }

@@ -4,12 +4,13 @@
 //! Control: a coarse search that must miss narrow features.
 
 use crate::chart::{Choice, Panel, linear, log};
-use crate::curve::{Column, Curve, Sheet, floored, numbered};
+use crate::curve::{Curve, Sheet, floored, numbered};
 use crate::pom::bench::PomBench;
 use crate::pom::comparison::{AMPLITUDE, Condition, Score, Stage, probes, relief};
 use crate::pom::maps::{Kind, SIDE};
 use crate::pom::reference;
 use crate::stats::{mean, quantiles, worst};
+use crate::table::Table;
 use anyhow::{Result, ensure};
 use client::features::pom::PomSettings;
 use client::features::pom::settings::{Heights, PomMethod, PomShadow, Refine};
@@ -87,18 +88,14 @@ pub fn measure(kind: Kind) -> Result<Curve> {
     let coarse = worst(rows.iter().filter(|row| row.method == 1).map(|row| row.score.wrong));
     ensure!(coarse > 0.01, "4 steps miss nothing of {}: the measurement detects nothing", kind.name());
     let (name, title) = titles(kind);
-    let mut sheet = Sheet::new(
-        name,
-        format!(
-            "places found by each method against the f64 reference, map {} of {SIDE} texels, relief \
-             {AMPLITUDE} \
-             tiles high, {RAYS} rays each, {}; methods: {}.",
-            kind.name(),
-            bench.adapter(),
-            numbered(methods.iter().map(|method| &method.name), "; ")
-        ),
-        rows,
+    let caption = format!(
+        "places found by each method against the f64 reference, map {} of {SIDE} texels, relief {AMPLITUDE} \
+         tiles high, {RAYS} rays each, {}; methods: {}.",
+        kind.name(),
+        bench.adapter(),
+        numbered(methods.iter().map(|method| &method.name), "; ")
     );
+    let mut sheet = Sheet::new(name, caption, rows);
     sheet.column("angle, degrees", |row| row.angle_deg.into());
     sheet.column("method", |row| row.method as f64);
     sheet.column("p50, texels", |row| row.score.texels[0]);
@@ -145,7 +142,7 @@ pub fn knobs(_: u64) -> Result<Curve> {
     let (filter, filter_panel) = filtering(&bench, &stage)?;
     let (shadow, shadow_panel) = shadows(&bench, &stage)?;
     panels.extend([filter_panel, shadow_panel]);
-    let tables = vec![travel.into(), filter.into(), shadow.into()];
+    let tables = vec![travel, filter, shadow];
     let title = "Parallax occlusion: thresholds of the automatic tier, filtering, shadow";
     Ok(Curve { name: "pom_knobs", title, tables, panels })
 }
@@ -159,7 +156,7 @@ struct Travel {
     tiers: [[f64; 2]; 5],
 }
 
-fn travels(bench: &PomBench, stage: &Stage) -> Result<(Sheet<Travel>, Vec<Panel>)> {
+fn travels(bench: &PomBench, stage: &Stage) -> Result<(Table, Vec<Panel>)> {
     let mut rows = Vec::new();
     for (layer, texels) in (0..Kind::ALL.len()).flat_map(|layer| TRAVELS.map(|travel| (layer, travel))) {
         let angle_deg = (texels / (AMPLITUDE * SIDE as f32)).atan().to_degrees();
@@ -179,65 +176,62 @@ fn travels(bench: &PomBench, stage: &Stage) -> Result<(Sheet<Travel>, Vec<Panel>
         }
         rows.push(Travel { layer, texels, tiers });
     }
-    let mut sheet = Sheet::new(
-        "pom_travel",
-        format!(
-            "error and work of each tier by how far the ray travels through the relief, {RAYS} rays each, \
-             {}; \
-             maps: {}.",
-            bench.adapter(),
-            numbered(Kind::ALL.map(Kind::name), "; ")
-        ),
-        rows,
+    let caption = format!(
+        "error and work of each tier by how far the ray travels through the relief, {RAYS} rays each, \
+         {}; maps: {}.",
+        bench.adapter(),
+        numbered(Kind::ALL.map(Kind::name), "; ")
     );
+    let mut sheet = Sheet::new("pom_travel", caption, rows);
     sheet.column("map", |row| row.layer as f64);
-    let travel = sheet.column("travel, texels", |row| row.texels.into());
-    let columns = [0, 1, 2, 3, 4].map(|tier: usize| {
-        let error = sheet.column(format!("{} p99.9, texels", TIERS[tier]), |row| row.tiers[tier][0]);
-        [error, sheet.column(format!("{} fetches", TIERS[tier]), |row| row.tiers[tier][1])]
-    });
-    let lines = |panel: Panel, layer: usize, part: usize| {
-        // The flat tier looks nothing up.
-        let tiers = TIERS.into_iter().zip(columns).skip(part);
-        tiers.fold(panel, |panel, (tier, columns)| {
-            let points = sheet.points_where(|row| row.layer == layer, travel, columns[part]);
-            panel.line(tier, floored(points, 1e-3))
+    sheet.column("travel, texels", |row| row.texels.into());
+    for (index, tier) in TIERS.into_iter().enumerate() {
+        sheet.column(format!("{tier} p99.9, texels"), |row| row.tiers[index][0]);
+        sheet.column(format!("{tier} fetches"), |row| row.tiers[index][1]);
+    }
+    let x = log("travel through the relief, texels");
+    let panel = |title, y, layer: usize, tiers: &[&'static str], figure: &str| {
+        tiers.iter().fold(Panel::new(title, x, y), |panel, tier| {
+            let column = format!("{tier} {figure}");
+            let points = sheet.points_where(|row| row.layer == layer, "travel, texels", &column);
+            panel.line(*tier, floored(points, 1e-3))
         })
     };
-    let x = log("travel through the relief, texels");
     let (error, work) =
         (log("p99.9 error, texels (0.001: rounding)"), linear("heights and bounds looked up, mean"));
+    // The flat tier looks nothing up.
+    let (all, marching) = (&TIERS[..], &TIERS[1..]);
     let panels = vec![
-        lines(Panel::new("Error by travel, bricks", x, error), 1, 0),
-        lines(Panel::new("Error by travel, ridges of one texel", x, error), 3, 0),
-        lines(Panel::new("Work by travel, bricks", x, work), 1, 1),
-        lines(Panel::new("Work by travel, ridges of one texel", x, work), 3, 1),
+        panel("Error by travel, bricks", error, 1, all, "p99.9, texels"),
+        panel("Error by travel, ridges of one texel", error, 3, all, "p99.9, texels"),
+        panel("Work by travel, bricks", work, 1, marching, "fetches"),
+        panel("Work by travel, ridges of one texel", work, 3, marching, "fetches"),
     ];
-    Ok((sheet, panels))
+    Ok((sheet.into(), panels))
 }
 
-/// A sheet of figures by map, and its panel.
+/// Figures by map as a table and as a panel, which shows the first `lines` of them.
 fn by_map<const N: usize>(
-    sheet: &mut Sheet<[f64; N]>,
-    columns: [&str; N],
-    panel: Panel,
-    floor: f64,
-    lines: usize,
-) -> Panel {
-    let map = sheet.index_column("map");
-    let columns: [Column; N] = std::array::from_fn(|index| sheet.column(columns[index], |row| row[index]));
-    let points = |column| floored(sheet.points(map, column), floor);
-    columns
-        .into_iter()
-        .take(lines)
-        .fold(panel, |panel, column| panel.line(sheet.name_of(column), points(column)))
+    (name, caption): (&'static str, String),
+    rows: Vec<[f64; N]>,
+    columns: [&'static str; N],
+    (panel, floor, lines): (Panel, f64, usize),
+) -> (Table, Panel) {
+    let mut sheet = Sheet::new(name, caption, rows.into_iter().enumerate().collect());
+    sheet.column("map", |row| row.0 as f64);
+    for (index, column) in columns.into_iter().enumerate() {
+        sheet.column(column, |row| row.1[index]);
+    }
+    let line = |panel: Panel, column| panel.line(column, floored(sheet.points("map", column), floor));
+    let panel = columns.into_iter().take(lines).fold(panel, line);
+    (sheet.into(), panel)
 }
 
 const MAPS: &str = "map: 0 hills, 1 bricks, 2 posts, 3 ridges";
 
 /// Error of the height at the found position when a texel covers many pixels: rays through a patch
 /// of a quarter texel.
-fn filtering(bench: &PomBench, stage: &Stage) -> Result<(Sheet<[f64; 4]>, Panel)> {
+fn filtering(bench: &PomBench, stage: &Stage) -> Result<(Table, Panel)> {
     let mut rows = Vec::new();
     for layer in 0..Kind::ALL.len() {
         let mut rays = probes(layer, RAYS, 60.0, AMPLITUDE);
@@ -268,24 +262,19 @@ fn filtering(bench: &PomBench, stage: &Stage) -> Result<(Sheet<[f64; 4]>, Panel)
         rows[0][1] > rows[0][3],
         "the sampler is as exact as f32: it would need more than 256 positions between two texels"
     );
-    let mut sheet = Sheet::new(
-        "pom_filter",
-        format!(
-            "surface at the found place against the ray's height there, 2^-16 of the relief, {RAYS} rays \
-             through \
-             patches of a quarter texel, 60 degrees, 256 steps and 8 rounds of secant; {}.",
-            bench.adapter()
-        ),
-        rows,
+    let caption = format!(
+        "surface at the found place against the ray's height there, 2^-16 of the relief, {RAYS} rays through \
+         patches of a quarter texel, 60 degrees, 256 steps and 8 rounds of secant; {}.",
+        bench.adapter()
     );
     let y = log("surface off the ray, 1/65536 of the relief");
     let panel = Panel::new("Heights under magnification", linear(MAPS), y);
-    let panel = by_map(&mut sheet, ["sampler p50", "sampler p95", "exact p50", "exact p95"], panel, 1e-3, 4);
-    Ok((sheet, panel))
+    let columns = ["sampler p50", "sampler p95", "exact p50", "exact p95"];
+    Ok(by_map(("pom_filter", caption), rows, columns, (panel, 1e-3, 4)))
 }
 
 /// Shadow of each kind against many rays to a disc.
-fn shadows(bench: &PomBench, stage: &Stage) -> Result<(Sheet<[f64; 4]>, Panel)> {
+fn shadows(bench: &PomBench, stage: &Stage) -> Result<(Table, Panel)> {
     let mut rows = Vec::new();
     for (layer, map) in stage.maps.iter().enumerate() {
         let mut rays = probes(layer, SHADOWED, 60.0, AMPLITUDE);
@@ -306,20 +295,19 @@ fn shadows(bench: &PomBench, stage: &Stage) -> Result<(Sheet<[f64; 4]>, Panel)> 
         ensure!(none > hard, "no shadow is as near to the reference as hard shadow over map {layer}");
         rows.push([none, hard, soft, 1.0 - mean(references)]);
     }
-    let mut sheet = Sheet::new(
-        "pom_shadow",
-        format!(
-            "mean difference of the share of the sun from {DISC} f64 rays to a disc of radius \
-             {DISC_RADIUS}, sun \
-             {SUN_DEG} degrees high, {SHADOWED} places seen 60 degrees from above, {}.",
-            bench.adapter()
-        ),
-        rows,
+    let caption = format!(
+        "mean difference of the share of the sun from {DISC} f64 rays to a disc of radius {DISC_RADIUS}, sun \
+         {SUN_DEG} degrees high, {SHADOWED} places seen 60 degrees from above, {}.",
+        bench.adapter()
     );
     let y = log("mean difference of the sun's share");
     let panel = Panel::new("Shadow of the relief on itself", linear(MAPS), y);
-    let panel = by_map(&mut sheet, ["none", "hard", "soft", "true share of shadow"], panel, 1e-4, 3);
-    Ok((sheet, panel))
+    Ok(by_map(
+        ("pom_shadow", caption),
+        rows,
+        ["none", "hard", "soft", "true share of shadow"],
+        (panel, 1e-4, 3),
+    ))
 }
 
 /// Share of the disc of the sun that is visible from a point on the surface.

@@ -4,9 +4,10 @@
 //! Control: the flat plane must be farther from geometry than the exact march.
 
 use crate::chart::{Panel, linear, log};
-use crate::curve::{Column, Curve, Sheet};
+use crate::curve::{Curve, Sheet};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
-use crate::pom::renderer::{PomRenderer, around, cut_distance, plane, silhouette_overlap};
+use crate::pom::pictures::{self, Line, Silhouettes};
+use crate::pom::renderer::{PomRenderer, around, plane};
 use anyhow::{Result, ensure};
 use client::camera::Pose;
 use client::features::pom::PomSettings;
@@ -84,62 +85,49 @@ pub fn measure(_: u64) -> Result<Curve> {
     const ELEVATION: &str = "camera above the plane, degrees";
     const DISTANCE: &str = "camera from the plane, metres";
     let names = methods().map(|(name, ..)| name);
-    let mut elevation = Sheet::new("pom_flip", caption(format!("{NEAR_M} m away")), by_elevation);
-    let by_elevation = columns(&mut elevation, ELEVATION, names);
+    let elevation = sheet(("pom_flip", caption(format!("{NEAR_M} m away"))), ELEVATION, names, by_elevation);
     let from = format!("{SLANT_DEG} degrees above the plane");
-    let mut distance = Sheet::new("pom_distance", caption(from), by_distance);
-    let by_distance = columns(&mut distance, DISTANCE, names);
-    let mut edge = Sheet::new(
-        "pom_edges",
-        format!(
-            "what a plane covers over what displaced geometry covers, least of three bearings, and how far \
-             the \
-             line in which a ball meets it is from geometry's, {} x {} pixels",
-            SIZE.0, SIZE.1
-        ),
-        edges,
+    let distance = sheet(("pom_distance", caption(from)), DISTANCE, names, by_distance);
+    let of_edges = format!(
+        "what a plane covers over what displaced geometry covers, least of three bearings, and how far \
+         the line in which a ball meets it is from geometry's, {} x {} pixels",
+        SIZE.0, SIZE.1
     );
-    let by_edge = columns(&mut edge, ELEVATION, EDGES);
+    let edge = sheet(("pom_edges", of_edges), ELEVATION, EDGES, edges);
 
     let flip = log("mean FLIP against geometry, 67 pixels per degree");
     let iou = linear("intersection over union with geometry");
     let px = log("p99 distance from the true line, pixels");
     let up = linear(ELEVATION);
+    let shown = SHOWN.map(|index| (names[index], names[index]));
+    let (covers, lines) = (&EDGES[..3], &EDGES[3..]);
+    let of_edges = |title, y, shown: &[&'static str]| {
+        edge.lines(Panel::new(title, up, y), ELEVATION, shown.iter().map(|name| (*name, *name)))
+    };
+    let by_distance = Panel::new("Image by distance, 25 degrees", log(DISTANCE), flip);
     let panels = vec![
-        lines(Panel::new("Image by the height of the camera", up, flip), &elevation, by_elevation, &SHOWN),
-        lines(
-            Panel::new("Image by distance, 25 degrees", log(DISTANCE), flip),
-            &distance,
-            by_distance,
-            &SHOWN,
-        ),
-        lines(Panel::new("Edge of the relief", up, iou), &edge, by_edge, &[0, 1, 2]),
-        lines(Panel::new("Line in which an object meets the relief", up, px), &edge, by_edge, &[3, 4]),
+        elevation.lines(Panel::new("Image by the height of the camera", up, flip), ELEVATION, shown),
+        distance.lines(by_distance, DISTANCE, shown),
+        of_edges("Edge of the relief", iou, covers),
+        of_edges("Line in which an object meets the relief", px, lines),
     ];
     let tables = vec![elevation.into(), distance.into(), edge.into()];
     let title = "Parallax occlusion in pictures, against displaced geometry";
     Ok(Curve { name: "pom_pictures", title, tables, panels })
 }
 
-fn columns<const N: usize>(
-    sheet: &mut Sheet<Row<N>>,
+fn sheet<const N: usize>(
+    (name, caption): (&'static str, String),
     camera: &str,
-    names: [&str; N],
-) -> (Column, [Column; N]) {
-    let camera = sheet.column(camera, |row| row.camera);
-    (camera, std::array::from_fn(|index| sheet.column(names[index], |row| row.figures[index])))
-}
-
-fn lines<const N: usize>(
-    panel: Panel,
-    sheet: &Sheet<Row<N>>,
-    (camera, figures): (Column, [Column; N]),
-    shown: &[usize],
-) -> Panel {
-    shown
-        .iter()
-        .map(|index| figures[*index])
-        .fold(panel, |panel, figure| panel.line(sheet.name_of(figure), sheet.points(camera, figure)))
+    figures: [&str; N],
+    rows: Vec<Row<N>>,
+) -> Sheet<Row<N>> {
+    let mut sheet = Sheet::new(name, caption, rows);
+    sheet.column(camera, |row| row.camera);
+    for (index, figure) in figures.into_iter().enumerate() {
+        sheet.column(figure, |row| row.figures[index]);
+    }
+    sheet
 }
 
 /// Mean FLIP of each method against geometry, over one change of the camera.
@@ -161,17 +149,8 @@ fn flips(renderer: &mut PomRenderer, values: &[f64], pose: impl Fn(f64) -> Pose)
 
 /// Overlap of silhouettes and distance of lines of intersection, by [`EDGES`].
 fn edges(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Row<5>> {
-    let exact = methods()[5].2;
-    let mut overlap = |mode, silhouette| {
-        silhouette_overlap(renderer, mode, PomSettings { silhouette, ..exact }, elevation_deg)
-    };
-    let [shell, rectangle, none] = [
-        overlap(Mode::Settings, Silhouette::Shell)?,
-        overlap(Mode::Settings, Silhouette::Rectangle)?,
-        overlap(Mode::Flat, Silhouette::None)?,
-    ];
-    let mut cut =
-        |depth, silhouette| cut_distance(renderer, PomSettings { depth, silhouette, ..exact }, elevation_deg);
-    let figures = [shell, rectangle, none, cut(true, Silhouette::Shell)?.0, cut(false, Silhouette::None)?.0];
+    let Silhouettes { shell, rectangle, flat, .. } = pictures::silhouettes(renderer, elevation_deg)?;
+    let Line { with_depth, without_depth, .. } = pictures::line(renderer, elevation_deg)?;
+    let figures = [shell, rectangle, flat, with_depth, without_depth];
     Ok(Row { camera: elevation_deg, figures })
 }

@@ -1,6 +1,6 @@
 //! Height quantum: size on the wire against error.
 
-use super::errors::{compare, exact, integers};
+use super::errors::{HEIGHTS, SLOPES, compare, exact, integers};
 use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet};
 use crate::reference_f64::ReferenceF64;
@@ -38,39 +38,30 @@ pub fn measure(world_seed: u64) -> Curve {
         let bytes_per_vertex = bytes as f64 / (chunks.len() * VERTEX_COUNT) as f64;
         Row { quantum_m, height, slope, bytes_per_vertex }
     });
-    let mut sheet = Sheet::new(
-        "quantum",
-        format!(
-            "integers rounded to a quantum against f64 at {POINTS} vertices of islands; bytes of {CHUNKS} \
-             level-0 \
-             chunks in the protocol's exact coding, over their vertices."
-        ),
-        rows.collect(),
+    let caption = format!(
+        "integers rounded to a quantum against f64 at {POINTS} vertices of islands; bytes of {CHUNKS} \
+         level-0 chunks in the protocol's exact coding, over their vertices."
     );
-    let quantum = sheet.column("quantum, m", |row| row.quantum_m);
-    let max_m = sheet.column("max, m", |row| row.height.max);
-    let p99_m = sheet.column("p99, m", |row| row.height.p99);
-    let max_deg = sheet.column("max, degrees", |row| row.slope.max);
-    let p99_deg = sheet.column("p99, degrees", |row| row.slope.p99);
-    let bytes = sheet.column("bytes per vertex", |row| row.bytes_per_vertex);
+    let mut sheet = Sheet::new("quantum", caption, rows.collect());
+    sheet.column("quantum, m", |row| row.quantum_m);
+    sheet.column("max, m", |row| row.height.max);
+    sheet.column("p99, m", |row| row.height.p99);
+    sheet.column("max, degrees", |row| row.slope.max);
+    sheet.column("p99, degrees", |row| row.slope.p99);
+    sheet.column("bytes per vertex", |row| row.bytes_per_vertex);
 
     let span = [1.0 / 256.0, 1.0];
     let (x, size, height) = (log("quantum, m"), linear("bytes per vertex"), log("height error, m"));
+    let slope = Panel::new("Slope error against quantum", x, log("slope error, degrees"));
     let panels = vec![
-        Panel::new("Height error against quantum", x, height)
-            .line("largest found", sheet.points(quantum, max_m))
-            .line("99th percentile", sheet.points(quantum, p99_m))
+        sheet
+            .lines(Panel::new("Height error against quantum", x, height), "quantum, m", HEIGHTS)
             .bound("half a quantum", span.map(|q| (q, q / 2.0)))
             .bound("bar, 1/128 m", span.map(|q| (q, 1.0 / 128.0))),
-        Panel::new("Slope error against quantum", x, log("slope error, degrees"))
-            .line("largest found", sheet.points(quantum, max_deg))
-            .line("99th percentile", sheet.points(quantum, p99_deg))
-            .bound("bar, 0.2 degrees", span.map(|q| (q, 0.2))),
+        sheet.lines(slope, "quantum, m", SLOPES).bound("bar, 0.2 degrees", span.map(|q| (q, 0.2))),
         Panel::new("Encoded size against quantum", x, size)
-            .line("plane residuals, byte planes, zstd", sheet.points(quantum, bytes)),
-        Panel::new("Error against size", size, height)
-            .line("largest found", sheet.points(bytes, max_m))
-            .line("99th percentile", sheet.points(bytes, p99_m)),
+            .line("plane residuals, byte planes, zstd", sheet.points("quantum, m", "bytes per vertex")),
+        sheet.lines(Panel::new("Error against size", size, height), "bytes per vertex", HEIGHTS),
     ];
     let title = "Height quantum: accuracy and encoded size (reference: f64)";
     Curve { name: "quantum", title, tables: vec![sheet.into()], panels }

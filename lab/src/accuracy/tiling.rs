@@ -5,13 +5,12 @@
 //! costs contrast and time.
 
 use crate::chart::{Panel, linear, log};
-use crate::curve::{Column, Curve, Sheet};
+use crate::curve::{Curve, Sheet};
 use crate::gpu_probes::tiling::{FIELD, Look, ProbeTiling};
 use crate::stats::{interleaved, mean, ratios};
 use crate::table::Table;
 use anyhow::{Context, Result};
 use client::features::materials::{CustomMaterials, MATERIAL_SIZE, Materials};
-use client::gpu;
 use client::gpu::Gpu;
 use client::settings::Tiling;
 use shaders::layout::MATERIALS;
@@ -50,8 +49,7 @@ struct FieldStats {
 }
 
 pub fn measure(world_seed: u64) -> Result<Curve> {
-    let gpu =
-        pollster::block_on(Gpu::open(gpu::instance(None), None)).context("tiling is measured on a GPU")?;
+    let gpu = Gpu::open_blocking().context("tiling is measured on a GPU")?;
     let materials = Materials::new(&gpu.device, &gpu.queue, &CustomMaterials::default(), true);
     let probe = ProbeTiling::new(&gpu, &materials);
     // One of the 32 x 32 places where a field may start.
@@ -74,43 +72,39 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
         let rows = ratios(&times).into_iter().enumerate();
         let rows = rows.map(|(knob, time_ratio)| Ok(Row { knob, time_ratio, field: render(texture(knob))? }));
         let tiles = |axis: u32| f64::from(axis / MATERIAL_SIZE);
-        let mut sheet = Sheet::new(
-            table,
-            format!(
-                "{name}, {} x {} texels of {:.0} x {:.0} tiles; knob 0 off, 1 two scales, 2 hexagons; \
-                 against the \
-                 recipe without period, whose own correlation at that distance is {:.4}; time against off, \
-                 median of {ROUNDS} interleaved rounds on {}.",
-                FIELD.0,
-                FIELD.1,
-                tiles(FIELD.0),
-                tiles(FIELD.1),
-                reference.repetition,
-                gpu.name()
-            ),
-            rows.collect::<Result<_>>()?,
+        let caption = format!(
+            "{name}, {} x {} texels of {:.0} x {:.0} tiles; knob 0 off, 1 two scales, 2 hexagons; \
+             against the recipe without period, whose own correlation at that distance is {:.4}; time \
+             against off, median of {ROUNDS} interleaved rounds on {}.",
+            FIELD.0,
+            FIELD.1,
+            tiles(FIELD.0),
+            tiles(FIELD.1),
+            reference.repetition,
+            gpu.name()
         );
+        let mut sheet = Sheet::new(table, caption, rows.collect::<Result<_>>()?);
         let contrast = |row: &Row| row.field.deviation / reference.deviation;
         sheet.column("knob", |row| row.knob as f64);
         sheet.column("samples", |row| KNOB[row.knob].2);
-        let time = sheet.column("time ratio", |row| row.time_ratio);
-        let repetition = sheet.column("repetition", |row| row.field.repetition);
+        sheet.column("time ratio", |row| row.time_ratio);
+        sheet.column("repetition", |row| row.field.repetition);
         sheet.column("contrast kept", contrast);
-        let lost = sheet.column("contrast lost", |row| (1.0 - contrast(row)).abs());
-        sheet.column("histogram, deviations", |row| {
-            row.field.histogram_distance(&reference) / reference.deviation
-        });
+        sheet.column("contrast lost", |row| (1.0 - contrast(row)).abs());
+        let histogram = |row: &Row| row.field.histogram_distance(&reference) / reference.deviation;
+        sheet.column("histogram, deviations", histogram);
 
         let x = log("time, ratio to off");
-        let name = |row: &Row| (KNOB[row.knob].1.to_owned(), KNOB[row.knob].0 == Tiling::default());
-        let choices = |error: Column| sheet.choices(time, error, name);
-        let times = sheet.points(time, repetition).into_iter();
+        let front = |title, y, error| {
+            let name = |row: &Row| (KNOB[row.knob].1.to_owned(), KNOB[row.knob].0 == Tiling::default());
+            sheet.front(Panel::new(title, x, linear(y)), "time ratio", error, name)
+        };
+        let times = sheet.rows.iter().map(|row| (row.time_ratio, reference.repetition));
         panels.push(
-            Panel::new(repetition_title, x, linear("correlation at one tile"))
-                .front(&choices(repetition))
-                .bound("the recipe without period", times.map(|point| (point.0, reference.repetition))),
+            front(repetition_title, "correlation at one tile", "repetition")
+                .bound("the recipe without period", times),
         );
-        panels.push(Panel::new(contrast_title, x, linear("contrast lost, share")).front(&choices(lost)));
+        panels.push(front(contrast_title, "contrast lost, share", "contrast lost"));
         tables.push(sheet.into());
     }
     let title = "Repetition of materials: cost and what is left (reference: the recipe without period)";

@@ -113,51 +113,40 @@ pub fn measure(_: u64) -> Result<Curve> {
 
     let names = METHODS.map(|method| method.name);
     let (steepness, angle) = FRONT;
-    let mut table = Sheet::new(
-        "water",
-        format!(
-            "distance between the place that a method finds and the reference ({REFERENCE_STEPS} steps and \
-             bisection), texels of {TEXEL_M:.3} m, {RAYS} rays each, {}",
-            bench.adapter()
-        ),
-        rows,
+    let caption = format!(
+        "distance between the place that a method finds and the reference ({REFERENCE_STEPS} steps and \
+         bisection), texels of {TEXEL_M:.3} m, {RAYS} rays each, {}",
+        bench.adapter()
     );
-    let by_steepness = table.column("steepness", |row| row.steepness.into());
-    let by_angle = table.column("angle, degrees", |row| row.angle_deg.into());
-    let columns: [_; METHODS.len()] = std::array::from_fn(|index| {
-        let columns = [0, 1, 2].map(|part: usize| {
-            table.column(format!("{} {}", names[index], PARTS[part]), |row| row.errors[index][part])
-        });
-        columns[1]
-    });
-    let mut flip = Sheet::new(
-        "water_flip",
-        format!(
-            "mean FLIP ({PIXELS_PER_DEGREE} pixels per degree) of a panel of the scene of the water against \
-             the \
-             panel of the reference, {} x {} pixels",
-            PICTURE.0 / 3,
-            PICTURE.1
-        ),
-        pictures,
+    let mut table = Sheet::new("water", caption, rows);
+    table.column("steepness", |row| row.steepness.into());
+    table.column("angle, degrees", |row| row.angle_deg.into());
+    for (index, name) in names.into_iter().enumerate() {
+        for (part, quantile) in PARTS.into_iter().enumerate() {
+            table.column(format!("{name} {quantile}"), |row| row.errors[index][part]);
+        }
+    }
+    let caption = format!(
+        "mean FLIP ({PIXELS_PER_DEGREE} pixels per degree) of a panel of the scene of the water against the \
+         panel of the reference, {} x {} pixels",
+        PICTURE.0 / 3,
+        PICTURE.1
     );
-    let flip_steepness = flip.column("steepness", |row| row.steepness.into());
-    let mut flip_columns = [flip.column("fixed view", |row| row.fixed); METHODS.len()];
+    let mut flip = Sheet::new("water_flip", caption, pictures);
+    flip.column("steepness", |row| row.steepness.into());
+    flip.column("fixed view", |row| row.fixed);
     for (index, method) in METHODS.iter().enumerate().filter(|(_, method)| method.tier.is_some()) {
-        flip_columns[index] = flip.column(method.name, |row| row.tiers[index]);
+        flip.column(method.name, |row| row.tiers[index]);
     }
     let front = table.rows.iter().find(|row| (row.steepness, row.angle_deg) == FRONT);
     let errors = front.map_or([[f64::NAN; 3]; METHODS.len()], |row| row.errors);
-    let mut cost = Sheet::new(
-        "water_cost",
-        format!(
-            "time of {TIMED_RAYS} rays and their shading lookup over that of flat water, median of {ROUNDS} \
-             interleaved rounds, and errors at steepness {steepness}, {angle} degrees, {}; methods: {}.",
-            bench.adapter(),
-            numbered(names, "; ")
-        ),
-        (0..METHODS.len()).collect(),
+    let caption = format!(
+        "time of {TIMED_RAYS} rays and their shading lookup over that of flat water, median of {ROUNDS} \
+         interleaved rounds, and errors at steepness {steepness}, {angle} degrees, {}; methods: {}.",
+        bench.adapter(),
+        numbered(names, "; ")
     );
+    let mut cost = Sheet::new("water_cost", caption, (0..METHODS.len()).collect());
     cost.column("method", |index| *index as f64);
     cost.column("cost ratio", |index| costs[*index]);
     cost.column("p95, texels", |index| errors[*index][1]);
@@ -172,31 +161,30 @@ pub fn measure(_: u64) -> Result<Curve> {
 
     let wave = log("steepness of the waves, 1 = fresh breeze");
     let error = log("p95 error of the place, texels (0.001: rounding)");
-    let curves = |panel: Panel, points: &dyn Fn(usize) -> Vec<(f64, f64)>| {
-        CURVES.into_iter().fold(panel, |panel, index| panel.line(names[index], points(index)))
+    let curves = |panel: Panel, is_wanted: fn(&Row) -> bool, x: &str| {
+        CURVES.into_iter().fold(panel, |panel, index| {
+            let points = table.points_where(is_wanted, x, &format!("{} {}", names[index], PARTS[1]));
+            panel.line(names[index], above_resolution(&points))
+        })
     };
+    let by_angle = Panel::new(
+        "Error against the view's angle, steepness 1",
+        linear("angle from the vertical, degrees"),
+        error,
+    );
+    let pictures = Panel::new(
+        "Pictures of the scene against its reference",
+        wave,
+        log("mean FLIP, 67 pixels per degree"),
+    );
     let panels = vec![
-        curves(Panel::new("Error against steepness, 65 degrees from the vertical", wave, error), &|index| {
-            above_resolution(&table.points_where(|row| row.angle_deg == angle, by_steepness, columns[index]))
-        }),
         curves(
-            Panel::new(
-                "Error against the view's angle, steepness 1",
-                linear("angle from the vertical, degrees"),
-                error,
-            ),
-            &|index| {
-                above_resolution(&table.points_where(|row| row.steepness == 1.0, by_angle, columns[index]))
-            },
+            Panel::new("Error against steepness, 65 degrees from the vertical", wave, error),
+            |row| row.angle_deg == FRONT.1,
+            "steepness",
         ),
-        curves(
-            Panel::new(
-                "Pictures of the scene against its reference",
-                wave,
-                log("mean FLIP, 67 pixels per degree"),
-            ),
-            &|index| flip.points(flip_steepness, flip_columns[index]),
-        ),
+        curves(by_angle, |row| row.steepness == 1.0, "angle, degrees"),
+        flip.lines(pictures, "steepness", CURVES.map(|index| (names[index], names[index]))),
         Panel::new(
             "Cost against error, steepness 1, 65 degrees",
             linear("time over that of flat water"),
@@ -268,9 +256,8 @@ fn positions(bench: &WaveBench) -> Result<Vec<Row>> {
         let residual = worst(reference.iter().map(|found| f64::from(found.residual_m.abs())));
         ensure!(
             residual < 0.02 * f64::from(steepness),
-            "the reference misses the waves by {residual} m at steepness {steepness}, {angle_deg} degrees: \
-             the \
-             GPU computes wrong results"
+            "the reference misses the waves by {residual} m at steepness {steepness}, {angle_deg} \
+             degrees: the GPU computes wrong results"
         );
         let mut errors = [[0.0; 3]; METHODS.len()];
         for (method, errors) in METHODS.into_iter().zip(&mut errors) {

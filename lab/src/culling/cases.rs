@@ -4,6 +4,7 @@
 use client::cache::vertical_scale;
 use client::camera::{Pose, Projection};
 use client::features::vegetation::VegetationSettings;
+use client::scene::Scene;
 use client::settings::RenderSettings;
 use client::view::ViewParams;
 use glam::DVec3;
@@ -21,6 +22,23 @@ pub struct Case {
     pub shot: ViewParams,
     /// Vertical stretch of the land, Q8.
     pub stretch: i32,
+}
+
+impl Case {
+    /// A scene of the viewer where it starts, as a picture of a size.
+    pub fn at_start(start: Scene, (width, height): (u32, u32), plants: VegetationSettings) -> Self {
+        Self {
+            name: format!("the scene `{start:?}`"),
+            site: Site::Valley,
+            shot: shot(start.start(), Projection { width, height, ..LENS }, 2.0, plants),
+            stretch: (start.vertical_scale() * f64::from(vertical_scale::ONE)).round() as i32,
+        }
+    }
+}
+
+fn shot(pose: Pose, projection: Projection, tolerance_px: f64, plants: VegetationSettings) -> ViewParams {
+    let settings = RenderSettings { plants, ..RenderSettings::default() };
+    ViewParams { pose, projection, view_distance_m: VIEW_M, tolerance_px, time_s: 0.0, settings }
 }
 
 /// Shape of the ground under an eye.
@@ -104,14 +122,7 @@ fn case(land: &Land, index: u32, plants: VegetationSettings) -> Case {
     Case {
         name: format!("{index}: {site:?}, {above} m up, x {times:.1}, {tolerance_px} px, {pose}"),
         site,
-        shot: ViewParams {
-            pose,
-            projection: LENS,
-            view_distance_m: VIEW_M,
-            tolerance_px,
-            time_s: 0.0,
-            settings: RenderSettings { plants, ..RenderSettings::default() },
-        },
+        shot: shot(pose, LENS, tolerance_px, plants),
         stretch: scale,
     }
 }

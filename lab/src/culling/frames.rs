@@ -1,17 +1,13 @@
 //! Cost of each culling method in frames of the valley scene: culling alone and the whole frame, in
 //! one interleaved run.
 
-use crate::culling::cases::{Case, LENS, Site};
+use crate::culling::cases::Case;
 use crate::culling::id_buffer::frame_of;
 use crate::culling::scene::Scene;
 use crate::headless_renderer::HeadlessRenderer;
 use crate::stats::median_s;
 use anyhow::{Context, Result};
-use client::cache::vertical_scale;
-use client::camera::Projection;
 use client::features::vegetation::{Cull, VegetationSettings};
-use client::settings::RenderSettings;
-use client::view::ViewParams;
 use serde::Serialize;
 use terrain::Land;
 
@@ -65,20 +61,7 @@ pub struct Frames {
 /// Draws the scene `culling` at its start with each method.
 pub fn measure(land: &Land, plants: VegetationSettings) -> Result<Frames> {
     let mut renderer = HeadlessRenderer::open(SIZE, SLOTS).context("frames need a GPU")?;
-    let start = client::scene::Scene::Culling;
-    let case = Case {
-        name: "the scene `culling`".into(),
-        site: Site::Valley,
-        shot: ViewParams {
-            pose: start.start(),
-            projection: Projection { width: SIZE.0, height: SIZE.1, ..LENS },
-            view_distance_m: 2600,
-            tolerance_px: 2.0,
-            time_s: 0.0,
-            settings: RenderSettings { plants, ..RenderSettings::default() },
-        },
-        stretch: (start.vertical_scale() * f64::from(vertical_scale::ONE)).round() as i32,
-    };
+    let case = Case::at_start(client::scene::Scene::Culling, SIZE, plants);
     let scene = Scene::of(land, &case, renderer.slots()).context("nothing grows in the scene `culling`")?;
     renderer.upload_world(&scene.world);
     let frames: Vec<_> = WAYS.iter().map(|(_, cull)| frame_of(&scene, *cull)).collect();

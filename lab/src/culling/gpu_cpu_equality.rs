@@ -7,7 +7,6 @@ use anyhow::{Context, Result};
 use client::features::terrain::pool::ChunkPool;
 use client::features::vegetation::gpu_cull::{CullBuffers, CullPasses};
 use client::features::vegetation::{SpeciesParams, VegetationFrame};
-use client::gpu;
 use client::gpu::Gpu;
 use serde::Serialize;
 use shaders::layout::{CULL_FRUSTUM, Culling, GRASS_VERTICES, TREE_VERTICES};
@@ -40,7 +39,7 @@ const ROOM: [u32; 3] = [60_000, 120_000, 240_000];
 
 /// Compares all cases.
 pub fn compare(land: &Land, cases: &[Case]) -> Result<GpuCpuEquality> {
-    let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None)).context("culling needs a GPU")?;
+    let gpu = Gpu::open_blocking().context("culling needs a GPU")?;
     let pool = ChunkPool::new(&gpu.device, SLOTS);
     let passes = CullPasses::new(&gpu.device);
     let [near, middle, far] = GRASS_VERTICES;

@@ -19,6 +19,7 @@ use shaders::twin::surface::{Slots, Surface};
 use shaders::twin::terrain_occlusion::is_occluded;
 use shaders::twin::visibility::{Extent, block_extent, extent_of, slope_at, tip_occludee};
 use std::cell::Cell;
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::time::{Duration, Instant};
 use terrain::Land;
@@ -73,32 +74,14 @@ impl Score {
 pub struct Findings {
     /// Scenes.
     pub scenes: u64,
-    /// T2, step of 2 m.
-    pub noise: Score,
-    /// T3 as first published, step of 2 m.
-    pub march: Score,
-    /// The same with a step of half a metre.
-    pub march_fine: Score,
-    /// T3.
-    pub exact: Score,
-    /// T4.
-    pub hierarchical: Score,
-    /// T4 where any point of a clump's bound is visible: the tests are conservative for the bound.
-    pub bound: Score,
-    /// Grass alone by T4, trees alone by T4.
-    pub grass: Score,
-    /// See `grass`.
-    pub trees: Score,
-    /// Chunks of 128 m of grass by T4: kept if any clump of them is.
-    pub chunks: Score,
-    /// The same chunks: kept if any block of them is.
-    pub chunks_by_blocks: Score,
-    /// Chunks of trees likewise.
-    pub tree_chunks: Score,
-    /// See `tree_chunks`.
-    pub tree_chunks_by_blocks: Score,
-    /// Chunks by five points.
-    pub five_points: Score,
+    /// By test: `noise` (T2, step of 2 m), `march` (T3 as first published, step of 2 m), `march_fine`
+    /// (step of half a metre), `exact` (T3), `hierarchical` (T4), `grass` and `trees` of it, `bound`
+    /// (T4 where any point of a clump's bound is visible: the tests are conservative for the bound);
+    /// `chunks` of 128 m of grass by T4 (kept if any clump of them is), `chunks_by_blocks` (kept if
+    /// any block of them is), `tree_chunks` and `tree_chunks_by_blocks` likewise, all by
+    /// `five_points`.
+    #[serde(flatten)]
+    pub scores: BTreeMap<&'static str, Score>,
     /// Reads of heights, bounds and tiles per ray: T3; a march in steps of half a metre.
     pub fetches_exact: f64,
     /// See `fetches_exact`.
@@ -116,24 +99,14 @@ pub struct Findings {
 }
 
 impl Findings {
+    fn count(&mut self, test: &'static str, is_seen: bool, is_culled: bool) {
+        self.scores.entry(test).or_default().count(is_seen, is_culled);
+    }
+
     fn join(mut self, other: Self) -> Self {
         self.scenes += other.scenes;
-        for (own, others) in [
-            (&mut self.noise, &other.noise),
-            (&mut self.march, &other.march),
-            (&mut self.march_fine, &other.march_fine),
-            (&mut self.exact, &other.exact),
-            (&mut self.hierarchical, &other.hierarchical),
-            (&mut self.bound, &other.bound),
-            (&mut self.grass, &other.grass),
-            (&mut self.trees, &other.trees),
-            (&mut self.chunks, &other.chunks),
-            (&mut self.chunks_by_blocks, &other.chunks_by_blocks),
-            (&mut self.tree_chunks, &other.tree_chunks),
-            (&mut self.tree_chunks_by_blocks, &other.tree_chunks_by_blocks),
-            (&mut self.five_points, &other.five_points),
-        ] {
-            own.add(others);
+        for (test, score) in &other.scores {
+            self.scores.entry(test).or_default().add(score);
         }
         self.fetches_exact += other.fetches_exact;
         self.fetches_march += other.fetches_march;
@@ -236,6 +209,7 @@ fn of_scene(scene: &Scene) -> Findings {
     for stand in &scene.plants.species {
         let culling = &stand.culling;
         let fine = Culling { step: 2048, ..*culling };
+        let is_grass = stand.planting.kind == KIND_GRASS;
         let sample = sample(&surface, stand);
         let mut hint_m = 0.0;
         for clump in &sample {
@@ -254,29 +228,25 @@ fn of_scene(scene: &Scene) -> Findings {
             }
             let hierarchical = judged.is_occluded || block_of(&surface, stand, clump);
             let tip = tip_occludee(culling, &stand.planting, clump);
-            found.noise.count(is_seen, raymarch_occlusion(&noise, culling, &tip, 0));
-            found.march.count(is_seen, raymarch_occlusion_by_vertices(&surface, culling, &tip));
-            found.march_fine.count(is_seen, raymarch_occlusion_by_vertices(&surface, &fine, &tip));
-            found.exact.count(is_seen, judged.is_occluded);
-            found.hierarchical.count(is_seen, hierarchical);
-            found.bound.count(is_bound_seen, hierarchical);
-            let is_grass = stand.planting.kind == KIND_GRASS;
-            if is_grass { &mut found.grass } else { &mut found.trees }.count(is_seen, hierarchical);
+            found.count("noise", is_seen, raymarch_occlusion(&noise, culling, &tip, 0));
+            found.count("march", is_seen, raymarch_occlusion_by_vertices(&surface, culling, &tip));
+            found.count("march_fine", is_seen, raymarch_occlusion_by_vertices(&surface, &fine, &tip));
+            found.count("exact", is_seen, judged.is_occluded);
+            found.count("hierarchical", is_seen, hierarchical);
+            found.count("bound", is_bound_seen, hierarchical);
+            found.count(if is_grass { "grass" } else { "trees" }, is_seen, hierarchical);
             if is_bound_seen && hierarchical {
                 found.culprits.push(format!("{}: {clump:?}", scene.name));
             }
         }
         count_cost(&mut found, &surface, stand, &sample, &fine);
-        let is_grass = stand.planting.kind == KIND_GRASS;
+        let by =
+            if is_grass { ["chunks", "chunks_by_blocks"] } else { ["tree_chunks", "tree_chunks_by_blocks"] };
         for chunk in chunks_of(scene, &reference, &surface, stand, EVERY_CHUNK) {
-            let (by_clumps, by_blocks) = if is_grass {
-                (&mut found.chunks, &mut found.chunks_by_blocks)
-            } else {
-                (&mut found.tree_chunks, &mut found.tree_chunks_by_blocks)
-            };
-            by_clumps.count(chunk.is_seen, !chunk.has_clump);
-            by_blocks.count(chunk.is_seen, !chunk.has_block);
-            found.five_points.count(chunk.is_seen, !chunk.has_point);
+            let keeps = [chunk.has_clump, chunk.has_block, chunk.has_point];
+            for (test, is_kept) in by.into_iter().chain(["five_points"]).zip(keeps) {
+                found.count(test, chunk.is_seen, !is_kept);
+            }
         }
     }
     found

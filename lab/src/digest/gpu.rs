@@ -1,9 +1,9 @@
 //! The words of a wgpu device: WGSL, translated by naga for its driver.
 
-use crate::adapters::OpenGpu;
 use crate::digest::probes::Probe;
-use crate::probe;
+use crate::probe::{self, Dispatch};
 use anyhow::Result;
+use client::gpu::Gpu;
 use shaders::Shader;
 use shaders::layout::{FILL_WORKGROUP, PROBE_WORDS, World};
 use terrain::Land;
@@ -12,18 +12,16 @@ use terrain::Land;
 const BATCH: usize = 1 << 18;
 
 /// Runs `probe_heights` or its float control over all probes.
-pub fn words(gpu: &OpenGpu, shader: &Shader, land: &Land, probes: &[Probe]) -> Result<Vec<i32>> {
+pub fn words(gpu: &Gpu, shader: &Shader, land: &Land, probes: &[Probe]) -> Result<Vec<i32>> {
     let pipeline = probe::pipeline(gpu, shader, None);
-    let world = probe::input(gpu, "world", &[World::from(land.parameters())]);
-
+    let world = World::from(land.parameters());
+    let world = probe::filled(gpu, bytemuck::bytes_of(&world), wgpu::BufferUsages::STORAGE);
     let mut words = Vec::with_capacity(probes.len() * PROBE_WORDS);
     for batch in probes.chunks(BATCH) {
-        let input = probe::input(gpu, "probes", batch);
-        let output = probe::output::<i32>(gpu, "words", PROBE_WORDS * batch.len());
-        let bindings =
-            probe::bind(gpu, &pipeline, [&world, &input, &output].map(wgpu::Buffer::as_entire_binding));
-        probe::dispatch(gpu, &pipeline, &bindings, (batch.len() as u32).div_ceil(FILL_WORKGROUP), 1)?;
-        words.extend(probe::read::<i32>(gpu, &output)?);
+        let dispatch = Dispatch { workgroup: FILL_WORKGROUP, ..Dispatch::once(batch.len()) };
+        let (found, _): (Vec<[i32; PROBE_WORDS]>, _) =
+            probe::run(gpu, &pipeline, [world.as_entire_binding()], batch, dispatch)?;
+        words.extend(found.into_flattened());
     }
     Ok(words)
 }

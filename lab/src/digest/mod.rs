@@ -17,6 +17,7 @@ mod words;
 
 use crate::{Outputs, adapters};
 use anyhow::{Result, anyhow};
+use client::gpu::Gpu;
 use probes::Probe;
 use report::{AdapterResults, Backend, Control, Report, State};
 use shaders::SHADERS;
@@ -26,7 +27,7 @@ use terrain::{Kernel, Land};
 /// The world that is probed; both halves of the seed count.
 pub const WORLD_SEED: u64 = 0x0123_4567_89ab_cdef;
 
-/// The digest of `terrain::constants::GENERATOR_VERSION` 2. It changes only with the version and
+/// The digest of this `terrain::constants::GENERATOR_VERSION`. It changes only with the version and
 /// the probe set.
 pub const EXPECTED: &str = "3bdca1da810285de11091f6ce87425221d81c2de4e85e87de306c60d97ae1b9d";
 
@@ -130,12 +131,15 @@ impl Bench {
     /// Every adapter of some backends, and the control on the first that works.
     fn adapters(&self, which: wgpu::Backends) -> AdapterResults {
         let (mut backends, mut control) = (Vec::new(), None);
-        for adapter in adapters::all(which) {
+        let (instance, adapters) = adapters::all(which);
+        for adapter in adapters {
             let name = format!("naga -> {}", adapters::name(&adapter));
-            let gpu = match adapters::open(&adapter) {
+            let driver = adapters::driver(&adapter);
+            let opened = Gpu::of_adapter(instance.clone(), adapter, wgpu::Features::empty());
+            let gpu = match pollster::block_on(opened) {
                 Ok(gpu) => gpu,
                 Err(error) => {
-                    backends.push(Backend::skipped(name, format!("{error:#}")));
+                    backends.push(Backend::skipped(name, error.to_string()));
                     continue;
                 }
             };
@@ -143,7 +147,7 @@ impl Bench {
             let words = gpu::words(&gpu, &SHADERS.probe_heights, &self.land, &self.probes);
             let seconds = began.elapsed().as_secs_f64();
             backends.push(match words {
-                Ok(words) => self.compare(name.clone(), &words, seconds, &adapters::driver(&adapter)),
+                Ok(words) => self.compare(name.clone(), &words, seconds, &driver),
                 Err(error) => Backend::failed(name.clone(), format!("{error:#}"), seconds),
             });
             if control.is_none() {

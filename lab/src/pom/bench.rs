@@ -1,10 +1,9 @@
 //! The shipped marches on this machine's GPU: rays in, intersections out.
 
-use crate::probe;
+use crate::probe::{self, Dispatch};
 use anyhow::Result;
 use client::features::pom::HeightMap;
 use client::features::pom::maps::PomMaps;
-use client::gpu;
 use client::gpu::bind::{storage_entry, uniform_entry};
 use client::gpu::pipeline::compute_pipelines;
 use client::gpu::{Gpu, offscreen};
@@ -16,7 +15,6 @@ use std::time::{Duration, Instant};
 pub struct PomBench {
     gpu: Gpu,
     pipeline: wgpu::ComputePipeline,
-    layout: wgpu::BindGroupLayout,
 }
 
 impl PomBench {
@@ -25,7 +23,7 @@ impl PomBench {
     /// # Errors
     /// There is none; the message says what to install.
     pub fn open() -> Result<Self> {
-        let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
+        let gpu = Gpu::open_blocking()?;
         let compute = wgpu::ShaderStages::COMPUTE;
         let mut entries = vec![wgpu::BindGroupLayoutEntry { visibility: compute, ..uniform_entry(0) }];
         entries.extend(PomMaps::layout_entries(1, compute));
@@ -35,7 +33,7 @@ impl PomBench {
             entries: &entries,
         });
         let [pipeline] = compute_pipelines(&gpu.device, &SHADERS.probe_pom, &[&layout], ["probe_pom"]);
-        Ok(Self { gpu, pipeline, layout })
+        Ok(Self { gpu, pipeline })
     }
 
     /// Name of the adapter, for people.
@@ -84,20 +82,10 @@ impl PomBench {
         probes: &[PomProbe],
         repeats: u32,
     ) -> Result<(Vec<PomResult>, Duration)> {
-        let how = probe::uniform(&self.gpu, "relief", relief);
-        let input = probe::input(&self.gpu, "probes", probes);
-        let output = probe::output::<PomResult>(&self.gpu, "findings", probes.len());
-        let mut entries = vec![wgpu::BindGroupEntry { binding: 0, resource: how.as_entire_binding() }];
-        entries.extend(maps.entries(1));
-        entries.push(wgpu::BindGroupEntry { binding: 6, resource: input.as_entire_binding() });
-        entries.push(wgpu::BindGroupEntry { binding: 7, resource: output.as_entire_binding() });
-        let bindings = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(SHADERS.probe_pom.name),
-            layout: &self.layout,
-            entries: &entries,
-        });
-        let groups = (probes.len() as u32).div_ceil(64);
-        let took = probe::dispatch(&self.gpu, &self.pipeline, &bindings, groups, repeats)?;
-        Ok((probe::read(&self.gpu, &output)?, took))
+        let how = probe::filled(&self.gpu, bytemuck::bytes_of(relief), wgpu::BufferUsages::UNIFORM);
+        let maps = maps.entries(1).into_iter().map(|entry| entry.resource);
+        let resources = [how.as_entire_binding()].into_iter().chain(maps);
+        let dispatch = Dispatch { repeats, ..Dispatch::once(probes.len()) };
+        probe::run(&self.gpu, &self.pipeline, resources, probes, dispatch)
     }
 }

@@ -108,7 +108,8 @@ fn identities(renderer: &mut PomRenderer) -> Result<(usize, usize, usize)> {
     Ok((compared, zero, raised))
 }
 
-fn silhouettes(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Silhouettes> {
+/// Edges from an elevation of the camera.
+pub fn silhouettes(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Silhouettes> {
     let mut overlap = |mode, silhouette| {
         silhouette_overlap(renderer, mode, PomSettings { silhouette, ..exact() }, elevation_deg)
     };
@@ -120,7 +121,8 @@ fn silhouettes(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Silhoue
     })
 }
 
-fn line(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Line> {
+/// The line of intersection from an elevation of the camera.
+pub fn line(renderer: &mut PomRenderer, elevation_deg: f64) -> Result<Line> {
     let deep = PomSettings { depth: true, silhouette: Silhouette::Shell, ..exact() };
     let shallow = PomSettings { depth: false, silhouette: Silhouette::None, ..deep };
     let (with_depth, pixels) = cut_distance(renderer, deep, elevation_deg)?;

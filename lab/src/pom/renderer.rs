@@ -6,7 +6,6 @@ use client::camera::{Pose, Projection};
 use client::features::materials::CustomMaterials;
 use client::features::pom::PomSettings;
 use client::frame::FrameData;
-use client::gpu;
 use client::gpu::{Gpu, GpuError, Image, OffscreenTarget, offscreen};
 use client::renderer::{RenderOptions, Renderer};
 use client::scene::Scene;
@@ -78,7 +77,7 @@ impl PomRenderer {
 
     /// The same with own materials.
     pub fn with_materials(scene: Scene, size: (u32, u32), own: &CustomMaterials) -> Result<Self, GpuError> {
-        let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
+        let gpu = Gpu::open_blocking()?;
         let options = RenderOptions { scene, size, samples: 1, format: offscreen::IMAGE_FORMAT, slots: 1 };
         let renderer = Renderer::with_materials(&gpu, &options, own);
         let target = OffscreenTarget::new(&gpu.device, size.0, size.1);
