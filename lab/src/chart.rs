@@ -25,7 +25,6 @@ pub enum Scale {
 pub struct Axis {
     /// Quantity and unit.
     pub label: &'static str,
-    /// Linear or logarithmic.
     pub scale: Scale,
 }
 
@@ -71,11 +70,8 @@ pub struct Choice {
 /// One diagram.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    /// Its title.
     pub title: &'static str,
-    /// Across.
     pub x: Axis,
-    /// Up.
     pub y: Axis,
     /// At most six curves.
     pub series: Vec<Series>,

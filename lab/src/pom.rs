@@ -1,17 +1,17 @@
 //! `tombolo-lab pom`: parallax occlusion mapping against its reference. `cargo xtask measure pom`
 //! compares the figures with their bars; here only a control that passes is an error.
 //!
-//! Height maps that are hard to march over ([`maps`]), the reference in f64 ([`mod@reference`]) and
+//! Height maps that are hard to march over ([`maps`]), the reference in f64 (`reference`) and
 //! the shipped marches on this machine's GPU ([`mod@bench`]), both compared ([`comparison`]); edges
-//! and depths in pictures ([`renderer`], `pictures`).
+//! and depths in pictures (`renderer`, `pictures`).
 
 mod bars;
 pub mod bench;
 pub mod comparison;
 pub mod maps;
 pub(crate) mod pictures;
-pub mod reference;
-pub mod renderer;
+pub(crate) mod reference;
+pub(crate) mod renderer;
 
 use crate::pom::bench::PomBench;
 use crate::pom::comparison::{AMPLITUDE, ANGLES_DEG, Condition, Score, Stage, bundle, probes, relief};

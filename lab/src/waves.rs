@@ -22,7 +22,6 @@ pub struct FoundWave {
     pub residual_m: f32,
 }
 
-/// The bench.
 pub struct WaveBench {
     gpu: Gpu,
     waves: WaveMap,
@@ -41,7 +40,6 @@ impl WaveBench {
         Ok(Self { gpu, waves, pipeline })
     }
 
-    /// Name of the adapter, for people.
     pub fn adapter(&self) -> String {
         self.gpu.name()
     }

@@ -193,7 +193,6 @@ fn assembled(terms: &Terms, fast: bool, form: Form) -> f64 {
 /// Errors at one roughness.
 struct Row {
     roughness: f64,
-    /// By [`ERRORS`].
     errors: [Figures; 5],
     /// Of each of [`VARIANTS`].
     of_variants: [Vec<f64>; 4],

@@ -84,7 +84,6 @@ struct Delivered {
     by_delivery: [[f64; 2]; 4],
 }
 
-/// Chunks with land of a level.
 fn chunks(land: &Land, level: u8) -> Vec<Chunk> {
     let mut keys: Vec<_> = sample::land_vertices(land.world_seed(), PLACES, 31)
         .map(|(x, z)| ChunkKey::containing(level, x, z))
@@ -113,7 +112,6 @@ fn bytes<T: AsRef<[u8]>>(frames: &[T]) -> f64 {
     frames.iter().map(|frame| frame.as_ref().len()).sum::<usize>() as f64 / frames.len() as f64
 }
 
-/// All tolerances.
 fn tolerances(land: &Land, world: &WorldDigest) -> Result<Sheet<Coded>> {
     let chunks = chunks(land, 0);
     let mut rows = Vec::new();
@@ -164,7 +162,6 @@ fn tolerances(land: &Land, world: &WorldDigest) -> Result<Sheet<Coded>> {
     Ok(sheet)
 }
 
-/// All levels.
 fn deliveries(land: &Land, world: &WorldDigest) -> Result<Sheet<Delivered>> {
     let mut rows = Vec::new();
     for level in [0, 1, 2, 3, 4, 6, 8] {

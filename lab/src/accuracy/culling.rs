@@ -49,7 +49,6 @@ const HYSTERESIS: [usize; 6] = [0, 1, 2, 4, 8, 16];
 const FRAMES: usize = 24;
 const STRIDE_M: f64 = 0.5;
 
-/// A kind of scene.
 type Kind = (&'static str, fn(&Case) -> bool);
 
 const SCENES: [Kind; 6] = [
@@ -77,7 +76,6 @@ enum Test {
     Exact,
 }
 
-/// Result of a test.
 #[derive(Clone, Copy, Debug, Default)]
 struct Outcome {
     score: Score,

@@ -17,7 +17,6 @@ use terrain::Octaves;
 use terrain::constants::{FINE_BITS, UNITS_PER_METRE, WORLD_HALF};
 use terrain::noise::Fbm;
 
-/// Points at each distance.
 const POINTS: u32 = 20_000;
 
 /// The border of the world, metres.

@@ -16,7 +16,6 @@ use terrain::Land;
 const SIZE: (u32, u32) = (240, 135);
 const FINER: u32 = 4;
 
-/// Slots of the pool.
 const SLOTS: u32 = 2000;
 
 /// No trees, no wind: the grass alone.
@@ -34,7 +33,6 @@ const DENSITIES: [u32; 5] = [32, 16, 8, 4, 2];
 const THIN_FROM_M: [f32; 5] = [10.0, 20.0, 42.0, 80.0, 140.0];
 const WIDEST: [f32; 4] = [1.0, 2.0, 6.0, 12.0];
 
-/// A rendered setting.
 struct Rendered {
     picture: Image,
     /// Share of the fine picture that shows grass.

@@ -15,7 +15,6 @@ pub const HEIGHT_BAR_M: f64 = 1.0 / 128.0;
 /// Largest allowed angle between the normals of central differences, degrees.
 pub const SLOPE_BAR_DEG: f64 = 0.2;
 
-/// Points of a control.
 const CONTROL_POINTS: u32 = 20_000;
 
 /// Errors over one set of points.

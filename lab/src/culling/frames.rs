@@ -30,12 +30,9 @@ pub const WAYS: [(&str, Cull); 6] = [
     ("T4 hierarchical", Cull::Hierarchical),
 ];
 
-/// Cost of one method.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Cost {
-    /// Name of the method.
     pub way: &'static str,
-    /// Clumps drawn.
     pub clumps: u64,
     /// Time of culling over that of T1.
     pub choice_ratio: f64,
@@ -47,12 +44,9 @@ pub struct Cost {
     pub frame_ms: f64,
 }
 
-/// Costs of all methods.
 #[derive(Clone, Debug, Serialize)]
 pub struct Frames {
-    /// Name of the GPU.
     pub adapter: String,
-    /// Whether it is a software rasteriser.
     pub is_software: bool,
     /// By method, T1 first.
     pub ways: Vec<Cost>,

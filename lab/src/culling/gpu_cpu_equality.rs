@@ -12,12 +12,9 @@ use serde::Serialize;
 use shaders::layout::{CULL_FRUSTUM, Culling, GRASS_VERTICES, TREE_VERTICES};
 use terrain::Land;
 
-/// Result of the comparison.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct GpuCpuEquality {
-    /// The GPU.
     pub adapter: String,
-    /// Poses compared.
     pub poses: u64,
     /// Of these on stretched land, and 10^6 m from the origin.
     pub stretched: u64,
@@ -37,7 +34,6 @@ const SLOTS: u32 = 1500;
 /// Capacity of each level of detail, clumps.
 const ROOM: [u32; 3] = [60_000, 120_000, 240_000];
 
-/// Compares all cases.
 pub fn compare(land: &Land, cases: &[Case]) -> Result<GpuCpuEquality> {
     let gpu = Gpu::open_blocking().context("culling needs a GPU")?;
     let pool = ChunkPool::new(&gpu.device, SLOTS);

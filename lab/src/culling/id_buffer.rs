@@ -34,7 +34,6 @@ const POSITION: u32 = 0xff_ffff;
 /// Plants found in ID buffers, and those of them that the tests lose.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct VisiblePlants {
-    /// Poses drawn.
     pub poses: u64,
     /// Widths of the ID buffers, pixels.
     pub widths: Vec<u32>,
@@ -52,7 +51,6 @@ pub struct VisiblePlants {
     pub lost_exact: u64,
     /// By T4, as the GPU selects.
     pub lost_hierarchical: u64,
-    /// Clumps drawn.
     pub drawn: u64,
     /// The first few false culls of T3 or T4, for messages.
     pub culprits: Vec<String>,
@@ -61,7 +59,6 @@ pub struct VisiblePlants {
 /// Kind and position of a plant.
 type PlantId = (u32, u32, u32);
 
-/// Draws all cases.
 pub fn measure(land: &Land, cases: &[Case]) -> Result<VisiblePlants> {
     let mut renderer = HeadlessRenderer::open(SIZES[0], SLOTS).context("pictures need a GPU")?;
     let mut visible = VisiblePlants {

@@ -44,7 +44,6 @@ pub struct Score {
 }
 
 impl Score {
-    /// Counts one thing.
     pub fn count(&mut self, is_seen: bool, is_culled: bool) {
         if is_seen {
             self.visible += 1;
@@ -72,7 +71,6 @@ impl Score {
 /// Scores over all scenes.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Findings {
-    /// Scenes.
     pub scenes: u64,
     /// By test: `noise` (T2, step of 2 m), `march` (T3 as first published, step of 2 m), `march_fine`
     /// (step of half a metre), `exact` (T3), `hierarchical` (T4), `grass` and `trees` of it, `bound`
@@ -119,7 +117,6 @@ impl Findings {
     }
 }
 
-/// Scores all cases.
 pub fn score(land: &Land, cases: &[Case]) -> Findings {
     let found = cases
         .par_iter()
@@ -137,9 +134,7 @@ pub fn score(land: &Land, cases: &[Case]) -> Findings {
 /// Counts reads.
 #[derive(Debug)]
 pub struct Counting<'a, S> {
-    /// The data.
     pub slots: &'a S,
-    /// Number of reads.
     pub reads: Cell<u64>,
 }
 

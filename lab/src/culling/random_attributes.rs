@@ -8,7 +8,6 @@ use terrain::random_attributes::random_attributes;
 /// Results for the streams of a meadow.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct StreamTests {
-    /// Clumps tested.
     pub clumps: u64,
     /// Smallest p-value of any stream, of its high, its middle or its low bits.
     pub worst_stream_p: f64,

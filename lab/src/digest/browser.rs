@@ -31,7 +31,6 @@ const MAX_LINES: usize = 100;
 
 const PAGE: &str = include_str!("browser.html");
 
-/// Outcome of a run.
 #[derive(Debug)]
 pub enum Outcome {
     /// The words, and the name of the adapter.

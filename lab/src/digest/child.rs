@@ -66,7 +66,6 @@ impl ChildGuard {
         Ok(Self(child))
     }
 
-    /// The child.
     pub const fn child(&mut self) -> &mut Child {
         &mut self.0
     }
@@ -142,7 +141,6 @@ impl Scratch {
         Ok(Self(folder))
     }
 
-    /// Where it is.
     pub fn path(&self) -> &Path {
         &self.0
     }

@@ -6,11 +6,9 @@ use std::fmt;
 /// The result of a run. Field names are a contract with scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Number of probes.
     pub probes: usize,
     /// The frozen digest that all must yield.
     pub expected: String,
-    /// The backends.
     pub backends: Vec<Backend>,
     /// The float twin: on a GPU, or on this processor where there is none.
     pub control: Control,
@@ -25,11 +23,9 @@ pub struct Backend {
     pub name: String,
     /// Of its words; none where it computed nothing.
     pub digest: Option<String>,
-    /// The verdict.
     pub state: State,
     /// Reason of a skip or a failure, or the first differences; else facts about the backend.
     pub detail: String,
-    /// How long it took.
     pub seconds: f64,
 }
 

@@ -35,7 +35,6 @@ pub struct Frames {
     pub adapter: String,
     /// Whether it is a software rasteriser.
     pub is_software: bool,
-    /// Picture size, pixels.
     pub size: (u32, u32),
     /// Draw calls that the terrain of a frame took.
     pub terrain_draws: u32,
@@ -43,7 +42,6 @@ pub struct Frames {
     pub levels: usize,
     /// Bytes on the GPU per slot of a chunk.
     pub bytes_per_chunk: u64,
-    /// One row per tolerance.
     pub rows: Vec<Row>,
 }
 
@@ -52,7 +50,6 @@ pub struct Frames {
 pub struct Row {
     /// Tolerated screen error, pixels.
     pub tolerance_px: f64,
-    /// Triangles sent.
     pub triangles: u64,
     /// Median time until the GPU was done, as the program sees it, milliseconds.
     pub frame_ms: f64,

@@ -40,10 +40,8 @@ const SLOTS: u32 = 6_000;
 /// Side of the blocks whose mean change is taken, pixels: a single pixel is not visible popping.
 const BLOCK: u32 = 8;
 
-/// A straight flight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Flight {
-    /// Its name.
     pub name: &'static str,
     /// Where it begins; it goes where the gaze points, level.
     pub start: &'static str,
@@ -69,12 +67,9 @@ pub struct Change {
     pub block: f64,
 }
 
-/// Result of a flight.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outcome {
-    /// The flight.
     pub flight: &'static str,
-    /// Frames compared.
     pub frames: u32,
     /// Frames between which a chunk was split or merged.
     pub level_changes: u32,
@@ -93,7 +88,6 @@ pub fn renderer() -> Result<HeadlessRenderer, GpuError> {
     HeadlessRenderer::open(SIZE, SLOTS)
 }
 
-/// Flies and compares.
 pub fn fly(
     renderer: &mut HeadlessRenderer,
     land: Land,

@@ -36,13 +36,11 @@ pub struct View {
     pub camera: String,
     /// Chunks in sight.
     pub chunks: usize,
-    /// Their triangles.
     pub triangles: u64,
     /// Triangles of all level-0 chunks in sight.
     pub triangles_without_lod: u64,
 }
 
-/// Counts for every camera.
 pub fn count(land: &Land) -> Vec<View> {
     let mut builder = WorldBuilder::new(*land);
     let view = |camera: &str| {

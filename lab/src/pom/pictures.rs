@@ -23,9 +23,7 @@ pub struct Pictures {
     pub zero_differing: usize,
     /// The same with amplitude: the control.
     pub raised_differing: usize,
-    /// Edges.
     pub silhouettes: Vec<Silhouettes>,
-    /// Lines of intersection.
     pub lines: Vec<Line>,
 }
 
@@ -34,9 +32,7 @@ pub struct Pictures {
 pub struct Silhouettes {
     /// Camera above the plane, degrees.
     pub elevation_deg: f64,
-    /// Of the shell.
     pub shell: f64,
-    /// Of the rectangle.
     pub rectangle: f64,
     /// Of a plane without a silhouette: the control.
     pub flat: f64,

@@ -10,7 +10,6 @@ use terrain::constants::{FINE_BITS, OCTAVES};
 
 /// A field of relief over the whole world, metres.
 pub struct Baseline {
-    /// What it is.
     pub name: &'static str,
     /// Upper bound of its slope along an axis in real arithmetic, metres per metre.
     pub slope: f64,

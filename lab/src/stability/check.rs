@@ -6,16 +6,13 @@ use std::fmt::Display;
 /// One property, tested many times.
 #[derive(Clone, Debug, Serialize)]
 pub struct Check {
-    /// The property.
     pub name: String,
-    /// Cases tested.
     pub cases: u64,
     /// Cases that violate it.
     pub violations: u64,
     /// Largest ratio of what was seen to what is allowed; where nothing is allowed, the largest
     /// value seen.
     pub worst: f64,
-    /// Where the worst was.
     pub worst_at: String,
     /// The first violation, in words.
     pub first: Option<String>,

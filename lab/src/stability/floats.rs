@@ -18,7 +18,6 @@ const LINES: u32 = 64;
 /// One field at one distance.
 #[derive(Clone, Debug, Serialize)]
 pub struct FloatRow {
-    /// The field.
     pub field: &'static str,
     /// Distance from the origin along x, metres.
     pub distance_m: i32,

@@ -8,7 +8,6 @@ use std::fmt;
 /// The result of `stability`. Field names are a contract with scripts.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
-    /// Worlds swept.
     pub worlds: u32,
     /// Properties of the land: all must hold.
     pub checks: Vec<Check>,
