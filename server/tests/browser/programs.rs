@@ -33,7 +33,8 @@ impl Program {
         {
             command.env_remove(variable);
         }
-        command.args(["--listen", address, "--log", "warn"]).args(arguments);
+        // The page is tested, not load shedding: an unoptimised server on a busy machine is slow.
+        command.args(["--listen", address, "--log", "warn", "--deadline-ms", "60000"]).args(arguments);
         let mut child =
             command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().expect("the server starts");
         let mut line = String::new();
