@@ -47,14 +47,18 @@ const VARIANTS: [(&str, &str, bool, Form); 4] = [
 /// Columns of errors.
 const ERRORS: [&str; 5] = ["fast", "f32", "f32 naive", "f16", "f16 naive"];
 
+fn unit(v: DVec3) -> DVec3 {
+    v / v.length()
+}
+
 fn widened(v: [f32; 3]) -> DVec3 {
-    DVec3::from(v.map(f64::from)).normalize()
+    unit(DVec3::from(v.map(f64::from)))
 }
 
 /// A surface aligned with no axis, so that products round: normal and two tangents.
 fn surface() -> [DVec3; 3] {
-    let normal = DVec3::new(0.36, 0.81, -0.47).normalize();
-    let east = normal.cross(DVec3::new(0.1, 0.2, 0.9)).normalize();
+    let normal = unit(DVec3::new(0.36, 0.81, -0.47));
+    let east = unit(normal.cross(DVec3::new(0.1, 0.2, 0.9)));
     [normal, east, normal.cross(east)]
 }
 
