@@ -2,7 +2,7 @@
 //!
 //! Each compares with a reference: [`digest`] (all backends compute the same integers),
 //! `accuracy` (error against cost), [`mod@lod`] (levels of detail as drawn), [`mod@pom`]
-//! (parallax occlusion mapping), `culling` (occlusion culling of vegetation), `stability`
+//! (parallax occlusion mapping), [`mod@culling`] (occlusion culling of vegetation), `stability`
 //! (borders of the world and of cells), `timings` (GPU against CPU), `codec` (chunks on the
 //! wire against other codecs).
 //!
@@ -15,13 +15,13 @@ mod adapters;
 mod chart;
 mod codec;
 pub mod cracks;
-mod culling;
+pub mod culling;
 mod curve;
 pub mod digest;
 mod flip;
 mod floats;
 pub mod gpu_probes;
-mod headless_renderer;
+pub mod headless_renderer;
 pub mod lod;
 mod options;
 mod outputs;
@@ -31,7 +31,7 @@ mod reference_f64;
 mod report;
 mod sample;
 mod stability;
-mod stats;
+pub mod stats;
 mod table;
 mod timings;
 mod waves;

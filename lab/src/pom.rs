@@ -3,7 +3,7 @@
 //!
 //! Height maps that are hard to march over ([`maps`]), the reference in f64 (`reference`) and
 //! the shipped marches on this machine's GPU ([`mod@bench`]), both compared ([`comparison`]); edges
-//! and depths in pictures (`renderer`, `pictures`).
+//! and depths in pictures ([`renderer`], `pictures`).
 
 mod bars;
 pub mod bench;
@@ -11,7 +11,7 @@ pub mod comparison;
 pub mod maps;
 pub(crate) mod pictures;
 pub(crate) mod reference;
-pub(crate) mod renderer;
+pub mod renderer;
 
 use crate::pom::bench::PomBench;
 use crate::pom::comparison::{AMPLITUDE, ANGLES_DEG, Condition, Score, Stage, bundle, probes, relief};

@@ -11,12 +11,14 @@ use glam::DVec3;
 use terrain::hash::mix;
 use terrain::{Land, Position};
 
+/// A test case.
 #[derive(Clone, Debug)]
 pub struct Case {
     /// Its parameters, for messages.
     pub name: String,
     /// Shape of the ground under the eye.
     pub site: Site,
+    /// The shot.
     pub shot: ViewParams,
     /// Vertical stretch of the land, Q8.
     pub stretch: i32,

@@ -16,6 +16,7 @@ use shaders::twin::visibility::gradient_at;
 /// Metres after which patterns of the world repeat.
 const PATTERN_PERIOD_M: f64 = shaders::layout::PATTERN_PERIOD_M as f64;
 
+/// Vertices of a clump.
 #[derive(Clone, Debug, Default)]
 pub struct ClumpVertices {
     /// Height above the root without lean, metres.

@@ -35,6 +35,11 @@ impl VisibilityReference {
         Self { chunks, finest, coarsest, near_m: f64::from(client::camera::NEAR_M) }
     }
 
+    /// Whether a point is visible from an eye.
+    pub fn sees(&self, eye: Point, point: Point) -> bool {
+        self.first_in_the_way(eye, point).is_none()
+    }
+
     /// The share of the way to a point where the land is first found above it.
     fn first_in_the_way(&self, eye: Point, point: Point) -> Option<f64> {
         let (east, south) = (point[0] - eye[0], point[2] - eye[2]);

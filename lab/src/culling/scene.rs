@@ -10,11 +10,15 @@ use terrain::{Land, lod};
 /// A test case with its data.
 #[derive(Debug)]
 pub struct Scene {
+    /// Its name.
     pub name: String,
     /// The shot, its eye lifted out of the ground.
     pub shot: ViewParams,
+    /// The land.
     pub world: ChunkCache,
+    /// The drawn selection.
     pub drawn: Vec<Drawn>,
+    /// The plants.
     pub plants: VegetationFrame,
 }
 

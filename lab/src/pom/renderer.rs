@@ -1,5 +1,5 @@
 //! Pictures of parallax-mapped surfaces against displaced geometry, by the shipped passes on this
-//! machine's GPU: silhouettes, lines of intersection.
+//! machine's GPU: silhouettes, lines of intersection, pixels that are not finite.
 
 use crate::stats::quantile;
 use client::camera::{Pose, Projection};
@@ -39,6 +39,12 @@ pub struct PomRenderer {
 pub struct Light(pub Vec<[u16; 4]>);
 
 impl Light {
+    /// Pixels with a colour channel that is no finite number.
+    pub fn unlit(&self) -> usize {
+        // An exponent of all ones is infinite or no number.
+        self.0.iter().filter(|pixel| pixel[..3].iter().any(|half| half & 0x7c00 == 0x7c00)).count()
+    }
+
     /// Pixels that are not the same, bit for bit.
     pub fn differing(&self, other: &Self) -> Mask {
         Mask(self.0.iter().zip(&other.0).map(|(one, other)| one != other).collect())
@@ -238,6 +244,8 @@ mod tests {
         assert_eq!(line_distances(&[(0, 0)], &[(3, 4), (0, 1)]), [1.0, 1.0, 5.0]);
         assert_eq!(line_distances(&[(0, 0)], &[]), [f64::INFINITY]);
         assert_eq!(line_distances(&[], &[]), [f64::INFINITY]);
+        let light = Light(vec![[0, 0, 0x3c00, 0x7c00], [0x7e00, 0, 0, 0]]);
+        assert_eq!(light.unlit(), 1);
     }
 
     #[test]
