@@ -1,5 +1,5 @@
 //! Renders the archipelago without a server, by the viewer's own options:
-//! `cargo run -p client --example local_shot -- --shot OUT.png [OPTIONS]`.
+//! `cargo run -p tombolo-client --example local_shot -- --shot OUT.png [OPTIONS]`.
 
 use anyhow::Context as _;
 use clap::Parser as _;

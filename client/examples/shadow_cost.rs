@@ -1,4 +1,4 @@
-//! Cost of terrain shadows: `cargo run -p client --example shadow_cost -- [CAMERA] [AZIMUTH]`.
+//! Cost of terrain shadows: `cargo run -p tombolo-client --example shadow_cost -- [CAMERA] [AZIMUTH]`.
 //! For several heights of the sun, milliseconds of tracing one chunk and of one frame, and the
 //! shares of dark and penumbra vertices.
 

@@ -2,7 +2,7 @@
 //!
 //! The corpus is the frozen frames under `fixtures/`. The short run mutates each for a fixed number
 //! of rounds from a fixed seed; the long one is
-//! `TOMBOLO_FUZZ_ROUNDS=100000000 cargo test --release -p protocol --test corpus`, and
+//! `TOMBOLO_FUZZ_ROUNDS=100000000 cargo test --release -p tombolo-protocol --test corpus`, and
 //! `TOMBOLO_FUZZ_SEED` selects other mutations. A failure prints the bytes of its frame.
 
 use protocol::chunk_codec::{self, Kernel, quantised, refined, seed_only};

@@ -3,7 +3,7 @@
 //!
 //! A failing test here means that deployed peers would no longer understand each other. If that is
 //! intended, bump `PROTOCOL_VERSION` (or the chunk `VERSION`) and write the new bytes with
-//! `TOMBOLO_BLESS=1 cargo test -p protocol --test fixtures`.
+//! `TOMBOLO_BLESS=1 cargo test -p tombolo-protocol --test fixtures`.
 
 use protocol::chunk_codec::{Effort, quantised, refined, seed_only};
 use protocol::client::{ClientConfig, ClientSession};

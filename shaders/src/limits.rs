@@ -41,7 +41,7 @@ const HEADER: &str = "# Shader resources
 
 Counts of every stage of every pass, by naga's reflection, against the [default limits of
 WebGPU](https://www.w3.org/TR/webgpu/#limits). `shaders/src/limits.rs` checks them; after a change
-`TOMBOLO_BLESS=1 cargo nextest run -p shaders limits` writes this table.
+`TOMBOLO_BLESS=1 cargo nextest run -p tombolo-shaders limits` writes this table.
 
 | pass | stage | storage buffers | uniform buffers | sampled textures | storage textures | \
 samplers | bind groups | invocations | workgroup bytes | inter-stage variables |

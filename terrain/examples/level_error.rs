@@ -3,7 +3,7 @@
 //! For each level, chunks over the home islands of several seeds are compared with every level-0
 //! vertex under them. The worst value found, plus a quarter, is the table in `terrain::lod`.
 //!
-//! Run: `cargo run --release -p terrain --example level_error`
+//! Run: `cargo run --release -p tombolo-terrain --example level_error`
 
 use terrain::chunk::drawn_height_scaled;
 use terrain::constants::{CELLS, VERTICES};

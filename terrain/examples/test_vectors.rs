@@ -1,6 +1,6 @@
 //! Prints the test vectors of docs/heightfield.md, from the smallest part to the whole.
 //!
-//! Run: `cargo run -p terrain --example test_vectors`
+//! Run: `cargo run -p tombolo-terrain --example test_vectors`
 
 use std::fmt::Write as _;
 use terrain::hash::{hash2, mix, stream_seed};

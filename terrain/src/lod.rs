@@ -22,7 +22,7 @@ pub const MAX_VIEW_DISTANCE_M: u32 = 65_536;
 /// Empirical bound of the vertical error of a level against level 0 in units: a search with a
 /// margin, not a proof.
 ///
-/// Levels 1 to 6: the worst value that `cargo run --release -p terrain --example level_error` finds
+/// Levels 1 to 6: the worst value that `cargo run --release -p tombolo-terrain --example level_error` finds
 /// by brute force (2.5, 5.5, 10.1, 18.5, 31.3, 44.3 m), plus a quarter, and a little more at levels
 /// 4 to 6, where a longer search of summits found 19.4, 35.0 and 57.1 m. A test repeats part of
 /// that search. From level 7 on a cell is wider than the hills, and the bound is the whole relief.

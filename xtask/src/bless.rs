@@ -38,7 +38,7 @@ pub fn run(what: What) -> Result<()> {
     let before = fixtures(&process::root().join(FIXTURES))?;
     let mut tests = process::cargo("nextest run --workspace --no-fail-fast -E");
     tests.arg(match what {
-        What::Fixtures => "package(protocol) & binary(fixtures)",
+        What::Fixtures => "package(tombolo-protocol) & binary(fixtures)",
         What::Pictures => "binary(/pictures/)",
     });
     tests.env("TOMBOLO_BLESS", "1");

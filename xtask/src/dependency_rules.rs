@@ -14,46 +14,98 @@ struct Rule {
 
 const RULES: [Rule; 8] = [
     Rule {
-        package: "terrain",
+        package: "tombolo-terrain",
         forbidden: &[
-            "protocol", "shaders", "server", "client", "load", "lab", "cli", "serde", "noise", "tokio",
+            "tombolo-protocol",
+            "tombolo-shaders",
+            "tombolo-server",
+            "tombolo-client",
+            "tombolo-load",
+            "tombolo-lab",
+            "tombolo-cli",
+            "serde",
+            "noise",
+            "tokio",
             "wgpu",
         ],
         why: "terrain is pure and depends on no other crate",
     },
     Rule {
-        package: "protocol",
-        forbidden: &["shaders", "server", "client", "load", "lab", "tokio", "axum", "tungstenite", "wgpu"],
+        package: "tombolo-protocol",
+        forbidden: &[
+            "tombolo-shaders",
+            "tombolo-server",
+            "tombolo-client",
+            "tombolo-load",
+            "tombolo-lab",
+            "tokio",
+            "axum",
+            "tungstenite",
+            "wgpu",
+        ],
         why: "the protocol does no IO",
     },
     Rule {
-        package: "shaders",
-        forbidden: &["protocol", "server", "client", "load", "lab", "tokio", "wgpu"],
+        package: "tombolo-shaders",
+        forbidden: &[
+            "tombolo-protocol",
+            "tombolo-server",
+            "tombolo-client",
+            "tombolo-load",
+            "tombolo-lab",
+            "tokio",
+            "wgpu",
+        ],
         why: "shaders are text and layouts; drawing with them is the client's",
     },
     Rule {
-        package: "server",
-        forbidden: &["wgpu", "winit", "egui", "client", "shaders", "load", "lab"],
+        package: "tombolo-server",
+        forbidden: &[
+            "wgpu",
+            "winit",
+            "egui",
+            "tombolo-client",
+            "tombolo-shaders",
+            "tombolo-load",
+            "tombolo-lab",
+        ],
         why: "a server draws nothing",
     },
     Rule {
-        package: "client",
-        forbidden: &["axum", "server", "load", "lab", "noise"],
+        package: "tombolo-client",
+        forbidden: &["axum", "tombolo-server", "tombolo-load", "tombolo-lab", "noise"],
         why: "a viewer serves nothing",
     },
     Rule {
-        package: "load",
-        forbidden: &["wgpu", "winit", "egui", "client", "shaders", "server", "lab"],
+        package: "tombolo-load",
+        forbidden: &[
+            "wgpu",
+            "winit",
+            "egui",
+            "tombolo-client",
+            "tombolo-shaders",
+            "tombolo-server",
+            "tombolo-lab",
+        ],
         why: "a load test runs where no GPU is",
     },
     Rule {
-        package: "server-bench",
-        forbidden: &["wgpu", "winit", "egui", "client", "shaders", "server", "load", "lab"],
+        package: "tombolo-server-bench",
+        forbidden: &[
+            "wgpu",
+            "winit",
+            "egui",
+            "tombolo-client",
+            "tombolo-shaders",
+            "tombolo-server",
+            "tombolo-load",
+            "tombolo-lab",
+        ],
         why: "server benchmarks run the server as a process",
     },
     Rule {
-        package: "lab",
-        forbidden: &["axum", "server", "load", "fastnoise2"],
+        package: "tombolo-lab",
+        forbidden: &["axum", "tombolo-server", "tombolo-load", "fastnoise2"],
         why: "a bench measures, it serves nothing",
     },
 ];
@@ -66,7 +118,8 @@ pub fn check() -> Result<()> {
     for rule in RULES {
         let package = rule.package;
         // Build scripts do not ship: the shader linker may use what the library may not.
-        let edges = if package == "server" || package == "terrain" { "normal,build" } else { "normal" };
+        let ships_with_build_scripts = ["tombolo-server", "tombolo-terrain"].contains(&package);
+        let edges = if ships_with_build_scripts { "normal,build" } else { "normal" };
         let line = format!("tree --package {package} --edges {edges} --prefix none --format {{p}}");
         let tree = process::output(process::cargo(&line)).context("cannot ask for the dependency tree")?;
         if let Some(found) = violation(package, rule.forbidden, &tree)? {
@@ -103,6 +156,20 @@ mod tests {
     fn a_forbidden_name_is_found_and_a_longer_name_is_another_crate() {
         assert_eq!(violation("server", &["wgpu", "winit"], TREE).unwrap(), None);
         assert_eq!(violation("server", &["winit", "serde"], TREE).unwrap(), Some("serde".into()));
+    }
+
+    /// A renamed package would otherwise be forbidden under a name that nobody has.
+    #[test]
+    fn own_packages_exist_under_the_names_of_the_rules() {
+        let own =
+            RULES.iter().flat_map(|rule| [rule.package].into_iter().chain(rule.forbidden.iter().copied()));
+        let own: BTreeSet<_> = own.filter_map(|name| name.strip_prefix("tombolo-")).collect();
+        assert!(own.len() > 5, "{own:?}");
+        for folder in own {
+            let manifest = process::root().join(folder).join("Cargo.toml");
+            let text = std::fs::read_to_string(manifest).unwrap();
+            assert!(text.contains(&format!("name = \"tombolo-{folder}\"")), "{folder}");
+        }
     }
 
     #[test]

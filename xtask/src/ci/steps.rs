@@ -92,7 +92,7 @@ pub const ALL: [Step; 14] = [
     Step {
         name: "shaders",
         about: "shaders compile with naga and with Tint",
-        again: "cargo nextest run --workspace -E 'package(shaders)'",
+        again: "cargo nextest run --workspace -E 'package(tombolo-shaders)'",
         action: shaders,
     },
     Step {
@@ -104,7 +104,7 @@ pub const ALL: [Step; 14] = [
     Step {
         name: "wasm",
         about: "the crates of a browser build; the kernels run in Node",
-        again: "cargo check --target wasm32-unknown-unknown --package terrain",
+        again: "cargo check --target wasm32-unknown-unknown --package tombolo-terrain",
         action: webassembly,
     },
     Step {
@@ -154,7 +154,7 @@ fn tests(host: &dyn Host) -> Result<Shown> {
 /// of them looked must be said here, because the output of passing tests is not shown.
 fn shaders(host: &dyn Host) -> Result<Shown> {
     // Chosen among the workspace: one package alone would be built with other features.
-    host.run(process::cargo("nextest run --workspace -E package(shaders)"))?;
+    host.run(process::cargo("nextest run --workspace -E package(tombolo-shaders)"))?;
     let tint = host.lacks(Tool::Tint).map_or(Outcome::Passed, |why| skipped(Tool::Tint, why));
     Ok(Shown {
         outcome: Outcome::Passed,
@@ -178,9 +178,11 @@ fn webassembly(host: &dyn Host) -> Result<Shown> {
     if let Some(why) = host.lacks(Tool::WasmTarget) {
         return Ok(Shown { outcome: skipped(Tool::WasmTarget, why), parts: Vec::new() });
     }
-    let check = format!("check --target {WASM} --package terrain --package protocol --package shaders");
+    let check = format!(
+        "check --target {WASM} --package tombolo-terrain --package tombolo-protocol --package tombolo-shaders"
+    );
     host.run(process::cargo(&check))?;
-    let build = format!("build --release --target {WASM} --package terrain --example kernels_wasm");
+    let build = format!("build --release --target {WASM} --package tombolo-terrain --example kernels_wasm");
     let mut build = process::cargo(&build);
     build.env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_RUSTFLAGS", "-C target-feature=+simd128");
     host.run(build)?;
