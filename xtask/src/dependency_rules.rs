@@ -158,7 +158,7 @@ mod tests {
         assert_eq!(violation("server", &["winit", "serde"], TREE).unwrap(), Some("serde".into()));
     }
 
-    /// A renamed package would otherwise be forbidden under a name that nobody has.
+    /// A renamed package would otherwise be forbidden under a name that no package has.
     #[test]
     fn own_packages_exist_under_the_names_of_the_rules() {
         let own =
