@@ -117,15 +117,14 @@ pub fn notes(culling: &Value) -> Vec<String> {
          and to the tip of the clump; five points are a chunk's corners and middle at its highest."
             .into(),
     ];
-    // With none lost of n, the share that would be is below 3 / n with 95 % certainty (Hanley and
-    // Lippman-Hand, JAMA 249(13), 1983).
-    let certain = |seen: f64| format!("fewer than {:.1e} of them with 95 % certainty", 3.0 / seen);
+    // With none of n independent cases, the share is below 3 / n with 95 % certainty (Hanley and
+    // Lippman-Hand, JAMA 249(13), 1983). Poses are independent; the plants of one pose are not.
+    let certain =
+        |poses: f64| format!("fewer than {:.1} % of such poses lose one, with 95 % certainty", 300.0 / poses);
     for (test, what) in TESTS {
         let Some(score) = value(culling, "sight").and_then(|sight| sight.get(test)) else { continue };
-        let bound = match (at(score, "false_culls"), at(score, "visible")) {
-            (Some(0.0), Some(seen)) => format!(", so {}", certain(seen)),
-            _ => String::new(),
-        };
+        let is_safe = at(score, "false_culls") == Some(0.0) && at(score, "visible") > Some(0.0);
+        let bound = if is_safe { format!(", so {}", certain(scenes)) } else { String::new() };
         let sentence = "{false_culls} lost of {visible} that are seen";
         let hidden = fill("{kept} kept of {hidden} that are hidden.", score);
         notes.push(format!("{what}: {}{bound}; {hidden}", fill(sentence, score)));
@@ -135,7 +134,7 @@ pub fn notes(culling: &Value) -> Vec<String> {
                         that it shows, at {widths} pixels across; {seen} plants show of {drawn} that are \
                         there; of those that show T1 loses {lost_frustum}, T2 {lost_noise}, T3 by marching \
                         {lost_march}, T3 exact {lost_exact}, T4 {lost_hierarchical}, so ";
-        let certain = certain(at(shown, "seen").unwrap_or(f64::NAN));
+        let certain = certain(at(shown, "poses").unwrap_or(f64::NAN));
         notes.push(format!("{}{certain} where none is lost.", fill(pictures, shown)));
     }
     notes.extend(each(

@@ -52,7 +52,7 @@ fn bars_of([cold, warm]: [&[Value]; 2], small: &Value, load: &Value, peak_mib: O
     let of = |runs: &[Value], field| worst(runs.iter().map(|run| at(run, field)));
     let of_all = |field| worst([of(cold, field), of(warm, field)]);
     let mib = |bytes: Option<f64>| bytes.map(|bytes| bytes / MIB);
-    let complete = "seconds_to_complete_view";
+    let (complete, picture) = ("seconds_to_complete_view", "seconds_to_first_picture");
     let (clients, seconds) = LOAD;
     let under_load = |what| format!("{clients} clients for {seconds} s: {what}");
     // A run of fewer clients or seconds than promised is no measurement of the promise.
@@ -64,7 +64,8 @@ fn bars_of([cold, warm]: [&[Value]; 2], small: &Value, load: &Value, peak_mib: O
     vec![
         Bar::under("8 km view complete, cold server", of(cold, complete), "s", 3.0),
         Bar::under("8 km view complete, warm server", of(warm, complete), "s", 0.5),
-        Bar::reported("first picture of it, warm server", of(warm, "seconds_to_first_picture"), "s"),
+        Bar::under("first picture of it, cold server", of(cold, picture), "s", 3.0),
+        Bar::under("first picture of it, warm server", of(warm, picture), "s", 2.0),
         Bar::under("received for the 8 km view", mib(of_all("bytes_received")), "MiB", 6.0),
         Bar::none(under_load("mismatches"), of_load("mismatches")),
         Bar::none(under_load("dropped sessions"), of_load("dropped")),
@@ -141,7 +142,7 @@ mod tests {
     fn missed(view: &Value, load: &Value, peak: Option<f64>) -> Vec<String> {
         let views = [view.clone(), view.clone()];
         let rows = bars_of([&views, &views], view, load, peak);
-        assert_eq!(rows.len(), 10);
+        assert_eq!(rows.len(), 11);
         rows.into_iter().filter(Bar::is_missed).map(|row| row.name).collect()
     }
 
@@ -154,7 +155,7 @@ mod tests {
     fn every_missing_field_is_a_miss() {
         for (field, expected) in [
             ("seconds_to_complete_view", 2),
-            ("seconds_to_first_picture", 1),
+            ("seconds_to_first_picture", 2),
             ("bytes_received", 1),
             ("frame_ms_p50", 1),
             ("frame_ms_p99", 1),
@@ -168,7 +169,7 @@ mod tests {
                 assert_eq!(missed(&view, &load(), Some(1.0)).len(), expected, "{field}");
             }
         }
-        assert_eq!(missed(&Value::Null, &Value::Null, None).len(), 10);
+        assert_eq!(missed(&Value::Null, &Value::Null, None).len(), 11);
     }
 
     #[test]
