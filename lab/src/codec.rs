@@ -26,7 +26,7 @@ use std::time::Instant;
 use terrain::constants::{VERTEX_COUNT, VERTICES};
 use terrain::{Chunk, Land, WorldDigest};
 
-/// Bytes of the first lines of a payload: grass seed and palette.
+/// Bytes of grass seed (u32) and palette (u8), the first fields of a payload.
 const GRASS_SEED: usize = 5;
 
 /// Bytes of a chunk's heights as u16, to which rates refer.
@@ -46,7 +46,7 @@ pub struct Options {
     /// Seed of the world
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub world_seed: u64,
-    /// Figures of `benches/lerc`, for its row
+    /// JSON file that `benches/lerc` wrote; adds the row of LERC
     #[arg(long, value_name = "FILE")]
     pub lerc: Option<PathBuf>,
 }
@@ -56,14 +56,14 @@ pub struct Options {
 struct Row {
     codec: &'static str,
     bytes_per_sample: f64,
-    /// Bytes over the order-0 entropy of the plane residuals.
+    /// Ratio of the bytes to the order-0 entropy of the plane residuals.
     of_entropy: f64,
-    /// Encoding a chunk; ours with header and digest.
+    /// Nanoseconds to encode a chunk; ours with header and digest.
     encode_ns: f64,
-    /// Decoding the heights of a chunk.
+    /// Nanoseconds to decode the heights of a chunk.
     decode_ns: f64,
     decode_gb_per_s: f64,
-    /// Whole frame to verified chunk with pyramids; ours only.
+    /// Nanoseconds from a whole frame to a verified chunk with pyramids; ours only.
     #[serde(skip_serializing_if = "Option::is_none")]
     decode_frame_ns: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]

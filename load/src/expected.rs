@@ -13,12 +13,12 @@ use terrain::lod::{self, Viewer};
 use terrain::{ChunkKey, Land};
 use tokio::time::Instant;
 
-/// Views that the server may still be serving. At four views a second 64 are 16 s. When the list is
-/// full the oldest view is dropped, and a chunk that only it needs counts as unexpected.
+/// Most views that the server may still be serving: those of 16 s at four views a second. When the
+/// list is full the oldest view is dropped, and a chunk that only it needs counts as unexpected.
 pub const MAX_VIEWS: usize = 64;
 
-/// The same for a slow client, whose chunks arrive long after their view. At four views a second 17
-/// minutes.
+/// The same for a slow client, whose chunks arrive long after their view: those of 17 minutes at
+/// four views a second.
 pub const MAX_VIEWS_SLOW: usize = 4096;
 
 /// Maximum of requests without an answer; further ones wait. Those that stay open are reported as

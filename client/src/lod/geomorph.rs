@@ -1,10 +1,10 @@
 //! Geomorphing: how far each drawn chunk has morphed into its parent, in its interior, along its
 //! edges and at its corners.
 //!
-//! A chunk of level k is drawn between its own surface and its parent's, by one morph factor for
+//! A chunk of level k is drawn between its own surface and its parent's, by one morph weight for
 //! the interior (Ulrich, "Rendering Massive Terrains using Chunked Level of Detail Control",
 //! SIGGRAPH 2002). A border is drawn by two chunks and must come out equal from both, so each edge
-//! and corner has a factor of its own, computed from all chunks that touch it. Beside a coarser
+//! and corner has a weight of its own, computed from all chunks that touch it. Beside a coarser
 //! chunk it is exactly the parent's surface, beside a finer chunk exactly the chunk's own: in both
 //! cases the integers of one level. `shaders/wgsl/shared/morph.wesl` blends from the border to the
 //! interior.
@@ -38,7 +38,7 @@ const CORNERS: [(i32, i32); 4] = [(-1, -1), (1, -1), (-1, 1), (1, 1)];
 pub struct Drawn {
     /// The chunk.
     pub key: ChunkKey,
-    /// Morph factors of interior, edges and corners.
+    /// Morph weights of interior, edges and corners.
     pub seams: Seams,
 }
 
@@ -65,7 +65,7 @@ enum Neighbour {
     Finer,
 }
 
-/// Computes the morph factors of the leaves of a balanced tree whose inner nodes are `split`.
+/// Computes the morph weights of the leaves of a balanced tree whose inner nodes are `split`.
 pub fn stitch(
     cache: &ChunkCache,
     viewer: &Viewer,

@@ -33,11 +33,11 @@ const POINTS: u32 = 8;
 /// Confusion counts of a test.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Score {
-    /// Visible things.
+    /// Visible clumps, blocks or chunks.
     pub visible: u64,
     /// Of these, culled.
     pub false_culls: u64,
-    /// Occluded things.
+    /// Occluded ones.
     pub hidden: u64,
     /// Of these, kept.
     pub kept: u64,

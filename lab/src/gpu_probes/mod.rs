@@ -1,5 +1,5 @@
-//! What the viewer does not need: chunks generated on the GPU, materials read back, and the culling
-//! of plants on the CPU as the reference of the GPU passes.
+//! What only measuring needs of the renderer: chunks generated on the GPU, materials read back, and
+//! the culling of plants on the CPU, with which the GPU passes are compared.
 
 pub mod cpu_cull;
 pub mod fill;

@@ -41,7 +41,7 @@ pub struct Queue {
     flows: FxHashMap<FlowId, Flow>,
     /// Flows that were idle and have had no turn since; they come first.
     new_turns: VecDeque<FlowId>,
-    /// Other flows, next turn first. A flow is in one of both at most once.
+    /// Other flows, next turn first. A flow is at most once in `new_turns` and `turns` together.
     turns: VecDeque<FlowId>,
     /// Orders equal priorities by age.
     next_number: u64,
@@ -67,7 +67,7 @@ pub struct FrameRequest {
     pub chunk: ChunkRequest,
     /// The delivery.
     pub delivery: Delivery,
-    /// Whether the fast encoding does not do: for addresses with one representation.
+    /// Whether only the compact encoding will do: an HTTP address has one representation.
     pub must_be_compact: bool,
     /// When it was made.
     pub since: Instant,

@@ -57,8 +57,8 @@ impl ChunkWords {
     }
 }
 
-/// The vertex that is drawn in place of another: the even one beside it on an edge that a coarser
-/// chunk shares, and anywhere in a halved chunk.
+/// The vertex that is drawn in place of another (snapped in docs/glossary.md): the even one beside
+/// it on an edge that a coarser chunk shares, and anywhere in a halved (decimated) chunk.
 #[must_use]
 pub fn welded(seams: &Seams, vertex: GridVertex) -> GridVertex {
     let [north, east, south, west] = seams.is_coarser;

@@ -41,7 +41,8 @@ fn tuft_number(phase: f32, blade: u32) -> f32 {
     return number - number.floor();
 }
 
-/// A vertex of a clump of grass, `size_m` wide and high.
+/// Vertex `index` of a clump of grass, `size_m` wide and high, at a level of detail, 0 (near) to 2
+/// (far). `phase`, 0 to 1, turns the clump and varies its blades.
 #[must_use]
 pub fn tuft_vertex(level: u32, index: u32, size_m: Vec2, phase: f32, pose: &StemPose) -> TuftVertex {
     let segments = tuft_segments(level);
