@@ -27,6 +27,8 @@ const RULES: [Rule; 8] = [
             "noise",
             "tokio",
             "wgpu",
+            "tombolo-bars",
+            "tombolo-server-bench",
         ],
         why: "terrain is pure and depends on no other crate",
     },
@@ -106,7 +108,7 @@ const RULES: [Rule; 8] = [
     Rule {
         package: "tombolo-lab",
         forbidden: &["axum", "tombolo-server", "tombolo-load", "fastnoise2"],
-        why: "a bench measures, it serves nothing",
+        why: "the lab measures, it serves nothing",
     },
 ];
 

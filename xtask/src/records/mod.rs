@@ -144,7 +144,7 @@ fn quoted(text: &str) -> Vec<&str> {
 fn table(all: &[Judged]) -> String {
     let mut table = String::from("records:\n");
     for Judged { record, stale, is_quoted } in all {
-        let mut words = vec![format!("{} runs", record.runs())];
+        let mut words = vec![format!("runs: {}", record.runs())];
         words.extend(record.is_dirty().then(|| "UNCOMMITTED CHANGES".into()));
         words.extend(stale.as_ref().map(|why| format!("STALE: {why}")));
         words.extend(is_quoted.then(|| "quoted in the README".into()));
@@ -197,6 +197,6 @@ mod tests {
     #[test]
     fn the_list_says_what_is_wrong_with_a_record() {
         let text = table(&[judged("1", "abc with uncommitted changes", Some("old"))]);
-        assert!(text.contains("1 runs; UNCOMMITTED CHANGES; STALE: old; quoted"), "{text}");
+        assert!(text.contains("runs: 1; UNCOMMITTED CHANGES; STALE: old; quoted"), "{text}");
     }
 }
