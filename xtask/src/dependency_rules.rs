@@ -7,107 +7,78 @@ use std::collections::BTreeSet;
 
 /// What one crate must never depend on, directly or not. Tests may; users never build those.
 struct Rule {
+    /// Without the prefix.
     package: &'static str,
-    forbidden: &'static [&'static str],
+    /// Packages of this workspace, without the prefix.
+    own: &'static [&'static str],
+    /// Packages of others.
+    libraries: &'static [&'static str],
     why: &'static str,
 }
 
+impl Rule {
+    /// Full names of what is forbidden.
+    fn forbidden(&self) -> Vec<String> {
+        let own = self.own.iter().map(|name| full_name(name));
+        own.chain(self.libraries.iter().map(ToString::to_string)).collect()
+    }
+}
+
+/// The name of a package of this workspace.
+fn full_name(package: &str) -> String {
+    format!("tombolo-{package}")
+}
+
+/// Libraries that draw.
+const DRAWING: &[&str] = &["wgpu", "winit", "egui"];
+
 const RULES: [Rule; 8] = [
     Rule {
-        package: "tombolo-terrain",
-        forbidden: &[
-            "tombolo-protocol",
-            "tombolo-shaders",
-            "tombolo-server",
-            "tombolo-client",
-            "tombolo-load",
-            "tombolo-lab",
-            "tombolo-cli",
-            "serde",
-            "noise",
-            "tokio",
-            "wgpu",
-            "tombolo-bars",
-            "tombolo-server-bench",
-        ],
+        package: "terrain",
+        own: &["protocol", "shaders", "server", "client", "load", "lab", "cli", "bars", "server-bench"],
+        libraries: &["serde", "noise", "tokio", "wgpu"],
         why: "terrain is pure and depends on no other crate",
     },
     Rule {
-        package: "tombolo-protocol",
-        forbidden: &[
-            "tombolo-shaders",
-            "tombolo-server",
-            "tombolo-client",
-            "tombolo-load",
-            "tombolo-lab",
-            "tokio",
-            "axum",
-            "tungstenite",
-            "wgpu",
-        ],
+        package: "protocol",
+        own: &["shaders", "server", "client", "load", "lab"],
+        libraries: &["tokio", "axum", "tungstenite", "wgpu"],
         why: "the protocol does no IO",
     },
     Rule {
-        package: "tombolo-shaders",
-        forbidden: &[
-            "tombolo-protocol",
-            "tombolo-server",
-            "tombolo-client",
-            "tombolo-load",
-            "tombolo-lab",
-            "tokio",
-            "wgpu",
-        ],
+        package: "shaders",
+        own: &["protocol", "server", "client", "load", "lab"],
+        libraries: &["tokio", "wgpu"],
         why: "shaders are text and layouts; drawing with them is the client's",
     },
     Rule {
-        package: "tombolo-server",
-        forbidden: &[
-            "wgpu",
-            "winit",
-            "egui",
-            "tombolo-client",
-            "tombolo-shaders",
-            "tombolo-load",
-            "tombolo-lab",
-        ],
+        package: "server",
+        own: &["client", "shaders", "load", "lab"],
+        libraries: DRAWING,
         why: "a server draws nothing",
     },
     Rule {
-        package: "tombolo-client",
-        forbidden: &["axum", "tombolo-server", "tombolo-load", "tombolo-lab", "noise"],
+        package: "client",
+        own: &["server", "load", "lab"],
+        libraries: &["axum", "noise"],
         why: "a viewer serves nothing",
     },
     Rule {
-        package: "tombolo-load",
-        forbidden: &[
-            "wgpu",
-            "winit",
-            "egui",
-            "tombolo-client",
-            "tombolo-shaders",
-            "tombolo-server",
-            "tombolo-lab",
-        ],
+        package: "load",
+        own: &["client", "shaders", "server", "lab"],
+        libraries: DRAWING,
         why: "a load test runs where no GPU is",
     },
     Rule {
-        package: "tombolo-server-bench",
-        forbidden: &[
-            "wgpu",
-            "winit",
-            "egui",
-            "tombolo-client",
-            "tombolo-shaders",
-            "tombolo-server",
-            "tombolo-load",
-            "tombolo-lab",
-        ],
+        package: "server-bench",
+        own: &["client", "shaders", "server", "load", "lab"],
+        libraries: DRAWING,
         why: "server benchmarks run the server as a process",
     },
     Rule {
-        package: "tombolo-lab",
-        forbidden: &["axum", "tombolo-server", "tombolo-load", "fastnoise2"],
+        package: "lab",
+        own: &["server", "load"],
+        libraries: &["axum", "fastnoise2"],
         why: "the lab measures, it serves nothing",
     },
 ];
@@ -118,34 +89,34 @@ const RULES: [Rule; 8] = [
 /// The first crate that depends on a forbidden one, with the command that shows the way.
 pub fn check() -> Result<()> {
     for rule in RULES {
-        let package = rule.package;
+        let (package, forbidden) = (&full_name(rule.package), rule.forbidden());
         // Build scripts do not ship: the shader linker may use what the library may not.
-        let ships_with_build_scripts = ["tombolo-server", "tombolo-terrain"].contains(&package);
-        let edges = if ships_with_build_scripts { "normal,build" } else { "normal" };
+        let has_no_build_tools = ["server", "terrain"].contains(&rule.package);
+        let edges = if has_no_build_tools { "normal,build" } else { "normal" };
         let line = format!("tree --package {package} --edges {edges} --prefix none --format {{p}}");
         let tree = process::output(process::cargo(&line)).context("cannot ask for the dependency tree")?;
-        if let Some(found) = violation(package, rule.forbidden, &tree)? {
+        if let Some(found) = violation(package, &forbidden, &tree)? {
             bail!(
                 "{package} depends on {found}, and {}; see: cargo tree --package {package} --edges \
                  {edges} --invert {found}",
                 rule.why
             );
         }
-        println!("{package}: none of {}", rule.forbidden.join(", "));
+        println!("{package}: none of {}", forbidden.join(", "));
     }
     Ok(())
 }
 
 /// The first forbidden name in a tree of one `name version` a line. A tree without the package
 /// itself is no answer.
-fn violation(package: &str, forbidden: &[&str], tree: &str) -> Result<Option<String>> {
+fn violation(package: &str, forbidden: &[impl AsRef<str>], tree: &str) -> Result<Option<String>> {
     let names: BTreeSet<_> = tree.lines().filter_map(|line| line.split_whitespace().next()).collect();
     if !names.contains(package) {
         bail!(
             "the dependency tree of {package} does not contain {package}: cargo's output was not understood"
         );
     }
-    Ok(forbidden.iter().find(|name| names.contains(**name)).map(ToString::to_string))
+    Ok(forbidden.iter().map(AsRef::as_ref).find(|name| names.contains(name)).map(str::to_owned))
 }
 
 #[cfg(test)]
@@ -163,14 +134,10 @@ mod tests {
     /// A renamed package would otherwise be forbidden under a name that no package has.
     #[test]
     fn own_packages_exist_under_the_names_of_the_rules() {
-        let own =
-            RULES.iter().flat_map(|rule| [rule.package].into_iter().chain(rule.forbidden.iter().copied()));
-        let own: BTreeSet<_> = own.filter_map(|name| name.strip_prefix("tombolo-")).collect();
-        assert!(own.len() > 5, "{own:?}");
-        for folder in own {
+        for folder in RULES.iter().flat_map(|rule| [&[rule.package], rule.own].concat()) {
             let manifest = process::root().join(folder).join("Cargo.toml");
             let text = std::fs::read_to_string(manifest).unwrap();
-            assert!(text.contains(&format!("name = \"tombolo-{folder}\"")), "{folder}");
+            assert!(text.contains(&format!("name = \"{}\"", full_name(folder))), "{folder}");
         }
     }
 

@@ -3,7 +3,7 @@
 use crate::gpu::Image;
 use png::{BitDepth, ColorType, Decoder, Encoder, EncodingError, Limits, Transformations};
 use std::fs::File;
-use std::io::{BufReader, BufWriter};
+use std::io::{BufReader, BufWriter, Write};
 use std::path::Path;
 
 /// Largest side of an image, pixels.
@@ -63,16 +63,37 @@ pub fn read(path: &Path) -> Result<Pixels, String> {
     Ok(Pixels { width: width as usize, height: height as usize, channels, depth, data })
 }
 
-/// Writes an image with sRGB colours.
+/// Writes an image as RGBA, 8 bits a channel.
 ///
 /// # Errors
-/// The file cannot be written.
+/// The file cannot be created, or not written to its end.
 pub fn write(path: &Path, image: &Image) -> Result<(), EncodingError> {
-    let mut encoder = Encoder::new(BufWriter::new(File::create(path)?), image.width, image.height);
+    let mut file = BufWriter::new(File::create(path)?);
+    let mut encoder = Encoder::new(&mut file, image.width, image.height);
     encoder.set_color(ColorType::Rgba);
     encoder.set_depth(BitDepth::Eight);
     encoder.set_compression(png::Compression::Fast);
     let mut writer = encoder.write_header()?;
     writer.write_image_data(&image.rgba)?;
-    writer.finish()
+    writer.finish()?;
+    // Dropping it would hide that the disk is full.
+    Ok(file.flush()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Linux has a device that is always full.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn an_image_that_does_not_fit_on_the_disk_is_an_error() {
+        let image = Image { width: 2, height: 2, rgba: vec![7; 16] };
+        assert!(write(Path::new("/dev/full"), &image).is_err());
+        let path = std::env::temp_dir().join(format!("tombolo-png-{}.png", std::process::id()));
+        write(&path, &image).unwrap();
+        let pixels = read(&path).unwrap();
+        std::fs::remove_file(path).unwrap();
+        assert_eq!((pixels.width, pixels.height, pixels.rgb(1, 1)), (2, 2, [7.0 / 255.0; 3]));
+    }
 }
