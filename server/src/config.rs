@@ -1,6 +1,7 @@
 //! Configuration: command line over environment over file over defaults, validated once.
 
 use crate::cache::disk::DiskConfig;
+use crate::mechanism::Mechanism;
 use clap::Parser;
 use cli::UsageError;
 use serde::Deserialize;
@@ -69,6 +70,10 @@ pub struct Args {
     /// that would wait longer is rejected as overloaded [default: 500]
     #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS")]
     pub deadline_ms: Option<u64>,
+    /// For measurements only: the mechanism against overload that is turned off. Neither in the
+    /// environment nor in the file.
+    #[arg(long, value_name = "NAME", value_enum, hide = true)]
+    pub measure_without: Option<Mechanism>,
     /// Log filter: error, warn, info, debug, trace, or per module as in `info,server=debug`
     /// [default: info]
     #[arg(long, value_name = "FILTER", env = "TOMBOLO_LOG")]
@@ -131,6 +136,8 @@ pub struct ServerConfig {
     pub ping_interval: Duration,
     /// Time for open sessions to end on shutdown.
     pub drain_timeout: Duration,
+    /// The mechanism that is turned off, for measurements.
+    pub without: Option<Mechanism>,
     /// Log filter.
     pub log: String,
     /// Whether log lines are JSON.
@@ -157,6 +164,7 @@ impl Default for ServerConfig {
             write_timeout: Duration::from_secs(10),
             ping_interval: Duration::from_secs(20),
             drain_timeout: Duration::from_secs(10),
+            without: None,
             log: DEFAULT_LOG.into(),
             log_json: false,
         }
@@ -217,6 +225,7 @@ impl Args {
             max_sessions_per_address,
             rate_limit_ms,
             deadline: Duration::from_millis(deadline_ms),
+            without: self.measure_without,
             log: self.log.or(file.log).unwrap_or(defaults.log),
             log_json: self.log_json || file.log_json.unwrap_or(false),
             ..defaults
@@ -246,6 +255,7 @@ fn read_file(path: &Path) -> Result<File, UsageError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use clap::CommandFactory;
 
     fn with_file(content: &str, args: Args) -> Result<ServerConfig, UsageError> {
         let name = format!("tombolo-config-{}-{:?}.toml", std::process::id(), std::thread::current().id());
@@ -284,6 +294,20 @@ mod tests {
         let parsed = Args::try_parse_from(["tombolo-server", "--rate-limit-ms", "60"]).unwrap();
         assert_eq!(parsed.resolve().unwrap().rate_limit_ms, Some(60));
         assert_eq!(with_file("cost-per-second = 70", Args::default()).unwrap().rate_limit_ms, Some(70));
+    }
+
+    /// What a user cannot turn off by accident.
+    #[test]
+    fn a_mechanism_is_turned_off_by_a_hidden_option_alone() {
+        let parsed = Args::try_parse_from(["tombolo-server", "--measure-without", "turns"]).unwrap();
+        assert_eq!(parsed.resolve().unwrap().without, Some(Mechanism::Turns));
+        assert_eq!(Args::default().resolve().unwrap().without, None);
+        assert!(Args::try_parse_from(["tombolo-server", "--measure-without", "everything"]).is_err());
+        assert!(with_file("measure-without = \"turns\"", Args::default()).is_err());
+        let mut command = Args::command();
+        let option = command.get_arguments().find(|option| option.get_id() == "measure_without").unwrap();
+        assert!(option.get_env().is_none());
+        assert!(!command.render_long_help().to_string().contains("measure-without"));
     }
 
     #[test]

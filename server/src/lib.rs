@@ -15,6 +15,7 @@
 //! | [`generation`] | scheduling and execution of generation jobs and view selections |
 //! | [`cache`] | encoded frames in memory and on disk |
 //! | [`source`] | where chunks come from |
+//! | [`mechanism`] | what a measurement can turn off |
 //! | [`map`] | map tiles rendered from chunks |
 //! | [`stats`], [`latency`], [`metrics`] | figures |
 //!
@@ -31,6 +32,7 @@ pub mod latency;
 pub mod limits;
 pub mod listener;
 pub mod map;
+pub mod mechanism;
 pub mod metrics;
 pub mod session;
 pub mod source;

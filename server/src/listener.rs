@@ -51,6 +51,10 @@ pub async fn run(
     let address = listener.local_addr().map_or_else(|_| "unknown".into(), |address| address.to_string());
     tracing::info!(%address, world_seed = state.config.world_seed, digest = %state.offer.digest, "listening");
 
+    if let Some(mechanism) = state.config.without {
+        tracing::warn!(?mechanism, "a mechanism against overload is turned off: for measurements only");
+    }
+
     let router = http::router(Arc::clone(&state));
     let connections = TaskTracker::new();
     let permits = Arc::new(Semaphore::new(state.config.max_sessions + EXTRA_CONNECTIONS));

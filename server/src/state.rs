@@ -66,6 +66,7 @@ impl ServerState {
             cache_bytes: config.cache_bytes,
             jobs: config.max_jobs,
             deadline: config.deadline,
+            without: config.without,
         };
         let disk = config.disk.clone().and_then(|disk| {
             Disk::new(disk, &land.digest(), Arc::clone(&metrics))

@@ -294,8 +294,13 @@ mod tests {
     impl Fixture {
         fn new() -> Self {
             let metrics = Arc::new(Metrics::default());
-            let limits =
-                Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::from_secs(1) };
+            let limits = Limits {
+                threads: 1,
+                cache_bytes: 1 << 20,
+                jobs: 10,
+                deadline: Duration::from_secs(1),
+                without: None,
+            };
             let generation =
                 Generation::new(ProceduralSource::new(Land::new(1)), limits, Arc::clone(&metrics)).unwrap();
             Self { live: LiveStats::default(), metrics, generation, start: Instant::now() }

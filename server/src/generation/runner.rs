@@ -8,6 +8,7 @@ use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
 use super::views::ViewJob;
 use crate::cache::memory::CachedFrame;
+use crate::mechanism::Mechanism;
 use bytes::Bytes;
 use protocol::chunk_codec::Effort;
 use protocol::{Delivery, chunk_codec};
@@ -104,7 +105,8 @@ impl Shared {
     /// take the time of generation, so turns are long again.
     fn quantum_us(&self, waiting: usize) -> i64 {
         let flows = self.active_flows.load(Ordering::Relaxed).max(1);
-        if waiting >= BACKLOG_PER_FLOW * flows {
+        let has_long_turns = self.limits.without != Some(Mechanism::LongTurns);
+        if has_long_turns && waiting >= BACKLOG_PER_FLOW * flows {
             return QUANTUM_US.1;
         }
         (TARGET_ROUND_US / flows as i64).clamp(QUANTUM_US.0, QUANTUM_US.1)
@@ -203,7 +205,8 @@ impl Shared {
     /// small part of the cost of coarser chunks.
     fn effort(&self, key: ChunkKey) -> Effort {
         let backlog_us = || self.lock().waiting() as i64 * self.costs.mean_us() / self.limits.threads as i64;
-        if key.level() == 0 && backlog_us() > TARGET_ROUND_US { Effort::Fast } else { Effort::Compact }
+        let may_be_fast = key.level() == 0 && self.limits.without != Some(Mechanism::FastEffort);
+        if may_be_fast && backlog_us() > TARGET_ROUND_US { Effort::Fast } else { Effort::Compact }
     }
 
     /// A frame from disk.
@@ -408,8 +411,13 @@ mod tests {
         let source = CountingSource(ProceduralSource::new(Land::new(1)), Arc::clone(&measured));
         let config = DiskConfig { folder: folder.into(), bytes: 64 << 20 };
         let disk = Disk::new(config, &source.world(), Arc::clone(&metrics)).unwrap();
-        let limits =
-            Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::from_secs(3600) };
+        let limits = Limits {
+            threads: 1,
+            cache_bytes: 1 << 20,
+            jobs: 10,
+            deadline: Duration::from_secs(3600),
+            without: None,
+        };
         let service = Generation::with_disk(source, limits, Some(disk), Arc::clone(&metrics)).unwrap();
         (service, metrics, measured)
     }
@@ -417,7 +425,8 @@ mod tests {
     #[tokio::test]
     async fn a_panic_fails_its_own_view_only() {
         let land = Land::new(1);
-        let limits = Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::ZERO };
+        let limits =
+            Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::ZERO, without: None };
         let metrics = Arc::new(Metrics::default());
         let service = Generation::new(ProceduralSource::new(land), limits, Arc::clone(&metrics)).unwrap();
         let (mut bad, mut good) = (service.flow(), service.flow());
@@ -435,8 +444,13 @@ mod tests {
     #[tokio::test]
     async fn a_compact_flow_gets_the_same_bytes_whatever_the_load() {
         let land = Land::new(1);
-        let limits =
-            Limits { threads: 1, cache_bytes: 16 << 20, jobs: 10_000, deadline: Duration::from_secs(3600) };
+        let limits = Limits {
+            threads: 1,
+            cache_bytes: 16 << 20,
+            jobs: 10_000,
+            deadline: Duration::from_secs(3600),
+            without: None,
+        };
         let keys: Vec<_> = (0..400).map(|n| ChunkKey::new(0, n % 20 - 10, n / 20 - 10).unwrap()).collect();
         let compact = |key: ChunkKey| chunk_codec::encode(&land.chunk(key), &land.digest());
         let (mut fast_differs, mut compared) = (0, 0);

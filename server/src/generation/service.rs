@@ -7,6 +7,7 @@ use super::shared::{Limits, Shared};
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
 use crate::limits::rate_limit::TokenBucket;
+use crate::mechanism::Mechanism;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use bytes::Bytes;
@@ -50,12 +51,15 @@ impl Generation {
             .num_threads(limits.threads)
             .thread_name(|n| format!("generate-{n}"))
             .build()?;
+        let queue = Queue::new(limits.jobs);
+        let has_turns = limits.without != Some(Mechanism::Turns);
+        let queue = if has_turns { queue } else { queue.first_in_first_out() };
         let shared = Shared {
             world: source.world(),
             source: Box::new(source),
             frames: FrameCache::new(limits.cache_bytes),
             disk,
-            queue: Mutex::new(Queue::new(limits.jobs)),
+            queue: Mutex::new(queue),
             costs: JobCosts::default(),
             limits,
             next_flow: AtomicU64::new(0),

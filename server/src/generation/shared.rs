@@ -4,6 +4,7 @@ use super::cost::JobCosts;
 use super::queue::Queue;
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
+use crate::mechanism::Mechanism;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use bytes::Bytes;
@@ -26,6 +27,8 @@ pub struct Limits {
     /// Longest wait of an explicit request. An older one is rejected instead of generated: its
     /// client no longer needs it.
     pub deadline: Duration,
+    /// The mechanism that is turned off, for measurements.
+    pub without: Option<Mechanism>,
 }
 
 /// See the module.

@@ -93,7 +93,7 @@ pub fn fixture_with_deadline(cache_bytes: u64, limit: usize, deadline: Duration)
     let (sender, generated) = mpsc::channel();
     let source = GatedSource { permits: Mutex::new(permits), generated: Mutex::new(sender) };
     let metrics = Arc::new(Metrics::default());
-    let limits = Limits { threads: 1, cache_bytes, jobs: limit, deadline };
+    let limits = Limits { threads: 1, cache_bytes, jobs: limit, deadline, without: None };
     let service = Generation::new(source, limits, Arc::clone(&metrics)).unwrap();
     Fixture { service, metrics, permit, generated }
 }

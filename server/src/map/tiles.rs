@@ -213,7 +213,13 @@ mod tests {
 
     fn service(metrics: &Arc<Metrics>, jobs: usize) -> (Land, Generation) {
         let land = Land::new(1);
-        let limits = Limits { threads: 1, cache_bytes: 1 << 24, jobs, deadline: Duration::from_secs(30) };
+        let limits = Limits {
+            threads: 1,
+            cache_bytes: 1 << 24,
+            jobs,
+            deadline: Duration::from_secs(30),
+            without: None,
+        };
         (land, Generation::new(ProceduralSource::new(land), limits, Arc::clone(metrics)).unwrap())
     }
 

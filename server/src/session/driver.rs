@@ -6,6 +6,7 @@
 
 use crate::generation::{Completion, Flow, FlowEvent, GenerationError};
 use crate::limits::rate_limit::TokenBucket;
+use crate::mechanism::Mechanism;
 use crate::metrics::{DeliveryLabel, ReasonLabel};
 use crate::session::end::{SessionEnd, write_within};
 use crate::session::keepalive::{Keepalive, KeepaliveAction};
@@ -32,6 +33,9 @@ const JOB_WINDOW: usize = 16;
 
 /// Cached chunks collected before a flush: about 300 KiB of exact frames, one write.
 const BATCH: usize = 64;
+
+/// Chunks of a step of a view that is selected at once.
+const SELECTION_STEP: usize = 4096;
 
 /// The longest message that is read. Above the protocol's limit, so that the protocol rejects a
 /// message slightly over its limit.
@@ -179,7 +183,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         if self.throttled_until.is_none()
             && let Some(selection) = self.session.take_view()
         {
-            self.flow.select(selection, self.state.offer.land);
+            self.select_view(selection);
         }
         while self.flow.in_flight() < JOB_WINDOW {
             if batch == BATCH {
@@ -231,6 +235,17 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             self.update_metrics();
         }
         Ok(())
+    }
+
+    /// Selects a view's chunks in turns on the generation threads, or at once where a measurement
+    /// asks what that would cost.
+    fn select_view(&mut self, mut selection: ViewSelection) {
+        let land = self.state.offer.land;
+        if self.state.config.without != Some(Mechanism::ViewTurns) {
+            return self.flow.select(selection, land);
+        }
+        while !selection.step(&land, SELECTION_STEP) {}
+        self.apply_view(selection);
     }
 
     /// Applies a finished selection and cancels what only the previous view needed.
@@ -375,7 +390,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             let count = superseded + now.refusals.iter().sum::<u64>() - before.refusals.iter().sum::<u64>();
             // A rate limit bounds the work of rejections as well.
             let sharers = self.state.generation.sharers().max(self.flow.bucket().thread_shares());
-            let begins = self.backoff.record(count, sharers, Instant::now());
+            let backs_off = self.state.config.without != Some(Mechanism::RefusalBackoff);
+            let begins = backs_off && self.backoff.record(count, sharers, Instant::now());
             metrics.refusal_backoffs.inc_by(u64::from(begins));
             for reason in RefusalReason::ALL {
                 let count = now.refusals[reason.index()] - before.refusals[reason.index()];

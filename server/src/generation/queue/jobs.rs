@@ -1,0 +1,197 @@
+//! The table of generation jobs: one job per key for any number of requests. A job belongs to the
+//! table, not to a flow, and knows nothing of turns.
+
+use crate::generation::result::Completion;
+use protocol::Delivery;
+use protocol::server::ChunkRequest;
+use rustc_hash::FxHashMap;
+use std::collections::hash_map::Entry;
+use std::time::{Duration, Instant};
+use terrain::ChunkKey;
+use tokio::sync::mpsc::UnboundedSender;
+
+/// Identifies a flow.
+pub type FlowId = u64;
+
+/// A request for one frame.
+#[derive(Debug)]
+pub struct FrameRequest {
+    /// The flow that made it.
+    pub flow: FlowId,
+    /// Key, request number and priority.
+    pub chunk: ChunkRequest,
+    /// The delivery.
+    pub delivery: Delivery,
+    /// Whether only the compact encoding will do: an HTTP address has one representation.
+    pub must_be_compact: bool,
+    /// When it was made.
+    pub since: Instant,
+    /// Receives the result.
+    pub sender: UnboundedSender<Vec<Completion>>,
+}
+
+/// Result of adding a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Enqueued {
+    /// A new job is queued.
+    NewJob,
+    /// The request joined a queued or running job.
+    Coalesced,
+    /// The table is full; the request was rejected.
+    Full,
+}
+
+/// Result of starting a queued job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Started {
+    /// It is running.
+    Running {
+        /// Its estimated cost, microseconds.
+        cost_us: i64,
+    },
+    /// It was removed: all its requests had expired.
+    Expired,
+    /// It was removed: the flows of all its requests had ended.
+    Cancelled,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub struct Jobs {
+    /// Jobs that may be queued or running. One more is rejected.
+    limit: usize,
+    by_key: FxHashMap<ChunkKey, Job>,
+    /// Jobs that are not running.
+    waiting: usize,
+}
+
+#[derive(Debug)]
+struct Job {
+    is_running: bool,
+    /// Estimated, microseconds.
+    cost_us: i64,
+    /// Bounded by the sessions' job windows and the HTTP connections.
+    requests: Vec<FrameRequest>,
+}
+
+impl Jobs {
+    /// An empty table of at most `limit` jobs.
+    #[must_use]
+    pub fn new(limit: usize) -> Self {
+        Self { limit, by_key: FxHashMap::default(), waiting: 0 }
+    }
+
+    /// Jobs queued or running.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.by_key.len()
+    }
+
+    /// Jobs queued.
+    #[must_use]
+    pub const fn waiting(&self) -> usize {
+        self.waiting
+    }
+
+    /// Whether the job of a key is running.
+    #[must_use]
+    pub fn is_running(&self, key: ChunkKey) -> bool {
+        self.by_key.get(&key).is_some_and(|job| job.is_running)
+    }
+
+    /// Whether the job of a key is queued.
+    #[must_use]
+    pub fn is_waiting(&self, key: ChunkKey) -> bool {
+        self.by_key.get(&key).is_some_and(|job| !job.is_running)
+    }
+
+    /// Adds a request to the job of its key, which may be new.
+    pub fn add(&mut self, request: FrameRequest, cost_us: i64) -> Enqueued {
+        let n_jobs = self.by_key.len();
+        match self.by_key.entry(request.chunk.key) {
+            Entry::Occupied(mut job) => {
+                job.get_mut().requests.push(request);
+                Enqueued::Coalesced
+            }
+            Entry::Vacant(_) if n_jobs >= self.limit => Enqueued::Full,
+            Entry::Vacant(entry) => {
+                entry.insert(Job { is_running: false, cost_us, requests: vec![request] });
+                self.waiting += 1;
+                Enqueued::NewJob
+            }
+        }
+    }
+
+    /// Starts a queued job; none if it is not queued. Explicit requests older than `deadline` move
+    /// to `expired`; requests of views stay, since a client does not repeat an unchanged view.
+    pub fn start(
+        &mut self,
+        key: ChunkKey,
+        deadline: Duration,
+        now: Instant,
+        expired: &mut Vec<FrameRequest>,
+    ) -> Option<Started> {
+        let job = self.by_key.get_mut(&key).filter(|job| !job.is_running)?;
+        let before = expired.len();
+        expired.extend(job.requests.extract_if(.., |request| {
+            request.chunk.request.is_some() && now.duration_since(request.since) > deadline
+        }));
+        job.requests.retain(|request| !request.sender.is_closed());
+        self.waiting -= 1;
+        if job.requests.is_empty() {
+            self.by_key.remove(&key);
+            return Some(if expired.len() > before { Started::Expired } else { Started::Cancelled });
+        }
+        job.is_running = true;
+        Some(Started::Running { cost_us: job.cost_us })
+    }
+
+    /// The delivery of a request for which `is_encoded` is false, and whether it must be compact;
+    /// none if there is no such request.
+    #[must_use]
+    pub fn missing_frame(
+        &self,
+        key: ChunkKey,
+        is_encoded: impl Fn(&FrameRequest) -> bool,
+    ) -> Option<(Delivery, bool)> {
+        let missing = self.by_key.get(&key)?.requests.iter().find(|request| !is_encoded(request))?;
+        Some((missing.delivery, missing.must_be_compact))
+    }
+
+    /// Removes and returns the requests of a job that `is_encoded` has frames for. The job is
+    /// removed if no request is left; otherwise it is queued again, and flow and priority of what
+    /// is left are returned too.
+    pub fn finish(
+        &mut self,
+        key: ChunkKey,
+        is_encoded: impl Fn(&FrameRequest) -> bool,
+    ) -> (Vec<FrameRequest>, Vec<(FlowId, u64)>) {
+        let Some(mut job) = self.by_key.remove(&key) else { return (Vec::new(), Vec::new()) };
+        if job.requests.iter().all(&is_encoded) {
+            return (job.requests, Vec::new());
+        }
+        // Another delivery was requested after the last check. Rare, so the chunk is generated
+        // again.
+        let finished = job.requests.extract_if(.., |request| is_encoded(request)).collect();
+        let again = job.requests.iter().map(|request| (request.flow, request.chunk.priority)).collect();
+        job.is_running = false;
+        self.by_key.insert(key, job);
+        self.waiting += 1;
+        (finished, again)
+    }
+
+    /// Cancels and returns a flow's requests for a key, unless the job is running.
+    pub fn cancel(&mut self, flow: FlowId, key: ChunkKey) -> Vec<ChunkRequest> {
+        let Some(job) = self.by_key.get_mut(&key).filter(|job| !job.is_running) else { return Vec::new() };
+        let cancelled = job
+            .requests
+            .extract_if(.., |request| request.flow == flow)
+            .map(|request| request.chunk)
+            .collect();
+        if job.requests.is_empty() {
+            self.by_key.remove(&key);
+            self.waiting -= 1;
+        }
+        cancelled
+    }
+}
