@@ -32,8 +32,10 @@ pub fn rotated(keys: &[ChunkKey], index: usize, count: usize) -> Vec<ChunkKey> {
 /// Requests outstanding of a closed loop.
 #[derive(Clone, Copy, Debug)]
 pub enum Window {
-    /// One request a chunk, as soon as another is answered, like wrk.
+    /// One request a chunk, as soon as another is answered.
     OneByOne(usize),
+    /// So many requests of a chunk each, when all of the last ones are answered, like wrk.
+    Batches(usize),
     /// Half a window in one request, when half is answered, like a viewer.
     Halves(usize),
 }
@@ -78,9 +80,11 @@ pub async fn closed_loop(
     mut note: impl FnMut(Event<'_>),
 ) -> Result<Totals> {
     let (mut keys, mut totals) = (keys.into_iter(), Totals::default());
-    let (size, at_once) = match window {
-        Window::OneByOne(size) => (size, 1),
-        Window::Halves(size) => (size, size / 2),
+    // Requests outstanding at most, how many are sent at once, and whether in one message.
+    let (size, at_once, are_together) = match window {
+        Window::OneByOne(size) => (size, 1, false),
+        Window::Batches(size) => (size, size, false),
+        Window::Halves(size) => (size, size / 2, true),
     };
     let mut outstanding = 0;
     while until.is_none_or(|until| Instant::now() < until) {
@@ -92,7 +96,7 @@ pub async fn closed_loop(
             }
             outstanding += more.len();
             more.iter().for_each(|key| note(Event::Sent(*key)));
-            connection.request(more, at_once > 1).await?;
+            connection.request(more, are_together).await?;
         }
         if outstanding == 0 {
             break;

@@ -7,10 +7,10 @@ use anyhow::{Context, Result, bail};
 use protocol::limits::MAX_CREDITS;
 use protocol::message::{ClientMessage, Hello, ServerMessage, WireKey};
 use protocol::{Delivery, SUBPROTOCOL, chunk_codec, control};
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use terrain::ChunkKey;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream};
 
 /// Name and version, sent to the server in the Hello message.
 const SOFTWARE: &str = concat!("tombolo-server-bench ", env!("CARGO_PKG_VERSION"));
@@ -49,7 +49,18 @@ pub struct Connection {
 impl Connection {
     /// Connects, sends Hello and the maximal credit, and waits for the Welcome.
     pub async fn connect(address: SocketAddr) -> Result<Self> {
-        let mut stream = open(address).await?;
+        Self::over(open(address).await?, address).await
+    }
+
+    /// As [`Connection::connect`], from an address of this machine.
+    pub async fn connect_from(source: IpAddr, address: SocketAddr) -> Result<Self> {
+        let socket = TcpSocket::new_v4()?;
+        socket.bind((source, 0).into()).with_context(|| format!("cannot bind {source}"))?;
+        let stream = socket.connect(address).await;
+        Self::over(stream.with_context(|| format!("cannot connect from {source}"))?, address).await
+    }
+
+    async fn over(mut stream: TcpStream, address: SocketAddr) -> Result<Self> {
         stream.set_nodelay(true)?;
         let request = format!(
             "GET /v1/stream HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
@@ -194,15 +205,20 @@ fn frames(messages: &[ClientMessage]) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The body of a GET, for metrics.
+/// The body of a GET as text, for metrics.
 pub async fn get(address: SocketAddr, path: &str) -> Result<String> {
+    String::from_utf8(get_bytes(address, path).await?).context("the answer is no text")
+}
+
+/// The body of a GET.
+pub async fn get_bytes(address: SocketAddr, path: &str) -> Result<Vec<u8>> {
     let mut stream = open(address).await?;
     let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
     stream.write_all(request.as_bytes()).await?;
-    let mut text = String::new();
-    stream.read_to_string(&mut text).await.context("the answer is no text")?;
-    let (_, body) = text.split_once("\r\n\r\n").context("the answer has no body")?;
-    Ok(body.to_owned())
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).await.context("the answer is incomplete")?;
+    let end = answer.windows(4).position(|four| four == b"\r\n\r\n").context("the answer has no body")?;
+    Ok(answer.split_off(end + 4))
 }
 
 #[cfg(test)]

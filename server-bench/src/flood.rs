@@ -160,6 +160,18 @@ async fn scenario(
     Ok(())
 }
 
+/// The slowest liveness probe, milliseconds, while sessions send the largest view that the server
+/// accepts without pause.
+pub async fn slowest_probe_ms(server: &ServerProcess, sessions: usize, length: Duration) -> Result<f64> {
+    let flooders = Builder::new_multi_thread().worker_threads(1).enable_all().build().context("no thread")?;
+    for _ in 0..sessions {
+        flooders.spawn(flood(server.address, Kind::Largest, None));
+    }
+    let probes = probe(server.address, Instant::now() + length).await?;
+    flooders.shutdown_background();
+    quantile_ms(probes, 1.0).context("no probe was sent")
+}
+
 struct Polite {
     chunks: usize,
     refused: usize,

@@ -13,17 +13,22 @@ mod cold;
 mod connection;
 mod fair;
 mod flood;
+mod http;
 mod idle;
 mod keys;
+mod mechanism;
+mod mechanisms;
 mod nginx;
 mod overload;
 mod rounds;
 mod server_process;
 mod stampede;
+mod wrk;
 
 use anyhow::{Context, Result, bail};
 use bars::{Bar, Summary};
 use clap::{Parser, ValueEnum};
+use mechanism::Mechanism;
 use serde_json::{Value, json};
 use server_process::Launch;
 use std::fs::File;
@@ -59,6 +64,8 @@ enum Bench {
     /// Cached chunks over 64 connections, 16 outstanding each, beside nginx where it and wrk are
     /// installed
     Cached,
+    /// The same chunks over HTTP, ours and nginx's, by wrk; needs both
+    Http,
     /// Chunks that must be generated, of levels 0, 2 and 4, and the time of each stage
     Cold,
     /// One chunk requested 10,000 times over 1,000 connections while it is generated
@@ -71,6 +78,8 @@ enum Bench {
     Flood,
     /// Requests at up to five times the server's capacity, and the time until it recovers
     Overload,
+    /// Each mechanism against overload alone: a load that needs it, with it and without it in turn
+    Mechanisms,
 }
 
 /// How a benchmark is run.
@@ -114,6 +123,7 @@ fn run(args: &Args) -> Result<()> {
     let report = json!({
         "bench": args.bench.to_possible_value().map(|bench| bench.get_name().to_owned()),
         "server_cpus": args.plan.launch.cpus,
+        "without": args.plan.launch.without.map(Mechanism::name),
         "rounds": args.plan.rounds,
         "seconds": args.plan.seconds,
         "figures": figures,
@@ -139,12 +149,14 @@ async fn measure(bench: Bench, plan: &Plan) -> Result<(Value, Vec<Bar>, Vec<Stri
     type Judge = (fn(&Value) -> Vec<Bar>, fn(&Value) -> Vec<String>);
     let (figures, (bars, notes)): (Value, Judge) = match bench {
         Bench::Cached => (cached::run(plan).await?, (cached::bars, cached::notes)),
+        Bench::Http => (http::run(plan).await?, (http::bars, http::notes)),
         Bench::Cold => (cold::run(plan).await?, (cold::bars, cold::notes)),
-        Bench::Stampede => (stampede::run(plan).await?, (stampede::bars, |_| Vec::new())),
+        Bench::Stampede => (stampede::run(plan).await?, (stampede::bars, stampede::notes)),
         Bench::Idle => (idle::run(plan).await?, (idle::bars, |_| Vec::new())),
         Bench::Fair => (fair::run(plan).await?, (fair::bars, fair::notes)),
         Bench::Flood => (flood::run(plan).await?, (flood::bars, |_| Vec::new())),
         Bench::Overload => (overload::run(plan).await?, (overload::bars, overload::notes)),
+        Bench::Mechanisms => (mechanisms::run(plan).await?, (mechanisms::bars, mechanisms::notes)),
     };
     let judged = (bars(&figures), notes(&figures));
     Ok((figures, judged.0, judged.1))

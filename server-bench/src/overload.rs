@@ -20,10 +20,10 @@ use std::time::{Duration, Instant};
 use terrain::{ChunkKey, Land};
 
 /// Connections that the requests are spread over.
-const CONNECTIONS: usize = 64;
+pub const CONNECTIONS: usize = 64;
 
 /// Requests outstanding on each connection in the closed loop that measures the capacity.
-const WINDOW: usize = 16;
+pub const WINDOW: usize = 16;
 
 /// Different chunks, requested in turn. The cache holds a hundredth of them.
 const CHUNKS: usize = 16 * 1024;
@@ -138,12 +138,12 @@ async fn round(plan: &Plan, keys: &[ChunkKey]) -> Result<Round> {
 
 /// Figures of one load.
 #[derive(Debug, PartialEq)]
-struct LoadFigures {
+pub struct LoadFigures {
     sent_per_s: f64,
     /// Chunks that arrived before the end of the load.
     goodput_per_s: f64,
     /// Of all requests that were due in the load, whenever the answer came.
-    chunk_p99_ms: Option<f64>,
+    pub chunk_p99_ms: Option<f64>,
     refused: usize,
     refusal_p99_ms: Option<f64>,
     /// Without an answer until the end of the run.
@@ -152,7 +152,7 @@ struct LoadFigures {
 
 impl LoadFigures {
     /// Of the requests that were due in the first part of a run.
-    fn new(requests: &[Request], length: Duration) -> Self {
+    pub fn new(requests: &[Request], length: Duration) -> Self {
         let due = || requests.iter().filter(|request| request.due < length);
         let waits = |is_chunk: bool| {
             let waits =
@@ -208,7 +208,7 @@ fn recovery(requests: &[Request], length: Duration, normal_p99_ms: f64, floor_ms
 
 /// One request that was sent.
 #[derive(Clone, Copy, Debug)]
-struct Request {
+pub struct Request {
     /// When it was due, since the start of the run.
     due: Duration,
     answer: Option<Answer>,
@@ -230,7 +230,7 @@ impl Request {
 }
 
 /// Chunks a second with a full window on each connection.
-async fn capacity(server: &ServerProcess, keys: &[ChunkKey], length: Duration) -> Result<f64> {
+pub async fn capacity(server: &ServerProcess, keys: &[ChunkKey], length: Duration) -> Result<f64> {
     let connections = server.connect(CONNECTIONS).await?;
     let started = Instant::now();
     let totals = run_all(connections, |index, mut connection| {
@@ -244,7 +244,7 @@ async fn capacity(server: &ServerProcess, keys: &[ChunkKey], length: Duration) -
 
 /// Sends requests at one rate after the other, each for a time. Rates are requests a second over
 /// all connections.
-async fn send_at_rates(
+pub async fn send_at_rates(
     server: &ServerProcess,
     keys: &[ChunkKey],
     rates: &[(f64, Duration)],

@@ -2,6 +2,7 @@
 //! and its metrics.
 
 use crate::connection::{self, Connection};
+use crate::mechanism::Mechanism;
 use anyhow::{Context, Result, anyhow, bail};
 use std::env::consts::EXE_SUFFIX;
 use std::io::{BufRead, BufReader};
@@ -40,6 +41,9 @@ pub struct Launch {
     /// or 0-3 [default: all]
     #[arg(long = "server-cpus", value_name = "LIST")]
     pub cpus: Option<String>,
+    /// Turn a mechanism against overload off; `mechanisms` then measures this one alone
+    #[arg(long, value_name = "NAME", value_enum)]
+    pub without: Option<Mechanism>,
 }
 
 impl Launch {
@@ -126,10 +130,12 @@ impl ServerProcess {
     /// Starts a server with the default world and these further options.
     pub fn start(launch: &Launch, options: &[&str]) -> Result<Self> {
         let program = launch.server().context("the path of this program is unknown; give --server")?;
+        // The log would have a warning where a mechanism is turned off.
+        let defaults = ["--listen", "127.0.0.1:0", "--log", "error", "--max-sessions", "4096"];
+        let without = launch.without.map_or(&[][..], Mechanism::off);
         let mut child = launch
             .command(&program)
-            .args(["--listen", "127.0.0.1:0", "--log", "warn", "--max-sessions", "4096"])
-            .args(options)
+            .args(last_values(&[&defaults, without, options].concat()))
             .stdout(Stdio::piped())
             .spawn()
             .with_context(|| format!("cannot start {}; name it with --server", program.display()))?;
@@ -158,5 +164,27 @@ impl ServerProcess {
         text.lines()
             .find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse().ok())
             .with_context(|| format!("the server has no metric {name}"))
+    }
+}
+
+/// Pairs of an option and its value, of each option the last one: a program takes it only once.
+fn last_values<'a>(options: &[&'a str]) -> Vec<&'a str> {
+    let is_last =
+        |index: &usize| !options.iter().skip(index + 2).step_by(2).any(|name| *name == options[*index]);
+    (0..options.len())
+        .step_by(2)
+        .filter(is_last)
+        .flat_map(|index| [options[index], options[index + 1]])
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_later_value_of_an_option_replaces_an_earlier_one() {
+        let options = ["--a", "1", "--b", "--a", "--a", "2", "--c", "3"];
+        assert_eq!(last_values(&options), ["--b", "--a", "--a", "2", "--c", "3"]);
     }
 }

@@ -12,7 +12,8 @@ use bars::Bar;
 use std::process::Command;
 
 /// The benchmarks of `tombolo-server-bench`, in the order in which they run.
-const BENCHES: [&str; 7] = ["cached", "cold", "stampede", "idle", "fair", "overload", "flood"];
+const BENCHES: [&str; 9] =
+    ["cached", "http", "cold", "stampede", "idle", "fair", "overload", "mechanisms", "flood"];
 
 /// Rounds of each; figures are medians over them.
 const ROUNDS: &str = "5";
