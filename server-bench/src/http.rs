@@ -103,10 +103,10 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 /// Further figures in sentences.
 pub fn notes(figures: &Value) -> Vec<String> {
     let line = "HTTP, one request in flight on each of {connections:.0} connections: our route \
-                {replies_per_s:.0} replies a second at {server_cpu_us:.1} us of CPU, {reply_bytes:.0} bytes with \
-                headers; nginx {nginx_replies_per_s:.0} at {nginx_cpu_us:.1} us, {nginx_reply_bytes:.0} bytes. \
-                Ours over nginx round by round: {ratio_to_nginx_rounds:.2}; nginx over itself: \
-                {nginx_ratio_to_itself_rounds:.2}.";
+                {replies_per_s:.0} replies a second at {server_cpu_us:.1} us of CPU, {reply_bytes:.0} \
+                bytes with headers; nginx {nginx_replies_per_s:.0} at {nginx_cpu_us:.1} us, \
+                {nginx_reply_bytes:.0} bytes. Ours over nginx round by round: {ratio_to_nginx_rounds:.2}; \
+                nginx over itself: {nginx_ratio_to_itself_rounds:.2}.";
     vec![fill(line, figures)]
 }
 

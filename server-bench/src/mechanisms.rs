@@ -258,8 +258,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 
 /// Further figures in sentences.
 pub fn notes(figures: &Value) -> Vec<String> {
-    let line = "Mechanism {mechanism}: {figure}: {with:.1} {unit} with it, {without:.1} {unit} without; round \
-                by round {with_rounds:.1} and {without_rounds:.1}.";
+    let line = "Mechanism {mechanism}: {figure}: {with:.1} {unit} with it, {without:.1} {unit} \
+                without; round by round {with_rounds:.1} and {without_rounds:.1}.";
     each(figures, "mechanisms", line).collect()
 }
 

@@ -130,9 +130,10 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 
 /// Further figures in sentences.
 pub fn notes(figures: &Value) -> Vec<String> {
-    let line = "Stampede: {requests:.0} requests over {connections:.0} connections behind {blockers:.0} other \
-                jobs; {one_key/coalesced:.0} joined the job, {one_key/cache_hits:.0} found the chunk in the \
-                cache; {one_key/seconds:.2} s for one chunk, {different_keys/seconds:.2} s for different ones.";
+    let line = "Stampede: {requests:.0} requests over {connections:.0} connections behind {blockers:.0} \
+                other jobs; {one_key/coalesced:.0} joined the job, {one_key/cache_hits:.0} found the chunk \
+                in the cache; {one_key/seconds:.2} s for one chunk, \
+                {different_keys/seconds:.2} s for different ones.";
     vec![fill(line, figures)]
 }
 

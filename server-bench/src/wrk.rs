@@ -39,7 +39,7 @@ pub struct Rate {
 }
 
 impl Wrk {
-    /// Requests of these paths in turn. `name` tells apart what one process requests.
+    /// Requests of these paths in turn. `name` is different for each set of requests of a process.
     pub fn new(name: &str, paths: &[String]) -> Result<Self> {
         let folder = std::env::temp_dir().join(format!("tombolo-wrk-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
