@@ -2,7 +2,7 @@
 
 use client::gpu::Image;
 use tests::RunningServer;
-use tests::golden::{Difference, check};
+use tests::golden::{Difference, check, is_blessing};
 use tests::peer::Peer;
 
 fn picture(value: u8) -> Image {
@@ -11,7 +11,8 @@ fn picture(value: u8) -> Image {
 
 #[test]
 fn a_difference_has_a_mean_and_a_share_of_outliers() {
-    assert_eq!(Difference::between(&picture(100), &picture(103)), Difference { mean: 3.0, outliers: 0.0 });
+    let uniform = Difference { mean: 3.0, outliers: 0.0, block: 3.0 };
+    assert_eq!(Difference::between(&picture(100), &picture(103)), uniform);
     let mut spot = picture(100);
     spot.rgba[0] = 200;
     let difference = Difference::between(&picture(100), &spot);
@@ -21,8 +22,22 @@ fn a_difference_has_a_mean_and_a_share_of_outliers() {
 }
 
 #[test]
+fn a_difference_in_one_block_is_not_diluted_by_the_others() {
+    let large = Image { width: 160, height: 90, rgba: vec![100; 160 * 90 * 4] };
+    let mut changed = large.clone();
+    // The last block is 16 x 10 pixels.
+    let (first_row, first_column) = (80, 144);
+    for row in first_row..90 {
+        changed.rgba[(row * 160 + first_column) * 4..][..16 * 4].fill(110);
+    }
+    let difference = Difference::between(&large, &changed);
+    assert_eq!((difference.block, difference.outliers), (10.0, 0.0));
+    assert!(difference.mean < 0.2 && !difference.is_tolerable());
+}
+
+#[test]
 fn a_missing_golden_picture_is_an_error() {
-    if std::env::var_os("TOMBOLO_BLESS").is_none() {
+    if !is_blessing() {
         assert!(check("no-such-picture", &picture(1)).is_err());
     }
 }

@@ -1,53 +1,226 @@
-//! The headless viewer against golden pictures.
+//! The headless viewer against golden pictures, and near misses that must fail.
 
+use client::features::vegetation::VegetationSettings;
 use client::gpu::Image;
 use client::headless::{self, Options};
 use client::native::stream::{ServerStream, Settings};
 use client::scene::Scene;
+use client::settings::{Shadows, SunPosition};
 use client::stats::Stats;
 use client::stream::LocalStream;
 use std::time::Instant;
+use terrain::constants::{VERTEX_COUNT, VERTICES};
+use terrain::{ChunkKey, Land, Octaves, Position};
 use tests::RunningServer;
+use tests::deformed_source::{Deformation, DeformedSource};
 use tests::golden::{self, Difference};
+use tests::rendering::rendered_or_skip;
+
+const WORLD_SEED: u64 = 1;
+
+/// The start view of the island scene.
+const START: &str = "-5200.0,160.0,1500.0,70.0,-8.0";
+
+const SUMMIT: &str = "300,420,900,20,-12";
 
 fn options(camera: &str) -> Options {
     tests::options_at(camera, (256, 144))
 }
 
-/// The start view of the island scene.
-const START: &str = "-5200.0,160.0,1500.0,70.0,-8.0";
-
-/// Renders local land.
-fn drawn(options: &Options) -> Option<(Image, Stats)> {
-    tests::render_or_skip(LocalStream::new(1), options)
+/// As [`options`], as far as detail near the eye needs.
+fn near(camera: &str) -> Options {
+    Options { view_distance_m: 3000, ..options(camera) }
 }
 
-#[test]
-fn the_island_equals_its_golden_pictures() {
-    assert_eq!(options(START).pose, Scene::Island.start());
-    for (name, camera) in [
-        ("start", START),
-        ("shore", "4700,25,500,-60,-8"),
-        ("summit", "300,420,900,20,-12"),
-        ("below", "900,1500,4200,-20,-60"),
-    ] {
-        let Some((picture, _)) = drawn(&options(camera)) else { return };
+fn with_sun(mut options: Options, azimuth_deg: f32, elevation_deg: f32) -> Options {
+    options.settings.sun = Some(SunPosition { azimuth_deg, elevation_deg });
+    options
+}
+
+/// Shadows at a low sun.
+fn evening() -> Options {
+    with_sun(near(SUMMIT), 20.0, 8.0)
+}
+
+/// Grass and trees.
+fn plants() -> Options {
+    let mut options = near("-1460.0,193.4,1240.0,35,-4");
+    options.settings.plants = VegetationSettings::STANDARD;
+    options
+}
+
+/// A beach and waves.
+fn sea() -> Options {
+    near("4700,3,500,-60,-12")
+}
+
+/// A scene without land.
+fn local(scene: Scene) -> Options {
+    Options { scene, pose: scene.start(), ..options(START) }
+}
+
+/// Renders local land, or a scene without land.
+fn drawn(options: &Options) -> Option<(Image, Stats)> {
+    if options.scene.is_local() {
+        return rendered_or_skip(headless::render_local(options, Instant::now()));
+    }
+    tests::render_or_skip(LocalStream::new(WORLD_SEED), options)
+}
+
+/// Compares a view with its golden picture.
+fn check(name: &str, options: &Options) {
+    if let Some((picture, _)) = drawn(options) {
         golden::check(name, &picture).unwrap();
     }
 }
 
 #[test]
+fn the_island_equals_its_golden_pictures() {
+    assert_eq!(options(START).pose, Scene::Island.start());
+    check("start", &options(START));
+    check("shore", &options("4700,25,500,-60,-8"));
+    check("summit", &options(SUMMIT));
+    check("below", &options("900,1500,4200,-20,-60"));
+}
+
+#[test]
+fn shadows_plants_sea_and_night_equal_their_golden_pictures() {
+    check("evening", &evening());
+    check("plants", &plants());
+    check("sea", &sea());
+    check("night", &with_sun(near(START), 250.0, -6.0));
+}
+
+#[test]
+fn scenes_without_land_equal_their_golden_pictures() {
+    check("relief", &local(Scene::Brick));
+    check("silhouettes", &local(Scene::Spom));
+    check("bay", &local(Scene::Water));
+}
+
+/// Fails if a picture that is not the golden one passes for it on another driver.
+fn must_differ(name: &str, what: &str, picture: &Image) {
+    let difference = Difference::between(&golden::golden(name).unwrap(), picture);
+    eprintln!("{name}, {what}: {difference:?}");
+    assert!(!difference.is_tolerable(), "{what} passed as {name}: {difference:?}");
+}
+
+#[test]
 fn blank_shifted_and_other_pictures_fail_the_comparison() {
-    let Some((picture, _)) = drawn(&options(START)) else { return };
+    if golden::is_blessing() {
+        return;
+    }
+    let picture = golden::golden("start").unwrap();
     let blank = Image { rgba: vec![0; picture.rgba.len()], ..picture.clone() };
     let mut shifted = picture.clone();
-    shifted.rgba.rotate_right(4 * 8);
+    shifted.rgba.rotate_right(4);
     let sky = Image { rgba: picture.rgba[..4].repeat(picture.rgba.len() / 4), ..picture.clone() };
-    for (name, other) in [("blank", blank), ("shifted by 8 pixels", shifted), ("sky only", sky)] {
-        let difference = Difference::between(&picture, &other);
-        assert!(!difference.is_tolerable(), "{name} passed: {difference:?}");
+    for (what, other) in [("blank", blank), ("shifted by a pixel", shifted), ("sky only", sky)] {
+        must_differ("start", what, &other);
     }
     assert!(Difference::between(&picture, &picture).is_tolerable());
+}
+
+#[test]
+fn near_misses_of_the_light_fail_the_comparison() {
+    if golden::is_blessing() {
+        return;
+    }
+    let mut unshaded = evening();
+    unshaded.settings.shadows = Shadows::Off;
+    let Some((unshaded, _)) = drawn(&unshaded) else { return };
+    must_differ("evening", "without shadows", &unshaded);
+    let sun = Scene::Island.light().sun;
+    let azimuth_deg = sun.x.atan2(-sun.z).to_degrees();
+    let moved = with_sun(options(START), azimuth_deg + 5.0, sun.y.asin().to_degrees());
+    must_differ("start", "the sun moved by 5 degrees", &drawn(&moved).unwrap().0);
+}
+
+#[test]
+fn near_misses_of_the_land_fail_the_comparison() {
+    if golden::is_blessing() {
+        return;
+    }
+    let deformed = |options: &Options, deformation: Deformation| {
+        tests::render_or_skip(DeformedSource::new(WORLD_SEED, deformation), options)
+    };
+    let Some((coarser, _)) = deformed(&options(SUMMIT), without_odd_vertices) else { return };
+    must_differ("summit", "one level coarser", &coarser);
+    let (smoother, _) = deformed(&sea(), without_the_last_octave).unwrap();
+    must_differ("sea", "one octave less", &smoother);
+}
+
+#[test]
+fn a_picture_without_one_of_its_trees_fails_the_comparison() {
+    if golden::is_blessing() {
+        return;
+    }
+    let mut treeless = plants();
+    treeless.settings.plants.trees = 0;
+    let Some((treeless, _)) = drawn(&treeless) else { return };
+    let golden = golden::golden("plants").unwrap();
+    let tree = smallest_patch(&golden, &treeless, 40).expect("trees stand in the picture");
+    let mut one_less = golden;
+    for at in &tree {
+        one_less.rgba[at * 4..][..4].copy_from_slice(&treeless.rgba[at * 4..][..4]);
+    }
+    must_differ("plants", &format!("without a tree of {} pixels", tree.len()), &one_less);
+}
+
+/// Heights with the detail of the next coarser level: odd vertices are the middle of even ones.
+fn without_odd_vertices(_: ChunkKey, heights: &mut [i32; VERTEX_COUNT], error: u32) -> u32 {
+    let fine = *heights;
+    let at = |x: usize, z: usize| fine[z * VERTICES + x];
+    for z in 0..VERTICES {
+        for x in 0..VERTICES {
+            // Cells are cut from their low to their high corner.
+            heights[z * VERTICES + x] = match (x % 2, z % 2) {
+                (0, 0) => at(x, z),
+                (1, 0) => i32::midpoint(at(x - 1, z), at(x + 1, z)),
+                (0, 1) => i32::midpoint(at(x, z - 1), at(x, z + 1)),
+                _ => i32::midpoint(at(x - 1, z - 1), at(x + 1, z + 1)),
+            };
+        }
+    }
+    error
+}
+
+/// Heights of the levels with all octaves, without the last of them.
+fn without_the_last_octave(key: ChunkKey, heights: &mut [i32; VERTEX_COUNT], error: u32) -> u32 {
+    if key.level() > 2 {
+        return error;
+    }
+    let (land, octaves) = (Land::new(WORLD_SEED), Octaves::new(Octaves::ALL.count() - 1).unwrap());
+    let ((west, north), spacing) = (key.origin(), key.spacing());
+    for (index, height) in heights.iter_mut().enumerate() {
+        let (x, z) = ((index % VERTICES) as i32, (index / VERTICES) as i32);
+        let place = Position::new(west + x * spacing, north + z * spacing).unwrap();
+        *height = land.height_keeping(place, octaves);
+    }
+    error
+}
+
+/// The pixels of the smallest connected patch of at least so many pixels in which two pictures
+/// differ visibly.
+fn smallest_patch(one: &Image, two: &Image, least: usize) -> Option<Vec<usize>> {
+    let width = one.width as usize;
+    let pixels = one.rgba.as_chunks::<4>().0.iter().zip(two.rgba.as_chunks::<4>().0);
+    let mut is_left: Vec<bool> = pixels.map(|(a, b)| (0..3).any(|c| a[c].abs_diff(b[c]) > 24)).collect();
+    let mut patches = Vec::new();
+    for start in 0..is_left.len() {
+        let (mut patch, mut open) = (Vec::new(), vec![start]);
+        while let Some(at) = open.pop() {
+            if std::mem::take(&mut is_left[at]) {
+                patch.push(at);
+                let (left, right) = (at % width > 0, at % width + 1 < width);
+                open.extend(left.then(|| at - 1).into_iter().chain(right.then_some(at + 1)));
+                open.extend(at.checked_sub(width).into_iter().chain(Some(at + width)));
+                open.retain(|at| *at < is_left.len());
+            }
+        }
+        patches.push(patch);
+    }
+    patches.into_iter().filter(|patch| patch.len() >= least).min_by_key(Vec::len)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]

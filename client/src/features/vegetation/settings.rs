@@ -24,8 +24,8 @@ pub enum Cull {
 /// Vegetation settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VegetationSettings {
-    /// Clumps of grass on a cell of 2 x 2 m where it is densest, 0 to [`VegetationSettings::MAX_DENSITY`];
-    /// 0 for none.
+    /// Clumps of grass on a cell of 2 x 2 m where it is densest, 0 to
+    /// [`VegetationSettings::MAX_DENSITY`]; 0 for none.
     pub density: u32,
     /// Range of grass, metres, 0 to [`VegetationSettings::MAX_RANGE_M`].
     pub range_m: f32,
