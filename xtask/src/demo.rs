@@ -48,10 +48,16 @@ const FLIGHT: [Shot; 6] = [
 pub fn run(options: Options) -> Result<()> {
     let headless = options.headless || !has_display();
     setup::run(if headless { Extent::Headless } else { Extent::Everything })?;
+    let programs = ["tombolo-server", "tombolo-view"];
+    let (build, minutes) = if headless {
+        (process::build_without_window(&programs), "about 8")
+    } else {
+        (process::build(&programs), "10 to 15")
+    };
     println!(
-        "demo: building the server and the viewer: 10 to 15 minutes on 2 cores the first time, seconds later"
+        "demo: building the server and the viewer: {minutes} minutes on 2 cores the first time, seconds later"
     );
-    process::run(process::build(&["tombolo-server", "tombolo-view"])).context("demo: the build failed")?;
+    process::run(build).context("demo: the build failed")?;
     let server = Server::start(WORLD_SEED).context("demo")?;
     println!("demo: a server streams world {WORLD_SEED} at {}", server.stream());
     if headless { fly(&server, options) } else { show(&server) }

@@ -78,8 +78,8 @@ const RULES: [Rule; 8] = [
     Rule {
         package: "lab",
         own: &["server", "load"],
-        libraries: &["axum", "fastnoise2"],
-        why: "the lab measures, it serves nothing",
+        libraries: &["axum", "fastnoise2", "winit", "egui"],
+        why: "the lab measures into textures, it serves nothing and opens no window",
     },
 ];
 

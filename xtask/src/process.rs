@@ -61,6 +61,14 @@ pub fn build(programs: &[&str]) -> Command {
     build
 }
 
+/// As [`build`], with a viewer that only draws into files: the window is half of what a viewer takes
+/// to build.
+pub fn build_without_window(programs: &[&str]) -> Command {
+    let mut build = build(programs);
+    build.arg("--no-default-features");
+    build
+}
+
 /// A command in the workspace's root.
 pub fn command(program: impl AsRef<Path>) -> Command {
     let mut command = Command::new(program.as_ref());

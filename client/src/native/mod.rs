@@ -1,5 +1,6 @@
 //! Everything that needs an operating system: options, sockets and threads, files, the window.
 
+#[cfg(feature = "window")]
 pub mod app;
 pub mod args;
 pub mod parse;
@@ -15,5 +16,18 @@ use args::Args;
 /// Runs the program that the options describe. Errors are one line, for display.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let started = std::time::Instant::now();
-    if args.shot.is_some() { screenshot::run(args, started) } else { app::run(args, started) }
+    if args.shot.is_some() { screenshot::run(args, started) } else { window(args, started) }
+}
+
+#[cfg(feature = "window")]
+fn window(args: &Args, started: std::time::Instant) -> anyhow::Result<()> {
+    app::run(args, started)
+}
+
+#[cfg(not(feature = "window"))]
+fn window(_: &Args, _: std::time::Instant) -> anyhow::Result<()> {
+    anyhow::bail!(
+        "this viewer was built without its window: draw into a file with --shot FILE.png, or build it again \
+        with `cargo build --release --bin tombolo-view`"
+    )
 }
