@@ -1,5 +1,6 @@
 //! Application state shared by all connections.
 
+use crate::cache::content_digests::ContentDigests;
 use crate::cache::disk::Disk;
 use crate::config::ServerConfig;
 use crate::generation::{Generation, Limits};
@@ -32,6 +33,8 @@ pub struct ServerState {
     pub offer: ServerOffer,
     /// The generation service.
     pub generation: Generation,
+    /// Content digests of chunks that were served by address.
+    pub content_digests: ContentDigests,
     /// The map renderer and its cache.
     pub map: Map,
     /// Figures for the page at `/`.
@@ -85,6 +88,7 @@ impl ServerState {
                 config.threads,
                 Arc::clone(&metrics),
             ),
+            content_digests: ContentDigests::default(),
             stats: LiveStats::default(),
             generation,
             metrics,

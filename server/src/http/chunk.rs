@@ -8,7 +8,6 @@ use crate::state::ServerState;
 use axum::extract::State;
 use axum::response::Response;
 use protocol::Delivery;
-use protocol::chunk_codec::{self, seed_only};
 use protocol::server::ChunkRequest;
 use std::sync::Arc;
 
@@ -23,12 +22,12 @@ pub async fn get(
     // Compact: the address is immutable, so it has one representation for ever.
     let flow = state.generation.limited_flow(bucket).compact();
     let frame = flow.frame(chunk, Delivery::Exact).await.map_err(problem)?;
-    let chunk = chunk_codec::decode(&frame, &state.offer.digest).map_err(|error| {
+    let digest = state.content_digests.of(key, &frame, &state.offer.digest).map_err(|error| {
         Problem::new(ProblemKind::Failed, format!("the chunk's frame is damaged: {error}"))
     })?;
     let representation = Representation {
         // Of the content: replicas with other versions of the compressor have the same ETag.
-        etag: etag(&seed_only::digest(&chunk, &state.offer.digest)),
+        etag: etag(&digest),
         content_type: "application/octet-stream",
         cache_control: immutable_cache_control(state.offer.token.is_some()),
         body: frame,
