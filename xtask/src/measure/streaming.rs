@@ -94,7 +94,7 @@ fn how(has_separate_cores: bool) -> String {
     format!(
         "`tombolo-server-bench NAME --rounds {ROUNDS} --seconds {SECONDS}`, {cores}; figures are medians \
          of the rounds, except counts and memory, which are measured once. `tombolo-lab codec` for the \
-         codecs: level-0 chunks with land, the shortest of 25 interleaved turns of each chunk. Rates of \
+         codecs: level-0 chunks with land, the median of 25 interleaved turns of each chunk. Rates of \
          decoding are bytes of u16 heights; heights alone are decoded into existing memory, without \
          digest, grass and pyramids, which a whole frame includes."
     )
