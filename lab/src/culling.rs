@@ -7,8 +7,10 @@ pub mod cases;
 pub(crate) mod chunks;
 pub mod clump_vertices;
 pub(crate) mod clumps;
+mod frame_ratios;
 pub(crate) mod frames;
 mod gpu_cpu_equality;
+mod gpu_time;
 pub(crate) mod id_buffer;
 pub(crate) mod occlusion;
 mod random_attributes;
@@ -19,8 +21,10 @@ use crate::report::publish;
 use crate::{Outputs, note};
 use anyhow::{Result, ensure};
 use client::features::vegetation::VegetationSettings;
+use frame_ratios::FrameRatios;
 use frames::Frames;
 use gpu_cpu_equality::GpuCpuEquality;
+use gpu_time::GpuTime;
 use id_buffer::VisiblePlants;
 use occlusion::Findings;
 use random_attributes::StreamTests;
@@ -42,6 +46,10 @@ pub struct Options {
     #[arg(long, value_name = "N", default_value_t = 24,
           value_parser = clap::value_parser!(u32).range(0..=1000))]
     pub compared: u32,
+    /// Poses whose frames are timed with and without occlusion tests, 0 to 10000
+    #[arg(long, value_name = "N", default_value_t = 300,
+          value_parser = clap::value_parser!(u32).range(0..=10_000))]
+    pub framed: u32,
 }
 
 /// Fewer and nearer plants than the standard: the comparison must also finish on a software driver.
@@ -64,6 +72,10 @@ struct Report {
     visible: Option<VisiblePlants>,
     /// Cost of every culling method in frames of the valley scene.
     frames: Frames,
+    /// The same of T4 over many poses, if any were requested.
+    frame_ratios: Option<FrameRatios>,
+    /// Time of a million clumps.
+    gpu_time: GpuTime,
     #[serde(rename = "lots")]
     streams: StreamTests,
     /// The GPU against the twin, if requested.
@@ -84,12 +96,27 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let drawn = cases::seeded(&land, options.drawn, DRAWN);
     let visible = (options.drawn > 0).then(|| id_buffer::measure(&land, &drawn)).transpose()?;
     note("frames of the valley scene");
-    let frames = frames::measure(&land, client::scene::Scene::Culling.plants())?;
+    let plants = client::scene::Scene::Culling.plants();
+    let frames = frames::measure(&land, plants)?;
+    note(&format!("frames of {} poses", options.framed));
+    let framed = cases::seeded(&land, options.framed, plants);
+    let frame_ratios = (options.framed > 0).then(|| frame_ratios::measure(&land, &framed)).transpose()?;
+    note("a million clumps at 1920 x 1080");
+    let gpu_time = gpu_time::measure(&land)?;
     let streams = random_attributes::test(7);
     note("the GPU against the twin");
     let compared = cases::seeded(&land, options.compared, COMPARED);
     let equality = (options.compared > 0).then(|| gpu_cpu_equality::compare(&land, &compared)).transpose()?;
-    let report = Report { poses: options.poses, occlusion, visible, frames, streams, equality };
+    let report = Report {
+        poses: options.poses,
+        occlusion,
+        visible,
+        frames,
+        frame_ratios,
+        gpu_time,
+        streams,
+        equality,
+    };
     publish(&report, bars::rows, bars::notes, "/same/adapter", outputs)?;
     report.controls()
 }

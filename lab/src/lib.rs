@@ -26,7 +26,7 @@ pub mod lod;
 mod options;
 mod outputs;
 pub mod pom;
-mod probe;
+mod probe_pass;
 mod reference_f64;
 mod report;
 mod sample;

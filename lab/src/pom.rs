@@ -12,10 +12,14 @@ pub mod maps;
 pub(crate) mod pictures;
 pub(crate) mod reference;
 pub mod renderer;
+pub(crate) mod travels;
 
 use crate::pom::bench::PomBench;
-use crate::pom::comparison::{AMPLITUDE, ANGLES_DEG, Condition, Score, Stage, bundle, probes, relief};
+use crate::pom::comparison::{
+    AMPLITUDE, ANGLES_DEG, BATCH, Condition, Score, Stage, bundle, probes, relief, score_in_batches,
+};
 use crate::pom::maps::Kind;
+use crate::pom::travels::Travel;
 use crate::report::publish;
 use crate::stats::{interleaved, ratios, worst};
 use crate::{Outputs, note};
@@ -34,8 +38,9 @@ const REPEATS: u32 = 2;
 /// Options of `pom`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// Rays of each map and angle, 1000 to 10000000
-    #[arg(long, value_name = "N", default_value_t = 200_000,
+    /// Rays of the traversal of each map and angle, 1000 to 10000000; other marches take the first
+    /// 200000 of them
+    #[arg(long, value_name = "N", default_value_t = 2_000_000,
           value_parser = clap::value_parser!(u32).range(1_000..=10_000_000))]
     pub rays: u32,
 }
@@ -46,9 +51,13 @@ struct Report {
     adapter: String,
     /// Whether the driver is a software rasteriser.
     is_software: bool,
-    /// Rays of each map and angle.
+    /// Rays of the traversal of each map and angle.
     rays: u32,
+    /// Rays of all other marches.
+    other_rays: u32,
     search: Vec<Search>,
+    /// The automatic tier where it is not the traversal.
+    travels: Vec<Travel>,
     loops: Loops,
     pictures: Pictures,
     cost: Vec<Cost>,
@@ -99,6 +108,9 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let stage = Stage::new(&bench, false);
     note("places against the reference");
     let search = searches(&bench, &stage, options.rays)?;
+    let other_rays = options.rays.min(BATCH);
+    note("the automatic tier at short travels");
+    let travels = travels::measure(&bench, &stage, other_rays)?;
     note("loop forms");
     let loops = loops(&bench, &stage)?;
     note("pictures");
@@ -109,7 +121,9 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         adapter: bench.adapter(),
         is_software: bench.is_software(),
         rays: options.rays,
+        other_rays,
         search,
+        travels,
         loops,
         pictures,
         cost,
@@ -122,12 +136,13 @@ fn searches(bench: &PomBench, stage: &Stage, rays: u32) -> Result<Vec<Search>> {
     let mut rows = Vec::new();
     for (layer, kind) in Kind::ALL.into_iter().enumerate() {
         for angle_deg in ANGLES_DEG {
-            let condition = Condition::new(stage, layer, angle_deg, rays);
+            let condition = Condition::new(stage, layer, angle_deg, rays.min(BATCH));
             let score = |how: &PomParams| condition.score(bench, stage, how);
+            let traversal = relief(PomMethod::MaxMip);
             rows.push(Search {
                 map: kind.name(),
                 angle_deg,
-                pyramid: score(&relief(PomMethod::MaxMip))?,
+                pyramid: score_in_batches(bench, stage, (layer, angle_deg), rays, &traversal)?,
                 auto: score(&relief(PomMethod::Auto))?,
                 linear: score(&constant(LoopForm::Exit))?,
             });

@@ -59,6 +59,26 @@ pub fn worst(values: impl IntoIterator<Item = f64>) -> f64 {
     values.into_iter().fold(0.0, f64::max)
 }
 
+/// Within which a share lies with 95 % certainty, of which `found` of `count` independent cases were
+/// found: the score interval (Wilson, JASA 22, 1927). If none was found, 0 to 3 / n (rule of three:
+/// Hanley and Lippman-Hand, JAMA 249(13), 1983); of no case, 0 to 1.
+pub fn share_interval(found: u64, count: u64) -> [f64; 2] {
+    /// The normal distribution's quantile of 97.5 %.
+    const Z: f64 = 1.959_963_984_540_054;
+    let n = count as f64;
+    if count == 0 {
+        return [0.0, 1.0];
+    }
+    if found == 0 {
+        return [0.0, (3.0 / n).min(1.0)];
+    }
+    let share = found as f64 / n;
+    let scale = 1.0 / (1.0 + Z * Z / n);
+    let middle = scale * (share + Z * Z / (2.0 * n));
+    let half = scale * Z * (share * (1.0 - share) / n + Z * Z / (4.0 * n * n)).sqrt();
+    [(middle - half).max(0.0), (middle + half).min(1.0)]
+}
+
 /// Times of `count` alternatives, each run once a round: a change of the machine's speed that lasts
 /// longer than a round affects all of them.
 ///
@@ -104,6 +124,24 @@ mod tests {
         assert_eq!(quantiles([3.0, 1.0, 2.0], [0.5, 1.0]), [2.0, 3.0]);
         assert!(quantile(&[], 0.5).is_nan() && median([]).is_nan());
         assert_eq!((median([5.0, 1.0, 2.0, 3.0]), worst([2.0, 7.0]), mean([1.0, 2.0])), (3.0, 7.0, 1.5));
+    }
+
+    #[test]
+    fn intervals_of_shares_are_those_of_the_literature() {
+        // Newcombe, Statistics in Medicine 17, 1998, table I, method 3.
+        for (found, count, expected) in
+            [(81, 263, [0.2553, 0.3662]), (15, 148, [0.0624, 0.1605]), (1, 29, [0.0061, 0.1718])]
+        {
+            let interval = share_interval(found, count);
+            for (end, expected) in interval.into_iter().zip(expected) {
+                assert!((end - expected).abs() < 5e-5, "{found} of {count}: {interval:?}");
+            }
+        }
+        assert_eq!(share_interval(0, 2_000_000), [0.0, 1.5e-6]);
+        assert_eq!((share_interval(0, 0), share_interval(5, 5)[1]), ([0.0, 1.0], 1.0));
+        // The control: ten times the cases narrow it.
+        let width = |[low, high]: [f64; 2]| high - low;
+        assert!(width(share_interval(180, 2_000_000)) < 0.4 * width(share_interval(18, 200_000)));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The shipped parallax of waves on this machine's GPU: rays in, intersections out.
 
-use crate::probe::{self, Dispatch};
+use crate::probe_pass::{self, Dispatch};
 use anyhow::Result;
 use bytemuck::Zeroable as _;
 use client::features::water::WaveSettings;
@@ -36,7 +36,7 @@ impl WaveBench {
     pub fn open() -> Result<Self> {
         let gpu = Gpu::open_blocking()?;
         let waves = WaveMap::bake(&gpu.device, &gpu.queue);
-        let pipeline = probe::pipeline(&gpu, &SHADERS.probe_waves, None);
+        let pipeline = probe_pass::pipeline(&gpu, &SHADERS.probe_waves, None);
         Ok(Self { gpu, waves, pipeline })
     }
 
@@ -63,12 +63,12 @@ impl WaveBench {
             wave_steepness: knobs.steepness,
             ..Frame::zeroed()
         };
-        let frame = probe::filled(&self.gpu, bytemuck::bytes_of(&uniforms), wgpu::BufferUsages::UNIFORM);
+        let frame = probe_pass::filled(&self.gpu, bytemuck::bytes_of(&uniforms), wgpu::BufferUsages::UNIFORM);
         let [map, sampler] = self.waves.entries(1).map(|entry| entry.resource);
         let dispatch = Dispatch { repeats, ..Dispatch::once(probes.len()) };
         let resources = [frame.as_entire_binding(), map, sampler];
         let (words, took): (Vec<[f32; 4]>, _) =
-            probe::run(&self.gpu, &self.pipeline, resources, probes, dispatch)?;
+            probe_pass::run(&self.gpu, &self.pipeline, resources, probes, dispatch)?;
         let found = words
             .iter()
             .map(|[x, z, at_m, residual_m]| FoundWave {

@@ -6,7 +6,7 @@
 
 use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet, numbered};
-use crate::probe::{self, Dispatch};
+use crate::probe_pass::{self, Dispatch};
 use crate::stats::{Figures, interleaved, ratios};
 use anyhow::{Context as _, Result};
 use client::gpu::Gpu;
@@ -170,16 +170,16 @@ type Terms = [f32; BRDF_TERMS];
 
 /// The terms of probes, in their order.
 fn terms(gpu: &Gpu, probes: &[BrdfProbe]) -> Result<Vec<Terms>> {
-    let pipeline = probe::pipeline(gpu, &SHADERS.probe_brdf, Some("probe_brdf"));
-    Ok(probe::run(gpu, &pipeline, [], probes, Dispatch::once(probes.len()))?.0)
+    let pipeline = probe_pass::pipeline(gpu, &SHADERS.probe_brdf, Some("probe_brdf"));
+    Ok(probe_pass::run(gpu, &pipeline, [], probes, Dispatch::once(probes.len()))?.0)
 }
 
 /// Times of the variants over that of the first.
 fn costs(gpu: &Gpu) -> Result<Vec<f64>> {
     let probes = probes(0.5);
-    let pipelines = VARIANTS.map(|(entry, ..)| probe::pipeline(gpu, &SHADERS.probe_brdf, Some(entry)));
+    let pipelines = VARIANTS.map(|(entry, ..)| probe_pass::pipeline(gpu, &SHADERS.probe_brdf, Some(entry)));
     let run = |index: usize| -> Result<Duration> {
-        let found = probe::run::<_, f32>(gpu, &pipelines[index], [], &probes, Dispatch::once(TIMED));
+        let found = probe_pass::run::<_, f32>(gpu, &pipelines[index], [], &probes, Dispatch::once(TIMED));
         Ok(found?.1)
     };
     // The first round compiles pipelines and fills caches.

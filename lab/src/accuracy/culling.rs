@@ -3,7 +3,7 @@
 //! frames.
 
 use crate::chart::{Choice, Panel, linear, log};
-use crate::culling::cases::{Case, Site, seeded};
+use crate::culling::cases::{Absent, Case, Site, seeded};
 use crate::culling::chunks::{ChunkVerdict, chunks_of};
 use crate::culling::clump_vertices::clump_vertices;
 use crate::culling::clumps::{LEAST_M, judged, level_of, sample};
@@ -66,6 +66,11 @@ fn is_far(case: &Case) -> bool {
 
 fn is_home(case: &Case) -> bool {
     case.stretch == vertical_scale::ONE && !is_far(case)
+}
+
+/// Whether a case may be walked from: a level view of complete land.
+fn is_walk(case: &Case) -> bool {
+    is_home(case) && !case.is_steep() && case.absent == Absent::None
 }
 
 /// A test of a clump.
@@ -303,7 +308,7 @@ const HYSTERESIS_CURVES: [(&str, &str); 6] = [
 fn hysteresis(land: &Land, all: &[Case]) -> Result<Sheet<Hysteresis>> {
     let walks: Vec<&Case> = [Site::Valley, Site::Slope]
         .into_iter()
-        .filter_map(|site| all.iter().find(|case| is_home(case) && case.site == site))
+        .filter_map(|site| all.iter().find(|case| is_walk(case) && case.site == site))
         .collect();
     let sparse = VegetationSettings { density: 1, trees: 0, range_m: 200.0, ..PLANTS };
     // Of each walk, of each frame: the chunks in view by position in the world.

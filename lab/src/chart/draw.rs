@@ -374,15 +374,15 @@ mod tests {
     #[test]
     fn labels_cover_neither_dots_nor_each_other() {
         let frame = Bounds { low: (0, 0), high: (300, 300) };
-        let spots = [(150, 150), (152, 160), (290, 8), (150, 120)];
-        let mut taken = spots.map(Bounds::around).to_vec();
+        let anchors = [(150, 150), (152, 160), (290, 8), (150, 120)];
+        let mut taken = anchors.map(Bounds::around).to_vec();
         let size = (60, 16);
-        for spot in spots {
-            let corner = free(spot, size, &frame, &mut taken);
+        for anchor in anchors {
+            let corner = free(anchor, size, &frame, &mut taken);
             let name = Bounds { low: corner, high: (corner.0 + size.0, corner.1 + size.1) };
-            assert!(frame.holds(&name), "{spot:?} {name:?}");
+            assert!(frame.holds(&name), "{anchor:?} {name:?}");
             let (_, others) = taken.split_last().unwrap();
-            assert!(!others.iter().any(|other| other.meets(&name)), "{spot:?} {name:?}");
+            assert!(!others.iter().any(|other| other.meets(&name)), "{anchor:?} {name:?}");
         }
         assert!(Bounds::around((5, 5)).meets(&Bounds::around((10, 10))), "the control");
     }

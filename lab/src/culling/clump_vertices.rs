@@ -25,7 +25,7 @@ pub struct ClumpVertices {
     pub points: Vec<Point>,
 }
 
-/// The vertices of a clump in a level of detail, at time 0.
+/// The vertices of a clump in a level of detail, at the time of the shot.
 pub fn clump_vertices<S: Slots>(
     scene: &Scene,
     surface: &Surface<'_, S>,
@@ -55,7 +55,7 @@ pub fn clump_vertices<S: Slots>(
     let tall = field_height_scale(field, distance_m);
     let [width, height] = field_size_m(field, packed.width, packed.height);
     let size_m = [width * wide, height * tall];
-    let wind = wind_push(field.wind, turns, 0.0, packed.phase);
+    let wind = wind_push(field.wind, turns, scene.shot.time_s, packed.phase);
     let offsets: Vec<[f32; 3]> = if stand.planting.kind == KIND_GRASS {
         let grown = 0.08 + 0.16 * packed.hue;
         let own = [(40.0 * packed.phase).cos() * grown, (40.0 * packed.phase).sin() * grown];

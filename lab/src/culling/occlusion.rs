@@ -1,7 +1,7 @@
 //! Every occlusion test against the visibility in f64 of [`super::reference`], over samples of
 //! clumps and chunks.
 
-use crate::culling::cases::Case;
+use crate::culling::cases::{Absent, Case};
 use crate::culling::chunks::chunks_of;
 use crate::culling::clump_vertices::clump_vertices;
 use crate::culling::clumps::{LEAST_M, judged, level_of, sample};
@@ -68,10 +68,44 @@ impl Score {
     }
 }
 
+/// What the tests of clumps do in the scenes of one kind.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Variation {
+    pub scenes: u64,
+    /// T4.
+    pub hierarchical: Score,
+    /// T2 and T3 by marching together: the control.
+    pub inexact: Score,
+}
+
+impl Variation {
+    fn add(&mut self, other: &Self) {
+        self.scenes += other.scenes;
+        self.hierarchical.add(&other.hierarchical);
+        self.inexact.add(&other.inexact);
+    }
+}
+
+/// The kinds of a scene, as fields of [`Findings::variations`].
+fn kinds_of(case: &Case, scene: &Scene) -> Vec<&'static str> {
+    let levels = scene.levels_at_eye();
+    let is_level_border = levels.iter().any(|level| *level != levels[0]);
+    let kinds = [
+        ("steep", case.is_steep()),
+        ("absent_chunks", matches!(case.absent, Absent::Random { .. })),
+        ("chunk_border", levels.len() > 1),
+        ("level_border", is_level_border),
+    ];
+    kinds.into_iter().filter(|(_, is)| *is).map(|(kind, _)| kind).collect()
+}
+
 /// Scores over all scenes.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Findings {
     pub scenes: u64,
+    /// By kind of scene: `steep` (pitches of no walk), `absent_chunks` (a random share of the chunks
+    /// has not arrived), `chunk_border` and `level_border` (the eye is exactly on one).
+    pub variations: BTreeMap<&'static str, Variation>,
     /// By test: `noise` (T2, step of 2 m), `march` (T3 as first published, step of 2 m), `march_fine`
     /// (step of half a metre), `exact` (T3), `hierarchical` (T4), `grass` and `trees` of it, `bound`
     /// (T4 where any point of a clump's bound is visible: the tests are conservative for the bound);
@@ -106,6 +140,9 @@ impl Findings {
         for (test, score) in &other.scores {
             self.scores.entry(test).or_default().add(score);
         }
+        for (kind, variation) in &other.variations {
+            self.variations.entry(kind).or_default().add(variation);
+        }
         self.fetches_exact += other.fetches_exact;
         self.fetches_march += other.fetches_march;
         self.root_mm = self.root_mm.max(other.root_mm);
@@ -120,7 +157,10 @@ impl Findings {
 pub fn score(land: &Land, cases: &[Case]) -> Findings {
     let found = cases
         .par_iter()
-        .filter_map(|case| Some(of_scene(&Scene::of(land, case, 4000)?)))
+        .filter_map(|case| {
+            let scene = Scene::of(land, case, 4000)?;
+            Some(of_scene(&scene, &kinds_of(case, &scene)))
+        })
         .reduce(Findings::default, Findings::join);
     let rays = (found.rays as f64).max(1.0);
     Findings {
@@ -193,8 +233,9 @@ fn hull_of(scene: &Scene, extent: &Extent, eye: Point) -> Vec<Point> {
     ring(1.0, 0.0).chain(ring(0.5, 0.0)).chain(ring(1.0, 0.5)).chain(ring(1.0, 1.0)).collect()
 }
 
-fn of_scene(scene: &Scene) -> Findings {
+fn of_scene(scene: &Scene, kinds: &[&'static str]) -> Findings {
     let mut found = Findings { scenes: 1, ..Findings::default() };
+    let mut clumps = Variation { scenes: 1, ..Variation::default() };
     let reference = VisibilityReference::new(&scene.world, &scene.drawn);
     let slots = BySlot::new(&scene.world);
     let square = &scene.plants.grid;
@@ -223,8 +264,15 @@ fn of_scene(scene: &Scene) -> Findings {
             }
             let hierarchical = judged.is_occluded || block_of(&surface, stand, clump);
             let tip = tip_occludee(culling, &stand.planting, clump);
-            found.count("noise", is_seen, raymarch_occlusion(&noise, culling, &tip, 0));
-            found.count("march", is_seen, raymarch_occlusion_by_vertices(&surface, culling, &tip));
+            let inexact = [
+                raymarch_occlusion(&noise, culling, &tip, 0),
+                raymarch_occlusion_by_vertices(&surface, culling, &tip),
+            ];
+            for (test, is_culled) in ["noise", "march"].into_iter().zip(inexact) {
+                found.count(test, is_seen, is_culled);
+                clumps.inexact.count(is_seen, is_culled);
+            }
+            clumps.hierarchical.count(is_seen, hierarchical);
             found.count("march_fine", is_seen, raymarch_occlusion_by_vertices(&surface, &fine, &tip));
             found.count("exact", is_seen, judged.is_occluded);
             found.count("hierarchical", is_seen, hierarchical);
@@ -244,6 +292,7 @@ fn of_scene(scene: &Scene) -> Findings {
             }
         }
     }
+    found.variations = kinds.iter().map(|kind| (*kind, clumps)).collect();
     found
 }
 

@@ -5,7 +5,8 @@ use client::cache::{ChunkCache, vertical_scale};
 use client::features::vegetation::VegetationFrame;
 use client::lod::{Drawn, select};
 use client::view::ViewParams;
-use terrain::{Land, lod};
+use std::collections::BTreeSet;
+use terrain::{ChunkKey, Land, lod};
 
 /// A test case with its data.
 #[derive(Debug)]
@@ -30,7 +31,10 @@ impl Scene {
         world.set_vertical_scale(case.stretch);
         let times = f64::from(case.stretch) / f64::from(vertical_scale::ONE);
         let judged = ViewParams { tolerance_px: case.shot.tolerance_px / times.max(1.0), ..case.shot };
-        for needed in lod::select(land, &judged.viewer(), slots as usize) {
+        let tops: BTreeSet<ChunkKey> = judged.viewer().tops().into_iter().collect();
+        let has_arrived = |key: ChunkKey| tops.contains(&key) || case.absent.has_arrived(key);
+        let needed = lod::select(land, &judged.viewer(), slots as usize);
+        for needed in needed.into_iter().filter(|needed| has_arrived(needed.key)) {
             world.insert(vertical_scale::scaled(land.chunk(needed.key), case.stretch));
         }
         let eye = case.shot.pose.eye();
@@ -39,5 +43,20 @@ impl Scene {
         let drawn = select(&mut world, &judged.viewer()).drawn;
         let plants = shot.plants(&world, &drawn)?;
         Some(Self { name: case.name.clone(), shot, world, drawn, plants })
+    }
+
+    /// Levels of the drawn chunks that the eye is above; several on a border.
+    #[must_use]
+    pub fn levels_at_eye(&self) -> Vec<u8> {
+        let eye = self.shot.pose.eye();
+        let touches = |key: ChunkKey| {
+            let (x, z) = key.origin();
+            let side = i64::from(key.side());
+            [(0, x), (2, z)].into_iter().all(|(axis, low)| {
+                let beyond = i64::from(eye.units[axis]) - i64::from(low);
+                (0..side).contains(&beyond) || beyond == side && eye.fraction_m[axis] == 0.0
+            })
+        };
+        self.drawn.iter().map(|drawn| drawn.key).filter(|key| touches(*key)).map(ChunkKey::level).collect()
     }
 }

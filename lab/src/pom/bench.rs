@@ -1,6 +1,6 @@
 //! The shipped marches on this machine's GPU: rays in, intersections out.
 
-use crate::probe::{self, Dispatch};
+use crate::probe_pass::{self, Dispatch};
 use anyhow::Result;
 use client::features::pom::HeightMap;
 use client::features::pom::maps::PomMaps;
@@ -82,10 +82,10 @@ impl PomBench {
         probes: &[PomProbe],
         repeats: u32,
     ) -> Result<(Vec<PomResult>, Duration)> {
-        let how = probe::filled(&self.gpu, bytemuck::bytes_of(relief), wgpu::BufferUsages::UNIFORM);
+        let how = probe_pass::filled(&self.gpu, bytemuck::bytes_of(relief), wgpu::BufferUsages::UNIFORM);
         let maps = maps.entries(1).into_iter().map(|entry| entry.resource);
         let resources = [how.as_entire_binding()].into_iter().chain(maps);
         let dispatch = Dispatch { repeats, ..Dispatch::once(probes.len()) };
-        probe::run(&self.gpu, &self.pipeline, resources, probes, dispatch)
+        probe_pass::run(&self.gpu, &self.pipeline, resources, probes, dispatch)
     }
 }

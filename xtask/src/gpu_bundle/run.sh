@@ -13,9 +13,9 @@ rm -f "$out"/*.json "$out"/*.log "$out"/steps.tsv
 export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-/tmp}
 
 if [ "${QUICK:-0}" = 1 ]; then
-    lod="--poses 2 --views 2"; pom="--rays 2000"; culling="--poses 2 --drawn 1 --compared 2"
+    lod="--poses 2 --views 2"; pom="--rays 2000"; culling="--poses 2 --drawn 1 --compared 2 --framed 0"
 else
-    lod="--poses 50 --views 100"; pom="--rays 200000"; culling="--poses 60 --drawn 60 --compared 24"
+    lod="--poses 50 --views 100"; pom="--rays 2000000"; culling="--poses 60 --drawn 60 --compared 24 --framed 0"
 fi
 
 failed=0

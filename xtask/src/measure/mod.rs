@@ -55,7 +55,7 @@ const MEASUREMENTS: [Measurement; 8] = [
         rows: streaming::rows,
     },
     by_lab!("terrain", ["lod", "--poses", "50", "--views", "200"]),
-    by_lab!("pom", ["pom", "--rays", "200000"]),
+    by_lab!("pom", ["pom", "--rays", "2000000"]),
     by_lab!("culling", ["culling", "--poses", "300"]),
 ];
 

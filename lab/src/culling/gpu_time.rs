@@ -1,0 +1,331 @@
+//! Time of culling and drawing a million clumps at 1920 x 1080, by the GPU's own clock where it has
+//! one: the passes of the viewer over an open meadow, with its four samples per pixel.
+//!
+//! The plants are drawn into an empty picture: no land hides a part of them, so the figure is no
+//! lower than that of a frame.
+
+use crate::culling::cases::Case;
+use crate::culling::id_buffer::frame_of;
+use crate::culling::scene::Scene;
+use crate::stats::median;
+use anyhow::{Context, Result, ensure};
+use client::features::terrain::pool::ChunkPool;
+use client::features::vegetation::renderer::VegetationRenderer;
+use client::features::vegetation::{Cull, VegetationSettings};
+use client::frame::FrameData;
+use client::gpu::buffer::create_buffer;
+use client::gpu::targets::Targets;
+use client::gpu::{self, Gpu};
+use serde::Serialize;
+use std::time::Instant;
+use terrain::Land;
+use wgpu::BufferUsages as Usage;
+
+/// Size of the picture, pixels.
+const SIZE: (u32, u32) = (1920, 1080);
+
+/// Samples per pixel: the viewer's own.
+const SAMPLES: u32 = 4;
+
+/// Clumps drawn, at least.
+pub const CLUMPS: u64 = 1_000_000;
+
+/// Slots of the pool.
+const SLOTS: u32 = 2000;
+
+/// Frames timed after the first, on a GPU and on a software adapter; the median counts.
+const FRAMES: [usize; 2] = [31, 3];
+
+/// Ranges of grass without thinning, metres; the first that shows [`CLUMPS`] clumps is taken.
+const RANGES_M: [f32; 6] = [400.0, 550.0, 700.0, 900.0, 1200.0, 1600.0];
+
+/// Clumps of grass on a cell: as many as the settings allow, and the control's share of them.
+const DENSITIES: [u32; 2] = [VegetationSettings::MAX_DENSITY, VegetationSettings::MAX_DENSITY / 8];
+
+/// What a million clumps take. Field names are a contract with scripts.
+#[derive(Clone, Debug, Serialize)]
+pub struct GpuTime {
+    pub adapter: String,
+    pub is_software: bool,
+    /// Pixels across and down.
+    pub size: (u32, u32),
+    pub samples: u32,
+    /// Range of the grass, metres.
+    pub range_m: f32,
+    /// Clumps that pass the frustum test alone.
+    pub in_view: u64,
+    pub full: Timed,
+    /// With an eighth of the grass: the control.
+    pub sparse: Timed,
+}
+
+/// Medians over frames, milliseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Timed {
+    /// Clumps drawn.
+    pub clumps: u64,
+    /// By the GPU's clock; none if it has none.
+    pub passes: Option<Passes>,
+    /// Until the GPU was done, as the program sees it; submission included.
+    pub program_ms: f64,
+    /// That of the GPU's clock, else of the program's.
+    pub whole_ms: f64,
+}
+
+/// Times by the GPU's clock, milliseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Passes {
+    pub cull_ms: f64,
+    pub draw_ms: f64,
+    /// From the begin of the culling to the end of the drawing.
+    pub whole_ms: f64,
+}
+
+/// Times the start of the scene `grass` with enough grass.
+///
+/// # Errors
+/// There is no GPU, it failed, its clock stands still, or no range shows enough clumps.
+pub fn measure(land: &Land) -> Result<GpuTime> {
+    let mut bench = Bench::open()?;
+    let [full, sparse] = DENSITIES;
+    for range_m in RANGES_M {
+        let scene = meadow(land, full, range_m)?;
+        scene.world.residents().for_each(|chunk| bench.pool.upload(&bench.gpu.queue, chunk));
+        let frame = frame_of(&scene, Cull::Hierarchical);
+        if bench.clumps(&frame)? < CLUMPS {
+            continue;
+        }
+        let in_view = bench.clumps(&frame_of(&scene, Cull::Frustum))?;
+        let full = bench.timed(&frame)?;
+        let sparse = bench.timed(&frame_of(&meadow(land, sparse, range_m)?, Cull::Hierarchical))?;
+        return Ok(GpuTime {
+            adapter: bench.gpu.name(),
+            is_software: bench.is_software(),
+            size: SIZE,
+            samples: SAMPLES,
+            range_m,
+            in_view,
+            full,
+            sparse,
+        });
+    }
+    anyhow::bail!("no range of grass up to {} m shows {CLUMPS} clumps", RANGES_M[RANGES_M.len() - 1])
+}
+
+/// The start of the scene `grass` with so much grass up to a range.
+fn meadow(land: &Land, density: u32, range_m: f32) -> Result<Scene> {
+    let plants =
+        VegetationSettings { density, range_m, thin_from_m: range_m, ..VegetationSettings::STANDARD };
+    let case = Case::at_start(client::scene::Scene::Grass, SIZE, plants);
+    Scene::of(land, &case, SLOTS).context("nothing grows in the scene `grass`")
+}
+
+/// The passes of the vegetation alone, on the best adapter.
+struct Bench {
+    gpu: Gpu,
+    uniforms: wgpu::Buffer,
+    pool: ChunkPool,
+    vegetation: VegetationRenderer,
+    targets: Targets,
+    clock: Option<Clock>,
+}
+
+impl Bench {
+    fn open() -> Result<Self> {
+        let opened = Gpu::open_with(gpu::instance(None), None, wgpu::Features::TIMESTAMP_QUERY);
+        let gpu = pollster::block_on(opened).context("times of plants need a GPU")?;
+        let device = &gpu.device;
+        let bytes = size_of::<shaders::layout::Frame>() as u64;
+        Ok(Self {
+            uniforms: create_buffer(device, "frame", bytes, Usage::UNIFORM | Usage::COPY_DST),
+            pool: ChunkPool::new(device, SLOTS),
+            vegetation: VegetationRenderer::new(device),
+            targets: Targets::new(device, SIZE, SAMPLES),
+            clock: Clock::new(device),
+            gpu,
+        })
+    }
+
+    fn is_software(&self) -> bool {
+        self.gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu
+    }
+
+    /// Culls a frame's plants.
+    fn cull(&mut self, frame: &FrameData, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+        let plants = frame.plants.as_ref().context("a frame without plants")?;
+        self.gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
+        let (gpu, uniforms, pool) = (&self.gpu, &self.uniforms, &self.pool);
+        self.vegetation.cull(gpu, uniforms, pool, SAMPLES, plants, encoder);
+        Ok(())
+    }
+
+    /// Clumps that the tests of a frame keep.
+    fn clumps(&mut self, frame: &FrameData) -> Result<u64> {
+        let mut encoder = self.encoder();
+        self.cull(frame, &mut encoder)?;
+        self.gpu.queue.submit([encoder.finish()]);
+        let stats = self.vegetation.read_stats(&self.gpu)?;
+        ensure!(stats.blocks_lost + stats.clumps_lost == 0, "no room for all visible clumps: {stats:?}");
+        Ok(stats.clumps.into())
+    }
+
+    fn encoder(&self) -> wgpu::CommandEncoder {
+        self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
+    /// Culls and draws a frame once without timing, then several times.
+    fn timed(&mut self, frame: &FrameData) -> Result<Timed> {
+        let clumps = self.clumps(frame)?;
+        let count = FRAMES[usize::from(self.is_software())];
+        let (mut program, mut passes) = (Vec::new(), Vec::new());
+        for index in 0..=count {
+            let begun = Instant::now();
+            self.draw(frame)?;
+            let taken_ms = begun.elapsed().as_secs_f64() * 1e3;
+            if index > 0 {
+                program.push(taken_ms);
+                passes.extend(self.clock.as_ref().map(|clock| clock.read(&self.gpu)).transpose()?);
+            }
+        }
+        let passes = (!passes.is_empty()).then(|| {
+            let of = |time: fn(&Passes) -> f64| median(passes.iter().map(time));
+            Passes {
+                cull_ms: of(|passes| passes.cull_ms),
+                draw_ms: of(|passes| passes.draw_ms),
+                whole_ms: of(|passes| passes.whole_ms),
+            }
+        });
+        if let Some(Passes { cull_ms, draw_ms, whole_ms }) = passes {
+            // A query set that is never written reads as zeros, and zero is no time.
+            ensure!(
+                cull_ms > 0.0 && draw_ms > 0.0 && whole_ms >= draw_ms,
+                "the GPU's timestamps do not advance"
+            );
+        }
+        let program_ms = median(program);
+        let whole_ms = passes.map_or(program_ms, |passes| passes.whole_ms);
+        Ok(Timed { clumps, passes, program_ms, whole_ms })
+    }
+
+    fn draw(&mut self, frame: &FrameData) -> Result<()> {
+        let mut encoder = self.encoder();
+        if let Some(clock) = &self.clock {
+            clock.mark(&mut encoder, CULL_BEGIN);
+        }
+        self.cull(frame, &mut encoder)?;
+        if let Some(clock) = &self.clock {
+            clock.mark(&mut encoder, CULL_END);
+        }
+        {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("plants"),
+                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                    view: &self.targets.hdr_target,
+                    depth_slice: None,
+                    resolve_target: self.targets.resolved.as_ref(),
+                    ops: wgpu::Operations {
+                        load: wgpu::LoadOp::Clear(wgpu::Color::BLACK),
+                        store: wgpu::StoreOp::Discard,
+                    },
+                })],
+                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                    view: &self.targets.depth,
+                    depth_ops: Some(wgpu::Operations {
+                        load: wgpu::LoadOp::Clear(0.0),
+                        store: wgpu::StoreOp::Discard,
+                    }),
+                    stencil_ops: None,
+                }),
+                timestamp_writes: self.clock.as_ref().map(Clock::drawing),
+                ..Default::default()
+            });
+            self.vegetation.draw(&mut pass);
+        }
+        if let Some(clock) = &self.clock {
+            encoder.resolve_query_set(&clock.queries, 0..TIMESTAMPS, &clock.resolved, 0);
+        }
+        self.gpu.queue.submit([encoder.finish()]);
+        Ok(self.gpu.wait()?)
+    }
+}
+
+/// Timestamps.
+const CULL_BEGIN: u32 = 0;
+const CULL_END: u32 = 1;
+const DRAW_BEGIN: u32 = 2;
+const DRAW_END: u32 = 3;
+const TIMESTAMPS: u32 = 4;
+const BYTES: u64 = TIMESTAMPS as u64 * 8;
+
+/// Timestamp queries of a frame.
+struct Clock {
+    queries: wgpu::QuerySet,
+    resolved: wgpu::Buffer,
+}
+
+impl Clock {
+    /// A clock, if the device has timestamp queries.
+    fn new(device: &wgpu::Device) -> Option<Self> {
+        device.features().contains(wgpu::Features::TIMESTAMP_QUERY).then(|| Self {
+            queries: device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("times of plants"),
+                ty: wgpu::QueryType::Timestamp,
+                count: TIMESTAMPS,
+            }),
+            resolved: create_buffer(device, "times of plants", BYTES, Usage::QUERY_RESOLVE | Usage::COPY_SRC),
+        })
+    }
+
+    /// Records a timestamp after all earlier passes: an empty pass, because portable WebGPU has no
+    /// timestamps outside of passes.
+    fn mark(&self, encoder: &mut wgpu::CommandEncoder, index: u32) {
+        drop(encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("timestamp"),
+            timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
+                query_set: &self.queries,
+                beginning_of_pass_write_index: Some(index),
+                end_of_pass_write_index: None,
+            }),
+        }));
+    }
+
+    fn drawing(&self) -> wgpu::RenderPassTimestampWrites<'_> {
+        wgpu::RenderPassTimestampWrites {
+            query_set: &self.queries,
+            beginning_of_pass_write_index: Some(DRAW_BEGIN),
+            end_of_pass_write_index: Some(DRAW_END),
+        }
+    }
+
+    /// The times of the last submitted frame.
+    fn read(&self, gpu: &Gpu) -> Result<Passes> {
+        let bytes = gpu.read_buffer(&self.resolved, 0..BYTES)?;
+        let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&bytes);
+        Ok(passes_of(&ticks, f64::from(gpu.queue.get_timestamp_period())))
+    }
+}
+
+/// Times between timestamps of a period in nanoseconds.
+fn passes_of(ticks: &[u64], period_ns: f64) -> Passes {
+    // Saturates: a counter that was reset between two timestamps gives 0.
+    let between =
+        |from: u32, to: u32| ticks[to as usize].saturating_sub(ticks[from as usize]) as f64 * period_ns / 1e6;
+    Passes {
+        cull_ms: between(CULL_BEGIN, CULL_END),
+        draw_ms: between(DRAW_BEGIN, DRAW_END),
+        whole_ms: between(CULL_BEGIN, DRAW_END),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_between_the_timestamps_of_each_pass() {
+        let passes = passes_of(&[1_000_000, 3_000_000, 3_500_000, 7_500_000], 2.0);
+        assert_eq!((passes.cull_ms, passes.draw_ms, passes.whole_ms), (4.0, 8.0, 13.0));
+        let reset = passes_of(&[9_000_000, 1, 2, 3], 1.0);
+        assert_eq!(reset.whole_ms, 0.0, "a clock that was reset gives no time");
+    }
+}
