@@ -131,6 +131,26 @@ mod tests {
     }
 
     #[test]
+    fn the_automatic_tier_is_nearer_than_a_flat_texture_and_is_not_the_traversal() {
+        let bench = match PomBench::open() {
+            Ok(bench) => bench,
+            Err(error) => {
+                assert!(std::env::var_os("TOMBOLO_REQUIRE_GPU").is_none(), "a GPU is required: {error}");
+                eprintln!("SKIPPED: {error}");
+                return;
+            }
+        };
+        let found = measure(&bench, &Stage::new(&bench, false), 2000).unwrap();
+        assert_eq!(found.len(), 48);
+        for travel in &found {
+            assert!(travel.auto.mean < travel.flat.mean, "{travel:?}");
+            assert!(travel.traversal.p999 < 0.01, "{travel:?}");
+            assert!(travel.differing > 0.01, "the control: the tier is the traversal: {travel:?}");
+            assert!(travel.flat.p999 > 0.1, "the control: {travel:?}");
+        }
+    }
+
+    #[test]
     fn rays_travel_as_far_as_is_asked_for_at_both_levels() {
         for (lod, texels) in [(0, 0.6), (0, 3.9), (COARSE_LOD, 0.6), (COARSE_LOD, 3.9)] {
             for probe in probes_at(0, lod, texels, 5) {
