@@ -40,6 +40,8 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
         let report = run.report(bench, server_bench(bench, last_core), "--json")?;
         rows.extend(run.rows_of(bench, &report));
     }
+    let report = run.report("framing", framing(), "--json")?;
+    rows.extend(run.rows_of("framing", &report));
     Ok(rows)
 }
 
@@ -81,6 +83,14 @@ fn server_bench(bench: &str, last: Option<usize>) -> Command {
         None => process::command(program),
     };
     command.args([bench, "--rounds", ROUNDS, "--seconds", SECONDS]);
+    command
+}
+
+/// The comparison of WebSocket framing, which links the server and so is no part of
+/// `tombolo-server-bench`.
+fn framing() -> Command {
+    let mut command = process::cargo("bench --profile dist --package tombolo-server --bench framing --");
+    command.args(["--rounds", ROUNDS, "--seconds", "1"]);
     command
 }
 
