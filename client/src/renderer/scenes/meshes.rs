@@ -12,6 +12,10 @@ use std::f32::consts::{FRAC_PI_2, PI, TAU};
 /// Segments along both sides of displaced geometry; equal to the shader's constant.
 pub const GEOMETRY_SEGMENTS: u32 = 256;
 
+/// Segments along both sides of a plain ground. Some drivers place a triangle of kilometres metres off,
+/// so those near the middle, where the camera is, are small.
+const GROUND_SEGMENTS: u32 = 32;
+
 /// Segments around a capsule: its corners are within 0.08 % of the radius.
 const AROUND: u32 = 160;
 /// Segments from the middle of a capsule to a pole.
@@ -53,8 +57,12 @@ impl Mesh {
     pub fn of(object: &Object) -> Self {
         match object.shape {
             Shape::Plane { width_m, height_m } => {
-                let segments = if object.mode == Mode::Geometry { GEOMETRY_SEGMENTS } else { 1 };
-                Self::plane(Vec2::new(width_m, height_m), object.tile_m, segments)
+                let size = Vec2::new(width_m, height_m);
+                match object.mode {
+                    Mode::Geometry => Self::plane(size, object.tile_m, GEOMETRY_SEGMENTS, |part| part),
+                    Mode::Plain => Self::plane(size, object.tile_m, GROUND_SEGMENTS, dense_in_the_middle),
+                    _ => Self::plane(size, object.tile_m, 1, |part| part),
+                }
             }
             Shape::Capsule { radius_m, half_length_m } => {
                 Self::capsule(radius_m, half_length_m, object.tile_m)
@@ -63,8 +71,8 @@ impl Mesh {
         }
     }
 
-    /// A grid, and its four walls.
-    fn plane(size: Vec2, tile_m: f32, segments: u32) -> Self {
+    /// A grid, and its four walls. `spaced` maps even steps from 0 to 1 to the places of grid lines.
+    fn plane(size: Vec2, tile_m: f32, segments: u32, spaced: fn(f32) -> f32) -> Self {
         let mut mesh = Self::default();
         let vertex = |part: Vec2| {
             let place = (part - 0.5) * size;
@@ -77,7 +85,7 @@ impl Mesh {
                 ..Vertex::default()
             }
         };
-        let part = |step: u32| step as f32 / segments as f32;
+        let part = |step: u32| spaced(step as f32 / segments as f32);
         mesh.grid(segments, segments, |column, row| vertex(Vec2::new(part(column), part(row))));
         // Each wall along its edge, seen from outside from left to right.
         for side in [Vec2::NEG_Y, Vec2::X, Vec2::Y, Vec2::NEG_X] {
@@ -161,6 +169,12 @@ impl Mesh {
     }
 }
 
+/// Grid lines with distances that grow from the middle as the third power of their number.
+fn dense_in_the_middle(part: f32) -> f32 {
+    let from_middle = 2.0 * part - 1.0;
+    0.5 + 0.5 * from_middle.powi(3) * from_middle.abs()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -189,6 +203,17 @@ mod tests {
                 assert!((b - a).cross(c - a).dot(outward) >= -1e-6, "{:?} {a} {b} {c}", object.shape);
             }
         }
+    }
+
+    #[test]
+    fn the_ground_ends_where_it_should_and_has_small_triangles_near_the_middle() {
+        let ground = objects::of(Scene::Spom).into_iter().find(|object| object.mode == Mode::Plain).unwrap();
+        let mesh = Mesh::of(&ground);
+        let lines: Vec<f32> =
+            mesh.vertices[..=GROUND_SEGMENTS as usize].iter().map(|vertex| vertex.place[0]).collect();
+        assert!(lines.is_sorted() && lines[0] == -10_000.0 && lines[GROUND_SEGMENTS as usize] == 10_000.0);
+        let widest = lines.windows(2).filter(|pair| pair[1].abs() < 10.0).map(|pair| pair[1] - pair[0]);
+        assert!(widest.fold(0.0, f32::max) < 8.0, "{lines:?}");
     }
 
     #[test]
