@@ -14,6 +14,8 @@ pub enum What {
     Fixtures,
     /// The golden pictures
     Pictures,
+    /// The table of shader resources
+    Resources,
 }
 
 /// The folder of the fixtures. Its folders `version_N` hold those of older versions.
@@ -41,6 +43,7 @@ pub fn run(what: What) -> Result<()> {
         tests.arg(match what {
             What::Fixtures => "package(tombolo-protocol) & binary(fixtures)",
             What::Pictures => "binary(/pictures/)",
+            What::Resources => "package(tombolo-shaders) & test(the_table_of_resources_is_current)",
         });
         tests
     };
