@@ -1,8 +1,9 @@
 //! Comparing pictures with golden ones.
 //!
 //! Golden pictures are in `tests/golden/`; `driver.txt` there names the driver that drew them. That
-//! driver must draw them again byte for byte. Every other driver must draw them within a tolerance. `TOMBOLO_BLESS=1` writes the pictures and the name of the driver; a failure writes
-//! the rendered picture and names its path.
+//! driver must draw them again byte for byte. Every other driver must draw them within a tolerance.
+//! `TOMBOLO_BLESS=1` writes the pictures and the name of the driver; a failure writes the rendered
+//! picture and names its path.
 
 use crate::rendering::open_gpu_or_skip;
 use client::gpu::Image;
