@@ -50,6 +50,10 @@ pub struct Options {
     #[arg(long, value_name = "N", default_value_t = 300,
           value_parser = clap::value_parser!(u32).range(0..=10_000))]
     pub framed: u32,
+    /// Rounds of timed frames of the valley scene, 0 to 100; 0 leaves out the million clumps, too
+    #[arg(long, value_name = "N", default_value_t = frames::ROUNDS,
+          value_parser = clap::value_parser!(u32).range(0..=100))]
+    pub rounds: u32,
 }
 
 /// Fewer and nearer plants than the standard: the comparison must also finish on a software driver.
@@ -70,12 +74,14 @@ struct Report {
     /// Plants visible in ID buffers, if any were requested.
     #[serde(rename = "shown")]
     visible: Option<VisiblePlants>,
-    /// Cost of every culling method in frames of the valley scene.
-    frames: Frames,
+    /// Rounds of timed frames.
+    rounds: u32,
+    /// Cost of every culling method in frames of the valley scene, if any rounds were requested.
+    frames: Option<Frames>,
     /// The same of T4 over many poses, if any were requested.
     frame_ratios: Option<FrameRatios>,
-    /// Time of a million clumps.
-    gpu_time: GpuTime,
+    /// Time of a million clumps, if any rounds were requested.
+    gpu_time: Option<GpuTime>,
     #[serde(rename = "lots")]
     streams: StreamTests,
     /// The GPU against the twin, if requested.
@@ -97,12 +103,13 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let visible = (options.drawn > 0).then(|| id_buffer::measure(&land, &drawn)).transpose()?;
     note("frames of the valley scene");
     let plants = client::scene::Scene::Culling.plants();
-    let frames = frames::measure(&land, plants)?;
+    let is_timed = options.rounds > 0;
+    let frames = is_timed.then(|| frames::measure(&land, plants, options.rounds)).transpose()?;
     note(&format!("frames of {} poses", options.framed));
     let framed = cases::seeded(&land, options.framed, plants);
     let frame_ratios = (options.framed > 0).then(|| frame_ratios::measure(&land, &framed)).transpose()?;
     note("a million clumps at 1920 x 1080");
-    let gpu_time = gpu_time::measure(&land)?;
+    let gpu_time = is_timed.then(|| gpu_time::measure(&land)).transpose()?;
     let streams = random_attributes::test(7);
     note("the GPU against the twin");
     let compared = cases::seeded(&land, options.compared, COMPARED);
@@ -111,6 +118,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         poses: options.poses,
         occlusion,
         visible,
+        rounds: options.rounds,
         frames,
         frame_ratios,
         gpu_time,

@@ -378,7 +378,7 @@ fn chunks(
 
 /// Cost of the methods in the valley scene.
 fn costs(land: &Land) -> Result<(Table, Panel)> {
-    let frames = frames::measure(land, client::scene::Scene::Culling.plants())?;
+    let frames = frames::measure(land, client::scene::Scene::Culling.plants(), frames::ROUNDS)?;
     let caption = format!(
         "the scene `culling` as it starts, 320 x 180 pixels, medians of interleaved rounds on {}; ways: {}.",
         frames.adapter,

@@ -14,8 +14,8 @@ use terrain::Land;
 /// Size of the pictures, pixels.
 const SIZE: (u32, u32) = (320, 180);
 
-/// Interleaved rounds; the median is kept.
-const ROUNDS: usize = 5;
+/// Interleaved rounds of a record; the median is kept.
+pub const ROUNDS: u32 = 5;
 
 /// Slots of the pool.
 const SLOTS: u32 = 2000;
@@ -52,8 +52,8 @@ pub struct Frames {
     pub ways: Vec<Cost>,
 }
 
-/// Draws the scene `culling` at its start with each method.
-pub fn measure(land: &Land, plants: VegetationSettings) -> Result<Frames> {
+/// Draws the scene `culling` at its start with each method in turns, so many rounds.
+pub fn measure(land: &Land, plants: VegetationSettings, rounds: u32) -> Result<Frames> {
     let mut renderer = HeadlessRenderer::open(SIZE, SLOTS).context("frames need a GPU")?;
     let case = Case::at_start(client::scene::Scene::Culling, SIZE, plants);
     let scene = Scene::of(land, &case, renderer.slots()).context("nothing grows in the scene `culling`")?;
@@ -66,7 +66,7 @@ pub fn measure(land: &Land, plants: VegetationSettings) -> Result<Frames> {
         clumps.push(renderer.chosen()?.iter().map(|kind| u64::from(kind.stats.clumps)).sum::<u64>());
     }
     let mut times = [vec![Vec::new(); WAYS.len()], vec![Vec::new(); WAYS.len()]];
-    for round in 0..ROUNDS {
+    for round in 0..rounds {
         for (index, frame) in frames.iter().enumerate() {
             // A march over the noise takes seconds: one round is enough.
             if round > 0 && WAYS[index].1 == Cull::Noise {
