@@ -181,6 +181,11 @@ pub fn notes(culling: &Value) -> Vec<String> {
         let hidden = fill("{kept} kept of {hidden} that are hidden.", score);
         notes.push(format!("{what}: {}{bound}; {hidden}", fill(sentence, score)));
     }
+    notes.push(fill(
+        "In {sight/below_land} of these poses the eye is below the drawn land, because chunks are absent; \
+         land hides nothing from there, so these poses count for what is lost and not for what is kept.",
+        culling,
+    ));
     for (kind, what) in KINDS {
         let Some(variation) = value(culling, &format!("sight/variations/{kind}")) else { continue };
         let sentence = "{scenes} poses; T4 loses {hierarchical/false_culls} of {hierarchical/visible} clumps \
@@ -211,9 +216,9 @@ pub fn notes(culling: &Value) -> Vec<String> {
         fill(sentence, found)
     }));
     if let Some(found) = culling.get("gpu_time").filter(|found| found.is_object()) {
-        let sentence = "A million clumps: the meadow of the scene `grass` from 40 m above, 32 clumps on a cell \
-                        up to {range_m} m, {size/0} x {size/1}, {samples} samples a pixel, drawn into an empty \
-                        picture, so that no land hides a part of them; {full/clumps} of {in_view} clumps in \
+        let sentence = "A million clumps: the meadow of the scene `grass` from 40 m above, 32 clumps on a \
+                        cell up to {range_m} m, {size/0} x {size/1}, {samples} samples a pixel, drawn into an \
+                        empty picture, so that no land hides a part of them; {full/clumps} of {in_view} clumps in \
                         view drawn in {full/whole_ms:.2} ms, {sparse/clumps} in {sparse/whole_ms:.2} ms.";
         let clock = if found.pointer("/full/passes").is_some_and(Value::is_object) {
             "By timestamps of the adapter: culling {full/passes/cull_ms:.2} ms, drawing \

@@ -103,6 +103,10 @@ fn kinds_of(case: &Case, scene: &Scene) -> Vec<&'static str> {
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Findings {
     pub scenes: u64,
+    /// Scenes whose eye is below the drawn land, because finer chunks than the drawn ones say where
+    /// the ground is. Land is not drawn from below, so it hides nothing there: these scenes count
+    /// for what is lost and not for what is kept.
+    pub below_land: u64,
     /// By kind of scene: `steep` (pitches of no walk), `absent_chunks` (a random share of the chunks
     /// has not arrived), `chunk_border` and `level_border` (the eye is exactly on one).
     pub variations: BTreeMap<&'static str, Variation>,
@@ -137,6 +141,7 @@ impl Findings {
 
     fn join(mut self, other: Self) -> Self {
         self.scenes += other.scenes;
+        self.below_land += other.below_land;
         for (test, score) in &other.scores {
             self.scores.entry(test).or_default().add(score);
         }
@@ -242,6 +247,8 @@ fn of_scene(scene: &Scene, kinds: &[&'static str]) -> Findings {
     let surface = Surface { slots: &slots, nodes: &square.nodes, chunks: &square.chunks };
     let noise = noise_of(&scene.world, square);
     let eye = eye_of(&scene.shot.pose);
+    let is_below = scene.plants.species.iter().any(|stand| stand.culling.occlusion_enabled == 0);
+    found.below_land = is_below.into();
     for stand in &scene.plants.species {
         let culling = &stand.culling;
         let fine = Culling { step: 2048, ..*culling };
@@ -290,6 +297,11 @@ fn of_scene(scene: &Scene, kinds: &[&'static str]) -> Findings {
             for (test, is_kept) in by.into_iter().chain(["five_points"]).zip(keeps) {
                 found.count(test, chunk.is_seen, !is_kept);
             }
+        }
+    }
+    if is_below {
+        for score in found.scores.values_mut().chain([&mut clumps.hierarchical, &mut clumps.inexact]) {
+            (score.hidden, score.kept) = (0, 0);
         }
     }
     found.variations = kinds.iter().map(|kind| (*kind, clumps)).collect();
