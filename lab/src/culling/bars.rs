@@ -217,9 +217,10 @@ pub fn notes(culling: &Value) -> Vec<String> {
     }));
     if let Some(found) = culling.get("gpu_time").filter(|found| found.is_object()) {
         let sentence = "A million clumps: the meadow of the scene `grass` from 40 m above, 32 clumps on a \
-                        cell up to {range_m} m, {size/0} x {size/1}, {samples} samples a pixel, drawn into an \
-                        empty picture, so that no land hides a part of them; {full/clumps} of {in_view} clumps in \
-                        view drawn in {full/whole_ms:.2} ms, {sparse/clumps} in {sparse/whole_ms:.2} ms.";
+                        cell up to {range_m} m, {size/0} x {size/1}, {samples} samples a pixel, drawn \
+                        into an empty picture, so that no land hides a part of them; {full/clumps} of \
+                        {in_view} clumps in view drawn in {full/whole_ms:.2} ms, {sparse/clumps} in \
+                        {sparse/whole_ms:.2} ms.";
         let clock = if found.pointer("/full/passes").is_some_and(Value::is_object) {
             "By timestamps of the adapter: culling {full/passes/cull_ms:.2} ms, drawing \
              {full/passes/draw_ms:.2} ms; as the program sees it {full/program_ms:.2} ms."
