@@ -223,12 +223,22 @@ impl ChunkCache {
         histogram
     }
 
-    /// Height of the finest resident ground at a place (units), units.
+    /// Height of the finest ground that can be drawn at a place (units), units: a resident chunk without
+    /// its siblings is not drawn, its parent is.
     #[must_use]
     pub fn ground(&self, x: i32, z: i32) -> Option<i32> {
-        let key = (0..=terrain::constants::TOP_LEVEL)
-            .map(|level| ChunkKey::containing(level, x, z))
-            .find(|key| self.chunks.contains_key(key))?;
+        let is_divisible = |key: &ChunkKey| {
+            let mut children = key.children().into_iter().flatten();
+            self.split_since.contains_key(key)
+                || (key.level() > 0 && children.all(|child| self.chunks.contains_key(&child)))
+        };
+        let at = |level| ChunkKey::containing(level, x, z);
+        let coarsest = (0..=terrain::constants::TOP_LEVEL).rev().map(at);
+        let coarsest = coarsest.into_iter().find(|key| self.chunks.contains_key(key))?;
+        let finer = |key: &ChunkKey| is_divisible(key).then(|| at(key.level() - 1));
+        let key = std::iter::successors(Some(coarsest), finer)
+            .take_while(|key| self.chunks.contains_key(key))
+            .last()?;
         let (x0, z0) = key.origin();
         let cell = |value: i32, low: i32| {
             ((i64::from(value) - i64::from(low)) / i64::from(key.spacing())).clamp(0, 63) as usize
@@ -381,15 +391,28 @@ mod tests {
     }
 
     #[test]
-    fn ground_height_comes_from_the_finest_resident_chunk() {
-        let mut cache = ChunkCache::new(4);
-        assert_eq!(cache.ground(100, 100), None);
-        cache.insert(chunk(3, 0, 0));
-        let coarse = cache.ground(100, 100).unwrap();
+    fn ground_height_is_that_of_the_finest_chunk_that_can_be_drawn() {
+        let mut cache = ChunkCache::new(8);
+        let ground = |cache: &ChunkCache| cache.ground(100, 100);
+        assert_eq!(ground(&cache), None);
+        // Of a level with fewer octaves, so that levels differ.
+        let top = chunk(9, 0, 0);
+        let children = top.key.children().unwrap().map(|key| Land::new(1).chunk(key));
+        cache.insert(top);
+        let coarse = ground(&cache);
+        assert!(coarse.is_some());
+        let [first, others @ ..] = children;
+        let own = ChunkKey::containing(8, 100, 100);
+        assert!(first.key == own || others.iter().any(|child| child.key == own));
+        cache.insert(first);
+        for child in others {
+            assert_eq!(ground(&cache), coarse, "without its siblings a chunk is not drawn");
+            cache.insert(child);
+        }
+        assert_ne!(ground(&cache), coarse);
+        // A chunk below a level that is missing is not drawn either.
+        let fine = ground(&cache);
         cache.insert(chunk(0, 0, 0));
-        let fine = cache.ground(100, 100).unwrap();
-        let land = Land::new(1);
-        let truth = land.height_at(terrain::Position::new(100, 100).unwrap());
-        assert!((fine - truth).abs() <= (coarse - truth).abs().max(512), "{coarse} {fine} {truth}");
+        assert_eq!(ground(&cache), fine);
     }
 }
