@@ -1,6 +1,6 @@
 //! The fair queue. Plain data under one lock: no threads, no clock, no generation.
 //!
-//! [`jobs`] holds one job per key for any number of requests; this file decides whose jobs run
+//! `jobs` holds one job per key for any number of requests; this file decides whose jobs run
 //! next. Flows (sessions and downloads) take turns by cost: surplus round robin, the variant of
 //! deficit round robin (Shreedhar and Varghese, "Efficient fair queueing using deficit round
 //! robin", SIGCOMM 1995) in which a flow may overdraw its turn by one job and pays it back in the
