@@ -50,7 +50,7 @@ pub fn run(options: Options) -> Result<()> {
     setup::run(if headless { Extent::Headless } else { Extent::Everything })?;
     let programs = ["tombolo-server", "tombolo-view"];
     let (build, minutes) = if headless {
-        (process::build_without_window(&programs), "about 8")
+        (process::build_without_window(&programs), "about 6")
     } else {
         (process::build(&programs), "10 to 15")
     };
