@@ -18,6 +18,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use terrain::{ChunkKey, Land};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::sync::oneshot;
 
 /// A result for a flow.
 #[derive(Debug)]
@@ -39,12 +40,11 @@ pub struct Flow {
     sender: UnboundedSender<Vec<Completion>>,
     /// Holds at most one result per request, so the caller's bound on requests bounds it.
     receiver: UnboundedReceiver<Vec<Completion>>,
-    /// Finished view selections: at most one, since a session has one view job at a time.
-    selections: (UnboundedSender<Option<ViewSelection>>, UnboundedReceiver<Option<ViewSelection>>),
+    /// Receives the selection of the view job in flight; a session has one at a time. Not a queue:
+    /// its first block has places for 32 selections, 25 KiB, and an idle flow would hold it too.
+    selection: Option<oneshot::Receiver<ViewSelection>>,
     /// Requests without a received result, a view job included.
     open: usize,
-    /// Whether a view job is in flight.
-    is_selecting: bool,
     /// Whether it takes no frame in the fast encoding.
     must_be_compact: bool,
     /// Charged for generation and bytes sent. The caller checks it before a request.
@@ -54,19 +54,7 @@ pub struct Flow {
 impl Flow {
     pub(super) fn new(shared: Arc<Shared>, pool: Arc<ThreadPool>, id: FlowId, bucket: TokenBucket) -> Self {
         let (sender, receiver) = unbounded_channel();
-        let selections = unbounded_channel();
-        Self {
-            shared,
-            pool,
-            id,
-            sender,
-            receiver,
-            selections,
-            open: 0,
-            is_selecting: false,
-            must_be_compact: false,
-            bucket,
-        }
+        Self { shared, pool, id, sender, receiver, selection: None, open: 0, must_be_compact: false, bucket }
     }
 
     /// The flow, with compact frames only: the same bytes whenever and wherever they are encoded.
@@ -150,9 +138,9 @@ impl Flow {
     /// [`Flow::next_event`] returns the selection.
     pub fn select(&mut self, selection: ViewSelection, land: Land) {
         self.add_open(1);
-        self.is_selecting = true;
-        let (bucket, completion) = (self.bucket.clone(), self.selections.0.clone());
-        let job = ViewJob { selection, land, bucket, spent: Duration::ZERO, completion };
+        let (completion, receiver) = oneshot::channel();
+        self.selection = Some(receiver);
+        let job = ViewJob { selection, land, bucket: self.bucket.clone(), spent: Duration::ZERO, completion };
         let mut queue = self.shared.lock();
         queue.add_view(self.id, job);
         runner::start(&self.shared, &self.pool, &mut queue);
@@ -161,17 +149,15 @@ impl Flow {
     /// Waits for chunks or for the selection in flight; forever without requests. Cancel safe.
     pub async fn next_event(&mut self) -> FlowEvent {
         tokio::select! {
-            Some(selection) = self.selections.1.recv() => {
+            selection = received(&mut self.selection) => {
+                self.selection = None;
                 self.remove_open(1);
-                self.is_selecting = false;
                 selection.map_or(FlowEvent::ViewFailed, |selection| FlowEvent::View(Box::new(selection)))
             }
             Some(done) = self.receiver.recv() => {
                 self.receive(&done);
                 FlowEvent::Chunks(done)
             }
-            // Unreachable: this flow holds both senders.
-            else => std::future::pending().await,
         }
     }
 
@@ -222,7 +208,7 @@ impl Flow {
     /// Chunk requests without a received result.
     #[must_use]
     pub const fn in_flight(&self) -> usize {
-        self.open - self.is_selecting as usize
+        self.open - self.selection.is_some() as usize
     }
 
     /// Cancels the requests for a key whose job is not running, and returns them. The others will
@@ -232,6 +218,14 @@ impl Flow {
         self.remove_open(cancelled.len());
         self.shared.metrics.jobs_cancelled.inc_by(cancelled.len() as u64);
         cancelled
+    }
+}
+
+/// Waits for the selection in flight; forever without one. None if its job panicked.
+async fn received(selection: &mut Option<oneshot::Receiver<ViewSelection>>) -> Option<ViewSelection> {
+    match selection {
+        Some(receiver) => receiver.await.ok(),
+        None => std::future::pending().await,
     }
 }
 

@@ -119,7 +119,7 @@ impl Shared {
             self.metrics.jobs_failed.inc();
             tracing::error!(view = ?job.selection.view(), "view selection panicked");
             self.lock().return_view(flow, None, budget_us);
-            let _ = job.completion.send(None);
+            // Dropped with the job: the session learns of it.
             return;
         };
         self.metrics.view_busy_seconds.inc_by(spent.as_secs_f64());
@@ -129,7 +129,7 @@ impl Shared {
             self.metrics.view_selection_seconds.observe(job.spent.as_secs_f64());
             self.lock().return_view(flow, None, spent_us);
             // The session may have ended.
-            let _ = job.completion.send(Some(job.selection));
+            let _ = job.completion.send(job.selection);
         } else {
             self.lock().return_view(flow, Some(job), spent_us);
         }

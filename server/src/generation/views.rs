@@ -8,7 +8,7 @@ use crate::limits::rate_limit::TokenBucket;
 use protocol::server::ViewSelection;
 use std::time::{Duration, Instant};
 use terrain::Land;
-use tokio::sync::mpsc::UnboundedSender;
+use tokio::sync::oneshot;
 
 /// Chunks examined between two clock readings: some 50 us.
 const STEP_CHUNKS: usize = 256;
@@ -24,8 +24,8 @@ pub struct ViewJob {
     pub bucket: TokenBucket,
     /// Time spent so far.
     pub spent: Duration,
-    /// Receives the finished selection; none if it panicked.
-    pub completion: UnboundedSender<Option<ViewSelection>>,
+    /// Receives the finished selection; dropped without one if the selection panicked.
+    pub completion: oneshot::Sender<ViewSelection>,
 }
 
 impl ViewJob {

@@ -5,6 +5,7 @@ use crate::generation::result::Completion;
 use crate::generation::test_source::view_selection;
 use crate::limits::rate_limit::TokenBucket;
 use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::sync::oneshot;
 
 const QUANTUM: i64 = 100;
 const NO_DEADLINE: Duration = Duration::from_secs(3600);
@@ -15,7 +16,7 @@ fn key(x: i32) -> ChunkKey {
 
 /// A view job that is never run.
 fn view() -> ViewJob {
-    let (completion, _) = unbounded_channel();
+    let (completion, _) = oneshot::channel();
     ViewJob {
         selection: view_selection(1),
         land: terrain::Land::new(1),
