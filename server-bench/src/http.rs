@@ -2,8 +2,8 @@
 //! static files, requested by the same client over keep-alive connections with one request in
 //! flight on each.
 //!
-//! The two do not do the same work: ours looks up a key in the cache and computes the validator of
-//! the content, nginx copies an open file.
+//! The two do not do the same work: ours looks up a key in the cache and the validator of its
+//! content, which is kept once computed, nginx copies an open file.
 
 use crate::Plan;
 use crate::connection::get_bytes;
