@@ -103,7 +103,8 @@ async fn an_idle_client_takes_little_memory() {
     let clients = async |count| tokio::task::spawn_blocking(move || connect(address, count)).await.unwrap();
     let first = clients(WARM_UP).await;
     let (idle, measured) = bytes_per_client(clients(CLIENTS)).await;
-    assert!(idle <= MAX_IDLE, "{idle} bytes of {MAX_IDLE}");
+    // Less than a session's own state: the sessions would run on a thread that is not counted.
+    assert!((1_024..=MAX_IDLE).contains(&idle), "{idle} bytes of {MAX_IDLE}");
     let too_much = || (0..CLIENTS).map(|_| vec![0u8; MAX_IDLE + 1]).collect::<Vec<_>>();
     assert!(bytes_per_client(async { too_much() }).await.0 > MAX_IDLE, "the count sees too much");
     drop((first, measured, stop));
