@@ -3,8 +3,8 @@
 //! Each compares with a reference: [`digest`] (all backends compute the same integers),
 //! `accuracy` (error against cost), [`mod@lod`] (levels of detail as drawn), [`mod@pom`]
 //! (parallax occlusion mapping), [`mod@culling`] (occlusion culling of vegetation), `stability`
-//! (borders of the world and of cells), `timings` (GPU against CPU), `codec` (chunks on the
-//! wire against other codecs).
+//! (borders of the world and of cells), `land` (the shape of the land), `timings` (GPU against
+//! CPU), `codec` (chunks on the wire against other codecs).
 //!
 //! A missed bar is an error and sets the exit code.
 
@@ -22,6 +22,7 @@ mod flip;
 mod floats;
 pub mod gpu_probes;
 pub mod headless_renderer;
+mod land;
 pub mod lod;
 mod options;
 mod outputs;
@@ -54,6 +55,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Command::Lod(options) => lod::run(options, &args.outputs),
         Command::Pom(options) => pom::run(options, &args.outputs),
         Command::Culling(options) => culling::run(options, &args.outputs),
+        Command::Land(options) => land::run(options, &args.outputs),
         Command::Stability(options) => stability::run(options, &args.outputs),
         Command::Timings(options) => timings::run(options, &args.outputs),
         Command::Codec(options) => codec::run(options, &args.outputs),

@@ -1,7 +1,7 @@
 //! The command line.
 
 use crate::outputs::Outputs;
-use crate::{accuracy, codec, culling, digest, lod, pom, stability, timings};
+use crate::{accuracy, codec, culling, digest, land, lod, pom, stability, timings};
 use clap::{Parser, Subcommand};
 
 /// Measures the terrain: digests of all backends, accuracy curves, stability sweeps, GPU timings.
@@ -34,6 +34,8 @@ pub enum Command {
     Culling(culling::Options),
     /// Sweep the borders of the world and of every cell
     Stability(stability::Options),
+    /// Measure the shape of the land: coasts, slopes, pits, cliffs, beaches, lattices, the start
+    Land(land::Options),
     /// Time chunk generation on GPU and CPU
     Timings(timings::Options),
     /// Measure chunks on the wire against other codecs, in bytes and in time

@@ -40,7 +40,7 @@ macro_rules! by_lab {
     };
 }
 
-const MEASUREMENTS: [Measurement; 8] = [
+const MEASUREMENTS: [Measurement; 9] = [
     Measurement { name: "audit", programs: &[], rows: audit::rows },
     Measurement { name: "code", programs: &[], rows: code::rows },
     Measurement {
@@ -54,6 +54,7 @@ const MEASUREMENTS: [Measurement; 8] = [
         programs: &["tombolo-lab", "tombolo-server", "tombolo-server-bench"],
         rows: streaming::rows,
     },
+    by_lab!("land", ["land"]),
     by_lab!("terrain", ["lod", "--poses", "50", "--views", "200"]),
     by_lab!("pom", ["pom", "--rays", "2000000"]),
     by_lab!("culling", ["culling", "--poses", "300"]),

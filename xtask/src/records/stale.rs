@@ -3,12 +3,13 @@
 use crate::process;
 
 /// What each measurement measures: paths from the root. Tests and documents in them do not count.
-const MEASURED: [(&str, &[&str]); 8] = [
+const MEASURED: [(&str, &[&str]); 9] = [
     ("code", &["*.rs", "*.wesl", "*.md"]),
     (
         "heightfield",
         &["terrain", "shaders", "lab/src/digest", "lab/src/timings.rs", "benches/noise-comparison"],
     ),
+    ("land", &["terrain", "shaders/wgsl/shared", "lab/src/land", "lab/src/land.rs"]),
     ("end-to-end", &["terrain", "protocol", "shaders", "server", "client", "load", "cli"]),
     (
         "streaming",
