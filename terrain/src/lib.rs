@@ -18,8 +18,10 @@
 
 #![cfg_attr(not(test), deny(clippy::float_arithmetic, reason = "heights are integers on every machine"))]
 
+pub mod base;
 pub mod chunk;
 pub mod constants;
+pub mod curves;
 pub mod digest;
 pub mod grass;
 pub mod grid;
@@ -27,6 +29,7 @@ pub mod hash;
 pub mod island;
 pub mod key;
 pub mod land;
+pub mod lattice;
 pub mod lod;
 pub mod noise;
 pub mod octaves;
@@ -35,7 +38,9 @@ pub mod position;
 pub mod pyramid;
 pub mod random_attributes;
 pub mod ring;
+mod shape;
 pub mod simd;
+pub mod spline;
 mod texels;
 pub mod weights;
 
