@@ -111,7 +111,7 @@ impl Base {
                 wide_shore = shore;
             }
         }
-        let inland = smoothstep((wide_shore - (4 << FINE_BITS)).clamp(0, INLAND_REACH) << 7);
+        let inland = smoothstep((wide_shore - (8 << FINE_BITS)).clamp(0, INLAND_REACH) << 7);
         // Mountains: a share in Q30 of relief in Q25.
         let share = mul_hi(height << 1, inland << 1);
         let relief = ((13 << 20) + (relief * 11 >> 3)).max(0) + (5 << 20);

@@ -61,7 +61,7 @@ pub const SHORE_M: [i32; BASE_OCTAVES] = [64, 64, 80, 128];
 /// Depth of the shore at the rim of an island's mass, metres.
 pub const RIM_M: i32 = 80;
 /// Factor of the shore's rise towards the middle of an island's mass, metres.
-pub const UPLIFT_M: i32 = 512;
+pub const UPLIFT_M: i32 = 384;
 /// Height of a mountain of relief 1, metres.
 pub const MOUNTAIN_M: i32 = 704;
 /// log2 of the first fine octave's lattice cell in units (128 m); every further octave halves it

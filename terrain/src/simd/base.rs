@@ -63,7 +63,7 @@ pub(super) unsafe fn nodes<L: Lanes>(base: &Base, lobes: &[Lobe], x: L, z: L, oc
                 wide_shore = shore;
             }
         }
-        let inland = smoothstep(clamp(wide_shore.sub(L::splat(4 << FINE_BITS)), 0, INLAND_REACH).shl(7));
+        let inland = smoothstep(clamp(wide_shore.sub(L::splat(8 << FINE_BITS)), 0, INLAND_REACH).shl(7));
         let share = height.shl(1).mul_hi(inland.shl(1));
         let relief = L::splat(13 << 20).add(relief.mul(L::splat(11)).sar(3)).max(L::splat(0));
         let mountain = share.shl(1).mul_hi(relief.add(L::splat(5 << 20))).shl(5);
