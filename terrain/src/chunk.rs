@@ -9,18 +9,13 @@ use crate::lod;
 use crate::pyramid::Pyramid;
 use crate::simd::{self, Kernel};
 
-/// Levels below a chunk's own that its error is measured over; [`Chunk::error`] is exact up to this
-/// level.
-pub const MEASURED_DEPTH: u8 = 3;
-
 /// One chunk of the land.
 ///
 /// A vertex is the height at its place with the octaves that its level carries
 /// ([`Octaves::at_level`]): levels 0 to 2 share every octave and so agree bit for bit where they
-/// share a vertex, coarser ones up to [`Octaves::dropped_bound`].
+/// share a vertex.
 ///
 /// [`Octaves::at_level`]: crate::Octaves::at_level
-/// [`Octaves::dropped_bound`]: crate::Octaves::dropped_bound
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Chunk {
     /// Where and how coarse.
@@ -28,9 +23,8 @@ pub struct Chunk {
     /// Heights in units of 2^-8 m: row by row from the low corner, x fastest.
     pub heights: Box<[i32; VERTEX_COUNT]>,
     /// Bound, in units, of the vertical distance between this chunk's drawn triangles and any
-    /// level-0 vertex under them. Exact (measured) at levels 0 to [`MEASURED_DEPTH`]; above, the
-    /// measured distance to the level [`MEASURED_DEPTH`] below plus that level's own empirical
-    /// bound, which can exceed [`lod::level_error`].
+    /// level-0 vertex under them. Exact up to [`lod::MEASURED_LEVEL`], proved above
+    /// ([`lod::errors`]).
     pub error: u32,
     /// Upper bound of the gradient of the drawn triangles, Q8 (256 is 45 degrees), rounded up.
     pub slope: u32,
@@ -94,27 +88,15 @@ impl Land {
         heights
     }
 
-    /// See [`Chunk::error`].
+    /// See [`Chunk::error`]. Above the composed levels the land is nowhere lower or higher than its
+    /// range, nor are the triangles.
     fn chunk_error(&self, key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> u32 {
-        let (x0, z0) = key.origin();
-        if key.level() == 0 || self.archipelago().is_open_sea(x0, z0, key.side()) {
-            return 0;
+        let known = self.error_of(key);
+        if key.level() <= lod::COMPOSED_LEVEL || known == 0 {
+            return known;
         }
-        let depth = key.level().min(MEASURED_DEPTH);
-        let below = key.level() - depth;
-        let parts = 1usize << depth;
-        let side = CELLS * parts + 1;
-        let mut fine = vec![0; side * side];
-        let grid = Grid::new(x0, z0, below, side, side).expect("a chunk lies in the world");
-        self.heights(&grid, &mut fine);
-        let worst = (0..side)
-            .map(|row| farthest_in_row(heights, row, depth, &fine[row * side..][..side]))
-            .max()
-            .unwrap_or(0);
-        // Rounded up from fractions of a unit.
-        let measured = worst.div_ceil(parts as u32);
-        // The grid below has an error of up to its own level's bound.
-        measured + lod::level_error(below)
+        let (low, high) = heights.iter().fold((i32::MAX, i32::MIN), |(low, high), h| (low.min(*h), high.max(*h)));
+        (lod::SUMMIT - low).max(high - lod::LOWEST).unsigned_abs()
     }
 }
 
@@ -138,6 +120,14 @@ pub fn drawn_height_scaled(heights: &[i32; VERTEX_COUNT], column: usize, row: us
         let side = corner(0, 1);
         low * step as i64 + (side - low) * fz + (high - side) * fx
     }
+}
+
+/// Largest distance between the drawn surface and the grid that is `2^depth` times finer, units,
+/// rounded up. `fine` begins at the low corner; its rows are `stride` long.
+pub(crate) fn farthest(heights: &[i32; VERTEX_COUNT], depth: u8, fine: &[i32], stride: usize) -> u32 {
+    let side = (CELLS << depth) + 1;
+    let rows = (0..side).map(|row| farthest_in_row(heights, row, depth, &fine[row * stride..][..side]));
+    rows.max().unwrap_or(0).div_ceil(1 << depth)
 }
 
 /// Largest distance between the drawn surface and one row of the grid that is `2^depth` times
@@ -259,45 +249,6 @@ mod tests {
                         assert_eq!(fine[row * VERTICES + column], above, "{child}");
                     }
                 }
-            }
-        }
-    }
-
-    /// Brute force over every level-0 vertex under the chunk, in f64, with the diagonal rule stated
-    /// another way.
-    fn naive_error(land: &Land, chunk: &Chunk) -> f64 {
-        let (x0, z0) = chunk.key.origin();
-        let step = 1usize << chunk.key.level();
-        let mut worst = 0f64;
-        for row in 0..=CELLS * step {
-            for column in 0..=CELLS * step {
-                let (x, z) = ((column / step).min(CELLS - 1), (row / step).min(CELLS - 1));
-                let (fx, fz) = (column as f64 / step as f64 - x as f64, row as f64 / step as f64 - z as f64);
-                let corner = |dx, dz| f64::from(chunk.vertex(x + dx, z + dz));
-                let (upper, lower) = (fx.max(fz), fx.min(fz));
-                let side = if fx >= fz { corner(1, 0) } else { corner(0, 1) };
-                let drawn = corner(0, 0) * (1.0 - upper) + side * (upper - lower) + corner(1, 1) * lower;
-                let place = Position::new(x0 + column as i32 * 512, z0 + row as i32 * 512).unwrap();
-                worst = worst.max((drawn - f64::from(land.height_at(place))).abs());
-            }
-        }
-        worst
-    }
-
-    #[test]
-    fn error_is_exact_where_measured_and_never_below_the_truth_above() {
-        let land = Land::new(3);
-        for key in [key(0, 3, 3), key(1, 4, -3), key(2, -3, 2), key(3, 1, 1), key(4, -1, 0)] {
-            let chunk = land.chunk(key);
-            let truth = naive_error(&land, &chunk).ceil() as u32;
-            if key.level() <= MEASURED_DEPTH {
-                assert_eq!(chunk.error, truth, "{key}");
-            } else {
-                assert!(
-                    chunk.error >= truth && chunk.error < 4 * truth,
-                    "{key}: {} against {truth}",
-                    chunk.error
-                );
             }
         }
     }

@@ -41,6 +41,7 @@ pub mod ring;
 mod shape;
 pub mod simd;
 pub mod spline;
+pub mod start;
 mod texels;
 pub mod weights;
 
@@ -55,3 +56,4 @@ pub use parameters::Parameters;
 pub use position::{OutsideWorld, Position};
 pub use pyramid::Pyramid;
 pub use simd::Kernel;
+pub use start::Start;
