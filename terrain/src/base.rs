@@ -13,7 +13,7 @@ use crate::constants::{
 };
 use crate::curves::{ALMOST_ONE_Q30, smoothstep, square, window};
 use crate::island::{Lobe, Mass};
-use crate::lattice::Lattice;
+use crate::lattice::{Lattice, Sample};
 use crate::ring::mul_hi;
 
 /// Noises of the base field, each a stream of the world seed from [`BASE_STREAM`] on.
@@ -126,12 +126,16 @@ impl Base {
         }
     }
 
+    /// One of the octaves at a point, units.
+    #[must_use]
+    pub fn octave(&self, index: usize, x: i32, z: i32) -> Sample {
+        self.octaves[index].at(x, z)
+    }
+
     /// The displacement of a coast, Q16 metres along x and z.
     #[must_use]
     pub fn warp(&self, x: i32, z: i32) -> (i32, i32) {
-        let part = |index: usize| {
-            mul_hi(self.warp[index].at(x, z).value, WARP_AMPLITUDE_M[index / 2] << 19)
-        };
+        let part = |index: usize| mul_hi(self.warp[index].at(x, z).value, WARP_AMPLITUDE_M[index / 2] << 19);
         (part(0) + part(2), part(1) + part(3))
     }
 }

@@ -88,14 +88,15 @@ impl Land {
         heights
     }
 
-    /// See [`Chunk::error`]. Above the composed levels the land is nowhere lower or higher than its
+    /// See [`Chunk::error`]. Above the sampled levels the land is nowhere lower or higher than its
     /// range, nor are the triangles.
     fn chunk_error(&self, key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> u32 {
         let known = self.error_of(key);
-        if key.level() <= lod::COMPOSED_LEVEL || known == 0 {
+        if key.level() <= lod::SAMPLED_LEVEL || known == 0 {
             return known;
         }
-        let (low, high) = heights.iter().fold((i32::MAX, i32::MIN), |(low, high), h| (low.min(*h), high.max(*h)));
+        let (low, high) =
+            heights.iter().fold((i32::MAX, i32::MIN), |(low, high), h| (low.min(*h), high.max(*h)));
         (lod::SUMMIT - low).max(high - lod::LOWEST).unsigned_abs()
     }
 }
@@ -120,41 +121,6 @@ pub fn drawn_height_scaled(heights: &[i32; VERTEX_COUNT], column: usize, row: us
         let side = corner(0, 1);
         low * step as i64 + (side - low) * fz + (high - side) * fx
     }
-}
-
-/// Largest distance between the drawn surface and the grid that is `2^depth` times finer, units,
-/// rounded up. `fine` begins at the low corner; its rows are `stride` long.
-pub(crate) fn farthest(heights: &[i32; VERTEX_COUNT], depth: u8, fine: &[i32], stride: usize) -> u32 {
-    let side = (CELLS << depth) + 1;
-    let rows = (0..side).map(|row| farthest_in_row(heights, row, depth, &fine[row * stride..][..side]));
-    rows.max().unwrap_or(0).div_ceil(1 << depth)
-}
-
-/// Largest distance between the drawn surface and one row of the grid that is `2^depth` times
-/// finer, in units times `2^depth`. The same surface as [`drawn_height_scaled`], whole cells at a
-/// time.
-fn farthest_in_row(heights: &[i32; VERTEX_COUNT], row: usize, depth: u8, fine: &[i32]) -> u32 {
-    let step = 1i32 << depth;
-    let z = (row >> depth).min(CELLS - 1);
-    let fz = row as i32 - z as i32 * step;
-    let (near, far) = (&heights[z * VERTICES..][..VERTICES], &heights[(z + 1) * VERTICES..][..VERTICES]);
-    let mut worst = 0;
-    for x in 0..CELLS {
-        let (h00, h10, h01, h11) = (near[x], near[x + 1], far[x], far[x + 1]);
-        // The last column of a cell is the first of the next, except at the end.
-        let points = if x == CELLS - 1 { step + 1 } else { step };
-        for fx in 0..points {
-            // Heights stay below 2^24, times 2^depth well inside 32 bits.
-            let drawn = if fx >= fz {
-                h00 * step + (h10 - h00) * fx + (h11 - h10) * fz
-            } else {
-                h00 * step + (h01 - h00) * fz + (h11 - h01) * fx
-            };
-            let exact = fine[(x << depth) + fx as usize] * step;
-            worst = worst.max(exact.abs_diff(drawn));
-        }
-    }
-    worst
 }
 
 /// See [`Chunk::slope`].

@@ -84,7 +84,8 @@ impl Lattice {
         let (mask, cells) = ((1 << self.bits) - 1, u32::MAX >> self.bits);
         let (cell_x, cell_z) = (x >> self.bits, z >> self.bits);
         let (next_x, next_z) = ((cell_x + 1) & cells, (cell_z + 1) & cells);
-        let (low_x, low_z) = (((x & mask) << (31 - self.bits)) as i32, ((z & mask) << (31 - self.bits)) as i32);
+        let (low_x, low_z) =
+            (((x & mask) << (31 - self.bits)) as i32, ((z & mask) << (31 - self.bits)) as i32);
         // One less: the distance to the high side, in [-1, 0).
         let (high_x, high_z) = (low_x ^ i32::MIN, low_z ^ i32::MIN);
         let (fade_x, fade_z) = (fade(low_x), fade(low_z));

@@ -6,9 +6,10 @@
 //! refined while that exceeds the tolerance.
 
 pub mod errors;
+mod residual;
 mod selector;
 
-pub use errors::{COMPOSED_LEVEL, MEASURED_LEVEL, Progress};
+pub use errors::{MEASURED_LEVEL, Progress, SAMPLED_LEVEL};
 pub use selector::Selector;
 
 use crate::constants::{CHUNK_BITS, TOP_LEVEL, UNITS_PER_METRE, WORLD_HALF};

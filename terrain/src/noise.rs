@@ -8,7 +8,9 @@
 //! of points can share the first: along z into one edge per lattice column, then along x. The sum
 //! stays within 1 mm of real arithmetic (tested).
 
-use crate::constants::{FINE_BITS, FINE_OCTAVES, FIRST_AMPLITUDE_BITS, FIRST_CELL_BITS, FRACTION_BITS, GRADIENTS};
+use crate::constants::{
+    FINE_BITS, FINE_OCTAVES, FIRST_AMPLITUDE_BITS, FIRST_CELL_BITS, FRACTION_BITS, GRADIENTS,
+};
 use crate::hash::{hash2, stream_seed};
 use crate::octaves::Octaves;
 use crate::weights::{Weights, weights};
@@ -121,7 +123,8 @@ mod tests {
             };
             let near = corner(0, 0) + (corner(1, 0) - corner(0, 0)) * fade(fx);
             let far = corner(0, 1) + (corner(1, 1) - corner(0, 1)) * fade(fx);
-            sum += (near + (far - near) * fade(fz)) * f64::from(1 << FIRST_AMPLITUDE_BITS) / f64::from(1 << octave);
+            sum += (near + (far - near) * fade(fz)) * f64::from(1 << FIRST_AMPLITUDE_BITS)
+                / f64::from(1 << octave);
         }
         sum
     }
@@ -153,7 +156,8 @@ mod tests {
                     // Overflow checks are on in tests: a wrap would panic.
                     let (low, high) = (Edge::new(pick(0), pick(1), w), Edge::new(pick(2), pick(3), w));
                     assert!(i16::try_from(low.slope).is_ok() && i16::try_from(low.value).is_ok());
-                    for east in [w, weights((1 << FRACTION_BITS) - 1 - t), weights(1 << (FRACTION_BITS - 1))] {
+                    for east in [w, weights((1 << FRACTION_BITS) - 1 - t), weights(1 << (FRACTION_BITS - 1))]
+                    {
                         let got = f64::from(value(low, high, east)) / 2f64.powi(31);
                         assert!(got.abs() < 0.7072, "{got}");
                     }

@@ -1,8 +1,6 @@
 //! The number of octaves of the land.
 
-use crate::constants::{
-    BASE_CELL_BITS, BASE_OCTAVES, FIRST_CELL_BITS, OCTAVE_SHIFT, OCTAVES, SPACING_BITS,
-};
+use crate::constants::{BASE_CELL_BITS, BASE_OCTAVES, FIRST_CELL_BITS, OCTAVE_SHIFT, OCTAVES, SPACING_BITS};
 use crate::spline;
 use std::fmt;
 

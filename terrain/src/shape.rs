@@ -66,7 +66,8 @@ mod tests {
     fn a_cliff_is_the_stated_smoothstep() {
         let metre = f64::from(1 << FINE_BITS);
         for fine in (-6 << FINE_BITS..12 << FINE_BITS).step_by(61) {
-            let x = ((f64::from(fine) / metre + f64::from(CLIFF_FOOT_M)) / f64::from(BEACH_M)).clamp(0.0, 1.0);
+            let x =
+                ((f64::from(fine) / metre + f64::from(CLIFF_FOOT_M)) / f64::from(BEACH_M)).clamp(0.0, 1.0);
             let exact = f64::from(CLIFF_M) * x * x * (3.0 - 2.0 * x) * metre;
             assert!((f64::from(cliff(fine)) - exact).abs() < 3.0, "at {fine}");
         }

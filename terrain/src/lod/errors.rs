@@ -2,26 +2,31 @@
 //!
 //! - Levels 1 to 3 are measured against every level-0 vertex under them. One measurement covers a
 //!   chunk of level 3 (1 km²) and the 20 chunks under it, and evaluates 64 chunks: about 2 ms.
-//! - Levels 4 to [`COMPOSED_LEVEL`] follow from their children. Triangles of two successive levels
-//!   are both linear on the finer ones, since both cut cells along the same diagonal, so they are
-//!   farthest apart at a vertex of the finer level; the error of a chunk is at most that distance
-//!   plus the error of the child.
+//! - Level [`COMPOSED_LEVEL`] follows from its children: its distance from each child, and the
+//!   child's error.
+//! - Levels 5 to [`SAMPLED_LEVEL`] are measured against the vertices three levels finer, and the
+//!   distance between those triangles and level 0 is bounded by interval arithmetic ([`residual`]).
+//!   Triangles of two levels are both linear on the finer ones, since all cut cells along the same
+//!   diagonal, so they are farthest apart at a vertex of the finer level.
 //! - Above, the bound is the whole range of heights.
 
 use super::RELIEF;
-use crate::chunk::{drawn_height_scaled, farthest};
+use super::residual::residual;
+use crate::chunk::drawn_height_scaled;
 use crate::constants::{CELLS, VERTEX_COUNT, VERTICES};
 use crate::grid::Grid;
 use crate::key::ChunkKey;
 use crate::land::Land;
+use crate::simd::farthest;
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
 /// The level up to which errors are measured.
 pub const MEASURED_LEVEL: u8 = 3;
-/// The level up to which errors follow from those of children. A chunk of this level needs up to 64
-/// measurements, one above it 256.
-pub const COMPOSED_LEVEL: u8 = 6;
+/// The level whose errors follow from those of its children.
+pub const COMPOSED_LEVEL: u8 = 4;
+/// The level up to which errors are measured against a finer level.
+pub const SAMPLED_LEVEL: u8 = 6;
 
 /// Errors remembered per generation of the memory: a view of 20 km needs some 10,000.
 const REMEMBERED: usize = 1 << 16;
@@ -40,15 +45,14 @@ pub enum Progress {
 static MEMORY: Mutex<Option<[HashMap<(u64, ChunkKey), u32>; 2]>> = Mutex::new(None);
 
 impl Land {
-    /// The error bound of a chunk, or one step towards it: at most one measurement or one
-    /// comparison of a chunk with its children.
+    /// The error bound of a chunk, or one measurement towards it.
     #[must_use]
     pub fn known_error(&self, key: ChunkKey) -> Progress {
         let (x, z) = key.origin();
         if key.level() == 0 || self.archipelago().is_open_sea(x, z, key.side()) {
             return Progress::Known(0);
         }
-        if key.level() > COMPOSED_LEVEL {
+        if key.level() > SAMPLED_LEVEL {
             return Progress::Known(RELIEF);
         }
         if let Some(error) = self.remembered(key) {
@@ -59,6 +63,10 @@ impl Land {
                 .find(|above| above.level() == MEASURED_LEVEL)
                 .unwrap_or(key);
             self.measure(measured);
+            return Progress::Measured;
+        }
+        if key.level() > COMPOSED_LEVEL {
+            self.sample(key);
             return Progress::Measured;
         }
         let mut errors = [0; 4];
@@ -73,7 +81,7 @@ impl Land {
         Progress::Measured
     }
 
-    /// The error bound of a chunk. A level-6 chunk that nobody asked for before takes some 100 ms.
+    /// The error bound of a chunk: one measurement if nobody asked for it before.
     #[must_use]
     pub fn error_of(&self, key: ChunkKey) -> u32 {
         loop {
@@ -128,11 +136,25 @@ impl Land {
     /// The bound of a chunk from its children's.
     fn compose(&self, key: ChunkKey, children: [ChunkKey; 4], errors: [u32; 4]) {
         let heights = self.chunk_heights(key);
-        let bounds = children.into_iter().zip(errors).enumerate().map(|(index, (child, error))| {
-            apart(&heights, &self.chunk_heights(child), index) + error
-        });
+        let bounds = children
+            .into_iter()
+            .zip(errors)
+            .enumerate()
+            .map(|(index, (child, error))| apart(&heights, &self.chunk_heights(child), index) + error);
         let bound = bounds.max().unwrap_or(0);
         self.remember([(key, bound)]);
+    }
+
+    /// Measures a chunk above [`COMPOSED_LEVEL`] against the grid that many levels finer.
+    fn sample(&self, key: ChunkKey) {
+        let below = key.level() - MEASURED_LEVEL;
+        let side = (CELLS << MEASURED_LEVEL) + 1;
+        let (x, z) = key.origin();
+        let grid = Grid::new(x, z, below, side, side).expect("a chunk lies in the world");
+        let mut fine = vec![0; side * side];
+        self.heights(&grid, &mut fine);
+        let apart = farthest(&self.chunk_heights(key), MEASURED_LEVEL, &fine, side);
+        self.remember([(key, apart + residual(self, key, below))]);
     }
 }
 
@@ -179,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_exact_where_measured_and_bounds_where_composed() {
+    fn errors_are_exact_where_measured_and_bounds_where_sampled() {
         let land = Land::new(3);
         for (level, x, z) in [(1, 4, -3), (2, -3, 2), (3, 1, 1), (4, -1, 0), (5, 0, -1)] {
             let key = ChunkKey::new(level, x, z).unwrap();
@@ -194,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn one_step_makes_at_most_one_measurement_and_a_known_error_takes_none() {
+    fn one_step_makes_one_measurement_and_a_known_error_takes_none() {
         let land = Land::new(0x5eed_0001);
         let key = ChunkKey::new(4, 0, 0).unwrap();
         let steps = (0..).take_while(|_| land.known_error(key) == Progress::Measured).count();

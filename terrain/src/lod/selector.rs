@@ -125,7 +125,8 @@ impl Selector {
                     let error = viewer.screen_error_q4(error, viewer.distance_to(key));
                     if error > viewer.tolerance() {
                         self.splits.insert(key, error);
-                        below.extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
+                        below
+                            .extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
                     }
                     (end, work) = (end + 1, work + 1);
                 }

@@ -4,9 +4,7 @@
 use super::curves::{clamp, lattice, smoothstep, square, window};
 use super::lanes::Lanes;
 use crate::base::{Base, INLAND_REACH, SHORE_REACH, STEEPEST};
-use crate::constants::{
-    FINE_BITS, MOUNTAIN_M, RIM_M, SEA_FLOOR_M, SHORE_M, UPLIFT_M, WARP_AMPLITUDE_M,
-};
+use crate::constants::{FINE_BITS, MOUNTAIN_M, RIM_M, SEA_FLOOR_M, SHORE_M, UPLIFT_M, WARP_AMPLITUDE_M};
 use crate::curves::ALMOST_ONE_Q30;
 use crate::island::{CRATER_Q26, Lobe, OFFSET_LIMIT, TWO_Q24};
 
@@ -204,7 +202,11 @@ mod tests {
             let lobes = archipelago.lobes_near(x, z, 1);
             let expected = base.at(&lobes, (x, z), 4);
             let got = unsafe { nodes::<i32>(&base, &lobes, x, z, 4) };
-            assert_eq!((got.height, got.roughness, got.exposure), (expected.height, expected.roughness, expected.exposure), "{x} {z}");
+            assert_eq!(
+                (got.height, got.roughness, got.exposure),
+                (expected.height, expected.roughness, expected.exposure),
+                "{x} {z}"
+            );
         }
     }
 }

@@ -6,11 +6,12 @@
 
 use super::base::{Nodes, nodes};
 use super::lanes::{Lanes, MOST_LANES};
+use super::shape::store_some;
 use super::strip::{Columns, WIDTH};
 use crate::base::{Base, Node};
 use crate::constants::ISLAND_CELL_BITS;
 use crate::grid::Grid;
-use crate::island::{Archipelago, Lobes};
+use crate::island::{Archipelago, Lobe, Lobes};
 use crate::spline::{self, CELL_BITS};
 
 /// Most node columns of a strip, with room for a whole window beyond the last.
@@ -131,34 +132,18 @@ impl<'a> Field<'a> {
         let (x0, z0) = self.position(0, 0);
         let (x1, z1) = self.position(self.columns.count - 1, self.grid.rows - 1);
         let first = (spline::cell(x0).0 - 1, spline::cell(z0).0 - 1);
-        let (columns, rows) = ((last_cell(x1) - first.0 + 1) as usize, (last_cell(z1) - first.1 + 1) as usize);
+        let (columns, rows) =
+            ((last_cell(x1) - first.0 + 1) as usize, (last_cell(z1) - first.1 + 1) as usize);
         let side = (x1.abs_diff(x0)).max(z1.abs_diff(z0)) + (4 << CELL_BITS);
         let lobes = self.archipelago.lobes_near(x0 - (2 << CELL_BITS), z0 - (2 << CELL_BITS), side);
         let count = columns * rows;
         let stored = count.next_multiple_of(L::COUNT) + NODE_COLUMNS;
         let (mut height, mut shares) = (vec![Node::SEA.height; stored], vec![0; stored]);
-        if !lobes.is_empty() {
-            let (mut x, mut z) = ([0; MOST_LANES], [0; MOST_LANES]);
-            let (mut column, mut row) = (0, 0);
-            for at in (0..count).step_by(L::COUNT) {
-                for lane in 0..L::COUNT {
-                    x[lane] = spline::node(first.0 + column);
-                    z[lane] = spline::node(first.1 + row);
-                    column += 1;
-                    if column == columns as i32 {
-                        (column, row) = (0, row + 1);
-                    }
-                }
-                // SAFETY: guaranteed by the caller; both vectors hold a whole vector from every
-                // node on.
-                unsafe {
-                    let (x, z) = (L::load(x.as_ptr()), L::load(z.as_ptr()));
-                    let node = nodes(self.base, &lobes, x, z, self.grid.octaves.base());
-                    node.height.store(height.as_mut_ptr().add(at));
-                    node.roughness.pack(node.exposure).store(shares.as_mut_ptr().add(at));
-                }
-            }
-        }
+        let octaves = self.grid.octaves.base();
+        // SAFETY: guaranteed by the caller.
+        unsafe {
+            evaluate_nodes::<L>(self.base, &lobes, octaves, first, columns, &mut height[..count], &mut shares)
+        };
         let sea = (0..rows)
             .map(|row| {
                 let row = row * columns..(row + 1) * columns;
@@ -173,9 +158,7 @@ impl<'a> Field<'a> {
     #[inline(always)]
     pub(super) unsafe fn begin_row<L: Lanes>(&mut self, row: usize) -> bool {
         // SAFETY: guaranteed by the caller.
-        unsafe {
-            if self.nodes.is_some() { self.spline_row::<L>(row) } else { self.evaluate_row::<L>(row) }
-        }
+        unsafe { if self.nodes.is_some() { self.spline_row::<L>(row) } else { self.evaluate_row::<L>(row) } }
     }
 
     /// Splines along z: one value per node column.
@@ -198,7 +181,13 @@ impl<'a> Field<'a> {
                 let at = above * nodes.stride + column;
                 let (a, b, c) = (at, at + nodes.stride, at + 2 * nodes.stride);
                 let (height, shares) = (nodes.height.as_ptr(), nodes.shares.as_ptr());
-                let value = height_spline(L::load(height.add(a)), L::load(height.add(b)), L::load(height.add(c)), rise, bend);
+                let value = height_spline(
+                    L::load(height.add(a)),
+                    L::load(height.add(b)),
+                    L::load(height.add(c)),
+                    rise,
+                    bend,
+                );
                 value.store(self.height.as_mut_ptr().add(column));
                 let (a, b, c) = (L::load(shares.add(a)), L::load(shares.add(b)), L::load(shares.add(c)));
                 let (roughness, exposure) = share_splines(a, b, c, pair, after);
@@ -220,7 +209,8 @@ impl<'a> Field<'a> {
             let (x, _) = self.position(first, row);
             let cell_x = Archipelago::cell(x);
             let border = ((i64::from(cell_x) + 1) << ISLAND_CELL_BITS) - (1 << (ISLAND_CELL_BITS - 1));
-            let inside = (border - i64::from(x) + (1 << self.grid.spacing_bits) - 1) >> self.grid.spacing_bits;
+            let inside =
+                (border - i64::from(x) + (1 << self.grid.spacing_bits) - 1) >> self.grid.spacing_bits;
             let end = self.columns.count.min(first + inside.max(1) as usize);
             let lobes = self.lobes_of((cell_x, cell_z));
             land |= !self.cells[lobes].1.is_empty();
@@ -290,6 +280,46 @@ impl<'a> Field<'a> {
                 L::load(self.weight_after.as_ptr().add(column)),
             );
             Nodes { height, roughness, exposure }
+        }
+    }
+}
+
+/// Evaluates a rectangle of nodes, row by row, from a first cell on; `height` holds exactly its
+/// nodes, and `shares` at least as many. Whole vectors go across rows.
+#[inline(always)]
+pub(super) unsafe fn evaluate_nodes<L: Lanes>(
+    base: &Base,
+    lobes: &[Lobe],
+    octaves: usize,
+    first: (i32, i32),
+    columns: usize,
+    height: &mut [i32],
+    shares: &mut [i32],
+) {
+    let count = height.len();
+    assert!(shares.len() >= count && columns > 0);
+    height.fill(Node::SEA.height);
+    shares.fill(0);
+    if lobes.is_empty() {
+        return;
+    }
+    let (mut x, mut z) = ([0; MOST_LANES], [0; MOST_LANES]);
+    let (mut column, mut row) = (0, 0);
+    for at in (0..count).step_by(L::COUNT) {
+        for lane in 0..L::COUNT {
+            x[lane] = spline::node(first.0 + column);
+            z[lane] = spline::node(first.1 + row);
+            column += 1;
+            if column == columns as i32 {
+                (column, row) = (0, row + 1);
+            }
+        }
+        // SAFETY: guaranteed by the caller; stores end at the last node.
+        unsafe {
+            let node = nodes(base, lobes, L::load(x.as_ptr()), L::load(z.as_ptr()), octaves);
+            let left = count - at;
+            store_some(node.height, height.as_mut_ptr().add(at), left);
+            store_some(node.roughness.pack(node.exposure), shares.as_mut_ptr().add(at), left);
         }
     }
 }

@@ -12,6 +12,7 @@
 mod base;
 mod curves;
 mod density;
+mod distance;
 mod field;
 mod kernel;
 mod lanes;
@@ -24,10 +25,11 @@ mod wasm;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-use crate::constants::{GRASS_GRID, VERTEX_COUNT};
+use crate::constants::{BASE_OCTAVES, GRASS_GRID, VERTEX_COUNT};
 use crate::grid::Grid;
 use crate::land::Land;
 use crate::noise::Fbm;
+use crate::spline;
 use crate::texels::Texels;
 use kernel::Set;
 use lanes::Lanes;
@@ -87,6 +89,23 @@ entry! {
 entry! {
     /// The heights of a grid, units, row by row. `out` holds the grid's vertices.
     heights(land: &Land, grid: &Grid, out: &mut [i32]) => heights_on
+}
+
+entry! {
+    /// The base field with all octaves at a rectangle of nodes, `columns` wide, row by row from a
+    /// first cell on: heights (2^-16 m), and roughness with exposure above it (16 bits each).
+    nodes(land: &Land, first: (i32, i32), columns: usize, heights: &mut [i32], shares: &mut [i32]) => nodes_on
+}
+
+entry! {
+    /// Largest distance between triangles and a finer grid; see [`distance::farthest`].
+    farthest_into(
+        heights: &[i32; VERTEX_COUNT],
+        depth: u32,
+        fine: &[i32],
+        stride: usize,
+        worst: &mut i32
+    ) => farthest_on
 }
 
 entry! {
@@ -221,6 +240,46 @@ unsafe fn heights_on<L: Lanes>(land: &Land, grid: &Grid, out: &mut [i32]) {
             }
         }
     }
+}
+
+#[inline(always)]
+unsafe fn nodes_on<L: Lanes>(
+    land: &Land,
+    first: (i32, i32),
+    columns: usize,
+    heights: &mut [i32],
+    shares: &mut [i32],
+) {
+    let rows = heights.len() / columns.max(1);
+    let side = (columns.max(rows) as u32) << spline::CELL_BITS;
+    let (x, z) = (spline::node(first.0), spline::node(first.1));
+    let lobes = land.archipelago().lobes_near(x, z, side);
+    // SAFETY: guaranteed by the caller.
+    unsafe { field::evaluate_nodes::<L>(land.base(), &lobes, BASE_OCTAVES, first, columns, heights, shares) };
+}
+
+/// The compiler vectorises this body, once per instruction set; so the densities.
+#[inline(always)]
+unsafe fn farthest_on<L: Lanes>(
+    heights: &[i32; VERTEX_COUNT],
+    depth: u32,
+    fine: &[i32],
+    stride: usize,
+    worst: &mut i32,
+) {
+    *worst = match depth {
+        1 => distance::farthest::<1>(heights, fine, stride),
+        2 => distance::farthest::<2>(heights, fine, stride),
+        _ => distance::farthest::<3>(heights, fine, stride),
+    };
+}
+
+/// Largest distance between the drawn surface of a chunk and the grid that is `2^depth` times finer
+/// (1 to 3), units, rounded up. `fine` begins at the low corner; its rows are `stride` long.
+pub(crate) fn farthest(heights: &[i32; VERTEX_COUNT], depth: u8, fine: &[i32], stride: usize) -> u32 {
+    let mut worst = 0;
+    farthest_into(Kernel::best(), heights, u32::from(depth), fine, stride, &mut worst);
+    worst.unsigned_abs().div_ceil(1 << depth)
 }
 
 #[inline(always)]
