@@ -114,7 +114,7 @@ impl Base {
         let inland = smoothstep((wide_shore - (8 << FINE_BITS)).clamp(0, INLAND_REACH) << 7);
         // Mountains: a share in Q30 of relief in Q25.
         let share = mul_hi(height << 1, inland << 1);
-        let relief = ((13 << 20) + (relief * 11 >> 3)).max(0) + (5 << 20);
+        let relief = ((13 << 20) + ((relief * 11) >> 3)).max(0) + (5 << 20);
         let mountain = mul_hi(mul_hi(share << 1, relief) << 5, MOUNTAIN_M << 19);
         let sum = (lowland(shore) + mountain + (SEA_FLOOR_M << FINE_BITS)).max(0);
         let rim = mass.min((1 << 27) - 1) << 3;

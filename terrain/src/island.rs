@@ -143,7 +143,7 @@ impl Archipelago {
             (draws.between(0, 255), draws.between(-1792, 1792), draws.between(-1792, 1792));
         let drawn_height = draws.between(90, 255);
         // Small islands are more frequent than large ones: the square of a uniform number.
-        let radius_m = (HOME_LOBE_M * if home { 256 } else { 108 + (size * size * 148 >> 16) }) >> 8;
+        let radius_m = (HOME_LOBE_M * if home { 256 } else { 108 + ((size * size * 148) >> 16) }) >> 8;
         let middle = |cell: i32, jitter: i32| (cell << ISLAND_CELL_BITS) + if home { 0 } else { jitter << 9 };
         let middle = (middle(cell_x, jitter_x), middle(cell_z, jitter_z));
         let height = if home { 192 } else { drawn_height };
@@ -217,10 +217,10 @@ impl Kind {
         let (height, plateau) = match (self, first) {
             (Self::Skerries, _) => (10, 0),
             (Self::Atoll, _) => (5, 0),
-            (Self::Plateau, _) => (if height < 154 { 108 } else { height * 179 >> 8 }, 2),
+            (Self::Plateau, _) => (if height < 154 { 108 } else { (height * 179) >> 8 }, 2),
             (Self::Volcano, true) => (if height < 179 { 179 } else { height }, 0),
             (_, true) => (height, 0),
-            (_, false) => (height * share >> 8, 0),
+            (_, false) => ((height * share) >> 8, 0),
         };
         let mass = match (self, first) {
             (Self::Skerries, _) => (3, 0),
@@ -317,4 +317,110 @@ pub(crate) const OFFSET_LIMIT: i32 = 1 << 29;
 pub(crate) fn offset(coordinate: i32, centre: i32, warp_q16: i32) -> i32 {
     let units = (coordinate - centre).clamp(-OFFSET_LIMIT >> 8, OFFSET_LIMIT >> 8);
     ((units << 8) + warp_q16).clamp(-OFFSET_LIMIT, OFFSET_LIMIT - 1) << 2
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::constants::{UNITS_PER_METRE, WORLD_HALF};
+    use crate::land::{Land, SEA_FLOOR};
+    use crate::position::Position;
+
+    fn cells() -> impl Iterator<Item = (i32, i32)> {
+        (-100..100).flat_map(|x| (-100..100).map(move |z| (x, z)))
+    }
+
+    #[test]
+    fn lobes_reach_less_than_one_cell_beyond_their_own() {
+        let archipelago = Archipelago::new(7);
+        let mut farthest = 0;
+        for (x, z) in cells() {
+            let mut lobes = Lobes::new();
+            archipelago.lobes_of(x, z, &mut lobes);
+            for lobe in lobes {
+                assert!((300..8192).contains(&lobe.reach_m), "{lobe:?}");
+                for (centre, cell) in [(lobe.centre.0, x), (lobe.centre.1, z)] {
+                    let reach = (lobe.reach_m + WARP_M) * UNITS_PER_METRE;
+                    farthest = farthest.max((centre - (cell << ISLAND_CELL_BITS)).abs() + reach);
+                }
+            }
+        }
+        let limit = 3 << (ISLAND_CELL_BITS - 1);
+        assert!(farthest <= limit && farthest > limit * 9 / 10, "{farthest} of {limit}");
+    }
+
+    #[test]
+    fn every_world_has_a_home_and_all_kinds_of_islands() {
+        for seed in [0, 1, 42, u64::MAX] {
+            let archipelago = Archipelago::new(seed);
+            assert_eq!(archipelago.kind(0, 0).map(|(kind, _)| kind), Some(Kind::Single));
+            let kinds: Vec<_> =
+                cells().filter_map(|(x, z)| archipelago.kind(x, z)).map(|(kind, _)| kind).collect();
+            assert!((16_500..18_500).contains(&kinds.len()), "{} islands in 40,000 cells", kinds.len());
+            for kind in [Kind::Single, Kind::Group, Kind::Skerries, Kind::Plateau, Kind::Volcano, Kind::Atoll]
+            {
+                assert!(kinds.iter().filter(|found| **found == kind).count() > 1500, "{kind:?}");
+            }
+        }
+    }
+
+    /// The falloff and the products in f64, from the lobes as they are.
+    fn mass_f64(lobes: &[Lobe], (x, z): (i32, i32), warp: (i32, i32)) -> (f64, f64) {
+        let (mut mass_left, mut height_left) = (1.0, 1.0);
+        for lobe in lobes {
+            let metres = |p: i32, c: i32, w: i32| f64::from(p - c) / 256.0 + f64::from(w) / 65_536.0;
+            let (x, z) = (metres(x, lobe.centre.0, warp.0), metres(z, lobe.centre.1, warp.1));
+            let along = |axis: (i32, i32)| (x * f64::from(axis.0) + z * f64::from(axis.1)) / 2f64.powi(38);
+            let u = (1.0 - along(lobe.long).powi(2) - along(lobe.short).powi(2)).max(0.0);
+            let s = u * u;
+            let mass = s * (f64::from(lobe.mass.0) + f64::from(lobe.mass.1) * s) / 8.0;
+            mass_left *= 1.0 - mass.clamp(0.0, 1.0);
+            let mut top = (s * f64::from(1 << lobe.plateau)).min(1.0);
+            if lobe.crater {
+                top -= ((u - 15.0 / 16.0).max(0.0) * 16.0).powi(2) * 7.0 / 16.0;
+            }
+            height_left *= 1.0 - top * f64::from(lobe.height) / 256.0;
+        }
+        (1.0 - mass_left, 1.0 - height_left)
+    }
+
+    #[test]
+    fn mass_and_height_are_the_stated_products() {
+        let archipelago = Archipelago::new(3);
+        let mut inside = 0;
+        for n in 0..40_000u32 {
+            let place = (mix(n) as i32 >> 8, mix(!n) as i32 >> 8);
+            let warp = (mix(n ^ 77) as i32 >> 6, mix(n ^ 99) as i32 >> 6);
+            let lobes = archipelago.lobes_near(place.0, place.1, 1);
+            let got = Mass::at(&lobes, place, warp);
+            let exact = mass_f64(&lobes, place, warp);
+            for (got, exact) in [(got.mass, exact.0), (got.height, exact.1)] {
+                assert!((f64::from(got) / 2f64.powi(30) - exact).abs() < 2f64.powi(-20), "{got} {exact}");
+                assert!((0..1 << 30).contains(&got));
+            }
+            inside += i32::from(got.mass > 0);
+        }
+        assert!(inside > 4_000, "{inside}");
+    }
+
+    #[test]
+    fn open_sea_is_the_flat_sea_floor() {
+        let land = Land::new(11);
+        let side = 1u32 << 18;
+        let mut seas = 0;
+        for (x, z) in (-40..40).flat_map(|i| (-40..40).map(move |j| (i << 18, j << 18))) {
+            if !land.archipelago().is_open_sea(x, z, side) {
+                continue;
+            }
+            seas += 1;
+            let far = side as i32;
+            for (px, pz) in [(x, z), (x + far, z), (x, z + far), (x + far / 2, z + far / 2)] {
+                assert_eq!(land.height_at(Position::new(px, pz).unwrap()), SEA_FLOOR, "({px}, {pz})");
+            }
+        }
+        assert!(seas > 500, "{seas}");
+        assert!(!land.archipelago().is_open_sea(-1000, -1000, 2000), "the home island is land");
+        let whole = land.archipelago().is_open_sea(-WORLD_HALF, -WORLD_HALF, 1 << 31);
+        assert!(!whole, "the whole world is not open sea");
+    }
 }

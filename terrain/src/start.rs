@@ -95,7 +95,7 @@ mod tests {
             let start = land.start();
             let at = |metres: i32| {
                 let place =
-                    (start.x + (start.inland.0 * metres >> 7), start.z + (start.inland.1 * metres >> 7));
+                    (start.x + ((start.inland.0 * metres) >> 7), start.z + ((start.inland.1 * metres) >> 7));
                 height(&land, place, Octaves::ALL)
             };
             assert!(at(0) > 0 && at(0) < 45 << UNIT_BITS, "world {seed}: {}", at(0));

@@ -42,7 +42,10 @@ pub enum Progress {
 
 /// Two generations: when the younger is full, it becomes the older, and what was not asked for since
 /// is forgotten.
-static MEMORY: Mutex<Option<[HashMap<(u64, ChunkKey), u32>; 2]>> = Mutex::new(None);
+static MEMORY: Mutex<Option<[Errors; 2]>> = Mutex::new(None);
+
+/// Errors by world seed and chunk, units.
+type Errors = HashMap<(u64, ChunkKey), u32>;
 
 impl Land {
     /// The error bound of a chunk, or one measurement towards it.
@@ -105,7 +108,7 @@ impl Land {
 
     fn remember(&self, errors: impl IntoIterator<Item = (ChunkKey, u32)>) {
         let mut memory = MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
-        let generations = memory.get_or_insert_with(|| [HashMap::new(), HashMap::new()]);
+        let generations = memory.get_or_insert_with(Default::default);
         if generations[0].len() >= REMEMBERED {
             generations[1] = std::mem::take(&mut generations[0]);
         }

@@ -142,7 +142,15 @@ impl<'a> Field<'a> {
         let octaves = self.grid.octaves.base();
         // SAFETY: guaranteed by the caller.
         unsafe {
-            evaluate_nodes::<L>(self.base, &lobes, octaves, first, columns, &mut height[..count], &mut shares)
+            evaluate_nodes::<L>(
+                self.base,
+                &lobes,
+                octaves,
+                first,
+                columns,
+                &mut height[..count],
+                &mut shares,
+            );
         };
         let sea = (0..rows)
             .map(|row| {
