@@ -9,6 +9,7 @@
 mod browser;
 mod child;
 mod cpu;
+mod floats;
 mod gpu;
 mod probes;
 mod report;
@@ -209,7 +210,7 @@ impl Bench {
 
     /// The control where no GPU runs it: our formula in f32 on this processor.
     fn control_without_gpu(&self) -> Control {
-        self.control("this processor", &cpu::floats(&self.land, &self.probes))
+        self.control("this processor", &floats::words(&self.land, &self.probes))
     }
 
     fn control(&self, backend: &str, words: &[i32]) -> Control {
