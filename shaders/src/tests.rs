@@ -10,12 +10,12 @@ use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInn
 use crate::layout::{
     Atmosphere, BAKE_WORKGROUP, BLOCK_LIST, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe,
     CLEARANCE_RANGE, CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ChunkWords, ConeOrder, Culling, EMPTY_LINK,
-    FILL_NODES, FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_TILT, GRID_NODES, LEAF, MASK_BEGIN,
-    MATERIALS, MAX_MIP_WORKGROUP, MaxMipReduction, NOISE_OCTAVES, OccluderChunk, OcclusionNode, PATTERN_PERIOD_M,
-    PROBE_COARSE_OCTAVES, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult,
-    RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE, SUN_RADIUS, ShadowTarget, SunParams,
-    TILING_WORKGROUP, TerrainInstance, TilingProbe, VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP,
-    WaveProbe, World,
+    FILL_NODES, FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_TILT, GRID_NODES, LEAF,
+    MASK_BEGIN, MATERIALS, MAX_MIP_WORKGROUP, MaxMipReduction, NOISE_OCTAVES, OccluderChunk, OcclusionNode,
+    PATTERN_PERIOD_M, PROBE_COARSE_OCTAVES, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting,
+    PomObject, PomParams, PomProbe, PomResult, RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE,
+    SUN_RADIUS, ShadowTarget, SunParams, TILING_WORKGROUP, TerrainInstance, TilingProbe, VISIBILITY_WORDS,
+    WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};

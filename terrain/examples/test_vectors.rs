@@ -76,10 +76,10 @@ fn parts(page: &mut String) -> std::fmt::Result {
         writeln!(page, "| stream_seed({seed}, {stream}) | {:#010x} |", stream_seed(seed, stream))?;
     }
     for t in [0, 1 << 9, 1_234_567_168, i32::MAX - 511] {
-        writeln!(page, "| fade, slope of {t} | {}, {} |", fade(t), fade_slope(t))?;
+        writeln!(page, "| fade, fade' of {t} | {}, {} |", fade(t), fade_slope(t))?;
     }
     for x in [0, 1, 400_000_000, (1 << 30) - 1] {
-        writeln!(page, "| smoothstep, window of {x} | {}, {} |", smoothstep(x), window(x))?;
+        writeln!(page, "| smooth, window of {x} | {}, {} |", smoothstep(x), window(x))?;
     }
     for fraction in [0, 1, 12_500, 32_767] {
         let weights = weights(fraction);
@@ -88,7 +88,9 @@ fn parts(page: &mut String) -> std::fmt::Result {
     for fraction in [0, 1, 5_000, 8_191] {
         writeln!(page, "| spline weights of fraction {fraction} | {:?} |", spline::weights(fraction))?;
     }
-    for (seed, x, z) in [(0u64, 0, 0), (0, 1, 2), (3, -2, 5), (3, 4, -1), (9, -7, 8)] {
+    for (seed, x, z) in
+        [(0u64, 0, 0), (0, 1, 2), (3, 1, -20), (3, 1, -7), (3, 1, -19), (3, 1, -6), (9, -7, 8)]
+    {
         let (land, mut lobes) = (Land::new(seed), Vec::new());
         land.archipelago().lobes_of(x, z, &mut lobes);
         let kind = land.archipelago().kind(x, z).map_or("none".into(), |(kind, _)| format!("{kind:?}"));
@@ -106,7 +108,7 @@ fn parts(page: &mut String) -> std::fmt::Result {
 }
 
 fn heights(page: &mut String) -> std::fmt::Result {
-    writeln!(page, "| seed | x | z | warp | mass, height | first octave: value, gradient |")?;
+    writeln!(page, "| seed | x | z | warp | mass, height | first octave: value, (dX, dZ) |")?;
     writeln!(page, "| --- | --- | --- | --- | --- | --- |")?;
     for (seed, x, z, _) in PLACES.into_iter().filter(|(_, _, _, kept)| *kept == 9) {
         let land = Land::new(seed);

@@ -187,8 +187,11 @@ fn roughness(shore: i32, exposure: i32, rim: i32, height: i32, inland: i32, calm
     // In the mountains where they are calm, and on their feet.
     let foot = mul_hi(inland << 1, (ALMOST_ONE_Q30 - inland) << 1);
     let rocky = mul_hi(inland << 1, calm << 1) + foot * 2 + (foot >> 1);
-    let mountain = mul_hi(height << 1, rocky) << 1;
-    // Everywhere 1/64; nothing at the rim, where the sea floor begins.
-    let sum = ((coast >> 15) + (mountain >> 15) + (1 << 9)).min((1 << 15) - 1);
-    mul_hi(sum << 16, rim << 1) >> 15
+    // Everywhere 1/64. Q29, so that the sum fits; rounded once, because a cliff multiplies errors.
+    let sum = (coast >> 1) + mul_hi(height << 1, rocky) + (1 << 23);
+    // Nothing at the rim, where the sea floor begins.
+    (mul_hi(sum.min(ROUGHEST) << 2, rim << 1) + (1 << 14)) >> 15
 }
+
+/// The largest share of the fine octaves that rounds to less than one, Q29.
+pub(crate) const ROUGHEST: i32 = (1 << 29) - (1 << 14);

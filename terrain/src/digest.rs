@@ -96,7 +96,7 @@ mod tests {
         // CHANGELOG.
         assert_eq!(
             Land::new(0).digest().to_string(),
-            "24897701a4d61e554026f1e9ea05d5da31831c5ead60403d2ceaf53dd1461d23"
+            "4b2868764773c359c13282838bd204e2ff52b0956a39cef859e0dd02894c5b69"
         );
     }
 

@@ -43,6 +43,7 @@ pub mod simd;
 pub mod spline;
 pub mod start;
 mod texels;
+pub mod triangles;
 pub mod weights;
 
 pub use chunk::Chunk;

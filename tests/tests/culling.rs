@@ -81,7 +81,7 @@ fn the_gpu_keeps_the_clumps_of_the_twin_in_the_same_order() {
         ..VegetationSettings::STANDARD
     };
     let mut kept_by_path = Vec::new();
-    for camera in [MEADOW.as_str(), &VALLEY, &moved(&MEADOW, 300.0, 10.0, -30.0)] {
+    for camera in [MEADOW.as_str(), &VALLEY, &moved(&MEADOW, 110.0, 10.0, -30.0)] {
         for cull in [Cull::Distance, Cull::Frustum, Cull::Noise, Cull::March, Cull::Exact, Cull::Hierarchical]
         {
             let view = view(camera, VegetationSettings { cull, ..few });

@@ -13,8 +13,8 @@ use clap::{Parser, builder::RangedU64ValueParser};
 use protocol::Delivery;
 use std::path::PathBuf;
 use std::time::Duration;
-use terrain::{Land, WorldDigest};
 use terrain::lod::MAX_VIEW_DISTANCE_M;
+use terrain::{Land, WorldDigest};
 use tokio_tungstenite::tungstenite::http::Uri;
 
 /// Default address of a server.

@@ -97,7 +97,11 @@ impl Scene {
     /// Start camera in a world. Only the island's depends on it, and takes milliseconds to find.
     #[must_use]
     pub fn start_in(self, land: &Land) -> Pose {
-        if self == Self::Island && land.world_seed() != DEFAULT_WORLD_SEED { shore(land) } else { self.start() }
+        if self == Self::Island && land.world_seed() != DEFAULT_WORLD_SEED {
+            shore(land)
+        } else {
+            self.start()
+        }
     }
 
     /// Whether the scene generates its land without a server.

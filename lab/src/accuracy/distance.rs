@@ -57,7 +57,7 @@ pub fn measure(world_seed: u64) -> Curve {
     };
     let mut sheet = Sheet::new(
         "distance",
-        format!("relief of the fine octaves at {POINTS} points per distance, each field against its own reference."),
+        format!("fine octaves at {POINTS} points per distance, each field against its own reference."),
         DISTANCES_M.into_iter().enumerate().map(row).collect(),
     );
     sheet.column("distance, m", |row| row.0);

@@ -2,7 +2,9 @@
 //!
 //! Three rules are compared on the same chunks: keep **all**; keep an octave while its **cell** is
 //! at least the vertex spacing (the land's rule, [`Octaves::at_level`]); keep it while **half** its
-//! cell is (the sampling theorem's). For each:
+//! cell is (the sampling theorem's). Below seven octaves, from level 5 on by the land's rule and from
+//! level 4 on by the last one, the base field is not a spline of its nodes: that step is measured
+//! with the octaves. For each:
 //!
 //! - distance of its vertices from the full heights;
 //! - distance from the land's local mean (a box of one spacing), the aliasing of a vertex;
@@ -78,7 +80,7 @@ impl Rule {
 const RULES: [(Rule, &str, &str); 3] = [
     (Rule::All, "all", "all octaves"),
     (Rule::Cell, "cell", "cell at least the spacing (the land's rule)"),
-    (Rule::Half, "half", "one octave fewer"),
+    (Rule::Half, "half", "cell at least two spacings"),
 ];
 
 struct Row {

@@ -25,9 +25,8 @@ pub fn scalar(land: &Land, probes: &[Probe]) -> Vec<i32> {
     for [x, z] in probes.iter().copied() {
         let fine = land.fbm().at(x, z, Octaves::ALL);
         // No land is defined outside the world; backends that cannot reject a position return 0.
-        let [height, coarse] = [Octaves::ALL, coarse_octaves()].map(|octaves| {
-            Position::new(x, z).map_or(0, |position| land.height_keeping(position, octaves))
-        });
+        let [height, coarse] = [Octaves::ALL, coarse_octaves()]
+            .map(|octaves| Position::new(x, z).map_or(0, |position| land.height_keeping(position, octaves)));
         words.extend([mod_trunc(x, z), mod_floor(x, z), fine, height, coarse]);
     }
     words

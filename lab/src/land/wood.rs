@@ -21,10 +21,8 @@ pub fn share([x, z]: [f64; 2], height_m: f64, gradient: [f64; 2]) -> f64 {
     let clumps = pattern_fbm(turned, 32.0, 15) - 0.5;
     let slope = steep + (medium - 0.5) * 0.07 + fine * 0.02;
     let plain = (1.0 - smoothstep(0.0015, 0.01, steep)) * (1.0 - smoothstep(20.0, 45.0, height_m));
-    let shelter = (broad - 0.5) * 0.25
-        - southward * 0.25
-        - plain * 0.09
-        - smoothstep(120.0, 340.0, height_m) * 0.16;
+    let shelter =
+        (broad - 0.5) * 0.25 - southward * 0.25 - plain * 0.09 - smoothstep(120.0, 340.0, height_m) * 0.16;
     let noise = pattern_fbm([x, z], 256.0, 4) + (medium - 0.5) * 0.25 + fine * 0.03 + clumps * 0.12 + shelter;
     let belt =
         smoothstep(5.0, 12.0, height_m) * (1.0 - smoothstep(340.0, 430.0, height_m + (broad - 0.5) * 90.0));

@@ -1,5 +1,6 @@
-//! Fields that the stability sweep compares: our fine octaves in fixed point and in f32, and the `noise` crate
-//! (0.9) with f64 coordinates and with coordinates rounded to f32, as in a vertex buffer.
+//! Fields that the stability sweep compares: our fine octaves in fixed point and in f32, and the
+//! `noise` crate (0.9) with f64 coordinates and with coordinates rounded to f32, as in a vertex
+//! buffer.
 
 use super::bounds::{NOISE_SLOPE, fine_slope};
 use crate::floats::{FloatLand, TOTAL_M, metres, metres_f32, noise_crate};

@@ -62,10 +62,10 @@
 use crate::reference_f64::formula::{Place, World};
 use crate::reference_f64::noise::{Cut, FineOctave, Sample, Turned};
 use crate::reference_f64::real::Real;
-use crate::reference_f64::{Exact, cell_m};
+use crate::reference_f64::{Exact, amplitude_m, cell_m};
 use std::ops::{Add, Mul, Neg, Sub};
 use terrain::Octaves;
-use terrain::constants::UNITS_PER_METRE;
+use terrain::constants::{FINE_OCTAVES, UNITS_PER_METRE};
 use terrain::spline::CELL_BITS;
 
 /// Upper bound of the slope of noise of amplitude 1 and cell 1, along an axis of its lattice or of
@@ -84,10 +84,7 @@ pub const HEIGHT_ERROR: f64 = 2.0;
 
 /// Slope bound of the sum of the fine octaves, metres per metre.
 pub fn fine_slope() -> f64 {
-    use crate::reference_f64::amplitude_m;
-    (0..terrain::constants::FINE_OCTAVES)
-        .map(|octave| NOISE_SLOPE * amplitude_m(octave) / cell_m(octave))
-        .sum()
+    (0..FINE_OCTAVES).map(|octave| NOISE_SLOPE * amplitude_m(octave) / cell_m(octave)).sum()
 }
 
 /// Height (metres) at a position (units), and a bound of its slope along an axis (0 east, 1 south)

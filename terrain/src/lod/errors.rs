@@ -12,12 +12,12 @@
 
 use super::RELIEF;
 use super::residual::residual;
-use crate::chunk::drawn_height_scaled;
 use crate::constants::{CELLS, VERTEX_COUNT, VERTICES};
 use crate::grid::Grid;
 use crate::key::ChunkKey;
 use crate::land::Land;
 use crate::simd::farthest;
+use crate::triangles::drawn_height_scaled;
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
@@ -84,7 +84,7 @@ impl Land {
         Progress::Measured
     }
 
-    /// The error bound of a chunk: one measurement if nobody asked for it before.
+    /// The error bound of a chunk: one measurement if it was not asked for before.
     #[must_use]
     pub fn error_of(&self, key: ChunkKey) -> u32 {
         loop {
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn the_memory_forgets_what_nobody_asked_for() {
+    fn the_memory_forgets_what_is_not_asked_for() {
         let land = Land::new(0x5eed_0002);
         let key = |n: usize| ChunkKey::new(1, (n % 8192) as i32, (n / 8192) as i32).unwrap();
         let asked = ChunkKey::new(1, -1, -1).unwrap();

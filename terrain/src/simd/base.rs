@@ -3,7 +3,7 @@
 
 use super::curves::{clamp, lattice, smoothstep, square, window};
 use super::lanes::Lanes;
-use crate::base::{Base, INLAND_REACH, SHORE_REACH, STEEPEST};
+use crate::base::{Base, INLAND_REACH, ROUGHEST, SHORE_REACH, STEEPEST};
 use crate::constants::{FINE_BITS, MOUNTAIN_M, RIM_M, SEA_FLOOR_M, SHORE_M, UPLIFT_M, WARP_AMPLITUDE_M};
 use crate::curves::ALMOST_ONE_Q30;
 use crate::island::{CRATER_Q26, Lobe, OFFSET_LIMIT, TWO_Q24};
@@ -183,9 +183,9 @@ unsafe fn roughness<L: Lanes>(shore: L, exposure: L, rim: L, height: L, inland: 
         let inland_twice = inland.shl(1);
         let foot = inland_twice.mul_hi(L::splat(ALMOST_ONE_Q30).sub(inland).shl(1));
         let rocky = inland_twice.mul_hi(calm.shl(1)).add(foot.shl(1)).add(foot.sar(1));
-        let mountain = height.shl(1).mul_hi(rocky).shl(1);
-        let sum = coast.sar(15).add(mountain.sar(15)).add(L::splat(1 << 9)).min(L::splat((1 << 15) - 1));
-        sum.shl(16).mul_hi(rim.shl(1)).sar(15)
+        let sum = coast.sar(1).add(height.shl(1).mul_hi(rocky)).add(L::splat(1 << 23));
+        let sum = sum.min(L::splat(ROUGHEST)).shl(2);
+        sum.mul_hi(rim.shl(1)).add(L::splat(1 << 14)).sar(15)
     }
 }
 

@@ -5,8 +5,7 @@
 //! vertices share a node, and each row of vertices is evaluated directly.
 
 use super::base::{Nodes, nodes};
-use super::lanes::{Lanes, MOST_LANES};
-use super::shape::store_some;
+use super::lanes::{Lanes, MOST_LANES, store_some};
 use super::strip::{Columns, WIDTH};
 use crate::base::{Base, Node};
 use crate::constants::ISLAND_CELL_BITS;

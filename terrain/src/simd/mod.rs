@@ -1,6 +1,7 @@
 //! Whole grids at once, on the vectors of this machine.
 //!
-//! One algorithm (`strip`, `curves`, `base`, `field`, `shape`, `pyramid`, `slope`) over one small set of vector operations
+//! One algorithm (`strip`, `curves`, `base`, `field`, `shape`, `pyramid`, `slope`) over one small set of vector
+//! operations
 //! (`lanes`), implemented for single integers and for each instruction set that is measurably
 //! faster. All kernels yield the same bits.
 //!
@@ -205,7 +206,7 @@ impl<L: Lanes> Sink<L> for Noise<'_> {
         let index = row * self.grid.columns + self.columns.first + column;
         // SAFETY: the caller guarantees the CPU features; the rest of the strip's row lies in the
         // sums.
-        unsafe { shape::store_some(fine, self.out.add(index), self.columns.count - column) };
+        unsafe { lanes::store_some(fine, self.out.add(index), self.columns.count - column) };
     }
 }
 

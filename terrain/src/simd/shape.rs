@@ -3,7 +3,7 @@
 
 use super::curves::{clamp, smoothstep};
 use super::field::Field;
-use super::lanes::Lanes;
+use super::lanes::{Lanes, store_some};
 use super::strip::{Columns, Sink};
 use crate::constants::{BEACH_M, CLIFF_FOOT_M, CLIFF_M, FINE_BITS, UNIT_BITS};
 use crate::grid::Grid;
@@ -98,22 +98,5 @@ unsafe fn cliff<L: Lanes>(fine: L) -> L {
         let x = clamp(fine.add(L::splat(CLIFF_FOOT_M << FINE_BITS)), 0, WIDTH - 1);
         let share = smoothstep(x.shl(30 - FINE_BITS - BEACH_M.trailing_zeros()));
         share.mul_hi(L::splat(CLIFF_M << (FINE_BITS + 2)))
-    }
-}
-
-/// Stores the first `count` lanes, or all of them.
-#[inline(always)]
-pub(super) unsafe fn store_some<L: Lanes>(lanes: L, to: *mut i32, count: usize) {
-    // SAFETY: the caller guarantees `count` integers at `to` and the CPU features.
-    unsafe {
-        if count >= L::COUNT {
-            lanes.store(to);
-        } else {
-            let mut all = [0; super::lanes::MOST_LANES];
-            lanes.store(all.as_mut_ptr());
-            for (index, value) in all.iter().enumerate().take(count) {
-                *to.add(index) = *value;
-            }
-        }
     }
 }
