@@ -1,10 +1,10 @@
 //! `tombolo-lab stability`: the land at borders of the world and of lattice cells.
 //!
 //! Sweeps every line where an implementation could break and compares every step with a proved
-//! bound ([`bounds`], [`samples`], [`edges`], [`thresholds`], [`continuity`]), checks that seams are zero at every level and
-//! that no height depends on its chunk or grid ([`seams`]), and that remainders and lattice cells are
-//! right at both signs ([`arithmetic`]). Then it shows what float noise does at the same distances
-//! ([`floats`]).
+//! bound ([`bounds`], [`samples`], [`edges`], [`thresholds`], [`continuity`]), checks that seams are
+//! zero at every level and that no height depends on its chunk or grid ([`seams`]), and that
+//! remainders and lattice cells are right at both signs ([`arithmetic`]). Then it shows what float
+//! noise does at the same distances ([`floats`]).
 //!
 //! Every sweep also runs on a control that must fail; a control that passes is an error.
 

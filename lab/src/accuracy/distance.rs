@@ -1,7 +1,7 @@
 //! Distance from the origin: integers are unaffected, floats lose a bit with every doubling.
 //!
-//! Only the sum of the fine octaves is compared (no islands), so that every distance counts. Each field has its
-//! own reference: for our formula f64 on exact cells; for the `noise` crate in f32 coordinates the
+//! Only the sum of the fine octaves is compared (no islands), so that every distance counts. Each
+//! field has its own reference: for our formula f64 on exact cells; for the `noise` crate in f32 coordinates the
 //! same in f64 coordinates; for it in f64 coordinates the same whole periods of its lattice
 //! (32,768 m) nearer to the origin, which should be equal.
 

@@ -19,8 +19,8 @@ use terrain::{ChunkKey, Land};
 /// Tolerance of the bar, pixels.
 pub const TOLERANCE_PX: f64 = 1.0;
 
-/// The 8 km view of `cargo xtask measure first-voyage`.
-pub const VOYAGE: &str = "0,250,2500,0,-8";
+/// The 8 km view of `cargo xtask measure end-to-end`.
+pub const EIGHT_KM: &str = "0,250,2500,0,-8";
 
 /// That view, then others: the start, a shore, a beach, mountains, and from high up.
 fn cameras(land: &Land) -> [String; 6] {
@@ -32,7 +32,7 @@ fn cameras(land: &Land) -> [String; 6] {
         places::above(),
     ];
     let [start, shore, beach, mountains, above] = poses.map(|pose| pose.to_string());
-    [VOYAGE.to_owned(), start, shore, beach, mountains, above]
+    [EIGHT_KM.to_owned(), start, shore, beach, mountains, above]
 }
 
 /// Triangles of one camera.

@@ -78,7 +78,7 @@ mod tests {
             let (east, south) = path.place_m(60.0);
             (east - place.0) * 0.6 - (south - place.1) * 0.8
         };
-        assert!(clients.iter().all(|path| inland(path) >= -0.1), "nobody disperses into the sea");
+        assert!(clients.iter().all(|path| inland(path) >= -0.1), "no client disperses into the sea");
         let turned = |sign: f64| clients.iter().filter(|path| inland(path) * sign > 100.0).count();
         assert!(turned(1.0) > 50 && turned(-1.0) == 0, "{}", turned(1.0));
     }

@@ -1,9 +1,8 @@
 //! Whole grids at once, on the vectors of this machine.
 //!
-//! One algorithm (`strip`, `curves`, `base`, `field`, `shape`, `pyramid`, `slope`) over one small set of vector
-//! operations
-//! (`lanes`), implemented for single integers and for each instruction set that is measurably
-//! faster. All kernels yield the same bits.
+//! One algorithm (`strip`, `curves`, `base`, `field`, `shape`, `pyramid`, `slope`) over one small set
+//! of vector operations (`lanes`), implemented for single integers and for each instruction set that
+//! is measurably faster. All kernels yield the same bits.
 //!
 //! The only unsafe code of this crate: vector instructions may only run on CPUs that have them, and
 //! vectors are loaded through pointers. A [`Kernel`] that needs a feature exists only where that
