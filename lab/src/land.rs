@@ -24,6 +24,7 @@ use crate::{Outputs, note};
 use ::bars::Bar;
 use anyhow::{Result, bail};
 use centres::{Peak, Square};
+use client::scene::Scene;
 use controls::Controls;
 use field::{SPACING_M, Window, place};
 use rayon::prelude::*;
@@ -32,6 +33,7 @@ use serde_json::{Map, Value, json};
 use shape::{EVERY_M, Figures, Shape};
 use std::time::Instant;
 use terrain::Land;
+use terrain::constants::UNITS_PER_METRE;
 
 /// Vertices along a side of a window that are measured (65.5 km), and around them (8.2 km): an
 /// island whose centroid is measured may reach so far.
@@ -123,9 +125,11 @@ fn verdict(rows: &[Bar]) -> Result<()> {
     Ok(())
 }
 
-/// Where a visitor of the world starts, units.
+/// The place under the eye with which the viewer starts, units. The same in every world.
 fn start(_: &Land) -> (i32, i32) {
-    (0, 0)
+    let eye = Scene::Island.start().position_m;
+    let units = |metres: f64| (metres * f64::from(UNITS_PER_METRE)) as i32;
+    (units(eye.x), units(eye.z))
 }
 
 fn measure(options: &Options) -> (Report, Shape) {

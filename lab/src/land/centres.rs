@@ -127,9 +127,14 @@ fn peak_of(squares: &[Square], spread: f64) -> Option<Peak> {
 fn differences(squares: &[Square], reach: usize) -> Vec<f64> {
     let side = 2 * reach + 1;
     let mut pairs = vec![0.0; side * side];
+    // Only neighbours within reach: all pairs of a square are many times more.
+    let farthest_km = (reach as f64 + 0.5) * BIN_KM;
     for square in squares {
-        for one in &square.centres {
-            for other in &square.centres {
+        let mut centres = square.centres.clone();
+        centres.sort_by(|one, other| one[0].total_cmp(&other[0]));
+        for one in &centres {
+            let first = centres.partition_point(|other| other[0] < one[0] - farthest_km);
+            for other in centres[first..].iter().take_while(|other| other[0] <= one[0] + farthest_km) {
                 let apart = [other[0] - one[0], other[1] - one[1]];
                 let bins = apart.map(|km| (km / BIN_KM).round() + reach as f64);
                 if bins.iter().any(|bin| *bin < 0.0 || *bin >= side as f64) {
