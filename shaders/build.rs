@@ -10,9 +10,10 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
+use terrain::base::LATTICES;
 use terrain::constants as land;
-use terrain::land::SEA_FLOOR;
 use terrain::pyramid::PYRAMID_TEXELS;
+use terrain::spline;
 use wesl::syntax::{ModulePath, PathOrigin};
 use wesl::{ManglerKind, VirtualResolver, Wesl};
 
@@ -78,33 +79,48 @@ fn constants() -> String {
         ("VERTEX_COUNT", land::VERTEX_COUNT),
         ("PYRAMID_TEXELS", PYRAMID_TEXELS),
         ("OCTAVES", land::OCTAVES),
-        ("WIDE_OCTAVES", land::WIDE_OCTAVES),
+        ("BASE_OCTAVES", land::BASE_OCTAVES),
+        ("FINE_OCTAVES", land::FINE_OCTAVES),
+        ("LATTICES", LATTICES),
     ] {
         text += &format!("const {name}: u32 = {value}u;\n");
     }
     for (name, value) in [
         ("UNIT_BITS", land::UNIT_BITS),
+        ("BASE_CELL_BITS", land::BASE_CELL_BITS),
+        ("BASE_STREAM", land::BASE_STREAM),
+        ("WARP_STREAM", land::WARP_STREAM),
+        ("EXPOSURE_STREAM", land::EXPOSURE_STREAM),
+        ("EXPOSURE_CELL_BITS", land::EXPOSURE_CELL_BITS),
         ("FIRST_CELL_BITS", land::FIRST_CELL_BITS),
         ("FIRST_AMPLITUDE_BITS", land::FIRST_AMPLITUDE_BITS),
-        ("SPLIT_BITS", land::SPLIT_BITS),
         ("FRACTION_BITS", land::FRACTION_BITS),
         ("FINE_BITS", land::FINE_BITS),
         ("ISLAND_CELL_BITS", land::ISLAND_CELL_BITS),
-        ("HOME_RADIUS_STEPS", land::HOME_RADIUS_STEPS),
+        ("SPLINE_CELL_BITS", spline::CELL_BITS),
     ] {
         text += &format!("const {name}: u32 = {value}u;\n");
     }
     for (name, value) in [
         ("WORLD_HALF", land::WORLD_HALF),
-        ("SEA_FLOOR", SEA_FLOOR),
         ("SEA_FLOOR_M", land::SEA_FLOOR_M),
-        ("ISLAND_RADIUS_STEP_M", land::ISLAND_RADIUS_STEP_M),
-        ("HOME_DOME_M", land::HOME_DOME_M),
+        ("WARP_M", land::WARP_M),
+        ("RIM_M", land::RIM_M),
+        ("UPLIFT_M", land::UPLIFT_M),
+        ("MOUNTAIN_M", land::MOUNTAIN_M),
+        ("HOME_LOBE_M", land::HOME_LOBE_M),
         ("BEACH_M", land::BEACH_M),
-        ("RIDGE_M", land::RIDGE_M),
+        ("CLIFF_M", land::CLIFF_M),
+        ("CLIFF_FOOT_M", land::CLIFF_FOOT_M),
     ] {
         text += &format!("const {name}: i32 = {value};\n");
     }
+    let [wide, narrow] = land::WARP_CELL_BITS;
+    text += &format!("const WARP_CELL_BITS: vec2u = vec2u({wide}u, {narrow}u);\n");
+    let [wide, narrow] = land::WARP_AMPLITUDE_M;
+    text += &format!("const WARP_AMPLITUDE_M: vec2i = vec2i({wide}, {narrow});\n");
+    let [a, b, c, d] = land::SHORE_M;
+    text += &format!("const SHORE_M: vec4i = vec4i({a}, {b}, {c}, {d});\n");
     let gradients = land::GRADIENTS.map(|(x, z)| (i32::from(x), i32::from(z)));
     text += &table("GRADIENTS", &gradients);
     text += &table("OCTAVE_SHIFT", &land::OCTAVE_SHIFT);

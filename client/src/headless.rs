@@ -39,6 +39,8 @@ pub struct Options {
     pub scene: Scene,
     /// Position and direction of the camera.
     pub pose: Pose,
+    /// Whether the camera moves to the scene's start in the world that a server announces.
+    pub follows_world: bool,
     /// Field of view and image size.
     pub projection: Projection,
     /// View distance, metres.
@@ -70,6 +72,7 @@ impl Default for Options {
         Self {
             scene: Scene::Island,
             pose: Scene::Island.start(),
+            follows_world: false,
             projection: Projection { fov_deg: 60.0, width: 1280, height: 720 },
             view_distance_m: 8000,
             tolerance_px: 2.0,
@@ -136,7 +139,7 @@ pub struct Progress {
 /// # Errors
 /// There is no GPU, or it fails. A scene that is not local is drawn without land.
 pub fn render_local(options: &Options, started: Instant) -> Result<(Image, Stats), HeadlessError> {
-    draw(options, NullStream, started, |_| Ok(()))
+    draw(options.clone(), NullStream, started, |_, _| Ok(()))
 }
 
 /// Completes the view and renders it. `started` is the start of the stats' clock.
@@ -149,7 +152,7 @@ pub fn render(
     if options.scene.is_local() {
         return render_local(options, started);
     }
-    draw(options, stream, started, |streamer| {
+    draw(options.clone(), stream, started, |streamer, options| {
         fill(streamer, options, started, &mut progress)?;
         // The ground height under the eye is known now; a raised eye needs other chunks.
         fill(streamer, options, started, &mut progress)
@@ -159,17 +162,17 @@ pub fn render(
 /// Fills the cache, creates the renderer, draws, times and reads back. In this order, so that an
 /// impossible view fails before materials and pipelines are built.
 fn draw<F: ChunkStream>(
-    options: &Options,
+    mut options: Options,
     stream: F,
     started: Instant,
-    fill: impl FnOnce(&mut WorldStreamer<F>) -> Result<(), HeadlessError>,
+    fill: impl FnOnce(&mut WorldStreamer<F>, &mut Options) -> Result<(), HeadlessError>,
 ) -> Result<(Image, Stats), HeadlessError> {
     let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
     let requested = if options.scene.is_local() { 1 } else { ChunkCache::capacity_for(options.chunk_bytes) };
     let slots = ChunkPool::slots_within(&gpu.device.limits(), requested);
     let size = (options.projection.width, options.projection.height);
     let mut streamer = WorldStreamer::new(stream, slots).with_vertical_scale(options.vertical_scale);
-    fill(&mut streamer)?;
+    fill(&mut streamer, &mut options)?;
     let mut renderer = Renderer::with_materials(
         &gpu,
         &RenderOptions {
@@ -253,15 +256,20 @@ fn draw<F: ChunkStream>(
 /// Polls the stream until the view is complete.
 fn fill(
     streamer: &mut WorldStreamer<impl ChunkStream>,
-    options: &Options,
+    options: &mut Options,
     started: Instant,
     progress: &mut impl FnMut(&Progress),
 ) -> Result<(), HeadlessError> {
-    let view = options.view(0, streamer.cache());
+    let mut view = options.view(0, streamer.cache());
     let mut lost = None;
     loop {
         // There is no renderer yet: it uploads everything at once when it is created.
         let selection = streamer.update(&view, started.elapsed(), 64, |_| ());
+        if let Some(land) = streamer.cache().land().filter(|_| options.follows_world) {
+            (options.follows_world, options.pose) = (false, options.scene.start_in(land));
+            view = options.view(0, streamer.cache());
+            continue;
+        }
         if streamer.is_settled() && selection.is_complete() {
             return Ok(());
         }
@@ -328,7 +336,7 @@ impl Options {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::{StreamEvent, Traffic};
+    use crate::stream::{LocalStream, StreamEvent, Traffic};
     use std::collections::VecDeque;
     use terrain::{ChunkKey, Land, WorldDigest};
 
@@ -369,12 +377,23 @@ mod tests {
     fn an_incomplete_view_names_a_lost_server() {
         let stats = |ends| {
             let mut streamer = WorldStreamer::new(Short::new(ends), 10);
-            let options = Options { timeout: Duration::from_millis(50), ..Options::default() };
-            fill(&mut streamer, &options, Instant::now(), &mut |_| ()).unwrap_err().to_string()
+            let mut options = Options { timeout: Duration::from_millis(50), ..Options::default() };
+            fill(&mut streamer, &mut options, Instant::now(), &mut |_| ()).unwrap_err().to_string()
         };
         let gone = stats(true);
         assert!(gone.contains("1 chunks resident") && gone.contains("gone: start it again"), "{gone}");
         let slow = stats(false);
         assert!(slow.contains("--timeout") && !slow.contains("gone"), "{slow}");
+    }
+
+    #[test]
+    fn a_camera_may_start_where_the_announced_world_does() {
+        let other = Scene::Island.start_in(&Land::new(2));
+        for (follows_world, expected) in [(true, other), (false, Scene::Island.start())] {
+            let mut options = Options { follows_world, view_distance_m: 100, ..Options::default() };
+            let mut streamer = WorldStreamer::new(LocalStream::new(2), 1000);
+            fill(&mut streamer, &mut options, Instant::now(), &mut |_| ()).unwrap();
+            assert_eq!(options.pose, expected);
+        }
     }
 }

@@ -323,7 +323,7 @@ mod tests {
 
     #[test]
     fn every_codec_but_the_control_is_lossless_and_sizes_hold() {
-        let report = measure(&Options { turns: 3, chunks: 4, world_seed: 1, lerc: None }).unwrap();
+        let report = measure(&Options { turns: 3, chunks: 16, world_seed: 1, lerc: None }).unwrap();
         for row in &report.rows {
             assert_eq!(row.lossless, row.codec != LOSSY, "{}", row.codec);
         }
@@ -349,7 +349,7 @@ mod tests {
 
     #[test]
     fn a_lossy_codec_and_a_control_that_holds_are_errors() {
-        let good = measure(&Options { turns: 3, chunks: 2, world_seed: 1, lerc: None }).unwrap();
+        let good = measure(&Options { turns: 3, chunks: 16, world_seed: 1, lerc: None }).unwrap();
         verdict(&good).unwrap();
         let spoiled = |spoil: fn(&mut Row), codec: &str| {
             let mut report = good.clone();

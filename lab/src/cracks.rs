@@ -33,8 +33,9 @@ const VIEW_DISTANCE_M: u32 = 4_000;
 /// Share of the view distance within which a ray must have met land; beyond, the land ends.
 const SURE_SHARE: f64 = 0.9;
 
-/// No land lies deeper, metres: the shelf of an island dips a little below the open sea floor.
-const LOWEST_M: f64 = (SEA_FLOOR_M + 16) as f64;
+/// No land lies deeper, metres: fine octaves dip the floor of an island's shelf below that of the
+/// open sea.
+const LOWEST_M: f64 = (SEA_FLOOR_M + 23) as f64;
 
 /// Least height of an eye over the drawn ground, metres: the near plane must not cut the ground
 /// beside it.

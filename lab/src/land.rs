@@ -24,7 +24,6 @@ use crate::{Outputs, note};
 use ::bars::Bar;
 use anyhow::{Result, bail};
 use centres::{Peak, Square};
-use client::scene::Scene;
 use controls::Controls;
 use field::{SPACING_M, Window, place};
 use rayon::prelude::*;
@@ -33,7 +32,6 @@ use serde_json::{Map, Value, json};
 use shape::{EVERY_M, Figures, Shape};
 use std::time::Instant;
 use terrain::Land;
-use terrain::constants::UNITS_PER_METRE;
 
 /// Vertices along a side of a window that are measured (65.5 km), and around them (8.2 km): an
 /// island whose centroid is measured may reach so far.
@@ -107,10 +105,14 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let (report, shape) = pool.install(|| measure(options));
     publish(&report, bars::rows, bars::notes, "/adapter", outputs)?;
     if let Some(folder) = &outputs.out {
-        for seed in 0..u64::from(options.seeds).min(DRAWN) {
-            let land = Land::new(seed);
-            pictures::relief(folder, &land, start(&land))?;
-        }
+        let worlds = (0..u64::from(options.seeds).min(DRAWN)).map(Land::new);
+        let worlds: Vec<_> = worlds
+            .map(|land| {
+                let start = start(&land);
+                (land, start)
+            })
+            .collect();
+        pictures::relief(folder, &worlds)?;
         pictures::charts(folder, &shape.surface)?;
     }
     verdict(&bars::rows(&serde_json::to_value(report)?))
@@ -125,11 +127,10 @@ fn verdict(rows: &[Bar]) -> Result<()> {
     Ok(())
 }
 
-/// The place under the eye with which the viewer starts, units. The same in every world.
-fn start(_: &Land) -> (i32, i32) {
-    let eye = Scene::Island.start().position_m;
-    let units = |metres: f64| (metres * f64::from(UNITS_PER_METRE)) as i32;
-    (units(eye.x), units(eye.z))
+/// Where a visitor of the world starts, units.
+fn start(land: &Land) -> (i32, i32) {
+    let start = land.start();
+    (start.x, start.z)
 }
 
 fn measure(options: &Options) -> (Report, Shape) {

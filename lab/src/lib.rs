@@ -26,6 +26,7 @@ mod land;
 pub mod lod;
 mod options;
 mod outputs;
+pub mod places;
 pub mod pom;
 mod probe_pass;
 mod reference_f64;

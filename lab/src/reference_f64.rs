@@ -1,180 +1,140 @@
 //! The height formula in f64: the reference of the integers.
 //!
-//! The choices (gradients, islands) are the land's own integers, through its public hash; every
-//! number that follows from them is real arithmetic. An f64 keeps 52 bits of values below 512 m, so
-//! its own error is below a nanometre. Positions are integers (units), and cell and fraction are
-//! cut from them as integers, so the reference is as good at the border of the world as at the
-//! origin.
+//! The choices (gradients, islands with their axes and masses) are the land's own integers, through
+//! its public hash and archipelago; every number that follows from them is real arithmetic. An f64
+//! keeps 52 bits of values below 2,048 m, so its own error is below a nanometre but for the few
+//! steps that amplify it. Positions are integers (units), and cells and fractions are cut from them
+//! as integers, so the reference is as good at the border of the world as at the origin.
 //!
-//! The formula, for octaves `o` of cell `c = 1024 m / 2^o` and amplitude `a = 128 m / 2^o`, with
-//! `t` the fraction in a cell and `s = 6t⁵ - 15t⁴ + 10t³` its fade:
-//!
-//! ```text
-//! line = [t (1 - s), (t - 1) s]      step = [s - 1, -s]  (negated, as the integers keep them)
-//! noise = sum over corners (i, j) of  gx line_i(x) step_j(z) + gz step_i(x) line_j(z)
-//! hills = sum of a noise;  folds = octaves 1 and 2 of it
-//! w = max(0, 1 - d²/r²)²;  ease(w) = 1 - (1 - w)²
-//! raw = dome w + hills ease(w) + 64 m max(0, 1 - |folds| / 64 m)² w² - 64 m
-//! height = raw, or within 8 m of the sea (r = raw / 8 m):  8 m (0.2 r + 1.6 r³ - 0.8 r⁵)
-//! ```
+//! Where an integer ends one step below a limit (a share below 1), the reference takes the limit.
+//! It follows the integers' choice between the spline of nodes and the field itself. The formula is
+//! in [`formula`], its noises in [`noise`]; both take any kind of number ([`real`]), so that
+//! [`crate::floats`] and the bounds of the stability sweep follow the same text.
 
+pub mod formula;
+pub mod noise;
+pub mod real;
+
+pub use noise::{amplitude_m, cell_m};
+
+use formula::{Node, Place, Stages, World};
+use noise::{Cut, FineOctave, Sample, Turned};
 use terrain::Octaves;
-use terrain::constants::{
-    BEACH_M, FIRST_AMPLITUDE_BITS, FIRST_CELL_BITS, GRADIENT_BITS, GRADIENTS, OCTAVE_SHIFT, OCTAVES, RIDGE_M,
-    SEA_FLOOR_M, UNITS_PER_METRE,
-};
-use terrain::hash::{hash2, stream_seed};
-use terrain::island::{Archipelago, Island};
+use terrain::constants::{FIRST_CELL_BITS, OCTAVE_SHIFT, UNITS_PER_METRE};
+use terrain::spline::CELL_BITS;
 
 /// The land of a seed in f64.
 #[derive(Clone, Copy, Debug)]
 pub struct ReferenceF64 {
-    seeds: [u32; OCTAVES],
-    archipelago: Archipelago,
-    /// Rounds every weight to so many fraction bits: a control that must miss the bars. None for
-    /// the reference.
-    weight_bits: Option<u32>,
+    world: World,
 }
 
-/// The fractal sum at a point, metres.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FractalSum {
-    /// Sum of the octaves kept.
-    pub hills_m: f64,
-    /// Octaves 1 and 2 of it.
-    pub folds_m: f64,
-}
-
-/// The weights of the two sides of a cell, low side first.
-struct Weights {
-    line: [f64; 2],
-    step: [f64; 2],
+/// A position (units), exact.
+#[derive(Clone, Copy, Debug)]
+pub struct Exact {
+    /// East.
+    pub x: i32,
+    /// South.
+    pub z: i32,
 }
 
 impl ReferenceF64 {
     /// The reference about a world.
     pub fn new(world_seed: u64) -> Self {
-        Self {
-            seeds: std::array::from_fn(|octave| stream_seed(world_seed, octave as u32)),
-            archipelago: Archipelago::new(world_seed),
-            weight_bits: None,
-        }
+        Self { world: World::new(world_seed) }
     }
 
-    /// The same formula with every weight rounded to `bits` fraction bits: a control.
+    /// The same formula with every weight of the fine octaves rounded to `bits` fraction bits: a
+    /// control.
     pub fn with_coarse_weights(self, bits: u32) -> Self {
-        Self { weight_bits: Some(bits), ..self }
+        Self { world: World { weight_bits: Some(bits), ..self.world } }
+    }
+
+    /// The same formula with the base field at every point, never its spline: a control.
+    pub fn without_spline(self) -> Self {
+        Self { world: World { is_direct: true, ..self.world } }
+    }
+
+    /// The formula and its seeds.
+    pub fn world(&self) -> &World {
+        &self.world
     }
 
     /// The height of a point (units), metres.
     pub fn height_m(&self, x: i32, z: i32, octaves: Octaves) -> f64 {
-        let Some(island) = self.archipelago.island_at(x, z) else { return -f64::from(SEA_FLOOR_M) };
-        let weight = falloff(&island, x, z);
-        if weight == 0.0 {
-            return -f64::from(SEA_FLOOR_M);
-        }
-        let FractalSum { hills_m, folds_m } = self.fractal_sum(x, z, octaves);
-        let dome_m = f64::from(island.dome_m) * weight;
-        let crest = (1.0 - folds_m.abs() / f64::from(RIDGE_M)).max(0.0);
-        let ridge_m = f64::from(RIDGE_M) * crest * crest * weight * weight;
-        beach_m(dome_m + hills_m * ease_out(weight) + ridge_m - f64::from(SEA_FLOOR_M))
+        self.world.height(Exact { x, z }, &self.world.lobes(x, z), octaves)
     }
 
-    /// The fractal sum at a point (units).
-    pub fn fractal_sum(&self, x: i32, z: i32, octaves: Octaves) -> FractalSum {
-        let mut relief = FractalSum::default();
-        for octave in 0..octaves.count() {
-            let value_m = amplitude_m(octave) * self.noise(octave, x, z);
-            relief.hills_m += value_m;
-            if octave == 1 || octave == 2 {
-                relief.folds_m += value_m;
-            }
-        }
-        relief
+    /// The base field of a point (units), directly, and the steps to it.
+    pub fn node(&self, x: i32, z: i32, octaves: Octaves) -> (Node<f64>, Stages<f64>) {
+        self.world.node(Exact { x, z }, &self.world.lobes(x, z), octaves.base())
     }
 
-    /// One octave of amplitude 1.
-    fn noise(&self, octave: usize, x: i32, z: i32) -> f64 {
+    /// The sum of the fine octaves at a point (units), metres.
+    pub fn fractal_sum(&self, x: i32, z: i32, octaves: Octaves) -> f64 {
+        self.world.fine_sum(Exact { x, z }, octaves)
+    }
+}
+
+impl Exact {
+    /// Cells and fractions on the lattice of a fine octave.
+    pub fn on_fine(self, octave: usize) -> [Cut<f64>; 2] {
         let (shift_x, shift_z) = OCTAVE_SHIFT[octave];
-        let ((cell_x, tx), (cell_z, tz)) = (lattice(octave, x, shift_x), lattice(octave, z, shift_z));
-        let (east, south) = (self.weights(tx), self.weights(tz));
-        let mut sum = 0.0;
-        for j in 0..2 {
-            for i in 0..2 {
-                let (gx, gz) = gradient(self.seeds[octave], cell_x + i as i32, cell_z + j as i32);
-                sum += gx * east.line[i] * south.step[j] + gz * east.step[i] * south.line[j];
-            }
-        }
-        sum
+        [(self.x, shift_x), (self.z, shift_z)]
+            .map(|(v, shift)| cut(i64::from(v) + i64::from(shift), FIRST_CELL_BITS - octave as u32))
     }
 
-    fn weights(&self, t: f64) -> Weights {
-        let s = fade(t);
-        let weights = Weights { line: [t * (1.0 - s), (t - 1.0) * s], step: [s - 1.0, -s] };
-        let Some(bits) = self.weight_bits else { return weights };
-        let scale = f64::from(1u32 << bits);
-        let coarse = |value: f64| (value * scale).round() / scale;
-        Weights { line: weights.line.map(coarse), step: weights.step.map(coarse) }
+    /// Coordinates on a turned lattice, in `[0, 2^32)`: they wrap.
+    pub fn turned_units(self, noise: &Turned) -> [i64; 2] {
+        let (x, z) = (i64::from(self.x), i64::from(self.z));
+        let turned =
+            if noise.is_high { [3 * x - 4 * z, 4 * x + 3 * z] } else { [4 * x - 3 * z, 3 * x + 4 * z] };
+        turned.map(|v| (v + i64::from(noise.shift)).rem_euclid(1 << 32))
+    }
+
+    /// Cells and fractions on a turned lattice.
+    pub fn on_turned(self, noise: &Turned) -> [Cut<f64>; 2] {
+        self.turned_units(noise).map(|v| cut(v, noise.bits))
     }
 }
 
-/// Amplitude of an octave, metres.
-pub fn amplitude_m(octave: usize) -> f64 {
-    f64::from((1u32 << FIRST_AMPLITUDE_BITS) >> octave)
-}
+impl Place for Exact {
+    type Real = f64;
 
-/// Lattice cell of an octave, metres.
-pub fn cell_m(octave: usize) -> f64 {
-    f64::from(1i32 << (FIRST_CELL_BITS - octave as u32)) / f64::from(UNITS_PER_METRE)
-}
-
-/// The quintic fade (Perlin, "Improving Noise", 2002).
-pub fn fade(t: f64) -> f64 {
-    t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
-}
-
-/// The gradient of a lattice point: a unit vector but for the rounding of the table.
-pub fn gradient(seed: u32, cell_x: i32, cell_z: i32) -> (f64, f64) {
-    let (x, z) = GRADIENTS[(hash2(seed, cell_x, cell_z) >> 27) as usize];
-    let scale = f64::from(1i32 << GRADIENT_BITS);
-    (f64::from(x) / scale, f64::from(z) / scale)
-}
-
-/// Cell and fraction of a coordinate (units) on an octave's lattice. Both exact.
-fn lattice(octave: usize, coordinate: i32, shift: i32) -> (i32, f64) {
-    let bits = FIRST_CELL_BITS - octave as u32;
-    let shifted = i64::from(coordinate) + i64::from(shift);
-    let inside = shifted & ((1 << bits) - 1);
-    ((shifted >> bits) as i32, inside as f64 / f64::from(1i32 << bits))
-}
-
-/// `(1 - d²/r²)²` inside an island, 0 from the rim on.
-pub fn falloff(island: &Island, x: i32, z: i32) -> f64 {
-    let metres = |v: i32, centre: i32| (f64::from(v) - f64::from(centre)) / f64::from(UNITS_PER_METRE);
-    let (dx, dz) = (metres(x, island.centre.0), metres(z, island.centre.1));
-    let inside = (1.0 - (dx * dx + dz * dz) / f64::from(island.radius_m).powi(2)).max(0.0);
-    inside * inside
-}
-
-/// `1 - (1 - w)²`.
-pub fn ease_out(weight: f64) -> f64 {
-    1.0 - (1.0 - weight) * (1.0 - weight)
-}
-
-/// The beach polynomial, metres in and out.
-pub fn beach_m(raw_m: f64) -> f64 {
-    let r = raw_m / f64::from(BEACH_M);
-    if r.abs() >= 1.0 {
-        return raw_m;
+    fn fine(self, octave: &FineOctave) -> f64 {
+        octave.at(self.on_fine(octave.index))
     }
-    f64::from(BEACH_M) * r * (0.2 + r * r * (1.6 - 0.8 * r * r))
+
+    fn turned(self, noise: &Turned) -> Sample<f64> {
+        noise.at(self.on_turned(noise))
+    }
+
+    fn beyond(self, centre: (i32, i32)) -> [f64; 2] {
+        [(self.x, centre.0), (self.z, centre.1)]
+            .map(|(v, centre)| (f64::from(v) - f64::from(centre)) / f64::from(UNITS_PER_METRE))
+    }
+
+    fn base(self) -> [Cut<f64>; 2] {
+        [self.x, self.z].map(|v| cut(v.into(), CELL_BITS))
+    }
+
+    fn node(self, [x, z]: [i32; 2]) -> Self {
+        let middle = |cell: i32| (cell << CELL_BITS) + (1 << (CELL_BITS - 1));
+        Self { x: middle(x), z: middle(z) }
+    }
+}
+
+/// Cell and fraction of a coordinate on a lattice of cells of `2^bits` units. Both exact.
+fn cut(coordinate: i64, bits: u32) -> Cut<f64> {
+    let inside = coordinate & ((1 << bits) - 1);
+    Cut { cell: (coordinate >> bits) as i32, fraction: inside as f64 / f64::from(1i32 << bits) }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::sample;
-    use terrain::constants::FINE_BITS;
+    use terrain::constants::{FINE_BITS, OCTAVES};
     use terrain::noise::Fbm;
     use terrain::{Land, Position};
 
@@ -183,14 +143,17 @@ mod tests {
         f64::from(fine) / f64::from(1i32 << FINE_BITS)
     }
 
+    fn worst(points: impl Iterator<Item = (i32, i32)>, apart: impl Fn(i32, i32) -> f64) -> f64 {
+        points.map(|(x, z)| apart(x, z).abs()).fold(0.0, f64::max)
+    }
+
     #[test]
     fn integers_on_vertices_are_within_1_128_m_of_the_reference() {
         let (land, reference) = (Land::new(42), ReferenceF64::new(42));
-        let mut worst: f64 = 0.0;
-        for (x, z) in sample::land_vertices(42, 20_000, 7) {
+        let worst = worst(sample::land_vertices(42, 20_000, 7), |x, z| {
             let integer = f64::from(land.height_at(Position::new(x, z).unwrap())) / 256.0;
-            worst = worst.max((integer - reference.height_m(x, z, Octaves::ALL)).abs());
-        }
+            integer - reference.height_m(x, z, Octaves::ALL)
+        });
         assert!(worst < 1.0 / 128.0, "{worst} m");
         assert!(
             worst > 0.4 / 256.0,
@@ -199,28 +162,52 @@ mod tests {
     }
 
     #[test]
-    fn the_fractal_sum_agrees_for_every_octave_count() {
-        let (fbm, reference) = (Fbm::new(3), ReferenceF64::new(3));
+    fn integers_agree_for_every_octave_count() {
+        let (land, reference) = (Land::new(7), ReferenceF64::new(7));
         for octaves in (0..=OCTAVES).map(|count| Octaves::new(count).unwrap()) {
-            for (x, z) in sample::world_points(2_000, octaves.count() as u32) {
-                let (got, exact) = (fbm.at(x, z, octaves), reference.fractal_sum(x, z, octaves));
-                assert!((fine_m(got.hills) - exact.hills_m).abs() < 0.003, "({x}, {z})");
-                assert!((fine_m(got.folds) - exact.folds_m).abs() < 0.003, "({x}, {z})");
-            }
+            let worst = worst(sample::land_points(7, 2_000, octaves.count() as u32), |x, z| {
+                let integer = land.height_keeping(Position::new(x, z).unwrap(), octaves);
+                f64::from(integer) / 256.0 - reference.height_m(x, z, octaves)
+            });
+            assert!(worst < 1.0 / 128.0, "{octaves:?}: {worst} m");
         }
     }
 
     #[test]
-    fn coarse_weights_and_another_seed_are_far_from_the_reference() {
+    fn the_base_field_agrees_before_coasts() {
+        let (land, reference) = (Land::new(8), ReferenceF64::new(8));
+        let (mut height, mut roughness) = (0.0f64, 0.0f64);
+        for (x, z) in sample::land_points(8, 10_000, 3) {
+            let got = land.base().at(&reference.world.lobes(x, z), (x, z), 4);
+            let (node, _) = reference.node(x, z, Octaves::ALL);
+            height = height.max((fine_m(got.height) - node.height).abs());
+            roughness = roughness.max((f64::from(got.roughness) / 32768.0 - node.roughness).abs());
+        }
+        assert!(height < 0.002 && roughness < 0.000_2, "{height} m, roughness {roughness}");
+        assert!(height > 0.000_01, "{height} m would mean that the integers were not looked at");
+    }
+
+    #[test]
+    fn the_fractal_sum_agrees_for_every_octave_count() {
+        let (fbm, reference) = (Fbm::new(3), ReferenceF64::new(3));
+        for octaves in (0..=OCTAVES).map(|count| Octaves::new(count).unwrap()) {
+            let worst = worst(sample::world_points(2_000, octaves.count() as u32), |x, z| {
+                fine_m(fbm.at(x, z, octaves)) - reference.fractal_sum(x, z, octaves)
+            });
+            assert!(worst < 0.001, "{octaves:?}: {worst} m");
+        }
+    }
+
+    #[test]
+    fn controls_and_another_seed_are_far_from_the_reference() {
         let reference = ReferenceF64::new(42);
         let apart = |other: ReferenceF64| {
-            sample::land_vertices(42, 2_000, 9)
-                .map(|(x, z)| {
-                    (reference.height_m(x, z, Octaves::ALL) - other.height_m(x, z, Octaves::ALL)).abs()
-                })
-                .fold(0.0, f64::max)
+            worst(sample::land_vertices(42, 2_000, 9), |x, z| {
+                reference.height_m(x, z, Octaves::ALL) - other.height_m(x, z, Octaves::ALL)
+            })
         };
         assert!(apart(reference.with_coarse_weights(10)) > 1.0 / 128.0);
+        assert!(apart(reference.without_spline()) > 1.0);
         assert!(apart(ReferenceF64::new(43)) > 10.0);
         assert!(apart(reference) == 0.0);
     }

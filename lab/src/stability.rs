@@ -1,10 +1,10 @@
 //! `tombolo-lab stability`: the land at borders of the world and of lattice cells.
 //!
 //! Sweeps every line where an implementation could break and compares every step with a proved
-//! bound ([`bounds`], [`samples`], [`continuity`]), checks that seams are zero at every level and
-//! that no height depends on its chunk or grid ([`seams`]), and that remainders and lattice cells are
-//! right at both signs ([`arithmetic`]). Then it shows what float noise does at the same distances
-//! ([`floats`]).
+//! bound ([`bounds`], [`samples`], [`edges`], [`thresholds`], [`continuity`]), checks that seams are
+//! zero at every level and that no height depends on its chunk or grid ([`seams`]), and that
+//! remainders and lattice cells are right at both signs ([`arithmetic`]). Then it shows what float
+//! noise does at the same distances ([`floats`]).
 //!
 //! Every sweep also runs on a control that must fail; a control that passes is an error.
 
@@ -13,25 +13,28 @@ mod baselines;
 mod bounds;
 mod check;
 mod continuity;
+mod edges;
 mod floats;
 mod report;
 mod samples;
 mod seams;
+mod thresholds;
 
 use crate::Outputs;
 use crate::floats::{FloatLand, metres_f32};
 use crate::reference_f64::ReferenceF64;
 use anyhow::{Context, Result, anyhow};
 use check::Check;
+use continuity::Heights;
 use report::Report;
 use std::io::Write;
-use terrain::constants::{OCTAVE_SHIFT, UNITS_PER_METRE};
-use terrain::{Land, Octaves, Position};
+use terrain::constants::{FINE_OCTAVES, OCTAVE_SHIFT, UNITS_PER_METRE};
+use terrain::{Land, Position};
 
 /// Options of `stability`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// Worlds to sweep, seeds 0 to N - 1, 1 to 1000; their land at the corners of the world differs
+    /// Worlds to sweep, seeds 0 to N - 1, 1 to 1000, and always those of the seeds 2^63 and 2^64 - 1
     #[arg(long, value_name = "N", default_value_t = 8,
           value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub worlds: u32,
@@ -56,7 +59,8 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
 
 /// Measures everything over so many worlds.
 pub fn measure(worlds: u32) -> Report {
-    let mut checks = continuity::sweep(worlds, integers);
+    let seeds: Vec<u64> = (0..u64::from(worlds)).chain([1 << 63, u64::MAX]).collect();
+    let mut checks = continuity::sweep(&seeds, integers);
     let seams = (0..u64::from(worlds.min(2))).map(|seed| seams::check(&Land::new(seed)));
     let seams = seams.reduce(|all, one| all.into_iter().zip(one).map(|(a, b)| a.merged(b)).collect());
     checks.extend(seams.unwrap_or_default());
@@ -68,21 +72,24 @@ pub fn measure(worlds: u32) -> Report {
 fn controls() -> Vec<Check> {
     // f32 is fine at vertices, whose coordinates it holds exactly up to 2^24 vertices; between them
     // it is not.
-    let of_f32 = continuity::sweep(1, |seed| {
+    const METRE: f64 = UNITS_PER_METRE as f64;
+    let of_f32 = continuity::sweep(&[0], |seed| {
         let land = FloatLand::new(seed);
-        Box::new(move |x, z| {
-            f64::from(land.height_m(metres_f32(x), metres_f32(z))) * f64::from(UNITS_PER_METRE)
-        })
+        Box::new(move |x, z, _| f64::from(land.height_m(metres_f32(x), metres_f32(z))) * METRE)
     });
-    let of_coarse = continuity::sweep(1, |seed| {
+    let of_coarse = continuity::sweep(&[0], |seed| {
         let reference = ReferenceF64::new(seed).with_coarse_weights(10);
-        Box::new(move |x, z| reference.height_m(x, z, Octaves::ALL) * f64::from(UNITS_PER_METRE))
+        Box::new(move |x, z, octaves| reference.height_m(x, z, octaves) * METRE)
     });
-    let of_torn = continuity::sweep(1, |seed| {
+    let of_direct = continuity::sweep(&[0], |seed| {
+        let reference = ReferenceF64::new(seed).without_spline();
+        Box::new(move |x, z, octaves| reference.height_m(x, z, octaves) * METRE)
+    });
+    let of_torn = continuity::sweep(&[0], |seed| {
         let whole = integers(seed);
         // One lattice line of the last octave, torn by 4 cm.
-        let line = (1 << 11) - OCTAVE_SHIFT[7].0;
-        Box::new(move |x, z| whole(x, z) + if x >= line { 10.0 } else { 0.0 })
+        let line = (1 << 11) - OCTAVE_SHIFT[FINE_OCTAVES - 1].0;
+        Box::new(move |x, z, octaves| whole(x, z, octaves) + if x >= line { 10.0 } else { 0.0 })
     });
     let named = |checks: &[Check], index: usize, what: &str| {
         let check = checks[index].clone();
@@ -92,14 +99,19 @@ fn controls() -> Vec<Check> {
         named(&of_f32, 0, "our formula in f32"),
         named(&of_f32, 3, "our formula in f32"),
         named(&of_coarse, 2, "weights of 10 bits"),
+        named(&of_direct, 2, "never a spline"),
         named(&of_torn, 0, "torn by 4 cm along a line"),
+        named(&of_torn, 5, "torn by 4 cm along a line"),
         seams::control(),
         arithmetic::truncating_control(),
     ]
 }
 
 /// The land as a height function of the sweeps.
-fn integers(seed: u64) -> Box<dyn Fn(i32, i32) -> f64> {
+fn integers(seed: u64) -> Heights {
     let land = Land::new(seed);
-    Box::new(move |x, z| f64::from(land.height_at(Position::new(x, z).expect("steps stay in the world"))))
+    Box::new(move |x, z, octaves| {
+        let position = Position::new(x, z).expect("steps stay in the world");
+        f64::from(land.height_keeping(position, octaves))
+    })
 }

@@ -231,7 +231,7 @@ mod tests {
     }
 
     fn view(id: u32, index: u32, distance_m: u32) -> View {
-        let pose = FlightPath::new(PathKind::Fly, 1, index).pose(&land(), f64::from(id));
+        let pose = FlightPath::new(PathKind::Fly, 1, index, land().start()).pose(&land(), f64::from(id));
         view_of(id, &pose, distance_m)
     }
 

@@ -6,7 +6,6 @@ mod connection;
 use crate::checker::ChunkChecker;
 use crate::dial::Dial;
 use crate::keys::Keys;
-use crate::path::FlightPath;
 use crate::schedule::{Action, Schedule};
 use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SessionEnd, Task};
 use crate::verify;
@@ -93,7 +92,7 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
         let land = verify::announced(world.world_seed, world.generator_version, digest)
             .map_err(|mismatch| SessionEnd::Wrong(mismatch.to_string()))?;
         task.counters.admitted();
-        let path = FlightPath::new(config.path, config.seed, task.index);
+        let path = task.path(&land);
         let sample = (config.verify_every, task.index);
         Ok(Self {
             task,

@@ -11,12 +11,15 @@ use crate::session::{connect, transmit, view_of};
 use crate::task::{SessionEnd, Task};
 use protocol::CloseCode;
 use protocol::client::{ClientConfig, ClientSession};
-use terrain::Land;
+use terrain::{Land, Start};
 use tokio::io::{AsyncRead, AsyncReadExt};
 use tokio::time::timeout_at;
 
 /// Credit of a client with a view: enough that the server has chunks to send.
 const WINDOW: u32 = 64;
+
+/// Where its path begins: it sends one view only, and the Welcome that names the world is not read.
+const ANYWHERE: Start = Start { x: 0, z: 0, inland: (i16::MAX as i32, 0) };
 
 /// Bytes read at once.
 const BUFFER: usize = 4096;
@@ -43,7 +46,7 @@ async fn stay_idle<D: Dial>(task: &Task<'_, D>) -> Result<String, SessionEnd> {
             software: SOFTWARE.into(),
             window: WINDOW,
         });
-        let path = FlightPath::new(task.config.path, task.config.seed, task.index);
+        let path = FlightPath::new(task.config.path, task.config.seed, task.index, ANYWHERE);
         // Any land serves: the height of the pose does not matter.
         session.set_view(view_of(0, &path.pose(&Land::new(0), 0.0), task.config.view_distance_m));
         transmit(&mut socket, &mut session).await.map_err(SessionEnd::Lost)?;

@@ -13,7 +13,7 @@ use clap::ValueEnum;
 use std::f64::consts::TAU;
 use terrain::constants::UNITS_PER_METRE;
 use terrain::hash::{hash2, mix};
-use terrain::{Land, Position};
+use terrain::{Land, Position, Start};
 
 /// How clients move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -24,7 +24,8 @@ pub enum PathKind {
     Fly,
     /// A new position on the island about every 2 s, at different times for each client
     Teleport,
-    /// All start at one position at the same time, stay for 3 s and then disperse at 10 to 40 m/s
+    /// All begin on the shore where the viewer begins, stay for 3 s and then disperse inland at 10
+    /// to 40 m/s
     Spawn,
 }
 
@@ -45,8 +46,9 @@ impl PathKind {
 }
 
 /// Centres of paths are within this distance of the origin on each axis, metres. With the farthest
-/// that a path leads from its middle (2,500 m) it stays over the home island (6,656 m).
-const REACH_M: f64 = 3_000.0;
+/// that a path leads from its middle (2,500 m) it stays where the home island of every world may lie
+/// (4,540 m on each axis).
+const REACH_M: f64 = 2_000.0;
 
 /// Height of a standing person's eyes, metres.
 const EYES_M: f64 = 1.7;
@@ -121,9 +123,10 @@ enum Course {
 }
 
 impl FlightPath {
-    /// The path of client `index`. The same three arguments give the same path.
+    /// The path of client `index` in a world that begins at a start. The same arguments give the
+    /// same path.
     #[must_use]
-    pub fn new(kind: PathKind, seed: u32, index: u32) -> Self {
+    pub fn new(kind: PathKind, seed: u32, index: u32, start: Start) -> Self {
         let random = PathRandom(hash2(mix(seed), index as i32, 0x70));
         let (course, clearance_m) = match kind {
             PathKind::Walk => (Course::Walk(walk::Round::new(random)), EYES_M),
@@ -131,8 +134,7 @@ impl FlightPath {
             PathKind::Teleport => {
                 (Course::Teleport(teleport::Stays::new(random)), random.between(3, 10.0, 200.0))
             }
-            // All clients share the position; the direction is that of the client.
-            PathKind::Spawn => (Course::Spawn(spawn::Dispersal::new(PathRandom(mix(seed)), random)), EYES_M),
+            PathKind::Spawn => (Course::Spawn(spawn::Dispersal::new(start, random)), EYES_M),
         };
         Self { course, clearance_m }
     }
@@ -175,7 +177,9 @@ fn units(metres: f64) -> i32 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use terrain::constants::{HOME_RADIUS_STEPS, ISLAND_RADIUS_STEP_M};
+    use std::sync::LazyLock;
+
+    static START: LazyLock<Start> = LazyLock::new(|| Land::new(1).start());
 
     fn kinds() -> impl Strategy<Value = PathKind> {
         prop::sample::select(PathKind::ALL.to_vec())
@@ -187,7 +191,7 @@ mod tests {
             kind in kinds(), seed: u32, index in 0..100_000u32, seconds in 0.0..86_400.0f64,
         ) {
             let land = Land::new(1);
-            let pose = |index| FlightPath::new(kind, seed, index).pose(&land, seconds);
+            let pose = |index| FlightPath::new(kind, seed, index, *START).pose(&land, seconds);
             prop_assert_eq!(pose(index), pose(index));
             // Only at the spawn point do clients share a position.
             if kind != PathKind::Spawn {
@@ -200,10 +204,10 @@ mod tests {
             kind in kinds(), seed: u32, index in 0..100_000u32, seconds in 0.0..86_400.0f64,
         ) {
             let land = Land::new(1);
-            let radius_m = f64::from(HOME_RADIUS_STEPS) * f64::from(ISLAND_RADIUS_STEP_M);
-            let path = FlightPath::new(kind, seed, index);
+            let path = FlightPath::new(kind, seed, index, *START);
             let (east, south) = path.place_m(seconds);
-            prop_assert!(east.hypot(south) <= radius_m + 100.0, "{east} {south}");
+            prop_assert!(east.hypot(south) <= 6_400.0, "{east} {south}");
+            prop_assert!(!land.archipelago().is_open_sea(units(east), units(south), 0), "{east} {south}");
             let pose = path.pose(&land, seconds);
             let ground = land.height_at(Position::new(pose.eye[0], pose.eye[2]).unwrap());
             prop_assert!(pose.eye[1] >= ground.max(0) + units(EYES_M));
@@ -213,7 +217,7 @@ mod tests {
         fn velocity_is_the_motion_between_poses_and_yaw_points_along_it(
             kind in kinds(), seed: u32, index in 0..1000u32, seconds in 0.0..1000.0f64,
         ) {
-            let path = FlightPath::new(kind, seed, index);
+            let path = FlightPath::new(kind, seed, index, *START);
             let (now, next) = (path.motion(seconds), path.motion(seconds + 1e-3));
             // At the end of a leg or stay the motion changes between the two poses.
             let is_curved = kind == PathKind::Fly || kind == PathKind::Spawn;

@@ -11,8 +11,9 @@ use crate::report::Report;
 use crate::run_stats::RunStats;
 use crate::task::Task;
 use crate::{idle, slow};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
+use terrain::Start;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 
@@ -35,7 +36,7 @@ pub async fn run_counting(config: LoadConfig, stats: Arc<RunStats>) -> Report {
 pub async fn run_over<D: Dial>(dial: D, config: LoadConfig, stats: Arc<RunStats>) -> Report {
     let (regeneration, comparing) = Regeneration::start();
     let started = Instant::now();
-    let shared = Arc::new(Shared { config, dial, stats, started });
+    let shared = Arc::new(Shared { config, dial, stats, started, start: OnceLock::new() });
     let mut clients = JoinSet::new();
     for index in 0..shared.config.clients {
         clients.spawn(run_measured(Arc::clone(&shared), regeneration.clone(), index));
@@ -66,6 +67,8 @@ struct Shared<D> {
     dial: D,
     stats: Arc<RunStats>,
     started: Instant,
+    /// Start of the world, as the first client found it.
+    start: OnceLock<Start>,
 }
 
 impl<D> Shared<D> {
@@ -92,12 +95,13 @@ impl<D> Shared<D> {
             epoch: self.started + step * index,
             end: self.started + self.stats.duration(),
             read_rate: None,
+            start: &self.start,
         }
     }
 }
 
 async fn run_measured<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneration, index: u32) {
-    let Shared { config, dial, stats, started } = &*shared;
+    let Shared { config, dial, stats, started, start } = &*shared;
     let mut etags = EtagCache::default();
     for (phase, counters) in &stats.phases {
         let at_once = config.path == PathKind::Spawn;
@@ -105,7 +109,7 @@ async fn run_measured<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneratio
         let end = *started + phase.end();
         sleep_until(epoch).await;
         let regeneration = &regeneration;
-        let task = Task { index, config, dial, counters, regeneration, epoch, end, read_rate: None };
+        let task = Task { index, config, dial, counters, regeneration, epoch, end, read_rate: None, start };
         client::run(&task, &mut etags).await;
     }
 }

@@ -86,7 +86,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         let land = verify::world(&welcome).map_err(|mismatch| SessionEnd::Wrong(mismatch.to_string()))?;
         task.counters.admitted();
         let sample = (config.verify_every, task.index);
-        let path = FlightPath::new(config.path, config.seed, task.index);
+        let path = task.path(&land);
         Ok(Self {
             task,
             socket,

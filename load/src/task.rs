@@ -2,9 +2,11 @@
 
 use crate::config::LoadConfig;
 use crate::counters::Counters;
+use crate::path::FlightPath;
 use crate::regeneration::Regeneration;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
+use terrain::{Land, Start};
 use tokio::time::Instant;
 
 /// Timeout of a connection with its handshake, and again of the Welcome.
@@ -33,6 +35,18 @@ pub struct Task<'a, D> {
     pub end: Instant,
     /// Limit of the read rate, bytes a second.
     pub read_rate: Option<u32>,
+    /// Start of the world that the server announced first.
+    pub start: &'a OnceLock<Start>,
+}
+
+impl<D> Task<'_, D> {
+    /// The client's path. Searches the start of the world (milliseconds) for the first client of a
+    /// run only.
+    #[must_use]
+    pub fn path(&self, land: &Land) -> FlightPath {
+        let start = *self.start.get_or_init(|| land.start());
+        FlightPath::new(self.config.path, self.config.seed, self.index, start)
+    }
 }
 
 /// How one session ended.

@@ -10,12 +10,12 @@ use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInn
 use crate::layout::{
     Atmosphere, BAKE_WORKGROUP, BLOCK_LIST, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe,
     CLEARANCE_RANGE, CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ChunkWords, ConeOrder, Culling, EMPTY_LINK,
-    FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_TILT, GRID_NODES, LEAF, MASK_BEGIN,
-    MATERIALS, MAX_MIP_WORKGROUP, MaxMipReduction, OccluderChunk, OcclusionNode, PATTERN_PERIOD_M,
-    PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult,
-    RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE, SUN_RADIUS, ShadowTarget, SunParams,
-    TILING_WORKGROUP, TerrainInstance, TilingProbe, VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP,
-    WaveProbe, World,
+    FILL_NODES, FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_TILT, GRID_NODES, LEAF,
+    MASK_BEGIN, MATERIALS, MAX_MIP_WORKGROUP, MaxMipReduction, NOISE_OCTAVES, OccluderChunk, OcclusionNode,
+    PATTERN_PERIOD_M, PROBE_COARSE_OCTAVES, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting,
+    PomObject, PomParams, PomProbe, PomResult, RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE,
+    SUN_RADIUS, ShadowTarget, SunParams, TILING_WORKGROUP, TerrainInstance, TilingProbe, VISIBILITY_WORDS,
+    WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -128,13 +128,17 @@ fn reflected(shader: &Shader, name: &str) -> (Vec<(String, usize)>, usize) {
 #[test]
 fn worlds_and_chunk_fills_have_the_layout_of_the_shaders() {
     let world = [
-        ("octave_seeds".to_owned(), offset_of!(World, octave_seeds)),
+        ("fine_seeds".to_owned(), offset_of!(World, fine_seeds)),
+        ("lattice_seeds".to_owned(), offset_of!(World, lattice_seeds)),
         ("archipelago_seed".to_owned(), offset_of!(World, archipelago_seed)),
     ];
     for shader in [&SHADERS.fill_chunks, &SHADERS.probe_heights, &SHADERS.probe_heights_float] {
         assert_eq!(reflected(shader, "World"), (world.to_vec(), size_of::<World>()), "{}", shader.name);
         let (module, _) = validate(shader.name, shader.wgsl).unwrap();
-        assert_eq!(module.entry_points[0].workgroup_size, [FILL_WORKGROUP, 1, 1], "{}", shader.name);
+        let filling = module.entry_points.iter().filter(|entry| entry.name != "fill_pyramids");
+        for entry in filling {
+            assert_eq!(entry.workgroup_size, [FILL_WORKGROUP, 1, 1], "{}", entry.name);
+        }
     }
     let fill = [
         ("x".to_owned(), offset_of!(ChunkFill, x)),
@@ -143,6 +147,11 @@ fn worlds_and_chunk_fills_have_the_layout_of_the_shaders() {
         ("octaves".to_owned(), offset_of!(ChunkFill, octaves)),
     ];
     assert_eq!(reflected(&SHADERS.fill_chunks, "ChunkFill"), (fill.to_vec(), size_of::<ChunkFill>()));
+    assert!(SHADERS.fill_chunks.wgsl.contains(&format!("FILL_NODES: u32 = {FILL_NODES}u;")));
+    for shader in [&SHADERS.probe_heights, &SHADERS.probe_heights_float] {
+        let coarse = format!("COARSE_OCTAVES: u32 = {PROBE_COARSE_OCTAVES}u;");
+        assert!(shader.wgsl.contains(&coarse), "{}", shader.name);
+    }
 }
 
 /// Asserts that a struct of a shader has the members of a Rust struct where that has them.
@@ -511,7 +520,7 @@ fn culling_data_has_the_layout_of_the_shaders() {
             corner,
             frame,
             archipelago_seed,
-            octave_seeds,
+            land_seeds,
             stretch,
         );
         assert_same_layout!(
@@ -552,6 +561,8 @@ fn culling_data_has_the_layout_of_the_shaders() {
     for shader in [&SHADERS.cull_blocks, &SHADERS.cull_clumps] {
         assert!(shader.wgsl.contains(&format!("BLOCK_LIST: u32 = {BLOCK_LIST}u")), "{}", shader.name);
     }
+    let octaves = format!("OCTAVES_OF_NOISE: u32 = {NOISE_OCTAVES}u;");
+    assert!(SHADERS.cull_clumps.wgsl.contains(&octaves));
     for shader in [&SHADERS.cull_clumps, &SHADERS.scan_plants] {
         for constant in [
             format!("VISIBILITY_WORDS: u32 = {VISIBILITY_WORDS}u"),

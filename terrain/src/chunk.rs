@@ -9,18 +9,15 @@ use crate::lod;
 use crate::pyramid::Pyramid;
 use crate::simd::{self, Kernel};
 
-/// Levels below a chunk's own that its error is measured over; [`Chunk::error`] is exact up to this
-/// level.
-pub const MEASURED_DEPTH: u8 = 3;
+pub use crate::triangles::drawn_height_scaled;
 
 /// One chunk of the land.
 ///
 /// A vertex is the height at its place with the octaves that its level carries
 /// ([`Octaves::at_level`]): levels 0 to 2 share every octave and so agree bit for bit where they
-/// share a vertex, coarser ones up to [`Octaves::dropped_bound`].
+/// share a vertex.
 ///
 /// [`Octaves::at_level`]: crate::Octaves::at_level
-/// [`Octaves::dropped_bound`]: crate::Octaves::dropped_bound
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Chunk {
     /// Where and how coarse.
@@ -28,9 +25,8 @@ pub struct Chunk {
     /// Heights in units of 2^-8 m: row by row from the low corner, x fastest.
     pub heights: Box<[i32; VERTEX_COUNT]>,
     /// Bound, in units, of the vertical distance between this chunk's drawn triangles and any
-    /// level-0 vertex under them. Exact (measured) at levels 0 to [`MEASURED_DEPTH`]; above, the
-    /// measured distance to the level [`MEASURED_DEPTH`] below plus that level's own empirical
-    /// bound, which can exceed [`lod::level_error`].
+    /// level-0 vertex under them. Exact up to [`lod::MEASURED_LEVEL`], proved above
+    /// ([`lod::errors`]).
     pub error: u32,
     /// Upper bound of the gradient of the drawn triangles, Q8 (256 is 45 degrees), rounded up.
     pub slope: u32,
@@ -94,77 +90,17 @@ impl Land {
         heights
     }
 
-    /// See [`Chunk::error`].
+    /// See [`Chunk::error`]. Above the sampled levels the land is nowhere lower or higher than its
+    /// range, nor are the triangles.
     fn chunk_error(&self, key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> u32 {
-        let (x0, z0) = key.origin();
-        if key.level() == 0 || self.archipelago().is_open_sea(x0, z0, key.side()) {
-            return 0;
+        let known = self.error_of(key);
+        if key.level() <= lod::SAMPLED_LEVEL || known == 0 {
+            return known;
         }
-        let depth = key.level().min(MEASURED_DEPTH);
-        let below = key.level() - depth;
-        let parts = 1usize << depth;
-        let side = CELLS * parts + 1;
-        let mut fine = vec![0; side * side];
-        let grid = Grid::new(x0, z0, below, side, side).expect("a chunk lies in the world");
-        self.heights(&grid, &mut fine);
-        let worst = (0..side)
-            .map(|row| farthest_in_row(heights, row, depth, &fine[row * side..][..side]))
-            .max()
-            .unwrap_or(0);
-        // Rounded up from fractions of a unit.
-        let measured = worst.div_ceil(parts as u32);
-        // The grid below has an error of up to its own level's bound.
-        measured + lod::level_error(below)
+        let (low, high) =
+            heights.iter().fold((i32::MAX, i32::MIN), |(low, high), h| (low.min(*h), high.max(*h)));
+        (lod::SUMMIT - low).max(high - lod::LOWEST).unsigned_abs()
     }
-}
-
-/// Height of the drawn surface at a point of the grid that is `2^depth` times finer, in units times
-/// `2^depth`.
-///
-/// `column` and `row` count points of the finer grid from the low corner, up to `64 * 2^depth`. The
-/// diagonal rule: every cell is cut from its low corner to its high corner.
-#[must_use]
-pub fn drawn_height_scaled(heights: &[i32; VERTEX_COUNT], column: usize, row: usize, depth: u8) -> i64 {
-    let step = 1usize << depth;
-    // The last column and row belong to the last cell.
-    let (x, z) = ((column >> depth).min(CELLS - 1), (row >> depth).min(CELLS - 1));
-    let (fx, fz) = ((column - x * step) as i64, (row - z * step) as i64);
-    let corner = |dx: usize, dz: usize| i64::from(heights[(z + dz) * VERTICES + x + dx]);
-    let (low, high) = (corner(0, 0), corner(1, 1));
-    if fx >= fz {
-        let side = corner(1, 0);
-        low * step as i64 + (side - low) * fx + (high - side) * fz
-    } else {
-        let side = corner(0, 1);
-        low * step as i64 + (side - low) * fz + (high - side) * fx
-    }
-}
-
-/// Largest distance between the drawn surface and one row of the grid that is `2^depth` times
-/// finer, in units times `2^depth`. The same surface as [`drawn_height_scaled`], whole cells at a
-/// time.
-fn farthest_in_row(heights: &[i32; VERTEX_COUNT], row: usize, depth: u8, fine: &[i32]) -> u32 {
-    let step = 1i32 << depth;
-    let z = (row >> depth).min(CELLS - 1);
-    let fz = row as i32 - z as i32 * step;
-    let (near, far) = (&heights[z * VERTICES..][..VERTICES], &heights[(z + 1) * VERTICES..][..VERTICES]);
-    let mut worst = 0;
-    for x in 0..CELLS {
-        let (h00, h10, h01, h11) = (near[x], near[x + 1], far[x], far[x + 1]);
-        // The last column of a cell is the first of the next, except at the end.
-        let points = if x == CELLS - 1 { step + 1 } else { step };
-        for fx in 0..points {
-            // Heights stay below 2^24, times 2^depth well inside 32 bits.
-            let drawn = if fx >= fz {
-                h00 * step + (h10 - h00) * fx + (h11 - h10) * fz
-            } else {
-                h00 * step + (h01 - h00) * fz + (h11 - h01) * fx
-            };
-            let exact = fine[(x << depth) + fx as usize] * step;
-            worst = worst.max(exact.abs_diff(drawn));
-        }
-    }
-    worst
 }
 
 /// See [`Chunk::slope`].
@@ -244,14 +180,11 @@ mod tests {
     }
 
     #[test]
-    fn levels_agree_on_shared_vertices_up_to_dropped_octaves() {
+    fn levels_that_keep_all_octaves_agree_on_shared_vertices() {
         let land = Land::new(77);
-        for level in 1..=TOP_LEVEL {
+        for level in 1..=2 {
             let parent = ChunkKey::containing(level, 40_000, -90_000);
             let coarse = land.chunk_heights(parent);
-            let (kept, kept_below) = (Octaves::at_level(level), Octaves::at_level(level - 1));
-            let allowed =
-                if kept == kept_below { 0 } else { kept.dropped_bound() + kept_below.dropped_bound() };
             for (child, (dx, dz)) in
                 parent.children().unwrap().into_iter().zip([(0, 0), (32, 0), (0, 32), (32, 32)])
             {
@@ -259,49 +192,9 @@ mod tests {
                 for row in (0..VERTICES).step_by(2) {
                     for column in (0..VERTICES).step_by(2) {
                         let above = coarse[(row / 2 + dz) * VERTICES + column / 2 + dx];
-                        let apart = fine[row * VERTICES + column].abs_diff(above);
-                        assert!(apart <= allowed, "{child}: {apart} against {allowed}");
+                        assert_eq!(fine[row * VERTICES + column], above, "{child}");
                     }
                 }
-            }
-        }
-    }
-
-    /// Brute force over every level-0 vertex under the chunk, in f64, with the diagonal rule stated
-    /// another way.
-    fn naive_error(land: &Land, chunk: &Chunk) -> f64 {
-        let (x0, z0) = chunk.key.origin();
-        let step = 1usize << chunk.key.level();
-        let mut worst = 0f64;
-        for row in 0..=CELLS * step {
-            for column in 0..=CELLS * step {
-                let (x, z) = ((column / step).min(CELLS - 1), (row / step).min(CELLS - 1));
-                let (fx, fz) = (column as f64 / step as f64 - x as f64, row as f64 / step as f64 - z as f64);
-                let corner = |dx, dz| f64::from(chunk.vertex(x + dx, z + dz));
-                let (upper, lower) = (fx.max(fz), fx.min(fz));
-                let side = if fx >= fz { corner(1, 0) } else { corner(0, 1) };
-                let drawn = corner(0, 0) * (1.0 - upper) + side * (upper - lower) + corner(1, 1) * lower;
-                let place = Position::new(x0 + column as i32 * 512, z0 + row as i32 * 512).unwrap();
-                worst = worst.max((drawn - f64::from(land.height_at(place))).abs());
-            }
-        }
-        worst
-    }
-
-    #[test]
-    fn error_is_exact_where_measured_and_never_below_the_truth_above() {
-        let land = Land::new(3);
-        for key in [key(0, 3, 3), key(1, 4, -3), key(2, -3, 2), key(3, 1, 1), key(4, -1, 0)] {
-            let chunk = land.chunk(key);
-            let truth = naive_error(&land, &chunk).ceil() as u32;
-            if key.level() <= MEASURED_DEPTH {
-                assert_eq!(chunk.error, truth, "{key}");
-            } else {
-                assert!(
-                    chunk.error >= truth && chunk.error < 4 * truth,
-                    "{key}: {} against {truth}",
-                    chunk.error
-                );
             }
         }
     }

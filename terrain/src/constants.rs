@@ -3,7 +3,7 @@
 //! Changing any of them changes the world: bump [`GENERATOR_VERSION`] with it.
 
 /// Version of the height formula and of the grass record. Part of the world digest.
-pub const GENERATOR_VERSION: u32 = 3;
+pub const GENERATOR_VERSION: u32 = 4;
 
 /// Position and height units per metre: both are multiples of 2^-8 m.
 pub const UNITS_PER_METRE: i32 = 256;
@@ -32,36 +32,54 @@ pub const CHUNK_BITS: u32 = SPACING_BITS + 6;
 /// The coarsest level: one chunk covers the world.
 pub const TOP_LEVEL: u8 = 16;
 
-/// Octaves of the fractal sum.
-pub const OCTAVES: usize = 8;
-/// log2 of the first octave's lattice cell in units (1,024 m); every further octave halves it
+/// Octaves of the land, widest first: [`BASE_OCTAVES`] of the base field and [`FINE_OCTAVES`] that
+/// vertices evaluate themselves.
+pub const OCTAVES: usize = BASE_OCTAVES + FINE_OCTAVES;
+/// Octaves of the base field ([`crate::base`]).
+pub const BASE_OCTAVES: usize = 4;
+/// Octaves that vertices evaluate themselves ([`crate::noise`]).
+pub const FINE_OCTAVES: usize = 5;
+/// log2 of the first base octave's cell in turned coordinates, five times a unit (1,638.4 m);
+/// every further octave halves it (last: 204.8 m).
+pub const BASE_CELL_BITS: u32 = 21;
+/// Stream of the first base octave; the parity of a stream decides the angle of its lattice.
+pub const BASE_STREAM: u32 = 16;
+/// Stream of the first of four noises that warp the coasts.
+pub const WARP_STREAM: u32 = 20;
+/// log2 of the cells of the warp's wide and narrow noises (3,276.8 m and 819.2 m).
+pub const WARP_CELL_BITS: [u32; 2] = [22, 20];
+/// Amplitudes of the warp's wide and narrow noises, metres.
+pub const WARP_AMPLITUDE_M: [i32; 2] = [1800, 600];
+/// Bound of the warp along one axis, metres: 0.7072 of both amplitudes.
+pub const WARP_M: i32 = 1698;
+/// Stream of the exposure of coasts.
+pub const EXPOSURE_STREAM: u32 = 24;
+/// log2 of the cell of the exposure's noise (1,638.4 m).
+pub const EXPOSURE_CELL_BITS: u32 = 21;
+/// Amplitudes of the base octaves in the shore, metres.
+pub const SHORE_M: [i32; BASE_OCTAVES] = [64, 64, 80, 128];
+/// Depth of the shore at the rim of an island's mass, metres.
+pub const RIM_M: i32 = 80;
+/// Factor of the shore's rise towards the middle of an island's mass, metres.
+pub const UPLIFT_M: i32 = 384;
+/// Height of a mountain of relief 1, metres.
+pub const MOUNTAIN_M: i32 = 704;
+/// log2 of the first fine octave's lattice cell in units (128 m); every further octave halves it
 /// (last: 8 m).
-pub const FIRST_CELL_BITS: u32 = 18;
-/// log2 of the amplitude of the first octave in metres (128 m); every further octave halves it.
-pub const FIRST_AMPLITUDE_BITS: u32 = 7;
-/// The first octaves, which are tall, keep [`SPLIT_BITS`] more bits of every weight and slope.
-pub const WIDE_OCTAVES: usize = 3;
-/// Bits that a wide operand has below the 16 of a narrow one.
-pub const SPLIT_BITS: u32 = 8;
+pub const FIRST_CELL_BITS: u32 = 15;
+/// log2 of the amplitude of the first fine octave in metres (16 m); every further octave halves it.
+pub const FIRST_AMPLITUDE_BITS: u32 = 4;
 
-/// Lattice shift of each octave in units, odd multiples of 1 m below the cell size.
+/// Lattice shift of each fine octave in units, odd multiples of 1 m below the cell size.
 ///
 /// Gradient noise is zero on its lattice points. Without the shift all octaves would vanish
-/// together every 1,024 m, and vertices (multiples of 2 m) would sit on the zeros of the last
+/// together every 128 m, and vertices (multiples of 2 m) would sit on the zeros of the last
 /// octaves; odd metres keep every vertex off every lattice line.
-pub const OCTAVE_SHIFT: [(i32, i32); OCTAVES] = [
-    (633 << 8, 391 << 8),
-    (195 << 8, 317 << 8),
-    (121 << 8, 75 << 8),
-    (37 << 8, 93 << 8),
-    (47 << 8, 29 << 8),
-    (11 << 8, 19 << 8),
-    (7 << 8, 5 << 8),
-    (3 << 8, 1 << 8),
-];
+pub const OCTAVE_SHIFT: [(i32, i32); FINE_OCTAVES] =
+    [(37 << 8, 93 << 8), (47 << 8, 29 << 8), (11 << 8, 19 << 8), (7 << 8, 5 << 8), (3 << 8, 1 << 8)];
 
 /// Fraction bits inside a lattice cell, the same for all octaves (a finer octave is shifted up).
-pub const FRACTION_BITS: u32 = 18;
+pub const FRACTION_BITS: u32 = 15;
 /// Fraction bits of a gradient component.
 pub const GRADIENT_BITS: u32 = 15;
 
@@ -110,21 +128,18 @@ pub const FINE_BITS: u32 = 16;
 /// island.
 pub const SEA_FLOOR_M: i32 = 64;
 
-/// log2 of the archipelago cell in units (16,384 m): each cell holds at most one island, wholly
-/// inside it.
-pub const ISLAND_CELL_BITS: u32 = 22;
-/// Island radii are multiples of this many metres.
-pub const ISLAND_RADIUS_STEP_M: i32 = 64;
-/// Radius of the island at the origin, in steps of [`ISLAND_RADIUS_STEP_M`] (6,656 m).
-pub const HOME_RADIUS_STEPS: u32 = 104;
-/// Dome height above the sea floor at the origin island's centre, metres.
-pub const HOME_DOME_M: i32 = 264;
+/// log2 of the archipelago cell in units (8,192 m): each cell holds at most one island.
+pub const ISLAND_CELL_BITS: u32 = 21;
+/// Length that the lobes of the largest islands are shares of, metres.
+pub const HOME_LOBE_M: i32 = 5000;
 
 /// Half height of the beach shelf in metres: raw heights within it are flattened towards sea level.
+/// A power of two; also the part of the raw height over which a cliff rises.
 pub const BEACH_M: i32 = 8;
-/// Crest height of the ridges over the hills at an island's centre, and the folds at which they
-/// end; metres, a power of two.
-pub const RIDGE_M: i32 = 64;
+/// Rise of a fully exposed coast, metres.
+pub const CLIFF_M: i32 = 34;
+/// Depth below the sea where a cliff begins, metres.
+pub const CLIFF_FOOT_M: i32 = 2;
 
 /// Side of the grass density grid of a chunk.
 pub const GRASS_GRID: usize = 16;

@@ -40,7 +40,7 @@ impl GrassSeed {
     /// The densities of a chunk, from its own vertices alone.
     ///
     /// Grass covers gentle slopes between the beach and the high rock: density falls linearly to
-    /// zero from 4 m down to 2 m above the sea, from 180 m up to 260 m, and over slopes between 0.5
+    /// zero from 4 m down to 2 m above the sea, from 420 m up to 620 m, and over slopes between 0.5
     /// and 1. Integers only, so that every machine computes the same field. Heights are below 2^24
     /// in magnitude.
     #[must_use]
@@ -73,7 +73,19 @@ mod tests {
 
     #[test]
     fn density_follows_height_bands() {
-        for (height_m, expected) in [(-10, 0), (2, 0), (3, 127), (4, 255), (100, 255), (220, 128), (260, 0)] {
+        let bands = [
+            (-10, 0),
+            (2, 0),
+            (3, 127),
+            (4, 255),
+            (100, 255),
+            (420, 255),
+            (520, 128),
+            (619, 2),
+            (620, 0),
+            (900, 0),
+        ];
+        for (height_m, expected) in bands {
             assert!(flat(height_m).density.iter().all(|share| *share == expected), "{height_m} m");
         }
     }

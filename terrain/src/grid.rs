@@ -87,6 +87,11 @@ impl Grid {
         self.columns * self.rows
     }
 
+    /// At most `rows` rows from a row on.
+    pub(crate) fn band(&self, row: usize, rows: usize) -> Self {
+        Self { z: self.position(0, row).1, rows: rows.min(self.rows - row), ..*self }
+    }
+
     /// Position of a vertex, units. At the root the offset reaches 2^31 and wraps; the sum is right
     /// modulo 2^32.
     #[must_use]

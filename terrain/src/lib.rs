@@ -18,8 +18,10 @@
 
 #![cfg_attr(not(test), deny(clippy::float_arithmetic, reason = "heights are integers on every machine"))]
 
+pub mod base;
 pub mod chunk;
 pub mod constants;
+pub mod curves;
 pub mod digest;
 pub mod grass;
 pub mod grid;
@@ -27,6 +29,7 @@ pub mod hash;
 pub mod island;
 pub mod key;
 pub mod land;
+pub mod lattice;
 pub mod lod;
 pub mod noise;
 pub mod octaves;
@@ -35,8 +38,12 @@ pub mod position;
 pub mod pyramid;
 pub mod random_attributes;
 pub mod ring;
+mod shape;
 pub mod simd;
+pub mod spline;
+pub mod start;
 mod texels;
+pub mod triangles;
 pub mod weights;
 
 pub use chunk::Chunk;
@@ -50,3 +57,4 @@ pub use parameters::Parameters;
 pub use position::{OutsideWorld, Position};
 pub use pyramid::Pyramid;
 pub use simd::Kernel;
+pub use start::Start;

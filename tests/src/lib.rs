@@ -28,6 +28,7 @@ pub mod faulty_server;
 pub mod golden;
 pub mod horizon;
 pub mod peer;
+pub mod places;
 pub mod program;
 pub mod rendering;
 pub mod running;

@@ -10,6 +10,7 @@ use client::settings::RenderSettings;
 use client::view::ViewParams;
 use lab::gpu_probes::cpu_cull::{VisibleClump, cull_on_cpu};
 use terrain::{Land, lod};
+use tests::places::{MEADOW, VALLEY, moved};
 
 const SLOTS: u32 = 1500;
 
@@ -80,7 +81,7 @@ fn the_gpu_keeps_the_clumps_of_the_twin_in_the_same_order() {
         ..VegetationSettings::STANDARD
     };
     let mut kept_by_path = Vec::new();
-    for camera in ["-1700,60,900,70,-6", "300,60,900,200,-3", "-600,300,-600,10,-30"] {
+    for camera in [MEADOW.as_str(), &VALLEY, &moved(&MEADOW, 110.0, 10.0, -30.0)] {
         for cull in [Cull::Distance, Cull::Frustum, Cull::Noise, Cull::March, Cull::Exact, Cull::Hierarchical]
         {
             let view = view(camera, VegetationSettings { cull, ..few });
@@ -137,7 +138,7 @@ fn culling_hidden_plants_changes_no_byte_of_the_picture() {
         tree_range_m: 900.0,
         ..VegetationSettings::STANDARD
     };
-    for camera in ["-3900,36.5,1000,30,-2", "300,60,900,200,-3"] {
+    for camera in [MEADOW.as_str(), &VALLEY] {
         let view = view(camera, vegetation);
         let mut world = ChunkCache::new(SLOTS);
         world.set_seed(1);
@@ -188,7 +189,7 @@ fn a_visible_block_is_kept_for_the_configured_frames() {
     };
     let mut world = ChunkCache::new(SLOTS);
     world.set_seed(1);
-    let (here, turned) = ("-3900,60,1000,30,-10", "-3900,60,1000,75,-10");
+    let (here, turned) = (&moved(&MEADOW, 70.0, 330.0, -10.0), &moved(&MEADOW, 70.0, 15.0, -10.0));
     let before = kept(3, here, 10, &mut world);
     let alone = kept(0, turned, 11, &mut world);
     let lingering = kept(3, turned, 12, &mut world);
@@ -202,7 +203,7 @@ fn a_visible_block_is_kept_for_the_configured_frames() {
 fn zero_one_and_too_many_clumps_are_kept_and_counted() {
     let Some(field) = field([40, 40, 40]) else { return };
     let land = Land::new(1);
-    let camera = "-1700,60,900,70,-6";
+    let camera = &MEADOW;
     let mut choose = |range_m: f32| {
         let vegetation = VegetationSettings {
             density: 1,

@@ -9,10 +9,13 @@ use client::camera::{Pose, Projection};
 use client::gpu::Image;
 use client::headless::Options;
 use client::stream::{ChunkStream, LocalStream, StreamEvent, Traffic};
+use glam::DVec3;
 use protocol::Delivery;
 use protocol::view::View;
+use std::sync::LazyLock;
 use terrain::ChunkKey;
 use terrain::constants::{CHUNK_BITS, UNITS_PER_METRE};
+use tests::places::{MOUNTAINS, SHORE, START};
 
 /// Places are shifted by whole chunks of this level.
 const SHIFT_LEVEL: u8 = 13;
@@ -75,16 +78,24 @@ impl ChunkStream for Translated {
     }
 }
 
-/// Views of the home island. The last has an eye between two units (1/1024 m, held exactly by an
-/// f64 anywhere in the world).
-const CAMERAS: [&str; 3] =
-    ["-5200,160,1500,70,-8", "4700,25,500,-60,-8", "300.0009765625,420.125,899.9990234375,20,-12"];
+/// Views of the home island: the start, a shore, and mountains from an eye between two units (1/1024
+/// m, held exactly by an f64 anywhere in the world).
+static CAMERAS: LazyLock<[Pose; 3]> = LazyLock::new(|| {
+    let pose = |camera: &str| on_metres(camera.parse().unwrap());
+    let mut between = pose(&MOUNTAINS);
+    between.position_m += DVec3::new(1.0, 0.0, -1.0) / 1024.0;
+    [pose(&START), pose(&SHORE), between]
+});
+
+/// The pose at the nearest whole metres: a place that an f32 holds exactly anywhere in the world.
+fn on_metres(pose: Pose) -> Pose {
+    Pose { position_m: pose.position_m.round(), ..pose }
+}
 
 /// About 10^6 m east; north-west across both signs; near the far corner of the world.
 const PLACES: [(i32, i32); 3] = [(1, 0), (-1, -1), (3, -3)];
 
-fn pose(camera: &str, (x, z): (i32, i32)) -> Pose {
-    let mut pose: Pose = camera.parse().unwrap();
+fn pose(mut pose: Pose, (x, z): (i32, i32)) -> Pose {
     pose.position_m.x += f64::from(x) * SHIFT_M;
     pose.position_m.z += f64::from(z) * SHIFT_M;
     pose
@@ -92,7 +103,7 @@ fn pose(camera: &str, (x, z): (i32, i32)) -> Pose {
 
 /// Renders the translated island.
 fn drawn(pose: Pose, (x, z): (i32, i32)) -> Option<Image> {
-    let options = Options { pose, ..tests::options_at(CAMERAS[0], (256, 144)) };
+    let options = Options { pose, ..tests::options_at(&START, (256, 144)) };
     let (picture, stats) = tests::render_or_skip(Translated { home: LocalStream::new(1), x, z }, &options)?;
     assert!(stats.chunks_drawn > 6, "{stats:?}");
     Some(picture)
@@ -106,7 +117,7 @@ fn differing(one: &Image, two: &Image) -> usize {
 
 #[test]
 fn a_scene_a_million_metres_from_the_origin_is_identical() {
-    for (camera, place) in CAMERAS.into_iter().zip(PLACES).chain([(CAMERAS[2], PLACES[0])]) {
+    for (camera, place) in CAMERAS.iter().copied().zip(PLACES).chain([(CAMERAS[2], PLACES[0])]) {
         let Some(home) = drawn(pose(camera, (0, 0)), (0, 0)) else { return };
         let Some(far) = drawn(pose(camera, place), place) else { return };
         let count = differing(&home, &far);
@@ -116,14 +127,14 @@ fn a_scene_a_million_metres_from_the_origin_is_identical() {
 
 #[test]
 fn small_offsets_and_f32_rounding_are_visible_far_out() {
-    let (camera, place) = (CAMERAS[1], PLACES[0]);
+    let (camera, place) = (CAMERAS[1], (2, 0));
     let Some(home) = drawn(pose(camera, (0, 0)), (0, 0)) else { return };
     let mut moved = pose(camera, place);
     moved.position_m.x += 0.25;
     let Some(moved) = drawn(moved, place) else { return };
     assert!(differing(&home, &moved) > 1_000, "{} pixels", differing(&home, &moved));
 
-    // 1/16 m is half the resolution of f32 at 2^20 m: the camera of an engine with absolute floats.
+    // 1/16 m is half the resolution of f32 just below 2^21 m: the camera of an engine with absolute floats.
     let shifted = |place| {
         let mut pose = pose(camera, place);
         pose.position_m.x += 0.0625;
@@ -152,7 +163,7 @@ fn pixels_f32(matrix: [[f32; 4]; 4], point: [f32; 3], projection: &Projection) -
 fn absolute_f32_transforms_err_by_pixels_relative_ones_do_not() {
     let projection = Projection { width: 1280, height: 720, fov_deg: 60.0 };
     let worst = |place| {
-        let pose = pose("300.0009765625,420.125,899.9990234375,20,-12", place);
+        let pose = pose(CAMERAS[2], place);
         let relative = projection.clip_from_camera(&pose).to_cols_array_2d();
         let eye = pose.position_m.to_array();
         // clip_from_world = clip_from_camera * translation by the negated eye, as an engine would

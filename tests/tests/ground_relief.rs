@@ -12,7 +12,7 @@ use terrain::{ChunkKey, lod};
 use tests::deformed_source::DeformedSource;
 
 /// Bushes at arm's length, on a hill.
-const CAMERA: &str = "300,191,900,30,-22";
+const CAMERA: &str = "300,0,900,30,-22";
 
 fn options(camera: &str, relief: PomSettings) -> Options {
     let options = tests::options_at(camera, (160, 90));

@@ -16,6 +16,7 @@ use std::collections::HashMap;
 use terrain::constants::{CELLS, VERTEX_COUNT, VERTICES};
 use terrain::{Chunk, ChunkKey, GrassSeed, Land, Pyramid, lod};
 use tests::horizon;
+use tests::places::{MOUNTAINS, START};
 
 const SLOTS: u32 = 1000;
 
@@ -130,7 +131,7 @@ const SUNS: [(f32, f32); 6] =
 
 #[test]
 fn shadows_agree_with_their_definition() {
-    let shot_at = |sun| view("300,420,900,20,-12", sun);
+    let shot_at = |sun| view(&MOUNTAINS, sun);
     let Some(mut scenery) = Scenery::of(&shot_at(SUNS[0])) else { return };
     for sun in SUNS {
         let cast = scenery.cast(&shot_at(sun));
@@ -193,7 +194,7 @@ fn shared(cast: &HashMap<ChunkKey, Vec<u8>>) -> Vec<(bool, u8, u8)> {
 #[test]
 fn adjacent_chunks_agree_about_the_sun_on_their_border() {
     let sun = (290.0, 8.0);
-    let view = view("300,420,900,20,-12", sun);
+    let view = view(&MOUNTAINS, sun);
     let Some(mut scenery) = Scenery::of(&view) else { return };
     let shared = shared(&scenery.cast(&view));
     let count = |equal: bool| shared.iter().filter(|(level, ..)| *level == equal).count();
@@ -287,25 +288,25 @@ fn brightness(picture: &Image) -> f64 {
 
 #[test]
 fn low_suns_darken_the_far_side_of_hills() {
-    let summit = "300,420,900,20,-12";
-    // Towards the sun, where the shadow sides are visible, and away from it.
+    // Towards the sun, where the shadow sides are visible, and away from it: from the sea, so that no
+    // land behind the eye casts a shadow on what it sees.
+    let inland = Scene::Island.start().yaw_deg as f32;
     let darker = |azimuth| {
-        let lit = drawn(summit, Some((azimuth, 8.0)), Shadows::Off)?;
-        let shaded = drawn(summit, Some((azimuth, 8.0)), Shadows::Soft)?;
+        let lit = drawn(&START, Some((azimuth, 8.0)), Shadows::Off)?;
+        let shaded = drawn(&START, Some((azimuth, 8.0)), Shadows::Soft)?;
         Some(1.0 - brightness(&shaded) / brightness(&lit))
     };
-    let (Some(into), Some(behind)) = (darker(20.0), darker(200.0)) else { return };
+    let (Some(into), Some(behind)) = (darker(inland), darker(inland + 180.0)) else { return };
     eprintln!("darker by {:.1} % into the sun, {:.1} % with the sun behind", 100.0 * into, 100.0 * behind);
     assert!(into > 0.04 && into > 2.0 * behind.max(0.0), "{into} {behind}");
 }
 
 #[test]
 fn shadow_kinds_differ_at_low_suns_and_not_at_the_zenith() {
-    let summit = "300,420,900,20,-12";
-    let Some(off) = drawn(summit, Some((0.0, 90.0)), Shadows::Off) else { return };
-    let Some(soft) = drawn(summit, Some((0.0, 90.0)), Shadows::Soft) else { return };
+    let Some(off) = drawn(&MOUNTAINS, Some((0.0, 90.0)), Shadows::Off) else { return };
+    let Some(soft) = drawn(&MOUNTAINS, Some((0.0, 90.0)), Shadows::Soft) else { return };
     assert!(off.rgba == soft.rgba, "no land occludes the zenith");
-    let evening = |shadows| drawn(summit, Some((130.0, 8.0)), shadows).unwrap().rgba;
+    let evening = |shadows| drawn(&MOUNTAINS, Some((130.0, 8.0)), shadows).unwrap().rgba;
     let (off, hard, soft) = (evening(Shadows::Off), evening(Shadows::Hard), evening(Shadows::Soft));
     assert!(off != soft && hard != soft && off != hard);
     assert!(soft == evening(Shadows::Soft), "twice the same");

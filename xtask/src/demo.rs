@@ -33,12 +33,12 @@ struct Shot {
 
 /// From the open sea over beach and hills to the middle of the island and back to the coast.
 const FLIGHT: [Shot; 6] = [
-    Shot { name: "1-arrival", place_m: (0.0, 7200.0), clearance_m: 160.0, gaze: (0.0, -4.0) },
-    Shot { name: "2-coast", place_m: (-600.0, 5200.0), clearance_m: 60.0, gaze: (20.0, -6.0) },
-    Shot { name: "3-hills", place_m: (900.0, 2600.0), clearance_m: 180.0, gaze: (-25.0, -12.0) },
-    Shot { name: "4-ridge", place_m: (-300.0, 400.0), clearance_m: 150.0, gaze: (60.0, -14.0) },
-    Shot { name: "5-overview", place_m: (-3500.0, 3500.0), clearance_m: 900.0, gaze: (45.0, -18.0) },
-    Shot { name: "6-shore", place_m: (4800.0, -1200.0), clearance_m: 12.0, gaze: (-110.0, 2.0) },
+    Shot { name: "1-arrival", place_m: (-3000.0, 2400.0), clearance_m: 160.0, gaze: (50.0, -4.0) },
+    Shot { name: "2-coast", place_m: (-1500.0, 1200.0), clearance_m: 60.0, gaze: (50.0, -6.0) },
+    Shot { name: "3-hills", place_m: (-300.0, 400.0), clearance_m: 180.0, gaze: (80.0, -12.0) },
+    Shot { name: "4-ridge", place_m: (1500.0, 700.0), clearance_m: 200.0, gaze: (20.0, -14.0) },
+    Shot { name: "5-overview", place_m: (-3000.0, 3000.0), clearance_m: 900.0, gaze: (45.0, -18.0) },
+    Shot { name: "6-shore", place_m: (0.0, -3000.0), clearance_m: 12.0, gaze: (-160.0, 2.0) },
 ];
 
 /// Sets up, builds, starts the server, shows the island, stops the server.

@@ -31,7 +31,7 @@ pub fn avx2() -> Result<Kernel> {
     Kernel::named("avx2").context("this CPU has no AVX2, which the bars are for; run this on another machine")
 }
 
-/// The noise alone: all octaves, and the folds that the ridges need.
+/// The noise alone: the five fine octaves that every vertex evaluates.
 pub fn noise<'a>(name: impl Into<String>, kernel: Kernel, columns: usize, rows: usize) -> Contender<'a> {
     noise_repeated(name, kernel, columns, rows, 1)
 }
@@ -45,16 +45,15 @@ pub fn noise_repeated<'a>(
     times: usize,
 ) -> Contender<'a> {
     let fbm = Fbm::new(WORLD_SEED);
-    let mut folds = vec![0; columns * rows];
-    Contender::new(name, columns * rows, move |corner, hills: &mut [i32]| {
+    Contender::new(name, columns * rows, move |corner, sums: &mut [i32]| {
         for _ in 0..times {
-            fbm.grid_on(kernel, &black_box(grid(corner, columns, rows)), hills, black_box(&mut folds));
-            black_box(&mut *hills);
+            fbm.grid_on(kernel, &black_box(grid(corner, columns, rows)), sums);
+            black_box(&mut *sums);
         }
     })
 }
 
-/// A whole chunk: noise, island shaping and both pyramids.
+/// A whole chunk: noise, base field, coasts and both pyramids.
 pub fn chunk<'a>(name: impl Into<String>, kernel: Kernel) -> Contender<'a> {
     let land = Land::new(WORLD_SEED);
     Contender::new(name, VERTEX_COUNT, move |corner, heights: &mut [i32]| {

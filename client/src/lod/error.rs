@@ -8,7 +8,7 @@
 use crate::cache::block_errors::BLOCKS;
 use crate::cache::{ChunkCache, Resident};
 use terrain::ChunkKey;
-use terrain::lod::{self, Viewer};
+use terrain::lod::Viewer;
 
 /// Error on screen up to which a chunk is not split, 1/16 pixel.
 #[must_use]
@@ -17,10 +17,11 @@ pub fn tolerance(viewer: &Viewer) -> f64 {
 }
 
 /// Whether a chunk must be split for a viewer. Implies that the server splits it too: the server
-/// uses the level's bound, which is at least as large.
+/// uses the chunk's error, or a larger bound, at the nearest distance. A chunk that overstates its
+/// error waits for children that no server sends, and is drawn itself.
 #[must_use]
 pub fn is_too_coarse(cache: &ChunkCache, viewer: &Viewer, key: ChunkKey, chunk: &Resident) -> bool {
-    let bound = viewer.screen_error_q4(lod::level_error(key.level()), viewer.distance_to(key));
+    let bound = viewer.screen_error_q4(chunk.error, viewer.distance_to(key));
     bound > viewer.tolerance() && on_screen(cache, viewer, key, chunk) > tolerance(viewer)
 }
 
@@ -69,9 +70,7 @@ struct ChunkError<'a> {
 
 impl<'a> ChunkError<'a> {
     fn new(viewer: &'a Viewer, key: ChunkKey, chunk: &Resident) -> Self {
-        // The level's bound is empirical: a chunk whose own error exceeds it would request children
-        // that no server sends.
-        let stated = chunk.error.min(lod::level_error(key.level()));
+        let stated = chunk.error;
         let bounds = Self { viewer, stated, nearest: viewer.distance_to(key), whole: 0.0 };
         let whole = bounds.on_screen_at(stated, distance(viewer, key.origin(), key.side(), chunk, chunk.max));
         Self { whole, ..bounds }

@@ -141,26 +141,24 @@ mod tests {
     }
 
     #[test]
-    fn an_error_above_the_level_bound_requests_no_unsent_chunk() {
-        let excessive = |error: fn(&Chunk) -> u32| {
-            let chunks = SENT.iter().map(|chunk| Chunk { error: error(chunk), ..chunk.clone() });
-            let mut cache = world_of(&chunks.collect::<Vec<_>>());
-            let selection = select(&mut cache, &VIEWER);
-            (cache, selection)
-        };
+    fn a_chunk_that_overstates_its_error_is_drawn_while_its_children_are_not_sent() {
+        let honest = select(&mut world_of(SENT.iter()), &VIEWER);
         // The open sea has no error, and no server splits it for one.
-        let (_, at_the_bound) =
-            excessive(|chunk| lod::level_error(chunk.key.level()).min(chunk.error * 1000));
-        let (cache, beyond) = excessive(|chunk| if chunk.error > 0 { u32::MAX } else { 0 });
-        assert!(beyond.is_complete() && beyond.drawn.len() >= at_the_bound.drawn.len());
-        // Judged by what they say of themselves, drawn chunks would want children, and those were
-        // not sent.
-        let wants = |key: &ChunkKey| {
-            let error = cache.get(*key).unwrap().error;
-            key.level() > 0 && VIEWER.screen_error_q4(error, VIEWER.distance_to(*key)) > VIEWER.tolerance()
+        let overstated = SENT
+            .iter()
+            .map(|chunk| Chunk { error: if chunk.error > 0 { u32::MAX } else { 0 }, ..chunk.clone() });
+        let mut cache = world_of(&overstated.collect::<Vec<_>>());
+        let selection = select(&mut cache, &VIEWER);
+        assert!(selection.drawn.len() >= honest.drawn.len());
+        let drawn: HashSet<_> = keys(&selection).into_iter().collect();
+        for key in keys(&honest) {
+            let (x, z) = key.origin();
+            assert_eq!(cover(&drawn, x, z), 1, "{key}");
+        }
+        let unsent = |key: &ChunkKey| {
+            key.children().is_some_and(|all| all.iter().any(|child| cache.get(*child).is_none()))
         };
-        let unsent = |key: &ChunkKey| key.children().unwrap().iter().any(|child| cache.get(*child).is_none());
-        assert!(keys(&beyond).iter().any(|key| wants(key) && unsent(key)));
+        assert!(drawn.iter().any(|key| cache.get(*key).is_some_and(|chunk| chunk.error > 0) && unsent(key)));
     }
 
     #[test]

@@ -7,14 +7,14 @@ use crate::features::materials::CustomMaterials;
 use crate::features::water::{WaterTier, WaveSettings};
 use crate::headless::Options;
 use crate::native::parse::parse_within;
-use crate::scene::Scene;
+use crate::scene::{DEFAULT_WORLD_SEED, Scene};
 use crate::settings::{Diffuse, RenderSettings, Shadows, Show, SunPosition, Tiling, Visibility};
 use clap::{Parser, builder::RangedU64ValueParser};
 use protocol::Delivery;
 use std::path::PathBuf;
 use std::time::Duration;
-use terrain::WorldDigest;
 use terrain::lod::MAX_VIEW_DISTANCE_M;
+use terrain::{Land, WorldDigest};
 use tokio_tungstenite::tungstenite::http::Uri;
 
 /// Default address of a server.
@@ -33,7 +33,7 @@ pub struct Args {
     pub connect: Option<Uri>,
 
     /// Seed of the land that a scene generates
-    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "connect")]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_WORLD_SEED, conflicts_with = "connect")]
     pub world_seed: u64,
 
     /// Delivery of chunks: exact (all heights), refined (all heights in fewer bytes, uses up to 17
@@ -188,6 +188,7 @@ impl Args {
         Options {
             scene: self.scene,
             pose: self.pose(),
+            follows_world: self.follows_world(),
             projection: self.projection(),
             view_distance_m: self.view_distance,
             tolerance_px: self.tolerance,
@@ -243,7 +244,13 @@ impl Args {
     /// Start pose.
     #[must_use]
     pub fn pose(&self) -> Pose {
-        self.camera.unwrap_or_else(|| self.scene.start())
+        self.camera.unwrap_or_else(|| self.scene.start_in(&Land::new(self.world_seed)))
+    }
+
+    /// Whether the camera moves to the start of the world that a server announces.
+    #[must_use]
+    pub fn follows_world(&self) -> bool {
+        self.camera.is_none() && self.server().is_some()
     }
 
     /// Field of view and size.
@@ -312,6 +319,8 @@ mod tests {
         assert_eq!(args.server().unwrap().to_string(), "ws://127.0.0.1:7580/v1/stream");
         assert_eq!((args.size, args.view_distance, args.tolerance), ((1280, 720), 8000, 2.0));
         assert_eq!(args.pose(), Scene::Island.start());
+        assert!(args.follows_world() && !parse(&["--camera", "0,9,0,0,0"]).unwrap().follows_world());
+        assert!(!parse(&["--scene", "grass"]).unwrap().follows_world(), "its seed is given");
         assert_eq!((args.delivery, args.digest), (Delivery::Exact, None));
     }
 

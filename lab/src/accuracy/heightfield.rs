@@ -49,16 +49,20 @@ pub fn measure(world_seed: u64, points: u32) -> Headline {
     let rows = vec![
         row("land, vertices", sample::land_vertices(world_seed, points, 1).collect()),
         row("land, between vertices", sample::land_points(world_seed, points, 2).collect()),
+        row("near coasts", sample::coast_points(world_seed, points, 5).collect()),
+        row("world borders", sample::border_points(world_seed, points, 6).collect()),
         row("all of the world", sample::world_points(points, 3).collect()),
     ];
     let places: Vec<_> = sample::land_vertices(world_seed, CONTROL_POINTS, 4).collect();
     let sixteenth = |x, z| (got(x, z) * 16.0).round() / 16.0;
-    let coarse = reference.with_coarse_weights(10);
+    let [coarse, direct] = [reference.with_coarse_weights(10), reference.without_spline()];
     let q10 = |x, z| coarse.height_m(x, z, Octaves::ALL);
+    let unsplined = |x, z| direct.height_m(x, z, Octaves::ALL);
     let control = |what, (height_m, slope_deg)| Row { what, height_m, slope_deg };
     let controls = vec![
         control("heights rounded to 1/16 m", compare(&sixteenth, &exact, &places)),
         control("weights rounded to Q10", compare(&q10, &exact, &places)),
+        control("base field without its spline", compare(&unsplined, &exact, &places)),
         control("the world of another seed", {
             let other = integers(Land::new(world_seed ^ 1), Octaves::ALL);
             compare(&other, &exact, &places)

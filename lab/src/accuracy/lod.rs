@@ -4,9 +4,11 @@ use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet};
 use crate::lod::frames;
 use crate::lod::screen::{self, ScreenErrors, ViewCase};
+use crate::places;
 use crate::stats::median;
 use crate::world_builder::WorldBuilder;
 use anyhow::Result;
+use client::camera::Pose;
 use client::frame::TRIANGLES_PER_INSTANCE;
 use client::scene::Scene;
 use terrain::Land;
@@ -27,8 +29,10 @@ const SHIPPED_PX: f64 = 2.0;
 /// The tolerance that times are shares of, pixels.
 const REFERENCE_PX: f64 = 1.0;
 
-/// The poses that every tolerance is measured at: the 8 km view, a shore, a summit.
-const CAMERAS: [&str; 3] = [frames::CAMERA, "4700,25,500,-60,-8", "300,420,900,20,-12"];
+/// The poses that every tolerance is measured at: the 8 km view, a shore, mountains.
+fn poses(land: &Land) -> Result<[Pose; 3]> {
+    Ok([frames::CAMERA.parse()?, places::along_shore(land), places::over_mountains(land)])
+}
 
 struct Row {
     tolerance_px: f64,
@@ -42,14 +46,15 @@ struct Row {
 pub fn measure(world_seed: u64) -> Result<Curve> {
     let land = Land::new(world_seed);
     let times = times(land).inspect_err(|error| eprintln!("no times: {error:#}")).ok();
-    let views = CAMERAS.len() as f64;
+    let poses = poses(&land)?;
+    let views = poses.len() as f64;
     let rows = TOLERANCES_PX.map(|tolerance_px| {
         let known = times.iter().flat_map(|times| &times.ratios).find(|known| known.0 == tolerance_px);
         let time_ratio = known.map_or(f64::NAN, |known| known.1);
         let errors = ScreenErrors::default();
         let mut row = Row { tolerance_px, errors, triangles: 0.0, chunks: 0.0, time_ratio };
-        for camera in CAMERAS {
-            let shot = ViewCase { pose: camera.parse()?, tolerance_px }.shot();
+        for pose in poses {
+            let shot = ViewCase { pose, tolerance_px }.shot();
             let (world, selection) = screen::selected(&mut WorldBuilder::new(land), &shot);
             row.errors = row.errors.and(screen::measure(&land, &world, &selection, &shot));
             let instances = shot.frame(Scene::Island, &world, &selection).instances.len();
@@ -64,7 +69,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
          views; time of a frame of the first view from {TIMED_FROM_PX} px on, as a share of that at \
          {REFERENCE_PX} px before and after it, median of {ROUNDS} rounds of medians of {FRAMES} on \
          {}.",
-        CAMERAS.len(),
+        poses.len(),
         times.as_ref().map_or("no GPU", |times| times.adapter.as_str())
     );
     let mut sheet = Sheet::new("lod", caption, rows.into_iter().collect::<Result<_>>()?);

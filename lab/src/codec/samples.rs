@@ -12,11 +12,14 @@ pub fn land_keys(land: &Land, reach: i32) -> impl Iterator<Item = ChunkKey> + '_
     })
 }
 
-/// At most `count` chunks spread evenly over the home island, each with its heights above its
-/// lowest; chunks whose relief does not fit `u16` are left out.
+/// 2^64 over the golden ratio. Its multiples are spread evenly, and, unlike equal steps through the
+/// rows, cannot all lie in one column.
+const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// At most `count` chunks scattered over the home island, each with its heights above its lowest;
+/// chunks whose relief does not fit `u16` are left out.
 pub fn chunks(land: &Land, count: usize) -> impl Iterator<Item = (Chunk, Vec<u16>)> + '_ {
     let keys: Vec<_> = land_keys(land, 24).collect();
-    let step = (keys.len() / count.max(1)).max(1);
     let above_lowest = |key| {
         let chunk = land.chunk(key);
         let low = chunk.min();
@@ -24,5 +27,10 @@ pub fn chunks(land: &Land, count: usize) -> impl Iterator<Item = (Chunk, Vec<u16
         let above = above.collect::<Option<_>>()?;
         Some((chunk, above))
     };
-    keys.into_iter().step_by(step).filter_map(above_lowest).take(count)
+    (0..count as u64)
+        .map(|index| ((index.wrapping_mul(GOLDEN) >> 32) * keys.len() as u64) >> 32)
+        .filter_map(|index| keys.get(index as usize).copied())
+        .collect::<Vec<_>>()
+        .into_iter()
+        .filter_map(above_lowest)
 }

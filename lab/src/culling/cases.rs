@@ -192,7 +192,7 @@ fn case(land: &Land, index: u32, plants: VegetationSettings) -> Case {
         1 => Standing::LevelBorder { axis: (random(BORDER_AXES) % 2) as usize },
         _ => Standing::Free,
     };
-    let grows = |at: &(f64, f64)| (6.0..170.0).contains(&(height(*at) / times));
+    let grows = |at: &(f64, f64)| (6.0..400.0).contains(&(height(*at) / times));
     let mut at =
         candidates.map(|at| standing.snapped(at)).find(grows).unwrap_or(standing.snapped((300.0, 900.0)));
     // A climb would leave the border.

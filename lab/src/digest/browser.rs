@@ -19,7 +19,7 @@ use terrain::Land;
 const PROGRAMS: [&str; 5] =
     ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome"];
 
-/// A browser starts within seconds and computes a million probes in a few more.
+/// A browser starts within seconds and computes all probes in a few more.
 const TIME_LIMIT: Duration = Duration::from_secs(120);
 
 /// A stalled request must not block the next.

@@ -1,10 +1,9 @@
-//! The words of this program: the scalar definition, every kernel, and floats for the control.
+//! The words of this program: the scalar definition and every kernel.
 
 use crate::digest::probes::Probe;
-use crate::floats::{FloatLand, metres_f32};
 use rayon::prelude::*;
-use shaders::layout::PROBE_WORDS;
-use terrain::constants::{FINE_BITS, SPACING_BITS, UNITS_PER_METRE, WORLD_HALF};
+use shaders::layout::{PROBE_COARSE_OCTAVES, PROBE_WORDS};
+use terrain::constants::{SPACING_BITS, WORLD_HALF};
 use terrain::hash::mix;
 use terrain::ring::{mod_floor, mod_trunc};
 use terrain::{Grid, Kernel, Land, Octaves, Position};
@@ -24,15 +23,21 @@ const FULL_LEVELS: usize = 3;
 pub fn scalar(land: &Land, probes: &[Probe]) -> Vec<i32> {
     let mut words = Vec::with_capacity(probes.len() * PROBE_WORDS);
     for [x, z] in probes.iter().copied() {
-        let relief = land.fbm().at(x, z, Octaves::ALL);
+        let fine = land.fbm().at(x, z, Octaves::ALL);
         // No land is defined outside the world; backends that cannot reject a position return 0.
-        let height = Position::new(x, z).map_or(0, |position| land.height_at(position));
-        words.extend([mod_trunc(x, z), mod_floor(x, z), relief.hills, relief.folds, height]);
+        let [height, coarse] = [Octaves::ALL, coarse_octaves()]
+            .map(|octaves| Position::new(x, z).map_or(0, |position| land.height_keeping(position, octaves)));
+        words.extend([mod_trunc(x, z), mod_floor(x, z), fine, height, coarse]);
     }
     words
 }
 
-/// The definition's words with a kernel's hills, folds and heights in place of its own, where the
+/// Octaves of the coarse height.
+pub(super) fn coarse_octaves() -> Octaves {
+    Octaves::new(PROBE_COARSE_OCTAVES).expect("fewer than the land has")
+}
+
+/// The definition's words with a kernel's fine sums and heights in place of its own, where the
 /// probe lies in the world: grids lie nowhere else. Each comes from a grid of another size, with
 /// the probe in another column and row, so that every lane, every remainder, and what a row takes
 /// over from the one before are asked.
@@ -42,10 +47,11 @@ pub fn by_kernel(land: &Land, kernel: Kernel, probes: &[Probe], scalar: &[i32]) 
     of_probe.filter(|(_, (_, [x, z]))| Position::new(*x, *z).is_ok()).for_each(|(index, (words, [x, z]))| {
         let (grid, vertex) = grid_around(index as u32, *x, *z);
         let mut values = [[0; MOST_COLUMNS * MOST_ROWS]; 3];
-        let [hills, folds, heights] = values.each_mut().map(|values| &mut values[..grid.vertex_count()]);
-        land.fbm().grid_on(kernel, &grid, hills, folds);
+        let [fine, heights, coarse] = values.each_mut().map(|values| &mut values[..grid.vertex_count()]);
+        land.fbm().grid_on(kernel, &grid, fine);
         land.heights_on(kernel, &grid, heights);
-        words[PROBE_WORDS - 3..].copy_from_slice(&[hills[vertex], folds[vertex], heights[vertex]]);
+        land.heights_on(kernel, &grid.keeping(coarse_octaves()), coarse);
+        words[PROBE_WORDS - 3..].copy_from_slice(&[fine[vertex], heights[vertex], coarse[vertex]]);
     });
     words
 }
@@ -69,22 +75,6 @@ fn grid_around(index: u32, x: i32, z: i32) -> (Grid, usize) {
     (grid, row * columns + column)
 }
 
-/// Our formula in f32: what a backend with float arithmetic returns. Remainders stay exact.
-pub fn floats(land: &Land, probes: &[Probe]) -> Vec<i32> {
-    let float = FloatLand::new(land.world_seed());
-    let fine = |metres: f32| (metres * (1i32 << FINE_BITS) as f32) as i32;
-    probes
-        .par_iter()
-        .flat_map_iter(|[x, z]| {
-            let (x_m, z_m) = (metres_f32(*x), metres_f32(*z));
-            let (hills, folds) = float.fractal_sum(x_m, z_m);
-            let is_inside = Position::new(*x, *z).is_ok();
-            let height = if is_inside { float.height_m(x_m, z_m) * UNITS_PER_METRE as f32 } else { 0.0 };
-            [mod_trunc(*x, *z), mod_floor(*x, *z), fine(hills), fine(folds), height as i32]
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -105,17 +95,5 @@ mod tests {
                 grid_around(index, corner, corner);
             });
         }
-    }
-
-    #[test]
-    fn floats_are_near_the_definition_at_the_origin_but_not_equal() {
-        let land = Land::new(3);
-        let probes: Vec<Probe> = (0..200).map(|n| [n * 37 + 11, n * 53 + 5]).collect();
-        let (exact, floats) = (scalar(&land, &probes), floats(&land, &probes));
-        assert_eq!(exact.len(), floats.len());
-        assert_ne!(exact, floats);
-        let apart = exact.iter().zip(&floats).map(|(a, b)| a.abs_diff(*b)).max();
-        // 2^-16 m: a thousandth of the land.
-        assert!(apart < Some(200), "{apart:?}");
     }
 }

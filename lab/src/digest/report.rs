@@ -134,7 +134,7 @@ mod tests {
         let digest = "0".repeat(64);
         let control =
             Control { name: "f32".into(), digest: digest.clone(), differs, words_different: differs.into() };
-        let detail = "at (0, 0) hills is 1, expected 2".into();
+        let detail = "at (0, 0) fine is 1, expected 2".into();
         let backend = Backend { name: "b".into(), digest: Some(digest.clone()), state, detail, seconds: 0.5 };
         Report { probes: 1, expected: digest, backends: vec![backend], control, equal: true }
     }
@@ -144,7 +144,7 @@ mod tests {
         assert_eq!(report(State::Equal, true).verdict(), Ok(()));
         assert_eq!(report(State::Skipped, true).verdict(), Ok(()));
         let different = report(State::Different, true).verdict().unwrap_err();
-        assert!(different.contains("hills is 1, expected 2"), "{different}");
+        assert!(different.contains("fine is 1, expected 2"), "{different}");
         let failed = report(State::Failed, true).verdict().unwrap_err();
         assert!(failed.starts_with("b failed: ") && !failed.contains("differs"), "{failed}");
         assert!(report(State::Equal, false).verdict().unwrap_err().contains("detects nothing"));

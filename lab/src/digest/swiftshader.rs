@@ -24,7 +24,7 @@ const FOLDERS: [&str; 8] = [
 ];
 const MANIFEST: &str = "vk_swiftshader_icd.json";
 
-/// A million probes take a few seconds.
+/// All probes take a few seconds.
 const TIME_LIMIT: Duration = Duration::from_secs(180);
 
 /// Its manifest, where one is installed.

@@ -3,8 +3,9 @@
 use crate::digest::probes::Probe;
 use shaders::layout::PROBE_WORDS;
 
-/// Per probe: `mod_trunc(x, z)`, `mod_floor(x, z)`, hills, folds, height.
-pub const NAMES: [&str; PROBE_WORDS] = ["mod_trunc", "mod_floor", "hills", "folds", "height"];
+/// Per probe: `mod_trunc(x, z)`, `mod_floor(x, z)`, the sum of the fine octaves, the height with all
+/// octaves and with a few.
+pub const NAMES: [&str; PROBE_WORDS] = ["mod_trunc", "mod_floor", "fine", "height", "coarse height"];
 
 /// blake3 over the words, little-endian, as hexadecimal digits.
 pub fn digest(words: &[i32]) -> String {
@@ -53,7 +54,7 @@ mod tests {
         let probes: Vec<Probe> = (0..10_000).map(|n| [n, -n]).collect();
         assert_eq!(
             describe_differences(&probes, &expected, &found, 3),
-            ["at (7, -7) hills is 36, expected 37"]
+            ["at (7, -7) fine is 36, expected 37"]
         );
     }
 

@@ -5,13 +5,13 @@ use client::cache::vertical_scale::scaled_height;
 use client::features::vegetation::by_slot::BySlot;
 use client::features::vegetation::occlusion_grid::OcclusionGrid;
 use client::features::vegetation::species::{SpeciesParams, VegetationFrame};
-use shaders::layout::CULL_MARCH;
+use shaders::layout::{CULL_MARCH, NOISE_OCTAVES};
 use shaders::twin::placement::{BLOCK_CELL_BITS, BLOCK_CELLS, Clump, PATCH_BLOCKS, clump_at};
 use shaders::twin::raymarch_occlusion::raymarch_occlusion_of_corners;
 use shaders::twin::surface::{FINE_BITS, Slots, Surface};
 use shaders::twin::visibility::{block_is_visible, visible_level};
-use terrain::Position;
 use terrain::land::SEA_FLOOR;
+use terrain::{Octaves, Position};
 
 /// A visible clump.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -54,10 +54,11 @@ pub fn cull_on_cpu(
 /// known seed.
 pub fn noise_of(cache: &ChunkCache, grid: &OcclusionGrid) -> impl Fn(i32, i32) -> i32 {
     let (land, corner, scale) = (cache.land().copied(), grid.corner, cache.vertical_scale());
+    let octaves = Octaves::new(NOISE_OCTAVES).expect("fewer than the land has");
     move |x: i32, z: i32| {
         let at = Position::new(corner[0] + (x >> FINE_BITS), corner[1] + (z >> FINE_BITS));
         match (&land, at) {
-            (Some(land), Ok(at)) => scaled_height(land.height_at(at), scale) << FINE_BITS,
+            (Some(land), Ok(at)) => scaled_height(land.height_keeping(at, octaves), scale) << FINE_BITS,
             _ => SEA_FLOOR << FINE_BITS,
         }
     }

@@ -7,22 +7,25 @@ use client::gpu::buffer::create_buffer;
 use client::gpu::pipeline::{compute_pass, compute_pipelines};
 use client::gpu::readback::Readback;
 use shaders::SHADERS;
-use shaders::layout::{ChunkFill, FILL_WORKGROUP, World};
+use shaders::layout::{ChunkFill, FILL_NODES, FILL_WORKGROUP, World};
 use terrain::constants::VERTEX_COUNT;
 use terrain::pyramid::PYRAMID_TEXELS;
 use terrain::{ChunkKey, Land};
 
 const HEIGHT_BYTES: u64 = 4 * VERTEX_COUNT as u64;
 const PYRAMID_BYTES: u64 = 4 * PYRAMID_TEXELS as u64;
-/// Bytes of one chunk: heights, maxima, minima.
+/// Bytes of the base field's nodes of one chunk, two words each.
+const NODE_BYTES: u64 = 8 * FILL_NODES as u64;
+/// Bytes of one chunk that are read back: heights, maxima, minima.
 const CHUNK_BYTES: u64 = HEIGHT_BYTES + 2 * PYRAMID_BYTES;
 
-/// Most chunks of one batch, 15 MB; one chunk already fills most GPUs.
+/// Most chunks of one batch, 24 MB; one chunk already fills most GPUs.
 pub const MAX_BATCH: usize = 256;
 
 /// Generates chunks of one world, at most a batch at a time.
 #[derive(Debug)]
 pub struct ChunkFiller {
+    fill_nodes: wgpu::ComputePipeline,
     fill_heights: wgpu::ComputePipeline,
     fill_pyramids: wgpu::ComputePipeline,
     bindings: wgpu::BindGroup,
@@ -91,19 +94,24 @@ impl ChunkFiller {
         queue.write_buffer(&world, 0, bytemuck::bytes_of(&World::from(land.parameters())));
         let chunks =
             buffer("chunks to fill", size_of::<ChunkFill>() as u64 * n, Usage::STORAGE | Usage::COPY_DST);
+        let nodes = buffer("filled nodes", NODE_BYTES * n, Usage::STORAGE);
         let heights = buffer("filled heights", HEIGHT_BYTES * n, Usage::STORAGE | Usage::COPY_SRC);
         let pyramids = buffer("filled pyramids", 2 * PYRAMID_BYTES * n, Usage::STORAGE | Usage::COPY_SRC);
         let readback = Readback::new(device, "filled chunks", CHUNK_BYTES * n);
 
         let shader = SHADERS.fill_chunks;
-        let entries = [(0, true), (1, true), (2, false), (3, false)]
+        let entries = [(0, true), (1, true), (2, false), (3, false), (4, false)]
             .map(|(binding, read_only)| bind::storage_entry(binding, wgpu::ShaderStages::COMPUTE, read_only));
         let group_layout = bind::layout(device, shader.name, &entries);
-        let buffers = [&world, &chunks, &heights, &pyramids];
+        let buffers = [&world, &chunks, &nodes, &heights, &pyramids];
         let bindings = bind::bind_buffers(device, shader.name, &group_layout, &buffers);
-        let [fill_heights, fill_pyramids] =
-            compute_pipelines(device, &shader, &[&group_layout], ["fill_heights", "fill_pyramids"]);
-        Self { fill_heights, fill_pyramids, bindings, chunks, heights, pyramids, readback, batch }
+        let [fill_nodes, fill_heights, fill_pyramids] = compute_pipelines(
+            device,
+            &shader,
+            &[&group_layout],
+            ["fill_nodes", "fill_heights", "fill_pyramids"],
+        );
+        Self { fill_nodes, fill_heights, fill_pyramids, bindings, chunks, heights, pyramids, readback, batch }
     }
 
     /// Capacity of a batch.
@@ -165,6 +173,8 @@ impl ChunkFiller {
         let n = keys.len() as u32;
         let mut pass = compute_pass(&mut encoder, "fill chunks");
         pass.set_bind_group(0, &self.bindings, &[]);
+        pass.set_pipeline(&self.fill_nodes);
+        pass.dispatch_workgroups((FILL_NODES as u32).div_ceil(FILL_WORKGROUP), n, 1);
         pass.set_pipeline(&self.fill_heights);
         pass.dispatch_workgroups((VERTEX_COUNT as u32).div_ceil(FILL_WORKGROUP), n, 1);
         pass.set_pipeline(&self.fill_pyramids);

@@ -173,8 +173,8 @@ mod tests {
     #[test]
     fn a_cut_cone_and_the_sea_have_nothing_and_a_table_near_the_sea_its_cliff() {
         assert_eq!(found(|_, _| -5.0), [""; 0]);
-        assert_eq!(found(|x, z| ((2500.0 - x.hypot(z)) * 0.62).min(1000.0)), [""; 0]);
-        assert_eq!(found(|x, z| if x.hypot(z) < 2000.0 { 300.0 } else { -20.0 }), ["cliff"]);
+        assert_eq!(found(|x, z| ((2500.0 - x.hypot(z)) * 0.83).min(1000.0)), [""; 0]);
+        assert_eq!(found(|x, z| if x.hypot(z) < 2000.0 { 700.0 } else { -20.0 }), ["cliff"]);
     }
 
     #[test]

@@ -6,10 +6,10 @@ use crate::chart::{self, Panel, linear};
 use anyhow::{Context, Result};
 use std::path::Path;
 use terrain::Land;
-use terrain::constants::SPACING_BITS;
 
-/// Pixels along a side.
-const PIXELS: usize = 512;
+/// Pixels along a side of a map, and between maps.
+const PIXELS: usize = 320;
+const GAP: usize = 4;
 
 /// Levels whose vertices are pixels: 2, 16, 64 and 256 m.
 const LEVELS: [u8; 4] = [0, 3, 5, 7];
@@ -31,25 +31,34 @@ const TINTS: [(f32, [f64; 3]); 10] = [
     (800.0, [246.0, 244.0, 240.0]),
 ];
 
-/// Writes `relief-WORLD-METRES.png` for every scale, centred on a place (units).
+/// Writes `relief.png`: a row of maps for each world, finest first, centred on a place (units).
 ///
 /// # Errors
-/// A file cannot be written.
-pub fn relief(folder: &Path, land: &Land, (x, z): (i32, i32)) -> Result<()> {
-    for level in LEVELS {
-        let mut window = Window { x, z, level, side: PIXELS + 2, border: 1 };
-        let low = |middle: i32| middle - (window.side as i32 / 2) * window.step();
-        (window.x, window.z) = (low(x), low(z));
-        // Coarse pixels as coarse levels draw them: without octaves that they would alias.
-        let heights = if level > 3 { carried(land, &window) } else { Field::heights(land, &window) };
-        let pixels: Vec<u8> =
-            window.inner().flat_map(|at| colour(heights[at], window.gradient(&heights, at))).collect();
-        let metres = (1 << (SPACING_BITS + u32::from(level))) / 256;
-        let path = folder.join(format!("relief-{}-{metres:03}m.png", land.world_seed()));
-        image::save_buffer(&path, &pixels, PIXELS as u32, PIXELS as u32, image::ColorType::Rgb8)
-            .with_context(|| format!("--out: cannot write `{}`", path.display()))?;
+/// The file cannot be written.
+pub fn relief(folder: &Path, worlds: &[(Land, (i32, i32))]) -> Result<()> {
+    let pitch = PIXELS + GAP;
+    let size = |maps: usize| (maps * pitch - GAP.min(maps * pitch)) as u32;
+    let mut sheet = image::RgbImage::from_pixel(size(LEVELS.len()), size(worlds.len()), image::Rgb([255; 3]));
+    for (row, (land, middle)) in worlds.iter().enumerate() {
+        for (column, level) in LEVELS.into_iter().enumerate() {
+            for (index, pixel) in map(land, *middle, level).into_iter().enumerate() {
+                let (x, y) = (column * pitch + index % PIXELS, row * pitch + index / PIXELS);
+                sheet.put_pixel(x as u32, y as u32, image::Rgb(pixel));
+            }
+        }
     }
-    Ok(())
+    let path = folder.join("relief.png");
+    sheet.save(&path).with_context(|| format!("--out: cannot write `{}`", path.display()))
+}
+
+/// Shaded relief with a vertex of a level for each pixel.
+fn map(land: &Land, (x, z): (i32, i32), level: u8) -> Vec<[u8; 3]> {
+    let mut window = Window { x, z, level, side: PIXELS + 2, border: 1 };
+    let low = |middle: i32| middle - (window.side as i32 / 2) * window.step();
+    (window.x, window.z) = (low(x), low(z));
+    // Coarse pixels as coarse levels draw them: without octaves that they would alias.
+    let heights = if level > 3 { carried(land, &window) } else { Field::heights(land, &window) };
+    window.inner().map(|at| colour(heights[at], window.gradient(&heights, at))).collect()
 }
 
 /// Tint of the height, lit by the slope; the sea hides most of its floor's relief.

@@ -8,8 +8,10 @@ use shaders::layout::PATTERN_PERIOD_M;
 
 /// Share of woods at a place (metres from the origin), by height and gradient.
 pub fn share([x, z]: [f64; 2], height_m: f64, gradient: [f64; 2]) -> f64 {
-    let steep = 1.0 - 1.0 / (1.0 + gradient[0].powi(2) + gradient[1].powi(2)).sqrt();
-    let (lowest, highest, steepest) = (4.0, 295.0, 0.31);
+    // The normal's parts up and south.
+    let up = 1.0 / (1.0 + gradient[0].powi(2) + gradient[1].powi(2)).sqrt();
+    let (steep, southward) = (1.0 - up, -gradient[1] * up);
+    let (lowest, highest, steepest) = (5.0, 475.0, 0.31);
     if height_m <= lowest || height_m >= highest || steep >= steepest {
         return 0.0;
     }
@@ -18,12 +20,15 @@ pub fn share([x, z]: [f64; 2], height_m: f64, gradient: [f64; 2]) -> f64 {
     let fine = pattern(turned, 4.0, 3) - 0.5;
     let clumps = pattern_fbm(turned, 32.0, 15) - 0.5;
     let slope = steep + (medium - 0.5) * 0.07 + fine * 0.02;
-    let noise = pattern_fbm([x, z], 256.0, 4) + (medium - 0.5) * 0.25 + fine * 0.03 + clumps * 0.12;
+    let plain = (1.0 - smoothstep(0.0015, 0.01, steep)) * (1.0 - smoothstep(20.0, 45.0, height_m));
+    let shelter =
+        (broad - 0.5) * 0.25 - southward * 0.25 - plain * 0.09 - smoothstep(120.0, 340.0, height_m) * 0.16;
+    let noise = pattern_fbm([x, z], 256.0, 4) + (medium - 0.5) * 0.25 + fine * 0.03 + clumps * 0.12 + shelter;
     let belt =
-        smoothstep(4.0, 14.0, height_m) * (1.0 - smoothstep(150.0, 250.0, height_m + (broad - 0.5) * 90.0));
-    let summit = smoothstep(195.0, 290.0, height_m + (medium - 0.5) * 70.0);
-    let rock = smoothstep(0.135, 0.215, slope);
-    let stones = smoothstep(0.1, 0.15, slope + (broad - 0.5) * 0.06).max(0.8 * summit);
+        smoothstep(5.0, 12.0, height_m) * (1.0 - smoothstep(340.0, 430.0, height_m + (broad - 0.5) * 90.0));
+    let summit = smoothstep(520.0, 700.0, height_m + (medium - 0.5) * 70.0);
+    let rock = smoothstep(0.165, 0.255, slope);
+    let stones = smoothstep(0.125, 0.185, slope + (broad - 0.5) * 0.06).max(0.8 * summit);
     smoothstep(0.47, 0.54, noise)
         * belt
         * (1.0 - smoothstep(0.16, 0.26, slope))
@@ -84,7 +89,22 @@ mod tests {
         };
         let middle = woods(60.0, 0.1);
         assert!((0.1..0.9).contains(&middle), "{middle}");
-        assert_eq!([woods(3.0, 0.1), woods(320.0, 0.0), woods(60.0, 1.2)], [0.0; 3]);
+        assert_eq!([woods(3.0, 0.1), woods(480.0, 0.0), woods(60.0, 1.2)], [0.0; 3]);
+    }
+
+    #[test]
+    fn woods_prefer_shaded_sides_to_sunny_ones_slopes_to_plains_and_low_ground_to_high() {
+        let woods = |height_m: f64, gradient: [f64; 2]| {
+            let places = (0..10_000).map(|n| [f64::from(n % 100) * 40.0, f64::from(n / 100) * 40.0]);
+            places.map(|place| share(place, height_m, gradient)).sum::<f64>() / 10_000.0
+        };
+        // Land that rises southward faces north.
+        let (shaded, sunny) = (woods(60.0, [0.0, 0.3]), woods(60.0, [0.0, -0.3]));
+        assert!(shaded > 1.5 * sunny && sunny > 0.0, "{shaded} {sunny}");
+        let (plain, slope) = (woods(13.0, [0.0, 0.0]), woods(13.0, [0.2, 0.0]));
+        assert!(slope > 1.3 * plain && plain > 0.05, "{slope} {plain}");
+        let (low, high) = (woods(60.0, [0.2, 0.0]), woods(330.0, [0.2, 0.0]));
+        assert!(low > 2.0 * high && high > 0.0, "{low} {high}");
     }
 
     #[test]

@@ -49,11 +49,11 @@ pub struct Flight {
     pub clearance_m: f64,
 }
 
-/// Low through hills, along a shore, high, and over a summit far from the origin of the island.
+/// Low through hills, along a shore, and high towards the mountains.
 pub const FLIGHTS: [Flight; 3] = [
     Flight { name: "low", start: "-2200,0,-900,70,-3", clearance_m: 4.0 },
-    Flight { name: "shore", start: "4700,0,500,-60,-6", clearance_m: 15.0 },
-    Flight { name: "high", start: "900,0,4200,-20,-25", clearance_m: 400.0 },
+    Flight { name: "shore", start: "-1500,0,1200,110,-6", clearance_m: 15.0 },
+    Flight { name: "high", start: "600,0,2600,-20,-25", clearance_m: 400.0 },
 ];
 
 /// How much pictures change from frame to frame, in steps of 8 bits.

@@ -2,6 +2,7 @@
 //! detail.
 
 use super::screen::{self, ViewCase};
+use crate::places;
 use crate::world_builder::WorldBuilder;
 use client::cache::ChunkCache;
 use client::camera::Pose;
@@ -18,16 +19,21 @@ use terrain::{ChunkKey, Land};
 /// Tolerance of the bar, pixels.
 pub const TOLERANCE_PX: f64 = 1.0;
 
-/// The 8 km view of `cargo xtask measure first-voyage`, then others: the start, a shore, a summit,
-/// and from high up.
-pub const CAMERAS: [&str; 6] = [
-    "0,250,2500,0,-8",
-    "-5200,160,1500,70,-8",
-    "4700,25,500,-60,-8",
-    "300,420,900,20,-12",
-    "900,1500,4200,-20,-30",
-    "-3000,90,-1200,110,-4",
-];
+/// The 8 km view of `cargo xtask measure end-to-end`.
+pub const EIGHT_KM: &str = "0,250,2500,0,-8";
+
+/// That view, then others: the start, a shore, a beach, mountains, and from high up.
+fn cameras(land: &Land) -> [String; 6] {
+    let poses = [
+        Scene::Island.start_in(land),
+        places::along_shore(land),
+        places::beach(land),
+        places::over_mountains(land),
+        places::above(),
+    ];
+    let [start, shore, beach, mountains, above] = poses.map(|pose| pose.to_string());
+    [EIGHT_KM.to_owned(), start, shore, beach, mountains, above]
+}
 
 /// Triangles of one camera.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -43,20 +49,20 @@ pub struct View {
 
 pub fn count(land: &Land) -> Vec<View> {
     let mut builder = WorldBuilder::new(*land);
-    let view = |camera: &str| {
+    let view = |camera: String| {
         let pose: Pose = camera.parse().expect("the cameras of this module are poses");
         let shot = ViewCase { pose, tolerance_px: TOLERANCE_PX }.shot();
         let (world, selection) = screen::selected(&mut builder, &shot);
         builder.clear();
         let (chunks, instances) = in_sight(&shot, &world, &selection);
         View {
-            camera: camera.to_owned(),
+            camera,
             chunks,
             triangles: instances as u64 * TRIANGLES_PER_INSTANCE,
             triangles_without_lod: without_lod(land, &shot) as u64 * TRIANGLES_PER_INSTANCE,
         }
     };
-    CAMERAS.into_iter().map(view).collect()
+    cameras(land).into_iter().map(view).collect()
 }
 
 /// Chunks in sight, and instances.

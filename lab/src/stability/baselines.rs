@@ -1,12 +1,13 @@
-//! Fields that the stability sweep compares: ours in fixed point and in f32, and the `noise` crate
-//! (0.9) with f64 coordinates and with coordinates rounded to f32, as in a vertex buffer.
+//! Fields that the stability sweep compares: our fine octaves in fixed point and in f32, and the
+//! `noise` crate (0.9) with f64 coordinates and with coordinates rounded to f32, as in a vertex
+//! buffer.
 
-use super::bounds::NOISE_SLOPE;
+use super::bounds::{NOISE_SLOPE, fine_slope};
 use crate::floats::{FloatLand, TOTAL_M, metres, metres_f32, noise_crate};
-use crate::reference_f64::{amplitude_m, cell_m};
+use crate::reference_f64::cell_m;
 use noise::{NoiseFn, Perlin};
 use terrain::Octaves;
-use terrain::constants::{FINE_BITS, OCTAVES};
+use terrain::constants::{FINE_BITS, FINE_OCTAVES};
 
 /// A field of relief over the whole world, metres.
 pub struct Baseline {
@@ -24,20 +25,20 @@ pub fn baselines(world_seed: u64) -> Vec<Baseline> {
     let (sum, sum_f32) = (noise_crate(world_seed as u32), noise_crate(world_seed as u32));
     let (perlin, perlin_f32) = (Perlin::new(world_seed as u32), Perlin::new(world_seed as u32));
     // Its gradients are (±1, ±1) and its octave is scaled by √2: twice a unit gradient's.
-    let ours = NOISE_SLOPE * (0..OCTAVES).map(|octave| amplitude_m(octave) / cell_m(octave)).sum::<f64>();
-    let finest = 1.0 / cell_m(OCTAVES - 1);
+    let ours = fine_slope();
+    let finest = 1.0 / cell_m(FINE_OCTAVES - 1);
     vec![
         Baseline {
             name: "ours, fixed point",
             slope: ours,
             relief_m: Box::new(move |x, z| {
-                f64::from(fixed.at(x, z, Octaves::ALL).hills) / f64::from(1i32 << FINE_BITS)
+                f64::from(fixed.at(x, z, Octaves::ALL)) / f64::from(1i32 << FINE_BITS)
             }),
         },
         Baseline {
             name: "our formula in f32",
             slope: ours,
-            relief_m: Box::new(move |x, z| f64::from(float.fractal_sum(metres_f32(x), metres_f32(z)).0)),
+            relief_m: Box::new(move |x, z| f64::from(float.fractal_sum(metres_f32(x), metres_f32(z)))),
         },
         Baseline {
             name: "noise 0.9 Fbm<Perlin>, f32 coordinates",

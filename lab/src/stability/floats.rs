@@ -32,7 +32,7 @@ pub struct FloatRow {
     pub jump_over_bound: f64,
     /// Share of steps without any change: terraces.
     pub stuck: f64,
-    /// Whether the relief equals the relief 262,144 m farther west, where a lattice of 256 cells
+    /// Whether the relief equals the relief 32,768 m farther west, where a lattice of 256 cells
     /// begins again.
     pub repeats: bool,
 }

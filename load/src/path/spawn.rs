@@ -1,7 +1,9 @@
-//! A stampede: all clients at one position at the same time, then dispersing.
+//! A stampede: all clients at the start of the world at the same time, then dispersing inland.
 
-use super::{Motion, PathRandom, REACH_M};
-use std::f64::consts::TAU;
+use super::{Motion, PathRandom};
+use std::f64::consts::FRAC_PI_2;
+use terrain::Start;
+use terrain::constants::UNITS_PER_METRE;
 
 /// Time at the spawn point, seconds.
 pub(super) const STAY_S: f64 = 3.0;
@@ -23,11 +25,13 @@ pub(super) struct Dispersal {
 }
 
 impl Dispersal {
-    /// `all` gives the shared position, `own` the direction.
-    pub(super) fn new(all: PathRandom, own: PathRandom) -> Self {
-        let (sin, cos) = own.between(7, 0.0, TAU).sin_cos();
+    /// From the start of a world, in a direction within a right angle of the way inland.
+    pub(super) fn new(start: Start, own: PathRandom) -> Self {
+        let metres = |units: i32| f64::from(units) / f64::from(UNITS_PER_METRE);
+        let inland = f64::from(start.inland.1).atan2(f64::from(start.inland.0));
+        let (sin, cos) = (inland + own.between(7, -FRAC_PI_2, FRAC_PI_2)).sin_cos();
         Self {
-            spawn_m: all.place_m((5, 6), REACH_M),
+            spawn_m: (metres(start.x), metres(start.z)),
             away: (cos, sin),
             far_m: own.between(1, FAR_M.0, FAR_M.1),
             speed: own.between(2, SPEED.0, SPEED.1),
@@ -54,9 +58,11 @@ mod tests {
     use crate::path::{FlightPath, PathKind};
 
     #[test]
-    fn all_clients_start_at_one_position_and_disperse() {
-        let clients: Vec<_> = (0..100).map(|index| FlightPath::new(PathKind::Spawn, 5, index)).collect();
-        let place = clients[0].place_m(0.0);
+    fn all_clients_start_at_the_start_of_the_world_and_disperse_inland() {
+        let start = Start { x: -600 * 256, z: 1500 * 256, inland: (19_661, -26_214) };
+        let clients: Vec<_> =
+            (0..100).map(|index| FlightPath::new(PathKind::Spawn, 5, index, start)).collect();
+        let place = (-600.0, 1500.0);
         for path in &clients {
             assert_eq!((path.place_m(0.0), path.place_m(STAY_S)), (place, place));
         }
@@ -68,6 +74,12 @@ mod tests {
             clients.iter().map(from).fold(f64::MAX, f64::min)
         };
         assert!(far(10.0) > 50.0 && far(10.0) < far(60.0), "{} {}", far(10.0), far(60.0));
-        assert_ne!(place, FlightPath::new(PathKind::Spawn, 6, 0).place_m(0.0), "another seed, another place");
+        let inland = |path: &FlightPath| {
+            let (east, south) = path.place_m(60.0);
+            (east - place.0) * 0.6 - (south - place.1) * 0.8
+        };
+        assert!(clients.iter().all(|path| inland(path) >= -0.1), "no client disperses into the sea");
+        let turned = |sign: f64| clients.iter().filter(|path| inland(path) * sign > 100.0).count();
+        assert!(turned(1.0) > 50 && turned(-1.0) == 0, "{}", turned(1.0));
     }
 }

@@ -283,7 +283,7 @@ mod tests {
         let grid = grid(&Land::new(1), key(TOP_LEVEL, 0, 0));
         assert!(grid.heights.iter().all(|height| height.is_finite()));
         for row in 0..TILE_PIXELS {
-            assert!(grid.sample(0, row).height_m >= -80.0);
+            assert!(grid.sample(0, row).height_m >= -87.0);
         }
     }
 }

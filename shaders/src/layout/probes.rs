@@ -73,9 +73,13 @@ pub struct PomResult {
     pub reserved: [u32; 2],
 }
 
-/// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, hills, folds,
-/// height.
+/// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, the sum of the
+/// fine octaves, the height, the height with [`PROBE_COARSE_OCTAVES`].
 pub const PROBE_WORDS: usize = 5;
+
+/// Octaves of the coarse height of `probe_heights`: so few that the base field is evaluated at the
+/// probe itself instead of splined, and one fine octave more than none.
+pub const PROBE_COARSE_OCTAVES: usize = 5;
 
 /// Uniforms of `probe_tiling`.
 #[repr(C)]

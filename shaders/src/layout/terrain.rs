@@ -2,7 +2,8 @@
 
 use super::shadow::{CLEARANCE_WORDS, NODES_PER_SLOT, PageNode};
 use bytemuck::{Pod, Zeroable};
-use terrain::constants::{OCTAVES, VERTEX_COUNT};
+use terrain::base::LATTICES;
+use terrain::constants::{FINE_OCTAVES, VERTEX_COUNT};
 use terrain::{ChunkKey, Octaves, Parameters};
 
 /// How a chunk is drawn: what terrain instances and occluder chunks have in common.
@@ -94,15 +95,18 @@ impl TerrainInstance {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct World {
-    /// Seed of each octave, coarsest first.
-    pub octave_seeds: [u32; OCTAVES],
+    /// Seed of each fine octave, widest first.
+    pub fine_seeds: [u32; FINE_OCTAVES],
+    /// Seeds of the noises of the base field: octaves, warp, exposure.
+    pub lattice_seeds: [u32; LATTICES],
     /// Seed of the archipelago.
     pub archipelago_seed: u32,
 }
 
 impl From<Parameters> for World {
     fn from(parameters: Parameters) -> Self {
-        Self { octave_seeds: parameters.octave_seeds, archipelago_seed: parameters.archipelago_seed }
+        let Parameters { fine_seeds, lattice_seeds, archipelago_seed } = parameters;
+        Self { fine_seeds, lattice_seeds, archipelago_seed }
     }
 }
 
@@ -128,6 +132,10 @@ impl From<ChunkKey> for ChunkFill {
     }
 }
 
+/// Most nodes of the base field that `fill_nodes` evaluates for a chunk: at level 4, where every
+/// vertex has a cell of its own, the 65 x 65 vertices lie in the splines of 66 x 66 nodes.
+pub const FILL_NODES: usize = 66 * 66;
+
 /// Words of a slot in addition to its heights, which placement and occlusion of plants read: as
 /// many lower bounds as upper ones, then 16 x 16 densities of a byte.
 pub const RECORD_WORDS: usize = BLOCK_TEXELS + 64;
@@ -140,7 +148,7 @@ pub const BLOCK_TEXELS: usize = 64 + 16 + 4 + 1;
 pub const GPU_SLOT_BYTES: usize = 4 * (VERTEX_COUNT + CLEARANCE_WORDS + BLOCK_TEXELS + RECORD_WORDS)
     + NODES_PER_SLOT * size_of::<PageNode>();
 
-/// Invocations of a workgroup of `probe_heights` and of `fill_heights`, in x.
+/// Invocations of a workgroup of `probe_heights`, of `fill_nodes` and of `fill_heights`, in x.
 pub const FILL_WORKGROUP: u32 = 64;
 
 /// The material sets by the names of their files, in the order of `shared/material_sets.wesl`.

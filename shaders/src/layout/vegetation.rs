@@ -2,7 +2,6 @@
 
 use super::terrain::ChunkWords;
 use bytemuck::{Pod, Zeroable};
-use terrain::constants::OCTAVES;
 
 /// Tiles of the occlusion grid along a side.
 pub const GRID_TILES: i32 = 32;
@@ -59,6 +58,10 @@ pub const CULL_MARCH: u32 = 3;
 /// [`Culling::path`]: of these, clumps that the drawn triangles do not provably occlude (T3).
 pub const CULL_EXACT: u32 = 4;
 
+/// Octaves of the height that [`CULL_NOISE`] marches over: the most whose base field is evaluated
+/// at the point itself, not splined from nine nodes.
+pub const NOISE_OCTAVES: usize = 6;
+
 /// [`Culling::path`]: the same, whole blocks first (T4).
 pub const CULL_HIERARCHICAL: u32 = 5;
 
@@ -92,8 +95,9 @@ pub struct Culling {
     pub frame: u32,
     /// Seed of the archipelago, for the noise of T2.
     pub archipelago_seed: u32,
-    /// Seeds of the octaves, likewise.
-    pub octave_seeds: [u32; OCTAVES],
+    /// Seeds of the fine octaves, then of the noises of the base field, likewise; then two unused
+    /// words.
+    pub land_seeds: [u32; 16],
     /// How much higher than its noise the land is, Q8.
     pub stretch: i32,
     /// Unused; fills 16 bytes.

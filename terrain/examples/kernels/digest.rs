@@ -2,7 +2,7 @@
 
 use terrain::{ChunkKey, Grid, Kernel, Land, Pyramid};
 
-/// Digest of a kernel's heights, sums and pyramids: every level at the origin and at a corner of
+/// Digest of a kernel's heights, fine octaves and pyramids: every level at the origin and at a corner of
 /// the world, narrow and wide strips, few rows and a second band of rows, rows of open sea. Small,
 /// so that an interpreter that checks every access gets through.
 pub fn digest(kernel: Kernel) -> u64 {
@@ -22,11 +22,10 @@ pub fn digest(kernel: Kernel) -> u64 {
     });
     for (columns, rows, level, x, z) in odd.into_iter().chain(levels) {
         let grid = Grid::new(x, z, level, columns, rows).expect("the grids lie in the world");
-        let (mut heights, mut hills, mut folds) =
-            (vec![0; grid.vertex_count()], vec![0; grid.vertex_count()], vec![0; grid.vertex_count()]);
+        let (mut heights, mut fine) = (vec![0; grid.vertex_count()], vec![0; grid.vertex_count()]);
         land.heights_on(kernel, &grid, &mut heights);
-        land.fbm().grid_on(kernel, &grid, &mut hills, &mut folds);
-        [heights, hills, folds].iter().for_each(|values| add(values));
+        land.fbm().grid_on(kernel, &grid, &mut fine);
+        [heights, fine].iter().for_each(|values| add(values));
     }
     let mut chunk = Box::new([0; 4225]);
     land.heights_on(kernel, &Grid::of_chunk(ChunkKey::containing(0, 5_000, 5_000)), &mut chunk[..]);

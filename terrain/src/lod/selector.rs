@@ -4,11 +4,15 @@
 //! machine: [`Selector::step`] examines at most a given number of chunks and returns, and the
 //! caller decides when to continue. [`super::select`] runs all steps at once.
 
-use super::{Needed, Splits, Viewer, error_bound, level_error, required};
+use super::{Needed, Progress, Splits, Viewer, level_error, required};
 use crate::constants::TOP_LEVEL;
 use crate::key::ChunkKey;
 use crate::land::Land;
 use std::cmp::Reverse;
+use std::collections::HashMap;
+
+/// Known chunks that a measurement of errors counts as: some 2 ms.
+const MEASUREMENT: usize = 10_000;
 
 /// One running selection.
 #[derive(Clone, Debug)]
@@ -19,6 +23,8 @@ pub struct Selector {
     limit: usize,
     tops: Vec<ChunkKey>,
     splits: Splits,
+    /// Errors of the chunks that were examined, units.
+    errors: HashMap<ChunkKey, u32>,
     phase: Phase,
     found: Vec<Needed>,
 }
@@ -59,6 +65,7 @@ impl Selector {
             limit,
             tops,
             splits: Splits::default(),
+            errors: HashMap::new(),
             phase,
             found: Vec::new(),
         }
@@ -70,8 +77,8 @@ impl Selector {
         matches!(self.phase, Phase::Done)
     }
 
-    /// Examines at most `chunks` chunks (at least 1), or sorts the splits of one level. Returns
-    /// whether the selection is done.
+    /// Examines at most `chunks` chunks (at least 1), measures the errors of one chunk of 1 km², or
+    /// sorts the splits of one level. Returns whether the selection is done.
     pub fn step(&mut self, chunks: usize) -> bool {
         let mut left = chunks.max(1);
         while left > 0 && !self.is_done() {
@@ -108,13 +115,24 @@ impl Selector {
         count: usize,
         chunks: usize,
     ) -> usize {
-        let end = examined.saturating_add(chunks).min(level.len());
         let viewer = &self.viewer;
-        for key in &level[examined..end] {
-            let error = viewer.screen_error_q4(error_bound(&self.land, *key), viewer.distance_to(*key));
-            if error > viewer.tolerance() {
-                self.splits.insert(*key, error);
-                below.extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
+        let (mut end, mut work) = (examined, 0);
+        while end < level.len() && work < chunks {
+            let key = level[end];
+            match self.land.known_error(key) {
+                Progress::Known(error) => {
+                    self.errors.insert(key, error);
+                    let error = viewer.screen_error_q4(error, viewer.distance_to(key));
+                    if error > viewer.tolerance() {
+                        self.splits.insert(key, error);
+                        below
+                            .extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
+                    }
+                    (end, work) = (end + 1, work + 1);
+                }
+                // One measurement is the work of a step: chunks that have a known error cost next
+                // to nothing.
+                Progress::Measured => work = work.saturating_add(MEASUREMENT),
             }
         }
         self.phase = if end < level.len() {
@@ -125,7 +143,7 @@ impl Selector {
         } else {
             Phase::Split { count: count + below.len(), level: below, examined: 0, below: Vec::new() }
         };
-        (end - examined).max(1)
+        work.max(1)
     }
 
     fn balance(&mut self, level: u8, examined: usize, chunks: usize) -> usize {
@@ -163,7 +181,8 @@ impl Selector {
             if found.len() >= self.limit {
                 break;
             }
-            let error = error_bound(&self.land, *key);
+            // A split that only balance requires has no known error.
+            let error = self.errors.get(key).copied().unwrap_or_else(|| level_error(key.level()));
             let children = key.children().into_iter().flatten().filter(|child| self.viewer.sees(*child));
             found.extend(children.map(|child| self.needed(child, error, *urgency)));
         }

@@ -23,14 +23,15 @@ pub(super) fn densities(
                 [corners[x + 1], beyond[x]].map(|end| end.wrapping_sub(corners[x]).wrapping_abs());
             let slope_q8 = east.max(south).wrapping_shr(side_bits);
             let above_beach = ramp(middles[x], 2 * UNITS_PER_METRE, 4 * UNITS_PER_METRE);
-            let below_rock = 255 - ramp(middles[x], 180 * UNITS_PER_METRE, 260 * UNITS_PER_METRE);
+            let below_rock = 255 - ramp(middles[x], 420 * UNITS_PER_METRE, 620 * UNITS_PER_METRE);
             let gentle = 255 - ramp(slope_q8, 128, 256);
             *share = above_beach.min(below_rock.min(gentle)) as u8;
         }
     }
 }
 
-/// 0 at or below `low`, 255 at or above `high`, linear between; `high - low` is at most 2^15.
+/// 0 at or below `low`, 255 at or above `high`, linear between. `high - low` is below 2^24, so that
+/// 255 times it fits.
 #[inline(always)]
 fn ramp(value: i32, low: i32, high: i32) -> u32 {
     let above = value.max(low).min(high).wrapping_sub(low) as u32;

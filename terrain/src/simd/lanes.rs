@@ -68,6 +68,23 @@ pub(super) trait Lanes: Copy {
 /// Most lanes of any implementation; buffers are padded for it.
 pub(super) const MOST_LANES: usize = 16;
 
+/// Stores the first `count` lanes, or all of them.
+#[inline(always)]
+pub(super) unsafe fn store_some<L: Lanes>(lanes: L, to: *mut i32, count: usize) {
+    // SAFETY: the caller guarantees `count` integers at `to` and the CPU features.
+    unsafe {
+        if count >= L::COUNT {
+            lanes.store(to);
+        } else {
+            let mut all = [0; MOST_LANES];
+            lanes.store(all.as_mut_ptr());
+            for (index, value) in all.iter().enumerate().take(count) {
+                *to.add(index) = *value;
+            }
+        }
+    }
+}
+
 /// One lane: the portable kernel.
 impl Lanes for i32 {
     const COUNT: usize = 1;

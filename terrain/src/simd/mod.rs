@@ -1,15 +1,19 @@
 //! Whole grids at once, on the vectors of this machine.
 //!
-//! One algorithm (`strip`, `shape`, `pyramid`, `slope`) over one small set of vector operations
-//! (`lanes`), implemented for single integers and for each instruction set that is measurably
-//! faster. All kernels yield the same bits.
+//! One algorithm (`strip`, `curves`, `base`, `field`, `shape`, `pyramid`, `slope`) over one small set
+//! of vector operations (`lanes`), implemented for single integers and for each instruction set that
+//! is measurably faster. All kernels yield the same bits.
 //!
 //! The only unsafe code of this crate: vector instructions may only run on CPUs that have them, and
 //! vectors are loaded through pointers. A [`Kernel`] that needs a feature exists only where that
 //! feature was detected.
 #![expect(unsafe_code, reason = "vector instructions; every block states what it relies on")]
 
+mod base;
+mod curves;
 mod density;
+mod distance;
+mod field;
 mod kernel;
 mod lanes;
 mod pyramid;
@@ -21,11 +25,11 @@ mod wasm;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-use crate::constants::{GRASS_GRID, VERTEX_COUNT};
+use crate::constants::{BASE_OCTAVES, GRASS_GRID, VERTEX_COUNT};
 use crate::grid::Grid;
-use crate::island::Archipelago;
 use crate::land::Land;
 use crate::noise::Fbm;
+use crate::spline;
 use crate::texels::Texels;
 use kernel::Set;
 use lanes::Lanes;
@@ -77,14 +81,31 @@ macro_rules! entry {
 }
 
 entry! {
-    /// The fractal sum over a grid: `hills` and `folds`, 2^-16 m, row by row. Both hold the grid's
+    /// The fractal sum of the fine octaves over a grid, 2^-16 m, row by row. `out` holds the grid's
     /// vertices.
-    noise(fbm: &Fbm, grid: &Grid, hills: &mut [i32], folds: &mut [i32]) => noise_on
+    noise(fbm: &Fbm, grid: &Grid, out: &mut [i32]) => noise_on
 }
 
 entry! {
     /// The heights of a grid, units, row by row. `out` holds the grid's vertices.
-    heights(fbm: &Fbm, archipelago: &Archipelago, grid: &Grid, out: &mut [i32]) => heights_on
+    heights(land: &Land, grid: &Grid, out: &mut [i32]) => heights_on
+}
+
+entry! {
+    /// The base field with all octaves at a rectangle of nodes, `columns` wide, row by row from a
+    /// first cell on: heights (2^-16 m), and roughness with exposure above it (16 bits each).
+    nodes(land: &Land, first: (i32, i32), columns: usize, heights: &mut [i32], shares: &mut [i32]) => nodes_on
+}
+
+entry! {
+    /// Largest distance between triangles and a finer grid; see [`distance::farthest`].
+    farthest_into(
+        heights: &[i32; VERTEX_COUNT],
+        depth: u32,
+        fine: &[i32],
+        stride: usize,
+        worst: &mut i32
+    ) => farthest_on
 }
 
 entry! {
@@ -127,9 +148,9 @@ impl Fbm {
     /// m.
     ///
     /// # Panics
-    /// If `hills` or `folds` does not hold exactly the grid's vertices.
-    pub fn grid_on(&self, kernel: Kernel, grid: &Grid, hills: &mut [i32], folds: &mut [i32]) {
-        noise(kernel, self, grid, hills, folds);
+    /// If `out` does not hold exactly the grid's vertices.
+    pub fn grid_on(&self, kernel: Kernel, grid: &Grid, out: &mut [i32]) {
+        noise(kernel, self, grid, out);
     }
 }
 
@@ -149,7 +170,7 @@ impl Land {
     /// If `out` does not hold exactly the grid's vertices.
     pub fn heights_on(&self, kernel: Kernel, grid: &Grid, out: &mut [i32]) {
         assert_eq!(out.len(), grid.vertex_count(), "`out` must hold every vertex of the grid");
-        heights(kernel, self.fbm(), self.archipelago(), grid, out);
+        heights(kernel, self, grid, out);
     }
 }
 
@@ -167,52 +188,98 @@ pub(crate) fn pyramid(kernel: Kernel, heights: &[i32; VERTEX_COUNT], max: bool) 
 }
 
 /// Writes the noise of one strip into the grid's sums.
-struct Relief<'a> {
+struct Noise<'a> {
     grid: &'a Grid,
     columns: Columns,
-    hills: *mut i32,
-    folds: *mut i32,
+    out: *mut i32,
 }
 
-impl<L: Lanes> Sink<L> for Relief<'_> {
+impl<L: Lanes> Sink<L> for Noise<'_> {
     #[inline(always)]
     unsafe fn begin_row(&mut self, _: usize) -> bool {
         true
     }
 
     #[inline(always)]
-    unsafe fn put(&mut self, row: usize, column: usize, hills: L, folds: L) {
+    unsafe fn put(&mut self, row: usize, column: usize, fine: L) {
         let index = row * self.grid.columns + self.columns.first + column;
-        // SAFETY: the caller guarantees the CPU features; the rest of the strip's row lies in both
+        // SAFETY: the caller guarantees the CPU features; the rest of the strip's row lies in the
         // sums.
-        unsafe {
-            shape::store_some(hills, self.hills.add(index), self.columns.count - column);
-            shape::store_some(folds, self.folds.add(index), self.columns.count - column);
-        }
+        unsafe { lanes::store_some(fine, self.out.add(index), self.columns.count - column) };
     }
 }
 
 /// # Safety
-/// The CPU has the features of `L`; so for all four.
+/// The CPU has the features of `L`; so for all of them.
 #[inline(always)]
-unsafe fn noise_on<L: Lanes>(fbm: &Fbm, grid: &Grid, hills: &mut [i32], folds: &mut [i32]) {
-    assert!(hills.len() == grid.vertex_count() && folds.len() == grid.vertex_count());
+unsafe fn noise_on<L: Lanes>(fbm: &Fbm, grid: &Grid, out: &mut [i32]) {
+    assert_eq!(out.len(), grid.vertex_count());
     let mut strip = Strip::new();
     for columns in strips(grid.columns) {
-        let mut sink = Relief { grid, columns, hills: hills.as_mut_ptr(), folds: folds.as_mut_ptr() };
+        let mut sink = Noise { grid, columns, out: out.as_mut_ptr() };
         // SAFETY: guaranteed by the caller; strips are at most 65 wide.
         unsafe { strip.run::<L>(fbm, grid, columns, &mut sink) };
     }
 }
 
+/// Rows of a band: bounds the memory for its nodes to 0.5 MB.
+const BAND_ROWS: usize = 513;
+
 #[inline(always)]
-unsafe fn heights_on<L: Lanes>(fbm: &Fbm, archipelago: &Archipelago, grid: &Grid, out: &mut [i32]) {
+unsafe fn heights_on<L: Lanes>(land: &Land, grid: &Grid, out: &mut [i32]) {
     let mut strip = Strip::new();
-    for columns in strips(grid.columns).flat_map(|columns| shape::Shaper::parts(grid, columns)) {
-        let mut sink = shape::Shaper::new(archipelago, grid, columns, out);
-        // SAFETY: see `noise_on`.
-        unsafe { strip.run::<L>(fbm, grid, columns, &mut sink) };
+    let bands = (0..grid.rows).step_by(BAND_ROWS).zip(out.chunks_mut(BAND_ROWS * grid.columns.max(1)));
+    for (row, out) in bands {
+        let band = grid.band(row, BAND_ROWS);
+        for columns in strips(band.columns) {
+            // SAFETY: see `noise_on`.
+            unsafe {
+                let field = field::Field::new::<L>(land.base(), land.archipelago(), &band, columns);
+                let mut sink = shape::Shaper::new(field, &band, columns, out);
+                strip.run::<L>(land.fbm(), &band, columns, &mut sink);
+            }
+        }
     }
+}
+
+#[inline(always)]
+unsafe fn nodes_on<L: Lanes>(
+    land: &Land,
+    first: (i32, i32),
+    columns: usize,
+    heights: &mut [i32],
+    shares: &mut [i32],
+) {
+    let rows = heights.len() / columns.max(1);
+    let side = (columns.max(rows) as u32) << spline::CELL_BITS;
+    let (x, z) = (spline::node(first.0), spline::node(first.1));
+    let lobes = land.archipelago().lobes_near(x, z, side);
+    // SAFETY: guaranteed by the caller.
+    unsafe { field::evaluate_nodes::<L>(land.base(), &lobes, BASE_OCTAVES, first, columns, heights, shares) };
+}
+
+/// The compiler vectorises this body, once per instruction set; so the densities.
+#[inline(always)]
+unsafe fn farthest_on<L: Lanes>(
+    heights: &[i32; VERTEX_COUNT],
+    depth: u32,
+    fine: &[i32],
+    stride: usize,
+    worst: &mut i32,
+) {
+    *worst = match depth {
+        1 => distance::farthest::<1>(heights, fine, stride),
+        2 => distance::farthest::<2>(heights, fine, stride),
+        _ => distance::farthest::<3>(heights, fine, stride),
+    };
+}
+
+/// Largest distance between the drawn surface of a chunk and the grid that is `2^depth` times finer
+/// (1 to 3), units, rounded up. `fine` begins at the low corner; its rows are `stride` long.
+pub(crate) fn farthest(heights: &[i32; VERTEX_COUNT], depth: u8, fine: &[i32], stride: usize) -> u32 {
+    let mut worst = 0;
+    farthest_into(Kernel::best(), heights, u32::from(depth), fine, stride, &mut worst);
+    worst.unsigned_abs().div_ceil(1 << depth)
 }
 
 #[inline(always)]
@@ -255,14 +322,13 @@ mod tests {
     fn check(land: &Land, grid: &Grid) {
         let count = grid.vertex_count();
         for kernel in Kernel::available() {
-            let (mut heights, mut hills, mut folds) = (vec![1; count], vec![1; count], vec![1; count]);
+            let (mut heights, mut fine) = (vec![1; count], vec![1; count]);
             land.heights_on(kernel, grid, &mut heights);
-            land.fbm().grid_on(kernel, grid, &mut hills, &mut folds);
+            land.fbm().grid_on(kernel, grid, &mut fine);
             for index in 0..count {
                 let (x, z) = grid.position(index % grid.columns, index / grid.columns);
                 let place = format!("{kernel} at ({x}, {z}), vertex {index} of {grid:?}");
-                let relief = land.fbm().at(x, z, grid.octaves);
-                assert_eq!((hills[index], folds[index]), (relief.hills, relief.folds), "noise by {place}");
+                assert_eq!(fine[index], land.fbm().at(x, z, grid.octaves), "noise by {place}");
                 let position = Position::new(x, z).unwrap();
                 assert_eq!(heights[index], land.height_keeping(position, grid.octaves), "height by {place}");
             }
@@ -325,7 +391,7 @@ mod tests {
     #[test]
     fn fewer_octaves_are_the_first_of_them() {
         let land = Land::new(10);
-        for kept in 0..=8 {
+        for kept in 0..=9 {
             let grid = grid(-90_000, 4_000, 0, 65, 5).keeping(Octaves::new(kept).unwrap());
             assert_eq!(grid.octaves().count(), kept);
             check(&land, &grid);

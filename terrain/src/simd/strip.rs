@@ -9,10 +9,12 @@
 //! The statements are those of [`crate::noise`] and [`crate::weights`], on vectors; tests compare
 //! every bit.
 
+use super::curves::{PACKED_GRADIENTS, fade, mix};
 use super::lanes::{Lanes, MOST_LANES};
-use crate::constants::{FIRST_CELL_BITS, FRACTION_BITS, GRADIENTS, OCTAVES, SPLIT_BITS, WIDE_OCTAVES};
+use crate::constants::{FINE_OCTAVES, FIRST_CELL_BITS, FRACTION_BITS};
 use crate::grid::Grid;
 use crate::noise::{Fbm, fine_shift};
+use crate::weights::DROPPED_BITS;
 
 /// Vertices of a strip; the last strip may have one more, so that a chunk is one strip.
 const STRIP: usize = 64;
@@ -24,22 +26,11 @@ pub(super) const WIDTH: usize = (STRIP + 1).next_multiple_of(MOST_LANES);
 const LATTICE: usize = {
     let mut sum = 0;
     let mut octave = 0;
-    while octave < OCTAVES {
+    while octave < FINE_OCTAVES {
         sum += ((WIDTH >> octave) + 2).next_multiple_of(MOST_LANES) + MOST_LANES;
         octave += 1;
     }
     sum
-};
-
-/// Gradients as pairs of 16 bits: x low, z high.
-const PACKED_GRADIENTS: [i32; 32] = {
-    let mut packed = [0; 32];
-    let mut index = 0;
-    while index < 32 {
-        packed[index] = pair(GRADIENTS[index].0 as i32, GRADIENTS[index].1 as i32);
-        index += 1;
-    }
-    packed
 };
 
 /// Receiver of the vertices of a strip.
@@ -48,7 +39,7 @@ pub(super) trait Sink<L: Lanes> {
     unsafe fn begin_row(&mut self, row: usize) -> bool;
     /// `COUNT` vertices from `column` of the strip on, in 2^-16 m. Vertices beyond the strip's
     /// width are padding.
-    unsafe fn put(&mut self, row: usize, column: usize, hills: L, folds: L);
+    unsafe fn put(&mut self, row: usize, column: usize, fine: L);
 }
 
 /// The columns of a grid that are evaluated together.
@@ -77,28 +68,22 @@ pub(super) fn strips(columns: usize) -> impl Iterator<Item = Columns> {
 // Aligned to cache lines, so that no vector of a table lies across two.
 #[repr(align(64))]
 pub(super) struct Strip {
-    /// Per row of the band: steps and lines towards the lattice rows above and below, and the extra
-    /// bits of both.
-    row_step: [i32; OCTAVES * WIDTH],
-    row_line: [i32; OCTAVES * WIDTH],
-    row_step_extra: [i32; WIDE_OCTAVES * WIDTH],
-    row_line_extra: [i32; WIDE_OCTAVES * WIDTH],
+    /// Per row of the band: steps and lines towards the lattice rows above and below.
+    row_step: [i32; FINE_OCTAVES * WIDTH],
+    row_line: [i32; FINE_OCTAVES * WIDTH],
 
     /// Per vertex: which lattice column of its vector's window lies at or below it.
-    picker: [i32; OCTAVES * WIDTH],
+    picker: [i32; FINE_OCTAVES * WIDTH],
     /// Per vertex: line and step towards the low and towards the high lattice column.
-    low: [i32; OCTAVES * WIDTH],
-    high: [i32; OCTAVES * WIDTH],
-    /// Extra bits of both, of the wide octaves.
-    low_extra: [i32; WIDE_OCTAVES * WIDTH],
-    high_extra: [i32; WIDE_OCTAVES * WIDTH],
+    low: [i32; FINE_OCTAVES * WIDTH],
+    high: [i32; FINE_OCTAVES * WIDTH],
     /// Per vector: the lattice index of its window.
-    window: [[u16; WIDTH]; OCTAVES],
+    window: [[u16; WIDTH]; FINE_OCTAVES],
 
-    base: [usize; OCTAVES],
-    cells: [usize; OCTAVES],
+    base: [usize; FINE_OCTAVES],
+    cells: [usize; FINE_OCTAVES],
     /// The lattice row above the current row of vertices.
-    cell_z: [Option<i32>; OCTAVES],
+    cell_z: [Option<i32>; FINE_OCTAVES],
     /// Per lattice column: hash of its x.
     column_hash: [i32; LATTICE],
     /// Per lattice column: the gradient below the row, and both gradients' components in pairs.
@@ -109,7 +94,6 @@ pub(super) struct Strip {
     /// Written one row ahead, because a window that is read across two fresh stores would wait for
     /// them.
     edge: [[i32; LATTICE]; 2],
-    edge_extra: [[i32; LATTICE]; 2],
 }
 
 impl Strip {
@@ -117,13 +101,9 @@ impl Strip {
         Self {
             row_step: [0; _],
             row_line: [0; _],
-            row_step_extra: [0; _],
-            row_line_extra: [0; _],
             picker: [0; _],
             low: [0; _],
             high: [0; _],
-            low_extra: [0; _],
-            high_extra: [0; _],
             window: [[0; _]; _],
             base: [0; _],
             cells: [0; _],
@@ -133,7 +113,6 @@ impl Strip {
             pair_x: [0; _],
             pair_z: [0; _],
             edge: [[0; _]; _],
-            edge_extra: [[0; _]; _],
         }
     }
 
@@ -172,11 +151,11 @@ impl Strip {
                         self.raise_row::<L>(grid, band, row + 1);
                         raised = Some(row + 1);
                     }
-                    if grid.octaves.count() == OCTAVES {
-                        self.sum_row::<L, true>(OCTAVES, band + row, row % 2, columns.count, sink);
+                    if grid.octaves.fine() == FINE_OCTAVES {
+                        self.sum_row::<L, true>(FINE_OCTAVES, band + row, row % 2, columns.count, sink);
                     } else {
                         self.sum_row::<L, false>(
-                            grid.octaves.count(),
+                            grid.octaves.fine(),
                             band + row,
                             row % 2,
                             columns.count,
@@ -206,21 +185,8 @@ impl Strip {
                     let inside = z.and(L::splat((1 << cell_bits) - 1));
                     let (line, step) = weights_of(inside.shl(FRACTION_BITS - cell_bits));
                     let at = octave * WIDTH + row;
-                    if octave < WIDE_OCTAVES {
-                        let ((step_0, step_0_extra), (step_1, step_1_extra)) =
-                            (split_lanes(step[0]), split_lanes(step[1]));
-                        let ((line_0, line_0_extra), (line_1, line_1_extra)) =
-                            (split_lanes(line[0]), split_lanes(line[1]));
-                        step_0.pack(step_1).store(self.row_step.as_mut_ptr().add(at));
-                        line_0.pack(line_1).store(self.row_line.as_mut_ptr().add(at));
-                        step_0_extra.pack(step_1_extra).store(self.row_step_extra.as_mut_ptr().add(at));
-                        line_0_extra.pack(line_1_extra).store(self.row_line_extra.as_mut_ptr().add(at));
-                    } else {
-                        let (step_0, step_1) = (narrow_lanes(step[0]), narrow_lanes(step[1]));
-                        let (line_0, line_1) = (narrow_lanes(line[0]), narrow_lanes(line[1]));
-                        step_0.pack(step_1).store(self.row_step.as_mut_ptr().add(at));
-                        line_0.pack(line_1).store(self.row_line.as_mut_ptr().add(at));
-                    }
+                    step[0].pack(step[1]).store(self.row_step.as_mut_ptr().add(at));
+                    line[0].pack(line[1]).store(self.row_line.as_mut_ptr().add(at));
                 }
             }
         }
@@ -251,7 +217,7 @@ impl Strip {
                     let inside = x.and(L::splat((1 << cell_bits) - 1));
                     let at = octave * WIDTH + column;
                     L::picker(offset).store(self.picker.as_mut_ptr().add(at));
-                    self.weigh::<L>(octave, at, inside.shl(FRACTION_BITS - cell_bits));
+                    self.weigh::<L>(at, inside.shl(FRACTION_BITS - cell_bits));
                     last_cell = window as usize + (((L::COUNT - 1) << grid.spacing_bits) >> cell_bits) + 1;
                 }
                 // Cells 0 to `last_cell`, and the far side of the last.
@@ -271,23 +237,12 @@ impl Strip {
 
     /// Stores the weights of `COUNT` vertices from their fractions.
     #[inline(always)]
-    unsafe fn weigh<L: Lanes>(&mut self, octave: usize, at: usize, fraction: L) {
+    unsafe fn weigh<L: Lanes>(&mut self, at: usize, fraction: L) {
         // SAFETY: see `lay_columns`.
         unsafe {
             let (line, step) = weights_of(fraction);
-            if octave < WIDE_OCTAVES {
-                let (line_0, line_0_extra) = split_lanes(line[0]);
-                let (line_1, line_1_extra) = split_lanes(line[1]);
-                let (step_0, step_0_extra) = split_lanes(step[0]);
-                let (step_1, step_1_extra) = split_lanes(step[1]);
-                line_0.pack(step_0).store(self.low.as_mut_ptr().add(at));
-                line_1.pack(step_1).store(self.high.as_mut_ptr().add(at));
-                line_0_extra.pack(step_0_extra).store(self.low_extra.as_mut_ptr().add(at));
-                line_1_extra.pack(step_1_extra).store(self.high_extra.as_mut_ptr().add(at));
-            } else {
-                narrow_lanes(line[0]).pack(narrow_lanes(step[0])).store(self.low.as_mut_ptr().add(at));
-                narrow_lanes(line[1]).pack(narrow_lanes(step[1])).store(self.high.as_mut_ptr().add(at));
-            }
+            line[0].pack(step[0]).store(self.low.as_mut_ptr().add(at));
+            line[1].pack(step[1]).store(self.high.as_mut_ptr().add(at));
         }
     }
 
@@ -305,26 +260,11 @@ impl Strip {
                 self.enter_lattice_row::<L>(octave, z >> cell_bits);
                 let base = self.base[octave];
                 let (step, line) = (L::splat(self.row_step[table]), L::splat(self.row_line[table]));
-                if octave < WIDE_OCTAVES {
-                    let step_extra = L::splat(self.row_step_extra[table]);
-                    let line_extra = L::splat(self.row_line_extra[table]);
-                    for at in (base..base + self.cells[octave]).step_by(L::COUNT) {
-                        let x = L::load(self.pair_x.as_ptr().add(at));
-                        let z = L::load(self.pair_z.as_ptr().add(at));
-                        let slope = x.dot(step).add(x.dot(step_extra).sar(SPLIT_BITS)).sar(15 - SPLIT_BITS);
-                        let value = z.dot(line).add(z.dot(line_extra).sar(SPLIT_BITS)).sar(15 - SPLIT_BITS);
-                        let (slope, slope_extra) = split_lanes(slope);
-                        let (value, value_extra) = split_lanes(value);
-                        slope.pack(value).store(self.edge[parity].as_mut_ptr().add(at));
-                        slope_extra.pack(value_extra).store(self.edge_extra[parity].as_mut_ptr().add(at));
-                    }
-                } else {
-                    let half = L::splat(1 << 14);
-                    for at in (base..base + self.cells[octave]).step_by(L::COUNT) {
-                        let slope = L::load(self.pair_x.as_ptr().add(at)).dot(step).add(half).sar(15);
-                        let value = L::load(self.pair_z.as_ptr().add(at)).dot(line).add(half).sar(15);
-                        slope.pack(value).store(self.edge[parity].as_mut_ptr().add(at));
-                    }
+                let half = L::splat(1 << 14);
+                for at in (base..base + self.cells[octave]).step_by(L::COUNT) {
+                    let slope = L::load(self.pair_x.as_ptr().add(at)).dot(step).add(half).sar(15);
+                    let value = L::load(self.pair_z.as_ptr().add(at)).dot(line).add(half).sar(15);
+                    slope.pack(value).store(self.edge[parity].as_mut_ptr().add(at));
                 }
             }
         }
@@ -367,17 +307,13 @@ impl Strip {
         for column in (0..count).step_by(L::COUNT) {
             // SAFETY: the caller guarantees the CPU features; `column` is below WIDTH.
             unsafe {
-                let (mut hills, mut folds) = (L::splat(0), L::splat(0));
+                let mut fine = L::splat(0);
                 // Spelled out: a shift by a constant is cheaper than one by a variable, and a loop
                 // would not unroll.
                 macro_rules! octave {
                     ($octave:literal) => {
                         if ALL || $octave < octaves {
-                            let value = self.octave_at::<L, $octave>(parity, column);
-                            hills = hills.add(value);
-                            if $octave == 1 || $octave == 2 {
-                                folds = folds.add(value);
-                            }
+                            fine = fine.add(self.octave_at::<L, $octave>(parity, column));
                         }
                     };
                 }
@@ -386,10 +322,7 @@ impl Strip {
                 octave!(2);
                 octave!(3);
                 octave!(4);
-                octave!(5);
-                octave!(6);
-                octave!(7);
-                sink.put(row, column, hills, folds);
+                sink.put(row, column, fine);
             }
         }
     }
@@ -407,18 +340,7 @@ impl Strip {
             let (low, high) = (L::load(self.low.as_ptr().add(at)), L::load(self.high.as_ptr().add(at)));
             let edge = self.edge[parity].as_ptr().add(cell);
             let (edge_low, edge_high) = (L::window(edge, picker), L::window(edge.add(1), picker));
-            let mut value = edge_low.dot(low).add(edge_high.dot(high));
-            if OCTAVE < WIDE_OCTAVES {
-                let low_extra = L::load(self.low_extra.as_ptr().add(at));
-                let high_extra = L::load(self.high_extra.as_ptr().add(at));
-                let edge_extra = self.edge_extra[parity].as_ptr().add(cell);
-                let (edge_low_extra, edge_high_extra) =
-                    (L::window(edge_extra, picker), L::window(edge_extra.add(1), picker));
-                let extra = edge_low.dot(low_extra).add(edge_high.dot(high_extra));
-                let extra = extra.add(edge_low_extra.dot(low)).add(edge_high_extra.dot(high));
-                value = value.add(extra.sar(SPLIT_BITS));
-            }
-            value.sar(fine_shift(OCTAVE))
+            edge_low.dot(low).add(edge_high.dot(high)).sar(fine_shift(OCTAVE))
         }
     }
 }
@@ -430,33 +352,22 @@ impl Strip {
 unsafe fn weights_of<L: Lanes>(fraction: L) -> ([L; 2], [L; 2]) {
     // SAFETY: the caller guarantees the CPU features.
     unsafe {
-        let t = fraction.shl(31 - FRACTION_BITS);
-        let t2 = t.mul_hi(t).shl(1);
-        let t3 = t2.mul_hi(t).shl(1);
-        let inner = L::splat(10 << 27).sub(t.sar(4).mul(L::splat(15))).add(t2.sar(4).mul(L::splat(6)));
-        let high = t3.mul_hi(inner).shl(5);
+        let high = fade(fraction.shl(31 - FRACTION_BITS));
         let low = L::splat(i32::MIN).sub(high);
         let zero = L::splat(0);
         let from_low = fraction.shl(32 - FRACTION_BITS);
         let from_high = zero.sub(from_low);
         let line = [from_low.mul_hi_u(low).shr(7), zero.sub(from_high.mul_hi_u(high).shr(7))];
         let step = [high.sar(8).sub(L::splat(1 << 23)), zero.sub(high.sar(8))];
-        (line, step)
+        ([narrow(line[0]), narrow(line[1])], [narrow(step[0]), narrow(step[1])])
     }
 }
 
-/// [`crate::weights::split`] of every lane.
+/// A weight of 16 bits, rounded to nearest.
 #[inline(always)]
-unsafe fn split_lanes<L: Lanes>(wide: L) -> (L, L) {
+unsafe fn narrow<L: Lanes>(wide: L) -> L {
     // SAFETY: the caller guarantees the CPU features.
-    unsafe { (wide.sar(SPLIT_BITS), wide.and(L::splat((1 << SPLIT_BITS) - 1))) }
-}
-
-/// [`crate::weights::narrow`] of every lane.
-#[inline(always)]
-unsafe fn narrow_lanes<L: Lanes>(wide: L) -> L {
-    // SAFETY: the caller guarantees the CPU features.
-    unsafe { wide.add(L::splat(1 << (SPLIT_BITS - 1))).sar(SPLIT_BITS) }
+    unsafe { wide.add(L::splat(1 << (DROPPED_BITS - 1))).sar(DROPPED_BITS) }
 }
 
 /// The gradients of the lattice points on row `cell_z` of columns with these hashes.
@@ -465,22 +376,6 @@ unsafe fn gradients<L: Lanes>(column_hash: L, cell_z: i32) -> L {
     let z = (cell_z as u32).wrapping_mul(0x85eb_ca6b) as i32;
     // SAFETY: the caller guarantees the CPU features, and an index of 5 bits is below 32.
     unsafe { L::lookup(&PACKED_GRADIENTS, mix(column_hash.add(L::splat(z))).shr(27)) }
-}
-
-/// [`crate::hash::mix`] of every lane.
-#[inline(always)]
-unsafe fn mix<L: Lanes>(h: L) -> L {
-    // SAFETY: the caller guarantees the CPU features.
-    unsafe {
-        let h = h.xor(h.shr(16)).mul(L::splat(0x21f0_aaad));
-        let h = h.xor(h.shr(15)).mul(L::splat(0xd35a_2d97_u32 as i32));
-        h.xor(h.shr(15))
-    }
-}
-
-/// Two signed 16-bit numbers in one word.
-const fn pair(low: i32, high: i32) -> i32 {
-    (low & 0xffff) | (high << 16)
 }
 
 #[cfg(test)]

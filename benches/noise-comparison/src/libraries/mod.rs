@@ -5,11 +5,11 @@ pub mod fastnoise_lite;
 pub mod noise;
 pub mod plain;
 
-/// Octaves of the fractal sum.
-pub const OCTAVES: usize = 8;
+/// Octaves of the fractal sum: those that every vertex of the land evaluates.
+pub const OCTAVES: usize = 5;
 
 /// Side of the first octave's lattice cell in samples; the last one's is 4.
-pub const FIRST_CELL: usize = 512;
+pub const FIRST_CELL: usize = 64;
 
 /// Offset of the samples from the lattice lines. Half a sample, as in the land: otherwise every
 /// fourth sample would be on a lattice line of the last octave, where gradient noise is zero.

@@ -251,10 +251,18 @@ fn culling_params(
         corner: grid.corner,
         frame: 0,
         archipelago_seed: noise.map_or(0, |noise| noise.archipelago_seed),
-        octave_seeds: noise.map_or([0; 8], |noise| noise.octave_seeds),
+        land_seeds: noise.map_or([0; 16], |noise| land_seeds(&noise)),
         stretch: cache.vertical_scale(),
         reserved: [0; 3],
     }
+}
+
+/// The seeds of the fine octaves and of the base field, as a uniform holds them.
+fn land_seeds(land: &terrain::Parameters) -> [u32; 16] {
+    let mut seeds = [0; 16];
+    let all = land.fine_seeds.iter().chain(&land.lattice_seeds);
+    seeds.iter_mut().zip(all).for_each(|(word, seed)| *word = *seed);
+    seeds
 }
 
 /// Inward normals of the four side planes, Q14.

@@ -79,6 +79,14 @@ impl Controls {
         controls
     }
 
+    /// Moves the camera; an orbit goes on around the point that it then looks towards.
+    pub fn move_to(&mut self, pose: Pose) {
+        self.fly.pose = pose;
+        if self.orbit.is_some() {
+            self.orbit = Some(Orbit::through(&pose, self.orbit_radius_m));
+        }
+    }
+
     /// Where the camera is.
     #[must_use]
     pub fn pose(&self) -> Pose {

@@ -95,6 +95,8 @@ struct Running {
     controls: Controls,
     settings: ViewSettings,
     args: Args,
+    /// Whether the camera still waits for the start of the announced world.
+    follows_world: bool,
     adapter: String,
     slots: u32,
     show_panel: bool,
@@ -205,6 +207,7 @@ impl Running {
                 view_distance_m: args.view_distance,
                 render: args.render_settings(),
             },
+            follows_world: args.follows_world(),
             args: args.clone(),
             adapter: gpu.name(),
             slots,
@@ -284,6 +287,16 @@ impl Running {
             self.streamer.update(&view_params, self.started.elapsed(), ARRIVALS_PER_FRAME, |chunk| {
                 renderer.upload(gpu, chunk);
             });
+        if self.follows_world
+            && let Some(land) = self.streamer.cache().land()
+        {
+            self.follows_world = false;
+            let start = self.args.scene.start_in(land);
+            // A user who has moved since the window opened stays there.
+            if self.controls.is_orbiting() || self.controls.pose() == self.args.pose() {
+                self.controls.move_to(start);
+            }
+        }
         let frame = view_params.frame(self.args.scene, self.streamer.cache(), &selection);
         (self.drawn, self.instances) = (frame.chunks, frame.instances.len());
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
