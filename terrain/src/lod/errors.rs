@@ -5,7 +5,7 @@
 //! - Level [`COMPOSED_LEVEL`] follows from its children: its distance from each child, and the
 //!   child's error.
 //! - Levels 5 to [`SAMPLED_LEVEL`] are measured against the vertices three levels finer, and the
-//!   distance between those triangles and level 0 is bounded by interval arithmetic ([`residual`]).
+//!   distance between those triangles and level 0 is bounded by interval arithmetic (`residual`).
 //!   Triangles of two levels are both linear on the finer ones, since all cut cells along the same
 //!   diagonal, so they are farthest apart at a vertex of the finer level.
 //! - Above, the bound is the whole range of heights.
