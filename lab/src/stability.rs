@@ -2,9 +2,10 @@
 //!
 //! Sweeps every line where an implementation could break and compares every step with a proved
 //! bound ([`bounds`], [`samples`], [`edges`], [`thresholds`], [`continuity`]), checks that seams are
-//! zero at every level and that no height depends on its chunk or grid ([`seams`]), and that
-//! remainders and lattice cells are right at both signs ([`arithmetic`]). Then it shows what float
-//! noise does at the same distances ([`floats`]).
+//! zero at every level and that no height depends on its chunk or grid ([`seams`]), that chunks state
+//! no smaller error than they have ([`errors`]), and that remainders and lattice cells are right at
+//! both signs ([`arithmetic`]). Then it shows what float noise does at the same distances
+//! ([`floats`]).
 //!
 //! Every sweep also runs on a control that must fail; a control that passes is an error.
 
@@ -14,6 +15,7 @@ mod bounds;
 mod check;
 mod continuity;
 mod edges;
+mod errors;
 mod floats;
 mod report;
 mod samples;
@@ -38,6 +40,10 @@ pub struct Options {
     #[arg(long, value_name = "N", default_value_t = 8,
           value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub worlds: u32,
+    /// Chunks per level whose stated errors are checked, 1 to 1000000
+    #[arg(long, value_name = "N", default_value_t = 10_000,
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub chunks: u32,
 }
 
 /// Sweeps, prints the tables, and judges.
@@ -45,7 +51,7 @@ pub struct Options {
 /// # Errors
 /// A property is violated, a control is not, or a result cannot be written.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
-    let report = measure(options.worlds);
+    let report = measure(options.worlds, options.chunks);
     // A closed standard output is no failure; the exit code has the verdict.
     let _ = write!(std::io::stdout(), "{report}");
     outputs.write_json(&report)?;
@@ -57,15 +63,17 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     report.verdict().map_err(|problem| anyhow!(problem))
 }
 
-/// Measures everything over so many worlds.
-pub fn measure(worlds: u32) -> Report {
+/// Measures everything over so many worlds, and stated errors of so many chunks per level.
+pub fn measure(worlds: u32, chunks: u32) -> Report {
     let seeds: Vec<u64> = (0..u64::from(worlds)).chain([1 << 63, u64::MAX]).collect();
     let mut checks = continuity::sweep(&seeds, integers);
     let seams = (0..u64::from(worlds.min(2))).map(|seed| seams::check(&Land::new(seed)));
     let seams = seams.reduce(|all, one| all.into_iter().zip(one).map(|(a, b)| a.merged(b)).collect());
     checks.extend(seams.unwrap_or_default());
     checks.extend(arithmetic::check());
-    Report { worlds, checks, controls: controls(), floats: floats::measure(0) }
+    let (of_errors, errors) = errors::check(chunks);
+    checks.extend(of_errors);
+    Report { worlds, checks, controls: controls(), errors, floats: floats::measure(0) }
 }
 
 /// The same sweeps over the controls.
@@ -103,6 +111,7 @@ fn controls() -> Vec<Check> {
         named(&of_torn, 0, "torn by 4 cm along a line"),
         named(&of_torn, 5, "torn by 4 cm along a line"),
         seams::control(),
+        errors::control(),
         arithmetic::truncating_control(),
     ]
 }

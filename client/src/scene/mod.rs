@@ -84,7 +84,7 @@ impl Scene {
             }
             // Floor of a narrow valley: its sides occlude almost all vegetation in view.
             Self::Culling => {
-                Pose { position_m: DVec3::new(1920.0, 42.2, 840.0), yaw_deg: 200.0, pitch_deg: -2.0 }
+                Pose { position_m: DVec3::new(-320.0, 26.2, 704.0), yaw_deg: 218.0, pitch_deg: -2.0 }
             }
             Self::Water => Pose { position_m: DVec3::new(0.0, 7.5, 7.0), yaw_deg: 0.0, pitch_deg: -29.0 },
             // 16 degrees above the planes, looking at their middle.

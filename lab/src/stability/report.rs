@@ -1,6 +1,7 @@
 //! What a sweep found: as a table, as JSON, as a verdict.
 
 use super::check::Check;
+use super::errors::ErrorRow;
 use super::floats::FloatRow;
 use serde::Serialize;
 use std::fmt;
@@ -13,6 +14,8 @@ pub struct Report {
     pub checks: Vec<Check>,
     /// The same sweeps over broken fields: none may hold.
     pub controls: Vec<Check>,
+    /// What coarse chunks state as their error, and what was seen.
+    pub errors: Vec<ErrorRow>,
     /// What float noise does at the same distances.
     pub floats: Vec<FloatRow>,
 }
@@ -56,6 +59,32 @@ impl fmt::Display for Report {
             write_row(f, control)?;
         }
         writeln!(f, "worst: largest share of what is allowed; where nothing is allowed, units\n")?;
+        writeln!(
+            f,
+            "{:<24} {:>8} {:>10} {:>9} {:>8} {:>7} {:>17}",
+            "error of a chunk, level",
+            "chunks",
+            "vertices",
+            "stated, m",
+            "seen, m",
+            "ratio",
+            "median of chunks"
+        )?;
+        for row in &self.errors {
+            let median = row.median_ratio.map_or_else(|| "-".into(), |ratio| format!("{ratio:.2}"));
+            writeln!(
+                f,
+                "{:<24} {:>8} {:>10} {:>9.2} {:>8.2} {:>7.2} {:>17}",
+                row.level,
+                row.chunks,
+                row.vertices,
+                row.stated_m,
+                row.seen_m,
+                row.stated_m / row.seen_m,
+                median,
+            )?;
+        }
+        writeln!(f, "stated, seen: the largest of all chunks\n")?;
         writeln!(
             f,
             "{:<40} {:>10} {:>9} {:>6} {:>10} {:>10} {:>6} {:>8}",
@@ -103,7 +132,7 @@ mod tests {
     }
 
     fn report(checks: Vec<Check>, controls: Vec<Check>) -> Report {
-        Report { worlds: 1, checks, controls, floats: Vec::new() }
+        Report { worlds: 1, checks, controls, errors: Vec::new(), floats: Vec::new() }
     }
 
     #[test]
