@@ -128,7 +128,7 @@ impl Report {
         let worst =
             |change: fn(&popping::Outcome) -> f64| self.popping.iter().map(change).fold(0.0, f64::max);
         ensure!(
-            worst(|flight| flight.unmorphed.block) > 2.0 * worst(|flight| flight.morphed.block),
+            worst(|flight| flight.unmorphed.block) > bars::UNMORPHED * worst(|flight| flight.morphed.block),
             "levels that change without a morph were not seen"
         );
         Ok(())
