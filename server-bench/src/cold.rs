@@ -39,7 +39,7 @@ struct LevelPlan {
 const LEVELS: [LevelPlan; 3] = [
     LevelPlan { level: 0, chunks: 16 * 1024, window: 64 },
     LevelPlan { level: 2, chunks: 2 * 1024, window: 8 },
-    LevelPlan { level: 4, chunks: 2 * 1024, window: 8 },
+    LevelPlan { level: 4, chunks: 2 * 1024, window: 2 },
 ];
 
 /// Runs the benchmark: every round of every level in a fresh server, so that nothing is cached.
