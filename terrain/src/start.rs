@@ -8,7 +8,7 @@ use crate::land::Land;
 use crate::octaves::Octaves;
 use crate::position::Position;
 use map::Place;
-use surroundings::Surroundings;
+use surroundings::{SURVEYED, Surroundings};
 
 /// The place where a viewer begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,12 +23,12 @@ pub struct Start {
 
 /// Steps of the search along a direction, metres.
 const STEP_M: i32 = 64;
-/// Farthest sample from the origin, in steps (6,144 m).
+/// Farthest sample from where a search begins, in steps (6,144 m).
 const STEPS: i32 = 96;
 /// Samples of sea that end an island, so that a pond does not.
 const OPEN: i32 = 4;
-/// The distance from the origin that is preferred, in steps (2,048 m): mountains and the far coast
-/// are then in view.
+/// The distance from there that is preferred, in steps (2,048 m): mountains and the far coast are
+/// then in view.
 const PREFERRED: i32 = 32;
 /// Height of the hills that the view inland must show, metres, and how far they are at most, in
 /// steps (2,560 m).
@@ -45,7 +45,8 @@ impl Land {
     /// The start of this world: of the coasts in 32 directions from the origin a gentle one about 2
     /// km away, with a plain and a valley within 3 km. Where no coast has them, the directions are
     /// those from the plain nearest to the origin, from the next, and so on, first within 8 km, then
-    /// within 16 km. Milliseconds; tenths of a second where the search is long.
+    /// within 16 km. If all fail, the best coast about the origin; without any coast before hills,
+    /// the origin itself, wherever it lies. Milliseconds; tenths of a second where the search is long.
     #[must_use]
     pub fn start(&self) -> Start {
         for (half_m, vertices) in SEARCHES {
@@ -63,9 +64,10 @@ impl Land {
     /// Starts on the coasts in all directions from a place, best first.
     fn starts_about(&self, origin: Place) -> Vec<Start> {
         let directions = GRADIENTS.map(|(x, z)| (i32::from(x), i32::from(z)));
-        let ways = directions.iter().map(|way| Way { origin, way: *way });
-        let mut starts: Vec<_> = ways
-            .flat_map(|way| way.coasts(self).into_iter().filter_map(move |step| way.start(self, step)))
+        let rays = directions.map(|direction| Ray { origin, direction });
+        let mut starts: Vec<_> = rays
+            .into_iter()
+            .flat_map(|ray| ray.coasts(self).into_iter().filter_map(move |step| ray.start(self, step)))
             .collect();
         starts.sort_by_key(|(cost, _)| *cost);
         starts.into_iter().map(|(_, start)| start).collect()
@@ -74,23 +76,23 @@ impl Land {
 
 /// A straight line from a place.
 #[derive(Clone, Copy)]
-struct Way {
+struct Ray {
     origin: Place,
     /// Unit vector in Q15.
-    way: (i32, i32),
+    direction: (i32, i32),
 }
 
-impl Way {
+impl Ray {
     /// A place on it, units.
     fn along(self, metres: i32) -> Place {
-        let along = |origin: i32, way: i32| origin + ((way * metres) >> (15 - UNIT_BITS));
-        (along(self.origin.0, self.way.0), along(self.origin.1, self.way.1))
+        let along = |origin: i32, part: i32| origin + ((part * metres) >> (15 - UNIT_BITS));
+        (along(self.origin.0, self.direction.0), along(self.origin.1, self.direction.1))
     }
 
     /// A place beside it, units: a vertex of the grid on which the surroundings are judged.
     fn at(self, metres: i32) -> Place {
         let (x, z) = self.along(metres);
-        (x & !4095, z & !4095)
+        (x & !(SURVEYED - 1), z & !(SURVEYED - 1))
     }
 
     /// The start at a coast, and how far it is from what is preferred.
@@ -103,9 +105,12 @@ impl Way {
             return None;
         }
         let (x, z) = self.at(shore);
-        let inland = Self { origin: (x, z), way: self.way }.along(-24);
+        let inland = Self { origin: (x, z), ..self }.along(-24);
         let steep = if (0..4 << UNIT_BITS).contains(&height(land, inland, Octaves::ALL)) { 0 } else { STEEP };
-        Some(((step - PREFERRED).abs() + steep, Start { x, z, inland: (-self.way.0, -self.way.1) }))
+        Some((
+            (step - PREFERRED).abs() + steep,
+            Start { x, z, inland: (-self.direction.0, -self.direction.1) },
+        ))
     }
 
     /// The steps at which land meets the sea.

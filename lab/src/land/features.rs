@@ -164,6 +164,7 @@ fn woods(window: &Window, heights: &[f32], is_near: impl Fn(usize) -> bool) -> L
 mod tests {
     use super::super::field::Formula;
     use super::*;
+    use terrain::Land;
 
     fn found(field: impl Fn(f64, f64) -> f64 + Sync) -> Vec<&'static str> {
         let found = near(&Formula(field), (0, 0));
@@ -175,6 +176,18 @@ mod tests {
         assert_eq!(found(|_, _| -5.0), [""; 0]);
         assert_eq!(found(|x, z| ((2500.0 - x.hypot(z)) * 0.83).min(1000.0)), [""; 0]);
         assert_eq!(found(|x, z| if x.hypot(z) < 2000.0 { 700.0 } else { -20.0 }), ["cliff"]);
+    }
+
+    #[test]
+    fn starts_have_all_six_and_the_open_sea_has_none() {
+        // The last has few plains, so its search is long.
+        for seed in [0, 1, 2, 394] {
+            let land = Land::new(seed);
+            let start = land.start();
+            assert_eq!(near(&land, (start.x, start.z)), [true; 6], "world {seed}");
+        }
+        let land = Land::new(3);
+        assert_eq!(near(&land, (20_971_520, -37_748_736)), [false; 6]);
     }
 
     #[test]

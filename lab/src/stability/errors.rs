@@ -64,7 +64,7 @@ fn of_level(level: u8, chunks: u32, divisor: u32) -> (Check, ErrorRow) {
     };
     let all: Vec<Seen> =
         (0..worlds).into_par_iter().flat_map_iter(|world| -> Vec<Seen> { of_world(world) }).collect();
-    let mut check = Check::new(format!("level {level}: vertices of level 0 within the stated error"));
+    let mut check = Check::new(format!("level {level}: chunks within the error that they state"));
     for Seen { name, stated, seen } in &all {
         check.expect_within(*seen, stated / f64::from(divisor), name);
     }

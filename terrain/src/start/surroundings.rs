@@ -2,13 +2,16 @@
 //! outlined again on a finer one.
 
 use super::map::{Map, Place, square};
-use crate::constants::UNITS_PER_METRE;
+use crate::constants::{SPACING_BITS, UNITS_PER_METRE};
 use crate::land::Land;
 use std::ops::Range;
 
 /// Levels of the coarse grid, its vertices 32 m apart, and of the fine one.
 const COARSE: u8 = 4;
 const FINE: u8 = 3;
+/// Units between vertices of the fine grid (16 m). Plains are a little larger or smaller on a grid
+/// that is shifted by a part of it.
+pub(super) const SURVEYED: i32 = 1 << (SPACING_BITS + FINE as u32);
 /// Surroundings of a place: vertices within this distance, units.
 const NEAR: i32 = 2980 * UNITS_PER_METRE;
 
