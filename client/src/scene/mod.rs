@@ -94,7 +94,8 @@ impl Scene {
         }
     }
 
-    /// Start camera in a world. Only the island's depends on it, and takes milliseconds to find.
+    /// Start camera in a world. Only the island's depends on it; finding it takes some 20 ms, rarely
+    /// half a second.
     #[must_use]
     pub fn start_in(self, land: &Land) -> Pose {
         if self == Self::Island && land.world_seed() != DEFAULT_WORLD_SEED {
