@@ -4,6 +4,7 @@
 
 use client::camera::Projection;
 use client::features::terrain::pool::ChunkPool;
+use client::features::terrain_clipmap::window::STANDARD_TEXELS;
 use client::gpu::{Gpu, OffscreenTarget, offscreen};
 use client::renderer::{RenderOptions, Renderer};
 use client::scene::Scene;
@@ -31,6 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         samples: 1,
         format: offscreen::IMAGE_FORMAT,
         slots,
+        clipmap_texels: STANDARD_TEXELS,
     };
     let mut renderer = Renderer::new(&gpu, &options);
     let target = OffscreenTarget::new(&gpu.device, width, height);
@@ -61,7 +63,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             gpu.queue.submit([]);
             gpu.wait()?;
             let begun = Instant::now();
-            renderer.finish_shadows(&gpu, &frame)?;
+            renderer.finish_shading(&gpu, &frame)?;
             cast = cast.min(begun.elapsed());
             let begun = Instant::now();
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

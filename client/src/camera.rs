@@ -15,9 +15,11 @@ pub const MAX_EYE_HEIGHT_M: f64 = 20_000.0;
 pub const MIN_EYE_HEIGHT_M: f64 = -64.0;
 /// Largest |x| and |z| of an eye, metres.
 pub const WORLD_HALF_M: f64 = (WORLD_HALF / UNITS_PER_METRE) as f64;
-/// Least height of an eye above the ground, metres: twice the near plane's distance, so that this
-/// never cuts the ground below.
+/// Least distance of an eye from the drawn land, metres, in any direction. The near plane lies
+/// wholly within it ([`Projection::near_m`]), so it never cuts the land.
 pub const CLEARANCE_M: f64 = 0.5;
+/// Share of the clearance that the near plane's corners may reach; the rest is for rounding.
+const NEAR_SHARE: f64 = 0.98;
 /// Largest pitch, degrees: straight up or down. The yaw keeps the heading.
 pub const MAX_PITCH_DEG: f64 = 90.0;
 
@@ -75,7 +77,8 @@ impl Pose {
     }
 
     /// The pose raised above the ground height (units) if it is below. An eye under water stays
-    /// there.
+    /// there. Enough before the drawn chunks are known; then
+    /// [`clearance::raised`](crate::lod::clearance::raised) keeps it off the land beside it.
     #[must_use]
     pub fn above(self, ground: Option<i32>) -> Self {
         let floor_m =
@@ -123,12 +126,12 @@ pub enum PoseError {
         text: String,
     },
     /// A number out of range.
-    #[error("{name} is {value}, allowed is {low} to {high}")]
+    #[error("{name} is {text}, allowed is {low} to {high}")]
     Range {
         /// Which of the five.
         name: &'static str,
-        /// The value.
-        value: f64,
+        /// The text.
+        text: String,
         /// Smallest allowed.
         low: f64,
         /// Largest allowed.
@@ -154,14 +157,24 @@ impl FromStr for Pose {
         let mut values = [0.0; 5];
         for ((value, (name, low, high)), part) in values.iter_mut().zip(fields).zip(parts) {
             let number = part.trim().parse::<f64>().ok().filter(|number| number.is_finite());
-            *value = number.ok_or_else(|| PoseError::Number { name, text: part.trim().to_owned() })?;
+            *value = number.ok_or_else(|| PoseError::Number { name, text: shown(part) })?;
             if !(low..=high).contains(value) {
-                return Err(PoseError::Range { name, value: *value, low, high });
+                return Err(PoseError::Range { name, text: shown(part), low, high });
             }
         }
         let [x, y, z, yaw_deg, pitch_deg] = values;
         Ok(Self { position_m: DVec3::new(x, y, z), yaw_deg, pitch_deg })
     }
+}
+
+/// The beginning of a text, for a message of one short line.
+fn shown(text: &str) -> String {
+    const MOST: usize = 24;
+    let text = text.trim();
+    if text.chars().count() <= MOST {
+        return text.to_owned();
+    }
+    format!("{}...", text.chars().take(MOST).collect::<String>())
 }
 
 /// Vertical field of view and image size.
@@ -175,8 +188,8 @@ pub struct Projection {
     pub height: u32,
 }
 
-/// Distance of the near plane, metres. Infinite reversed-Z spends its precision by ratio, so a
-/// close plane costs nothing.
+/// Distance of the near plane in ordinary lenses, metres. Infinite reversed-Z spends its precision
+/// by ratio, so a close plane costs nothing.
 pub const NEAR_M: f32 = 0.25;
 
 impl Projection {
@@ -192,11 +205,24 @@ impl Projection {
         (self.fov_deg.to_radians() / 2.0).tan()
     }
 
+    /// Distance of the near plane, metres: [`NEAR_M`], or less where its corners would be farther
+    /// from the eye than [`CLEARANCE_M`] (wide lenses: 0.19 m at 100 degrees and 16:9).
+    #[must_use]
+    pub fn near_m(&self) -> f32 {
+        let half_height = self.half_height();
+        let half_width = half_height * self.aspect();
+        let corner = (1.0 + half_height * half_height + half_width * half_width).sqrt();
+        NEAR_M.min((NEAR_SHARE * CLEARANCE_M / corner) as f32)
+    }
+
     /// Camera-relative metres (axes of the world) to clip space; infinite reversed-Z.
     #[must_use]
     pub fn clip_from_camera(&self, pose: &Pose) -> Mat4 {
-        let clip_from_view =
-            perspective_infinite_reverse(self.fov_deg.to_radians() as f32, self.aspect() as f32, NEAR_M);
+        let clip_from_view = perspective_infinite_reverse(
+            self.fov_deg.to_radians() as f32,
+            self.aspect() as f32,
+            self.near_m(),
+        );
         let view_from_camera = look_to_mat4(Vec3::ZERO, pose.forward().as_vec3(), pose.up().as_vec3());
         clip_from_view * view_from_camera
     }
@@ -335,6 +361,7 @@ mod tests {
             ("NaN,2,3,4,5", "X is `NaN`"),
             ("1,inf,3,4,5", "Y is `inf`"),
             ("1,1e999,3,4,5", "Y is `1e999`"),
+            ("1e300,2,3,4,5", "X is 1e300, allowed"),
             ("4194305,2,3,4,5", "X is 4194305, allowed is -4194304 to 4194304"),
             ("1,20001,3,4,5", "Y is 20001"),
             ("1,2,3,400,5", "YAW is 400"),
@@ -343,6 +370,8 @@ mod tests {
             let message = text.parse::<Pose>().unwrap_err().to_string();
             assert!(message.contains(words), "{text}: {message}");
         }
+        let long = format!("{},2,3,4,5", "9".repeat(400));
+        assert!(long.parse::<Pose>().unwrap_err().to_string().len() < 90, "long numbers are cut");
     }
 
     #[test]

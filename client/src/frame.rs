@@ -1,15 +1,18 @@
 //! GPU input of one frame, from view parameters and a chunk selection: uniforms, instances in
 //! drawing order, counts.
 
-use crate::cache::ChunkCache;
+use crate::cache::{ChunkCache, vertical_scale};
 use crate::camera::Eye;
+use crate::features::post::PostFrame;
 use crate::features::terrain::instance::{metres, terrain_instance};
+use crate::features::terrain_clipmap::ClipmapLand;
 use crate::features::terrain_shadow::{Candidate, Page};
 use crate::features::vegetation::VegetationFrame;
 use crate::frustum::Frustum;
+use crate::lighting::exposure_ev;
 use crate::lod::{Drawn, Selection};
 use crate::scene::{Scene, objects};
-use crate::settings::Show;
+use crate::settings::{Normals, Show};
 use crate::view::ViewParams;
 use bytemuck::Zeroable as _;
 use shaders::layout::{Atmosphere, Frame, PATTERN_PERIOD_M, PomParams, TerrainInstance};
@@ -39,8 +42,12 @@ pub struct FrameData {
     pub candidates: Vec<Candidate>,
     /// What is drawn where no land is.
     pub background: Background,
+    /// What the terrain clipmap is filled from; none if light follows the drawn triangles.
+    pub clipmap: Option<ClipmapLand>,
     /// Vegetation, if there is any.
     pub plants: Option<VegetationFrame>,
+    /// From the HDR target to the image.
+    pub post: PostFrame,
     /// Material repeats on the objects of a parallax scene along u and v, relative to the scene's
     /// own.
     pub pom_tiling: [f32; 2],
@@ -63,7 +70,7 @@ impl ViewParams {
     #[must_use]
     pub fn frame(&self, scene: Scene, cache: &ChunkCache, selection: &Selection) -> FrameData {
         let eye = self.pose.eye();
-        let frustum = Frustum::new(&self.pose, &self.projection);
+        let frustum = Frustum::new(&self.pose, &self.rendered());
         let mut nearest_first: Vec<&Drawn> = selection.drawn.iter().collect();
         nearest_first.sort_by_cached_key(|drawn| (distance_squared(&eye, drawn.key), drawn.key));
         let (mut instances, mut candidates, mut chunks) = (Vec::new(), Vec::new(), 0);
@@ -94,16 +101,33 @@ impl ViewParams {
                 Show::Image => Background::SkyAndSea,
                 _ => Background::Sky,
             },
+            clipmap: self.clipmap_land(cache),
             plants: self.plants(cache, &selection.drawn),
+            post: PostFrame::new(
+                self.settings.post,
+                exposure_ev(&self.settings),
+                self.settings.show == Show::Image,
+            ),
             pom_tiling: self.settings.pom.sanitized().tiling,
         }
+    }
+
+    /// The land of the terrain clipmap, if the settings ask for it and the land is known.
+    fn clipmap_land(&self, cache: &ChunkCache) -> Option<ClipmapLand> {
+        let (land, digest) = cache.verified_land()?;
+        let scale = cache.vertical_scale() as f32 / vertical_scale::ONE as f32;
+        (self.settings.normals == Normals::Land).then_some(ClipmapLand {
+            land,
+            digest,
+            vertical_scale: scale,
+        })
     }
 
     /// The vegetation of a frame over the drawn chunks, if there is any.
     #[must_use]
     pub fn plants(&self, cache: &ChunkCache, drawn: &[Drawn]) -> Option<VegetationFrame> {
         let settings = self.settings.plants.sanitized();
-        VegetationFrame::new(&self.pose, &self.projection, self.view_distance_m, settings, cache, drawn)
+        VegetationFrame::new(&self.pose, &self.rendered(), self.view_distance_m, settings, cache, drawn)
     }
 
     /// Parallax settings for the shaders. All objects of a small scene fade together, so that
@@ -112,14 +136,15 @@ impl ViewParams {
         let settings = self.settings.pom;
         let pom = settings.layout();
         let Some(relief_m) = objects::tallest_relief_m(scene) else { return pom };
-        let pixels_per_radian = f64::from(self.projection.height) / (2.0 * self.projection.half_height());
+        let projection = self.rendered();
+        let pixels_per_radian = f64::from(projection.height) / (2.0 * projection.half_height());
         let distance_m = self.pose.position_m.length().max(0.01);
         let height_px = f64::from(relief_m * pom.amplitude) * pixels_per_radian / distance_m;
         PomParams { amplitude: pom.amplitude * settings.fade(height_px as f32), ..pom }
     }
 
     fn uniforms(&self, scene: Scene, eye: &Eye) -> Frame {
-        let (pose, projection) = (&self.pose, &self.projection);
+        let (pose, projection) = (&self.pose, &self.rendered());
         let half_height = projection.half_height();
         let height_m = metres(f64::from(eye.units[1])) as f32 + eye.fraction_m.y;
         let wrapped = |units: i32, fraction: f32| {
@@ -153,7 +178,7 @@ impl ViewParams {
             parallax_factor: waves.parallax_factor,
             parallax_bias_m: waves.parallax_bias_m,
             wave_steepness: waves.steepness,
-            reserved: 0.0,
+            grass: settings.plants.sanitized().packed_grass(self.view_distance_m),
             pom: self.pom(scene),
             atmosphere: Atmosphere::zeroed(),
         }

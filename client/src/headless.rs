@@ -6,13 +6,16 @@ use crate::cache::SLOT_BYTES;
 use crate::camera::{Pose, Projection};
 use crate::features::materials::CustomMaterials;
 use crate::features::terrain::pool::ChunkPool;
+use crate::features::terrain_clipmap::textures::ALL_TILES;
+use crate::features::terrain_clipmap::window::STANDARD_TEXELS;
 use crate::features::terrain_shadow::Quota;
 use crate::features::terrain_shadow::pass::PER_FRAME;
 use crate::frame::TRIANGLES_PER_INSTANCE;
-use crate::gpu;
 use crate::gpu::{Gpu, GpuError, Image, OffscreenTarget, offscreen};
+use crate::lod::clearance;
 use crate::renderer::{RenderOptions, Renderer};
 use crate::scene::Scene;
+use crate::scene::places::{self, Place};
 use crate::settings::RenderSettings;
 use crate::stats::{FrameTimes, Stats};
 use crate::stream::streamer::{Link, WorldStreamer};
@@ -41,6 +44,8 @@ pub struct Options {
     pub pose: Pose,
     /// Whether the camera moves to the scene's start in the world that a server announces.
     pub follows_world: bool,
+    /// Place of the announced world that it moves to in place of the start.
+    pub place: Option<Place>,
     /// Field of view and image size.
     pub projection: Projection,
     /// View distance, metres.
@@ -49,6 +54,8 @@ pub struct Options {
     pub tolerance_px: f64,
     /// Memory for chunks, bytes, CPU and GPU together.
     pub chunk_bytes: usize,
+    /// Texels along a side of each level of the terrain clipmap.
+    pub clipmap_texels: u32,
     /// Samples per pixel, 1 or 4.
     pub samples: u32,
     /// Frames to time, at least 1.
@@ -73,10 +80,12 @@ impl Default for Options {
             scene: Scene::Island,
             pose: Scene::Island.start(),
             follows_world: false,
+            place: None,
             projection: Projection { fov_deg: 60.0, width: 1280, height: 720 },
             view_distance_m: 8000,
             tolerance_px: 2.0,
             chunk_bytes: 128 << 20,
+            clipmap_texels: STANDARD_TEXELS,
             samples: 4,
             frames: 1,
             orbit_step_deg: 0.0,
@@ -139,7 +148,7 @@ pub struct Progress {
 /// # Errors
 /// There is no GPU, or it fails. A scene that is not local is drawn without land.
 pub fn render_local(options: &Options, started: Instant) -> Result<(Image, Stats), HeadlessError> {
-    draw(options.clone(), NullStream, started, |_, _| Ok(()))
+    draw(&Gpu::open_blocking()?, options.clone(), NullStream, started, |_, _| Ok(()))
 }
 
 /// Completes the view and renders it. `started` is the start of the stats' clock.
@@ -147,12 +156,23 @@ pub fn render(
     options: &Options,
     stream: impl ChunkStream,
     started: Instant,
+    progress: impl FnMut(&Progress),
+) -> Result<(Image, Stats), HeadlessError> {
+    render_on(&Gpu::open_blocking()?, options, stream, started, progress)
+}
+
+/// [`render`] on an open GPU; of a local scene as [`render_local`].
+pub fn render_on(
+    gpu: &Gpu,
+    options: &Options,
+    stream: impl ChunkStream,
+    started: Instant,
     mut progress: impl FnMut(&Progress),
 ) -> Result<(Image, Stats), HeadlessError> {
     if options.scene.is_local() {
-        return render_local(options, started);
+        return draw(gpu, options.clone(), NullStream, started, |_, _| Ok(()));
     }
-    draw(options.clone(), stream, started, |streamer, options| {
+    draw(gpu, options.clone(), stream, started, |streamer, options| {
         fill(streamer, options, started, &mut progress)?;
         // The ground height under the eye is known now; a raised eye needs other chunks.
         fill(streamer, options, started, &mut progress)
@@ -162,30 +182,31 @@ pub fn render(
 /// Fills the cache, creates the renderer, draws, times and reads back. In this order, so that an
 /// impossible view fails before materials and pipelines are built.
 fn draw<F: ChunkStream>(
+    gpu: &Gpu,
     mut options: Options,
     stream: F,
     started: Instant,
     fill: impl FnOnce(&mut WorldStreamer<F>, &mut Options) -> Result<(), HeadlessError>,
 ) -> Result<(Image, Stats), HeadlessError> {
-    let gpu = pollster::block_on(Gpu::open(gpu::instance(None), None))?;
     let requested = if options.scene.is_local() { 1 } else { ChunkCache::capacity_for(options.chunk_bytes) };
     let slots = ChunkPool::slots_within(&gpu.device.limits(), requested);
     let size = (options.projection.width, options.projection.height);
     let mut streamer = WorldStreamer::new(stream, slots).with_vertical_scale(options.vertical_scale);
     fill(&mut streamer, &mut options)?;
     let mut renderer = Renderer::with_materials(
-        &gpu,
+        gpu,
         &RenderOptions {
             scene: options.scene,
             size,
             samples: options.samples,
             format: offscreen::IMAGE_FORMAT,
             slots,
+            clipmap_texels: options.clipmap_texels,
         },
         &options.materials,
     );
     let target = OffscreenTarget::new(&gpu.device, size.0, size.1);
-    streamer.cache().residents().for_each(|chunk| renderer.upload(&gpu, chunk));
+    streamer.cache().residents().for_each(|chunk| renderer.upload(gpu, chunk));
 
     let mut times = FrameTimes::default();
     let (mut drawn, mut instances) = (0, 0);
@@ -196,18 +217,21 @@ fn draw<F: ChunkStream>(
         let begun = Instant::now();
         let view = options.view(timed.unwrap_or(0), streamer.cache());
         let selection =
-            streamer.update(&view, started.elapsed(), usize::MAX, |chunk| renderer.upload(&gpu, chunk));
+            streamer.update(&view, started.elapsed(), usize::MAX, |chunk| renderer.upload(gpu, chunk));
+        let pose = clearance::raised(view.pose, streamer.cache(), &selection.drawn);
+        let view = ViewParams { pose, ..view };
         let frame = view.frame(options.scene, streamer.cache(), &selection);
         (drawn, instances) = (frame.chunks, frame.instances.len());
         camera = format!("{:.4}", view.pose);
         if timed.is_none() {
             // Shadows of a still camera are complete before timing starts; shadows that change in
             // timed frames are timed.
-            renderer.finish_shadows(&gpu, &frame)?;
+            renderer.finish_shading(gpu, &frame)?;
         }
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let pending = renderer.trace_shadows(&gpu, &frame, VISIBLE_PER_FRAME, &mut encoder);
-        renderer.draw(&gpu, &frame, &mut encoder, &target.view);
+        renderer.fill_clipmap(gpu, &frame, ALL_TILES);
+        let pending = renderer.trace_shadows(gpu, &frame, VISIBLE_PER_FRAME, &mut encoder);
+        renderer.draw(gpu, &frame, &mut encoder, &target.view);
         gpu.queue.submit([encoder.finish()]);
         gpu.wait()?;
         first_image.get_or_insert_with(|| started.elapsed());
@@ -216,16 +240,16 @@ fn draw<F: ChunkStream>(
         }
         if pending > 0 && index + 1 == WARM_UP_FRAMES + options.frames.max(1) {
             // The kept image has all shadows, whatever the quota per frame was.
-            renderer.finish_shadows(&gpu, &frame)?;
+            renderer.finish_shading(gpu, &frame)?;
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            renderer.draw(&gpu, &frame, &mut encoder, &target.view);
+            renderer.draw(gpu, &frame, &mut encoder, &target.view);
             gpu.queue.submit([encoder.finish()]);
             gpu.wait()?;
         }
     }
-    let image = target.read(&gpu)?;
+    let image = target.read(gpu)?;
     let cull_stats =
-        renderer.vegetation().map(|vegetation| vegetation.read_stats(&gpu)).transpose()?.unwrap_or_default();
+        renderer.vegetation().map(|vegetation| vegetation.read_stats(gpu)).transpose()?.unwrap_or_default();
     let milestones = streamer.milestones();
     let resident = streamer.cache().len();
     let stats = Stats {
@@ -236,6 +260,7 @@ fn draw<F: ChunkStream>(
         terrain_draws: renderer.terrain_draws(),
         plants_drawn: cull_stats.clumps,
         plants_lost: cull_stats.clumps_lost,
+        plant_blocks_lost: cull_stats.blocks_lost,
         gpu_bytes_per_chunk: renderer.bytes_per_chunk(),
         delivery: if options.scene.is_local() { "none" } else { streamer.stream().delivery().name() },
         bytes_received: streamer.stream().traffic().bytes_received,
@@ -266,7 +291,11 @@ fn fill(
         // There is no renderer yet: it uploads everything at once when it is created.
         let selection = streamer.update(&view, started.elapsed(), 64, |_| ());
         if let Some(land) = streamer.cache().land().filter(|_| options.follows_world) {
-            (options.follows_world, options.pose) = (false, options.scene.start_in(land));
+            let pose = match options.place {
+                Some(place) => places::find(place, land, options.vertical_scale),
+                None => options.scene.start_in(land),
+            };
+            (options.follows_world, options.pose) = (false, pose);
             view = options.view(0, streamer.cache());
             continue;
         }

@@ -25,11 +25,16 @@ impl SunLight {
             let elevation = position.elevation_deg.clamp(-90.0, 90.0).to_radians();
             Vec3::new(azimuth.sin() * elevation.cos(), elevation.sin(), -azimuth.cos() * elevation.cos())
         });
-        let ev = if settings.exposure_ev.is_finite() { settings.exposure_ev.clamp(-8.0, 8.0) } else { 0.0 };
         // Debug views show flat colours, not light.
         let adapted_ev = if settings.show == Show::Image { adaptation_ev(sun.y) } else { 0.0 };
-        Self { sun, exposure: self.exposure * (ev + adapted_ev).exp2() }
+        Self { sun, exposure: self.exposure * (exposure_ev(settings) + adapted_ev).exp2() }
     }
+}
+
+/// The user's exposure, stops, -8 to 8; 0 if it is not finite.
+#[must_use]
+pub fn exposure_ev(settings: &RenderSettings) -> f32 {
+    if settings.exposure_ev.is_finite() { settings.exposure_ev.clamp(-8.0, 8.0) } else { 0.0 }
 }
 
 /// Eye adaptation in stops, by the sine of the sun's elevation: 0 from 12 degrees above the horizon

@@ -62,6 +62,8 @@ pub struct Stats {
     pub plants_drawn: u32,
     /// Clumps dropped for lack of capacity.
     pub plants_lost: u32,
+    /// Blocks of plants dropped for lack of capacity, with all their clumps.
+    pub plant_blocks_lost: u32,
     /// GPU bytes of one more chunk.
     pub gpu_bytes_per_chunk: u64,
     /// Delivery mode: `exact` or `seed`; `none` in a local scene.

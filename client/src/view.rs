@@ -29,11 +29,20 @@ pub struct ViewParams {
 }
 
 impl ViewParams {
+    /// The projection of the rendered picture; the image's is `self.projection`. Everything that
+    /// counts pixels on screen uses it.
+    #[must_use]
+    pub fn rendered(&self) -> Projection {
+        let (width, height) =
+            self.settings.post.rendered_size((self.projection.width, self.projection.height));
+        Projection { width, height, ..self.projection }
+    }
+
     /// The view as sent to the server, rounded to the protocol's integers.
     #[must_use]
     pub fn protocol_view(&self, id: u32) -> View {
         let mdeg = |degrees: f64| (degrees * 1000.0).round() as i32;
-        let pose = self.pose.clamped();
+        let (pose, rendered) = (self.pose.clamped(), self.rendered());
         View {
             id,
             eye: pose.eye().units,
@@ -41,8 +50,7 @@ impl ViewParams {
             yaw_mdeg: mdeg(pose.yaw_deg),
             pitch_mdeg: mdeg(pose.pitch_deg),
             fov_mdeg: mdeg(self.projection.fov_deg).clamp(1_000, 170_000) as u32,
-            viewport: [self.projection.width, self.projection.height]
-                .map(|side| side.clamp(1, MAX_VIEWPORT.into()) as u16),
+            viewport: [rendered.width, rendered.height].map(|side| side.clamp(1, MAX_VIEWPORT.into()) as u16),
             tolerance_q4: (self.tolerance_px * 16.0 * SELECTION_SHARE).floor().clamp(1.0, 65_535.0) as u16,
             distance_m: self.view_distance_m.min(MAX_VIEW_DISTANCE_M),
         }

@@ -13,6 +13,7 @@ use crate::sample::{self, unit, word};
 use crate::world_builder::WorldBuilder;
 use client::cache::ChunkCache;
 use client::camera::{Pose, Projection};
+use client::features::post::{PostSettings, Tone};
 use client::frame::{Background, FrameData};
 use client::gpu::{GpuError, Image};
 use client::lod::{Selection, select};
@@ -172,7 +173,12 @@ impl Viewpoint {
             view_distance_m: VIEW_DISTANCE_M,
             tolerance_px: self.tolerance_px,
             time_s: 0.0,
-            settings: RenderSettings { show: Show::Normals, ..RenderSettings::default() },
+            // A curve that keeps the background without green.
+            settings: RenderSettings {
+                show: Show::Normals,
+                post: PostSettings { tone: Tone::Filmic, ..PostSettings::default() },
+                ..RenderSettings::default()
+            },
         }
     }
 

@@ -2,6 +2,7 @@
 
 use client::cache::ChunkCache;
 use client::features::terrain::pool::ChunkPool;
+use client::features::terrain_clipmap::window::STANDARD_TEXELS;
 use client::features::vegetation::draw::VisibleClumps;
 use client::features::vegetation::gpu_cull::{CullBuffers, CullStats};
 use client::features::vegetation::renderer::VegetationRenderer;
@@ -46,8 +47,14 @@ impl HeadlessRenderer {
     fn open_with(size: (u32, u32), slots: u32, optional: wgpu::Features) -> Result<Self, GpuError> {
         let gpu = pollster::block_on(Gpu::open_with(gpu::instance(None), None, optional))?;
         let slots = ChunkPool::slots_within(&gpu.device.limits(), slots);
-        let options =
-            RenderOptions { scene: Scene::Island, size, samples: 1, format: offscreen::IMAGE_FORMAT, slots };
+        let options = RenderOptions {
+            scene: Scene::Island,
+            size,
+            samples: 1,
+            format: offscreen::IMAGE_FORMAT,
+            slots,
+            clipmap_texels: STANDARD_TEXELS,
+        };
         let renderer = Renderer::new(&gpu, &options);
         let target = OffscreenTarget::new(&gpu.device, size.0, size.1);
         Ok(Self { gpu, renderer, target, slots })
@@ -104,9 +111,18 @@ impl HeadlessRenderer {
 
     /// Draws a frame with all its shadows and reads the picture back.
     pub fn picture(&mut self, frame: &FrameData) -> Result<Image, GpuError> {
-        self.renderer.finish_shadows(&self.gpu, frame)?;
+        self.renderer.finish_shading(&self.gpu, frame)?;
         self.draw(frame)?;
         self.target.read(&self.gpu)
+    }
+
+    /// Draws a frame with all its shadows and returns its linear light, four channels a pixel.
+    pub fn linear_light(&mut self, frame: &FrameData) -> Result<Vec<[f32; 4]>, GpuError> {
+        self.renderer.finish_shading(&self.gpu, frame)?;
+        let light = self.renderer.read_hdr(&self.gpu, frame, &self.target)?;
+        let light = light.ok_or_else(|| GpuError::Fault("light is read with one sample per pixel".into()))?;
+        let channel = |bits: u16| half::f16::from_bits(bits).to_f32();
+        Ok(light.chunks_exact(4).map(|p| [p[0], p[1], p[2], p[3]].map(channel)).collect())
     }
 
     /// Culls a frame's plants without drawing; returns the time until the GPU is done.
@@ -121,7 +137,7 @@ impl HeadlessRenderer {
 
     /// Draws the IDs of the plants of the last culling pass, at a size; see [`Renderer::read_ids`].
     pub fn id_buffer(&mut self, frame: &FrameData, size: (u32, u32)) -> Result<Vec<[u32; 2]>, GpuError> {
-        self.renderer.resize(&self.gpu, size);
+        self.renderer.resize(size);
         let names = self.renderer.read_ids(&self.gpu, frame)?;
         names.ok_or_else(|| GpuError::Fault("the ID buffer takes one sample per pixel".into()))
     }

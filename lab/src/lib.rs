@@ -4,7 +4,8 @@
 //! `accuracy` (error against cost), [`mod@lod`] (levels of detail as drawn), [`mod@pom`]
 //! (parallax occlusion mapping), [`mod@culling`] (occlusion culling of vegetation), `stability`
 //! (borders of the world and of cells), `land` (the shape of the land), `timings` (GPU against
-//! CPU), `codec` (chunks on the wire against other codecs).
+//! CPU), `codec` (chunks on the wire against other codecs), `visual` (what a person would notice in
+//! pictures).
 //!
 //! A missed bar is an error and sets the exit code.
 
@@ -36,6 +37,7 @@ mod stability;
 pub mod stats;
 mod table;
 mod timings;
+mod visual;
 mod waves;
 mod world_builder;
 
@@ -59,6 +61,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Command::Land(options) => land::run(options, &args.outputs),
         Command::Stability(options) => stability::run(options, &args.outputs),
         Command::Timings(options) => timings::run(options, &args.outputs),
+        Command::Visual(options) => visual::run(options, &args.outputs),
         Command::Codec(options) => codec::run(options, &args.outputs),
     }
 }

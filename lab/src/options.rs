@@ -1,7 +1,7 @@
 //! The command line.
 
 use crate::outputs::Outputs;
-use crate::{accuracy, codec, culling, digest, land, lod, pom, stability, timings};
+use crate::{accuracy, codec, culling, digest, land, lod, pom, stability, timings, visual};
 use clap::{Parser, Subcommand};
 
 /// Measures the terrain: digests of all backends, accuracy curves, stability sweeps, GPU timings.
@@ -25,6 +25,8 @@ pub enum Command {
     Digest(digest::Options),
     /// Measure error against cost of every approximation
     Accuracy(accuracy::Options),
+    /// Measure pictures: light across borders of chunks, shading and tolerance, light in shadow
+    Visual(visual::Options),
     /// Measure the drawn levels of detail: screen error, triangles, gaps, popping, draw calls,
     /// memory, time
     Lod(lod::Options),

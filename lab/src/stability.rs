@@ -3,9 +3,9 @@
 //! Sweeps every line where an implementation could break and compares every step with a proved
 //! bound ([`bounds`], [`samples`], [`edges`], [`thresholds`], [`continuity`]), checks that seams are
 //! zero at every level and that no height depends on its chunk or grid ([`seams`]), that chunks state
-//! no smaller error than they have ([`errors`]), and that remainders and lattice cells are right at
-//! both signs ([`arithmetic`]). Then it shows what float noise does at the same distances
-//! ([`floats`]).
+//! no smaller error than they have and levels not much larger ones ([`errors`]), and that remainders
+//! and lattice cells are right at both signs ([`arithmetic`]). Then it shows what float noise does at
+//! the same distances ([`floats`]).
 //!
 //! Every sweep also runs on a control that must fail; a control that passes is an error.
 
@@ -73,7 +73,10 @@ pub fn measure(worlds: u32, chunks: u32) -> Report {
     checks.extend(arithmetic::check());
     let (of_errors, errors) = errors::check(chunks);
     checks.extend(of_errors);
-    Report { worlds, checks, controls: controls(), errors, floats: floats::measure(0) }
+    checks.push(errors::tightness(&errors));
+    let mut controls = controls();
+    controls.push(errors::loose_control(&errors));
+    Report { worlds, checks, controls, errors, floats: floats::measure(0) }
 }
 
 /// The same sweeps over the controls.

@@ -32,6 +32,7 @@ impl WorldBuilder {
             lod::select(&self.land, viewer, usize::MAX).into_iter().map(|needed| needed.key).collect();
         self.generate(&keys);
         let mut world = ChunkCache::new(slots);
+        world.set_land(self.land);
         for key in keys.into_iter().filter(|key| has_arrived(*key)) {
             world.insert(self.chunks[&key].clone());
         }
@@ -54,6 +55,7 @@ impl WorldBuilder {
         keys.sort_unstable();
         self.generate(&keys);
         let mut world = ChunkCache::new(slots);
+        world.set_land(self.land);
         for key in keys {
             world.insert(self.chunks[&key].clone());
         }

@@ -10,12 +10,13 @@ use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInn
 use crate::layout::{
     Atmosphere, BAKE_WORKGROUP, BLOCK_LIST, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe,
     CLEARANCE_RANGE, CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ChunkWords, ConeOrder, Culling, EMPTY_LINK,
-    FILL_NODES, FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_TILT, GRID_NODES, LEAF,
-    MASK_BEGIN, MATERIALS, MAX_MIP_WORKGROUP, MaxMipReduction, NOISE_OCTAVES, OccluderChunk, OcclusionNode,
-    PATTERN_PERIOD_M, PROBE_COARSE_OCTAVES, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting,
-    PomObject, PomParams, PomProbe, PomResult, RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE,
-    SUN_RADIUS, ShadowTarget, SunParams, TILING_WORKGROUP, TerrainInstance, TilingProbe, VISIBILITY_WORDS,
-    WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
+    Exposure, FILL_NODES, FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_RANGE_M,
+    GRASS_SPREAD_M, GRASS_TILT, GRID_NODES, LEAF, MASK_BEGIN, MATERIALS, MAX_MIP_WORKGROUP, METER_GROUPS,
+    MaxMipReduction, NOISE_OCTAVES, OccluderChunk, OcclusionNode, PATTERN_PERIOD_M, PROBE_COARSE_OCTAVES,
+    PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult,
+    Post, RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE, SUN_RADIUS, ShadowTarget, SunParams,
+    TILING_WORKGROUP, TREE_GRID_CELLS, TerrainInstance, TilingProbe, VISIBILITY_WORDS, WAVE_MAP_SIDE,
+    WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -51,12 +52,16 @@ fn every_shader_is_portable_and_either_computes_or_draws() {
             "cull_clumps",
             "fill_chunks",
             "integrate_sky",
+            "light_trees",
+            "meter_exposure",
+            "place_trees",
             "probe_atmosphere",
             "probe_brdf",
             "probe_heights",
             "probe_heights_float",
             "probe_pom",
             "probe_tiling",
+            "probe_tree_shade",
             "probe_waves",
             "reduce_materials",
             "reduce_max_mip",
@@ -201,6 +206,21 @@ fn pom_data_has_the_layout_of_the_shaders() {
 }
 
 #[test]
+fn post_data_has_the_layout_of_the_shaders() {
+    for shader in [SHADERS.tonemap, SHADERS.meter_exposure, SHADERS.resample] {
+        #[rustfmt::skip]
+        assert_same_layout!(
+            shader, Post, tone, auto_exposure, bloom, sharpen, meter, adaptation, scale,
+        );
+    }
+    for shader in [SHADERS.tonemap, SHADERS.meter_exposure] {
+        assert_same_layout!(shader, Exposure, ev, factor, is_set, reserved);
+    }
+    let groups = format!("GROUPS: u32 = {METER_GROUPS}u;");
+    assert!(SHADERS.meter_exposure.wgsl.contains(&groups), "{groups}");
+}
+
+#[test]
 fn fields_have_the_layout_and_vertices_of_the_shaders() {
     for shader in [SHADERS.draw_grass, SHADERS.draw_trees] {
         #[rustfmt::skip]
@@ -208,7 +228,7 @@ fn fields_have_the_layout_and_vertices_of_the_shaders() {
             shader, Field,
             eye_x, eye_y, eye_z, kind, width_low_m, width_high_m, height_low_m, height_high_m, thin_from_m,
             widest, range_m,
-            collapse_m, lod_m, wind, lean,
+            collapse_m, lod_m, wind, lean, casts, reserved,
         );
         let fine = format!("METRES_PER_FINE: f32 = 1.0 / {FINE_PER_METRE}.0;");
         assert!(shader.wgsl.contains(&fine), "{}", shader.name);
@@ -219,8 +239,10 @@ fn fields_have_the_layout_and_vertices_of_the_shaders() {
     }
     for (shader, line) in [
         (SHADERS.draw_grass, format!("MAX_TILT: f32 = {GRASS_TILT:?};")),
-        (SHADERS.draw_trees, "CONIFER_TIERS: u32 = 9u;".to_owned()),
-        (SHADERS.draw_trees, "CONIFER_BOUGHS: u32 = 6u;".to_owned()),
+        (SHADERS.cull_clumps, format!("SPREAD: i32 = {};", (GRASS_SPREAD_M * FINE_PER_METRE as f32).ceil())),
+        (SHADERS.draw_terrain, format!("GRASS_RANGE_M: f32 = {GRASS_RANGE_M:?};")),
+        (SHADERS.draw_trees, "SPRAYS = vec3u(120u, 30u, 12u);".to_owned()),
+        (SHADERS.place_trees, format!("TREE_GRID_CELLS: i32 = {TREE_GRID_CELLS};")),
     ] {
         assert!(shader.wgsl.contains(&line), "{line}");
     }
@@ -440,7 +462,7 @@ fn frame_uniforms_have_the_layout_of_the_shaders() {
         ("parallax_factor", offset_of!(Frame, parallax_factor)),
         ("parallax_bias_m", offset_of!(Frame, parallax_bias_m)),
         ("wave_steepness", offset_of!(Frame, wave_steepness)),
-        ("reserved", offset_of!(Frame, reserved)),
+        ("grass", offset_of!(Frame, grass)),
         ("pom", offset_of!(Frame, pom)),
         ("atmosphere", offset_of!(Frame, atmosphere)),
     ];
@@ -458,9 +480,19 @@ fn frame_uniforms_have_the_layout_of_the_shaders() {
         ("sky_south", offset_of!(Atmosphere, sky_south)),
     ];
     let atmosphere: Vec<_> = atmosphere.into_iter().map(|(name, offset)| (name.to_owned(), offset)).collect();
-    for shader in
-        passes(false).chain([&SHADERS.integrate_sky, &SHADERS.probe_atmosphere, &SHADERS.probe_waves])
-    {
+    // Filters of finished colours know no frame.
+    let filters = ["antialias", "filter_bloom", "resample"];
+    let drawing = passes(false).filter(|shader| !filters.contains(&shader.name));
+    let computing = [
+        &SHADERS.integrate_sky,
+        &SHADERS.light_trees,
+        &SHADERS.meter_exposure,
+        &SHADERS.place_trees,
+        &SHADERS.probe_atmosphere,
+        &SHADERS.probe_tree_shade,
+        &SHADERS.probe_waves,
+    ];
+    for shader in drawing.chain(computing) {
         assert_eq!(reflected(shader, "Frame"), (expected.clone(), size_of::<Frame>()), "{}", shader.name);
         assert_eq!(
             reflected(shader, "Atmosphere"),

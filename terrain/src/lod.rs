@@ -6,7 +6,7 @@
 //! refined while that exceeds the tolerance.
 
 pub mod errors;
-mod residual;
+mod sampled;
 mod selector;
 
 pub use errors::{MEASURED_LEVEL, Progress, SAMPLED_LEVEL};

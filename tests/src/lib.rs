@@ -15,10 +15,12 @@
 //! | `http` | probes, metrics, the description of the world, chunk downloads |
 //! | `light` | finite light in every pixel, for every sun, height and direction |
 //! | `pictures` | the headless viewer against golden pictures |
+//! | `pictures_gallery` | poses of the gallery against golden thumbnails |
 //! | `programs` | the built binaries: options, exit codes, messages |
 //! | `relief` | parallax scenes: identities, extreme settings, displaced geometry |
 //! | `shadows` | terrain shadows against their definition and in pictures |
 //! | `streaming` | the stream of a correct client over real sockets |
+//! | `tree_shade` | shadows of trees against rays through all trees |
 //! | `water` | the sea and the water scene: identities, tiers, extreme cameras |
 
 #![forbid(unsafe_code)]

@@ -33,8 +33,8 @@ fn field(room: [u32; 3]) -> Option<Field> {
     let gpu = tests::open_gpu_or_skip()?;
     let pool = ChunkPool::new(&gpu.device, SLOTS);
     let passes = CullPasses::new(&gpu.device);
-    let grass = passes.create_buffers(&gpu.device, &pool, room, [18, 12, 6]);
-    let trees = passes.create_buffers(&gpu.device, &pool, room, [60, 12, 0]);
+    let grass = passes.create_buffers(&gpu.device, &pool, (32_768, room), [18, 12, 6]);
+    let trees = passes.create_buffers(&gpu.device, &pool, (32_768, room), [60, 12, 0]);
     Some(Field { gpu, pool, passes, grass, trees })
 }
 
@@ -86,7 +86,7 @@ fn the_gpu_keeps_the_clumps_of_the_twin_in_the_same_order() {
         {
             let view = view(camera, VegetationSettings { cull, ..few });
             let mut world = ChunkCache::new(SLOTS);
-            world.set_seed(1);
+            world.set_land(Land::new(1));
             for needed in lod::select(&land, &view.viewer(), usize::MAX) {
                 world.insert(land.chunk(needed.key));
             }
@@ -141,7 +141,7 @@ fn culling_hidden_plants_changes_no_byte_of_the_picture() {
     for camera in [MEADOW.as_str(), &VALLEY] {
         let view = view(camera, vegetation);
         let mut world = ChunkCache::new(SLOTS);
-        world.set_seed(1);
+        world.set_land(Land::new(1));
         for needed in lod::select(&land, &view.viewer(), usize::MAX) {
             world.insert(land.chunk(needed.key));
         }
@@ -188,7 +188,7 @@ fn a_visible_block_is_kept_for_the_configured_frames() {
         field.grass.read_stats(&field.gpu).unwrap().blocks
     };
     let mut world = ChunkCache::new(SLOTS);
-    world.set_seed(1);
+    world.set_land(Land::new(1));
     let (here, turned) = (&moved(&MEADOW, 70.0, 330.0, -10.0), &moved(&MEADOW, 70.0, 15.0, -10.0));
     let before = kept(3, here, 10, &mut world);
     let alone = kept(0, turned, 11, &mut world);
@@ -214,7 +214,7 @@ fn zero_one_and_too_many_clumps_are_kept_and_counted() {
         };
         let view = view(camera, vegetation);
         let mut world = ChunkCache::new(SLOTS);
-        world.set_seed(1);
+        world.set_land(Land::new(1));
         for needed in lod::select(&land, &view.viewer(), usize::MAX) {
             world.insert(land.chunk(needed.key));
         }

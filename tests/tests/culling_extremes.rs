@@ -48,7 +48,7 @@ fn scene(shape: Shape, eye_m: [f64; 3], yaw_deg: f64, vegetation: VegetationSett
         ..shot
     };
     let mut world = ChunkCache::new(SLOTS);
-    world.set_seed(1);
+    world.set_land(Land::new(1));
     for needed in lod::select(&land, &shot.viewer(), SLOTS as usize) {
         let (west, north) = needed.key.origin();
         let spacing = i64::from(needed.key.spacing());

@@ -2,11 +2,12 @@
 
 use client::camera::Pose;
 use client::features::terrain::pool::ChunkPool;
+use client::features::terrain_clipmap::window::STANDARD_TEXELS;
 use client::gpu::{Image, OffscreenTarget, offscreen};
 use client::headless::Options;
 use client::renderer::{RenderOptions, Renderer};
 use client::scene::Scene;
-use client::settings::{RenderSettings, Show};
+use client::settings::{Normals, RenderSettings, Show};
 use client::stream::LocalStream;
 use client::stream::streamer::WorldStreamer;
 use std::time::Duration;
@@ -108,11 +109,20 @@ fn a_renderer_resized_in_every_frame_draws_every_size() {
     let slots = ChunkPool::slots_within(&gpu.device.limits(), 2000);
     let options = options("-1300,160,1500,70,-8");
     let format = offscreen::IMAGE_FORMAT;
-    let mut renderer =
-        Renderer::new(&gpu, &RenderOptions { scene: options.scene, size: (0, 0), samples: 1, format, slots });
+    let mut renderer = Renderer::new(
+        &gpu,
+        &RenderOptions {
+            scene: options.scene,
+            size: (0, 0),
+            samples: 1,
+            format,
+            slots,
+            clipmap_texels: STANDARD_TEXELS,
+        },
+    );
     let mut streamer = WorldStreamer::new(LocalStream::new(1), slots);
     for (width, height) in [(0, 0), (64, 36), (1, 1), (0, 7), (200, 3), (64, 36), (65, 36), (64, 36)] {
-        renderer.resize(&gpu, (width, height));
+        renderer.resize((width, height));
         let mut view = options.view(0, streamer.cache());
         (view.projection.width, view.projection.height) = (width.max(1), height.max(1));
         let selection = streamer.update(&view, Duration::ZERO, usize::MAX, |chunk| {
@@ -157,8 +167,9 @@ fn flat_land_is_drawn_coarse_and_whole() {
     let options = options("30,40,20,10,-30");
     let Some((picture, stats)) = render_or_skip(DeformedSource::new(1, flat), &options) else { return };
     assert!((1..=25).contains(&stats.chunks_drawn), "flat land needs no detail: {stats:?}");
-    let levels =
-        Options { settings: RenderSettings { show: Show::Levels, ..RenderSettings::default() }, ..options };
+    // The clipmap would show the land of the seed.
+    let settings = RenderSettings { show: Show::Levels, normals: Normals::Mesh, ..RenderSettings::default() };
+    let levels = Options { settings, ..options };
     let Some((levels, _)) = render_or_skip(DeformedSource::new(1, flat), &levels) else { return };
     // One level, lit alike everywhere: below the horizon all pixels are of one colour but for
     // dither.

@@ -6,6 +6,7 @@
 use client::camera::Projection;
 use client::features::pom::PomSettings;
 use client::features::pom::settings::{Heights, PomMethod, PomShadow};
+use client::features::terrain_clipmap::window::STANDARD_TEXELS;
 use client::frame::FrameData;
 use client::gpu::{Gpu, OffscreenTarget, offscreen};
 use client::renderer::{RenderOptions, Renderer};
@@ -36,6 +37,7 @@ impl LightProbe {
             samples: 1,
             format: offscreen::IMAGE_FORMAT,
             slots: SLOTS,
+            clipmap_texels: STANDARD_TEXELS,
         };
         let renderer = Renderer::new(&gpu, &options);
         let target = OffscreenTarget::new(&gpu.device, SIZE.0, SIZE.1);

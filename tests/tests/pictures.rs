@@ -161,7 +161,7 @@ fn a_picture_without_one_of_its_trees_fails_the_comparison() {
     treeless.settings.plants.trees = 0;
     let Some((treeless, _)) = drawn(&treeless) else { return };
     let golden = golden::golden("plants").unwrap();
-    let tree = smallest_patch(&golden, &treeless, 64).expect("trees stand in the picture");
+    let tree = smallest_patch(&golden, &treeless, 80).expect("trees stand in the picture");
     let mut one_less = golden;
     for at in &tree {
         one_less.rgba[at * 4..][..4].copy_from_slice(&treeless.rgba[at * 4..][..4]);

@@ -5,6 +5,7 @@ use client::camera::Pose;
 use client::features::materials::{CustomMaterial, CustomMaterials, MATERIAL_TEXELS};
 use client::features::pom::PomSettings;
 use client::features::pom::settings::{Heights, Horizon, LoopForm, PomMethod, PomShadow, Refine, Silhouette};
+use client::features::post::Tone;
 use client::gpu::Image;
 use client::headless::{self, Options};
 use client::scene::Scene;
@@ -226,7 +227,9 @@ fn striped() -> CustomMaterials {
 #[test]
 fn a_users_textures_cover_the_objects_of_every_scene() {
     for scene in SCENES {
-        let base = options(scene, PomSettings::default());
+        // A curve that keeps saturated colours.
+        let mut base = options(scene, PomSettings::default());
+        base.settings.post.tone = Tone::Filmic;
         let Some(own) = drawn(&Options { materials: striped(), ..base.clone() }) else { return };
         let Some(procedural) = drawn(&base) else { return };
         let pink = |picture: &Image| {

@@ -1,6 +1,7 @@
 //! Terrain shadows: against their definition, for extreme suns and land, and in pictures.
 
 use client::cache::{ChunkCache, Resident};
+use client::features::terrain_clipmap::window::STANDARD_TEXELS;
 use client::frame::FrameData;
 use client::gpu::{Gpu, Image, offscreen};
 use client::headless::Options;
@@ -27,6 +28,7 @@ fn renderer(gpu: &Gpu) -> Renderer {
         samples: 1,
         format: offscreen::IMAGE_FORMAT,
         slots: SLOTS,
+        clipmap_texels: STANDARD_TEXELS,
     };
     Renderer::new(gpu, &options)
 }
@@ -74,7 +76,7 @@ impl Scenery {
     /// Clearances as bytes, of every visible chunk.
     fn cast(&mut self, view: &ViewParams) -> HashMap<ChunkKey, Vec<u8>> {
         let frame = self.frame(view);
-        self.renderer.finish_shadows(&self.gpu, &frame).unwrap();
+        self.renderer.finish_shading(&self.gpu, &frame).unwrap();
         let seen = frame.candidates.iter().filter(|candidate| candidate.is_visible);
         seen.map(|seen| {
             let bytes = self.renderer.pool().read_sun_clearances(&self.gpu, seen.page.slot).unwrap();

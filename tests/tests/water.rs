@@ -1,5 +1,6 @@
 //! The sea and the water scene: identities, the order of the tiers, and extreme cameras.
 
+use client::features::terrain_clipmap::window::STANDARD_TEXELS;
 use client::features::water::{WaterTier, WaveSettings};
 use client::gpu::{Image, OffscreenTarget, offscreen};
 use client::headless::Options;
@@ -140,8 +141,17 @@ fn light_that_is_not_finite_is_detected() {
     let Some(gpu) = tests::open_gpu_or_skip() else { return };
     let size = (options.projection.width, options.projection.height);
     let format = offscreen::IMAGE_FORMAT;
-    let mut renderer =
-        Renderer::new(&gpu, &RenderOptions { scene: Scene::Water, size, samples: 1, format, slots: 1 });
+    let mut renderer = Renderer::new(
+        &gpu,
+        &RenderOptions {
+            scene: Scene::Water,
+            size,
+            samples: 1,
+            format,
+            slots: 1,
+            clipmap_texels: STANDARD_TEXELS,
+        },
+    );
     let (target, mut streamer) =
         (OffscreenTarget::new(&gpu.device, size.0, size.1), WorldStreamer::new(NullStream, 1));
     let shot = options.view(0, streamer.cache());

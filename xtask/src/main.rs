@@ -11,7 +11,9 @@ mod bless;
 mod ci;
 mod demo;
 mod dependency_rules;
+mod gallery;
 mod gpu_bundle;
+mod land_version_3;
 mod machine;
 mod measure;
 mod process;
@@ -54,6 +56,8 @@ enum Command {
         /// What to measure
         name: String,
     },
+    /// Draw the fixed poses into docs/gallery and write their page
+    Gallery(gallery::Options),
     /// Pack programs and a script that run every check that needs a GPU on a bare machine
     GpuBundle,
     /// Write the record of a run of the bundle
@@ -82,6 +86,7 @@ fn main() -> ExitCode {
         Command::Advisories { update: Some(clone) } => advisories::update(&clone),
         Command::Records(options) => records::run(&options),
         Command::Measure { name } => measure::run(&name),
+        Command::Gallery(options) => gallery::run(&options),
         Command::GpuBundle => gpu_bundle::build(),
         Command::GpuRecord { folder } => gpu_bundle::record(&folder),
         Command::Source => source::run(),

@@ -9,7 +9,7 @@ use shaders::layout::{BLOCK_TEXELS, GPU_SLOT_BYTES};
 use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
 use terrain::pyramid::PYRAMID_LEVELS;
-use terrain::{Chunk, ChunkKey, GrassSeed, Land, Pyramid};
+use terrain::{Chunk, ChunkKey, GrassSeed, Land, Pyramid, WorldDigest};
 
 /// Memory of one slot, bytes: heights, bounds, block errors and grass on the CPU, and all GPU
 /// buffers.
@@ -84,6 +84,8 @@ pub struct ChunkCache {
     split_since: FxHashMap<ChunkKey, Duration>,
     /// The land of the seed that the server states.
     land: Option<Land>,
+    /// Digest of the world, if it is that of the land.
+    verified: Option<WorldDigest>,
     /// Vertical scale of the resident chunks, Q8.
     vertical_scale: i32,
 }
@@ -103,6 +105,7 @@ impl ChunkCache {
             covered: false,
             split_since: FxHashMap::default(),
             land: None,
+            verified: None,
             vertical_scale: vertical_scale::ONE,
         }
     }
@@ -168,9 +171,22 @@ impl ChunkCache {
         self.vertical_scale
     }
 
-    /// Sets the seed that the server states.
-    pub fn set_seed(&mut self, world_seed: u64) {
-        self.land = Some(Land::new(world_seed));
+    /// Sets the seed that the server states, and the digest of the world that it serves.
+    pub fn set_world(&mut self, world_seed: u64, world: WorldDigest) {
+        let land = Land::new(world_seed);
+        (self.land, self.verified) = (Some(land), (land.digest() == world).then_some(world));
+    }
+
+    /// Sets the land that the chunks come from.
+    pub fn set_land(&mut self, land: Land) {
+        (self.land, self.verified) = (Some(land), Some(land.digest()));
+    }
+
+    /// The land of the chunks with its digest; none if the stated seed has another digest than the
+    /// world.
+    #[must_use]
+    pub fn verified_land(&self) -> Option<(Land, WorldDigest)> {
+        self.land.zip(self.verified)
     }
 
     /// The land of the stated seed: for comparisons only, because a server may state a wrong seed.

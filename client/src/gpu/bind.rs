@@ -37,6 +37,24 @@ pub fn bind_buffers(
     bind(device, label, layout, &resources)
 }
 
+/// [`bind_buffers`] with buffers at any numbers.
+#[must_use]
+pub fn bind_numbered(
+    device: &wgpu::Device,
+    label: &str,
+    layout: &wgpu::BindGroupLayout,
+    buffers: &[(u32, &wgpu::Buffer)],
+) -> wgpu::BindGroup {
+    let entries: Vec<_> = buffers
+        .iter()
+        .map(|(binding, buffer)| wgpu::BindGroupEntry {
+            binding: *binding,
+            resource: buffer.as_entire_binding(),
+        })
+        .collect();
+    device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
+}
+
 /// A uniform buffer, visible to vertex and fragment shaders.
 #[must_use]
 pub const fn uniform_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {

@@ -123,6 +123,12 @@ impl Gpu {
         pollster::block_on(Self::open(instance(None), None))
     }
 
+    /// Whether the driver draws on the CPU.
+    #[must_use]
+    pub fn is_software(&self) -> bool {
+        self.adapter.get_info().device_type == wgpu::DeviceType::Cpu
+    }
+
     /// Name and backend of the adapter, for display.
     #[must_use]
     pub fn name(&self) -> String {

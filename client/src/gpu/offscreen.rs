@@ -35,13 +35,19 @@ impl OffscreenTarget {
     /// A target of at least 1 x 1 pixels.
     #[must_use]
     pub fn new(device: &wgpu::Device, width: u32, height: u32) -> Self {
+        Self::with_format(device, width, height, IMAGE_FORMAT)
+    }
+
+    /// [`OffscreenTarget::new`] with another format of 8 bits a channel: that of a window.
+    #[must_use]
+    pub fn with_format(device: &wgpu::Device, width: u32, height: u32, format: wgpu::TextureFormat) -> Self {
         let texture = device.create_texture(&wgpu::TextureDescriptor {
             label: Some("image"),
             size: wgpu::Extent3d { width: width.max(1), height: height.max(1), depth_or_array_layers: 1 },
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
-            format: IMAGE_FORMAT,
+            format,
             usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
             view_formats: &[],
         });
@@ -54,7 +60,10 @@ impl OffscreenTarget {
     /// # Errors
     /// The device failed.
     pub fn read(&self, gpu: &Gpu) -> Result<Image, GpuError> {
-        let rgba = read_texture(gpu, &self.texture, 4)?;
+        let mut rgba = read_texture(gpu, &self.texture, 4)?;
+        if self.texture.format() == wgpu::TextureFormat::Bgra8Unorm {
+            rgba.chunks_exact_mut(4).for_each(|pixel| pixel.swap(0, 2));
+        }
         Ok(Image { width: self.texture.width(), height: self.texture.height(), rgba })
     }
 }

@@ -117,15 +117,17 @@ impl HdrPass<'_> {
     }
 }
 
-/// A pipeline without depth test, one sample per pixel.
+/// A pipeline without depth test, one sample per pixel, by one fragment entry point.
 #[must_use]
-pub fn flat_pipeline(
+pub fn screen_pipeline(
     device: &wgpu::Device,
     shader: &Shader,
     layout: &wgpu::BindGroupLayout,
-    format: wgpu::TextureFormat,
+    fragment: &str,
+    target: wgpu::ColorTargetState,
 ) -> wgpu::RenderPipeline {
-    build(device, (shader, HDR, &[]), &[layout], &[], SOLID, None, 1, Some(format.into()))
+    let output = Output { fragment: Some(fragment), ..HDR };
+    build(device, (shader, output, &[]), &[layout], &[], SOLID, None, 1, Some(target))
 }
 
 /// Back-face culled triangles.

@@ -10,7 +10,7 @@ use crate::gpu::readback::Readback;
 pub enum TimedPass {
     /// Land, sky and sea.
     Hdr,
-    /// Tone curve and encoding.
+    /// Tone curve, encoding, antialiasing and resampling.
     Tonemap,
 }
 
@@ -24,7 +24,7 @@ const BYTES: u64 = TIMESTAMPS as u64 * 8;
 pub struct PassTimes {
     /// Land, sky and sea.
     pub hdr_ns: f64,
-    /// Tone curve and encoding.
+    /// Tone curve, encoding, antialiasing and resampling.
     pub tonemap_ns: f64,
     /// From the begin of the frame to the end of its last pass, untimed passes included.
     pub whole_ns: f64,
@@ -83,6 +83,21 @@ impl GpuTimer {
             beginning_of_pass_write_index: Some(first),
             end_of_pass_write_index: Some(first + 1),
         }
+    }
+
+    /// [`GpuTimer::writes`] of one of several passes that are timed as one: the begin of the first
+    /// and the end of the last. None for those between.
+    #[must_use]
+    pub fn part(
+        &self,
+        pass: TimedPass,
+        begins: bool,
+        ends: bool,
+    ) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
+        let mut writes = self.writes(pass);
+        writes.beginning_of_pass_write_index = writes.beginning_of_pass_write_index.filter(|_| begins);
+        writes.end_of_pass_write_index = writes.end_of_pass_write_index.filter(|_| ends);
+        (begins || ends).then_some(writes)
     }
 
     /// Resolves a frame's timestamps, after its passes.

@@ -1,6 +1,8 @@
-//! Level of detail: chunk selection ([`mod@select`]), geometric error on screen ([`error`]) and
-//! geomorphing without cracks ([`geomorph`]).
+//! Level of detail: chunk selection ([`mod@select`]), geometric error on screen ([`error`]),
+//! geomorphing without cracks ([`geomorph`]) and the eye's distance from what is drawn
+//! ([`clearance`]).
 
+pub mod clearance;
 pub mod error;
 pub mod geomorph;
 pub mod select;

@@ -1,18 +1,19 @@
 //! The command line. Options are a contract: scripts call them.
 
 use super::pom_args::PomArgs;
+use super::post_args::PostArgs;
 use super::vegetation_args::VegetationArgs;
 use crate::camera::{Pose, Projection};
-use crate::features::materials::CustomMaterials;
+use crate::features::terrain_clipmap::window::STANDARD_TEXELS;
 use crate::features::water::{WaterTier, WaveSettings};
-use crate::headless::Options;
 use crate::native::parse::parse_within;
+use crate::native::quality::{Preset, Quality};
+use crate::scene::places::{self, Place};
 use crate::scene::{DEFAULT_WORLD_SEED, Scene};
-use crate::settings::{Diffuse, RenderSettings, Shadows, Show, SunPosition, Tiling, Visibility};
+use crate::settings::{Diffuse, Normals, RenderSettings, Shadows, Show, SunPosition, Tiling, Visibility};
 use clap::{Parser, builder::RangedU64ValueParser};
 use protocol::Delivery;
 use std::path::PathBuf;
-use std::time::Duration;
 use terrain::lod::MAX_VIEW_DISTANCE_M;
 use terrain::{Land, WorldDigest};
 use tokio_tungstenite::tungstenite::http::Uri;
@@ -56,6 +57,15 @@ pub struct Args {
     #[arg(long, value_name = "X,Y,Z,YAW,PITCH", allow_hyphen_values = true)]
     pub camera: Option<Pose>,
 
+    /// Start at a place of the home island, found in the land of the world
+    #[arg(long, value_enum, value_name = "NAME", conflicts_with = "camera")]
+    pub place: Option<Place>,
+
+    /// Preset of tolerance, samples, tiling, relief, plants and view distance; options that are
+    /// given win
+    #[arg(long, value_enum, default_value_t)]
+    pub quality: Quality,
+
     /// Draws into this PNG file instead of a window
     #[arg(long, value_name = "FILE.png")]
     pub shot: Option<PathBuf>,
@@ -73,15 +83,17 @@ pub struct Args {
     #[arg(long, value_name = "FILE.json")]
     pub stats: Option<PathBuf>,
 
-    /// View distance in metres, 100 to 65536
-    #[arg(long, value_name = "M", default_value_t = 8000, allow_negative_numbers = true,
+    /// View distance in metres, 100 to 65536 [default: 20000 in the scene island, else 8000; 8000
+    /// with --quality low, 32000 with high]
+    #[arg(long, value_name = "M", allow_negative_numbers = true,
           value_parser = clap::value_parser!(u32).range(100..=i64::from(MAX_VIEW_DISTANCE_M)))]
-    pub view_distance: u32,
+    pub view_distance: Option<u32>,
 
-    /// Tolerated geometric error on screen in pixels, 0.0625 to 1000; less is finer
-    #[arg(long, value_name = "PX", default_value_t = 2.0, allow_negative_numbers = true,
+    /// Tolerated geometric error on screen in pixels, 0.0625 to 1000; less is finer [default: 2; 4
+    /// with --quality low, 1 with high]
+    #[arg(long, value_name = "PX", allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.0625, 1000.0))]
-    pub tolerance: f64,
+    pub tolerance: Option<f64>,
 
     /// Vertical field of view in degrees, 1 to 170
     #[arg(long, value_name = "DEG", default_value_t = 60.0, allow_negative_numbers = true,
@@ -94,7 +106,8 @@ pub struct Args {
           value_parser = RangedU64ValueParser::<usize>::new().range(8..=256))]
     pub chunk_mb: usize,
 
-    /// Samples per pixel, 1 or 4 [default: 4, in a window on a software driver 1]
+    /// Samples per pixel, 1 or 4 [default: 4; 1 with --quality low, and in a window on a software
+    /// driver]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = parse_samples)]
     pub samples: Option<u32>,
 
@@ -126,9 +139,20 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     pub shadows: Shadows,
 
-    /// Technique against visible repetition of materials
+    /// Source of the terrain's shading normals and sky visibility: the land itself, or the drawn
+    /// triangles
     #[arg(long, value_enum, default_value_t)]
-    pub tiling: Tiling,
+    pub normals: Normals,
+
+    /// Texels along a side of each level of the map of normals, 256 to 2048; more is sharper
+    #[arg(long, value_name = "N", default_value_t = STANDARD_TEXELS, allow_negative_numbers = true,
+          value_parser = clap::value_parser!(u32).range(256..=2048))]
+    pub clipmap: u32,
+
+    /// Technique against visible repetition of materials [default: hex; two-scale with --quality
+    /// low]
+    #[arg(long, value_enum)]
+    pub tiling: Option<Tiling>,
 
     /// Diffuse reflection of the ground
     #[arg(long, value_enum, default_value_t)]
@@ -171,6 +195,10 @@ pub struct Args {
     #[command(flatten)]
     pub plants: VegetationArgs,
 
+    /// From the HDR target to the image.
+    #[command(flatten)]
+    pub post: PostArgs,
+
     /// File whose first line is the server's access token
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -179,33 +207,14 @@ pub struct Args {
     #[arg(long, value_name = "S", default_value_t = 60, allow_negative_numbers = true,
           value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub timeout: u64,
+
+    /// Size of the window's text and controls, 0.5 to 4
+    #[arg(long, value_name = "F", default_value_t = 1.0, allow_negative_numbers = true,
+          value_parser = |text: &str| parse_within(text, 0.5, 4.0))]
+    pub ui_scale: f64,
 }
 
 impl Args {
-    /// Options of a headless run.
-    #[must_use]
-    pub fn headless_options(&self) -> Options {
-        Options {
-            scene: self.scene,
-            pose: self.pose(),
-            follows_world: self.follows_world(),
-            projection: self.projection(),
-            view_distance_m: self.view_distance,
-            tolerance_px: self.tolerance,
-            chunk_bytes: self.chunk_mb << 20,
-            samples: self.samples.unwrap_or(4),
-            frames: self.frames.unwrap_or(1),
-            // Frames of a shot are 1/60 s apart, like their waves.
-            orbit_step_deg: self.orbit.unwrap_or(0.0) / 60.0,
-            time_s: self.time as f32,
-            settings: self.render_settings(),
-            vertical_scale: self.vertical_scale(),
-            // Files are read by `native::textures`.
-            materials: CustomMaterials::default(),
-            timeout: Duration::from_secs(self.timeout),
-        }
-    }
-
     /// The server, unless the scene generates its land.
     #[must_use]
     pub fn server(&self) -> Option<Uri> {
@@ -219,15 +228,16 @@ impl Args {
         self.plants.vertical_scale.unwrap_or(self.scene.vertical_scale())
     }
 
-    /// The render settings.
+    /// The render settings: those of the options, of the preset for the others.
     #[must_use]
-    pub fn render_settings(&self) -> RenderSettings {
+    pub fn render_settings(&self, preset: &Preset) -> RenderSettings {
         RenderSettings {
             diffuse: self.diffuse,
             visibility: self.visibility,
-            tiling: self.tiling,
+            tiling: self.tiling.unwrap_or(preset.tiling),
             water: self.water,
             shadows: self.shadows,
+            normals: self.normals,
             show: self.show,
             sun: self.sun,
             exposure_ev: self.exposure as f32,
@@ -236,15 +246,29 @@ impl Args {
                 parallax_bias_m: self.parallax_bias as f32,
                 steepness: self.wave_steepness as f32,
             },
-            plants: self.plants.vegetation_settings(self.scene),
-            pom: self.relief.pom_settings(),
+            plants: self.plants.vegetation_settings(preset.plants_in(self.scene)),
+            pom: self.relief.pom_settings(preset.relief, self.scene),
+            post: self.post.post_settings(
+                self.scene,
+                self.samples.unwrap_or(preset.samples),
+                preset.render_scale,
+            ),
         }
     }
 
     /// Start pose.
     #[must_use]
     pub fn pose(&self) -> Pose {
-        self.camera.unwrap_or_else(|| self.scene.start_in(&Land::new(self.world_seed)))
+        self.camera.unwrap_or_else(|| self.start_in(&Land::new(self.world_seed)))
+    }
+
+    /// Start pose in a world, without `--camera`.
+    #[must_use]
+    pub fn start_in(&self, land: &Land) -> Pose {
+        match self.place {
+            Some(place) if !self.scene.is_local() => places::find(place, land, self.vertical_scale()),
+            _ => self.scene.start_in(land),
+        }
     }
 
     /// Whether the camera moves to the start of the world that a server announces.
@@ -308,6 +332,10 @@ mod tests {
     use crate::features::pom::settings::{
         Heights, Horizon, LoopForm, PomMethod, PomShadow, Refine, Silhouette,
     };
+    use crate::features::post::{Antialias, PostSettings, Tone};
+    use crate::features::vegetation::VegetationSettings;
+    use crate::native::profile::Profile;
+    use std::time::Duration;
 
     fn parse(arguments: &[&str]) -> Result<Args, clap::Error> {
         Args::try_parse_from(std::iter::once(&"tombolo-view").chain(arguments))
@@ -317,7 +345,8 @@ mod tests {
     fn the_defaults_are_a_window_over_the_island() {
         let args = parse(&[]).unwrap();
         assert_eq!(args.server().unwrap().to_string(), "ws://127.0.0.1:7580/v1/stream");
-        assert_eq!((args.size, args.view_distance, args.tolerance), ((1280, 720), 8000, 2.0));
+        let profile = Profile::of(&args, false);
+        assert_eq!((args.size, profile.view_distance_m, profile.tolerance_px), ((1280, 720), 20_000, 2.0));
         assert_eq!(args.pose(), Scene::Island.start());
         assert!(args.follows_world() && !parse(&["--camera", "0,9,0,0,0"]).unwrap().follows_world());
         assert!(!parse(&["--scene", "grass"]).unwrap().follows_world(), "its seed is given");
@@ -367,6 +396,8 @@ mod tests {
             "-1",
             "--shadows",
             "hard",
+            "--normals",
+            "mesh",
             "--tiling",
             "two-scale",
             "--diffuse",
@@ -408,14 +439,36 @@ mod tests {
             "3",
             "--horizon",
             "2,0.1,0.5,3",
+            "--tone",
+            "neutral",
+            "--auto-exposure",
+            "off",
+            "--bloom",
+            "0.5",
+            "--antialias",
+            "fxaa",
+            "--sharpen",
+            "0.25",
+            "--render-scale",
+            "0.75",
             "--token-file",
             "t",
             "--timeout",
             "9",
+            "--grass",
+            "5",
+            "--trees",
+            "1",
+            "--ui-scale",
+            "1.5",
+            "--quality",
+            "high",
         ])
         .unwrap();
+        assert_eq!((args.ui_scale, args.quality), (1.5, Quality::High));
         assert_eq!((args.delivery, args.digest), (Delivery::SeedOnly, Some(WorldDigest([10; 32]))));
-        let options = args.headless_options();
+        let profile = Profile::of(&args, false);
+        let options = profile.headless_options(&args);
         assert_eq!(options.pose.position_m.x, -1.5);
         assert_eq!(
             (options.projection.width, options.projection.height, options.projection.fov_deg),
@@ -429,11 +482,17 @@ mod tests {
             tiling: Tiling::TwoScale,
             water: WaterTier::March,
             shadows: Shadows::Hard,
+            normals: Normals::Mesh,
             show: Show::Levels,
             sun,
             exposure_ev: -1.0,
             waves: WaveSettings { parallax_factor: 0.5, parallax_bias_m: -0.25, steepness: 2.0 },
-            plants: crate::features::vegetation::VegetationSettings::default(),
+            plants: VegetationSettings {
+                density: 5,
+                range_m: 400.0,
+                trees: 1,
+                ..VegetationSettings::STANDARD
+            },
             pom: PomSettings {
                 method: PomMethod::Linear,
                 steps_min: 4,
@@ -451,9 +510,31 @@ mod tests {
                 fade_px: 3.0,
                 horizon: Horizon { strength: 2.0, height_bias: 0.1, safe_threshold: 0.5, falloff: 3.0 },
             },
+            post: PostSettings {
+                tone: Tone::Neutral,
+                auto_exposure: false,
+                bloom: 0.5,
+                antialias: Antialias::Fxaa,
+                sharpen: 0.25,
+                render_scale: 0.75,
+            },
         };
         assert_eq!(options.settings, settings);
         assert_eq!((options.orbit_step_deg, options.timeout), (-0.05, Duration::from_secs(9)));
+    }
+
+    #[test]
+    fn automatic_exposure_and_bloom_need_land_and_antialiasing_one_sample() {
+        let post = |arguments: &[&str], samples| {
+            let preset = Preset { samples, ..Preset::of(Quality::Medium, false) };
+            parse(arguments).unwrap().render_settings(&preset).post
+        };
+        let island = post(&[], 4);
+        assert!(island.auto_exposure && island.bloom > 0.0 && island.antialias == Antialias::None);
+        assert_eq!(post(&[], 1), PostSettings { antialias: Antialias::Fxaa, ..island });
+        assert_eq!(post(&["--scene", "water"], 4), PostSettings::default());
+        assert!(post(&["--scene", "water", "--auto-exposure", "on"], 4).auto_exposure);
+        assert_eq!(post(&["--antialias", "none"], 1), island);
     }
 
     #[test]
@@ -492,9 +573,18 @@ mod tests {
             ("--relief-tiling", "9", "0.25 to 8"),
             ("--relief-tiling", "1,0", "0.25 to 8"),
             ("--relief-fade", "-1", "0 to 16"),
+            ("--tone", "flat", "agx"),
+            ("--auto-exposure", "yes", "on"),
+            ("--bloom", "1.5", "0 to 1"),
+            ("--antialias", "8x", "fxaa"),
+            ("--sharpen", "NaN", "0 to 1"),
+            ("--render-scale", "0.2", "0.25 to 2"),
             ("--horizon", "1,0,0.3", "four numbers"),
             ("--horizon", "1,0,2,2", "safe threshold"),
             ("--timeout", "0", "1"),
+            ("--ui-scale", "9", "0.5 to 4"),
+            ("--quality", "best", "medium"),
+            ("--place", "moon", "next-island"),
         ] {
             let line = parse(&[option, value]).unwrap_err().to_string();
             for part in [option, value, allowed] {

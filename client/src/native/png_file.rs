@@ -46,6 +46,11 @@ impl Pixels {
 /// One line with the cause.
 pub fn read(path: &Path) -> Result<Pixels, String> {
     let one_line = |error: &dyn std::fmt::Display| error.to_string().replace('\n', " ");
+    // Opening a named pipe would wait for its writer.
+    let is_file = std::fs::metadata(path).map_err(|error| one_line(&error))?.is_file();
+    if !is_file {
+        return Err("it is no regular file".to_owned());
+    }
     let file = File::open(path).map_err(|error| one_line(&error))?;
     let mut decoder = Decoder::new_with_limits(BufReader::new(file), Limits { bytes: MAX_BYTES });
     // Palettes become colours, and 1 to 4 bits 8; 16 bits stay.
@@ -68,7 +73,15 @@ pub fn read(path: &Path) -> Result<Pixels, String> {
 /// # Errors
 /// The file cannot be created, or not written to its end.
 pub fn write(path: &Path, image: &Image) -> Result<(), EncodingError> {
-    let mut file = BufWriter::new(File::create(path)?);
+    write_to(File::create(path)?, image)
+}
+
+/// [`fn@write`] into an open file.
+///
+/// # Errors
+/// The file cannot be written to its end.
+pub fn write_to(file: File, image: &Image) -> Result<(), EncodingError> {
+    let mut file = BufWriter::new(file);
     let mut encoder = Encoder::new(&mut file, image.width, image.height);
     encoder.set_color(ColorType::Rgba);
     encoder.set_depth(BitDepth::Eight);

@@ -3,6 +3,7 @@
 use crate::features::pom::PomSettings;
 use crate::features::pom::settings::{Heights, Horizon, LoopForm, PomMethod, PomShadow, Refine, Silhouette};
 use crate::native::parse::parse_within;
+use crate::scene::Scene;
 use clap::Args;
 use clap::builder::RangedU64ValueParser;
 
@@ -12,9 +13,11 @@ const MOST_REFINEMENTS: u64 = PomSettings::MAX_REFINEMENTS as u64;
 #[derive(Clone, Debug, PartialEq, Args)]
 #[command(next_help_heading = "Parallax occlusion mapping")]
 pub struct PomArgs {
-    /// Parallax method of materials
-    #[arg(long, value_enum, default_value_t)]
-    pub relief: PomMethod,
+    /// Parallax method of materials [default: auto; offset with --quality low]. Cones pass through
+    /// single high texels: over spikes of one texel, 36 to 60 % of the pixels are wrong at view
+    /// angles of 21 degrees and below. The other marches miss less
+    #[arg(long, value_enum)]
+    pub relief: Option<PomMethod>,
 
     /// Steps of the linear search at perpendicular and at grazing view, 1 to 256
     #[arg(long, value_name = "MIN,MAX", default_value = "8,32", value_parser = parse_steps)]
@@ -37,9 +40,9 @@ pub struct PomArgs {
     #[arg(long, value_enum, default_value_t)]
     pub relief_heights: Heights,
 
-    /// Self-shadowing of parallax
-    #[arg(long, value_enum, default_value_t)]
-    pub relief_shadow: PomShadow,
+    /// Self-shadowing of parallax [default: soft on land, hard in the scenes without]
+    #[arg(long, value_enum)]
+    pub relief_shadow: Option<PomShadow>,
 
     /// Silhouette of displaced surfaces
     #[arg(long, value_enum, default_value_t)]
@@ -77,18 +80,20 @@ pub struct PomArgs {
 }
 
 impl PomArgs {
-    /// The settings.
+    /// The settings in a scene: those of the options, of `method` if that is not given.
     #[must_use]
-    pub fn pom_settings(&self) -> PomSettings {
+    pub fn pom_settings(&self, method: PomMethod, scene: Scene) -> PomSettings {
+        // A hard shadow of single texels ends in a line where the land's materials grow small.
+        let shadow = if scene.is_local() { PomShadow::Hard } else { PomShadow::Soft };
         PomSettings {
-            method: self.relief,
+            method: self.relief.unwrap_or(method),
             steps_min: self.relief_steps.0,
             steps_max: self.relief_steps.1,
             refine: self.relief_refine,
             refinements: self.relief_refinements,
             loop_form: self.relief_loop,
             heights: self.relief_heights,
-            shadow: self.relief_shadow,
+            shadow: self.relief_shadow.unwrap_or(shadow),
             silhouette: self.silhouette,
             depth: self.relief_depth,
             pivot: self.relief_pivot as f32,

@@ -1,9 +1,10 @@
 //! `--shot`: an image and its measurements as files, with a progress display.
 
-use crate::gpu::Image;
+use crate::gpu::{Gpu, Image};
 use crate::headless::{self, Progress};
 use crate::native::args::Args;
 use crate::native::png_file;
+use crate::native::profile::Profile;
 use crate::native::stream::{ServerStream, Settings};
 use crate::native::textures;
 use crate::stats::Stats;
@@ -27,21 +28,23 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     );
     has_folder("--shot", path)?;
     args.stats.as_deref().map_or(Ok(()), |path| has_folder("--stats", path))?;
+    let gpu = Gpu::open_blocking()?;
+    let profile = Profile::of(args, gpu.is_software());
     let options =
-        headless::Options { materials: textures::custom_materials(args)?, ..args.headless_options() };
-    if args.scene.is_local() {
-        let (image_data, stats) = headless::render_local(&options, started)?;
-        return write(args, path, &image_data, &stats);
-    }
+        headless::Options { materials: textures::custom_materials(args)?, ..profile.headless_options(args) };
     let stream = open_stream(args)?;
     // Hidden automatically where stderr is not a terminal.
     let bar = ProgressBar::new_spinner();
     bar.set_style(ProgressStyle::with_template("{spinner} {elapsed} {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(100));
-    let (image_data, stats) = headless::render(&options, stream, started, |progress| {
+    let (image_data, stats) = headless::render_on(&gpu, &options, stream, started, |progress| {
         bar.set_message(describe(progress));
     })?;
     bar.finish_and_clear();
+    // After what can fail: an error is one line.
+    if let Some(notice) = &profile.notice {
+        eprintln!("{notice}");
+    }
     write(args, path, &image_data, &stats)
 }
 

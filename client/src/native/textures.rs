@@ -326,6 +326,21 @@ mod tests {
         assert_ne!(sand.texels[0].albedo, checker(0), "the control: a good albedo is no checker");
     }
 
+    /// A test that waits for the pipe would never end.
+    #[cfg(unix)]
+    #[test]
+    fn a_named_pipe_is_refused_without_waiting_for_its_writer() {
+        let folder = Folder::new("pipe");
+        complete(&folder);
+        let pipe = folder.path("cobbles_height.png");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.is_ok_and(|status| status.success()), "mkfifo is part of every Unix");
+        let (own, warnings) = load(&folder.0).unwrap();
+        let said: Vec<_> = warnings.iter().filter(|line| line.contains("cobbles_height.png")).collect();
+        assert!(said.len() == 1 && said[0].contains("no regular file"), "{warnings:?}");
+        assert!(material(&own, "sand").is_some(), "the control: regular files are read");
+    }
+
     #[test]
     fn an_image_that_claims_to_be_huge_is_refused_before_it_takes_memory() {
         let folder = Folder::new("huge");

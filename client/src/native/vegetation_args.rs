@@ -1,8 +1,7 @@
 //! Options of vegetation.
 
-use crate::features::vegetation::{Cull, VegetationSettings};
+use crate::features::vegetation::{Cull, PlantShadows, VegetationSettings};
 use crate::native::parse::parse_within;
-use crate::scene::Scene;
 use clap::Args;
 
 const MOST_GRASS: i64 = VegetationSettings::MAX_DENSITY as i64;
@@ -13,13 +12,14 @@ const FARTHEST_M: f64 = VegetationSettings::MAX_RANGE_M as f64;
 #[derive(Clone, Debug, PartialEq, Args)]
 #[command(next_help_heading = "Vegetation")]
 pub struct VegetationArgs {
-    /// Clumps of grass on 2 x 2 m at the highest density, 0 to 32 [default: 32 in the scene grass,
-    /// 8 in culling, else 0]
+    /// Clumps of grass on 2 x 2 m at the highest density, 0 to 32 [default: 24 in the scene island,
+    /// 32 in grass, 8 in culling; 8 at most with --quality low]
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = clap::value_parser!(u32).range(0..=MOST_GRASS))]
     pub grass: Option<u32>,
 
-    /// Range of grass, metres, 0 to 1900 [default: 260; 240 in culling]
+    /// Range of grass, metres, 0 to 1900 [default: 260; 240 in culling; 150 at most with --quality
+    /// low, 400 in the scene island with high]
     #[arg(long, value_name = "M", allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
     pub grass_range: Option<f64>,
@@ -35,8 +35,8 @@ pub struct VegetationArgs {
           value_parser = |text: &str| parse_within(text, 1.0, 16.0))]
     pub grass_widest: Option<f64>,
 
-    /// Trees on 8 x 8 m at the highest density, 0 to 4 [default: 1 in the scenes grass and culling,
-    /// else 0]
+    /// Trees on 8 x 8 m at the highest density, 0 to 4 [default: 2 in the scene island, 1 in grass
+    /// and culling; with --quality low 1, in the island with high 3]
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = clap::value_parser!(u32).range(0..=MOST_TREES))]
     pub trees: Option<u32>,
@@ -71,6 +71,10 @@ pub struct VegetationArgs {
           value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub lean: Option<f64>,
 
+    /// Shadows of trees on the ground, on grass and on each other; none with --shadows off
+    #[arg(long, value_enum, default_value_t)]
+    pub plant_shadows: PlantShadows,
+
     /// Vertical scale of the land, 0.25 to 4 [default: 1.8 in the scene culling, else 1]
     #[arg(long, value_name = "F", allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.25, 4.0))]
@@ -78,10 +82,9 @@ pub struct VegetationArgs {
 }
 
 impl VegetationArgs {
-    /// The settings in a scene.
+    /// The settings: those of the options, `defaults` for the others.
     #[must_use]
-    pub fn vegetation_settings(&self, scene: Scene) -> VegetationSettings {
-        let defaults = scene.plants();
+    pub fn vegetation_settings(&self, defaults: VegetationSettings) -> VegetationSettings {
         let or = |given: Option<f64>, defaults: f32| given.map_or(defaults, |given| given as f32);
         VegetationSettings {
             density: self.grass.unwrap_or(defaults.density),
@@ -95,6 +98,7 @@ impl VegetationArgs {
             step_m: self.cull_step as f32,
             wind: or(self.wind, defaults.wind),
             lean: or(self.lean, defaults.lean),
+            shadows: self.plant_shadows,
         }
     }
 }

@@ -4,14 +4,17 @@
 //! sessions or time: it records commands into a view of the caller.
 
 pub mod scenes;
-pub mod tonemap;
 
 use crate::cache::Resident;
 use crate::features::atmosphere::{AtmospherePass, BackgroundPass};
 use crate::features::materials::{CustomMaterials, Materials};
+use crate::features::post::PostPasses;
 use crate::features::terrain::{ChunkPool, TerrainPass};
+use crate::features::terrain_clipmap::textures::ALL_TILES;
+use crate::features::terrain_clipmap::{ClipmapSize, TerrainClipmap};
 use crate::features::terrain_shadow::{Quota, Schedule, TerrainShadowPass, pass};
 use crate::features::vegetation::renderer::VegetationRenderer;
+use crate::features::vegetation::tree_cells::TreeCells;
 use crate::features::water::{WaterPass, WaveMap};
 use crate::frame::{Background, FrameData};
 use crate::gpu::buffer::create_buffer;
@@ -19,12 +22,13 @@ use crate::gpu::targets::{self, Targets};
 use crate::gpu::timer::{GpuTimer, TimedPass};
 use crate::gpu::{Gpu, GpuError, OffscreenTarget, PassTimes, offscreen};
 use crate::renderer::scenes::LocalScene;
-use crate::renderer::tonemap::TonemapPass;
 use crate::scene::Scene;
 use crate::scene::objects::Object;
 use crate::settings::{Shadows, Show};
 use glam::Vec3;
 use shaders::layout::Frame;
+use std::time::Duration;
+use terrain::lod::MAX_VIEW_DISTANCE_M;
 
 /// Options of a renderer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,12 +43,16 @@ pub struct RenderOptions {
     pub format: wgpu::TextureFormat,
     /// Slots of the pool, see [`ChunkPool::slots_within`].
     pub slots: u32,
+    /// Texels along a side of each level of the terrain clipmap.
+    pub clipmap_texels: u32,
 }
 
 /// The renderer.
 #[derive(Debug)]
 pub struct Renderer {
     samples: u32,
+    /// Size of the images, pixels; the targets have the rendered size.
+    size: (u32, u32),
     uniforms: wgpu::Buffer,
     pool: ChunkPool,
     shadows: Schedule,
@@ -52,14 +60,16 @@ pub struct Renderer {
     targets: Targets,
     materials: Materials,
     atmosphere: AtmospherePass,
+    clipmap: TerrainClipmap,
     terrain: TerrainPass,
+    trees: TreeCells,
     /// Vegetation, from the first frame with plants on.
     vegetation: Option<VegetationRenderer>,
     sky: BackgroundPass,
     water: WaterPass,
     /// Local scene, drawn instead of land, sky and sea.
     local: Option<LocalScene>,
-    tonemap: TonemapPass,
+    post: PostPasses,
     timer: Option<GpuTimer>,
     terrain_draws: u32,
 }
@@ -83,16 +93,29 @@ impl Renderer {
         );
         let pool = ChunkPool::new(device, options.slots);
         let targets = Targets::new(device, options.size, samples);
+        let trees = TreeCells::new(device);
         let waves = WaveMap::bake(device, &gpu.queue);
         let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let custom = scenes::materials(options.scene, custom);
         let materials = Materials::new(device, &gpu.queue, &custom, software);
+        let clipmap =
+            TerrainClipmap::new(device, ClipmapSize::new(options.clipmap_texels, MAX_VIEW_DISTANCE_M));
+        let land_layouts = [materials.layout(), clipmap.layout()];
         Self {
             samples,
             atmosphere: AtmospherePass::new(device, &uniforms),
             shadows: Schedule::new(options.slots),
             shadow_pass: TerrainShadowPass::new(device, &pool, options.slots),
-            terrain: TerrainPass::new(device, &uniforms, &pool, &materials, options.slots, samples),
+            terrain: TerrainPass::new(
+                device,
+                &uniforms,
+                &pool,
+                (trees.cells(), trees.marks()),
+                land_layouts,
+                options.slots,
+                samples,
+            ),
+            trees,
             vegetation: None,
             sky: BackgroundPass::sky(device, &uniforms, samples),
             water: WaterPass::sea(device, &uniforms, &waves, samples),
@@ -104,9 +127,11 @@ impl Renderer {
                 &materials,
                 samples,
             ),
-            tonemap: TonemapPass::new(device, &uniforms, &targets, options.format),
+            post: PostPasses::new(device, options.format),
+            size: options.size,
             timer: GpuTimer::new(device),
             terrain_draws: 0,
+            clipmap,
             materials,
             uniforms,
             pool,
@@ -174,8 +199,8 @@ impl Renderer {
         quota: Quota,
         encoder: &mut wgpu::CommandEncoder,
     ) -> usize {
-        let is_shown = frame.uniforms.show == Show::Image as u32;
-        if !is_shown || frame.uniforms.shadows == Shadows::Off as u32 {
+        let is_lit = [Show::Image, Show::Light].map(|show| show as u32).contains(&frame.uniforms.show);
+        if !is_lit || frame.uniforms.shadows == Shadows::Off as u32 {
             return 0;
         }
         self.shadows.update(&frame.candidates, Vec3::from(frame.uniforms.sun));
@@ -186,11 +211,19 @@ impl Renderer {
         self.shadows.pending(&frame.candidates)
     }
 
-    /// Traces all missing shadows of visible chunks, and waits for them.
+    /// Fills missing tiles of the terrain clipmap, at most `most`; returns how many were filled.
+    /// Until a level is complete, the next coarser one is used.
+    pub fn fill_clipmap(&mut self, gpu: &Gpu, frame: &FrameData, most: usize) -> usize {
+        let view_distance_m = frame.uniforms.view_distance_m as u32;
+        self.clipmap.update(&gpu.queue, &frame.eye, frame.clipmap.as_ref(), view_distance_m, most)
+    }
+
+    /// Fills the terrain clipmap, traces all missing shadows of visible chunks, and waits for them.
     ///
     /// # Errors
     /// The device failed.
-    pub fn finish_shadows(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<(), GpuError> {
+    pub fn finish_shading(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<(), GpuError> {
+        self.fill_clipmap(gpu, frame, ALL_TILES);
         loop {
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             let pending = self.trace_shadows(gpu, frame, pass::ALL_VISIBLE, &mut encoder);
@@ -205,10 +238,29 @@ impl Renderer {
     }
 
     /// Changes the image size.
-    pub fn resize(&mut self, gpu: &Gpu, size: (u32, u32)) {
+    pub fn resize(&mut self, size: (u32, u32)) {
+        self.size = size;
+    }
+
+    /// The next frame is so much later than the one before: an automatic exposure adapts over this
+    /// time. Without this it adapts at once.
+    pub fn advance(&mut self, step: Duration) {
+        self.post.advance(step);
+    }
+
+    /// The passes after the HDR pass.
+    #[must_use]
+    pub fn post(&self) -> &PostPasses {
+        &self.post
+    }
+
+    /// Replaces the targets if a frame needs another size.
+    fn retarget(&mut self, gpu: &Gpu, frame: &FrameData) {
+        let (width, height) = frame.post.settings.rendered_size(self.size);
+        let size = (width.max(1), height.max(1));
         if size != self.targets.size {
             self.targets = Targets::new(&gpu.device, size, self.samples);
-            self.tonemap.retarget(&gpu.device, &self.uniforms, &self.targets);
+            self.post.retarget();
         }
     }
 
@@ -237,8 +289,10 @@ impl Renderer {
     /// Records the vegetation culling, with which every frame begins; separate for measurements.
     pub fn cull_vegetation(&mut self, gpu: &Gpu, frame: &FrameData, encoder: &mut wgpu::CommandEncoder) {
         if let Some(plants) = &frame.plants {
+            // Trees are placed with the patterns of the frame.
+            gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
             let vegetation = self.vegetation.get_or_insert_with(|| VegetationRenderer::new(&gpu.device));
-            vegetation.cull(gpu, &self.uniforms, &self.pool, self.samples, plants, encoder);
+            vegetation.cull(gpu, &self.uniforms, (&self.pool, &self.trees), self.samples, plants, encoder);
         }
     }
 
@@ -252,6 +306,7 @@ impl Renderer {
         if self.samples > 1 {
             return Ok(None);
         }
+        self.retarget(gpu, frame);
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -266,7 +321,7 @@ impl Renderer {
                 depth_stencil_attachment: depth(wgpu::LoadOp::Clear(0.0), wgpu::StoreOp::Store),
                 ..Default::default()
             });
-            self.terrain.draw_depth(&gpu.device, &mut pass, &self.materials);
+            self.terrain.draw_depth(&gpu.device, &mut pass, &self.materials, &self.clipmap);
         }
         let ids = targets::id_buffer(&gpu.device, self.targets.size);
         if let Some(vegetation) = self.vegetation.as_mut().filter(|_| frame.plants.is_some()) {
@@ -301,6 +356,7 @@ impl Renderer {
         encoder: &mut wgpu::CommandEncoder,
         output: &wgpu::TextureView,
     ) {
+        self.retarget(gpu, frame);
         gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         self.terrain.prepare(&gpu.queue, &frame.instances);
         if let Some(scene) = &mut self.local {
@@ -315,6 +371,8 @@ impl Renderer {
         let plants = frame.plants.as_ref().filter(|_| is_shown);
         if plants.is_some() {
             self.cull_vegetation(gpu, frame, encoder);
+        } else {
+            self.trees.clear(encoder);
         }
         let clear = match frame.background {
             Background::Plain([r, g, b]) => wgpu::Color { r, g, b, a: 1.0 },
@@ -347,7 +405,7 @@ impl Renderer {
             if let Some(scene) = &self.local {
                 scene.draw(&mut pass, &self.materials, &self.sky);
             } else {
-                self.terrain_draws = self.terrain.draw(&mut pass, &self.materials);
+                self.terrain_draws = self.terrain.draw(&mut pass, &self.materials, &self.clipmap);
                 if let Some(vegetation) = self.vegetation.as_ref().filter(|_| plants.is_some()) {
                     vegetation.draw(&mut pass);
                 }
@@ -359,22 +417,15 @@ impl Renderer {
                 }
             }
         }
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("tonemap"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: output,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(wgpu::Color::BLACK),
-                    store: wgpu::StoreOp::Store,
-                },
-            })],
-            timestamp_writes: self.timer.as_ref().map(|timer| timer.writes(TimedPass::Tonemap)),
-            ..Default::default()
-        });
-        self.tonemap.draw(&mut pass);
-        drop(pass);
+        self.post.record(
+            (&gpu.device, &gpu.queue),
+            encoder,
+            self.timer.as_ref(),
+            (&frame.post, &self.uniforms),
+            &self.targets,
+            output,
+            (self.size.0.max(1), self.size.1.max(1)),
+        );
         if let Some(timer) = &self.timer {
             timer.resolve(encoder);
         }

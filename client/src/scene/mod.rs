@@ -1,6 +1,7 @@
 //! The scenes, with their light and start camera.
 
 pub mod objects;
+pub mod places;
 
 use crate::camera::Pose;
 use crate::features::vegetation::VegetationSettings;

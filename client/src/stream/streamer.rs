@@ -143,7 +143,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
                     self.cache.set_vertical_scale(self.vertical_scale);
                 }
                 self.digest = Some(world);
-                self.cache.set_seed(world_seed);
+                self.cache.set_world(world_seed, world);
                 self.link = Link::Connected(server);
                 self.failures = 0;
                 let keys: Vec<ChunkKey> = self.cache.keys().collect();

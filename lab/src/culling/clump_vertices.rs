@@ -5,11 +5,12 @@ use crate::culling::reference::Point;
 use crate::culling::scene::Scene;
 use client::features::vegetation::SpeciesParams;
 use shaders::layout::{GRASS_VERTICES, KIND_GRASS, TREE_VERTICES};
-use shaders::twin::clump::{add, lean_push, root_offset_m, stem_pose, unpacked_clump, wind_push};
-use shaders::twin::conifer::conifer_vertex;
+use shaders::twin::clump::{add, grown_push, lean_push, root_offset_m, stem_pose, unpacked_clump, wind_push};
 use shaders::twin::field::{field_height_scale, field_size_m, field_widening};
 use shaders::twin::placement::Clump;
 use shaders::twin::surface::{Slots, Surface};
+use shaders::twin::tree::{tree_size_m, tree_species};
+use shaders::twin::tree_shape::vertex_of_tree;
 use shaders::twin::tuft::tuft_vertex;
 use shaders::twin::visibility::gradient_at;
 
@@ -57,15 +58,18 @@ pub fn clump_vertices<S: Slots>(
     let size_m = [width * wide, height * tall];
     let wind = wind_push(field.wind, turns, scene.shot.time_s, packed.phase);
     let offsets: Vec<[f32; 3]> = if stand.planting.kind == KIND_GRASS {
-        let grown = 0.08 + 0.16 * packed.hue;
-        let own = [(40.0 * packed.phase).cos() * grown, (40.0 * packed.phase).sin() * grown];
+        let own = grown_push(packed.hue, packed.phase);
         let push = add(add(own, wind), lean_push(field.lean, root_m, distance_m));
         let stand = stem_pose(packed.normal, push);
         let vertices = 0..GRASS_VERTICES[level as usize];
-        vertices.map(|index| tuft_vertex(level, index, size_m, packed.phase, &stand).offset_m).collect()
+        let vertex = |index| tuft_vertex(level, index, size_m, packed.phase, &stand, distance_m).offset_m;
+        vertices.map(vertex).collect()
     } else {
-        let vertices = 0..TREE_VERTICES[level.min(1) as usize];
-        vertices.map(|index| conifer_vertex(level, index, size_m, packed.phase, wind)).collect()
+        let species = tree_species(&packed);
+        let size_m = tree_size_m(species, size_m);
+        let vertices = 0..TREE_VERTICES[level as usize];
+        let vertex = |index| vertex_of_tree(species, level, index, size_m, packed.phase, wind);
+        vertices.map(vertex).collect()
     };
     let mut points: Vec<Point> = offsets
         .into_iter()

@@ -39,8 +39,8 @@ pub fn compare(land: &Land, cases: &[Case]) -> Result<GpuCpuEquality> {
     let pool = ChunkPool::new(&gpu.device, SLOTS);
     let passes = CullPasses::new(&gpu.device);
     let [near, middle, far] = GRASS_VERTICES;
-    let grass = passes.create_buffers(&gpu.device, &pool, ROOM, [near, middle, far]);
-    let trees = passes.create_buffers(&gpu.device, &pool, ROOM, [TREE_VERTICES[0], TREE_VERTICES[1], 0]);
+    let grass = passes.create_buffers(&gpu.device, &pool, (32_768, ROOM), [near, middle, far]);
+    let trees = passes.create_buffers(&gpu.device, &pool, (32_768, ROOM), TREE_VERTICES);
     let mut equality = GpuCpuEquality { adapter: gpu.name(), ..GpuCpuEquality::default() };
     for case in cases {
         let Some(scene) = Scene::of(land, case, SLOTS) else { continue };

@@ -11,6 +11,7 @@ use crate::stats::median;
 use anyhow::{Context, Result, ensure};
 use client::features::terrain::pool::ChunkPool;
 use client::features::vegetation::renderer::VegetationRenderer;
+use client::features::vegetation::tree_cells::TreeCells;
 use client::features::vegetation::{Cull, VegetationSettings};
 use client::frame::FrameData;
 use client::gpu::buffer::create_buffer;
@@ -154,6 +155,7 @@ struct Bench {
     gpu: Gpu,
     uniforms: wgpu::Buffer,
     pool: ChunkPool,
+    trees: TreeCells,
     vegetation: VegetationRenderer,
     targets: Targets,
     clock: Option<Clock>,
@@ -168,6 +170,7 @@ impl Bench {
         Ok(Self {
             uniforms: create_buffer(device, "frame", bytes, Usage::UNIFORM | Usage::COPY_DST),
             pool: ChunkPool::new(device, SLOTS),
+            trees: TreeCells::new(device),
             vegetation: VegetationRenderer::new(device),
             targets: Targets::new(device, size, SAMPLES),
             clock: Clock::new(device),
@@ -184,7 +187,7 @@ impl Bench {
         let plants = frame.plants.as_ref().context("a frame without plants")?;
         self.gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
         let (gpu, uniforms, pool) = (&self.gpu, &self.uniforms, &self.pool);
-        self.vegetation.cull(gpu, uniforms, pool, SAMPLES, plants, encoder);
+        self.vegetation.cull(gpu, uniforms, (pool, &self.trees), SAMPLES, plants, encoder);
         Ok(())
     }
 

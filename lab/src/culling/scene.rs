@@ -27,7 +27,7 @@ impl Scene {
     /// Generates the view of a case; none if nothing is drawn.
     pub fn of(land: &Land, case: &Case, slots: u32) -> Option<Self> {
         let mut world = ChunkCache::new(slots);
-        world.set_seed(land.world_seed());
+        world.set_land(*land);
         world.set_vertical_scale(case.stretch);
         let times = f64::from(case.stretch) / f64::from(vertical_scale::ONE);
         let judged = ViewParams { tolerance_px: case.shot.tolerance_px / times.max(1.0), ..case.shot };

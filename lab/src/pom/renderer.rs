@@ -5,6 +5,7 @@ use crate::stats::quantile;
 use client::camera::{Pose, Projection};
 use client::features::materials::CustomMaterials;
 use client::features::pom::PomSettings;
+use client::features::terrain_clipmap::window::STANDARD_TEXELS;
 use client::frame::FrameData;
 use client::gpu::{Gpu, GpuError, Image, OffscreenTarget, offscreen};
 use client::renderer::{RenderOptions, Renderer};
@@ -78,7 +79,14 @@ impl PomRenderer {
     /// The same with own materials.
     pub fn with_materials(scene: Scene, size: (u32, u32), own: &CustomMaterials) -> Result<Self, GpuError> {
         let gpu = Gpu::open_blocking()?;
-        let options = RenderOptions { scene, size, samples: 1, format: offscreen::IMAGE_FORMAT, slots: 1 };
+        let options = RenderOptions {
+            scene,
+            size,
+            samples: 1,
+            format: offscreen::IMAGE_FORMAT,
+            slots: 1,
+            clipmap_texels: STANDARD_TEXELS,
+        };
         let renderer = Renderer::with_materials(&gpu, &options, own);
         let target = OffscreenTarget::new(&gpu.device, size.0, size.1);
         Ok(Self { gpu, renderer, target, scene, size })

@@ -1,5 +1,5 @@
 //! Stated errors: no vertex of level 0 is farther from the triangles of a coarser chunk than that
-//! chunk states, and how much more it states than is seen.
+//! chunk states, and no level states much more than is seen.
 
 use super::check::Check;
 use crate::sample::{self, word};
@@ -7,10 +7,13 @@ use rayon::prelude::*;
 use serde::Serialize;
 use terrain::chunk::drawn_height_scaled;
 use terrain::constants::{CELLS, SPACING_BITS, UNITS_PER_METRE};
-use terrain::{ChunkKey, Grid, Land};
+use terrain::{ChunkKey, Grid, Land, lod};
 
-/// Levels that are checked. From level 7 on a chunk states the whole range of heights.
+/// Levels that are checked. From level 8 on a chunk states the whole range of heights.
 const LEVELS: std::ops::RangeInclusive<u8> = 1..=8;
+
+/// The largest error that a level states, in times of the largest that was seen: at most so much.
+const TIGHT: f64 = 4.0;
 
 /// Squares of vertices that are looked at in a chunk, and vertices along their sides.
 const SQUARES: u32 = 40;
@@ -45,6 +48,25 @@ pub fn check(chunks: u32) -> (Vec<Check>, Vec<ErrorRow>) {
 pub fn control() -> Check {
     let (check, _) = of_level(2, 50, 4);
     Check { name: format!("a quarter of the stated error: {}", check.name), ..check }
+}
+
+/// Whether levels state at most [`TIGHT`] times what was seen. Few chunks find less than the largest
+/// error, so this judges thousands.
+pub fn tightness(rows: &[ErrorRow]) -> Check {
+    let mut check = Check::new("levels that state at most 4 times the largest error seen");
+    for row in rows {
+        check.expect_within(row.stated_m, TIGHT * row.seen_m, format!("level {}", row.level));
+    }
+    check
+}
+
+/// The whole range of heights as the error of level 7: must be caught.
+pub fn loose_control(rows: &[ErrorRow]) -> Check {
+    let range = f64::from(lod::SUMMIT - lod::LOWEST) / f64::from(UNITS_PER_METRE);
+    let of_range = |row: &ErrorRow| ErrorRow { stated_m: range, ..row.clone() };
+    let loose: Vec<_> = rows.iter().filter(|row| row.level == 7).map(of_range).collect();
+    let check = tightness(&loose);
+    Check { name: format!("the whole range of heights: {}", check.name), ..check }
 }
 
 /// A chunk: its name, and what it states and what was seen, units.
@@ -119,5 +141,18 @@ mod tests {
         assert!(checks.iter().all(|check| check.holds() && check.cases == 20), "{checks:?}");
         assert!(rows.iter().all(|row| row.stated_m >= row.seen_m && row.seen_m > 0.1), "{rows:?}");
         assert!(control().violations > 5);
+        assert_eq!(loose_control(&rows).violations, 1);
+    }
+
+    #[test]
+    fn a_level_may_state_four_times_what_was_seen_and_no_more() {
+        let (_, mut rows) = check(1);
+        for row in &mut rows {
+            (row.stated_m, row.seen_m) = (40.0, 10.0);
+        }
+        assert!(tightness(&rows).holds());
+        rows[6].stated_m = 40.01;
+        let check = tightness(&rows);
+        assert_eq!((check.violations, check.worst_at.as_str()), (1, "level 7"));
     }
 }

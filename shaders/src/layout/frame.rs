@@ -43,7 +43,7 @@ pub struct Frame {
     pub water_tier: u32,
     /// 0 none, 1 hard, 2 soft.
     pub shadows: u32,
-    /// 0 picture, 1 wireframe, 2 levels, 3 normals, 4 error.
+    /// 0 picture, 1 wireframe, 2 levels, 3 normals, 4 error, 5 chunks, 6 light.
     pub show: u32,
     /// Pixels per radian in the middle of the picture.
     pub pixels_per_radian: f32,
@@ -55,8 +55,9 @@ pub struct Frame {
     pub parallax_bias_m: f32,
     /// Multiplies heights and slopes of the waves; 1 is a fresh breeze.
     pub wave_steepness: f32,
-    /// Unused; fills 16 bytes.
-    pub reserved: f32,
+    /// Grass, two 16-bit fractions, the lower one first: its range, of [`GRASS_RANGE_M`]; its
+    /// density where it is densest, of the highest.
+    pub grass: u32,
     /// How reliefs are marched.
     pub pom: PomParams,
     /// Written on the GPU, by `integrate_sky`.
@@ -93,3 +94,6 @@ pub struct Atmosphere {
 /// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant
 /// of `shared/frame.wesl`.
 pub const PATTERN_PERIOD_M: i32 = 8192;
+
+/// Unit of the range in [`Frame::grass`], metres. Equal to the constant of `shared/undergrowth.wesl`.
+pub const GRASS_RANGE_M: f32 = 4096.0;

@@ -3,16 +3,20 @@
 //! Tests compare every offset with naga's reflection of the WGSL. Every public name of the parts is
 //! re-exported here.
 
+mod clipmap;
 mod frame;
 mod pom;
+mod post;
 mod probes;
 mod shadow;
 mod terrain;
 mod vegetation;
 mod water;
 
+pub use clipmap::*;
 pub use frame::*;
 pub use pom::*;
+pub use post::*;
 pub use probes::*;
 pub use shadow::*;
 pub use terrain::*;

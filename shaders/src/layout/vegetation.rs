@@ -221,31 +221,54 @@ pub struct Field {
     pub wind: f32,
     /// How far clumps lean away from an eye above them, 0 to 1.
     pub lean: f32,
+    /// Whether the plants cast shadows, 0 or 1.
+    pub casts: u32,
+    /// Unused; fills 8 bytes.
+    pub reserved: u32,
 }
+
+/// Cells of trees along a side of the square around the eye in which each tree is known, and their
+/// side, metres.
+pub const TREE_GRID_CELLS: usize = 128;
+
+/// Bytes of the buffer of trees: two vectors, then four trees for each cell; see
+/// `shared/tree_cells.wesl`.
+pub const TREE_CELL_BYTES: usize = 16 * (2 + 4 * TREE_GRID_CELLS * TREE_GRID_CELLS);
+
+/// Bytes of the buffer of marks: a word for each cell.
+pub const TREE_MARK_BYTES: usize = 4 * TREE_GRID_CELLS * TREE_GRID_CELLS;
+
+/// Bytes of the buffer of light: a word for each tree.
+pub const TREE_LIGHT_BYTES: usize = 4 * TREE_MARK_BYTES;
 
 /// Fine units, in which clumps are placed, per metre.
 pub const FINE_PER_METRE: i32 = 4096;
 
-/// Vertices of one clump of grass at each level of detail, finest first: 9 blades of 3 segments as
-/// a strip of triangles, then 9 and 6 single triangles.
-pub const GRASS_VERTICES: [u32; 3] = [9 * 9, 9 * 3, 6 * 3];
+/// Vertices of one clump of grass at each level of detail, finest first: 128 blades of 3 segments as
+/// a strip of triangles, then 32 and 6 single triangles.
+pub const GRASS_VERTICES: [u32; 3] = [128 * 9, 32 * 3, 6 * 3];
 
-/// Vertices of one tree at each level of detail, finest first: triangles.
-pub const TREE_VERTICES: [u32; 2] = [3 * 114, 3 * 24];
+/// Vertices of one tree at each level of detail, finest first: triangles, those of the trunk last.
+pub const TREE_VERTICES: [u32; 3] = [3 * (240 + 6), 3 * (60 + 6), 3 * 24];
 
 /// Longest horizontal part of the direction in which grass stands. Equal to `MAX_TILT` of
 /// `shared/clump.wesl`.
 pub const GRASS_TILT: f32 = 0.75;
 
+/// In the first two levels of detail, blades of grass reach so much farther than half the width of
+/// their clump, metres. Equal to `SPREAD` of `bound/visibility.wesl`.
+pub const GRASS_SPREAD_M: f32 = 0.22;
+
 /// No vertex of a clump of grass is farther from its root horizontally, metres; width and height as
-/// drawn, widened and collapsed.
+/// drawn, widened and collapsed. `spread_m`: [`GRASS_SPREAD_M`], or 0 in the third level of detail.
 #[must_use]
-pub fn grass_reach_m(width_m: f32, height_m: f32) -> f32 {
-    0.5 * width_m + GRASS_TILT * height_m
+pub fn grass_reach_m(width_m: f32, height_m: f32, spread_m: f32) -> f32 {
+    0.5 * width_m + spread_m + GRASS_TILT * height_m
 }
 
 /// No vertex of a clump of grass is higher above its root, metres: feet follow slopes of up to 1.
+/// `spread_m`: as for [`grass_reach_m`].
 #[must_use]
-pub fn grass_rise_m(width_m: f32, height_m: f32) -> f32 {
-    height_m + 0.5 * width_m
+pub fn grass_rise_m(width_m: f32, height_m: f32, spread_m: f32) -> f32 {
+    height_m + 0.5 * width_m + spread_m
 }

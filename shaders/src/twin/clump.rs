@@ -44,7 +44,9 @@ pub fn dot<const N: usize>(a: [f32; N], b: [f32; N]) -> f32 {
     return a.iter().zip(b).map(|(a, b)| a * b).sum();
 }
 
-fn cross(a: Vec3, b: Vec3) -> Vec3 {
+/// The vector product.
+#[must_use]
+pub fn cross(a: Vec3, b: Vec3) -> Vec3 {
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 }
 
@@ -137,22 +139,53 @@ pub fn stem_point(pose: &StemPose, row: u32, segments: u32) -> Vec3 {
 }
 
 const WIND: Vec2 = [0.8, 0.6];
-const GUST_WAVES: Vec2 = [160.0, 120.0];
+const FRONT_WAVES: Vec2 = [160.0, 120.0];
+const BEND_WAVES: Vec2 = [-36.0, 48.0];
+const STRENGTH_WAVES: Vec2 = [32.0, 8.0];
 const FLUTTER_WAVES: Vec2 = [1480.0, 480.0];
-const GUST_S: f32 = 4.6;
+/// Mean of [`gust_at`] over places and times.
+pub const GUST_MEAN: f32 = 0.33;
+const FRONT_S: f32 = 4.6;
+const BEND_S: f32 = 23.0;
+const STRENGTH_S: f32 = 11.0;
 const FLUTTER_S: f32 = 1.15;
 /// A whole turn, radians.
 pub const TURN: f32 = std::f32::consts::TAU;
 
+pub(super) fn fract(x: f32) -> f32 {
+    return x - x.floor();
+}
+
+pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
+    let part = ((x - low) / (high - low)).clamp(0.0, 1.0);
+    return part * part * (3.0 - 2.0 * part);
+}
+
+/// Strength of the gust at a place, 0 to 1.
+#[must_use]
+pub fn gust_at(turns: Vec2, time_s: f32) -> f32 {
+    let bend = (TURN * fract(dot(BEND_WAVES, turns) - time_s / BEND_S)).sin();
+    let since = fract(time_s / FRONT_S - dot(FRONT_WAVES, turns) + 0.15 * bend);
+    let front = smoothstep(0.0, 0.12, since) * (1.0 - smoothstep(0.12, 0.95, since));
+    let strength = 0.7 + 0.3 * (TURN * fract(dot(STRENGTH_WAVES, turns) - time_s / STRENGTH_S)).sin();
+    return front * strength;
+}
+
 /// Sideways push of the wind, a horizontal part of direction, at most 0.55.
 #[must_use]
 pub fn wind_push(wind: f32, turns: Vec2, time_s: f32, phase: f32) -> Vec2 {
-    let fract = |x: f32| x - x.floor();
-    let gust = TURN * fract(dot(GUST_WAVES, turns) - time_s / GUST_S);
+    let gust = gust_at(turns, time_s);
     let flutter = TURN * fract(dot(FLUTTER_WAVES, turns) - time_s / FLUTTER_S + 0.35 * phase);
-    let along = 0.22 + 0.20 * gust.sin() + 0.10 * flutter.sin();
-    let across = 0.08 * gust.cos() + 0.09 * flutter.cos();
+    let along = 0.10 + 0.36 * gust + (0.02 + 0.06 * gust) * flutter.sin();
+    let across = (0.04 + 0.06 * gust) * flutter.cos();
     return scaled(add(scaled(WIND, along), scaled([-WIND[1], WIND[0]], across)), wind);
+}
+
+/// How a clump has grown on its own, a horizontal part of direction, at most 0.24.
+#[must_use]
+pub fn grown_push(hue: f32, phase: f32) -> Vec2 {
+    let angle = 9.0 * hue + 2.0 * phase;
+    return scaled([angle.cos(), angle.sin()], 0.08 + 0.16 * hue);
 }
 
 /// Push away from an eye above, a horizontal part of direction, at most 0.45.
@@ -253,6 +286,45 @@ pub(super) mod tests {
         // The control: a tip that is pushed sideways by half the height is 11.8 % too far away.
         let sheared = add([0.0, 1.0, 0.0], [0.5, 0.0, 0.0]);
         assert!((dot(sheared, sheared).sqrt() - 1.118).abs() < 1e-3);
+    }
+
+    #[test]
+    fn gusts_pass_as_fronts_41_metres_apart() {
+        let period_m = crate::layout::PATTERN_PERIOD_M as f32;
+        let turns = |metres: f32| scaled(WIND, metres / period_m);
+        // Along the wind, the steps of 0.25 m at which a gust sets in.
+        let fronts_at = |time_s: f32| -> Vec<f32> {
+            let strong = |step: i32| gust_at(turns(0.25 * step as f32), time_s) > 0.15;
+            (0..4000)
+                .filter(|step| strong(*step) && !strong(step + 1))
+                .map(|step| 0.25 * step as f32)
+                .collect()
+        };
+        let fronts = fronts_at(0.0);
+        for pair in fronts.windows(2) {
+            assert!((30.0..60.0).contains(&(pair[1] - pair[0])), "{pair:?}");
+        }
+        // A quarter of a period later each is about a quarter of the way farther downwind.
+        let later = fronts_at(0.25 * FRONT_S);
+        let near = |metres: f32| later.iter().any(|front| (front - metres).abs() < 3.0);
+        assert!(fronts[..fronts.len() - 1].iter().all(|front| near(front + 10.24)), "{fronts:?} {later:?}");
+        // The control: upwind there is none.
+        assert!(!fronts[1..].iter().any(|front| near(front - 10.24)));
+    }
+
+    #[test]
+    fn gusts_are_a_third_in_the_mean_and_never_jump() {
+        let (mut sum, mut fastest) = (0.0, 0.0f32);
+        for n in 0..50_000 {
+            let (turns, time_s) = ([unit(n, 0), unit(n, 1)], 100.0 * unit(n, 2));
+            let gust = gust_at(turns, time_s);
+            assert!((0.0..=1.0).contains(&gust));
+            sum += gust;
+            fastest = fastest.max((gust_at(turns, time_s + 0.01) - gust).abs());
+        }
+        assert!((sum / 50_000.0 - GUST_MEAN).abs() < 0.01, "{}", sum / 50_000.0);
+        // It sets in over half a second: at most 1.5 of it in 0.55 s, and not at once.
+        assert!((0.01..0.04).contains(&fastest), "{fastest}");
     }
 
     #[test]

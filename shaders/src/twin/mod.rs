@@ -9,8 +9,10 @@
     reason = "a twin keeps the shape of its WGSL, and chunk sizes fit in 32 bits"
 )]
 
+pub mod blade;
 pub mod clump;
-pub mod conifer;
+pub mod clump_cell;
+pub mod crown;
 pub mod field;
 pub mod grid;
 pub mod morph;
@@ -19,5 +21,7 @@ pub mod raymarch_occlusion;
 pub mod ring;
 pub mod surface;
 pub mod terrain_occlusion;
+pub mod tree;
+pub mod tree_shape;
 pub mod tuft;
 pub mod visibility;

@@ -3,9 +3,10 @@
 //!
 //! Integers only: every client places the same clumps.
 
+use super::clump_cell::{SQUARE_BITS, clump_cell, shared_number};
 use super::surface::{FINE_BITS, GRID_BITS, NOWHERE, Slots, Surface};
 use crate::layout::{Culling, KIND_GRASS, Planting};
-use terrain::hash::mix;
+use terrain::hash::{hash2, mix};
 use terrain::random_attributes::random_attributes;
 
 /// Blocks along a side of a patch.
@@ -22,6 +23,14 @@ pub const COARSE_BITS: u32 = 8;
 
 /// Distances beyond this, 1/16 m, are outside every field: their squares fit.
 pub const FARTHEST: i32 = 1 << 15;
+
+/// Sixteenths of a clump's height and hue that are those of its clump cell.
+const HEIGHT_SHARE: u32 = 9;
+const HUE_SHARE: u32 = 12;
+/// Of the place of the first clump of a cell.
+const SPREAD_SEED: u32 = 0x6a58;
+/// Fine units, a power of two less one: 1/8 m.
+const SPREAD_JITTER: u32 = 511;
 
 /// A clump of a field, visible or not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -123,6 +132,18 @@ fn density_near<S: Slots>(
     return (2 * full).min(256);
 }
 
+/// Place of a clump of grass in its cell, fine units modulo the cell's side: a sequence that spreads
+/// the first clumps of a cell as evenly as all of them, so that no gap is wide and thinning leaves
+/// none (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018), from a place of
+/// the cell's own, plus up to an eighth of a metre.
+fn spread_place(planting: &Planting, first: u32, index: u32, random: [u32; 2]) -> [u32; 2] {
+    let even = [
+        first.wrapping_add(index.wrapping_mul(0xc13f_a9a9)),
+        (first << 16).wrapping_add(index.wrapping_mul(0x91e1_0da5)),
+    ];
+    return [0, 1].map(|axis| (even[axis] >> (32 - planting.cell_bits)) + (random[axis] & SPREAD_JITTER));
+}
+
 /// Clump number `index` of a cell of the grid, if there is one.
 #[must_use]
 pub fn clump_at<S: Slots>(
@@ -140,8 +161,13 @@ pub fn clump_at<S: Slots>(
         index,
     );
     let mask = (1 << planting.cell_bits) - 1;
-    let x = (column << planting.cell_bits) + (random.place & mask) as i32;
-    let z = (row << planting.cell_bits) + (random.place >> 16 & mask) as i32;
+    let mut place = [random.place, random.place >> 16];
+    if planting.kind == KIND_GRASS {
+        let first = hash2(SPREAD_SEED, planting.cell_x + column, planting.cell_z + row);
+        place = spread_place(planting, first, index, place);
+    }
+    let x = (column << planting.cell_bits) + (place[0] & mask) as i32;
+    let z = (row << planting.cell_bits) + (place[1] & mask) as i32;
     if (random.survival & 255) >= density_near(surface, planting, x, z, mix(random.survival)) {
         return None;
     }
@@ -150,11 +176,15 @@ pub fn clump_at<S: Slots>(
         return None;
     }
     let rank = (index * 256 + (random.survival >> 8 & 255)) / planting.per_cell.max(1);
-    let attributes = (random.width >> 26)
-        | (random.height >> 26) << 6
-        | (random.hue >> 26) << 12
-        | (random.phase >> 26) << 18
-        | rank.min(255) << 24;
+    let (mut height, mut hue) = (random.height >> 26, random.hue >> 26);
+    if planting.kind == KIND_GRASS {
+        let squares = planting.cell_bits - SQUARE_BITS;
+        let cell = clump_cell([planting.cell_x << squares, planting.cell_z << squares], [x, z]);
+        height = shared_number(height, cell.height, HEIGHT_SHARE);
+        hue = shared_number(hue, cell.hue, HUE_SHARE);
+    }
+    let attributes =
+        (random.width >> 26) | height << 6 | hue << 12 | (random.phase >> 26) << 18 | rank.min(255) << 24;
     return Some(Clump { x, z, y, attributes });
 }
 
@@ -167,4 +197,43 @@ pub(super) fn draw_distance_squared(planting: &Planting, rank: u32) -> u32 {
 #[must_use]
 pub fn is_within_draw_distance(planting: &Planting, clump: &Clump, far: u32) -> bool {
     return far <= draw_distance_squared(planting, clump.attributes >> 24);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bytemuck::Zeroable;
+
+    /// The widest free circle's radius around any of 16 x 16 points of a cell, metres, where `places`
+    /// repeat in all cells around it.
+    fn widest_gap_m(places: &[[u32; 2]]) -> f32 {
+        let distance = |at: [i32; 2], place: [u32; 2]| {
+            let along = [0, 1].map(|axis| {
+                let apart = (at[axis] - (place[axis] & 8191) as i32).abs();
+                apart.min(8192 - apart) as f32 / 4096.0
+            });
+            along[0].hypot(along[1])
+        };
+        let points = (0..256).map(|n| [512 * (n % 16), 512 * (n / 16)]);
+        let free = points.map(|at| places.iter().map(|place| distance(at, *place)).fold(9.0, f32::min));
+        free.fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn clumps_of_grass_leave_no_wide_gap_in_a_cell() {
+        let planting = Planting { cell_bits: 13, ..Planting::zeroed() };
+        let (mut even, mut random) = ([0.0f32; 2], 0.0);
+        for cell in 0..200 {
+            let own = |index: u32| {
+                let place = mix(cell * 64 + index);
+                [place, place >> 16]
+            };
+            let spread = |index| spread_place(&planting, mix(cell), index, own(index));
+            let all: Vec<[u32; 2]> = (0..32).map(spread).collect();
+            even = [even[0].max(widest_gap_m(&all)), even[1].max(widest_gap_m(&all[..8]))];
+            // The control: places that know nothing of each other.
+            random += widest_gap_m(&(0..32).map(own).collect::<Vec<_>>()) / 200.0;
+        }
+        assert!(even[0] < 0.36 && even[1] < 0.62 && random > 0.42, "{even:?} {random}");
+    }
 }

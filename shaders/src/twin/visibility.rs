@@ -135,6 +135,13 @@ fn sink_of(half: i32, height: i32, near: i32, presence: i32) -> i32 {
     return ((height * 10) >> 8).min((half * 56) >> 8);
 }
 
+/// How much farther than half its width a plant reaches, fine units: blades of grass do so in the
+/// first two levels of detail, by [`crate::layout::GRASS_SPREAD_M`].
+#[must_use]
+pub fn spread_of(kind: u32, is_far: bool) -> i32 {
+    return if kind == KIND_GRASS && !is_far { 902 } else { 0 };
+}
+
 /// Bounds of a plant, from its root, fine units: see [`Occludee`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Shape {
@@ -163,7 +170,7 @@ fn shape_of(
             radius,
             slope_radius: radius,
             taper: ((half * 277) >> 8) + 1 - radius,
-            taper_drop: height,
+            taper_drop: (height * 84) >> 8,
             over: height + 1,
         };
     }
@@ -193,9 +200,9 @@ pub fn extent_of(culling: &Culling, planting: &Planting, clump: &Clump, slope: O
     let near = bound - 5;
     let presence = presence_at(planting, near, clump.attributes >> 24);
     let widening = (widening_at(planting, bound) * presence) >> 8;
-    let half = ((width * widening) >> 9) + 2;
-    let height = ((height * height_scale_at(planting, near)) >> 8) + 1;
     let is_far = distance_squared(culling, clump.x, clump.y, clump.z) > planting.detail[1];
+    let half = ((width * widening) >> 9) + 2 + spread_of(planting.kind, is_far);
+    let height = ((height * height_scale_at(planting, near)) >> 8) + 1;
     let is_low = is_far && planting.kind == KIND_GRASS;
     let longest = if is_low { LONGEST[((clump.attributes >> 18 & 63) % 9) as usize] } else { 256 };
     let sink = if is_low { sink_of(half, height, near, presence) } else { 0 };
@@ -312,12 +319,12 @@ pub fn block_extent<S: Slots>(
     let far = distance_bound(culling, x, top, z).max(distance_bound(culling, x, bottom, z));
     let apart = ((diagonal + top - bottom) >> COARSE_BITS) + 2;
     let wide = (planting.width_low + planting.width_span) * widening_at(planting, far + apart);
-    let chunk = (wide >> 9) + 2;
-    let tall = planting.height_low + planting.height_span;
-    let height = ((tall * height_scale_at(planting, far - apart - 5)) >> 8) + 1;
     // Land may rise by kilometres within a block: squares of what is farther do not fit.
     let near = (far - apart - 5).clamp(0, 0xffff) as u32;
     let is_far = near * near > planting.detail[1];
+    let chunk = (wide >> 9) + 2 + spread_of(planting.kind, is_far);
+    let tall = planting.height_low + planting.height_span;
+    let height = ((tall * height_scale_at(planting, far - apart - 5)) >> 8) + 1;
     let shape = shape_of(planting, chunk, height, is_far, None, push_of(planting, 63, 128));
     return Some(Extent {
         occludee: Occludee {
@@ -369,9 +376,12 @@ pub fn block_is_visible<S: Slots>(
 #[cfg(test)]
 mod tests {
     use super::super::clump::tests::{any_level, unit};
-    use super::super::clump::{add, lean_push, root_offset_m, stem_pose, unpacked_clump, wind_push};
-    use super::super::conifer::conifer_vertex;
+    use super::super::clump::{
+        add, grown_push, lean_push, root_offset_m, stem_pose, unpacked_clump, wind_push,
+    };
     use super::super::field::{field_height_scale, field_keeps, field_size_m, field_widening};
+    use super::super::tree::{tree_size_m, tree_species};
+    use super::super::tree_shape::vertex_of_tree;
     use super::super::tuft::tuft_vertex;
     use super::*;
     use crate::layout::{Field, GRASS_VERTICES, KIND_TREES, TREE_VERTICES};
@@ -385,10 +395,10 @@ mod tests {
     /// The uniforms of a species, for culling and for drawing.
     fn kind(kind: u32, thin_from_m: f32, wind: f32, lean: f32) -> (Planting, Field) {
         let is_grass = kind == KIND_GRASS;
-        let width_m = if is_grass { [0.16, 0.36] } else { [2.6, 5.0] };
+        let width_m = if is_grass { [0.16, 0.36] } else { [3.2, 6.4] };
         let height_m = if is_grass { [0.22, 0.62] } else { [6.0, 14.0] };
         let (widest, range_m) = if is_grass { (6.0, 260.0) } else { (1.0, 1500.0) };
-        let lod_m: [f32; 2] = if is_grass { [12.0, 45.0] } else { [90.0, 1e6] };
+        let lod_m: [f32; 2] = if is_grass { [10.0, 32.0] } else { [50.0, 220.0] };
         let fine = |metres: f32| (metres * FINE).round() as i32;
         let squared = |metres: f32| ((metres * 16.0 + 2.0).powi(2)).clamp(0.0, 3e9) as u32;
         let planting = Planting {
@@ -422,6 +432,7 @@ mod tests {
             lod_m,
             wind,
             lean,
+            ..Field::zeroed()
         };
         (planting, field)
     }
@@ -459,17 +470,19 @@ mod tests {
         let far = distance_squared(&culling, clump.x, clump.y, clump.z);
         let level = u32::from(far > planting.detail[0]) + u32::from(far > planting.detail[1]);
         if planting.kind != KIND_GRASS {
-            let vertices = 0..TREE_VERTICES[level.min(1) as usize];
+            // Heights of all zones, so that all species are tried.
+            let species = tree_species(&packed);
+            let size_m = tree_size_m(species, size_m);
+            let vertices = 0..TREE_VERTICES[level as usize];
             return vertices
-                .map(|index| (conifer_vertex(level, index, size_m, packed.phase, wind), 1.0))
+                .map(|index| (vertex_of_tree(species, level, index, size_m, packed.phase, wind), 1.0))
                 .collect();
         }
-        let grown = 0.08 + 0.16 * packed.hue;
-        let own = [(40.0 * packed.phase).cos() * grown, (40.0 * packed.phase).sin() * grown];
+        let own = grown_push(packed.hue, packed.phase);
         let push = add(add(own, wind), lean_push(field.lean, root_m, far_m));
         let pose = stem_pose(packed.normal, push);
         (0..GRASS_VERTICES[level as usize])
-            .map(|index| tuft_vertex(level, index, size_m, packed.phase, &pose))
+            .map(|index| tuft_vertex(level, index, size_m, packed.phase, &pose, far_m))
             .map(|vertex| (vertex.offset_m, vertex.along))
             .collect()
     }
@@ -567,7 +580,7 @@ mod tests {
         for phase in 0..64u32 {
             let pose = stem_pose([0.0, 1.0, 0.0], [0.0; 2]);
             let tips = (0..GRASS_VERTICES[2])
-                .map(|index| tuft_vertex(2, index, [0.0, 1.0], phase as f32 / 63.0, &pose))
+                .map(|index| tuft_vertex(2, index, [0.0, 1.0], phase as f32 / 63.0, &pose, 50.0))
                 .filter(|vertex| vertex.along == 1.0);
             // A blade leans out of its own: its length is that of the stem.
             let longest = tips.map(|tip| {

@@ -4,14 +4,12 @@
 //!   chunk of level 3 (1 km²) and the 20 chunks under it, and evaluates 64 chunks: about 2 ms.
 //! - Level [`COMPOSED_LEVEL`] follows from its children: its distance from each child, and the
 //!   child's error.
-//! - Levels 5 to [`SAMPLED_LEVEL`] are measured against the vertices three levels finer, and the
-//!   distance between those triangles and level 0 is bounded by interval arithmetic (`residual`).
-//!   Triangles of two levels are both linear on the finer ones, since all cut cells along the same
-//!   diagonal, so they are farthest apart at a vertex of the finer level.
+//! - Levels 5 to [`SAMPLED_LEVEL`] are compared with every node of the base field under them; what
+//!   is between nodes is bounded (`sampled`). At most 264,196 nodes (level 7).
 //! - Above, the bound is the whole range of heights.
 
 use super::RELIEF;
-use super::residual::residual;
+use super::sampled::sampled;
 use crate::constants::{CELLS, VERTEX_COUNT, VERTICES};
 use crate::grid::Grid;
 use crate::key::ChunkKey;
@@ -25,8 +23,8 @@ use std::sync::{Mutex, PoisonError};
 pub const MEASURED_LEVEL: u8 = 3;
 /// The level whose errors follow from those of its children.
 pub const COMPOSED_LEVEL: u8 = 4;
-/// The level up to which errors are measured against a finer level.
-pub const SAMPLED_LEVEL: u8 = 6;
+/// The level up to which errors are measured against the nodes of the base field.
+pub const SAMPLED_LEVEL: u8 = 7;
 
 /// Errors remembered per generation of the memory: a view of 20 km needs some 10,000.
 const REMEMBERED: usize = 1 << 16;
@@ -69,7 +67,7 @@ impl Land {
             return Progress::Measured;
         }
         if key.level() > COMPOSED_LEVEL {
-            self.sample(key);
+            self.remember([(key, sampled(self, key))]);
             return Progress::Measured;
         }
         let mut errors = [0; 4];
@@ -147,18 +145,6 @@ impl Land {
         let bound = bounds.max().unwrap_or(0);
         self.remember([(key, bound)]);
     }
-
-    /// Measures a chunk above [`COMPOSED_LEVEL`] against the grid that many levels finer.
-    fn sample(&self, key: ChunkKey) {
-        let below = key.level() - MEASURED_LEVEL;
-        let side = (CELLS << MEASURED_LEVEL) + 1;
-        let (x, z) = key.origin();
-        let grid = Grid::new(x, z, below, side, side).expect("a chunk lies in the world");
-        let mut fine = vec![0; side * side];
-        self.heights(&grid, &mut fine);
-        let apart = farthest(&self.chunk_heights(key), MEASURED_LEVEL, &fine, side);
-        self.remember([(key, apart + residual(self, key, below))]);
-    }
 }
 
 /// The first column and row of a chunk in the level-0 grid from a corner.
@@ -206,10 +192,12 @@ mod tests {
     #[test]
     fn errors_are_exact_where_measured_and_bounds_where_sampled() {
         let land = Land::new(3);
-        for (level, x, z) in [(1, 4, -3), (2, -3, 2), (3, 1, 1), (4, -1, 0), (5, 0, -1)] {
+        for (level, x, z) in
+            [(1, 4, -3), (2, -3, 2), (3, 1, 1), (4, -1, 0), (5, 0, -1), (6, -1, -1), (7, 0, 0)]
+        {
             let key = ChunkKey::new(level, x, z).unwrap();
             let error = land.error_of(key);
-            let truth = truth(&land, key, if level > 3 { 5 } else { 1 });
+            let truth = truth(&land, key, [1, 1, 1, 1, 5, 5, 17, 61][usize::from(level)]);
             if level <= MEASURED_LEVEL {
                 assert_eq!(error, truth, "{key}");
             } else {

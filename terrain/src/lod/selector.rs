@@ -11,7 +11,7 @@ use crate::land::Land;
 use std::cmp::Reverse;
 use std::collections::HashMap;
 
-/// Known chunks that a measurement of errors counts as: some 2 ms.
+/// Known chunks that a measurement of errors counts as: some 2 to 4 ms.
 const MEASUREMENT: usize = 10_000;
 
 /// One running selection.

@@ -3,7 +3,7 @@
 
 use super::curves::{clamp, lattice, smoothstep, square, window};
 use super::lanes::Lanes;
-use crate::base::{Base, INLAND_REACH, ROUGHEST, SHORE_REACH, STEEPEST};
+use crate::base::{Base, INLAND_REACH, Node, ROUGHEST, SHORE_REACH, STEEPEST};
 use crate::constants::{FINE_BITS, MOUNTAIN_M, RIM_M, SEA_FLOOR_M, SHORE_M, UPLIFT_M, WARP_AMPLITUDE_M};
 use crate::curves::ALMOST_ONE_Q30;
 use crate::island::{CRATER_Q26, Lobe, OFFSET_LIMIT, TWO_Q24};
@@ -26,6 +26,10 @@ pub(super) unsafe fn nodes<L: Lanes>(base: &Base, lobes: &[Lobe], x: L, z: L, oc
     unsafe {
         let one = L::splat(ALMOST_ONE_Q30);
         let (mass, height) = mass(base, lobes, x, z);
+        if !mass.any() {
+            let (floor, zero) = (L::splat(Node::SEA.height), L::splat(0));
+            return Nodes { height: floor, roughness: zero, exposure: zero };
+        }
         let (exposed, _, _) = lattice::<L, false>(&base.exposure, x, z);
         let exposure = clamp(exposed.add(exposed.shl(1)).sub(L::splat(1 << 24)), 0, 1 << 29);
         let ruggedness = L::splat(3 << 28).add(exposure);

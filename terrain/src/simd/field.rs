@@ -303,25 +303,42 @@ pub(super) unsafe fn evaluate_nodes<L: Lanes>(
     height: &mut [i32],
     shares: &mut [i32],
 ) {
+    let (mut column, mut row) = (0, 0);
+    let places = std::iter::from_fn(|| {
+        let place = (spline::node(first.0 + column), spline::node(first.1 + row));
+        column += 1;
+        if column == columns as i32 {
+            (column, row) = (0, row + 1);
+        }
+        Some(place)
+    });
+    // SAFETY: guaranteed by the caller.
+    unsafe { evaluate_places::<L>(base, lobes, octaves, places, height, shares) };
+}
+
+/// Evaluates the field at places; `height` holds exactly as many, and `shares` at least as many.
+#[inline(always)]
+pub(super) unsafe fn evaluate_places<L: Lanes>(
+    base: &Base,
+    lobes: &[Lobe],
+    octaves: usize,
+    mut places: impl Iterator<Item = (i32, i32)>,
+    height: &mut [i32],
+    shares: &mut [i32],
+) {
     let count = height.len();
-    assert!(shares.len() >= count && columns > 0);
+    assert!(shares.len() >= count);
     height.fill(Node::SEA.height);
     shares.fill(0);
     if lobes.is_empty() {
         return;
     }
     let (mut x, mut z) = ([0; MOST_LANES], [0; MOST_LANES]);
-    let (mut column, mut row) = (0, 0);
     for at in (0..count).step_by(L::COUNT) {
-        for lane in 0..L::COUNT {
-            x[lane] = spline::node(first.0 + column);
-            z[lane] = spline::node(first.1 + row);
-            column += 1;
-            if column == columns as i32 {
-                (column, row) = (0, row + 1);
-            }
+        for (lane, place) in (0..L::COUNT).zip(&mut places) {
+            (x[lane], z[lane]) = place;
         }
-        // SAFETY: guaranteed by the caller; stores end at the last node.
+        // SAFETY: guaranteed by the caller; stores end at the last place.
         unsafe {
             let node = nodes(base, lobes, L::load(x.as_ptr()), L::load(z.as_ptr()), octaves);
             let left = count - at;

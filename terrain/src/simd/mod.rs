@@ -16,6 +16,7 @@ mod distance;
 mod field;
 mod kernel;
 mod lanes;
+mod nodes_apart;
 mod pyramid;
 mod shape;
 mod slope;
@@ -25,10 +26,15 @@ mod wasm;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+use crate::base::Base;
 use crate::constants::{BASE_OCTAVES, GRASS_GRID, VERTEX_COUNT};
 use crate::grid::Grid;
+use crate::island::Lobe;
 use crate::land::Land;
 use crate::noise::Fbm;
+use crate::octaves::Octaves;
+use crate::ring::mul_hi;
+use crate::shape::coast;
 use crate::spline;
 use crate::texels::Texels;
 use kernel::Set;
@@ -37,6 +43,7 @@ use std::mem::MaybeUninit;
 use strip::{Columns, Sink, Strip, strips};
 
 pub use kernel::Kernel;
+pub(crate) use nodes_apart::{Corners, NodesApart};
 
 /// Defines an entry point: a safe function that runs a generic body under the instruction set of a
 /// kernel.
@@ -98,6 +105,19 @@ entry! {
 }
 
 entry! {
+    /// The base field with so many octaves at any places near a list of lobes, without a spline:
+    /// heights (2^-16 m), and roughness with exposure above it (16 bits each).
+    nodes_at(
+        base: &Base,
+        lobes: &[Lobe],
+        octaves: usize,
+        places: &[(i32, i32)],
+        heights: &mut [i32],
+        shares: &mut [i32]
+    ) => nodes_at_on
+}
+
+entry! {
     /// Largest distance between triangles and a finer grid; see [`distance::farthest`].
     farthest_into(
         heights: &[i32; VERTEX_COUNT],
@@ -106,6 +126,19 @@ entry! {
         stride: usize,
         worst: &mut i32
     ) => farthest_on
+}
+
+entry! {
+    /// Adds the nodes of a vertex cell with 2, 4 or 8 along its side; see
+    /// [`nodes_apart::nodes_apart`].
+    nodes_apart(
+        corners: Corners,
+        side: usize,
+        heights: &[i32],
+        shares: &[i32],
+        stride: usize,
+        apart: &mut NodesApart
+    ) => nodes_apart_on
 }
 
 entry! {
@@ -171,6 +204,26 @@ impl Land {
     pub fn heights_on(&self, kernel: Kernel, grid: &Grid, out: &mut [i32]) {
         assert_eq!(out.len(), grid.vertex_count(), "`out` must hold every vertex of the grid");
         heights(kernel, self, grid, out);
+    }
+
+    /// [`Land::height_keeping`] of places in the world, units, with octaves that are not splined.
+    /// Fast where all lie within some kilometres.
+    pub(crate) fn heights_along(&self, octaves: Octaves, places: &[(i32, i32)], heights: &mut [i32]) {
+        assert!(!octaves.splined() && places.len() == heights.len());
+        let range = |of: fn(&(i32, i32)) -> i32| {
+            let values = || places.iter().map(of);
+            (values().min().unwrap_or(0), values().max().unwrap_or(0))
+        };
+        let ((west, east), (north, south)) = (range(|place| place.0), range(|place| place.1));
+        let lobes =
+            self.archipelago().lobes_near(west, north, east.abs_diff(west).max(south.abs_diff(north)));
+        let mut shares = vec![0; places.len()];
+        nodes_at(Kernel::best(), self.base(), &lobes, octaves.base(), places, heights, &mut shares);
+        for (((x, z), height), shares) in places.iter().zip(heights).zip(shares) {
+            let (roughness, exposure) = (shares & 0xffff, shares >> 16);
+            let fine = if roughness == 0 { 0 } else { self.fbm().at(*x, *z, octaves) };
+            *height = coast(*height + mul_hi(fine << 9, roughness << 8), exposure);
+        }
     }
 }
 
@@ -258,6 +311,19 @@ unsafe fn nodes_on<L: Lanes>(
     unsafe { field::evaluate_nodes::<L>(land.base(), &lobes, BASE_OCTAVES, first, columns, heights, shares) };
 }
 
+#[inline(always)]
+unsafe fn nodes_at_on<L: Lanes>(
+    base: &Base,
+    lobes: &[Lobe],
+    octaves: usize,
+    places: &[(i32, i32)],
+    heights: &mut [i32],
+    shares: &mut [i32],
+) {
+    // SAFETY: guaranteed by the caller.
+    unsafe { field::evaluate_places::<L>(base, lobes, octaves, places.iter().copied(), heights, shares) };
+}
+
 /// The compiler vectorises this body, once per instruction set; so the densities.
 #[inline(always)]
 unsafe fn farthest_on<L: Lanes>(
@@ -272,6 +338,23 @@ unsafe fn farthest_on<L: Lanes>(
         2 => distance::farthest::<2>(heights, fine, stride),
         _ => distance::farthest::<3>(heights, fine, stride),
     };
+}
+
+/// The compiler vectorises this body, once per instruction set.
+#[inline(always)]
+unsafe fn nodes_apart_on<L: Lanes>(
+    corners: Corners,
+    side: usize,
+    heights: &[i32],
+    shares: &[i32],
+    stride: usize,
+    apart: &mut NodesApart,
+) {
+    match side {
+        2 => nodes_apart::nodes_apart::<2>(corners, heights, shares, stride, apart),
+        4 => nodes_apart::nodes_apart::<4>(corners, heights, shares, stride, apart),
+        _ => nodes_apart::nodes_apart::<8>(corners, heights, shares, stride, apart),
+    }
 }
 
 /// Largest distance between the drawn surface of a chunk and the grid that is `2^depth` times finer
@@ -337,6 +420,22 @@ mod tests {
 
     fn grid(x: i32, z: i32, level: u8, columns: usize, rows: usize) -> Grid {
         Grid::new(x, z, level, columns, rows).unwrap()
+    }
+
+    #[test]
+    fn heights_along_a_line_equal_points() {
+        for seed in 0..20 {
+            let land = Land::new(seed);
+            let places: Vec<_> = (0..97).map(|n| (n * 14_000 + 77, -9_001 * n)).collect();
+            for octaves in [0, 3, 5].map(|count| Octaves::new(count).unwrap()) {
+                let mut heights = vec![1; places.len()];
+                land.heights_along(octaves, &places, &mut heights);
+                for ((x, z), height) in places.iter().zip(heights) {
+                    let position = Position::new(*x, *z).unwrap();
+                    assert_eq!(height, land.height_keeping(position, octaves), "({x}, {z})");
+                }
+            }
+        }
     }
 
     #[test]

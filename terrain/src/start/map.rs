@@ -3,12 +3,16 @@
 use crate::constants::SPACING_BITS;
 use crate::grid::Grid;
 use crate::land::Land;
+use std::ops::Range;
 
 /// A position, units: east, south.
 pub(super) type Place = (i32, i32);
 
 /// Vertices of the edge that are in no region: properties look so far.
 const EDGE: usize = 4;
+
+/// Vertices along a square that is evaluated at once: few islands are near it.
+const SQUARE: usize = 64;
 
 /// Heights on a grid of a level.
 pub(super) struct Map {
@@ -32,8 +36,46 @@ impl Map {
         Self { corner, spacing_bits, side, heights }
     }
 
+    /// The same up to another corner and end around this map's, whose heights are not evaluated
+    /// again. Both are multiples of the spacing from this map's.
+    pub(super) fn widened(&self, land: &Land, corner: Place, end: Place) -> Self {
+        let level = (self.spacing_bits - SPACING_BITS) as u8;
+        let vertices = |from: i32, to: i32| ((to - from) >> self.spacing_bits) as usize;
+        let (side, rows) = (vertices(corner.0, end.0) + 1, vertices(corner.1, end.1) + 1);
+        let (west, north) = (vertices(corner.0, self.corner.0), vertices(corner.1, self.corner.1));
+        let inner_rows = self.heights.len() / self.side.max(1);
+        let (east, south) = (west + self.side, north + inner_rows);
+        let mut heights = vec![0; side * rows];
+        let mut lay = |columns: Range<usize>, lines: Range<usize>, from: &[i32]| {
+            for (row, from) in lines.zip(from.chunks(columns.len().max(1))) {
+                heights[row * side..][columns.clone()].copy_from_slice(from);
+            }
+        };
+        lay(west..east, north..south, &self.heights);
+        let mut part = vec![0; SQUARE * SQUARE];
+        let around = [
+            (0..side, 0..north),
+            (0..side, south..rows),
+            (0..west, north..south),
+            (east..side, north..south),
+        ];
+        for (columns, lines) in around.into_iter().flat_map(squares) {
+            let (x, z) = (corner.0 + self.units(columns.start), corner.1 + self.units(lines.start));
+            let (width, height) = (columns.len(), lines.len());
+            let Ok(grid) = Grid::new(x, z, level, width, height) else { continue };
+            let part = &mut part[..width * height];
+            land.heights(&grid, part);
+            lay(columns, lines, part);
+        }
+        Self { corner, spacing_bits: self.spacing_bits, side, heights }
+    }
+
+    const fn units(&self, vertices: usize) -> i32 {
+        (vertices as i32) << self.spacing_bits
+    }
+
     /// The means of as many neighbours to every side; values at the ends stay as they are.
-    pub(super) fn smoothed(self, reach: usize) -> Self {
+    pub(super) fn smoothed(&self, reach: usize) -> Self {
         let along = |heights: &[i32], step: usize| {
             let last = heights.len().saturating_sub(reach * step);
             let mut means = heights.to_vec();
@@ -43,8 +85,7 @@ impl Map {
             }
             means
         };
-        let heights = along(&along(&self.heights, 1), self.side);
-        Self { heights, ..self }
+        Self { heights: along(&along(&self.heights, 1), self.side), ..*self }
     }
 
     /// Vertices along x.
@@ -93,6 +134,16 @@ impl Map {
         }
         regions
     }
+}
+
+/// A rectangle of columns and rows in parts of at most [`SQUARE`] of both.
+fn squares(
+    (columns, rows): (Range<usize>, Range<usize>),
+) -> impl Iterator<Item = (Range<usize>, Range<usize>)> {
+    let parts = |range: Range<usize>| {
+        range.clone().step_by(SQUARE).map(move |first| first..range.end.min(first + SQUARE))
+    };
+    parts(rows).flat_map(move |rows| parts(columns.clone()).map(move |columns| (columns, rows.clone())))
 }
 
 /// The square of a distance.

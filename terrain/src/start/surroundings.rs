@@ -18,6 +18,8 @@ const NEAR: i32 = 2980 * UNITS_PER_METRE;
 /// Slope of a plain: rise over its distance, 1/10,000 (3 degrees); its heights, units.
 const SLOPE: i64 = 524;
 const HEIGHTS: Range<i32> = UNITS_PER_METRE..200 * UNITS_PER_METRE;
+/// Fewest vertices of the fine grid in a plain of any search (4 ha).
+const LEAST: usize = 157;
 /// Vertices of the coarse grid that may hold a plain (2 ha).
 const PERHAPS: usize = 16;
 
@@ -29,22 +31,40 @@ const FALL: i32 = 30 * UNITS_PER_METRE;
 const LENGTH: i32 = 416 * UNITS_PER_METRE;
 
 /// Plains and valleys about the origin.
-pub(super) struct Surroundings {
+pub(super) struct Surroundings<'a> {
+    land: &'a Land,
+    /// Heights of the coarse grid, as they are.
+    map: Map,
     /// Units from the origin to the edges.
     half: i32,
-    /// Vertices of a plain.
-    vertices: usize,
-    /// Vertices of the fine grid in each plain.
-    plains: Vec<Vec<Place>>,
+    /// Level regions of the fine grid, [`LEAST`] vertices or more.
+    plains: Vec<Region<Place>>,
     /// Places and heights along the floors of valleys.
-    floors: Vec<Vec<(Place, i32)>>,
+    floors: Vec<Region<(Place, i32)>>,
 }
 
-impl Surroundings {
-    /// Surroundings up to so many units from the origin. A plain has at least so many vertices of
-    /// the fine grid (0.0256 ha each).
-    pub(super) fn of(land: &Land, half: i32, vertices: usize) -> Self {
-        let map = Map::of(land, COARSE, (-half, -half), (half, half)).smoothed(1);
+/// Vertices, and what their places lie between.
+struct Region<T> {
+    vertices: Vec<T>,
+    low: Place,
+    high: Place,
+}
+
+impl<'a> Surroundings<'a> {
+    /// Nothing but the origin.
+    pub(super) fn new(land: &'a Land) -> Self {
+        let map = Map::of(land, COARSE, (0, 0), (0, 0));
+        Self { land, map, half: 0, plains: Vec::new(), floors: Vec::new() }
+    }
+
+    /// Surroundings up to so many units from the origin.
+    pub(super) fn widen(&mut self, half: i32) {
+        if half == self.half {
+            return;
+        }
+        self.half = half;
+        self.map = self.map.widened(self.land, (-half, -half), (half, half));
+        let map = self.map.smoothed(1);
         let [straight, diagonal] = ACROSS;
         let steps =
             [straight, straight * map.side(), diagonal * (map.side() + 1), diagonal * (map.side() - 1)];
@@ -53,46 +73,77 @@ impl Surroundings {
             map.height(index) > 0
                 && steps.into_iter().any(|step| is_below(index - step) && is_below(index + step))
         };
-        let floors = map.regions(is_floor).into_iter();
-        let floors =
-            floors.map(|floor| floor.into_iter().map(|at| (map.place(at), map.height(at))).collect());
-        let floors = floors.collect();
-        let perhaps = plains(&map).into_iter().filter(|plain| plain.len() >= PERHAPS);
-        let plains = perhaps
-            .flat_map(|plain| outlined(land, &map, &plain))
-            .filter(|plain| plain.len() >= vertices)
+        let floor = |floor: Vec<usize>| {
+            let vertices = floor.into_iter().map(|at| (map.place(at), map.height(at))).collect();
+            Region::of(vertices, |(place, _)| *place)
+        };
+        self.floors = map.regions(is_floor).into_iter().map(floor).collect();
+        self.plains = plains(&map)
+            .into_iter()
+            .filter(|plain| plain.len() >= PERHAPS)
+            .flat_map(|plain| outlined(self.land, &map, &plain))
+            .filter(|plain| plain.len() >= LEAST)
+            .map(|plain| Region::of(plain, |place| *place))
             .collect();
-        Self { half, vertices, plains, floors }
     }
 
-    /// Middles of the plains, units, nearest to the origin first.
-    pub(super) fn plains(&self) -> Vec<Place> {
-        let middle = |plain: &Vec<Place>| {
-            let sum = |of: fn(&Place) -> i32| plain.iter().map(|place| i64::from(of(place))).sum::<i64>();
-            let mean = |of| (sum(of) / plain.len().max(1) as i64) as i32;
-            (mean(|place| place.0), mean(|place| place.1))
+    /// Middles of the plains of at least so many vertices of the fine grid (0.0256 ha each), units,
+    /// nearest to the origin first.
+    pub(super) fn plains(&self, vertices: usize) -> Vec<Place> {
+        let middle = |plain: &Region<Place>| {
+            let of = |of: fn(&Place) -> i32| {
+                let sum = plain.vertices.iter().map(|place| i64::from(of(place))).sum::<i64>();
+                (sum / plain.vertices.len().max(1) as i64) as i32
+            };
+            (of(|place| place.0), of(|place| place.1))
         };
-        let mut middles: Vec<_> = self.plains.iter().map(middle).collect();
+        let large = self.plains.iter().filter(|plain| plain.vertices.len() >= vertices);
+        let mut middles: Vec<_> = large.map(middle).collect();
         middles.sort_by_key(|middle| square(*middle, (0, 0)));
         middles
     }
 
-    /// Whether there are a plain and a valley near a place (units); not where the grid ends.
-    pub(super) fn are_varied_at(&self, at: Place) -> bool {
-        let is_near = |place: &Place| square(*place, at) < i64::from(NEAR).pow(2);
-        let is_plain =
-            |plain: &Vec<Place>| plain.iter().filter(|place| is_near(place)).count() >= self.vertices;
-        let is_valley = |floor: &Vec<(Place, i32)>| {
+    /// Whether there are a plain of so many vertices and a valley near a place (units); not where
+    /// the grid ends. With slack (units), whether there may be near some place up to so far from it
+    /// along both axes.
+    pub(super) fn are_varied_at(&self, at: Place, slack: i32, vertices: usize) -> bool {
+        // A square's diagonal is less than one and a half of its sides.
+        let near = NEAR + slack + slack / 2;
+        let is_near = |place: &Place| square(*place, at) < i64::from(near).pow(2);
+        let is_plain = |plain: &Region<Place>| {
+            plain.may_be_within(near, at)
+                && plain.vertices.iter().filter(|place| is_near(place)).count() >= vertices
+        };
+        let is_valley = |floor: &Region<(Place, i32)>| {
             let range = |of: fn(&(Place, i32)) -> i32| {
-                let values = || floor.iter().filter(|(place, _)| is_near(place)).map(of);
+                let values = || floor.vertices.iter().filter(|(place, _)| is_near(place)).map(of);
                 values().max().unwrap_or(0) - values().min().unwrap_or(0)
             };
-            let length = range(|(place, _)| place.0).max(range(|(place, _)| place.1));
-            length >= LENGTH && range(|(_, height)| *height) >= FALL
+            let length = || range(|(place, _)| place.0).max(range(|(place, _)| place.1));
+            floor.may_be_within(near, at) && length() >= LENGTH && range(|(_, height)| *height) >= FALL
         };
-        at.0.abs().max(at.1.abs()) <= self.half - NEAR
+        at.0.abs().max(at.1.abs()) <= self.half - NEAR + slack
             && self.plains.iter().any(is_plain)
             && self.floors.iter().any(is_valley)
+    }
+}
+
+impl<T> Region<T> {
+    fn of(vertices: Vec<T>, place: fn(&T) -> Place) -> Self {
+        let (mut low, mut high) = ((i32::MAX, i32::MAX), (i32::MIN, i32::MIN));
+        for (x, z) in vertices.iter().map(place) {
+            low = (low.0.min(x), low.1.min(z));
+            high = (high.0.max(x), high.1.max(z));
+        }
+        Self { vertices, low, high }
+    }
+
+    /// False if no vertex lies within a distance along both axes.
+    const fn may_be_within(&self, distance: i32, at: Place) -> bool {
+        at.0 - distance < self.high.0
+            && at.0 + distance > self.low.0
+            && at.1 - distance < self.high.1
+            && at.1 + distance > self.low.1
     }
 }
 

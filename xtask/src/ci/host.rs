@@ -1,6 +1,7 @@
 //! The machine that a run of `ci` looks at: its tools, and how commands are run on it. A trait, so
 //! that `super::rehearsal` can hide one tool at a time.
 
+use crate::land_version_3;
 use crate::process;
 use crate::setup;
 use anyhow::{Context, Result};
@@ -42,11 +43,13 @@ pub enum Tool {
     FastSimd,
     /// libclang, which the bindings of LERC are made with.
     Libclang,
+    /// The commit of land version 3, which a shallow clone has not.
+    History,
 }
 
 impl Tool {
     /// All of them.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Rustfmt,
         Self::Clippy,
         Self::Nextest,
@@ -62,6 +65,7 @@ impl Tool {
         Self::Cmake,
         Self::FastSimd,
         Self::Libclang,
+        Self::History,
     ];
 
     /// Its name for `--allow-skips`.
@@ -82,6 +86,7 @@ impl Tool {
             Self::Cmake => "cmake",
             Self::FastSimd => "fastsimd",
             Self::Libclang => "libclang",
+            Self::History => "history",
         }
     }
 }
@@ -233,6 +238,7 @@ impl Host for Here {
                     .then(|| "the build of FastNoise2 downloads it, and GitHub does not answer".into())
             }
             Tool::Libclang => (!setup::has_libclang()).then(|| "not found; install `libclang-dev`".into()),
+            Tool::History => land_version_3::lacks(),
         }
     }
 

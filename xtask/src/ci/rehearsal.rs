@@ -57,6 +57,7 @@ fn tools_of(command: &Command) -> Vec<Tool> {
     add(words.iter().any(|word| word == "wasm32-unknown-unknown"), &[Tool::WasmTarget]);
     add(is_in("noise-comparison") && first != "fmt", &[Tool::Clang, Tool::Cmake, Tool::FastSimd]);
     add(is_in("lerc") && first != "fmt", &[Tool::Libclang]);
+    add(is_in("land-comparison") && first != "fmt", &[Tool::History]);
     tools
 }
 

@@ -3,7 +3,7 @@
 use super::digest;
 use super::host::{Host, Tool};
 use super::outcome::Outcome;
-use crate::{advisories, dependency_rules, process};
+use crate::{advisories, dependency_rules, land_version_3, process};
 use anyhow::{Result, bail};
 use std::collections::BTreeSet;
 use std::process::Command;
@@ -115,7 +115,7 @@ pub const ALL: [Step; 14] = [
     },
     Step {
         name: "benches",
-        about: "the comparisons with other libraries are formatted, lint-free and build",
+        about: "the comparisons under `benches` are formatted, lint-free and build",
         again: "cd benches/PACKAGE && cargo clippy --release --all-targets -- -D warnings",
         action: benches,
     },
@@ -221,11 +221,26 @@ fn docs(host: &dyn Host) -> Result<Shown> {
 struct Bench {
     name: &'static str,
     needs: &'static [Tool],
+    /// Makes what the build reads beside the checkout.
+    prepare: Option<fn() -> Result<()>>,
+    /// Whether it has vectors of x86-64 and of nothing else.
+    is_x86: bool,
 }
 
-const BENCHES: [Bench; 2] = [
-    Bench { name: "noise-comparison", needs: &[Tool::Clang, Tool::Cmake, Tool::FastSimd] },
-    Bench { name: "lerc", needs: &[Tool::Libclang] },
+const BENCHES: [Bench; 3] = [
+    Bench {
+        name: "noise-comparison",
+        needs: &[Tool::Clang, Tool::Cmake, Tool::FastSimd],
+        prepare: None,
+        is_x86: false,
+    },
+    Bench { name: "lerc", needs: &[Tool::Libclang], prepare: None, is_x86: false },
+    Bench {
+        name: "land-comparison",
+        needs: &[Tool::History],
+        prepare: Some(land_version_3::export),
+        is_x86: true,
+    },
 ];
 
 /// Workspaces of their own, so the other steps do not see them.
@@ -246,8 +261,12 @@ fn benches(host: &dyn Host) -> Result<Shown> {
         parts.push((format!("{}, format", bench.name), Outcome::Passed));
         let lacks = bench.needs.iter().find_map(|tool| Some(skipped(*tool, host.lacks(*tool)?)));
         let outcome = match lacks {
+            _ if bench.is_x86 && !cfg!(target_arch = "x86_64") => {
+                Outcome::NotHere("its vectors are those of x86-64".into())
+            }
             Some(skip) => skip,
             None => {
+                bench.prepare.map_or(Ok(()), |prepare| host.own(prepare))?;
                 host.run(cargo("clippy --release --locked --all-targets -- -D warnings"))?;
                 host.run(cargo("build --release --locked"))?;
                 Outcome::Passed

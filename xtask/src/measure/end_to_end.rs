@@ -101,7 +101,8 @@ fn view(run: &mut Run, server: &Server, name: &str, more: &[&str]) -> Result<Val
     let mut viewer = process::viewer();
     viewer
         .args(["--connect", &server.stream(), "--scene", "island", "--size", "640x360"])
-        .args(["--view-distance", "8000", "--frames", FRAMES])
+        .args(["--quality", "medium", "--view-distance", "8000", "--grass", "0", "--trees", "0"])
+        .args(["--frames", FRAMES])
         .arg(format!("--camera={CAMERA}"))
         .arg("--shot")
         .arg(run.file(&format!("{name}.png")))

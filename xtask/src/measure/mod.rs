@@ -5,6 +5,7 @@ mod audit;
 mod code;
 mod end_to_end;
 mod heightfield;
+mod land;
 mod record;
 mod run;
 mod runs;
@@ -40,7 +41,7 @@ macro_rules! by_lab {
     };
 }
 
-const MEASUREMENTS: [Measurement; 9] = [
+const MEASUREMENTS: [Measurement; 10] = [
     Measurement { name: "audit", programs: &[], rows: audit::rows },
     Measurement { name: "code", programs: &[], rows: code::rows },
     Measurement {
@@ -54,10 +55,11 @@ const MEASUREMENTS: [Measurement; 9] = [
         programs: &["tombolo-lab", "tombolo-server", "tombolo-server-bench"],
         rows: streaming::rows,
     },
-    by_lab!("land", ["land"]),
+    Measurement { name: "land", programs: &["tombolo-lab"], rows: land::rows },
     by_lab!("terrain", ["lod", "--poses", "50", "--views", "200"]),
     by_lab!("pom", ["pom", "--rays", "2000000"]),
     by_lab!("culling", ["culling", "--poses", "300"]),
+    by_lab!("visual", ["visual", "--poses", "60"]),
 ];
 
 /// Builds, measures, prints and records one measurement.

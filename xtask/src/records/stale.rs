@@ -3,13 +3,23 @@
 use crate::process;
 
 /// What each measurement measures: paths from the root. Tests and documents in them do not count.
-const MEASURED: [(&str, &[&str]); 9] = [
+const MEASURED: [(&str, &[&str]); 10] = [
     ("code", &["*.rs", "*.wesl", "*.md"]),
     (
         "heightfield",
         &["terrain", "shaders", "lab/src/digest", "lab/src/timings.rs", "benches/noise-comparison"],
     ),
-    ("land", &["terrain", "shaders/wgsl/shared", "lab/src/land", "lab/src/land.rs"]),
+    (
+        "land",
+        &[
+            "terrain",
+            "shaders/wgsl/shared",
+            "lab/src/land",
+            "lab/src/land.rs",
+            "benches/land-comparison",
+            "benches/noise-comparison/src/rounds.rs",
+        ],
+    ),
     ("end-to-end", &["terrain", "protocol", "shaders", "server", "client", "load", "cli"]),
     (
         "streaming",
@@ -25,6 +35,7 @@ const MEASURED: [(&str, &[&str]); 9] = [
         ],
     ),
     ("terrain", &["terrain", "shaders", "client", "lab/src/lod", "lab/src/lod.rs", "lab/src/cracks.rs"]),
+    ("visual", &["terrain", "shaders", "client", "lab/src/visual", "lab/src/visual.rs", "lab/src/flip.rs"]),
     ("pom", &["shaders", "client/src/features", "lab/src/pom", "lab/src/pom.rs"]),
     ("culling", &["terrain", "shaders", "client", "lab/src/culling", "lab/src/culling.rs"]),
     // The page that generated figures stand on measures nothing itself.

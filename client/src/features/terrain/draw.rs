@@ -3,6 +3,8 @@
 use crate::features::materials::Materials;
 use crate::features::terrain::mesh;
 use crate::features::terrain::pool::ChunkPool;
+use crate::features::terrain_clipmap::TerrainClipmap;
+use crate::gpu::bind::bind_numbered;
 use crate::gpu::bind::{self, storage_entry, uniform_entry};
 use crate::gpu::buffer::create_buffer;
 use crate::gpu::pipeline::{Depth, HdrPass};
@@ -26,22 +28,31 @@ pub struct TerrainPass {
 }
 
 impl TerrainPass {
-    /// The pass over a pool of `capacity` slots, which bounds the chunks of a frame.
+    /// The pass over a pool of `capacity` slots, which bounds the chunks of a frame, and over the
+    /// cells and marks of trees. The other layouts are those of the materials and of the clipmap.
     #[must_use]
     pub fn new(
         device: &wgpu::Device,
         frame: &wgpu::Buffer,
         pool: &ChunkPool,
-        materials: &Materials,
+        (cells, marks): (&wgpu::Buffer, &wgpu::Buffer),
+        [materials, clipmap]: [&wgpu::BindGroupLayout; 2],
         capacity: u32,
         samples: u32,
     ) -> Self {
         let vertex = wgpu::ShaderStages::VERTEX;
-        let entries = [uniform_entry(0), storage_entry(1, vertex, true), storage_entry(2, vertex, true)];
+        let fragment = wgpu::ShaderStages::FRAGMENT;
+        let entries = [
+            uniform_entry(0),
+            storage_entry(1, vertex, true),
+            storage_entry(2, vertex, true),
+            storage_entry(8, fragment, true),
+            storage_entry(9, fragment, true),
+        ];
         let layout = bind::layout(device, "draw_terrain", &entries);
-        let buffers = [frame, pool.heights(), pool.sun_clearances()];
-        let bindings = bind::bind_buffers(device, "draw_terrain", &layout, &buffers);
-        let pipeline = with_pass(&[&layout, materials.layout()], samples, |pass| pass.pipeline(device));
+        let buffers = [(0, frame), (1, pool.heights()), (2, pool.sun_clearances()), (8, cells), (9, marks)];
+        let bindings = bind_numbered(device, "draw_terrain", &layout, &buffers);
+        let pipeline = with_pass(&[&layout, materials, clipmap], samples, |pass| pass.pipeline(device));
         let indices = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some("chunk indices"),
             contents: bytemuck::cast_slice(&mesh::indices()),
@@ -80,8 +91,13 @@ impl TerrainPass {
     }
 
     /// Records the draw; returns the number of draw calls.
-    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials) -> u32 {
-        self.draw_with(&self.pipeline, pass, materials)
+    pub fn draw(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        materials: &Materials,
+        clipmap: &TerrainClipmap,
+    ) -> u32 {
+        self.draw_with(&self.pipeline, pass, materials, clipmap)
     }
 
     /// Draws depth only, into a pass without color attachments; for checks.
@@ -90,11 +106,12 @@ impl TerrainPass {
         device: &wgpu::Device,
         pass: &mut wgpu::RenderPass<'_>,
         materials: &Materials,
+        clipmap: &TerrainClipmap,
     ) {
-        let layouts = [&self.layout, materials.layout()];
+        let layouts = [&self.layout, materials.layout(), clipmap.layout()];
         let build = || with_pass(&layouts, self.samples, |pass| pass.depth_pipeline(device));
         let depth = self.depth.take().unwrap_or_else(build);
-        self.draw_with(&depth, pass, materials);
+        self.draw_with(&depth, pass, materials, clipmap);
         self.depth = Some(depth);
     }
 
@@ -103,6 +120,7 @@ impl TerrainPass {
         pipeline: &wgpu::RenderPipeline,
         pass: &mut wgpu::RenderPass<'_>,
         materials: &Materials,
+        clipmap: &TerrainClipmap,
     ) -> u32 {
         if self.count == 0 {
             return 0;
@@ -110,6 +128,7 @@ impl TerrainPass {
         pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &self.bindings, &[]);
         pass.set_bind_group(1, materials.bindings(), &[]);
+        pass.set_bind_group(2, clipmap.bindings(), &[]);
         pass.set_vertex_buffer(0, self.instances.slice(..));
         pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint16);
         pass.draw_indexed(0..mesh::INDEX_COUNT, 0, 0..self.count);

@@ -3,6 +3,7 @@
 //! Owns pipelines and bind groups; the buffers are filled elsewhere.
 
 use crate::features::terrain::pool::ChunkPool;
+use crate::features::vegetation::tree_cells::TreeCells;
 use crate::gpu::bind;
 use crate::gpu::pipeline::{Depth, HDR, HdrPass, Output};
 use crate::gpu::targets::ID_FORMAT;
@@ -13,9 +14,9 @@ use std::ops::Range;
 /// A plant species.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Species {
-    /// Clumps of three tapered quads.
+    /// Clumps of blades.
     Grass,
-    /// Conifers.
+    /// Trees.
     Tree,
 }
 
@@ -118,6 +119,9 @@ impl ClumpPass {
             bind::storage_entry(2, vertex, true),
             bind::storage_entry(3, vertex, true),
             bind::storage_entry(4, vertex, true),
+            bind::storage_entry(8, vertex, true),
+            bind::storage_entry(9, vertex, true),
+            bind::storage_entry(10, vertex, true),
         ];
         let layout = bind::layout(device, shader.name, &entries);
         let buffers = [Some(wgpu::VertexBufferLayout {
@@ -139,10 +143,20 @@ impl ClumpPass {
         device: &wgpu::Device,
         frame: &wgpu::Buffer,
         pool: &ChunkPool,
+        trees: &TreeCells,
         clumps: &VisibleClumps,
     ) -> wgpu::BindGroup {
-        let buffers = [frame, &clumps.field, &clumps.tiles, &clumps.leaves, pool.sun_clearances()];
-        bind::bind_buffers(device, self.shader.name, &self.layout, &buffers)
+        let buffers = [
+            (0, frame),
+            (1, &clumps.field),
+            (2, &clumps.tiles),
+            (3, &clumps.leaves),
+            (4, pool.sun_clearances()),
+            (8, trees.cells()),
+            (9, trees.marks()),
+            (10, trees.lights()),
+        ];
+        bind::bind_numbered(device, self.shader.name, &self.layout, &buffers)
     }
 
     /// Draws the clumps that the buffers hold when the commands run; `bindings` must be of these

@@ -12,13 +12,15 @@ use crate::gpu::{Gpu, GpuError};
 use shaders::SHADERS;
 use shaders::layout::{
     CLUMP_BYTES, Culling, GRID_NODES, INDIRECT_DRAWS, INDIRECT_STATS, INDIRECT_WORDS, LAST_SEEN_WORDS,
-    MASK_BEGIN, MAX_OCCLUDER_CHUNKS, MAX_PATCHES, OccluderChunk, OcclusionNode, Planting, VISIBILITY_WORDS,
+    MASK_BEGIN, MAX_OCCLUDER_CHUNKS, MAX_PATCHES, OccluderChunk, OcclusionNode, PATCH_BLOCK_COUNT, Planting,
+    VISIBILITY_WORDS,
 };
 use std::ops::Range;
 use wgpu::BufferUsages as Usage;
 
-/// Capacity for blocks of a species. More are dropped, farthest first, and counted.
-pub const MAX_BLOCKS: usize = 32_768;
+/// Most blocks of a species: all of all patches, so no setting needs more. Blocks without room
+/// would be dropped, farthest first, and counted.
+pub const MAX_BLOCKS: u32 = (MAX_PATCHES * PATCH_BLOCK_COUNT) as u32;
 
 /// Counts of the last culling.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -77,6 +79,8 @@ pub struct CullBuffers {
     pub indirect: wgpu::Buffer,
     /// Capacity of each level of detail, clumps.
     pub capacity: [u32; 3],
+    /// Capacity for visible blocks.
+    pub blocks: u32,
     vertices: [u32; 3],
     land: wgpu::BindGroup,
     patched: wgpu::BindGroup,
@@ -144,14 +148,14 @@ impl CullPasses {
         }
     }
 
-    /// Buffers of a species with this capacity for each level of detail; `vertices` is the vertex
-    /// count of one clump.
+    /// Buffers of a species with this capacity for blocks, and for clumps in each level of detail;
+    /// `vertices` is the vertex count of one clump.
     #[must_use]
     pub fn create_buffers(
         &self,
         device: &wgpu::Device,
         pool: &ChunkPool,
-        capacity: [u32; 3],
+        (blocks, capacity): (u32, [u32; 3]),
         vertices: [u32; 3],
     ) -> CullBuffers {
         let uniform = |label, size: usize| buffer(device, label, size, Usage::UNIFORM | Usage::COPY_DST);
@@ -162,7 +166,7 @@ impl CullPasses {
         let patches = uniform("patches", 4 * MAX_PATCHES);
         let size = uniform("number of patches", 16);
         // Lists of visible blocks, then their visibility masks.
-        let cull_words = MASK_BEGIN + VISIBILITY_WORDS * MAX_BLOCKS;
+        let cull_words = MASK_BEGIN + VISIBILITY_WORDS * blocks.min(MAX_BLOCKS) as usize;
         let visible_blocks = storage("visible blocks and masks", 4 * cull_words, Usage::empty());
         let all: usize = capacity.iter().map(|room| *room as usize).sum();
         let clumps = storage("visible clumps", CLUMP_BYTES * all, Usage::VERTEX | Usage::COPY_SRC);
@@ -192,6 +196,7 @@ impl CullPasses {
             clumps,
             indirect,
             capacity,
+            blocks: blocks.min(MAX_BLOCKS),
             vertices,
         }
     }
@@ -206,6 +211,12 @@ impl CullPasses {
     #[must_use]
     pub fn leaves(&self) -> &wgpu::Buffer {
         &self.leaves
+    }
+
+    /// Layout of [`CullBuffers::land`].
+    #[must_use]
+    pub fn land_layout(&self) -> &wgpu::BindGroupLayout {
+        &self.land_layout
     }
 
     /// Uploads the occlusion grid.
@@ -237,7 +248,7 @@ impl CullPasses {
         let vertices = buffers.vertices;
         let planting = Planting {
             vertices: [vertices[0], vertices[1], vertices[2], 0],
-            room: [near, middle, far, MAX_BLOCKS as u32],
+            room: [near, middle, far, buffers.blocks],
             ..species.planting
         };
         queue.write_buffer(&buffers.culling, 0, bytemuck::bytes_of(&Culling { frame, ..species.culling }));
@@ -280,6 +291,12 @@ enum Size {
 }
 
 impl CullBuffers {
+    /// The view, the species and the drawn land, as group 0 of the passes over places.
+    #[must_use]
+    pub fn land(&self) -> &wgpu::BindGroup {
+        &self.land
+    }
+
     /// Input of the draw pass; `field` is the buffer of its uniforms.
     #[must_use]
     pub fn visible_clumps(

@@ -7,6 +7,7 @@
 //! | [`occlusion_grid`] | drawn land around the eye, as the occlusion tests read it |
 //! | [`by_slot`] | slot data on the CPU, as the shaders read it |
 //! | [`gpu_cull`] | culling on the GPU: blocks, prefix sums, clumps |
+//! | [`tree_cells`] | the trees around the eye in cells, for their shadows |
 //! | [`draw`] | indirect draws of visible clumps |
 //! | [`renderer`] | passes and buffers of all species |
 
@@ -17,7 +18,8 @@ pub mod occlusion_grid;
 pub mod renderer;
 pub mod settings;
 pub mod species;
+pub mod tree_cells;
 
 pub use occlusion_grid::OcclusionGrid;
-pub use settings::{Cull, VegetationSettings};
+pub use settings::{Cull, PlantShadows, VegetationSettings};
 pub use species::{SpeciesParams, VegetationFrame};

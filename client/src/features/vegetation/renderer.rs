@@ -3,11 +3,13 @@
 
 use crate::features::terrain::pool::ChunkPool;
 use crate::features::vegetation::draw::{ClumpPass, Species, VisibleClumps};
-use crate::features::vegetation::gpu_cull::{CullBuffers, CullPasses, CullStats};
+use crate::features::vegetation::gpu_cull::{CullBuffers, CullPasses, CullStats, MAX_BLOCKS};
 use crate::features::vegetation::species::{SpeciesParams, VegetationFrame};
+use crate::features::vegetation::tree_cells::{TreeCells, TreeGroups, TreePasses};
 use crate::gpu::buffer::create_buffer;
 use crate::gpu::{Gpu, GpuError};
 use shaders::layout::Field;
+use shaders::twin::placement::BLOCK_CELL_BITS;
 
 /// Capacity for clumps of a species in each level of detail: 77 MB. More are dropped, farthest
 /// first, and counted.
@@ -17,6 +19,7 @@ pub const MAX_CLUMPS: [u32; 3] = [1 << 17, 1 << 19, 1 << 22];
 #[derive(Debug)]
 pub struct VegetationRenderer {
     passes: CullPasses,
+    placing: TreePasses,
     species: Vec<SpeciesPass>,
     /// Frame number, from 1 on: the time stamp of visible blocks.
     frame: u32,
@@ -39,13 +42,17 @@ struct SpeciesBuffers {
     culling: CullBuffers,
     clumps: VisibleClumps,
     bindings: wgpu::BindGroup,
+    /// For trees.
+    placing: Option<TreeGroups>,
 }
 
 impl VegetationRenderer {
     /// A renderer without species.
     #[must_use]
     pub fn new(device: &wgpu::Device) -> Self {
-        Self { passes: CullPasses::new(device), species: Vec::new(), frame: 0 }
+        let passes = CullPasses::new(device);
+        let placing = TreePasses::new(device, passes.land_layout());
+        Self { passes, placing, species: Vec::new(), frame: 0 }
     }
 
     /// Records the culling of a frame's vegetation, to be submitted before or with its drawing.
@@ -53,7 +60,7 @@ impl VegetationRenderer {
         &mut self,
         gpu: &Gpu,
         uniforms: &wgpu::Buffer,
-        pool: &ChunkPool,
+        (pool, trees): (&ChunkPool, &TreeCells),
         samples: u32,
         plants: &VegetationFrame,
         encoder: &mut wgpu::CommandEncoder,
@@ -63,19 +70,28 @@ impl VegetationRenderer {
         for params in &plants.species {
             let species =
                 if params.field.kind == Species::Grass.kind() { Species::Grass } else { Species::Tree };
-            let needed = clump_capacity(params);
+            let (blocks, needed) = (block_capacity(params), clump_capacity(params));
             let buffers = |pass: &ClumpPass, capacity| {
-                SpeciesBuffers::new(&gpu.device, &self.passes, uniforms, pool, (species, pass), capacity)
+                let made = (species, pass);
+                SpeciesBuffers::new(
+                    &gpu.device,
+                    (&self.passes, &self.placing),
+                    uniforms,
+                    (pool, trees),
+                    made,
+                    capacity,
+                )
             };
             if let Some(existing) = self.species.iter_mut().find(|pass| pass.species == species) {
-                let old = existing.buffers.culling.capacity;
-                let capacity = std::array::from_fn(|level| needed[level].max(old[level]));
+                let old = (existing.buffers.culling.blocks, existing.buffers.culling.capacity);
+                let clumps = std::array::from_fn(|level| needed[level].max(old.1[level]));
+                let capacity = (blocks.max(old.0), clumps);
                 if capacity != old {
                     existing.buffers = buffers(&existing.pass, capacity);
                 }
             } else {
                 let pass = ClumpPass::new(&gpu.device, species, samples);
-                let buffers = buffers(&pass, needed);
+                let buffers = buffers(&pass, (blocks, needed));
                 self.species.push(SpeciesPass { species, pass, id_pass: None, buffers });
             }
         }
@@ -87,6 +103,11 @@ impl VegetationRenderer {
                 gpu.queue.write_buffer(&pass.buffers.clumps.field, 0, field);
             }
             self.passes.record(&gpu.queue, plants, index, self.frame, &pass.buffers.culling, encoder);
+            if pass.species == Species::Tree {
+                let is_present = index < plants.species.len();
+                let groups = pass.buffers.placing.as_ref().filter(|_| is_present);
+                self.placing.record(pass.buffers.culling.land(), groups, trees, encoder);
+            }
         }
     }
 
@@ -123,11 +144,11 @@ impl VegetationRenderer {
 impl SpeciesBuffers {
     fn new(
         device: &wgpu::Device,
-        passes: &CullPasses,
+        (passes, placing): (&CullPasses, &TreePasses),
         uniforms: &wgpu::Buffer,
-        pool: &ChunkPool,
+        (pool, trees): (&ChunkPool, &TreeCells),
         (species, pass): (Species, &ClumpPass),
-        capacity: [u32; 3],
+        capacity: (u32, [u32; 3]),
     ) -> Self {
         let mut vertices = [0; 3];
         for (own, given) in vertices.iter_mut().zip(species.vertices()) {
@@ -141,9 +162,20 @@ impl SpeciesBuffers {
             wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
         );
         let clumps = culling.visible_clumps(species, field, passes);
-        let bindings = pass.bind(device, uniforms, pool, &clumps);
-        Self { culling, clumps, bindings }
+        let bindings = pass.bind(device, uniforms, pool, trees, &clumps);
+        let is_tree = species == Species::Tree;
+        let placing = is_tree.then(|| placing.bind(device, uniforms, &clumps.field, trees));
+        Self { culling, clumps, bindings, placing }
     }
+}
+
+/// Blocks of a species that may be within its range: all whose nearest point is, in any direction.
+fn block_capacity(params: &SpeciesParams) -> u32 {
+    let cell_m = f64::from(1u32 << params.planting.cell_bits) / 4096.0;
+    let side_m = cell_m * f64::from(1u32 << BLOCK_CELL_BITS);
+    // A block whose nearest point is in range lies wholly within its diagonal of it.
+    let reach = f64::from(params.field.range_m) / side_m + std::f64::consts::SQRT_2;
+    ((std::f64::consts::PI * reach * reach).ceil() as u32).min(MAX_BLOCKS)
 }
 
 /// Clumps of a species that may be in each level of detail around the eye: its highest density

@@ -1,6 +1,10 @@
 //! Vegetation settings.
 
 use clap::ValueEnum;
+use shaders::layout::GRASS_RANGE_M;
+
+/// Share of the view distance that carries plants: the land beyond is dissolved.
+pub const REACHED: f64 = 0.8;
 
 /// Culling method. Each one removes at least what the previous one removes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -19,6 +23,16 @@ pub enum Cull {
     /// The same, hierarchical: whole blocks first (T4)
     #[default]
     Hierarchical,
+}
+
+/// Whether trees cast shadows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum PlantShadows {
+    /// No shadows.
+    Off,
+    /// On the ground, on grass and on each other.
+    #[default]
+    On,
 }
 
 /// Vegetation settings.
@@ -48,6 +62,8 @@ pub struct VegetationSettings {
     pub wind: f32,
     /// How far clumps lean away from an eye above them, 0 to 1.
     pub lean: f32,
+    /// Whether trees cast shadows on the ground, on grass and on each other.
+    pub shadows: PlantShadows,
 }
 
 impl VegetationSettings {
@@ -73,6 +89,7 @@ impl VegetationSettings {
         step_m: 2.0,
         wind: 0.4,
         lean: 0.6,
+        shadows: PlantShadows::On,
     };
     /// Fewer and nearer, so that the land is visible.
     pub const SPARSE: Self =
@@ -82,6 +99,15 @@ impl VegetationSettings {
     #[must_use]
     pub fn any(&self) -> bool {
         self.density > 0 || self.trees > 0
+    }
+
+    /// What the land knows of the grass on it: range and density, for [`shaders::layout::Frame`].
+    #[must_use]
+    pub fn packed_grass(&self, view_distance_m: u32) -> u32 {
+        let fraction = |share: f32| (65_535.0 * share.clamp(0.0, 1.0)).round() as u32;
+        let range_m = self.range_m.min((REACHED * f64::from(view_distance_m)) as f32);
+        let density = self.density as f32 / Self::MAX_DENSITY as f32;
+        fraction(range_m / GRASS_RANGE_M) | fraction(density) << 16
     }
 
     /// The settings clamped to their ranges; NaN becomes the standard.
@@ -103,6 +129,7 @@ impl VegetationSettings {
             step_m: within(self.step_m, 0.25, 16.0, standard.step_m),
             wind: within(self.wind, 0.0, 1.0, standard.wind),
             lean: within(self.lean, 0.0, 1.0, standard.lean),
+            shadows: self.shadows,
         }
     }
 }
@@ -110,5 +137,26 @@ impl VegetationSettings {
 impl Default for VegetationSettings {
     fn default() -> Self {
         Self::NONE
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_frame_holds_range_and_density_of_the_grass() {
+        let of = |density, range_m, view_distance_m| {
+            let packed = VegetationSettings { density, range_m, ..VegetationSettings::STANDARD }
+                .packed_grass(view_distance_m);
+            [(packed & 0xffff) as f32 / 65_535.0 * GRASS_RANGE_M, (packed >> 16) as f32 / 65_535.0]
+        };
+        let [range_m, density] = of(16, 260.0, 8000);
+        assert!((range_m - 260.0).abs() < 0.05 && (density - 0.5).abs() < 1e-4, "{range_m} {density}");
+        // No farther than the land is seen; none without grass.
+        assert!((of(16, 260.0, 100)[0] - 80.0).abs() < 0.05);
+        assert!(of(0, 260.0, 8000)[1] == 0.0);
+        // The control: half the density is not the whole.
+        assert!(of(32, 260.0, 8000)[1] > 1.9 * density);
     }
 }

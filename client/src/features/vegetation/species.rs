@@ -4,7 +4,7 @@ use crate::cache::ChunkCache;
 use crate::camera::{NEAR_M, Pose, Projection};
 use crate::features::vegetation::by_slot::BySlot;
 use crate::features::vegetation::occlusion_grid::OcclusionGrid;
-use crate::features::vegetation::settings::{Cull, VegetationSettings};
+use crate::features::vegetation::settings::{Cull, REACHED, VegetationSettings};
 use crate::frustum::Frustum;
 use crate::lod::Drawn;
 use glam::DVec3;
@@ -15,7 +15,7 @@ use shaders::layout::{
 use shaders::twin::placement::{BLOCK_CELL_BITS, COARSE_BITS, PATCH_BLOCKS, distance_squared};
 use shaders::twin::surface::{FINE_BITS, GRID_BITS, NOWHERE, STEP_BITS, Surface, TILE_BITS};
 use shaders::twin::terrain_occlusion::Occludee;
-use shaders::twin::visibility::{Extent, lean_reach, may_be_in_view, wind_reach};
+use shaders::twin::visibility::{Extent, lean_reach, may_be_in_view, spread_of, wind_reach};
 use terrain::constants::UNITS_PER_METRE;
 
 /// Fine units in a metre.
@@ -88,11 +88,11 @@ impl SpeciesTraits {
             cell_bits: STEP_BITS,
             per_cell: settings.density,
             width_m: [0.16, 0.36],
-            height_m: [0.22, 0.62],
+            height_m: [0.26, 0.62],
             thin_from_m: f64::from(settings.thin_from_m),
             widest: f64::from(settings.widest),
             range_m: f64::from(settings.range_m),
-            detail_m: [12.0, 45.0],
+            detail_m: [10.0, 32.0],
         }
     }
 
@@ -103,13 +103,13 @@ impl SpeciesTraits {
             kind: KIND_TREES,
             cell_bits: STEP_BITS + 2,
             per_cell: settings.trees,
-            width_m: [2.6, 5.0],
+            width_m: [3.2, 6.4],
             height_m: [6.0, 14.0],
             // Trees are not thinned: a vanishing tree is noticed.
             thin_from_m: f64::from(settings.tree_range_m).max(1.0),
             widest: 1.0,
             range_m: f64::from(settings.tree_range_m),
-            detail_m: [90.0, 1e6],
+            detail_m: [50.0, 220.0],
         }
     }
 
@@ -135,6 +135,8 @@ impl SpeciesTraits {
             lod_m: metres(self.detail_m),
             wind: settings.wind,
             lean: settings.lean,
+            casts: settings.shadows as u32,
+            reserved: 0,
         }
     }
 
@@ -144,6 +146,7 @@ impl SpeciesTraits {
         let [height_low, height_high] = self.height_m.map(fine);
         let half = (f64::from(width_high) * self.widest / 2.0).ceil() as i32 + 2;
         let (reach, over) = if self.kind == KIND_GRASS {
+            let half = half + spread_of(self.kind, false);
             (half + 3 * height_high / 4 + 2, height_high + half + 2)
         } else {
             (half, height_high + 2)
@@ -206,7 +209,7 @@ impl VegetationFrame {
         let traits = [SpeciesTraits::grass(&settings), SpeciesTraits::trees(&settings)];
         let exists = |traits: &SpeciesTraits| traits.per_cell > 0 && traits.range_m > 0.0;
         // Land near the view distance is dissolved and carries no plants.
-        let reach_m = f64::from(view_distance_m) * 0.8;
+        let reach_m = f64::from(view_distance_m) * REACHED;
         let species = traits.into_iter().filter(exists).map(|traits| {
             let traits = SpeciesTraits { range_m: traits.range_m.min(reach_m), ..traits };
             let planting = traits.planting(&grid, seed, &settings);

@@ -18,10 +18,11 @@ pub struct Painted {
 }
 
 impl Overlay {
-    /// egui for a window with this image format.
+    /// egui for a window with this image format; `scale` multiplies the size of text and controls.
     #[must_use]
-    pub fn new(gpu: &Gpu, window: &Window, format: wgpu::TextureFormat) -> Self {
+    pub fn new(gpu: &Gpu, window: &Window, format: wgpu::TextureFormat, scale: f64) -> Self {
         let context = egui::Context::default();
+        context.set_zoom_factor(scale as f32);
         let side = gpu.device.limits().max_texture_dimension_2d as usize;
         let input = egui_winit::State::new(
             context.clone(),
@@ -33,6 +34,12 @@ impl Overlay {
         );
         let painter = egui_wgpu::Renderer::new(&gpu.device, format, egui_wgpu::RendererOptions::default());
         Self { context, input, painter }
+    }
+
+    /// Whether a text field has the focus.
+    #[must_use]
+    pub fn is_typing(&self) -> bool {
+        self.context.egui_wants_keyboard_input()
     }
 
     /// Passes an event to the panel; true if the panel consumed it.

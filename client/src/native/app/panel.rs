@@ -1,16 +1,16 @@
-//! The panel: numbers of frame and session, and all settings.
+//! The panel: numbers of frame and session, places, and all settings.
 
-use crate::features::pom::PomSettings;
-use crate::features::pom::settings::{Heights, LoopForm, PomMethod, PomShadow, Refine, Silhouette};
+use super::keys;
+use super::panel_settings::{image, laboratory, pom, post, vegetation};
+use super::view_settings::ViewSettings;
 use crate::features::vegetation::gpu_cull::CullStats;
-use crate::features::vegetation::{Cull, VegetationSettings};
-use crate::features::water::WaterTier;
-use crate::settings::{Diffuse, RenderSettings, Shadows, Show, SunPosition, Tiling, Visibility};
+use crate::scene::places::Place;
+use crate::settings::SunPosition;
 use crate::stats::FrameTimes;
 use crate::stream::streamer::Link;
-use clap::ValueEnum;
 use protocol::Delivery;
 use std::time::Duration;
+use terrain::lod::MAX_VIEW_DISTANCE_M;
 
 /// Window of the displayed frame times.
 const RECENT: usize = 240;
@@ -56,195 +56,126 @@ pub struct Readings<'a> {
     pub drawn_tolerance_px: f64,
     /// The GPU.
     pub adapter: &'a str,
+    /// What the driver changed at the start.
+    pub notice: Option<&'a str>,
+    /// The sun of the scene.
+    pub scene_sun: SunPosition,
+    /// Whether the eye is under water, where no plants are drawn.
+    pub is_under_water: bool,
 }
 
-/// Settings that the panel edits.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ViewSettings {
-    /// Tolerated screen error, pixels.
-    pub tolerance_px: f64,
-    /// View distance, metres.
-    pub view_distance_m: u32,
-    /// Render settings.
-    pub render: RenderSettings,
+/// What the user requested by a button.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Request {
+    /// A place to go to.
+    pub place: Option<Place>,
+    /// All settings as they were at the start.
+    pub resets: bool,
 }
 
 /// Lays the panel out.
-pub fn show(ctx: &egui::Context, readings: &Readings<'_>, settings: &mut ViewSettings) {
+pub fn show(ctx: &egui::Context, readings: &Readings<'_>, settings: &mut ViewSettings) -> Request {
+    let mut request = Request::default();
     egui::Window::new("Tombolo")
-        .anchor(egui::Align2::LEFT_TOP, [12.0, 12.0])
-        .resizable(false)
-        .default_width(250.0)
+        .default_pos([12.0, 12.0])
+        .default_size([300.0, 560.0])
+        .resizable(true)
+        .vscroll(true)
+        .constrain(true)
         .frame(egui::Frame::window(&ctx.style_of(egui::Theme::Dark)).multiply_with_opacity(0.82))
         .show(ctx, |ui| {
             ui.label(connection(readings));
+            if let Some(notice) = readings.notice {
+                ui.label(notice);
+            }
             ui.separator();
-            numbers(ui, readings);
+            numbers(ui, readings, settings);
             ui.separator();
-            // Scenes without land have no levels and no chunks.
+            // Scenes without land have no levels, no chunks and no places.
             let has_land = readings.local.is_none();
             if has_land {
                 detail(ui, readings, settings);
+                request.place = places(ui);
             }
-            ui.collapsing("Image", |ui| image(ui, &mut settings.render));
+            ui.collapsing("Picture", |ui| image(ui, settings, readings.scene_sun));
+            ui.collapsing("Tone", |ui| post(ui, &mut settings.render.post));
             if has_land {
-                ui.collapsing("Vegetation", |ui| plants(ui, &mut settings.render.plants));
+                ui.collapsing("Vegetation", |ui| vegetation(ui, &mut settings.render.plants));
             }
-            ui.collapsing("Parallax", |ui| pom(ui, &mut settings.render.pom, has_land));
+            ui.collapsing("Relief", |ui| pom(ui, &mut settings.render.pom, has_land));
+            ui.collapsing("Laboratory", |ui| laboratory(ui, &mut settings.render, has_land));
+            let reset = ui.button("Reset all settings");
+            request.resets = reset.on_hover_text("Every setting as it was at the start").clicked();
             ui.separator();
             if has_land {
                 histogram(ui, &readings.levels);
             }
-            ui.collapsing("Keys", |ui| {
-                for line in [
-                    "W A S D  fly      Q E  down, up",
-                    "Shift  faster     wheel  speed",
-                    "drag  look        O  orbit",
-                    "F1  panel         Esc  quit",
-                ] {
-                    ui.monospace(line);
-                }
-            });
+            ui.collapsing("Keys", key_lines);
+        });
+    request
+}
+
+/// Buttons of the places.
+fn places(ui: &mut egui::Ui) -> Option<Place> {
+    let mut chosen = None;
+    ui.horizontal_wrapped(|ui| {
+        for (index, place) in Place::ALL.into_iter().enumerate() {
+            let button = ui.small_button(place.label());
+            if button.on_hover_text(format!("Go there (key {})", index + 1)).clicked() {
+                chosen = Some(place);
+            }
+        }
+    });
+    chosen
+}
+
+/// The keys and what they do.
+pub fn key_lines(ui: &mut egui::Ui) {
+    egui::Grid::new("keys").num_columns(2).show(ui, |ui| {
+        for (key, does) in keys::LINES {
+            ui.strong(key);
+            ui.label(does);
+            ui.end_row();
+        }
+    });
+}
+
+/// A window with the keys alone.
+pub fn show_keys(ctx: &egui::Context) {
+    egui::Window::new("Keys")
+        .anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0])
+        .resizable(false)
+        .collapsible(false)
+        .show(ctx, key_lines);
+}
+
+/// Lines over the picture, with their opacity.
+pub fn show_notices<'a>(ctx: &egui::Context, lines: impl Iterator<Item = (&'a str, f32)>) {
+    egui::Area::new(egui::Id::unique("notices"))
+        .anchor(egui::Align2::CENTER_BOTTOM, [0.0, -24.0])
+        .interactable(false)
+        .show(ctx, |ui| {
+            for (line, opacity) in lines {
+                let alpha = |of: u8| (f32::from(of) * opacity) as u8;
+                let text = egui::RichText::new(line).size(16.0);
+                let text = text.color(egui::Color32::from_white_alpha(alpha(255)));
+                let text = text.background_color(egui::Color32::from_black_alpha(alpha(150)));
+                ui.vertical_centered(|ui| ui.label(text));
+            }
         });
 }
 
 /// Tolerance and view distance.
 fn detail(ui: &mut egui::Ui, readings: &Readings<'_>, settings: &mut ViewSettings) {
-    ui.add(egui::Slider::new(&mut settings.tolerance_px, 0.5..=16.0).logarithmic(true).text("tolerance, px"));
+    let tolerance = egui::Slider::new(&mut settings.tolerance_px, 0.5..=16.0).logarithmic(true);
+    ui.add(tolerance.clamping(egui::SliderClamping::Edits).text("tolerance, px"))
+        .on_hover_text("Vertical error of the drawn land on screen; less is finer and slower");
     if readings.drawn_tolerance_px > settings.tolerance_px * 1.01 {
         ui.label(format!("chunk memory is full: drawn with {:.1} px", readings.drawn_tolerance_px));
     }
-    ui.add(
-        egui::Slider::new(&mut settings.view_distance_m, 1000..=32_000)
-            .logarithmic(true)
-            .text("view distance, m"),
-    );
-}
-
-/// Render settings, one row each, with the names of the options.
-fn image(ui: &mut egui::Ui, settings: &mut RenderSettings) {
-    egui::Grid::new("image").num_columns(2).show(ui, |ui| {
-        choice::<Show>(ui, "show", &mut settings.show);
-        choice::<Shadows>(ui, "shadows", &mut settings.shadows);
-        choice::<Tiling>(ui, "tiling", &mut settings.tiling);
-        choice::<WaterTier>(ui, "water", &mut settings.water);
-        let waves = &mut settings.waves;
-        ui.weak("parallax");
-        ui.add(egui::Slider::new(&mut waves.parallax_factor, 0.0..=1.0));
-        ui.end_row();
-        ui.weak("water bias");
-        ui.add(egui::Slider::new(&mut waves.parallax_bias_m, -2.0..=2.0).suffix(" m"));
-        ui.end_row();
-        ui.weak("steepness");
-        ui.add(egui::Slider::new(&mut waves.steepness, 0.0..=4.0));
-        ui.end_row();
-        sun(ui, &mut settings.sun);
-        choice::<Diffuse>(ui, "diffuse", &mut settings.diffuse);
-        choice::<Visibility>(ui, "visibility", &mut settings.visibility);
-        ui.weak("exposure");
-        ui.add(egui::Slider::new(&mut settings.exposure_ev, -8.0..=8.0).suffix(" EV"));
-        ui.end_row();
-    });
-}
-
-/// Vegetation and culling settings.
-fn plants(ui: &mut egui::Ui, settings: &mut VegetationSettings) {
-    fn row(ui: &mut egui::Ui, name: &str, slider: egui::Slider<'_>) {
-        ui.weak(name);
-        ui.add(slider);
-        ui.end_row();
-    }
-    egui::Grid::new("plants").num_columns(2).show(ui, |ui| {
-        row(ui, "grass", egui::Slider::new(&mut settings.density, 0..=VegetationSettings::MAX_DENSITY));
-        row(ui, "range", egui::Slider::new(&mut settings.range_m, 0.0..=1000.0).suffix(" m"));
-        let thin_from = egui::Slider::new(&mut settings.thin_from_m, 1.0..=400.0).logarithmic(true);
-        row(ui, "thin from", thin_from.suffix(" m"));
-        row(ui, "widest", egui::Slider::new(&mut settings.widest, 1.0..=16.0));
-        row(ui, "trees", egui::Slider::new(&mut settings.trees, 0..=VegetationSettings::MAX_TREES));
-        let farthest = 0.0..=VegetationSettings::MAX_RANGE_M;
-        row(ui, "tree range", egui::Slider::new(&mut settings.tree_range_m, farthest).suffix(" m"));
-        row(ui, "wind", egui::Slider::new(&mut settings.wind, 0.0..=1.0));
-        row(ui, "lean", egui::Slider::new(&mut settings.lean, 0.0..=1.0));
-        choice::<Cull>(ui, "cull", &mut settings.cull);
-        row(ui, "stay", egui::Slider::new(&mut settings.stay, 0..=60).suffix(" frames"));
-        row(ui, "step", egui::Slider::new(&mut settings.step_m, 0.25..=16.0).logarithmic(true).suffix(" m"));
-    });
-}
-
-/// Parallax settings. None builds a pipeline; the first selection of cones bakes them.
-fn pom(ui: &mut egui::Ui, settings: &mut PomSettings, has_land: bool) {
-    fn row(ui: &mut egui::Ui, name: &str, slider: egui::Slider<'_>) {
-        ui.weak(name);
-        ui.add(slider);
-        ui.end_row();
-    }
-    egui::Grid::new("parallax").num_columns(2).show(ui, |ui| {
-        choice::<PomMethod>(ui, "relief", &mut settings.method);
-        if settings.method == PomMethod::Cones && has_land {
-            ui.weak("");
-            ui.weak("the land has no cones: using max mips");
-            ui.end_row();
-        }
-        let steps = 1..=PomSettings::MAX_STEPS;
-        row(ui, "steps down", egui::Slider::new(&mut settings.steps_min, steps.clone()).logarithmic(true));
-        row(ui, "steps along", egui::Slider::new(&mut settings.steps_max, steps).logarithmic(true));
-        choice::<Refine>(ui, "refine", &mut settings.refine);
-        let rounds = 0..=PomSettings::MAX_REFINEMENTS;
-        row(ui, "refinements", egui::Slider::new(&mut settings.refinements, rounds));
-        choice::<LoopForm>(ui, "loop", &mut settings.loop_form);
-        choice::<Heights>(ui, "heights", &mut settings.heights);
-        choice::<PomShadow>(ui, "shadow", &mut settings.shadow);
-        row(ui, "pivot", egui::Slider::new(&mut settings.pivot, 0.0..=1.0));
-        row(ui, "amplitude", egui::Slider::new(&mut settings.amplitude, 0.0..=PomSettings::MAX_AMPLITUDE));
-        if !has_land {
-            let tiling = PomSettings::MIN_TILING..=PomSettings::MAX_TILING;
-            let [u, v] = &mut settings.tiling;
-            row(ui, "tiling along u", egui::Slider::new(u, tiling.clone()).logarithmic(true));
-            row(ui, "tiling along v", egui::Slider::new(v, tiling).logarithmic(true));
-        }
-        let fade = 0.0..=PomSettings::MAX_FADE_PX;
-        row(ui, "fade below", egui::Slider::new(&mut settings.fade_px, fade).suffix(" px"));
-        ui.weak("depth");
-        ui.checkbox(&mut settings.depth, "displaced");
-        ui.end_row();
-        choice::<Silhouette>(ui, "silhouette", &mut settings.silhouette);
-        let horizon = &mut settings.horizon;
-        row(ui, "horizon", egui::Slider::new(&mut horizon.strength, 0.0..=4.0));
-        row(ui, "height bias", egui::Slider::new(&mut horizon.height_bias, 0.0..=1.0));
-        row(ui, "safe above", egui::Slider::new(&mut horizon.safe_threshold, 0.0..=0.95));
-        row(ui, "falloff", egui::Slider::new(&mut horizon.falloff, 0.5..=8.0));
-    });
-}
-
-/// Sun position: that of the scene, or by two sliders.
-fn sun(ui: &mut egui::Ui, place: &mut Option<SunPosition>) {
-    ui.weak("sun");
-    let mut is_moved = place.is_some();
-    if ui.checkbox(&mut is_moved, "moved").changed() {
-        *place = is_moved.then_some(SunPosition { azimuth_deg: 120.0, elevation_deg: 30.0 });
-    }
-    ui.end_row();
-    if let Some(place) = place {
-        ui.weak("azimuth");
-        ui.add(egui::Slider::new(&mut place.azimuth_deg, -180.0..=360.0).suffix("°"));
-        ui.end_row();
-        ui.weak("elevation");
-        ui.add(egui::Slider::new(&mut place.elevation_deg, -90.0..=90.0).suffix("°"));
-        ui.end_row();
-    }
-}
-
-/// A choice with the names of the command line.
-fn choice<T: ValueEnum + PartialEq + Copy>(ui: &mut egui::Ui, name: &str, value: &mut T) {
-    let word =
-        |value: T| value.to_possible_value().map_or_else(String::new, |word| word.get_name().to_owned());
-    ui.weak(name);
-    egui::ComboBox::from_id_salt(name).selected_text(word(*value)).show_ui(ui, |ui| {
-        for variant in T::value_variants() {
-            ui.selectable_value(value, *variant, word(*variant));
-        }
-    });
-    ui.end_row();
+    let distance = egui::Slider::new(&mut settings.view_distance_m, 1000..=MAX_VIEW_DISTANCE_M);
+    ui.add(distance.logarithmic(true).clamping(egui::SliderClamping::Edits).text("view, m"))
+        .on_hover_text("Distance up to which land is drawn; the next islands are 5 to 9 km away");
 }
 
 fn connection(readings: &Readings<'_>) -> String {
@@ -262,21 +193,27 @@ fn connection(readings: &Readings<'_>) -> String {
     }
 }
 
-fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>) {
-    let mode = if readings.orbiting { "orbit".to_owned() } else { format!("{:.0} m/s", readings.speed_m) };
+fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>, settings: &ViewSettings) {
     let frame = format!(
         "{:.1} ms p50, {:.1} ms p99",
         readings.times.quantile_ms(0.5, RECENT),
         readings.times.quantile_ms(0.99, RECENT)
     );
+    let plants = &settings.render.plants;
+    let plants = match (plants.any(), readings.is_under_water) {
+        (false, _) => "off: raise grass or trees under Vegetation".to_owned(),
+        (true, true) => "none under water".to_owned(),
+        (true, false) => plants_of(&readings.plants),
+    };
     let session = [
         (
             "chunks",
             format!("{} drawn, {} of {} resident", readings.drawn, readings.resident, readings.capacity),
+            "Squares of land: drawn now, and held in memory",
         ),
-        ("still coarse", readings.missing.to_string()),
-        ("triangles", format!("{:.2} M", readings.triangles as f64 / 1e6)),
-        ("plants", plants_of(&readings.plants)),
+        ("still coarse", readings.missing.to_string(), "Chunks whose finer ones have not arrived"),
+        ("triangles", format!("{:.2} M", readings.triangles as f64 / 1e6), "Of the land, in this frame"),
+        ("plants", plants, "Clumps of grass and trees drawn"),
         (
             "received",
             format!(
@@ -284,18 +221,35 @@ fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>) {
                 readings.bytes_received as f64 / f64::from(1 << 20),
                 readings.delivery
             ),
+            "From the server since the start",
         ),
-        ("credits", readings.credits.to_string()),
+        ("credits", readings.credits.to_string(), "Chunks that the server may still send"),
     ];
     let session = session.into_iter().filter(|_| readings.local.is_none());
-    let camera = [("camera", readings.camera.clone()), ("speed", mode)];
-    let rows = std::iter::once(("frame", frame)).chain(session).chain(camera);
-    ui.weak(readings.adapter);
+    ui.label(readings.adapter);
     egui::Grid::new("numbers").num_columns(2).show(ui, |ui| {
-        for (name, value) in rows {
-            ui.weak(name);
+        let first = ("frame", frame, "Time from frame to frame: median, and 99 of 100 are shorter");
+        for (name, value, hint) in std::iter::once(first).chain(session) {
+            ui.label(name).on_hover_text(hint);
             ui.label(value);
             ui.end_row();
+        }
+        ui.label("speed").on_hover_text("Wheel and Shift change it; slower below 4 frames a second");
+        let speed = format!("{:.0} m/s", readings.speed_m);
+        ui.label(if readings.orbiting { "orbit".to_owned() } else { speed });
+        ui.end_row();
+    });
+    camera(ui, &readings.camera);
+}
+
+/// The pose as `--camera` takes it, to select or copy.
+fn camera(ui: &mut egui::Ui, camera: &str) {
+    ui.horizontal_wrapped(|ui| {
+        ui.label("camera").on_hover_text("East, up, south in metres; heading and pitch in degrees");
+        ui.add(egui::Label::new(egui::RichText::new(camera).monospace()).selectable(true));
+        if ui.small_button("copy").on_hover_text("Copies the option --camera for this view").clicked() {
+            // With `=`, because a number may begin with a minus.
+            ui.ctx().copy_text(format!("--camera={camera}"));
         }
     });
 }
@@ -319,7 +273,7 @@ fn plants_of(stats: &CullStats) -> String {
 fn histogram(ui: &mut egui::Ui, levels: &[u32; 17]) {
     let highest = levels.iter().copied().max().unwrap_or(0).max(1) as f32;
     let last = levels.iter().rposition(|count| *count > 0).unwrap_or(0);
-    ui.weak(format!("resident chunks by level, 0 to {last}"));
+    ui.label(format!("resident chunks by level, 0 to {last}"));
     let (area, _) = ui.allocate_exact_size(egui::vec2(ui.available_width(), 36.0), egui::Sense::hover());
     let width = area.width() / (last + 1) as f32;
     for (level, count) in levels.iter().enumerate().take(last + 1) {

@@ -1,0 +1,183 @@
+//! Groups of settings in the panel, with the names of the options.
+
+use super::clock::Day;
+use super::view_settings::ViewSettings;
+use crate::features::pom::PomSettings;
+use crate::features::pom::settings::{Heights, LoopForm, PomMethod, PomShadow, Refine, Silhouette};
+use crate::features::post::{Antialias, PostSettings, Tone};
+use crate::features::vegetation::{Cull, VegetationSettings};
+use crate::features::water::WaterTier;
+use crate::settings::{Diffuse, RenderSettings, Shadows, Show, SunPosition, Tiling, Visibility};
+use clap::ValueEnum;
+use egui::{Slider, Ui};
+
+/// Light, water and what is shown.
+pub fn image(ui: &mut Ui, settings: &mut ViewSettings, scene_sun: SunPosition) {
+    let ViewSettings { render, day, .. } = settings;
+    egui::Grid::new("picture").num_columns(2).show(ui, |ui| {
+        choice::<Show>(ui, "show", "The picture, or what it is made of", &mut render.show);
+        sun(ui, &mut render.sun, day, scene_sun);
+        let exposure = Slider::new(&mut render.exposure_ev, -8.0..=8.0).suffix(" EV");
+        row(ui, "exposure", "Stops brighter or darker than the scene", exposure);
+        choice::<Shadows>(ui, "shadows", "Of the land on itself", &mut render.shadows);
+        choice::<Tiling>(ui, "tiling", "Hides that materials repeat", &mut render.tiling);
+        choice::<WaterTier>(ui, "water", "How the depth of waves is found", &mut render.water);
+        let steepness = Slider::new(&mut render.waves.steepness, 0.0..=4.0);
+        row(ui, "steepness", "Of the waves; 1 is a fresh breeze", steepness);
+    });
+}
+
+/// Direction of the sun: by the time of day, or by its angles.
+fn sun(ui: &mut Ui, sun: &mut Option<SunPosition>, day: &mut Day, scene_sun: SunPosition) {
+    ui.label("time of day").on_hover_text("Moves the sun along its path of a day in May at 28 degrees north");
+    ui.horizontal(|ui| {
+        if ui.add(Slider::new(&mut day.hours, 0.0..=24.0).suffix(" h").max_decimals(1)).changed() {
+            *sun = Some(SunPosition::at_hour(day.hours));
+        }
+        ui.checkbox(&mut day.plays, "play").on_hover_text("An hour in four seconds; Space stops it");
+    });
+    ui.end_row();
+    let mut place = sun.unwrap_or(scene_sun);
+    let azimuth = Slider::new(&mut place.azimuth_deg, 0.0..=360.0).suffix("°");
+    let azimuth = row(ui, "azimuth", "Of the sun, clockwise from north", azimuth);
+    let elevation = Slider::new(&mut place.elevation_deg, -90.0..=90.0).suffix("°");
+    let elevation = row(ui, "elevation", "Of the sun above the horizon", elevation);
+    if azimuth || elevation {
+        (*sun, day.plays) = (Some(place), false);
+    }
+    if sun.is_some() {
+        ui.label("");
+        if ui.small_button("sun of the scene").clicked() {
+            (*sun, day.plays) = (None, false);
+        }
+        ui.end_row();
+    }
+}
+
+/// From linear light to the image.
+pub fn post(ui: &mut Ui, settings: &mut PostSettings) {
+    egui::Grid::new("post").num_columns(2).show(ui, |ui| {
+        choice::<Tone>(ui, "tone", "Curve from light to colours", &mut settings.tone);
+        ui.label("exposure").on_hover_text("Follows the mean light of the picture, within limits");
+        ui.checkbox(&mut settings.auto_exposure, "automatic");
+        ui.end_row();
+        row(
+            ui,
+            "bloom",
+            "Light that spreads around bright places",
+            Slider::new(&mut settings.bloom, 0.0..=0.5),
+        );
+        choice::<Antialias>(ui, "antialias", "Of the image; for one sample a pixel", &mut settings.antialias);
+        row(ui, "sharpen", "0 is off", Slider::new(&mut settings.sharpen, 0.0..=1.0));
+        let scales = PostSettings::MIN_SCALE..=PostSettings::MAX_SCALE;
+        let scale = Slider::new(&mut settings.render_scale, scales).step_by(0.05);
+        row(ui, "render scale", "Rendered size over the size of the window", scale);
+    });
+}
+
+/// Density and range of plants.
+pub fn vegetation(ui: &mut Ui, settings: &mut VegetationSettings) {
+    egui::Grid::new("plants").num_columns(2).show(ui, |ui| {
+        let density = Slider::new(&mut settings.density, 0..=VegetationSettings::MAX_DENSITY);
+        row(ui, "grass", "Clumps on 2 x 2 m where it is densest; 0 for none", density);
+        let range = Slider::new(&mut settings.range_m, 0.0..=1000.0).suffix(" m");
+        row(ui, "range", "Distance up to which grass stands", range.clamping(egui::SliderClamping::Edits));
+        let thin_from = Slider::new(&mut settings.thin_from_m, 1.0..=400.0).logarithmic(true).suffix(" m");
+        let thin_from = thin_from.clamping(egui::SliderClamping::Edits);
+        row(ui, "thin from", "Beyond it fewer and wider clumps", thin_from);
+        row(ui, "widest", "Largest widening of far clumps", Slider::new(&mut settings.widest, 1.0..=16.0));
+        let trees = Slider::new(&mut settings.trees, 0..=VegetationSettings::MAX_TREES);
+        row(ui, "trees", "On 8 x 8 m of wood at most; 0 for none", trees);
+        let farthest = 0.0..=VegetationSettings::MAX_RANGE_M;
+        let tree_range = Slider::new(&mut settings.tree_range_m, farthest).suffix(" m");
+        row(ui, "tree range", "Distance up to which trees stand", tree_range);
+        row(ui, "wind", "0 is calm", Slider::new(&mut settings.wind, 0.0..=1.0));
+        row(ui, "lean", "Of grass away from an eye above it", Slider::new(&mut settings.lean, 0.0..=1.0));
+    });
+}
+
+/// Relief of materials. None builds a pipeline; the first selection of cones bakes them.
+pub fn pom(ui: &mut Ui, settings: &mut PomSettings, has_land: bool) {
+    egui::Grid::new("relief").num_columns(2).show(ui, |ui| {
+        choice::<PomMethod>(ui, "relief", "How the depth of materials is found", &mut settings.method);
+        if settings.method == PomMethod::Cones && has_land {
+            ui.label("");
+            ui.label("the land has no cones: using max mips");
+            ui.end_row();
+        }
+        choice::<PomShadow>(ui, "shadow", "Of a relief on itself", &mut settings.shadow);
+        let amplitude = Slider::new(&mut settings.amplitude, 0.0..=PomSettings::MAX_AMPLITUDE);
+        row(ui, "amplitude", "Factor of all height ranges", amplitude);
+        let fade = Slider::new(&mut settings.fade_px, 0.0..=PomSettings::MAX_FADE_PX).suffix(" px");
+        row(ui, "fade below", "Height on screen below which a relief fades out", fade);
+        if !has_land {
+            let tiling = PomSettings::MIN_TILING..=PomSettings::MAX_TILING;
+            let [u, v] = &mut settings.tiling;
+            row(ui, "tiling along u", "Repeats", Slider::new(u, tiling.clone()).logarithmic(true));
+            row(ui, "tiling along v", "Repeats", Slider::new(v, tiling).logarithmic(true));
+        }
+        choice::<Silhouette>(ui, "silhouette", "Outline of displaced objects", &mut settings.silhouette);
+    });
+}
+
+/// What compares methods: forms of loops, terms of the light, reference methods.
+pub fn laboratory(ui: &mut Ui, settings: &mut RenderSettings, has_land: bool) {
+    egui::Grid::new("laboratory").num_columns(2).show(ui, |ui| {
+        choice::<Diffuse>(ui, "diffuse", "Model of diffuse reflection", &mut settings.diffuse);
+        choice::<Visibility>(ui, "visibility", "Term of specular reflection", &mut settings.visibility);
+        let waves = &mut settings.waves;
+        let factor = Slider::new(&mut waves.parallax_factor, 0.0..=1.0);
+        row(ui, "wave depth", "--parallax-factor: 0 is flat, 0.2 the true height", factor);
+        let bias = Slider::new(&mut waves.parallax_bias_m, -2.0..=2.0).suffix(" m");
+        row(ui, "water bias", "--parallax-bias: offset of the water surface", bias);
+        let pom = &mut settings.pom;
+        let steps = 1..=PomSettings::MAX_STEPS;
+        let down = Slider::new(&mut pom.steps_min, steps.clone()).logarithmic(true);
+        row(ui, "steps down", "Of the linear search, looking straight down", down);
+        let along = Slider::new(&mut pom.steps_max, steps).logarithmic(true);
+        row(ui, "steps along", "Of the linear search, along the surface", along);
+        choice::<Refine>(ui, "refine", "Of the intersection", &mut pom.refine);
+        let rounds = Slider::new(&mut pom.refinements, 0..=PomSettings::MAX_REFINEMENTS);
+        row(ui, "refinements", "Iterations", rounds);
+        choice::<LoopForm>(ui, "loop", "How the search ends", &mut pom.loop_form);
+        choice::<Heights>(ui, "heights", "Interpolation between texels", &mut pom.heights);
+        row(ui, "pivot", "Height that lies on the plane", Slider::new(&mut pom.pivot, 0.0..=1.0));
+        ui.label("depth").on_hover_text("Writes the relief to the depth buffer");
+        ui.checkbox(&mut pom.depth, "displaced");
+        ui.end_row();
+        let horizon = &mut pom.horizon;
+        row(ui, "horizon", "Strength of that silhouette", Slider::new(&mut horizon.strength, 0.0..=4.0));
+        row(ui, "height bias", "Of the horizon", Slider::new(&mut horizon.height_bias, 0.0..=1.0));
+        row(ui, "safe above", "Of the horizon", Slider::new(&mut horizon.safe_threshold, 0.0..=0.95));
+        row(ui, "falloff", "Of the horizon", Slider::new(&mut horizon.falloff, 0.5..=8.0));
+        if has_land {
+            let plants = &mut settings.plants;
+            choice::<Cull>(ui, "cull", "Visibility test of plants", &mut plants.cull);
+            let stay = Slider::new(&mut plants.stay, 0..=60).suffix(" frames");
+            row(ui, "stay", "How long plants stay drawn after they were visible", stay);
+            let step = Slider::new(&mut plants.step_m, 0.25..=16.0).logarithmic(true).suffix(" m");
+            row(ui, "step", "Of --cull noise and march", step);
+        }
+    });
+}
+
+/// A row with a slider; whether it was moved.
+fn row(ui: &mut Ui, name: &str, hint: &str, slider: Slider<'_>) -> bool {
+    ui.label(name).on_hover_text(hint);
+    let is_changed = ui.add(slider).changed();
+    ui.end_row();
+    is_changed
+}
+
+/// A choice with the names of the command line.
+fn choice<T: ValueEnum + PartialEq + Copy>(ui: &mut Ui, name: &str, hint: &str, value: &mut T) {
+    let word =
+        |value: T| value.to_possible_value().map_or_else(String::new, |word| word.get_name().to_owned());
+    ui.label(name).on_hover_text(hint);
+    egui::ComboBox::from_id_salt(name).selected_text(word(*value)).show_ui(ui, |ui| {
+        for variant in T::value_variants() {
+            ui.selectable_value(value, *variant, word(*variant));
+        }
+    });
+    ui.end_row();
+}

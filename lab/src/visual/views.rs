@@ -1,0 +1,119 @@
+//! Views of the land, drawn without sea and plants.
+
+use crate::headless_renderer::HeadlessRenderer;
+use crate::lod::screen::{self, ViewCase};
+use crate::world_builder::WorldBuilder;
+use client::camera::Projection;
+use client::frame::{Background, FrameData};
+use client::gpu::{GpuError, Image};
+use client::scene::Scene;
+use client::settings::{Normals, RenderSettings, Show, SunPosition};
+use client::view::ViewParams;
+use terrain::Land;
+
+/// Picture size, pixels.
+pub const SIZE: (u32, u32) = (480, 270);
+
+/// Stream of the seeded poses.
+const STREAM: u32 = 57;
+
+/// View distance, metres, and tolerance, pixels, unless a figure varies it.
+const VIEW_DISTANCE_M: u32 = 8_000;
+const TOLERANCE_PX: f64 = 2.0;
+
+/// Slots of the largest view.
+const SLOTS: u32 = 6_000;
+
+/// A sun that lights slopes of every direction.
+pub const MORNING: SunPosition = SunPosition { azimuth_deg: 127.0, elevation_deg: 27.0 };
+
+/// Whether land at two distances, metres, is one surface: they differ by at most 3 %. Distances
+/// that are not positive are no land.
+pub fn is_one_surface(one_m: f32, other_m: f32) -> bool {
+    let near_m = one_m.min(other_m);
+    near_m > 0.0 && (one_m - other_m).abs() <= 0.03 * near_m
+}
+
+/// What to draw of a pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Shot {
+    /// What is shown.
+    pub show: Show,
+    /// Source of the shading normals.
+    pub normals: Normals,
+    /// Tolerated screen error, pixels.
+    pub tolerance_px: f64,
+    /// The sun.
+    pub sun: SunPosition,
+    /// Shadows of the land.
+    pub shadows: client::settings::Shadows,
+}
+
+impl Shot {
+    /// The lit picture.
+    pub const IMAGE: Self = Self {
+        show: Show::Image,
+        normals: Normals::Land,
+        tolerance_px: TOLERANCE_PX,
+        sun: MORNING,
+        shadows: client::settings::Shadows::Soft,
+    };
+}
+
+/// A renderer, and the poses.
+pub struct Views {
+    renderer: HeadlessRenderer,
+    builder: WorldBuilder,
+    /// The poses.
+    pub cases: Vec<ViewCase>,
+}
+
+impl Views {
+    /// A renderer for so many poses.
+    pub fn open(land: Land, poses: u32) -> Result<Self, GpuError> {
+        let renderer = HeadlessRenderer::open(SIZE, SLOTS)?;
+        let cases = screen::view_cases(&land, poses, STREAM);
+        Ok(Self { renderer, builder: WorldBuilder::new(land), cases })
+    }
+
+    /// Name of the adapter.
+    pub fn adapter(&self) -> String {
+        self.renderer.adapter()
+    }
+
+    /// A picture.
+    pub fn image(&mut self, case: &ViewCase, shot: Shot) -> Result<Image, GpuError> {
+        let frame = self.frame(case, shot);
+        self.renderer.picture(&frame)
+    }
+
+    /// Linear light, four channels a pixel. In debug views the fourth is minus the distance in
+    /// metres where land is drawn, and positive elsewhere.
+    pub fn light(&mut self, case: &ViewCase, shot: Shot) -> Result<Vec<[f32; 4]>, GpuError> {
+        let frame = self.frame(case, shot);
+        self.renderer.linear_light(&frame)
+    }
+
+    fn frame(&mut self, case: &ViewCase, shot: Shot) -> FrameData {
+        let view = ViewParams {
+            pose: case.pose,
+            projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
+            view_distance_m: VIEW_DISTANCE_M,
+            tolerance_px: shot.tolerance_px,
+            time_s: 0.0,
+            settings: RenderSettings {
+                show: shot.show,
+                normals: shot.normals,
+                sun: Some(shot.sun),
+                shadows: shot.shadows,
+                ..RenderSettings::default()
+            },
+        };
+        let (world, selection) = screen::selected(&mut self.builder, &view);
+        self.builder.clear();
+        self.renderer.upload_world(&world);
+        let mut frame = view.frame(Scene::Island, &world, &selection);
+        frame.background = Background::Sky;
+        frame
+    }
+}

@@ -1,0 +1,183 @@
+//! Twin of `wgsl/shared/tree_shape.wesl`: the shape of a tree. Places of vertices only; what they
+//! are lit by is compared as pictures.
+
+use super::clump::{TURN, Vec2, Vec3, add, dot, scaled};
+use super::crown::{Caster, SPRUCE, crown_of, trunk_radius_m};
+
+const SPRAYS: [u32; 3] = [120, 30, 12];
+const WHORL: [u32; 3] = [6, 5, 3];
+const TRUNK_SIDES: u32 = 3;
+const TREE_SWAY: f32 = 0.03;
+
+fn fract(x: f32) -> f32 {
+    return x - x.floor();
+}
+
+fn part_number(phase: f32, part: u32) -> f32 {
+    return fract(phase * 11.0 + part as f32 * 0.618_034);
+}
+
+/// Where the stem of a tree is at a share `along` of its height, metres from the root.
+#[must_use]
+pub fn tree_stem(along: f32, height_m: f32, sway_m: Vec2) -> Vec3 {
+    let aside = scaled(sway_m, along * along);
+    let tilt = scaled(sway_m, 2.0 / height_m.max(1e-3));
+    let sinks = dot(tilt, tilt) * along * along * along / 6.0;
+    return [aside[0], height_m * (along - sinks), aside[1]];
+}
+
+fn beside_stem(up: f32, aside_m: Vec2, height_m: f32, sway_m: Vec2) -> Vec3 {
+    return add(tree_stem(up, height_m, sway_m), [aside_m[0], 0.0, aside_m[1]]);
+}
+
+/// Place of a vertex of a tree, `size_m` wide and high, from its root, metres.
+#[must_use]
+pub fn vertex_of_tree(species: u32, level: u32, index: u32, size_m: Vec2, phase: f32, push: Vec2) -> Vec3 {
+    let tree = Caster { root_m: [0.0; 3], width_m: size_m[0], height_m: size_m[1], species };
+    let sway_m = scaled(push, TREE_SWAY * size_m[0].min(0.5 * size_m[1]));
+    let spray = index / 6;
+    let corner = index % 6;
+    let sprays = SPRAYS[level as usize];
+    if spray >= sprays {
+        return trunk_vertex(&tree, spray - sprays, corner, phase, sway_m);
+    }
+    if species == SPRUCE {
+        return bough_vertex(&tree, level as usize, spray, corner, phase, sway_m);
+    }
+    return spray_vertex(&tree, level as usize, spray, corner, phase, sway_m);
+}
+
+fn trunk_vertex(tree: &Caster, side: u32, corner: u32, phase: f32, sway_m: Vec2) -> Vec3 {
+    let right = u32::from(corner == 2 || corner == 3 || corner == 5);
+    let top = corner == 1 || corner == 4 || corner == 5;
+    let angle = TURN * (phase + (side + right) as f32 / TRUNK_SIDES as f32);
+    let outward = [angle.cos(), angle.sin()];
+    let thick_m = trunk_radius_m(tree) * if top { 0.5 } else { 1.25 };
+    let up = if top { 0.7 } else { 0.0 };
+    let mut offset_m = beside_stem(up, scaled(outward, thick_m), tree.height_m, sway_m);
+    offset_m[1] -= if top { 0.0 } else { 0.1 * tree.width_m };
+    return offset_m;
+}
+
+fn bough_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32, sway_m: Vec2) -> Vec3 {
+    let number = part_number(phase, spray);
+    let whorl = spray / WHORL[level];
+    let whorls = SPRAYS[level] / WHORL[level];
+    let crown = crown_of(tree);
+    let up = (whorl as f32 + 0.4 * number) / whorls as f32;
+    let reach = (1.0 - 0.93 * up).powf(0.9) * (1.0 - 0.22 * number);
+    let turn = (spray % WHORL[level]) as f32 / WHORL[level] as f32 + 0.381_966 * whorl as f32;
+    let angle = TURN * (phase + turn + 0.05 * number);
+    let outward = [angle.cos(), angle.sin()];
+    let across = [-outward[1], outward[0]];
+    let is_end = corner == 1 || corner == 5;
+    let is_side = corner == 2 || corner == 4;
+    let sign = if corner == 4 { 1.0 } else { -1.0 };
+    let half = [0.36, 0.56, 0.80][level];
+    let along: f32 = if is_side { 0.5 } else { f32::from(u8::from(is_end)) };
+    let reach_m = crown.radius_m * reach;
+    let outwards = scaled(outward, reach_m * if is_side { 0.56 } else { along });
+    let aside_m = add(outwards, scaled(across, if is_side { sign * half * reach_m } else { 0.0 }));
+    let foot = (crown.wide_m + crown.rise_m * (0.04 + 0.93 * up)) / tree.height_m;
+    let span = 1.0 / whorls as f32;
+    let hang = if is_side {
+        0.34
+    } else if is_end {
+        0.30
+    } else {
+        -0.05
+    };
+    let lower = if level > 0 && !is_end && is_side { 0.35 * span } else { 0.0 };
+    let fall = hang * reach_m / tree.height_m + lower;
+    let high = if level > 0 && along == 0.0 { (foot + 0.8 * span).min(1.0) } else { foot };
+    return beside_stem((high - fall).clamp(0.01, 0.995), aside_m, tree.height_m, sway_m);
+}
+
+fn spray_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32, sway_m: Vec2) -> Vec3 {
+    let number = part_number(phase, spray);
+    let crown = crown_of(tree);
+    let y = 1.0 - (2.0 * spray as f32 + 1.0) / SPRAYS[level] as f32;
+    let angle = TURN * (0.381_966 * spray as f32 + phase + 0.03 * number);
+    let level_part = (1.0 - y * y).max(0.0).sqrt();
+    let outward = [level_part * angle.cos(), y, level_part * angle.sin()];
+    let half = [0.30, 0.46, 0.60][level];
+    let shell = [0.50 + 0.38 * fract(7.0 * number), 0.70, 0.50][level];
+    let east = [outward[2] + 1e-4, 0.0, -outward[0]];
+    let east = scaled(east, 1.0 / dot(east, east).sqrt());
+    let north = [
+        outward[1] * east[2] - outward[2] * east[1],
+        outward[2] * east[0] - outward[0] * east[2],
+        outward[0] * east[1] - outward[1] * east[0],
+    ];
+    let spin = TURN * fract(13.0 * number);
+    let first = add(scaled(east, spin.cos()), scaled(north, spin.sin()));
+    let tilt = 1.8 * fract(29.0 * number) - 0.9;
+    let second = add(add(scaled(north, spin.cos()), scaled(east, -spin.sin())), scaled(outward, tilt));
+    let second = scaled(second, 1.0 / dot(second, second).sqrt());
+    let right = if corner == 1 || corner == 3 || corner == 4 { 1.0 } else { -1.0 };
+    let above = if corner == 2 || corner == 4 || corner == 5 { 1.0 } else { -1.0 };
+    let aside = add(scaled(first, right), scaled(second, above));
+    let free = add(scaled(outward, shell), scaled(aside, half));
+    let at = scaled(free, f32::min(1.0, 0.985 / dot(free, free).sqrt()));
+    let up = (crown.wide_m + crown.rise_m * at[1]) / tree.height_m;
+    return beside_stem(up, scaled([at[0], at[2]], crown.radius_m), tree.height_m, sway_m);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::clump::tests::{any_level, unit};
+    use super::*;
+    use crate::layout::TREE_VERTICES;
+
+    #[test]
+    fn every_vertex_of_a_tree_lies_inside_its_cylinder() {
+        let (mut widest, mut highest) = (0.0f32, 0.0f32);
+        for seed in 0..3_000 {
+            let size_m = [20.0 * unit(seed, 0), 40.0 * unit(seed, 1)];
+            let (phase, push) = (unit(seed, 2), any_level(seed, 3, 0.55));
+            let species = seed % 3;
+            for (level, count) in (0..).zip(TREE_VERTICES) {
+                for index in 0..count {
+                    let [x, y, z] = vertex_of_tree(species, level, index, size_m, phase, push);
+                    assert!(x.hypot(z) <= 0.5 * size_m[0] + 1e-5, "{seed}: {index}");
+                    assert!(y <= size_m[1] + 1e-5 && y >= -0.5 * size_m[0] - 1e-5, "{seed}: {index}");
+                    widest = widest.max(x.hypot(z) / (0.5 * size_m[0]));
+                    highest = highest.max(y / size_m[1]);
+                }
+            }
+        }
+        assert!(widest > 0.9 && highest > 0.99, "{widest} {highest}");
+    }
+
+    #[test]
+    fn the_last_vertices_of_a_tree_are_those_of_its_trunk() {
+        for species in 0..3 {
+            let at = |level, index| vertex_of_tree(species, level, index, [4.0, 10.0], 0.3, [0.0, 0.0]);
+            for level in 0..2 {
+                let count = TREE_VERTICES[level as usize];
+                assert_eq!(count, 6 * (SPRAYS[level as usize] + TRUNK_SIDES));
+                let out = |index| at(level, index)[0].hypot(at(level, index)[2]);
+                let first = 6 * SPRAYS[level as usize];
+                assert!((first..count).all(|index| out(index) < 0.4), "{species} {level}");
+                assert!((0..first).any(|index| out(index) > 1.0), "{species} {level}");
+            }
+            assert_eq!(TREE_VERTICES[2], 6 * SPRAYS[2], "far trees have no trunk");
+        }
+    }
+
+    #[test]
+    fn swaying_keeps_the_length_of_a_stem() {
+        // The strongest sway of a tree as wide as it is high.
+        let sway_m = [0.55 * 0.03 * 5.0, 0.0];
+        let points: Vec<Vec3> =
+            (0..=1000).map(|step| tree_stem(step as f32 / 1000.0, 10.0, sway_m)).collect();
+        let pieces = points.windows(2).map(|ends| {
+            let piece = add(ends[1], scaled(ends[0], -1.0)).map(f64::from);
+            piece.iter().map(|part| part * part).sum::<f64>().sqrt()
+        });
+        let length_m: f64 = pieces.sum();
+        assert!((length_m / 10.0 - 1.0).abs() < 1e-5, "{length_m}");
+        let sheared = 10.0f64.hypot(f64::from(sway_m[0]));
+        assert!(sheared / 10.0 - 1.0 > 3e-5, "the control is longer: {sheared}");
+    }
+}
