@@ -11,12 +11,12 @@ use crate::layout::{
     Atmosphere, BAKE_WORKGROUP, BLOCK_LIST, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe,
     CLEARANCE_RANGE, CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ChunkWords, ConeOrder, Culling, EMPTY_LINK,
     Exposure, FILL_NODES, FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_RANGE_M,
-    GRASS_SPREAD_M, GRASS_TILT, GRID_NODES, LEAF, MASK_BEGIN, MATERIALS, MAX_MIP_WORKGROUP, METER_GROUPS,
-    MaxMipReduction, NOISE_OCTAVES, OccluderChunk, OcclusionNode, PATTERN_PERIOD_M, PROBE_COARSE_OCTAVES,
-    PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult,
-    Post, RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE, SUN_RADIUS, ShadowTarget, SunParams,
-    TILING_WORKGROUP, TREE_GRID_CELLS, TerrainInstance, TilingProbe, VISIBILITY_WORDS, WAVE_MAP_SIDE,
-    WAVE_WORKGROUP, WaveProbe, World,
+    GRASS_SPREAD_M, GRASS_TILT, GRID_NODES, INDIRECT_PREPARE, INDIRECT_REGIONS, LEAF, MASK_BEGIN, MATERIALS,
+    MAX_MIP_WORKGROUP, METER_GROUPS, MaxMipReduction, NOISE_OCTAVES, OccluderChunk, OcclusionNode,
+    PATTERN_PERIOD_M, PROBE_COARSE_OCTAVES, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting,
+    PomObject, PomParams, PomProbe, PomResult, Post, RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE,
+    SUN_RADIUS, ShadowTarget, SunParams, TILING_WORKGROUP, TREE_GRID_CELLS, TerrainInstance, TilingProbe,
+    VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -55,6 +55,8 @@ fn every_shader_is_portable_and_either_computes_or_draws() {
             "light_trees",
             "meter_exposure",
             "place_trees",
+            "prepare_grass",
+            "prepare_trees",
             "probe_atmosphere",
             "probe_brdf",
             "probe_heights",
@@ -488,6 +490,8 @@ fn frame_uniforms_have_the_layout_of_the_shaders() {
         &SHADERS.light_trees,
         &SHADERS.meter_exposure,
         &SHADERS.place_trees,
+        &SHADERS.prepare_grass,
+        &SHADERS.prepare_trees,
         &SHADERS.probe_atmosphere,
         &SHADERS.probe_tree_shade,
         &SHADERS.probe_waves,
@@ -593,6 +597,12 @@ fn culling_data_has_the_layout_of_the_shaders() {
     for shader in [&SHADERS.cull_blocks, &SHADERS.cull_clumps] {
         assert!(shader.wgsl.contains(&format!("BLOCK_LIST: u32 = {BLOCK_LIST}u")), "{}", shader.name);
     }
+    let regions = format!("REGIONS: u32 = {INDIRECT_REGIONS}u");
+    for shader in [&SHADERS.scan_plants, &SHADERS.prepare_grass, &SHADERS.prepare_trees] {
+        assert!(shader.wgsl.contains(&regions), "{}: {regions}", shader.name);
+    }
+    let prepare = format!("PREPARE: u32 = {INDIRECT_PREPARE}u");
+    assert!(SHADERS.scan_plants.wgsl.contains(&prepare));
     let octaves = format!("OCTAVES_OF_NOISE: u32 = {NOISE_OCTAVES}u;");
     assert!(SHADERS.cull_clumps.wgsl.contains(&octaves));
     for shader in [&SHADERS.cull_clumps, &SHADERS.scan_plants] {

@@ -165,6 +165,9 @@ pub const PATCH_BLOCK_COUNT: usize = 256;
 /// Bytes of a visible clump: four words, `shared/clump.wesl` documents their bits.
 pub const CLUMP_BYTES: usize = 16;
 
+/// Bytes of what is prepared for a visible clump; `shared/prepared_clump.wesl` documents its bits.
+pub const PREPARED_BYTES: usize = 16;
+
 /// First word of the lists of visible blocks in the state of a culling.
 pub const BLOCK_LIST: usize = 1280;
 /// First word of the visibility masks in the state of a culling.
@@ -173,8 +176,9 @@ pub const MASK_BEGIN: usize = BLOCK_LIST + MAX_PATCHES * PATCH_BLOCK_COUNT;
 /// Words of the visibility mask of a block: 2 bits a clump, then three counts.
 pub const VISIBILITY_WORDS: usize = 35;
 
-/// Words of the indirect arguments of a field: of a dispatch, of three draws, and four counts.
-pub const INDIRECT_WORDS: usize = 20;
+/// Words of the indirect arguments of a field: of a dispatch over blocks, of three draws, four counts,
+/// of a dispatch over clumps, and where the clumps of each level of detail begin.
+pub const INDIRECT_WORDS: usize = 28;
 
 /// First word of the draws in the indirect arguments.
 pub const INDIRECT_DRAWS: usize = 4;
@@ -182,6 +186,12 @@ pub const INDIRECT_DRAWS: usize = 4;
 /// First word of the counts in the indirect arguments: visible blocks, blocks without room, visible
 /// clumps, clumps without room.
 pub const INDIRECT_STATS: usize = 16;
+
+/// First word of the dispatch over clumps in the indirect arguments.
+pub const INDIRECT_PREPARE: usize = 20;
+
+/// First word of the beginnings of the levels of detail in the indirect arguments.
+pub const INDIRECT_REGIONS: usize = 24;
 
 /// Words of the buffer of last-seen frames, for all species.
 pub const LAST_SEEN_WORDS: usize = 2 << 18;

@@ -2,12 +2,10 @@
 //!
 //! Owns pipelines and bind groups; the buffers are filled elsewhere.
 
-use crate::features::terrain::pool::ChunkPool;
-use crate::features::vegetation::tree_cells::TreeCells;
 use crate::gpu::bind;
 use crate::gpu::pipeline::{Depth, HDR, HdrPass, Output};
 use crate::gpu::targets::ID_FORMAT;
-use shaders::layout::{CLUMP_BYTES, GRASS_VERTICES, TREE_VERTICES};
+use shaders::layout::{CLUMP_BYTES, GRASS_VERTICES, PREPARED_BYTES, TREE_VERTICES};
 use shaders::{SHADERS, Shader};
 use std::ops::Range;
 
@@ -65,8 +63,10 @@ pub struct VisibleClumps {
     pub tiles: wgpu::Buffer,
     /// The [`shaders::layout::OccluderChunk`]s under them; usage `STORAGE`.
     pub leaves: wgpu::Buffer,
-    /// Clumps of [`CLUMP_BYTES`] each; usage `VERTEX`.
+    /// Clumps of [`CLUMP_BYTES`] each; usage `VERTEX` and `STORAGE`.
     pub clumps: wgpu::Buffer,
+    /// What is prepared for each, [`PREPARED_BYTES`]; usage `VERTEX` and `STORAGE`.
+    pub prepared: wgpu::Buffer,
     /// The region of `clumps`, in clumps, of each level of detail, finest first.
     pub regions: Vec<Range<u32>>,
     /// Four words for each level of detail: vertices, clumps, 0, 0; usage `INDIRECT`.
@@ -112,23 +112,14 @@ impl ClumpPass {
         output: Output<'_>,
         samples: u32,
     ) -> Self {
-        let vertex = wgpu::ShaderStages::VERTEX;
-        let entries = [
-            bind::uniform_entry(0),
-            bind::uniform_entry(1),
-            bind::storage_entry(2, vertex, true),
-            bind::storage_entry(3, vertex, true),
-            bind::storage_entry(4, vertex, true),
-            bind::storage_entry(8, vertex, true),
-            bind::storage_entry(9, vertex, true),
-            bind::storage_entry(10, vertex, true),
-        ];
-        let layout = bind::layout(device, shader.name, &entries);
-        let buffers = [Some(wgpu::VertexBufferLayout {
-            array_stride: CLUMP_BYTES as u64,
-            step_mode: wgpu::VertexStepMode::Instance,
-            attributes: &wgpu::vertex_attr_array![0 => Uint32x4],
-        })];
+        let layout = bind::layout(device, shader.name, &[bind::uniform_entry(0), bind::uniform_entry(1)]);
+        let [words, prepared] =
+            [wgpu::vertex_attr_array![0 => Uint32x4], wgpu::vertex_attr_array![1 => Uint32x4]];
+        let instances = |bytes: usize, attributes| {
+            let step_mode = wgpu::VertexStepMode::Instance;
+            Some(wgpu::VertexBufferLayout { array_stride: bytes as u64, step_mode, attributes })
+        };
+        let buffers = [instances(CLUMP_BYTES, &words), instances(PREPARED_BYTES, &prepared)];
         let pass = HdrPass { shader, layouts: &[&layout], buffers: &buffers, depth: Depth::Solid, samples };
         let levels = 0..species.vertices().len();
         let pipelines =
@@ -142,21 +133,9 @@ impl ClumpPass {
         &self,
         device: &wgpu::Device,
         frame: &wgpu::Buffer,
-        pool: &ChunkPool,
-        trees: &TreeCells,
         clumps: &VisibleClumps,
     ) -> wgpu::BindGroup {
-        let buffers = [
-            (0, frame),
-            (1, &clumps.field),
-            (2, &clumps.tiles),
-            (3, &clumps.leaves),
-            (4, pool.sun_clearances()),
-            (8, trees.cells()),
-            (9, trees.marks()),
-            (10, trees.lights()),
-        ];
-        bind::bind_numbered(device, self.shader.name, &self.layout, &buffers)
+        bind::bind_buffers(device, self.shader.name, &self.layout, &[frame, &clumps.field])
     }
 
     /// Draws the clumps that the buffers hold when the commands run; `bindings` must be of these
@@ -164,9 +143,13 @@ impl ClumpPass {
     pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, bindings: &wgpu::BindGroup, clumps: &VisibleClumps) {
         pass.set_bind_group(0, bindings, &[]);
         for (level, (pipeline, region)) in self.pipelines.iter().zip(&clumps.regions).enumerate() {
-            let [start, end] = [region.start, region.end].map(|clump| u64::from(clump) * CLUMP_BYTES as u64);
             pass.set_pipeline(pipeline);
-            pass.set_vertex_buffer(0, clumps.clumps.slice(start..end));
+            for (slot, buffer, bytes) in
+                [(0, &clumps.clumps, CLUMP_BYTES), (1, &clumps.prepared, PREPARED_BYTES)]
+            {
+                let [start, end] = [region.start, region.end].map(|clump| u64::from(clump) * bytes as u64);
+                pass.set_vertex_buffer(slot, buffer.slice(start..end));
+            }
             pass.draw_indirect(&clumps.arguments, clumps.arguments_at + level as u64 * ARGUMENT_BYTES);
         }
     }

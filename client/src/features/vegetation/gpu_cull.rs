@@ -12,8 +12,8 @@ use crate::gpu::{Gpu, GpuError};
 use shaders::SHADERS;
 use shaders::layout::{
     CLUMP_BYTES, Culling, GRID_NODES, INDIRECT_DRAWS, INDIRECT_STATS, INDIRECT_WORDS, LAST_SEEN_WORDS,
-    MASK_BEGIN, MAX_OCCLUDER_CHUNKS, MAX_PATCHES, OccluderChunk, OcclusionNode, PATCH_BLOCK_COUNT, Planting,
-    VISIBILITY_WORDS,
+    MASK_BEGIN, MAX_OCCLUDER_CHUNKS, MAX_PATCHES, OccluderChunk, OcclusionNode, PATCH_BLOCK_COUNT,
+    PREPARED_BYTES, Planting, VISIBILITY_WORDS,
 };
 use std::ops::Range;
 use wgpu::BufferUsages as Usage;
@@ -75,6 +75,8 @@ pub struct CullBuffers {
     size: wgpu::Buffer,
     /// Visible clumps: `CLUMP_BYTES` each, each level of detail in its own region.
     pub clumps: wgpu::Buffer,
+    /// What is prepared for each of them, `PREPARED_BYTES` each, in the same regions.
+    pub prepared: wgpu::Buffer,
     /// Arguments of the draws, from `INDIRECT_DRAWS` on.
     pub indirect: wgpu::Buffer,
     /// Capacity of each level of detail, clumps.
@@ -170,6 +172,7 @@ impl CullPasses {
         let visible_blocks = storage("visible blocks and masks", 4 * cull_words, Usage::empty());
         let all: usize = capacity.iter().map(|room| *room as usize).sum();
         let clumps = storage("visible clumps", CLUMP_BYTES * all, Usage::VERTEX | Usage::COPY_SRC);
+        let prepared = storage("prepared clumps", PREPARED_BYTES * all, Usage::VERTEX);
         let indirect = storage("indirect arguments", 4 * INDIRECT_WORDS, Usage::INDIRECT | Usage::COPY_SRC);
         let group =
             |label, layout, buffers: &[&wgpu::Buffer]| bind::bind_buffers(device, label, layout, buffers);
@@ -194,6 +197,7 @@ impl CullPasses {
             patches,
             size,
             clumps,
+            prepared,
             indirect,
             capacity,
             blocks: blocks.min(MAX_BLOCKS),
@@ -312,6 +316,7 @@ impl CullBuffers {
             tiles: passes.tiles().clone(),
             leaves: passes.leaves().clone(),
             clumps: self.clumps.clone(),
+            prepared: self.prepared.clone(),
             regions: vec![0..near, near..near + middle, near + middle..near + middle + far],
             arguments: self.indirect.clone(),
             arguments_at: 4 * INDIRECT_DRAWS as u64,

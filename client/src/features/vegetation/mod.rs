@@ -8,6 +8,7 @@
 //! | [`by_slot`] | slot data on the CPU, as the shaders read it |
 //! | [`gpu_cull`] | culling on the GPU: blocks, prefix sums, clumps |
 //! | [`tree_cells`] | the trees around the eye in cells, for their shadows |
+//! | [`prepare`] | what all vertices of a visible clump share, once a frame |
 //! | [`draw`] | indirect draws of visible clumps |
 //! | [`renderer`] | passes and buffers of all species |
 
@@ -15,6 +16,7 @@ pub mod by_slot;
 pub mod draw;
 pub mod gpu_cull;
 pub mod occlusion_grid;
+pub mod prepare;
 pub mod renderer;
 pub mod settings;
 pub mod species;

@@ -4,6 +4,7 @@
 use crate::features::terrain::pool::ChunkPool;
 use crate::features::vegetation::draw::{ClumpPass, Species, VisibleClumps};
 use crate::features::vegetation::gpu_cull::{CullBuffers, CullPasses, CullStats, MAX_BLOCKS};
+use crate::features::vegetation::prepare::PreparePass;
 use crate::features::vegetation::species::{SpeciesParams, VegetationFrame};
 use crate::features::vegetation::tree_cells::{TreeCells, TreeGroups, TreePasses};
 use crate::gpu::buffer::create_buffer;
@@ -11,7 +12,7 @@ use crate::gpu::{Gpu, GpuError};
 use shaders::layout::Field;
 use shaders::twin::placement::BLOCK_CELL_BITS;
 
-/// Capacity for clumps of a species in each level of detail: 77 MB. More are dropped, farthest
+/// Capacity for clumps of a species in each level of detail: 154 MB. More are dropped, farthest
 /// first, and counted.
 pub const MAX_CLUMPS: [u32; 3] = [1 << 17, 1 << 19, 1 << 22];
 
@@ -30,6 +31,7 @@ pub struct VegetationRenderer {
 struct SpeciesPass {
     species: Species,
     pass: ClumpPass,
+    preparing: PreparePass,
     /// Draws ids; built on first use.
     id_pass: Option<ClumpPass>,
     buffers: SpeciesBuffers,
@@ -42,6 +44,7 @@ struct SpeciesBuffers {
     culling: CullBuffers,
     clumps: VisibleClumps,
     bindings: wgpu::BindGroup,
+    preparing: wgpu::BindGroup,
     /// For trees.
     placing: Option<TreeGroups>,
 }
@@ -71,8 +74,8 @@ impl VegetationRenderer {
             let species =
                 if params.field.kind == Species::Grass.kind() { Species::Grass } else { Species::Tree };
             let (blocks, needed) = (block_capacity(params), clump_capacity(params));
-            let buffers = |pass: &ClumpPass, capacity| {
-                let made = (species, pass);
+            let buffers = |pass: &ClumpPass, preparing: &PreparePass, capacity| {
+                let made = (species, pass, preparing);
                 SpeciesBuffers::new(
                     &gpu.device,
                     (&self.passes, &self.placing),
@@ -87,12 +90,13 @@ impl VegetationRenderer {
                 let clumps = std::array::from_fn(|level| needed[level].max(old.1[level]));
                 let capacity = (blocks.max(old.0), clumps);
                 if capacity != old {
-                    existing.buffers = buffers(&existing.pass, capacity);
+                    existing.buffers = buffers(&existing.pass, &existing.preparing, capacity);
                 }
             } else {
                 let pass = ClumpPass::new(&gpu.device, species, samples);
-                let buffers = buffers(&pass, (blocks, needed));
-                self.species.push(SpeciesPass { species, pass, id_pass: None, buffers });
+                let preparing = PreparePass::new(&gpu.device, species);
+                let buffers = buffers(&pass, &preparing, (blocks, needed));
+                self.species.push(SpeciesPass { species, pass, preparing, id_pass: None, buffers });
             }
         }
         for pass in &self.species {
@@ -108,6 +112,10 @@ impl VegetationRenderer {
                 let groups = pass.buffers.placing.as_ref().filter(|_| is_present);
                 self.placing.record(pass.buffers.culling.land(), groups, trees, encoder);
             }
+        }
+        // Grass reads the cells of trees, so all trees are placed before anything is prepared.
+        for SpeciesPass { preparing, buffers, .. } in &self.species {
+            preparing.record(&buffers.preparing, &buffers.clumps, encoder);
         }
     }
 
@@ -147,7 +155,7 @@ impl SpeciesBuffers {
         (passes, placing): (&CullPasses, &TreePasses),
         uniforms: &wgpu::Buffer,
         (pool, trees): (&ChunkPool, &TreeCells),
-        (species, pass): (Species, &ClumpPass),
+        (species, pass, preparing): (Species, &ClumpPass, &PreparePass),
         capacity: (u32, [u32; 3]),
     ) -> Self {
         let mut vertices = [0; 3];
@@ -162,10 +170,11 @@ impl SpeciesBuffers {
             wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
         );
         let clumps = culling.visible_clumps(species, field, passes);
-        let bindings = pass.bind(device, uniforms, pool, trees, &clumps);
+        let bindings = pass.bind(device, uniforms, &clumps);
+        let preparing = preparing.bind(device, uniforms, pool, trees, &clumps);
         let is_tree = species == Species::Tree;
         let placing = is_tree.then(|| placing.bind(device, uniforms, &clumps.field, trees));
-        Self { culling, clumps, bindings, placing }
+        Self { culling, clumps, bindings, preparing, placing }
     }
 }
 
