@@ -11,12 +11,13 @@ use crate::layout::{
     Atmosphere, BAKE_WORKGROUP, BLOCK_LIST, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe,
     CLEARANCE_RANGE, CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ChunkWords, ConeOrder, Culling, EMPTY_LINK,
     Exposure, FILL_NODES, FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_RANGE_M,
-    GRASS_SPREAD_M, GRASS_TILT, GRID_NODES, INDIRECT_PREPARE, INDIRECT_REGIONS, LEAF, MASK_BEGIN, MATERIALS,
-    MAX_MIP_WORKGROUP, METER_GROUPS, MaxMipReduction, NOISE_OCTAVES, OccluderChunk, OcclusionNode,
-    PATTERN_PERIOD_M, PROBE_COARSE_OCTAVES, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting,
-    PomObject, PomParams, PomProbe, PomResult, Post, RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE,
-    SUN_RADIUS, ShadowTarget, SunParams, TILING_WORKGROUP, TREE_GRID_CELLS, TerrainInstance, TilingProbe,
-    VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
+    GRASS_SPREAD_M, GRASS_TILT, GRID_NODES, INDIRECT_DRAWS, INDIRECT_PREPARE, INDIRECT_REGIONS, LEAF,
+    MASK_BEGIN, MATERIALS, MAX_MIP_WORKGROUP, METER_GROUPS, MaxMipReduction, NOISE_OCTAVES, OccluderChunk,
+    OcclusionNode, PATTERN_PERIOD_M, PREPARED_HEAD, PROBE_COARSE_OCTAVES, PROBE_FIXED, PROBE_MARCHED,
+    PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult, Post, RECORD_WORDS,
+    REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE, SUN_RADIUS, ShadowTarget, SunParams, TILING_WORKGROUP,
+    TREE_GRID_CELLS, TerrainInstance, TilingProbe, VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP,
+    WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -598,8 +599,15 @@ fn culling_data_has_the_layout_of_the_shaders() {
         assert!(shader.wgsl.contains(&format!("BLOCK_LIST: u32 = {BLOCK_LIST}u")), "{}", shader.name);
     }
     let regions = format!("REGIONS: u32 = {INDIRECT_REGIONS}u");
-    for shader in [&SHADERS.scan_plants, &SHADERS.prepare_grass, &SHADERS.prepare_trees] {
-        assert!(shader.wgsl.contains(&regions), "{}: {regions}", shader.name);
+    assert!(SHADERS.scan_plants.wgsl.contains(&regions));
+    for shader in [&SHADERS.prepare_grass, &SHADERS.prepare_trees] {
+        for constant in [
+            format!("DRAWS: u32 = {}u", INDIRECT_DRAWS / 4),
+            format!("REGIONS: u32 = {}u", INDIRECT_REGIONS / 4),
+            format!("PREPARED_HEAD: u32 = {PREPARED_HEAD}u"),
+        ] {
+            assert!(shader.wgsl.contains(&constant), "{}: {constant}", shader.name);
+        }
     }
     let prepare = format!("PREPARE: u32 = {INDIRECT_PREPARE}u");
     assert!(SHADERS.scan_plants.wgsl.contains(&prepare));

@@ -41,7 +41,7 @@ fn field(room: [u32; 3]) -> Option<Field> {
 impl Field {
     /// The clumps of a frame that the GPU keeps: grass, then trees.
     fn choose(
-        &self,
+        &mut self,
         world: &ChunkCache,
         view: &ViewParams,
         drawn: &[client::lod::Drawn],
@@ -49,10 +49,11 @@ impl Field {
         world.residents().for_each(|chunk| self.pool.upload(&self.gpu.queue, chunk));
         let plants = view.plants(world, drawn).expect("the view has vegetation");
         self.passes.prepare(&self.gpu.queue, &plants.grid);
+        let passes = &mut self.passes;
         [(&self.grass, 0), (&self.trees, 1)].map(|(chosen, index)| {
             let mut encoder =
                 self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            self.passes.record(&self.gpu.queue, &plants, index, 1, chosen, &mut encoder);
+            passes.record(&self.gpu, &plants, index, 1, chosen, &mut encoder);
             self.gpu.queue.submit([encoder.finish()]);
             let clumps = chosen.read(&self.gpu).unwrap().concat();
             (clumps, chosen.read_stats(&self.gpu).unwrap())
@@ -72,7 +73,7 @@ fn without_normal(clump: &[u32; 4]) -> [u32; 4] {
 
 #[test]
 fn the_gpu_keeps_the_clumps_of_the_twin_in_the_same_order() {
-    let Some(field) = field([20_000, 60_000, 90_000]) else { return };
+    let Some(mut field) = field([20_000, 60_000, 90_000]) else { return };
     let land = Land::new(1);
     let few = VegetationSettings {
         density: 2,
@@ -164,7 +165,7 @@ fn culling_hidden_plants_changes_no_byte_of_the_picture() {
 
 #[test]
 fn a_visible_block_is_kept_for_the_configured_frames() {
-    let Some(field) = field([20_000, 60_000, 90_000]) else { return };
+    let Some(mut field) = field([20_000, 60_000, 90_000]) else { return };
     let land = Land::new(1);
     let vegetation = VegetationSettings {
         density: 2,
@@ -173,7 +174,7 @@ fn a_visible_block_is_kept_for_the_configured_frames() {
         tree_range_m: 400.0,
         ..VegetationSettings::STANDARD
     };
-    let kept = |stay: u32, camera: &str, frame: u32, world: &mut ChunkCache| {
+    let mut kept = |stay: u32, camera: &str, frame: u32, world: &mut ChunkCache| {
         let view = view(camera, VegetationSettings { stay, cull: Cull::Frustum, ..vegetation });
         for needed in lod::select(&land, &view.viewer(), usize::MAX) {
             world.insert(land.chunk(needed.key));
@@ -183,7 +184,7 @@ fn a_visible_block_is_kept_for_the_configured_frames() {
         let plants = view.plants(world, &selection.drawn).unwrap();
         field.passes.prepare(&field.gpu.queue, &plants.grid);
         let mut encoder = field.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        field.passes.record(&field.gpu.queue, &plants, 0, frame, &field.grass, &mut encoder);
+        field.passes.record(&field.gpu, &plants, 0, frame, &field.grass, &mut encoder);
         field.gpu.queue.submit([encoder.finish()]);
         field.grass.read_stats(&field.gpu).unwrap().blocks
     };
@@ -201,7 +202,7 @@ fn a_visible_block_is_kept_for_the_configured_frames() {
 
 #[test]
 fn zero_one_and_too_many_clumps_are_kept_and_counted() {
-    let Some(field) = field([40, 40, 40]) else { return };
+    let Some(mut field) = field([40, 40, 40]) else { return };
     let land = Land::new(1);
     let camera = &MEADOW;
     let mut choose = |range_m: f32| {
@@ -227,7 +228,7 @@ fn zero_one_and_too_many_clumps_are_kept_and_counted() {
         world.residents().for_each(|chunk| field.pool.upload(&field.gpu.queue, chunk));
         field.passes.prepare(&field.gpu.queue, &plants.grid);
         let mut encoder = field.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        field.passes.record(&field.gpu.queue, &plants, 0, 1, &field.grass, &mut encoder);
+        field.passes.record(&field.gpu, &plants, 0, 1, &field.grass, &mut encoder);
         field.gpu.queue.submit([encoder.finish()]);
         (twin, field.grass.read(&field.gpu).unwrap(), field.grass.read_stats(&field.gpu).unwrap())
     };

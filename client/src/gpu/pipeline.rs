@@ -198,12 +198,24 @@ pub fn compute_pipelines<const N: usize>(
     layouts: &[&wgpu::BindGroupLayout],
     entry_points: [&str; N],
 ) -> [wgpu::ComputePipeline; N] {
+    compute_pipelines_with(device, shader, layouts, entry_points, &[])
+}
+
+/// [`compute_pipelines`] with values of the shader's overrides, each of which it must have.
+#[must_use]
+pub fn compute_pipelines_with<const N: usize>(
+    device: &wgpu::Device,
+    shader: &Shader,
+    layouts: &[&wgpu::BindGroupLayout],
+    entry_points: [&str; N],
+    constants: &[(&str, f64)],
+) -> [wgpu::ComputePipeline; N] {
     let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(shader.name),
         bind_group_layouts: &layouts.iter().copied().map(Some).collect::<Vec<_>>(),
         immediate_size: 0,
     });
-    build_compute(device, shader, Some(&layout), entry_points)
+    build_compute(device, shader, Some(&layout), entry_points, constants)
 }
 
 /// [`compute_pipelines`] with layouts derived from the shader, for each entry point its own.
@@ -213,7 +225,7 @@ pub fn derived_compute_pipelines<const N: usize>(
     shader: &Shader,
     entry_points: [&str; N],
 ) -> [wgpu::ComputePipeline; N] {
-    build_compute(device, shader, None, entry_points)
+    build_compute(device, shader, None, entry_points, &[])
 }
 
 fn build_compute<const N: usize>(
@@ -221,6 +233,7 @@ fn build_compute<const N: usize>(
     shader: &Shader,
     layout: Option<&wgpu::PipelineLayout>,
     entry_points: [&str; N],
+    constants: &[(&str, f64)],
 ) -> [wgpu::ComputePipeline; N] {
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some(shader.name),
@@ -232,7 +245,7 @@ fn build_compute<const N: usize>(
             layout,
             module: &module,
             entry_point: Some(entry_point),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
             cache: None,
         })
     })

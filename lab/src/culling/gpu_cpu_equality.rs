@@ -37,7 +37,7 @@ const ROOM: [u32; 3] = [60_000, 120_000, 240_000];
 pub fn compare(land: &Land, cases: &[Case]) -> Result<GpuCpuEquality> {
     let gpu = Gpu::open_blocking().context("culling needs a GPU")?;
     let pool = ChunkPool::new(&gpu.device, SLOTS);
-    let passes = CullPasses::new(&gpu.device);
+    let mut passes = CullPasses::new(&gpu.device);
     let [near, middle, far] = GRASS_VERTICES;
     let grass = passes.create_buffers(&gpu.device, &pool, (32_768, ROOM), [near, middle, far]);
     let trees = passes.create_buffers(&gpu.device, &pool, (32_768, ROOM), TREE_VERTICES);
@@ -51,7 +51,7 @@ pub fn compare(land: &Land, cases: &[Case]) -> Result<GpuCpuEquality> {
         passes.prepare(&gpu.queue, &scene.plants.grid);
         for (index, stand) in scene.plants.species.iter().enumerate() {
             let chosen = if index == 0 { &grass } else { &trees };
-            let found = choose(&gpu, &passes, &scene.plants, index, chosen)
+            let found = choose(&gpu, &mut passes, &scene.plants, index, chosen)
                 .with_context(|| format!("choosing plants failed at pose {}", case.name))?;
             let expected = words_of(&scene, stand);
             equality.clumps += expected.len() as u64;
@@ -66,13 +66,13 @@ pub fn compare(land: &Land, cases: &[Case]) -> Result<GpuCpuEquality> {
 
 fn choose(
     gpu: &Gpu,
-    passes: &CullPasses,
+    passes: &mut CullPasses,
     plants: &VegetationFrame,
     index: usize,
     chosen: &CullBuffers,
 ) -> Result<Vec<[u32; 4]>> {
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    passes.record(&gpu.queue, plants, index, 1, chosen, &mut encoder);
+    passes.record(gpu, plants, index, 1, chosen, &mut encoder);
     gpu.queue.submit([encoder.finish()]);
     let stats = chosen.read_stats(gpu)?;
     anyhow::ensure!(stats.blocks_lost + stats.clumps_lost == 0, "no room for all visible clumps: {stats:?}");

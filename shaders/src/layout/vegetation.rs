@@ -168,6 +168,9 @@ pub const CLUMP_BYTES: usize = 16;
 /// Bytes of what is prepared for a visible clump; `shared/prepared_clump.wesl` documents its bits.
 pub const PREPARED_BYTES: usize = 16;
 
+/// Entries of [`PREPARED_BYTES`] before those of the clumps: the indirect arguments.
+pub const PREPARED_HEAD: usize = INDIRECT_WORDS / 4;
+
 /// First word of the lists of visible blocks in the state of a culling.
 pub const BLOCK_LIST: usize = 1280;
 /// First word of the visibility masks in the state of a culling.

@@ -5,7 +5,7 @@
 use crate::gpu::bind;
 use crate::gpu::pipeline::{Depth, HDR, HdrPass, Output};
 use crate::gpu::targets::ID_FORMAT;
-use shaders::layout::{CLUMP_BYTES, GRASS_VERTICES, PREPARED_BYTES, TREE_VERTICES};
+use shaders::layout::{CLUMP_BYTES, GRASS_VERTICES, PREPARED_BYTES, PREPARED_HEAD, TREE_VERTICES};
 use shaders::{SHADERS, Shader};
 use std::ops::Range;
 
@@ -65,7 +65,8 @@ pub struct VisibleClumps {
     pub leaves: wgpu::Buffer,
     /// Clumps of [`CLUMP_BYTES`] each; usage `VERTEX` and `STORAGE`.
     pub clumps: wgpu::Buffer,
-    /// What is prepared for each, [`PREPARED_BYTES`]; usage `VERTEX` and `STORAGE`.
+    /// What is prepared for each, [`PREPARED_BYTES`], after [`PREPARED_HEAD`] of them; usage `VERTEX`,
+    /// `STORAGE` and `COPY_DST`.
     pub prepared: wgpu::Buffer,
     /// The region of `clumps`, in clumps, of each level of detail, finest first.
     pub regions: Vec<Range<u32>>,
@@ -144,11 +145,11 @@ impl ClumpPass {
         pass.set_bind_group(0, bindings, &[]);
         for (level, (pipeline, region)) in self.pipelines.iter().zip(&clumps.regions).enumerate() {
             pass.set_pipeline(pipeline);
-            for (slot, buffer, bytes) in
-                [(0, &clumps.clumps, CLUMP_BYTES), (1, &clumps.prepared, PREPARED_BYTES)]
-            {
-                let [start, end] = [region.start, region.end].map(|clump| u64::from(clump) * bytes as u64);
-                pass.set_vertex_buffer(slot, buffer.slice(start..end));
+            let slots = [(&clumps.clumps, 0, CLUMP_BYTES), (&clumps.prepared, PREPARED_HEAD, PREPARED_BYTES)];
+            for (slot, (buffer, head, bytes)) in slots.into_iter().enumerate() {
+                let [start, end] =
+                    [region.start, region.end].map(|clump| (head as u64 + u64::from(clump)) * bytes as u64);
+                pass.set_vertex_buffer(slot as u32, buffer.slice(start..end));
             }
             pass.draw_indirect(&clumps.arguments, clumps.arguments_at + level as u64 * ARGUMENT_BYTES);
         }

@@ -2,6 +2,7 @@
 //! before the draw.
 
 use crate::features::terrain::pool::ChunkPool;
+use crate::features::vegetation::cull_pipelines::CullPipelines;
 use crate::features::vegetation::draw::{Species, VisibleClumps};
 use crate::features::vegetation::occlusion_grid::OcclusionGrid;
 use crate::features::vegetation::species::VegetationFrame;
@@ -13,7 +14,7 @@ use shaders::SHADERS;
 use shaders::layout::{
     CLUMP_BYTES, Culling, GRID_NODES, INDIRECT_DRAWS, INDIRECT_STATS, INDIRECT_WORDS, LAST_SEEN_WORDS,
     MASK_BEGIN, MAX_OCCLUDER_CHUNKS, MAX_PATCHES, OccluderChunk, OcclusionNode, PATCH_BLOCK_COUNT,
-    PREPARED_BYTES, Planting, VISIBILITY_WORDS,
+    PREPARED_BYTES, PREPARED_HEAD, Planting, VISIBILITY_WORDS,
 };
 use std::ops::Range;
 use wgpu::BufferUsages as Usage;
@@ -51,9 +52,7 @@ impl CullStats {
 /// The culling passes.
 #[derive(Debug)]
 pub struct CullPasses {
-    blocks: wgpu::ComputePipeline,
-    test: wgpu::ComputePipeline,
-    write: wgpu::ComputePipeline,
+    methods: CullPipelines,
     scan_blocks: wgpu::ComputePipeline,
     scan_clumps: wgpu::ComputePipeline,
     land_layout: wgpu::BindGroupLayout,
@@ -75,7 +74,8 @@ pub struct CullBuffers {
     size: wgpu::Buffer,
     /// Visible clumps: `CLUMP_BYTES` each, each level of detail in its own region.
     pub clumps: wgpu::Buffer,
-    /// What is prepared for each of them, `PREPARED_BYTES` each, in the same regions.
+    /// What is prepared for each of them, `PREPARED_BYTES` each, in the same regions after
+    /// `PREPARED_HEAD` of them.
     pub prepared: wgpu::Buffer,
     /// Arguments of the draws, from `INDIRECT_DRAWS` on.
     pub indirect: wgpu::Buffer,
@@ -118,25 +118,11 @@ impl CullPasses {
             "plant scan",
             &[uniform(0), uniform(1), storage_entry(2, compute, false), storage_entry(3, compute, false)],
         );
-        let [blocks] = compute_pipelines(
-            device,
-            &SHADERS.cull_blocks,
-            &[&patches_layout, &blocks_layout],
-            ["cull_blocks"],
-        );
-        let [test, write] = compute_pipelines(
-            device,
-            &SHADERS.cull_clumps,
-            &[&land_layout, &clumps_layout],
-            ["test_clumps", "write_clumps"],
-        );
         let [scan_blocks, scan_clumps] =
             compute_pipelines(device, &SHADERS.scan_plants, &[&scan_layout], ["scan_blocks", "scan_clumps"]);
         let storage = |label, size: usize| buffer(device, label, size, Usage::STORAGE | Usage::COPY_DST);
         Self {
-            blocks,
-            test,
-            write,
+            methods: CullPipelines::default(),
             scan_blocks,
             scan_clumps,
             land_layout,
@@ -172,7 +158,7 @@ impl CullPasses {
         let visible_blocks = storage("visible blocks and masks", 4 * cull_words, Usage::empty());
         let all: usize = capacity.iter().map(|room| *room as usize).sum();
         let clumps = storage("visible clumps", CLUMP_BYTES * all, Usage::VERTEX | Usage::COPY_SRC);
-        let prepared = storage("prepared clumps", PREPARED_BYTES * all, Usage::VERTEX);
+        let prepared = storage("prepared clumps", PREPARED_BYTES * (PREPARED_HEAD + all), Usage::VERTEX);
         let indirect = storage("indirect arguments", 4 * INDIRECT_WORDS, Usage::INDIRECT | Usage::COPY_SRC);
         let group =
             |label, layout, buffers: &[&wgpu::Buffer]| bind::bind_buffers(device, label, layout, buffers);
@@ -230,10 +216,11 @@ impl CullPasses {
         queue.write_buffer(&self.leaves, 0, bytemuck::cast_slice(leaves));
     }
 
-    /// Records the culling of a species; `index` is its index in the frame.
+    /// Records the culling of a species; `index` is its index in the frame. Builds the pipelines of
+    /// its method on first use.
     pub fn record(
-        &self,
-        queue: &wgpu::Queue,
+        &mut self,
+        gpu: &Gpu,
         plants: &VegetationFrame,
         index: usize,
         frame: u32,
@@ -245,6 +232,11 @@ impl CullPasses {
             encoder.clear_buffer(&buffers.indirect, 0, None);
             return;
         };
+        let queue = &gpu.queue;
+        let (land, clumps) = (&self.land_layout, &self.clumps_layout);
+        let blocks = [&self.patches_layout, &self.blocks_layout];
+        let view = (&species.culling, &species.planting);
+        let method = self.methods.of(&gpu.device, view, &blocks, &[land, clumps]);
         let patches = &species.patches[..species.patches.len().min(MAX_PATCHES)];
         let packed: Vec<u32> =
             patches.iter().map(|[column, row]| *column as u32 | (*row as u32) << 16).collect();
@@ -276,12 +268,12 @@ impl CullPasses {
         let of_clumps = [Some(&buffers.land), Some(&buffers.clump_group)];
         if !packed.is_empty() {
             let of_blocks = [Some(&buffers.patched), Some(&buffers.block_group)];
-            one(&self.blocks, of_blocks, Size::Groups(packed.len() as u32));
+            one(&method.blocks, of_blocks, Size::Groups(packed.len() as u32));
         }
         one(&self.scan_blocks, [Some(&buffers.scan), None], Size::Groups(1));
-        one(&self.test, of_clumps, Size::PerBlock);
+        one(&method.test, of_clumps, Size::PerBlock);
         one(&self.scan_clumps, [Some(&buffers.scan), None], Size::Groups(1));
-        one(&self.write, of_clumps, Size::PerBlock);
+        one(&method.write, of_clumps, Size::PerBlock);
     }
 }
 

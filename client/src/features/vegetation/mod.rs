@@ -6,6 +6,7 @@
 //! | [`species`] | shader parameters of one species, per frame |
 //! | [`occlusion_grid`] | drawn land around the eye, as the occlusion tests read it |
 //! | [`by_slot`] | slot data on the CPU, as the shaders read it |
+//! | [`cull_pipelines`] | pipelines of the culling passes by method |
 //! | [`gpu_cull`] | culling on the GPU: blocks, prefix sums, clumps |
 //! | [`tree_cells`] | the trees around the eye in cells, for their shadows |
 //! | [`prepare`] | what all vertices of a visible clump share, once a frame |
@@ -13,6 +14,7 @@
 //! | [`renderer`] | passes and buffers of all species |
 
 pub mod by_slot;
+pub mod cull_pipelines;
 pub mod draw;
 pub mod gpu_cull;
 pub mod occlusion_grid;

@@ -5,7 +5,7 @@ use crate::features::vegetation::draw::{Species, VisibleClumps};
 use crate::features::vegetation::tree_cells::TreeCells;
 use crate::gpu::bind::{self, storage_entry};
 use crate::gpu::pipeline::{compute_pass, compute_pipelines};
-use shaders::layout::INDIRECT_PREPARE;
+use shaders::layout::{INDIRECT_PREPARE, INDIRECT_WORDS};
 use shaders::{SHADERS, Shader};
 
 /// The pass that prepares the clumps of one species.
@@ -37,7 +37,6 @@ impl PreparePass {
             read(own_binding(species)),
             read(11),
             storage_entry(12, compute, false),
-            read(13),
         ];
         let layout = bind::layout(device, shader.name, &entries);
         let [pipeline] = compute_pipelines(device, shader, &[&layout], [entry_point]);
@@ -68,7 +67,6 @@ impl PreparePass {
             (own_binding(self.species), own),
             (11, &clumps.clumps),
             (12, &clumps.prepared),
-            (13, &clumps.arguments),
         ];
         bind::bind_numbered(device, self.shader.name, &self.layout, &buffers)
     }
@@ -81,10 +79,13 @@ impl PreparePass {
         clumps: &VisibleClumps,
         encoder: &mut wgpu::CommandEncoder,
     ) {
+        // A copy of the arguments: eight storage buffers would be all that a browser has.
+        let arguments = &clumps.arguments;
+        encoder.copy_buffer_to_buffer(arguments, 0, &clumps.prepared, 0, 4 * INDIRECT_WORDS as u64);
         let mut pass = compute_pass(encoder, self.shader.name);
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, bindings, &[]);
-        pass.dispatch_workgroups_indirect(&clumps.arguments, 4 * INDIRECT_PREPARE as u64);
+        pass.dispatch_workgroups_indirect(arguments, 4 * INDIRECT_PREPARE as u64);
     }
 }
 

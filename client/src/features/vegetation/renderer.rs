@@ -106,7 +106,7 @@ impl VegetationRenderer {
                 let field = bytemuck::bytes_of(&params.field);
                 gpu.queue.write_buffer(&pass.buffers.clumps.field, 0, field);
             }
-            self.passes.record(&gpu.queue, plants, index, self.frame, &pass.buffers.culling, encoder);
+            self.passes.record(gpu, plants, index, self.frame, &pass.buffers.culling, encoder);
             if pass.species == Species::Tree {
                 let is_present = index < plants.species.len();
                 let groups = pass.buffers.placing.as_ref().filter(|_| is_present);

@@ -2,9 +2,9 @@
 
 use crate::gpu::bind::{self, storage_entry};
 use crate::gpu::buffer::create_buffer;
-use crate::gpu::pipeline::{compute_pass, compute_pipelines};
+use crate::gpu::pipeline::{compute_pass, compute_pipelines, compute_pipelines_with};
 use shaders::SHADERS;
-use shaders::layout::{TREE_CELL_BYTES, TREE_GRID_CELLS, TREE_LIGHT_BYTES, TREE_MARK_BYTES};
+use shaders::layout::{KIND_TREES, TREE_CELL_BYTES, TREE_GRID_CELLS, TREE_LIGHT_BYTES, TREE_MARK_BYTES};
 
 /// Cells of a workgroup.
 const WORKGROUP: u32 = 64;
@@ -87,8 +87,13 @@ impl TreePasses {
             storage_entry(10, compute, false),
         ];
         let light_layout = bind::layout(device, "tree light", &light);
-        let [place, mark] =
-            compute_pipelines(device, &SHADERS.place_trees, &[land, &placing_layout], ["place", "mark"]);
+        let [place, mark] = compute_pipelines_with(
+            device,
+            &SHADERS.place_trees,
+            &[land, &placing_layout],
+            ["place", "mark"],
+            &[("KIND", f64::from(KIND_TREES))],
+        );
         let [light] = compute_pipelines(device, &SHADERS.light_trees, &[&light_layout], ["light_trees"]);
         Self { place, mark, light, placing_layout, light_layout }
     }
