@@ -231,7 +231,7 @@ fn fields_have_the_layout_and_vertices_of_the_shaders() {
             shader, Field,
             eye_x, eye_y, eye_z, kind, width_low_m, width_high_m, height_low_m, height_high_m, thin_from_m,
             widest, range_m,
-            collapse_m, lod_m, wind, lean, casts, reserved,
+            collapse_m, lod_m, wind, lean, casts, detail,
         );
         let fine = format!("METRES_PER_FINE: f32 = 1.0 / {FINE_PER_METRE}.0;");
         assert!(shader.wgsl.contains(&fine), "{}", shader.name);
@@ -244,7 +244,7 @@ fn fields_have_the_layout_and_vertices_of_the_shaders() {
         (SHADERS.draw_grass, format!("MAX_TILT: f32 = {GRASS_TILT:?};")),
         (SHADERS.cull_clumps, format!("SPREAD: i32 = {};", (GRASS_SPREAD_M * FINE_PER_METRE as f32).ceil())),
         (SHADERS.draw_terrain, format!("GRASS_RANGE_M: f32 = {GRASS_RANGE_M:?};")),
-        (SHADERS.draw_trees, "SPRAYS = vec3u(120u, 30u, 12u);".to_owned()),
+        (SHADERS.draw_trees, "SPRAYS = vec3u(168u, 40u, 16u);".to_owned()),
         (SHADERS.place_trees, format!("TREE_GRID_CELLS: i32 = {TREE_GRID_CELLS};")),
     ] {
         assert!(shader.wgsl.contains(&line), "{line}");

@@ -62,7 +62,8 @@ pub fn clump_vertices<S: Slots>(
         let push = add(add(own, wind), lean_push(field.lean, root_m, distance_m));
         let stand = stem_pose(packed.normal, push);
         let vertices = 0..GRASS_VERTICES[level as usize];
-        let vertex = |index| tuft_vertex(level, index, size_m, packed.phase, &stand, distance_m).offset_m;
+        let detail_m = distance_m * field.detail;
+        let vertex = |index| tuft_vertex(level, index, size_m, packed.phase, &stand, detail_m).offset_m;
         vertices.map(vertex).collect()
     } else {
         let species = tree_species(&packed);

@@ -236,8 +236,9 @@ pub struct Field {
     pub lean: f32,
     /// Whether the plants cast shadows, 0 or 1.
     pub casts: u32,
-    /// Unused; fills 8 bytes.
-    pub reserved: u32,
+    /// Factor of a distance that decides about detail: more than 1 in images with fewer pixels. Already in
+    /// `lod_m`.
+    pub detail: f32,
 }
 
 /// Cells of trees along a side of the square around the eye in which each tree is known, and their
@@ -262,7 +263,7 @@ pub const FINE_PER_METRE: i32 = 4096;
 pub const GRASS_VERTICES: [u32; 3] = [128 * 9, 32 * 3, 6 * 3];
 
 /// Vertices of one tree at each level of detail, finest first: triangles, those of the trunk last.
-pub const TREE_VERTICES: [u32; 3] = [3 * (240 + 6), 3 * (60 + 6), 3 * 24];
+pub const TREE_VERTICES: [u32; 3] = [6 * (168 + 10), 6 * (40 + 6), 6 * (16 + 3)];
 
 /// Longest horizontal part of the direction in which grass stands. Equal to `MAX_TILT` of
 /// `shared/clump.wesl`.

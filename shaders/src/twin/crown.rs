@@ -49,7 +49,7 @@ pub fn crown_of(caster: &Caster) -> Crown {
         return crown(0.10 * high, 0.90 * high, 0.86 * half, true, 1.5);
     }
     if caster.species == PINE {
-        return crown(0.74 * high, 0.25 * high, 0.78 * half, false, 1.1);
+        return crown(0.66 * high, 0.33 * high, 0.90 * half, false, 1.0);
     }
     return crown(0.56 * high, 0.43 * high, 0.92 * half, false, 1.0);
 }

@@ -19,12 +19,15 @@ pub fn tree_species(clump: &Clump) -> u32 {
     return if number > 1.0 - pine { PINE } else { SPRUCE };
 }
 
-/// Width and height of a tree, metres, from those of its clump: neither is greater.
+/// Width and height of a tree, metres, from those of its clump: neither is greater. No crown is much
+/// higher than wide.
 #[must_use]
 pub fn tree_size_m(species: u32, size_m: Vec2) -> Vec2 {
     if species == SPRUCE {
-        return [size_m[0] * 0.72, size_m[1]];
+        return [size_m[0] * 0.88, size_m[1]];
     }
-    let [width, height] = if species == PINE { [0.9, 0.95] } else { [1.0, 0.86] };
-    return [size_m[0] * width, size_m[1] * height];
+    if species == PINE {
+        return [0.9 * size_m[0], (0.95 * size_m[1]).min(2.3 * size_m[0])];
+    }
+    return [size_m[0], (0.9 * size_m[1]).min(1.6 * size_m[0])];
 }

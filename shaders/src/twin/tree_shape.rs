@@ -2,11 +2,12 @@
 //! are lit by is compared as pictures.
 
 use super::clump::{TURN, Vec2, Vec3, add, dot, scaled};
-use super::crown::{Caster, SPRUCE, crown_of, trunk_radius_m};
+use super::crown::{Caster, PINE, SPRUCE, crown_of, trunk_radius_m};
 
-const SPRAYS: [u32; 3] = [120, 30, 12];
-const WHORL: [u32; 3] = [6, 5, 3];
-const TRUNK_SIDES: u32 = 3;
+const SPRAYS: [u32; 3] = [168, 40, 16];
+const WHORL: [u32; 3] = [8, 5, 4];
+const TRUNK_SIDES: [u32; 3] = [5, 3, 3];
+const LOBES: u32 = 8;
 const TREE_SWAY: f32 = 0.03;
 
 fn fract(x: f32) -> f32 {
@@ -39,7 +40,7 @@ pub fn vertex_of_tree(species: u32, level: u32, index: u32, size_m: Vec2, phase:
     let corner = index % 6;
     let sprays = SPRAYS[level as usize];
     if spray >= sprays {
-        return trunk_vertex(&tree, spray - sprays, corner, phase, sway_m);
+        return trunk_vertex(&tree, level as usize, spray - sprays, corner, phase, sway_m);
     }
     if species == SPRUCE {
         return bough_vertex(&tree, level as usize, spray, corner, phase, sway_m);
@@ -47,16 +48,38 @@ pub fn vertex_of_tree(species: u32, level: u32, index: u32, size_m: Vec2, phase:
     return spray_vertex(&tree, level as usize, spray, corner, phase, sway_m);
 }
 
-fn trunk_vertex(tree: &Caster, side: u32, corner: u32, phase: f32, sway_m: Vec2) -> Vec3 {
+fn trunk_vertex(tree: &Caster, level: usize, part: u32, corner: u32, phase: f32, sway_m: Vec2) -> Vec3 {
     let right = u32::from(corner == 2 || corner == 3 || corner == 5);
     let top = corner == 1 || corner == 4 || corner == 5;
-    let angle = TURN * (phase + (side + right) as f32 / TRUNK_SIDES as f32);
+    let sides = TRUNK_SIDES[level];
+    if part >= sides {
+        return limb_vertex(tree, part - sides, right, top, phase, sway_m);
+    }
+    let angle = TURN * (phase + (part + right) as f32 / sides as f32);
     let outward = [angle.cos(), angle.sin()];
-    let thick_m = trunk_radius_m(tree) * if top { 0.5 } else { 1.25 };
+    let [low, high] = if tree.species == SPRUCE { [0.9, 0.2] } else { [1.35, 0.45] };
+    let thick_m = trunk_radius_m(tree) * if top { high } else { low };
     let up = if top { 0.7 } else { 0.0 };
     let mut offset_m = beside_stem(up, scaled(outward, thick_m), tree.height_m, sway_m);
     offset_m[1] -= if top { 0.0 } else { 0.1 * tree.width_m };
     return offset_m;
+}
+
+fn limb_vertex(tree: &Caster, limb: u32, right: u32, top: bool, phase: f32, sway_m: Vec2) -> Vec3 {
+    let crown = crown_of(tree);
+    let lobe = lobe_of(tree.species, phase, 1 + (2 * limb) % (LOBES - 1));
+    let end = scaled(lobe.centre, 0.9);
+    let end_up = (crown.wide_m + crown.rise_m * end[1]) / tree.height_m;
+    let lowest = if tree.species == PINE { 0.55 } else { 0.26 };
+    let begin_up = (lowest + 0.05 * limb as f32).min((end_up - 0.06).max(0.1));
+    let length = end[0].hypot(end[2]).max(1e-3);
+    let across = scaled([-end[2], end[0]], 1.0 / length);
+    let half_m = trunk_radius_m(tree) * if top { 0.12 } else { 0.42 } * (right as f32 * 2.0 - 1.0);
+    let reach = if tree.species == SPRUCE { 0.0 } else { 1.0 };
+    let tip_m = if top { scaled([end[0], end[2]], crown.radius_m * reach) } else { [0.0; 2] };
+    let aside_m = add(scaled(across, half_m * reach), tip_m);
+    let up = if top { begin_up + (end_up - begin_up) * reach } else { begin_up };
+    return beside_stem(up, aside_m, tree.height_m, sway_m);
 }
 
 fn bough_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32, sway_m: Vec2) -> Vec3 {
@@ -73,7 +96,7 @@ fn bough_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32
     let is_end = corner == 1 || corner == 5;
     let is_side = corner == 2 || corner == 4;
     let sign = if corner == 4 { 1.0 } else { -1.0 };
-    let half = [0.36, 0.56, 0.80][level];
+    let half = [0.40, 0.56, 0.74][level];
     let along: f32 = if is_side { 0.5 } else { f32::from(u8::from(is_end)) };
     let reach_m = crown.radius_m * reach;
     let outwards = scaled(outward, reach_m * if is_side { 0.56 } else { along });
@@ -93,15 +116,35 @@ fn bough_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32
     return beside_stem((high - fall).clamp(0.01, 0.995), aside_m, tree.height_m, sway_m);
 }
 
+/// A lobe of a crown, in radii of the crown's ellipsoid.
+struct Lobe {
+    centre: Vec3,
+    radius: f32,
+    flat: f32,
+}
+
+fn lobe_of(species: u32, phase: f32, lobe: u32) -> Lobe {
+    let number = part_number(phase, lobe + 512);
+    let y = 0.92 - 1.5 * lobe as f32 / (LOBES - 1) as f32;
+    let angle = TURN * (0.381_966 * lobe as f32 + 3.0 * phase + 0.12 * number);
+    let level_part = (1.0 - y * y).sqrt();
+    let outward = [level_part * angle.cos(), y, level_part * angle.sin()];
+    let away = 0.42 + 0.20 * fract(5.0 * number);
+    let flat = if species == PINE { 0.62 } else { 1.0 };
+    return Lobe { centre: scaled(outward, away), radius: 0.985 - away, flat };
+}
+
 fn spray_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32, sway_m: Vec2) -> Vec3 {
     let number = part_number(phase, spray);
     let crown = crown_of(tree);
-    let y = 1.0 - (2.0 * spray as f32 + 1.0) / SPRAYS[level] as f32;
-    let angle = TURN * (0.381_966 * spray as f32 + phase + 0.03 * number);
+    let lobe = lobe_of(tree.species, phase, spray % LOBES);
+    let place = (spray / LOBES) as f32;
+    let y = 1.0 - (2.0 * place + 1.0) * LOBES as f32 / SPRAYS[level] as f32;
+    let angle = TURN * (0.381_966 * place + 5.0 * phase + 0.03 * number);
     let level_part = (1.0 - y * y).max(0.0).sqrt();
     let outward = [level_part * angle.cos(), y, level_part * angle.sin()];
-    let half = [0.30, 0.46, 0.60][level];
-    let shell = [0.50 + 0.38 * fract(7.0 * number), 0.70, 0.50][level];
+    let half = lobe.radius * [0.55, 0.95, 1.10][level];
+    let shell = lobe.radius * [0.55 + 0.40 * fract(7.0 * number), 0.60, 0.40][level];
     let east = [outward[2] + 1e-4, 0.0, -outward[0]];
     let east = scaled(east, 1.0 / dot(east, east).sqrt());
     let north = [
@@ -117,8 +160,9 @@ fn spray_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32
     let right = if corner == 1 || corner == 3 || corner == 4 { 1.0 } else { -1.0 };
     let above = if corner == 2 || corner == 4 || corner == 5 { 1.0 } else { -1.0 };
     let aside = add(scaled(first, right), scaled(second, above));
-    let free = add(scaled(outward, shell), scaled(aside, half));
-    let at = scaled(free, f32::min(1.0, 0.985 / dot(free, free).sqrt()));
+    let in_lobe = add(scaled(outward, shell), scaled(aside, half));
+    let free = add(lobe.centre, [in_lobe[0], in_lobe[1] * lobe.flat, in_lobe[2]]);
+    let at = scaled(free, f32::min(1.0, 0.985 / dot(free, free).sqrt().max(1e-3)));
     let up = (crown.wide_m + crown.rise_m * at[1]) / tree.height_m;
     return beside_stem(up, scaled([at[0], at[2]], crown.radius_m), tree.height_m, sway_m);
 }
@@ -155,13 +199,17 @@ mod tests {
             let at = |level, index| vertex_of_tree(species, level, index, [4.0, 10.0], 0.3, [0.0, 0.0]);
             for level in 0..2 {
                 let count = TREE_VERTICES[level as usize];
-                assert_eq!(count, 6 * (SPRAYS[level as usize] + TRUNK_SIDES));
                 let out = |index| at(level, index)[0].hypot(at(level, index)[2]);
                 let first = 6 * SPRAYS[level as usize];
-                assert!((first..count).all(|index| out(index) < 0.4), "{species} {level}");
+                let limbs = first + 6 * TRUNK_SIDES[level as usize];
+                assert!(limbs < count, "{species} {level}: some limbs");
+                assert!((first..limbs).all(|index| out(index) < 0.4), "{species} {level}");
                 assert!((0..first).any(|index| out(index) > 1.0), "{species} {level}");
+                // Limbs lead from the stem into the crown; a spruce has none.
+                let ends = (limbs..count).map(out).fold(0.0, f32::max);
+                assert!(if species == SPRUCE { ends < 0.1 } else { (0.4..1.4).contains(&ends) }, "{ends}");
             }
-            assert_eq!(TREE_VERTICES[2], 6 * SPRAYS[2], "far trees have no trunk");
+            assert_eq!(TREE_VERTICES[2], 6 * (SPRAYS[2] + TRUNK_SIDES[2]), "far trees have no limbs");
         }
     }
 

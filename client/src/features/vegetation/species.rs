@@ -27,6 +27,16 @@ const COARSE: f64 = FINE / (1 << COARSE_BITS) as f64;
 /// Share of the range over which heights collapse to 0 at its end.
 const COLLAPSE: f32 = 0.25;
 
+/// Pixels per radian from which on plants have their full detail: 416 lines of a lens of 60 degrees, in
+/// which a blade at 3 m is about a pixel wide.
+pub const FULL_DETAIL_PX: f64 = 360.0;
+
+/// Least factor of the distances of detail of grass: that of 83 lines.
+pub const LEAST_DETAIL: f64 = 0.2;
+
+/// Least factor of those of trees.
+pub const LEAST_DETAIL_OF_TREES: f64 = 0.5;
+
 /// Factor of the near-plane distance inside which occlusion is not tested: covers targets off the
 /// view axis.
 const NEAR_ALLOWANCE: f64 = 1.5;
@@ -75,8 +85,12 @@ pub struct SpeciesTraits {
     pub widest: f64,
     /// See [`VegetationSettings`].
     pub range_m: f64,
-    /// Where the second and the third level of detail begin.
+    /// Where the second and the third level of detail begin, at [`FULL_DETAIL_PX`] and more.
     pub detail_m: [f64; 2],
+    /// Factor of these distances, `least_detail` to 1: fewer pixels need less detail.
+    pub detail_scale: f64,
+    /// The shapes of the levels of trees differ more than those of grass.
+    pub least_detail: f64,
 }
 
 impl SpeciesTraits {
@@ -93,6 +107,8 @@ impl SpeciesTraits {
             widest: f64::from(settings.widest),
             range_m: f64::from(settings.range_m),
             detail_m: [10.0, 32.0],
+            detail_scale: 1.0,
+            least_detail: LEAST_DETAIL,
         }
     }
 
@@ -110,7 +126,14 @@ impl SpeciesTraits {
             widest: 1.0,
             range_m: f64::from(settings.tree_range_m),
             detail_m: [50.0, 220.0],
+            detail_scale: 1.0,
+            least_detail: LEAST_DETAIL_OF_TREES,
         }
+    }
+
+    /// Where the second and the third level of detail begin.
+    fn detail_begins_m(&self) -> [f64; 2] {
+        self.detail_m.map(|metres| metres * self.detail_scale)
     }
 
     /// Parameters of the draw pass.
@@ -132,11 +155,11 @@ impl SpeciesTraits {
             widest: self.widest as f32,
             range_m,
             collapse_m: COLLAPSE * range_m,
-            lod_m: metres(self.detail_m),
+            lod_m: metres(self.detail_begins_m()),
             wind: settings.wind,
             lean: settings.lean,
             casts: settings.shadows as u32,
-            reserved: 0,
+            detail: (1.0 / self.detail_scale) as f32,
         }
     }
 
@@ -177,7 +200,7 @@ impl SpeciesTraits {
             over,
             range: (self.range_m * COARSE).ceil() as i32,
             collapse: (f64::from(COLLAPSE) * self.range_m * COARSE).ceil().max(1.0) as i32,
-            detail: self.detail_m.map(squared),
+            detail: self.detail_begins_m().map(squared),
             wind_reach: wind_reach(settings.wind),
             lean_reach: lean_reach(settings.lean),
             draw_distance_squared: std::array::from_fn(|row| {
@@ -211,13 +234,25 @@ impl VegetationFrame {
         // Land near the view distance is dissolved and carries no plants.
         let reach_m = f64::from(view_distance_m) * REACHED;
         let species = traits.into_iter().filter(exists).map(|traits| {
-            let traits = SpeciesTraits { range_m: traits.range_m.min(reach_m), ..traits };
+            let range_m = traits.range_m.min(reach_m);
+            let traits = SpeciesTraits {
+                range_m,
+                detail_scale: detail_scale(projection, traits.least_detail),
+                ..traits
+            };
             let planting = traits.planting(&grid, seed, &settings);
             let patches = patches(&grid, &culling, &planting);
             SpeciesParams { culling, planting, field: traits.field(culling.eye, &settings), patches }
         });
         Some(Self { species: species.collect(), grid, settings })
     }
+}
+
+/// Factor of the distances at which the detail of plants falls, for images of this lens and size, at
+/// least `least`.
+fn detail_scale(projection: &Projection, least: f64) -> f64 {
+    let pixels_per_radian = f64::from(projection.height) / (2.0 * projection.half_height());
+    (pixels_per_radian / FULL_DETAIL_PX).clamp(least, 1.0)
 }
 
 fn culling_params(
