@@ -362,3 +362,32 @@ fn bounds(grid: &OcclusionGrid, bits: u32, column: i32, row: i32) -> Option<(i32
         Some((top.max(tile.top << FINE_BITS), bottom.min(tile.bottom << FINE_BITS)))
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn images_with_fewer_pixels_have_their_detail_nearer() {
+        let of = |height, fov_deg, least| {
+            detail_scale(&Projection { fov_deg, width: height * 16 / 9, height }, least)
+        };
+        assert!(of(2160, 60.0, 0.2) == 1.0 && of(720, 60.0, 0.2) == 1.0);
+        // 180 lines have half the pixels of 360.
+        assert!((of(180, 60.0, 0.2) / of(360, 60.0, 0.2) - 0.5).abs() < 1e-9);
+        assert!((of(180, 60.0, 0.2) - 155.9 / FULL_DETAIL_PX).abs() < 1e-3);
+        // A longer lens magnifies; the least factor holds.
+        assert!(of(180, 20.0, 0.2) > of(180, 60.0, 0.2));
+        assert!(of(16, 60.0, 0.2) == 0.2 && of(180, 60.0, LEAST_DETAIL_OF_TREES) == 0.5);
+    }
+
+    #[test]
+    fn levels_of_detail_begin_nearer_by_the_factor() {
+        let grass =
+            SpeciesTraits { detail_scale: 0.5, ..SpeciesTraits::grass(&VegetationSettings::STANDARD) };
+        let field = grass.field([0; 3], &VegetationSettings::STANDARD);
+        assert_eq!(field.lod_m, [5.0, 16.0]);
+        // The shader multiplies distances by the inverse.
+        assert!(field.detail == 2.0);
+    }
+}
