@@ -53,7 +53,7 @@ pub fn run(options: Options) -> Result<()> {
     }
     if options.check {
         let rows = check::rows(&mut cluster)?;
-        println!("{}", bars::table::text(&rows));
+        println!("{}", bars::text(&rows));
         let missed = rows.iter().filter(|row| row.is_missed()).count();
         if Summary::of(&rows).missed > 0 {
             bail!("cluster: {missed} bars missed");
