@@ -9,6 +9,7 @@
 mod advisories;
 mod bless;
 mod ci;
+mod cluster;
 mod demo;
 mod dependency_rules;
 mod gallery;
@@ -56,6 +57,8 @@ enum Command {
         /// What to measure
         name: String,
     },
+    /// Start replicas behind nginx, by the configuration of docker-compose.yml
+    Cluster(cluster::Options),
     /// Draw the fixed poses into docs/gallery and write their page
     Gallery(gallery::Options),
     /// Pack programs and a script that run every check that needs a GPU on a bare machine
@@ -86,6 +89,7 @@ fn main() -> ExitCode {
         Command::Advisories { update: Some(clone) } => advisories::update(&clone),
         Command::Records(options) => records::run(&options),
         Command::Measure { name } => measure::run(&name),
+        Command::Cluster(options) => cluster::run(options),
         Command::Gallery(options) => gallery::run(&options),
         Command::GpuBundle => gpu_bundle::build(),
         Command::GpuRecord { folder } => gpu_bundle::record(&folder),

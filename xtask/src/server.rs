@@ -46,6 +46,18 @@ impl Server {
         format!("ws://{}/v1/stream", self.address)
     }
 
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Ends it at once, as a power cut would.
+    pub fn kill(&mut self) {
+        // It may have ended before.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
     /// Process id, for `/proc`.
     pub fn pid(&self) -> u32 {
         self.child.id()

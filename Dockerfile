@@ -1,0 +1,17 @@
+# An image of tombolo-server: `docker build -t tombolo-server .`
+FROM rust:1.95-bookworm AS build
+WORKDIR /src
+COPY . .
+RUN cargo build --locked --profile dist --bin tombolo-server
+
+FROM debian:bookworm-slim
+COPY --from=build /src/target/dist/tombolo-server /usr/local/bin/
+# Nothing of the image is written at run time, so it runs with a read-only root.
+USER 65532:65532
+ENV TOMBOLO_LISTEN=0.0.0.0:7580 TOMBOLO_LOG_JSON=true
+EXPOSE 7580
+STOPSIGNAL SIGTERM
+# The image has no HTTP client; bash opens the connection.
+HEALTHCHECK --interval=5s --timeout=2s --start-period=5s --retries=3 \
+    CMD ["bash", "-c", "exec 3<>/dev/tcp/127.0.0.1/7580 && printf 'GET /livez HTTP/1.0\\r\\n\\r\\n' >&3 && head -n 1 <&3 | grep -q ' 200 '"]
+ENTRYPOINT ["/usr/local/bin/tombolo-server"]
