@@ -3,6 +3,7 @@
 #[cfg(feature = "window")]
 pub mod app;
 pub mod args;
+pub mod background;
 pub mod parse;
 pub mod png_file;
 pub mod pom_args;

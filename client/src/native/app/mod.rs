@@ -24,6 +24,7 @@ use crate::gpu::surface::{NextTexture, WindowSurface};
 use crate::gpu::{Gpu, OffscreenTarget};
 use crate::lod::clearance;
 use crate::native::args::Args;
+use crate::native::background::Background;
 use crate::native::profile::Profile;
 use crate::native::screenshot::{open_stream, write_stats};
 use crate::native::textures;
@@ -140,8 +141,10 @@ struct Running {
     narrow_view_m: Option<u32>,
     modifiers: ModifiersState,
     args: Args,
-    /// Whether the camera still waits for the start of the announced world.
+    /// Whether the search for the start of the announced world is still to begin.
     follows_world: bool,
+    /// The search for it, which takes longer than a frame.
+    search: Option<Background<Pose>>,
     adapter: String,
     slots: u32,
     show_panel: bool,
@@ -275,6 +278,7 @@ impl Running {
             narrow_view_m: None,
             modifiers: ModifiersState::empty(),
             follows_world: args.follows_world(),
+            search: None,
             args: args.clone(),
             adapter: gpu.name(),
             slots,
@@ -451,10 +455,16 @@ impl Running {
                 renderer.upload(gpu, chunk);
             });
         if self.follows_world
-            && let Some(land) = self.streamer.cache().land()
+            && let Some(land) = self.streamer.cache().land().copied()
         {
             self.follows_world = false;
-            let start = self.args.start_in(land);
+            let args = self.args.clone();
+            self.search = Some(Background::start("tombolo-start", move || args.start_in(&land))?);
+        }
+        if let Some(search) = &mut self.search
+            && let Some(start) = search.poll()?
+        {
+            self.search = None;
             // A user who has moved since the window opened stays there.
             if self.controls.is_orbiting() || self.controls.pose() == self.start {
                 self.controls.move_to(start);
