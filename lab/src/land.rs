@@ -95,6 +95,13 @@ struct Centres {
     peak: Option<Peak>,
 }
 
+/// A world whose start lacks features.
+#[derive(Clone, Debug, Serialize)]
+struct Without {
+    seed: u32,
+    lacks: Vec<&'static str>,
+}
+
 /// Measures, draws, prints, judges.
 ///
 /// # Errors
@@ -175,7 +182,7 @@ fn measure(options: &Options) -> (Report, Shape) {
     (report, shape)
 }
 
-/// How many starts have each feature and all, and the first world without all.
+/// How many starts have each feature and all, and the worlds without all, with what they lack.
 fn homes(seeds: u32) -> Map<String, Value> {
     let found: Vec<[bool; 6]> = (0..seeds)
         .into_par_iter()
@@ -190,6 +197,20 @@ fn homes(seeds: u32) -> Map<String, Value> {
     homes.insert("all".into(), json!(found.iter().filter(is_whole).count()));
     let first_without = found.iter().position(|found| !is_whole(&found));
     homes.insert("first_without".into(), first_without.map_or(json!("none"), |seed| json!(seed)));
+    let lacks = |found: &[bool; 6]| {
+        features::NAMES
+            .into_iter()
+            .zip(*found)
+            .filter(|(_, is_there)| !is_there)
+            .map(|(name, _)| name)
+            .collect()
+    };
+    let without: Vec<Without> = (0..)
+        .zip(&found)
+        .filter(|(_, found)| !is_whole(found))
+        .map(|(seed, found)| Without { seed, lacks: lacks(found) })
+        .collect();
+    homes.insert("without".into(), json!(without));
     for (index, name) in features::NAMES.into_iter().enumerate() {
         homes.insert(name.into(), json!(found.iter().filter(|found| found[index]).count()));
     }

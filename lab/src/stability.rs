@@ -10,6 +10,7 @@
 //! Every sweep also runs on a control that must fail; a control that passes is an error.
 
 mod arithmetic;
+mod bars;
 mod baselines;
 mod bounds;
 mod check;
@@ -29,6 +30,7 @@ use anyhow::{Context, Result, anyhow};
 use check::Check;
 use continuity::Heights;
 use report::Report;
+use serde_json::json;
 use std::io::Write;
 use terrain::constants::{FINE_OCTAVES, OCTAVE_SHIFT, UNITS_PER_METRE};
 use terrain::{Land, Position};
@@ -54,7 +56,10 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let report = measure(options.worlds, options.chunks);
     // A closed standard output is no failure; the exit code has the verdict.
     let _ = write!(std::io::stdout(), "{report}");
-    outputs.write_json(&report)?;
+    let mut json = serde_json::to_value(&report)?;
+    json["bars"] = json!(bars::rows(&report));
+    json["notes"] = json!(bars::notes(&report));
+    outputs.write_json(&json)?;
     if let Some(folder) = &outputs.out {
         let path = folder.join("stability.txt");
         std::fs::write(&path, report.to_string())

@@ -22,7 +22,7 @@ impl<T: Send + 'static> Background<T> {
         let (sender, result): (SyncSender<T>, _) = sync_channel(1);
         std::thread::Builder::new()
             .name(name.into())
-            // A dropped receiver means that nobody wants the result any more.
+            // A dropped receiver means that the result is not wanted any more.
             .spawn(move || drop(sender.send(compute())))
             .with_context(|| format!("cannot start the thread {name}"))?;
         Ok(Self { name, result })

@@ -1,7 +1,9 @@
-//! `land`: the shape of the land, and the time of a chunk beside version 3's and beside floats.
+//! `land`: the shape of the land, the errors that its chunks state, and the time of a chunk beside
+//! version 3's and beside floats.
 //!
-//! Shape comes from `tombolo-lab land`, times from `benches/land-comparison`, a package outside the
-//! workspace: it compiles the sources of version 3 from the history.
+//! Shape comes from `tombolo-lab land`, stated errors from `tombolo-lab stability`, times from
+//! `benches/land-comparison`, a package outside the workspace: it compiles the sources of version 3
+//! from the history.
 
 use super::run::{self, Run};
 use crate::{land_version_3, process};
@@ -27,6 +29,8 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     let comparison = cfg!(target_arch = "x86_64").then(build).transpose()?;
     let shape = run.lab("land", &["land"])?;
     let mut rows = run.rows_of("land", &shape);
+    let stability = run.lab("stability", &["stability"])?;
+    rows.extend(run.rows_of("stability", &stability));
     match comparison {
         Some(program) => rows.extend(times(run, &program)?),
         None => run.notes.push("Times: not measured, the bars are for AVX2.".into()),
