@@ -16,6 +16,8 @@ const MEASURED: [(&str, &[&str]); 10] = [
             "shaders/wgsl/shared",
             "lab/src/land",
             "lab/src/land.rs",
+            "lab/src/stability",
+            "lab/src/stability.rs",
             "benches/land-comparison",
             "benches/noise-comparison/src/rounds.rs",
         ],
