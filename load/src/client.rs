@@ -4,6 +4,7 @@
 use crate::dial::Dial;
 use crate::http::{self, EtagCache};
 use crate::mode::Mode;
+use crate::resume::Resumption;
 use crate::schedule::Schedule;
 use crate::session;
 use crate::task::{SessionEnd, Task};
@@ -21,11 +22,12 @@ pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) {
     let mut schedule = Schedule::new(task.config, task.index, task.epoch, task.end);
     // Seeded by client, so that clients that were disconnected together do not return together.
     let mut backoff = Backoff::new(FIRST_DELAY, MAX_DELAY, u64::from(mix(task.index)));
+    let mut resumption = Resumption::default();
     loop {
         let started = Instant::now();
         let end = match task.config.mode {
             Mode::Http => http::run(task, &mut schedule, etags).await,
-            Mode::View | Mode::Explicit => session::run(task, &mut schedule).await,
+            Mode::View | Mode::Explicit => session::run(task, &mut schedule, &mut resumption).await,
         };
         let counters = task.counters;
         match end {
@@ -42,15 +44,18 @@ pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) {
                 counters.dropped(&problem);
             }
         }
+        resumption.lost(counters);
         if started.elapsed() > MAX_DELAY {
             backoff.reset();
         }
-        let delay = sleep(backoff.next_delay());
+        let announced = resumption.take_hint().unwrap_or_default();
+        let delay = sleep(backoff.next_delay().max(announced));
         if timeout_at(task.end, delay).await.is_err() || Instant::now() >= task.end {
             break;
         }
     }
     let now = Instant::now();
+    resumption.end(now, task.counters);
     for due in schedule.remaining() {
         task.counters.unsent(now.saturating_duration_since(due));
     }

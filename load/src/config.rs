@@ -73,6 +73,10 @@ pub struct Args {
     /// File for a plot of latency and throughput over time, .png
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
+    /// Clients that reconnect do not report the chunks that they hold, so that the server sends them
+    /// again (for comparison)
+    #[arg(long)]
+    pub no_resume: bool,
     /// Show no progress
     #[arg(long)]
     pub quiet: bool,
@@ -123,6 +127,8 @@ pub struct LoadConfig {
     pub seed: u32,
     /// One in so many chunks is compared with local generation; 0 is none.
     pub verify_every: u32,
+    /// Whether clients that reconnect report the chunks that they hold.
+    pub resume: bool,
     /// Access token.
     pub token: Option<String>,
 }
@@ -146,6 +152,7 @@ impl LoadConfig {
             silent: 0,
             seed: 1,
             verify_every: 32,
+            resume: true,
             token: None,
         }
     }
@@ -187,6 +194,7 @@ impl Args {
             silent: self.silent,
             seed: self.seed,
             verify_every: self.verify_every,
+            resume: !self.no_resume,
             token: self.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?,
         })
     }

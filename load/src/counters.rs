@@ -30,12 +30,22 @@ pub struct Counters {
     pub(crate) unsent: AtomicU64,
     /// Time of the last chunk, microseconds since the start of the run.
     last_chunk_us: AtomicU64,
+    pub(crate) lost_deliveries: AtomicU64,
+    pub(crate) resumed: AtomicU64,
+    pub(crate) held_bytes: AtomicU64,
+    pub(crate) chunks_again: AtomicU64,
+    pub(crate) bytes_again: AtomicU64,
+    pub(crate) announced: AtomicU64,
+    pub(crate) closed_as_announced: AtomicU64,
+    /// Time of the last of these, microseconds since the start of the run.
+    last_close_us: AtomicU64,
     /// Of slow and idle clients: still connected at the end of the run.
     pub(crate) stayed: AtomicU64,
     /// A mutex suffices: some thousand records a second, and nothing awaits while it is held.
     latencies: Mutex<Latencies>,
     settling: Mutex<Latencies>,
     lateness: Mutex<Latencies>,
+    gaps: Mutex<Latencies>,
     /// Of slow and idle clients: why their connections were closed, and how often.
     closed: Mutex<BTreeMap<String, u64>>,
     problems: Mutex<Vec<String>>,
@@ -59,8 +69,7 @@ impl Counters {
         self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
         if let Some(timeline) = &self.timeline {
             timeline.chunk(bytes);
-            let us = u64::try_from(timeline.elapsed().as_micros()).unwrap_or(u64::MAX);
-            self.last_chunk_us.fetch_max(us, Ordering::Relaxed);
+            self.last_chunk_us.fetch_max(micros(timeline.elapsed()), Ordering::Relaxed);
         }
     }
 
@@ -121,6 +130,51 @@ impl Counters {
         }
     }
 
+    /// A session that had delivered was lost.
+    pub fn lost_delivery(&self) {
+        add(&self.lost_deliveries);
+    }
+
+    /// A session follows a lost one, with so many bytes of chunks held from before.
+    pub fn resuming(&self, held_bytes: usize) {
+        self.held_bytes.fetch_add(held_bytes as u64, Ordering::Relaxed);
+    }
+
+    /// It delivered, this time after the last delivery of the lost one.
+    pub fn resumed(&self, gap: Duration) {
+        add(&self.resumed);
+        lock(&self.gaps).record(gap);
+    }
+
+    /// No session followed a lost one within this time, to the end of the phase.
+    pub fn unresumed(&self, waited: Duration) {
+        lock(&self.gaps).record(waited);
+    }
+
+    /// A view's chunk arrived that the client held already.
+    pub fn sent_again(&self, bytes: usize) {
+        add(&self.chunks_again);
+        self.bytes_again.fetch_add(bytes as u64, Ordering::Relaxed);
+    }
+
+    /// The server announced that it shuts down.
+    pub fn announced(&self) {
+        add(&self.announced);
+    }
+
+    /// A Close frame followed the announcement.
+    pub fn closed_as_announced(&self) {
+        add(&self.closed_as_announced);
+        if let Some(timeline) = &self.timeline {
+            self.last_close_us.fetch_max(micros(timeline.elapsed()), Ordering::Relaxed);
+        }
+    }
+
+    /// Time of the last such Close frame since the start of the run.
+    pub(crate) fn last_close(&self) -> Duration {
+        Duration::from_micros(get(&self.last_close_us))
+    }
+
     /// So many requests had no answer when their session ended.
     pub fn unanswered(&self, requests: usize) {
         self.unanswered.fetch_add(requests as u64, Ordering::Relaxed);
@@ -164,6 +218,10 @@ impl Counters {
         lock(&self.lateness).clone()
     }
 
+    pub(crate) fn gaps(&self) -> Latencies {
+        lock(&self.gaps).clone()
+    }
+
     pub(crate) fn closes(&self) -> BTreeMap<String, u64> {
         lock(&self.closed).clone()
     }
@@ -183,6 +241,10 @@ impl Counters {
 /// The current count.
 pub(crate) fn get(counter: &AtomicU64) -> u64 {
     counter.load(Ordering::Relaxed)
+}
+
+fn micros(time: Duration) -> u64 {
+    u64::try_from(time.as_micros()).unwrap_or(u64::MAX)
 }
 
 fn add(counter: &AtomicU64) {

@@ -1,12 +1,12 @@
-//! The chunks that one client may receive, from its views, requests and held chunks. Also measures
-//! the latency of requests.
+//! The chunks that one client may receive, from its views and requests. Also measures the latency of
+//! requests.
 //!
 //! Its memory is bounded for any behaviour of the server.
 
 use protocol::limits::MAX_PENDING_REQUESTS;
 use protocol::message::{Refused, WireKey};
 use protocol::view::View;
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashMap;
 use std::collections::VecDeque;
 use std::time::Duration;
 use terrain::lod::{self, Viewer};
@@ -25,10 +25,6 @@ pub const MAX_VIEWS_SLOW: usize = 4096;
 /// unanswered. Half of what a server accepts.
 pub const MAX_OPEN_REQUESTS: usize = MAX_PENDING_REQUESTS / 2;
 
-/// Chunks that a client claims to hold, about three views of 2 km. When the list is full the oldest
-/// that the current view does not need is released, and the server may send it again.
-const MAX_HELD: usize = 1024;
-
 /// See the module.
 #[derive(Debug)]
 pub struct ExpectedChunks {
@@ -40,9 +36,6 @@ pub struct ExpectedChunks {
     /// By key, oldest first: two requests may have the same key.
     requests: FxHashMap<ChunkKey, VecDeque<OpenRequest>>,
     n_requests: usize,
-    /// Keys that arrived, oldest first, and as a set.
-    order: VecDeque<ChunkKey>,
-    held: FxHashSet<ChunkKey>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -66,15 +59,7 @@ impl ExpectedChunks {
     /// Nothing is expected yet. Remembers so many views: [`MAX_VIEWS`] or [`MAX_VIEWS_SLOW`].
     #[must_use]
     pub fn new(land: Land, max_views: usize) -> Self {
-        Self {
-            land,
-            max_views,
-            views: VecDeque::new(),
-            requests: FxHashMap::default(),
-            n_requests: 0,
-            order: VecDeque::new(),
-            held: FxHashSet::default(),
-        }
+        Self { land, max_views, views: VecDeque::new(), requests: FxHashMap::default(), n_requests: 0 }
     }
 
     /// Adds a view that was sent.
@@ -96,7 +81,6 @@ impl ExpectedChunks {
     pub fn can_request(&self, key: ChunkKey) -> bool {
         self.n_requests < MAX_OPEN_REQUESTS
             && !self.requests.contains_key(&key)
-            && !self.held.contains(&key)
             && !self.is_needed_by_a_view(key)
     }
 
@@ -124,19 +108,19 @@ impl ExpectedChunks {
         self.n_requests = self.requests.values().map(VecDeque::len).sum();
     }
 
-    /// Classifies a chunk that arrived and adds it to the held chunks. Also returns a key to
-    /// release if too many are held.
-    pub fn receive(&mut self, key: ChunkKey, now: Instant) -> (ChunkStatus, Option<ChunkKey>) {
-        let arrival = match self.answered(key) {
+    /// Classifies a chunk that arrived.
+    pub fn receive(&mut self, key: ChunkKey, now: Instant) -> ChunkStatus {
+        match self.answered(key) {
             Some(request) => ChunkStatus::Requested(now.saturating_duration_since(request.since)),
             None if self.is_needed_by_a_view(key) => ChunkStatus::InView,
             None => ChunkStatus::Unexpected,
-        };
-        if self.held.insert(key) {
-            self.order.push_back(key);
         }
-        let release = if self.order.len() > MAX_HELD { self.release_one() } else { None };
-        (arrival, release)
+    }
+
+    /// Whether the current view needs a chunk.
+    #[must_use]
+    pub fn is_in_view(&self, key: ChunkKey) -> bool {
+        self.views.back().is_some_and(|(_, viewer, _)| is_needed(&self.land, viewer, key))
     }
 
     /// Requests without an answer.
@@ -159,17 +143,6 @@ impl ExpectedChunks {
         }
         self.n_requests -= 1;
         Some(request)
-    }
-
-    /// Releases the oldest chunk that the current view does not need, or the oldest of all.
-    fn release_one(&mut self) -> Option<ChunkKey> {
-        let current = self.views.back().map(|(_, viewer, _)| *viewer);
-        let spare = |key: &ChunkKey| !current.is_some_and(|viewer| is_needed(&self.land, &viewer, *key));
-        // The oldest are often the coarse chunks of the view; 64 are enough to pass over them.
-        let index = self.order.iter().take(64).position(spare).unwrap_or(0);
-        let key = self.order.remove(index)?;
-        self.held.remove(&key);
-        Some(key)
     }
 
     fn is_needed_by_a_view(&self, key: ChunkKey) -> bool {
@@ -274,13 +247,13 @@ mod tests {
         let mut expected = ExpectedChunks::new(land(), MAX_VIEWS);
         expected.add_view(&view(1, 0, 2000));
         let far = key(0, 30_000, 30_000);
-        assert_eq!(expected.receive(far, now).0, ChunkStatus::Unexpected);
+        assert_eq!(expected.receive(far, now), ChunkStatus::Unexpected);
         expected.add_request(0, far, now);
         let later = now + Duration::from_millis(7);
-        assert_eq!(expected.receive(far, later).0, ChunkStatus::Requested(Duration::from_millis(7)));
-        assert_eq!(expected.receive(far, later).0, ChunkStatus::Unexpected, "one request is one chunk");
+        assert_eq!(expected.receive(far, later), ChunkStatus::Requested(Duration::from_millis(7)));
+        assert_eq!(expected.receive(far, later), ChunkStatus::Unexpected, "one request is one chunk");
         let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
-        assert_eq!(expected.receive(near, now).0, ChunkStatus::InView);
+        assert_eq!(expected.receive(near, now), ChunkStatus::InView);
     }
 
     #[test]
@@ -292,9 +265,9 @@ mod tests {
         assert!(!is_needed(&land(), &new.viewer(), of_old));
         expected.add_view(&old);
         expected.add_view(&new);
-        assert_eq!(expected.receive(of_old, now).0, ChunkStatus::InView);
+        assert_eq!(expected.receive(of_old, now), ChunkStatus::InView);
         expected.settled(2);
-        assert_eq!(expected.receive(of_old, now).0, ChunkStatus::Unexpected);
+        assert_eq!(expected.receive(of_old, now), ChunkStatus::Unexpected);
     }
 
     #[test]
@@ -308,8 +281,6 @@ mod tests {
         assert!(expected.can_request(far));
         expected.add_request(0, far, now);
         assert!(!expected.can_request(far), "already open");
-        expected.receive(far, now);
-        assert!(!expected.can_request(far), "already held");
     }
 
     #[test]
@@ -321,9 +292,9 @@ mod tests {
         expected.add_request(1, far, now + Duration::from_millis(5));
         assert_eq!(expected.open_requests(), 2);
         let later = now + Duration::from_millis(9);
-        assert_eq!(expected.receive(far, later).0, ChunkStatus::Requested(Duration::from_millis(9)));
-        assert_eq!(expected.receive(far, later).0, ChunkStatus::Requested(Duration::from_millis(4)));
-        assert_eq!((expected.receive(far, later).0, expected.open_requests()), (ChunkStatus::Unexpected, 0));
+        assert_eq!(expected.receive(far, later), ChunkStatus::Requested(Duration::from_millis(9)));
+        assert_eq!(expected.receive(far, later), ChunkStatus::Requested(Duration::from_millis(4)));
+        assert_eq!((expected.receive(far, later), expected.open_requests()), (ChunkStatus::Unexpected, 0));
     }
 
     #[test]
@@ -344,20 +315,14 @@ mod tests {
     }
 
     #[test]
-    fn held_chunks_are_bounded_and_the_current_view_is_kept() {
-        let now = Instant::now();
+    fn remembered_views_are_bounded_and_the_last_is_the_current_one() {
         let mut expected = ExpectedChunks::new(land(), MAX_VIEWS);
-        expected.add_view(&view(1, 0, 2000));
-        let near = lod::select(&land(), &view(1, 0, 2000).viewer(), 1)[0].key;
-        expected.receive(near, now);
-        let mut released = Vec::new();
-        for x in 0..MAX_HELD as i32 + 50 {
-            released.extend(expected.receive(key(0, 20_000 + x, 9), now).1);
-        }
-        assert_eq!(expected.held.len(), MAX_HELD);
-        assert_eq!(released.len(), 51);
-        assert_eq!(released[0], key(0, 20_000, 9), "the oldest that is not in view");
-        assert!(expected.held.contains(&near));
+        let (near, far) = (view(1, 0, 2000), view(2, 1, 300));
+        let of_near = lod::select(&land(), &near.viewer(), 1)[0].key;
+        expected.add_view(&near);
+        assert!(expected.is_in_view(of_near));
+        expected.add_view(&far);
+        assert!(!expected.is_in_view(of_near));
         for id in 0..1000 {
             expected.add_view(&view(id, 0, 2000));
         }

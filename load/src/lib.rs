@@ -6,7 +6,8 @@
 //! - options and plan: [`config`], [`phases`] (parts of a run), [`path`] (where a client is),
 //!   [`keys`] (which chunks it requests), [`arrivals`] and [`schedule`] (when it does what);
 //! - clients: [`task`] (what a client gets, how a session ends), [`client`] (one client through one
-//!   phase), [`session`] (WebSocket), [`http`], [`slow`] and [`idle`] (background clients);
+//!   phase), [`session`] (WebSocket), [`held`] and [`resume`] (what outlives a session), [`http`],
+//!   [`slow`] and [`idle`] (background clients);
 //! - verification: [`expected`] (which chunks may arrive), [`verify`] (what a chunk must satisfy),
 //!   [`checker`] and [`regeneration`] (who checks);
 //! - results: [`counters`], [`latency`], [`timeline`], [`run_stats`], [`report`], [`plot`].
@@ -24,6 +25,7 @@ pub mod config;
 pub mod counters;
 pub mod dial;
 pub mod expected;
+pub mod held;
 pub mod http;
 pub mod idle;
 pub mod keys;
@@ -34,6 +36,7 @@ pub mod phases;
 pub mod plot;
 pub mod regeneration;
 pub mod report;
+pub mod resume;
 pub mod run;
 pub mod run_stats;
 pub mod schedule;

@@ -1,6 +1,9 @@
 //! The result of a run as JSON and as a verdict. The text table is in `table`.
 
+mod resume;
 mod table;
+
+pub use resume::ResumeReport;
 
 use crate::config::LoadConfig;
 use crate::counters::{Counters, MAX_PROBLEMS, get};
@@ -10,6 +13,7 @@ use crate::run_stats::RunStats;
 use crate::timeline::Second;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The result of a run. Field names are a contract with scripts. Figures are those of all phases
@@ -18,6 +22,8 @@ use std::time::Duration;
 pub struct Report {
     /// Measured clients, without slow and idle ones.
     pub clients: u32,
+    /// Start of the run, seconds since 1970-01-01 UTC by the clock of this machine.
+    pub started_unix_s: f64,
     /// Length of the run, seconds.
     pub seconds: f64,
     /// Requested delivery: `exact`, `refined`, `seed` or `quantised`.
@@ -67,6 +73,8 @@ pub struct Report {
     pub problems: Vec<String>,
     /// The phases.
     pub phases: Vec<PhaseReport>,
+    /// Lost sessions and what followed them.
+    pub resume: ResumeReport,
     /// Slow clients, if any.
     pub slow: Option<BackgroundClients>,
     /// Idle clients, if any.
@@ -156,6 +164,7 @@ impl Report {
         };
         Self {
             clients: config.clients,
+            started_unix_s: stats.started_unix.as_secs_f64(),
             seconds: phases.iter().map(|phase| phase.seconds).sum(),
             delivery: config.delivery.name(),
             mode: config.mode.name(),
@@ -178,6 +187,7 @@ impl Report {
             unanswered: sum(|phase| phase.unanswered),
             unsent: sum(|phase| phase.unsent),
             problems,
+            resume: ResumeReport::of(counters().map(Arc::as_ref)),
             slow: background(config.slow, &stats.slow),
             silent: background(config.silent, &stats.silent),
             timeline: timeline(stats),

@@ -5,11 +5,13 @@ use crate::counters::{Counters, get};
 use crate::phases::{Phase, phases};
 use crate::timeline::{Second, Timeline};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Live statistics of a run. Time zero is their creation.
 #[derive(Debug)]
 pub struct RunStats {
+    /// Time zero by the system's clock, since 1970-01-01 UTC.
+    pub(crate) started_unix: Duration,
     /// The run second by second.
     pub(crate) timeline: Arc<Timeline>,
     /// The phases with their counters.
@@ -43,7 +45,9 @@ impl RunStats {
         let counters = || Arc::new(Counters::with_timeline(Arc::clone(&timeline)));
         let phases = phases(config.warm_up_s, config.seconds).into_iter().map(|phase| (phase, counters()));
         let (phases, slow, silent) = (phases.collect(), Arc::default(), Arc::default());
-        Self { timeline, phases, slow, silent }
+        // Before 1970 only if the clock is wrong; then all its times are.
+        let started_unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Self { started_unix, timeline, phases, slow, silent }
     }
 
     /// Length of the run, including the pause.

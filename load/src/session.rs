@@ -15,6 +15,7 @@ use crate::dial::Dial;
 use crate::expected::{ChunkStatus, ExpectedChunks, MAX_VIEWS, MAX_VIEWS_SLOW};
 use crate::keys::Keys;
 use crate::path::FlightPath;
+use crate::resume::Resumption;
 use crate::schedule::Schedule;
 use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SessionEnd, Task};
 use crate::verify::{self, Mismatch};
@@ -25,6 +26,7 @@ use protocol::limits::MAX_CREDITS;
 use protocol::message::{Settled, Welcome};
 use protocol::{CloseCode, DataFrame, Delivery, PeerFault};
 use socket::lost;
+use std::time::Duration;
 use terrain::{Chunk, Land};
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::{Error, Message};
@@ -41,9 +43,13 @@ const WINDOW_SLOW: u32 = MAX_CREDITS;
 /// verify; without yielding a burst would delay the clocks of all sessions.
 const YIELD_EVERY: u32 = 16;
 
-/// One session from connect to close.
-pub async fn run<D: Dial>(task: &Task<'_, D>, schedule: &mut Schedule) -> SessionEnd {
-    let mut session = match timeout_at(task.end, Session::admit(task)).await {
+/// One session from connect to close. The chunks of an earlier one are reported to the server.
+pub async fn run<D: Dial>(
+    task: &Task<'_, D>,
+    schedule: &mut Schedule,
+    resumption: &mut Resumption,
+) -> SessionEnd {
+    let mut session = match timeout_at(task.end, Session::admit(task, resumption)).await {
         Ok(Ok(session)) => session,
         Ok(Err(end)) => return end,
         // The phase ended during admission; no session was lost.
@@ -57,6 +63,7 @@ pub async fn run<D: Dial>(task: &Task<'_, D>, schedule: &mut Schedule) -> Sessio
 /// An admitted client.
 struct Session<'t, 'a, D: Dial> {
     task: &'t Task<'a, D>,
+    resumption: &'t mut Resumption,
     socket: Socket<D::Stream>,
     machine: ClientSession,
     land: Land,
@@ -69,7 +76,7 @@ struct Session<'t, 'a, D: Dial> {
 
 impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
     /// Connects and waits for the Welcome.
-    async fn admit(task: &'t Task<'a, D>) -> Result<Self, SessionEnd> {
+    async fn admit(task: &'t Task<'a, D>, resumption: &'t mut Resumption) -> Result<Self, SessionEnd> {
         let config = task.config;
         let mut socket = connect(task).await?;
         let mut machine = ClientSession::new(ClientConfig {
@@ -85,10 +92,14 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             .map_err(|_| SessionEnd::not_admitted(format!("no Welcome within {HANDSHAKE_TIMEOUT:?}")))??;
         let land = verify::world(&welcome).map_err(|mismatch| SessionEnd::Wrong(mismatch.to_string()))?;
         task.counters.admitted();
+        if resumption.begin(land.digest(), task.counters) && config.resume {
+            machine.holding(&resumption.held.keys());
+        }
         let sample = (config.verify_every, task.index);
         let path = task.path(&land);
         Ok(Self {
             task,
+            resumption,
             socket,
             machine,
             land,
@@ -151,12 +162,18 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             Some(Ok(Message::Binary(bytes))) => self.machine.receive(DataFrame::Binary(&bytes)),
             Some(Ok(Message::Text(_))) => self.machine.receive(DataFrame::Text),
             Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => return Ok(()),
-            other => return Err(SessionEnd::Lost(lost(other))),
+            other => {
+                if matches!(other, Some(Ok(Message::Close(_)))) {
+                    self.resumption.closed(self.task.counters);
+                }
+                return Err(SessionEnd::Lost(lost(other)));
+            }
         };
         match event {
             Ok(Event::Chunk { chunk, bytes, delivery }) => self.take(chunk, bytes, delivery).await,
             Ok(Event::Settled(Settled { view, .. })) => {
                 self.expected.settled(view);
+                self.resumption.delivered(Instant::now(), self.task.counters);
                 self.settled(view, is_open);
             }
             Ok(Event::Refused(refused)) => {
@@ -164,7 +181,11 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
                 self.task.counters.refused(&format!("refused by the server: {}", refused.detail));
             }
             // The close frame follows and counts if it comes before the end of the phase.
-            Ok(Event::Draining { .. } | Event::Welcome(_)) => {}
+            Ok(Event::Draining { reconnect_after_ms }) => {
+                self.task.counters.announced();
+                self.resumption.announced(Duration::from_millis(reconnect_after_ms.into()));
+            }
+            Ok(Event::Welcome(_)) => {}
             Err(fault) => return Err(SessionEnd::Wrong(fault.to_string())),
         }
         Ok(())
@@ -174,13 +195,17 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
     async fn take(&mut self, chunk: Box<Chunk>, bytes: usize, delivery: Delivery) {
         let counters = self.task.counters;
         counters.chunk(bytes);
-        let (arrival, release) = self.expected.receive(chunk.key, Instant::now());
+        let now = Instant::now();
+        let arrival = self.expected.receive(chunk.key, now);
+        let is_again = self.resumption.held.insert(chunk.key, bytes);
+        self.resumption.delivered(now, counters);
         match arrival {
             ChunkStatus::Requested(latency) => counters.answered(latency),
+            ChunkStatus::InView if is_again => counters.sent_again(bytes),
             ChunkStatus::InView => {}
             ChunkStatus::Unexpected => counters.mismatch(&Mismatch::Unexpected(chunk.key).to_string()),
         }
-        if let Some(key) = release {
+        if let Some(key) = self.resumption.held.release(|key| !self.expected.is_in_view(*key)) {
             self.machine.release(&[key]);
         }
         self.checker.check(chunk, delivery).await;

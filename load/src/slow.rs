@@ -5,6 +5,7 @@
 //! the connection is no fault; closes are counted by reason. A slow client does not reconnect.
 
 use crate::dial::Dial;
+use crate::resume::Resumption;
 use crate::schedule::Schedule;
 use crate::session;
 use crate::task::{SessionEnd, Task};
@@ -12,7 +13,7 @@ use crate::task::{SessionEnd, Task};
 /// Runs a slow client until the server closes the connection or the run ends.
 pub async fn run<D: Dial>(task: &Task<'_, D>) {
     let mut schedule = Schedule::views_only(task.index, task.epoch);
-    match session::run(task, &mut schedule).await {
+    match session::run(task, &mut schedule, &mut Resumption::default()).await {
         SessionEnd::Finished => task.counters.stayed(),
         SessionEnd::NotAdmitted { problem, .. } => task.counters.refused(&problem),
         SessionEnd::Lost(problem) => task.counters.closed(&problem),

@@ -113,6 +113,15 @@ async fn serve(socket: TcpStream, offer: ServerOffer, fault: Fault) {
 
 /// Runs a small load against a server and returns what it found.
 async fn load_on(fault: Fault, delivery: Delivery, token: Option<&str>) -> Report {
+    load_with(fault, token, |config| LoadConfig { delivery, ..config }).await
+}
+
+/// As [`load_on`], with changed options.
+async fn load_with(
+    fault: Fault,
+    token: Option<&str>,
+    change: impl FnOnce(LoadConfig) -> LoadConfig,
+) -> Report {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("bound");
     let land = Land::new(1);
@@ -128,14 +137,13 @@ async fn load_on(fault: Fault, delivery: Delivery, token: Option<&str>) -> Repor
             tokio::spawn(serve(socket, offer.clone(), fault));
         }
     });
-    let report = load::run(LoadConfig {
+    let report = load::run(change(LoadConfig {
         clients: 3,
         seconds: 2,
-        delivery,
         view_distance_m: 500,
         verify_every: 1,
         ..LoadConfig::new(stream_address(&format!("ws://{address}/v1/stream")).expect("a stream"))
-    })
+    }))
     .await;
     server.abort();
     report
@@ -191,6 +199,16 @@ async fn a_server_that_hangs_up_drops_sessions() {
     assert!(report.dropped > 0, "{report}");
     assert_eq!(report.mismatches, 0, "{report}");
     assert!(report.verdict().expect_err("dropped").contains("before their time"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_reconnects_gets_only_what_it_lacks() {
+    let report = load_with(Fault::HangUp, None, |config| config).await;
+    assert!(report.resume.lost > 0 && report.resume.resumed > 0, "{report}");
+    assert!(report.resume.held_bytes > 0 && report.resume.chunks_again == 0, "{report}");
+    // The control: who reports nothing gets the chunks of its view again.
+    let report = load_with(Fault::HangUp, None, |config| LoadConfig { resume: false, ..config }).await;
+    assert!(report.resume.chunks_again > 0 && report.resume.bytes_again > 0, "{report}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

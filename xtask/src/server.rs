@@ -58,6 +58,15 @@ impl Server {
         let _ = self.child.wait();
     }
 
+    /// Asks it to end, as an operator would; the time until its process has ended, none if it had to
+    /// be killed.
+    pub fn terminate(&mut self) -> Option<Duration> {
+        let started = Instant::now();
+        process::stop(&mut self.child, DRAIN_WITHIN);
+        let took = started.elapsed();
+        (took < DRAIN_WITHIN).then_some(took)
+    }
+
     /// Process id, for `/proc`.
     pub fn pid(&self) -> u32 {
         self.child.id()

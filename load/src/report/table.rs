@@ -1,6 +1,6 @@
 //! The report as a text table.
 
-use super::{BackgroundClients, PhaseReport, Report};
+use super::{BackgroundClients, PhaseReport, Report, ResumeReport};
 use crate::latency::LatencyMs;
 use std::fmt;
 
@@ -46,12 +46,14 @@ impl fmt::Display for Report {
             ("regenerated", self.regenerated.to_string()),
             ("refused", self.refused.to_string()),
             ("dropped", self.dropped.to_string()),
+            ("resumed", resumed(&self.resume)),
             ("mismatches", self.mismatches.to_string()),
         ];
         // Rows that a mode does not have are left out.
         rows.retain(|(name, _)| match *name {
             "unchanged" => self.mode == "http",
             "views settled" => self.mode == "view",
+            "resumed" => self.resume.lost > 0,
             "sent late p99" => self.rate.is_some(),
             "settle p50" | "settle p99" => self.mode == "view" && self.rate.is_none(),
             _ => true,
@@ -74,6 +76,13 @@ impl fmt::Display for Report {
         }
         Ok(())
     }
+}
+
+fn resumed(resume: &ResumeReport) -> String {
+    let ResumeReport { lost, resumed, held_bytes, bytes_again, .. } = resume;
+    let again = 100.0 * *bytes_again as f64 / (*held_bytes).max(1) as f64;
+    let gap = ms(resume.gap_ms.p99);
+    format!("{resumed} of {lost} lost, gap p99 {gap} ms, {again:.1} % of held bytes sent again")
 }
 
 fn phases(phases: &[PhaseReport], f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -113,7 +113,7 @@ impl<D: Dial> Session<'_, '_, D> {
         let ahead_s = self.seconds(since) + 20.0;
         let candidate = (0..PROBE_TRIES)
             .map(|_| self.keys.key(schedule.next_number(), ahead_s))
-            .find(|key| self.expected.can_request(*key));
+            .find(|key| !self.resumption.held.contains(*key) && self.expected.can_request(*key));
         if let Some(key) = candidate {
             self.expected.add_request(self.machine.request(&[key]), key, since);
             self.task.counters.request(since.elapsed());

@@ -1,20 +1,27 @@
 //! `cluster`: replicas behind nginx without containers, by the configuration that the compose file
 //! mounts. With `--check`, what a cluster promises is tried and compared with bars.
 
-mod check;
+mod caching;
+mod contents;
 mod deploy;
+mod failure;
+mod http;
+mod load;
 mod nginx;
 
 use crate::process;
 use crate::server::Server;
 use anyhow::{Context, Result, bail};
-use bars::Summary;
+use bars::{Bar, Summary};
 use nginx::Nginx;
 use std::thread::sleep;
 use std::time::Duration;
 
 /// The world of the replicas.
 const WORLD_SEED: u64 = 1;
+
+/// Replicas of a cluster that is checked.
+const REPLICAS: u8 = 2;
 
 /// How often a cluster looks for an interrupt and for processes that ended.
 const POLL: Duration = Duration::from_millis(200);
@@ -25,7 +32,8 @@ pub struct Options {
     /// Servers behind nginx, 2 to 16
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=16))]
     pub replicas: u8,
-    /// Try it: caches, a replica killed under load; exit 1 if a bar is missed
+    /// Check two replicas instead: caches, a replica killed and one terminated under load; exit 1 if
+    /// a bar is missed
     #[arg(long)]
     pub check: bool,
 }
@@ -46,13 +54,8 @@ pub fn run(options: Options) -> Result<()> {
     let mut programs = vec!["tombolo-server"];
     programs.extend(options.check.then_some("tombolo-load"));
     process::run(process::build(&programs)).context("cluster: the build failed")?;
-    let mut cluster = Cluster::start(options.replicas).context("cluster")?;
-    println!("cluster: {} replicas behind http://{}/", options.replicas, cluster.nginx.address());
-    for replica in &cluster.replicas {
-        println!("  replica http://{}/", replica.address());
-    }
     if options.check {
-        let rows = check::rows(&mut cluster)?;
+        let rows = rows().context("cluster")?;
         println!("{}", bars::text(&rows));
         let missed = rows.iter().filter(|row| row.is_missed()).count();
         if Summary::of(&rows).missed > 0 {
@@ -60,9 +63,26 @@ pub fn run(options: Options) -> Result<()> {
         }
         return Ok(());
     }
+    let mut cluster = Cluster::start(options.replicas).context("cluster")?;
+    println!("cluster: {} replicas behind http://{}/", options.replicas, cluster.nginx.address());
+    for replica in &cluster.replicas {
+        println!("  replica http://{}/", replica.address());
+    }
     println!("  viewer  tombolo-view --connect ws://{}/v1/stream", cluster.nginx.address());
     println!("cluster: Ctrl-C ends it");
     cluster.wait()
+}
+
+/// Every figure of clusters of two replicas beside its bar. Each check has a cluster of its own, whose
+/// caches are empty.
+///
+/// # Errors
+/// A process cannot be started or does not answer.
+pub fn rows() -> Result<Vec<Bar>> {
+    let mut rows = contents::rows()?;
+    rows.extend(caching::rows()?);
+    rows.extend(failure::rows()?);
+    Ok(rows)
 }
 
 impl Cluster {

@@ -2,6 +2,7 @@
 //! tests never check them; this does, and leaves a dated record.
 
 mod audit;
+mod cluster;
 mod code;
 mod end_to_end;
 mod heightfield;
@@ -41,7 +42,7 @@ macro_rules! by_lab {
     };
 }
 
-const MEASUREMENTS: [Measurement; 10] = [
+const MEASUREMENTS: [Measurement; 11] = [
     Measurement { name: "audit", programs: &[], rows: audit::rows },
     Measurement { name: "code", programs: &[], rows: code::rows },
     Measurement {
@@ -56,6 +57,7 @@ const MEASUREMENTS: [Measurement; 10] = [
         rows: streaming::rows,
     },
     Measurement { name: "land", programs: &["tombolo-lab"], rows: land::rows },
+    Measurement { name: "cluster", programs: &["tombolo-server", "tombolo-load"], rows: cluster::rows },
     by_lab!("terrain", ["lod", "--poses", "50", "--views", "200"]),
     by_lab!("pom", ["pom", "--rays", "2000000"]),
     by_lab!("culling", ["culling", "--poses", "300"]),

@@ -3,7 +3,7 @@
 use crate::process;
 
 /// What each measurement measures: paths from the root. Tests and documents in them do not count.
-const MEASURED: [(&str, &[&str]); 10] = [
+const MEASURED: [(&str, &[&str]); 11] = [
     ("code", &["*.rs", "*.wesl", "*.md"]),
     (
         "heightfield",
@@ -36,6 +36,7 @@ const MEASURED: [(&str, &[&str]); 10] = [
             "benches/lerc",
         ],
     ),
+    ("cluster", &["terrain", "protocol", "server", "load", "xtask/src/cluster", "deploy/nginx"]),
     ("terrain", &["terrain", "shaders", "client", "lab/src/lod", "lab/src/lod.rs", "lab/src/cracks.rs"]),
     ("visual", &["terrain", "shaders", "client", "lab/src/visual", "lab/src/visual.rs", "lab/src/flip.rs"]),
     ("pom", &["shaders", "client/src/features", "lab/src/pom", "lab/src/pom.rs"]),

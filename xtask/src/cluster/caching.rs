@@ -1,0 +1,118 @@
+//! Many requests for few chunks: what reaches the replicas, and what they generate.
+
+use super::Cluster;
+use super::http::{get_by, metric, world};
+use crate::server::Server;
+use anyhow::{Context, Result};
+use bars::Bar;
+use std::collections::HashMap;
+use std::collections::hash_map::DefaultHasher;
+use std::hash::{Hash, Hasher};
+use std::net::SocketAddr;
+use std::thread;
+use terrain::hash::mix;
+
+/// Requests in all.
+const REQUESTS: u32 = 100_000;
+
+/// Threads that send them, each over a connection of its own.
+const THREADS: u32 = 8;
+
+/// Chunks per axis, around the origin: 96 x 96 of level 0.
+const SIDE: u32 = 96;
+
+/// Generated chunks of a replica.
+const GENERATED: &str = "tombolo_generation_jobs_total{outcome=\"completed\"}";
+
+/// What happened to one address.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seen {
+    /// Requests that a replica answered.
+    misses: u32,
+    /// Of all answers to this address; the first stands for it.
+    content: Option<u64>,
+    /// Answers with other bytes.
+    wrong: u32,
+}
+
+/// The rows.
+///
+/// # Errors
+/// A server does not answer.
+pub fn rows() -> Result<Vec<Bar>> {
+    let cluster = Cluster::start(super::REPLICAS)?;
+    let proxy = cluster.nginx.address();
+    let digest = world(proxy)?;
+    let generated = || {
+        let each = cluster.replicas.iter().map(|replica: &Server| metric(replica.address(), GENERATED));
+        each.sum::<Result<f64>>()
+    };
+    let before = generated()?;
+    let sum = zipf();
+    let parts: Vec<_> = thread::scope(|scope| {
+        let threads: Vec<_> = (0..THREADS)
+            .map(|number| {
+                let (sum, digest) = (&sum, &digest);
+                scope.spawn(move || send(proxy, digest, sum, number))
+            })
+            .collect();
+        threads.into_iter().map(|thread| thread.join().expect("no panic")).collect::<Result<_>>()
+    })?;
+    let mut all: HashMap<u32, Seen> = HashMap::new();
+    for (key, part) in parts.into_iter().flatten() {
+        let seen = all.entry(key).or_default();
+        let differs = seen.content.is_some_and(|content| part.content != Some(content));
+        seen.misses += part.misses;
+        seen.wrong += part.wrong + u32::from(differs);
+        seen.content = seen.content.or(part.content);
+    }
+    let (replicas, keys) = (f64::from(super::REPLICAS), all.len() as f64);
+    let misses: u32 = all.values().map(|seen| seen.misses).sum();
+    let most = all.values().map(|seen| seen.misses).max().context("no request")?;
+    let wrong: u32 = all.values().map(|seen| seen.wrong).sum();
+    let made = generated()? - before;
+    Ok(vec![
+        Bar::reported("chunks that 10^5 requests with Zipf's frequencies name", Some(keys), ""),
+        Bar::none("of the answers, other bytes than the first of the address", Some(wrong.into())),
+        Bar::reported(
+            "requests that nginx answers from its cache",
+            Some(100.0 * (1.0 - f64::from(misses) / f64::from(REQUESTS))),
+            "%",
+        ),
+        Bar::at_most("requests for one chunk that reached a replica, most", Some(most.into()), "", replicas),
+        Bar::at_most("chunks generated, over all replicas, per chunk named", Some(made / keys), "", replicas),
+    ])
+}
+
+/// The share of one thread, by chunk.
+fn send(proxy: SocketAddr, digest: &str, sum: &[f64], number: u32) -> Result<HashMap<u32, Seen>> {
+    let agent = ureq::Agent::new_with_defaults();
+    let mut all: HashMap<u32, Seen> = HashMap::new();
+    for request in 0..REQUESTS / THREADS {
+        let random = f64::from(mix(request * THREADS + number)) / f64::from(u32::MAX);
+        let rank =
+            sum.partition_point(|until| *until < random * sum[sum.len() - 1]).min(sum.len() - 1) as u32;
+        // Neighbours in rank are none on the ground.
+        let place = (u64::from(rank) * 4099 % u64::from(SIDE * SIDE)) as u32;
+        let [x, z] = [place % SIDE, place / SIDE].map(|index| index as i32 - SIDE as i32 / 2);
+        let answer = get_by(&agent, proxy, &format!("/v1/{digest}/chunk/0/{x}/{z}"))?;
+        let mut hasher = DefaultHasher::new();
+        answer.body.hash(&mut hasher);
+        let content = hasher.finish();
+        let seen = all.entry(place).or_default();
+        seen.misses += u32::from(answer.cache != "HIT");
+        seen.wrong += u32::from(seen.content.is_some_and(|first| first != content));
+        seen.content = seen.content.or(Some(content));
+    }
+    Ok(all)
+}
+
+/// Cumulated frequencies 1, 1/2, 1/3 ... of all chunks (G. K. Zipf, exponent 1).
+fn zipf() -> Vec<f64> {
+    (1..=SIDE * SIDE)
+        .scan(0.0, |sum, rank| {
+            *sum += 1.0 / f64::from(rank);
+            Some(*sum)
+        })
+        .collect()
+}
