@@ -8,7 +8,6 @@ use crate::dial::Dial;
 use crate::keys::Keys;
 use crate::schedule::{Action, Schedule};
 use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SessionEnd, Task};
-use crate::verify;
 use bytes::Bytes;
 use connection::{Connection, Response};
 use hyper::StatusCode;
@@ -89,7 +88,9 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
         let world: World = serde_json::from_slice(&answer.body).map_err(|error| wrong(error.to_string()))?;
         let digest = WorldDigest::from_hex(&world.digest)
             .ok_or_else(|| wrong("the digest is not 64 hexadecimal digits".into()))?;
-        let land = verify::announced(world.world_seed, world.generator_version, digest)
+        let land = task
+            .world
+            .check(world.world_seed, world.generator_version, digest)
             .map_err(|mismatch| SessionEnd::Wrong(mismatch.to_string()))?;
         task.counters.admitted();
         let path = task.path(&land);

@@ -9,7 +9,7 @@
 //!   phase), [`session`] (WebSocket), [`held`] and [`resume`] (what outlives a session), [`http`],
 //!   [`slow`] and [`idle`] (background clients);
 //! - verification: [`expected`] (which chunks may arrive), [`verify`] (what a chunk must satisfy),
-//!   [`checker`] and [`regeneration`] (who checks);
+//!   [`world`] (which world it is), [`checker`] and [`regeneration`] (who checks);
 //! - results: [`counters`], [`latency`], [`timeline`], [`run_stats`], [`report`], [`plot`].
 //!
 //! The load test has no GPU crate in its dependencies, keeps no verified chunk, and speaks the
@@ -46,6 +46,7 @@ pub mod task;
 pub mod throttle;
 pub mod timeline;
 pub mod verify;
+pub mod world;
 
 pub use config::{Args, LoadConfig};
 pub use mode::Mode;

@@ -10,10 +10,10 @@ use crate::regeneration::Regeneration;
 use crate::report::Report;
 use crate::run_stats::RunStats;
 use crate::task::Task;
+use crate::world::FirstWorld;
 use crate::{idle, slow};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
-use terrain::Start;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 
@@ -36,7 +36,7 @@ pub async fn run_counting(config: LoadConfig, stats: Arc<RunStats>) -> Report {
 pub async fn run_over<D: Dial>(dial: D, config: LoadConfig, stats: Arc<RunStats>) -> Report {
     let (regeneration, comparing) = Regeneration::start();
     let started = Instant::now();
-    let shared = Arc::new(Shared { config, dial, stats, started, start: OnceLock::new() });
+    let shared = Arc::new(Shared { config, dial, stats, started, world: FirstWorld::default() });
     let mut clients = JoinSet::new();
     for index in 0..shared.config.clients {
         clients.spawn(run_measured(Arc::clone(&shared), regeneration.clone(), index));
@@ -67,8 +67,7 @@ struct Shared<D> {
     dial: D,
     stats: Arc<RunStats>,
     started: Instant,
-    /// Start of the world, as the first client found it.
-    start: OnceLock<Start>,
+    world: FirstWorld,
 }
 
 impl<D> Shared<D> {
@@ -95,13 +94,13 @@ impl<D> Shared<D> {
             epoch: self.started + step * index,
             end: self.started + self.stats.duration(),
             read_rate: None,
-            start: &self.start,
+            world: &self.world,
         }
     }
 }
 
 async fn run_measured<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneration, index: u32) {
-    let Shared { config, dial, stats, started, start } = &*shared;
+    let Shared { config, dial, stats, started, world } = &*shared;
     let mut etags = EtagCache::default();
     for (phase, counters) in &stats.phases {
         let at_once = config.path == PathKind::Spawn;
@@ -109,7 +108,7 @@ async fn run_measured<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneratio
         let end = *started + phase.end();
         sleep_until(epoch).await;
         let regeneration = &regeneration;
-        let task = Task { index, config, dial, counters, regeneration, epoch, end, read_rate: None, start };
+        let task = Task { index, config, dial, counters, regeneration, epoch, end, read_rate: None, world };
         client::run(&task, &mut etags).await;
     }
 }

@@ -18,7 +18,7 @@ use crate::path::FlightPath;
 use crate::resume::Resumption;
 use crate::schedule::Schedule;
 use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SessionEnd, Task};
-use crate::verify::{self, Mismatch};
+use crate::verify::Mismatch;
 use actions::Poses;
 use futures_util::StreamExt;
 use protocol::client::{ClientConfig, ClientSession, Event};
@@ -27,7 +27,7 @@ use protocol::message::{Settled, Welcome};
 use protocol::{CloseCode, DataFrame, Delivery, PeerFault};
 use socket::lost;
 use std::time::Duration;
-use terrain::{Chunk, Land};
+use terrain::{Chunk, Land, WorldDigest};
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::{Error, Message};
 
@@ -38,6 +38,9 @@ const WINDOW: u32 = 64;
 /// The same for a slow client: the maximum, so that credit never limits what the server has to
 /// send.
 const WINDOW_SLOW: u32 = MAX_CREDITS;
+
+/// Time in which the frames before a failed write are read.
+const LAST_FRAMES_WITHIN: Duration = Duration::from_secs(1);
 
 /// Frames after which a session yields. A frame takes about 0.1 ms to decode or generate and
 /// verify; without yielding a burst would delay the clocks of all sessions.
@@ -90,9 +93,9 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         let welcome = timeout(HANDSHAKE_TIMEOUT, welcome(&mut socket, &mut machine))
             .await
             .map_err(|_| SessionEnd::not_admitted(format!("no Welcome within {HANDSHAKE_TIMEOUT:?}")))??;
-        let land = verify::world(&welcome).map_err(|mismatch| SessionEnd::Wrong(mismatch.to_string()))?;
+        let land = world_of(&welcome, task).map_err(|mismatch| SessionEnd::Wrong(mismatch.to_string()))?;
         task.counters.admitted();
-        if resumption.begin(land.digest(), task.counters) && config.resume {
+        if resumption.begin(WorldDigest(welcome.digest), task.counters) && config.resume {
             machine.holding(&resumption.held.keys());
         }
         let sample = (config.verify_every, task.index);
@@ -120,7 +123,9 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         let mut stop = self.task.end;
         loop {
             if let Err(problem) = transmit(&mut self.socket, &mut self.machine).await {
-                return SessionEnd::Lost(problem);
+                let is_open = schedule.is_open();
+                let read = timeout(LAST_FRAMES_WITHIN, self.read_last_frames(&problem, is_open)).await;
+                return read.unwrap_or(SessionEnd::Lost(problem));
             }
             let outstanding = self.outstanding(schedule.waits_for_views());
             if schedule.is_done() && outstanding == 0 && Instant::now() >= self.task.end {
@@ -148,6 +153,20 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
                     }
                     self.close(CloseCode::Normal).await;
                     return SessionEnd::Finished;
+                }
+            }
+        }
+    }
+
+    /// A write failed. Frames that arrived before may give the reason.
+    async fn read_last_frames(&mut self, problem: &str, is_open: bool) -> SessionEnd {
+        loop {
+            match self.socket.next().await {
+                Some(Err(_)) | None => return SessionEnd::Lost(problem.into()),
+                frame => {
+                    if let Err(end) = self.receive(frame, is_open).await {
+                        return end;
+                    }
                 }
             }
         }
@@ -227,6 +246,11 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             self.task.counters.abandoned(now.saturating_duration_since(since));
         }
     }
+}
+
+/// The land of a Welcome, if the announced digest is that of its seed.
+fn world_of<D>(welcome: &Welcome, task: &Task<'_, D>) -> Result<Land, Mismatch> {
+    task.world.check(welcome.world_seed, welcome.generator_version, WorldDigest(welcome.digest))
 }
 
 /// Waits for the first message, which must be the Welcome.

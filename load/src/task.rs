@@ -4,9 +4,10 @@ use crate::config::LoadConfig;
 use crate::counters::Counters;
 use crate::path::FlightPath;
 use crate::regeneration::Regeneration;
-use std::sync::{Arc, OnceLock};
+use crate::world::FirstWorld;
+use std::sync::Arc;
 use std::time::Duration;
-use terrain::{Land, Start};
+use terrain::Land;
 use tokio::time::Instant;
 
 /// Timeout of a connection with its handshake, and again of the Welcome.
@@ -35,8 +36,8 @@ pub struct Task<'a, D> {
     pub end: Instant,
     /// Limit of the read rate, bytes a second.
     pub read_rate: Option<u32>,
-    /// Start of the world that the server announced first.
-    pub start: &'a OnceLock<Start>,
+    /// The world that was announced first.
+    pub world: &'a FirstWorld,
 }
 
 impl<D> Task<'_, D> {
@@ -44,8 +45,7 @@ impl<D> Task<'_, D> {
     /// run only.
     #[must_use]
     pub fn path(&self, land: &Land) -> FlightPath {
-        let start = *self.start.get_or_init(|| land.start());
-        FlightPath::new(self.config.path, self.config.seed, self.index, start)
+        FlightPath::new(self.config.path, self.config.seed, self.index, self.world.start(land))
     }
 }
 

@@ -5,7 +5,6 @@
 
 use protocol::Delivery;
 use protocol::chunk_codec::quantised;
-use protocol::message::Welcome;
 use terrain::constants::{CELLS, GENERATOR_VERSION, VERTEX_COUNT, VERTICES};
 use terrain::pyramid::{PYRAMID_LEVELS, side};
 use terrain::{Chunk, ChunkKey, Land, WorldDigest};
@@ -55,30 +54,6 @@ pub enum Mismatch {
         /// The announced version.
         theirs: u32,
     },
-}
-
-/// The land of a Welcome, if the announced digest is that of its seed.
-///
-/// # Errors
-/// [`Mismatch::Generator`] or [`Mismatch::World`].
-pub fn world(welcome: &Welcome) -> Result<Land, Mismatch> {
-    announced(welcome.world_seed, welcome.generator_version, WorldDigest(welcome.digest))
-}
-
-/// The land of a seed, if the announced version and digest are right.
-///
-/// # Errors
-/// [`Mismatch::Generator`] or [`Mismatch::World`].
-pub fn announced(seed: u64, generator_version: u32, announced: WorldDigest) -> Result<Land, Mismatch> {
-    if generator_version != GENERATOR_VERSION {
-        return Err(Mismatch::Generator { theirs: generator_version });
-    }
-    let land = Land::new(seed);
-    let ours = land.digest();
-    if announced != ours {
-        return Err(Mismatch::World { announced, seed, ours });
-    }
-    Ok(land)
 }
 
 /// Checks both pyramids: every base texel bounds the four corners of its cell, every other the four
@@ -267,24 +242,5 @@ mod tests {
                 levels[level][texel] += 1;
             }
         }
-    }
-
-    #[test]
-    fn a_digest_of_another_seed_is_an_error_with_both_digests() {
-        let correct = Welcome {
-            session: 1,
-            world_seed: 1,
-            generator_version: GENERATOR_VERSION,
-            digest: land().digest().0,
-            max_credits: 1,
-            max_view_distance_m: 1,
-            software: String::new(),
-        };
-        assert_eq!(world(&correct).map(|land| land.world_seed()), Ok(1));
-        let wrong = world(&Welcome { world_seed: 2, ..correct.clone() }).unwrap_err();
-        let text = wrong.to_string();
-        assert!(text.contains(&land().digest().to_string()) && text.contains("seed 2"), "{text}");
-        let newer = world(&Welcome { generator_version: 99, ..correct }).unwrap_err();
-        assert_eq!(newer, Mismatch::Generator { theirs: 99 });
     }
 }

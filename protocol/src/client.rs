@@ -244,7 +244,7 @@ impl ClientSession {
     }
 }
 
-/// The announced land, if its digest here is the announced one. Takes about a millisecond.
+/// The announced land, if its digest here is the announced one. Takes some 30 milliseconds.
 fn own_land(welcome: &Welcome) -> Result<Land, PeerFault> {
     let land = Land::new(welcome.world_seed);
     let (server, client) = (WorldDigest(welcome.digest), land.digest());

@@ -41,7 +41,7 @@ const SELECTION_STEP: usize = 4096;
 /// message slightly over its limit.
 pub const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
 
-/// Time for the peer to close the connection after the close frame.
+/// Time for the peer to answer the Close frame and to end the connection.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Bounds of the reconnect delay sent on shutdown, milliseconds. Random, so that clients do not all
@@ -371,8 +371,14 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         if write_within(self.state.config.write_timeout, self.socket.flush()).await.is_err() {
             return;
         }
-        self.socket.shut_down().await;
-        let _ = timeout(CLOSE_TIMEOUT, self.socket.drain()).await;
+        let closing = async {
+            // RFC 6455, section 7.1.1: the connection ends after both Close frames. A proxy ends the
+            // client's side as soon as this side ends, with whatever it has not yet delivered.
+            self.socket.read_until_close().await;
+            self.socket.shut_down().await;
+            self.socket.drain().await;
+        };
+        let _ = timeout(CLOSE_TIMEOUT, closing).await;
     }
 
     /// Adds the session's new counts to the server's metrics.

@@ -151,6 +151,22 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         }
     }
 
+    /// Reads and discards messages until a Close frame, an invalid frame, or the end of the
+    /// connection.
+    pub async fn read_until_close(&mut self) {
+        loop {
+            match self.inbox.next_message() {
+                Ok(Some(Message::Close(_))) | Err(_) => return,
+                Ok(Some(_)) => {}
+                Ok(None) => {
+                    if self.read().await.is_err() {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
     /// Reads and discards until the peer ends the connection: closing with unread input would reset
     /// the connection, which discards the last writes.
     pub async fn drain(&mut self) {

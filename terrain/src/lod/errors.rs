@@ -49,15 +49,22 @@ impl Land {
     /// The error bound of a chunk, or one measurement towards it.
     #[must_use]
     pub fn known_error(&self, key: ChunkKey) -> Progress {
-        let (x, z) = key.origin();
-        if key.level() == 0 || self.archipelago().is_open_sea(x, z, key.side()) {
+        if key.level() == 0 {
             return Progress::Known(0);
         }
+        let (x, z) = key.origin();
+        let is_open_sea = || self.archipelago().is_open_sea(x, z, key.side());
         if key.level() > SAMPLED_LEVEL {
-            return Progress::Known(RELIEF);
+            return Progress::Known(if is_open_sea() { 0 } else { RELIEF });
         }
         if let Some(error) = self.remembered(key) {
             return Progress::Known(error);
+        }
+        // Remembered too: finding the lobes near a chunk takes a microsecond, and a view asks for
+        // each of its chunks many times.
+        if is_open_sea() {
+            self.remember([(key, 0)]);
+            return Progress::Known(0);
         }
         if key.level() <= MEASURED_LEVEL {
             let measured = std::iter::successors(Some(key), |key| key.parent())
