@@ -187,7 +187,7 @@ impl Report {
             unanswered: sum(|phase| phase.unanswered),
             unsent: sum(|phase| phase.unsent),
             problems,
-            resume: ResumeReport::of(counters().map(Arc::as_ref)),
+            resume: ResumeReport::of(&counters().map(Arc::as_ref).collect::<Vec<_>>()),
             slow: background(config.slow, &stats.slow),
             silent: background(config.silent, &stats.silent),
             timeline: timeline(stats),

@@ -80,7 +80,7 @@ mod tests {
     const WORLD: WorldDigest = WorldDigest([1; 32]);
 
     fn report(counters: &Counters) -> ResumeReport {
-        ResumeReport::of([counters].into_iter())
+        ResumeReport::of(&[counters])
     }
 
     #[tokio::test(start_paused = true)]

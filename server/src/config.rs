@@ -1,8 +1,10 @@
 //! Configuration: command line over environment over file over defaults, validated once.
 
+use crate::bake::BakeArgs;
 use crate::cache::disk::DiskConfig;
 use crate::mechanism::Mechanism;
-use clap::Parser;
+use crate::store::{StoreAddress, StoreConfig};
+use clap::{Parser, Subcommand};
 use cli::UsageError;
 use serde::Deserialize;
 use std::net::SocketAddr;
@@ -23,8 +25,11 @@ const DEFAULT_LOG: &str = "info";
 /// Every option can also be set by an environment variable or in the configuration file; a flag
 /// wins over the environment, the environment over the file.
 #[derive(Clone, Debug, Default, Parser)]
-#[command(name = "tombolo-server", version)]
+#[command(name = "tombolo-server", version, args_conflicts_with_subcommands = true)]
 pub struct Args {
+    /// Another job than to serve.
+    #[command(subcommand)]
+    pub command: Option<Command>,
     /// Address and port to listen on; port 0 picks a free one and prints it [default:
     /// 127.0.0.1:7580]
     #[arg(long, value_name = "ADDR", env = "TOMBOLO_LISTEN")]
@@ -49,6 +54,15 @@ pub struct Args {
     /// Size of the disk cache in MiB, 64 to 262144 [default: 1024]
     #[arg(long, value_name = "N", env = "TOMBOLO_DISK_MB")]
     pub disk_mb: Option<u64>,
+    /// Store of chunks that all replicas of a world share: a folder, file:///FOLDER,
+    /// s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX; settings of its engine in
+    /// the environment, such as AWS_ENDPOINT [default: none]
+    #[arg(long, value_name = "URL", env = "TOMBOLO_STORE")]
+    pub store: Option<String>,
+    /// Least time that a chunk waits for the store in milliseconds, 0 to 10000, though making it
+    /// would be quicker [default: 0]
+    #[arg(long, value_name = "MS", env = "TOMBOLO_STORE_WAIT_MS")]
+    pub store_wait_ms: Option<u64>,
     /// File with the access token of clients in its first line; without it no token is required
     #[arg(long, value_name = "FILE", env = "TOMBOLO_TOKEN_FILE")]
     pub token_file: Option<PathBuf>,
@@ -83,6 +97,13 @@ pub struct Args {
     pub log_json: bool,
 }
 
+/// Jobs beside serving.
+#[derive(Clone, Debug, Subcommand)]
+pub enum Command {
+    /// Makes all chunks of a region and puts them into a store, from which servers then read them
+    Bake(BakeArgs),
+}
+
 /// The configuration file: the same options, all optional.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -93,6 +114,8 @@ struct File {
     cache_mb: Option<u64>,
     disk_cache: Option<PathBuf>,
     disk_mb: Option<u64>,
+    store: Option<String>,
+    store_wait_ms: Option<u64>,
     token_file: Option<PathBuf>,
     max_sessions: Option<usize>,
     max_sessions_per_address: Option<usize>,
@@ -116,6 +139,8 @@ pub struct ServerConfig {
     pub cache_bytes: u64,
     /// Disk cache; none for no disk cache.
     pub disk: Option<DiskConfig>,
+    /// Shared store; none for no store.
+    pub store: Option<StoreConfig>,
     /// Access token of clients; none if no token is required.
     pub token: Option<String>,
     /// Concurrent sessions. One more is rejected before its upgrade with 503 and `Retry-After`.
@@ -153,6 +178,7 @@ impl Default for ServerConfig {
             threads: std::thread::available_parallelism().map_or(1, usize::from),
             cache_bytes: DEFAULT_CACHE_MB << 20,
             disk: None,
+            store: None,
             token: None,
             max_sessions: DEFAULT_MAX_SESSIONS,
             max_sessions_per_address: DEFAULT_MAX_SESSIONS,
@@ -215,6 +241,7 @@ impl Args {
             cache_bytes: cache_mb << 20,
             disk: disk_folder
                 .map(|folder| DiskConfig { folder, bytes: disk_mb.unwrap_or(DEFAULT_DISK_MB) << 20 }),
+            store: store(self.store.or(file.store), self.store_wait_ms.or(file.store_wait_ms))?,
             token: self
                 .token_file
                 .or(file.token_file)
@@ -231,6 +258,18 @@ impl Args {
             ..defaults
         })
     }
+}
+
+/// The store of an address and a wait.
+fn store(address: Option<String>, wait_ms: Option<u64>) -> Result<Option<StoreConfig>, UsageError> {
+    in_range("store-wait-ms", wait_ms.unwrap_or(0), 0, 10_000)?;
+    let Some(address) = address else {
+        return wait_ms.map_or(Ok(None), |_| {
+            Err(UsageError::new("store-wait-ms: there is no store; give store URL too, or remove it"))
+        });
+    };
+    let address = StoreAddress::parse(&address).map_err(|why| UsageError::new(format!("store: {why}")))?;
+    Ok(Some(StoreConfig { address, wait: Duration::from_millis(wait_ms.unwrap_or(0)) }))
 }
 
 fn in_range(option: &str, value: u64, low: u64, high: u64) -> Result<(), UsageError> {

@@ -24,6 +24,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod bake;
 pub mod cache;
 pub mod config;
 pub mod generation;
@@ -38,6 +39,7 @@ pub mod session;
 pub mod source;
 pub mod state;
 pub mod stats;
+pub mod store;
 pub mod websocket;
 
 pub use config::ServerConfig;

@@ -1,8 +1,10 @@
-//! `tombolo-server`: reads the configuration, binds, and runs until SIGINT or SIGTERM.
+//! `tombolo-server`: reads the configuration, binds, and runs until SIGINT or SIGTERM; or bakes.
 
-use server::config::{Args, ServerConfig};
+use server::bake::{BakeArgs, Baked};
+use server::config::{Args, Command, ServerConfig};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
+use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::SubscriberExt;
@@ -16,10 +18,13 @@ const NAME: &str = "tombolo-server";
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    let args: Args = match cli::parse() {
+    let mut args: Args = match cli::parse() {
         Ok(args) => args,
         Err(code) => return code,
     };
+    if let Some(Command::Bake(args)) = args.command.take() {
+        return bake(args);
+    }
     let config = match args.resolve() {
         Ok(config) => config,
         Err(error) => return cli::fail(NAME, error, cli::USAGE),
@@ -34,6 +39,41 @@ fn main() -> ExitCode {
         .and_then(|runtime| runtime.block_on(serve(config)));
     match served {
         Ok(()) => ExitCode::SUCCESS,
+        Err(message) => cli::fail(NAME, message, cli::FAILED),
+    }
+}
+
+/// Bakes a region, with a line on standard error each second.
+fn bake(args: BakeArgs) -> ExitCode {
+    let bake = match args.resolve() {
+        Ok(bake) => bake,
+        Err(error) => return cli::fail(NAME, error, cli::USAGE),
+    };
+    let (started, mut shown) = (Instant::now(), Instant::now());
+    let show = |baked: &Baked, total: u64| {
+        if shown.elapsed() >= Duration::from_secs(1) || baked.packs == total {
+            shown = Instant::now();
+            let Baked { packs, kept, bytes, .. } = baked;
+            eprintln!("bake: {packs} of {total} packs, {kept} kept, {:.1} MB written", *bytes as f64 / 1e6);
+        }
+    };
+    let baked = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .map_err(|error| format!("cannot start the runtime: {error}"))
+        .and_then(|runtime| runtime.block_on(bake.run(show)));
+    match baked {
+        Ok(baked) => {
+            let region = if baked.is_complete { "is complete" } else { "lacks packs of other parts" };
+            let seconds = started.elapsed().as_secs_f64();
+            let _ = writeln!(
+                std::io::stdout(),
+                "{} packs written, {} kept in {seconds:.1} s; the region {region}",
+                baked.written,
+                baked.kept
+            );
+            ExitCode::SUCCESS
+        }
         Err(message) => cli::fail(NAME, message, cli::FAILED),
     }
 }

@@ -130,6 +130,32 @@ pub struct Metrics {
     pub disk_bytes: Gauge,
     /// 1 while frames can be written.
     pub disk_up: Gauge,
+    /// Reads from the store that returned a valid chunk.
+    pub store_hits: Counter,
+    /// Reads of chunks that the store does not have.
+    pub store_misses: Counter,
+    /// Reads that took longer than the chunk was worth.
+    pub store_reads_late: Counter,
+    /// Objects that were no valid chunk.
+    pub store_reads_invalid: Counter,
+    /// Reads that failed or were not answered at all.
+    pub store_reads_failed: Counter,
+    /// Reads not sent: the breaker was open, or too many were in flight.
+    pub store_reads_skipped: Counter,
+    /// Chunks written to the store.
+    pub store_writes: Counter,
+    /// Writes that failed or were not answered.
+    pub store_writes_failed: Counter,
+    /// Writes that the store refused.
+    pub store_writes_refused: Counter,
+    /// Writes not sent: the queue was full or the breaker open.
+    pub store_writes_dropped: Counter,
+    /// Time per read from the store.
+    pub store_read_seconds: Histogram,
+    /// Time per write to the store.
+    pub store_write_seconds: Histogram,
+    /// 1 while the store is asked.
+    pub store_up: Gauge,
     /// Map tile requests served from memory.
     pub tile_cache_hits: Counter,
     /// Map tile requests that rendered the tile.
@@ -188,6 +214,20 @@ impl Default for Metrics {
             disk_io_errors: Counter::default(),
             disk_bytes: Gauge::default(),
             disk_up: Gauge::default(),
+            store_hits: Counter::default(),
+            store_misses: Counter::default(),
+            store_reads_late: Counter::default(),
+            store_reads_invalid: Counter::default(),
+            store_reads_failed: Counter::default(),
+            store_reads_skipped: Counter::default(),
+            store_writes: Counter::default(),
+            store_writes_failed: Counter::default(),
+            store_writes_refused: Counter::default(),
+            store_writes_dropped: Counter::default(),
+            // 0.2 ms to 3 s: a local folder, and the timeout.
+            store_read_seconds: Histogram::new(exponential_buckets(0.0002, 2.0, 14)),
+            store_write_seconds: Histogram::new(exponential_buckets(0.0002, 2.0, 15)),
+            store_up: Gauge::default(),
             tile_cache_hits: Counter::default(),
             tiles_rendered: Counter::default(),
             tiles_failed: Counter::default(),
@@ -197,6 +237,7 @@ impl Default for Metrics {
         metrics.register_limits();
         metrics.register_generation();
         metrics.register_disk_cache();
+        metrics.register_store();
         metrics.register_http();
         metrics
     }
@@ -333,6 +374,42 @@ impl Metrics {
             &self.disk_bytes.clone(),
         );
         self.register("disk_cache_up", "1 while frames can be written", &self.disk_up.clone());
+    }
+
+    fn register_store(&mut self) {
+        let reads = fixed_family(
+            "outcome",
+            [
+                ("hit", &mut self.store_hits),
+                ("miss", &mut self.store_misses),
+                ("late", &mut self.store_reads_late),
+                ("invalid", &mut self.store_reads_invalid),
+                ("failed", &mut self.store_reads_failed),
+                ("skipped", &mut self.store_reads_skipped),
+            ],
+        );
+        self.register("store_reads", "Reads from the store by outcome", &reads);
+        let writes = fixed_family(
+            "outcome",
+            [
+                ("written", &mut self.store_writes),
+                ("failed", &mut self.store_writes_failed),
+                ("refused", &mut self.store_writes_refused),
+                ("dropped", &mut self.store_writes_dropped),
+            ],
+        );
+        self.register("store_writes", "Writes to the store by outcome", &writes);
+        self.register(
+            "store_read_duration_seconds",
+            "Time per read from the store",
+            &self.store_read_seconds.clone(),
+        );
+        self.register(
+            "store_write_duration_seconds",
+            "Time per write to the store",
+            &self.store_write_seconds.clone(),
+        );
+        self.register("store_up", "1 while the store is asked", &self.store_up.clone());
     }
 
     fn register_http(&mut self) {

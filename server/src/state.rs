@@ -10,6 +10,7 @@ use crate::map::Map;
 use crate::metrics::Metrics;
 use crate::source::ProceduralSource;
 use crate::stats::LiveStats;
+use crate::store::Store;
 use protocol::server::ServerOffer;
 use rayon::ThreadPoolBuildError;
 use std::sync::Arc;
@@ -78,7 +79,13 @@ impl ServerState {
                 )
                 .ok()
         });
-        let generation = Generation::with_disk(source, limits, disk, Arc::clone(&metrics))?;
+        let store = config.store.as_ref().and_then(|store| {
+            Store::new(store, &land.digest(), Arc::clone(&metrics))
+                .inspect(|_| tracing::info!(store = %store.address, "shared store"))
+                .inspect_err(|error| tracing::warn!(%error, "cannot open the store; continuing without it"))
+                .ok()
+        });
+        let generation = Generation::with_stores(source, limits, disk, store, Arc::clone(&metrics))?;
         let token = config.token.clone();
         Ok(Self {
             offer: ServerOffer { land, digest: land.digest(), token, software: SOFTWARE.into() },

@@ -30,10 +30,10 @@ pub struct ResumeReport {
 
 impl ResumeReport {
     /// The sums over the counters of all phases.
-    pub(crate) fn of<'a>(counters: impl Iterator<Item = &'a Counters> + Clone) -> Self {
-        let sum = |pick: fn(&Counters) -> u64| counters.clone().map(pick).sum();
+    pub(crate) fn of(counters: &[&Counters]) -> Self {
+        let sum = |pick: fn(&Counters) -> u64| counters.iter().copied().map(pick).sum();
         let mut gaps = Latencies::default();
-        counters.clone().for_each(|counters| gaps.add(&counters.gaps()));
+        counters.iter().for_each(|counters| gaps.add(&counters.gaps()));
         Self {
             lost: sum(|counters| get(&counters.lost_deliveries)),
             resumed: sum(|counters| get(&counters.resumed)),
@@ -44,7 +44,7 @@ impl ResumeReport {
             announced: sum(|counters| get(&counters.announced)),
             closed_as_announced: sum(|counters| get(&counters.closed_as_announced)),
             last_close_s: counters
-                .clone()
+                .iter()
                 .map(|counters| counters.last_close().as_secs_f64())
                 .fold(0.0, f64::max),
         }

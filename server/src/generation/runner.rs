@@ -1,5 +1,5 @@
 //! Execution of jobs on the generation threads: takes turns from the queue, reads frames from disk
-//! or generates and encodes them, and sends the results.
+//! or from the store or generates and encodes them, and sends the results.
 //!
 //! A panic during generation fails its own job only.
 
@@ -55,6 +55,23 @@ impl GeneratedFrames {
         };
         self.results.iter().find(answers).map(|frame| &frame.result)
     }
+}
+
+/// Where a frame comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Origin {
+    Disk,
+    /// As the store has it.
+    Store,
+    /// Encoded from a chunk of the store.
+    StoreEncoded,
+    Made,
+}
+
+/// A chunk, and its exact frame if the store had it.
+struct Found {
+    chunk: Chunk,
+    frame: Option<Bytes>,
 }
 
 /// Starts a runner unless all threads have one. A runner takes turns until the queue is empty, so
@@ -151,8 +168,8 @@ impl Shared {
         finished
     }
 
-    /// Reads a frame from disk, or encodes it; the first encoded frame of a job generates the
-    /// chunk.
+    /// Reads a frame from disk or from the store, or encodes it; the first encoded frame of a job
+    /// generates the chunk.
     fn frame(
         &self,
         key: ChunkKey,
@@ -166,24 +183,35 @@ impl Shared {
             if chunk.is_none()
                 && let Some(frame) = self.stored_frame(key, delivery)
             {
-                return (frame, true);
+                return (frame, Origin::Disk);
             }
-            let known_error = || self.frames.known_error(key).or_else(|| self.stored_error(key, delivery));
-            let chunk = chunk.get_or_insert_with(|| self.source.chunk(key, known_error()));
-            (chunk_codec::encode_with(delivery, effort, chunk, &self.world), false)
+            let mut origin = Origin::Made;
+            if chunk.is_none() {
+                let found = self.chunk(key, delivery);
+                *chunk = Some(found.chunk);
+                if let Some(frame) = found.frame {
+                    if delivery == Delivery::Exact {
+                        return (frame, Origin::Store);
+                    }
+                    origin = Origin::StoreEncoded;
+                }
+            }
+            let chunk = chunk.as_ref().expect("found or made");
+            (chunk_codec::encode_with(delivery, effort, chunk, &self.world), origin)
         }));
-        let Ok((frame, is_stored)) = result else {
+        let Ok((frame, origin)) = result else {
             self.metrics.jobs_failed.inc();
             tracing::error!(%key, %delivery, "generation panicked");
             let result = Err(GenerationError::Failed);
             return GeneratedFrame { delivery, is_fast_encoded: false, result };
         };
+        let is_stored = matches!(origin, Origin::Disk | Origin::Store);
         let took = started.elapsed();
         if is_first {
-            // The cost of a job includes reads from disk.
+            // The cost of a job includes reads from disk and store.
             self.costs.record(key, took);
         }
-        if is_first && !is_stored {
+        if is_first && origin == Origin::Made {
             self.metrics.generation_seconds.observe(took.as_secs_f64());
             self.metrics.jobs_completed.inc();
         }
@@ -195,10 +223,25 @@ impl Shared {
             self.metrics.frames_encoded_compact.inc();
         }
         self.frames.insert(key, delivery, CachedFrame { frame: frame.clone(), is_fast_encoded });
-        if let Some(disk) = self.disk.as_ref().filter(|_| !is_stored) {
+        if let Some(disk) = self.disk.as_ref().filter(|_| origin != Origin::Disk) {
             disk.write(key, delivery, frame.clone());
         }
         GeneratedFrame { delivery, is_fast_encoded, result: Ok(frame) }
+    }
+
+    /// A chunk: with a known error from the source, else from the store, else made and stored.
+    fn chunk(&self, key: ChunkKey, delivery: Delivery) -> Found {
+        let known_error = self.frames.known_error(key).or_else(|| self.stored_error(key, delivery));
+        let Some(store) = self.store.as_ref().filter(|_| known_error.is_none()) else {
+            return Found { chunk: self.source.chunk(key, known_error), frame: None };
+        };
+        if let Some((chunk, frame)) = store.read(key) {
+            return Found { chunk, frame: Some(frame) };
+        }
+        let started = Instant::now();
+        let chunk = self.source.chunk(key, None);
+        store.made(key, started.elapsed(), || chunk_codec::encode(&chunk, &self.world));
+        Found { chunk, frame: None }
     }
 
     /// The fast encoding for level 0 under backlog: bytes are cheaper than time then. Encoding is a

@@ -10,6 +10,7 @@ use crate::limits::rate_limit::TokenBucket;
 use crate::mechanism::Mechanism;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
+use crate::store::Store;
 use bytes::Bytes;
 use protocol::Delivery;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
@@ -47,6 +48,20 @@ impl Generation {
         disk: Option<Disk>,
         metrics: Arc<Metrics>,
     ) -> Result<Self, ThreadPoolBuildError> {
+        Self::with_stores(source, limits, disk, None, metrics)
+    }
+
+    /// As [`Generation::with_disk`], with a shared store that is read after the disk cache.
+    ///
+    /// # Errors
+    /// The system cannot start threads.
+    pub fn with_stores(
+        source: impl ChunkSource,
+        limits: Limits,
+        disk: Option<Disk>,
+        store: Option<Store>,
+        metrics: Arc<Metrics>,
+    ) -> Result<Self, ThreadPoolBuildError> {
         let pool = ThreadPoolBuilder::new()
             .num_threads(limits.threads)
             .thread_name(|n| format!("generate-{n}"))
@@ -59,6 +74,7 @@ impl Generation {
             source: Box::new(source),
             frames: FrameCache::new(limits.cache_bytes),
             disk,
+            store,
             queue: Mutex::new(queue),
             costs: JobCosts::default(),
             limits,
@@ -107,10 +123,14 @@ impl Generation {
         self.shared.active_flows.load(Ordering::Relaxed).div_ceil(self.shared.limits.threads).max(1)
     }
 
-    /// Waits a bounded time for the pending disk writes and releases the folder. For shutdown.
+    /// Waits a bounded time for the pending writes and releases the folder of the disk cache. For
+    /// shutdown.
     pub async fn close(&self) {
         if let Some(disk) = &self.shared.disk {
             disk.close().await;
+        }
+        if let Some(store) = &self.shared.store {
+            store.close().await;
         }
     }
 

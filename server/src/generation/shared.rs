@@ -7,6 +7,7 @@ use crate::cache::memory::FrameCache;
 use crate::mechanism::Mechanism;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
+use crate::store::Store;
 use bytes::Bytes;
 use protocol::Delivery;
 use std::sync::atomic::{AtomicU64, AtomicUsize};
@@ -38,6 +39,8 @@ pub struct Shared {
     pub frames: FrameCache,
     /// Read before a chunk is generated, written after.
     pub disk: Option<Disk>,
+    /// Read before a chunk that is dear is made, written after.
+    pub store: Option<Store>,
     /// A std mutex: held for map operations only, never across an await or a generation.
     pub queue: Mutex<Queue>,
     pub costs: JobCosts,

@@ -1,0 +1,262 @@
+//! `bake`: makes all chunks of a region and puts them into the store as packs.
+//!
+//! A bake can be split into parts, stopped and repeated: a valid pack is kept, and the same chunks
+//! give the same bytes. The object of the region is written when all its packs are there, by
+//! whichever part finds that first.
+
+use crate::store::StoreAddress;
+use crate::store::pack;
+use crate::store::region::Region;
+use crate::store::tile::{CHUNKS, Names, Tile};
+use bytes::Bytes;
+use clap::Args;
+use cli::UsageError;
+use futures_util::{StreamExt, TryStreamExt, stream};
+use object_store::path::Path;
+use object_store::{Error, GetOptions, ObjectStore, ObjectStoreExt};
+use protocol::chunk_codec;
+use rayon::prelude::*;
+use std::ops::RangeInclusive;
+use std::sync::Arc;
+use std::time::Duration;
+use terrain::Land;
+use tokio::task::JoinSet;
+use tokio::time::timeout;
+
+/// Packs on their way to the store while further ones are made: at most 1 MiB each, usually.
+const PUTS_IN_FLIGHT: usize = 4;
+
+/// Requests at once that look whether packs exist.
+const HEADS_IN_FLIGHT: usize = 32;
+
+/// Timeout of one request; longer than a pack takes on a slow link.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Options of `bake`.
+#[derive(Args, Clone, Debug)]
+pub struct BakeArgs {
+    /// Store that gets the chunks: a folder, file:///FOLDER, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX
+    /// or az://CONTAINER/PREFIX
+    #[arg(long, value_name = "URL", env = "TOMBOLO_STORE")]
+    pub store: String,
+    /// Seed of the world, 0 to 18446744073709551615
+    #[arg(long, value_name = "N", env = "TOMBOLO_WORLD_SEED", default_value_t = 1)]
+    pub world_seed: u64,
+    /// Levels of detail, finest and coarsest, 0 to 16
+    #[arg(long, value_name = "A-B", default_value = "2-16", value_parser = levels)]
+    pub levels: RangeInclusive<u8>,
+    /// West, north, east and south border in metres from the origin; whole tiles of 16 x 16 chunks
+    /// are baked
+    #[arg(long, value_name = "W,N,E,S", default_value = "-8192,-8192,8192,8192",
+          allow_hyphen_values = true, value_parser = area)]
+    pub area: Area,
+    /// Part I of N, counted from 0; with an Indexed Job of Kubernetes $(JOB_COMPLETION_INDEX)/N
+    #[arg(long, value_name = "I/N", default_value = "0/1", value_parser = part)]
+    pub part: Part,
+    /// Threads, 1 to 1024 [default: one per core]
+    #[arg(long, value_name = "N", env = "TOMBOLO_THREADS", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// A rectangle of the map, metres.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Area(pub [i32; 4]);
+
+/// A part of a bake.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// From 0.
+    pub index: u64,
+    /// Number of parts.
+    pub of: u64,
+}
+
+/// What one part did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Baked {
+    /// Packs of the part.
+    pub packs: u64,
+    /// Of these, found valid in the store.
+    pub kept: u64,
+    /// Of these, made and written.
+    pub written: u64,
+    /// Bytes written.
+    pub bytes: u64,
+    /// Whether the region is complete, so that servers use it.
+    pub is_complete: bool,
+}
+
+impl BakeArgs {
+    /// Checks the options.
+    ///
+    /// # Errors
+    /// An invalid address, region or part.
+    pub fn resolve(self) -> Result<Bake, UsageError> {
+        let address =
+            StoreAddress::parse(&self.store).map_err(|why| UsageError::new(format!("--store: {why}")))?;
+        let region = Region::new(&self.levels, self.area.0)
+            .map_err(|why| UsageError::new(format!("--area: {why}")))?;
+        let (objects, root) = address.open().map_err(|why| {
+            UsageError::new(format!("--store: {why}; look at the settings in the environment"))
+        })?;
+        let land = Land::new(self.world_seed);
+        Ok(Bake {
+            names: Names::new(&root, &land.digest()),
+            land,
+            region,
+            part: self.part,
+            objects,
+            threads: self.threads,
+        })
+    }
+}
+
+/// A bake that is ready to run.
+#[derive(Debug)]
+pub struct Bake {
+    /// The land.
+    pub land: Land,
+    /// What is baked.
+    pub region: Region,
+    /// Which part of it.
+    pub part: Part,
+    /// Where it goes.
+    pub objects: Arc<dyn ObjectStore>,
+    /// How its objects are named.
+    pub names: Names,
+    /// Threads; none for one per core.
+    pub threads: Option<u16>,
+}
+
+impl Bake {
+    /// Makes and writes the packs of the part; `progress` is told after each. Must run on threads
+    /// that may block.
+    ///
+    /// # Errors
+    /// One line: the store failed, or the system has no threads.
+    pub async fn run(&self, mut progress: impl FnMut(&Baked, u64)) -> Result<Baked, String> {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(self.threads.map_or(0, usize::from))
+            .build()
+            .map_err(|error| format!("cannot start threads: {error}"))?;
+        let world = self.land.digest();
+        let Part { index, of } = self.part;
+        let all = self.region.tile_count();
+        let total = all / of + u64::from(all % of > index);
+        let (mut baked, mut puts) = (Baked::default(), JoinSet::new());
+        for tile in (0..).zip(self.region.tiles()).filter(|(n, _)| n % of == index).map(|(_, tile)| tile) {
+            let path = self.names.pack(tile);
+            baked.packs += 1;
+            if self.stored(&path).await?.is_some_and(|bytes| pack::verify(&world, tile, &bytes).is_ok()) {
+                baked.kept += 1;
+            } else {
+                let pack = pool.install(|| make(&self.land, &world, tile));
+                baked.written += 1;
+                baked.bytes += pack.len() as u64;
+                while puts.len() >= PUTS_IN_FLIGHT {
+                    ended(puts.join_next().await)?;
+                }
+                puts.spawn(put(Arc::clone(&self.objects), path, pack));
+            }
+            progress(&baked, total);
+        }
+        while let Some(result) = puts.join_next().await {
+            ended(Some(result))?;
+        }
+        baked.is_complete = self.complete().await?;
+        Ok(baked)
+    }
+
+    /// A whole pack, if there is one of a possible length.
+    async fn stored(&self, path: &Path) -> Result<Option<Bytes>, String> {
+        let get = async {
+            match self.objects.get_opts(path, GetOptions::default()).await {
+                Err(Error::NotFound { .. }) => Ok(None),
+                Ok(answer) if answer.meta.size > pack::MAX_PACK as u64 => Ok(None),
+                answer => answer?.bytes().await.map(Some),
+            }
+        };
+        within(get, path).await
+    }
+
+    /// Writes the object of the region if all its packs exist.
+    async fn complete(&self) -> Result<bool, String> {
+        let missing = stream::iter(self.region.tiles())
+            .map(|tile| self.exists(self.names.pack(tile)))
+            .buffer_unordered(HEADS_IN_FLIGHT)
+            .try_any(|exists| async move { !exists })
+            .await?;
+        if missing {
+            return Ok(false);
+        }
+        let region = serde_json::to_vec(&self.region).map_err(|error| error.to_string())?;
+        put(Arc::clone(&self.objects), self.names.regions().join(self.region.name()), region.into()).await?;
+        Ok(true)
+    }
+
+    async fn exists(&self, path: Path) -> Result<bool, String> {
+        let head = async {
+            match self.objects.head(&path).await {
+                Ok(_) => Ok(true),
+                Err(Error::NotFound { .. }) => Ok(false),
+                Err(error) => Err(error),
+            }
+        };
+        within(head, &path).await
+    }
+}
+
+/// The pack of a tile.
+fn make(land: &Land, world: &terrain::WorldDigest, tile: Tile) -> Bytes {
+    let frames: Vec<Option<Bytes>> = (0..CHUNKS)
+        .into_par_iter()
+        .map(|index| tile.chunk(index).map(|key| chunk_codec::encode(&land.chunk(key), world)))
+        .collect();
+    pack::encode(world, tile, &frames)
+}
+
+async fn put(objects: Arc<dyn ObjectStore>, path: Path, bytes: Bytes) -> Result<(), String> {
+    within(async { objects.put(&path, bytes.into()).await.map(drop) }, &path).await
+}
+
+/// The result of a request, with its errors as one line.
+async fn within<T>(request: impl Future<Output = object_store::Result<T>>, path: &Path) -> Result<T, String> {
+    match timeout(REQUEST_TIMEOUT, request).await {
+        Ok(Ok(done)) => Ok(done),
+        Ok(Err(error)) => {
+            let line = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+            Err(format!("the store failed: {line}; what is written stays, run the same command again"))
+        }
+        Err(_) => Err(format!("the store did not answer within {REQUEST_TIMEOUT:?} ({path}); run it again")),
+    }
+}
+
+/// The result of a finished write.
+fn ended(result: Option<Result<Result<(), String>, tokio::task::JoinError>>) -> Result<(), String> {
+    result.map_or(Ok(()), |joined| joined.map_err(|error| format!("a write failed: {error}"))?)
+}
+
+fn levels(text: &str) -> Result<RangeInclusive<u8>, String> {
+    let (finest, coarsest) = text.split_once('-').unwrap_or((text, text));
+    match (finest.parse(), coarsest.parse()) {
+        (Ok(finest), Ok(coarsest)) if finest <= coarsest && coarsest <= 16 => Ok(finest..=coarsest),
+        _ => Err("give the finest and the coarsest level, such as 2-16".into()),
+    }
+}
+
+fn area(text: &str) -> Result<Area, String> {
+    let borders: Result<Vec<i32>, _> = text.split(',').map(|border| border.trim().parse()).collect();
+    let borders = borders.ok().and_then(|borders| <[i32; 4]>::try_from(borders).ok());
+    borders.map(Area).ok_or_else(|| "give west,north,east,south in whole metres".into())
+}
+
+fn part(text: &str) -> Result<Part, String> {
+    let numbers = text.split_once('/').and_then(|(index, of)| Some((index.parse().ok()?, of.parse().ok()?)));
+    match numbers {
+        Some((index, of)) if index < of => Ok(Part { index, of }),
+        _ => Err("give I/N with I from 0 to N - 1, such as 0/4".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,85 @@
+use super::*;
+use object_store::memory::InMemory;
+use std::collections::BTreeMap;
+
+const SEED: u64 = 1;
+
+/// A small region: 2 levels over 4 tiles and 1.
+fn bake(objects: &Arc<InMemory>, index: u64, of: u64) -> Bake {
+    let land = Land::new(SEED);
+    Bake {
+        names: Names::new(&Path::from("store"), &land.digest()),
+        land,
+        region: Region::new(&(4..=5), [-1, -1, 40_000, 40_000]).unwrap(),
+        part: Part { index, of },
+        objects: Arc::<InMemory>::clone(objects),
+        threads: None,
+    }
+}
+
+/// Every object with the hash of its content.
+async fn contents(objects: &InMemory) -> BTreeMap<String, blake3::Hash> {
+    let all: Vec<_> = objects.list(None).try_collect().await.unwrap();
+    let mut contents = BTreeMap::new();
+    for object in all {
+        let bytes = objects.get(&object.location).await.unwrap().bytes().await.unwrap();
+        contents.insert(object.location.to_string(), blake3::hash(&bytes));
+    }
+    contents
+}
+
+#[tokio::test]
+async fn any_number_of_parts_gives_the_same_objects_also_when_one_is_stopped_and_repeated() {
+    let whole = Arc::new(InMemory::new());
+    let baked = bake(&whole, 0, 1).run(|_, _| ()).await.unwrap();
+    let expected = contents(&whole).await;
+    assert_eq!(expected.len() as u64, baked.packs + 1, "packs and the region");
+    assert!(baked.is_complete && baked.packs >= 8 && baked.kept == 0);
+    for of in [2, 7] {
+        let objects = Arc::new(InMemory::new());
+        // Stopped within its part: after some packs.
+        let stopped = bake(&objects, 1, of);
+        let mut packs = 0;
+        let stop = stopped.run(|_, _| {
+            packs += 1;
+            assert!(packs < 2, "stopped");
+        });
+        let stopped = futures_util::FutureExt::catch_unwind(std::panic::AssertUnwindSafe(stop)).await;
+        assert!(stopped.is_err() || packs < 2);
+        assert!(!contents(&objects).await.keys().any(|name| name.contains("regions")));
+        for index in (0..of).rev() {
+            let baked = bake(&objects, index, of).run(|_, _| ()).await.unwrap();
+            assert_eq!(baked.is_complete, index == 0, "part {index} of {of}");
+        }
+        assert_eq!(contents(&objects).await, expected, "{of} parts");
+    }
+}
+
+#[tokio::test]
+async fn a_repeated_bake_keeps_valid_packs_and_replaces_damaged_ones() {
+    let objects = Arc::new(InMemory::new());
+    let first = bake(&objects, 0, 1);
+    let baked = first.run(|_, _| ()).await.unwrap();
+    let expected = contents(&objects).await;
+    let tile = first.region.tiles().next().unwrap();
+    objects.put(&first.names.pack(tile), "damaged".into()).await.unwrap();
+    let again = bake(&objects, 0, 1).run(|_, _| ()).await.unwrap();
+    assert_eq!((again.written, again.kept), (1, baked.packs - 1));
+    assert_eq!(contents(&objects).await, expected);
+}
+
+#[test]
+fn options_are_checked() {
+    assert_eq!(levels("2-5"), Ok(2..=5));
+    assert_eq!(area("-1, 2,3,4"), Ok(Area([-1, 2, 3, 4])));
+    assert_eq!(part("3/4"), Ok(Part { index: 3, of: 4 }));
+    for wrong in ["", "5-2", "1-17", "a"] {
+        assert!(levels(wrong).is_err(), "{wrong}");
+    }
+    for wrong in ["", "4/4", "1", "-1/2", "1/0"] {
+        assert!(part(wrong).is_err(), "{wrong}");
+    }
+    for wrong in ["", "1,2,3", "1,2,3,4,5", "1,2,3,x"] {
+        assert!(area(wrong).is_err(), "{wrong}");
+    }
+}

@@ -1,0 +1,95 @@
+//! The address of a store: its URL and the settings of its engine in the environment.
+
+use object_store::path::Path;
+use object_store::{ObjectStore, parse_url_opts};
+use std::sync::Arc;
+use url::Url;
+
+/// Environment variables with these prefixes are settings of an engine, such as `AWS_REGION`,
+/// `AWS_ENDPOINT`, `GOOGLE_SERVICE_ACCOUNT`, `AZURE_STORAGE_ACCOUNT_NAME`.
+const SETTINGS: [&str; 3] = ["AWS_", "GOOGLE_", "AZURE_"];
+
+/// Schemes of URLs that are understood.
+const SCHEMES: [&str; 8] = ["file", "memory", "s3", "s3a", "gs", "az", "azure", "abfss"];
+
+/// A checked address. It may not hold secrets: those stand in the environment.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StoreAddress(Url);
+
+impl StoreAddress {
+    /// Parses a URL, or the path of a folder.
+    ///
+    /// # Errors
+    /// What is wrong and what to give.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let help = "give file:///FOLDER, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX";
+        if !text.contains("://") {
+            let folder = std::path::absolute(text).map_err(|_| format!("`{text}` is no folder; {help}"))?;
+            let url = Url::from_directory_path(&folder);
+            return url.map(Self).map_err(|()| format!("`{text}` is no folder; {help}"));
+        }
+        let url = Url::parse(text).map_err(|error| format!("`{text}` is no URL ({error}); {help}"))?;
+        if !SCHEMES.contains(&url.scheme()) {
+            return Err(format!("`{}` is not known; {help}", url.scheme()));
+        }
+        if !url.username().is_empty() || url.password().is_some() || url.query().is_some() {
+            return Err(
+                "credentials belong into the environment, such as AWS_ACCESS_KEY_ID, not into the URL".into(),
+            );
+        }
+        Ok(Self(url))
+    }
+
+    /// The store and the path of its root. Nothing is sent yet.
+    ///
+    /// # Errors
+    /// The settings of the engine are invalid.
+    pub fn open(&self) -> Result<(Arc<dyn ObjectStore>, Path), String> {
+        // The first caller decides; all choose the same.
+        let _ = rustls::crypto::ring::default_provider().install_default();
+        let settings = std::env::vars()
+            .filter(|(name, _)| SETTINGS.iter().any(|prefix| name.starts_with(prefix)))
+            .map(|(name, value)| (name.to_ascii_lowercase(), value));
+        let (store, root) = parse_url_opts(&self.0, settings).map_err(|error| error.to_string())?;
+        Ok((store.into(), root))
+    }
+}
+
+impl std::fmt::Display for StoreAddress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_and_urls_of_engines_are_addresses() {
+        assert_eq!(StoreAddress::parse("/data/chunks").unwrap().to_string(), "file:///data/chunks/");
+        for url in ["s3://bucket/some/prefix", "gs://bucket", "az://container/x", "memory:///"] {
+            assert_eq!(StoreAddress::parse(url).unwrap().to_string(), url);
+        }
+        let (_, root) = StoreAddress::parse("file:///data/chunks").unwrap().open().unwrap();
+        assert_eq!(root.as_ref(), "data/chunks");
+    }
+
+    #[test]
+    fn other_schemes_and_secrets_are_errors_that_say_what_to_give() {
+        for (text, word) in [
+            ("ftp://host/x", "s3://"),
+            ("s3://", "s3://"),
+            ("s3://key:secret@bucket/x", "AWS_ACCESS_KEY_ID"),
+            ("az://container/x?sig=secret", "environment"),
+        ] {
+            match StoreAddress::parse(text) {
+                Err(error) => {
+                    assert!(error.contains(word), "{text}: {error}");
+                    assert!(!error.contains("secret"), "{error}");
+                }
+                Ok(address) => assert!(address.open().is_err(), "{text}"),
+            }
+        }
+    }
+}

@@ -1,0 +1,358 @@
+//! The shared store: exact frames in an object store that all replicas read and write.
+//!
+//! A chunk is read before it is made, where that may save time, and written after. An object is
+//! named by what its content follows from, so replicas need no agreement: a second write changes
+//! nothing, a lost object is made again. Whatever is read is checked by digest and key before it is
+//! used; who can write to the store is trusted beyond that.
+//!
+//! A generation thread waits for the store at most as long as chunks of that level took to make
+//! lately, and asks only if answers come sooner than that ([`pace`]). A [`breaker`] stops asking a
+//! store that fails. Chunks of baked [`region`]s lie in [`pack`]s, others in objects of their own.
+
+pub mod address;
+pub mod breaker;
+pub mod pace;
+pub mod pack;
+pub mod region;
+pub mod tile;
+mod writer;
+
+pub use address::StoreAddress;
+
+use crate::metrics::Metrics;
+use breaker::Breaker;
+use bytes::Bytes;
+use futures_util::TryStreamExt;
+use object_store::{Error, GetOptions, ObjectStore, ObjectStoreExt};
+use pace::Pace;
+use pack::Index;
+use protocol::chunk_codec;
+use protocol::limits::MAX_CHUNK_FRAME;
+use quick_cache::sync::Cache;
+use region::Region;
+use std::io;
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::{Duration, Instant};
+use terrain::{Chunk, ChunkKey, WorldDigest};
+use tile::{Names, Tile};
+use tokio::runtime::Runtime;
+use tokio::sync::Semaphore;
+use tokio::time::timeout;
+use writer::Writer;
+
+/// The finest level that is stored, unless a region has a finer one: as for the disk cache.
+pub const FINEST_LEVEL: u8 = crate::cache::disk::FINEST_LEVEL;
+
+/// Timeout of one read. Its thread no longer waits then; the answer only tells the breaker.
+const READ_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Reads in flight. One more is not sent: the chunk is made.
+const READS_IN_FLIGHT: usize = 64;
+
+/// Indexes of packs in memory, 1 KiB each.
+const INDEXES: usize = 4096;
+
+/// Time between two looks for regions that were baked meanwhile.
+const LOOK_FOR_REGIONS: Duration = Duration::from_secs(60);
+
+/// Regions that are used; further ones are ignored with a warning.
+const MAX_REGIONS: usize = 1024;
+
+/// Longest object of a region, bytes.
+const MAX_REGION: u64 = 4096;
+
+/// Options of the store.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StoreConfig {
+    /// Where it is.
+    pub address: StoreAddress,
+    /// Least time that a chunk waits for the store before it is made.
+    pub wait: Duration,
+}
+
+/// The store of one world.
+#[derive(Debug)]
+pub struct Store {
+    inner: Arc<Inner>,
+    writer: Writer,
+    /// Of its own: neither peers nor generation delay the store, nor it them. Taken by the drop.
+    runtime: Option<Runtime>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    objects: Arc<dyn ObjectStore>,
+    names: Names,
+    world: WorldDigest,
+    breaker: Arc<Mutex<Breaker>>,
+    regions: RwLock<Vec<Region>>,
+    indexes: Cache<Tile, Arc<Index>>,
+    reads: Arc<Semaphore>,
+    pace: Pace,
+    metrics: Arc<Metrics>,
+}
+
+/// What came of a read.
+enum Fetched {
+    Object(Bytes),
+    Missing,
+    Failed,
+}
+
+impl Store {
+    /// Opens a store. Nothing is awaited: a store that is not there is one without objects.
+    ///
+    /// # Errors
+    /// Invalid settings, or the system cannot start its thread.
+    pub fn new(config: &StoreConfig, world: &WorldDigest, metrics: Arc<Metrics>) -> io::Result<Self> {
+        let (objects, root) = config.address.open().map_err(io::Error::other)?;
+        Self::over(objects, &root, config.wait, world, metrics)
+    }
+
+    /// A store over any objects.
+    ///
+    /// # Errors
+    /// The system cannot start its thread.
+    pub fn over(
+        objects: Arc<dyn ObjectStore>,
+        root: &object_store::path::Path,
+        wait: Duration,
+        world: &WorldDigest,
+        metrics: Arc<Metrics>,
+    ) -> io::Result<Self> {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("store")
+            .enable_all()
+            .build()?;
+        let breaker = Arc::<Mutex<Breaker>>::default();
+        let writer =
+            Writer::start(runtime.handle(), Arc::clone(&objects), Arc::clone(&breaker), Arc::clone(&metrics));
+        metrics.store_up.set(1);
+        let inner = Arc::new(Inner {
+            objects,
+            names: Names::new(root, world),
+            world: *world,
+            breaker,
+            regions: RwLock::default(),
+            indexes: Cache::new(INDEXES),
+            reads: Arc::new(Semaphore::new(READS_IN_FLIGHT)),
+            pace: Pace::new(wait),
+            metrics,
+        });
+        runtime.spawn(Arc::clone(&inner).follow_regions());
+        Ok(Self { inner, writer, runtime: Some(runtime) })
+    }
+
+    /// The chunk of a key with its exact frame, if the store has it and answers in time. Blocks: not
+    /// for async threads.
+    #[must_use]
+    pub fn read(&self, key: ChunkKey) -> Option<(Chunk, Bytes)> {
+        let inner = &self.inner;
+        let tile = inner.packed(key);
+        if tile.is_none() && key.level() < FINEST_LEVEL {
+            return None;
+        }
+        let permit = Arc::clone(&inner.reads).try_acquire_owned();
+        let (Some(wait), Ok(permit), true) = (inner.pace.wait(key, Instant::now()), permit, inner.allows())
+        else {
+            inner.metrics.store_reads_skipped.inc();
+            return None;
+        };
+        // For one answer; nobody waits for it after the timeout.
+        let (sender, answer) = sync_channel(1);
+        let reading = Arc::clone(inner);
+        self.runtime.as_ref()?.spawn(async move {
+            let read = reading.fetch(key, tile).await;
+            drop(permit);
+            let _ = sender.try_send(read);
+        });
+        let frame = match answer.recv_timeout(wait) {
+            Ok(Fetched::Object(frame)) => frame,
+            Ok(Fetched::Missing) => {
+                inner.metrics.store_misses.inc();
+                return None;
+            }
+            Ok(Fetched::Failed) | Err(RecvTimeoutError::Disconnected) => {
+                inner.metrics.store_reads_failed.inc();
+                return None;
+            }
+            Err(RecvTimeoutError::Timeout) => {
+                inner.pace.late(wait, Instant::now());
+                inner.metrics.store_reads_late.inc();
+                return None;
+            }
+        };
+        let chunk = chunk_codec::decode(&frame, &inner.world).ok().filter(|chunk| chunk.key == key);
+        let Some(chunk) = chunk else {
+            inner.metrics.store_reads_invalid.inc();
+            tracing::debug!(%key, "an object of the store is damaged or foreign; it will be written again");
+            return None;
+        };
+        inner.metrics.store_hits.inc();
+        Some((chunk, frame))
+    }
+
+    /// A chunk was made in this time: writes its exact frame, if its level is stored and no pack has
+    /// it.
+    pub fn made(&self, key: ChunkKey, took: Duration, frame: impl FnOnce() -> Bytes) {
+        self.inner.pace.made(key, took);
+        if key.level() >= FINEST_LEVEL && self.inner.packed(key).is_none() {
+            self.writer.write(self.inner.names.chunk(key), frame());
+        }
+    }
+
+    /// Waits a bounded time for the pending writes.
+    pub async fn close(&self) {
+        self.writer.close().await;
+    }
+
+    /// Waits for one look for regions: for tests.
+    #[cfg(test)]
+    pub fn look_for_regions(&self) {
+        let (sender, seen) = sync_channel(1);
+        let inner = Arc::clone(&self.inner);
+        self.runtime.as_ref().expect("not dropped").spawn(async move {
+            inner.look_for_regions().await;
+            let _ = sender.send(());
+        });
+        seen.recv().expect("the task ends");
+    }
+}
+
+impl Drop for Store {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            // A runtime must not be waited for on an async thread.
+            runtime.shutdown_background();
+        }
+    }
+}
+
+impl Inner {
+    /// The tile of a chunk, if a region has its pack.
+    fn packed(&self, key: ChunkKey) -> Option<Tile> {
+        let tile = Tile::of(key).0;
+        let regions = self.regions.read().unwrap_or_else(PoisonError::into_inner);
+        regions.iter().any(|region| region.contains(tile)).then_some(tile)
+    }
+
+    fn allows(&self) -> bool {
+        self.breaker.lock().unwrap_or_else(PoisonError::into_inner).allows(Instant::now())
+    }
+
+    /// The bytes of a chunk's object. Tells breaker and pace, also of an answer that nobody waits for.
+    async fn fetch(&self, key: ChunkKey, tile: Option<Tile>) -> Fetched {
+        let started = Instant::now();
+        let read = timeout(READ_TIMEOUT, self.get(key, tile)).await;
+        let took = started.elapsed();
+        self.metrics.store_read_seconds.observe(took.as_secs_f64());
+        self.pace.read(took);
+        let mut breaker = self.breaker.lock().unwrap_or_else(PoisonError::into_inner);
+        let fetched = match read {
+            Ok(Ok(found)) => {
+                breaker.succeeded();
+                found.map_or(Fetched::Missing, Fetched::Object)
+            }
+            failed => {
+                tracing::debug!(?failed, "a read from the store failed");
+                breaker.failed(Instant::now());
+                Fetched::Failed
+            }
+        };
+        self.metrics.store_up.set(i64::from(!breaker.is_open()));
+        fetched
+    }
+
+    async fn get(&self, key: ChunkKey, tile: Option<Tile>) -> object_store::Result<Option<Bytes>> {
+        if let Some(tile) = tile
+            && let Some(index) = self.index(tile).await?
+            && let Some(range) = index.frame(Tile::of(key).1)
+        {
+            let frame = self.objects.get_range(&self.names.pack(tile), range).await;
+            return found(frame);
+        }
+        let answer = match self.objects.get_opts(&self.names.chunk(key), GetOptions::default()).await {
+            Err(Error::NotFound { .. }) => return Ok(None),
+            answer => answer?,
+        };
+        if answer.meta.size > MAX_CHUNK_FRAME as u64 {
+            // No frame: its bytes are invalid, however many come.
+            return Ok(Some(Bytes::new()));
+        }
+        answer.bytes().await.map(Some)
+    }
+
+    /// The index of a tile's pack, from memory or the store; none if there is no valid one.
+    async fn index(&self, tile: Tile) -> object_store::Result<Option<Arc<Index>>> {
+        if let Some(index) = self.indexes.get(&tile) {
+            return Ok(Some(index));
+        }
+        let header = self.objects.get_range(&self.names.pack(tile), 0..pack::HEADER as u64).await;
+        let Some(header) = found(header)? else { return Ok(None) };
+        let Ok(index) = pack::index(tile, &header) else {
+            self.metrics.store_reads_invalid.inc();
+            return Ok(None);
+        };
+        let index = Arc::new(index);
+        self.indexes.insert(tile, Arc::clone(&index));
+        Ok(Some(index))
+    }
+
+    /// Looks for regions now and then, for ever.
+    async fn follow_regions(self: Arc<Self>) {
+        loop {
+            self.look_for_regions().await;
+            tokio::time::sleep(LOOK_FOR_REGIONS).await;
+        }
+    }
+
+    async fn look_for_regions(&self) {
+        let regions = match timeout(READ_TIMEOUT, self.list_regions()).await {
+            Ok(Ok(regions)) => regions,
+            Ok(Err(error)) => return tracing::debug!(%error, "cannot list the regions of the store"),
+            Err(_) => return tracing::debug!("the store did not list its regions in time"),
+        };
+        let mut known = self.regions.write().unwrap_or_else(PoisonError::into_inner);
+        if *known != regions {
+            tracing::info!(regions = regions.len(), "regions of the store");
+            *known = regions;
+        }
+    }
+
+    async fn list_regions(&self) -> object_store::Result<Vec<Region>> {
+        let mut objects = self.objects.list(Some(&self.names.regions()));
+        let mut regions = Vec::new();
+        while let Some(object) = objects.try_next().await? {
+            if regions.len() == MAX_REGIONS {
+                tracing::warn!("the store has over {MAX_REGIONS} regions; the others are ignored");
+                break;
+            }
+            if object.size > MAX_REGION {
+                continue;
+            }
+            let bytes = self.objects.get(&object.location).await?.bytes().await?;
+            let region: Option<Region> = serde_json::from_slice(&bytes).ok();
+            let valid = region
+                .filter(|region| Region::new(&(region.finest..=region.coarsest), region.area_m).is_ok());
+            match valid {
+                Some(region) => regions.push(region),
+                None => tracing::warn!(object = %object.location, "no region; ignored"),
+            }
+        }
+        Ok(regions)
+    }
+}
+
+/// An object that does not exist is no error.
+fn found<T>(result: object_store::Result<T>) -> object_store::Result<Option<T>> {
+    match result {
+        Ok(found) => Ok(Some(found)),
+        Err(Error::NotFound { .. }) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,117 @@
+//! Whether a read from the store saves time: what reads take against what making a chunk takes.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use terrain::ChunkKey;
+use terrain::constants::TOP_LEVEL;
+
+/// Window of the moving averages.
+const WINDOW: u64 = 8;
+
+/// Taken for the time to make a chunk of a level of which none was made yet.
+const UNKNOWN: Duration = Duration::from_millis(20);
+
+/// Time between two reads of a store that has been too slow, to see whether it still is.
+const RETRY: Duration = Duration::from_secs(5);
+
+/// Moving averages of times. Relaxed atomics: a lost update changes little.
+#[derive(Debug)]
+pub struct Pace {
+    least_wait: Duration,
+    /// By level, nanoseconds; 0 is unknown.
+    made: [AtomicU64; TOP_LEVEL as usize + 1],
+    /// Nanoseconds; 0 is unknown.
+    read: AtomicU64,
+    tried: Mutex<Option<Instant>>,
+}
+
+impl Pace {
+    /// Nothing is known yet. Every chunk may wait for this time, whatever it takes to make.
+    #[must_use]
+    pub fn new(least_wait: Duration) -> Self {
+        let made = std::array::from_fn(|_| AtomicU64::new(0));
+        Self { least_wait, made, read: AtomicU64::new(0), tried: Mutex::new(None) }
+    }
+
+    /// The time to wait for a chunk; none if its answer would likely come later than that. Then one
+    /// read every [`RETRY`] is worth a try all the same.
+    pub fn wait(&self, key: ChunkKey, now: Instant) -> Option<Duration> {
+        let made = match self.made[usize::from(key.level())].load(Ordering::Relaxed) {
+            0 => UNKNOWN,
+            nanoseconds => Duration::from_nanos(nanoseconds),
+        };
+        let wait = made.max(self.least_wait);
+        if Duration::from_nanos(self.read.load(Ordering::Relaxed)) <= wait {
+            return Some(wait);
+        }
+        let mut tried = self.tried.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_due = tried.is_none_or(|tried| now.saturating_duration_since(tried) >= RETRY);
+        is_due.then(|| {
+            *tried = Some(now);
+            wait
+        })
+    }
+
+    /// A chunk was made in this time.
+    pub fn made(&self, key: ChunkKey, took: Duration) {
+        add(&self.made[usize::from(key.level())], took);
+    }
+
+    /// A read was answered, or failed, in this time.
+    pub fn read(&self, took: Duration) {
+        add(&self.read, took);
+    }
+
+    /// A read was not answered within this time: it takes longer, by how much is not known.
+    pub fn late(&self, waited: Duration, now: Instant) {
+        self.read.fetch_max(nanoseconds(2 * waited), Ordering::Relaxed);
+        *self.tried.lock().unwrap_or_else(PoisonError::into_inner) = Some(now);
+    }
+}
+
+fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}
+
+fn add(mean: &AtomicU64, took: Duration) {
+    let before = mean.load(Ordering::Relaxed);
+    let took = nanoseconds(took);
+    let after = if before == 0 { took } else { before - before / WINDOW + took / WINDOW };
+    mean.store(after.max(1), Ordering::Relaxed);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: fn(u64) -> Duration = Duration::from_millis;
+
+    #[test]
+    fn a_chunk_waits_as_long_as_it_takes_to_make_if_answers_come_sooner() {
+        let (pace, now) = (Pace::new(Duration::ZERO), Instant::now());
+        let [dear, cheap] = [5, 2].map(|level| ChunkKey::new(level, 0, 0).unwrap());
+        assert_eq!(pace.wait(dear, now), Some(UNKNOWN));
+        pace.made(dear, MS(30));
+        pace.made(cheap, MS(1));
+        pace.read(MS(10));
+        assert_eq!(pace.wait(dear, now), Some(MS(30)));
+        assert_eq!(pace.wait(cheap, now), Some(MS(1)), "once, to see how long it takes");
+        assert_eq!(pace.wait(cheap, now), None);
+        assert_eq!(pace.wait(cheap, now + RETRY), Some(MS(1)));
+    }
+
+    #[test]
+    fn one_late_answer_stops_waiting_and_quick_ones_begin_it_again() {
+        let (pace, now) = (Pace::new(MS(5)), Instant::now());
+        let key = ChunkKey::new(3, 0, 0).unwrap();
+        pace.made(key, MS(1));
+        assert_eq!(pace.wait(key, now), Some(MS(5)), "the least wait");
+        pace.late(MS(5), now);
+        assert_eq!(pace.wait(key, now), None);
+        assert_eq!(pace.wait(key, now + RETRY), Some(MS(5)), "once");
+        assert_eq!(pace.wait(key, now + RETRY), None);
+        (0..20).for_each(|_| pace.read(MS(1)));
+        assert_eq!(pace.wait(key, now), Some(MS(5)));
+    }
+}

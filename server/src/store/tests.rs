@@ -1,0 +1,262 @@
+use super::*;
+use crate::bake::{Bake, Part};
+use crate::generation::{Generation, Limits};
+use crate::source::ProceduralSource;
+use async_trait::async_trait;
+use futures_util::stream::BoxStream;
+use object_store::memory::InMemory;
+use object_store::path::Path;
+use object_store::{
+    CopyOptions, GetResult, ListResult, MultipartUpload, ObjectMeta, PutMultipartOptions, PutOptions,
+    PutPayload, PutResult,
+};
+use prometheus_client::metrics::counter::Counter;
+use protocol::Delivery;
+use protocol::server::ChunkRequest;
+use std::fmt;
+use terrain::Land;
+
+/// What is wrong with a store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fault {
+    None,
+    /// Every request takes 2 s.
+    Slow,
+    /// Every request fails.
+    Gone,
+    /// No write is accepted.
+    ReadOnly,
+    /// Every object has a flipped bit.
+    Damaged,
+    /// Every object is that of another chunk.
+    Foreign,
+    /// Every object is cut.
+    Cut,
+}
+
+/// A store in memory with a fault.
+#[derive(Debug)]
+struct Faulty {
+    objects: Arc<InMemory>,
+    fault: Fault,
+}
+
+impl fmt::Display for Faulty {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}", self.fault)
+    }
+}
+
+impl Faulty {
+    async fn begin(&self) -> object_store::Result<()> {
+        match self.fault {
+            Fault::Slow => tokio::time::sleep(Duration::from_secs(2)).await,
+            Fault::Gone => return Err(Error::Generic { store: "test", source: "gone".into() }),
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
+#[async_trait]
+impl ObjectStore for Faulty {
+    async fn put_opts(
+        &self,
+        path: &Path,
+        bytes: PutPayload,
+        options: PutOptions,
+    ) -> object_store::Result<PutResult> {
+        self.begin().await?;
+        if self.fault == Fault::ReadOnly {
+            return Err(Error::PermissionDenied { path: path.to_string(), source: "read only".into() });
+        }
+        self.objects.put_opts(path, bytes, options).await
+    }
+
+    async fn put_multipart_opts(
+        &self,
+        path: &Path,
+        options: PutMultipartOptions,
+    ) -> object_store::Result<Box<dyn MultipartUpload>> {
+        self.objects.put_multipart_opts(path, options).await
+    }
+
+    async fn get_opts(&self, path: &Path, options: GetOptions) -> object_store::Result<GetResult> {
+        self.begin().await?;
+        if self.fault == Fault::Foreign && path.as_ref().ends_with("base") {
+            let all: Vec<ObjectMeta> = self.objects.list(None).try_collect().await?;
+            let other = all.into_iter().map(|object| object.location).find(|other| other != path);
+            return self.objects.get_opts(other.as_ref().unwrap_or(path), options).await;
+        }
+        let found = self.objects.get_opts(path, options).await?;
+        if !matches!(self.fault, Fault::Damaged | Fault::Cut) {
+            return Ok(found);
+        }
+        let (meta, mut bytes) = (found.meta.clone(), found.bytes().await?.to_vec());
+        match self.fault {
+            Fault::Damaged => bytes[30] ^= 1,
+            _ => bytes.truncate(bytes.len() / 2),
+        }
+        let scratch = InMemory::new();
+        scratch.put(&meta.location, bytes.into()).await?;
+        scratch.get(&meta.location).await
+    }
+
+    fn delete_stream(
+        &self,
+        paths: BoxStream<'static, object_store::Result<Path>>,
+    ) -> BoxStream<'static, object_store::Result<Path>> {
+        self.objects.delete_stream(paths)
+    }
+
+    fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, object_store::Result<ObjectMeta>> {
+        self.objects.list(prefix)
+    }
+
+    async fn list_with_delimiter(&self, prefix: Option<&Path>) -> object_store::Result<ListResult> {
+        self.objects.list_with_delimiter(prefix).await
+    }
+
+    async fn copy_opts(&self, from: &Path, to: &Path, options: CopyOptions) -> object_store::Result<()> {
+        self.objects.copy_opts(from, to, options).await
+    }
+}
+
+/// A generation service over a store with a fault.
+struct Replica {
+    generation: Generation,
+    metrics: Arc<Metrics>,
+}
+
+const EXACT: &[Delivery] = &[Delivery::Exact];
+
+const WAIT: Duration = Duration::from_millis(200);
+
+fn land() -> Land {
+    Land::new(1)
+}
+
+fn store(objects: &Arc<InMemory>, fault: Fault, metrics: &Arc<Metrics>) -> Store {
+    let faulty = Arc::new(Faulty { objects: Arc::clone(objects), fault });
+    Store::over(faulty, &Path::from("root"), WAIT, &land().digest(), Arc::clone(metrics)).unwrap()
+}
+
+fn replica(objects: &Arc<InMemory>, fault: Fault) -> Replica {
+    let metrics = Arc::new(Metrics::default());
+    let store = store(objects, fault, &metrics);
+    store.look_for_regions();
+    let limits = Limits {
+        threads: 1,
+        cache_bytes: 1 << 20,
+        jobs: 100,
+        deadline: Duration::from_secs(60),
+        without: None,
+    };
+    let source = ProceduralSource::new(land());
+    let generation =
+        Generation::with_stores(source, limits, None, Some(store), Arc::clone(&metrics)).unwrap();
+    Replica { generation, metrics }
+}
+
+fn keys() -> Vec<ChunkKey> {
+    (0..8).map(|n| ChunkKey::new(2 + n as u8 % 3, n - 4, 1 - n).unwrap()).collect()
+}
+
+/// The replica serves every chunk right in some deliveries. Where one was served, the error is known
+/// for another, and the chunk is made without the store.
+async fn serves(replica: &Replica, keys: &[ChunkKey], deliveries: &[Delivery]) {
+    let (land, world) = (land(), land().digest());
+    for key in keys {
+        for delivery in deliveries.iter().copied() {
+            let request = ChunkRequest { key: *key, request: Some(0), priority: 0 };
+            let frame = replica.generation.flow().compact().frame(request, delivery).await.unwrap();
+            assert_eq!(
+                frame,
+                chunk_codec::encode_for(delivery, &land.chunk(*key), &world),
+                "{key} {delivery}"
+            );
+        }
+    }
+    replica.generation.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_one_replica_makes_another_reads() {
+    let objects = Arc::new(InMemory::new());
+    let first = replica(&objects, Fault::None);
+    serves(&first, &keys(), EXACT).await;
+    assert_eq!((first.metrics.jobs_completed.get(), first.metrics.store_writes.get()), (8, 8));
+    let second = replica(&objects, Fault::None);
+    serves(&second, &keys(), EXACT).await;
+    assert_eq!((second.metrics.jobs_completed.get(), second.metrics.store_hits.get()), (0, 8));
+    // Another delivery is encoded from the chunk of the store.
+    let third = replica(&objects, Fault::None);
+    serves(&third, &keys(), &[Delivery::SeedOnly]).await;
+    assert_eq!((third.metrics.jobs_completed.get(), third.metrics.store_hits.get()), (0, 8));
+    // Fine levels are cheaper to make than to read.
+    let fine = ChunkKey::new(0, 1, 1).unwrap();
+    serves(&second, &[fine], EXACT).await;
+    assert_eq!((second.metrics.jobs_completed.get(), second.metrics.store_writes.get()), (1, 0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn no_fault_of_a_store_changes_a_chunk() {
+    let objects = Arc::new(InMemory::new());
+    serves(&replica(&objects, Fault::None), &keys(), EXACT).await;
+    for fault in [Fault::Slow, Fault::Gone, Fault::Damaged, Fault::Foreign, Fault::Cut, Fault::ReadOnly] {
+        let seed_only = replica(&objects, fault);
+        serves(&seed_only, &keys(), &[Delivery::SeedOnly, Delivery::Exact]).await;
+        let replica = replica(&objects, fault);
+        serves(&replica, &keys(), EXACT).await;
+        let metrics = &replica.metrics;
+        let made = metrics.jobs_completed.get();
+        let [invalid, late, failed, skipped, refused] = [
+            &metrics.store_reads_invalid,
+            &metrics.store_reads_late,
+            &metrics.store_reads_failed,
+            &metrics.store_reads_skipped,
+            &metrics.store_writes_refused,
+        ]
+        .map(Counter::get);
+        match fault {
+            Fault::Slow => assert!(late == 1 && skipped == 7 && made == 8, "{late} late, {skipped} skipped"),
+            // Failed writes count for the breaker too.
+            Fault::Gone => assert!(failed <= 5 && failed + skipped == 8 && made == 8, "{failed} failed"),
+            Fault::ReadOnly => assert_eq!((metrics.store_hits.get(), made, refused), (8, 0, 0)),
+            _ => assert_eq!((invalid, made), (8, 8), "{fault:?}"),
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_store_that_refuses_writes_is_read() {
+    let objects = Arc::new(InMemory::new());
+    let replica = replica(&objects, Fault::ReadOnly);
+    serves(&replica, &keys(), EXACT).await;
+    assert_eq!((replica.metrics.store_writes_refused.get(), replica.metrics.store_writes.get()), (8, 0));
+    assert_eq!(replica.metrics.store_up.get(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_baked_region_is_served_without_making_a_chunk() {
+    let objects = Arc::new(InMemory::new());
+    let region = Region::new(&(1..=3), [-3_000, -3_000, 3_000, 3_000]).unwrap();
+    let bake = Bake {
+        names: Names::new(&Path::from("root"), &land().digest()),
+        land: land(),
+        region: region.clone(),
+        part: Part { index: 0, of: 1 },
+        objects: Arc::<InMemory>::clone(&objects),
+        threads: None,
+    };
+    assert!(bake.run(|_, _| ()).await.unwrap().is_complete);
+    let replica = replica(&objects, Fault::None);
+    let keys: Vec<_> =
+        (0..48).map(|n| ChunkKey::new(1 + n as u8 % 3, n % 7 - 3, n / 7 - 3).unwrap()).collect();
+    assert!(keys.iter().all(|key| region.contains(Tile::of(*key).0)));
+    serves(&replica, &keys, EXACT).await;
+    assert_eq!((replica.metrics.jobs_completed.get(), replica.metrics.store_writes.get()), (0, 0));
+    // The control: beyond the region it is made.
+    serves(&replica, &[ChunkKey::new(1, 900, 900).unwrap()], EXACT).await;
+    assert_eq!(replica.metrics.jobs_completed.get(), 1);
+}

@@ -1,0 +1,108 @@
+//! Tiles: squares of 16 x 16 chunks of one level. Objects are named by tile and chunk.
+
+use object_store::path::Path;
+use terrain::{ChunkKey, WorldDigest};
+
+/// Chunks per side of a tile.
+pub const SIDE: i32 = 16;
+
+/// Chunks of a tile.
+pub const CHUNKS: usize = (SIDE * SIDE) as usize;
+
+/// A tile. Its chunks may lie beyond the border of the world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Tile {
+    /// Level of its chunks.
+    pub level: u8,
+    /// Chunk coordinate divided by [`SIDE`], rounded down.
+    pub x: i32,
+    /// Likewise.
+    pub z: i32,
+}
+
+impl Tile {
+    /// The tile of a chunk, and the chunk's index in it.
+    #[must_use]
+    pub const fn of(key: ChunkKey) -> (Self, usize) {
+        let tile = Self { level: key.level(), x: key.x().div_euclid(SIDE), z: key.z().div_euclid(SIDE) };
+        let index = key.z().rem_euclid(SIDE) * SIDE + key.x().rem_euclid(SIDE);
+        (tile, index as usize)
+    }
+
+    /// The chunk of an index; none beyond the border of the world.
+    #[must_use]
+    pub fn chunk(self, index: usize) -> Option<ChunkKey> {
+        let index = i32::try_from(index).ok()?;
+        ChunkKey::new(self.level, self.x * SIDE + index % SIDE, self.z * SIDE + index / SIDE).ok()
+    }
+}
+
+/// Names of the objects of one world.
+///
+/// | object | path under the URL of the store |
+/// | --- | --- |
+/// | a chunk | `{world}/{level}/{tile x}_{tile z}/{x}_{z}/base` |
+/// | the chunks of a baked tile | `{world}/{level}/{tile x}_{tile z}/pack` |
+/// | a baked region | `{world}/regions/{name}` |
+///
+/// `base` is land that the seed makes; other editions of a chunk stand beside it.
+#[derive(Clone, Debug)]
+pub struct Names {
+    world: Path,
+}
+
+impl Names {
+    /// The names under a root.
+    #[must_use]
+    pub fn new(root: &Path, world: &WorldDigest) -> Self {
+        Self { world: root.clone().join(world.to_string()) }
+    }
+
+    /// A chunk.
+    #[must_use]
+    pub fn chunk(&self, key: ChunkKey) -> Path {
+        self.tile(Tile::of(key).0).join(format!("{}_{}", key.x(), key.z())).join("base")
+    }
+
+    /// The pack of a tile.
+    #[must_use]
+    pub fn pack(&self, tile: Tile) -> Path {
+        self.tile(tile).join("pack")
+    }
+
+    /// The folder of the regions.
+    #[must_use]
+    pub fn regions(&self) -> Path {
+        self.world.clone().join("regions")
+    }
+
+    fn tile(&self, tile: Tile) -> Path {
+        self.world.clone().join(tile.level.to_string()).join(format!("{}_{}", tile.x, tile.z))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_chunk_has_one_place_in_one_tile_also_west_of_the_origin() {
+        for (x, z) in [(0, 0), (-1, 15), (16, -17), (-16, -16)] {
+            let key = ChunkKey::new(2, x, z).unwrap();
+            let (tile, index) = Tile::of(key);
+            assert_eq!(tile.chunk(index), Some(key));
+            assert_eq!((tile.x, tile.z), (x.div_euclid(SIDE), z.div_euclid(SIDE)));
+        }
+        assert_eq!(Tile { level: 16, x: 0, z: 0 }.chunk(1), None, "there is one chunk");
+    }
+
+    #[test]
+    fn names_have_the_world_and_the_tile() {
+        let names = Names::new(&Path::from("some/prefix"), &WorldDigest([0xab; 32]));
+        let world = "ab".repeat(32);
+        let key = ChunkKey::new(3, -1, 17).unwrap();
+        assert_eq!(names.chunk(key).as_ref(), format!("some/prefix/{world}/3/-1_1/-1_17/base"));
+        assert_eq!(names.pack(Tile::of(key).0).as_ref(), format!("some/prefix/{world}/3/-1_1/pack"));
+        assert_eq!(names.regions().as_ref(), format!("some/prefix/{world}/regions"));
+    }
+}

@@ -1,0 +1,148 @@
+//! Writes to the store, behind the generation threads.
+
+use super::breaker::Breaker;
+use crate::metrics::Metrics;
+use bytes::Bytes;
+use object_store::path::Path;
+use object_store::{Error, ObjectStore, ObjectStoreExt};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::runtime::Handle;
+use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::time::timeout;
+
+/// Frames that wait for their write: about 1 MiB. One more is dropped and counted.
+const QUEUE: usize = 256;
+
+/// Writes in flight.
+const IN_FLIGHT: u32 = 8;
+
+/// Timeout of one.
+const WRITE_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Longest wait for the pending writes on shutdown.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
+
+enum Command {
+    Write(Path, Bytes),
+    /// Answered when all writes before it have ended.
+    Close(oneshot::Sender<()>),
+}
+
+/// Sends frames to the store.
+#[derive(Debug)]
+pub struct Writer {
+    commands: mpsc::Sender<Command>,
+    metrics: Arc<Metrics>,
+}
+
+/// What all writes share.
+struct Shared {
+    objects: Arc<dyn ObjectStore>,
+    breaker: Arc<Mutex<Breaker>>,
+    metrics: Arc<Metrics>,
+    /// The store has refused a write: a warning was logged.
+    is_refused: AtomicBool,
+}
+
+impl Writer {
+    /// A writer whose work runs on a runtime.
+    #[must_use]
+    pub fn start(
+        runtime: &Handle,
+        objects: Arc<dyn ObjectStore>,
+        breaker: Arc<Mutex<Breaker>>,
+        metrics: Arc<Metrics>,
+    ) -> Self {
+        let (commands, receiver) = mpsc::channel(QUEUE);
+        let shared =
+            Shared { objects, breaker, metrics: Arc::clone(&metrics), is_refused: AtomicBool::new(false) };
+        runtime.spawn(run(Arc::new(shared), receiver));
+        Self { commands, metrics }
+    }
+
+    /// Queues an object.
+    pub fn write(&self, path: Path, frame: Bytes) {
+        if self.commands.try_send(Command::Write(path, frame)).is_err() {
+            self.metrics.store_writes_dropped.inc();
+        }
+    }
+
+    /// Waits for the pending writes, 2 s at most.
+    pub async fn close(&self) {
+        let (done, is_done) = oneshot::channel();
+        let closed = async {
+            if self.commands.send(Command::Close(done)).await.is_ok() {
+                // An error means that the writer has ended.
+                let _ = is_done.await;
+            }
+        };
+        if timeout(CLOSE_TIMEOUT, closed).await.is_err() {
+            tracing::warn!("the store did not finish its writes in time; the chunks will be made again");
+        }
+    }
+}
+
+async fn run(shared: Arc<Shared>, mut commands: mpsc::Receiver<Command>) {
+    let permits = Arc::new(Semaphore::new(IN_FLIGHT as usize));
+    while let Some(command) = commands.recv().await {
+        match command {
+            Command::Write(path, frame) => {
+                // The semaphore is never closed.
+                let Ok(permit) = Arc::clone(&permits).acquire_owned().await else { return };
+                let shared = Arc::clone(&shared);
+                tokio::spawn(async move {
+                    shared.put(path, frame).await;
+                    drop(permit);
+                });
+            }
+            Command::Close(done) => {
+                let all = permits.acquire_many(IN_FLIGHT).await;
+                // The server may no longer wait.
+                let _ = done.send(());
+                drop(all);
+            }
+        }
+    }
+}
+
+impl Shared {
+    /// Unconditional: an object is named by what its content follows from, so a second write of it
+    /// changes nothing.
+    async fn put(&self, path: Path, frame: Bytes) {
+        if self.breaker().is_open() {
+            self.metrics.store_writes_dropped.inc();
+            return;
+        }
+        let started = Instant::now();
+        let put = timeout(WRITE_TIMEOUT, self.objects.put(&path, frame.into())).await;
+        self.metrics.store_write_seconds.observe(started.elapsed().as_secs_f64());
+        match put {
+            Ok(Ok(_)) => {
+                self.metrics.store_writes.inc();
+                self.is_refused.store(false, Ordering::Relaxed);
+            }
+            Ok(Err(error @ (Error::PermissionDenied { .. } | Error::Unauthenticated { .. }))) => {
+                self.metrics.store_writes_refused.inc();
+                if !self.is_refused.swap(true, Ordering::Relaxed) {
+                    tracing::warn!(%error, "the store refuses writes; it is only read");
+                }
+            }
+            Ok(Err(error)) => {
+                tracing::debug!(%error, "a write to the store failed");
+                self.failed();
+            }
+            Err(_) => self.failed(),
+        }
+    }
+
+    fn failed(&self) {
+        self.metrics.store_writes_failed.inc();
+        self.breaker().failed(Instant::now());
+    }
+
+    fn breaker(&self) -> std::sync::MutexGuard<'_, Breaker> {
+        self.breaker.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
