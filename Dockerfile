@@ -6,7 +6,9 @@ RUN cargo build --locked --profile dist --bin tombolo-server
 
 FROM debian:bookworm-slim
 COPY --from=build /src/target/dist/tombolo-server /usr/local/bin/
-# Nothing of the image is written at run time, so it runs with a read-only root.
+# The folder of a shared store, for a volume; one on another machine is given by its URL.
+RUN install -d -o 65532 -g 65532 /store
+# Nothing else of the image is written at run time, so it runs with a read-only root.
 USER 65532:65532
 ENV TOMBOLO_LISTEN=0.0.0.0:7580 TOMBOLO_LOG_JSON=true
 EXPOSE 7580

@@ -6,8 +6,8 @@
 
 use crate::store::StoreAddress;
 use crate::store::pack;
-use crate::store::region::Region;
-use crate::store::tile::{CHUNKS, Names, Tile};
+use crate::store::region::BakedRegion;
+use crate::store::tile::{CHUNKS, ObjectNames, PackTile};
 use bytes::Bytes;
 use clap::Args;
 use cli::UsageError;
@@ -49,22 +49,23 @@ pub struct BakeArgs {
     /// are baked
     #[arg(long, value_name = "W,N,E,S", default_value = "-8192,-8192,8192,8192",
           allow_hyphen_values = true, value_parser = area)]
-    pub area: Area,
+    pub area: BakeArea,
     /// Part I of N, counted from 0; with an Indexed Job of Kubernetes $(JOB_COMPLETION_INDEX)/N
     #[arg(long, value_name = "I/N", default_value = "0/1", value_parser = part)]
-    pub part: Part,
+    pub part: BakePart,
     /// Threads, 1 to 1024 [default: one per core]
-    #[arg(long, value_name = "N", env = "TOMBOLO_THREADS", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", env = "TOMBOLO_THREADS",
+          value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
 }
 
 /// A rectangle of the map, metres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Area(pub [i32; 4]);
+pub struct BakeArea(pub [i32; 4]);
 
 /// A part of a bake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Part {
+pub struct BakePart {
     /// From 0.
     pub index: u64,
     /// Number of parts.
@@ -94,14 +95,14 @@ impl BakeArgs {
     pub fn resolve(self) -> Result<Bake, UsageError> {
         let address =
             StoreAddress::parse(&self.store).map_err(|why| UsageError::new(format!("--store: {why}")))?;
-        let region = Region::new(&self.levels, self.area.0)
+        let region = BakedRegion::new(&self.levels, self.area.0)
             .map_err(|why| UsageError::new(format!("--area: {why}")))?;
         let (objects, root) = address.open().map_err(|why| {
             UsageError::new(format!("--store: {why}; look at the settings in the environment"))
         })?;
         let land = Land::new(self.world_seed);
         Ok(Bake {
-            names: Names::new(&root, &land.digest()),
+            names: ObjectNames::new(&root, &land.digest()),
             land,
             region,
             part: self.part,
@@ -117,19 +118,19 @@ pub struct Bake {
     /// The land.
     pub land: Land,
     /// What is baked.
-    pub region: Region,
+    pub region: BakedRegion,
     /// Which part of it.
-    pub part: Part,
+    pub part: BakePart,
     /// Where it goes.
     pub objects: Arc<dyn ObjectStore>,
     /// How its objects are named.
-    pub names: Names,
+    pub names: ObjectNames,
     /// Threads; none for one per core.
     pub threads: Option<u16>,
 }
 
 impl Bake {
-    /// Makes and writes the packs of the part; `progress` is told after each. Must run on threads
+    /// Makes and writes the packs of the part; `progress` is called after each. Must run on threads
     /// that may block.
     ///
     /// # Errors
@@ -140,7 +141,7 @@ impl Bake {
             .build()
             .map_err(|error| format!("cannot start threads: {error}"))?;
         let world = self.land.digest();
-        let Part { index, of } = self.part;
+        let BakePart { index, of } = self.part;
         let all = self.region.tile_count();
         let total = all / of + u64::from(all % of > index);
         let (mut baked, mut puts) = (Baked::default(), JoinSet::new());
@@ -207,7 +208,7 @@ impl Bake {
 }
 
 /// The pack of a tile.
-fn make(land: &Land, world: &terrain::WorldDigest, tile: Tile) -> Bytes {
+fn make(land: &Land, world: &terrain::WorldDigest, tile: PackTile) -> Bytes {
     let frames: Vec<Option<Bytes>> = (0..CHUNKS)
         .into_par_iter()
         .map(|index| tile.chunk(index).map(|key| chunk_codec::encode(&land.chunk(key), world)))
@@ -244,16 +245,16 @@ fn levels(text: &str) -> Result<RangeInclusive<u8>, String> {
     }
 }
 
-fn area(text: &str) -> Result<Area, String> {
+fn area(text: &str) -> Result<BakeArea, String> {
     let borders: Result<Vec<i32>, _> = text.split(',').map(|border| border.trim().parse()).collect();
     let borders = borders.ok().and_then(|borders| <[i32; 4]>::try_from(borders).ok());
-    borders.map(Area).ok_or_else(|| "give west,north,east,south in whole metres".into())
+    borders.map(BakeArea).ok_or_else(|| "give west,north,east,south in whole metres".into())
 }
 
-fn part(text: &str) -> Result<Part, String> {
+fn part(text: &str) -> Result<BakePart, String> {
     let numbers = text.split_once('/').and_then(|(index, of)| Some((index.parse().ok()?, of.parse().ok()?)));
     match numbers {
-        Some((index, of)) if index < of => Ok(Part { index, of }),
+        Some((index, of)) if index < of => Ok(BakePart { index, of }),
         _ => Err("give I/N with I from 0 to N - 1, such as 0/4".into()),
     }
 }

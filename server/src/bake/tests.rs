@@ -8,10 +8,10 @@ const SEED: u64 = 1;
 fn bake(objects: &Arc<InMemory>, index: u64, of: u64) -> Bake {
     let land = Land::new(SEED);
     Bake {
-        names: Names::new(&Path::from("store"), &land.digest()),
+        names: ObjectNames::new(&Path::from("store"), &land.digest()),
         land,
-        region: Region::new(&(4..=5), [-1, -1, 40_000, 40_000]).unwrap(),
-        part: Part { index, of },
+        region: BakedRegion::new(&(4..=5), [-1, -1, 40_000, 40_000]).unwrap(),
+        part: BakePart { index, of },
         objects: Arc::<InMemory>::clone(objects),
         threads: None,
     }
@@ -71,8 +71,8 @@ async fn a_repeated_bake_keeps_valid_packs_and_replaces_damaged_ones() {
 #[test]
 fn options_are_checked() {
     assert_eq!(levels("2-5"), Ok(2..=5));
-    assert_eq!(area("-1, 2,3,4"), Ok(Area([-1, 2, 3, 4])));
-    assert_eq!(part("3/4"), Ok(Part { index: 3, of: 4 }));
+    assert_eq!(area("-1, 2,3,4"), Ok(BakeArea([-1, 2, 3, 4])));
+    assert_eq!(part("3/4"), Ok(BakePart { index: 3, of: 4 }));
     for wrong in ["", "5-2", "1-17", "a"] {
         assert!(levels(wrong).is_err(), "{wrong}");
     }

@@ -39,7 +39,7 @@ pub struct Shared {
     pub frames: FrameCache,
     /// Read before a chunk is generated, written after.
     pub disk: Option<Disk>,
-    /// Read before a chunk that is dear is made, written after.
+    /// Read before a chunk that is expensive is made, written after.
     pub store: Option<Store>,
     /// A std mutex: held for map operations only, never across an await or a generation.
     pub queue: Mutex<Queue>,

@@ -6,8 +6,9 @@
 //! used; who can write to the store is trusted beyond that.
 //!
 //! A generation thread waits for the store at most as long as chunks of that level took to make
-//! lately, and asks only if answers come sooner than that ([`pace`]). A [`breaker`] stops asking a
-//! store that fails. Chunks of baked [`region`]s lie in [`pack`]s, others in objects of their own.
+//! lately, and sends a request only if answers come sooner than that ([`pace`]). A [`breaker`] stops
+//! requests to a store that fails. Chunks of baked [`region`]s lie in [`pack`]s, others in objects of
+//! their own.
 
 pub mod address;
 pub mod breaker;
@@ -25,17 +26,17 @@ use bytes::Bytes;
 use futures_util::TryStreamExt;
 use object_store::{Error, GetOptions, ObjectStore, ObjectStoreExt};
 use pace::Pace;
-use pack::Index;
+use pack::PackIndex;
 use protocol::chunk_codec;
 use protocol::limits::MAX_CHUNK_FRAME;
 use quick_cache::sync::Cache;
-use region::Region;
+use region::BakedRegion;
 use std::io;
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 use terrain::{Chunk, ChunkKey, WorldDigest};
-use tile::{Names, Tile};
+use tile::{ObjectNames, PackTile};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
@@ -44,7 +45,7 @@ use writer::Writer;
 /// The finest level that is stored, unless a region has a finer one: as for the disk cache.
 pub const FINEST_LEVEL: u8 = crate::cache::disk::FINEST_LEVEL;
 
-/// Timeout of one read. Its thread no longer waits then; the answer only tells the breaker.
+/// Timeout of one read. Its thread no longer waits then; the answer only counts for the breaker.
 const READ_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reads in flight. One more is not sent: the chunk is made.
@@ -83,11 +84,11 @@ pub struct Store {
 #[derive(Debug)]
 struct Inner {
     objects: Arc<dyn ObjectStore>,
-    names: Names,
+    names: ObjectNames,
     world: WorldDigest,
     breaker: Arc<Mutex<Breaker>>,
-    regions: RwLock<Vec<Region>>,
-    indexes: Cache<Tile, Arc<Index>>,
+    regions: RwLock<Vec<BakedRegion>>,
+    indexes: Cache<PackTile, Arc<PackIndex>>,
     reads: Arc<Semaphore>,
     pace: Pace,
     metrics: Arc<Metrics>,
@@ -132,7 +133,7 @@ impl Store {
         metrics.store_up.set(1);
         let inner = Arc::new(Inner {
             objects,
-            names: Names::new(root, world),
+            names: ObjectNames::new(root, world),
             world: *world,
             breaker,
             regions: RwLock::default(),
@@ -160,7 +161,7 @@ impl Store {
             inner.metrics.store_reads_skipped.inc();
             return None;
         };
-        // For one answer; nobody waits for it after the timeout.
+        // For one answer; after the timeout it is dropped.
         let (sender, answer) = sync_channel(1);
         let reading = Arc::clone(inner);
         self.runtime.as_ref()?.spawn(async move {
@@ -232,8 +233,8 @@ impl Drop for Store {
 
 impl Inner {
     /// The tile of a chunk, if a region has its pack.
-    fn packed(&self, key: ChunkKey) -> Option<Tile> {
-        let tile = Tile::of(key).0;
+    fn packed(&self, key: ChunkKey) -> Option<PackTile> {
+        let tile = PackTile::of(key).0;
         let regions = self.regions.read().unwrap_or_else(PoisonError::into_inner);
         regions.iter().any(|region| region.contains(tile)).then_some(tile)
     }
@@ -242,8 +243,8 @@ impl Inner {
         self.breaker.lock().unwrap_or_else(PoisonError::into_inner).allows(Instant::now())
     }
 
-    /// The bytes of a chunk's object. Tells breaker and pace, also of an answer that nobody waits for.
-    async fn fetch(&self, key: ChunkKey, tile: Option<Tile>) -> Fetched {
+    /// The bytes of a chunk's object. Reports to breaker and pace, late answers too.
+    async fn fetch(&self, key: ChunkKey, tile: Option<PackTile>) -> Fetched {
         let started = Instant::now();
         let read = timeout(READ_TIMEOUT, self.get(key, tile)).await;
         let took = started.elapsed();
@@ -265,10 +266,10 @@ impl Inner {
         fetched
     }
 
-    async fn get(&self, key: ChunkKey, tile: Option<Tile>) -> object_store::Result<Option<Bytes>> {
+    async fn get(&self, key: ChunkKey, tile: Option<PackTile>) -> object_store::Result<Option<Bytes>> {
         if let Some(tile) = tile
             && let Some(index) = self.index(tile).await?
-            && let Some(range) = index.frame(Tile::of(key).1)
+            && let Some(range) = index.frame(PackTile::of(key).1)
         {
             let frame = self.objects.get_range(&self.names.pack(tile), range).await;
             return found(frame);
@@ -285,7 +286,7 @@ impl Inner {
     }
 
     /// The index of a tile's pack, from memory or the store; none if there is no valid one.
-    async fn index(&self, tile: Tile) -> object_store::Result<Option<Arc<Index>>> {
+    async fn index(&self, tile: PackTile) -> object_store::Result<Option<Arc<PackIndex>>> {
         if let Some(index) = self.indexes.get(&tile) {
             return Ok(Some(index));
         }
@@ -321,7 +322,7 @@ impl Inner {
         }
     }
 
-    async fn list_regions(&self) -> object_store::Result<Vec<Region>> {
+    async fn list_regions(&self) -> object_store::Result<Vec<BakedRegion>> {
         let mut objects = self.objects.list(Some(&self.names.regions()));
         let mut regions = Vec::new();
         while let Some(object) = objects.try_next().await? {
@@ -333,9 +334,9 @@ impl Inner {
                 continue;
             }
             let bytes = self.objects.get(&object.location).await?.bytes().await?;
-            let region: Option<Region> = serde_json::from_slice(&bytes).ok();
+            let region: Option<BakedRegion> = serde_json::from_slice(&bytes).ok();
             let valid = region
-                .filter(|region| Region::new(&(region.finest..=region.coarsest), region.area_m).is_ok());
+                .filter(|region| BakedRegion::new(&(region.finest..=region.coarsest), region.area_m).is_ok());
             match valid {
                 Some(region) => regions.push(region),
                 None => tracing::warn!(object = %object.location, "no region; ignored"),

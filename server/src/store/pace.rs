@@ -90,12 +90,12 @@ mod tests {
     #[test]
     fn a_chunk_waits_as_long_as_it_takes_to_make_if_answers_come_sooner() {
         let (pace, now) = (Pace::new(Duration::ZERO), Instant::now());
-        let [dear, cheap] = [5, 2].map(|level| ChunkKey::new(level, 0, 0).unwrap());
-        assert_eq!(pace.wait(dear, now), Some(UNKNOWN));
-        pace.made(dear, MS(30));
+        let [expensive, cheap] = [5, 2].map(|level| ChunkKey::new(level, 0, 0).unwrap());
+        assert_eq!(pace.wait(expensive, now), Some(UNKNOWN));
+        pace.made(expensive, MS(30));
         pace.made(cheap, MS(1));
         pace.read(MS(10));
-        assert_eq!(pace.wait(dear, now), Some(MS(30)));
+        assert_eq!(pace.wait(expensive, now), Some(MS(30)));
         assert_eq!(pace.wait(cheap, now), Some(MS(1)), "once, to see how long it takes");
         assert_eq!(pace.wait(cheap, now), None);
         assert_eq!(pace.wait(cheap, now + RETRY), Some(MS(1)));

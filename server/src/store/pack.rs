@@ -14,7 +14,7 @@
 //!
 //! Little-endian. The index stands first: not every store returns a range from the end.
 
-use super::tile::{CHUNKS, Tile};
+use super::tile::{CHUNKS, PackTile};
 use bytes::{BufMut, Bytes, BytesMut};
 use protocol::limits::MAX_CHUNK_FRAME;
 use std::ops::Range;
@@ -33,7 +33,7 @@ pub const MAX_PACK: usize = HEADER + CHUNKS * MAX_CHUNK_FRAME;
 
 /// Where the frames of a pack are.
 #[derive(Debug)]
-pub struct Index {
+pub struct PackIndex {
     offsets: Vec<u32>,
 }
 
@@ -56,7 +56,7 @@ pub enum PackError {
 /// # Panics
 /// Never with frames of the protocol's length.
 #[must_use]
-pub fn encode(world: &WorldDigest, tile: Tile, frames: &[Option<Bytes>]) -> Bytes {
+pub fn encode(world: &WorldDigest, tile: PackTile, frames: &[Option<Bytes>]) -> Bytes {
     let mut bytes = BytesMut::with_capacity(HEADER + frames.iter().flatten().map(Bytes::len).sum::<usize>());
     bytes.put_slice(MAGIC);
     bytes.put_u16_le(VERSION);
@@ -86,7 +86,7 @@ fn digest(world: &WorldDigest, bytes: &[u8]) -> [u8; 32] {
 ///
 /// # Errors
 /// Bytes that are no such header.
-pub fn index(tile: Tile, header: &[u8]) -> Result<Index, PackError> {
+pub fn index(tile: PackTile, header: &[u8]) -> Result<PackIndex, PackError> {
     let header: &[u8; HEADER] = header.first_chunk().ok_or(PackError::Header)?;
     let number = |at: usize| i32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     let expected = [&MAGIC[..], &VERSION.to_le_bytes(), &u16::from(tile.level).to_le_bytes()].concat();
@@ -98,14 +98,14 @@ pub fn index(tile: Tile, header: &[u8]) -> Result<Index, PackError> {
     if offsets[0] as usize != HEADER || !offsets.windows(2).all(is_frame) {
         return Err(PackError::Index);
     }
-    Ok(Index { offsets })
+    Ok(PackIndex { offsets })
 }
 
 /// Checks a whole pack.
 ///
 /// # Errors
 /// It is not one, damaged, or of another world or tile.
-pub fn verify(world: &WorldDigest, tile: Tile, bytes: &[u8]) -> Result<Index, PackError> {
+pub fn verify(world: &WorldDigest, tile: PackTile, bytes: &[u8]) -> Result<PackIndex, PackError> {
     let index = index(tile, bytes)?;
     if index.offsets[CHUNKS] as usize != bytes.len() || digest(world, bytes) != bytes[PREFIX..DIGEST_END] {
         return Err(PackError::Digest);
@@ -113,7 +113,7 @@ pub fn verify(world: &WorldDigest, tile: Tile, bytes: &[u8]) -> Result<Index, Pa
     Ok(index)
 }
 
-impl Index {
+impl PackIndex {
     /// The bytes of a chunk's frame in the pack; none if it has none.
     #[must_use]
     pub fn frame(&self, index: usize) -> Option<Range<u64>> {
@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     const WORLD: WorldDigest = WorldDigest([7; 32]);
-    const TILE: Tile = Tile { level: 2, x: -3, z: 5 };
+    const TILE: PackTile = PackTile { level: 2, x: -3, z: 5 };
 
     fn pack() -> Bytes {
         let frames: Vec<_> =
@@ -156,7 +156,7 @@ mod tests {
             assert!(verify(&WORLD, TILE, &damaged).is_err(), "byte {at}");
         }
         assert_eq!(verify(&WorldDigest([8; 32]), TILE, &pack).unwrap_err(), PackError::Digest);
-        assert_eq!(verify(&WORLD, Tile { x: 0, ..TILE }, &pack).unwrap_err(), PackError::Header);
+        assert_eq!(verify(&WORLD, PackTile { x: 0, ..TILE }, &pack).unwrap_err(), PackError::Header);
         for length in [0, 3, HEADER - 1, HEADER, pack.len() - 1] {
             assert!(verify(&WORLD, TILE, &pack[..length]).is_err(), "{length} bytes");
         }

@@ -1,7 +1,7 @@
 //! Baked regions: which tiles have packs. The object of a region is written after all its packs, so
-//! a server that finds it asks for no chunk in vain.
+//! a server that finds it finds all of them.
 
-use super::tile::{SIDE, Tile};
+use super::tile::{PackTile, SIDE};
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 use terrain::ChunkKey;
@@ -9,7 +9,7 @@ use terrain::constants::{TOP_LEVEL, UNITS_PER_METRE, WORLD_HALF};
 
 /// Tiles of some levels over a rectangle of the map.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Region {
+pub struct BakedRegion {
     /// Finest level.
     pub finest: u8,
     /// Coarsest level.
@@ -18,7 +18,7 @@ pub struct Region {
     pub area_m: [i32; 4],
 }
 
-impl Region {
+impl BakedRegion {
     /// A region, if its borders are in order and in the world.
     ///
     /// # Errors
@@ -49,7 +49,7 @@ impl Region {
 
     /// Whether its packs have this tile.
     #[must_use]
-    pub fn contains(&self, tile: Tile) -> bool {
+    pub fn contains(&self, tile: PackTile) -> bool {
         (self.finest..=self.coarsest).contains(&tile.level) && {
             let [x, z] = self.tiles_of(tile.level);
             x.contains(&tile.x) && z.contains(&tile.z)
@@ -66,15 +66,15 @@ impl Region {
     }
 
     /// Its tiles, coarse levels first, row by row.
-    pub fn tiles(&self) -> impl Iterator<Item = Tile> + use<> {
+    pub fn tiles(&self) -> impl Iterator<Item = PackTile> + use<> {
         let region = self.clone();
         (self.finest..=self.coarsest).rev().flat_map(move |level| {
             let [x, z] = region.tiles_of(level);
-            z.flat_map(move |z| x.clone().map(move |x| Tile { level, x, z }))
+            z.flat_map(move |z| x.clone().map(move |x| PackTile { level, x, z }))
         })
     }
 
-    /// Tile coordinates of a level east and south.
+    /// PackTile coordinates of a level east and south.
     fn tiles_of(&self, level: u8) -> [RangeInclusive<i32>; 2] {
         let [west, north, east, south] = self.area_m.map(|border| border.saturating_mul(UNITS_PER_METRE));
         let [low, high] = [(west, north), (east - 1, south - 1)].map(|(x, z)| {
@@ -91,7 +91,7 @@ mod tests {
 
     #[test]
     fn the_tiles_of_a_region_are_those_that_it_contains() {
-        let region = Region::new(&(0..=4), [-3000, -100, 2100, 4100]).unwrap();
+        let region = BakedRegion::new(&(0..=4), [-3000, -100, 2100, 4100]).unwrap();
         let tiles: Vec<_> = region.tiles().collect();
         assert_eq!(tiles.len() as u64, region.tile_count());
         assert!(tiles.iter().all(|tile| region.contains(*tile)));
@@ -99,18 +99,18 @@ mod tests {
         let finest = tiles.iter().filter(|tile| tile.level == 0);
         assert_eq!(finest.clone().count(), 16);
         assert_eq!(finest.clone().map(|tile| tile.x).min(), Some(-2));
-        assert!(!region.contains(Tile { level: 0, x: 2, z: 0 }));
-        assert!(!region.contains(Tile { level: 5, x: 0, z: 0 }));
+        assert!(!region.contains(PackTile { level: 0, x: 2, z: 0 }));
+        assert!(!region.contains(PackTile { level: 5, x: 0, z: 0 }));
     }
 
     #[test]
     fn borders_out_of_order_or_out_of_the_world_are_errors() {
         for area in [[0, 0, 0, 10], [5, 0, 1, 10], [0, 0, i32::MAX, 10], [i32::MIN, 0, 1, 1]] {
-            assert!(Region::new(&(0..=1), area).is_err(), "{area:?}");
+            assert!(BakedRegion::new(&(0..=1), area).is_err(), "{area:?}");
         }
-        assert!(Region::new(&RangeInclusive::new(3, 2), [0, 0, 1, 1]).is_err());
-        assert!(Region::new(&(0..=17), [0, 0, 1, 1]).is_err());
+        assert!(BakedRegion::new(&RangeInclusive::new(3, 2), [0, 0, 1, 1]).is_err());
+        assert!(BakedRegion::new(&(0..=17), [0, 0, 1, 1]).is_err());
         let all = WORLD_HALF / UNITS_PER_METRE;
-        assert!(Region::new(&(0..=16), [-all, -all, all, all]).is_ok());
+        assert!(BakedRegion::new(&(0..=16), [-all, -all, all, all]).is_ok());
     }
 }

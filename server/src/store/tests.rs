@@ -1,5 +1,5 @@
 use super::*;
-use crate::bake::{Bake, Part};
+use crate::bake::{Bake, BakePart};
 use crate::generation::{Generation, Limits};
 use crate::source::ProceduralSource;
 use async_trait::async_trait;
@@ -240,12 +240,12 @@ async fn a_store_that_refuses_writes_is_read() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_baked_region_is_served_without_making_a_chunk() {
     let objects = Arc::new(InMemory::new());
-    let region = Region::new(&(1..=3), [-3_000, -3_000, 3_000, 3_000]).unwrap();
+    let region = BakedRegion::new(&(1..=3), [-3_000, -3_000, 3_000, 3_000]).unwrap();
     let bake = Bake {
-        names: Names::new(&Path::from("root"), &land().digest()),
+        names: ObjectNames::new(&Path::from("root"), &land().digest()),
         land: land(),
         region: region.clone(),
-        part: Part { index: 0, of: 1 },
+        part: BakePart { index: 0, of: 1 },
         objects: Arc::<InMemory>::clone(&objects),
         threads: None,
     };
@@ -253,7 +253,7 @@ async fn a_baked_region_is_served_without_making_a_chunk() {
     let replica = replica(&objects, Fault::None);
     let keys: Vec<_> =
         (0..48).map(|n| ChunkKey::new(1 + n as u8 % 3, n % 7 - 3, n / 7 - 3).unwrap()).collect();
-    assert!(keys.iter().all(|key| region.contains(Tile::of(*key).0)));
+    assert!(keys.iter().all(|key| region.contains(PackTile::of(*key).0)));
     serves(&replica, &keys, EXACT).await;
     assert_eq!((replica.metrics.jobs_completed.get(), replica.metrics.store_writes.get()), (0, 0));
     // The control: beyond the region it is made.

@@ -11,7 +11,7 @@ pub const CHUNKS: usize = (SIDE * SIDE) as usize;
 
 /// A tile. Its chunks may lie beyond the border of the world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct Tile {
+pub struct PackTile {
     /// Level of its chunks.
     pub level: u8,
     /// Chunk coordinate divided by [`SIDE`], rounded down.
@@ -20,7 +20,7 @@ pub struct Tile {
     pub z: i32,
 }
 
-impl Tile {
+impl PackTile {
     /// The tile of a chunk, and the chunk's index in it.
     #[must_use]
     pub const fn of(key: ChunkKey) -> (Self, usize) {
@@ -37,7 +37,7 @@ impl Tile {
     }
 }
 
-/// Names of the objects of one world.
+/// ObjectNames of the objects of one world.
 ///
 /// | object | path under the URL of the store |
 /// | --- | --- |
@@ -47,11 +47,11 @@ impl Tile {
 ///
 /// `base` is land that the seed makes; other editions of a chunk stand beside it.
 #[derive(Clone, Debug)]
-pub struct Names {
+pub struct ObjectNames {
     world: Path,
 }
 
-impl Names {
+impl ObjectNames {
     /// The names under a root.
     #[must_use]
     pub fn new(root: &Path, world: &WorldDigest) -> Self {
@@ -61,12 +61,12 @@ impl Names {
     /// A chunk.
     #[must_use]
     pub fn chunk(&self, key: ChunkKey) -> Path {
-        self.tile(Tile::of(key).0).join(format!("{}_{}", key.x(), key.z())).join("base")
+        self.tile(PackTile::of(key).0).join(format!("{}_{}", key.x(), key.z())).join("base")
     }
 
     /// The pack of a tile.
     #[must_use]
-    pub fn pack(&self, tile: Tile) -> Path {
+    pub fn pack(&self, tile: PackTile) -> Path {
         self.tile(tile).join("pack")
     }
 
@@ -76,7 +76,7 @@ impl Names {
         self.world.clone().join("regions")
     }
 
-    fn tile(&self, tile: Tile) -> Path {
+    fn tile(&self, tile: PackTile) -> Path {
         self.world.clone().join(tile.level.to_string()).join(format!("{}_{}", tile.x, tile.z))
     }
 }
@@ -89,20 +89,20 @@ mod tests {
     fn a_chunk_has_one_place_in_one_tile_also_west_of_the_origin() {
         for (x, z) in [(0, 0), (-1, 15), (16, -17), (-16, -16)] {
             let key = ChunkKey::new(2, x, z).unwrap();
-            let (tile, index) = Tile::of(key);
+            let (tile, index) = PackTile::of(key);
             assert_eq!(tile.chunk(index), Some(key));
             assert_eq!((tile.x, tile.z), (x.div_euclid(SIDE), z.div_euclid(SIDE)));
         }
-        assert_eq!(Tile { level: 16, x: 0, z: 0 }.chunk(1), None, "there is one chunk");
+        assert_eq!(PackTile { level: 16, x: 0, z: 0 }.chunk(1), None, "there is one chunk");
     }
 
     #[test]
     fn names_have_the_world_and_the_tile() {
-        let names = Names::new(&Path::from("some/prefix"), &WorldDigest([0xab; 32]));
+        let names = ObjectNames::new(&Path::from("some/prefix"), &WorldDigest([0xab; 32]));
         let world = "ab".repeat(32);
         let key = ChunkKey::new(3, -1, 17).unwrap();
         assert_eq!(names.chunk(key).as_ref(), format!("some/prefix/{world}/3/-1_1/-1_17/base"));
-        assert_eq!(names.pack(Tile::of(key).0).as_ref(), format!("some/prefix/{world}/3/-1_1/pack"));
+        assert_eq!(names.pack(PackTile::of(key).0).as_ref(), format!("some/prefix/{world}/3/-1_1/pack"));
         assert_eq!(names.regions().as_ref(), format!("some/prefix/{world}/regions"));
     }
 }
