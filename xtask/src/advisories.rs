@@ -171,7 +171,7 @@ fn unpack(snapshot: &Snapshot, database: &Path) -> Result<()> {
 /// Redraws the snapshot from a clone of the database, bare or not.
 ///
 /// # Errors
-/// The clone cannot be read or has no advisories of our crates.
+/// The clone cannot be read, has no advisories of our crates, or is older than the snapshot.
 pub fn update(clone: &Path) -> Result<()> {
     let git = |args: &[&str]| {
         let mut git = process::command("git");
@@ -198,8 +198,26 @@ pub fn update(clone: &Path) -> Result<()> {
         advisories,
     };
     let path = process::root().join(SNAPSHOT);
+    let present = std::fs::read_to_string(&path).ok().and_then(|text| Snapshot::parse(&text).ok());
+    if let Some(present) = present {
+        reject_older(&snapshot, &present)?;
+    }
     std::fs::write(&path, snapshot.text()).with_context(|| format!("cannot write {}", path.display()))?;
     println!("advisories: {} written, {} advisories", path.display(), snapshot.advisories.len());
+    Ok(())
+}
+
+/// An older database lacks advisories that the present snapshot has.
+fn reject_older(new: &Snapshot, present: &Snapshot) -> Result<()> {
+    // Dates are `YYYY-MM-DD`: their order is that of the text.
+    if new.date < present.date {
+        bail!(
+            "advisories: the clone is of {}, {SNAPSHOT} of {}; pull the clone, or remove the snapshot to \
+             go back",
+            new.date,
+            present.date
+        );
+    }
     Ok(())
 }
 
@@ -242,6 +260,15 @@ mod tests {
         assert_eq!(read, snapshot());
         assert!(text.lines().all(|line| line.len() <= COLUMNS), "{text}");
         assert!(Snapshot::parse("").is_err() && Snapshot::parse("commit: a\ndate: b\n").is_err());
+    }
+
+    #[test]
+    fn an_older_database_replaces_no_snapshot() {
+        let of = |date: &str| Snapshot { date: date.into(), ..snapshot() };
+        assert!(reject_older(&of("2026-01-01"), &of("2026-01-02")).is_err());
+        assert!(reject_older(&of("2025-12-31"), &of("2026-01-02")).is_err());
+        assert!(reject_older(&of("2026-01-02"), &of("2026-01-02")).is_ok());
+        assert!(reject_older(&of("2026-02-01"), &of("2026-01-02")).is_ok());
     }
 
     #[test]
