@@ -28,12 +28,12 @@ mod quantum;
 mod tiling;
 mod water;
 
-use crate::chart;
-use crate::curve::Curve;
+use crate::curve::{self, Curve};
 use crate::pom::maps::Kind;
 use crate::table::Table;
 use crate::{Outputs, note};
 use anyhow::{Result, anyhow};
+use chart::Chart;
 use clap::ValueEnum as _;
 use serde::Serialize;
 use std::io::Write;
@@ -139,7 +139,10 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
             outputs.out.as_deref().map_or(Ok(()), |folder| table.write_csv(folder))?;
         }
         if let Some(folder) = &outputs.out {
-            chart::write(&folder.join(format!("{}.png", curve.name)), curve.title, &curve.panels)?;
+            curve::draw(
+                &folder.join(format!("{}.png", curve.name)),
+                &Chart::grid(curve.title, curve.panels),
+            )?;
         }
         tables.extend(curve.tables);
     }

@@ -1,9 +1,12 @@
 //! Declared curves: rows of a measurement with typed columns. Tables, CSV, JSON and charts of all
-//! curves come from [`crate::table`] and [`crate::chart`].
+//! curves come from [`crate::table`] and the crate `chart`.
 
-use crate::chart::{Choice, Panel};
 use crate::table::Table;
+use anyhow::{Context, Result};
+use chart::{Chart, Choice, Panel};
 use std::fmt::Display;
+use std::fs::File;
+use std::path::Path;
 
 /// A curve: its tables, and its panels under one title.
 #[derive(Clone, Debug)]
@@ -78,6 +81,15 @@ impl<R> From<Sheet<R>> for Table {
     }
 }
 
+/// Draws a chart into a file.
+///
+/// # Errors
+/// The file cannot be written, or a panel has nothing to show.
+pub fn draw(path: &Path, chart: &Chart) -> Result<()> {
+    let written = File::create(path).map_err(anyhow::Error::from).and_then(|file| chart.write(file));
+    written.with_context(|| format!("--out: cannot write `{}`", path.display()))
+}
+
 /// Names with their numbers: `0 first; 1 second`.
 pub fn numbered(names: impl IntoIterator<Item = impl Display>, separator: &str) -> String {
     let numbered = names.into_iter().enumerate().map(|(index, name)| format!("{index} {name}"));
@@ -92,7 +104,7 @@ pub fn floored(points: Vec<(f64, f64)>, floor: f64) -> Vec<(f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chart::linear;
+    use chart::linear;
 
     #[test]
     fn columns_are_values_of_rows_in_order() {

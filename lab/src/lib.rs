@@ -13,7 +13,6 @@
 
 mod accuracy;
 mod adapters;
-mod chart;
 mod codec;
 pub mod cracks;
 pub mod culling;

@@ -35,7 +35,18 @@ const DRAWING: &[&str] = &["wgpu", "winit", "egui"];
 const RULES: [Rule; 8] = [
     Rule {
         package: "terrain",
-        own: &["protocol", "shaders", "server", "client", "load", "lab", "cli", "bars", "server-bench"],
+        own: &[
+            "protocol",
+            "shaders",
+            "server",
+            "client",
+            "load",
+            "lab",
+            "cli",
+            "bars",
+            "chart",
+            "server-bench",
+        ],
         libraries: &["serde", "noise", "tokio", "wgpu"],
         why: "terrain is pure and depends on no other crate",
     },

@@ -4,11 +4,11 @@
 //! the lobes of GGX; the reference is the exact form in f64. Half precision is emulated, since few
 //! devices compute in it: every intermediate result is rounded.
 
-use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet, numbered};
 use crate::probe_pass::{self, Dispatch};
 use crate::stats::{Figures, interleaved, ratios};
 use anyhow::{Context as _, Result};
+use chart::{Panel, linear, log};
 use client::gpu::Gpu;
 use glam::DVec3;
 use shaders::SHADERS;

@@ -3,10 +3,10 @@
 //! Times are the shortest of `TURNS` for each chunk, in milliseconds; in a debug build they mean
 //! little.
 
-use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet};
 use crate::sample;
 use anyhow::{Result, ensure};
+use chart::{Panel, linear, log};
 use protocol::chunk_codec::{self, Effort, quantised, refined, seed_only};
 use protocol::{Delivery, Tolerance};
 use std::hint::black_box;

@@ -2,7 +2,6 @@
 //! visibility in f64; steps of the marches, frames of temporal hysteresis, cost of the methods in
 //! frames.
 
-use crate::chart::{Choice, Panel, linear, log};
 use crate::culling::cases::{Absent, Case, Site, seeded};
 use crate::culling::chunks::{ChunkVerdict, chunks_of};
 use crate::culling::clump_vertices::clump_vertices;
@@ -15,6 +14,7 @@ use crate::curve::{Curve, Sheet, numbered};
 use crate::gpu_probes::cpu_cull::noise_of;
 use crate::table::Table;
 use anyhow::{Result, ensure};
+use chart::{Choice, Panel, linear, log};
 use client::cache::vertical_scale;
 use client::features::vegetation::by_slot::BySlot;
 use client::features::vegetation::{Cull, SpeciesParams, VegetationSettings};

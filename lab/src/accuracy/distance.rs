@@ -5,12 +5,12 @@
 //! coordinates the same in f64 coordinates; for it in f64 coordinates the same whole periods of its
 //! lattice (32,768 m) nearer to the origin, which should be equal.
 
-use crate::chart::{Panel, log};
 use crate::curve::{Curve, Sheet};
 use crate::floats::{FloatLand, NOISE_CRATE_PERIOD_M, TOTAL_M, metres, metres_f32, noise_crate};
 use crate::reference_f64::ReferenceF64;
 use crate::sample::{unit, word};
 use crate::stats::Figures;
+use chart::{Panel, log};
 use noise::NoiseFn;
 use rayon::prelude::*;
 use terrain::Octaves;

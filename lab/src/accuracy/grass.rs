@@ -1,6 +1,5 @@
 //! Grass: density and thinning with distance against the full field: coverage, mean FLIP, clumps.
 
-use crate::chart::{Choice, Panel, linear, log};
 use crate::culling::cases::Case;
 use crate::culling::id_buffer::frame_of;
 use crate::culling::scene::Scene;
@@ -8,6 +7,7 @@ use crate::curve::{Curve, Sheet};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
 use crate::headless_renderer::HeadlessRenderer;
 use anyhow::{Context, Result, ensure};
+use chart::{Choice, Panel, linear, log};
 use client::features::vegetation::{Cull, VegetationSettings};
 use client::gpu::Image;
 use terrain::Land;

@@ -13,10 +13,10 @@
 //!   when a camera moves;
 //! - bytes of a chunk on the wire, and time.
 
-use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet};
 use crate::sample::{self, word};
 use crate::stats::{Figures, interleaved, median_s};
+use chart::{Panel, linear, log};
 use protocol::chunk_codec;
 use rayon::prelude::*;
 use std::convert::Infallible;

@@ -1,6 +1,5 @@
 //! Levels of detail: cost in triangles and time against screen-space error, by tolerance.
 
-use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet};
 use crate::lod::frames;
 use crate::lod::screen::{self, ScreenErrors, ViewCase};
@@ -8,6 +7,7 @@ use crate::places;
 use crate::stats::median;
 use crate::world_builder::WorldBuilder;
 use anyhow::Result;
+use chart::{Panel, linear, log};
 use client::camera::Pose;
 use client::frame::TRIANGLES_PER_INSTANCE;
 use client::scene::Scene;

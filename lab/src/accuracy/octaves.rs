@@ -2,11 +2,11 @@
 //! carry so few are too coarse to share nodes.
 
 use super::errors::{HEIGHTS, SLOPES, compare, exact, integers};
-use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet};
 use crate::reference_f64::ReferenceF64;
 use crate::sample;
 use crate::stats::{Figures, interleaved, median_s};
+use chart::{Panel, linear, log};
 use std::hint::black_box;
 use std::time::Instant;
 use terrain::constants::{OCTAVES, VERTEX_COUNT};

@@ -3,7 +3,6 @@
 //!
 //! Control: a coarse search that must miss narrow features.
 
-use crate::chart::{Choice, Panel, linear, log};
 use crate::curve::{Curve, Sheet, floored, numbered};
 use crate::pom::bench::PomBench;
 use crate::pom::comparison::{AMPLITUDE, Condition, Score, Stage, probes, relief};
@@ -12,6 +11,7 @@ use crate::pom::reference;
 use crate::stats::{mean, quantiles, worst};
 use crate::table::Table;
 use anyhow::{Result, ensure};
+use chart::{Choice, Panel, linear, log};
 use client::features::pom::PomSettings;
 use client::features::pom::settings::{Heights, PomMethod, PomShadow, Refine};
 use shaders::layout::{PomParams, PomProbe, PomResult};

@@ -3,12 +3,12 @@
 //!
 //! Control: the flat plane must be farther from geometry than the exact march.
 
-use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
 use crate::pom::pictures::{self, Line, Silhouettes};
 use crate::pom::renderer::{PomRenderer, around, plane};
 use anyhow::{Result, ensure};
+use chart::{Panel, linear, log};
 use client::camera::Pose;
 use client::features::pom::PomSettings;
 use client::features::pom::settings::{PomMethod, Silhouette};

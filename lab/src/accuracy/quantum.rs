@@ -1,11 +1,11 @@
 //! Height quantum: size on the wire against error.
 
 use super::errors::{HEIGHTS, SLOPES, compare, exact, integers};
-use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet};
 use crate::reference_f64::ReferenceF64;
 use crate::sample;
 use crate::stats::Figures;
+use chart::{Panel, linear, log};
 use protocol::chunk_codec;
 use terrain::constants::{UNIT_BITS, UNITS_PER_METRE, VERTEX_COUNT};
 use terrain::{Chunk, ChunkKey, Land, Octaves, WorldDigest};

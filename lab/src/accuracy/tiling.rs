@@ -4,12 +4,12 @@
 //! correlates with itself at a distance of one tile; hiding the repetition blends samples, which
 //! costs contrast and time.
 
-use crate::chart::{Panel, linear, log};
 use crate::curve::{Curve, Sheet};
 use crate::gpu_probes::tiling::{FIELD, Look, ProbeTiling};
 use crate::stats::{interleaved, mean, ratios};
 use crate::table::Table;
 use anyhow::{Context, Result};
+use chart::{Panel, linear, log};
 use client::features::materials::{CustomMaterials, MATERIAL_SIZE, Materials};
 use client::gpu::Gpu;
 use client::settings::Tiling;

@@ -5,13 +5,13 @@
 //! of the scene of the water are compared by mean FLIP. Two controls must be worse than the tiers:
 //! the plain parallax of a fixed view, and flat water.
 
-use crate::chart::{Choice, Panel, linear, log};
 use crate::curve::{Curve, Sheet, numbered};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
 use crate::sample::{unit, word};
 use crate::stats::{interleaved, quantiles, ratios, worst};
 use crate::waves::{FoundWave, WaveBench};
 use anyhow::{Result, ensure};
+use chart::{Choice, Panel, linear, log};
 use client::features::water::{WaterTier, WaveSettings};
 use client::gpu::Image;
 use client::headless::{self, Options};

@@ -2,8 +2,9 @@
 
 use super::field::{Field, Window, carried};
 use super::surface::Surface;
-use crate::chart::{self, Panel, linear};
+use crate::curve;
 use anyhow::{Context, Result};
+use chart::{Chart, Panel, linear};
 use std::path::Path;
 use terrain::Land;
 
@@ -81,7 +82,7 @@ pub fn charts(folder: &Path, surface: &Surface) -> Result<()> {
         .line("land on the 16 m grid", surface.slope_histogram().into_iter().take(70));
     let heights = Panel::new("Hypsometric curve", linear("land above, %"), linear("height, m"))
         .line("land on the 16 m grid", surface.hypsometric_curve());
-    chart::write(&folder.join("land.png"), "Slopes and heights of land", &[slopes, heights])
+    curve::draw(&folder.join("land.png"), &Chart::grid("Slopes and heights of land", vec![slopes, heights]))
 }
 
 #[cfg(test)]

@@ -20,7 +20,7 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     run.notes.push(format!(
         "Repeats are maximal runs of six or more equal lines of code in two places, outside tests and \
          examples; the bar is a quarter of the {REPEATS_BEFORE:.0} at commit 667da50. Measuring code is \
-         lab, server-bench, bars, benches and xtask/src/measure without tests."
+         lab, server-bench, bars, chart, benches and xtask/src/measure without tests."
     ));
     let repeats = repeats::find(&files);
     for repeat in &repeats {

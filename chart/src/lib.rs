@@ -1,8 +1,13 @@
-//! Charts: panels of curves with their axes, and the Pareto fronts of choices. Drawn by `draw`.
+//! Charts: panels of curves with their axes, Pareto fronts of choices, and traces over time.
 
+mod chart;
 mod draw;
+mod labels;
+mod scale;
 
-pub use draw::write;
+pub use chart::Chart;
+
+use std::ops::Range;
 
 /// Width of a line that covers no other, and what it gains with every line that it would vanish
 /// under, pixels.
@@ -25,6 +30,7 @@ pub enum Scale {
 pub struct Axis {
     /// Quantity and unit.
     pub label: &'static str,
+    /// How its numbers map to pixels.
     pub scale: Scale,
 }
 
@@ -33,6 +39,9 @@ pub struct Axis {
 pub enum Stroke {
     /// A line with a dot at each measured value.
     Measured,
+    /// A line without dots. A value that the axes cannot show is a gap; one between two gaps has a
+    /// dot.
+    Trace,
     /// A dashed line without dots: a bound or a bar.
     Stated,
     /// Grey dots: choices for which another one is better in both respects.
@@ -67,14 +76,32 @@ pub struct Choice {
     pub is_shipped: bool,
 }
 
+/// A range of x with a background and a name.
+#[derive(Clone, Debug)]
+pub struct Band {
+    /// Its name, at its left end.
+    pub name: String,
+    /// From and to.
+    pub range: Range<f64>,
+}
+
 /// One diagram.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    pub title: &'static str,
+    /// Above the plot.
+    pub title: String,
+    /// From left to right.
     pub x: Axis,
+    /// From bottom to top.
     pub y: Axis,
     /// At most six curves.
     pub series: Vec<Series>,
+    /// Behind the curves.
+    pub bands: Vec<Band>,
+    /// Range of x if it does not follow from the curves; such a panel may be empty.
+    x_range: Option<Range<f64>>,
+    /// Whether a linear y axis begins at 0.
+    is_from_zero: bool,
 }
 
 /// A linear axis.
@@ -125,8 +152,37 @@ fn front(choices: &[Choice]) -> Vec<Series> {
 
 impl Panel {
     /// A panel without curves.
-    pub fn new(title: &'static str, x: Axis, y: Axis) -> Self {
-        Self { title, x, y, series: Vec::new() }
+    pub fn new(title: impl Into<String>, x: Axis, y: Axis) -> Self {
+        Self {
+            title: title.into(),
+            x,
+            y,
+            series: Vec::new(),
+            bands: Vec::new(),
+            x_range: None,
+            is_from_zero: false,
+        }
+    }
+
+    /// Sets the range of x. The panel may then be empty.
+    pub fn over(self, x_range: Range<f64>) -> Self {
+        Self { x_range: Some(x_range), ..self }
+    }
+
+    /// Begins a linear y axis at 0.
+    pub fn from_zero(self) -> Self {
+        Self { is_from_zero: true, ..self }
+    }
+
+    /// Adds named backgrounds.
+    pub fn bands(mut self, bands: impl IntoIterator<Item = Band>) -> Self {
+        self.bands.extend(bands);
+        self
+    }
+
+    /// Adds a line without dots, with gaps; see [`Stroke::Trace`].
+    pub fn trace(self, label: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.with([series(label, Stroke::Trace, points)])
     }
 
     /// Adds a measured curve.
