@@ -26,6 +26,7 @@
 
 pub mod bake;
 pub mod cache;
+pub mod chunk_id;
 pub mod config;
 pub mod generation;
 pub mod http;

@@ -1,6 +1,7 @@
 //! Sources of chunks: the interface behind which a baked store or real elevation data can replace
 //! the generator.
 
+use crate::chunk_id::{ChunkId, Edition};
 use protocol::chunk_codec::seed_only;
 use terrain::{Chunk, ChunkKey, Land, WorldDigest};
 
@@ -9,11 +10,16 @@ pub trait ChunkSource: Send + Sync + 'static {
     /// Digest of the world, part of every frame's digest.
     fn world(&self) -> WorldDigest;
 
-    /// The chunk of a key. Pure: a key always gives the same chunk.
+    /// The edition of a chunk that sessions are offered now.
+    fn edition(&self, _key: ChunkKey) -> Edition {
+        Edition::BASE
+    }
+
+    /// A chunk. Pure: a key in one edition always gives the same chunk.
     ///
     /// `known_error` is the chunk's error in units if it is known. A source uses it instead of a
     /// measurement, which costs many times more than the heights.
-    fn chunk(&self, key: ChunkKey, known_error: Option<u32>) -> Chunk;
+    fn chunk(&self, id: ChunkId, known_error: Option<u32>) -> Chunk;
 }
 
 /// Chunks generated from the seed.
@@ -36,10 +42,10 @@ impl ChunkSource for ProceduralSource {
         self.world
     }
 
-    fn chunk(&self, key: ChunkKey, known_error: Option<u32>) -> Chunk {
+    fn chunk(&self, id: ChunkId, known_error: Option<u32>) -> Chunk {
         match known_error {
-            None => self.land.chunk(key),
-            Some(error) => seed_only::complete(&self.land, key, error),
+            None => self.land.chunk(id.key),
+            Some(error) => seed_only::complete(&self.land, id.key, error),
         }
     }
 }
@@ -52,9 +58,9 @@ mod tests {
     fn a_known_error_does_not_change_the_chunk() {
         let source = ProceduralSource::new(Land::new(1));
         for (level, x, z) in [(0, 3, -7), (1, 2, 2), (3, -1, 0), (16, 0, 0)] {
-            let key = ChunkKey::new(level, x, z).unwrap();
-            let measured = source.chunk(key, None);
-            assert_eq!(source.chunk(key, Some(measured.error)), measured);
+            let id = ChunkId::base(ChunkKey::new(level, x, z).unwrap());
+            let measured = source.chunk(id, None);
+            assert_eq!(source.chunk(id, Some(measured.error)), measured);
         }
     }
 }

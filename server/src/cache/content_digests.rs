@@ -1,19 +1,20 @@
 //! Content digests of chunks that were served by address. A frame does not contain the digest of its
 //! content, and computing it takes decoding the frame.
 
+use crate::chunk_id::ChunkId;
 use protocol::chunk_codec::{self, DIGEST, seed_only};
 use protocol::error::ChunkError;
 use quick_cache::sync::Cache;
-use terrain::{ChunkKey, WorldDigest};
+use terrain::WorldDigest;
 
 /// Digests that are kept: about 4 MiB. A full cache evicts the least useful ones; a missing one is
 /// computed again.
 const CAPACITY: usize = 1 << 16;
 
-/// The content digests of one world's chunks. A chunk of a world has one content, so an entry never
-/// becomes invalid.
+/// The content digests of one world's chunks. An edition of a chunk has one content, so an entry
+/// never becomes invalid.
 pub struct ContentDigests {
-    known: Cache<ChunkKey, [u8; DIGEST]>,
+    known: Cache<ChunkId, [u8; DIGEST]>,
 }
 
 impl Default for ContentDigests {
@@ -27,8 +28,8 @@ impl ContentDigests {
     ///
     /// # Errors
     /// The frame is damaged and its digest is not known.
-    pub fn of(&self, key: ChunkKey, frame: &[u8], world: &WorldDigest) -> Result<[u8; DIGEST], ChunkError> {
-        self.known.get_or_insert_with(&key, || {
+    pub fn of(&self, id: ChunkId, frame: &[u8], world: &WorldDigest) -> Result<[u8; DIGEST], ChunkError> {
+        self.known.get_or_insert_with(&id, || {
             let chunk = chunk_codec::decode(frame, world)?;
             Ok(seed_only::digest(&chunk, world))
         })
@@ -38,7 +39,7 @@ impl ContentDigests {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use terrain::Land;
+    use terrain::{ChunkKey, Land};
 
     #[test]
     fn a_digest_is_that_of_the_content_and_is_computed_once() {
@@ -50,10 +51,17 @@ mod tests {
         // A damaged frame has no digest, and none is kept for it.
         let mut damaged = frame.to_vec();
         damaged[100] ^= 1;
-        assert!(digests.of(one.key, &damaged, &world).is_err());
-        assert_eq!(digests.of(one.key, &frame, &world), Ok(seed_only::digest(&one, &world)));
-        assert_eq!(digests.of(one.key, &[], &world), Ok(seed_only::digest(&one, &world)), "no decoding");
+        assert!(digests.of(ChunkId::base(one.key), &damaged, &world).is_err());
+        assert_eq!(digests.of(ChunkId::base(one.key), &frame, &world), Ok(seed_only::digest(&one, &world)));
+        assert_eq!(
+            digests.of(ChunkId::base(one.key), &[], &world),
+            Ok(seed_only::digest(&one, &world)),
+            "no decoding"
+        );
         let frame = chunk_codec::encode(&other, &world);
-        assert_ne!(digests.of(other.key, &frame, &world), digests.of(one.key, &[], &world));
+        assert_ne!(
+            digests.of(ChunkId::base(other.key), &frame, &world),
+            digests.of(ChunkId::base(one.key), &[], &world)
+        );
     }
 }

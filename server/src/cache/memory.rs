@@ -1,13 +1,13 @@
 //! Frame cache in memory, bounded by bytes.
 
+use crate::chunk_id::ChunkId;
 use bytes::Bytes;
 use protocol::{Delivery, chunk_codec};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
-use terrain::ChunkKey;
 
 /// Cache key.
-type FrameId = (ChunkKey, Delivery);
+type FrameId = (ChunkId, Delivery);
 
 /// Bytes per entry in addition to the frame: key, handle and the map's share.
 const ENTRY_OVERHEAD: u64 = 128;
@@ -49,23 +49,23 @@ impl FrameCache {
     /// The frame of a chunk for a delivery; none if it is fast-encoded and the server `is_idle`, so
     /// that it can be encoded again.
     #[must_use]
-    pub fn get(&self, key: ChunkKey, delivery: Delivery, is_idle: impl FnOnce() -> bool) -> Option<Bytes> {
-        let CachedFrame { frame, is_fast_encoded } = self.cache.get(&(key, delivery))?;
+    pub fn get(&self, id: ChunkId, delivery: Delivery, is_idle: impl FnOnce() -> bool) -> Option<Bytes> {
+        let CachedFrame { frame, is_fast_encoded } = self.cache.get(&(id, delivery))?;
         (!is_fast_encoded || !is_idle()).then_some(frame)
     }
 
     /// Inserts a frame; evicts others if necessary.
-    pub fn insert(&self, key: ChunkKey, delivery: Delivery, frame: CachedFrame) {
-        self.cache.insert((key, delivery), frame);
+    pub fn insert(&self, id: ChunkId, delivery: Delivery, frame: CachedFrame) {
+        self.cache.insert((id, delivery), frame);
     }
 
     /// The error of a chunk from its cached frame of any delivery.
     #[must_use]
-    pub fn known_error(&self, key: ChunkKey) -> Option<u32> {
+    pub fn known_error(&self, id: ChunkId) -> Option<u32> {
         // A peek: this use does not count for the eviction policy.
         let cached = [Delivery::Exact, Delivery::Refined, Delivery::SeedOnly]
             .into_iter()
-            .find_map(|delivery| self.cache.peek(&(key, delivery)))?;
+            .find_map(|delivery| self.cache.peek(&(id, delivery)))?;
         chunk_codec::error(&cached.frame)
     }
 
@@ -79,6 +79,7 @@ impl FrameCache {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use terrain::ChunkKey;
 
     #[test]
     fn the_cache_stays_within_its_bytes() {
@@ -87,7 +88,7 @@ mod tests {
         let cache = FrameCache::new(budget);
         for x in 0..50 {
             let frame = CachedFrame { frame: frame.clone(), is_fast_encoded: false };
-            cache.insert(ChunkKey::new(0, x, 0).unwrap(), Delivery::Exact, frame);
+            cache.insert(ChunkId::base(ChunkKey::new(0, x, 0).unwrap()), Delivery::Exact, frame);
         }
         assert!(cache.weight() <= budget);
         assert!(cache.cache.len() < 50);

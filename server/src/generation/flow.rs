@@ -7,6 +7,7 @@ use super::result::{Completion, FrameResult, GenerationError};
 use super::runner;
 use super::shared::Shared;
 use super::views::ViewJob;
+use crate::chunk_id::ChunkId;
 use crate::limits::rate_limit::TokenBucket;
 use bytes::Bytes;
 use protocol::Delivery;
@@ -68,11 +69,29 @@ impl Flow {
     ///
     /// # Errors
     /// See [`GenerationError`].
-    pub async fn frame(mut self, chunk: ChunkRequest, delivery: Delivery) -> Result<Bytes, GenerationError> {
-        if let Some(frame) = self.cached(chunk.key, delivery) {
+    pub async fn frame(self, chunk: ChunkRequest, delivery: Delivery) -> Result<Bytes, GenerationError> {
+        let id = self.shared.current(chunk.key);
+        self.frame_of(id, chunk, delivery).await
+    }
+
+    /// As [`Flow::frame`], of the land that the seed makes, whatever changed the chunk since.
+    ///
+    /// # Errors
+    /// See [`GenerationError`].
+    pub async fn base_frame(self, chunk: ChunkRequest, delivery: Delivery) -> Result<Bytes, GenerationError> {
+        self.frame_of(ChunkId::base(chunk.key), chunk, delivery).await
+    }
+
+    async fn frame_of(
+        mut self,
+        id: ChunkId,
+        chunk: ChunkRequest,
+        delivery: Delivery,
+    ) -> Result<Bytes, GenerationError> {
+        if let Some(frame) = self.cached_frame(id, delivery) {
             return Ok(frame);
         }
-        self.request(chunk, delivery);
+        self.request_frame(id, chunk, delivery);
         // One request, one result.
         self.completions().await.pop().map_or(Err(GenerationError::Failed), |(_, result)| result)
     }
@@ -80,7 +99,11 @@ impl Flow {
     /// The cached frame of a key for a delivery, charged by its bytes.
     #[must_use]
     pub fn cached(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
-        let frame = self.shared.cached(key, delivery, self.must_be_compact)?;
+        self.cached_frame(self.shared.current(key), delivery)
+    }
+
+    fn cached_frame(&self, id: ChunkId, delivery: Delivery) -> Option<Bytes> {
+        let frame = self.shared.cached(id, delivery, self.must_be_compact)?;
         self.charge_bytes(frame.len());
         Some(frame)
     }
@@ -97,21 +120,25 @@ impl Flow {
         }
     }
 
-    /// Requests a frame. [`Flow::completions`] returns exactly one result, unless the request is
-    /// cancelled.
+    /// Requests a frame of the chunk that the key names now. [`Flow::completions`] returns exactly one
+    /// result, unless the request is cancelled.
     pub fn request(&mut self, chunk: ChunkRequest, delivery: Delivery) {
+        self.request_frame(self.shared.current(chunk.key), chunk, delivery);
+    }
+
+    fn request_frame(&mut self, id: ChunkId, chunk: ChunkRequest, delivery: Delivery) {
         self.add_open(1);
         let Shared { frames, metrics, costs, .. } = &*self.shared;
         let mut queue = self.shared.lock();
         // Under the lock: a job leaves the queue only after its frames are in the cache.
-        if let Some(frame) = frames.get(chunk.key, delivery, || self.must_be_compact || queue.jobs() == 0) {
+        if let Some(frame) = frames.get(id, delivery, || self.must_be_compact || queue.jobs() == 0) {
             metrics.frame_cache_hits.inc();
             self.complete(chunk, Ok(frame));
             return;
         }
         let (since, sender) = (Instant::now(), self.sender.clone());
         let must_be_compact = self.must_be_compact;
-        let request = FrameRequest { flow: self.id, chunk, delivery, must_be_compact, since, sender };
+        let request = FrameRequest { flow: self.id, chunk, id, delivery, must_be_compact, since, sender };
         let cost_us = costs.expected_us(chunk.key);
         match queue.enqueue(request, cost_us) {
             Enqueued::Coalesced => {
@@ -211,10 +238,10 @@ impl Flow {
         self.open - self.selection.is_some() as usize
     }
 
-    /// Cancels the requests for a key whose job is not running, and returns them. The others will
-    /// complete.
+    /// Cancels the requests for the chunk that a key names now, if its job is not running, and
+    /// returns them. The others will complete, those for earlier editions included.
     pub fn cancel(&mut self, key: ChunkKey) -> Vec<ChunkRequest> {
-        let cancelled = self.shared.lock().cancel(self.id, key);
+        let cancelled = self.shared.lock().cancel(self.id, self.shared.current(key));
         self.remove_open(cancelled.len());
         self.shared.metrics.jobs_cancelled.inc_by(cancelled.len() as u64);
         cancelled
@@ -250,7 +277,7 @@ mod tests {
         let mut flow = fixture.service.flow();
         flow.request(chunk_request(key(0), 0), Delivery::Exact);
         // The only thread takes the first job, so that the queue orders the rest.
-        while !fixture.service.shared.lock().is_running(key(0)) {
+        while !fixture.service.shared.lock().is_running(ChunkId::base(key(0))) {
             tokio::task::yield_now().await;
         }
         for (x, priority) in [(1, 10), (2, 30), (3, 20), (1, 40)] {
@@ -276,7 +303,7 @@ mod tests {
     async fn a_hundred_thousand_dropped_flows_affect_no_other_flow() {
         let fixture = fixture(1 << 20, 10);
         let blocker = request(&fixture.service, key(0), 1).await;
-        while !fixture.service.shared.lock().is_running(key(0)) {
+        while !fixture.service.shared.lock().is_running(ChunkId::base(key(0))) {
             tokio::task::yield_now().await;
         }
         let mut kept = fixture.service.flow();
@@ -301,7 +328,7 @@ mod tests {
         let fixture = fixture(1 << 20, 10);
         let mut flow = fixture.service.flow();
         flow.request(chunk_request(key(0), 9), Delivery::Exact);
-        while !fixture.service.shared.lock().is_running(key(0)) {
+        while !fixture.service.shared.lock().is_running(ChunkId::base(key(0))) {
             tokio::task::yield_now().await;
         }
         flow.request(chunk_request(key(1), 1), Delivery::Exact);

@@ -1,4 +1,4 @@
-//! The generation service: one job per chunk key for any number of requests, on a pool of compute
+//! The generation service: one job per chunk for any number of requests, on a pool of compute
 //! threads behind a bounded, fair queue.
 //!
 //! A chunk has one frame per delivery. A job generates the chunk once and encodes only the
@@ -11,13 +11,18 @@
 //! whole, so that a session wakes and writes once per turn. A job belongs to the service, not to a
 //! flow, so a flow that ends does not affect others; a queued job without requests is dropped. A
 //! job looks on disk first ([`crate::cache::disk`]). Finished frames enter the cache before the job
-//! is removed, so a key is never generated twice at the same time.
+//! is removed, so a chunk is never generated twice at the same time.
+//!
+//! A chunk is a key in an edition ([`crate::chunk_id`]). A request gets the edition that the source
+//! offers at its time; one for the base gets the land that the seed makes.
 //!
 //! Modules from the bottom up: [`result`], [`cost`] (estimates), [`views`] (view selection),
 //! [`queue`] (scheduling), `shared` (state of the service), `runner` (execution), [`flow`]
 //! (requests of one client), [`service`] (the public handle).
 
 pub mod cost;
+#[cfg(test)]
+mod edition_tests;
 pub mod flow;
 pub mod queue;
 pub mod result;

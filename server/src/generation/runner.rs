@@ -8,6 +8,7 @@ use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
 use super::views::ViewJob;
 use crate::cache::memory::CachedFrame;
+use crate::chunk_id::ChunkId;
 use crate::mechanism::Mechanism;
 use bytes::Bytes;
 use protocol::chunk_codec::Effort;
@@ -18,7 +19,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
-use terrain::{Chunk, ChunkKey};
+use terrain::Chunk;
 use tokio::sync::mpsc::UnboundedSender;
 
 /// Target duration of a round over all active flows, microseconds of work. A longer backlog per
@@ -36,7 +37,7 @@ const BACKLOG_PER_FLOW: usize = 8;
 
 /// The frames of a finished job.
 struct GeneratedFrames {
-    key: ChunkKey,
+    id: ChunkId,
     results: Vec<GeneratedFrame>,
 }
 
@@ -93,7 +94,7 @@ impl Shared {
                 let mut queue = self.lock();
                 let quantum_us = self.quantum_us(queue.waiting());
                 let turn = queue.take(quantum_us, deadline, Instant::now());
-                if turn.keys.is_empty() && turn.view.is_none() {
+                if turn.chunks.is_empty() && turn.view.is_none() {
                     queue.runners -= 1;
                 }
                 self.metrics.pending_jobs.set(queue.jobs() as i64);
@@ -109,10 +110,10 @@ impl Shared {
                 self.select_view(flow, view, budget_us);
                 continue;
             }
-            if turn.keys.is_empty() {
+            if turn.chunks.is_empty() {
                 return;
             }
-            let finished: Vec<GeneratedFrames> = turn.keys.into_iter().map(|key| self.run_job(key)).collect();
+            let finished: Vec<GeneratedFrames> = turn.chunks.into_iter().map(|id| self.run_job(id)).collect();
             self.send_results(&finished);
         }
     }
@@ -153,16 +154,16 @@ impl Shared {
     }
 
     /// Encodes the requested deliveries of a chunk, those requested meanwhile included.
-    fn run_job(&self, key: ChunkKey) -> GeneratedFrames {
+    fn run_job(&self, id: ChunkId) -> GeneratedFrames {
         // Dropped at the end of this job, so that the next one reuses its memory.
         let mut chunk = None;
-        let mut finished = GeneratedFrames { key, results: Vec::with_capacity(1) };
+        let mut finished = GeneratedFrames { id, results: Vec::with_capacity(1) };
         let missing = |finished: &GeneratedFrames| {
-            self.lock().missing_frame(key, |request| finished.of(request).is_some())
+            self.lock().missing_frame(id, |request| finished.of(request).is_some())
         };
         while let Some((delivery, must_be_compact)) = missing(&finished) {
-            let effort = if must_be_compact { Effort::Compact } else { self.effort(key) };
-            let frame = self.frame(key, delivery, effort, &mut chunk);
+            let effort = if must_be_compact { Effort::Compact } else { self.effort(id) };
+            let frame = self.frame(id, delivery, effort, &mut chunk);
             finished.results.push(frame);
         }
         finished
@@ -172,7 +173,7 @@ impl Shared {
     /// generates the chunk.
     fn frame(
         &self,
-        key: ChunkKey,
+        id: ChunkId,
         delivery: Delivery,
         effort: Effort,
         chunk: &mut Option<Chunk>,
@@ -181,13 +182,13 @@ impl Shared {
         let result = catch_unwind(AssertUnwindSafe(|| {
             // With a chunk in memory, encoding is faster than reading.
             if chunk.is_none()
-                && let Some(frame) = self.stored_frame(key, delivery)
+                && let Some(frame) = self.stored_frame(id, delivery)
             {
                 return (frame, Origin::Disk);
             }
             let mut origin = Origin::Made;
             if chunk.is_none() {
-                let found = self.chunk(key, delivery);
+                let found = self.chunk(id, delivery);
                 *chunk = Some(found.chunk);
                 if let Some(frame) = found.frame {
                     if delivery == Delivery::Exact {
@@ -201,7 +202,7 @@ impl Shared {
         }));
         let Ok((frame, origin)) = result else {
             self.metrics.jobs_failed.inc();
-            tracing::error!(%key, %delivery, "generation panicked");
+            tracing::error!(chunk = %id, %delivery, "generation panicked");
             let result = Err(GenerationError::Failed);
             return GeneratedFrame { delivery, is_fast_encoded: false, result };
         };
@@ -209,7 +210,7 @@ impl Shared {
         let took = started.elapsed();
         if is_first {
             // The cost of a job includes reads from disk and store.
-            self.costs.record(key, took);
+            self.costs.record(id.key, took);
         }
         if is_first && origin == Origin::Made {
             self.metrics.generation_seconds.observe(took.as_secs_f64());
@@ -222,65 +223,65 @@ impl Shared {
         } else if !is_stored {
             self.metrics.frames_encoded_compact.inc();
         }
-        self.frames.insert(key, delivery, CachedFrame { frame: frame.clone(), is_fast_encoded });
+        self.frames.insert(id, delivery, CachedFrame { frame: frame.clone(), is_fast_encoded });
         if let Some(disk) = self.disk.as_ref().filter(|_| origin != Origin::Disk) {
-            disk.write(key, delivery, frame.clone());
+            disk.write(id, delivery, frame.clone());
         }
         GeneratedFrame { delivery, is_fast_encoded, result: Ok(frame) }
     }
 
     /// A chunk: with a known error from the source, else from the store, else made and stored.
-    fn chunk(&self, key: ChunkKey, delivery: Delivery) -> Found {
-        let known_error = self.frames.known_error(key).or_else(|| self.stored_error(key, delivery));
+    fn chunk(&self, id: ChunkId, delivery: Delivery) -> Found {
+        let known_error = self.frames.known_error(id).or_else(|| self.stored_error(id, delivery));
         let Some(store) = self.store.as_ref().filter(|_| known_error.is_none()) else {
-            return Found { chunk: self.source.chunk(key, known_error), frame: None };
+            return Found { chunk: self.source.chunk(id, known_error), frame: None };
         };
-        if let Some((chunk, frame)) = store.read(key) {
+        if let Some((chunk, frame)) = store.read(id) {
             return Found { chunk, frame: Some(frame) };
         }
         let started = Instant::now();
-        let chunk = self.source.chunk(key, None);
-        store.made(key, started.elapsed(), || chunk_codec::encode(&chunk, &self.world));
+        let chunk = self.source.chunk(id, None);
+        store.made(id, started.elapsed(), || chunk_codec::encode(&chunk, &self.world));
         Found { chunk, frame: None }
     }
 
     /// The fast encoding for level 0 under backlog: bytes are cheaper than time then. Encoding is a
     /// small part of the cost of coarser chunks.
-    fn effort(&self, key: ChunkKey) -> Effort {
+    fn effort(&self, id: ChunkId) -> Effort {
         let backlog_us = || self.lock().waiting() as i64 * self.costs.mean_us() / self.limits.threads as i64;
-        let may_be_fast = key.level() == 0 && self.limits.without != Some(Mechanism::FastEffort);
+        let may_be_fast = id.key.level() == 0 && self.limits.without != Some(Mechanism::FastEffort);
         if may_be_fast && backlog_us() > TARGET_ROUND_US { Effort::Fast } else { Effort::Compact }
     }
 
     /// A frame from disk.
-    fn stored_frame(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
-        self.disk.as_ref()?.read(key, delivery, |frame| self.is_valid(key, delivery, frame))
+    fn stored_frame(&self, id: ChunkId, delivery: Delivery) -> Option<Bytes> {
+        self.disk.as_ref()?.read(id, delivery, |frame| self.is_valid(id, delivery, frame))
     }
 
     /// The error of a chunk from its frame on disk of another delivery. Not from a quantised frame,
     /// whose error is larger.
-    fn stored_error(&self, key: ChunkKey, not: Delivery) -> Option<u32> {
+    fn stored_error(&self, id: ChunkId, not: Delivery) -> Option<u32> {
         let others = [Delivery::Exact, Delivery::SeedOnly].into_iter().filter(|delivery| *delivery != not);
         let disk = self.disk.as_ref()?;
         let frame = others
             .into_iter()
-            .find_map(|delivery| disk.peek(key, delivery, |frame| self.is_valid(key, delivery, frame)))?;
+            .find_map(|delivery| disk.peek(id, delivery, |frame| self.is_valid(id, delivery, frame)))?;
         chunk_codec::error(&frame)
     }
 
     /// Whether bytes are the frame of a chunk for a delivery.
-    fn is_valid(&self, key: ChunkKey, delivery: Delivery, frame: &[u8]) -> bool {
+    fn is_valid(&self, id: ChunkId, delivery: Delivery, frame: &[u8]) -> bool {
         match delivery {
             // Its digest covers the heights, which it does not contain. With the error known,
             // generating them is cheap, and the whole frame can be compared.
             Delivery::SeedOnly => chunk_codec::error(frame).is_some_and(|error| {
-                let chunk = self.source.chunk(key, Some(error));
+                let chunk = self.source.chunk(id, Some(error));
                 chunk_codec::encode_for(delivery, &chunk, &self.world) == frame
             }),
             Delivery::Exact | Delivery::Quantised(_) | Delivery::Refined => {
                 let found = chunk_codec::verify(frame, &self.world).ok();
                 // An exact frame is valid in every delivery.
-                found == Some((key, delivery)) || found == Some((key, Delivery::Exact))
+                found == Some((id.key, delivery)) || found == Some((id.key, Delivery::Exact))
             }
         }
     }
@@ -293,7 +294,7 @@ impl Shared {
         {
             let mut queue = self.lock();
             for frames in turn {
-                for request in queue.finish(frames.key, |request| frames.of(request).is_some()) {
+                for request in queue.finish(frames.id, |request| frames.of(request).is_some()) {
                     let result = frames.of(&request).cloned().unwrap_or(Err(GenerationError::Failed));
                     let (_, completions) = flows.entry(request.flow).or_insert((request.sender, Vec::new()));
                     completions.push((request.chunk, result));
@@ -325,7 +326,7 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::AtomicUsize;
     use std::time::Duration;
-    use terrain::{Land, WorldDigest};
+    use terrain::{ChunkKey, Land, WorldDigest};
 
     #[tokio::test]
     async fn deliveries_of_a_key_share_a_job_and_only_requested_ones_are_encoded() {
@@ -442,9 +443,9 @@ mod tests {
             self.0.world()
         }
 
-        fn chunk(&self, key: ChunkKey, known_error: Option<u32>) -> Chunk {
+        fn chunk(&self, id: ChunkId, known_error: Option<u32>) -> Chunk {
             self.1.fetch_add(usize::from(known_error.is_none()), Ordering::Relaxed);
-            self.0.chunk(key, known_error)
+            self.0.chunk(id, known_error)
         }
     }
 

@@ -88,7 +88,7 @@ impl Generation {
     /// The cached frame of a key for a delivery; counts a request only on a hit.
     #[must_use]
     pub fn cached(&self, key: ChunkKey, delivery: Delivery) -> Option<Bytes> {
-        self.shared.cached(key, delivery, false)
+        self.shared.cached(self.shared.current(key), delivery, false)
     }
 
     /// A new flow without a rate limit. Dropping it cancels its requests.
@@ -146,6 +146,7 @@ impl Generation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chunk_id::ChunkId;
     use crate::generation::GenerationError;
     use crate::generation::test_source::{chunk_request, fixture, flat_frame_bytes, key, request};
     use std::time::Duration;
@@ -171,7 +172,7 @@ mod tests {
     async fn a_full_queue_rejects_and_a_job_without_requests_never_runs() {
         let fixture = fixture(1 << 20, 2);
         let running = request(&fixture.service, key(0), 9).await;
-        while !fixture.service.shared.lock().is_running(key(0)) {
+        while !fixture.service.shared.lock().is_running(ChunkId::base(key(0))) {
             tokio::task::yield_now().await;
         }
         let abandoned = request(&fixture.service, key(1), 1).await;

@@ -4,6 +4,7 @@ use super::cost::JobCosts;
 use super::queue::Queue;
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
+use crate::chunk_id::ChunkId;
 use crate::mechanism::Mechanism;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
@@ -59,11 +60,16 @@ impl Shared {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The cached frame of a key for a delivery; counts a request only on a hit. A fast-encoded
+    /// The chunk that a key names now.
+    pub fn current(&self, key: ChunkKey) -> ChunkId {
+        ChunkId { key, edition: self.source.edition(key) }
+    }
+
+    /// The cached frame of a chunk for a delivery; counts a request only on a hit. A fast-encoded
     /// frame is no hit if the frame `must_be_compact`, or if the server is idle.
-    pub fn cached(&self, key: ChunkKey, delivery: Delivery, must_be_compact: bool) -> Option<Bytes> {
+    pub fn cached(&self, id: ChunkId, delivery: Delivery, must_be_compact: bool) -> Option<Bytes> {
         let is_idle = || must_be_compact || self.lock().jobs() == 0;
-        let frame = self.frames.get(key, delivery, is_idle)?;
+        let frame = self.frames.get(id, delivery, is_idle)?;
         self.metrics.frame_cache_hits.inc();
         Some(frame)
     }

@@ -1,6 +1,7 @@
 //! A chunk source under the control of a test, and a service over it.
 
 use super::{FrameResult, Generation, Limits};
+use crate::chunk_id::ChunkId;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use protocol::message::{ClientMessage, Hello};
@@ -24,7 +25,7 @@ impl ChunkSource for GatedSource {
     }
 
     /// A flat chunk; its error shows whether one was known.
-    fn chunk(&self, key: ChunkKey, known_error: Option<u32>) -> Chunk {
+    fn chunk(&self, ChunkId { key, .. }: ChunkId, known_error: Option<u32>) -> Chunk {
         self.permits.lock().unwrap().recv().unwrap();
         assert_ne!(key, self::key(666), "this key panics");
         self.generated.lock().unwrap().send(key).unwrap();

@@ -1,5 +1,6 @@
-//! Chunks by key. Immutable, so any cache may store them.
+//! Chunks by key, as the seed makes them. Immutable, so any cache may store them.
 
+use crate::chunk_id::ChunkId;
 use crate::generation::GenerationError;
 use crate::http::conditional::{Representation, etag, immutable_cache_control};
 use crate::http::path::ChunkPathRequest;
@@ -21,10 +22,11 @@ pub async fn get(
     let chunk = ChunkRequest { key, request: Some(0), priority: u64::MAX };
     // Compact: the address is immutable, so it has one representation for ever.
     let flow = state.generation.limited_flow(bucket).compact();
-    let frame = flow.frame(chunk, Delivery::Exact).await.map_err(problem)?;
-    let digest = state.content_digests.of(key, &frame, &state.offer.digest).map_err(|error| {
-        Problem::new(ProblemKind::Failed, format!("the chunk's frame is damaged: {error}"))
-    })?;
+    let frame = flow.base_frame(chunk, Delivery::Exact).await.map_err(problem)?;
+    let digest =
+        state.content_digests.of(ChunkId::base(key), &frame, &state.offer.digest).map_err(|error| {
+            Problem::new(ProblemKind::Failed, format!("the chunk's frame is damaged: {error}"))
+        })?;
     let representation = Representation {
         // Of the content: replicas with other versions of the compressor have the same ETag.
         etag: etag(&digest),

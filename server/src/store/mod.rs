@@ -20,6 +20,7 @@ mod writer;
 
 pub use address::StoreAddress;
 
+use crate::chunk_id::ChunkId;
 use crate::metrics::Metrics;
 use breaker::Breaker;
 use bytes::Bytes;
@@ -35,7 +36,7 @@ use std::io;
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
-use terrain::{Chunk, ChunkKey, WorldDigest};
+use terrain::{Chunk, WorldDigest};
 use tile::{ObjectNames, PackTile};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
@@ -146,12 +147,13 @@ impl Store {
         Ok(Self { inner, writer, runtime: Some(runtime) })
     }
 
-    /// The chunk of a key with its exact frame, if the store has it and answers in time. Blocks: not
+    /// A chunk with its exact frame, if the store has it and answers in time. Blocks: not
     /// for async threads.
     #[must_use]
-    pub fn read(&self, key: ChunkKey) -> Option<(Chunk, Bytes)> {
+    pub fn read(&self, id: ChunkId) -> Option<(Chunk, Bytes)> {
         let inner = &self.inner;
-        let tile = inner.packed(key);
+        let key = id.key;
+        let tile = inner.packed(id);
         if tile.is_none() && key.level() < FINEST_LEVEL {
             return None;
         }
@@ -165,7 +167,7 @@ impl Store {
         let (sender, answer) = sync_channel(1);
         let reading = Arc::clone(inner);
         self.runtime.as_ref()?.spawn(async move {
-            let read = reading.fetch(key, tile).await;
+            let read = reading.fetch(id, tile).await;
             drop(permit);
             let _ = sender.try_send(read);
         });
@@ -197,10 +199,10 @@ impl Store {
 
     /// A chunk was made in this time: writes its exact frame, if its level is stored and no pack has
     /// it.
-    pub fn made(&self, key: ChunkKey, took: Duration, frame: impl FnOnce() -> Bytes) {
-        self.inner.pace.made(key, took);
-        if key.level() >= FINEST_LEVEL && self.inner.packed(key).is_none() {
-            self.writer.write(self.inner.names.chunk(key), frame());
+    pub fn made(&self, id: ChunkId, took: Duration, frame: impl FnOnce() -> Bytes) {
+        self.inner.pace.made(id.key, took);
+        if id.key.level() >= FINEST_LEVEL && self.inner.packed(id).is_none() {
+            self.writer.write(self.inner.names.chunk(id), frame());
         }
     }
 
@@ -232,9 +234,9 @@ impl Drop for Store {
 }
 
 impl Inner {
-    /// The tile of a chunk, if a region has its pack.
-    fn packed(&self, key: ChunkKey) -> Option<PackTile> {
-        let tile = PackTile::of(key).0;
+    /// The tile of a chunk, if a region has its pack. Packs have the land that the seed makes.
+    fn packed(&self, id: ChunkId) -> Option<PackTile> {
+        let tile = id.edition.is_base().then(|| PackTile::of(id.key).0)?;
         let regions = self.regions.read().unwrap_or_else(PoisonError::into_inner);
         regions.iter().any(|region| region.contains(tile)).then_some(tile)
     }
@@ -244,9 +246,9 @@ impl Inner {
     }
 
     /// The bytes of a chunk's object. Reports to breaker and pace, late answers too.
-    async fn fetch(&self, key: ChunkKey, tile: Option<PackTile>) -> Fetched {
+    async fn fetch(&self, id: ChunkId, tile: Option<PackTile>) -> Fetched {
         let started = Instant::now();
-        let read = timeout(READ_TIMEOUT, self.get(key, tile)).await;
+        let read = timeout(READ_TIMEOUT, self.get(id, tile)).await;
         let took = started.elapsed();
         self.metrics.store_read_seconds.observe(took.as_secs_f64());
         self.pace.read(took);
@@ -266,15 +268,15 @@ impl Inner {
         fetched
     }
 
-    async fn get(&self, key: ChunkKey, tile: Option<PackTile>) -> object_store::Result<Option<Bytes>> {
+    async fn get(&self, id: ChunkId, tile: Option<PackTile>) -> object_store::Result<Option<Bytes>> {
         if let Some(tile) = tile
             && let Some(index) = self.index(tile).await?
-            && let Some(range) = index.frame(PackTile::of(key).1)
+            && let Some(range) = index.frame(PackTile::of(id.key).1)
         {
             let frame = self.objects.get_range(&self.names.pack(tile), range).await;
             return found(frame);
         }
-        let answer = match self.objects.get_opts(&self.names.chunk(key), GetOptions::default()).await {
+        let answer = match self.objects.get_opts(&self.names.chunk(id), GetOptions::default()).await {
             Err(Error::NotFound { .. }) => return Ok(None),
             answer => answer?,
         };

@@ -1,5 +1,6 @@
 //! Tiles: squares of 16 x 16 chunks of one level. Objects are named by tile and chunk.
 
+use crate::chunk_id::ChunkId;
 use object_store::path::Path;
 use terrain::{ChunkKey, WorldDigest};
 
@@ -37,15 +38,15 @@ impl PackTile {
     }
 }
 
-/// ObjectNames of the objects of one world.
+/// Names of the objects of one world.
 ///
 /// | object | path under the URL of the store |
 /// | --- | --- |
-/// | a chunk | `{world}/{level}/{tile x}_{tile z}/{x}_{z}/base` |
+/// | a chunk | `{world}/{level}/{tile x}_{tile z}/{x}_{z}/{edition}` |
 /// | the chunks of a baked tile | `{world}/{level}/{tile x}_{tile z}/pack` |
 /// | a baked region | `{world}/regions/{name}` |
 ///
-/// `base` is land that the seed makes; other editions of a chunk stand beside it.
+/// The edition `base` is the land that the seed makes; packs have no other.
 #[derive(Clone, Debug)]
 pub struct ObjectNames {
     world: Path,
@@ -60,8 +61,9 @@ impl ObjectNames {
 
     /// A chunk.
     #[must_use]
-    pub fn chunk(&self, key: ChunkKey) -> Path {
-        self.tile(PackTile::of(key).0).join(format!("{}_{}", key.x(), key.z())).join("base")
+    pub fn chunk(&self, id: ChunkId) -> Path {
+        let ChunkId { key, edition } = id;
+        self.tile(PackTile::of(key).0).join(format!("{}_{}", key.x(), key.z())).join(edition.to_string())
     }
 
     /// The pack of a tile.
@@ -84,6 +86,7 @@ impl ObjectNames {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chunk_id::Edition;
 
     #[test]
     fn a_chunk_has_one_place_in_one_tile_also_west_of_the_origin() {
@@ -101,7 +104,10 @@ mod tests {
         let names = ObjectNames::new(&Path::from("some/prefix"), &WorldDigest([0xab; 32]));
         let world = "ab".repeat(32);
         let key = ChunkKey::new(3, -1, 17).unwrap();
-        assert_eq!(names.chunk(key).as_ref(), format!("some/prefix/{world}/3/-1_1/-1_17/base"));
+        let chunk = format!("some/prefix/{world}/3/-1_1/-1_17");
+        assert_eq!(names.chunk(ChunkId::base(key)).as_ref(), format!("{chunk}/base"));
+        let changed = ChunkId { key, edition: Edition::changed([0xcd; 16]) };
+        assert_eq!(names.chunk(changed).as_ref(), format!("{chunk}/{}", "cd".repeat(16)));
         assert_eq!(names.pack(PackTile::of(key).0).as_ref(), format!("some/prefix/{world}/3/-1_1/pack"));
         assert_eq!(names.regions().as_ref(), format!("some/prefix/{world}/regions"));
     }

@@ -18,6 +18,7 @@ mod writer;
 
 pub use writer::DiskConfig;
 
+use crate::chunk_id::ChunkId;
 use crate::metrics::Metrics;
 use bytes::Bytes;
 use names::FrameNames;
@@ -28,7 +29,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
-use terrain::{ChunkKey, WorldDigest};
+use terrain::WorldDigest;
 use tokio::sync::{mpsc, oneshot};
 use writer::{DiskWriter, WriterCommand};
 
@@ -75,11 +76,11 @@ impl Disk {
     #[must_use]
     pub fn read(
         &self,
-        key: ChunkKey,
+        id: ChunkId,
         delivery: Delivery,
         is_valid: impl FnOnce(&[u8]) -> bool,
     ) -> Option<Bytes> {
-        let path = self.path(key, delivery)?;
+        let path = self.path(id, delivery)?;
         let found = self.load(&path, is_valid);
         let counter = if found.is_some() { &self.metrics.disk_hits } else { &self.metrics.disk_misses };
         counter.inc();
@@ -90,16 +91,16 @@ impl Disk {
     #[must_use]
     pub fn peek(
         &self,
-        key: ChunkKey,
+        id: ChunkId,
         delivery: Delivery,
         is_valid: impl FnOnce(&[u8]) -> bool,
     ) -> Option<Bytes> {
-        self.load(&self.path(key, delivery)?, is_valid)
+        self.load(&self.path(id, delivery)?, is_valid)
     }
 
     /// The path of a chunk's file. None for a level that is not cached.
-    fn path(&self, key: ChunkKey, delivery: Delivery) -> Option<PathBuf> {
-        (key.level() >= FINEST_LEVEL).then(|| self.folder.join(self.names.path(key, delivery)))
+    fn path(&self, id: ChunkId, delivery: Delivery) -> Option<PathBuf> {
+        (id.key.level() >= FINEST_LEVEL).then(|| self.folder.join(self.names.path(id, delivery)))
     }
 
     /// A file's frame if `is_valid` accepts it.
@@ -128,11 +129,11 @@ impl Disk {
     }
 
     /// Queues a frame for writing if its level is cached and the queue has room.
-    pub fn write(&self, key: ChunkKey, delivery: Delivery, frame: Bytes) {
-        if key.level() < FINEST_LEVEL {
+    pub fn write(&self, id: ChunkId, delivery: Delivery, frame: Bytes) {
+        if id.key.level() < FINEST_LEVEL {
             return;
         }
-        let path = self.names.path(key, delivery);
+        let path = self.names.path(id, delivery);
         if self.commands.try_send(WriterCommand::Write { path, frame }).is_err() {
             self.metrics.disk_dropped.inc();
         }

@@ -1,13 +1,14 @@
-//! File names: `SHARD/WORLD.FORMAT.DELIVERY.LEVEL.X.Z`.
+//! File names: `SHARD/WORLD.FORMAT.DELIVERY.LEVEL.X.Z`, with `.EDITION` behind it unless it is the base.
 //!
 //! The name contains everything that decides the content, so a frame of another world or of an
 //! older format is never opened; it ages and is evicted. All worlds share the shards, so that one
 //! budget applies to the whole folder.
 
+use crate::chunk_id::ChunkId;
 use protocol::Delivery;
 use protocol::chunk_codec::VERSION;
 use std::path::{Path, PathBuf};
-use terrain::{ChunkKey, WorldDigest};
+use terrain::WorldDigest;
 
 /// Number of folders. The largest budget gives some hundred thousand files per folder, the smallest
 /// some thirty.
@@ -28,13 +29,15 @@ impl FrameNames {
     }
 
     /// The path of a frame, relative to the folder.
-    pub fn path(&self, key: ChunkKey, delivery: Delivery) -> PathBuf {
+    pub fn path(&self, id: ChunkId, delivery: Delivery) -> PathBuf {
         let tolerance = match delivery {
             Delivery::Quantised(tolerance) => tolerance.units().to_string(),
             Delivery::Exact | Delivery::SeedOnly | Delivery::Refined => String::new(),
         };
-        let (world, delivery, level) = (&self.world, delivery.name(), key.level());
-        let name = format!("{world}.{VERSION}.{delivery}{tolerance}.{level}.{}.{}", key.x(), key.z());
+        let edition = if id.edition.is_base() { String::new() } else { format!(".{}", id.edition) };
+        let (world, delivery, key) = (&self.world, delivery.name(), id.key);
+        let (level, x, z) = (key.level(), key.x(), key.z());
+        let name = format!("{world}.{VERSION}.{delivery}{tolerance}.{level}.{x}.{z}{edition}");
         let shard = shard_name(usize::from(blake3::hash(name.as_bytes()).as_bytes()[0]));
         Path::new(&shard).join(name)
     }
@@ -54,8 +57,10 @@ pub fn shard_of(path: &Path) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chunk_id::Edition;
     use protocol::delivery::Tolerance;
     use std::collections::BTreeSet;
+    use terrain::ChunkKey;
 
     #[test]
     fn names_are_unique_and_spread_evenly_over_the_shards() {
@@ -68,10 +73,15 @@ mod tests {
         for world in [WorldDigest([1; 32]), WorldDigest([2; 32])] {
             let names = FrameNames::new(&world);
             for (level, x, z) in (0..16).flat_map(|i| (0..16).map(move |j| (2 + (i & 1), i - 8, j - 8))) {
+                let key = ChunkKey::new(level as u8, x, z).unwrap();
                 for delivery in deliveries() {
-                    let path = names.path(ChunkKey::new(level as u8, x, z).unwrap(), delivery);
+                    let path = names.path(ChunkId::base(key), delivery);
                     counts[shard_of(&path)] += 1;
                     assert!(paths.insert(path));
+                }
+                for hash in [[0; 16], [1; 16]] {
+                    let id = ChunkId { key, edition: Edition::changed(hash) };
+                    assert!(paths.insert(names.path(id, Delivery::Exact)));
                 }
             }
         }

@@ -9,6 +9,7 @@ use protocol::limits::MAX_CHUNK_FRAME;
 use std::fs::File;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Instant, SystemTime};
+use terrain::ChunkKey;
 
 const WORLD: WorldDigest = WorldDigest([7; 32]);
 
@@ -26,8 +27,8 @@ impl Folder {
         DiskConfig { folder: self.0.clone(), bytes }
     }
 
-    fn path(&self, key: ChunkKey) -> PathBuf {
-        self.0.join(FrameNames::new(&WORLD).path(key, Delivery::Exact))
+    fn path(&self, id: ChunkId) -> PathBuf {
+        self.0.join(FrameNames::new(&WORLD).path(id, Delivery::Exact))
     }
 }
 
@@ -37,8 +38,8 @@ impl Drop for Folder {
     }
 }
 
-fn key(x: i32) -> ChunkKey {
-    ChunkKey::new(2, x, -5).unwrap()
+fn id(x: i32) -> ChunkId {
+    ChunkId::base(ChunkKey::new(2, x, -5).unwrap())
 }
 
 fn frame(x: i32) -> Bytes {
@@ -58,7 +59,7 @@ fn writer(folder: &Folder, bytes: u64) -> (DiskWriter, Arc<Metrics>) {
 }
 
 fn put(writer: &mut DiskWriter, x: i32, now: Instant) {
-    writer.write(&FrameNames::new(&WORLD).path(key(x), Delivery::Exact), &frame(x), now);
+    writer.write(&FrameNames::new(&WORLD).path(id(x), Delivery::Exact), &frame(x), now);
 }
 
 fn files(folder: &Folder) -> Vec<PathBuf> {
@@ -71,33 +72,34 @@ fn files(folder: &Folder) -> Vec<PathBuf> {
 async fn a_frame_is_read_after_a_restart_under_its_name_only() {
     let folder = Folder::new();
     let (first, metrics) = disk(&folder);
-    first.write(key(1), Delivery::Exact, frame(1));
+    first.write(id(1), Delivery::Exact, frame(1));
     first.close().await;
     assert_eq!((metrics.disk_writes.get(), metrics.disk_up.get()), (1, 1));
-    first.write(key(3), Delivery::Exact, frame(3));
+    first.write(id(3), Delivery::Exact, frame(3));
     assert_eq!(metrics.disk_dropped.get(), 1, "another server may have locked the folder");
 
     let (second, metrics) = disk(&folder);
-    assert_eq!(second.read(key(1), Delivery::Exact, |bytes| bytes == frame(1)), Some(frame(1)));
-    assert_eq!(second.read(key(2), Delivery::Exact, |_| true), None);
-    assert_eq!(second.read(key(1), Delivery::SeedOnly, |_| true), None);
+    assert_eq!(second.read(id(1), Delivery::Exact, |bytes| bytes == frame(1)), Some(frame(1)));
+    assert_eq!(second.read(id(2), Delivery::Exact, |_| true), None);
+    assert_eq!(second.read(id(1), Delivery::SeedOnly, |_| true), None);
     assert_eq!((metrics.disk_hits.get(), metrics.disk_misses.get()), (1, 2));
     let elsewhere = Disk::new(folder.config(1 << 30), &WorldDigest([8; 32]), metrics).unwrap();
-    assert_eq!(elsewhere.read(key(1), Delivery::Exact, |_| true), None);
+    assert_eq!(elsewhere.read(id(1), Delivery::Exact, |_| true), None);
 }
 
 #[tokio::test]
 async fn levels_that_are_fast_to_generate_are_not_cached() {
     let folder = Folder::new();
     let (disk, metrics) = disk(&folder);
-    let keys = [0, FINEST_LEVEL - 1, FINEST_LEVEL].map(|level| ChunkKey::new(level, 1, 1).unwrap());
-    for key in keys {
-        disk.write(key, Delivery::Exact, frame(1));
+    let keys =
+        [0, FINEST_LEVEL - 1, FINEST_LEVEL].map(|level| ChunkId::base(ChunkKey::new(level, 1, 1).unwrap()));
+    for id in keys {
+        disk.write(id, Delivery::Exact, frame(1));
     }
     disk.close().await;
-    for key in keys {
-        let level = key.level();
-        assert_eq!(disk.read(key, Delivery::Exact, |_| true).is_some(), level == FINEST_LEVEL);
+    for id in keys {
+        let level = id.key.level();
+        assert_eq!(disk.read(id, Delivery::Exact, |_| true).is_some(), level == FINEST_LEVEL);
     }
     assert_eq!((metrics.disk_writes.get(), metrics.disk_misses.get()), (1, 0));
 }
@@ -106,17 +108,17 @@ async fn levels_that_are_fast_to_generate_are_not_cached() {
 async fn an_invalid_frame_is_deleted_and_counted() {
     let folder = Folder::new();
     let (disk, metrics) = disk(&folder);
-    disk.write(key(1), Delivery::Exact, frame(1));
+    disk.write(id(1), Delivery::Exact, frame(1));
     disk.close().await;
-    assert_eq!(disk.read(key(1), Delivery::Exact, |_| false), None);
-    assert!(!folder.path(key(1)).exists());
+    assert_eq!(disk.read(id(1), Delivery::Exact, |_| false), None);
+    assert!(!folder.path(id(1)).exists());
     assert_eq!((metrics.disk_corrupt.get(), metrics.disk_misses.get()), (1, 1));
-    assert_eq!(disk.read(key(1), Delivery::Exact, |_| true), None);
+    assert_eq!(disk.read(id(1), Delivery::Exact, |_| true), None);
     assert_eq!(metrics.disk_corrupt.get(), 1);
 
     // Longer than any frame: rejected without reading all of it.
-    fs::write(folder.path(key(1)), vec![0; 4 * MAX_CHUNK_FRAME]).unwrap();
-    let read = disk.read(key(1), Delivery::Exact, |bytes| {
+    fs::write(folder.path(id(1)), vec![0; 4 * MAX_CHUNK_FRAME]).unwrap();
+    let read = disk.read(id(1), Delivery::Exact, |bytes| {
         assert_eq!(bytes.len(), MAX_CHUNK_FRAME + 1);
         chunk_codec::verify(bytes, &WORLD).is_ok()
     });
@@ -137,11 +139,11 @@ async fn a_full_queue_drops_writes_without_blocking() {
         metrics: Arc::clone(&metrics),
     };
     for x in 0..5 {
-        disk.write(key(x), Delivery::Exact, frame(x));
+        disk.write(id(x), Delivery::Exact, frame(x));
     }
     assert_eq!(metrics.disk_dropped.get(), 3);
     assert!(receiver.try_recv().is_ok());
-    disk.write(key(9), Delivery::Exact, frame(9));
+    disk.write(id(9), Delivery::Exact, frame(9));
     assert_eq!(metrics.disk_dropped.get(), 3, "the queue has room again");
 }
 
@@ -157,11 +159,11 @@ fn the_least_recently_used_files_are_evicted_to_the_budget() {
     let (old, popular, count) = (512, 16, 4000);
     for x in 0..old {
         put(&mut first, x, now);
-        let file = File::options().write(true).open(folder.path(key(x))).unwrap();
+        let file = File::options().write(true).open(folder.path(id(x))).unwrap();
         file.set_modified(SystemTime::now() - day).unwrap();
     }
     for x in 0..popular {
-        load(&folder.path(key(x))).unwrap();
+        load(&folder.path(id(x))).unwrap();
     }
     for x in old..count {
         put(&mut first, x, now);
@@ -171,7 +173,7 @@ fn the_least_recently_used_files_are_evicted_to_the_budget() {
     assert!(bytes <= budget && bytes > budget / 2, "{bytes} of {budget}");
     assert_eq!(metrics.disk_evictions.get() + kept.len() as u64, count as u64);
     assert_eq!(metrics.disk_bytes.get(), bytes as i64);
-    let left = (popular..old).filter(|x| folder.path(key(*x)).exists()).count();
+    let left = (popular..old).filter(|x| folder.path(id(*x)).exists()).count();
     assert_eq!(left, 0, "unused files are evicted first");
     drop(first);
 
@@ -191,7 +193,7 @@ fn a_read_updates_the_file_time_once_per_interval() {
     let folder = Folder::new();
     let (mut writer, _) = writer(&folder, 1 << 30);
     put(&mut writer, 1, Instant::now());
-    let path = folder.path(key(1));
+    let path = folder.path(id(1));
     let file = File::options().write(true).open(&path).unwrap();
     let age = |then: SystemTime| SystemTime::now().duration_since(then).unwrap();
     for (old, is_updated) in [(TOUCH_INTERVAL * 2, true), (TOUCH_INTERVAL / 2, false)] {
@@ -220,7 +222,7 @@ fn an_unavailable_folder_is_retried_after_a_minute() {
     );
     put(&mut writer, 3, now + Duration::from_secs(61));
     assert_eq!((metrics.disk_writes.get(), metrics.disk_up.get()), (1, 1));
-    assert!(folder.path(key(3)).exists() && !folder.path(key(1)).exists());
+    assert!(folder.path(id(3)).exists() && !folder.path(id(1)).exists());
 }
 
 #[cfg(unix)]
@@ -237,9 +239,9 @@ fn a_read_only_folder_is_read_and_not_written() {
     let is_bound = fs::write(folder.0.join("probe"), "").is_err();
     let (mut second, metrics) = writer(&folder, 1 << 30);
     put(&mut second, 2, now);
-    assert_eq!(folder.path(key(2)).exists(), !is_bound);
+    assert_eq!(folder.path(id(2)).exists(), !is_bound);
     assert_eq!(metrics.disk_up.get(), i64::from(!is_bound));
-    assert_eq!(load(&folder.path(key(1))).unwrap(), frame(1));
+    assert_eq!(load(&folder.path(id(1))).unwrap(), frame(1));
     fs::set_permissions(&folder.0, fs::Permissions::from_mode(0o755)).unwrap();
 }
 
@@ -258,7 +260,7 @@ fn a_removed_folder_is_not_created_again_and_is_reused() {
     fs::create_dir(&folder.0).unwrap();
     put(&mut writer, 4, now + Duration::from_secs(122));
     assert_eq!((metrics.disk_up.get(), metrics.disk_bytes.get()), (1, 4096));
-    assert!(folder.path(key(4)).exists());
+    assert!(folder.path(id(4)).exists());
 }
 
 #[test]
@@ -282,7 +284,7 @@ fn a_partial_write_of_a_crash_is_overwritten() {
     fs::create_dir(&folder.0).unwrap();
     fs::write(folder.0.join("unfinished"), vec![1; 100_000]).unwrap();
     put(&mut writer, 1, Instant::now());
-    assert_eq!(load(&folder.path(key(1))).unwrap(), frame(1));
+    assert_eq!(load(&folder.path(id(1))).unwrap(), frame(1));
     let names: Vec<_> = fs::read_dir(&folder.0).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     assert!(!names.iter().any(|name| name == "unfinished"), "{names:?}");
 }
@@ -293,7 +295,7 @@ fn an_entry_that_is_no_file_affects_no_other_frame() {
     let folder = Folder::new();
     let (disk, metrics) = disk(&folder);
     let path_of = |x| {
-        let path = folder.path(key(x));
+        let path = folder.path(id(x));
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         path
     };
@@ -306,7 +308,7 @@ fn an_entry_that_is_no_file_affects_no_other_frame() {
     fs::create_dir(&empty).unwrap();
     fs::create_dir_all(full.join("something")).unwrap();
     for x in 1..=4 {
-        assert_eq!(disk.read(key(x), Delivery::Exact, |bytes| bytes == frame(x)), None);
+        assert_eq!(disk.read(id(x), Delivery::Exact, |bytes| bytes == frame(x)), None);
     }
     assert_eq!((metrics.disk_corrupt.get(), metrics.disk_timeouts.get()), (4, 0));
     assert_eq!(
@@ -321,13 +323,13 @@ fn an_entry_that_is_no_file_affects_no_other_frame() {
 
     // All but the last can be written again.
     for x in [4, 1, 2, 3] {
-        disk.write(key(x), Delivery::Exact, frame(x));
+        disk.write(id(x), Delivery::Exact, frame(x));
     }
     while metrics.disk_writes.get() + metrics.disk_dropped.get() < 4 {
         std::thread::yield_now();
     }
     assert_eq!((metrics.disk_writes.get(), metrics.disk_up.get()), (3, 1));
     for x in 1..=3 {
-        assert_eq!(disk.read(key(x), Delivery::Exact, |bytes| bytes == frame(x)), Some(frame(x)));
+        assert_eq!(disk.read(id(x), Delivery::Exact, |bytes| bytes == frame(x)), Some(frame(x)));
     }
 }

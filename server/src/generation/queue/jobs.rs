@@ -1,13 +1,13 @@
-//! The table of generation jobs: one job per key for any number of requests. A job belongs to the
+//! The table of generation jobs: one job per chunk for any number of requests. A job belongs to the
 //! table, not to a flow, and knows nothing of turns.
 
+use crate::chunk_id::ChunkId;
 use crate::generation::result::Completion;
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use rustc_hash::FxHashMap;
 use std::collections::hash_map::Entry;
 use std::time::{Duration, Instant};
-use terrain::ChunkKey;
 use tokio::sync::mpsc::UnboundedSender;
 
 /// Identifies a flow.
@@ -20,6 +20,8 @@ pub struct FrameRequest {
     pub flow: FlowId,
     /// Key, request number and priority.
     pub chunk: ChunkRequest,
+    /// The chunk: the key in the edition of the time of the request.
+    pub id: ChunkId,
     /// The delivery.
     pub delivery: Delivery,
     /// Whether only the compact encoding will do: an HTTP address has one representation.
@@ -60,7 +62,7 @@ pub enum Started {
 pub struct Jobs {
     /// Jobs that may be queued or running. One more is rejected.
     limit: usize,
-    by_key: FxHashMap<ChunkKey, Job>,
+    by_id: FxHashMap<ChunkId, Job>,
     /// Jobs that are not running.
     waiting: usize,
 }
@@ -78,13 +80,13 @@ impl Jobs {
     /// An empty table of at most `limit` jobs.
     #[must_use]
     pub fn new(limit: usize) -> Self {
-        Self { limit, by_key: FxHashMap::default(), waiting: 0 }
+        Self { limit, by_id: FxHashMap::default(), waiting: 0 }
     }
 
     /// Jobs queued or running.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.by_key.len()
+        self.by_id.len()
     }
 
     /// Jobs queued.
@@ -93,22 +95,22 @@ impl Jobs {
         self.waiting
     }
 
-    /// Whether the job of a key is running.
+    /// Whether the job of a chunk is running.
     #[must_use]
-    pub fn is_running(&self, key: ChunkKey) -> bool {
-        self.by_key.get(&key).is_some_and(|job| job.is_running)
+    pub fn is_running(&self, id: ChunkId) -> bool {
+        self.by_id.get(&id).is_some_and(|job| job.is_running)
     }
 
-    /// Whether the job of a key is queued.
+    /// Whether the job of a chunk is queued.
     #[must_use]
-    pub fn is_waiting(&self, key: ChunkKey) -> bool {
-        self.by_key.get(&key).is_some_and(|job| !job.is_running)
+    pub fn is_waiting(&self, id: ChunkId) -> bool {
+        self.by_id.get(&id).is_some_and(|job| !job.is_running)
     }
 
-    /// Adds a request to the job of its key, which may be new.
+    /// Adds a request to the job of its chunk, which may be new.
     pub fn add(&mut self, request: FrameRequest, cost_us: i64) -> Enqueued {
-        let n_jobs = self.by_key.len();
-        match self.by_key.entry(request.chunk.key) {
+        let n_jobs = self.by_id.len();
+        match self.by_id.entry(request.id) {
             Entry::Occupied(mut job) => {
                 job.get_mut().requests.push(request);
                 Enqueued::Coalesced
@@ -126,12 +128,12 @@ impl Jobs {
     /// to `expired`; requests of views stay, since a client does not repeat an unchanged view.
     pub fn start(
         &mut self,
-        key: ChunkKey,
+        id: ChunkId,
         deadline: Duration,
         now: Instant,
         expired: &mut Vec<FrameRequest>,
     ) -> Option<Started> {
-        let job = self.by_key.get_mut(&key).filter(|job| !job.is_running)?;
+        let job = self.by_id.get_mut(&id).filter(|job| !job.is_running)?;
         let before = expired.len();
         expired.extend(job.requests.extract_if(.., |request| {
             request.chunk.request.is_some() && now.duration_since(request.since) > deadline
@@ -139,7 +141,7 @@ impl Jobs {
         job.requests.retain(|request| !request.sender.is_closed());
         self.waiting -= 1;
         if job.requests.is_empty() {
-            self.by_key.remove(&key);
+            self.by_id.remove(&id);
             return Some(if expired.len() > before { Started::Expired } else { Started::Cancelled });
         }
         job.is_running = true;
@@ -151,10 +153,10 @@ impl Jobs {
     #[must_use]
     pub fn missing_frame(
         &self,
-        key: ChunkKey,
+        id: ChunkId,
         is_encoded: impl Fn(&FrameRequest) -> bool,
     ) -> Option<(Delivery, bool)> {
-        let missing = self.by_key.get(&key)?.requests.iter().find(|request| !is_encoded(request))?;
+        let missing = self.by_id.get(&id)?.requests.iter().find(|request| !is_encoded(request))?;
         Some((missing.delivery, missing.must_be_compact))
     }
 
@@ -163,10 +165,10 @@ impl Jobs {
     /// is left are returned too.
     pub fn finish(
         &mut self,
-        key: ChunkKey,
+        id: ChunkId,
         is_encoded: impl Fn(&FrameRequest) -> bool,
     ) -> (Vec<FrameRequest>, Vec<(FlowId, u64)>) {
-        let Some(mut job) = self.by_key.remove(&key) else { return (Vec::new(), Vec::new()) };
+        let Some(mut job) = self.by_id.remove(&id) else { return (Vec::new(), Vec::new()) };
         if job.requests.iter().all(&is_encoded) {
             return (job.requests, Vec::new());
         }
@@ -175,21 +177,21 @@ impl Jobs {
         let finished = job.requests.extract_if(.., |request| is_encoded(request)).collect();
         let again = job.requests.iter().map(|request| (request.flow, request.chunk.priority)).collect();
         job.is_running = false;
-        self.by_key.insert(key, job);
+        self.by_id.insert(id, job);
         self.waiting += 1;
         (finished, again)
     }
 
-    /// Cancels and returns a flow's requests for a key, unless the job is running.
-    pub fn cancel(&mut self, flow: FlowId, key: ChunkKey) -> Vec<ChunkRequest> {
-        let Some(job) = self.by_key.get_mut(&key).filter(|job| !job.is_running) else { return Vec::new() };
+    /// Cancels and returns a flow's requests for a chunk, unless the job is running.
+    pub fn cancel(&mut self, flow: FlowId, id: ChunkId) -> Vec<ChunkRequest> {
+        let Some(job) = self.by_id.get_mut(&id).filter(|job| !job.is_running) else { return Vec::new() };
         let cancelled = job
             .requests
             .extract_if(.., |request| request.flow == flow)
             .map(|request| request.chunk)
             .collect();
         if job.requests.is_empty() {
-            self.by_key.remove(&key);
+            self.by_id.remove(&id);
             self.waiting -= 1;
         }
         cancelled

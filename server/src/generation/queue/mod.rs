@@ -1,6 +1,6 @@
 //! The fair queue. Plain data under one lock: no threads, no clock, no generation.
 //!
-//! `jobs` holds one job per key for any number of requests; this file decides whose jobs run
+//! `jobs` holds one job per chunk for any number of requests; this file decides whose jobs run
 //! next. Flows (sessions and downloads) take turns by cost: surplus round robin, the variant of
 //! deficit round robin (Shreedhar and Varghese, "Efficient fair queueing using deficit round
 //! robin", SIGCOMM 1995) in which a flow may overdraw its turn by one job and pays it back in the
@@ -16,6 +16,7 @@ mod jobs;
 pub use jobs::{Enqueued, FlowId, FrameRequest};
 
 use super::views::ViewJob;
+use crate::chunk_id::ChunkId;
 use jobs::{Jobs, Started};
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
@@ -23,7 +24,6 @@ use rustc_hash::FxHashMap;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::time::{Duration, Instant};
-use terrain::ChunkKey;
 
 /// Entries of a flow before stale ones are removed.
 const STALE_ENTRIES: usize = 64;
@@ -53,7 +53,7 @@ pub struct Queue {
 struct Flow {
     /// Highest priority first. Includes stale entries of jobs that ran in another flow's turn; they
     /// are skipped when popped and removed when there are many.
-    entries: BinaryHeap<(u64, Reverse<u64>, ChunkKey)>,
+    entries: BinaryHeap<(u64, Reverse<u64>, ChunkId)>,
     /// A view to select. It comes before the chunks, since it decides which are needed.
     view: Option<ViewJob>,
     /// Whether a thread runs the flow's view job.
@@ -76,7 +76,7 @@ pub struct Turn {
     /// A view to select, with the turn's budget in microseconds.
     pub view: Option<(FlowId, ViewJob, i64)>,
     /// Jobs to run, all of one flow.
-    pub keys: Vec<ChunkKey>,
+    pub chunks: Vec<ChunkId>,
     /// Requests over the deadline; to be rejected.
     pub expired: Vec<FrameRequest>,
     /// Jobs dropped because they had no requests any more.
@@ -117,20 +117,20 @@ impl Queue {
         self.jobs.waiting()
     }
 
-    /// Whether the job of a key is running.
+    /// Whether the job of a chunk is running.
     #[must_use]
-    pub fn is_running(&self, key: ChunkKey) -> bool {
-        self.jobs.is_running(key)
+    pub fn is_running(&self, chunk: ChunkId) -> bool {
+        self.jobs.is_running(chunk)
     }
 
     /// Adds a request.
     pub fn enqueue(&mut self, request: FrameRequest, cost_us: i64) -> Enqueued {
-        let (flow, ChunkRequest { key, priority, .. }) = (request.flow, request.chunk);
+        let (flow, chunk, priority) = (request.flow, request.id, request.chunk.priority);
         let enqueued = self.jobs.add(request, cost_us);
         // A coalesced job gets an entry in this flow too: the flow with the earlier turn runs it,
         // and it stays queued if the other flow ends.
-        if enqueued != Enqueued::Full && self.jobs.is_waiting(key) {
-            self.add_entry(flow, priority, key);
+        if enqueued != Enqueued::Full && self.jobs.is_waiting(chunk) {
+            self.add_entry(flow, priority, chunk);
         }
         enqueued
     }
@@ -176,7 +176,7 @@ impl Queue {
         }
     }
 
-    fn add_entry(&mut self, id: FlowId, priority: u64, key: ChunkKey) {
+    fn add_entry(&mut self, id: FlowId, priority: u64, chunk: ChunkId) {
         let (id, priority) = if self.is_first_in_first_out { (ALL_FLOWS, 0) } else { (id, priority) };
         let number = self.next_number;
         self.next_number += 1;
@@ -185,9 +185,9 @@ impl Queue {
         let Self { flows, jobs, .. } = self;
         let Some(flow) = flows.get_mut(&id) else { return };
         if flow.entries.len() >= STALE_ENTRIES && flow.entries.len() > 2 * jobs.len() {
-            flow.entries.retain(|(_, _, key)| jobs.is_waiting(*key));
+            flow.entries.retain(|(_, _, chunk)| jobs.is_waiting(*chunk));
         }
-        flow.entries.push((priority, Reverse(number), key));
+        flow.entries.push((priority, Reverse(number), chunk));
     }
 
     /// The next flow's turn: jobs of about `quantum_us` of work, at least one if any is queued.
@@ -213,11 +213,11 @@ impl Queue {
                 return turn;
             }
             while flow.credit_us > 0 {
-                let Some((_, _, key)) = flow.entries.pop() else { break };
-                match self.jobs.start(key, deadline, now, &mut turn.expired) {
+                let Some((_, _, chunk)) = flow.entries.pop() else { break };
+                match self.jobs.start(chunk, deadline, now, &mut turn.expired) {
                     Some(Started::Running { cost_us }) => {
                         flow.credit_us -= cost_us;
-                        turn.keys.push(key);
+                        turn.chunks.push(chunk);
                     }
                     Some(Started::Cancelled) => turn.cancelled += 1,
                     Some(Started::Expired) | None => {}
@@ -230,7 +230,7 @@ impl Queue {
                 // An idle flow accumulates no credit.
                 self.flows.remove(&id);
             }
-            if !turn.keys.is_empty() {
+            if !turn.chunks.is_empty() {
                 return turn;
             }
         }
@@ -246,25 +246,29 @@ impl Queue {
     #[must_use]
     pub fn missing_frame(
         &self,
-        key: ChunkKey,
+        chunk: ChunkId,
         is_encoded: impl Fn(&FrameRequest) -> bool,
     ) -> Option<(Delivery, bool)> {
-        self.jobs.missing_frame(key, is_encoded)
+        self.jobs.missing_frame(chunk, is_encoded)
     }
 
     /// Removes and returns the requests of a job that `is_encoded` has frames for. The job is
     /// removed if no request is left; otherwise it is queued again.
-    pub fn finish(&mut self, key: ChunkKey, is_encoded: impl Fn(&FrameRequest) -> bool) -> Vec<FrameRequest> {
-        let (finished, again) = self.jobs.finish(key, is_encoded);
+    pub fn finish(
+        &mut self,
+        chunk: ChunkId,
+        is_encoded: impl Fn(&FrameRequest) -> bool,
+    ) -> Vec<FrameRequest> {
+        let (finished, again) = self.jobs.finish(chunk, is_encoded);
         for (flow, priority) in again {
-            self.add_entry(flow, priority, key);
+            self.add_entry(flow, priority, chunk);
         }
         finished
     }
 
-    /// Cancels and returns a flow's requests for a key, unless the job is running.
-    pub fn cancel(&mut self, flow: FlowId, key: ChunkKey) -> Vec<ChunkRequest> {
-        self.jobs.cancel(flow, key)
+    /// Cancels and returns a flow's requests for a chunk, unless the job is running.
+    pub fn cancel(&mut self, flow: FlowId, chunk: ChunkId) -> Vec<ChunkRequest> {
+        self.jobs.cancel(flow, chunk)
     }
 
     /// Removes a flow and the jobs that only it requested. Returns the number of these jobs.
@@ -275,8 +279,8 @@ impl Queue {
             self.turns.retain(|other| *other != id);
         }
         let before = self.jobs.len();
-        for (_, _, key) in flow.entries {
-            self.cancel(id, key);
+        for (_, _, chunk) in flow.entries {
+            self.cancel(id, chunk);
         }
         (before - self.jobs.len()) as u64
     }

@@ -4,14 +4,15 @@ use super::*;
 use crate::generation::result::Completion;
 use crate::generation::test_source::view_selection;
 use crate::limits::rate_limit::TokenBucket;
+use terrain::ChunkKey;
 use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::sync::oneshot;
 
 const QUANTUM: i64 = 100;
 const NO_DEADLINE: Duration = Duration::from_secs(3600);
 
-fn key(x: i32) -> ChunkKey {
-    ChunkKey::new(0, x, 0).unwrap()
+fn id(x: i32) -> ChunkId {
+    ChunkId::base(ChunkKey::new(0, x, 0).unwrap())
 }
 
 /// A view job that is never run.
@@ -53,20 +54,28 @@ impl Fixture {
     ) -> Enqueued {
         let (sender, receiver) = unbounded_channel();
         self.receivers.insert(flow * 1_000_000 + x as u64, receiver);
-        let chunk = ChunkRequest { key: key(x), request, priority };
+        let chunk = ChunkRequest { key: id(x).key, request, priority };
         self.queue.enqueue(
-            FrameRequest { flow, chunk, delivery, must_be_compact: false, since: self.now, sender },
+            FrameRequest {
+                flow,
+                chunk,
+                id: id(x),
+                delivery,
+                must_be_compact: false,
+                since: self.now,
+                sender,
+            },
             cost_us,
         )
     }
 
     /// Runs one turn to its end and returns its chunks.
     fn turn(&mut self) -> Vec<i32> {
-        let keys = self.queue.take(QUANTUM, NO_DEADLINE, self.now).keys;
-        for key in &keys {
-            self.queue.finish(*key, |_| true);
+        let chunks = self.queue.take(QUANTUM, NO_DEADLINE, self.now).chunks;
+        for chunk in &chunks {
+            self.queue.finish(*chunk, |_| true);
         }
-        keys.iter().map(|key| key.x()).collect()
+        chunks.iter().map(|chunk| chunk.key.x()).collect()
     }
 }
 
@@ -174,7 +183,7 @@ fn the_debt_of_a_view_is_paid_in_rounds_without_other_work() {
                 fixture.queue.return_view(1, None, 10 * QUANTUM);
                 break;
             }
-            turn.keys.iter().for_each(|key| drop(fixture.queue.finish(*key, |_| true)));
+            turn.chunks.iter().for_each(|key| drop(fixture.queue.finish(*key, |_| true)));
             turns_of_other += 1;
         }
     }
@@ -186,7 +195,7 @@ fn the_debt_of_a_view_is_paid_in_rounds_without_other_work() {
         assert!(alone.queue.take(QUANTUM, NO_DEADLINE, alone.now).view.is_some());
         alone.queue.return_view(1, None, 10 * QUANTUM);
     }
-    assert_eq!(alone.queue.take(QUANTUM, NO_DEADLINE, alone.now).keys, []);
+    assert_eq!(alone.queue.take(QUANTUM, NO_DEADLINE, alone.now).chunks, []);
     assert_eq!((alone.queue.flows.len(), alone.queue.waiting_views()), (0, 0));
 }
 
@@ -237,12 +246,12 @@ fn a_cancelled_job_does_not_run_and_a_running_one_continues() {
     let mut fixture = Fixture::new(100);
     fixture.request(1, 1, 9, 1000);
     fixture.request(1, 2, 5, 1000);
-    assert_eq!(fixture.queue.take(1, NO_DEADLINE, fixture.now).keys, [key(1)]);
-    assert_eq!(fixture.queue.cancel(1, key(1)), []);
-    assert_eq!(fixture.queue.cancel(2, key(2)), [], "another flow's");
-    assert_eq!(fixture.queue.cancel(1, key(2)).len(), 1);
+    assert_eq!(fixture.queue.take(1, NO_DEADLINE, fixture.now).chunks, [id(1)]);
+    assert_eq!(fixture.queue.cancel(1, id(1)), []);
+    assert_eq!(fixture.queue.cancel(2, id(2)), [], "another flow's");
+    assert_eq!(fixture.queue.cancel(1, id(2)).len(), 1);
     assert_eq!(fixture.turn(), [0; 0]);
-    assert_eq!((fixture.queue.jobs(), fixture.queue.finish(key(1), |_| true).len()), (1, 1));
+    assert_eq!((fixture.queue.jobs(), fixture.queue.finish(id(1), |_| true).len()), (1, 1));
 }
 
 #[test]
@@ -251,7 +260,7 @@ fn a_job_without_receivers_is_cancelled() {
     fixture.request(1, 1, 1, 10);
     fixture.receivers.clear();
     let turn = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
-    assert_eq!((turn.keys.len(), turn.cancelled, fixture.queue.jobs()), (0, 1, 0));
+    assert_eq!((turn.chunks.len(), turn.cancelled, fixture.queue.jobs()), (0, 1, 0));
 }
 
 #[test]
@@ -262,7 +271,7 @@ fn explicit_requests_expire_and_requests_of_views_do_not() {
     let deadline = Duration::from_secs(1);
     let turn = fixture.queue.take(QUANTUM, deadline, fixture.now + Duration::from_secs(2));
     assert_eq!(turn.expired.iter().map(|request| request.chunk.request).collect::<Vec<_>>(), [Some(4)]);
-    assert_eq!((turn.keys, turn.cancelled), (vec![key(2)], 0));
+    assert_eq!((turn.chunks, turn.cancelled), (vec![id(2)], 0));
 }
 
 #[test]
@@ -278,13 +287,13 @@ fn a_full_queue_rejects_new_keys_and_coalesces_known_ones() {
 fn a_late_request_for_another_delivery_queues_the_job_again() {
     let mut fixture = Fixture::new(10);
     fixture.request(1, 1, 1, 10);
-    assert_eq!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).keys, [key(1)]);
+    assert_eq!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).chunks, [id(1)]);
     fixture.request_delivery(Delivery::SeedOnly, 2, 1, 1, 10, None);
     assert_eq!(
-        fixture.queue.missing_frame(key(1), |request| request.delivery == Delivery::Exact),
+        fixture.queue.missing_frame(id(1), |request| request.delivery == Delivery::Exact),
         Some((Delivery::SeedOnly, false))
     );
-    assert_eq!(fixture.queue.finish(key(1), |request| request.delivery == Delivery::Exact).len(), 1);
+    assert_eq!(fixture.queue.finish(id(1), |request| request.delivery == Delivery::Exact).len(), 1);
     assert_eq!(fixture.turn(), [1]);
     assert_eq!(fixture.queue.jobs(), 0);
 }
@@ -298,7 +307,7 @@ fn stale_entries_are_bounded() {
         fixture.request(2, x, 9, 1000);
         fixture.request(1, x, 0, 1000);
         while fixture.queue.jobs() > 1 {
-            let Some(key) = fixture.queue.take(1, NO_DEADLINE, fixture.now).keys.first().copied() else {
+            let Some(key) = fixture.queue.take(1, NO_DEADLINE, fixture.now).chunks.first().copied() else {
                 break;
             };
             fixture.queue.finish(key, |_| true);
