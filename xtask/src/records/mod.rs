@@ -1,6 +1,7 @@
 //! `records`: the committed records of measurements, which of them are out of date, and the page
 //! that is made from them.
 
+mod caveats;
 pub mod page;
 pub mod record;
 mod stale;
@@ -18,7 +19,8 @@ pub struct Options {
     /// run
     #[arg(long)]
     pub check: bool,
-    /// Write docs/measurements/README.md from the records
+    /// Write docs/measurements/README.md from the records, and beside the figures of the README which
+    /// records are out of date or of one run
     #[arg(long)]
     pub write: bool,
 }
@@ -39,6 +41,14 @@ impl Judged {
     fn is_fit_to_quote(&self) -> bool {
         self.stale.is_none() && !self.record.is_dirty() && self.record.runs() >= LEAST_RUNS
     }
+
+    /// What readers of a quoted figure must know; none if nothing.
+    fn caveat(&self) -> Option<String> {
+        let is_single = self.record.runs() < LEAST_RUNS;
+        let parts = [self.stale.as_ref().map(|_| "older code"), is_single.then_some("one run")];
+        let parts: Vec<_> = parts.into_iter().flatten().collect();
+        (!parts.is_empty()).then(|| parts.join(", "))
+    }
 }
 
 /// Lists the records; writes the page; judges what the README quotes.
@@ -48,6 +58,7 @@ impl Judged {
 pub fn run(options: &Options) -> Result<()> {
     if options.write {
         write_page()?;
+        write_caveats()?;
     }
     show()?;
     let unfit = unfit_quotes()?;
@@ -75,6 +86,22 @@ pub fn unfit_quotes() -> Result<usize> {
     Ok(judged()?.iter().filter(|judged| judged.is_quoted && !judged.is_fit_to_quote()).count())
 }
 
+/// How many rows of the README do not say rightly whether their record is out of date or of one run.
+/// None can be judged in a shallow clone, which lacks the commits of the records.
+///
+/// # Errors
+/// Files cannot be read.
+pub fn wrong_caveats() -> Result<Option<usize>> {
+    let mut git = process::command("git");
+    git.args(["rev-parse", "--is-shallow-repository"]);
+    if process::output(git)?.trim() == "true" {
+        return Ok(None);
+    }
+    let files = files()?;
+    let readme = files.get("README.md").map_or("", String::as_str);
+    Ok(Some(caveats::wrong_rows(readme, &caveats()?)))
+}
+
 /// The newest records of a measurement, one for each machine.
 ///
 /// # Errors
@@ -100,6 +127,18 @@ pub fn write_page() -> Result<()> {
         .with_context(|| format!("cannot write {}", path.display()))?;
     println!("records: {} written", path.display());
     Ok(())
+}
+
+/// Writes the caveats of the quoted records into the README.
+fn write_caveats() -> Result<()> {
+    let path = process::root().join("README.md");
+    let readme = std::fs::read_to_string(&path).context("cannot read README.md")?;
+    std::fs::write(&path, caveats::annotated(&readme, &caveats()?)).context("cannot write README.md")
+}
+
+fn caveats() -> Result<caveats::Caveats> {
+    let caveat = |judged: Judged| Some((judged.record.path.clone(), judged.caveat()?));
+    Ok(judged()?.into_iter().filter_map(caveat).collect())
 }
 
 /// Records, notes and README as they are in the working tree, new files included.
@@ -185,6 +224,8 @@ mod tests {
             let judged = judged(runs, commit, stale);
             assert!(!judged.is_fit_to_quote(), "{judged:?}");
         }
+        assert_eq!(judged("3", "abc", None).caveat(), None);
+        assert_eq!(judged("1", "abc", Some("old")).caveat().as_deref(), Some("older code, one run"));
     }
 
     #[test]
