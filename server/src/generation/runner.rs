@@ -369,7 +369,7 @@ mod tests {
         let mut flow = fixture.service.flow();
         // A request of a view has no deadline, and occupies the thread.
         flow.request(chunk_request(key(0), 9), Delivery::Exact);
-        while !fixture.service.shared.lock().is_running(key(0)) {
+        while !fixture.service.shared.lock().is_running(ChunkId::base(key(0))) {
             tokio::task::yield_now().await;
         }
         flow.request(ChunkRequest { request: Some(7), ..chunk_request(key(1), 9) }, Delivery::Exact);

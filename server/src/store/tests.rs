@@ -14,7 +14,7 @@ use prometheus_client::metrics::counter::Counter;
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use std::fmt;
-use terrain::Land;
+use terrain::{ChunkKey, Land};
 
 /// What is wrong with a store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -43,7 +43,8 @@ mod tests {
     #[test]
     fn a_row_says_what_its_record_lacks_and_nothing_else() {
         let old = Caveats::from([("docs/measurements/2026-x/a.md".into(), "older code, one run".into())]);
-        let marked = format!("# T\n\n{LINK} (older code, one run) |\nsee [a](docs/measurements/2026-x/a.md)\n");
+        let marked =
+            format!("# T\n\n{LINK} (older code, one run) |\nsee [a](docs/measurements/2026-x/a.md)\n");
         let plain = marked.replace(" (older code, one run)", "");
         for text in [&marked, &plain] {
             assert_eq!(annotated(text, &old), marked);
