@@ -3,7 +3,7 @@
 use load::path::{FlightPath, PathKind};
 use load::session::view_of;
 use protocol::chunk_codec::{self, Effort};
-use protocol::client::{ClientConfig, ClientSession};
+use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::server::{ServerOffer, ServerSession};
 use protocol::{DataFrame, Delivery};
 use serde::{Deserialize, Serialize};
@@ -11,11 +11,11 @@ use std::time::{Duration, Instant};
 use terrain::constants::TOP_LEVEL;
 use terrain::{ChunkKey, Land};
 
-/// Chunks of one level that are measured.
-const SAMPLES: i32 = 24;
-
 /// Views that are measured.
 const VIEWS: u32 = 64;
+
+/// How often a chunk is timed.
+const REPEATS: usize = 3;
 
 /// Microseconds of processor time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -65,97 +65,112 @@ impl Costs {
         micros(us)
     }
 
-    /// The median times of this machine for what the crates of the protocol and the land do. What
-    /// only a server with its sockets does keeps its built-in value.
+    /// The mean times of this machine for what the crates of the protocol and the land do, over the
+    /// views of a flight and their chunks. What only a server with its sockets does keeps its built-in
+    /// value.
     #[must_use]
     pub fn measure(world_seed: u64) -> Self {
-        let (land, mut costs) = (Land::new(world_seed), Self::default());
-        let world = land.digest();
+        let land = Land::new(world_seed);
+        let flight = Flight::new(land);
+        let (world, mut costs) = (land.digest(), Self::default());
+        let encoded = |keys: &[ChunkKey], effort| {
+            let make = |key| chunk_codec::encode_with(Delivery::Exact, effort, &land.chunk(key), &world);
+            mean(keys.iter().map(|key| timed(|| make(*key))))
+        };
         for level in 0..=TOP_LEVEL {
-            let keys = (-SAMPLES / 2..SAMPLES / 2).filter_map(|n| ChunkKey::new(level, n, 1 - n).ok());
-            let timed = keys.map(|key| {
-                timed(|| chunk_codec::encode_with(Delivery::Exact, Effort::Compact, &land.chunk(key), &world))
-            });
-            costs.chunk_us[usize::from(level)] = median(timed.collect());
+            let mut keys: Vec<_> = flight.chunks.iter().filter(|key| key.level() == level).copied().collect();
+            if keys.is_empty() {
+                // Those around the start, where the flight needs none.
+                let key = ChunkKey::containing(level, land.start().x, land.start().z);
+                let around = (-2..=2).flat_map(|z| (-2..=2).map(move |x| (x, z)));
+                keys.extend(around.filter_map(|(x, z)| key.neighbour(x, z)));
+            }
+            let before = costs.chunk_us[usize::from(level)];
+            costs.chunk_us[usize::from(level)] = encoded(&keys, Effort::Compact).unwrap_or(before);
         }
-        let fine = (0..SAMPLES).filter_map(|n| ChunkKey::new(0, n, -n).ok()).collect::<Vec<_>>();
-        let fast = fine.iter().map(|key| {
-            timed(|| chunk_codec::encode_with(Delivery::Exact, Effort::Fast, &land.chunk(*key), &world))
-        });
-        costs.fast_chunk_us = median(fast.collect());
-        costs.view_us = median(views(land));
-        costs.client_chunk_us = median(decoded(land, &fine));
+        let fine: Vec<_> = flight.chunks.iter().filter(|key| key.level() == 0).copied().collect();
+        costs.fast_chunk_us = encoded(&fine, Effort::Fast).unwrap_or(costs.fast_chunk_us);
+        costs.view_us = mean(flight.view_us.into_iter()).unwrap_or(costs.view_us);
+        costs.client_chunk_us = mean(flight.client_us.into_iter()).unwrap_or(costs.client_chunk_us);
         costs
     }
 }
 
-/// Times of the selection of views along a path, each a second time: the first measures errors.
-fn views(land: Land) -> Vec<f64> {
-    let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
-    let path = FlightPath::new(PathKind::Fly, 1, 0, land.start());
-    let select = |id: u32| {
-        let (mut server, mut client) = welcomed(&offer);
-        client.set_view(view_of(id, &path.pose(&land, f64::from(id) / 3.0), 2000));
-        exchange(&mut client, &mut server);
-        let mut selection = server.take_view();
-        timed(|| while selection.as_mut().is_some_and(|view| !view.step(&land, 256)) {})
+/// What one client needs on its path, with the times of its views and of its chunks.
+struct Flight {
+    chunks: Vec<ChunkKey>,
+    view_us: Vec<f64>,
+    client_us: Vec<f64>,
+}
+
+impl Flight {
+    fn new(land: Land) -> Self {
+        let mut flight = Self { chunks: Vec::new(), view_us: Vec::new(), client_us: Vec::new() };
+        // The second time errors of chunks are known, which a server measures once.
+        (0..2).for_each(|_| flight.fly(land));
+        flight
+    }
+
+    fn fly(&mut self, land: Land) {
+        *self = Self { chunks: Vec::new(), view_us: Vec::new(), client_us: Vec::new() };
+        let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
+        let mut server = ServerSession::new(offer.clone(), 1);
+        let mut client = ClientSession::new(ClientConfig {
+            digest: None,
+            delivery: Delivery::Exact,
+            token: None,
+            software: String::new(),
+            window: 64,
+        });
+        let path = FlightPath::new(PathKind::Fly, 1, 0, land.start());
+        for id in 0..VIEWS {
+            client.set_view(view_of(id, &path.pose(&land, f64::from(id) / 3.0), 2000));
+            self.exchange(&mut client, &mut server);
+            let Some(mut view) = server.take_view() else { continue };
+            let started = Instant::now();
+            while !view.step(&land, 256) {}
+            self.view_us.push(started.elapsed().as_secs_f64() * 1e6);
+            server.apply_view(view);
+            while let Some((request, _)) = server.next_chunk() {
+                self.chunks.push(request.key);
+                server.deliver(request, chunk_codec::encode(&land.chunk(request.key), &offer.digest));
+                self.exchange(&mut client, &mut server);
+            }
+        }
+    }
+
+    /// Messages both ways; times the chunks at the client.
+    fn exchange(&mut self, client: &mut ClientSession, server: &mut ServerSession) {
+        while let Some(frame) = server.poll_transmit() {
+            let started = Instant::now();
+            let event = client.receive(DataFrame::Binary(&frame));
+            if matches!(event, Ok(Event::Chunk { .. })) {
+                self.client_us.push(started.elapsed().as_secs_f64() * 1e6);
+            }
+        }
+        while let Some(frame) = client.poll_transmit() {
+            // Frames of our own client are valid.
+            let _ = server.receive(DataFrame::Binary(&frame));
+        }
+    }
+}
+
+/// The shortest of several times that some work took, microseconds: other programs only add to it.
+fn timed<T>(mut work: impl FnMut() -> T) -> f64 {
+    let once = |_| {
+        let started = Instant::now();
+        let _done = std::hint::black_box(work());
+        started.elapsed().as_secs_f64() * 1e6
     };
-    (0..VIEWS).for_each(|id| _ = select(id));
-    (0..VIEWS).map(select).collect()
+    (0..REPEATS).map(once).fold(f64::INFINITY, f64::min)
 }
 
-/// Times in which a client decodes and verifies chunks.
-fn decoded(land: Land, keys: &[ChunkKey]) -> Vec<f64> {
-    let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
-    let (mut server, mut client) = welcomed(&offer);
-    while let Some(frame) = server.poll_transmit() {
-        let _ = client.receive(DataFrame::Binary(&frame));
-    }
-    let frames: Vec<_> =
-        keys.iter().map(|key| chunk_codec::encode(&land.chunk(*key), &offer.digest)).collect();
-    frames.iter().map(|frame| timed(|| client.receive(DataFrame::Binary(frame)))).collect()
-}
-
-/// A session after its handshake, the Welcome not yet received.
-fn welcomed(offer: &ServerOffer) -> (ServerSession, ClientSession) {
-    let mut server = ServerSession::new(offer.clone(), 1);
-    let mut client = ClientSession::new(ClientConfig {
-        digest: None,
-        delivery: Delivery::Exact,
-        token: None,
-        software: String::new(),
-        window: 64,
-    });
-    exchange(&mut client, &mut server);
-    (server, client)
-}
-
-fn exchange(client: &mut ClientSession, server: &mut ServerSession) {
-    while let Some(frame) = client.poll_transmit() {
-        // Frames of our own client are valid.
-        let _ = server.receive(DataFrame::Binary(&frame));
-    }
-}
-
-/// Processor time of some work, microseconds.
-fn timed<T>(work: impl FnOnce() -> T) -> f64 {
-    let before = processor_ns();
-    let started = Instant::now();
-    let _done = std::hint::black_box(work());
-    match (before, processor_ns()) {
-        (Some(before), Some(after)) => (after - before) / 1e3,
-        _ => started.elapsed().as_secs_f64() * 1e6,
-    }
-}
-
-/// Processor time of this thread so far, nanoseconds; none where the system does not say.
-fn processor_ns() -> Option<f64> {
-    std::fs::read_to_string("/proc/thread-self/schedstat").ok()?.split_whitespace().next()?.parse().ok()
-}
-
-fn median(mut times: Vec<f64>) -> f64 {
+/// The mean without the dearest fiftieth, which are interruptions; none of no times.
+fn mean(times: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut times: Vec<f64> = times.collect();
     times.sort_by(f64::total_cmp);
-    times.get(times.len() / 2).copied().unwrap_or(f64::NAN)
+    times.truncate(times.len() - times.len() / 50);
+    (!times.is_empty()).then(|| times.iter().sum::<f64>() / times.len() as f64)
 }
 
 /// A duration of microseconds; none of an invalid number.

@@ -3,6 +3,7 @@
 
 use super::http::get;
 use crate::process;
+use crate::server::Server;
 use anyhow::{Context, Result, bail, ensure};
 use bars::Bar;
 use bars::figures::{list, text};
@@ -136,7 +137,7 @@ pub fn rows() -> Result<Vec<Bar>> {
         return Ok(vec![Bar::reported(ALERT, None, "s").not_measured_if(true, &reason)]);
     }
     let mut cluster = super::Cluster::start(super::REPLICAS)?;
-    let addresses: Vec<_> = cluster.replicas.iter().map(crate::server::Server::address).collect();
+    let addresses: Vec<_> = cluster.replicas.iter().map(Server::address).collect();
     let prometheus = Prometheus::start(&addresses)?;
     let deadline = Instant::now() + READY_WITHIN;
     while prometheus.up()? < addresses.len() && Instant::now() < deadline {
@@ -210,6 +211,6 @@ mod tests {
         let text = configuration(&["127.0.0.1:7001".parse().unwrap()]).unwrap();
         assert!(text.contains("targets: [\"127.0.0.1:7001\"]") && !text.contains("replica-1"));
         let rules = text.lines().find_map(|line| line.strip_prefix("rule_files: [\"")?.strip_suffix("\"]"));
-        assert!(std::path::Path::new(rules.unwrap()).is_file(), "{text}");
+        assert!(Path::new(rules.unwrap()).is_file(), "{text}");
     }
 }
