@@ -32,7 +32,7 @@ fn full_name(package: &str) -> String {
 /// Libraries that draw.
 const DRAWING: &[&str] = &["wgpu", "winit", "egui"];
 
-const RULES: [Rule; 8] = [
+const RULES: [Rule; 9] = [
     Rule {
         package: "terrain",
         own: &[
@@ -79,6 +79,12 @@ const RULES: [Rule; 8] = [
         own: &["client", "shaders", "server", "lab"],
         libraries: DRAWING,
         why: "a load test runs where no GPU is",
+    },
+    Rule {
+        package: "simulation",
+        own: &["client", "shaders", "server", "lab"],
+        libraries: DRAWING,
+        why: "a simulation models the server and does not run it",
     },
     Rule {
         package: "server-bench",

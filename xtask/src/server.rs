@@ -4,6 +4,7 @@
 use crate::process;
 use anyhow::{Context, Result, bail};
 use std::net::{SocketAddr, TcpListener};
+use std::path::Path;
 use std::process::{Child, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -27,8 +28,25 @@ impl Server {
     /// # Errors
     /// No port, no program, or a server that ends or is not ready in time.
     pub fn start(world_seed: u64) -> Result<Self> {
+        Self::start_with(world_seed, &[])
+    }
+
+    /// As [`Server::start`], with settings in its environment.
+    ///
+    /// # Errors
+    /// As [`Server::start`].
+    pub fn start_with(world_seed: u64, settings: &[(&str, String)]) -> Result<Self> {
+        Self::start_program(&process::program("tombolo-server"), world_seed, settings)
+    }
+
+    /// As [`Server::start_with`], of another build.
+    ///
+    /// # Errors
+    /// As [`Server::start`].
+    pub fn start_program(program: &Path, world_seed: u64, settings: &[(&str, String)]) -> Result<Self> {
         let address = free_address()?;
-        let child = process::command(process::program("tombolo-server"))
+        let child = process::command(program)
+            .envs(settings.iter().map(|(name, value)| (name, value)))
             .args(["--listen", &address.to_string(), "--world-seed", &world_seed.to_string()])
             // Its own lines would drown ours; faults are still shown.
             .env("TOMBOLO_LOG", "warn")

@@ -53,7 +53,7 @@ enum Sign {
 }
 
 /// Loaded at run time by the GPU and window crates, so the linker never asks for them.
-const NEEDS: [Need; 20] = [
+const NEEDS: [Need; 22] = [
     Need { package: "libvulkan1", sign: Sign::Library("libvulkan.so.1"), purpose: Purpose::Pictures },
     Need { package: "mesa-vulkan-drivers", sign: Sign::VulkanDriver, purpose: Purpose::Pictures },
     check("chromium", Sign::SwiftShader),
@@ -64,6 +64,8 @@ const NEEDS: [Need; 20] = [
     check("make", Sign::Program("make")),
     check("g++", Sign::Program("g++")),
     check("libclang-19-dev", Sign::Libclang),
+    check("nginx-light", Sign::Program("nginx")),
+    check("prometheus", Sign::Program("promtool")),
     window("libx11-6", "libX11.so.6"),
     window("libx11-xcb1", "libX11-xcb.so.1"),
     window("libxcb1", "libxcb.so.1"),

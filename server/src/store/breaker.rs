@@ -43,7 +43,13 @@ impl Breaker {
         }
     }
 
-    /// Whether requests are held back.
+    /// Whether [`Breaker::allows`] would say no.
+    #[must_use]
+    pub fn holds_back(&self, now: Instant) -> bool {
+        self.open_until.is_some_and(|until| now < until)
+    }
+
+    /// Whether failures have opened it and no request has succeeded since.
     #[must_use]
     pub const fn is_open(&self) -> bool {
         self.open_until.is_some()
@@ -63,7 +69,7 @@ mod tests {
         assert!(breaker.allows(now) && !breaker.is_open());
         breaker.succeeded();
         (0..FAILURES).for_each(|_| breaker.failed(now));
-        assert!(!breaker.allows(now) && breaker.is_open());
+        assert!(!breaker.allows(now) && breaker.is_open() && breaker.holds_back(now));
         breaker.succeeded();
         assert!(breaker.allows(now));
     }
@@ -73,6 +79,7 @@ mod tests {
         let (mut breaker, start) = (Breaker::default(), Instant::now());
         (0..FAILURES).for_each(|_| breaker.failed(start));
         let later = start + PAUSE;
+        assert!(!breaker.holds_back(later) && breaker.is_open());
         assert!(breaker.allows(later) && !breaker.allows(later), "one");
         breaker.failed(later);
         assert!(!breaker.allows(later + PAUSE / 2));

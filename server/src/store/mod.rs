@@ -6,8 +6,9 @@
 //! used; who can write to the store is trusted beyond that.
 //!
 //! A generation thread waits for the store at most as long as chunks of that level took to make
-//! lately, and sends a request only if answers come sooner than that ([`pace`]). A [`breaker`] stops
-//! requests to a store that fails. Chunks of baked [`region`]s lie in [`pack`]s, others in objects of
+//! lately, and sends a request only if answers come sooner than that; reads that bring nothing may
+//! take an eighth of the time of making ([`pace`]). A [`breaker`] stops requests to a store that
+//! fails. Chunks of baked [`region`]s lie in [`pack`]s, others in objects of
 //! their own.
 
 pub mod address;
@@ -24,7 +25,8 @@ use crate::chunk_id::ChunkId;
 use crate::metrics::Metrics;
 use breaker::Breaker;
 use bytes::Bytes;
-use futures_util::TryStreamExt;
+use futures_util::{StreamExt, TryStreamExt, stream};
+use object_store::path::Path;
 use object_store::{Error, GetOptions, ObjectStore, ObjectStoreExt};
 use pace::Pace;
 use pack::PackIndex;
@@ -36,7 +38,7 @@ use std::io;
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
-use terrain::{Chunk, WorldDigest};
+use terrain::{Chunk, ChunkKey, WorldDigest};
 use tile::{ObjectNames, PackTile};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
@@ -57,6 +59,12 @@ const INDEXES: usize = 4096;
 
 /// Time between two looks for regions that were baked meanwhile.
 const LOOK_FOR_REGIONS: Duration = Duration::from_secs(60);
+
+/// Time for one look: a list, and some objects at once.
+const REGIONS_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// Objects of regions that are read at once.
+const REGION_READS: usize = 16;
 
 /// Regions that are used; further ones are ignored with a warning.
 const MAX_REGIONS: usize = 1024;
@@ -87,7 +95,7 @@ struct Inner {
     objects: Arc<dyn ObjectStore>,
     names: ObjectNames,
     world: WorldDigest,
-    breaker: Arc<Mutex<Breaker>>,
+    breaker: Mutex<Breaker>,
     regions: RwLock<Vec<BakedRegion>>,
     indexes: Cache<PackTile, Arc<PackIndex>>,
     reads: Arc<Semaphore>,
@@ -118,7 +126,7 @@ impl Store {
     /// The system cannot start its thread.
     pub fn over(
         objects: Arc<dyn ObjectStore>,
-        root: &object_store::path::Path,
+        root: &Path,
         wait: Duration,
         world: &WorldDigest,
         metrics: Arc<Metrics>,
@@ -128,15 +136,13 @@ impl Store {
             .thread_name("store")
             .enable_all()
             .build()?;
-        let breaker = Arc::<Mutex<Breaker>>::default();
-        let writer =
-            Writer::start(runtime.handle(), Arc::clone(&objects), Arc::clone(&breaker), Arc::clone(&metrics));
+        let writer = Writer::start(runtime.handle(), Arc::clone(&objects), Arc::clone(&metrics));
         metrics.store_up.set(1);
         let inner = Arc::new(Inner {
             objects,
             names: ObjectNames::new(root, world),
             world: *world,
-            breaker,
+            breaker: Mutex::default(),
             regions: RwLock::default(),
             indexes: Cache::new(INDEXES),
             reads: Arc::new(Semaphore::new(READS_IN_FLIGHT)),
@@ -171,38 +177,36 @@ impl Store {
             drop(permit);
             let _ = sender.try_send(read);
         });
-        let frame = match answer.recv_timeout(wait) {
-            Ok(Fetched::Object(frame)) => frame,
+        let started = Instant::now();
+        let found = match answer.recv_timeout(wait) {
+            Ok(Fetched::Object(frame)) => inner.checked(key, tile, frame),
             Ok(Fetched::Missing) => {
                 inner.metrics.store_misses.inc();
-                return None;
+                None
             }
             Ok(Fetched::Failed) | Err(RecvTimeoutError::Disconnected) => {
                 inner.metrics.store_reads_failed.inc();
-                return None;
+                None
             }
             Err(RecvTimeoutError::Timeout) => {
                 inner.pace.late(wait, Instant::now());
                 inner.metrics.store_reads_late.inc();
-                return None;
+                None
             }
         };
-        let chunk = chunk_codec::decode(&frame, &inner.world).ok().filter(|chunk| chunk.key == key);
-        let Some(chunk) = chunk else {
-            inner.metrics.store_reads_invalid.inc();
-            tracing::debug!(%key, "an object of the store is damaged or foreign; it will be written again");
-            return None;
-        };
-        inner.metrics.store_hits.inc();
-        Some((chunk, frame))
+        match &found {
+            Some(_) => inner.pace.useful(key),
+            None => inner.pace.useless(started.elapsed()),
+        }
+        found
     }
 
     /// A chunk was made in this time: writes its exact frame, if its level is stored and no pack has
-    /// it.
+    /// it. The frame is not asked for if it could not be written now.
     pub fn made(&self, id: ChunkId, took: Duration, frame: impl FnOnce() -> Bytes) {
         self.inner.pace.made(id.key, took);
         if id.key.level() >= FINEST_LEVEL && self.inner.packed(id).is_none() {
-            self.writer.write(self.inner.names.chunk(id), frame());
+            self.writer.write(self.inner.names.chunk(id), frame);
         }
     }
 
@@ -243,6 +247,20 @@ impl Inner {
 
     fn allows(&self) -> bool {
         self.breaker.lock().unwrap_or_else(PoisonError::into_inner).allows(Instant::now())
+    }
+
+    /// The chunk of a frame that was read, if the frame is that of the key and undamaged.
+    fn checked(&self, key: ChunkKey, tile: Option<PackTile>, frame: Bytes) -> Option<(Chunk, Bytes)> {
+        let chunk = chunk_codec::decode(&frame, &self.world).ok().filter(|chunk| chunk.key == key);
+        let Some(chunk) = chunk else {
+            self.metrics.store_reads_invalid.inc();
+            // The pack may have been replaced since its index was read.
+            tile.inspect(|tile| drop(self.indexes.remove(tile)));
+            tracing::debug!(%key, "an object of the store is damaged or foreign; the chunk is made");
+            return None;
+        };
+        self.metrics.store_hits.inc();
+        Some((chunk, frame))
     }
 
     /// The bytes of a chunk's object. Reports to breaker and pace, late answers too.
@@ -292,9 +310,14 @@ impl Inner {
         if let Some(index) = self.indexes.get(&tile) {
             return Ok(Some(index));
         }
-        let header = self.objects.get_range(&self.names.pack(tile), 0..pack::HEADER as u64).await;
-        let Some(header) = found(header)? else { return Ok(None) };
-        let Ok(index) = pack::index(tile, &header) else {
+        let range = GetOptions::new().with_range(Some(0..pack::HEADER as u64));
+        let Some(header) = found(self.objects.get_opts(&self.names.pack(tile), range).await)? else {
+            return Ok(None);
+        };
+        let length = header.meta.size;
+        // A cut pack would fail range by range, as if the store did.
+        let index = pack::index(tile, &header.bytes().await?).ok().filter(|index| index.end() == length);
+        let Some(index) = index else {
             self.metrics.store_reads_invalid.inc();
             return Ok(None);
         };
@@ -312,7 +335,7 @@ impl Inner {
     }
 
     async fn look_for_regions(&self) {
-        let regions = match timeout(READ_TIMEOUT, self.list_regions()).await {
+        let regions = match timeout(REGIONS_TIMEOUT, self.list_regions()).await {
             Ok(Ok(regions)) => regions,
             Ok(Err(error)) => return tracing::debug!(%error, "cannot list the regions of the store"),
             Err(_) => return tracing::debug!("the store did not list its regions in time"),
@@ -326,25 +349,33 @@ impl Inner {
 
     async fn list_regions(&self) -> object_store::Result<Vec<BakedRegion>> {
         let mut objects = self.objects.list(Some(&self.names.regions()));
-        let mut regions = Vec::new();
+        let mut names = Vec::new();
         while let Some(object) = objects.try_next().await? {
-            if regions.len() == MAX_REGIONS {
+            if names.len() == MAX_REGIONS {
                 tracing::warn!("the store has over {MAX_REGIONS} regions; the others are ignored");
                 break;
             }
-            if object.size > MAX_REGION {
-                continue;
-            }
-            let bytes = self.objects.get(&object.location).await?.bytes().await?;
-            let region: Option<BakedRegion> = serde_json::from_slice(&bytes).ok();
-            let valid = region
-                .filter(|region| BakedRegion::new(&(region.finest..=region.coarsest), region.area_m).is_ok());
-            match valid {
-                Some(region) => regions.push(region),
-                None => tracing::warn!(object = %object.location, "no region; ignored"),
+            if object.size <= MAX_REGION {
+                names.push(object.location);
             }
         }
-        Ok(regions)
+        let read = |name| async { self.region(name).await };
+        let regions: Vec<_> = stream::iter(names).map(read).buffered(REGION_READS).try_collect().await?;
+        Ok(regions.into_iter().flatten().collect())
+    }
+
+    /// The region of an object; none if the object is no region or has the name of another.
+    async fn region(&self, name: Path) -> object_store::Result<Option<BakedRegion>> {
+        let Some(object) = found(self.objects.get(&name).await)? else { return Ok(None) };
+        let region: Option<BakedRegion> = serde_json::from_slice(&object.bytes().await?).ok();
+        let region = region.filter(|region| {
+            let checked = BakedRegion::new(&(region.finest..=region.coarsest), region.area_m);
+            checked.is_ok_and(|region| name.filename() == Some(&region.name()))
+        });
+        if region.is_none() {
+            tracing::warn!(object = %name, "no region; ignored");
+        }
+        Ok(region)
     }
 }
 

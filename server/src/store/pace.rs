@@ -1,6 +1,7 @@
-//! Whether a read from the store saves time: what reads take against what making a chunk takes.
+//! Whether a read from the store saves time: what reads take against what making a chunk takes, and
+//! how much time reads without a result have cost.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use terrain::ChunkKey;
@@ -15,6 +16,12 @@ const UNKNOWN: Duration = Duration::from_millis(20);
 /// Time between two reads of a store that has been too slow, to see whether it still is.
 const RETRY: Duration = Duration::from_secs(5);
 
+/// Reads without a result may take this part of the time that making chunks takes.
+const LOSS_PART: i64 = 8;
+
+/// Longest time that reads without a result may take ahead of that, nanoseconds.
+const MAX_LOSS: i64 = 100_000_000;
+
 /// Moving averages of times. Relaxed atomics: a lost update changes little.
 #[derive(Debug)]
 pub struct Pace {
@@ -23,6 +30,8 @@ pub struct Pace {
     made: [AtomicU64; TOP_LEVEL as usize + 1],
     /// Nanoseconds; 0 is unknown.
     read: AtomicU64,
+    /// Nanoseconds that reads without a result may still take, at most [`MAX_LOSS`].
+    budget: AtomicI64,
     tried: Mutex<Option<Instant>>,
 }
 
@@ -31,18 +40,21 @@ impl Pace {
     #[must_use]
     pub fn new(least_wait: Duration) -> Self {
         let made = std::array::from_fn(|_| AtomicU64::new(0));
-        Self { least_wait, made, read: AtomicU64::new(0), tried: Mutex::new(None) }
+        let (read, budget) = (AtomicU64::new(0), AtomicI64::new(MAX_LOSS));
+        Self { least_wait, made, read, budget, tried: Mutex::new(None) }
     }
 
-    /// The time to wait for a chunk; none if its answer would likely come later than that. Then one
-    /// read every [`RETRY`] is worth a try all the same.
+    /// The time to wait for a chunk; none if its answer would likely come later than that, or if reads
+    /// without a result have used up their time. Then one read every [`RETRY`] is worth a try all the
+    /// same.
     pub fn wait(&self, key: ChunkKey, now: Instant) -> Option<Duration> {
         let made = match self.made[usize::from(key.level())].load(Ordering::Relaxed) {
             0 => UNKNOWN,
             nanoseconds => Duration::from_nanos(nanoseconds),
         };
         let wait = made.max(self.least_wait);
-        if Duration::from_nanos(self.read.load(Ordering::Relaxed)) <= wait {
+        let is_quick = Duration::from_nanos(self.read.load(Ordering::Relaxed)) <= wait;
+        if is_quick && self.budget.load(Ordering::Relaxed) > 0 {
             return Some(wait);
         }
         let mut tried = self.tried.lock().unwrap_or_else(PoisonError::into_inner);
@@ -56,6 +68,26 @@ impl Pace {
     /// A chunk was made in this time.
     pub fn made(&self, key: ChunkKey, took: Duration) {
         add(&self.made[usize::from(key.level())], took);
+        self.earn(took);
+    }
+
+    /// A read brought a chunk. It saved about what the chunk takes to make, which counts as if it had
+    /// been made.
+    pub fn useful(&self, key: ChunkKey) {
+        self.earn(Duration::from_nanos(self.made[usize::from(key.level())].load(Ordering::Relaxed)));
+    }
+
+    /// A thread has waited this time for a read that brought no chunk.
+    pub fn useless(&self, waited: Duration) {
+        self.budget.fetch_sub(nanoseconds(waited) as i64, Ordering::Relaxed);
+    }
+
+    fn earn(&self, took: Duration) {
+        let earned = nanoseconds(took) as i64 / LOSS_PART;
+        let before = self.budget.fetch_add(earned, Ordering::Relaxed);
+        if before + earned > MAX_LOSS {
+            self.budget.store(MAX_LOSS, Ordering::Relaxed);
+        }
     }
 
     /// A read was answered, or failed, in this time.
@@ -65,13 +97,14 @@ impl Pace {
 
     /// A read was not answered within this time: it takes longer, by how much is not known.
     pub fn late(&self, waited: Duration, now: Instant) {
-        self.read.fetch_max(nanoseconds(2 * waited), Ordering::Relaxed);
+        self.read.fetch_max(nanoseconds(waited.saturating_mul(2)), Ordering::Relaxed);
         *self.tried.lock().unwrap_or_else(PoisonError::into_inner) = Some(now);
     }
 }
 
+/// At most an hour, so that no sum overflows.
 fn nanoseconds(time: Duration) -> u64 {
-    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+    time.min(Duration::from_secs(3600)).as_nanos() as u64
 }
 
 fn add(mean: &AtomicU64, took: Duration) {
@@ -99,6 +132,36 @@ mod tests {
         assert_eq!(pace.wait(cheap, now), Some(MS(1)), "once, to see how long it takes");
         assert_eq!(pace.wait(cheap, now), None);
         assert_eq!(pace.wait(cheap, now + RETRY), Some(MS(1)));
+    }
+
+    /// The bound of 1.5 times the latency without a store follows from this: whatever a store does,
+    /// its reads take an eighth more than making the chunks.
+    #[test]
+    fn reads_without_a_result_take_an_eighth_of_the_time_of_making() {
+        let (pace, now) = (Pace::new(Duration::ZERO), Instant::now());
+        let key = ChunkKey::new(3, 0, 0).unwrap();
+        let (mut made, mut lost) = (Duration::ZERO, Duration::ZERO);
+        for _ in 0..10_000 {
+            if pace.wait(key, now).is_some() {
+                pace.read(MS(2));
+                pace.useless(MS(2));
+                lost += MS(2);
+            }
+            pace.made(key, MS(3));
+            made += MS(3);
+        }
+        assert!(lost <= made / 8 + Duration::from_nanos(MAX_LOSS as u64) + 2 * MS(2), "{lost:?} of {made:?}");
+        assert!(lost >= made / 9, "the control: reads go on, to see whether they bring something");
+        // They bring something again: after few of them none is left out.
+        let read = |_: &u32| pace.wait(key, now).is_some();
+        for _ in 0..1000 {
+            if read(&0) {
+                pace.useful(key);
+            } else {
+                pace.made(key, MS(3));
+            }
+        }
+        assert_eq!((0..1000).filter(read).count(), 1000);
     }
 
     #[test]

@@ -107,13 +107,19 @@ pub fn index(tile: PackTile, header: &[u8]) -> Result<PackIndex, PackError> {
 /// It is not one, damaged, or of another world or tile.
 pub fn verify(world: &WorldDigest, tile: PackTile, bytes: &[u8]) -> Result<PackIndex, PackError> {
     let index = index(tile, bytes)?;
-    if index.offsets[CHUNKS] as usize != bytes.len() || digest(world, bytes) != bytes[PREFIX..DIGEST_END] {
+    if index.end() != bytes.len() as u64 || digest(world, bytes) != bytes[PREFIX..DIGEST_END] {
         return Err(PackError::Digest);
     }
     Ok(index)
 }
 
 impl PackIndex {
+    /// Length of the pack.
+    #[must_use]
+    pub fn end(&self) -> u64 {
+        self.offsets[CHUNKS].into()
+    }
+
     /// The bytes of a chunk's frame in the pack; none if it has none.
     #[must_use]
     pub fn frame(&self, index: usize) -> Option<Range<u64>> {

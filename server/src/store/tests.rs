@@ -26,6 +26,8 @@ enum Fault {
     Gone,
     /// No write is accepted.
     ReadOnly,
+    /// Every write fails, as on a full disk.
+    Full,
     /// Every object has a flipped bit.
     Damaged,
     /// Every object is that of another chunk.
@@ -69,6 +71,9 @@ impl ObjectStore for Faulty {
         self.begin().await?;
         if self.fault == Fault::ReadOnly {
             return Err(Error::PermissionDenied { path: path.to_string(), source: "read only".into() });
+        }
+        if self.fault == Fault::Full {
+            return Err(Error::Generic { store: "test", source: "no space".into() });
         }
         self.objects.put_opts(path, bytes, options).await
     }
@@ -220,7 +225,6 @@ async fn no_fault_of_a_store_changes_a_chunk() {
         .map(Counter::get);
         match fault {
             Fault::Slow => assert!(late == 1 && skipped == 7 && made == 8, "{late} late, {skipped} skipped"),
-            // Failed writes count for the breaker too.
             Fault::Gone => assert!(failed <= 5 && failed + skipped == 8 && made == 8, "{failed} failed"),
             Fault::ReadOnly => assert_eq!((metrics.store_hits.get(), made, refused), (8, 0, 0)),
             _ => assert_eq!((invalid, made), (8, 8), "{fault:?}"),
@@ -237,19 +241,88 @@ async fn a_store_that_refuses_writes_is_read() {
     assert_eq!(replica.metrics.store_up.get(), 1);
 }
 
+/// The control is that the first chunks are written in vain: the breaker of the writes is open, and
+/// that of the reads is not.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_baked_region_is_served_without_making_a_chunk() {
+async fn a_full_store_is_read() {
     let objects = Arc::new(InMemory::new());
-    let region = BakedRegion::new(&(1..=3), [-3_000, -3_000, 3_000, 3_000]).unwrap();
+    serves(&replica(&objects, Fault::None), &keys(), EXACT).await;
+    let replica = replica(&objects, Fault::Full);
+    let others: Vec<_> = (0..12).map(|n| ChunkKey::new(2, 20 + n, 5).unwrap()).collect();
+    serves(&replica, &others, EXACT).await;
+    let metrics = &replica.metrics;
+    let (failed, dropped) = (metrics.store_writes_failed.get(), metrics.store_writes_dropped.get());
+    assert!(failed >= 5 && failed + dropped == 12, "{failed} failed, {dropped} dropped");
+    serves(&replica, &keys(), EXACT).await;
+    assert_eq!((metrics.store_hits.get(), metrics.jobs_completed.get()), (8, 12));
+    assert_eq!(metrics.store_up.get(), 1);
+}
+
+/// A bake of a small region into these objects.
+async fn bake(objects: &Arc<InMemory>, region: &BakedRegion) {
     let bake = Bake {
         names: ObjectNames::new(&Path::from("root"), &land().digest()),
         land: land(),
         region: region.clone(),
         part: BakePart { index: 0, of: 1 },
-        objects: Arc::<InMemory>::clone(&objects),
+        objects: Arc::<InMemory>::clone(objects),
         threads: None,
     };
     assert!(bake.run(|_, _| ()).await.unwrap().is_complete);
+}
+
+/// Damaged packs are no failure of the store: chunks of others are read on.
+#[tokio::test(flavor = "multi_thread")]
+async fn damaged_and_cut_packs_are_invalid_and_open_no_breaker() {
+    let objects = Arc::new(InMemory::new());
+    let region = BakedRegion::new(&(3..=4), [-100, -100, 100, 100]).unwrap();
+    bake(&objects, &region).await;
+    let names = ObjectNames::new(&Path::from("root"), &land().digest());
+    for tile in region.tiles().filter(|tile| tile.level == 3) {
+        let pack = objects.get(&names.pack(tile)).await.unwrap().bytes().await.unwrap();
+        let damaged = match tile.x {
+            0 => pack[..pack.len() / 2].to_vec(),
+            _ => [&pack[..pack::HEADER], &vec![7; pack.len() - pack::HEADER]].concat(),
+        };
+        objects.put(&names.pack(tile), damaged.into()).await.unwrap();
+    }
+    let replica = replica(&objects, Fault::None);
+    let [damaged, whole] = [3, 4]
+        .map(|level| (0..8).map(|n| ChunkKey::new(level, n % 2 - 1, n / 2 - 2).unwrap()).collect::<Vec<_>>());
+    serves(&replica, &damaged, EXACT).await;
+    serves(&replica, &whole, EXACT).await;
+    let metrics = &replica.metrics;
+    assert_eq!((metrics.jobs_completed.get(), metrics.store_hits.get()), (8, 8));
+    assert_eq!((metrics.store_reads_invalid.get(), metrics.store_reads_failed.get()), (8, 0));
+}
+
+/// A region whose object is damaged would hide the chunks of the area that it states.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_region_with_the_name_of_another_is_ignored() {
+    let objects = Arc::new(InMemory::new());
+    let region = BakedRegion::new(&(3..=3), [-100, -100, 100, 100]).unwrap();
+    let names = ObjectNames::new(&Path::from("root"), &land().digest());
+    let larger = BakedRegion::new(&(2..=3), [-100, -100, 100, 100]).unwrap();
+    let path = names.regions().join(region.name());
+    objects.put(&path, serde_json::to_vec(&larger).unwrap().into()).await.unwrap();
+    let metrics = Arc::new(Metrics::default());
+    let store = store(&objects, Fault::None, &metrics);
+    store.look_for_regions();
+    assert!(store.inner.packed(ChunkId::base(ChunkKey::new(2, 0, 0).unwrap())).is_none());
+    // The control: with its own name it is used.
+    objects
+        .put(&names.regions().join(larger.name()), serde_json::to_vec(&larger).unwrap().into())
+        .await
+        .unwrap();
+    store.look_for_regions();
+    assert!(store.inner.packed(ChunkId::base(ChunkKey::new(2, 0, 0).unwrap())).is_some());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_baked_region_is_served_without_making_a_chunk() {
+    let objects = Arc::new(InMemory::new());
+    let region = BakedRegion::new(&(1..=3), [-3_000, -3_000, 3_000, 3_000]).unwrap();
+    bake(&objects, &region).await;
     let replica = replica(&objects, Fault::None);
     let keys: Vec<_> =
         (0..48).map(|n| ChunkKey::new(1 + n as u8 % 3, n % 7 - 3, n / 7 - 3).unwrap()).collect();

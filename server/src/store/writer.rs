@@ -1,4 +1,5 @@
-//! Writes to the store, behind the generation threads.
+//! Writes to the store, behind the generation threads. They have a breaker of their own: a full store
+//! refuses writes and is read all the same.
 
 use super::breaker::Breaker;
 use crate::metrics::Metrics;
@@ -34,13 +35,14 @@ enum Command {
 #[derive(Debug)]
 pub struct Writer {
     commands: mpsc::Sender<Command>,
-    metrics: Arc<Metrics>,
+    shared: Arc<Shared>,
 }
 
 /// What all writes share.
+#[derive(Debug)]
 struct Shared {
     objects: Arc<dyn ObjectStore>,
-    breaker: Arc<Mutex<Breaker>>,
+    breaker: Mutex<Breaker>,
     metrics: Arc<Metrics>,
     /// The store has refused a write: a warning was logged.
     is_refused: AtomicBool,
@@ -49,23 +51,21 @@ struct Shared {
 impl Writer {
     /// A writer whose work runs on a runtime.
     #[must_use]
-    pub fn start(
-        runtime: &Handle,
-        objects: Arc<dyn ObjectStore>,
-        breaker: Arc<Mutex<Breaker>>,
-        metrics: Arc<Metrics>,
-    ) -> Self {
+    pub fn start(runtime: &Handle, objects: Arc<dyn ObjectStore>, metrics: Arc<Metrics>) -> Self {
         let (commands, receiver) = mpsc::channel(QUEUE);
-        let shared =
-            Shared { objects, breaker, metrics: Arc::clone(&metrics), is_refused: AtomicBool::new(false) };
-        runtime.spawn(run(Arc::new(shared), receiver));
-        Self { commands, metrics }
+        let is_refused = AtomicBool::new(false);
+        let shared = Arc::new(Shared { objects, breaker: Mutex::default(), metrics, is_refused });
+        runtime.spawn(run(Arc::clone(&shared), receiver));
+        Self { commands, shared }
     }
 
-    /// Queues an object.
-    pub fn write(&self, path: Path, frame: Bytes) {
-        if self.commands.try_send(Command::Write(path, frame)).is_err() {
-            self.metrics.store_writes_dropped.inc();
+    /// Queues an object. Its frame is not asked for if it would not be written: the queue is full, or
+    /// writes have failed.
+    pub fn write(&self, path: Path, frame: impl FnOnce() -> Bytes) {
+        let is_held_back = self.shared.breaker().holds_back(Instant::now());
+        match self.commands.try_reserve() {
+            Ok(place) if !is_held_back => place.send(Command::Write(path, frame())),
+            _ => _ = self.shared.metrics.store_writes_dropped.inc(),
         }
     }
 
@@ -111,7 +111,7 @@ impl Shared {
     /// Unconditional: an object is named by what its content follows from, so a second write of it
     /// changes nothing.
     async fn put(&self, path: Path, frame: Bytes) {
-        if self.breaker().is_open() {
+        if !self.breaker().allows(Instant::now()) {
             self.metrics.store_writes_dropped.inc();
             return;
         }
@@ -121,6 +121,7 @@ impl Shared {
         match put {
             Ok(Ok(_)) => {
                 self.metrics.store_writes.inc();
+                self.breaker().succeeded();
                 self.is_refused.store(false, Ordering::Relaxed);
             }
             Ok(Err(error @ (Error::PermissionDenied { .. } | Error::Unauthenticated { .. }))) => {

@@ -45,11 +45,15 @@ pub enum Tool {
     Libclang,
     /// The commit of land version 3, which a shallow clone has not.
     History,
+    /// The proxy before replicas.
+    Nginx,
+    /// Checks the rules of Prometheus.
+    Promtool,
 }
 
 impl Tool {
     /// All of them.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 18] = [
         Self::Rustfmt,
         Self::Clippy,
         Self::Nextest,
@@ -66,6 +70,8 @@ impl Tool {
         Self::FastSimd,
         Self::Libclang,
         Self::History,
+        Self::Nginx,
+        Self::Promtool,
     ];
 
     /// Its name for `--allow-skips`.
@@ -87,6 +93,8 @@ impl Tool {
             Self::FastSimd => "fastsimd",
             Self::Libclang => "libclang",
             Self::History => "history",
+            Self::Nginx => "nginx",
+            Self::Promtool => "promtool",
         }
     }
 }
@@ -239,6 +247,8 @@ impl Host for Here {
             }
             Tool::Libclang => (!setup::has_libclang()).then(|| "not found; install `libclang-dev`".into()),
             Tool::History => land_version_3::lacks(),
+            Tool::Nginx => self.lacks_program(&["nginx"], "nginx-light"),
+            Tool::Promtool => self.lacks_program(&["promtool"], "prometheus"),
         }
     }
 

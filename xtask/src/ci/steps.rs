@@ -3,7 +3,7 @@
 use super::digest;
 use super::host::{Host, Tool};
 use super::outcome::Outcome;
-use crate::{advisories, dependency_rules, land_version_3, process};
+use crate::{advisories, cluster, dependency_rules, land_version_3, process};
 use anyhow::{Result, bail};
 use std::collections::BTreeSet;
 use std::process::Command;
@@ -34,7 +34,7 @@ pub struct Shown {
 }
 
 /// Every step.
-pub const ALL: [Step; 14] = [
+pub const ALL: [Step; 15] = [
     Step {
         name: "format",
         about: "Rust is formatted",
@@ -52,6 +52,12 @@ pub const ALL: [Step; 14] = [
         about: "dependencies that a crate must not have",
         again: "cargo tree --package PACKAGE",
         action: |host| checked(host, dependency_rules::check),
+    },
+    Step {
+        name: "deploy",
+        about: "nginx and Prometheus accept the files under `deploy`",
+        again: "cargo xtask ci --only deploy",
+        action: deploy,
     },
     Step {
         name: "licences",
@@ -135,6 +141,26 @@ fn ran(host: &dyn Host, command: Command) -> Result<Shown> {
 
 fn checked(host: &dyn Host, check: fn() -> Result<()>) -> Result<Shown> {
     host.own(check).map(|()| passed())
+}
+
+/// What tests cannot look at without these programs. Compose file and manifests are read by tests.
+fn deploy(host: &dyn Host) -> Result<Shown> {
+    let checks: [(&str, Tool, fn() -> Result<()>); 2] = [
+        ("nginx", Tool::Nginx, cluster::nginx::check),
+        ("alerts", Tool::Promtool, cluster::prometheus::check),
+    ];
+    let mut parts = Vec::new();
+    for (name, tool, check) in checks {
+        let outcome = match host.lacks(tool) {
+            Some(why) => skipped(tool, why),
+            None => {
+                host.own(check)?;
+                Outcome::Passed
+            }
+        };
+        parts.push((name.into(), outcome));
+    }
+    Ok(Shown { outcome: Outcome::Passed, parts })
 }
 
 fn tests(host: &dyn Host) -> Result<Shown> {

@@ -11,6 +11,8 @@ pub struct Answer {
     pub etag: String,
     /// What nginx says of its cache: `HIT`, `MISS` ...; empty from a replica.
     pub cache: String,
+    /// Seconds for which a cache may keep it, if it says so.
+    pub max_age_s: Option<u64>,
     /// The content.
     pub body: Vec<u8>,
 }
@@ -35,8 +37,10 @@ pub fn get_by(agent: &ureq::Agent, address: SocketAddr, path: &str) -> Result<An
         value.unwrap_or_default().to_owned()
     };
     let (etag, cache) = (header("etag"), header("x-cache"));
+    let control = header("cache-control");
+    let max_age_s = control.split(',').find_map(|part| part.trim().strip_prefix("max-age=")?.parse().ok());
     let body = response.body_mut().read_to_vec().with_context(|| url.clone())?;
-    Ok(Answer { etag, cache, body })
+    Ok(Answer { etag, cache, max_age_s, body })
 }
 
 /// The digest of the world that is served.

@@ -1,19 +1,31 @@
 //! `cluster`: replicas behind nginx without containers, by the configuration that the compose file
 //! mounts. With `--check`, what a cluster promises is tried and compared with bars.
 
+mod bake;
 mod caching;
+mod capacity;
+mod chunks;
 mod contents;
 mod deploy;
 mod failure;
 mod http;
 mod load;
-mod nginx;
+mod manifests;
+pub mod nginx;
+mod objects;
+pub mod prometheus;
+mod relay;
+mod simulation;
+mod store;
 
 use crate::process;
 use crate::server::Server;
 use anyhow::{Context, Result, bail};
 use bars::{Bar, Summary};
 use nginx::Nginx;
+use objects::Objects;
+use prometheus::Prometheus;
+use std::path::PathBuf;
 use std::thread::sleep;
 use std::time::Duration;
 
@@ -27,15 +39,65 @@ const REPLICAS: u8 = 2;
 const POLL: Duration = Duration::from_millis(200);
 
 /// Options of `cluster`.
-#[derive(Clone, Copy, Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Options {
     /// Servers behind nginx, 2 to 16
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=16))]
     pub replicas: u8,
-    /// Check two replicas instead: caches, a replica killed and one terminated under load; exit 1 if
-    /// a bar is missed
+    /// Check clusters of two replicas instead: caches, a replica killed and one terminated under load,
+    /// a store that fails, a bake in parts, alerts; exit 1 if a bar is missed
     #[arg(long)]
     pub check: bool,
+    /// With --check: only these
+    #[arg(long, value_delimiter = ',', value_enum, requires = "check")]
+    pub only: Vec<Check>,
+}
+
+/// What is checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Check {
+    /// One content and one ETag per address.
+    Contents,
+    /// Many requests for few chunks.
+    Caching,
+    /// A replica killed and one terminated.
+    Failure,
+    /// A store that fails.
+    Store,
+    /// A region baked in parts.
+    Bake,
+    /// Alerts of Prometheus.
+    Alerts,
+    /// What a client costs.
+    Capacity,
+    /// The simulation beside 1,000 real clients.
+    Simulation,
+}
+
+impl Check {
+    const ALL: [Self; 8] = [
+        Self::Contents,
+        Self::Caching,
+        Self::Failure,
+        Self::Store,
+        Self::Bake,
+        Self::Alerts,
+        Self::Capacity,
+        Self::Simulation,
+    ];
+
+    fn rows(self) -> Result<Vec<Bar>> {
+        match self {
+            Self::Contents => contents::rows(),
+            Self::Caching => caching::rows(),
+            Self::Failure => failure::rows(),
+            Self::Store => store::rows(),
+            Self::Bake => bake::rows(),
+            Self::Alerts => prometheus::rows(),
+            Self::Capacity => capacity::rows(),
+            Self::Simulation => simulation::rows(),
+        }
+    }
 }
 
 /// Servers, and nginx before them. All end when it goes out of scope.
@@ -52,10 +114,13 @@ struct Cluster {
 /// nginx is missing, a build or a process failed, or a bar is missed.
 pub fn run(options: Options) -> Result<()> {
     let mut programs = vec!["tombolo-server"];
-    programs.extend(options.check.then_some("tombolo-load"));
+    if options.check {
+        programs.extend(["tombolo-load", "tombolo-simulate"]);
+    }
     process::run(process::build(&programs)).context("cluster: the build failed")?;
     if options.check {
-        let rows = rows().context("cluster")?;
+        let checks = if options.only.is_empty() { Check::ALL.to_vec() } else { options.only };
+        let rows = rows_of(&checks).context("cluster")?;
         println!("{}", bars::text(&rows));
         let missed = rows.iter().filter(|row| row.is_missed()).count();
         if Summary::of(&rows).missed > 0 {
@@ -63,14 +128,43 @@ pub fn run(options: Options) -> Result<()> {
         }
         return Ok(());
     }
-    let mut cluster = Cluster::start(options.replicas).context("cluster")?;
+    let (objects, settings) = shared_store().context("cluster")?;
+    let mut cluster = Cluster::start_with(options.replicas, &settings).context("cluster")?;
     println!("cluster: {} replicas behind http://{}/", options.replicas, cluster.nginx.address());
+    let prometheus = watched(&cluster.replicas).context("cluster")?;
     for replica in &cluster.replicas {
         println!("  replica http://{}/", replica.address());
     }
     println!("  viewer  tombolo-view --connect ws://{}/v1/stream", cluster.nginx.address());
     println!("cluster: Ctrl-C ends it");
-    cluster.wait()
+    let ended = cluster.wait();
+    drop((cluster, prometheus, objects));
+    ended
+}
+
+/// A store for all replicas, with the settings that name it: S3 on the loopback, or a folder.
+fn shared_store() -> Result<(Option<Objects>, Vec<(&'static str, String)>)> {
+    if let Some(why) = objects::lacks() {
+        let folder = folder("store")?;
+        println!("cluster: the store is the folder {}; S3 {why}", folder.display());
+        return Ok((None, vec![("TOMBOLO_STORE", folder.display().to_string())]));
+    }
+    let objects = Objects::start("store", None)?;
+    let settings = objects.settings().to_vec();
+    println!("cluster: the store is {} at {}", settings[0].1, settings[1].1);
+    Ok((Some(objects), settings))
+}
+
+/// Prometheus over the replicas, where it is installed.
+fn watched(replicas: &[Server]) -> Result<Option<Prometheus>> {
+    if let Some(why) = prometheus::lacks() {
+        println!("cluster: nothing watches the replicas; this {why}");
+        return Ok(None);
+    }
+    let addresses: Vec<_> = replicas.iter().map(Server::address).collect();
+    let prometheus = Prometheus::start(&addresses)?;
+    println!("  alerts  http://{}/alerts", prometheus.address());
+    Ok(Some(prometheus))
 }
 
 /// Every figure of clusters of two replicas beside its bar. Each check has a cluster of its own, whose
@@ -79,16 +173,38 @@ pub fn run(options: Options) -> Result<()> {
 /// # Errors
 /// A process cannot be started or does not answer.
 pub fn rows() -> Result<Vec<Bar>> {
-    let mut rows = contents::rows()?;
-    rows.extend(caching::rows()?);
-    rows.extend(failure::rows()?);
+    rows_of(&Check::ALL)
+}
+
+fn rows_of(checks: &[Check]) -> Result<Vec<Bar>> {
+    let mut rows = Vec::new();
+    for check in checks {
+        if process::interrupted() {
+            bail!("interrupted");
+        }
+        rows.extend(check.rows().with_context(|| format!("{check:?}"))?);
+    }
     Ok(rows)
+}
+
+/// An empty folder among the results of the build, for the files of a process.
+fn folder(name: &str) -> Result<PathBuf> {
+    let folder = process::target().join("cluster").join(format!("{}-{name}", std::process::id()));
+    // It is there after a check that failed.
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    Ok(folder)
 }
 
 impl Cluster {
     fn start(replicas: u8) -> Result<Self> {
+        Self::start_with(replicas, &[])
+    }
+
+    /// With settings in the environment of the replicas.
+    fn start_with(replicas: u8, settings: &[(&str, String)]) -> Result<Self> {
         let replicas: Vec<Server> =
-            (0..replicas).map(|_| Server::start(WORLD_SEED)).collect::<Result<_>>()?;
+            (0..replicas).map(|_| Server::start_with(WORLD_SEED, settings)).collect::<Result<_>>()?;
         let addresses: Vec<_> = replicas.iter().map(Server::address).collect();
         Ok(Self { nginx: Nginx::start(&addresses)?, replicas })
     }

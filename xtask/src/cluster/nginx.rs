@@ -2,11 +2,11 @@
 //! that it includes.
 
 use crate::process;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use std::fmt::Write as _;
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -28,43 +28,29 @@ pub struct Nginx {
 }
 
 impl Nginx {
-    /// Starts nginx before replicas at these addresses, on a free port of the loopback.
+    /// Starts nginx before replicas at these addresses, on a free port of the loopback, with an empty
+    /// cache.
     ///
     /// # Errors
     /// nginx is not installed, rejects the configuration, or does not listen in time.
     pub fn start(replicas: &[SocketAddr]) -> Result<Self> {
-        let folder = process::target().join("cluster").join(std::process::id().to_string());
+        let folder = super::folder("nginx")?;
         std::fs::create_dir_all(folder.join("temporary"))
             .with_context(|| format!("cannot create {}", folder.display()))?;
         // Released again: nginx binds it a moment later.
         let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
-        for (name, text) in [
-            ("nginx.conf", CONFIGURATION.to_owned()),
-            ("listen.conf", format!("listen {address} backlog=4096;\n")),
-            ("replicas.conf", replicas_of(replicas, &folder)),
-        ] {
-            std::fs::write(folder.join(name), text).with_context(|| format!("cannot write {name}"))?;
-        }
-        let child = process::command("nginx")
-            .arg("-p")
-            .arg(&folder)
-            .arg("-c")
-            .arg(folder.join("nginx.conf"))
-            .args(["-g", &format!("daemon off; pid {}/pid;", folder.display())])
-            .stdin(Stdio::null())
-            // The log of requests.
-            .stdout(Stdio::null())
-            .spawn()
-            .context("cannot start nginx; on Debian and Ubuntu: apt-get install nginx")?;
-        let mut nginx = Self { child, address, folder };
-        let deadline = Instant::now() + READY_WITHIN;
-        while TcpStream::connect(address).is_err() {
-            if !nginx.is_running() || Instant::now() > deadline {
-                bail!("nginx does not listen at {address}; its message is above");
-            }
-            sleep(Duration::from_millis(10));
-        }
-        Ok(nginx)
+        let child = spawn(&folder, address, replicas)?;
+        Ok(Self { child, address, folder })
+    }
+
+    /// Ends it and starts it again before other replicas, with the cache that it has.
+    ///
+    /// # Errors
+    /// As [`Nginx::start`].
+    pub fn restart(&mut self, replicas: &[SocketAddr]) -> Result<()> {
+        process::stop(&mut self.child, END_WITHIN);
+        self.child = spawn(&self.folder, self.address, replicas)?;
+        Ok(())
     }
 
     /// Where it listens.
@@ -86,6 +72,72 @@ impl Drop for Nginx {
     }
 }
 
+/// Writes the configuration and waits until nginx listens.
+fn spawn(folder: &Path, address: SocketAddr, replicas: &[SocketAddr]) -> Result<Child> {
+    for (name, text) in [
+        ("nginx.conf", CONFIGURATION.to_owned()),
+        ("listen.conf", format!("listen {address} backlog=4096;\n")),
+        ("replicas.conf", replicas_of(replicas, folder)),
+    ] {
+        std::fs::write(folder.join(name), text).with_context(|| format!("cannot write {name}"))?;
+    }
+    let mut child = command(folder)
+        .args(["-g", &format!("daemon off; pid {}/pid;", folder.display())])
+        .stdin(Stdio::null())
+        // The log of requests.
+        .stdout(Stdio::null())
+        .spawn()
+        .context("cannot start nginx; on Debian and Ubuntu: apt-get install nginx")?;
+    let deadline = Instant::now() + READY_WITHIN;
+    while TcpStream::connect(address).is_err() {
+        if !matches!(child.try_wait(), Ok(None)) || Instant::now() > deadline {
+            process::stop(&mut child, END_WITHIN);
+            bail!("nginx does not listen at {address}; its message is above");
+        }
+        sleep(Duration::from_millis(10));
+    }
+    Ok(child)
+}
+
+/// nginx with the configuration in a folder.
+fn command(folder: &Path) -> Command {
+    let mut command = process::command("nginx");
+    command.arg("-p").arg(folder).arg("-c").arg(folder.join("nginx.conf"));
+    command
+}
+
+/// Whether nginx accepts the files of `deploy/nginx`, with the loopback in place of the names of
+/// replicas, and rejects them with an unknown directive.
+///
+/// # Errors
+/// It rejects them, or accepts what is invalid.
+pub fn check() -> Result<()> {
+    let folder = super::folder("nginx-check")?;
+    std::fs::create_dir_all(folder.join("temporary"))?;
+    let (given, place) = (process::root().join("deploy/nginx"), folder.display().to_string());
+    for entry in std::fs::read_dir(&given)? {
+        let (path, name) = entry.map(|entry| (entry.path(), entry.file_name()))?;
+        let mut text = std::fs::read_to_string(&path)?.replace("/var/cache/nginx", &place);
+        (1..10).for_each(|n| text = text.replace(&format!("replica-{n}:"), "127.0.0.1:"));
+        if name == "replicas.conf" {
+            text.push_str(&temporary_folders(&folder));
+        }
+        std::fs::write(folder.join(name), text)?;
+    }
+    let test = || {
+        let mut test = command(&folder);
+        test.args(["-t", "-g", &format!("pid {place}/pid;")]);
+        test
+    };
+    process::run(test()).context("nginx rejects deploy/nginx")?;
+    let listen = std::fs::read_to_string(folder.join("listen.conf"))?;
+    std::fs::write(folder.join("listen.conf"), format!("{listen}\nno_such_directive on;\n"))?;
+    ensure!(!process::succeeds(test()), "the control: nginx accepts an unknown directive");
+    // Results of a build may stay: a failed removal is harmless.
+    let _ = std::fs::remove_dir_all(&folder);
+    Ok(())
+}
+
 /// The file of the upstreams, with the folders that a container has elsewhere.
 fn replicas_of(replicas: &[SocketAddr], folder: &Path) -> String {
     let mut text = String::new();
@@ -98,17 +150,22 @@ fn replicas_of(replicas: &[SocketAddr], folder: &Path) -> String {
         }
         writeln!(text, "{more} }}").expect("a string");
     }
-    let folder = folder.display();
     writeln!(
         text,
-        "proxy_cache_path {folder}/cache levels=1:2 keys_zone=chunks:32m max_size=1g inactive=1h \
-         use_temp_path=off;"
+        "proxy_cache_path {}/cache levels=1:2 keys_zone=chunks:32m max_size=1g inactive=1h \
+         use_temp_path=off;",
+        folder.display()
     )
     .expect("a string");
-    for kind in ["client_body", "proxy", "fastcgi", "uwsgi", "scgi"] {
-        writeln!(text, "{kind}_temp_path {folder}/temporary/{kind};").expect("a string");
-    }
-    text
+    text + &temporary_folders(folder)
+}
+
+/// Directives for folders that nginx has elsewhere where it is installed, which not everybody may
+/// write.
+fn temporary_folders(folder: &Path) -> String {
+    let kinds = ["client_body", "proxy", "fastcgi", "uwsgi", "scgi"];
+    let path = |kind| format!("{kind}_temp_path {}/temporary/{kind};\n", folder.display());
+    kinds.map(path).concat()
 }
 
 #[cfg(test)]

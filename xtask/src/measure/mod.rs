@@ -57,7 +57,11 @@ const MEASUREMENTS: [Measurement; 11] = [
         rows: streaming::rows,
     },
     Measurement { name: "land", programs: &["tombolo-lab"], rows: land::rows },
-    Measurement { name: "cluster", programs: &["tombolo-server", "tombolo-load"], rows: cluster::rows },
+    Measurement {
+        name: "cluster",
+        programs: &["tombolo-server", "tombolo-load", "tombolo-simulate"],
+        rows: cluster::rows,
+    },
     by_lab!("terrain", ["lod", "--poses", "50", "--views", "200"]),
     by_lab!("pom", ["pom", "--rays", "2000000"]),
     by_lab!("culling", ["culling", "--poses", "300"]),

@@ -1,0 +1,180 @@
+//! Times that the work of a server and of a client takes on one processor.
+
+use load::path::{FlightPath, PathKind};
+use load::session::view_of;
+use protocol::chunk_codec::{self, Effort};
+use protocol::client::{ClientConfig, ClientSession, Event};
+use protocol::server::{ServerOffer, ServerSession};
+use protocol::{DataFrame, Delivery};
+use serde::{Deserialize, Serialize};
+use std::time::{Duration, Instant};
+use terrain::constants::TOP_LEVEL;
+use terrain::{ChunkKey, Land};
+
+/// Views that are measured.
+const VIEWS: u32 = 64;
+
+/// How often a chunk is timed.
+const REPEATS: usize = 3;
+
+/// Microseconds of processor time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Costs {
+    /// A chunk of each level, generated and encoded; level 0 first.
+    pub chunk_us: Vec<f64>,
+    /// A chunk of level 0 in the fast encoding.
+    pub fast_chunk_us: f64,
+    /// The selection of a view's chunks, whose errors are known.
+    pub view_us: f64,
+    /// A message of a client.
+    pub receive_us: f64,
+    /// A write to a client, beside its bytes.
+    pub write_us: f64,
+    /// A KiB of a chunk that is sent.
+    pub kib_us: f64,
+    /// A chunk that a client of the load test decodes, verifies and counts.
+    pub client_chunk_us: f64,
+}
+
+impl Default for Costs {
+    /// Measured; see docs/scale.md.
+    fn default() -> Self {
+        let mut chunk_us = vec![1000.0; usize::from(TOP_LEVEL) + 1];
+        chunk_us[0] = 200.0;
+        Self {
+            chunk_us,
+            fast_chunk_us: 150.0,
+            view_us: 400.0,
+            receive_us: 6.0,
+            write_us: 12.0,
+            kib_us: 0.36,
+            client_chunk_us: 120.0,
+        }
+    }
+}
+
+impl Costs {
+    /// Of a chunk that is generated.
+    #[must_use]
+    pub fn chunk(&self, key: ChunkKey, effort: Effort) -> Duration {
+        let us = match effort {
+            Effort::Fast => self.fast_chunk_us,
+            Effort::Compact => self.chunk_us.get(usize::from(key.level())).copied().unwrap_or(1000.0),
+        };
+        micros(us)
+    }
+
+    /// The mean times of this machine for what the crates of the protocol and the land do, over the
+    /// views of a flight and their chunks. What only a server with its sockets does keeps its built-in
+    /// value.
+    #[must_use]
+    pub fn measure(world_seed: u64) -> Self {
+        let land = Land::new(world_seed);
+        let flight = Flight::new(land);
+        let (world, mut costs) = (land.digest(), Self::default());
+        let encoded = |keys: &[ChunkKey], effort| {
+            let make = |key| chunk_codec::encode_with(Delivery::Exact, effort, &land.chunk(key), &world);
+            mean(keys.iter().map(|key| timed(|| make(*key))))
+        };
+        for level in 0..=TOP_LEVEL {
+            let mut keys: Vec<_> = flight.chunks.iter().filter(|key| key.level() == level).copied().collect();
+            if keys.is_empty() {
+                // Those around the start, where the flight needs none.
+                let key = ChunkKey::containing(level, land.start().x, land.start().z);
+                let around = (-2..=2).flat_map(|z| (-2..=2).map(move |x| (x, z)));
+                keys.extend(around.filter_map(|(x, z)| key.neighbour(x, z)));
+            }
+            let before = costs.chunk_us[usize::from(level)];
+            costs.chunk_us[usize::from(level)] = encoded(&keys, Effort::Compact).unwrap_or(before);
+        }
+        let fine: Vec<_> = flight.chunks.iter().filter(|key| key.level() == 0).copied().collect();
+        costs.fast_chunk_us = encoded(&fine, Effort::Fast).unwrap_or(costs.fast_chunk_us);
+        costs.view_us = mean(flight.view_us.into_iter()).unwrap_or(costs.view_us);
+        costs.client_chunk_us = mean(flight.client_us.into_iter()).unwrap_or(costs.client_chunk_us);
+        costs
+    }
+}
+
+/// What one client needs on its path, with the times of its views and of its chunks.
+struct Flight {
+    chunks: Vec<ChunkKey>,
+    view_us: Vec<f64>,
+    client_us: Vec<f64>,
+}
+
+impl Flight {
+    fn new(land: Land) -> Self {
+        let mut flight = Self { chunks: Vec::new(), view_us: Vec::new(), client_us: Vec::new() };
+        // The second time errors of chunks are known, which a server measures once.
+        (0..2).for_each(|_| flight.fly(land));
+        flight
+    }
+
+    fn fly(&mut self, land: Land) {
+        *self = Self { chunks: Vec::new(), view_us: Vec::new(), client_us: Vec::new() };
+        let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
+        let mut server = ServerSession::new(offer.clone(), 1);
+        let mut client = ClientSession::new(ClientConfig {
+            digest: None,
+            delivery: Delivery::Exact,
+            token: None,
+            software: String::new(),
+            window: 64,
+        });
+        let path = FlightPath::new(PathKind::Fly, 1, 0, land.start());
+        for id in 0..VIEWS {
+            client.set_view(view_of(id, &path.pose(&land, f64::from(id) / 3.0), 2000));
+            self.exchange(&mut client, &mut server);
+            let Some(mut view) = server.take_view() else { continue };
+            let started = Instant::now();
+            while !view.step(&land, 256) {}
+            self.view_us.push(started.elapsed().as_secs_f64() * 1e6);
+            server.apply_view(view);
+            while let Some((request, _)) = server.next_chunk() {
+                self.chunks.push(request.key);
+                server.deliver(request, chunk_codec::encode(&land.chunk(request.key), &offer.digest));
+                self.exchange(&mut client, &mut server);
+            }
+        }
+    }
+
+    /// Messages both ways; times the chunks at the client.
+    fn exchange(&mut self, client: &mut ClientSession, server: &mut ServerSession) {
+        while let Some(frame) = server.poll_transmit() {
+            let started = Instant::now();
+            let event = client.receive(DataFrame::Binary(&frame));
+            if matches!(event, Ok(Event::Chunk { .. })) {
+                self.client_us.push(started.elapsed().as_secs_f64() * 1e6);
+            }
+        }
+        while let Some(frame) = client.poll_transmit() {
+            // Frames of our own client are valid.
+            let _ = server.receive(DataFrame::Binary(&frame));
+        }
+    }
+}
+
+/// The shortest of several times that some work took, microseconds: other programs only add to it.
+fn timed<T>(mut work: impl FnMut() -> T) -> f64 {
+    let once = |_| {
+        let started = Instant::now();
+        let _done = std::hint::black_box(work());
+        started.elapsed().as_secs_f64() * 1e6
+    };
+    (0..REPEATS).map(once).fold(f64::INFINITY, f64::min)
+}
+
+/// The mean without the dearest fiftieth, which are interruptions; none of no times.
+fn mean(times: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut times: Vec<f64> = times.collect();
+    times.sort_by(f64::total_cmp);
+    times.truncate(times.len() - times.len() / 50);
+    (!times.is_empty()).then(|| times.iter().sum::<f64>() / times.len() as f64)
+}
+
+/// A duration of microseconds; none of an invalid number.
+#[must_use]
+pub fn micros(us: f64) -> Duration {
+    Duration::try_from_secs_f64(us / 1e6).unwrap_or_default()
+}

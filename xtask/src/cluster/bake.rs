@@ -1,0 +1,142 @@
+//! A region that is baked in parts, one of them killed: its objects, and what a server makes of it.
+
+use super::chunks::{self, Truth};
+use super::http::metric;
+use super::objects::files;
+use crate::process;
+use crate::server::Server;
+use anyhow::{Context, Result, ensure};
+use bars::Bar;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// The region: 16 packs of 16 x 16 chunks of level 2, each chunk 512 m wide.
+const AREA: &str = "--area=-16384,-16384,16384,16384";
+const LEVEL: u8 = 2;
+const SIDE: i32 = 64;
+
+/// Numbers of parts.
+const PARTS: [u32; 3] = [1, 2, 7];
+
+/// Time for the first packs of the part that is killed.
+const FIRST_PACK_WITHIN: Duration = Duration::from_secs(120);
+
+/// Generated chunks of a replica.
+const GENERATED: &str = "tombolo_generation_jobs_total{outcome=\"completed\"}";
+
+/// Contents by path under the folder of the store.
+type Contents = BTreeMap<String, Vec<u8>>;
+
+/// The rows.
+///
+/// # Errors
+/// A bake fails, or nothing could be killed.
+pub fn rows() -> Result<Vec<Bar>> {
+    let folder = super::folder("bake")?;
+    let mut rows = Vec::new();
+    let mut whole: Option<Contents> = None;
+    for parts in PARTS {
+        let store = folder.join(parts.to_string());
+        let killed_with = kill_one(&store, parts)?;
+        for part in 0..parts {
+            process::run(bake(&store, part, parts))?;
+        }
+        let contents = contents(&store)?;
+        if parts == 1 {
+            rows.extend([
+                Bar::reported("bake: packs of 4,096 chunks", Some(packs(&contents) as f64), ""),
+                Bar::reported(
+                    "bake: bytes of a chunk in them, mean",
+                    Some(contents.values().map(Vec::len).sum::<usize>() as f64 / 4096.0),
+                    "B",
+                ),
+            ]);
+        }
+        rows.push(Bar::some(
+            format!("bake in {parts}: packs that the killed part had still to write"),
+            Some((packs(&contents) - killed_with) as f64),
+        ));
+        let whole = whole.get_or_insert_with(|| contents.clone());
+        let differing = whole.iter().filter(|(path, bytes)| contents.get(*path) != Some(*bytes)).count()
+            + contents.keys().filter(|path| !whole.contains_key(*path)).count();
+        if parts > 1 {
+            rows.push(Bar::none(
+                format!("bake in {parts} parts, one killed: objects that differ from those of one part"),
+                Some(differing as f64),
+            ));
+        }
+    }
+    rows.extend(served(&folder.join("7"))?);
+    // Results of a build may stay: a failed removal is harmless.
+    let _ = std::fs::remove_dir_all(&folder);
+    Ok(rows)
+}
+
+/// Kills the first part once it has written a pack. Returns the packs that exist then.
+fn kill_one(store: &Path, parts: u32) -> Result<usize> {
+    std::fs::create_dir_all(store)?;
+    let mut child = bake(store, 0, parts).spawn().context("cannot start tombolo-server bake")?;
+    let deadline = Instant::now() + FIRST_PACK_WITHIN;
+    while packs(&contents(store)?) == 0 {
+        let is_running = matches!(child.try_wait(), Ok(None));
+        ensure!(is_running && Instant::now() < deadline, "the bake ended before it could be killed");
+        sleep(Duration::from_millis(5));
+    }
+    child.kill().context("cannot kill the bake")?;
+    child.wait()?;
+    let contents = contents(store)?;
+    ensure!(!contents.keys().any(|path| path.contains("regions/")), "a killed bake has a region");
+    Ok(packs(&contents))
+}
+
+fn bake(store: &Path, part: u32, parts: u32) -> Command {
+    let mut bake = process::command(process::program("tombolo-server"));
+    bake.args(["bake", "--levels", &LEVEL.to_string(), AREA])
+        .args(["--world-seed", &super::WORLD_SEED.to_string()])
+        .args(["--part", &format!("{part}/{parts}")])
+        .arg("--store")
+        .arg(store)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
+    bake
+}
+
+fn packs(contents: &Contents) -> usize {
+    contents.keys().filter(|path| path.ends_with("/pack")).count()
+}
+
+/// All objects. One that is being written has a name of its own and may vanish.
+fn contents(store: &Path) -> Result<Contents> {
+    let read = |path: std::path::PathBuf| {
+        let name = path.strip_prefix(store).ok()?.to_str()?.to_owned();
+        let is_object = name.ends_with("/pack") || name.contains("/regions/");
+        Some((name, std::fs::read(&path).ok()?)).filter(|_| is_object)
+    };
+    Ok(files(store)?.into_iter().filter_map(read).collect())
+}
+
+/// Every chunk of the region from a replica that has it in its store, and from one that has not.
+fn served(store: &Path) -> Result<Vec<Bar>> {
+    let paths = chunks::square(LEVEL, SIDE);
+    let mut truth = Truth::new();
+    let alone = Server::start(super::WORLD_SEED)?;
+    chunks::ask(alone.address(), &paths, &mut truth, || Ok(()))?;
+    let made_alone = metric(alone.address(), GENERATED)?;
+    drop(alone);
+    let settings =
+        [("TOMBOLO_STORE", store.display().to_string()), ("TOMBOLO_STORE_WAIT_MS", "2000".to_owned())];
+    let replica = Server::start_with(super::WORLD_SEED, &settings)?;
+    // The replica looks for regions when it starts.
+    sleep(Duration::from_secs(1));
+    let asked = chunks::ask(replica.address(), &paths, &mut truth, || Ok(()))?;
+    let made = metric(replica.address(), GENERATED)?;
+    Ok(vec![
+        Bar::none("baked region: wrong chunks or none, of 4,096", Some((asked.wrong + asked.failed) as f64)),
+        Bar::none("baked region: chunks that the server generated, of 4,096", Some(made)),
+        Bar::at_least("control: the same without the store", Some(made_alone), "", 4096.0),
+    ])
+}

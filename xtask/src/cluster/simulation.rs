@@ -1,0 +1,91 @@
+//! The simulation beside real clients: the same paths, with the costs that this machine has.
+
+use crate::process;
+use crate::server::Server;
+use anyhow::{Context, Result, ensure};
+use bars::Bar;
+use bars::figures::{at, ratio};
+use serde_json::{Value, json};
+use std::path::Path;
+use std::process::Stdio;
+
+/// Real and simulated clients, and how long they fly.
+const CLIENTS: &str = "1000";
+const SECONDS: &str = "20";
+
+/// How far a figure may be off, percent.
+const WITHIN: f64 = 10.0;
+
+/// What is compared: names in both reports.
+const FIGURES: [(&str, &str); 3] =
+    [("chunks", "chunks"), ("bytes", "bytes"), ("p99 of requested chunks", "latency_ms/p99")];
+
+/// The rows.
+///
+/// # Errors
+/// A program does not run or leaves no report.
+pub fn rows() -> Result<Vec<Bar>> {
+    let folder = super::folder("simulation")?;
+    let costs = process::output(simulate(&["--measure-costs"]))?;
+    let costs: Value = serde_json::from_str(&costs).context("the costs are not JSON")?;
+    let real = real(&folder.join("load.json"))?;
+    let simulated = simulated(&folder, &costs)?;
+    // The control: chunks, views and clients that cost nothing.
+    let free = json!({
+        "chunk_us": [0.0], "fast_chunk_us": 0.0, "view_us": 0.0, "receive_us": 0.0, "write_us": 0.0,
+        "kib_us": 0.0, "client_chunk_us": 0.0,
+    });
+    let free = self::simulated(&folder, &free)?;
+    let off = |report: &Value, path: &str| {
+        ratio(at(report, path), at(&real, path)).map(|ratio| 100.0 * (ratio - 1.0).abs())
+    };
+    let mut rows =
+        vec![Bar::none("simulation: frames that a state machine rejected", at(&simulated, "wrong"))];
+    for (name, path) in FIGURES {
+        rows.extend([
+            Bar::reported(format!("1,000 real clients, 20 s: {name}"), at(&real, path), ""),
+            Bar::reported(format!("1,000 simulated clients, 20 s: {name}"), at(&simulated, path), ""),
+            Bar::at_most(format!("simulation: {name}, off by"), off(&simulated, path), "%", WITHIN),
+        ]);
+    }
+    rows.push(Bar::at_least(
+        "control: p99 of a simulation whose work costs nothing, off by",
+        off(&free, FIGURES[2].1),
+        "%",
+        WITHIN,
+    ));
+    // Results of a build may stay: a failed removal is harmless.
+    let _ = std::fs::remove_dir_all(&folder);
+    Ok(rows)
+}
+
+fn simulate(arguments: &[&str]) -> std::process::Command {
+    let mut command = process::command(process::program("tombolo-simulate"));
+    command.args(arguments);
+    command
+}
+
+/// The report of the load test against one server.
+fn real(json: &Path) -> Result<Value> {
+    let server = Server::start(super::WORLD_SEED)?;
+    let mut load = process::command(process::program("tombolo-load"));
+    load.args(["--connect", &server.stream(), "--clients", CLIENTS, "--seconds", SECONDS, "--quiet"])
+        .arg("--json")
+        .arg(json)
+        .stdout(Stdio::null());
+    // A refused request is no fault of this comparison.
+    process::status(&mut load)?;
+    let report: Value = serde_json::from_slice(&std::fs::read(json).context("tombolo-load left no report")?)?;
+    ensure!(at(&report, "mismatches") == Some(0.0), "real clients received wrong chunks");
+    Ok(report)
+}
+
+/// The report of a simulation with these costs, of clients on the processors of the server.
+fn simulated(folder: &Path, costs: &Value) -> Result<Value> {
+    let file = folder.join("costs.json");
+    std::fs::write(&file, costs.to_string())?;
+    let processors = std::thread::available_parallelism()?.to_string();
+    let mut command = simulate(&["--clients", CLIENTS, "--clients-per-replica", CLIENTS]);
+    command.args(["--seconds", SECONDS, "--shared", "--processors", &processors, "--costs"]).arg(file);
+    serde_json::from_str(&process::output(command)?).context("the report of tombolo-simulate")
+}

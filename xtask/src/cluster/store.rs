@@ -1,0 +1,175 @@
+//! A store that fails under load: what a replica sends then, and how long its chunks take.
+
+use super::chunks::{self, Asked, Truth};
+use super::http::metric;
+use super::objects::{self, Objects};
+use crate::server::Server;
+use anyhow::Result;
+use bars::Bar;
+use bars::figures::median;
+use std::time::Duration;
+
+/// Levels of the chunks that are asked for; a store has level 2 and coarser.
+const LEVELS: [u8; 3] = [2, 3, 4];
+
+/// Chunks of one level, per axis.
+const SIDE: i32 = 20;
+
+/// Turns in which all faults are tried, each beside a replica without a store.
+const ROUNDS: usize = 3;
+
+/// How much later a slow store answers.
+const SLOW: Duration = Duration::from_secs(2);
+
+/// A least wait that makes a replica wait for every answer.
+const PATIENT: (&str, &str) = ("TOMBOLO_STORE_WAIT_MS", "2000");
+
+/// Generated chunks of a replica.
+const GENERATED: &str = "tombolo_generation_jobs_total{outcome=\"completed\"}";
+
+/// What happens to a store under load.
+struct Fault {
+    name: &'static str,
+    /// Whether it holds all chunks at first.
+    is_filled: bool,
+    happens: fn(&mut Objects) -> Result<()>,
+    /// The metric that shows that it happened.
+    shows: &'static str,
+}
+
+const FAULTS: [Fault; 6] = [
+    Fault {
+        name: "empty",
+        is_filled: false,
+        happens: |_| Ok(()),
+        shows: "tombolo_store_reads_total{outcome=\"miss\"}",
+    },
+    Fault {
+        name: "stopped",
+        is_filled: true,
+        happens: |objects| {
+            objects.kill();
+            Ok(())
+        },
+        shows: "tombolo_store_reads_total{outcome=\"late\"}",
+    },
+    Fault {
+        name: "hanging",
+        is_filled: true,
+        happens: |objects| objects.hang(),
+        shows: "tombolo_store_reads_total{outcome=\"late\"}",
+    },
+    Fault {
+        name: "slowed to 2 s",
+        is_filled: true,
+        happens: |objects| {
+            objects.slow_down(SLOW);
+            Ok(())
+        },
+        shows: "tombolo_store_reads_total{outcome=\"late\"}",
+    },
+    Fault {
+        name: "full",
+        is_filled: false,
+        happens: |objects| objects.fill_up(),
+        shows: "tombolo_store_writes_total{outcome=\"failed\"}",
+    },
+    Fault {
+        name: "damaged",
+        is_filled: true,
+        happens: |objects| objects.damage().map(drop),
+        shows: "tombolo_store_reads_total{outcome=\"invalid\"}",
+    },
+];
+
+/// What one fault has shown in all rounds.
+#[derive(Default)]
+struct Shown {
+    /// 99th percentile over that without a store, by round.
+    ratios: Vec<f64>,
+    /// Wrong answers, and requests without one.
+    bad: usize,
+    /// How often the fault showed in the round in which it showed least.
+    shown: Option<f64>,
+}
+
+/// The rows.
+///
+/// # Errors
+/// A process does not start or does not answer.
+pub fn rows() -> Result<Vec<Bar>> {
+    if let Some(reason) = objects::lacks() {
+        let name = "a store that fails under load: wrong chunks, and p99 over that without a store";
+        return Ok(vec![Bar::reported(name, None, "").not_measured_if(true, &reason)]);
+    }
+    let paths = chunks::shuffled(LEVELS.iter().flat_map(|level| chunks::square(*level, SIDE)).collect());
+    let mut truth = Truth::new();
+    let filled = Objects::start("filled", None)?;
+    let mut rows = shared(&filled, &paths, &mut truth)?;
+    let mut shown: [Shown; FAULTS.len()] = Default::default();
+    let mut alone_ms = Vec::new();
+    for _ in 0..ROUNDS {
+        let alone = chunks::ask(Server::start(super::WORLD_SEED)?.address(), &paths, &mut truth, || Ok(()))?;
+        let p99_ms = alone.p99_ms().unwrap_or(f64::NAN);
+        alone_ms.push(p99_ms);
+        for (fault, shown) in FAULTS.iter().zip(&mut shown) {
+            let (asked, count) = tried(fault, &filled, &paths, &mut truth)?;
+            shown.ratios.extend(asked.p99_ms().map(|with| with / p99_ms));
+            shown.bad += asked.wrong + asked.failed;
+            shown.shown = Some(shown.shown.map_or(count, |least| least.min(count)));
+        }
+    }
+    rows.push(Bar::reported(
+        "p99 of chunks without a store, median of 3 rounds",
+        median(alone_ms.into_iter().map(Some)),
+        "ms",
+    ));
+    for (fault, shown) in FAULTS.iter().zip(shown) {
+        let name = fault.name;
+        rows.extend([
+            Bar::none(format!("store {name}: wrong chunks or none, of all rounds"), Some(shown.bad as f64)),
+            Bar::at_most(
+                format!("store {name}: p99 of chunks over that without a store"),
+                median(shown.ratios.into_iter().map(Some)),
+                "",
+                1.5,
+            ),
+            Bar::some(format!("control: store {name}: reads or writes that showed it"), shown.shown),
+        ]);
+    }
+    Ok(rows)
+}
+
+/// One load on a replica whose store fails, and how often the fault showed.
+fn tried(fault: &Fault, filled: &Objects, paths: &[String], truth: &mut Truth) -> Result<(Asked, f64)> {
+    let mut objects = Objects::start("failing", fault.is_filled.then_some(filled))?;
+    let replica = Server::start_with(super::WORLD_SEED, &objects.settings())?;
+    let asked = chunks::ask(replica.address(), paths, truth, || (fault.happens)(&mut objects))?;
+    // Answers of the store that came after their chunk.
+    let shown = chunks::settled(|| metric(replica.address(), fault.shows))?;
+    Ok((asked, shown))
+}
+
+/// Two replicas that share a store, one after the other: what the second one makes.
+fn shared(objects: &Objects, paths: &[String], truth: &mut Truth) -> Result<Vec<Bar>> {
+    let patient = [objects.settings().as_slice(), &[(PATIENT.0, PATIENT.1.to_owned())]].concat();
+    let first = Server::start_with(super::WORLD_SEED, &patient)?;
+    let asked = chunks::ask(first.address(), paths, truth, || Ok(()))?;
+    chunks::settled(|| metric(first.address(), "tombolo_store_writes_total{outcome=\"written\"}"))?;
+    let made = metric(first.address(), GENERATED)?;
+    let second = Server::start_with(super::WORLD_SEED, &patient)?;
+    let again = chunks::ask(second.address(), paths, truth, || Ok(()))?;
+    let made_again = metric(second.address(), GENERATED)?;
+    let bad = asked.failed + again.wrong + again.failed;
+    let keys = paths.len() as f64;
+    Ok(vec![
+        Bar::none("two replicas with a store: wrong chunks or none", Some(bad as f64)),
+        Bar::at_most(
+            "two replicas with a store: chunks generated, over both, per chunk named",
+            Some((made + made_again) / keys),
+            "",
+            1.0,
+        ),
+        Bar::some("control: chunks that the first of them generated", Some(made)),
+    ])
+}
