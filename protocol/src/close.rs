@@ -10,8 +10,12 @@ pub enum CloseCode {
     Normal = 1000,
     /// The server shuts down; reconnect after the hinted delay.
     GoingAway = 1001,
+    /// The peer violated RFC 6455.
+    ProtocolError = 1002,
     /// A text frame arrived; this protocol is binary only.
     TextFrame = 1003,
+    /// A text frame, or the reason of a close frame, is not UTF-8.
+    NotUtf8 = 1007,
     /// A frame exceeded the size limit.
     TooLarge = 1009,
     /// The server failed; reconnecting may help.
@@ -43,13 +47,15 @@ impl CloseCode {
     #[must_use]
     pub fn from_code(code: u16) -> Option<Self> {
         use CloseCode::{
-            GoingAway, HandshakeTimeout, Internal, Malformed, Normal, OutOfOrder, TextFrame, TooLarge,
-            Unauthorised, Unresponsive, WrongVersion, WrongWorld,
+            GoingAway, HandshakeTimeout, Internal, Malformed, Normal, NotUtf8, OutOfOrder, ProtocolError,
+            TextFrame, TooLarge, Unauthorised, Unresponsive, WrongVersion, WrongWorld,
         };
         [
             Normal,
             GoingAway,
+            ProtocolError,
             TextFrame,
+            NotUtf8,
             TooLarge,
             Internal,
             Malformed,
@@ -76,6 +82,8 @@ impl fmt::Display for CloseCode {
         let words = match self {
             Self::Normal => "session ended",
             Self::GoingAway => "server is shutting down",
+            Self::ProtocolError => "violation of RFC 6455",
+            Self::NotUtf8 => "text is not UTF-8",
             Self::TextFrame => "text frames are not part of this protocol",
             Self::TooLarge => "frame exceeds the size limit",
             Self::Internal => "server failure",

@@ -3,7 +3,7 @@
 use crate::http::problem::{Problem, ProblemKind};
 use crate::session::driver::{self, READ_LIMIT};
 use crate::state::ServerState;
-use crate::websocket::upgrade::Upgrade;
+use crate::websocket::upgrade::{Upgrade, VERSION};
 use axum::extract::{Request, State};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -40,7 +40,7 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         let sentence = "too many sessions from this address, end one or retry later";
         return Problem::new(ProblemKind::AddressFull, sentence).into_response();
     };
-    let response = upgrade.response(SUBPROTOCOL);
+    let response = upgrade.response(Some(SUBPROTOCOL));
     let number = state.next_session.fetch_add(1, Ordering::Relaxed);
     let tracker = state.sessions.clone();
     tracker.spawn(async move {
@@ -63,6 +63,8 @@ fn rejection(status: StatusCode, sentence: &str) -> Response {
     if kind == ProblemKind::WrongMethod {
         response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("GET"));
     }
+    // RFC 6455, section 4.2.2: a rejected client learns which version would be accepted.
+    response.headers_mut().insert(header::SEC_WEBSOCKET_VERSION, VERSION);
     response
 }
 

@@ -13,7 +13,7 @@ use crate::session::keepalive::{Keepalive, KeepaliveAction};
 use crate::session::refusal_backoff::RefusalBackoff;
 use crate::state::ServerState;
 use crate::stats::SessionStatsGuard;
-use crate::websocket::frame::{FrameError, MAX_CONTROL_PAYLOAD, Opcode};
+use crate::websocket::frame::Opcode;
 use crate::websocket::inbox::Message;
 use crate::websocket::socket::WebSocket;
 use bytes::Bytes;
@@ -41,8 +41,9 @@ const SELECTION_STEP: usize = 4096;
 /// message slightly over its limit.
 pub const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
 
-/// Time for the peer to answer the Close frame and to end the connection.
-const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
+/// Time for the peer to answer the Close frame and to end the connection. A peer that sends until
+/// then is cut off.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Bounds of the reconnect delay sent on shutdown, milliseconds. Random, so that clients do not all
 /// return at once.
@@ -71,7 +72,7 @@ where
     let end = driver.run().await;
     tracing::debug!(session = number, reason = end.reason, "session ended");
     if let Some((code, text)) = end.close {
-        driver.close(code, &text).await;
+        driver.close(code.code(), &text).await;
     }
     driver.update_metrics();
     state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: end.reason }).inc();
@@ -278,27 +279,21 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 return Err(SessionEnd::with_code("too_large", CloseCode::TooLarge));
             }
             Ok(Some(Message::Binary(bytes))) => DataFrame::Binary(bytes),
-            Ok(Some(Message::Text)) => DataFrame::Text,
+            Ok(Some(Message::Text(_))) => DataFrame::Text,
             Ok(Some(Message::Ping(payload))) => {
                 let payload = Bytes::copy_from_slice(payload);
                 self.socket.queue_as(Opcode::Pong, payload);
                 return Ok(true);
             }
             Ok(Some(Message::Pong)) => return Ok(true),
-            Ok(Some(Message::Close(_))) => {
-                // RFC 6455, section 5.5.1: a close frame is answered by one. Errors do not matter
-                // any more.
-                let code = Bytes::copy_from_slice(&CloseCode::Normal.code().to_be_bytes());
-                self.socket.queue_as(Opcode::Close, code);
-                let _ = write_within(self.state.config.write_timeout, self.socket.flush()).await;
-                self.socket.shut_down().await;
+            Ok(Some(Message::Close(close))) => {
+                // RFC 6455, section 5.5.1: a Close frame is answered by one with the same code.
+                let code = close.answer();
+                self.close(code, "").await;
                 return Err(SessionEnd::without_code("closed"));
             }
             Err(fault) => {
-                let code = match fault {
-                    FrameError::TooLong(_) => CloseCode::TooLarge,
-                    _ => CloseCode::Malformed,
-                };
+                let code = CloseCode::from_code(fault.close_code()).unwrap_or(CloseCode::ProtocolError);
                 return Err(SessionEnd::protocol_error(code, fault.to_string()));
             }
         };
@@ -362,23 +357,13 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         SessionEnd::with_code("drained", CloseCode::GoingAway)
     }
 
-    /// Sends the close frame and waits briefly for the peer to close, so that earlier messages
-    /// arrive.
-    async fn close(&mut self, code: CloseCode, text: &str) {
-        let text = &text[..text.floor_char_boundary(MAX_CONTROL_PAYLOAD - 2)];
-        let payload = [&code.code().to_be_bytes(), text.as_bytes()].concat();
-        self.socket.queue_as(Opcode::Close, payload.into());
-        if write_within(self.state.config.write_timeout, self.socket.flush()).await.is_err() {
-            return;
+    /// Sends a Close frame and waits for the peer to end the connection, so that what was written
+    /// arrives.
+    async fn close(&mut self, code: u16, text: &str) {
+        self.socket.queue_close(code, text);
+        if write_within(self.state.config.write_timeout, self.socket.flush()).await.is_ok() {
+            let _ = timeout(CLOSE_TIMEOUT, self.socket.end()).await;
         }
-        let closing = async {
-            // RFC 6455, section 7.1.1: the connection ends after both Close frames. A proxy ends the
-            // client's side as soon as this side ends, with whatever it has not yet delivered.
-            self.socket.read_until_close().await;
-            self.socket.shut_down().await;
-            self.socket.drain().await;
-        };
-        let _ = timeout(CLOSE_TIMEOUT, closing).await;
     }
 
     /// Adds the session's new counts to the server's metrics.

@@ -56,6 +56,8 @@ pub async fn write_within(
 
 const fn reason(code: CloseCode) -> &'static str {
     match code {
+        CloseCode::ProtocolError => "protocol_error",
+        CloseCode::NotUtf8 => "not_utf8",
         CloseCode::Malformed => "malformed",
         CloseCode::TextFrame => "text_frame",
         CloseCode::TooLarge => "too_large",

@@ -78,6 +78,18 @@ pub enum FrameError {
     /// A continuation without a message, or a new message inside an unfinished one.
     #[error("a continuation frame without a message, or a new message inside an unfinished one")]
     BadSequence,
+    /// A length that is not in its shortest form, or of 2^63 bytes or more.
+    #[error("the length of a frame is not in its shortest form")]
+    BadLength,
+    /// A close frame whose payload is one byte: half of a code.
+    #[error("the payload of a close frame is one byte")]
+    BadCloseLength,
+    /// A close frame with a code that no endpoint may send (section 7.4).
+    #[error("close code {0} may not be sent")]
+    BadCloseCode(u16),
+    /// A text message, or the reason of a close frame, that is not UTF-8.
+    #[error("text is not UTF-8")]
+    NotUtf8,
     /// A message beyond the limit.
     #[error("a message is longer than {0} bytes")]
     TooLong(usize),
@@ -116,17 +128,21 @@ pub fn read_header(bytes: &[u8], limit: usize) -> Result<Option<Header>, FrameEr
     if opcode.is_control() && (!is_last || usize::from(short) > MAX_CONTROL_PAYLOAD) {
         return Err(FrameError::BadControl);
     }
-    let (length, rest) = match short {
+    // Each form holds the lengths that no shorter form holds.
+    let (length, range, rest) = match short {
         126 => match rest.split_first_chunk() {
-            Some((length, rest)) => (u64::from(u16::from_be_bytes(*length)), rest),
+            Some((length, rest)) => (u64::from(u16::from_be_bytes(*length)), 126..1 << 16, rest),
             None => return Ok(None),
         },
         127 => match rest.split_first_chunk() {
-            Some((length, rest)) => (u64::from_be_bytes(*length), rest),
+            Some((length, rest)) => (u64::from_be_bytes(*length), 1 << 16..1 << 63, rest),
             None => return Ok(None),
         },
-        short => (u64::from(short), rest),
+        short => (u64::from(short), 0..126, rest),
     };
+    if !range.contains(&length) {
+        return Err(FrameError::BadLength);
+    }
     // Checked before the payload arrives, so that no rejected payload is buffered.
     let payload_length =
         usize::try_from(length).ok().filter(|length| *length <= limit).ok_or(FrameError::TooLong(limit))?;
@@ -229,7 +245,7 @@ mod tests {
 
     #[test]
     fn invalid_client_frames_are_rejected_with_their_fault() {
-        let cases: [(&[u8], FrameError); 8] = [
+        let cases: [(&[u8], FrameError); 11] = [
             (&[0xc2, 0x80], FrameError::Reserved),
             (&[0x92, 0x80], FrameError::Reserved),
             (&[0x83, 0x80], FrameError::UnknownOpcode(3)),
@@ -237,7 +253,10 @@ mod tests {
             (&[0x82, 0x05], FrameError::Unmasked),
             (&[0x09, 0x80], FrameError::BadControl),
             (&[0x89, 0xfe], FrameError::BadControl),
-            (&[0x82, 0xff, 0x80, 0, 0, 0, 0, 0, 0, 0], FrameError::TooLong(LIMIT)),
+            (&[0x82, 0xfe, 0, 125], FrameError::BadLength),
+            (&[0x82, 0xff, 0, 0, 0, 0, 0, 0, 0xff, 0xff], FrameError::BadLength),
+            (&[0x82, 0xff, 0x80, 0, 0, 0, 0, 0, 0, 0], FrameError::BadLength),
+            (&[0x82, 0xff, 0x7f, 0, 0, 0, 0, 0, 0, 0], FrameError::TooLong(LIMIT)),
         ];
         for (bytes, fault) in cases {
             assert_eq!(read_header(bytes, LIMIT), Err(fault), "{bytes:02x?}");

@@ -6,9 +6,9 @@
 //! memory than the rest of a session, and more CPU for answers to small requests, but not for
 //! messages that are pushed in batches.
 //!
-//! Extensions are not supported. Text messages are recognised but not read. Messages over the limit
-//! are rejected.
+//! Extensions are not supported. Messages over the limit are rejected.
 
+use crate::websocket::close;
 use crate::websocket::frame::{FrameError, Opcode, ServerHeader};
 use crate::websocket::inbox::{Inbox, Message};
 use bytes::Bytes;
@@ -41,6 +41,8 @@ pub struct WebSocket<S> {
     outbox: VecDeque<(ServerHeader, Bytes)>,
     /// Bytes of the first message in the outbox that are written already.
     written: usize,
+    /// Whether a Close frame is queued or written: no frame may follow it.
+    is_closed: bool,
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
@@ -50,7 +52,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
     pub fn new(stream: S, early: &[u8], limit: usize) -> Self {
         let mut inbox = Inbox::new(limit);
         inbox.extend(early);
-        Self { stream, inbox, outbox: VecDeque::new(), written: 0 }
+        Self { stream, inbox, outbox: VecDeque::new(), written: 0, is_closed: false }
     }
 
     /// Waits for bytes; [`WebSocket::next_message`] returns their messages. Cancel safe.
@@ -88,9 +90,13 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         self.queue_as(Opcode::Binary, payload);
     }
 
-    /// Queues a frame of another kind. A control frame's payload must have at most 125 bytes.
+    /// Queues a frame of another kind. A control frame's payload must have at most 125 bytes. Behind
+    /// a Close frame nothing is queued.
     pub fn queue_as(&mut self, opcode: Opcode, payload: Bytes) {
-        self.outbox.push_back((ServerHeader::new(opcode, payload.len()), payload));
+        if !self.is_closed {
+            self.is_closed = opcode == Opcode::Close;
+            self.outbox.push_back((ServerHeader::new(opcode, payload.len()), payload));
+        }
     }
 
     /// Whether messages are queued.
@@ -151,38 +157,30 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         }
     }
 
-    /// Reads and discards messages until a Close frame, an invalid frame, or the end of the
-    /// connection.
-    pub async fn read_until_close(&mut self) {
-        loop {
-            match self.inbox.next_message() {
-                Ok(Some(Message::Close(_))) | Err(_) => return,
-                Ok(Some(_)) => {}
-                Ok(None) => {
-                    if self.read().await.is_err() {
-                        return;
-                    }
-                }
-            }
-        }
+    /// Queues a Close frame, the last frame of this side. A reason beyond 123 bytes is cut.
+    pub fn queue_close(&mut self, code: u16, reason: &str) {
+        self.queue_as(Opcode::Close, close::payload(code, reason));
     }
 
-    /// Reads and discards until the peer ends the connection: closing with unread input would reset
-    /// the connection, which discards the last writes.
-    pub async fn drain(&mut self) {
-        while poll_fn(|context| {
-            READ_SCRATCH.with_borrow_mut(|scratch| {
-                let mut buffer = ReadBuf::new(scratch);
-                let read = ready!(Pin::new(&mut self.stream).poll_read(context, &mut buffer));
-                Poll::Ready(read.is_ok() && !buffer.filled().is_empty())
-            })
-        })
-        .await
-        {}
+    /// Ends a connection whose Close frame is written. RFC 6455, section 7.1.1: it ends after both
+    /// Close frames, or after a violation. Then everything is read and discarded until the peer
+    /// ends its side: closing with unread input would reset the connection, which discards what the
+    /// peer has not read, our Close frame included. The caller has the deadline.
+    pub async fn end(&mut self) {
+        // A proxy ends the client's side as soon as this side ends, with whatever it has not yet
+        // delivered.
+        while !self.inbox.has_ended() {
+            let is_empty = matches!(self.inbox.next_message(), Ok(None));
+            if is_empty && self.read().await.is_err() {
+                return;
+            }
+        }
+        self.shut_down().await;
+        while self.read().await.is_ok() {}
     }
 
     /// Closes the sending half.
-    pub async fn shut_down(&mut self) {
+    async fn shut_down(&mut self) {
         let _ = poll_fn(|context| Pin::new(&mut self.stream).poll_shutdown(context)).await;
     }
 }

@@ -5,12 +5,16 @@
 use crate::limits::write_timeout::WriteTimeoutStream;
 use crate::websocket::socket::WebSocket;
 use axum::extract::Request;
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Version, header};
 use axum::response::{IntoResponse, Response};
+use data_encoding::BASE64;
 use hyper::upgrade::{OnUpgrade, Upgraded};
 use hyper_util::rt::TokioIo;
 use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
+
+/// The version of WebSocket that this server speaks.
+pub const VERSION: HeaderValue = HeaderValue::from_static("13");
 
 /// A valid handshake request.
 pub struct Upgrade {
@@ -37,12 +41,19 @@ impl Upgrade {
                  send `Connection: upgrade` and `Upgrade: websocket`",
             ));
         }
-        if headers.get(header::SEC_WEBSOCKET_VERSION).is_none_or(|version| version != "13") {
+        if request.version() < Version::HTTP_11 {
+            return Err((StatusCode::UPGRADE_REQUIRED, "a session begins with HTTP/1.1"));
+        }
+        // RFC 9112, section 3.2.
+        if single(headers, &header::HOST).is_none() {
+            return Err((StatusCode::BAD_REQUEST, "a request has exactly one `Host`"));
+        }
+        if single(headers, &header::SEC_WEBSOCKET_VERSION).is_none_or(|version| version != VERSION) {
             return Err((StatusCode::BAD_REQUEST, "`Sec-WebSocket-Version` must be 13"));
         }
-        let accept = match headers.get(header::SEC_WEBSOCKET_KEY) {
-            Some(key) => derive_accept_key(key.as_bytes()),
-            None => return Err((StatusCode::BAD_REQUEST, "`Sec-WebSocket-Key` is missing")),
+        let accept = match single(headers, &header::SEC_WEBSOCKET_KEY) {
+            Some(key) if is_valid_key(key) => derive_accept_key(key.as_bytes()),
+            _ => return Err((StatusCode::BAD_REQUEST, "`Sec-WebSocket-Key` must be 16 bytes in base64")),
         };
         let on_upgrade = request.extensions_mut().remove::<OnUpgrade>().ok_or((
             StatusCode::UPGRADE_REQUIRED,
@@ -51,14 +62,16 @@ impl Upgrade {
         Ok(Self { accept, on_upgrade })
     }
 
-    /// The response that switches protocols.
+    /// The response that switches protocols, with the selected subprotocol.
     #[must_use]
-    pub fn response(&self, subprotocol: &'static str) -> Response {
+    pub fn response(&self, subprotocol: Option<&'static str>) -> Response {
         let mut response = StatusCode::SWITCHING_PROTOCOLS.into_response();
         let headers = response.headers_mut();
         headers.insert(header::CONNECTION, HeaderValue::from_static("upgrade"));
         headers.insert(header::UPGRADE, HeaderValue::from_static("websocket"));
-        headers.insert(header::SEC_WEBSOCKET_PROTOCOL, HeaderValue::from_static(subprotocol));
+        if let Some(name) = subprotocol {
+            headers.insert(header::SEC_WEBSOCKET_PROTOCOL, HeaderValue::from_static(name));
+        }
         // Base64 is always a header value.
         if let Ok(accept) = HeaderValue::from_str(&self.accept) {
             headers.insert(header::SEC_WEBSOCKET_ACCEPT, accept);
@@ -75,6 +88,17 @@ impl Upgrade {
         // Sessions have their own write deadline.
         Some(WebSocket::new(parts.io.into_inner().into_inner(), &parts.read_buf, limit))
     }
+}
+
+/// The value of a header that a request must have exactly once.
+fn single<'a>(headers: &'a HeaderMap, header: &header::HeaderName) -> Option<&'a HeaderValue> {
+    let mut values = headers.get_all(header).iter();
+    values.next().filter(|_| values.next().is_none())
+}
+
+/// Whether a key is 16 bytes in base64 (section 4.2.1). Its content is of no use to a server.
+fn is_valid_key(key: &HeaderValue) -> bool {
+    BASE64.decode(key.as_bytes()).is_ok_and(|bytes| bytes.len() == 16)
 }
 
 /// Whether a comma-separated header contains a token, in any case.

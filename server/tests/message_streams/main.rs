@@ -1,0 +1,82 @@
+//! Streams of valid messages: every message, every extreme, in any order and in any frames. No such
+//! stream may end a session, and none may keep the task that accepts connections from its turn.
+//!
+//! The server runs on one thread here, so that all tasks wait for each other. Time is processor time
+//! of that thread: what other programs of the machine do does not count.
+//!
+//!     TOMBOLO_STREAM_MESSAGES=1000000 cargo test --release -p tombolo-server --test message_streams
+//!
+//! sends so many messages in all; then a turn may take 50 ms at most. `TOMBOLO_STREAM_SEED` chooses
+//! other streams.
+//!
+//! | module | content |
+//! | --- | --- |
+//! | `messages` | random valid messages and frames |
+//! | `clients` | sessions that send them and read everything |
+//! | `watchdog` | longest time between two turns of a task |
+#![cfg(target_os = "linux")]
+
+mod clients;
+mod messages;
+mod watchdog;
+
+use server::ServerConfig;
+use server::mechanism::Mechanism;
+use std::time::Duration;
+
+/// Sessions at once.
+const SESSIONS: u64 = 16;
+
+/// Messages in all, in `cargo ci`.
+const MESSAGES: u64 = 1600;
+
+/// Longest time of a turn in the long form.
+const LONGEST_TURN: Duration = Duration::from_millis(50);
+
+/// How many times as long a turn of the server with a planted blocking handler is, at least.
+const CONTROL: u32 = 4;
+
+fn number(name: &str) -> Option<u64> {
+    std::env::var(name)
+        .ok()
+        .map(|text| text.parse().unwrap_or_else(|_| panic!("{name} is no number: {text}")))
+}
+
+fn config(without: Option<Mechanism>) -> ServerConfig {
+    ServerConfig { threads: 1, without, ..ServerConfig::default() }
+}
+
+/// Sends streams to a server; returns its longest turn. Panics if a session ends.
+fn longest_turn(config: ServerConfig, messages: u64, seed: u64) -> Duration {
+    let watched = watchdog::start(config);
+    clients::run(watched.address, SESSIONS, messages / SESSIONS, seed);
+    watched.stop()
+}
+
+#[test]
+fn valid_streams_end_no_session_and_keep_no_task_waiting() {
+    let (seed, long) = (number("TOMBOLO_STREAM_SEED").unwrap_or(1), number("TOMBOLO_STREAM_MESSAGES"));
+    let longest = longest_turn(config(None), long.unwrap_or(MESSAGES), seed);
+    println!("{} messages of {SESSIONS} sessions: longest turn {longest:?}", long.unwrap_or(MESSAGES));
+    if long.is_some() {
+        assert!(longest <= LONGEST_TURN, "{longest:?}, seed {seed}");
+        return;
+    }
+    // The control, a handler that blocks: views are selected on the thread of the connections.
+    let blocking = longest_turn(config(Some(Mechanism::ViewTurns)), MESSAGES, seed);
+    println!("with a blocking handler: longest turn {blocking:?}");
+    assert!(blocking >= CONTROL * longest, "{blocking:?} with a blocking handler, {longest:?} without");
+}
+
+#[test]
+fn the_generator_makes_every_message_and_valid_ones_only() {
+    let mut generator = messages::Generator::new(7);
+    let mut kinds = [0; 8];
+    for _ in 0..2000 {
+        let message = generator.message();
+        let bytes = protocol::control::encode(&message).expect("within the limits");
+        assert_eq!(protocol::control::decode(&bytes).as_ref(), Ok(&message));
+        kinds[messages::kind(&message)] += 1;
+    }
+    assert!(kinds[1..].iter().all(|count| *count > 50) && kinds[0] == 0, "{kinds:?}");
+}
