@@ -48,7 +48,9 @@ async fn exchange(bytes: &[u8], router: axum::Router) -> Vec<u8> {
     let (mut client, server) = tokio::io::duplex(PIPE);
     let service =
         service_fn(move |request: hyper::Request<Incoming>| router.clone().oneshot(request.map(Body::new)));
-    let serving = http1::Builder::new().serve_connection(TokioIo::new(server), service).with_upgrades();
+    // A client that ends its side still reads the responses.
+    let mut builder = http1::Builder::new();
+    let serving = builder.half_close(true).serve_connection(TokioIo::new(server), service).with_upgrades();
     let talking = async {
         let mut answer = Vec::new();
         // The server may have ended the connection.
@@ -81,19 +83,20 @@ pub fn seeds() -> Vec<Vec<u8>> {
     ];
     let request = |path: &String| {
         format!(
-            "GET {path} HTTP/1.1\r\nHost: a\r\nIf-None-Match: W/\"x\", \"00\"\r\nOrigin: http://a\r\n\
+            "GET {path} HTTP/1.1\r\nHost: localhost\r\nIf-None-Match: W/\"x\", \"00\"\r\nOrigin: http://localhost\r\n\
              Authorization: Bearer t\r\n\r\n"
         )
     };
     let mut seeds: Vec<Vec<u8>> = paths.iter().map(|path| request(path).into_bytes()).collect();
     seeds.push(
-        b"GET /v1/stream HTTP/1.1\r\nHost: a\r\nConnection: upgrade\r\nUpgrade: websocket\r\n\
+        b"GET /v1/stream HTTP/1.1\r\nHost: localhost\r\nConnection: upgrade\r\nUpgrade: websocket\r\n\
           Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
           Sec-WebSocket-Protocol: tombolo.v1\r\n\r\n"
             .to_vec(),
     );
     seeds.push(
-        b"POST /livez HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n3\r\nabc\r\n0\r\n\r\n".into(),
+        b"POST /livez HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n3\r\nabc\r\n0\r\n\r\n"
+            .into(),
     );
     seeds
 }

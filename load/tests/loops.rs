@@ -228,6 +228,9 @@ async fn an_absent_server_ends_the_run_early_and_a_late_one_does_not() {
         assert!((10..30).contains(&started.elapsed().as_secs()), "{:?}: {report}", started.elapsed());
         assert!(report.verdict().expect_err("no server").contains("cannot connect"), "{report}");
 
+        if mode == Mode::View {
+            continue;
+        }
         let late = Server { fault: Fault::Late, ..Server::new(transport(mode)) };
         let report = load_on(late, config(mode, Some(RATE))).await;
         assert_eq!(report.verdict(), Ok(()), "{report}");
