@@ -7,7 +7,7 @@ use crate::mode::Mode;
 use crate::resume::Resumption;
 use crate::schedule::Schedule;
 use crate::session;
-use crate::task::{SessionEnd, Task};
+use crate::task::{GIVE_UP_AFTER, SessionEnd, Task};
 use protocol::backoff::Backoff;
 use std::time::Duration;
 use terrain::hash::mix;
@@ -17,12 +17,22 @@ use tokio::time::{Instant, sleep, timeout_at};
 const FIRST_DELAY: Duration = Duration::from_millis(250);
 const MAX_DELAY: Duration = Duration::from_secs(5);
 
+/// Whether a further phase makes sense.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// It does.
+    Continue,
+    /// The server is absent, or not the one that the run began with.
+    GiveUp,
+}
+
 /// Runs a measured client to the end of its phase. The ETags are kept for the next phase.
-pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) {
+pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) -> Outcome {
     let mut schedule = Schedule::new(task.config, task.index, task.epoch, task.end);
     // Seeded by client, so that clients that were disconnected together do not return together.
     let mut backoff = Backoff::new(FIRST_DELAY, MAX_DELAY, u64::from(mix(task.index)));
     let mut resumption = Resumption::default();
+    let mut outcome = Outcome::Continue;
     loop {
         let started = Instant::now();
         let end = match task.config.mode {
@@ -32,6 +42,20 @@ pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) {
         let counters = task.counters;
         match end {
             SessionEnd::Finished => break,
+            SessionEnd::Unreachable(problem) => {
+                counters.refused(&problem);
+                // A server that was there may come back.
+                if !task.world.is_known() && task.epoch.elapsed() >= GIVE_UP_AFTER {
+                    outcome = Outcome::GiveUp;
+                    break;
+                }
+            }
+            SessionEnd::OtherWorld(problem) => {
+                counters.mismatch(&problem);
+                counters.world_changed(&problem);
+                outcome = Outcome::GiveUp;
+                break;
+            }
             SessionEnd::NotAdmitted { problem, retry } => {
                 counters.refused(&problem);
                 if !retry {
@@ -59,4 +83,5 @@ pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) {
     for due in schedule.remaining() {
         task.counters.unsent(now.saturating_duration_since(due));
     }
+    outcome
 }

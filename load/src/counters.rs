@@ -49,6 +49,8 @@ pub struct Counters {
     /// Of slow and idle clients: why their connections were closed, and how often.
     closed: Mutex<BTreeMap<String, u64>>,
     problems: Mutex<Vec<String>>,
+    /// What was said of a world that is not the first one.
+    world_changed: Mutex<Option<String>>,
 }
 
 impl Counters {
@@ -92,6 +94,16 @@ impl Counters {
     pub fn mismatch(&self, problem: &str) {
         add(&self.mismatches);
         self.note(problem);
+    }
+
+    /// The server changed its world during the run.
+    pub fn world_changed(&self, problem: &str) {
+        lock(&self.world_changed).get_or_insert_with(|| problem.to_owned());
+    }
+
+    /// What was said of it, if it happened.
+    pub(crate) fn world_change(&self) -> Option<String> {
+        lock(&self.world_changed).clone()
     }
 
     /// A session was lost before the end of the phase.

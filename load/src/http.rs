@@ -69,13 +69,13 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
         let (connection, answer) = match timeout(HANDSHAKE_TIMEOUT, opening).await {
             Ok(Ok(both)) => both,
             Ok(Err(problem)) => {
-                return Err(SessionEnd::not_admitted(format!(
+                return Err(SessionEnd::Unreachable(format!(
                     "cannot connect to {}: {problem}",
                     config.connect
                 )));
             }
             Err(_) => {
-                return Err(SessionEnd::not_admitted(format!(
+                return Err(SessionEnd::Unreachable(format!(
                     "no answer from {} within {HANDSHAKE_TIMEOUT:?}",
                     config.connect
                 )));
@@ -91,7 +91,7 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
         let land = task
             .world
             .check(world.world_seed, world.generator_version, digest)
-            .map_err(|mismatch| SessionEnd::Wrong(mismatch.to_string()))?;
+            .map_err(|mismatch| SessionEnd::wrong_world(&mismatch))?;
         task.counters.admitted();
         let path = task.path(&land);
         let sample = (config.verify_every, task.index);

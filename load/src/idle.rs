@@ -28,8 +28,12 @@ const BUFFER: usize = 4096;
 pub async fn run<D: Dial>(task: &Task<'_, D>) {
     match timeout_at(task.end, stay_idle(task)).await {
         Ok(Ok(why)) => task.counters.closed(&why),
-        Ok(Err(SessionEnd::NotAdmitted { problem, .. })) => task.counters.refused(&problem),
-        Ok(Err(SessionEnd::Lost(problem) | SessionEnd::Wrong(problem))) => task.counters.closed(&problem),
+        Ok(Err(SessionEnd::NotAdmitted { problem, .. } | SessionEnd::Unreachable(problem))) => {
+            task.counters.refused(&problem);
+        }
+        Ok(Err(SessionEnd::Lost(problem) | SessionEnd::Wrong(problem) | SessionEnd::OtherWorld(problem))) => {
+            task.counters.closed(&problem);
+        }
         Ok(Err(SessionEnd::Finished)) | Err(_) => task.counters.stayed(),
     }
 }

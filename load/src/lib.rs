@@ -6,7 +6,8 @@
 //! - options and plan: [`config`], [`phases`] (parts of a run), [`path`] (where a client is),
 //!   [`keys`] (which chunks it requests), [`arrivals`] and [`schedule`] (when it does what);
 //! - clients: [`task`] (what a client gets, how a session ends), [`client`] (one client through one
-//!   phase), [`session`] (WebSocket), [`held`] and [`resume`] (what outlives a session), [`http`],
+//!   phase), [`session`] (WebSocket), [`held`] and [`resume`] (what outlives a session),
+//!   [`request_pause`] (what follows a refusal), [`http`],
 //!   [`slow`] and [`idle`] (background clients);
 //! - verification: [`expected`] (which chunks may arrive), [`verify`] (what a chunk must satisfy),
 //!   [`world`] (which world it is), [`checker`] and [`regeneration`] (who checks);
@@ -36,6 +37,7 @@ pub mod phases;
 pub mod plot;
 pub mod regeneration;
 pub mod report;
+pub mod request_pause;
 pub mod resume;
 pub mod run;
 pub mod run_stats;

@@ -31,8 +31,11 @@ fn main() -> ExitCode {
 }
 
 fn drive(config: LoadConfig, json: Option<&Path>, picture: Option<&Path>, quiet: bool) -> Result<()> {
-    let mut file = create("--json", json)?;
-    let picture = create("--plot", picture)?;
+    let outputs = [("--json", json), ("--plot", picture)];
+    // An unwritable file must not cost a run.
+    for (option, path) in outputs {
+        create(option, path)?;
+    }
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         // The default polls timers after 61 tasks, here up to 0.1 s: too coarse for latencies.
@@ -40,19 +43,30 @@ fn drive(config: LoadConfig, json: Option<&Path>, picture: Option<&Path>, quiet:
         .build()
         .context("cannot start the runtime")?;
     let report = runtime.block_on(run_with_progress(config, quiet))?;
-    if let Some(file) = &mut file {
-        serde_json::to_writer_pretty(&mut *file, &report).context("--json: cannot write the report")?;
-        writeln!(file).context("--json: cannot write the report")?;
-    }
-    if let Some(picture) = picture {
-        plot::write(BufWriter::new(picture), &report)?;
-    }
     // A closed pipe is no reason to fail; the exit code has the verdict.
     let _ = write!(std::io::stdout(), "{report}");
-    report.verdict().map_err(|problem| anyhow!(problem))
+    let written = write_json(json, &report).and_then(|()| write_plot(picture, &report));
+    match (report.verdict(), written) {
+        (Ok(()), written) => written,
+        (Err(problem), Ok(())) => Err(anyhow!(problem)),
+        (Err(problem), Err(unwritten)) => Err(anyhow!("{problem}; {unwritten:#}")),
+    }
 }
 
-/// A file for results, created before the run: an unwritable file must not cost a run.
+/// Writes the report by the file's path, not by a file opened before the run: a folder that was
+/// removed or closed meanwhile is an error, where a write to the removed file would succeed.
+fn write_json(path: Option<&Path>, report: &Report) -> Result<()> {
+    let Some(mut file) = create("--json", path)? else { return Ok(()) };
+    let written = serde_json::to_writer_pretty(&mut file, report).map_err(std::io::Error::from);
+    written.and_then(|()| writeln!(file)).context("--json: cannot write the report")
+}
+
+fn write_plot(path: Option<&Path>, report: &Report) -> Result<()> {
+    let Some(file) = create("--plot", path)? else { return Ok(()) };
+    plot::write(BufWriter::new(file), report)
+}
+
+/// Creates a file for results.
 fn create(option: &str, path: Option<&Path>) -> Result<Option<std::fs::File>> {
     path.map(|path| {
         std::fs::File::create(path).with_context(|| format!("{option}: cannot write `{}`", path.display()))

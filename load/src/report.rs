@@ -71,6 +71,9 @@ pub struct Report {
     pub unsent: u64,
     /// The first distinct problems as text; the counts above include them.
     pub problems: Vec<String>,
+    /// Both digests, if the server changed its world during the run. Clients that meet another world
+    /// end.
+    pub world_changed: Option<String>,
     /// The phases.
     pub phases: Vec<PhaseReport>,
     /// Lost sessions and what followed them.
@@ -187,6 +190,7 @@ impl Report {
             unanswered: sum(|phase| phase.unanswered),
             unsent: sum(|phase| phase.unsent),
             problems,
+            world_changed: counters().find_map(|counters| counters.world_change()),
             resume: ResumeReport::of(&counters().map(Arc::as_ref).collect::<Vec<_>>()),
             slow: background(config.slow, &stats.slow),
             silent: background(config.silent, &stats.silent),
@@ -200,6 +204,9 @@ impl Report {
     /// # Errors
     /// One line with what was wrong.
     pub fn verdict(&self) -> Result<(), String> {
+        if let Some(change) = &self.world_changed {
+            return Err(change.clone());
+        }
         let because = self.problems.first().map(|problem| format!("; first: {problem}")).unwrap_or_default();
         if self.mismatches > 0 {
             return Err(format!("{} mismatches in {} chunks{because}", self.mismatches, self.chunks));

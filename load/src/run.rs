@@ -1,6 +1,6 @@
 //! A whole run: every measured client through every phase, slow and idle clients beside them.
 
-use crate::client;
+use crate::client::{self, Outcome};
 use crate::config::LoadConfig;
 use crate::counters::Counters;
 use crate::dial::{Dial, Tcp};
@@ -109,7 +109,9 @@ async fn run_measured<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneratio
         sleep_until(epoch).await;
         let regeneration = &regeneration;
         let task = Task { index, config, dial, counters, regeneration, epoch, end, read_rate: None, world };
-        client::run(&task, &mut etags).await;
+        if client::run(&task, &mut etags).await == Outcome::GiveUp {
+            return;
+        }
     }
 }
 

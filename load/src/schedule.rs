@@ -78,6 +78,12 @@ impl Schedule {
         matches!(self.pacing, Pacing::Open { .. })
     }
 
+    /// Whether every answer is followed by a request at once.
+    #[must_use]
+    pub const fn is_closed(&self) -> bool {
+        matches!(self.pacing, Pacing::Closed { .. })
+    }
+
     /// Whether poses count as outstanding until their views are complete.
     #[must_use]
     pub const fn waits_for_views(&self) -> bool {

@@ -15,6 +15,7 @@ use crate::dial::Dial;
 use crate::expected::{ChunkStatus, ExpectedChunks, MAX_VIEWS, MAX_VIEWS_SLOW};
 use crate::keys::Keys;
 use crate::path::FlightPath;
+use crate::request_pause::RequestPause;
 use crate::resume::Resumption;
 use crate::schedule::Schedule;
 use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SessionEnd, Task};
@@ -27,6 +28,7 @@ use protocol::message::{Settled, Welcome};
 use protocol::{CloseCode, DataFrame, Delivery, PeerFault};
 use socket::lost;
 use std::time::Duration;
+use terrain::hash::mix;
 use terrain::{Chunk, Land, WorldDigest};
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::{Error, Message};
@@ -75,6 +77,8 @@ struct Session<'t, 'a, D: Dial> {
     path: FlightPath,
     keys: Keys,
     poses: Poses,
+    /// After refusals, in a closed loop.
+    pause: RequestPause,
 }
 
 impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
@@ -93,7 +97,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         let welcome = timeout(HANDSHAKE_TIMEOUT, welcome(&mut socket, &mut machine))
             .await
             .map_err(|_| SessionEnd::not_admitted(format!("no Welcome within {HANDSHAKE_TIMEOUT:?}")))??;
-        let land = world_of(&welcome, task).map_err(|mismatch| SessionEnd::Wrong(mismatch.to_string()))?;
+        let land = world_of(&welcome, task).map_err(|mismatch| SessionEnd::wrong_world(&mismatch))?;
         task.counters.admitted();
         if resumption.begin(WorldDigest(welcome.digest), task.counters) && config.resume {
             machine.holding(&resumption.held.keys());
@@ -114,6 +118,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             path,
             keys: Keys::new(config.path, config.seed, task.index, path),
             poses: Poses::default(),
+            pause: RequestPause::new(u64::from(mix(task.index))),
         })
     }
 
@@ -132,6 +137,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
                 self.close(CloseCode::Normal).await;
                 return SessionEnd::Finished;
             }
+            let is_paused = schedule.is_closed() && self.pause.is_paused();
             tokio::select! {
                 frame = self.socket.next() => {
                     frames = frames.wrapping_add(1);
@@ -145,7 +151,8 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
                         return end;
                     }
                 }
-                action = schedule.next(outstanding) => self.perform(action, schedule),
+                action = schedule.next(outstanding), if !is_paused => self.perform(action, schedule),
+                () = self.pause.end(), if is_paused => {}
                 () = sleep_until(stop) => {
                     if schedule.is_open() && stop == self.task.end {
                         stop += GRACE;
@@ -197,6 +204,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             }
             Ok(Event::Refused(refused)) => {
                 self.expected.refused(&refused);
+                self.pause.refused(Instant::now());
                 self.task.counters.refused(&format!("refused by the server: {}", refused.detail));
             }
             // The close frame follows and counts if it comes before the end of the phase.
@@ -218,6 +226,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         let arrival = self.expected.receive(chunk.key, now);
         let is_again = self.resumption.held.insert(chunk.key, bytes);
         self.resumption.delivered(now, counters);
+        self.pause.answered();
         match arrival {
             ChunkStatus::Requested(latency) => counters.answered(latency),
             ChunkStatus::InView if is_again => counters.sent_again(bytes),

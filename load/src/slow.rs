@@ -15,9 +15,11 @@ pub async fn run<D: Dial>(task: &Task<'_, D>) {
     let mut schedule = Schedule::views_only(task.index, task.epoch);
     match session::run(task, &mut schedule, &mut Resumption::default()).await {
         SessionEnd::Finished => task.counters.stayed(),
-        SessionEnd::NotAdmitted { problem, .. } => task.counters.refused(&problem),
+        SessionEnd::NotAdmitted { problem, .. } | SessionEnd::Unreachable(problem) => {
+            task.counters.refused(&problem);
+        }
         SessionEnd::Lost(problem) => task.counters.closed(&problem),
-        SessionEnd::Wrong(problem) => {
+        SessionEnd::Wrong(problem) | SessionEnd::OtherWorld(problem) => {
             task.counters.mismatch(&problem);
             task.counters.closed(&problem);
         }

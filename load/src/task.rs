@@ -4,6 +4,7 @@ use crate::config::LoadConfig;
 use crate::counters::Counters;
 use crate::path::FlightPath;
 use crate::regeneration::Regeneration;
+use crate::verify::Mismatch;
 use crate::world::FirstWorld;
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,6 +17,10 @@ pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time after the end in which an open loop waits for answers. A request without an answer by then
 /// counts with the time that it has waited.
 pub const GRACE: Duration = Duration::from_secs(2);
+
+/// Time after which clients stop trying to reach a server that has never answered. Long enough for a
+/// server that starts at the same time.
+pub const GIVE_UP_AFTER: Duration = Duration::from_secs(10);
 
 /// What one client gets for one phase of a run.
 #[derive(Debug)]
@@ -54,6 +59,8 @@ impl<D> Task<'_, D> {
 pub enum SessionEnd {
     /// The phase is over.
     Finished,
+    /// No connection, or no answer over it.
+    Unreachable(String),
     /// Not admitted.
     NotAdmitted {
         /// What was wrong.
@@ -65,6 +72,9 @@ pub enum SessionEnd {
     Lost(String),
     /// The server sent invalid data.
     Wrong(String),
+    /// The server serves another world than at the start of the run: nothing that follows could be
+    /// compared.
+    OtherWorld(String),
 }
 
 impl SessionEnd {
@@ -72,5 +82,14 @@ impl SessionEnd {
     #[must_use]
     pub const fn not_admitted(problem: String) -> Self {
         Self::NotAdmitted { problem, retry: true }
+    }
+
+    /// Admitted to a wrong world.
+    #[must_use]
+    pub fn wrong_world(mismatch: &Mismatch) -> Self {
+        match mismatch {
+            Mismatch::OtherWorld { .. } => Self::OtherWorld(mismatch.to_string()),
+            _ => Self::Wrong(mismatch.to_string()),
+        }
     }
 }

@@ -46,6 +46,14 @@ pub enum Mismatch {
         /// The digest of that seed here.
         ours: WorldDigest,
     },
+    /// The announced world is not the one that the run began with.
+    #[error("the server serves another world than at the start of the run: {now}, before {first}")]
+    OtherWorld {
+        /// The digest that was announced first.
+        first: WorldDigest,
+        /// The digest that is announced now.
+        now: WorldDigest,
+    },
     /// The server has another generator version, so nothing can be compared.
     #[error(
         "the server generates by formula {theirs}, this tool by {GENERATOR_VERSION}: update the older one"

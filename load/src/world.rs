@@ -1,4 +1,5 @@
-//! The world that the servers of a run announce: checked by every session, computed once.
+//! The world that the servers of a run announce: checked by every session, computed once, the same
+//! from the first session to the last.
 
 use crate::verify::Mismatch;
 use std::sync::OnceLock;
@@ -12,13 +13,15 @@ pub struct FirstWorld {
     /// The world that was announced first, with its digest as computed here.
     digest: OnceLock<(Land, WorldDigest)>,
     start: OnceLock<Start>,
+    /// The first digest that was announced and right.
+    accepted: OnceLock<WorldDigest>,
 }
 
 impl FirstWorld {
-    /// The land of a seed, if the announced version and digest are right.
+    /// The land of a seed, if the announced version and digest are right and those of the run.
     ///
     /// # Errors
-    /// [`Mismatch::Generator`] or [`Mismatch::World`].
+    /// [`Mismatch::Generator`], [`Mismatch::World`] or [`Mismatch::OtherWorld`].
     pub fn check(&self, seed: u64, version: u32, announced: WorldDigest) -> Result<Land, Mismatch> {
         if version != GENERATOR_VERSION {
             return Err(Mismatch::Generator { theirs: version });
@@ -34,7 +37,17 @@ impl FirstWorld {
         if announced != ours {
             return Err(Mismatch::World { announced, seed, ours });
         }
+        let first = *self.accepted.get_or_init(|| announced);
+        if announced != first {
+            return Err(Mismatch::OtherWorld { first, now: announced });
+        }
         Ok(land)
+    }
+
+    /// Whether a session of this run was admitted to a world.
+    #[must_use]
+    pub fn is_known(&self) -> bool {
+        self.accepted.get().is_some()
     }
 
     /// The start of the world that was announced first.
@@ -50,19 +63,32 @@ mod tests {
     #[test]
     fn a_digest_of_another_seed_is_an_error_with_both_digests() {
         let digests = [1, 2].map(|seed| Land::new(seed).digest());
-        // The same whichever world was announced first.
+        // The same whichever seed was announced first.
         for first in [1, 2] {
             let world = FirstWorld::default();
-            let _ = world.check(first, GENERATOR_VERSION, digests[0]);
-            for (seed, digest) in [(1, digests[0]), (2, digests[1])] {
-                let land = world.check(seed, GENERATOR_VERSION, digest);
-                assert_eq!(land.map(|land| land.world_seed()), Ok(seed));
-            }
+            let is_right = world.check(first, GENERATOR_VERSION, digests[0]).is_ok();
+            assert_eq!((is_right, world.is_known()), (first == 1, first == 1));
+            let land = world.check(1, GENERATOR_VERSION, digests[0]);
+            assert_eq!(land.map(|land| land.world_seed()), Ok(1));
             let text = world.check(2, GENERATOR_VERSION, digests[0]).unwrap_err().to_string();
             let has = |part: &str| text.contains(part);
             assert!(has(&digests[0].to_string()) && has(&digests[1].to_string()) && has("seed 2"), "{text}");
             let newer = world.check(1, 99, digests[0]).unwrap_err();
             assert_eq!(newer, Mismatch::Generator { theirs: 99 });
         }
+    }
+
+    #[test]
+    fn another_world_after_the_first_is_an_error_with_both_digests() {
+        let [first, now] = [1, 2].map(|seed| Land::new(seed).digest());
+        let world = FirstWorld::default();
+        for _ in 0..2 {
+            assert!(world.check(1, GENERATOR_VERSION, first).is_ok());
+            assert_eq!(
+                world.check(2, GENERATOR_VERSION, now).unwrap_err(),
+                Mismatch::OtherWorld { first, now }
+            );
+        }
+        assert!(FirstWorld::default().check(2, GENERATOR_VERSION, now).is_ok(), "the control");
     }
 }

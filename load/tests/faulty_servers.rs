@@ -206,11 +206,14 @@ async fn a_server_that_hangs_up_drops_sessions() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_reconnects_gets_only_what_it_lacks() {
-    let report = load_with(Fault::HangUp, None, |config| config).await;
+    // Reconnecting takes a second and more on a busy machine.
+    let longer = |config: LoadConfig| LoadConfig { seconds: 4 * config.seconds, ..config };
+    let report = load_with(Fault::HangUp, None, longer).await;
     assert!(report.resume.lost > 0 && report.resume.resumed > 0, "{report}");
     assert!(report.resume.held_bytes > 0 && report.resume.chunks_again == 0, "{report}");
     // The control: who reports nothing gets the chunks of its view again.
-    let report = load_with(Fault::HangUp, None, |config| LoadConfig { resume: false, ..config }).await;
+    let report =
+        load_with(Fault::HangUp, None, |config| LoadConfig { resume: false, ..longer(config) }).await;
     assert!(report.resume.chunks_again > 0 && report.resume.bytes_again > 0, "{report}");
 }
 

@@ -7,6 +7,7 @@ use load::run::run_over;
 use load::{LoadConfig, Mode, PathKind, Report, RunStats};
 use pipes::{Fault, SERVICE, Server, Transport};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -185,6 +186,56 @@ async fn http_refusals_pause_the_client_and_are_no_faults() {
         "two clients for 10 s, a second between two tries: {report}"
     );
     assert!(report.verdict().expect_err("nothing arrived").contains("try later"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_closed_loop_pauses_after_refusals() {
+    let server = Server { fault: Fault::Refusal, ..Server::new(Transport::WebSocket) };
+    let requests = Arc::clone(&server.requests);
+    let report = load_on(server, config(Mode::Explicit, None)).await;
+    assert_eq!((report.chunks, report.dropped, report.mismatches), (0, 0, 0), "{report}");
+    assert!(report.verdict().expect_err("nothing arrived").contains("try later"));
+    // Two clients for 10 s, 16 requests after each pause of 25 ms to 5 s.
+    let requests = requests.load(Ordering::Relaxed);
+    assert!((2 * 16 * 5..=2 * 16 * 12).contains(&requests), "{requests}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn another_world_after_a_restart_ends_the_run_with_both_digests() {
+    for mode in [Mode::Explicit, Mode::View] {
+        let server = Server { fault: Fault::OtherWorld, ..Server::new(Transport::WebSocket) };
+        let config = LoadConfig { clients: 1, seconds: 600, ..config(mode, None) };
+        let report = load_on(server, config).await;
+        let [first, now] = [1, 2].map(|seed| terrain::Land::new(seed).digest().to_string());
+        let verdict = report.verdict().expect_err("the world changed");
+        assert!(verdict.contains(&first) && verdict.contains(&now), "{verdict}");
+        assert_eq!(report.world_changed.as_ref(), Some(&verdict));
+        assert!(report.chunks > 0 && report.seconds < 60.0, "{report}");
+    }
+    // The control: a server that hangs up and stays the same.
+    let server = Server { fault: Fault::HangUp, ..Server::new(Transport::WebSocket) };
+    let report = load_on(server, config(Mode::Explicit, None)).await;
+    assert!(report.world_changed.is_none() && report.dropped > 0, "{report}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_absent_server_ends_the_run_early_and_a_late_one_does_not() {
+    for mode in [Mode::Explicit, Mode::View, Mode::Http] {
+        let long = LoadConfig { seconds: 600, warm_up_s: 300, ..config(mode, None) };
+        let absent = Server { fault: Fault::Absent, ..Server::new(transport(mode)) };
+        let started = Instant::now();
+        let report = load_on(absent, long).await;
+        assert!((10..30).contains(&started.elapsed().as_secs()), "{:?}: {report}", started.elapsed());
+        assert!(report.verdict().expect_err("no server").contains("cannot connect"), "{report}");
+
+        if mode == Mode::View {
+            continue;
+        }
+        let late = Server { fault: Fault::Late, ..Server::new(transport(mode)) };
+        let report = load_on(late, config(mode, Some(RATE))).await;
+        assert_eq!(report.verdict(), Ok(()), "{report}");
+        assert!(report.refused > 0 && report.seconds >= 10.0, "{report}");
+    }
 }
 
 #[tokio::test(start_paused = true)]

@@ -1,6 +1,6 @@
 //! The program as a script uses it: exit codes and one-line messages.
 
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 fn run(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_tombolo-load")).args(args).output().expect("the program starts")
@@ -65,6 +65,34 @@ fn an_unwritable_report_fails_before_the_run() {
         "{}",
         message(&output)
     );
+}
+
+#[test]
+fn a_report_whose_folder_is_gone_is_an_error_beside_the_verdict() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let url = format!("ws://{}/v1/stream", listener.local_addr().expect("bound"));
+    drop(listener);
+    let folder = std::env::temp_dir().join(format!("tombolo-load-gone-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a temporary folder");
+    let json = folder.join("report.json");
+    let program = Command::new(env!("CARGO_BIN_EXE_tombolo-load"))
+        .args(["--connect", &url, "--clients", "1", "--seconds", "3", "--json"])
+        .arg(&json)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    // Both are made before the run begins.
+    while !json.exists() {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    std::fs::remove_dir_all(&folder).expect("removed during the run");
+    let output = program.wait_with_output().expect("the program ends");
+    let text = message(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("--json: cannot write") && text.contains("no chunk arrived"), "{text}");
+    assert_eq!(text.lines().count(), 1, "{text}");
+    assert!(String::from_utf8_lossy(&output.stdout).contains("clients"), "the table is printed");
 }
 
 #[test]

@@ -48,12 +48,14 @@ impl fmt::Display for Report {
             ("dropped", self.dropped.to_string()),
             ("resumed", resumed(&self.resume)),
             ("mismatches", self.mismatches.to_string()),
+            ("world", self.world_changed.clone().unwrap_or_default()),
         ];
         // Rows that a mode does not have are left out.
         rows.retain(|(name, _)| match *name {
             "unchanged" => self.mode == "http",
             "views settled" => self.mode == "view",
             "resumed" => self.resume.lost > 0,
+            "world" => self.world_changed.is_some(),
             "sent late p99" => self.rate.is_some(),
             "settle p50" | "settle p99" => self.mode == "view" && self.rate.is_none(),
             _ => true,

@@ -34,7 +34,7 @@ pub type Socket<S> = WebSocketStream<Throttled<S>>;
 /// Opens the WebSocket.
 ///
 /// # Errors
-/// Not admitted, with the reason.
+/// Not reached or not admitted, with the reason.
 pub async fn connect<D: Dial>(task: &Task<'_, D>) -> Result<Socket<D::Stream>, SessionEnd> {
     let address = &task.config.connect;
     let request = ClientRequestBuilder::new(address.clone()).with_sub_protocol(SUBPROTOCOL);
@@ -50,10 +50,13 @@ pub async fn connect<D: Dial>(task: &Task<'_, D>) -> Result<Socket<D::Stream>, S
     match timeout(HANDSHAKE_TIMEOUT, opening).await {
         Ok(Ok((socket, _))) => Ok(socket),
         Ok(Err(error)) => {
-            Err(SessionEnd::not_admitted(format!("cannot connect to {address}: {}", explain(error))))
+            // An HTTP response is one of a server, or of a proxy in front of it.
+            let is_answer = matches!(error, Error::Http(_));
+            let problem = format!("cannot connect to {address}: {}", explain(error));
+            Err(if is_answer { SessionEnd::not_admitted(problem) } else { SessionEnd::Unreachable(problem) })
         }
         Err(_) => {
-            Err(SessionEnd::not_admitted(format!("no answer from {address} within {HANDSHAKE_TIMEOUT:?}")))
+            Err(SessionEnd::Unreachable(format!("no answer from {address} within {HANDSHAKE_TIMEOUT:?}")))
         }
     }
 }

@@ -11,13 +11,15 @@ use hyper::{Request, Response, StatusCode};
 use hyper_util::rt::TokioIo;
 use load::dial::Dial;
 use protocol::chunk_codec::{self, seed_only};
+use protocol::message::RefusalReason;
 use protocol::server::{ServerOffer, ServerSession};
 use protocol::{DataFrame, Delivery, SUBPROTOCOL};
 use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::io;
 use std::ops::Range;
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use terrain::constants::GENERATOR_VERSION;
 use terrain::{ChunkKey, Land};
@@ -61,7 +63,16 @@ pub enum Fault {
     Refusal,
     /// The connection ends after a few answers.
     HangUp,
+    /// As [`Fault::HangUp`], and later connections find the server of another seed.
+    OtherWorld,
+    /// No connection is accepted.
+    Absent,
+    /// No connection is accepted in the first seconds.
+    Late,
 }
+
+/// What [`Fault::Late`] means.
+const LATE: Duration = Duration::from_secs(5);
 
 /// See the module. Connections are independent.
 #[derive(Clone, Debug)]
@@ -71,12 +82,25 @@ pub struct Server {
     /// No answers during this time.
     pub stall: Range<Instant>,
     pub land: Land,
+    /// Requests that were answered or refused, over all connections.
+    pub requests: Arc<AtomicU64>,
+    /// Connections so far.
+    pub connections: Arc<AtomicU64>,
+    pub started: Instant,
 }
 
 impl Server {
     pub fn new(transport: Transport) -> Self {
         let never = Instant::now();
-        Self { transport, fault: Fault::Nothing, stall: never..never, land: Land::new(1) }
+        Self {
+            transport,
+            fault: Fault::Nothing,
+            stall: never..never,
+            land: Land::new(1),
+            requests: Arc::default(),
+            connections: Arc::default(),
+            started: never,
+        }
     }
 
     async fn take_time(&self) {
@@ -193,7 +217,13 @@ impl Server {
             }
             if let Some((wanted, _)) = next {
                 answered += 1;
-                if self.fault == Fault::HangUp && answered > 5 {
+                self.requests.fetch_add(1, Ordering::Relaxed);
+                if self.fault == Fault::Refusal {
+                    // Refused at once: only the client can slow down.
+                    session.fail(wanted, RefusalReason::Overloaded, "try later");
+                    continue;
+                }
+                if matches!(self.fault, Fault::HangUp | Fault::OtherWorld) && answered > 5 {
                     let _ = socket.into_inner().shutdown().await;
                     return;
                 }
@@ -216,8 +246,20 @@ impl Dial for Server {
 
     async fn dial(&self, receive_buffer: Option<u32>) -> io::Result<DuplexStream> {
         let holds = receive_buffer.map_or(PIPE, |bytes| bytes as usize);
+        let is_late = self.fault == Fault::Late && self.started.elapsed() < LATE;
+        if self.fault == Fault::Absent || is_late {
+            return Err(io::ErrorKind::ConnectionRefused.into());
+        }
         let (ours, theirs) = duplex(holds);
-        tokio::spawn(self.clone().serve(theirs));
+        let mut server = self.clone();
+        let is_first = self.connections.fetch_add(1, Ordering::Relaxed) == 0;
+        if self.fault == Fault::Late {
+            server.fault = Fault::Nothing;
+        }
+        if self.fault == Fault::OtherWorld && !is_first {
+            (server.land, server.fault) = (Land::new(2), Fault::Nothing);
+        }
+        tokio::spawn(server.serve(theirs));
         Ok(ours)
     }
 }

@@ -13,7 +13,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 const CLOSE: [u8; 8] = [0x88, 0x82, 0, 0, 0, 0, 0x03, 0xe8];
 const CLOSED: [u8; 4] = [0x88, 2, 0x03, 0xe8];
 
-const HANDSHAKE: &[u8] = b"GET /v1/stream HTTP/1.1\r\nHost: test\r\nConnection: upgrade\r\n\
+const HANDSHAKE: &[u8] = b"GET /v1/stream HTTP/1.1\r\nHost: localhost\r\nConnection: upgrade\r\n\
     Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
     Sec-WebSocket-Protocol: tombolo.v1\r\n\r\n";
 

@@ -5,7 +5,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 /// A valid handshake, one header a line.
 const VALID: [&str; 6] = [
-    "Host: test",
+    "Host: localhost",
     "Connection: keep-alive, Upgrade",
     "Upgrade: WebSocket",
     "Sec-WebSocket-Version: 13",
@@ -63,7 +63,7 @@ async fn an_invalid_handshake_is_rejected_with_its_status() {
         ("version 8", "Sec-WebSocket-Version", &["Sec-WebSocket-Version: 8"], 400),
         ("versions", "Sec-WebSocket-Version", &["Sec-WebSocket-Version: 13, 8"], 400),
         ("no Host", "Host", &[], 400),
-        ("two Hosts", "Host", &["Host: test", "Host: test"], 400),
+        ("two Hosts", "Host", &["Host: localhost", "Host: test"], 400),
         ("no Upgrade", "Upgrade", &[], 426),
         ("another protocol", "Upgrade", &["Upgrade: h2c"], 426),
         ("no Connection", "Connection", &[], 426),
@@ -72,7 +72,8 @@ async fn an_invalid_handshake_is_rejected_with_its_status() {
     for (name, header, values, status) in cases {
         let head = answer(&server, "1.1", &with(header, values)).await;
         assert!(head.starts_with(&format!("http/1.1 {status} ")), "{name}: {head}");
-        assert!(head.contains("sec-websocket-version: 13\r\n"), "{name}: {head}");
+        let names_version = head.contains("sec-websocket-version: 13\r\n");
+        assert!(names_version || !header.ends_with("Version"), "{name}: {head}");
     }
     let old = answer(&server, "1.0", &VALID).await;
     assert!(old.starts_with("http/1.0 426 "), "{old}");

@@ -125,6 +125,12 @@ pub const ALL: [Step; 15] = [
         again: "cd benches/PACKAGE && cargo clippy --release --all-targets -- -D warnings",
         action: benches,
     },
+    Step {
+        name: "fuzz",
+        about: "the fuzz targets are formatted and lint-free",
+        again: "cd fuzz && cargo clippy --locked --all-targets -- -D warnings",
+        action: fuzz,
+    },
 ];
 
 fn passed() -> Shown {
@@ -301,4 +307,16 @@ fn benches(host: &dyn Host) -> Result<Shown> {
         parts.push((format!("{}, clippy and build", bench.name), outcome));
     }
     Ok(Shown { outcome: Outcome::Passed, parts })
+}
+
+/// A workspace of its own, whose library is in C++. Its entry points are searched by the step
+/// `tests`; what a coverage-guided search needs is a nightly compiler and time.
+fn fuzz(host: &dyn Host) -> Result<Shown> {
+    let folder = process::root().join("fuzz");
+    for line in ["fmt --check", "clippy --locked --all-targets -- -D warnings"] {
+        let mut cargo = process::cargo(line);
+        cargo.current_dir(&folder).env("CARGO_TARGET_DIR", process::target().join("fuzz"));
+        host.run(cargo)?;
+    }
+    Ok(passed())
 }
