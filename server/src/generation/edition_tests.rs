@@ -41,7 +41,7 @@ fn server(folder: &Path) -> (Generation, Arc<Metrics>, Arc<Mutex<Edition>>) {
     let config = DiskConfig { folder: folder.into(), bytes: 64 << 20 };
     let disk = Disk::new(config, &WORLD, Arc::clone(&metrics)).unwrap();
     let deadline = Duration::from_secs(3600);
-    let limits = Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline, without: None };
+    let limits = Limits { threads: 1, cache_bytes: 1 << 20, jobs: 100, deadline, without: None };
     let source = ChangingSource(Arc::clone(&edition));
     let service = Generation::with_disk(source, limits, Some(disk), Arc::clone(&metrics)).unwrap();
     (service, metrics, edition)
