@@ -3,6 +3,7 @@
 mod chart;
 mod draw;
 mod labels;
+mod picture;
 mod scale;
 
 pub use chart::Chart;

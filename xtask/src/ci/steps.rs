@@ -34,7 +34,7 @@ pub struct Shown {
 }
 
 /// Every step.
-pub const ALL: [Step; 15] = [
+pub const ALL: [Step; 16] = [
     Step {
         name: "format",
         about: "Rust is formatted",
