@@ -127,7 +127,7 @@ pub fn trunk_way(tree: &Caster, begin_m: Vec3, toward: Vec3) -> f32 {
 mod tests {
     use super::super::clump::tests::unit;
     use super::super::crown::crown_of;
-    use super::super::tree_shape::vertex_of_tree;
+    use super::super::tree_shape::{LOBES, lobe_of, vertex_of_tree};
     use super::*;
     use crate::layout::TREE_VERTICES;
 
@@ -214,6 +214,29 @@ mod tests {
             assert!(!is_inside(-0.02), "{seed}: the ray has entered before");
         }
         assert!(hits > 5_000 && missed > 1_000, "{hits} {missed}");
+    }
+
+    #[test]
+    fn lobes_lie_inside_the_cut_cone_of_the_occlusion_test() {
+        let (mut tightest, mut outside) = (f32::MAX, 0);
+        for (species, step) in (1..3).flat_map(|species| (0..64).map(move |step| (species, step))) {
+            let (width_m, height_m) = (2.0, 1.0);
+            let crown = crown_of(&Caster { root_m: [0.0; 3], width_m, height_m, species });
+            for lobe in (0..LOBES).map(|lobe| lobe_of(species, step as f32 / 63.0, lobe)) {
+                let away = lobe.centre[0].hypot(lobe.centre[2]);
+                for part in 0..=200 {
+                    let rise = part as f32 / 100.0 - 1.0;
+                    let up = crown.wide_m + crown.rise_m * (lobe.centre[1] + lobe.radius * lobe.flat * rise);
+                    let out = crown.radius_m * (away + lobe.radius * (1.0 - rise * rise).max(0.0).sqrt());
+                    let share = ((1.0 - up) * 256.0 / 84.0).clamp(0.0, 1.0);
+                    let bound = |core: f32| (core + (277.0 - core) * share) / 256.0;
+                    tightest = tightest.min(bound(84.0) - out);
+                    outside += u32::from(out > bound(49.0));
+                    assert!(up <= 1.0 && out <= bound(84.0), "{species} {step}: {out} at {up}");
+                }
+            }
+        }
+        assert!(tightest < 0.05 && outside > 0, "a narrower cone is too narrow: {tightest} {outside}");
     }
 
     #[test]

@@ -165,7 +165,7 @@ fn shape_of(
     push: i32,
 ) -> Shape {
     if planting.kind != KIND_GRASS {
-        let radius = ((half * 49) >> 8) + 1;
+        let radius = ((half * 84) >> 8) + 1;
         return Shape {
             radius,
             slope_radius: radius,

@@ -30,7 +30,7 @@ const COLLAPSE: f32 = 0.25;
 
 /// Far trees are thinned from here on, metres, unless they begin farther away; each as much wider as
 /// there are fewer.
-const FAR_THIN_FROM_M: f64 = 2000.0;
+const FAR_THIN_FROM_M: f64 = 1500.0;
 
 /// Far trees begin so much nearer than single ones end, metres: none falls between their distances,
 /// which are rounded to 1/16 m.
