@@ -3,7 +3,8 @@
 //! Light across borders of chunks (`borders`), the change of shading with the tolerance
 //! (`tolerance`), light in shadow (`shadow`): each with the normals of the land and, as its control,
 //! with those of the drawn triangles. Shadows of objects on floors (`floor_shadow`), near planes under
-//! lifted eyes (`lifted`), impostors of trees (`impostors`), times of frames (`frame_time`).
+//! lifted eyes (`lifted`), impostors of trees (`impostors`), shadows of trees (`tree_shadow`), times
+//! of frames (`frame_time`).
 //! `cargo xtask measure visual` compares the figures with their bars; here only a control that passes
 //! is an error.
 
@@ -15,6 +16,7 @@ mod impostors;
 mod lifted;
 mod shadow;
 mod tolerance;
+mod tree_shadow;
 mod views;
 
 use crate::report::publish;
@@ -52,6 +54,7 @@ struct Report {
     floor: floor_shadow::FloorShadow,
     lifted: lifted::Lifted,
     impostors: impostors::Impostors,
+    tree_shadow: tree_shadow::TreeShadow,
     frame_time: frame_time::FrameTime,
 }
 
@@ -76,6 +79,8 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let lifted = lifted::measure(&land, EYES * options.poses / POSES)?;
     note("impostors");
     let impostors = impostors::measure(&land, options.poses.div_ceil(4))?;
+    note("shadows of trees");
+    let tree_shadow = tree_shadow::measure()?;
     note("frame times");
     let frame_time = frame_time::measure(land)?;
     let report = Report {
@@ -88,6 +93,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         floor,
         lifted,
         impostors,
+        tree_shadow,
         frame_time,
     };
     publish(&report, bars::rows, bars::notes, "/adapter", outputs)?;

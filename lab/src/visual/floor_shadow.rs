@@ -70,10 +70,8 @@ fn add(renderer: &mut PomRenderer, scene: Scene, pose: Pose, sum: &mut FloorShad
     let others: Vec<Object> = all.iter().filter(|object| !is_floor(object)).copied().collect();
     let pom = PomSettings::default();
     let sun = sun_of(renderer, pose);
-    let blocker = Object {
-        shape: Shape::Cube { half_m: 200.0 },
-        ..Object::ball(600.0 * sun, 1.0, glam::Vec3::ZERO)
-    };
+    let blocker =
+        Object { shape: Shape::Cube { half_m: 200.0 }, ..Object::ball(600.0 * sun, 1.0, glam::Vec3::ZERO) };
     let covered = renderer.cover(&others, pose, pom)?;
     let drawn = renderer.shown(&all, pose, pom, Show::Image)?;
     let lit = renderer.shown(&floor, pose, pom, Show::Image)?;

@@ -80,8 +80,7 @@ pub fn measure(land: &Land, poses: u32) -> Result<Impostors, GpuError> {
         }
         let bare = frame(VegetationSettings { trees: 0, ..TREES });
         let [far, near, bare] = [renderer.picture(&far)?, renderer.picture(&near)?, renderer.picture(&bare)?];
-        let [flips, control] =
-            [&far, &bare].map(|picture| flip::map(&near, picture, PIXELS_PER_DEGREE));
+        let [flips, control] = [&far, &bare].map(|picture| flip::map(&near, picture, PIXELS_PER_DEGREE));
         for pixel in mask.iter().enumerate().filter_map(|(pixel, is)| is.then_some(pixel)) {
             found.flip += flips[pixel];
             found.without += control[pixel];

@@ -22,16 +22,12 @@ pub fn impostor_corner(tree: &Caster, index: u32) -> Vec3 {
     let away_m = length(middle_m).max(1e-3);
     let gaze = scaled(middle_m, 1.0 / away_m);
     let level = gaze[0].hypot(gaze[2]);
-    let aside =
-        if level > 1e-4 { scaled([-gaze[2], gaze[0]], 1.0 / level.max(1e-6)) } else { [1.0, 0.0] };
+    let aside = if level > 1e-4 { scaled([-gaze[2], gaze[0]], 1.0 / level.max(1e-6)) } else { [1.0, 0.0] };
     let right = [aside[0], 0.0, aside[1]];
     let up = cross(right, gaze);
     let radius_m = 0.5 * tree.width_m.hypot(tree.height_m);
     let nearer = away_m / (away_m - radius_m).max(0.25 * away_m);
-    let half_m = scaled(
-        [tree.width_m, tree.height_m * level + tree.width_m * gaze[1].abs()],
-        0.5 * nearer,
-    );
+    let half_m = scaled([tree.width_m, tree.height_m * level + tree.width_m * gaze[1].abs()], 0.5 * nearer);
     let is_right = index == 1 || index == 4 || index == 5;
     let is_above = index == 2 || index == 3 || index == 5;
     let across = scaled(right, if is_right { half_m[0] } else { -half_m[0] });
@@ -134,7 +130,8 @@ mod tests {
     /// A tree somewhere around the eye, 20 m to 8 km away, at elevations of up to 90 degrees.
     fn any_tree(seed: u32) -> (Caster, f32) {
         let away_m = 20.0 * 400.0f32.powf(unit(seed, 0));
-        let (turn, rise) = (std::f32::consts::TAU * unit(seed, 1), std::f32::consts::PI * (unit(seed, 2) - 0.5));
+        let (turn, rise) =
+            (std::f32::consts::TAU * unit(seed, 1), std::f32::consts::PI * (unit(seed, 2) - 0.5));
         let level_m = away_m * rise.cos();
         let tree = Caster {
             root_m: [level_m * turn.cos(), away_m * rise.sin(), level_m * turn.sin()],
@@ -241,7 +238,8 @@ mod tests {
 
     #[test]
     fn hits_are_as_exact_far_away_as_near_by() {
-        let tree = |away_m: f32| Caster { root_m: [0.0, 0.0, -away_m], width_m: 4.0, height_m: 10.0, species: 2 };
+        let tree =
+            |away_m: f32| Caster { root_m: [0.0, 0.0, -away_m], width_m: 4.0, height_m: 10.0, species: 2 };
         let depth = |away_m: f32| {
             let tree = tree(away_m);
             let aim = [0.5, 6.0, -away_m];

@@ -134,11 +134,8 @@ impl ClumpPass {
         let levels = 0..species.vertices().len();
         let pipelines = levels.map(|level| {
             let [vertex, fragment] = species.entry_points(level);
-            let output = Output {
-                vertex: vertex.or(output.vertex),
-                fragment: fragment.or(output.fragment),
-                ..output
-            };
+            let output =
+                Output { vertex: vertex.or(output.vertex), fragment: fragment.or(output.fragment), ..output };
             pass.clump_pipeline(device, output, species.topology(level), level)
         });
         let pipelines = pipelines.collect();

@@ -84,15 +84,8 @@ impl FarTreePass {
             samples,
         };
         let draw = draw.two_sided_pipeline(device, HDR);
-        let land = [
-            (0, &culling),
-            (1, &planting),
-            (2, pool.heights()),
-            (4, pool.records()),
-            (6, &chunks),
-        ];
-        let placing =
-            [uniforms, &field, &params, &patches, &state, &trees, pool.sun_clearances()];
+        let land = [(0, &culling), (1, &planting), (2, pool.heights()), (4, pool.records()), (6, &chunks)];
+        let placing = [uniforms, &field, &params, &patches, &state, &trees, pool.sun_clearances()];
         Self {
             count,
             scan,

@@ -142,7 +142,8 @@ impl FarTreeFrame {
                 if !has_density(chunk, [low[0] - x, low[1] - z], drawn.key.spacing()) {
                     continue;
                 }
-                let box_low = DVec3::new(from_eye[0] - aside_m, heights_m[0] - aside_m, from_eye[1] - aside_m);
+                let box_low =
+                    DVec3::new(from_eye[0] - aside_m, heights_m[0] - aside_m, from_eye[1] - aside_m);
                 let box_high = DVec3::new(
                     from_eye[0] + side_m + aside_m,
                     heights_m[1] + above_m,

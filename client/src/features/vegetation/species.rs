@@ -140,7 +140,10 @@ impl SpeciesTraits {
             thin_from_m: range_m.max(1.0),
             widest: 1.0,
             range_m,
-            detail_m: [50.0_f64.min(f64::from(settings.impostors_from_m)), f64::from(settings.impostors_from_m)],
+            detail_m: [
+                50.0_f64.min(f64::from(settings.impostors_from_m)),
+                f64::from(settings.impostors_from_m),
+            ],
             detail_scale: 1.0,
             least_detail: LEAST_DETAIL_OF_TREES,
             stand_m: f64::from(settings.tree_range_m),
@@ -266,14 +269,13 @@ impl VegetationFrame {
         let culling = culling_params(pose, projection, &grid, cache, &settings);
         // Land near the view distance is dissolved and carries no plants.
         let reach_m = f64::from(view_distance_m) * REACHED;
-        let traits = [SpeciesTraits::grass(&settings), SpeciesTraits::trees(&settings)].map(|traits| {
-            SpeciesTraits {
+        let traits =
+            [SpeciesTraits::grass(&settings), SpeciesTraits::trees(&settings)].map(|traits| SpeciesTraits {
                 range_m: traits.range_m.min(reach_m),
                 stand_m: traits.stand_m.min(reach_m),
                 detail_scale: detail_scale(projection, traits.least_detail),
                 ..traits
-            }
-        });
+            });
         let frustum = Frustum::new(pose, projection);
         let view = FarTreeView {
             eye: &pose.eye(),
