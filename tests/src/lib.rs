@@ -8,7 +8,6 @@
 //! | `delivery` | exact, refined, quantised and seed-only delivery; faulty servers |
 //! | `extremes` | extreme eyes, lenses, sizes and shapes of land |
 //! | `far` | pictures are independent of the distance from the origin |
-//! | `far_trees` | trees beyond the range of single culling |
 //! | `faults` | servers that go away, and clients that reconnect |
 //! | `ground_relief` | parallax on the streamed land |
 //! | `harness` | the harness itself, and this table |

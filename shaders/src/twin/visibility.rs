@@ -571,7 +571,8 @@ mod tests {
             for ([x, y, z], _) in drawn(&planting, &field, &clump, [0, 0], seed) {
                 let out = x.hypot(z);
                 assert!(y <= top && out <= reach(y, 1.0) + ROUNDING_M, "{out} at {y} of {top}: {seed}");
-                left += u32::from(out > reach(y, 0.9));
+                // The lobes of impostors touch the cone more closely (`tree_impostor`).
+                left += u32::from(out > reach(y, 0.75));
             }
         }
         assert!(left > 100, "the control: {left}");

@@ -2,6 +2,7 @@
 //! would, and those without room are counted.
 
 use client::cache::ChunkCache;
+use client::camera::Projection;
 use client::features::vegetation::{Cull, VegetationSettings};
 use client::gpu::{Gpu, Image, OffscreenTarget, offscreen};
 use client::lod::select;
@@ -27,6 +28,18 @@ const TREES: VegetationSettings = VegetationSettings {
     ..VegetationSettings::STANDARD
 };
 
+/// The best adapter; `None`, with the reason printed, where there is none and none is required.
+fn open() -> Option<Gpu> {
+    match Gpu::open_blocking() {
+        Ok(gpu) => Some(gpu),
+        Err(error) => {
+            assert!(std::env::var_os("TOMBOLO_REQUIRE_GPU").is_none(), "a GPU is required: {error}");
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+    }
+}
+
 /// A renderer and the world of one camera.
 struct Woods {
     gpu: Gpu,
@@ -38,7 +51,7 @@ struct Woods {
 
 impl Woods {
     fn open(camera: &str) -> Option<Self> {
-        let gpu = tests::open_gpu_or_skip()?;
+        let gpu = open()?;
         let options = RenderOptions {
             scene: Scene::Island,
             size: SIZE,
@@ -49,7 +62,14 @@ impl Woods {
         };
         let mut renderer = Renderer::new(&gpu, &options);
         let target = OffscreenTarget::new(&gpu.device, SIZE.0, SIZE.1);
-        let view = tests::view_at(camera, SIZE, 8_000, 4.0);
+        let view = ViewParams {
+            pose: camera.parse().expect("a pose"),
+            projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
+            view_distance_m: 8_000,
+            tolerance_px: 4.0,
+            time_s: 0.0,
+            settings: RenderSettings::default(),
+        };
         let land = Land::new(1);
         let mut world = ChunkCache::new(SLOTS);
         for needed in lod::select(&land, &view.viewer(), usize::MAX) {
