@@ -54,7 +54,13 @@ impl Frustum {
             // One unit of slack covers the eye's fraction.
             DVec3::from_array([0, 1, 2].map(|axis| (corner[axis] - i64::from(eye.units[axis])) as f64))
         };
-        let (low, high) = (relative(low) - DVec3::ONE, relative(high) + DVec3::ONE);
+        self.may_hold(relative(low) - DVec3::ONE, relative(high) + DVec3::ONE)
+    }
+
+    /// Whether a box may intersect the frustum; its corners from the eye, in any unit. Conservative:
+    /// true in doubt.
+    #[must_use]
+    pub fn may_hold(&self, low: DVec3, high: DVec3) -> bool {
         self.normals.iter().all(|normal| {
             let farthest = DVec3::select(normal.cmpgt(DVec3::ZERO), high, low);
             normal.dot(farthest) >= 0.0

@@ -36,7 +36,7 @@ const SURE_SHARE: f64 = 0.9;
 
 /// No land lies deeper, metres: fine octaves dip the floor of an island's shelf below that of the
 /// open sea.
-const LOWEST_M: f64 = (SEA_FLOOR_M + 23) as f64;
+pub const LOWEST_M: f64 = (SEA_FLOOR_M + 23) as f64;
 
 /// Least height of an eye over the drawn ground, metres: the near plane must not cut the ground
 /// beside it.
@@ -150,7 +150,7 @@ pub fn count(
         }
         let (shot, frame) = viewpoint.frame(&mut builder, renderer, fault);
         let picture = renderer.picture(&frame)?;
-        let (pixels, magenta) = judge(&shot, &picture);
+        let (pixels, magenta) = judge(&shot, &picture, LOWEST_M);
         count.poses += 1;
         count.arriving += usize::from(viewpoint.lost > 0.0);
         count.chunks += frame.chunks;
@@ -254,11 +254,12 @@ fn drawn_ceiling(world: &ChunkCache, selection: &Selection, pose: Pose) -> f64 {
     f64::from(highest.unwrap_or(0)) / f64::from(UNITS_PER_METRE)
 }
 
-/// Pixels that must show land, and how many of them show the backdrop.
-fn judge(shot: &ViewParams, picture: &Image) -> (u64, u64) {
+/// Pixels that must show land, and how many of them show the backdrop. No land lies deeper than
+/// `lowest_m` below the sea.
+pub fn judge(shot: &ViewParams, picture: &Image, lowest_m: f64) -> (u64, u64) {
     let (pose, projection) = (&shot.pose, &shot.projection);
     let (half_height, aspect) = (projection.half_height(), projection.aspect());
-    let drop_m = pose.position_m.y + LOWEST_M;
+    let drop_m = pose.position_m.y + lowest_m;
     let reach_m = SURE_SHARE * f64::from(shot.view_distance_m);
     let (mut pixels, mut magenta) = (0, 0);
     for (index, rgba) in picture.rgba.chunks_exact(4).enumerate() {

@@ -116,6 +116,13 @@ impl HeadlessRenderer {
         self.target.read(&self.gpu)
     }
 
+    /// [`HeadlessRenderer::picture`] in another size, pixels, which later pictures keep.
+    pub fn picture_of(&mut self, frame: &FrameData, size: (u32, u32)) -> Result<Image, GpuError> {
+        self.renderer.resize(size);
+        self.target = OffscreenTarget::new(&self.gpu.device, size.0, size.1);
+        self.picture(frame)
+    }
+
     /// Draws a frame with all its shadows and returns its linear light, four channels a pixel.
     pub fn linear_light(&mut self, frame: &FrameData) -> Result<Vec<[f32; 4]>, GpuError> {
         self.renderer.finish_shading(&self.gpu, frame)?;

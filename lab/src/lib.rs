@@ -36,6 +36,7 @@ mod stability;
 pub mod stats;
 mod table;
 mod timings;
+pub mod tree_shadow;
 mod visual;
 mod waves;
 mod world_builder;

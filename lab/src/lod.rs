@@ -18,6 +18,7 @@ use crate::world_builder::WorldBuilder;
 use crate::{Outputs, note};
 use anyhow::{Result, ensure};
 use client::lod::select;
+use client::settings::RenderSettings;
 use client::view::ViewParams;
 use screen::{ScreenErrors, ViewCase};
 use serde::Serialize;
@@ -60,6 +61,8 @@ struct Report {
     triangles: Vec<triangles::View>,
     cracks: Cracks,
     popping: Vec<popping::Outcome>,
+    /// The same by light of the drawn triangles, without shadows of the land.
+    popping_by_triangles: Vec<popping::Outcome>,
     frames: frames::Frames,
 }
 
@@ -102,15 +105,18 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let triangles = triangles::count(&land);
     note("popping");
     let mut renderer = popping::renderer()?;
-    let popping =
-        popping::FLIGHTS.iter().map(|flight| popping::fly(&mut renderer, land, flight, options.frames));
-    let popping = popping.collect::<Result<_, _>>()?;
+    let mut fly = |settings| -> Result<Vec<_>, _> {
+        let flights = popping::FLIGHTS.iter();
+        flights.map(|flight| popping::fly(&mut renderer, land, flight, settings, options.frames)).collect()
+    };
+    let popping = fly(RenderSettings::default())?;
+    let popping_by_triangles = fly(popping::by_triangles())?;
     drop(renderer);
     note("gaps");
     let cracks = gaps(land, options.views)?;
     note("frames");
     let frames = frames::measure(land, &TOLERANCES_PX, frames::FRAMES)?;
-    let report = Report { screen, triangles, cracks, popping, frames };
+    let report = Report { screen, triangles, cracks, popping, popping_by_triangles, frames };
     publish(&report, bars::rows, bars::notes, "/frames/adapter", outputs)?;
     report.controls()
 }

@@ -1,14 +1,22 @@
 //! `tombolo-lab visual`: what a person would notice in pictures of the land.
 //!
 //! Light across borders of chunks (`borders`), the change of shading with the tolerance
-//! (`tolerance`), light in shadow (`shadow`). Each figure is measured with the normals of the land
-//! and, as its control, with those of the drawn triangles. `cargo xtask measure visual` compares
-//! the figures with their bars; here only a control that passes is an error.
+//! (`tolerance`), light in shadow (`shadow`): each with the normals of the land and, as its control,
+//! with those of the drawn triangles. Shadows of objects on floors (`floor_shadow`), near planes under
+//! lifted eyes (`lifted`), impostors of trees (`impostors`), shadows of trees (`tree_shadow`), times
+//! of frames (`frame_time`).
+//! `cargo xtask measure visual` compares the figures with their bars; here only a control that passes
+//! is an error.
 
 mod bars;
 mod borders;
+mod floor_shadow;
+mod frame_time;
+mod impostors;
+mod lifted;
 mod shadow;
 mod tolerance;
+mod tree_shadow;
 mod views;
 
 use crate::report::publish;
@@ -20,11 +28,15 @@ use terrain::Land;
 /// The world that is measured.
 const WORLD_SEED: u64 = 1;
 
+/// Poses of a record, and the lifted eyes of one.
+pub const POSES: u32 = 60;
+const EYES: u32 = 200;
+
 /// Options of `visual`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
     /// Poses of each figure, 4 to 10000
-    #[arg(long, value_name = "N", default_value_t = 60,
+    #[arg(long, value_name = "N", default_value_t = POSES,
           value_parser = clap::value_parser!(u32).range(4..=10_000))]
     pub poses: u32,
 }
@@ -37,6 +49,13 @@ struct Report {
     borders: borders::Borders,
     tolerance: tolerance::Tolerance,
     shadow: shadow::Shadow,
+    /// Pixels of all pictures above with light that is no finite number.
+    unlit: u64,
+    floor: floor_shadow::FloorShadow,
+    lifted: lifted::Lifted,
+    impostors: impostors::Impostors,
+    tree_shadow: tree_shadow::TreeShadow,
+    frame_time: frame_time::FrameTime,
 }
 
 /// Measures, prints and checks the controls.
@@ -52,12 +71,42 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let tolerance = tolerance::measure(&mut views)?;
     note("light in shadow");
     let shadow = shadow::measure(&mut views)?;
-    let report = Report { adapter: views.adapter(), poses: options.poses, borders, tolerance, shadow };
+    let (adapter, unlit) = (views.adapter(), views.unlit);
+    drop(views);
+    note("shadows on floors");
+    let floor = floor_shadow::measure()?;
+    note("lifted eyes");
+    let lifted = lifted::measure(&land, EYES * options.poses / POSES)?;
+    note("impostors");
+    let impostors = impostors::measure(&land, options.poses.div_ceil(4))?;
+    note("shadows of trees");
+    let tree_shadow = tree_shadow::measure()?;
+    note("frame times");
+    let frame_time = frame_time::measure(land)?;
+    let report = Report {
+        adapter,
+        poses: options.poses,
+        borders,
+        tolerance,
+        shadow,
+        unlit,
+        floor,
+        lifted,
+        impostors,
+        tree_shadow,
+        frame_time,
+    };
     publish(&report, bars::rows, bars::notes, "/adapter", outputs)?;
     ensure!(
         report.borders.mesh.ratio > report.borders.land.ratio,
         "borders of chunks do not show in the light of drawn triangles"
     );
     ensure!(report.tolerance.mesh > report.tolerance.land, "light of drawn triangles ignores the tolerance");
+    ensure!(report.floor.control > report.floor.wrong, "shadows moved by 0.3 m are not seen");
+    ensure!(report.lifted.magenta_before > 0, "no near plane cuts the land by the vertical rule");
+    ensure!(
+        report.impostors.without > report.impostors.flip,
+        "impostors are no nearer to trees than no trees"
+    );
     Ok(())
 }

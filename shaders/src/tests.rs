@@ -10,14 +10,14 @@ use naga::{BinaryOperator, Binding, Expression, ScalarKind, ShaderStage, TypeInn
 use crate::layout::{
     Atmosphere, BAKE_WORKGROUP, BLOCK_LIST, BLOCK_TEXELS, BRDF_TERMS, Bake, BakeTexel, BrdfProbe,
     CLEARANCE_RANGE, CLUMP_BYTES, CONE_WORKGROUP, ChunkFill, ChunkWords, ConeOrder, Culling, EMPTY_LINK,
-    Exposure, FILL_NODES, FILL_WORKGROUP, FINE_PER_METRE, Field, Frame, GPU_SLOT_BYTES, GRASS_RANGE_M,
-    GRASS_SPREAD_M, GRASS_TILT, GRID_NODES, INDIRECT_DRAWS, INDIRECT_PREPARE, INDIRECT_REGIONS, LEAF,
-    MASK_BEGIN, MATERIALS, MAX_MIP_WORKGROUP, METER_GROUPS, MaxMipReduction, NOISE_OCTAVES, OccluderChunk,
-    OcclusionNode, PATTERN_PERIOD_M, PREPARED_HEAD, PROBE_COARSE_OCTAVES, PROBE_FIXED, PROBE_MARCHED,
-    PROBE_STEPPED, PageNode, Planting, PomObject, PomParams, PomProbe, PomResult, Post, RECORD_WORDS,
-    REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE, SUN_RADIUS, ShadowTarget, SunParams, TILING_WORKGROUP,
-    TREE_GRID_CELLS, TerrainInstance, TilingProbe, VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP,
-    WaveProbe, World,
+    Exposure, FAR_COUNTS, FAR_LOST, FAR_MASKS, FAR_PATCH_CELLS, FILL_NODES, FILL_WORKGROUP, FINE_PER_METRE,
+    FarTrees, Field, Frame, GPU_SLOT_BYTES, GRASS_RANGE_M, GRASS_SPREAD_M, GRASS_TILT, GRID_NODES,
+    INDIRECT_DRAWS, INDIRECT_PREPARE, INDIRECT_REGIONS, LEAF, MASK_BEGIN, MATERIALS, MAX_MIP_WORKGROUP,
+    METER_GROUPS, MaxMipReduction, NOISE_OCTAVES, OccluderChunk, OcclusionNode, PATTERN_PERIOD_M,
+    PREPARED_HEAD, PROBE_COARSE_OCTAVES, PROBE_FIXED, PROBE_MARCHED, PROBE_STEPPED, PageNode, Planting,
+    PomObject, PomParams, PomProbe, PomResult, Post, RECORD_WORDS, REDUCE_WORKGROUP, SKY_DARK, SKY_TRACE,
+    SUN_RADIUS, ShadowTarget, SunParams, TILING_WORKGROUP, TREE_GRID_CELLS, TerrainInstance, TilingProbe,
+    VISIBILITY_WORDS, WAVE_MAP_SIDE, WAVE_WORKGROUP, WaveProbe, World,
 };
 use crate::validate::validate;
 use crate::{SHADERS, Shader, Stage};
@@ -55,6 +55,7 @@ fn every_shader_is_portable_and_either_computes_or_draws() {
             "integrate_sky",
             "light_trees",
             "meter_exposure",
+            "place_far_trees",
             "place_trees",
             "prepare_grass",
             "prepare_trees",
@@ -231,7 +232,7 @@ fn fields_have_the_layout_and_vertices_of_the_shaders() {
             shader, Field,
             eye_x, eye_y, eye_z, kind, width_low_m, width_high_m, height_low_m, height_high_m, thin_from_m,
             widest, range_m,
-            collapse_m, lod_m, wind, lean, casts, detail,
+            collapse_m, lod_m, wind, lean, casts, detail, stand_m, reserved,
         );
         let fine = format!("METRES_PER_FINE: f32 = 1.0 / {FINE_PER_METRE}.0;");
         assert!(shader.wgsl.contains(&fine), "{}", shader.name);
@@ -240,11 +241,17 @@ fn fields_have_the_layout_and_vertices_of_the_shaders() {
         let levels = module.overrides.iter().filter(|(_, level)| level.name.as_deref() == Some("LEVEL"));
         assert_eq!(levels.count(), 1, "{}", shader.name);
     }
+    assert_same_layout!(SHADERS.place_far_trees, FarTrees, patches, room, begin_m, reserved);
+    let far = SHADERS.place_far_trees;
     for (shader, line) in [
+        (far, format!("FAR_COUNTS: u32 = {FAR_COUNTS}u;")),
+        (far, format!("FAR_MASKS: u32 = {FAR_MASKS}u;")),
+        (far, format!("FAR_LOST: u32 = {FAR_LOST}u;")),
+        (far, format!("FAR_PATCH_CELLS: u32 = {FAR_PATCH_CELLS}u;")),
         (SHADERS.draw_grass, format!("MAX_TILT: f32 = {GRASS_TILT:?};")),
         (SHADERS.cull_clumps, format!("SPREAD: i32 = {};", (GRASS_SPREAD_M * FINE_PER_METRE as f32).ceil())),
         (SHADERS.draw_terrain, format!("GRASS_RANGE_M: f32 = {GRASS_RANGE_M:?};")),
-        (SHADERS.draw_trees, "SPRAYS = vec3u(168u, 40u, 16u);".to_owned()),
+        (SHADERS.draw_trees, "SPRAYS = vec2u(168u, 40u);".to_owned()),
         (SHADERS.place_trees, format!("TREE_GRID_CELLS: i32 = {TREE_GRID_CELLS};")),
     ] {
         assert!(shader.wgsl.contains(&line), "{line}");

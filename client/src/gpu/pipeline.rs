@@ -79,6 +79,12 @@ impl HdrPass<'_> {
         self.build(device, output, primitive, &[("LEVEL", level as f64)])
     }
 
+    /// The pipeline of triangles that both sides of are drawn.
+    #[must_use]
+    pub fn two_sided_pipeline(&self, device: &wgpu::Device, output: Output<'_>) -> wgpu::RenderPipeline {
+        self.build(device, output, wgpu::PrimitiveState { cull_mode: None, ..SOLID }, &[])
+    }
+
     fn build(
         &self,
         device: &wgpu::Device,

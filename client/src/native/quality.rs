@@ -43,6 +43,8 @@ pub struct Preset {
     pub trees: u32,
     /// Range of trees, metres, of the island scene; woods beyond it are a canopy on the land.
     pub tree_range_m: f32,
+    /// Up to here each tree is culled by itself, metres.
+    pub single_trees_m: f32,
     /// Rendered size over the size of the window. A shot of a software driver has its own size.
     pub render_scale: f32,
     /// Whether scenes with plants of their own get no more than these.
@@ -65,7 +67,8 @@ impl Preset {
             grass: 24,
             grass_range_m: 260.0,
             trees: 2,
-            tree_range_m: 1500.0,
+            tree_range_m: 8000.0,
+            single_trees_m: 1500.0,
             render_scale: 1.0,
             limits_plants: false,
         };
@@ -78,7 +81,8 @@ impl Preset {
             grass: 8,
             grass_range_m: 80.0,
             trees: 1,
-            tree_range_m: 350.0,
+            tree_range_m: 3000.0,
+            single_trees_m: 350.0,
             render_scale: 0.5,
             limits_plants: true,
         };
@@ -114,11 +118,13 @@ impl Preset {
                 range_m: self.grass_range_m,
                 trees: self.trees,
                 tree_range_m: self.tree_range_m,
+                single_trees_m: self.single_trees_m,
                 ..VegetationSettings::STANDARD
             },
             _ if self.limits_plants => VegetationSettings {
                 density: own.density.min(self.grass),
                 range_m: own.range_m.min(self.grass_range_m),
+                single_trees_m: own.single_trees_m.min(self.single_trees_m),
                 ..own
             },
             _ => own,

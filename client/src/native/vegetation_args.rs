@@ -7,6 +7,7 @@ use clap::Args;
 const MOST_GRASS: i64 = VegetationSettings::MAX_DENSITY as i64;
 const MOST_TREES: i64 = VegetationSettings::MAX_TREES as i64;
 const FARTHEST_M: f64 = VegetationSettings::MAX_RANGE_M as f64;
+const FARTHEST_TREE_M: f64 = VegetationSettings::MAX_TREE_RANGE_M as f64;
 
 /// The options; each is a field of [`VegetationSettings`]. The scene provides the defaults.
 #[derive(Clone, Debug, PartialEq, Args)]
@@ -41,9 +42,10 @@ pub struct VegetationArgs {
           value_parser = clap::value_parser!(u32).range(0..=MOST_TREES))]
     pub trees: Option<u32>,
 
-    /// Range of trees, metres, 0 to 1900 [default: 1500]
+    /// Range of trees, metres, 0 to 8000 [default: 8000 in the scene island, 1500 in grass and
+    /// culling; with --quality low 3000 at most]
     #[arg(long, value_name = "M", allow_negative_numbers = true,
-          value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
+          value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_TREE_M))]
     pub tree_range: Option<f64>,
 
     /// Visibility test of plants
@@ -93,6 +95,8 @@ impl VegetationArgs {
             widest: or(self.grass_widest, defaults.widest),
             trees: self.trees.unwrap_or(defaults.trees),
             tree_range_m: or(self.tree_range, defaults.tree_range_m),
+            single_trees_m: defaults.single_trees_m,
+            impostors_from_m: defaults.impostors_from_m,
             cull: self.cull,
             stay: self.cull_stay,
             step_m: self.cull_step as f32,

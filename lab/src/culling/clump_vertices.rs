@@ -68,6 +68,8 @@ pub fn clump_vertices<S: Slots>(
     } else {
         let species = tree_species(&packed);
         let size_m = tree_size_m(species, size_m);
+        // An impostor stands for the geometry of the level before.
+        let level = level.min(1);
         let vertices = 0..TREE_VERTICES[level as usize];
         let vertex = |index| vertex_of_tree(species, level, index, size_m, packed.phase, wind);
         vertices.map(vertex).collect()

@@ -13,7 +13,7 @@ use client::frame::FrameData;
 use client::gpu::{GpuError, Image};
 use client::lod::{Selection, select};
 use client::scene::Scene;
-use client::settings::RenderSettings;
+use client::settings::{Normals, RenderSettings, Shadows};
 use client::view::ViewParams;
 use serde::Serialize;
 use shaders::layout::{ChunkWords, TerrainInstance};
@@ -83,6 +83,12 @@ pub struct Outcome {
     pub worst_frame: u32,
 }
 
+/// Light of the drawn triangles and nothing that no morph can change: shadows of the land are traced
+/// chunk by chunk, over the vertices of the chunk's own level.
+pub fn by_triangles() -> RenderSettings {
+    RenderSettings { normals: Normals::Mesh, shadows: Shadows::Off, ..RenderSettings::default() }
+}
+
 /// A renderer for flights.
 pub fn renderer() -> Result<HeadlessRenderer, GpuError> {
     HeadlessRenderer::open(SIZE, SLOTS)
@@ -92,9 +98,11 @@ pub fn fly(
     renderer: &mut HeadlessRenderer,
     land: Land,
     flight: &Flight,
+    settings: RenderSettings,
     frames: u32,
 ) -> Result<Outcome, GpuError> {
-    let shots: Vec<ViewParams> = (0..=frames).map(|frame| flight.shot(&land, frame, frames)).collect();
+    let shot = |frame| ViewParams { settings, ..flight.shot(&land, frame, frames) };
+    let shots: Vec<ViewParams> = (0..=frames).map(shot).collect();
     let viewers: Vec<Viewer> = shots.iter().map(ViewParams::viewer).collect();
     let mut world = WorldBuilder::new(land).world_along(&viewers, renderer.slots());
     renderer.upload_world(&world);

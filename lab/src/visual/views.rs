@@ -66,6 +66,8 @@ pub struct Views {
     builder: WorldBuilder,
     /// The poses.
     pub cases: Vec<ViewCase>,
+    /// Pixels whose light was no finite number, of all [`Views::light`].
+    pub unlit: u64,
 }
 
 impl Views {
@@ -73,7 +75,7 @@ impl Views {
     pub fn open(land: Land, poses: u32) -> Result<Self, GpuError> {
         let renderer = HeadlessRenderer::open(SIZE, SLOTS)?;
         let cases = screen::view_cases(&land, poses, STREAM);
-        Ok(Self { renderer, builder: WorldBuilder::new(land), cases })
+        Ok(Self { renderer, builder: WorldBuilder::new(land), cases, unlit: 0 })
     }
 
     /// Name of the adapter.
@@ -91,7 +93,10 @@ impl Views {
     /// metres where land is drawn, and positive elsewhere.
     pub fn light(&mut self, case: &ViewCase, shot: Shot) -> Result<Vec<[f32; 4]>, GpuError> {
         let frame = self.frame(case, shot);
-        self.renderer.linear_light(&frame)
+        let light = self.renderer.linear_light(&frame)?;
+        let is_unlit = |pixel: &&[f32; 4]| pixel[..3].iter().any(|channel| !channel.is_finite());
+        self.unlit += light.iter().filter(is_unlit).count() as u64;
+        Ok(light)
     }
 
     fn frame(&mut self, case: &ViewCase, shot: Shot) -> FrameData {

@@ -239,7 +239,46 @@ pub struct Field {
     /// Factor of a distance that decides about detail: more than 1 in images with fewer pixels. Already in
     /// `lod_m`.
     pub detail: f32,
+    /// Distance up to which plants of this kind stand, metres, by whatever pass.
+    pub stand_m: f32,
+    /// Unused; fills 8 bytes.
+    pub reserved: f32,
 }
+
+/// Trees beyond the range of single culling; `shared/far_trees.wesl` documents each field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct FarTrees {
+    /// Patches in the list, at most [`MAX_FAR_PATCHES`].
+    pub patches: u32,
+    /// Capacity for trees.
+    pub room: u32,
+    /// Nearer trees are not among them, metres.
+    pub begin_m: f32,
+    /// Unused; fills 16 bytes.
+    pub reserved: u32,
+}
+
+/// Most patches of far trees.
+pub const MAX_FAR_PATCHES: usize = 32_768;
+
+/// Cells along a side of a patch of far trees.
+pub const FAR_PATCH_CELLS: i32 = 8;
+
+/// First word of the counts of the patches in the state of far trees.
+pub const FAR_COUNTS: usize = 8;
+
+/// First word of their masks.
+pub const FAR_MASKS: usize = FAR_COUNTS + MAX_FAR_PATCHES;
+
+/// Words of the state of far trees: arguments of the draw, counts, masks.
+pub const FAR_STATE_WORDS: usize = FAR_MASKS + 8 * MAX_FAR_PATCHES;
+
+/// Word of the state with the number of trees without room.
+pub const FAR_LOST: usize = 4;
+
+/// Bytes of a far tree.
+pub const FAR_TREE_BYTES: usize = 32;
 
 /// Cells of trees along a side of the square around the eye in which each tree is known, and their
 /// side, metres.
@@ -262,8 +301,9 @@ pub const FINE_PER_METRE: i32 = 4096;
 /// a strip of triangles, then 32 and 6 single triangles.
 pub const GRASS_VERTICES: [u32; 3] = [128 * 9, 32 * 3, 6 * 3];
 
-/// Vertices of one tree at each level of detail, finest first: triangles, those of the trunk last.
-pub const TREE_VERTICES: [u32; 3] = [6 * (168 + 10), 6 * (40 + 6), 6 * (16 + 3)];
+/// Vertices of one tree at each level of detail, finest first: triangles, those of the trunk last; then
+/// an impostor.
+pub const TREE_VERTICES: [u32; 3] = [6 * (168 + 10), 6 * (40 + 6), 6];
 
 /// Longest horizontal part of the direction in which grass stands. Equal to `MAX_TILT` of
 /// `shared/clump.wesl`.

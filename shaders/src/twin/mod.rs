@@ -22,6 +22,7 @@ pub mod ring;
 pub mod surface;
 pub mod terrain_occlusion;
 pub mod tree;
+pub mod tree_impostor;
 pub mod tree_shape;
 pub mod tuft;
 pub mod visibility;

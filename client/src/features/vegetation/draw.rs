@@ -44,6 +44,15 @@ impl Species {
         }
     }
 
+    /// Entry points that draw a level of detail, in place of a shader's usual ones: of trees, the last
+    /// level is impostors.
+    fn entry_points(self, level: usize) -> [Option<&'static str>; 2] {
+        match (self, level) {
+            (Self::Tree, 2) => [Some("far_vertex"), Some("far_fragment")],
+            _ => [None, None],
+        }
+    }
+
     fn topology(self, level: usize) -> wgpu::PrimitiveTopology {
         match (self, level) {
             (Self::Grass, 0) => wgpu::PrimitiveTopology::TriangleStrip,
@@ -123,8 +132,13 @@ impl ClumpPass {
         let buffers = [instances(CLUMP_BYTES, &words), instances(PREPARED_BYTES, &prepared)];
         let pass = HdrPass { shader, layouts: &[&layout], buffers: &buffers, depth: Depth::Solid, samples };
         let levels = 0..species.vertices().len();
-        let pipelines =
-            levels.map(|level| pass.clump_pipeline(device, output, species.topology(level), level)).collect();
+        let pipelines = levels.map(|level| {
+            let [vertex, fragment] = species.entry_points(level);
+            let output =
+                Output { vertex: vertex.or(output.vertex), fragment: fragment.or(output.fragment), ..output };
+            pass.clump_pipeline(device, output, species.topology(level), level)
+        });
+        let pipelines = pipelines.collect();
         Self { shader, pipelines, layout }
     }
 

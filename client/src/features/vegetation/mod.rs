@@ -11,11 +11,15 @@
 //! | [`tree_cells`] | the trees around the eye in cells, for their shadows |
 //! | [`prepare`] | what all vertices of a visible clump share, once a frame |
 //! | [`draw`] | indirect draws of visible clumps |
+//! | [`far_trees`] | trees beyond the range of single culling: patches of a frame |
+//! | [`far_tree_pass`] | their passes and buffers |
 //! | [`renderer`] | passes and buffers of all species |
 
 pub mod by_slot;
 pub mod cull_pipelines;
 pub mod draw;
+pub mod far_tree_pass;
+pub mod far_trees;
 pub mod gpu_cull;
 pub mod occlusion_grid;
 pub mod prepare;

@@ -3,6 +3,7 @@
 
 use crate::features::terrain::pool::ChunkPool;
 use crate::features::vegetation::draw::{ClumpPass, Species, VisibleClumps};
+use crate::features::vegetation::far_tree_pass::FarTreePass;
 use crate::features::vegetation::gpu_cull::{CullBuffers, CullPasses, CullStats, MAX_BLOCKS};
 use crate::features::vegetation::prepare::PreparePass;
 use crate::features::vegetation::species::{SpeciesParams, VegetationFrame};
@@ -22,6 +23,10 @@ pub struct VegetationRenderer {
     passes: CullPasses,
     placing: TreePasses,
     species: Vec<SpeciesPass>,
+    /// Built with the first frame that has far trees.
+    far_trees: Option<FarTreePass>,
+    /// Patches of far trees without room, of the last frame.
+    far_patches_lost: u32,
     /// Frame number, from 1 on: the time stamp of visible blocks.
     frame: u32,
 }
@@ -55,7 +60,7 @@ impl VegetationRenderer {
     pub fn new(device: &wgpu::Device) -> Self {
         let passes = CullPasses::new(device);
         let placing = TreePasses::new(device, passes.land_layout());
-        Self { passes, placing, species: Vec::new(), frame: 0 }
+        Self { passes, placing, species: Vec::new(), far_trees: None, far_patches_lost: 0, frame: 0 }
     }
 
     /// Records the culling of a frame's vegetation, to be submitted before or with its drawing.
@@ -113,6 +118,14 @@ impl VegetationRenderer {
                 self.placing.record(pass.buffers.culling.land(), groups, trees, encoder);
             }
         }
+        let far = plants.far_trees.as_ref();
+        if far.is_some() && self.far_trees.is_none() {
+            self.far_trees = Some(FarTreePass::new(&gpu.device, uniforms, pool, samples));
+        }
+        if let Some(pass) = &self.far_trees {
+            pass.record(&gpu.queue, far, encoder);
+        }
+        self.far_patches_lost = far.map_or(0, |far| far.patches_lost);
         // Grass reads the cells of trees, so all trees are placed before anything is prepared.
         for SpeciesPass { preparing, buffers, .. } in &self.species {
             preparing.record(&buffers.preparing, &buffers.clumps, encoder);
@@ -123,6 +136,9 @@ impl VegetationRenderer {
     pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>) {
         for species in &self.species {
             species.pass.draw(pass, &species.buffers.bindings, &species.buffers.clumps);
+        }
+        if let Some(far_trees) = &self.far_trees {
+            far_trees.draw(pass);
         }
     }
 
@@ -140,7 +156,9 @@ impl VegetationRenderer {
     /// The GPU failed.
     pub fn read_stats(&self, gpu: &Gpu) -> Result<CullStats, GpuError> {
         let add = |sum: CullStats, pass: &SpeciesPass| Ok(sum.with(pass.buffers.culling.read_stats(gpu)?));
-        self.species.iter().try_fold(CullStats::default(), add)
+        let far = self.far_trees.as_ref().map(|pass| pass.read_stats(gpu)).transpose()?.unwrap_or_default();
+        let far = CullStats { blocks_lost: self.far_patches_lost, ..far };
+        self.species.iter().try_fold(far, add)
     }
 
     /// The buffers of each species, for checks.

@@ -49,8 +49,13 @@ pub struct VegetationSettings {
     pub widest: f32,
     /// Trees on a cell of 8 x 8 m at most, 0 to 4; 0 for none.
     pub trees: u32,
-    /// Range of trees, metres.
+    /// Range of trees, metres, 0 to [`VegetationSettings::MAX_TREE_RANGE_M`].
     pub tree_range_m: f32,
+    /// Up to here each tree is culled by itself, metres; farther ones by patches, and thinned.
+    pub single_trees_m: f32,
+    /// Up to here trees have sprays of leaves, metres, in images of full detail; farther ones are
+    /// impostors.
+    pub impostors_from_m: f32,
     /// Culling method.
     pub cull: Cull,
     /// Frames for which a block stays visible after its last visible frame, 0 to 60. Exact tests
@@ -69,7 +74,9 @@ pub struct VegetationSettings {
 impl VegetationSettings {
     /// Most clumps of a cell.
     pub const MAX_DENSITY: u32 = 32;
-    /// Farthest plant, metres.
+    /// Farthest tree, metres.
+    pub const MAX_TREE_RANGE_M: f32 = 8000.0;
+    /// Farthest plant that is culled by itself, metres.
     pub const MAX_RANGE_M: f32 = super::occlusion_grid::REACH_M as f32;
     /// Most trees of a cell.
     pub const MAX_TREES: u32 = 4;
@@ -84,6 +91,8 @@ impl VegetationSettings {
         widest: 6.0,
         trees: 1,
         tree_range_m: 1500.0,
+        single_trees_m: 1500.0,
+        impostors_from_m: 220.0,
         cull: Cull::Hierarchical,
         stay: 0,
         step_m: 2.0,
@@ -123,7 +132,14 @@ impl VegetationSettings {
             thin_from_m: within(self.thin_from_m, 1.0, Self::MAX_RANGE_M, standard.thin_from_m),
             widest: within(self.widest, 1.0, 16.0, standard.widest),
             trees: self.trees.min(Self::MAX_TREES),
-            tree_range_m: within(self.tree_range_m, 0.0, Self::MAX_RANGE_M, standard.tree_range_m),
+            tree_range_m: within(self.tree_range_m, 0.0, Self::MAX_TREE_RANGE_M, standard.tree_range_m),
+            single_trees_m: within(self.single_trees_m, 0.0, Self::MAX_RANGE_M, standard.single_trees_m),
+            impostors_from_m: within(
+                self.impostors_from_m,
+                0.0,
+                Self::MAX_RANGE_M,
+                standard.impostors_from_m,
+            ),
             cull: self.cull,
             stay: self.stay.min(60),
             step_m: within(self.step_m, 0.25, 16.0, standard.step_m),

@@ -3,6 +3,7 @@
 use crate::cache::ChunkCache;
 use crate::camera::{NEAR_M, Pose, Projection};
 use crate::features::vegetation::by_slot::BySlot;
+use crate::features::vegetation::far_trees::{FarTreeFrame, FarTreeView};
 use crate::features::vegetation::occlusion_grid::OcclusionGrid;
 use crate::features::vegetation::settings::{Cull, REACHED, VegetationSettings};
 use crate::frustum::Frustum;
@@ -27,6 +28,14 @@ const COARSE: f64 = FINE / (1 << COARSE_BITS) as f64;
 /// Share of the range over which heights collapse to 0 at its end.
 const COLLAPSE: f32 = 0.25;
 
+/// Far trees are thinned from here on, metres, unless they begin farther away; each as much wider as
+/// there are fewer.
+const FAR_THIN_FROM_M: f64 = 1500.0;
+
+/// Far trees begin so much nearer than single ones end, metres: none falls between their distances,
+/// which are rounded to 1/16 m.
+const FAR_OVERLAP_M: f64 = 0.5;
+
 /// Pixels per radian from which on plants have their full detail: 416 lines of a lens of 60 degrees, in
 /// which a blade at 3 m is about a pixel wide.
 pub const FULL_DETAIL_PX: f64 = 360.0;
@@ -48,6 +57,8 @@ pub struct VegetationFrame {
     pub grid: OcclusionGrid,
     /// Species of this frame, grass first.
     pub species: Vec<SpeciesParams>,
+    /// Trees beyond the range of single culling.
+    pub far_trees: Option<FarTreeFrame>,
     /// The settings of the frame.
     pub settings: VegetationSettings,
 }
@@ -91,6 +102,8 @@ pub struct SpeciesTraits {
     pub detail_scale: f64,
     /// The shapes of the levels of trees differ more than those of grass.
     pub least_detail: f64,
+    /// Plants of this kind stand up to here, by whatever pass, metres.
+    pub stand_m: f64,
 }
 
 impl SpeciesTraits {
@@ -109,12 +122,14 @@ impl SpeciesTraits {
             detail_m: [10.0, 32.0],
             detail_scale: 1.0,
             least_detail: LEAST_DETAIL,
+            stand_m: f64::from(settings.range_m),
         }
     }
 
-    /// Trees by the settings.
+    /// Trees that are culled by themselves, by the settings.
     #[must_use]
     pub fn trees(settings: &VegetationSettings) -> Self {
+        let range_m = f64::from(settings.tree_range_m.min(settings.single_trees_m));
         Self {
             kind: KIND_TREES,
             cell_bits: STEP_BITS + 2,
@@ -122,13 +137,34 @@ impl SpeciesTraits {
             width_m: [3.2, 6.4],
             height_m: [6.0, 14.0],
             // Trees are not thinned: a vanishing tree is noticed.
-            thin_from_m: f64::from(settings.tree_range_m).max(1.0),
+            thin_from_m: range_m.max(1.0),
             widest: 1.0,
-            range_m: f64::from(settings.tree_range_m),
-            detail_m: [50.0, 220.0],
+            range_m,
+            detail_m: [
+                50.0_f64.min(f64::from(settings.impostors_from_m)),
+                f64::from(settings.impostors_from_m),
+            ],
             detail_scale: 1.0,
             least_detail: LEAST_DETAIL_OF_TREES,
+            stand_m: f64::from(settings.tree_range_m),
         }
+    }
+
+    /// The trees beyond those, up to `stand_m`; thinned.
+    #[must_use]
+    pub fn far_trees(&self) -> Self {
+        let thin_from_m = FAR_THIN_FROM_M.max(self.range_m);
+        Self { thin_from_m, widest: (self.stand_m / thin_from_m).max(1.0), range_m: self.stand_m, ..*self }
+    }
+
+    /// Whether trees stand beyond those that are culled by themselves.
+    fn goes_on(&self) -> bool {
+        self.stand_m > self.range_m
+    }
+
+    /// Share of the range over which heights sink to 0 at its end: where other trees go on, none do.
+    fn collapse(&self) -> f64 {
+        if self.goes_on() { 0.0 } else { f64::from(COLLAPSE) }
     }
 
     /// Where the second and the third level of detail begin.
@@ -154,12 +190,14 @@ impl SpeciesTraits {
             thin_from_m: self.thin_from_m as f32,
             widest: self.widest as f32,
             range_m,
-            collapse_m: COLLAPSE * range_m,
+            collapse_m: self.collapse() as f32 * range_m,
             lod_m: metres(self.detail_begins_m()),
             wind: settings.wind,
             lean: settings.lean,
             casts: settings.shadows as u32,
             detail: (1.0 / self.detail_scale) as f32,
+            stand_m: self.stand_m as f32,
+            reserved: 0.0,
         }
     }
 
@@ -199,7 +237,7 @@ impl SpeciesTraits {
             reach,
             over,
             range: (self.range_m * COARSE).ceil() as i32,
-            collapse: (f64::from(COLLAPSE) * self.range_m * COARSE).ceil().max(1.0) as i32,
+            collapse: (self.collapse() * self.range_m * COARSE).ceil().max(1.0) as i32,
             detail: self.detail_begins_m().map(squared),
             wind_reach: wind_reach(settings.wind),
             lean_reach: lean_reach(settings.lean),
@@ -229,22 +267,38 @@ impl VegetationFrame {
         }
         let grid = OcclusionGrid::around(&pose.eye(), cache, drawn);
         let culling = culling_params(pose, projection, &grid, cache, &settings);
-        let traits = [SpeciesTraits::grass(&settings), SpeciesTraits::trees(&settings)];
-        let exists = |traits: &SpeciesTraits| traits.per_cell > 0 && traits.range_m > 0.0;
         // Land near the view distance is dissolved and carries no plants.
         let reach_m = f64::from(view_distance_m) * REACHED;
-        let species = traits.into_iter().filter(exists).map(|traits| {
-            let range_m = traits.range_m.min(reach_m);
-            let traits = SpeciesTraits {
-                range_m,
+        let traits =
+            [SpeciesTraits::grass(&settings), SpeciesTraits::trees(&settings)].map(|traits| SpeciesTraits {
+                range_m: traits.range_m.min(reach_m),
+                stand_m: traits.stand_m.min(reach_m),
                 detail_scale: detail_scale(projection, traits.least_detail),
                 ..traits
-            };
+            });
+        let frustum = Frustum::new(pose, projection);
+        let view = FarTreeView {
+            eye: &pose.eye(),
+            frustum: (settings.cull != Cull::Distance).then_some(&frustum),
+            cache,
+            drawn,
+        };
+        let [_, trees] = &traits;
+        let far_trees = (trees.per_cell > 0 && trees.goes_on())
+            .then(|| {
+                let far = trees.far_trees();
+                let begin_m = (trees.range_m - FAR_OVERLAP_M).max(0.0);
+                let params = (far.field(culling.eye, &settings), far.planting(&grid, seed, &settings));
+                FarTreeFrame::new(&view, &far, begin_m, params)
+            })
+            .flatten();
+        let exists = |traits: &SpeciesTraits| traits.per_cell > 0 && traits.range_m > 0.0;
+        let species = traits.into_iter().filter(exists).map(|traits| {
             let planting = traits.planting(&grid, seed, &settings);
             let patches = patches(&grid, &culling, &planting);
             SpeciesParams { culling, planting, field: traits.field(culling.eye, &settings), patches }
         });
-        Some(Self { species: species.collect(), grid, settings })
+        Some(Self { species: species.collect(), far_trees, grid, settings })
     }
 }
 

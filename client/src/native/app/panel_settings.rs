@@ -88,7 +88,7 @@ pub fn vegetation(ui: &mut Ui, settings: &mut VegetationSettings) {
         row(ui, "widest", "Largest widening of far clumps", Slider::new(&mut settings.widest, 1.0..=16.0));
         let trees = Slider::new(&mut settings.trees, 0..=VegetationSettings::MAX_TREES);
         row(ui, "trees", "On 8 x 8 m of wood at most; 0 for none", trees);
-        let farthest = 0.0..=VegetationSettings::MAX_RANGE_M;
+        let farthest = 0.0..=VegetationSettings::MAX_TREE_RANGE_M;
         let tree_range = Slider::new(&mut settings.tree_range_m, farthest).suffix(" m");
         row(ui, "tree range", "Distance up to which trees stand", tree_range);
         row(ui, "wind", "0 is calm", Slider::new(&mut settings.wind, 0.0..=1.0));

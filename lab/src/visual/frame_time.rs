@@ -1,0 +1,113 @@
+//! Frame times as ratios of interleaved frames: the defaults for software drivers, and everything on,
+//! over frames with what the viewer drew before it had this look.
+
+use crate::headless_renderer::HeadlessRenderer;
+use crate::lod::screen;
+use crate::stats::{interleaved, quantiles, ratios};
+use crate::world_builder::WorldBuilder;
+use client::camera::Projection;
+use client::features::vegetation::{PlantShadows, VegetationSettings};
+use client::frame::FrameData;
+use client::gpu::GpuError;
+use client::native::quality::{Preset, Quality};
+use client::scene::Scene;
+use client::settings::{Normals, RenderSettings};
+use client::view::ViewParams;
+use serde::Serialize;
+use terrain::Land;
+
+/// Picture size, pixels.
+const SIZE: (u32, u32) = (640, 360);
+
+/// Rounds: each draws every alternative once.
+const ROUNDS: usize = 9;
+
+/// Slots of a world.
+const SLOTS: u32 = 6_000;
+
+/// The figures.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct FrameTime {
+    /// Whether the driver is software; on others the bars say nothing.
+    pub is_software: bool,
+    /// Median of default over bare frames of the same round, and the slowest default frame over the
+    /// slowest bare one.
+    pub default_over_bare: f64,
+    /// See there.
+    pub default_over_bare_p99: f64,
+    /// Everything on over the earlier frame with plants, likewise.
+    pub all_over_planted: f64,
+    /// See there.
+    pub all_over_planted_p99: f64,
+}
+
+/// What is drawn.
+struct Alternative {
+    renderer: HeadlessRenderer,
+    frame: FrameData,
+}
+
+/// Measures the start view of the island.
+pub fn measure(land: Land) -> Result<FrameTime, GpuError> {
+    let mut all = Vec::new();
+    for (preset, settings) in [earlier(0, 0), preset(Quality::Low), earlier(16, 2), preset(Quality::Medium)] {
+        all.push(alternative(land, &preset, settings)?);
+    }
+    let is_software = all[0].renderer.is_software();
+    let times = interleaved(ROUNDS, all.len(), |index| {
+        let Alternative { renderer, frame } = &mut all[index];
+        renderer.draw(frame)
+    })?;
+    let slowest = |index: usize| quantiles(times[index].iter().map(|time| time.as_secs_f64()), [0.99])[0];
+    Ok(FrameTime {
+        is_software,
+        default_over_bare: ratios(&times[..2])[1],
+        default_over_bare_p99: slowest(1) / slowest(0),
+        all_over_planted: ratios(&times[2..])[1],
+        all_over_planted_p99: slowest(3) / slowest(2),
+    })
+}
+
+/// The settings of a preset.
+fn preset(quality: Quality) -> (Preset, RenderSettings) {
+    let preset = Preset::of(quality, true);
+    let mut settings = RenderSettings { tiling: preset.tiling, ..RenderSettings::default() };
+    settings.plants = preset.plants_in(Scene::Island);
+    settings.pom.method = preset.relief;
+    settings.post.render_scale = preset.render_scale;
+    (preset, settings)
+}
+
+/// What the viewer drew before: 8 km of land by the normals of its triangles, plants without shadows
+/// up to 1,500 m.
+fn earlier(grass: u32, trees: u32) -> (Preset, RenderSettings) {
+    let (preset, settings) = preset(Quality::Medium);
+    let plants = VegetationSettings {
+        density: grass,
+        trees,
+        tree_range_m: 1500.0,
+        impostors_from_m: VegetationSettings::MAX_RANGE_M,
+        shadows: PlantShadows::Off,
+        ..settings.plants
+    };
+    let preset = Preset { view_distance_m: 8_000, ..preset };
+    (preset, RenderSettings { plants, normals: Normals::Mesh, ..settings })
+}
+
+fn alternative(land: Land, preset: &Preset, settings: RenderSettings) -> Result<Alternative, GpuError> {
+    let view = ViewParams {
+        pose: Scene::Island.start_in(&land),
+        projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
+        view_distance_m: preset.view_distance_m,
+        tolerance_px: preset.tolerance_px,
+        time_s: 0.0,
+        settings,
+    };
+    let mut renderer = HeadlessRenderer::open(SIZE, SLOTS)?;
+    let (world, selection) = screen::selected(&mut WorldBuilder::new(land), &view);
+    renderer.upload_world(&world);
+    let frame = view.frame(Scene::Island, &world, &selection);
+    // Finds all shadows, so that none is left for the frames that are timed.
+    renderer.picture(&frame)?;
+    Ok(Alternative { renderer, frame })
+}

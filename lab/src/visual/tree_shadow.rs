@@ -1,0 +1,47 @@
+//! Shadows of trees: the share of wrong places near by, and of wrong blocks where the trees are not
+//! known one by one.
+
+use crate::tree_shadow::{Wood, turned, wrong};
+use client::features::vegetation::PlantShadows;
+use client::gpu::{Gpu, GpuError};
+use serde::Serialize;
+
+/// Elevations of the sun, degrees.
+const SUNS_DEG: [f32; 3] = [20.0, 35.0, 60.0];
+
+/// The figures: the worst of all suns.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct TreeShadow {
+    /// Share of wrong places.
+    pub near: f64,
+    /// Share of wrong blocks of 30 m.
+    pub far: f64,
+    /// Largest difference of a block's mean.
+    pub far_most: f64,
+    /// Share of wrong places with the sun turned by 5 degrees, the least of all suns: the control.
+    pub control: f64,
+    /// Share of wrong blocks without shadows: the control.
+    pub far_control: f64,
+}
+
+/// Measures all suns.
+pub fn measure() -> Result<TreeShadow, GpuError> {
+    let mut worst = TreeShadow { near: 0.0, far: 0.0, far_most: 0.0, control: 1.0, far_control: 1.0 };
+    for sun_deg in SUNS_DEG {
+        let wood = Wood::open(Gpu::open_blocking()?, sun_deg, PlantShadows::On);
+        let (found, trees) = (wood.found()?, wood.casters()?);
+        let expected = wood.truth(&trees, wood.sun);
+        let near: Vec<f32> = found.iter().map(|shade| shade.near).collect();
+        let far: Vec<f32> = found.iter().map(|shade| shade.far).collect();
+        let [far, blocks] = [&far, &expected].map(|values| wood.block_means(values));
+        let most = far.iter().zip(&blocks).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+        worst = TreeShadow {
+            near: worst.near.max(wrong(&near, &expected)),
+            far: worst.far.max(wrong(&far, &blocks)),
+            far_most: worst.far_most.max(most),
+            control: worst.control.min(wrong(&near, &wood.truth(&trees, turned(wood.sun)))),
+            far_control: worst.far_control.min(wrong(&vec![1.0; blocks.len()], &blocks)),
+        };
+    }
+    Ok(worst)
+}
