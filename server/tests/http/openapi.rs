@@ -1,13 +1,17 @@
 //! The OpenAPI document against the server: routes, problem kinds, and the status of real
 //! responses.
 
-use crate::client::Server;
+use crate::client::{Server, UPGRADE};
 use serde_json::{Map, Value};
 use server::ServerConfig;
+use server::access::ProtectedRoute;
+use server::access::tokens::TokenSet;
 use server::http::openapi::DOCUMENT;
 use server::http::problem::ProblemKind;
 use server::http::routes;
 use std::collections::BTreeSet;
+
+const WRONG_TOKEN: [(&str, &str); 1] = [("Authorization", "Bearer wrong")];
 
 fn document() -> Value {
     serde_json::from_str(DOCUMENT).unwrap()
@@ -101,14 +105,28 @@ async fn every_documented_status_is_received_and_no_other() {
     let mut received = BTreeSet::new();
     let usual = Server::start().await;
     let locked = {
-        let config = ServerConfig { token: Some("sesame".into()), threads: 1, ..ServerConfig::default() };
+        let config =
+            ServerConfig { tokens: Some(TokenSet::one("sesame")), threads: 1, ..ServerConfig::default() };
         Server::start_with(config).await
     };
     let overloaded = {
-        let config =
-            ServerConfig { max_jobs: 0, threads: 1, max_sessions_per_address: 0, ..ServerConfig::default() };
+        let config = ServerConfig {
+            max_jobs: 0,
+            threads: 1,
+            max_sessions_per_address: Some(0),
+            ..ServerConfig::default()
+        };
         Server::start_with(config).await
     };
+    let guessed = {
+        let protected = vec![ProtectedRoute::Metrics, ProtectedRoute::World];
+        let tokens = Some(TokenSet::one("sesame"));
+        let config = ServerConfig { tokens, protected, threads: 1, ..ServerConfig::default() };
+        Server::start_with(config).await
+    };
+    for _ in 0..20 {
+        guessed.request("GET", "/v1/live", &WRONG_TOKEN).await;
+    }
     let other = "0".repeat(64);
     let digest = usual.get("/v1/world").await.json()["digest"].as_str().unwrap().to_owned();
     for template in paths(&document).keys() {
@@ -122,13 +140,6 @@ async fn every_documented_status_is_received_and_no_other() {
                 .replace("{name}", "main.js")
         };
         let right = path(&digest, "0", "0");
-        let upgrade = [
-            ("Connection", "upgrade, close"),
-            ("Upgrade", "websocket"),
-            ("Sec-WebSocket-Version", "13"),
-            ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),
-            ("Sec-WebSocket-Protocol", protocol::SUBPROTOCOL),
-        ];
         let replies = [
             usual.get(&right).await,
             usual.request("GET", &right, &[("If-None-Match", "*")]).await,
@@ -138,12 +149,17 @@ async fn every_documented_status_is_received_and_no_other() {
             usual.get(&right.replace("main.js", "other.js")).await,
             locked.get(&right).await,
             overloaded.get(&right).await,
+            guessed.get(&right).await,
+            guessed.request("GET", &right, &WRONG_TOKEN).await,
         ];
         let mut statuses: BTreeSet<u16> = replies.iter().map(|reply| reply.status).collect();
         if template == "/v1/stream" {
-            statuses.insert(usual.request("GET", &right, &upgrade).await.status);
-            statuses.insert(usual.request("GET", &right, &upgrade[..4]).await.status);
-            statuses.insert(overloaded.request("GET", &right, &upgrade).await.status);
+            statuses.insert(usual.request("GET", &right, &UPGRADE).await.status);
+            statuses.insert(usual.request("GET", &right, &UPGRADE[..4]).await.status);
+            statuses.insert(overloaded.request("GET", &right, &UPGRADE).await.status);
+            statuses.insert(usual.upgrade(&[("Origin", "http://evil.example")]).await.status);
+            statuses.insert(locked.upgrade(&WRONG_TOKEN).await.status);
+            statuses.insert(guessed.upgrade(&WRONG_TOKEN).await.status);
         }
         for status in statuses {
             received.insert((template.clone(), status));
