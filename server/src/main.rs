@@ -87,7 +87,8 @@ async fn serve(config: ServerConfig) -> Result<(), String> {
     })?;
     let bound = listener.local_addr().map_err(|error| format!("cannot read the bound address: {error}"))?;
     // Before the address is printed: a script that knows the address may send a signal at once.
-    let interrupted = interruption(config.has_files()).map_err(|error| format!("cannot listen for signals: {error}"))?;
+    let interrupted =
+        interruption(config.has_files()).map_err(|error| format!("cannot listen for signals: {error}"))?;
     let scheme = if config.tls.is_some() { "https" } else { "http" };
     // On standard output, for scripts that start a server on port 0. A closed output is ignored.
     let _ = writeln!(std::io::stdout(), "listening on {scheme}://{bound}");
