@@ -126,10 +126,10 @@ fn warn_of_openness(state: &ServerState, listener: &TcpListener) {
         return;
     }
     if state.config.tls.is_none() && !state.config.proxies.any() {
-        tracing::warn!("without TLS: everybody on the way can read tokens and positions");
+        tracing::warn!("without TLS: machines on the way can read tokens and positions");
     }
     if !state.gate.requires_token() {
-        tracing::warn!("without tokens: everybody who reaches this address may open sessions");
+        tracing::warn!("without tokens: every client that reaches this address may open sessions");
     }
 }
 

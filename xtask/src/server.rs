@@ -27,9 +27,18 @@ impl Server {
     /// # Errors
     /// No port, no program, or a server that ends or is not ready in time.
     pub fn start(world_seed: u64) -> Result<Self> {
+        Self::start_with(world_seed, &[])
+    }
+
+    /// As [`Server::start`], with further options.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn start_with(world_seed: u64, options: &[&str]) -> Result<Self> {
         let address = free_address()?;
         let child = process::command(process::program("tombolo-server"))
             .args(["--listen", &address.to_string(), "--world-seed", &world_seed.to_string()])
+            .args(options)
             // Its own lines would drown ours; faults are still shown.
             .env("TOMBOLO_LOG", "warn")
             .stdin(Stdio::null())

@@ -1,6 +1,6 @@
 //! Checks tokens that clients present, and bounds how often an address may guess.
 
-use crate::access::tokens::{Known, TokenFile, TokenSet};
+use crate::access::tokens::{Known, TokenDigest, TokenFile, TokenSet};
 use crate::limits::guesses::GuessLimiter;
 use crate::limits::peer_log::PeerLog;
 use crate::metrics::Metrics;
@@ -36,7 +36,7 @@ pub enum Refusal {
 }
 
 impl TokenGate {
-    /// A gate that admits everybody without `tokens`.
+    /// A gate that admits every client without `tokens`.
     #[must_use]
     pub fn new(
         tokens: Option<TokenSet>,
@@ -61,14 +61,14 @@ impl TokenGate {
     pub fn check(&self, client: Option<IpAddr>, presented: Option<&str>) -> Result<(), Refusal> {
         let Some(tokens) = &self.tokens else { return Ok(()) };
         let Some(presented) = presented else { return Err(Refusal::Missing) };
-        let now = Instant::now();
-        if self.guesses.is_exhausted(client, now) {
+        let (now, digest) = (Instant::now(), TokenDigest::of(presented));
+        if self.guesses.is_exhausted(client, digest.short(), now) {
             self.metrics.tokens_throttled.inc();
             self.log.report(client, "token guesses");
             return Err(Refusal::Throttled);
         }
         let tokens = Arc::clone(&tokens.read().unwrap_or_else(PoisonError::into_inner));
-        match tokens.find(presented, SystemTime::now()) {
+        match tokens.find(&digest, SystemTime::now()) {
             Known::Valid(name) => {
                 tracing::debug!(token = %name, "token accepted");
                 Ok(())
@@ -79,7 +79,7 @@ impl TokenGate {
                 Err(Refusal::Expired)
             }
             Known::Unknown => {
-                self.guesses.charge(client, now);
+                self.guesses.charge(client, digest.short(), now);
                 self.metrics.tokens_wrong.inc();
                 self.log.report(client, "wrong token");
                 Err(Refusal::Wrong)
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn without_tokens_everybody_is_admitted() {
+    fn without_tokens_every_client_is_admitted() {
         assert_eq!(gate(None, None).check(None, Some("anything")), Ok(()));
         assert_eq!(gate(None, None).check(None, None), Ok(()));
     }

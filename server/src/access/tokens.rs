@@ -27,9 +27,14 @@ pub struct TokenSet {
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Token {
     name: Arc<str>,
-    digest: [u8; 32],
+    digest: TokenDigest,
     expires: Option<SystemTime>,
 }
+
+/// Digest of a token. Digests have one length, so that their comparison says nothing about the
+/// length of a token.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TokenDigest([u8; 32]);
 
 /// A file of tokens.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -52,7 +57,7 @@ impl TokenSet {
     /// One token without an end.
     #[must_use]
     pub fn one(token: &str) -> Self {
-        Self { tokens: vec![Token { name: ONLY.into(), digest: digest(token), expires: None }] }
+        Self { tokens: vec![Token { name: ONLY.into(), digest: TokenDigest::of(token), expires: None }] }
     }
 
     /// Number of tokens.
@@ -69,12 +74,11 @@ impl TokenSet {
 
     /// Looks a token up. The time depends neither on the token nor on which one it equals.
     #[must_use]
-    pub fn find(&self, presented: &str, now: SystemTime) -> Known {
-        let presented = digest(presented);
+    pub fn find(&self, presented: &TokenDigest, now: SystemTime) -> Known {
         // One more than the index; 0 for none.
         let mut found = 0u32;
         for (number, token) in (1u32..).zip(&self.tokens) {
-            found.conditional_assign(&number, token.digest.ct_eq(&presented));
+            found.conditional_assign(&number, token.digest.0.ct_eq(&presented.0));
         }
         let Some(token) = found.checked_sub(1).and_then(|index| self.tokens.get(index as usize)) else {
             return Known::Unknown;
@@ -86,9 +90,18 @@ impl TokenSet {
     }
 }
 
-/// Digests have one length, so that their comparison says nothing about the length of a token.
-fn digest(token: &str) -> [u8; 32] {
-    *blake3::hash(token.as_bytes()).as_bytes()
+impl TokenDigest {
+    /// Of a token.
+    #[must_use]
+    pub fn of(token: &str) -> Self {
+        Self(*blake3::hash(token.as_bytes()).as_bytes())
+    }
+
+    /// A part of it, to recognise a token.
+    #[must_use]
+    pub fn short(&self) -> u64 {
+        self.0.iter().take(8).fold(0, |bits, byte| bits << 8 | u64::from(*byte))
+    }
 }
 
 #[derive(Debug, Deserialize)]
@@ -147,7 +160,7 @@ fn parse(text: &str) -> Result<TokenSet, String> {
         check_length(&token).map_err(|why| format!("the token of `{name}` {why}"))?;
         let expires =
             expires.map(|end| moment(&end)).transpose().map_err(|why| format!("`{name}`: {why}"))?;
-        let token = Token { name: name.into(), digest: digest(&token), expires };
+        let token = Token { name: name.into(), digest: TokenDigest::of(&token), expires };
         if let Some(other) =
             tokens.iter().find(|other| other.name == token.name || other.digest == token.digest)
         {
@@ -185,6 +198,10 @@ mod tests {
         [[token]]\nname = \"alice\"\ntoken = \"wonder\"\n\n\
         [[token]]\nname = \"bob\"\ntoken = \"builder\"\nexpires = 2026-01-31T18:00:00+01:00\n";
 
+    fn find(set: &TokenSet, token: &str, now: SystemTime) -> Known {
+        set.find(&TokenDigest::of(token), now)
+    }
+
     fn at(seconds: u64) -> SystemTime {
         SystemTime::UNIX_EPOCH + Duration::from_secs(seconds)
     }
@@ -195,8 +212,8 @@ mod tests {
             [("secret\nrest", "secret"), ("  spaced out \n", "spaced out"), ("a=[b]\n[[x]]", "a=[b]")]
         {
             let set = parse(text).unwrap();
-            assert_eq!(set.find(token, at(0)), Known::Valid(ONLY.into()), "{text}");
-            assert_eq!((set.find("rest", at(0)), set.find("", at(0))), (Known::Unknown, Known::Unknown));
+            assert_eq!(find(&set, token, at(0)), Known::Valid(ONLY.into()), "{text}");
+            assert_eq!((find(&set, "rest", at(0)), find(&set, "", at(0))), (Known::Unknown, Known::Unknown));
         }
         for text in ["", "\nsecret", &"x".repeat(MAX_TEXT + 1)] {
             assert!(parse(text).unwrap_err().contains("1 to 256 bytes"));
@@ -209,11 +226,11 @@ mod tests {
         // 17:00:00 UTC of 31 January 2026.
         let end = 1_769_878_800;
         assert_eq!((set.len(), set.is_empty()), (2, false));
-        assert_eq!(set.find("wonder", at(end)), Known::Valid("alice".into()));
-        assert_eq!(set.find("builder", at(end - 1)), Known::Valid("bob".into()));
-        assert_eq!(set.find("builder", at(end)), Known::Expired("bob".into()));
+        assert_eq!(find(&set, "wonder", at(end)), Known::Valid("alice".into()));
+        assert_eq!(find(&set, "builder", at(end - 1)), Known::Valid("bob".into()));
+        assert_eq!(find(&set, "builder", at(end)), Known::Expired("bob".into()));
         for wrong in ["builde", "builder2", "Builder", "alice", ""] {
-            assert_eq!(set.find(wrong, at(0)), Known::Unknown, "{wrong}");
+            assert_eq!(find(&set, wrong, at(0)), Known::Unknown, "{wrong}");
         }
     }
 

@@ -52,7 +52,7 @@ pub struct Args {
     /// would be quicker [default: 0]
     #[arg(long, value_name = "MS", env = "TOMBOLO_STORE_WAIT_MS")]
     pub store_wait_ms: Option<u64>,
-    /// Listen beyond the loopback without TLS: everybody on the way can read tokens and positions
+    /// Listen beyond the loopback without TLS: machines on the way can read tokens and positions
     #[arg(long, env = "TOMBOLO_INSECURE")]
     pub insecure: bool,
     /// Certificate chain in PEM, read again on SIGHUP and after a change; with --tls-key the server

@@ -130,8 +130,8 @@ mod tests {
             assert_eq!(proxies.client(address("11.1.2.3"), &headers).0, address("11.1.2.3"));
             assert_eq!(proxies.client(address("::2"), &headers).0, address("::2"));
         }
-        let nobody = TrustedProxies::default();
-        assert_eq!(nobody.client(address("127.0.0.1"), &headers).0, address("127.0.0.1"));
+        let none = TrustedProxies::default();
+        assert_eq!(none.client(address("127.0.0.1"), &headers).0, address("127.0.0.1"));
     }
 
     #[test]

@@ -20,6 +20,9 @@ use std::time::Duration;
 /// The world of the replicas.
 const WORLD_SEED: u64 = 1;
 
+/// Options of the replicas: nginx names its clients. A load has one address for all of its clients.
+const OPTIONS: [&str; 4] = ["--trusted-proxy", "127.0.0.1", "--max-sessions-per-address", "1024"];
+
 /// Replicas of a cluster that is checked.
 const REPLICAS: u8 = 2;
 
@@ -88,7 +91,7 @@ pub fn rows() -> Result<Vec<Bar>> {
 impl Cluster {
     fn start(replicas: u8) -> Result<Self> {
         let replicas: Vec<Server> =
-            (0..replicas).map(|_| Server::start(WORLD_SEED)).collect::<Result<_>>()?;
+            (0..replicas).map(|_| Server::start_with(WORLD_SEED, &OPTIONS)).collect::<Result<_>>()?;
         let addresses: Vec<_> = replicas.iter().map(Server::address).collect();
         Ok(Self { nginx: Nginx::start(&addresses)?, replicas })
     }
