@@ -2,10 +2,10 @@
 
 use crate::access::gate::Reloaded;
 use cli::UsageError;
+use rustls::ServerConfig;
 use rustls::crypto::ring;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
-use rustls::{ConfigBuilder, ServerConfig};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -50,11 +50,14 @@ impl Files {
         }
         let private = PrivateKeyDer::from_pem_slice(&key)
             .map_err(|error| failed("tls-key", &self.key, "no private key in PEM in", &error))?;
+        let unusable =
+            |error: rustls::Error| failed("tls-key", &self.key, "cannot use the certificate with", &error);
         let config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
             .with_safe_default_protocol_versions()
-            .map(ConfigBuilder::with_no_client_auth)
-            .and_then(|builder| builder.with_single_cert(chain, private))
-            .map_err(|error| failed("tls-key", &self.key, "cannot use the certificate with", &error))?;
+            .map_err(unusable)?
+            .with_no_client_auth()
+            .with_single_cert(chain, private)
+            .map_err(unusable)?;
         let digest = blake3::Hasher::new().update(&certificates).update(b"\0").update(&key).finalize();
         Ok(Current { digest, config: Arc::new(with_protocols(config)) })
     }

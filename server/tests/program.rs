@@ -47,7 +47,8 @@ impl Server {
         stream.set_read_timeout(Some(TEST_TIMEOUT)).unwrap();
         write!(
             stream,
-            "GET /v1/live HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {token}\r\n\r\n"
+            "GET /v1/live HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\
+             Authorization: Bearer {token}\r\n\r\n"
         )
         .unwrap();
         let mut reply = String::new();
@@ -86,7 +87,7 @@ fn invalid_values_end_it_with_code_2_and_one_line() {
 }
 
 #[test]
-fn beyond_the_loopback_it_starts_when_told() {
+fn beyond_the_loopback_it_starts_by_an_option() {
     for arguments in [&["--insecure"][..], &["--trusted-proxy", "10.0.0.0/8"]] {
         let server = Server::start(&[&["--listen", "0.0.0.0:0"], arguments].concat());
         assert_eq!(server.scheme, "http");

@@ -5,8 +5,8 @@
 //! `Host`. And it can open a WebSocket, which browsers do not restrict to one origin: they send
 //! `Origin` and leave the decision to the server (RFC 6455, section 10.2).
 //!
-//! An IP address in `Host` is always allowed, since rebinding needs a name. A request without `Host`
-//! (HTTP/1.0) or without `Origin` does not come from a page.
+//! An IP address in `Host` is always allowed, since rebinding needs a name. A request without
+//! `Host` (HTTP/1.0) or without `Origin` does not come from a page.
 
 use axum::http::header::{HOST, ORIGIN};
 use axum::http::uri::Authority;

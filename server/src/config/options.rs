@@ -62,12 +62,12 @@ pub struct Args {
     /// Private key of the certificate in PEM
     #[arg(long, value_name = "FILE", env = "TOMBOLO_TLS_KEY")]
     pub tls_key: Option<PathBuf>,
-    /// Host name under which clients reach the server, or `*` for any; may be repeated. IP addresses
-    /// and names of the loopback are always allowed
+    /// Host name under which clients reach the server, or `*` for any; may be repeated. IP
+    /// addresses and names of the loopback are always allowed
     #[arg(long, value_name = "NAME", env = "TOMBOLO_ALLOWED_HOST", value_delimiter = ',')]
     pub allowed_host: Vec<String>,
-    /// Origin of other web pages that may open sessions, such as https://map.example, or `*` for any;
-    /// may be repeated. The server's own page is always allowed
+    /// Origin of other web pages that may open sessions, such as https://map.example, or `*` for
+    /// any; may be repeated. The server's own page is always allowed
     #[arg(long, value_name = "ORIGIN", env = "TOMBOLO_ALLOWED_ORIGIN", value_delimiter = ',')]
     pub allowed_origin: Vec<String>,
     /// Address or network (CIDR) of a proxy whose --proxy-header names the client; may be repeated
@@ -76,8 +76,8 @@ pub struct Args {
     /// Where trusted proxies name the client [default: x-forwarded-for]
     #[arg(long, value_name = "NAME", env = "TOMBOLO_PROXY_HEADER", value_enum)]
     pub proxy_header: Option<ProxyHeader>,
-    /// File with the access tokens of clients, read again on SIGHUP and after a change: one token in
-    /// its first line, or a list in TOML; without the option no token is required
+    /// File with the access tokens of clients, read again on SIGHUP and after a change: one token
+    /// in its first line, or a list in TOML; without the option no token is required
     #[arg(long, value_name = "FILE", env = "TOMBOLO_TOKEN_FILE")]
     pub token_file: Option<PathBuf>,
     /// Route that requires a token too, otherwise open; may be repeated

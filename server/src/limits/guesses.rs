@@ -1,5 +1,5 @@
-//! Wrong access tokens per client network: each takes one of a few places, which become free again at
-//! a fixed rate.
+//! Wrong access tokens per client network: each takes one of a few places, which become free again
+//! at a fixed rate.
 
 use crate::limits::per_ip::client_network;
 use std::collections::HashMap;

@@ -1,5 +1,5 @@
-//! Proxies that name their clients: in a header of each request ([`forwarded`]) or once at the start
-//! of a connection ([`proxy_protocol`]).
+//! Proxies that name their clients: in a header of each request ([`forwarded`]) or once at the
+//! start of a connection ([`proxy_protocol`]).
 //!
 //! Only proxies of a list are believed, and only in the one place that is configured: a proxy that
 //! writes `X-Forwarded-For` may pass a client's own `Forwarded` on.

@@ -1,7 +1,8 @@
 //! The PROXY protocol, versions 1 and 2: a header with the client's address at the start of a
 //! connection (HAProxy, doc/proxy-protocol.txt).
 //!
-//! Where it is configured it is required: a header that may be missing could be written by a client.
+//! Where it is configured it is required: a header that may be missing could be written by a
+//! client.
 
 use ppp::{v1, v2};
 use std::io::{self, ErrorKind};

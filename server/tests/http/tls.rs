@@ -91,7 +91,7 @@ async fn requests_and_sessions_work_over_tls_and_a_new_certificate_is_taken() {
 }
 
 #[tokio::test]
-async fn a_peer_that_does_not_finish_the_handshake_is_closed_and_stops_nobody() {
+async fn a_peer_that_does_not_finish_the_handshake_is_closed_and_delays_no_client() {
     let folder = Folder::new("silent", FIRST);
     let handshake_timeout = Duration::from_millis(700);
     let config =

@@ -116,7 +116,7 @@ impl Disk {
         }
     }
 
-    /// Has an invalid file deleted. If the queue is full it stays, and is rejected again or replaced.
+    /// Has an invalid file deleted. If the queue is full it stays; it is rejected again or replaced.
     fn discard(&self, path: &Path) -> Option<Bytes> {
         self.metrics.disk_corrupt.inc();
         tracing::debug!(path = %path.display(), "corrupt or foreign file");

@@ -157,8 +157,8 @@ impl DiskWriter {
     pub fn discard(&mut self, path: &Path) {
         let full_path = self.config.folder.join(path);
         let bytes = size_at(&full_path);
-        // If it cannot be deleted, a write replaces it, or it is rejected again. A folder is deleted
-        // only if it is empty.
+        // If it cannot be deleted, a write replaces it, or it is rejected again. A folder is
+        // deleted only if it is empty.
         if fs::remove_file(&full_path).or_else(|_| fs::remove_dir(&full_path)).is_ok() {
             self.subtract(shard_of(path), bytes);
         }
