@@ -30,15 +30,24 @@ struct Server {
 impl Server {
     fn start(arguments: &[&str]) -> Self {
         let mut child = program()
-            .args(["--threads", "1", "--log", "error"])
+            .args(["--threads", "1", "--log", "warn"])
             .args(arguments)
             .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
             .spawn()
             .unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
         let (scheme, address) = line.trim().strip_prefix("listening on ").unwrap().split_once("://").unwrap();
         Self { scheme: scheme.into(), address: address.into(), child }
+    }
+
+    /// Kills it; what it logged.
+    fn log(mut self) -> String {
+        let mut log = String::new();
+        self.child.kill().unwrap();
+        self.child.stderr.take().unwrap().read_to_string(&mut log).unwrap();
+        log
     }
 
     /// The status of `/v1/live` with a token.
@@ -121,4 +130,20 @@ fn tokens_are_read_again_on_sighup() {
     reload("[[token]]\nname = 1\n");
     assert_eq!(server.live("second"), 200);
     std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn an_address_that_guesses_has_one_line_in_the_log_and_no_token_is_in_it() {
+    let path = std::env::temp_dir().join(format!("tombolo-program-log-{}", std::process::id()));
+    std::fs::write(&path, "secret-of-the-server\n").unwrap();
+    let server = Server::start(&["--listen", "127.0.0.1:0", "--token-file", path.to_str().unwrap()]);
+    for guess in 0..40 {
+        assert!([401, 429].contains(&server.live(&format!("guess-{guess}"))));
+    }
+    let log = server.log();
+    std::fs::remove_file(path).unwrap();
+    let lines: Vec<_> = log.lines().filter(|line| line.contains("peer breaks the rules")).collect();
+    assert_eq!(lines.len(), 1, "{log}");
+    assert!(lines[0].contains("address=\"127.0.0.1\"") && lines[0].contains("wrong token"), "{log}");
+    assert!(!log.contains("guess-") && !log.contains("secret-of"), "{log}");
 }
