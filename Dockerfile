@@ -10,6 +10,9 @@ COPY --from=build /src/target/dist/tombolo-server /usr/local/bin/
 RUN install -d -o 65532 -g 65532 /store
 # Nothing else of the image is written at run time, so it runs with a read-only root.
 USER 65532:65532
+# A published port of a container is beyond the loopback, so one of these has to be given too:
+# TOMBOLO_TRUSTED_PROXY of the proxy in front, TOMBOLO_TLS_CERT and TOMBOLO_TLS_KEY, or
+# TOMBOLO_INSECURE=true.
 ENV TOMBOLO_LISTEN=0.0.0.0:7580 TOMBOLO_LOG_JSON=true
 EXPOSE 7580
 STOPSIGNAL SIGTERM

@@ -18,6 +18,8 @@ mod view_selection;
 pub use session::{ChunkRequest, Next, ServerSession, SessionCounts};
 pub use view_selection::ViewSelection;
 
+use std::fmt::Debug;
+use std::sync::Arc;
 use terrain::{Land, WorldDigest};
 
 /// The world and the conditions that a server offers to every session.
@@ -27,19 +29,22 @@ pub struct ServerOffer {
     pub land: Land,
     /// Its digest, computed once.
     pub digest: WorldDigest,
-    /// Token that clients must present; none admits every client.
-    pub token: Option<String>,
+    /// Decides about the token of a client's hello; none admits every client.
+    pub token: Option<Arc<dyn TokenCheck>>,
     /// Name and version of the server.
     pub software: String,
 }
 
-/// Whether a presented token satisfies a requirement; without a requirement every token does.
-///
-/// The comparison does not stop at the first difference, so that its duration reveals nothing about
-/// the secret.
-#[must_use]
-pub fn token_matches(required: Option<&str>, presented: Option<&str>) -> bool {
-    let Some(required) = required else { return true };
-    // blake3 hashes compare in constant time.
-    presented.is_some_and(|presented| blake3::hash(presented.as_bytes()) == blake3::hash(required.as_bytes()))
+/// A check of tokens. Every call is an attempt.
+pub trait TokenCheck: Debug + Send + Sync {
+    /// Whether a client that presents this token, or none, is admitted.
+    fn admits(&self, presented: Option<&str>) -> bool;
+}
+
+/// A check of one fixed token.
+impl TokenCheck for String {
+    fn admits(&self, presented: Option<&str>) -> bool {
+        // blake3 hashes compare in constant time.
+        presented.is_some_and(|presented| blake3::hash(presented.as_bytes()) == blake3::hash(self.as_bytes()))
+    }
 }

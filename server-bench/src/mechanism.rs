@@ -51,7 +51,9 @@ impl Mechanism {
     /// The server's options that turn it off where it is on by default.
     pub const fn off(self) -> &'static [&'static str] {
         match self {
-            Self::SessionsPerAddress | Self::RateLimit => &[],
+            // As many as a benchmark allows in all.
+            Self::SessionsPerAddress => &["--max-sessions-per-address", "4096"],
+            Self::RateLimit => &[],
             // The longest that the server accepts: longer than a run.
             Self::Deadline => &["--deadline-ms", "60000"],
             Self::Turns => &["--measure-without", "turns"],

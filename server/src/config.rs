@@ -1,15 +1,27 @@
 //! Configuration: command line over environment over file over defaults, validated once.
 
-use crate::bake::BakeArgs;
+mod options;
+#[cfg(test)]
+mod tests;
+
+use crate::access::ProtectedRoute;
+use crate::access::hosts::{AllowedHosts, AllowedOrigins};
+use crate::access::tokens::{TokenFile, TokenSet};
 use crate::cache::disk::DiskConfig;
 use crate::mechanism::Mechanism;
+use crate::proxy::TrustedProxies;
 use crate::store::{StoreAddress, StoreConfig};
-use clap::{Parser, Subcommand};
+use crate::tls::Tls;
 use cli::UsageError;
-use serde::Deserialize;
+use options::File;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
+use tracing::Level;
+use tracing_subscriber::filter::Targets;
+
+pub use options::{Args, Command};
 
 /// The default address of clients.
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:7580";
@@ -19,112 +31,6 @@ const DEFAULT_MAX_SESSIONS: usize = 1024;
 /// Milliseconds.
 const DEFAULT_DEADLINE_MS: u64 = 500;
 const DEFAULT_LOG: &str = "info";
-
-/// Streams a procedural archipelago to viewers over WebSocket and HTTP.
-///
-/// Every option can also be set by an environment variable or in the configuration file; a flag
-/// wins over the environment, the environment over the file.
-#[derive(Clone, Debug, Default, Parser)]
-#[command(name = "tombolo-server", version, args_conflicts_with_subcommands = true)]
-pub struct Args {
-    /// Another job than to serve.
-    #[command(subcommand)]
-    pub command: Option<Command>,
-    /// Address and port to listen on; port 0 picks a free one and prints it [default:
-    /// 127.0.0.1:7580]
-    #[arg(long, value_name = "ADDR", env = "TOMBOLO_LISTEN")]
-    pub listen: Option<String>,
-    /// Seed of the world, 0 to 18446744073709551615 [default: 1]
-    #[arg(long, value_name = "N", env = "TOMBOLO_WORLD_SEED")]
-    pub world_seed: Option<u64>,
-    /// TOML file with any of these options, named as here without the dashes
-    #[arg(long, value_name = "FILE", env = "TOMBOLO_CONFIG")]
-    pub config: Option<PathBuf>,
-    /// Threads that generate chunks, 1 to 1024 [default: one per core]
-    #[arg(long, value_name = "N", env = "TOMBOLO_THREADS")]
-    pub threads: Option<usize>,
-    /// Memory for encoded chunks in MiB, 1 to 65536; map tiles get an eighth of it in addition
-    /// [default: 128]
-    #[arg(long, value_name = "N", env = "TOMBOLO_CACHE_MB")]
-    pub cache_mb: Option<u64>,
-    /// Folder of the disk cache for chunks of level 2 and coarser; without it there is no disk
-    /// cache
-    #[arg(long, value_name = "DIR", env = "TOMBOLO_DISK_CACHE")]
-    pub disk_cache: Option<PathBuf>,
-    /// Size of the disk cache in MiB, 64 to 262144 [default: 1024]
-    #[arg(long, value_name = "N", env = "TOMBOLO_DISK_MB")]
-    pub disk_mb: Option<u64>,
-    /// Store of chunks that all replicas of a world share: a folder, file:///FOLDER,
-    /// s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX; settings of its engine in
-    /// the environment, such as AWS_ENDPOINT [default: none]
-    #[arg(long, value_name = "URL", env = "TOMBOLO_STORE")]
-    pub store: Option<String>,
-    /// Least time that a chunk waits for the store in milliseconds, 0 to 10000, though making it
-    /// would be quicker [default: 0]
-    #[arg(long, value_name = "MS", env = "TOMBOLO_STORE_WAIT_MS")]
-    pub store_wait_ms: Option<u64>,
-    /// File with the access token of clients in its first line; without it no token is required
-    #[arg(long, value_name = "FILE", env = "TOMBOLO_TOKEN_FILE")]
-    pub token_file: Option<PathBuf>,
-    /// Concurrent sessions, 1 to 100000; one more is rejected with 503 [default: 1024]
-    #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS")]
-    pub max_sessions: Option<usize>,
-    /// Concurrent sessions per IPv4 address or IPv6 /64 network, 1 to 100000; one more is rejected
-    /// with 503 [default: as --max-sessions]
-    #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS_PER_ADDRESS")]
-    pub max_sessions_per_address: Option<usize>,
-    /// Rate limit per IPv4 address or IPv6 /64 network: milliseconds of work (chunks generated,
-    /// bytes sent) per second, 1 to 1000000; 1000 is one thread [default: no limit]
-    #[arg(long, value_name = "MS", env = "TOMBOLO_RATE_LIMIT_MS")]
-    pub rate_limit_ms: Option<u64>,
-    /// Former name of --rate-limit-ms.
-    #[arg(long, value_name = "MS", env = "TOMBOLO_COST_PER_SECOND", hide = true)]
-    pub cost_per_second: Option<u64>,
-    /// Longest wait of a requested chunk for its generation in milliseconds, 10 to 60000; a request
-    /// that would wait longer is rejected as overloaded [default: 500]
-    #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS")]
-    pub deadline_ms: Option<u64>,
-    /// For measurements only: the mechanism against overload that is turned off. Neither in the
-    /// environment nor in the file.
-    #[arg(long, value_name = "NAME", value_enum, hide = true)]
-    pub measure_without: Option<Mechanism>,
-    /// Log filter: error, warn, info, debug, trace, or per module as in `info,server=debug`
-    /// [default: info]
-    #[arg(long, value_name = "FILTER", env = "TOMBOLO_LOG")]
-    pub log: Option<String>,
-    /// Log lines as JSON instead of text
-    #[arg(long, env = "TOMBOLO_LOG_JSON")]
-    pub log_json: bool,
-}
-
-/// Jobs beside serving.
-#[derive(Clone, Debug, Subcommand)]
-pub enum Command {
-    /// Makes all chunks of a region and puts them into a store, from which servers then read them
-    Bake(BakeArgs),
-}
-
-/// The configuration file: the same options, all optional.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-struct File {
-    listen: Option<String>,
-    world_seed: Option<u64>,
-    threads: Option<usize>,
-    cache_mb: Option<u64>,
-    disk_cache: Option<PathBuf>,
-    disk_mb: Option<u64>,
-    store: Option<String>,
-    store_wait_ms: Option<u64>,
-    token_file: Option<PathBuf>,
-    max_sessions: Option<usize>,
-    max_sessions_per_address: Option<usize>,
-    #[serde(alias = "cost-per-second")]
-    rate_limit_ms: Option<u64>,
-    deadline_ms: Option<u64>,
-    log: Option<String>,
-    log_json: Option<bool>,
-}
 
 /// The configuration of a server. Every value is valid.
 #[derive(Clone, Debug)]
@@ -141,12 +47,25 @@ pub struct ServerConfig {
     pub disk: Option<DiskConfig>,
     /// Shared store; none for no store.
     pub store: Option<StoreConfig>,
-    /// Access token of clients; none if no token is required.
-    pub token: Option<String>,
+    /// Certificate and key; none for plain text.
+    pub tls: Option<Arc<Tls>>,
+    /// Host names that requests may be sent to.
+    pub allowed_hosts: AllowedHosts,
+    /// Origins of other pages that may open sessions.
+    pub allowed_origins: AllowedOrigins,
+    /// Proxies that name their clients.
+    pub proxies: TrustedProxies,
+    /// Access tokens of clients; none if no token is required.
+    pub tokens: Option<TokenSet>,
+    /// The file that they are read from again; none for tokens that never change.
+    pub token_file: Option<TokenFile>,
+    /// Routes that require a token too.
+    pub protected: Vec<ProtectedRoute>,
     /// Concurrent sessions. One more is rejected before its upgrade with 503 and `Retry-After`.
     pub max_sessions: usize,
-    /// Concurrent sessions per client network. One more is rejected likewise.
-    pub max_sessions_per_address: usize,
+    /// Concurrent sessions per client network, one more is rejected likewise; none for no more than
+    /// the sessions that remain free.
+    pub max_sessions_per_address: Option<usize>,
     /// Milliseconds of work per second and client network; none for no limit.
     pub rate_limit_ms: Option<u64>,
     /// Longest wait of a requested chunk for its generation.
@@ -179,9 +98,15 @@ impl Default for ServerConfig {
             cache_bytes: DEFAULT_CACHE_MB << 20,
             disk: None,
             store: None,
-            token: None,
+            tls: None,
+            allowed_hosts: AllowedHosts::default(),
+            allowed_origins: AllowedOrigins::default(),
+            proxies: TrustedProxies::default(),
+            tokens: None,
+            token_file: None,
+            protected: Vec::new(),
             max_sessions: DEFAULT_MAX_SESSIONS,
-            max_sessions_per_address: DEFAULT_MAX_SESSIONS,
+            max_sessions_per_address: None,
             rate_limit_ms: None,
             deadline: Duration::from_millis(DEFAULT_DEADLINE_MS),
             // A thousand sessions of 16 each.
@@ -197,6 +122,14 @@ impl Default for ServerConfig {
     }
 }
 
+impl ServerConfig {
+    /// Whether there are files that a running server reads again.
+    #[must_use]
+    pub const fn has_files(&self) -> bool {
+        self.token_file.is_some() || self.tls.is_some()
+    }
+}
+
 impl Args {
     /// Reads the configuration file, if any, and validates all values.
     ///
@@ -205,7 +138,7 @@ impl Args {
     pub fn resolve(self) -> Result<ServerConfig, UsageError> {
         let file = self.config.as_deref().map_or(Ok(File::default()), read_file)?;
         let defaults = ServerConfig::default();
-        let listen = match self.listen.or(file.listen) {
+        let listen: SocketAddr = match self.listen.or(file.listen) {
             Some(text) => text.parse().map_err(|_| {
                 UsageError::new(format!(
                     "listen: `{text}` is not an address; give ADDR:PORT such as {DEFAULT_LISTEN}"
@@ -227,13 +160,28 @@ impl Args {
             )));
         }
         in_range("max-sessions", max_sessions as u64, 1, 100_000)?;
-        let max_sessions_per_address =
-            self.max_sessions_per_address.or(file.max_sessions_per_address).unwrap_or(max_sessions);
-        in_range("max-sessions-per-address", max_sessions_per_address as u64, 1, 100_000)?;
+        let max_sessions_per_address = self.max_sessions_per_address.or(file.max_sessions_per_address);
+        in_range("max-sessions-per-address", max_sessions_per_address.unwrap_or(1) as u64, 1, 100_000)?;
         let rate_limit_ms = self.rate_limit_ms.or(self.cost_per_second).or(file.rate_limit_ms);
         in_range("rate-limit-ms", rate_limit_ms.unwrap_or(1), 1, 1_000_000)?;
         let deadline_ms = self.deadline_ms.or(file.deadline_ms).unwrap_or(DEFAULT_DEADLINE_MS);
         in_range("deadline-ms", deadline_ms, 10, 60_000)?;
+        let log = self.log.or(file.log).unwrap_or(defaults.log);
+        log_filter(&log)?;
+        let tls = Tls::of_options(self.tls_cert.or(file.tls_cert), self.tls_key.or(file.tls_key))?;
+        let proxies = TrustedProxies::parse(
+            &either(self.trusted_proxy, file.trusted_proxy),
+            self.proxy_header.or(file.proxy_header),
+        )?;
+        let is_insecure = self.insecure || file.insecure.unwrap_or(false);
+        refuse_plain_text(listen, is_insecure || tls.is_some() || proxies.any())?;
+        let token_file = self.token_file.or(file.token_file).map(TokenFile::new);
+        let protected = either(self.protect, file.protect);
+        if let (None, Some(route)) = (&token_file, protected.first()) {
+            return Err(UsageError::new(format!(
+                "protect: {route} without a token; give token-file FILE too, or remove protect"
+            )));
+        }
         Ok(ServerConfig {
             listen,
             world_seed: self.world_seed.or(file.world_seed).unwrap_or(defaults.world_seed),
@@ -242,18 +190,19 @@ impl Args {
             disk: disk_folder
                 .map(|folder| DiskConfig { folder, bytes: disk_mb.unwrap_or(DEFAULT_DISK_MB) << 20 }),
             store: store(self.store.or(file.store), self.store_wait_ms.or(file.store_wait_ms))?,
-            token: self
-                .token_file
-                .or(file.token_file)
-                .as_deref()
-                .map(|path| cli::read_token(path, protocol::limits::MAX_TEXT))
-                .transpose()?,
+            tls,
+            allowed_hosts: AllowedHosts::parse(&either(self.allowed_host, file.allowed_host))?,
+            allowed_origins: AllowedOrigins::parse(&either(self.allowed_origin, file.allowed_origin))?,
+            proxies,
+            tokens: token_file.as_ref().map(TokenFile::read).transpose()?,
+            token_file,
+            protected,
             max_sessions,
             max_sessions_per_address,
             rate_limit_ms,
             deadline: Duration::from_millis(deadline_ms),
             without: self.measure_without,
-            log: self.log.or(file.log).unwrap_or(defaults.log),
+            log,
             log_json: self.log_json || file.log_json.unwrap_or(false),
             ..defaults
         })
@@ -270,6 +219,38 @@ fn store(address: Option<String>, wait_ms: Option<u64>) -> Result<Option<StoreCo
     };
     let address = StoreAddress::parse(&address).map_err(|why| UsageError::new(format!("store: {why}")))?;
     Ok(Some(StoreConfig { address, wait: Duration::from_millis(wait_ms.unwrap_or(0)) }))
+}
+
+/// The list of the command line or environment, or else that of the file.
+fn either<T>(given: Vec<T>, file: Vec<T>) -> Vec<T> {
+    if given.is_empty() { file } else { given }
+}
+
+/// Beyond the loopback, plain text has to be asked for.
+fn refuse_plain_text(listen: SocketAddr, is_allowed: bool) -> Result<(), UsageError> {
+    if is_allowed || listen.ip().to_canonical().is_loopback() {
+        return Ok(());
+    }
+    Err(UsageError::new(format!(
+        "listen: {listen} is reachable from other machines, which could read tokens and positions on \
+         the way; give tls-cert and tls-key, or trusted-proxy CIDR of the proxy in front, or insecure"
+    )))
+}
+
+/// The filter of log lines. A single word is a level: as the name of a module it would turn all
+/// lines off.
+///
+/// # Errors
+/// It is no filter.
+pub fn log_filter(text: &str) -> Result<Targets, UsageError> {
+    let allowed = "give off, error, warn, info, debug, trace, or per module as in info,server=debug";
+    for part in text.split(',').map(str::trim) {
+        let is_level = part.eq_ignore_ascii_case("off") || part.parse::<Level>().is_ok();
+        if !part.contains('=') && !is_level {
+            return Err(UsageError::new(format!("log: `{text}`: `{part}` is no level; {allowed}")));
+        }
+    }
+    text.parse().map_err(|error| UsageError::new(format!("log: `{text}` is no filter ({error}); {allowed}")))
 }
 
 fn in_range(option: &str, value: u64, low: u64, high: u64) -> Result<(), UsageError> {
@@ -289,90 +270,4 @@ fn read_file(path: &Path) -> Result<File, UsageError> {
         let message = error.message().lines().collect::<Vec<_>>().join(" ");
         UsageError::new(format!("config: {shown} line {line}: {message}"))
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use clap::CommandFactory;
-
-    fn with_file(content: &str, args: Args) -> Result<ServerConfig, UsageError> {
-        let name = format!("tombolo-config-{}-{:?}.toml", std::process::id(), std::thread::current().id());
-        let path = std::env::temp_dir().join(name);
-        std::fs::write(&path, content).unwrap();
-        let result = Args { config: Some(path.clone()), ..args }.resolve();
-        std::fs::remove_file(path).unwrap();
-        result
-    }
-
-    #[test]
-    fn the_defaults_are_the_documented_ones() {
-        let config = Args::default().resolve().unwrap();
-        assert_eq!(config.listen.to_string(), DEFAULT_LISTEN);
-        assert_eq!((config.world_seed, config.cache_bytes, config.max_sessions), (1, 128 << 20, 1024));
-        assert_eq!(config.disk, None);
-    }
-
-    #[test]
-    fn a_flag_overrides_the_file_and_the_file_the_default() {
-        let file = "world-seed = 7\ncache-mb = 64\nlog-json = true\n";
-        let config = with_file(file, Args { world_seed: Some(9), ..Args::default() }).unwrap();
-        assert_eq!((config.world_seed, config.cache_bytes, config.log_json), (9, 64 << 20, true));
-    }
-
-    #[test]
-    fn a_disk_cache_has_a_default_size() {
-        let config = with_file("disk-cache = \"/var/cache/x\"\n", Args::default()).unwrap();
-        assert_eq!(config.disk, Some(DiskConfig { folder: "/var/cache/x".into(), bytes: 1 << 30 }));
-    }
-
-    #[test]
-    fn the_former_name_of_the_rate_limit_is_accepted() {
-        let parsed = Args::try_parse_from(["tombolo-server", "--cost-per-second", "50"]).unwrap();
-        assert_eq!(parsed.resolve().unwrap().rate_limit_ms, Some(50));
-        let parsed = Args::try_parse_from(["tombolo-server", "--rate-limit-ms", "60"]).unwrap();
-        assert_eq!(parsed.resolve().unwrap().rate_limit_ms, Some(60));
-        assert_eq!(with_file("cost-per-second = 70", Args::default()).unwrap().rate_limit_ms, Some(70));
-    }
-
-    /// What a user cannot turn off by accident.
-    #[test]
-    fn a_mechanism_is_turned_off_by_a_hidden_option_alone() {
-        let parsed = Args::try_parse_from(["tombolo-server", "--measure-without", "turns"]).unwrap();
-        assert_eq!(parsed.resolve().unwrap().without, Some(Mechanism::Turns));
-        assert_eq!(Args::default().resolve().unwrap().without, None);
-        assert!(Args::try_parse_from(["tombolo-server", "--measure-without", "everything"]).is_err());
-        assert!(with_file("measure-without = \"turns\"", Args::default()).is_err());
-        let mut command = Args::command();
-        let option = command.get_arguments().find(|option| option.get_id() == "measure_without").unwrap();
-        assert!(option.get_env().is_none());
-        assert!(!command.render_long_help().to_string().contains("measure-without"));
-    }
-
-    #[test]
-    fn errors_are_one_line_with_option_value_and_range() {
-        for (file, words) in [
-            ("cahce-mb = 1", &["line 1", "cahce-mb", "cache-mb"][..]),
-            ("\nthreads = \"two\"", &["line 2", "usize"][..]),
-            ("threads = 0", &["threads", "0", "1 to 1024"][..]),
-            ("cache-mb = 70000", &["cache-mb", "70000", "65536"][..]),
-            ("disk-cache = \"/tmp/x\"\ndisk-mb = 63", &["disk-mb", "63", "64 to 262144"][..]),
-            ("disk-mb = 64", &["disk-mb", "64", "disk-cache"][..]),
-            ("rate-limit-ms = 0", &["rate-limit-ms", "0", "1 to 1000000"][..]),
-            ("cost-per-second = 0", &["rate-limit-ms", "0", "1 to 1000000"][..]),
-            ("deadline-ms = 9", &["deadline-ms", "9", "10 to 60000"][..]),
-            ("max-sessions-per-address = 0", &["max-sessions-per-address", "0", "1 to 100000"][..]),
-            ("listen = \"nowhere\"", &["listen", "nowhere", "ADDR:PORT"][..]),
-            ("token-file = \"/does/not/exist\"", &["token-file", "/does/not/exist"][..]),
-            ("= broken", &["line 1"][..]),
-        ] {
-            let message = with_file(file, Args::default()).unwrap_err().to_string();
-            assert!(!message.contains('\n'), "{message}");
-            for word in words {
-                assert!(message.contains(word), "`{message}` lacks `{word}`");
-            }
-        }
-        let missing = Args { config: Some("/does/not/exist.toml".into()), ..Args::default() };
-        assert!(missing.resolve().unwrap_err().to_string().contains("/does/not/exist.toml"));
-    }
 }

@@ -6,6 +6,9 @@
 //! | module | job |
 //! | --- | --- |
 //! | [`config`] | options, environment, configuration file |
+//! | [`access`] | host names, origins and tokens |
+//! | [`proxy`], [`tls`] | clients behind trusted proxies; TLS of connections |
+//! | [`reload`] | files that are read again |
 //! | [`state`] | application state shared by all connections |
 //! | [`listener`] | accept loop and shutdown |
 //! | [`http`] | routes |
@@ -24,6 +27,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod access;
 pub mod bake;
 pub mod cache;
 pub mod chunk_id;
@@ -36,11 +40,14 @@ pub mod listener;
 pub mod map;
 pub mod mechanism;
 pub mod metrics;
+pub mod proxy;
+pub mod reload;
 pub mod session;
 pub mod source;
 pub mod state;
 pub mod stats;
 pub mod store;
+pub mod tls;
 pub mod websocket;
 
 pub use config::ServerConfig;

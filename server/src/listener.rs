@@ -5,21 +5,28 @@
 
 use crate::config::ServerConfig;
 use crate::http;
-use crate::limits::per_ip::PerIpLimiter;
+use crate::limits::per_ip::{IpPermit, PerIpLimiter};
 use crate::limits::write_timeout::WriteTimeoutStream;
+use crate::metrics::ReasonLabel;
+use crate::proxy::proxy_protocol;
+use crate::reload;
 use crate::state::ServerState;
+use crate::tls::PeerStream;
 use axum::body::Body;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use rayon::ThreadPoolBuildError;
-use std::net::SocketAddr;
+use std::io;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
-use tokio_util::task::TaskTracker;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::timeout;
+use tokio_util::either::Either;
+use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 use tower::ServiceExt;
 
 /// Connections in addition to sessions: probes, metrics and downloads. When all permits are taken,
@@ -55,13 +62,18 @@ pub async fn run(
         tracing::warn!(?mechanism, "a mechanism against overload is turned off: for measurements only");
     }
 
+    warn_of_openness(&state, &listener);
+    let _reload = AbortOnDropHandle::new(tokio::spawn(reload::run(Arc::clone(&state))));
     let router = http::router(Arc::clone(&state));
     let connections = TaskTracker::new();
-    let permits = Arc::new(Semaphore::new(state.config.max_sessions + EXTRA_CONNECTIONS));
+    let total = state.config.max_sessions + EXTRA_CONNECTIONS;
+    let permits = Arc::new(Semaphore::new(total));
     // A session releases its connection's permits when it starts, so these count requests,
     // downloads, and connections that have sent nothing yet.
-    let max_per_ip = state.config.max_sessions_per_address.saturating_add(EXTRA_CONNECTIONS_PER_IP);
-    let connections_per_ip = PerIpLimiter::new(max_per_ip);
+    let per_ip = match state.config.max_sessions_per_address {
+        Some(sessions) => PerIpLimiter::new(sessions.saturating_add(EXTRA_CONNECTIONS_PER_IP)),
+        None => PerIpLimiter::fair_share(total),
+    };
     tokio::pin!(shutdown);
     loop {
         let permit = tokio::select! {
@@ -73,17 +85,20 @@ pub async fn run(
             () = &mut shutdown => break,
             stream = accept(&listener) => stream,
         };
-        let Some(ip_permit) = connections_per_ip.try_acquire(Some(peer.ip())) else {
-            // Closed without a response, which would cost more than the accept.
-            state.metrics.connections_rejected.inc();
-            continue;
+        let peer = peer.ip().to_canonical();
+        let places = Places { permits: Arc::clone(&permits), per_ip: per_ip.clone(), permit };
+        // The connections of a proxy are those of all its clients.
+        let held = match state.config.proxies.contains(peer) {
+            true => Some(HeldPlace { places, ip_permit: None }),
+            false => places.take(peer, &state),
         };
+        // Closed without a response, which would cost more than the accept.
+        let Some(place) = held else { continue };
         let (router, state) = (router.clone(), Arc::clone(&state));
         connections.spawn(async move {
             state.metrics.connections.inc();
-            serve_connection(stream, peer, router, &state).await;
+            serve_connection(stream, peer, place, router, &state).await;
             state.metrics.connections.dec();
-            drop((permit, ip_permit));
         });
     }
 
@@ -96,12 +111,26 @@ pub async fn run(
         state.sessions.wait().await;
         connections.wait().await;
     };
-    if tokio::time::timeout(state.config.drain_timeout, drained).await.is_err() {
+    if timeout(state.config.drain_timeout, drained).await.is_err() {
         tracing::warn!(sessions = state.sessions.len(), "drain timed out with open sessions");
     }
     state.generation.close().await;
     tracing::info!("stopped");
     Ok(())
+}
+
+/// What an operator should know of a server that other machines reach.
+fn warn_of_openness(state: &ServerState, listener: &TcpListener) {
+    let is_loopback = listener.local_addr().is_ok_and(|address| address.ip().to_canonical().is_loopback());
+    if is_loopback {
+        return;
+    }
+    if state.config.tls.is_none() && !state.config.proxies.any() {
+        tracing::warn!("without TLS: machines on the way can read tokens and positions");
+    }
+    if !state.gate.requires_token() {
+        tracing::warn!("without tokens: every client that reaches this address may open sessions");
+    }
 }
 
 /// Accepts one connection, retrying after failures.
@@ -121,9 +150,105 @@ async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
     }
 }
 
-async fn serve_connection(stream: TcpStream, peer: SocketAddr, router: axum::Router, state: &ServerState) {
+/// What a connection needs to be counted.
+struct Places {
+    permits: Arc<Semaphore>,
+    per_ip: PerIpLimiter,
+    #[expect(dead_code, reason = "held for its drop")]
+    permit: OwnedSemaphorePermit,
+}
+
+/// The place of a connection, released on drop.
+struct HeldPlace {
+    places: Places,
+    #[expect(dead_code, reason = "held for its drop")]
+    ip_permit: Option<IpPermit>,
+}
+
+impl Places {
+    /// The place of a client's connection; none if its network has all of its own.
+    fn take(self, client: IpAddr, state: &ServerState) -> Option<HeldPlace> {
+        let Some(ip_permit) = self.per_ip.try_acquire(Some(client), self.permits.available_permits()) else {
+            state.metrics.connections_rejected.inc();
+            state.peer_log.report(Some(client), "too many connections");
+            return None;
+        };
+        Some(HeldPlace { places: self, ip_permit: Some(ip_permit) })
+    }
+}
+
+/// Serves one connection to its end or to its upgrade. `peer` is at the other end of it.
+async fn serve_connection(
+    stream: TcpStream,
+    peer: IpAddr,
+    place: HeldPlace,
+    router: axum::Router,
+    state: &ServerState,
+) {
+    let opening = timeout(state.config.handshake_timeout, open(stream, peer, place, state));
+    let opened = tokio::select! {
+        opened = opening => opened.unwrap_or(Err(Failure { client: peer, reason: "opening_timeout" })),
+        () = state.draining.cancelled() => return,
+    };
+    let (stream, client, place) = match opened {
+        Ok(Some(opened)) => opened,
+        Ok(None) => return,
+        Err(Failure { client, reason }) => {
+            state.metrics.connections_failed.get_or_create(&ReasonLabel { reason }).inc();
+            state.peer_log.report(Some(client), reason);
+            return;
+        }
+    };
+    serve_requests(stream, client, router, state).await;
+    drop(place);
+}
+
+/// A connection that ended before its first request.
+struct Failure {
+    client: IpAddr,
+    reason: &'static str,
+}
+
+/// What stands before requests: the header of a trusted proxy, and the handshake of TLS. None if
+/// the client of a proxy has no place.
+async fn open(
+    mut stream: TcpStream,
+    peer: IpAddr,
+    mut place: HeldPlace,
+    state: &ServerState,
+) -> Result<Option<(PeerStream, IpAddr, HeldPlace)>, Failure> {
+    let mut client = peer;
+    if state.config.proxies.sends_proxy_header(peer) {
+        let named = proxy_protocol::read(&mut stream).await;
+        // A proxy that asks for itself has no client.
+        if let Some(named) = named.map_err(|error| failure(peer, "proxy_header", &error))? {
+            client = named.to_canonical();
+            let Some(taken) = place.places.take(client, state) else { return Ok(None) };
+            place = taken;
+        }
+    }
+    let stream = match &state.config.tls {
+        None => Either::Left(stream),
+        Some(tls) => {
+            let accepted = tls.acceptor().accept(stream).await;
+            let accepted = accepted.map_err(|error| failure(client, "tls_handshake", &error))?;
+            Either::Right(Box::new(accepted))
+        }
+    };
+    Ok(Some((stream, client, place)))
+}
+
+fn failure(client: IpAddr, reason: &'static str, error: &io::Error) -> Failure {
+    tracing::debug!(%client, reason, %error, "connection ended");
+    Failure { client, reason }
+}
+
+/// Serves HTTP requests. `connected` is the client, or a proxy that names it in each request.
+async fn serve_requests(stream: PeerStream, connected: IpAddr, router: axum::Router, state: &ServerState) {
+    let proxies = state.config.proxies.clone();
     let service = service_fn(move |mut request: hyper::Request<Incoming>| {
-        request.extensions_mut().insert(peer);
+        let client = proxies.client(connected, request.headers());
+        request.extensions_mut().insert(client);
         router.clone().oneshot(request.map(Body::new))
     });
     let stream = WriteTimeoutStream::new(stream, state.config.write_timeout);
@@ -143,5 +268,9 @@ async fn serve_connection(stream: TcpStream, peer: SocketAddr, router: axum::Rou
     };
     if let Err(error) = result {
         tracing::debug!(%error, "connection ended");
+        // A timeout is no breach: browsers leave connections idle.
+        if error.is_parse() {
+            state.peer_log.report(Some(connected), "malformed HTTP");
+        }
     }
 }

@@ -1,12 +1,12 @@
 //! `tombolo-server`: reads the configuration, binds, and runs until SIGINT or SIGTERM; or bakes.
 
+use cli::UsageError;
 use server::bake::{BakeArgs, Baked};
-use server::config::{Args, Command, ServerConfig};
+use server::config::{Args, Command, ServerConfig, log_filter};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
-use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
@@ -87,21 +87,28 @@ async fn serve(config: ServerConfig) -> Result<(), String> {
     })?;
     let bound = listener.local_addr().map_err(|error| format!("cannot read the bound address: {error}"))?;
     // Before the address is printed: a script that knows the address may send a signal at once.
-    let interrupted = interruption().map_err(|error| format!("cannot listen for signals: {error}"))?;
+    let interrupted =
+        interruption(config.has_files()).map_err(|error| format!("cannot listen for signals: {error}"))?;
+    let scheme = if config.tls.is_some() { "https" } else { "http" };
     // On standard output, for scripts that start a server on port 0. A closed output is ignored.
-    let _ = writeln!(std::io::stdout(), "listening on http://{bound}");
+    let _ = writeln!(std::io::stdout(), "listening on {scheme}://{bound}");
     server::run(listener, config, interrupted)
         .await
         .map_err(|error| format!("cannot start generation threads: {error}"))
 }
 
-/// Listens for SIGINT and SIGTERM from now on; the future completes on the first.
-fn interruption() -> std::io::Result<impl Future<Output = ()>> {
+/// Listens for SIGINT and SIGTERM from now on; the future completes on the first. Where files are
+/// read again, SIGHUP no longer ends the process.
+fn interruption(reads_again: bool) -> std::io::Result<impl Future<Output = ()>> {
     #[cfg(unix)]
     {
         use tokio::signal::unix::{SignalKind, signal};
         let (mut interrupt, mut terminate) =
             (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+        if reads_again {
+            // The handler stays when its receiver is dropped; the server has one of its own.
+            drop(signal(SignalKind::hangup())?);
+        }
         Ok(async move {
             tokio::select! {
                 _ = interrupt.recv() => {}
@@ -110,15 +117,15 @@ fn interruption() -> std::io::Result<impl Future<Output = ()>> {
         })
     }
     #[cfg(not(unix))]
+    let _ = reads_again;
+    #[cfg(not(unix))]
     Ok(async {
         let _ = tokio::signal::ctrl_c().await;
     })
 }
 
-fn set_up_logging(config: &ServerConfig) -> Result<(), String> {
-    let filter: Targets = config.log.parse().map_err(|error| {
-        format!("log: `{}` is not a filter ({error}); give for example info or info,server=debug", config.log)
-    })?;
+fn set_up_logging(config: &ServerConfig) -> Result<(), UsageError> {
+    let filter = log_filter(&config.log)?;
     let lines = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal());

@@ -58,6 +58,14 @@ pub struct Metrics {
     pub connections: Gauge,
     /// Connections over the limit per client network, closed after accept.
     pub connections_rejected: Counter,
+    /// Connections that ended before a request by reason.
+    pub connections_failed: Family<ReasonLabel, Counter>,
+    /// Unknown tokens that clients presented.
+    pub tokens_wrong: Counter,
+    /// Tokens that were presented after their end.
+    pub tokens_expired: Counter,
+    /// Tokens that were not looked at, because the address had guessed too often.
+    pub tokens_throttled: Counter,
     /// Chunks sent over sessions, all deliveries. Not exported; see `chunks_sent_by_delivery`.
     pub chunks_sent: Counter,
     /// Chunks sent over sessions by delivery.
@@ -174,6 +182,10 @@ impl Default for Metrics {
             sessions_ended: Family::default(),
             connections: Gauge::default(),
             connections_rejected: Counter::default(),
+            connections_failed: Family::default(),
+            tokens_wrong: Counter::default(),
+            tokens_expired: Counter::default(),
+            tokens_throttled: Counter::default(),
             chunks_sent: Counter::default(),
             chunks_sent_by_delivery: Family::default(),
             chunk_sent_bytes: Family::default(),
@@ -276,6 +288,20 @@ impl Metrics {
             "Connections over the limit per client network",
             &self.connections_rejected.clone(),
         );
+        self.register(
+            "connections_failed",
+            "Connections that ended before a request by reason",
+            &self.connections_failed.clone(),
+        );
+        let refused = fixed_family(
+            "outcome",
+            [
+                ("wrong", &mut self.tokens_wrong),
+                ("expired", &mut self.tokens_expired),
+                ("throttled", &mut self.tokens_throttled),
+            ],
+        );
+        self.register("tokens_refused", "Refused tokens by outcome", &refused);
         for (reason, counter) in RefusalReason::ALL.iter().zip(&mut self.session_rejections) {
             let label = RejectionLabel { transport: "websocket", reason: label_value(reason.name()) };
             *counter = self.requests_rejected.get_or_create_owned(&label);

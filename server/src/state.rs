@@ -1,9 +1,11 @@
 //! Application state shared by all connections.
 
+use crate::access::gate::TokenGate;
 use crate::cache::content_digests::ContentDigests;
 use crate::cache::disk::Disk;
 use crate::config::ServerConfig;
 use crate::generation::{Generation, Limits};
+use crate::limits::peer_log::PeerLog;
 use crate::limits::per_ip::PerIpLimiter;
 use crate::limits::rate_limit::RateLimiter;
 use crate::map::Map;
@@ -30,7 +32,7 @@ const MAP_CACHE_DIVISOR: u64 = 8;
 pub struct ServerState {
     /// The checked configuration.
     pub config: ServerConfig,
-    /// What sessions are offered.
+    /// What sessions are offered, but for the check of tokens.
     pub offer: ServerOffer,
     /// The generation service.
     pub generation: Generation,
@@ -50,6 +52,10 @@ pub struct ServerState {
     pub session_permits: Arc<Semaphore>,
     /// Sessions per client network.
     pub sessions_per_ip: PerIpLimiter,
+    /// Tokens of clients.
+    pub gate: Arc<TokenGate>,
+    /// Log lines about peers that break rules.
+    pub peer_log: Arc<PeerLog>,
     /// Work per client network.
     pub rate_limiter: RateLimiter,
     /// Number of the next session.
@@ -86,9 +92,17 @@ impl ServerState {
                 .ok()
         });
         let generation = Generation::with_stores(source, limits, disk, store, Arc::clone(&metrics))?;
-        let token = config.token.clone();
+        let peer_log = Arc::new(PeerLog::default());
+        let gate = TokenGate::new(
+            config.tokens.clone(),
+            config.token_file.clone(),
+            Arc::clone(&metrics),
+            Arc::clone(&peer_log),
+        );
         Ok(Self {
-            offer: ServerOffer { land, digest: land.digest(), token, software: SOFTWARE.into() },
+            offer: ServerOffer { land, digest: land.digest(), token: None, software: SOFTWARE.into() },
+            gate: Arc::new(gate),
+            peer_log,
             map: Map::new(
                 land.digest(),
                 config.cache_bytes / MAP_CACHE_DIVISOR,
@@ -104,7 +118,10 @@ impl ServerState {
             session_permits: Arc::new(Semaphore::new(config.max_sessions)),
             next_session: AtomicU64::new(1),
             rate_limiter: RateLimiter::new(config.rate_limit_ms),
-            sessions_per_ip: PerIpLimiter::new(config.max_sessions_per_address),
+            sessions_per_ip: match config.max_sessions_per_address {
+                Some(limit) => PerIpLimiter::new(limit),
+                None => PerIpLimiter::fair_share(config.max_sessions),
+            },
             config,
         })
     }

@@ -54,7 +54,7 @@ static ALLOCATOR: Counting = Counting;
 /// Clients that have their Welcome and send nothing more.
 fn connect(address: SocketAddr, count: usize) -> Vec<TcpStream> {
     let request = format!(
-        "GET /v1/stream HTTP/1.1\r\nHost: test\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+        "GET /v1/stream HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
          Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
          Sec-WebSocket-Protocol: {SUBPROTOCOL}\r\n\r\n"
     );

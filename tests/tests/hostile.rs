@@ -2,6 +2,7 @@
 
 use protocol::message::{ClientMessage, Hello, RefusalReason, ServerMessage, WireKey};
 use protocol::{CloseCode, Delivery, PROTOCOL_VERSION, SUBPROTOCOL, control, limits};
+use server::access::tokens::TokenSet;
 use std::time::Duration;
 use tests::peer::{Peer, TestClient, view};
 use tests::{RunningServer, running};
@@ -140,7 +141,7 @@ async fn a_client_without_a_hello_is_closed() {
 async fn a_slow_request_head_ends_the_connection() {
     let server = RunningServer::start().await;
     let mut stream = TcpStream::connect(server.address).await.unwrap();
-    stream.write_all(b"GET /livez HTTP/1.1\r\nHost: a").await.unwrap();
+    stream.write_all(b"GET /livez HTTP/1.1\r\nHost: localhost").await.unwrap();
     let mut rest = Vec::new();
     let ended = tokio::time::timeout(Duration::from_secs(10), stream.read_to_end(&mut rest)).await;
     assert!(ended.is_ok(), "the connection is still open");
@@ -252,7 +253,7 @@ async fn invalid_messages_are_refused_singly_and_counted() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn sessions_per_address_are_limited() {
-    let config = server::ServerConfig { max_sessions_per_address: 1, ..running::quick_config() };
+    let config = server::ServerConfig { max_sessions_per_address: Some(1), ..running::quick_config() };
     let server = RunningServer::start_with(config).await;
     let client = TestClient::connect(&server.stream_url()).await;
     let Err(error) = Peer::try_connect(&server.stream_url(), Some(SUBPROTOCOL)).await else {
@@ -310,7 +311,7 @@ async fn connections_per_address_are_limited() {
     let long_timeout = Duration::from_secs(60);
     let config = server::ServerConfig {
         max_sessions: 100,
-        max_sessions_per_address: 1,
+        max_sessions_per_address: Some(1),
         handshake_timeout: long_timeout,
         ..running::quick_config()
     };
@@ -323,7 +324,10 @@ async fn connections_per_address_are_limited() {
     let elsewhere = tokio::net::TcpSocket::new_v4().unwrap();
     elsewhere.bind("127.0.0.2:0".parse().unwrap()).unwrap();
     let mut elsewhere = elsewhere.connect(address(&server)).await.unwrap();
-    elsewhere.write_all(b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n").await.unwrap();
+    elsewhere
+        .write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        .await
+        .unwrap();
     let mut reply = String::new();
     let read = tokio::time::timeout(long_timeout / 2, elsewhere.read_to_string(&mut reply));
     read.await.expect("another address is served").unwrap();
@@ -339,7 +343,7 @@ async fn endless_requests_without_reading_end_the_connection() {
     let server = RunningServer::start().await;
     let mut stalled = TcpStream::connect(address(&server)).await.unwrap();
     // Megabytes of responses, more than all buffers hold.
-    let requests = b"GET /openapi.json HTTP/1.1\r\nHost: a\r\n\r\n".repeat(2000);
+    let requests = b"GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(2000);
     let requesting = async {
         // An error means that the server ended the connection, as expected.
         let _ = stalled.write_all(&requests).await;
@@ -354,7 +358,8 @@ async fn endless_requests_without_reading_end_the_connection() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_stream_and_http_require_the_token() {
-    let config = server::ServerConfig { token: Some("open sesame".into()), ..running::quick_config() };
+    let config =
+        server::ServerConfig { tokens: Some(TokenSet::one("open sesame")), ..running::quick_config() };
     let server = RunningServer::start_with(config).await;
     let mut peer = Peer::connect(&server.stream_url()).await;
     peer.send_bytes(hello()).await;

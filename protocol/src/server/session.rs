@@ -1,6 +1,6 @@
+use super::ServerOffer;
 use super::view_queue::ViewQueue;
 use super::view_selection::ViewSelection;
-use super::{ServerOffer, token_matches};
 use crate::DataFrame;
 use crate::chunk_codec;
 use crate::control;
@@ -184,7 +184,7 @@ impl ServerSession {
             let server = offer.digest.0;
             return Err(self.reject(Rejection::WrongWorld { client, server }));
         }
-        if !token_matches(offer.token.as_deref(), hello.token.as_deref()) {
+        if offer.token.as_ref().is_some_and(|token| !token.admits(hello.token.as_deref())) {
             return Err(self.reject(Rejection::Unauthorised));
         }
         let welcome = Welcome {

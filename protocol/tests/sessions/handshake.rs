@@ -3,8 +3,9 @@
 use crate::pair::{config, offer, seed_only, view, welcome_frame};
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::message::{ClientMessage, Rejection, ServerMessage, Settled};
-use protocol::server::{ServerOffer, ServerSession};
+use protocol::server::{ServerOffer, ServerSession, TokenCheck};
 use protocol::{ChunkError, CloseCode, DataFrame, PROTOCOL_VERSION, PeerFault, chunk_codec, control};
+use std::sync::Arc;
 use terrain::{ChunkKey, Land, WorldDigest};
 
 #[test]
@@ -33,7 +34,8 @@ fn only_the_right_token_is_accepted_where_one_is_required() {
     for (presented, admitted) in
         [(None, false), (Some("wrong"), false), (Some(""), false), (Some("secret"), true)]
     {
-        let mut server = ServerSession::new(ServerOffer { token: Some("secret".into()), ..offer() }, 1);
+        let token: Arc<dyn TokenCheck> = Arc::new(String::from("secret"));
+        let mut server = ServerSession::new(ServerOffer { token: Some(token), ..offer() }, 1);
         let config = ClientConfig { token: presented.map(String::from), ..config(1) };
         let hello = ClientSession::new(config).poll_transmit().unwrap();
         let result = server.receive(DataFrame::Binary(&hello));

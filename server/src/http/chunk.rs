@@ -31,10 +31,10 @@ pub async fn get(
         // Of the content: replicas with other versions of the compressor have the same ETag.
         etag: etag(&digest),
         content_type: "application/octet-stream",
-        cache_control: immutable_cache_control(state.offer.token.is_some()),
+        cache_control: immutable_cache_control(state.gate.requires_token()),
         body: frame,
     };
-    Ok(representation.respond(&request.headers))
+    Ok(representation.respond(&request.client.headers))
 }
 
 /// The problem document for a chunk that is not available.

@@ -1,5 +1,8 @@
 //! Probes and metrics.
 
+use crate::access::ProtectedRoute;
+use crate::http::client::Client;
+use crate::http::problem::Problem;
 use crate::state::ServerState;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
@@ -30,7 +33,10 @@ pub async fn readyz(State(state): State<Arc<ServerState>>) -> Response {
 }
 
 /// `GET /metrics`.
-pub async fn metrics(State(state): State<Arc<ServerState>>) -> impl IntoResponse {
+pub async fn metrics(State(state): State<Arc<ServerState>>, client: Client) -> Result<Response, Problem> {
     const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-    ([(header::CONTENT_TYPE, OPEN_METRICS)], state.metrics.render())
+    if state.config.protected.contains(&ProtectedRoute::Metrics) {
+        client.authorise(&state)?;
+    }
+    Ok(([(header::CONTENT_TYPE, OPEN_METRICS)], state.metrics.render()).into_response())
 }

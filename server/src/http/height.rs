@@ -1,12 +1,13 @@
 //! The height at a position, for the pointer on the map.
 
+use crate::http::client::Client;
 use crate::http::path;
 use crate::http::problem::{Problem, ProblemKind};
 use crate::state::ServerState;
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use axum::http::{HeaderMap, header};
+use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
 use std::sync::Arc;
@@ -16,10 +17,10 @@ use terrain::{Land, Position};
 /// `GET /v1/{digest}/height/{x}/{z}`, both in whole metres.
 pub async fn get(
     State(state): State<Arc<ServerState>>,
-    headers: HeaderMap,
+    client: Client,
     raw: Result<Path<(String, String, String)>, PathRejection>,
 ) -> Result<Response, Problem> {
-    path::authorise(&state, &headers)?;
+    client.authorise(&state)?;
     let Ok(Path((digest, x, z))) = raw else {
         return Err(Problem::new(ProblemKind::Malformed, "the percent-encoded path is not UTF-8"));
     };

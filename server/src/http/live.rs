@@ -4,19 +4,19 @@
 //! would occupy one of them and a connection permit while the page is open, and would have to be
 //! closed on shutdown.
 
-use crate::http::path;
+use crate::http::client::Client;
 use crate::http::problem::Problem;
 use crate::state::ServerState;
 use axum::extract::State;
-use axum::http::{HeaderMap, header};
+use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use std::sync::Arc;
 use std::time::Instant;
 
 /// `GET /v1/live`.
-pub async fn get(State(state): State<Arc<ServerState>>, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn get(State(state): State<Arc<ServerState>>, client: Client) -> Result<Response, Problem> {
     // Positions of clients are as restricted as the sessions.
-    path::authorise(&state, &headers)?;
+    client.authorise(&state)?;
     let body = state.stats.report(Instant::now(), &state.metrics, &state.generation);
     let headers = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
     Ok((headers, body).into_response())

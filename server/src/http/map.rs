@@ -24,8 +24,8 @@ pub async fn get(
     let representation = Representation {
         etag: etag(&tile.digest),
         content_type: "image/png",
-        cache_control: immutable_cache_control(state.offer.token.is_some()),
+        cache_control: immutable_cache_control(state.gate.requires_token()),
         body: tile.png,
     };
-    Ok(representation.respond(&request.headers))
+    Ok(representation.respond(&request.client.headers))
 }

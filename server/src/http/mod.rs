@@ -1,10 +1,13 @@
 //! HTTP routes: the page and its map, chunks, live statistics, probes, metrics, and the upgrade to
 //! a session.
 //!
+//! A request for a host name that is not this server's gets no answer of a route ([`known_host`]).
+//!
 //! [`routes`] lists them in the order of `openapi.json`. All error responses are made by
 //! [`problem`], all responses with a validator by [`conditional`]; [`cors`] allows other origins.
 
 pub mod chunk;
+pub mod client;
 pub mod conditional;
 pub mod cors;
 pub mod health;
@@ -18,7 +21,9 @@ pub mod problem;
 pub mod session;
 pub mod world;
 
+use crate::access::hosts::{MalformedHost, Target};
 use crate::metrics::StatusLabel;
+use crate::proxy::ClientAddress;
 use crate::state::ServerState;
 use axum::Router;
 use axum::extract::{Request, State};
@@ -71,8 +76,31 @@ pub fn router(state: Arc<ServerState>) -> Router {
             response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("GET, HEAD, OPTIONS"));
             response
         })
+        .layer(middleware::from_fn_with_state(Arc::clone(&state), known_host))
         .layer(middleware::from_fn_with_state(Arc::clone(&state), count))
         .with_state(state)
+}
+
+/// Rejects requests for other host names: a page whose name was pointed at this server (DNS
+/// rebinding) must not read what its visitor may read.
+async fn known_host(
+    State(state): State<Arc<ServerState>>,
+    mut request: Request,
+    next: Next,
+) -> Result<Response, Problem> {
+    let target = Target::of(request.uri(), request.headers()).map_err(|MalformedHost| {
+        Problem::new(ProblemKind::Malformed, "`Host` must be one host name or address, with or without port")
+    })?;
+    if let Some(target) = target {
+        if !state.config.allowed_hosts.allows(&target) {
+            let client = request.extensions().get::<ClientAddress>().map(|client| client.0);
+            state.peer_log.report(client, "unknown host name");
+            let detail = format!("{} is no name of this server; see its option allowed-host", target.shown());
+            return Err(Problem::new(ProblemKind::UnknownHost, detail));
+        }
+        request.extensions_mut().insert(target);
+    }
+    Ok(next.run(request).await)
 }
 
 /// Counts all responses, and rejected requests by kind.

@@ -1,14 +1,14 @@
-//! Path parameters, access tokens and the rate limit of HTTP requests.
+//! Path parameters and the rate limit of HTTP requests.
 
+use crate::http::client::Client;
 use crate::http::problem::{Problem, ProblemKind};
 use crate::limits::rate_limit::TokenBucket;
 use crate::state::ServerState;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{FromRequestParts, Path};
 use axum::http::request::Parts;
-use axum::http::{HeaderMap, header};
 use std::convert::Infallible;
-use std::net::SocketAddr;
+use std::net::IpAddr;
 use std::str::FromStr;
 use std::sync::Arc;
 use terrain::{ChunkKey, WorldDigest};
@@ -21,9 +21,8 @@ type RawChunkPath = Result<Path<(String, String, String, String)>, PathRejection
 /// nothing.
 #[derive(Debug)]
 pub struct ChunkPathRequest {
-    /// Headers of the request.
-    pub headers: HeaderMap,
-    peer: Option<SocketAddr>,
+    /// Who asks.
+    pub client: Client,
     raw: RawChunkPath,
 }
 
@@ -32,8 +31,8 @@ impl FromRequestParts<Arc<ServerState>> for ChunkPathRequest {
 
     async fn from_request_parts(parts: &mut Parts, state: &Arc<ServerState>) -> Result<Self, Infallible> {
         let raw = Path::from_request_parts(parts, state).await;
-        let peer = parts.extensions.get().copied();
-        Ok(Self { headers: parts.headers.clone(), peer, raw })
+        let client = Client::from_request_parts(parts, state).await?;
+        Ok(Self { client, raw })
     }
 }
 
@@ -44,19 +43,19 @@ impl ChunkPathRequest {
     /// # Errors
     /// What is wrong, in this order: token, encoding, world, numbers, key, rate limit.
     pub async fn admit(&self, state: &ServerState, suffix: &str) -> Result<(ChunkKey, TokenBucket), Problem> {
-        let key = chunk_key(state, &self.headers, &self.raw, suffix)?;
-        Ok((key, wait_for_tokens(state, self.peer).await?))
+        let key = chunk_key(state, &self.client, &self.raw, suffix)?;
+        Ok((key, wait_for_tokens(state, self.client.address).await?))
     }
 }
 
 /// The chunk key of an authorised request's path.
 fn chunk_key(
     state: &ServerState,
-    headers: &HeaderMap,
+    client: &Client,
     raw: &RawChunkPath,
     suffix: &str,
 ) -> Result<ChunkKey, Problem> {
-    authorise(state, headers)?;
+    client.authorise(state)?;
     let Ok(Path((digest, level, x, z))) = raw else {
         return Err(Problem::new(ProblemKind::Malformed, "the percent-encoded path is not UTF-8"));
     };
@@ -95,8 +94,8 @@ pub fn check_world(state: &ServerState, digest: &str) -> Result<(), Problem> {
 
 /// The token bucket of the client, after waiting until it is not empty. A wait that would exceed
 /// the deadline of requests is an error.
-async fn wait_for_tokens(state: &ServerState, peer: Option<SocketAddr>) -> Result<TokenBucket, Problem> {
-    let bucket = state.rate_limiter.bucket(peer.map(|peer| peer.ip()));
+async fn wait_for_tokens(state: &ServerState, client: Option<IpAddr>) -> Result<TokenBucket, Problem> {
+    let bucket = state.rate_limiter.bucket(client);
     let by = Instant::now() + state.config.deadline;
     loop {
         let now = Instant::now();
@@ -111,22 +110,4 @@ async fn wait_for_tokens(state: &ServerState, peer: Option<SocketAddr>) -> Resul
         state.metrics.rate_limit_delays.inc();
         sleep(delay).await;
     }
-}
-
-/// Accepts a request with the access token, or any request if none is configured.
-///
-/// # Errors
-/// The token is missing or wrong.
-pub fn authorise(state: &ServerState, headers: &HeaderMap) -> Result<(), Problem> {
-    let bearer = headers
-        .get(header::AUTHORIZATION)
-        .and_then(|value| value.to_str().ok())
-        .and_then(|value| value.split_once(' '))
-        // The scheme is case-insensitive: RFC 9110, section 11.1.
-        .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
-        .map(|(_, token)| token.trim_start_matches(' '));
-    if protocol::server::token_matches(state.offer.token.as_deref(), bearer) {
-        return Ok(());
-    }
-    Err(Problem::new(ProblemKind::Unauthorised, "send the access token as `Authorization: Bearer TOKEN`"))
 }

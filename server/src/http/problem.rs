@@ -20,8 +20,14 @@ pub enum ProblemKind {
     OutsideWorld,
     /// The digest of another world.
     WrongWorld,
-    /// The token is missing or wrong.
+    /// The token is missing, wrong or expired.
     Unauthorised,
+    /// The address has presented too many wrong tokens.
+    TooManyGuesses,
+    /// The host name of the request is not one of this server.
+    UnknownHost,
+    /// A page of another origin opens a session.
+    ForeignOrigin,
     /// `If-Match` does not match the representation.
     PreconditionFailed,
     /// Not a WebSocket handshake.
@@ -42,13 +48,16 @@ pub enum ProblemKind {
 
 impl ProblemKind {
     /// Every kind.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 17] = [
         Self::NoRoute,
         Self::WrongMethod,
         Self::Malformed,
         Self::OutsideWorld,
         Self::WrongWorld,
         Self::Unauthorised,
+        Self::TooManyGuesses,
+        Self::UnknownHost,
+        Self::ForeignOrigin,
         Self::PreconditionFailed,
         Self::NotAnUpgrade,
         Self::BadHandshake,
@@ -75,6 +84,9 @@ impl ProblemKind {
             Self::OutsideWorld => "outside-world",
             Self::WrongWorld => "wrong-world",
             Self::Unauthorised => "unauthorised",
+            Self::TooManyGuesses => "too-many-guesses",
+            Self::UnknownHost => "unknown-host",
+            Self::ForeignOrigin => "foreign-origin",
             Self::PreconditionFailed => "precondition-failed",
             Self::NotAnUpgrade => "not-an-upgrade",
             Self::BadHandshake => "bad-handshake",
@@ -96,6 +108,9 @@ impl ProblemKind {
             Self::OutsideWorld => "Outside the world",
             Self::WrongWorld => "Another world",
             Self::Unauthorised => "Token required",
+            Self::TooManyGuesses => "Too many wrong tokens from this address",
+            Self::UnknownHost => "Unknown host name",
+            Self::ForeignOrigin => "Page of another origin",
             Self::PreconditionFailed => "Precondition failed",
             Self::NotAnUpgrade => "Not a WebSocket request",
             Self::BadHandshake => "Bad WebSocket handshake",
@@ -115,6 +130,9 @@ impl ProblemKind {
             Self::WrongMethod => StatusCode::METHOD_NOT_ALLOWED,
             Self::Malformed | Self::BadHandshake => StatusCode::BAD_REQUEST,
             Self::Unauthorised => StatusCode::UNAUTHORIZED,
+            Self::TooManyGuesses => StatusCode::TOO_MANY_REQUESTS,
+            Self::UnknownHost => StatusCode::MISDIRECTED_REQUEST,
+            Self::ForeignOrigin => StatusCode::FORBIDDEN,
             Self::PreconditionFailed => StatusCode::PRECONDITION_FAILED,
             Self::NotAnUpgrade => StatusCode::UPGRADE_REQUIRED,
             Self::Overloaded | Self::Failed | Self::MapBusy | Self::NoSession | Self::AddressFull => {
@@ -128,6 +146,7 @@ impl ProblemKind {
         match self {
             Self::Overloaded | Self::Failed | Self::MapBusy => Some("1"),
             Self::NoSession | Self::AddressFull => Some("2"),
+            Self::TooManyGuesses => Some("60"),
             _ => None,
         }
     }
@@ -195,7 +214,8 @@ mod tests {
             assert_eq!(kind.index(), index);
             assert_eq!(ProblemKind::ALL.iter().filter(|other| other.name() == kind.name()).count(), 1);
             assert!(kind.status().is_client_error() || kind.status().is_server_error());
-            let is_temporary = kind.status() == StatusCode::SERVICE_UNAVAILABLE;
+            let is_temporary =
+                [StatusCode::SERVICE_UNAVAILABLE, StatusCode::TOO_MANY_REQUESTS].contains(&kind.status());
             assert_eq!(kind.retry_after().is_some(), is_temporary, "{}", kind.name());
         }
     }

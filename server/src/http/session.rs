@@ -1,16 +1,25 @@
-//! The route of sessions: checks the handshake and starts a session task.
+//! The route of sessions: checks handshake, origin and token, and starts a session task.
 
+use crate::access::gate::Refusal;
+use crate::access::hosts::Target;
+use crate::http::client;
 use crate::http::problem::{Problem, ProblemKind};
+use crate::proxy::ClientAddress;
 use crate::session::driver::{self, READ_LIMIT};
+use crate::session::end;
 use crate::state::ServerState;
 use crate::websocket::upgrade::{Upgrade, VERSION};
 use axum::extract::{Request, State};
-use axum::http::{HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use data_encoding::BASE64URL_NOPAD;
 use protocol::SUBPROTOCOL;
-use std::net::{IpAddr, SocketAddr};
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+
+/// Start of a subprotocol entry with a token.
+const TOKEN_SUBPROTOCOL: &str = "tombolo.bearer.";
 
 /// `/v1/stream`, all methods.
 pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request) -> Response {
@@ -18,25 +27,40 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         Ok(upgrade) => upgrade,
         Err((status, sentence)) => return rejection(status, sentence),
     };
-    let offered: Vec<_> = request
-        .headers()
-        .get_all(header::SEC_WEBSOCKET_PROTOCOL)
-        .iter()
-        .filter_map(|value| value.to_str().ok())
-        .collect();
-    let offered = offered.join(", ");
-    if !offered.split(',').any(|name| name.trim() == SUBPROTOCOL) {
-        let shown: String =
-            if offered.is_empty() { "none".into() } else { offered.chars().take(100).collect() };
+    let peer = request.extensions().get::<ClientAddress>().map(|client| client.0);
+    let headers = request.headers();
+    if !state.config.allowed_origins.allows(headers, request.extensions().get::<Target>()) {
+        state.peer_log.report(peer, "page of another origin");
+        let sentence = "this page may not open sessions here; see the option allowed-origin of the server";
+        return Problem::new(ProblemKind::ForeignOrigin, sentence).into_response();
+    }
+    let offered = subprotocols(headers);
+    if !offered.contains(&SUBPROTOCOL) {
+        let shown = match offered.iter().find(|name| !name.starts_with(TOKEN_SUBPROTOCOL)) {
+            Some(name) => name.chars().take(100).collect(),
+            None => "none".to_owned(),
+        };
         let sentence = format!("the client offers subprotocol {shown}, this server supports {SUBPROTOCOL}");
         return Problem::new(ProblemKind::BadHandshake, sentence).into_response();
+    }
+    let presented = match presented_token(headers, &offered) {
+        Ok(presented) => presented,
+        Err(problem) => return problem.into_response(),
+    };
+    let mut offer = state.offer.clone();
+    match state.gate.check(peer, presented.as_deref()) {
+        Ok(()) => {}
+        // The hello of the session has to contain it.
+        Err(Refusal::Missing) => offer.token = Some(state.gate.of_session(peer)),
+        Err(refusal) => return client::problem(refusal).into_response(),
     }
     let permit = Arc::clone(&state.session_permits).try_acquire_owned();
     let (false, Ok(permit)) = (state.draining.is_cancelled(), permit) else {
         return Problem::new(ProblemKind::NoSession, "no session is free, retry later").into_response();
     };
-    let peer = peer_address(&request);
-    let Some(ip_permit) = state.sessions_per_ip.try_acquire(peer) else {
+    let free = state.session_permits.available_permits();
+    let Some(ip_permit) = state.sessions_per_ip.try_acquire(peer, free) else {
+        state.peer_log.report(peer, "too many sessions");
         let sentence = "too many sessions from this address, end one or retry later";
         return Problem::new(ProblemKind::AddressFull, sentence).into_response();
     };
@@ -45,7 +69,11 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
     let tracker = state.sessions.clone();
     tracker.spawn(async move {
         if let Some(socket) = upgrade.socket(READ_LIMIT).await {
-            driver::serve(socket, &state, number, state.rate_limiter.bucket(peer)).await;
+            let bucket = state.rate_limiter.bucket(peer);
+            let reason = driver::serve(socket, &state, offer, number, bucket).await;
+            if end::is_breach(reason) {
+                state.peer_log.report(peer, reason);
+            }
         }
         drop((permit, ip_permit));
     });
@@ -68,7 +96,32 @@ fn rejection(status: StatusCode, sentence: &str) -> Response {
     response
 }
 
-/// The peer's address, inserted by the accept loop.
-fn peer_address(request: &Request) -> Option<IpAddr> {
-    request.extensions().get::<SocketAddr>().map(SocketAddr::ip)
+/// All names that the client offers.
+fn subprotocols(headers: &HeaderMap) -> Vec<&str> {
+    headers
+        .get_all(header::SEC_WEBSOCKET_PROTOCOL)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(','))
+        .map(str::trim)
+        .filter(|name| !name.is_empty())
+        .collect()
+}
+
+/// The token of `Authorization`, or of an entry beside the subprotocol: scripts of browsers cannot
+/// set headers.
+fn presented_token<'a>(headers: &'a HeaderMap, offered: &[&str]) -> Result<Option<Cow<'a, str>>, Problem> {
+    if let Some(token) = client::bearer(headers) {
+        return Ok(Some(token.into()));
+    }
+    let Some(entry) = offered.iter().find_map(|name| name.strip_prefix(TOKEN_SUBPROTOCOL)) else {
+        return Ok(None);
+    };
+    let token = BASE64URL_NOPAD.decode(entry.as_bytes()).ok().and_then(|token| String::from_utf8(token).ok());
+    let malformed = || {
+        let sentence =
+            format!("what follows `{TOKEN_SUBPROTOCOL}` must be the token in base64url without padding");
+        Problem::new(ProblemKind::BadHandshake, sentence)
+    };
+    token.map(|token| Some(token.into())).ok_or_else(malformed)
 }

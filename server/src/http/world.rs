@@ -1,12 +1,15 @@
 //! The description of the world, which clients read first.
 
+use crate::access::ProtectedRoute;
+use crate::http::client::Client;
+use crate::http::problem::Problem;
 use crate::map::elevation::TILE_PIXELS;
 use crate::map::tiles::STYLE;
 use crate::state::{SOFTWARE, ServerState};
 use axum::Json;
 use axum::extract::State;
 use axum::http::header;
-use axum::response::IntoResponse;
+use axum::response::{IntoResponse, Response};
 use protocol::{PROTOCOL_VERSION, SUBPROTOCOL, chunk_codec};
 use serde_json::json;
 use std::sync::Arc;
@@ -15,14 +18,17 @@ use terrain::constants::{
 };
 
 /// `GET /v1/world`.
-pub async fn get(State(state): State<Arc<ServerState>>) -> impl IntoResponse {
+pub async fn get(State(state): State<Arc<ServerState>>, client: Client) -> Result<Response, Problem> {
+    if state.config.protected.contains(&ProtectedRoute::World) {
+        client.authorise(&state)?;
+    }
     let digest = state.offer.digest.to_string();
     let description = json!({
         "server": SOFTWARE,
         "world_seed": state.config.world_seed,
         "generator_version": GENERATOR_VERSION,
         "digest": digest,
-        "takes_token": state.offer.token.is_some(),
+        "takes_token": state.gate.requires_token(),
         "stream": { "path": "/v1/stream", "subprotocol": SUBPROTOCOL, "version": PROTOCOL_VERSION },
         "chunks": format!("/v1/{digest}/chunk/{{level}}/{{x}}/{{z}}"),
         "chunk_format_version": chunk_codec::VERSION,
@@ -40,5 +46,5 @@ pub async fn get(State(state): State<Arc<ServerState>>) -> impl IntoResponse {
         "world_half_m": WORLD_HALF >> UNIT_BITS,
     });
     // Another server may be started at this address.
-    ([(header::CACHE_CONTROL, "no-cache")], Json(description))
+    Ok(([(header::CACHE_CONTROL, "no-cache")], Json(description)).into_response())
 }

@@ -20,7 +20,7 @@ use bytes::Bytes;
 use protocol::limits::MAX_CONTROL_FRAME;
 use protocol::message::RefusalReason;
 use protocol::server::ViewSelection;
-use protocol::server::{Next, ServerSession, SessionCounts};
+use protocol::server::{Next, ServerOffer, ServerSession, SessionCounts};
 use protocol::{CloseCode, DataFrame};
 use std::time::Duration;
 use terrain::ChunkKey;
@@ -49,8 +49,15 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 /// return at once.
 const RECONNECT_MS: (u32, u32) = (500, 2000);
 
-/// Runs one session to its end and counts it. Its work is charged to `bucket`.
-pub async fn serve<S>(socket: WebSocket<S>, state: &ServerState, number: u64, bucket: TokenBucket)
+/// Runs one session to its end and counts it; the reason of the end. Its work is charged to
+/// `bucket`.
+pub async fn serve<S>(
+    socket: WebSocket<S>,
+    state: &ServerState,
+    offer: ServerOffer,
+    number: u64,
+    bucket: TokenBucket,
+) -> &'static str
 where
     S: AsyncRead + AsyncWrite + Unpin,
 {
@@ -60,7 +67,7 @@ where
         socket,
         state,
         number,
-        session: ServerSession::new(state.offer.clone(), number),
+        session: ServerSession::new(offer, number),
         flow: state.generation.limited_flow(bucket),
         throttled_until: None,
         backoff: RefusalBackoff::new(Instant::now()),
@@ -77,6 +84,7 @@ where
     driver.update_metrics();
     state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: end.reason }).inc();
     state.metrics.sessions.dec();
+    end.reason
 }
 
 struct Driver<'a, S> {

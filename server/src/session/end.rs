@@ -54,6 +54,16 @@ pub async fn write_within(
     }
 }
 
+/// Whether a session of this reason's end broke rules, in contrast to one that was closed, was
+/// drained, or lost its network.
+#[must_use]
+pub fn is_breach(reason: &str) -> bool {
+    matches!(
+        reason,
+        "malformed" | "text_frame" | "too_large" | "out_of_order" | "handshake_timeout" | "write_timeout"
+    )
+}
+
 const fn reason(code: CloseCode) -> &'static str {
     match code {
         CloseCode::ProtocolError => "protocol_error",

@@ -117,6 +117,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
             }
             self.advance(count);
         }
+        // TLS may hold the last bytes back.
+        poll_fn(|context| Pin::new(&mut self.stream).poll_flush(context)).await?;
         // Releases the memory of a burst.
         if self.outbox.capacity() > 4 * MAX_SLICES {
             self.outbox = VecDeque::new();

@@ -3,6 +3,7 @@
 //! A request that is no valid handshake is rejected with one sentence before the upgrade.
 
 use crate::limits::write_timeout::WriteTimeoutStream;
+use crate::tls::PeerStream;
 use crate::websocket::socket::WebSocket;
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Version, header};
@@ -10,7 +11,6 @@ use axum::response::{IntoResponse, Response};
 use data_encoding::BASE64;
 use hyper::upgrade::{OnUpgrade, Upgraded};
 use hyper_util::rt::TokioIo;
-use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 
 /// The version of WebSocket that this server speaks.
@@ -81,10 +81,10 @@ impl Upgrade {
 
     /// The WebSocket after the response is written; none if the connection failed before. Messages
     /// longer than `limit` bytes are rejected.
-    pub async fn socket(self, limit: usize) -> Option<WebSocket<TcpStream>> {
+    pub async fn socket(self, limit: usize) -> Option<WebSocket<PeerStream>> {
         let upgraded: Upgraded = self.on_upgrade.await.ok()?;
         // The accept loop serves no other type of stream.
-        let parts = upgraded.downcast::<TokioIo<WriteTimeoutStream<TcpStream>>>().ok()?;
+        let parts = upgraded.downcast::<TokioIo<WriteTimeoutStream<PeerStream>>>().ok()?;
         // Sessions have their own write deadline.
         Some(WebSocket::new(parts.io.into_inner().into_inner(), &parts.read_buf, limit))
     }

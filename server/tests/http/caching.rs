@@ -3,6 +3,7 @@
 use crate::client::Server;
 use protocol::chunk_codec::{self, seed_only};
 use server::ServerConfig;
+use server::access::tokens::TokenSet;
 use terrain::constants::TOP_LEVEL;
 use terrain::{ChunkKey, Land};
 
@@ -96,7 +97,8 @@ async fn a_head_response_is_a_get_response_without_its_body() {
 
 #[tokio::test]
 async fn resources_that_require_a_token_are_private() {
-    let config = ServerConfig { token: Some("sesame".into()), threads: 1, ..ServerConfig::default() };
+    let config =
+        ServerConfig { tokens: Some(TokenSet::one("sesame")), threads: 1, ..ServerConfig::default() };
     let server = Server::start_with(config).await;
     for path in [
         server.path("chunk/0/0/0"),

@@ -1,15 +1,21 @@
 //! A server in this process, and requests written byte by byte, so that no client library corrects
 //! them.
 
+use futures_util::{SinkExt, StreamExt};
+use protocol::control;
+use protocol::message::{ClientMessage, Hello, ServerMessage};
 use server::ServerConfig;
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::time::Duration;
 use terrain::Land;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
+use tokio_tungstenite::client_async;
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::handshake::client::{Request, Response};
 
 /// Timeout of every wait.
 pub const TEST_TIMEOUT: Duration = Duration::from_secs(30);
@@ -20,6 +26,15 @@ pub struct Server {
     stop: oneshot::Sender<()>,
     running: JoinHandle<()>,
 }
+
+/// Headers of a session's request with one subprotocol entry.
+pub const UPGRADE: [(&str, &str); 5] = [
+    ("Connection", "upgrade, close"),
+    ("Upgrade", "websocket"),
+    ("Sec-WebSocket-Version", "13"),
+    ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),
+    ("Sec-WebSocket-Protocol", protocol::SUBPROTOCOL),
+];
 
 /// A response.
 #[derive(Debug)]
@@ -69,16 +84,97 @@ impl Server {
         self.request("GET", path, &[]).await
     }
 
+    /// A request for a session; `more` are further headers.
+    pub async fn upgrade(&self, more: &[(&str, &str)]) -> Reply {
+        self.request("GET", "/v1/stream", &[&UPGRADE, more].concat()).await
+    }
+
+    /// As [`Server::request`], from another address of the loopback device.
+    pub async fn request_from(&self, source: [u8; 4], path: &str, headers: &[(&str, &str)]) -> Reply {
+        let socket = TcpSocket::new_v4().unwrap();
+        socket.bind((source, 0).into()).unwrap();
+        request_over(socket.connect(self.address).await.unwrap(), "GET", path, headers).await
+    }
+
+    /// Asks for a session from an address of the loopback device; the status, and the connection,
+    /// which keeps the session open.
+    pub async fn open_session_from(&self, source: [u8; 4]) -> (u16, TcpStream) {
+        self.open_session_with(source, &[], &[]).await
+    }
+
+    /// As [`Server::open_session_from`], with bytes before the request and further headers.
+    pub async fn open_session_with(
+        &self,
+        source: [u8; 4],
+        before: &[u8],
+        more: &[(&str, &str)],
+    ) -> (u16, TcpStream) {
+        let socket = TcpSocket::new_v4().unwrap();
+        socket.bind((source, 0).into()).unwrap();
+        let mut stream = socket.connect(self.address).await.unwrap();
+        stream.write_all(before).await.unwrap();
+        let reply = request_over(&mut stream, "GET", "/v1/stream", &[&UPGRADE, more].concat()).await;
+        (reply.status, stream)
+    }
+
     pub async fn request(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> Reply {
         let stream = TcpStream::connect(self.address).await.unwrap();
         request_over(stream, method, path, headers).await
     }
 }
 
+/// Opens a session and sends its hello; the response to the handshake, and the close code of the
+/// session, none for a welcome.
+pub async fn welcomed<S: AsyncRead + AsyncWrite + Unpin>(
+    request: Request,
+    stream: S,
+    token: Option<&str>,
+) -> (Response, Option<u16>) {
+    let hello = Hello {
+        digest: None,
+        delivery: protocol::Delivery::Exact,
+        token: token.map(ToOwned::to_owned),
+        software: "test".into(),
+    };
+    let hello = control::encode(&ClientMessage::Hello(hello)).unwrap();
+    let (mut socket, response) = client_async(request, stream).await.unwrap();
+    socket.send(Message::Binary(hello)).await.unwrap();
+    let next = async {
+        loop {
+            match socket.next().await.expect("an answer").unwrap() {
+                Message::Binary(bytes)
+                    if matches!(control::decode(&bytes), Ok(ServerMessage::Welcome(_))) =>
+                {
+                    return None;
+                }
+                Message::Close(frame) => return Some(frame.unwrap().code.into()),
+                _ => {}
+            }
+        }
+    };
+    (response, tokio::time::timeout(TEST_TIMEOUT, next).await.expect("the server answers in time"))
+}
+
+/// All bytes until the connection ends, by a reset too.
+pub async fn read_all(mut stream: TcpStream) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let read = async { while stream.read_buf(&mut bytes).await.is_ok_and(|count| count > 0) {} };
+    tokio::time::timeout(TEST_TIMEOUT, read).await.expect("the server closes in time");
+    bytes
+}
+
 /// One request over a new connection, read to the end of the connection or, for an upgrade, of the
 /// head.
-async fn request_over(mut stream: TcpStream, method: &str, path: &str, headers: &[(&str, &str)]) -> Reply {
-    let mut request = format!("{method} {path} HTTP/1.1\r\nHost: test\r\n");
+pub async fn request_over<S: AsyncRead + AsyncWrite + Unpin>(
+    mut stream: S,
+    method: &str,
+    path: &str,
+    headers: &[(&str, &str)],
+) -> Reply {
+    let mut request = format!("{method} {path} HTTP/1.1\r\n");
+    if !headers.iter().any(|(name, _)| name.eq_ignore_ascii_case("host")) {
+        request += "Host: localhost\r\n";
+    }
     if !headers.iter().any(|(name, _)| name.eq_ignore_ascii_case("connection")) {
         request += "Connection: close\r\n";
     }

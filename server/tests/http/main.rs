@@ -2,6 +2,9 @@
 //!
 //! | module | subject |
 //! | --- | --- |
+//! | `access` | host names, origins, tokens, shares of addresses |
+//! | `proxies` | clients behind trusted proxies |
+//! | `tls` | TLS |
 //! | `caching` | validators, conditional requests, `Cache-Control` |
 //! | `origins` | CORS |
 //! | `rejections` | problem documents and their metrics |
@@ -11,6 +14,7 @@
 //! | `page` | files and policy of the page |
 //! | `openapi` | the OpenAPI document against the routes |
 
+mod access;
 mod caching;
 mod client;
 mod disk;
@@ -18,5 +22,7 @@ mod map;
 mod openapi;
 mod origins;
 mod page;
+mod proxies;
 mod rejections;
 mod stats;
+mod tls;

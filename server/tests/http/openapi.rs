@@ -1,13 +1,27 @@
 //! The OpenAPI document against the server: routes, problem kinds, and the status of real
 //! responses.
 
-use crate::client::Server;
+use crate::client::{Reply, Server, UPGRADE};
 use serde_json::{Map, Value};
 use server::ServerConfig;
+use server::access::ProtectedRoute;
+use server::access::tokens::TokenSet;
 use server::http::openapi::DOCUMENT;
 use server::http::problem::ProblemKind;
 use server::http::routes;
 use std::collections::BTreeSet;
+
+/// The first answer to many different tokens that does not say that the token is wrong.
+async fn guess(server: &Server, path: &str, headers: &[(&str, &str)]) -> Reply {
+    for guess in 0..100 {
+        let token = format!("Bearer {guess} for {path}");
+        let reply = server.request("GET", path, &[headers, &[("Authorization", &token)]].concat()).await;
+        if reply.status != 401 {
+            return reply;
+        }
+    }
+    panic!("guesses are not throttled");
+}
 
 fn document() -> Value {
     serde_json::from_str(DOCUMENT).unwrap()
@@ -101,12 +115,23 @@ async fn every_documented_status_is_received_and_no_other() {
     let mut received = BTreeSet::new();
     let usual = Server::start().await;
     let locked = {
-        let config = ServerConfig { token: Some("sesame".into()), threads: 1, ..ServerConfig::default() };
+        let config =
+            ServerConfig { tokens: Some(TokenSet::one("sesame")), threads: 1, ..ServerConfig::default() };
         Server::start_with(config).await
     };
     let overloaded = {
-        let config =
-            ServerConfig { max_jobs: 0, threads: 1, max_sessions_per_address: 0, ..ServerConfig::default() };
+        let config = ServerConfig {
+            max_jobs: 0,
+            threads: 1,
+            max_sessions_per_address: Some(0),
+            ..ServerConfig::default()
+        };
+        Server::start_with(config).await
+    };
+    let guessed = {
+        let protected = vec![ProtectedRoute::Metrics, ProtectedRoute::World];
+        let tokens = Some(TokenSet::one("sesame"));
+        let config = ServerConfig { tokens, protected, threads: 1, ..ServerConfig::default() };
         Server::start_with(config).await
     };
     let other = "0".repeat(64);
@@ -122,13 +147,6 @@ async fn every_documented_status_is_received_and_no_other() {
                 .replace("{name}", "main.js")
         };
         let right = path(&digest, "0", "0");
-        let upgrade = [
-            ("Connection", "upgrade, close"),
-            ("Upgrade", "websocket"),
-            ("Sec-WebSocket-Version", "13"),
-            ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),
-            ("Sec-WebSocket-Protocol", protocol::SUBPROTOCOL),
-        ];
         let replies = [
             usual.get(&right).await,
             usual.request("GET", &right, &[("If-None-Match", "*")]).await,
@@ -138,12 +156,17 @@ async fn every_documented_status_is_received_and_no_other() {
             usual.get(&right.replace("main.js", "other.js")).await,
             locked.get(&right).await,
             overloaded.get(&right).await,
+            guessed.get(&right).await,
+            guess(&guessed, &right, &[]).await,
         ];
         let mut statuses: BTreeSet<u16> = replies.iter().map(|reply| reply.status).collect();
         if template == "/v1/stream" {
-            statuses.insert(usual.request("GET", &right, &upgrade).await.status);
-            statuses.insert(usual.request("GET", &right, &upgrade[..4]).await.status);
-            statuses.insert(overloaded.request("GET", &right, &upgrade).await.status);
+            statuses.insert(usual.request("GET", &right, &UPGRADE).await.status);
+            statuses.insert(usual.request("GET", &right, &UPGRADE[..4]).await.status);
+            statuses.insert(overloaded.request("GET", &right, &UPGRADE).await.status);
+            statuses.insert(usual.upgrade(&[("Origin", "http://evil.example")]).await.status);
+            statuses.insert(locked.upgrade(&[("Authorization", "Bearer wrong")]).await.status);
+            statuses.insert(guess(&guessed, &right, &UPGRADE).await.status);
         }
         for status in statuses {
             received.insert((template.clone(), status));

@@ -27,7 +27,8 @@ impl Peer {
         let (io, theirs) = tokio::io::duplex(1 << 20);
         let server = Arc::clone(state);
         tokio::spawn(async move {
-            driver::serve(WebSocket::new(theirs, &[], READ_LIMIT), &server, 1, bucket).await;
+            let socket = WebSocket::new(theirs, &[], READ_LIMIT);
+            driver::serve(socket, &server, server.offer.clone(), 1, bucket).await;
         });
         Self { io, state: Arc::clone(state) }
     }

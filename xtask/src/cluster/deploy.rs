@@ -48,6 +48,14 @@ fn the_compose_file_mounts_what_exists() {
     for path in mounted {
         assert!(std::path::Path::new(root).join(path).exists(), "{path}");
     }
+    // Beyond the loopback a replica starts only with one of its options for that.
+    assert!(
+        compose.contains("TOMBOLO_TRUSTED_PROXY: ")
+            && compose.contains("TOMBOLO_ALLOWED_HOST: replica-1,replica-2")
+    );
+    let nginx = include_str!("../../../deploy/nginx/nginx.conf");
+    assert_eq!(nginx.matches("proxy_set_header Host $http_host;").count(), 2);
+    assert_eq!(nginx.matches("proxy_set_header X-Forwarded-For $remote_addr;").count(), 2);
     // All replicas must have the seed of one world.
     assert_eq!(compose.matches("TOMBOLO_WORLD_SEED: ").count(), 1);
     for replica in ["replica-1", "replica-2"] {

@@ -32,6 +32,10 @@ use std::time::Duration;
 /// The world of the replicas.
 const WORLD_SEED: u64 = 1;
 
+/// Settings of the replicas: nginx names its clients. A load has one address for all of its clients.
+const SETTINGS: [(&str, &str); 2] =
+    [("TOMBOLO_TRUSTED_PROXY", "127.0.0.1"), ("TOMBOLO_MAX_SESSIONS_PER_ADDRESS", "1024")];
+
 /// Replicas of a cluster that is checked.
 const REPLICAS: u8 = 2;
 
@@ -203,8 +207,10 @@ impl Cluster {
 
     /// With settings in the environment of the replicas.
     fn start_with(replicas: u8, settings: &[(&str, String)]) -> Result<Self> {
+        let of_all = SETTINGS.map(|(name, value)| (name, value.to_owned()));
+        let settings = [&of_all, settings].concat();
         let replicas: Vec<Server> =
-            (0..replicas).map(|_| Server::start_with(WORLD_SEED, settings)).collect::<Result<_>>()?;
+            (0..replicas).map(|_| Server::start_with(WORLD_SEED, &settings)).collect::<Result<_>>()?;
         let addresses: Vec<_> = replicas.iter().map(Server::address).collect();
         Ok(Self { nginx: Nginx::start(&addresses)?, replicas })
     }

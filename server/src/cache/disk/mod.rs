@@ -24,7 +24,6 @@ use bytes::Bytes;
 use names::FrameNames;
 use protocol::Delivery;
 use reader::Reader;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -118,13 +117,13 @@ impl Disk {
         }
     }
 
-    /// Deletes an invalid file.
+    /// Has an invalid file deleted. If the queue is full it stays; it is rejected again or replaced.
     fn discard(&self, path: &Path) -> Option<Bytes> {
         self.metrics.disk_corrupt.inc();
-        tracing::debug!(path = %path.display(), "corrupt or foreign file deleted");
-        // If it cannot be deleted, a write replaces it, or it is rejected again. A folder is
-        // deleted only if it is empty.
-        let _ = fs::remove_file(path).or_else(|_| fs::remove_dir(path));
+        tracing::debug!(path = %path.display(), "corrupt or foreign file");
+        if let Ok(path) = path.strip_prefix(&self.folder) {
+            let _ = self.commands.try_send(WriterCommand::Discard { path: path.to_owned() });
+        }
         None
     }
 

@@ -6,6 +6,7 @@ use crate::cache::disk::reader::{TOUCH_INTERVAL, load};
 use crate::cache::disk::writer::DiskWriter;
 use protocol::chunk_codec;
 use protocol::limits::MAX_CHUNK_FRAME;
+use std::fs;
 use std::fs::File;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Instant, SystemTime};
@@ -107,12 +108,15 @@ async fn levels_that_are_fast_to_generate_are_not_cached() {
 #[tokio::test]
 async fn an_invalid_frame_is_deleted_and_counted() {
     let folder = Folder::new();
-    let (disk, metrics) = disk(&folder);
+    let (disk, _) = disk(&folder);
     disk.write(id(1), Delivery::Exact, frame(1));
     disk.close().await;
+    let (disk, metrics) = self::disk(&folder);
     assert_eq!(disk.read(id(1), Delivery::Exact, |_| false), None);
-    assert!(!folder.path(id(1)).exists());
     assert_eq!((metrics.disk_corrupt.get(), metrics.disk_misses.get()), (1, 1));
+    // After the deletion.
+    disk.close().await;
+    assert!(!folder.path(id(1)).exists());
     assert_eq!(disk.read(id(1), Delivery::Exact, |_| true), None);
     assert_eq!(metrics.disk_corrupt.get(), 1);
 
@@ -186,6 +190,37 @@ fn the_least_recently_used_files_are_evicted_to_the_budget() {
     let kept = files(&folder).len() as u64;
     assert!(kept * 4096 <= budget / 2 && kept > 0);
     assert_eq!(metrics.disk_bytes.get() as u64, kept * 4096);
+}
+
+#[test]
+fn a_replaced_file_is_counted_once() {
+    let folder = Folder::new();
+    let now = Instant::now();
+    let (mut first, _) = writer(&folder, 1 << 30);
+    for x in 0..60 {
+        put(&mut first, x, now);
+    }
+    drop(first);
+    for x in 0..60 {
+        fs::write(folder.path(key(x)), "damaged").unwrap();
+    }
+    let (mut second, metrics) = writer(&folder, 1 << 30);
+    second.try_open(now);
+    while second.has_uncounted() {
+        second.count_next();
+    }
+    let there = || 4096 * files(&folder).len() as i64;
+    assert_eq!((metrics.disk_bytes.get(), there()), (60 * 4096, 60 * 4096));
+    for x in 0..60 {
+        // Found by a reader, or not.
+        if x % 2 == 0 {
+            second.discard(&FrameNames::new(&WORLD).path(key(x), Delivery::Exact));
+        }
+        assert_eq!(metrics.disk_bytes.get(), there());
+        put(&mut second, x, now);
+        assert_eq!(metrics.disk_bytes.get(), there());
+    }
+    assert_eq!(metrics.disk_bytes.get(), 60 * 4096);
 }
 
 #[test]
@@ -311,6 +346,10 @@ fn an_entry_that_is_no_file_affects_no_other_frame() {
         assert_eq!(disk.read(id(x), Delivery::Exact, |bytes| bytes == frame(x)), None);
     }
     assert_eq!((metrics.disk_corrupt.get(), metrics.disk_timeouts.get()), (4, 0));
+    // The writer thread deletes them.
+    while [&pipe, &link, &empty].iter().any(|path| fs::symlink_metadata(path).is_ok()) {
+        std::thread::yield_now();
+    }
     assert_eq!(
         [&pipe, &link, &empty, &full].map(|path| fs::symlink_metadata(path).is_ok()),
         [false, false, false, true]

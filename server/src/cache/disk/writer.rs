@@ -46,6 +46,11 @@ pub enum WriterCommand {
         /// Content of the file.
         frame: Bytes,
     },
+    /// Delete an invalid file.
+    Discard {
+        /// Relative to the folder.
+        path: PathBuf,
+    },
     /// Release the folder after all earlier commands, confirm, and end.
     Close(oneshot::Sender<()>),
 }
@@ -63,8 +68,7 @@ pub struct DiskConfig {
 pub struct DiskWriter {
     config: DiskConfig,
     metrics: Arc<Metrics>,
-    /// Bytes by shard; none before its count. Deletions by the reader are noticed at the next
-    /// count.
+    /// Bytes by shard; none before its count.
     counts: Vec<Option<u64>>,
     /// The next shard to count after the folder was opened.
     next_to_count: usize,
@@ -115,6 +119,7 @@ impl DiskWriter {
             };
             match command {
                 Some(WriterCommand::Write { path, frame }) => self.write(&path, &frame, Instant::now()),
+                Some(WriterCommand::Discard { path }) => self.discard(&path),
                 Some(WriterCommand::Close(done)) => {
                     // Another server may lock the folder from here on, so no further command is
                     // accepted.
@@ -148,6 +153,18 @@ impl DiskWriter {
         self.update_size_metric();
     }
 
+    /// Deletes an invalid file. Here, not where it is found, so that it is counted once.
+    pub fn discard(&mut self, path: &Path) {
+        let full_path = self.config.folder.join(path);
+        let bytes = size_at(&full_path);
+        // If it cannot be deleted, a write replaces it, or it is rejected again. A folder is
+        // deleted only if it is empty.
+        if fs::remove_file(&full_path).or_else(|_| fs::remove_dir(&full_path)).is_ok() {
+            self.subtract(shard_of(path), bytes);
+        }
+        self.update_size_metric();
+    }
+
     /// Counts the next shard.
     pub fn count_next(&mut self) {
         let shard = self.next_to_count;
@@ -176,6 +193,7 @@ impl DiskWriter {
             // On a full disk it would occupy the last blocks.
             let _ = fs::remove_file(&temporary);
         })?;
+        let replaced = size_at(&path);
         if let Err(error) = fs::rename(&temporary, &path) {
             if error.kind() != io::ErrorKind::NotFound {
                 return Err(error);
@@ -183,12 +201,19 @@ impl DiskWriter {
             fs::create_dir(folder.join(shard_name(shard)))?;
             fs::rename(&temporary, &path)?;
         }
+        self.subtract(shard, replaced);
         match &mut self.counts[shard] {
-            // A replaced frame is counted twice until the next count.
             Some(bytes) => *bytes += size(frame.len() as u64),
             None => return self.count(shard),
         }
         self.evict_to_share(shard)
+    }
+
+    /// A file of a counted shard is gone.
+    fn subtract(&mut self, shard: usize, gone: u64) {
+        if let Some(bytes) = &mut self.counts[shard] {
+            *bytes = bytes.saturating_sub(gone);
+        }
     }
 
     /// Counts the bytes of a shard.
@@ -295,6 +320,11 @@ impl DiskWriter {
         let bytes: u64 = self.counts.iter().flatten().sum();
         self.metrics.disk_bytes.set(bytes as i64);
     }
+}
+
+/// Size on disk of the file at a path, bytes; 0 if there is none.
+fn size_at(path: &Path) -> u64 {
+    fs::symlink_metadata(path).ok().filter(fs::Metadata::is_file).map_or(0, |metadata| size(metadata.len()))
 }
 
 /// Size on disk of a file, bytes.

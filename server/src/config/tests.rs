@@ -1,0 +1,152 @@
+//! Defaults, precedence and errors of options.
+
+use super::*;
+use clap::{CommandFactory, Parser};
+
+fn with_file(content: &str, args: Args) -> Result<ServerConfig, UsageError> {
+    let name = format!("tombolo-config-{}-{:?}.toml", std::process::id(), std::thread::current().id());
+    let path = std::env::temp_dir().join(name);
+    std::fs::write(&path, content).unwrap();
+    let result = Args { config: Some(path.clone()), ..args }.resolve();
+    std::fs::remove_file(path).unwrap();
+    result
+}
+
+#[test]
+fn the_defaults_are_the_documented_ones() {
+    let config = Args::default().resolve().unwrap();
+    assert_eq!(config.listen.to_string(), DEFAULT_LISTEN);
+    assert_eq!((config.world_seed, config.cache_bytes, config.max_sessions), (1, 128 << 20, 1024));
+    assert_eq!(config.disk, None);
+}
+
+#[test]
+fn a_flag_overrides_the_file_and_the_file_the_default() {
+    let file = "world-seed = 7\ncache-mb = 64\nlog-json = true\n";
+    let config = with_file(file, Args { world_seed: Some(9), ..Args::default() }).unwrap();
+    assert_eq!((config.world_seed, config.cache_bytes, config.log_json), (9, 64 << 20, true));
+}
+
+#[test]
+fn a_disk_cache_has_a_default_size() {
+    let config = with_file("disk-cache = \"/var/cache/x\"\n", Args::default()).unwrap();
+    assert_eq!(config.disk, Some(DiskConfig { folder: "/var/cache/x".into(), bytes: 1 << 30 }));
+}
+
+#[test]
+fn the_former_name_of_the_rate_limit_is_accepted() {
+    let parsed = Args::try_parse_from(["tombolo-server", "--cost-per-second", "50"]).unwrap();
+    assert_eq!(parsed.resolve().unwrap().rate_limit_ms, Some(50));
+    let parsed = Args::try_parse_from(["tombolo-server", "--rate-limit-ms", "60"]).unwrap();
+    assert_eq!(parsed.resolve().unwrap().rate_limit_ms, Some(60));
+    assert_eq!(with_file("cost-per-second = 70", Args::default()).unwrap().rate_limit_ms, Some(70));
+}
+
+/// What a user cannot turn off by accident.
+#[test]
+fn a_mechanism_is_turned_off_by_a_hidden_option_alone() {
+    let parsed = Args::try_parse_from(["tombolo-server", "--measure-without", "turns"]).unwrap();
+    assert_eq!(parsed.resolve().unwrap().without, Some(Mechanism::Turns));
+    assert_eq!(Args::default().resolve().unwrap().without, None);
+    assert!(Args::try_parse_from(["tombolo-server", "--measure-without", "everything"]).is_err());
+    assert!(with_file("measure-without = \"turns\"", Args::default()).is_err());
+    let mut command = Args::command();
+    let option = command.get_arguments().find(|option| option.get_id() == "measure_without").unwrap();
+    assert!(option.get_env().is_none());
+    assert!(!command.render_long_help().to_string().contains("measure-without"));
+}
+
+#[test]
+fn errors_are_one_line_with_option_value_and_range() {
+    for (file, words) in [
+        ("cahce-mb = 1", &["line 1", "cahce-mb", "cache-mb"][..]),
+        ("\nthreads = \"two\"", &["line 2", "usize"][..]),
+        ("threads = 0", &["threads", "0", "1 to 1024"][..]),
+        ("cache-mb = 70000", &["cache-mb", "70000", "65536"][..]),
+        ("disk-cache = \"/tmp/x\"\ndisk-mb = 63", &["disk-mb", "63", "64 to 262144"][..]),
+        ("disk-mb = 64", &["disk-mb", "64", "disk-cache"][..]),
+        ("rate-limit-ms = 0", &["rate-limit-ms", "0", "1 to 1000000"][..]),
+        ("cost-per-second = 0", &["rate-limit-ms", "0", "1 to 1000000"][..]),
+        ("deadline-ms = 9", &["deadline-ms", "9", "10 to 60000"][..]),
+        ("max-sessions-per-address = 0", &["max-sessions-per-address", "0", "1 to 100000"][..]),
+        (
+            "listen = \"0.0.0.0:7580\"",
+            &["listen", "0.0.0.0:7580", "tls-cert", "trusted-proxy", "insecure"][..],
+        ),
+        ("listen = \"[::]:7580\"", &["listen", "[::]:7580", "insecure"][..]),
+        ("listen = \"192.168.1.1:7580\"\ninsecure = false", &["listen", "192.168.1.1:7580", "insecure"][..]),
+        ("trusted-proxy = [\"10.0.0.0/99\"]", &["trusted-proxy", "10.0.0.0/99"][..]),
+        ("proxy-header = \"forwarded\"", &["proxy-header", "forwarded", "trusted-proxy"][..]),
+        ("allowed-host = [\"a:1\"]", &["allowed-host", "a:1"][..]),
+        ("allowed-origin = [\"a\"]", &["allowed-origin", "`a`"][..]),
+        ("protect = [\"metrics\"]", &["protect", "metrics", "token-file"][..]),
+        ("tls-cert = \"/x\"", &["tls-cert", "tls-key"][..]),
+        ("log = \"loud\"", &["log", "loud", "info", "trace"][..]),
+        ("log = \"info,server\"", &["log", "`server`", "info,server=debug"][..]),
+        ("log = \"server=loud\"", &["log", "server=loud"][..]),
+        ("listen = \"nowhere\"", &["listen", "nowhere", "ADDR:PORT"][..]),
+        ("token-file = \"/does/not/exist\"", &["token-file", "/does/not/exist"][..]),
+        ("= broken", &["line 1"][..]),
+    ] {
+        let message = with_file(file, Args::default()).unwrap_err().to_string();
+        assert!(!message.contains('\n'), "{message}");
+        for word in words {
+            assert!(message.contains(word), "`{message}` lacks `{word}`");
+        }
+    }
+    let missing = Args { config: Some("/does/not/exist.toml".into()), ..Args::default() };
+    assert!(missing.resolve().unwrap_err().to_string().contains("/does/not/exist.toml"));
+}
+
+#[test]
+fn plain_text_beyond_the_loopback_needs_an_option_and_the_loopback_none() {
+    for (file, is_allowed) in [
+        ("listen = \"127.0.0.1:0\"", true),
+        ("listen = \"127.3.2.1:0\"", true),
+        ("listen = \"[::1]:0\"", true),
+        ("listen = \"[::ffff:127.0.0.1]:0\"", true),
+        ("listen = \"0.0.0.0:0\"", false),
+        ("listen = \"0.0.0.0:0\"\ninsecure = true", true),
+        ("listen = \"0.0.0.0:0\"\ntrusted-proxy = [\"10.0.0.0/8\"]", true),
+    ] {
+        assert_eq!(with_file(file, Args::default()).is_ok(), is_allowed, "{file}");
+    }
+}
+
+#[test]
+fn a_negative_number_is_the_value_of_its_option() {
+    for (option, value, word) in [
+        ("--world-seed", "-1", "0 to 18446744073709551615"),
+        ("--world-seed", "18446744073709551616", "0 to 18446744073709551615"),
+        ("--threads", "-1", "-1"),
+    ] {
+        let error = Args::try_parse_from(["tombolo-server", option, value]).unwrap_err().to_string();
+        assert!(error.contains(option) && error.contains(value) && error.contains(word), "{error}");
+    }
+}
+
+#[test]
+fn filters_of_log_lines_are_levels_and_levels_of_modules() {
+    for filter in ["info", "off", "ERROR", "warn,server=debug", "server::http=trace,info"] {
+        assert!(log_filter(filter).is_ok(), "{filter}");
+    }
+}
+
+#[test]
+fn lists_are_repeated_options_or_parts_of_one_value() {
+    let arguments = [
+        "tombolo-server",
+        "--trusted-proxy",
+        "10.0.0.1,10.0.0.2",
+        "--trusted-proxy",
+        "::1",
+        "--allowed-host",
+        "a",
+    ];
+    let config = Args::try_parse_from(arguments).unwrap().resolve().unwrap();
+    for address in ["10.0.0.1", "10.0.0.2", "::1"] {
+        assert!(config.proxies.contains(address.parse().unwrap()), "{address}");
+    }
+    assert!(!config.proxies.contains("10.0.0.3".parse().unwrap()));
+    assert_eq!(config.allowed_hosts, AllowedHosts::parse(&["a".to_owned()]).unwrap());
+}

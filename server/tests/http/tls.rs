@@ -1,0 +1,145 @@
+//! TLS: requests, sessions, a new certificate, and peers that do not finish the handshake.
+
+use crate::client::{Server, request_over, welcomed};
+use rustls::crypto::ring;
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, ServerName};
+use rustls::{ClientConfig, RootCertStore};
+use server::ServerConfig;
+use server::tls::Tls;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::io::AsyncWriteExt;
+use tokio::net::TcpStream;
+use tokio_rustls::TlsConnector;
+use tokio_rustls::client::TlsStream;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+
+/// Certificates of localhost, valid for a hundred years, and their keys, for these tests only.
+const FIRST: [&str; 2] = [include_str!("tls/first.crt"), include_str!("tls/first.key")];
+const SECOND: [&str; 2] = [include_str!("tls/second.crt"), include_str!("tls/second.key")];
+
+/// A folder with a certificate and its key, removed when dropped.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str, files: [&str; 2]) -> Self {
+        let folder = Self(std::env::temp_dir().join(format!("tombolo-tls-{name}-{}", std::process::id())));
+        std::fs::create_dir_all(&folder.0).unwrap();
+        folder.write(files);
+        folder
+    }
+
+    fn write(&self, [certificate, key]: [&str; 2]) {
+        std::fs::write(self.path("crt"), certificate).unwrap();
+        std::fs::write(self.path("key"), key).unwrap();
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+
+    fn tls(&self) -> Arc<Tls> {
+        Tls::of_options(Some(self.path("crt")), Some(self.path("key"))).unwrap().unwrap()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A connection that accepts this certificate only.
+async fn connect(server: &Server, [certificate, _]: [&str; 2]) -> io::Result<TlsStream<TcpStream>> {
+    let mut roots = RootCertStore::empty();
+    roots.add(CertificateDer::from_pem_slice(certificate.as_bytes()).unwrap()).unwrap();
+    let config = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
+        .with_safe_default_protocol_versions()
+        .unwrap()
+        .with_root_certificates(roots)
+        .with_no_client_auth();
+    let stream = TcpStream::connect(server.address).await?;
+    TlsConnector::from(Arc::new(config)).connect(ServerName::try_from("localhost").unwrap(), stream).await
+}
+
+#[tokio::test]
+async fn requests_and_sessions_work_over_tls_and_a_new_certificate_is_taken() {
+    let folder = Folder::new("reload", FIRST);
+    let tls = folder.tls();
+    let config = ServerConfig { tls: Some(Arc::clone(&tls)), threads: 1, ..ServerConfig::default() };
+    let server = Server::start_with(config).await;
+    let stream = connect(&server, FIRST).await.unwrap();
+    let reply = request_over(stream, "GET", &server.path("chunk/4/0/0"), &[]).await;
+    assert_eq!((reply.status, reply.header("content-type")), (200, "application/octet-stream"));
+
+    let mut request = "ws://localhost/v1/stream".into_client_request().unwrap();
+    request.headers_mut().insert("Sec-WebSocket-Protocol", protocol::SUBPROTOCOL.parse().unwrap());
+    let stream = connect(&server, FIRST).await.unwrap();
+    assert_eq!(welcomed(request, stream, None).await.1, None);
+
+    assert!(connect(&server, SECOND).await.is_err(), "the control");
+    folder.write(SECOND);
+    tls.reload().unwrap();
+    assert!(connect(&server, SECOND).await.is_ok() && connect(&server, FIRST).await.is_err());
+    // A certificate with the key of another one changes nothing.
+    folder.write([FIRST[0], SECOND[1]]);
+    assert!(tls.reload().is_err());
+    assert!(connect(&server, SECOND).await.is_ok());
+}
+
+#[tokio::test]
+async fn a_peer_that_does_not_finish_the_handshake_is_closed_and_delays_no_client() {
+    let folder = Folder::new("silent", FIRST);
+    let handshake_timeout = Duration::from_millis(700);
+    let config =
+        ServerConfig { tls: Some(folder.tls()), threads: 1, handshake_timeout, ..ServerConfig::default() };
+    let server = Server::start_with(config).await;
+    let mut silent = Vec::new();
+    for begun in [&b""[..], &[22, 3, 1], b"GET / HTTP/1.1\r\n\r\n"].into_iter().cycle().take(60) {
+        let mut stream = TcpStream::connect(server.address).await.unwrap();
+        stream.write_all(begun).await.unwrap();
+        silent.push(stream);
+    }
+    let stream = connect(&server, FIRST).await.unwrap();
+    assert_eq!(request_over(stream, "GET", "/livez", &[]).await.status, 200);
+    for stream in silent {
+        // Closed by the server, with at most an alert.
+        assert!(crate::client::read_all(stream).await.len() < 20);
+    }
+    let stream = connect(&server, FIRST).await.unwrap();
+    let text = String::from_utf8(request_over(stream, "GET", "/metrics", &[]).await.body).unwrap();
+    for line in [
+        "tombolo_connections_failed_total{reason=\"opening_timeout\"} 40",
+        "tombolo_connections_failed_total{reason=\"tls_handshake\"} 20",
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line} is not in {text}");
+    }
+}
+
+#[test]
+fn unusable_files_are_named_with_their_option() {
+    let folder = Folder::new("unusable", FIRST);
+    let (certificate, key) = (folder.path("crt"), folder.path("key"));
+    let missing = Path::new("/does/not/exist").to_owned();
+    folder.write([FIRST[0], "no key"]);
+    std::fs::write(folder.path("empty"), "").unwrap();
+    std::fs::write(folder.path("other"), SECOND[1]).unwrap();
+    for (certificate, key, words) in [
+        (Some(certificate.clone()), None, ["tls-cert", "tls-key FILE"]),
+        (None, Some(key.clone()), ["tls-key", "tls-cert FILE"]),
+        (Some(missing.clone()), Some(key.clone()), ["tls-cert", "/does/not/exist"]),
+        (Some(certificate.clone()), Some(missing), ["tls-key", "/does/not/exist"]),
+        (Some(certificate.clone()), Some(key.clone()), ["tls-key", "no private key"]),
+        (Some(folder.path("empty")), Some(key), ["tls-cert", "no certificates"]),
+        (Some(certificate), Some(folder.path("other")), ["tls-key", "cannot use"]),
+    ] {
+        let message = Tls::of_options(certificate, key).unwrap_err().to_string();
+        assert!(!message.contains('\n'), "{message}");
+        for word in words {
+            assert!(message.contains(word), "`{message}` lacks `{word}`");
+        }
+    }
+}

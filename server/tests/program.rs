@@ -1,0 +1,149 @@
+//! The program: options that end it at once, and files that it reads again.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Timeout of every wait.
+const TEST_TIMEOUT: Duration = Duration::from_secs(30);
+
+fn program() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tombolo-server"));
+    // The environment of a developer must not change a test.
+    for (variable, _) in std::env::vars_os() {
+        if variable.to_string_lossy().starts_with("TOMBOLO_") {
+            command.env_remove(variable);
+        }
+    }
+    command
+}
+
+/// A running server, killed when dropped.
+struct Server {
+    child: Child,
+    /// What it printed before its address.
+    scheme: String,
+    address: String,
+}
+
+impl Server {
+    fn start(arguments: &[&str]) -> Self {
+        let mut child = program()
+            .args(["--threads", "1", "--log", "warn"])
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        let (scheme, address) = line.trim().strip_prefix("listening on ").unwrap().split_once("://").unwrap();
+        Self { scheme: scheme.into(), address: address.into(), child }
+    }
+
+    /// Kills it; what it logged.
+    fn log(mut self) -> String {
+        let mut log = String::new();
+        self.child.kill().unwrap();
+        self.child.stderr.take().unwrap().read_to_string(&mut log).unwrap();
+        log
+    }
+
+    /// The status of `/v1/live` with a token.
+    fn live(&self, token: &str) -> u16 {
+        let mut stream = TcpStream::connect(&self.address).unwrap();
+        stream.set_read_timeout(Some(TEST_TIMEOUT)).unwrap();
+        write!(
+            stream,
+            "GET /v1/live HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\
+             Authorization: Bearer {token}\r\n\r\n"
+        )
+        .unwrap();
+        let mut reply = String::new();
+        stream.read_to_string(&mut reply).unwrap();
+        reply.split(' ').nth(1).unwrap().parse().unwrap()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn invalid_values_end_it_with_code_2_and_one_line() {
+    for (arguments, words) in [
+        (&["--log", "loud"][..], &["log", "loud", "info", "trace"][..]),
+        (&["--world-seed", "-1"], &["--world-seed", "-1", "0 to 18446744073709551615"]),
+        (&["--threads", "-1"], &["--threads", "-1"]),
+        (&["--listen", "0.0.0.0:0"], &["listen", "0.0.0.0:0", "tls-cert", "trusted-proxy", "insecure"]),
+        (&["--listen", "[::]:0", "--token-file", "/does/not/exist"], &["listen", "[::]:0", "insecure"]),
+        (&["--trusted-proxy", "anybody.example"], &["trusted-proxy", "anybody.example"]),
+        (&["--proxy-header", "via"], &["--proxy-header", "via", "x-forwarded-for"]),
+        (&["--protect", "chunks"], &["--protect", "chunks", "metrics", "world"]),
+    ] {
+        let output = program().args(arguments).output().unwrap();
+        let line = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {line}");
+        assert_eq!(line.trim_end().lines().count(), 1, "{arguments:?}: {line}");
+        for word in words {
+            assert!(line.contains(word), "{arguments:?}: `{line}` lacks `{word}`");
+        }
+    }
+}
+
+#[test]
+fn beyond_the_loopback_it_starts_by_an_option() {
+    for arguments in [&["--insecure"][..], &["--trusted-proxy", "10.0.0.0/8"]] {
+        let server = Server::start(&[&["--listen", "0.0.0.0:0"], arguments].concat());
+        assert_eq!(server.scheme, "http");
+    }
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/http/tls/first");
+    let (certificate, key) = (format!("{folder}.crt"), format!("{folder}.key"));
+    let server = Server::start(&["--listen", "0.0.0.0:0", "--tls-cert", &certificate, "--tls-key", &key]);
+    assert_eq!(server.scheme, "https");
+}
+
+#[cfg(unix)]
+#[test]
+fn tokens_are_read_again_on_sighup() {
+    let path = std::env::temp_dir().join(format!("tombolo-program-{}.toml", std::process::id()));
+    std::fs::write(&path, "first\n").unwrap();
+    let server = Server::start(&["--listen", "127.0.0.1:0", "--token-file", path.to_str().unwrap()]);
+    assert_eq!((server.live("first"), server.live("second")), (200, 401));
+    let reload = |content: &str| {
+        std::fs::write(&path, content).unwrap();
+        let killed = Command::new("kill").args(["-HUP", &server.child.id().to_string()]).status();
+        assert!(killed.unwrap().success());
+    };
+    reload("[[token]]\nname = \"a\"\ntoken = \"second\"\n");
+    let started = Instant::now();
+    while server.live("second") != 200 {
+        assert!(started.elapsed() < TEST_TIMEOUT);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(server.live("first"), 401);
+    // An invalid file changes nothing, and SIGHUP does not end the server.
+    reload("[[token]]\nname = 1\n");
+    assert_eq!(server.live("second"), 200);
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn an_address_that_guesses_has_one_line_in_the_log_and_no_token_is_in_it() {
+    let path = std::env::temp_dir().join(format!("tombolo-program-log-{}", std::process::id()));
+    std::fs::write(&path, "secret-of-the-server\n").unwrap();
+    let server = Server::start(&["--listen", "127.0.0.1:0", "--token-file", path.to_str().unwrap()]);
+    for guess in 0..40 {
+        assert!([401, 429].contains(&server.live(&format!("guess-{guess}"))));
+    }
+    let log = server.log();
+    std::fs::remove_file(path).unwrap();
+    let lines: Vec<_> = log.lines().filter(|line| line.contains("peer breaks the rules")).collect();
+    assert_eq!(lines.len(), 1, "{log}");
+    assert!(lines[0].contains("address=\"127.0.0.1\"") && lines[0].contains("wrong token"), "{log}");
+    assert!(!log.contains("guess-") && !log.contains("secret-of"), "{log}");
+}
