@@ -7,8 +7,9 @@ use bytes::Bytes;
 use futures_util::{SinkExt, StreamExt};
 use load::config::stream_address;
 use load::{LoadConfig, PathKind, Report};
-use protocol::server::{ChunkRequest, ServerOffer, ServerSession};
+use protocol::server::{ChunkRequest, ServerOffer, ServerSession, TokenCheck};
 use protocol::{DataFrame, Delivery, SUBPROTOCOL, Tolerance, chunk_codec};
+use std::sync::Arc;
 use terrain::{Chunk, ChunkKey, Land};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_tungstenite::accept_hdr_async;
@@ -126,7 +127,7 @@ async fn load_with(fault: Fault, token: Option<&str>, change: impl Fn(LoadConfig
     let offer = ServerOffer {
         land,
         digest: announced.digest(),
-        token: token.map(String::from),
+        token: token.map(|token| Arc::new(token.to_owned()) as Arc<dyn TokenCheck>),
         software: "test server".into(),
     };
     let server = tokio::spawn(async move {
