@@ -7,8 +7,7 @@
 //! the session.
 
 use crate::limits::MAX_REFERENCES;
-use rustc_hash::FxHashMap;
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::ops::RangeInclusive;
 use terrain::ChunkKey;
 
@@ -20,14 +19,14 @@ pub const LEVELS: RangeInclusive<u8> = 1..=2;
 #[derive(Debug)]
 pub struct ReferenceWindow<T> {
     /// At most [`MAX_REFERENCES`]; a new one evicts the oldest.
-    by_key: FxHashMap<ChunkKey, T>,
+    by_key: HashMap<ChunkKey, T>,
     /// The same keys, the oldest first.
     order: VecDeque<ChunkKey>,
 }
 
 impl<T> Default for ReferenceWindow<T> {
     fn default() -> Self {
-        Self { by_key: FxHashMap::default(), order: VecDeque::new() }
+        Self { by_key: HashMap::default(), order: VecDeque::new() }
     }
 }
 

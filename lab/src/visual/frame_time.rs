@@ -14,6 +14,7 @@ use client::scene::Scene;
 use client::settings::{Normals, RenderSettings};
 use client::view::ViewParams;
 use serde::Serialize;
+use std::time::Duration;
 use terrain::Land;
 
 /// Picture size, pixels.
@@ -58,7 +59,7 @@ pub fn measure(land: Land) -> Result<FrameTime, GpuError> {
         let Alternative { renderer, frame } = &mut all[index];
         renderer.draw(frame)
     })?;
-    let slowest = |index: usize| quantiles(times[index].iter().map(|time| time.as_secs_f64()), [0.99])[0];
+    let slowest = |index: usize| quantiles(times[index].iter().map(Duration::as_secs_f64), [0.99])[0];
     Ok(FrameTime {
         is_software,
         default_over_bare: ratios(&times[..2])[1],

@@ -17,9 +17,8 @@ use crate::message::{
 use crate::reference_window::ReferenceWindow;
 use crate::view::View;
 use bytes::Bytes;
-use rustc_hash::{FxHashMap, FxHashSet};
 use std::borrow::Cow;
-use std::collections::VecDeque;
+use std::collections::{HashMap, HashSet, VecDeque};
 use terrain::constants::GENERATOR_VERSION;
 use terrain::{ChunkKey, lod};
 
@@ -76,12 +75,13 @@ pub struct ServerSession {
     /// the requeued ones. Further ones are refused.
     requests: VecDeque<(u32, ChunkKey)>,
     views: ViewQueue,
-    /// Chunks that the client has. At most [`MAX_HELD`]; cleared when full.
-    held: FxHashSet<ChunkKey>,
+    /// Chunks that the client has. At most [`MAX_HELD`]; cleared when full. The client chooses the
+    /// keys: the randomly keyed hash of std has no collisions that it could prepare.
+    held: HashSet<ChunkKey>,
     /// In refined delivery: the parents that frames may refer to.
     references: ReferenceWindow<()>,
     /// Returned by [`ServerSession::next_chunk`] and not yet delivered.
-    in_flight: FxHashMap<ChunkKey, InFlight>,
+    in_flight: HashMap<ChunkKey, InFlight>,
     /// Chunks in flight that no view or request needs any more, since the last
     /// [`ServerSession::take_stale`].
     stale: Vec<ChunkKey>,
@@ -112,9 +112,9 @@ impl ServerSession {
             stale: Vec::new(),
             requests: VecDeque::new(),
             views: ViewQueue::default(),
-            held: FxHashSet::default(),
+            held: HashSet::default(),
             references: ReferenceWindow::default(),
-            in_flight: FxHashMap::default(),
+            in_flight: HashMap::default(),
             outbox: VecDeque::new(),
             counts: SessionCounts::default(),
         }
@@ -318,7 +318,7 @@ impl ServerSession {
             self.refuse(id, None, RefusalReason::TooManyRequests, detail);
             return;
         }
-        let mut seen = FxHashSet::default();
+        let mut seen = HashSet::new();
         for key in keys {
             match key.check() {
                 Ok(valid) if keys.len() > 1 && !seen.insert(valid) => {

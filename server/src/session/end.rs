@@ -60,7 +60,14 @@ pub async fn write_within(
 pub fn is_breach(reason: &str) -> bool {
     matches!(
         reason,
-        "malformed" | "text_frame" | "too_large" | "out_of_order" | "handshake_timeout" | "write_timeout"
+        "protocol_error"
+            | "not_utf8"
+            | "malformed"
+            | "text_frame"
+            | "too_large"
+            | "out_of_order"
+            | "handshake_timeout"
+            | "write_timeout"
     )
 }
 

@@ -151,8 +151,9 @@ fn checked(host: &dyn Host, check: fn() -> Result<()>) -> Result<Shown> {
 
 /// What tests cannot look at without these programs. Compose file and manifests are read by tests.
 fn deploy(host: &dyn Host) -> Result<Shown> {
-    let checks: [(&str, Tool, fn() -> Result<()>); 2] = [
-        ("nginx", Tool::Nginx, cluster::nginx::check),
+    type Check = fn() -> Result<()>;
+    let checks = [
+        ("nginx", Tool::Nginx, cluster::nginx::check as Check),
         ("alerts", Tool::Promtool, cluster::prometheus::check),
     ];
     let mut parts = Vec::new();

@@ -146,8 +146,11 @@ pub fn run(options: Options) -> Result<()> {
     ended
 }
 
+/// Settings of a replica, by the names of its environment.
+type Settings = Vec<(&'static str, String)>;
+
 /// A store for all replicas, with the settings that name it: S3 on the loopback, or a folder.
-fn shared_store() -> Result<(Option<Objects>, Vec<(&'static str, String)>)> {
+fn shared_store() -> Result<(Option<Objects>, Settings)> {
     if let Some(why) = objects::lacks() {
         let folder = folder("store")?;
         println!("cluster: the store is the folder {}; S3 {why}", folder.display());

@@ -202,7 +202,7 @@ fn a_replaced_file_is_counted_once() {
     }
     drop(first);
     for x in 0..60 {
-        fs::write(folder.path(key(x)), "damaged").unwrap();
+        fs::write(folder.path(id(x)), "damaged").unwrap();
     }
     let (mut second, metrics) = writer(&folder, 1 << 30);
     second.try_open(now);
@@ -214,7 +214,7 @@ fn a_replaced_file_is_counted_once() {
     for x in 0..60 {
         // Found by a reader, or not.
         if x % 2 == 0 {
-            second.discard(&FrameNames::new(&WORLD).path(key(x), Delivery::Exact));
+            second.discard(&FrameNames::new(&WORLD).path(id(x), Delivery::Exact));
         }
         assert_eq!(metrics.disk_bytes.get(), there());
         put(&mut second, x, now);

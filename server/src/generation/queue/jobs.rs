@@ -5,7 +5,7 @@ use crate::chunk_id::ChunkId;
 use crate::generation::result::Completion;
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
-use rustc_hash::FxHashMap;
+use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::UnboundedSender;
@@ -62,7 +62,9 @@ pub enum Started {
 pub struct Jobs {
     /// Jobs that may be queued or running. One more is rejected.
     limit: usize,
-    by_id: FxHashMap<ChunkId, Job>,
+    /// Clients choose the keys: the randomly keyed hash of std has no collisions that they could
+    /// prepare.
+    by_id: HashMap<ChunkId, Job>,
     /// Jobs that are not running.
     waiting: usize,
 }
@@ -80,7 +82,7 @@ impl Jobs {
     /// An empty table of at most `limit` jobs.
     #[must_use]
     pub fn new(limit: usize) -> Self {
-        Self { limit, by_id: FxHashMap::default(), waiting: 0 }
+        Self { limit, by_id: HashMap::default(), waiting: 0 }
     }
 
     /// Jobs queued or running.
