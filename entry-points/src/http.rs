@@ -83,7 +83,8 @@ pub fn seeds() -> Vec<Vec<u8>> {
     ];
     let request = |path: &String| {
         format!(
-            "GET {path} HTTP/1.1\r\nHost: localhost\r\nIf-None-Match: W/\"x\", \"00\"\r\nOrigin: http://localhost\r\n\
+            "GET {path} HTTP/1.1\r\nHost: localhost\r\nIf-None-Match: W/\"x\", \"00\"\r\n\
+             Origin: http://localhost\r\n\
              Authorization: Bearer t\r\n\r\n"
         )
     };
