@@ -7,7 +7,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
 /// Longest time without progress of a session; a test that reaches it fails.
-const TIMEOUT: Duration = Duration::from_secs(120);
+const TEST_TIMEOUT: Duration = Duration::from_secs(120);
 
 /// A Close frame of code 1000, masked by zeros; and the server's answer.
 const CLOSE: [u8; 8] = [0x88, 0x82, 0, 0, 0, 0, 0x03, 0xe8];
@@ -40,7 +40,7 @@ async fn session(address: SocketAddr, messages: u64, seed: u64) {
         for number in 0..messages {
             let message = generator.message();
             bytes.extend(generator.frames(&message));
-            let written = tokio::time::timeout(TIMEOUT, writer.write_all(&bytes)).await;
+            let written = tokio::time::timeout(TEST_TIMEOUT, writer.write_all(&bytes)).await;
             written
                 .unwrap_or_else(|_| panic!("seed {seed}, message {number}: the server reads nothing"))
                 .unwrap_or_else(|error| panic!("seed {seed}, message {number}: {error}"));
@@ -51,7 +51,7 @@ async fn session(address: SocketAddr, messages: u64, seed: u64) {
     let read = async {
         let (mut buffer, mut last) = (vec![0; 1 << 16], Vec::new());
         loop {
-            let read = tokio::time::timeout(TIMEOUT, reader.read(&mut buffer)).await;
+            let read = tokio::time::timeout(TEST_TIMEOUT, reader.read(&mut buffer)).await;
             let count = read.unwrap_or_else(|_| panic!("seed {seed}: nothing arrives")).unwrap();
             if count == 0 {
                 return last;

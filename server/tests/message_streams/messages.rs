@@ -86,7 +86,7 @@ impl Generator {
         }
     }
 
-    /// Half of the views are the most expensive that a server accepts, or beyond.
+    /// A quarter of the views are the most expensive that a server accepts.
     fn view(&mut self, id: u32) -> View {
         if self.below(4) == 0 {
             return View {

@@ -12,7 +12,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 const PIPE: usize = 4 * LIMIT;
 
 /// Virtual time after which an echo that does not end has failed.
-const TIMEOUT: Duration = Duration::from_secs(60);
+const TEST_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Runs a case with its bytes written in parts of `part` bytes; an error says what was wrong.
 async fn run(case: &Case, part: usize, plant: fn(Frame) -> Option<Frame>) -> Result<(), String> {
@@ -29,7 +29,7 @@ async fn run(case: &Case, part: usize, plant: fn(Frame) -> Option<Frame>) -> Res
     };
     let read = async {
         let mut received = Vec::new();
-        let read = tokio::time::timeout(TIMEOUT, reader.read_to_end(&mut received)).await;
+        let read = tokio::time::timeout(TEST_TIMEOUT, reader.read_to_end(&mut received)).await;
         read.map(|_| received).map_err(|_| "the connection does not end".to_owned())
     };
     let ((), received) = tokio::join!(write, read);

@@ -11,7 +11,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
 
 /// Longest wait; a test that reaches it fails.
-const TIMEOUT: Duration = Duration::from_secs(30);
+const TEST_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// A server in this process, stopped when dropped.
 pub struct Server {
@@ -62,7 +62,7 @@ impl Server {
         let bytes: Vec<u8> = frames.iter().flat_map(Frame::bytes).collect();
         stream.write_all(&bytes).await.unwrap();
         let mut received = Vec::new();
-        let read = tokio::time::timeout(TIMEOUT, stream.read_to_end(&mut received)).await;
+        let read = tokio::time::timeout(TEST_TIMEOUT, stream.read_to_end(&mut received)).await;
         read.expect("the connection ends").expect("the connection is not reset");
         parse(&received).unwrap()
     }
@@ -154,7 +154,7 @@ async fn data_behind_the_end_of_a_session_resets_no_connection() {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
         let mut received = Vec::new();
-        let read = tokio::time::timeout(TIMEOUT, stream.read_to_end(&mut received)).await;
+        let read = tokio::time::timeout(TEST_TIMEOUT, stream.read_to_end(&mut received)).await;
         read.expect("the connection ends").expect("the connection is not reset");
         let frames = parse(&received).unwrap();
         let [(CLOSE, payload)] = &frames[..] else { panic!("{code}: {frames:?}") };
