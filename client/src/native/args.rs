@@ -491,6 +491,7 @@ mod tests {
                 density: 5,
                 range_m: 400.0,
                 trees: 1,
+                tree_range_m: 8000.0,
                 ..VegetationSettings::STANDARD
             },
             pom: PomSettings {

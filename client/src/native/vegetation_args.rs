@@ -95,7 +95,12 @@ impl VegetationArgs {
             widest: or(self.grass_widest, defaults.widest),
             trees: self.trees.unwrap_or(defaults.trees),
             tree_range_m: or(self.tree_range, defaults.tree_range_m),
-            single_trees_m: defaults.single_trees_m,
+            // A range that is given is culled as without a preset.
+            single_trees_m: if self.tree_range.is_some() {
+                VegetationSettings::STANDARD.single_trees_m
+            } else {
+                defaults.single_trees_m
+            },
             impostors_from_m: defaults.impostors_from_m,
             cull: self.cull,
             stay: self.cull_stay,

@@ -2,10 +2,20 @@
 //! solids.
 
 use super::clump::{Vec3, add, dot, scaled};
-use super::crown::{Caster, Crown, trunk_radius_m};
+use super::crown::{Caster, Crown, crown_of, trunk_radius_m};
 
 /// No hit.
 pub const NO_WAY: f32 = 1e30;
+
+const BOUGHS_FILL: f32 = 0.84;
+
+/// The solid that stands for the crown of a tree.
+#[must_use]
+pub fn impostor_crown(tree: &Caster) -> Crown {
+    let mut crown = crown_of(tree);
+    crown.radius_m *= if crown.is_cone { BOUGHS_FILL } else { 1.0 };
+    return crown;
+}
 
 fn cross(a: Vec3, b: Vec3) -> Vec3 {
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -122,7 +132,6 @@ pub fn trunk_way(tree: &Caster, begin_m: Vec3, toward: Vec3) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::super::clump::tests::unit;
-    use super::super::crown::crown_of;
     use super::super::tree_shape::{LOBES, lobe_of, vertex_of_tree};
     use super::*;
     use crate::layout::TREE_VERTICES;
@@ -180,7 +189,7 @@ mod tests {
         let (mut hits, mut missed) = (0, 0);
         for seed in 0..20_000 {
             let (tree, _) = any_tree(seed);
-            let crown = crown_of(&tree);
+            let crown = impostor_crown(&tree);
             let place = [unit(seed, 6), unit(seed, 7)].map(|share| 2.0 * share - 1.0);
             let corner = |index| impostor_corner(&tree, index);
             let middle = scaled(add(corner(0), corner(5)), 0.5);
