@@ -232,6 +232,16 @@ async fn no_fault_of_a_store_changes_a_chunk() {
     }
 }
 
+/// Replicas do not spend more on sharing chunks than on making them.
+#[tokio::test(flavor = "multi_thread")]
+async fn chunks_that_would_not_be_read_are_not_written() {
+    let objects = Arc::new(InMemory::new());
+    let replica = replica(&objects, Fault::Slow);
+    serves(&replica, &keys(), EXACT).await;
+    let metrics = &replica.metrics;
+    assert_eq!((metrics.store_writes_skipped.get(), metrics.store_reads_late.get()), (8, 1));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_that_refuses_writes_is_read() {
     let objects = Arc::new(InMemory::new());
