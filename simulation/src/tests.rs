@@ -44,10 +44,10 @@ fn the_same_plan_has_the_same_trace_and_another_seed_has_not() {
 }
 
 #[test]
-fn dear_work_slow_links_and_shared_processors_cost_time() {
+fn expensive_work_slow_links_and_shared_processors_cost_time() {
     let base = run(&plan(8, 8));
-    let dear = Costs { chunk_us: vec![20_000.0; 17], fast_chunk_us: 20_000.0, ..Costs::default() };
-    assert!(p50_ms(&run(&Plan { costs: dear, ..plan(8, 8) })) > p50_ms(&base));
+    let expensive = Costs { chunk_us: vec![20_000.0; 17], fast_chunk_us: 20_000.0, ..Costs::default() };
+    assert!(p50_ms(&run(&Plan { costs: expensive, ..plan(8, 8) })) > p50_ms(&base));
     assert!(p50_ms(&run(&Plan { link_bytes_per_s: 2e5, ..plan(8, 8) })) > p50_ms(&base));
     let shared = run(&Plan { is_shared: true, ..plan(8, 8) });
     assert!(shared.client_s > 0.0 && base.client_s == 0.0);
