@@ -63,7 +63,7 @@ pub struct Summary {
 impl Report {
     /// Both together.
     #[must_use]
-    pub fn and(mut self, other: Self) -> Self {
+    pub fn and(mut self, other: &Self) -> Self {
         self.clients += other.clients;
         self.replicas += other.replicas;
         self.chunks += other.chunks;
