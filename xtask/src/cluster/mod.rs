@@ -100,6 +100,9 @@ impl Check {
     }
 }
 
+/// Settings of a server in its environment.
+type Settings = Vec<(&'static str, String)>;
+
 /// Servers, and nginx before them. All end when it goes out of scope.
 #[derive(Debug)]
 struct Cluster {
@@ -143,7 +146,7 @@ pub fn run(options: Options) -> Result<()> {
 }
 
 /// A store for all replicas, with the settings that name it: S3 on the loopback, or a folder.
-fn shared_store() -> Result<(Option<Objects>, Vec<(&'static str, String)>)> {
+fn shared_store() -> Result<(Option<Objects>, Settings)> {
     if let Some(why) = objects::lacks() {
         let folder = folder("store")?;
         println!("cluster: the store is the folder {}; S3 {why}", folder.display());
