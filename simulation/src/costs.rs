@@ -160,7 +160,7 @@ fn timed<T>(mut work: impl FnMut() -> T) -> f64 {
     (0..REPEATS).map(once).fold(f64::INFINITY, f64::min)
 }
 
-/// The mean without the most expensive fiftieth, which are interruptions; none of no times.
+/// The mean without the largest fiftieth, which are interruptions; none of no times.
 fn mean(times: impl Iterator<Item = f64>) -> Option<f64> {
     let mut times: Vec<f64> = times.collect();
     times.sort_by(f64::total_cmp);

@@ -8,8 +8,8 @@
 //! A generation thread waits for the store at most as long as chunks of that level took to make
 //! lately, and sends a request only if answers come sooner than that; reads that bring nothing may
 //! take an eighth of the time of making, and what would not be read is not written ([`pace`]). A
-//! [`breaker`] stops requests to a store that fails. Chunks of baked [`region`]s lie in [`pack`]s, others in objects of
-//! their own.
+//! [`breaker`] stops requests to a store that fails. Chunks of baked [`region`]s lie in [`pack`]s,
+//! others in objects of their own.
 
 pub mod address;
 pub mod breaker;

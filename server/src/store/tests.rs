@@ -251,7 +251,7 @@ async fn a_store_that_refuses_writes_is_read() {
     assert_eq!(replica.metrics.store_up.get(), 1);
 }
 
-/// The control is that the first chunks are written without a result: the breaker of the writes is open, and
+/// The control is that the first chunks are written without result: the breaker of the writes is open, and
 /// that of the reads is not.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_store_is_read() {

@@ -104,6 +104,9 @@ impl Check {
     }
 }
 
+/// Settings of a server in its environment.
+type Settings = Vec<(&'static str, String)>;
+
 /// Servers, and nginx before them. All end when it goes out of scope.
 #[derive(Debug)]
 struct Cluster {

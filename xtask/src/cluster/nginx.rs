@@ -160,8 +160,8 @@ fn replicas_of(replicas: &[SocketAddr], folder: &Path) -> String {
     text + &temporary_folders(folder)
 }
 
-/// Directives for folders that nginx has elsewhere where it is installed, which another user may not
-/// write to.
+/// Directives for folders that nginx has elsewhere where it is installed, which not every user may
+/// write.
 fn temporary_folders(folder: &Path) -> String {
     let kinds = ["client_body", "proxy", "fastcgi", "uwsgi", "scgi"];
     let path = |kind| format!("{kind}_temp_path {}/temporary/{kind};\n", folder.display());
