@@ -66,7 +66,7 @@ fn costs_are_measured_and_read_back() {
 #[test]
 fn an_overloaded_replica_makes_no_state_machine_reject_a_frame() {
     for is_shared in [false, true] {
-        let costs = Costs { receive_us: 2_000.0, write_us: 2_000.0, ..Costs::default() };
+        let costs = Costs { receive_us: 4_000.0, write_us: 4_000.0, ..Costs::default() };
         let report = run(&Plan { costs, is_shared, ..plan(40, 40) });
         assert!(report.chunks > 0);
         assert_eq!(report.wrong, 0, "shared: {is_shared}");
