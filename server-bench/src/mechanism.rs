@@ -41,7 +41,6 @@ impl Mechanism {
     /// The server's options that turn it on where it is off by default.
     pub const fn on(self) -> &'static [&'static str] {
         match self {
-            Self::SessionsPerAddress => &["--max-sessions-per-address", "48"],
             // A fiftieth of a thread.
             Self::RateLimit => &["--rate-limit-ms", "20"],
             _ => &[],

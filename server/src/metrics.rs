@@ -158,6 +158,8 @@ pub struct Metrics {
     pub store_writes_refused: Counter,
     /// Writes not sent: the queue was full or the breaker open.
     pub store_writes_dropped: Counter,
+    /// Writes not sent: making the chunk again is quicker than reading it.
+    pub store_writes_skipped: Counter,
     /// Time per read from the store.
     pub store_read_seconds: Histogram,
     /// Time per write to the store.
@@ -236,6 +238,7 @@ impl Default for Metrics {
             store_writes_failed: Counter::default(),
             store_writes_refused: Counter::default(),
             store_writes_dropped: Counter::default(),
+            store_writes_skipped: Counter::default(),
             // 0.2 ms to 3 s: a local folder, and the timeout.
             store_read_seconds: Histogram::new(exponential_buckets(0.0002, 2.0, 14)),
             store_write_seconds: Histogram::new(exponential_buckets(0.0002, 2.0, 15)),
@@ -422,6 +425,7 @@ impl Metrics {
                 ("failed", &mut self.store_writes_failed),
                 ("refused", &mut self.store_writes_refused),
                 ("dropped", &mut self.store_writes_dropped),
+                ("skipped", &mut self.store_writes_skipped),
             ],
         );
         self.register("store_writes", "Writes to the store by outcome", &writes);

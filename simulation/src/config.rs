@@ -39,7 +39,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub world_seed: u64,
     /// Processors of a replica, 1 to 1024
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", default_value_t = 2,
+          value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub processors: u16,
     /// The clients' work is done on the processors of their replica, as in a test on one machine
     #[arg(long)]

@@ -43,7 +43,7 @@ pub fn run(plan: &Plan) -> Report {
         .into_par_iter()
         .map(|number| replica::Replica::new(plan, &frames, start, number).run())
         .collect();
-    replicas.into_iter().reduce(|all, one| all.and(&one)).unwrap_or_default()
+    replicas.iter().fold(Report::default(), Report::and)
 }
 
 #[cfg(test)]

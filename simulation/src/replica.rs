@@ -14,7 +14,7 @@ use protocol::message::RefusalReason;
 use protocol::server::{Next, ServerOffer, ServerSession, ViewSelection};
 use rustc_hash::{FxHashMap, FxHasher};
 use std::cmp::Ordering;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, VecDeque};
 use std::hash::{Hash, Hasher};
 use std::time::Duration;
 use terrain::{ChunkKey, Start};
@@ -68,6 +68,28 @@ struct Session {
     is_writing: bool,
     /// There may be more to send after the write.
     has_more: bool,
+    inbox: Inbox,
+}
+
+/// Frames of one session in their order: two processors must not handle them at once.
+#[derive(Debug, Default)]
+struct Inbox {
+    frames: VecDeque<Bytes>,
+    is_read: bool,
+}
+
+impl Inbox {
+    /// Adds frames. The next ones to handle, unless a processor is at it.
+    fn add(&mut self, frames: Vec<Bytes>, most: usize) -> Option<Vec<Bytes>> {
+        self.frames.extend(frames);
+        if self.is_read { None } else { self.next(most) }
+    }
+
+    /// After the last ones were handled: the next.
+    fn next(&mut self, most: usize) -> Option<Vec<Bytes>> {
+        self.is_read = !self.frames.is_empty();
+        self.is_read.then(|| self.frames.drain(..most.min(self.frames.len())).collect())
+    }
 }
 
 /// An event with its time; among equal times the earlier scheduled one comes first.
@@ -112,6 +134,8 @@ pub struct Replica<'a> {
     events: BinaryHeap<Scheduled>,
     number: u64,
     clients: Vec<Option<Client>>,
+    /// Where the clients' work takes time: what they have not handled.
+    at_clients: Vec<Inbox>,
     sessions: Vec<Option<Session>>,
     queue: Queue,
     processors: Processors<Work>,
@@ -143,6 +167,7 @@ impl<'a> Replica<'a> {
             events: BinaryHeap::new(),
             number: 0,
             clients: std::iter::repeat_with(|| None).take(n as usize).collect(),
+            at_clients: std::iter::repeat_with(Inbox::default).take(n as usize).collect(),
             sessions: std::iter::repeat_with(|| None).take(n as usize).collect(),
             queue: Queue::default(),
             processors: Processors::new(plan.processors),
@@ -211,19 +236,36 @@ impl<'a> Replica<'a> {
                     self.after(PROBE_PERIOD, Event::Probe(index));
                 }
             }
-            Event::AtServer(index, frames) => self.processors.add(Work::Receive(index, frames)),
+            Event::AtServer(index, frames) => {
+                if let Some(session) = &mut self.sessions[index]
+                    && let Some(frames) = session.inbox.add(frames, usize::MAX)
+                {
+                    self.processors.add(Work::Receive(index, frames));
+                }
+            }
             Event::AtClient(index, frames) if self.plan.is_shared => {
-                for part in frames.chunks(CLIENT_STEP) {
-                    self.processors.add(Work::Client(index, part.to_vec()));
+                if let Some(frames) = self.at_clients[index].add(frames, CLIENT_STEP) {
+                    self.processors.add(Work::Client(index, frames));
                 }
             }
             Event::AtClient(index, frames) => self.receive_at_client(index, &frames),
             Event::Done(work) => {
                 self.processors.end();
                 match work {
-                    Work::Receive(index, frames) => self.receive(index, &frames),
+                    Work::Receive(index, frames) => {
+                        self.receive(index, &frames);
+                        let session = self.sessions[index].as_mut();
+                        if let Some(frames) = session.and_then(|session| session.inbox.next(usize::MAX)) {
+                            self.processors.add(Work::Receive(index, frames));
+                        }
+                    }
                     Work::Write(index, frames) => self.written(index, frames),
-                    Work::Client(index, frames) => self.receive_at_client(index, &frames),
+                    Work::Client(index, frames) => {
+                        self.receive_at_client(index, &frames);
+                        if let Some(frames) = self.at_clients[index].next(CLIENT_STEP) {
+                            self.processors.add(Work::Client(index, frames));
+                        }
+                    }
                 }
             }
             Event::Selected(index, view) => {
@@ -242,7 +284,9 @@ impl<'a> Replica<'a> {
         let number = self.first + index as u32;
         self.clients[index] = Some(Client::new(self.plan, land, self.start, number, self.now));
         let machine = ServerSession::new(self.offer.clone(), number.into());
-        self.sessions[index] = Some(Session { machine, in_flight: 0, is_writing: false, has_more: false });
+        let inbox = Inbox::default();
+        self.sessions[index] =
+            Some(Session { machine, in_flight: 0, is_writing: false, has_more: false, inbox });
         let [at_server, at_client] = HANDSHAKE.map(|delays| self.plan.delay * delays);
         let frames = self.clients[index].as_mut().map(Client::sent).unwrap_or_default();
         self.after(at_server, Event::AtServer(index, frames));

@@ -44,10 +44,10 @@ fn the_same_plan_has_the_same_trace_and_another_seed_has_not() {
 }
 
 #[test]
-fn dear_work_slow_links_and_shared_processors_cost_time() {
+fn costly_work_slow_links_and_shared_processors_take_time() {
     let base = run(&plan(8, 8));
-    let dear = Costs { chunk_us: vec![20_000.0; 17], fast_chunk_us: 20_000.0, ..Costs::default() };
-    assert!(p50_ms(&run(&Plan { costs: dear, ..plan(8, 8) })) > p50_ms(&base));
+    let costly = Costs { chunk_us: vec![20_000.0; 17], fast_chunk_us: 20_000.0, ..Costs::default() };
+    assert!(p50_ms(&run(&Plan { costs: costly, ..plan(8, 8) })) > p50_ms(&base));
     assert!(p50_ms(&run(&Plan { link_bytes_per_s: 2e5, ..plan(8, 8) })) > p50_ms(&base));
     let shared = run(&Plan { is_shared: true, ..plan(8, 8) });
     assert!(shared.client_s > 0.0 && base.client_s == 0.0);
@@ -60,4 +60,16 @@ fn costs_are_measured_and_read_back() {
     let text = serde_json::to_string(&costs).unwrap();
     assert_eq!(serde_json::from_str::<Costs>(&text).unwrap(), costs);
     assert!(serde_json::from_str::<Costs>(&text.replace("view_us", "veiw_us")).is_err());
+}
+
+/// Sessions keep the order of their messages where work waits for processors.
+#[test]
+fn an_overloaded_replica_makes_no_state_machine_reject_a_frame() {
+    for is_shared in [false, true] {
+        let costs = Costs { receive_us: 4_000.0, write_us: 4_000.0, ..Costs::default() };
+        let report = run(&Plan { costs, is_shared, ..plan(40, 40) });
+        assert!(report.chunks > 0);
+        assert_eq!(report.wrong, 0, "shared: {is_shared}");
+        assert!(report.latency.quantiles().max > Some(100.0), "the control: work waits");
+    }
 }

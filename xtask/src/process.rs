@@ -95,6 +95,12 @@ pub fn quiet_drivers(command: &mut Command) {
 pub fn cargo(line: &str) -> Command {
     let mut cargo = command(std::env::var_os("CARGO").map_or_else(|| "cargo".into(), PathBuf::from));
     cargo.args(line.split_whitespace());
+    // What the cargo that runs this program says of it. A build script of a dependency reads these
+    // names: with other values than in a shell it would run again, and all that needs it be built.
+    let is_ours = |name: &str| name.starts_with("CARGO_PKG_") || name.starts_with("CARGO_MANIFEST_");
+    for (name, _) in std::env::vars().filter(|(name, _)| is_ours(name)) {
+        cargo.env_remove(name);
+    }
     cargo
 }
 

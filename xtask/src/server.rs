@@ -46,6 +46,8 @@ impl Server {
     pub fn start_program(program: &Path, world_seed: u64, settings: &[(&str, String)]) -> Result<Self> {
         let address = free_address()?;
         let child = process::command(program)
+            // A load has one address for all of its clients.
+            .env("TOMBOLO_MAX_SESSIONS_PER_ADDRESS", "1024")
             .envs(settings.iter().map(|(name, value)| (name, value)))
             .args(["--listen", &address.to_string(), "--world-seed", &world_seed.to_string()])
             // Its own lines would drown ours; faults are still shown.

@@ -88,9 +88,9 @@ const NOTES: [&str; 3] = [
      to 4000 km out.",
     "Popping: each pose of a flight, a metre apart, is drawn with what is chosen for it and with what was \
      chosen for the pose before; 256 x 144, tolerance 0.5 px. Light follows the land, not the drawn \
-     triangles, so that levels change it little even without morphs; what is left are outlines, materials \
-     by height, and shadows of the land, which are traced for the vertices of each chunk and which no \
-     morph changes.",
+     triangles, so that levels change it little even without morphs. Shadows of the land are traced for \
+     the vertices of each chunk, and no morph changes them: the row by light of the drawn triangles \
+     leaves them out.",
 ];
 
 /// How the figures were measured, for the record.

@@ -7,9 +7,9 @@
 //!
 //! A generation thread waits for the store at most as long as chunks of that level took to make
 //! lately, and sends a request only if answers come sooner than that; reads that bring nothing may
-//! take an eighth of the time of making ([`pace`]). A [`breaker`] stops requests to a store that
-//! fails. Chunks of baked [`region`]s lie in [`pack`]s, others in objects of
-//! their own.
+//! take an eighth of the time of making, and what would not be read is not written ([`pace`]). A
+//! [`breaker`] stops requests to a store that fails. Chunks of baked [`region`]s lie in [`pack`]s,
+//! others in objects of their own.
 
 pub mod address;
 pub mod breaker;
@@ -201,12 +201,17 @@ impl Store {
         found
     }
 
-    /// A chunk was made in this time: writes its exact frame, if its level is stored and no pack has
-    /// it. The frame is not asked for if it could not be written now.
+    /// A chunk was made in this time: writes its exact frame, if its level is stored, no pack has it,
+    /// and it would be read. The frame is not asked for if it is not written.
     pub fn made(&self, id: ChunkId, took: Duration, frame: impl FnOnce() -> Bytes) {
         self.inner.pace.made(id.key, took);
-        if id.key.level() >= FINEST_LEVEL && self.inner.packed(id).is_none() {
+        if id.key.level() < FINEST_LEVEL || self.inner.packed(id).is_some() {
+            return;
+        }
+        if self.inner.pace.is_worth_writing(id.key) {
             self.writer.write(self.inner.names.chunk(id), frame);
+        } else {
+            self.inner.metrics.store_writes_skipped.inc();
         }
     }
 

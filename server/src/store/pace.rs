@@ -48,13 +48,8 @@ impl Pace {
     /// without a result have used up their time. Then one read every [`RETRY`] is worth a try all the
     /// same.
     pub fn wait(&self, key: ChunkKey, now: Instant) -> Option<Duration> {
-        let made = match self.made[usize::from(key.level())].load(Ordering::Relaxed) {
-            0 => UNKNOWN,
-            nanoseconds => Duration::from_nanos(nanoseconds),
-        };
-        let wait = made.max(self.least_wait);
-        let is_quick = Duration::from_nanos(self.read.load(Ordering::Relaxed)) <= wait;
-        if is_quick && self.budget.load(Ordering::Relaxed) > 0 {
+        let wait = self.longest_wait(key);
+        if self.is_quick(wait) && self.budget.load(Ordering::Relaxed) > 0 {
             return Some(wait);
         }
         let mut tried = self.tried.lock().unwrap_or_else(PoisonError::into_inner);
@@ -63,6 +58,23 @@ impl Pace {
             *tried = Some(now);
             wait
         })
+    }
+
+    /// Whether a chunk is worth a write: it would be read.
+    pub fn is_worth_writing(&self, key: ChunkKey) -> bool {
+        self.is_quick(self.longest_wait(key))
+    }
+
+    fn longest_wait(&self, key: ChunkKey) -> Duration {
+        let made = match self.made[usize::from(key.level())].load(Ordering::Relaxed) {
+            0 => UNKNOWN,
+            nanoseconds => Duration::from_nanos(nanoseconds),
+        };
+        made.max(self.least_wait)
+    }
+
+    fn is_quick(&self, wait: Duration) -> bool {
+        Duration::from_nanos(self.read.load(Ordering::Relaxed)) <= wait
     }
 
     /// A chunk was made in this time.
@@ -129,6 +141,7 @@ mod tests {
         pace.made(cheap, MS(1));
         pace.read(MS(10));
         assert_eq!(pace.wait(expensive, now), Some(MS(30)));
+        assert!(pace.is_worth_writing(expensive) && !pace.is_worth_writing(cheap));
         assert_eq!(pace.wait(cheap, now), Some(MS(1)), "once, to see how long it takes");
         assert_eq!(pace.wait(cheap, now), None);
         assert_eq!(pace.wait(cheap, now + RETRY), Some(MS(1)));

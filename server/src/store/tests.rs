@@ -232,6 +232,16 @@ async fn no_fault_of_a_store_changes_a_chunk() {
     }
 }
 
+/// Replicas do not spend more on sharing chunks than on making them.
+#[tokio::test(flavor = "multi_thread")]
+async fn chunks_that_would_not_be_read_are_not_written() {
+    let objects = Arc::new(InMemory::new());
+    let replica = replica(&objects, Fault::Slow);
+    serves(&replica, &keys(), EXACT).await;
+    let metrics = &replica.metrics;
+    assert_eq!((metrics.store_writes_skipped.get(), metrics.store_reads_late.get()), (8, 1));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_that_refuses_writes_is_read() {
     let objects = Arc::new(InMemory::new());
@@ -241,7 +251,7 @@ async fn a_store_that_refuses_writes_is_read() {
     assert_eq!(replica.metrics.store_up.get(), 1);
 }
 
-/// The control is that the first chunks are written in vain: the breaker of the writes is open, and
+/// The control is that the first chunks are written without result: the breaker of the writes is open, and
 /// that of the reads is not.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_store_is_read() {

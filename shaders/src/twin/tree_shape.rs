@@ -31,7 +31,8 @@ fn beside_stem(up: f32, aside_m: Vec2, height_m: f32, sway_m: Vec2) -> Vec3 {
     return add(tree_stem(up, height_m, sway_m), [aside_m[0], 0.0, aside_m[1]]);
 }
 
-/// Place of a vertex of a tree in the first two levels of detail, `size_m` wide and high, from its root, metres.
+/// Place of a vertex of a tree in the first two levels of detail, `size_m` wide and high, from its
+/// root, metres.
 #[must_use]
 pub fn vertex_of_tree(species: u32, level: u32, index: u32, size_m: Vec2, phase: f32, push: Vec2) -> Vec3 {
     let tree = Caster { root_m: [0.0; 3], width_m: size_m[0], height_m: size_m[1], species };

@@ -151,13 +151,9 @@ fn checked(host: &dyn Host, check: fn() -> Result<()>) -> Result<Shown> {
 
 /// What tests cannot look at without these programs. Compose file and manifests are read by tests.
 fn deploy(host: &dyn Host) -> Result<Shown> {
-    type Check = fn() -> Result<()>;
-    let checks = [
-        ("nginx", Tool::Nginx, cluster::nginx::check as Check),
-        ("alerts", Tool::Promtool, cluster::prometheus::check),
-    ];
     let mut parts = Vec::new();
-    for (name, tool, check) in checks {
+    for (name, tool) in [("nginx", Tool::Nginx), ("alerts", Tool::Promtool)] {
+        let check = if tool == Tool::Nginx { cluster::nginx::check } else { cluster::prometheus::check };
         let outcome = match host.lacks(tool) {
             Some(why) => skipped(tool, why),
             None => {

@@ -1,5 +1,5 @@
 //! What one client costs a server: processor time, bytes and memory, flying and walking, over land
-//! that nobody has seen and over land that the server has cached. docs/scale.md counts with it.
+//! that no client has seen and over land that the server has cached. docs/scale.md counts with it.
 
 use super::load::Load;
 use crate::server::Server;

@@ -32,9 +32,8 @@ use std::time::Duration;
 /// The world of the replicas.
 const WORLD_SEED: u64 = 1;
 
-/// Settings of the replicas: nginx names its clients. A load has one address for all of its clients.
-const SETTINGS: [(&str, &str); 2] =
-    [("TOMBOLO_TRUSTED_PROXY", "127.0.0.1"), ("TOMBOLO_MAX_SESSIONS_PER_ADDRESS", "1024")];
+/// Setting of the replicas: nginx names its clients.
+const SETTING: (&str, &str) = ("TOMBOLO_TRUSTED_PROXY", "127.0.0.1");
 
 /// Replicas of a cluster that is checked.
 const REPLICAS: u8 = 2;
@@ -104,6 +103,9 @@ impl Check {
     }
 }
 
+/// Settings of a server in its environment.
+type Settings = Vec<(&'static str, String)>;
+
 /// Servers, and nginx before them. All end when it goes out of scope.
 #[derive(Debug)]
 struct Cluster {
@@ -145,9 +147,6 @@ pub fn run(options: Options) -> Result<()> {
     drop((cluster, prometheus, objects));
     ended
 }
-
-/// Settings of a replica, by the names of its environment.
-type Settings = Vec<(&'static str, String)>;
 
 /// A store for all replicas, with the settings that name it: S3 on the loopback, or a folder.
 fn shared_store() -> Result<(Option<Objects>, Settings)> {
@@ -210,7 +209,7 @@ impl Cluster {
 
     /// With settings in the environment of the replicas.
     fn start_with(replicas: u8, settings: &[(&str, String)]) -> Result<Self> {
-        let of_all = SETTINGS.map(|(name, value)| (name, value.to_owned()));
+        let of_all = [(SETTING.0, SETTING.1.to_owned())];
         let settings = [&of_all, settings].concat();
         let replicas: Vec<Server> =
             (0..replicas).map(|_| Server::start_with(WORLD_SEED, &settings)).collect::<Result<_>>()?;

@@ -160,7 +160,7 @@ fn replicas_of(replicas: &[SocketAddr], folder: &Path) -> String {
     text + &temporary_folders(folder)
 }
 
-/// Directives for folders that nginx has elsewhere where it is installed, which not everybody may
+/// Directives for folders that nginx has elsewhere where it is installed, which not every user may
 /// write.
 fn temporary_folders(folder: &Path) -> String {
     let kinds = ["client_body", "proxy", "fastcgi", "uwsgi", "scgi"];

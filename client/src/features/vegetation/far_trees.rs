@@ -6,7 +6,6 @@
 use crate::cache::{ChunkCache, Resident};
 use crate::camera::Eye;
 use crate::features::terrain::instance::chunk_words;
-use crate::features::vegetation::species::SpeciesTraits;
 use crate::frustum::Frustum;
 use crate::lod::Drawn;
 use glam::DVec3;
@@ -65,12 +64,13 @@ pub struct FarTreeView<'a> {
 }
 
 impl FarTreeFrame {
-    /// The trees of `traits` from `begin_m` to its range, metres; none if there are none.
+    /// The trees of a range of distances, metres; none if there are none. `margin_m` is how far a tree
+    /// reaches aside of its root, and above it.
     #[must_use]
     pub fn new(
         view: &FarTreeView<'_>,
-        traits: &SpeciesTraits,
-        begin_m: f64,
+        range_m: [f64; 2],
+        margin_m: [f64; 2],
         (field, planting): (Field, Planting),
     ) -> Option<Self> {
         let low = |at: i32| (at.div_euclid(PATCH) - GRID_PATCHES / 2).saturating_mul(PATCH);
@@ -85,15 +85,14 @@ impl FarTreeFrame {
                 ..planting
             },
             field: Field { eye_x: eye[0], eye_y: eye[1], eye_z: eye[2], ..field },
-            params: FarTrees { begin_m: begin_m as f32, room: MAX_FAR_TREES, ..FarTrees::default() },
+            params: FarTrees { begin_m: range_m[0] as f32, room: MAX_FAR_TREES, ..FarTrees::default() },
             chunks: Vec::new(),
             patches: Vec::new(),
             patches_lost: 0,
         };
-        let margin_m = [0.5 * traits.width_m[1] * traits.widest, traits.height_m[1]];
         let mut found = Vec::new();
         for drawn in view.drawn {
-            frame.put(view, drawn, [begin_m, traits.range_m], margin_m, &mut found);
+            frame.put(view, drawn, range_m, margin_m, &mut found);
         }
         found.sort_unstable();
         frame.patches_lost += found.len().saturating_sub(MAX_FAR_PATCHES) as u32;

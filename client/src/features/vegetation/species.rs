@@ -289,7 +289,8 @@ impl VegetationFrame {
                 let far = trees.far_trees();
                 let begin_m = (trees.range_m - FAR_OVERLAP_M).max(0.0);
                 let params = (far.field(culling.eye, &settings), far.planting(&grid, seed, &settings));
-                FarTreeFrame::new(&view, &far, begin_m, params)
+                let margin_m = [0.5 * far.width_m[1] * far.widest, far.height_m[1]];
+                FarTreeFrame::new(&view, [begin_m, far.range_m], margin_m, params)
             })
             .flatten();
         let exists = |traits: &SpeciesTraits| traits.per_cell > 0 && traits.range_m > 0.0;
