@@ -196,7 +196,7 @@ impl Panel {
         self.with([series(label, Stroke::Stated, points)])
     }
 
-    /// Adds the Pareto front of choices, see [`front`].
+    /// Adds the Pareto front of choices, dominated choices in grey, a ring around the default.
     pub fn front(self, choices: &[Choice]) -> Self {
         self.with(front(choices))
     }

@@ -66,7 +66,7 @@ pub struct Args {
     /// addresses and names of the loopback are always allowed
     #[arg(long, value_name = "NAME", env = "TOMBOLO_ALLOWED_HOST", value_delimiter = ',')]
     pub allowed_host: Vec<String>,
-    /// Origin of other web pages that may open sessions, such as https://map.example, or `*` for
+    /// Origin of other web pages that may open sessions, such as `https://map.example`, or `*` for
     /// any; may be repeated. The server's own page is always allowed
     #[arg(long, value_name = "ORIGIN", env = "TOMBOLO_ALLOWED_ORIGIN", value_delimiter = ',')]
     pub allowed_origin: Vec<String>,

@@ -1,7 +1,7 @@
 //! HTTP routes: the page and its map, chunks, live statistics, probes, metrics, and the upgrade to
 //! a session.
 //!
-//! A request for a host name that is not this server's gets no answer of a route ([`known_host`]).
+//! A request for a host name that is not this server's gets no answer of a route (`known_host`).
 //!
 //! [`routes`] lists them in the order of `openapi.json`. All error responses are made by
 //! [`problem`], all responses with a validator by [`conditional`]; [`cors`] allows other origins.

@@ -45,7 +45,7 @@ impl Pace {
     }
 
     /// The time to wait for a chunk; none if its answer would likely come later than that, or if reads
-    /// without a result have used up their time. Then one read every [`RETRY`] is worth a try all the
+    /// without a result have used up their time. Then one read every 5 s is worth a try all the
     /// same.
     pub fn wait(&self, key: ChunkKey, now: Instant) -> Option<Duration> {
         let wait = self.longest_wait(key);
