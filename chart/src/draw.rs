@@ -119,7 +119,6 @@ where
             [band.range.start, band.range.end].map(|x| chart.backend_coord(&(x, bottom)).0 - left);
         let corners = [(from, up.start - top), (to, up.end - top)];
         area.draw(&Rectangle::new(corners, BAND.filled())).or_text()?;
-        area.draw(&Text::new(band.name.clone(), (from + 8, up.start - top + 6), text(18))).or_text()?;
     }
     chart
         .configure_mesh()
@@ -153,6 +152,11 @@ where
             Stroke::Stated => drop(chart.draw_series(DashedLineSeries::new(shown, 9, 6, style)).or_text()?),
             Stroke::Dominated | Stroke::Control | Stroke::Shipped => {}
         }
+    }
+    // Over the grid and the curves, which would cross them out.
+    for band in &panel.bands {
+        let corner = (chart.backend_coord(&(band.range.start, bottom)).0 - left + 8, up.start - top + 6);
+        area.draw(&Text::new(band.name.clone(), corner, text(18))).or_text()?;
     }
     let place = |point: &(f64, f64)| chart.backend_coord(point);
     let shown = panel.series.iter().flat_map(|series| &series.points).filter(|point| panel.shows(**point));
