@@ -29,10 +29,10 @@ const CHUNKS: usize = 256;
 const WINDOW: usize = 16;
 
 /// The same in pushed mode, in requests of half as many chunks.
-const PUSH_WINDOW: usize = 256;
+pub const PUSH_WINDOW: usize = 256;
 
 /// Connections.
-const CONNECTIONS: usize = 64;
+pub const CONNECTIONS: usize = 64;
 
 /// Runs the benchmark: `plan.rounds` rounds of each server, in turn.
 pub async fn run(plan: &Plan) -> Result<Value> {
@@ -50,18 +50,20 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let load = Load { connections: CONNECTIONS, in_flight: WINDOW, seconds: plan.seconds };
     let mut rounds = Rounds::default();
     for _ in 0..plan.rounds {
-        let [per_s, cpu_s_per_gb] = measure(&server, &keys, plan.seconds, Window::OneByOne(WINDOW)).await?;
-        rounds.push("chunks_per_s", per_s);
-        rounds.push("server_cpu_s_per_gb", cpu_s_per_gb);
-        let [batch_per_s, _] = measure(&server, &keys, plan.seconds, Window::Batches(WINDOW)).await?;
-        rounds.push("batch_chunks_per_s", batch_per_s);
-        let pushed = measure(&server, &keys, plan.seconds, Window::Halves(PUSH_WINDOW)).await?;
-        rounds.push("push_chunks_per_s", pushed[0]);
-        rounds.push("push_cpu_s_per_gb", pushed[1]);
+        let [singly, batched, pushed] =
+            [Window::OneByOne(WINDOW), Window::Batches(WINDOW), Window::Halves(PUSH_WINDOW)];
+        let singly = measure_plain(&server, &keys, plan.seconds, singly).await?;
+        rounds.push("chunks_per_s", singly.chunks_per_s);
+        rounds.push("server_cpu_s_per_gb", singly.cpu_s_per_gb);
+        let batched = measure_plain(&server, &keys, plan.seconds, batched).await?;
+        rounds.push("batch_chunks_per_s", batched.chunks_per_s);
+        let pushed = measure_plain(&server, &keys, plan.seconds, pushed).await?;
+        rounds.push("push_chunks_per_s", pushed.chunks_per_s);
+        rounds.push("push_cpu_s_per_gb", pushed.cpu_s_per_gb);
         let measure = |nginx: &Nginx| wrk.measure(nginx.address, &nginx.process, load);
         let theirs = nginx.as_ref().map(measure).transpose()?;
-        rounds.push("batch_ratio_to_nginx", theirs.map(|rate| batch_per_s / rate.replies_per_s));
-        rounds.push("ratio_to_nginx", theirs.map(|rate| per_s / rate.replies_per_s));
+        rounds.push("batch_ratio_to_nginx", theirs.map(|rate| batched.chunks_per_s / rate.replies_per_s));
+        rounds.push("ratio_to_nginx", theirs.map(|rate| singly.chunks_per_s / rate.replies_per_s));
         rounds.push("nginx_replies_per_s", theirs.map(|rate| rate.replies_per_s));
         rounds.push("nginx_cpu_s_per_gb", theirs.map(|rate| rate.cpu_s_per_gb));
         rounds.push("nginx_busy", theirs.map(|rate| rate.busy));
@@ -96,14 +98,30 @@ async fn verify(
     Ok(())
 }
 
-/// Chunks a second, and CPU seconds of the server for each GB.
-async fn measure(
+/// What a server delivers, and what it costs.
+#[derive(Clone, Copy, Debug)]
+pub struct Rate {
+    pub chunks_per_s: f64,
+    pub cpu_s_per_gb: f64,
+}
+
+async fn measure_plain(
     server: &ServerProcess,
     keys: &[ChunkKey],
     seconds: u64,
     window: Window,
-) -> Result<[f64; 2]> {
-    let connections = server.connect(CONNECTIONS).await?;
+) -> Result<Rate> {
+    measure(server, server.connect(CONNECTIONS).await?, keys, seconds, window).await
+}
+
+/// Requests the same chunks over and over on [`CONNECTIONS`] connections.
+pub async fn measure(
+    server: &ServerProcess,
+    connections: Vec<Connection>,
+    keys: &[ChunkKey],
+    seconds: u64,
+    window: Window,
+) -> Result<Rate> {
     let (cpu_before, started) = (server.process.cpu_s()?, Instant::now());
     let end = Some(started + Duration::from_secs(seconds));
     let totals = run_all(connections, |index, mut connection| {
@@ -113,7 +131,10 @@ async fn measure(
     let totals = totals.await?;
     let (seconds, cpu_s) = (started.elapsed().as_secs_f64(), server.process.cpu_s()? - cpu_before);
     let sum = |of: fn(&crate::clients::Totals) -> u64| totals.iter().map(of).sum::<u64>() as f64;
-    Ok([sum(|totals| totals.chunks) / seconds, cpu_s / (sum(|totals| totals.bytes) / 1e9)])
+    Ok(Rate {
+        chunks_per_s: sum(|totals| totals.chunks) / seconds,
+        cpu_s_per_gb: cpu_s / (sum(|totals| totals.bytes) / 1e9),
+    })
 }
 
 /// The bars of this benchmark.

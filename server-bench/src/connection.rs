@@ -7,10 +7,12 @@ use anyhow::{Context, Result, bail};
 use protocol::limits::MAX_CREDITS;
 use protocol::message::{ClientMessage, Hello, ServerMessage, WireKey};
 use protocol::{Delivery, SUBPROTOCOL, chunk_codec, control};
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use terrain::ChunkKey;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};
+use tokio_rustls::client::TlsStream;
+use tokio_util::either::Either;
 
 /// Name and version, sent to the server in the Hello message.
 const SOFTWARE: &str = concat!("tombolo-server-bench ", env!("CARGO_PKG_VERSION"));
@@ -35,10 +37,13 @@ impl Received<'_> {
     }
 }
 
-/// A session over a bare socket.
+/// What a session runs over: TCP, or TLS over TCP.
+pub type Transport = Either<TcpStream, Box<TlsStream<TcpStream>>>;
+
+/// A session over a bare socket or TLS.
 #[derive(Debug)]
 pub struct Connection {
-    stream: TcpStream,
+    stream: Transport,
     /// The incomplete frame at the end of the bytes read so far.
     rest: Vec<u8>,
     /// Chunks that the server may still send.
@@ -49,25 +54,17 @@ pub struct Connection {
 impl Connection {
     /// Connects, sends Hello and the maximal credit, and waits for the Welcome.
     pub async fn connect(address: SocketAddr) -> Result<Self> {
-        Self::over(open(address).await?, address).await
+        Self::over(Either::Left(open(address).await?), address).await
     }
 
     /// As [`Connection::connect`], from an address of this machine.
     pub async fn connect_from(source: IpAddr, address: SocketAddr) -> Result<Self> {
-        let socket = TcpSocket::new_v4()?;
-        socket.bind((source, 0).into()).with_context(|| format!("cannot bind {source}"))?;
-        let stream = socket.connect(address).await;
-        Self::over(stream.with_context(|| format!("cannot connect from {source}"))?, address).await
+        Self::over(Either::Left(open_from(source, address, None).await?), address).await
     }
 
-    async fn over(mut stream: TcpStream, address: SocketAddr) -> Result<Self> {
-        stream.set_nodelay(true)?;
-        let request = format!(
-            "GET /v1/stream HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
-             Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
-             Sec-WebSocket-Protocol: {SUBPROTOCOL}\r\n\r\n"
-        );
-        stream.write_all(request.as_bytes()).await?;
+    /// As [`Connection::connect`], over an open stream.
+    pub async fn over(mut stream: Transport, address: SocketAddr) -> Result<Self> {
+        stream.write_all(upgrade(address).as_bytes()).await?;
         let mut connection = Self { stream, rest: Vec::new(), credits: MAX_CREDITS, next_request: 0 };
         let head = loop {
             connection.read().await?;
@@ -79,9 +76,7 @@ impl Connection {
             let head = String::from_utf8_lossy(&head);
             bail!("expected an upgrade from the server, got {}", head.lines().next().unwrap_or_default());
         }
-        let hello = Hello { digest: None, delivery: Delivery::Exact, token: None, software: SOFTWARE.into() };
-        let credit = ClientMessage::Credit { chunks: MAX_CREDITS };
-        connection.send(&[ClientMessage::Hello(hello), credit]).await?;
+        connection.send(&[hello(), ClientMessage::Credit { chunks: MAX_CREDITS }]).await?;
         let mut welcomed = false;
         while !welcomed {
             let note = |received: Received<'_>| {
@@ -137,6 +132,11 @@ impl Connection {
         Ok(())
     }
 
+    /// The stream below, for clients that do not go on with the protocol.
+    pub fn into_stream(self) -> Transport {
+        self.stream
+    }
+
     async fn read(&mut self) -> Result<()> {
         // Pages of the buffer that nothing is read into take no memory.
         self.rest.reserve(READ_BUFFER);
@@ -154,7 +154,7 @@ impl Connection {
     /// Sends messages and drops everything that arrives in between, so that neither end blocks.
     pub async fn send_while_reading(&mut self, messages: &[ClientMessage]) -> Result<()> {
         let bytes = frames(messages)?;
-        let (mut reader, mut writer) = self.stream.split();
+        let (mut reader, mut writer) = tokio::io::split(&mut self.stream);
         let mut dropped = vec![0; READ_BUFFER];
         let drop_all = async {
             while reader.read(&mut dropped).await? > 0 {}
@@ -167,8 +167,48 @@ impl Connection {
     }
 }
 
-async fn open(address: SocketAddr) -> Result<TcpStream> {
-    TcpStream::connect(address).await.with_context(|| format!("cannot connect to {address}"))
+/// An open socket without Nagle's algorithm.
+pub async fn open(address: SocketAddr) -> Result<TcpStream> {
+    let stream = TcpStream::connect(address).await.with_context(|| format!("cannot connect to {address}"))?;
+    stream.set_nodelay(true)?;
+    Ok(stream)
+}
+
+/// As [`open`], from an address of this machine, with a receive buffer of so many bytes if given.
+pub async fn open_from(source: IpAddr, address: SocketAddr, receive: Option<u32>) -> Result<TcpStream> {
+    let socket = TcpSocket::new_v4()?;
+    receive.map_or(Ok(()), |bytes| socket.set_recv_buffer_size(bytes))?;
+    socket.bind((source, 0).into()).with_context(|| format!("cannot bind {source}"))?;
+    let stream = socket.connect(address).await;
+    let stream = stream.with_context(|| format!("cannot connect from {source} to {address}"))?;
+    stream.set_nodelay(true)?;
+    Ok(stream)
+}
+
+/// Address number `index`, below 65,536, of the loopback network, so that clients of one machine
+/// count as different ones. 127.0.0.1, that of [`Connection::connect`], is none of them.
+pub fn loopback(index: usize) -> IpAddr {
+    let [high, low] = (index as u16).to_be_bytes();
+    Ipv4Addr::new(127, 1, high, low).into()
+}
+
+/// The request that opens a session.
+pub fn upgrade(address: SocketAddr) -> String {
+    format!(
+        "GET /v1/stream HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+         Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
+         Sec-WebSocket-Protocol: {SUBPROTOCOL}\r\n\r\n"
+    )
+}
+
+/// The first message of a session.
+pub fn hello() -> ClientMessage {
+    ClientMessage::Hello(Hello {
+        digest: None,
+        delivery: Delivery::Exact,
+        token: None,
+        software: SOFTWARE.into(),
+    })
 }
 
 /// Opcode, begin and end of the first frame's payload; none if the frame is incomplete.
@@ -187,7 +227,7 @@ fn next_frame(bytes: &[u8]) -> Result<Option<(u8, usize, usize)>> {
 }
 
 /// Messages as frames. Masks are zero: they protect proxies, not servers.
-fn frames(messages: &[ClientMessage]) -> Result<Vec<u8>> {
+pub fn frames(messages: &[ClientMessage]) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     for message in messages {
         let payload = control::encode(message)?;

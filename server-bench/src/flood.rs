@@ -6,17 +6,17 @@
 //! stop on SIGTERM.
 
 use crate::Plan;
-use crate::connection::{Connection, Received, get};
+use crate::connection::{Connection, get};
 use crate::keys::{WORLD_SEED, land_keys};
+use crate::polite::polite;
 use crate::rounds::{Rounds, quantile_ms};
 use crate::server_process::{ServerProcess, series};
 use anyhow::{Context, Result};
 use bars::Bar;
 use bars::figures::{at, least, list, worst};
 use protocol::limits::{MAX_KEYS, MAX_VIEW_ESTIMATE, MAX_VIEWPORT};
-use protocol::message::{ClientMessage, ServerMessage, WireKey};
+use protocol::message::{ClientMessage, WireKey};
 use protocol::view::View;
-use rustc_hash::FxHashMap;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -30,8 +30,10 @@ const SESSIONS: [usize; 3] = [4, 8, 32];
 /// Views a second of a session with a fixed rate.
 const RATE: u32 = 60;
 
-/// Time between two requests of the polite client, and between two probes.
+/// Time between two requests of the polite client.
 const POLITE_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Time between two probes.
 const PROBE_INTERVAL: Duration = Duration::from_millis(100);
 
 /// A probe without an answer for so long counts as lost, with this latency.
@@ -39,9 +41,6 @@ const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Chunks that a teleporting session holds.
 const HELD: i32 = 4096;
-
-/// The polite client waits so long after the end for chunks that it requested.
-const GRACE: Duration = Duration::from_secs(2);
 
 /// What the flooding sessions send.
 #[derive(Clone, Copy, Debug)]
@@ -131,7 +130,7 @@ async fn scenario(
     let mut server = ServerProcess::start(&plan.launch, &[])?;
     let (first, second) = keys.split_at(keys.len() / 2);
     let length = Duration::from_secs(plan.seconds);
-    let alone = polite(server.address, first.to_vec(), Instant::now() + length).await?;
+    let alone = polite(server.address, first.to_vec(), POLITE_INTERVAL, Instant::now() + length).await?;
 
     let end = Instant::now() + length;
     // On a thread of its own, so that it does not delay the measured clients. It continues until
@@ -140,8 +139,10 @@ async fn scenario(
     for _ in 0..sessions {
         flooders.spawn(flood(server.address, kind, rate));
     }
-    let (probes, beside) =
-        tokio::try_join!(probe(server.address, end), polite(server.address, second.to_vec(), end))?;
+    let (probes, beside) = tokio::try_join!(
+        probe(server.address, end),
+        polite(server.address, second.to_vec(), POLITE_INTERVAL, end)
+    )?;
     let view_seconds = tokio::time::timeout(PROBE_TIMEOUT, server.metric(series::VIEW_SECONDS)).await;
     let stopped = server.process.stop(Duration::from_secs(30)).await?;
     flooders.shutdown_background();
@@ -152,9 +153,9 @@ async fn scenario(
     rounds.push("probe_worst_ms", quantile_ms(probes, 1.0));
     rounds.push("polite_chunks_share", beside.chunks as f64 / alone.chunks as f64);
     rounds.push("polite_refused", beside.refused as f64);
-    rounds.push("polite_p99_alone_ms", alone.p99_ms);
-    rounds.push("polite_p99_ms", beside.p99_ms);
-    rounds.push("polite_p99_ratio", beside.p99_ms / alone.p99_ms);
+    rounds.push("polite_p99_alone_ms", alone.p99_ms());
+    rounds.push("polite_p99_ms", beside.p99_ms());
+    rounds.push("polite_p99_ratio", beside.p99_ms() / alone.p99_ms());
     rounds.push("view_seconds", view_seconds.ok().and_then(Result::ok));
     rounds.push("stop_s", stopped.map(|time| time.as_secs_f64()));
     Ok(())
@@ -170,51 +171,6 @@ pub async fn slowest_probe_ms(server: &ServerProcess, sessions: usize, length: D
     let probes = probe(server.address, Instant::now() + length).await?;
     flooders.shutdown_background();
     quantile_ms(probes, 1.0).context("no probe was sent")
-}
-
-struct Polite {
-    chunks: usize,
-    refused: usize,
-    /// Of all requests; one without a chunk counts with the time until the client gave up.
-    p99_ms: f64,
-}
-
-/// Requests one chunk at a time, at a fixed rate.
-async fn polite(address: SocketAddr, keys: Vec<ChunkKey>, end: Instant) -> Result<Polite> {
-    let Ok(connected) = tokio::time::timeout_at(end.into(), Connection::connect(address)).await else {
-        return Ok(Polite { chunks: 0, refused: 0, p99_ms: f64::INFINITY });
-    };
-    let (mut connection, mut keys) = (connected?, keys.into_iter());
-    let mut open: FxHashMap<ChunkKey, Instant> = FxHashMap::default();
-    let (mut latencies, mut refused) = (Vec::new(), 0);
-    let mut ticks = tokio::time::interval(POLITE_INTERVAL);
-    loop {
-        let now = Instant::now();
-        if now >= end + GRACE || (now >= end && open.is_empty()) {
-            break;
-        }
-        let due = tokio::select! {
-            _ = ticks.tick() => true,
-            received = connection.receive(|received| match received {
-                Received::Message(ServerMessage::Refused(_)) => refused += 1,
-                received => {
-                    let sent = received.key().and_then(|key| open.remove(&key));
-                    latencies.extend(sent.map(|sent| sent.elapsed()));
-                }
-            }) => {
-                received?;
-                false
-            }
-        };
-        if due && Instant::now() < end {
-            let key = keys.next().context("the run is too long for the list of keys")?;
-            open.insert(key, Instant::now());
-            connection.request([key], false).await?;
-        }
-    }
-    let chunks = latencies.len();
-    latencies.extend(open.values().map(Instant::elapsed));
-    Ok(Polite { chunks, refused, p99_ms: quantile_ms(latencies, 0.99).unwrap_or(f64::NAN) })
 }
 
 /// Probes over new connections. Returns the latency of each, [`PROBE_TIMEOUT`] without an answer.

@@ -8,21 +8,28 @@
 #![forbid(unsafe_code)]
 
 mod cached;
+mod cgroup;
 mod clients;
 mod cold;
 mod connection;
 mod fair;
 mod flood;
+mod half_open;
+mod hang_ups;
 mod http;
 mod idle;
 mod keys;
 mod mechanism;
 mod mechanisms;
+mod memory_cap;
 mod nginx;
 mod overload;
+mod polite;
 mod rounds;
 mod server_process;
 mod stampede;
+mod tls;
+mod unread;
 mod wrk;
 
 use anyhow::{Context, Result, bail};
@@ -76,6 +83,16 @@ enum Bench {
     Fair,
     /// Sessions that send views without pause, beside a polite client and a liveness probe
     Flood,
+    /// 1,000 clients that never read, beside healthy ones
+    Unread,
+    /// 100,000 clients that connect, ask and hang up
+    HangUps,
+    /// 5,000 sockets that send nothing or a byte a second, beside new good clients
+    HalfOpen,
+    /// 200 clients and a hard limit of memory, 60 times as long as --seconds; needs root
+    MemoryCap,
+    /// Cached chunks over TLS and over plain TCP; needs openssl
+    Tls,
     /// Requests at up to five times the server's capacity, and the time until it recovers
     Overload,
     /// Each mechanism against overload alone: a load that needs it, with it and without it in turn
@@ -155,6 +172,11 @@ async fn measure(bench: Bench, plan: &Plan) -> Result<(Value, Vec<Bar>, Vec<Stri
         Bench::Idle => (idle::run(plan).await?, (idle::bars, |_| Vec::new())),
         Bench::Fair => (fair::run(plan).await?, (fair::bars, fair::notes)),
         Bench::Flood => (flood::run(plan).await?, (flood::bars, |_| Vec::new())),
+        Bench::Unread => (unread::run(plan).await?, (unread::bars, unread::notes)),
+        Bench::HangUps => (hang_ups::run(plan).await?, (hang_ups::bars, hang_ups::notes)),
+        Bench::HalfOpen => (half_open::run(plan).await?, (half_open::bars, half_open::notes)),
+        Bench::MemoryCap => (memory_cap::run(plan).await?, (memory_cap::bars, memory_cap::notes)),
+        Bench::Tls => (tls::run(plan).await?, (tls::bars, tls::notes)),
         Bench::Overload => (overload::run(plan).await?, (overload::bars, overload::notes)),
         Bench::Mechanisms => (mechanisms::run(plan).await?, (mechanisms::bars, mechanisms::notes)),
     };

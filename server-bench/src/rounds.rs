@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// The figures of several rounds by name.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Rounds(BTreeMap<&'static str, Vec<Option<f64>>>);
 
 impl Rounds {

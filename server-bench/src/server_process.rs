@@ -5,10 +5,13 @@ use crate::connection::{self, Connection};
 use crate::mechanism::Mechanism;
 use anyhow::{Context, Result, anyhow, bail};
 use std::env::consts::EXE_SUFFIX;
-use std::io::{BufRead, BufReader};
+use std::ffi::OsString;
+use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 /// Clock ticks a second in `/proc`: a constant of Linux's user-space interface (proc(5),
@@ -27,6 +30,10 @@ pub mod series {
     pub const CACHE_HITS: &str = "tombolo_frame_requests_total{outcome=\"cache_hit\"}";
     /// Open sessions.
     pub const SESSIONS: &str = "tombolo_sessions";
+    /// Open connections that are no sessions; one of them asks for the metrics.
+    pub const CONNECTIONS: &str = "tombolo_connections";
+    /// Generation jobs queued or running.
+    pub const PENDING_JOBS: &str = "tombolo_generation_pending_jobs";
     /// CPU seconds spent on selecting views.
     pub const VIEW_SECONDS: &str = "tombolo_view_selection_busy_seconds_total";
 }
@@ -44,14 +51,26 @@ pub struct Launch {
     /// Turn a mechanism against overload off; `mechanisms` then measures this one alone
     #[arg(long, value_name = "NAME", value_enum)]
     pub without: Option<Mechanism>,
+    /// The control group that the program joins before it starts.
+    #[arg(skip)]
+    pub cgroup: Option<PathBuf>,
 }
 
 impl Launch {
     /// A command that runs a program on those processors.
     pub fn command(&self, program: &Path) -> Command {
-        let Some(cpus) = &self.cpus else { return Command::new(program) };
-        let mut command = Command::new("taskset");
-        command.arg("-c").arg(cpus).arg(program);
+        let mut words: Vec<OsString> = Vec::new();
+        if let Some(cgroup) = &self.cgroup {
+            // The shell joins and then becomes the program, so that its first page counts.
+            words.extend(["sh", "-c", "echo $$ > \"$0\" && exec \"$@\""].map(OsString::from));
+            words.push(cgroup.join("cgroup.procs").into());
+        }
+        if let Some(cpus) = &self.cpus {
+            words.extend(["taskset".into(), "-c".into(), cpus.into()]);
+        }
+        words.push(program.into());
+        let mut command = Command::new(&words[0]);
+        command.args(&words[1..]);
         command
     }
 
@@ -88,10 +107,29 @@ impl ChildProcess {
 
     /// Resident memory, bytes.
     pub fn rss_bytes(&self) -> Result<u64> {
+        Ok(self.status("VmRSS:")? * 1024)
+    }
+
+    /// The most resident memory so far, bytes.
+    pub fn peak_rss_bytes(&self) -> Result<u64> {
+        Ok(self.status("VmHWM:")? * 1024)
+    }
+
+    /// Threads.
+    pub fn threads(&self) -> Result<u64> {
+        self.status("Threads:")
+    }
+
+    /// Whether it has not ended.
+    pub fn is_running(&mut self) -> bool {
+        matches!(self.0.try_wait(), Ok(None))
+    }
+
+    /// A number of `/proc/PID/status`, in the unit of that file.
+    fn status(&self, name: &str) -> Result<u64> {
         let status = self.proc("status")?;
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("no VmRSS")?;
-        let kib: u64 = line.trim().trim_end_matches(" kB").parse().context("VmRSS")?;
-        Ok(kib * 1024)
+        let line = status.lines().find_map(|line| line.strip_prefix(name)).context(name.to_owned())?;
+        line.trim().trim_end_matches(" kB").parse().context(name.to_owned())
     }
 
     /// Sends SIGTERM and waits for the end. Returns the time that it took; none if that is more
@@ -124,6 +162,7 @@ pub struct ServerProcess {
     pub address: SocketAddr,
     /// Its process.
     pub process: ChildProcess,
+    panics: Arc<AtomicU32>,
 }
 
 impl ServerProcess {
@@ -137,16 +176,24 @@ impl ServerProcess {
             .command(&program)
             .args(last_values(&[&defaults, without, options].concat()))
             .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
             .spawn()
             .with_context(|| format!("cannot start {}; name it with --server", program.display()))?;
         let out = child.stdout.take().ok_or_else(|| anyhow!("the server has no standard output"))?;
+        let panics = Arc::default();
+        forward_errors(child.stderr.take(), Arc::clone(&panics));
         let process = ChildProcess(child);
         let mut line = String::new();
         BufReader::new(out).read_line(&mut line).context("cannot read the server's first line")?;
-        let Some(address) = line.trim().strip_prefix("listening on http://") else {
+        let Some((_, address)) = line.trim().split_once("://") else {
             bail!("expected `listening on http://ADDRESS` from the server, got `{}`", line.trim());
         };
-        Ok(Self { address: address.parse().context("the server's address")?, process })
+        Ok(Self { address: address.parse().context("the server's address")?, process, panics })
+    }
+
+    /// Panics of its threads and tasks so far, as far as it has printed them.
+    pub fn panics(&self) -> u32 {
+        self.panics.load(Ordering::Relaxed)
     }
 
     /// So many clients, one after the other.
@@ -165,6 +212,17 @@ impl ServerProcess {
             .find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse().ok())
             .with_context(|| format!("the server has no metric {name}"))
     }
+}
+
+/// Prints what the server prints and counts its panics, on a thread that ends with the server.
+fn forward_errors(from: Option<impl Read + Send + 'static>, panics: Arc<AtomicU32>) {
+    let Some(from) = from else { return };
+    std::thread::spawn(move || {
+        for line in BufReader::new(from).lines().map_while(Result::ok) {
+            panics.fetch_add(u32::from(line.contains("panicked at")), Ordering::Relaxed);
+            eprintln!("{line}");
+        }
+    });
 }
 
 /// Pairs of an option and its value, of each option the last one: a program takes it only once.

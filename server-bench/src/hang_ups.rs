@@ -1,0 +1,164 @@
+//! Clients that connect, ask and hang up, over and over: nothing of them may remain.
+
+use crate::Plan;
+use crate::connection::{Connection, frames, hello, loopback, open_from, upgrade};
+use crate::keys::{WORLD_SEED, land_keys};
+use crate::server_process::{ServerProcess, series};
+use anyhow::{Context, Result};
+use bars::Bar;
+use bars::figures::at;
+use serde_json::{Value, json};
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+use terrain::{ChunkKey, Land};
+use tokio::io::AsyncWriteExt;
+use tokio_util::either::Either;
+
+/// Cycles, and of these the ones before the first look at the memory: caches and buffers of the
+/// allocator are full by then.
+const CYCLES: usize = 100_000;
+const WARM_UP: usize = 20_000;
+
+/// Clients at once, each from an address of its own.
+const CLIENTS: usize = 32;
+
+/// Chunks that are requested before the client hangs up, of so many in all.
+const REQUESTED: usize = 16;
+const CHUNKS: usize = 512;
+
+/// Time for the server to notice the last ones.
+const SETTLE: Duration = Duration::from_secs(3);
+
+/// Where a client hangs up.
+#[derive(Clone, Copy, Debug)]
+enum Moment {
+    /// After it has connected.
+    Connected,
+    /// In the request of the upgrade.
+    InRequest,
+    /// After the request of the upgrade, without its answer.
+    Requested,
+    /// After it has requested chunks.
+    Asked,
+    /// In a frame.
+    InFrame,
+}
+
+impl Moment {
+    const ALL: [Self; 5] = [Self::Connected, Self::InRequest, Self::Requested, Self::Asked, Self::InFrame];
+}
+
+/// Runs the benchmark once: its figures are counts and memory.
+pub async fn run(plan: &Plan) -> Result<Value> {
+    let keys: Arc<[ChunkKey]> = land_keys(&Land::new(WORLD_SEED), 0, CHUNKS).into();
+    let mut server = ServerProcess::start(&plan.launch, &[])?;
+    let mut failed = cycles(server.address, &keys, 0..WARM_UP).await?;
+    tokio::time::sleep(SETTLE).await;
+    let before = (server.process.rss_bytes()?, server.process.threads()?);
+    failed += cycles(server.address, &keys, WARM_UP..CYCLES).await?;
+    tokio::time::sleep(SETTLE).await;
+    let after = (server.process.rss_bytes()?, server.process.threads()?);
+    let sessions = server.metric(series::SESSIONS).await?;
+    let jobs = server.metric(series::PENDING_JOBS).await?;
+    // Without the connection that asks.
+    let connections = server.metric(series::CONNECTIONS).await? - 1.0;
+    let is_running = server.process.is_running();
+    Ok(json!({
+        "cycles": CYCLES,
+        "failed_cycles": failed,
+        "rss_before_mib": before.0 as f64 / 1_048_576.0,
+        "rss_after_mib": after.0 as f64 / 1_048_576.0,
+        "rss_ratio": after.0 as f64 / before.0 as f64,
+        "leaked": sessions + jobs + connections + after.1.saturating_sub(before.1) as f64,
+        "panics": is_running.then(|| server.panics()),
+    }))
+}
+
+/// Runs these cycles on all clients; how many could not connect.
+async fn cycles(address: SocketAddr, keys: &Arc<[ChunkKey]>, range: std::ops::Range<usize>) -> Result<usize> {
+    let next = Arc::new(AtomicUsize::new(range.start));
+    let clients = (0..CLIENTS).map(|client| {
+        let (next, keys, end) = (Arc::clone(&next), Arc::clone(keys), range.end);
+        tokio::spawn(async move {
+            let mut failed = 0;
+            loop {
+                let number = next.fetch_add(1, Ordering::Relaxed);
+                if number >= end {
+                    return failed;
+                }
+                failed += usize::from(cycle(address, client, number, &keys).await.is_err());
+            }
+        })
+    });
+    let mut failed = 0;
+    for client in clients.collect::<Vec<_>>() {
+        failed += client.await.context("a client failed")?;
+    }
+    Ok(failed)
+}
+
+/// One cycle. Every second one ends with a reset, the others with an end of the stream.
+async fn cycle(address: SocketAddr, client: usize, number: usize, keys: &[ChunkKey]) -> Result<()> {
+    // Many addresses, because each has only so many ports for connections that have just ended.
+    let source = loopback(client * 64 + number / CLIENTS % 64);
+    let mut stream = open_from(source, address, None).await?;
+    if number % 2 == 1 {
+        stream.set_zero_linger()?;
+    }
+    let request = upgrade(address);
+    match Moment::ALL[number / 2 % Moment::ALL.len()] {
+        Moment::Connected => {}
+        Moment::InRequest => stream.write_all(&request.as_bytes()[..request.len() / 2]).await?,
+        Moment::Requested => stream.write_all(request.as_bytes()).await?,
+        Moment::Asked => {
+            let mut connection = Connection::over(Either::Left(stream), address).await?;
+            let asked = (0..REQUESTED).map(|offset| keys[(number * 7 + offset) % keys.len()]);
+            connection.request(asked, true).await?;
+        }
+        Moment::InFrame => {
+            let frame = frames(&[hello()])?;
+            let connection = Connection::over(Either::Left(stream), address).await?;
+            connection.into_stream().write_all(&frame[..frame.len() / 2]).await?;
+        }
+    }
+    Ok(())
+}
+
+/// The bars of this benchmark.
+pub fn bars(figures: &Value) -> Vec<Bar> {
+    // Figures count only if the clients reached the server.
+    let reached = at(figures, "failed_cycles").is_some_and(|failed| failed <= 0.001 * CYCLES as f64);
+    let of = |path| at(figures, path).filter(|_| reached);
+    vec![
+        Bar::none("100,000 clients that hang up: panics", of("panics")),
+        Bar::none("the same: sessions, connections, jobs and threads left", of("leaked")),
+        Bar::at_most("the same: memory at the end over after 20,000", of("rss_ratio"), "x", 1.05).with_note(
+            "resident; they hang up after the connect, in and after the request of the upgrade, after the \
+             request of 16 chunks, and in a frame; half of them with a reset",
+        ),
+    ]
+}
+
+/// Further figures in sentences.
+pub fn notes(figures: &Value) -> Vec<String> {
+    let line = "Clients that hang up: {rss_before_mib:.1} MiB after 20,000 cycles, {rss_after_mib:.1} MiB after \
+                {cycles:.0}; {failed_cycles:.0} could not connect.";
+    vec![bars::figures::fill(line, figures)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_bars::{check, missed};
+
+    #[test]
+    fn each_bar_can_be_missed() {
+        let good = json!({ "panics": 0, "leaked": 0, "rss_ratio": 1.01, "failed_cycles": 3 });
+        check(bars, &good, &[("/panics", json!(1)), ("/leaked", json!(1)), ("/rss_ratio", json!(1.06))]);
+        let mut unreached = good;
+        unreached["failed_cycles"] = json!(500);
+        assert_eq!(missed(bars, &unreached), 3, "clients that do not connect show nothing");
+    }
+}

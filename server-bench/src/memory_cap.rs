@@ -1,0 +1,246 @@
+//! A server with a hard limit of memory, far more clients than it can serve, and then few again.
+
+use crate::Plan;
+use crate::cgroup::Cgroup;
+use crate::clients::{Event, Totals, Window, closed_loop, rotated};
+use crate::connection::{Connection, Received, loopback, open_from};
+use crate::keys::{WORLD_SEED, land_keys};
+use crate::polite;
+use crate::server_process::{Launch, ServerProcess};
+use anyhow::{Context, Result};
+use bars::Bar;
+use bars::figures::at;
+use protocol::limits::MAX_CREDITS;
+use serde_json::{Value, json};
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use terrain::{ChunkKey, Land};
+use tokio::runtime::Builder;
+use tokio_util::either::Either;
+
+/// The limit, bytes.
+const LIMIT: u64 = 512 * 1024 * 1024;
+
+/// The limit of the control, under which a server of the same settings must be killed.
+const CONTROL_LIMIT: u64 = 48 * 1024 * 1024;
+
+/// Clients. Every fourth one does not read; the others request chunks, each from an own region.
+const CLIENTS: usize = 200;
+const UNREAD: usize = 4;
+
+/// Requests outstanding of a client that reads.
+const WINDOW: usize = 256;
+
+/// The receive buffer of a client that does not, bytes.
+const RECEIVE_BUFFER: u32 = 4096;
+
+/// Times as long as other benchmarks: of 10 minutes with `--seconds 10`.
+const LENGTH: u32 = 60;
+
+/// Polite clients before and after, the time between two requests, and the length.
+const POLITE: usize = 4;
+const INTERVAL: Duration = Duration::from_millis(20);
+const POLITE_LENGTH: Duration = Duration::from_secs(5);
+
+/// Time for the server to end its sessions.
+const SETTLE: Duration = Duration::from_secs(15);
+
+/// Different chunks: several times what the cache holds.
+const CHUNKS: usize = 128 * 1024;
+
+/// Runs the benchmark once, and its control.
+pub async fn run(plan: &Plan) -> Result<Value> {
+    let length = Duration::from_secs(plan.seconds) * LENGTH;
+    let land = Land::new(WORLD_SEED);
+    let keys: Arc<[ChunkKey]> = land_keys(&land, 0, CHUNKS).into();
+    let limited = under(plan, LIMIT, &keys, length).await?;
+    let control = under(plan, CONTROL_LIMIT, &keys, POLITE_LENGTH * 2).await?;
+    Ok(json!({
+        "clients": CLIENTS,
+        "seconds": length.as_secs(),
+        "limit_mib": LIMIT / 1_048_576,
+        "limited": limited,
+        "control_limit_mib": CONTROL_LIMIT / 1_048_576,
+        "control": control,
+    }))
+}
+
+/// The load under a limit. A server that was killed gives what the control group says alone.
+async fn under(plan: &Plan, limit: u64, keys: &Arc<[ChunkKey]>, length: Duration) -> Result<Value> {
+    let group = Cgroup::new(limit)?;
+    let launch = Launch { cgroup: Some(group.folder().into()), ..plan.launch.clone() };
+    let mut outcome = json!({});
+    {
+        let Ok(mut server) = ServerProcess::start(&launch, &[]) else {
+            return Ok(json!({ "killed": group.killed()?, "is_running": false }));
+        };
+        if let Ok(Value::Object(measured)) = load(&server, keys, length).await {
+            outcome = Value::Object(measured);
+        }
+        outcome["is_running"] = json!(server.process.is_running());
+        outcome["panics"] = json!(server.panics());
+    }
+    outcome["killed"] = json!(group.killed()?);
+    outcome["peak_mib"] = json!(group.peak_bytes()? as f64 / 1_048_576.0);
+    Ok(outcome)
+}
+
+async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>, length: Duration) -> Result<Value> {
+    let (for_before, rest) = keys.split_at(2048);
+    let (for_after, requested) = rest.split_at(2048);
+    let polite = |keys, end| polite::several(server.address, keys, POLITE, INTERVAL, end);
+    let before = polite(for_before, Instant::now() + POLITE_LENGTH).await?;
+
+    let end = Instant::now() + length;
+    let clients = Builder::new_multi_thread().worker_threads(1).enable_all().build().context("no thread")?;
+    let requested: Arc<[ChunkKey]> = requested.into();
+    let address = server.address;
+    let running: Vec<_> = (0..CLIENTS)
+        .map(|index| {
+            let keys = rotated(&requested, index, CLIENTS);
+            clients.spawn(async move {
+                let mut all = Totals::default();
+                // The server ends sessions that do not read; each comes again.
+                while Instant::now() < end {
+                    let totals = if index % UNREAD == 0 {
+                        let until = Instant::now() + SETTLE;
+                        unread(index, address, &keys, until.min(end)).await
+                    } else {
+                        read(index, address, keys.iter().copied().cycle(), end).await
+                    };
+                    match totals {
+                        Ok(totals) => {
+                            all.chunks += totals.chunks;
+                            all.refused += totals.refused;
+                        }
+                        Err(_) => tokio::time::sleep(Duration::from_millis(200)).await,
+                    }
+                }
+                all
+            })
+        })
+        .collect();
+    let mut all = Totals::default();
+    for client in running {
+        let totals = client.await.context("a client failed")?;
+        all.chunks += totals.chunks;
+        all.refused += totals.refused;
+    }
+    clients.shutdown_background();
+    tokio::time::sleep(SETTLE).await;
+    let after = polite(for_after, Instant::now() + POLITE_LENGTH).await?;
+    Ok(json!({
+        "chunks": all.chunks,
+        "refused": all.refused,
+        "p99_before_ms": before.p99_ms(),
+        "p99_after_ms": after.p99_ms(),
+        "refused_after": after.refused,
+        "chunks_share_after": after.chunks as f64 / before.chunks as f64,
+    }))
+}
+
+async fn connect(index: usize, address: SocketAddr, receive: Option<u32>) -> Result<Connection> {
+    Connection::over(Either::Left(open_from(loopback(index), address, receive).await?), address).await
+}
+
+/// A closed loop of requests.
+async fn read(
+    index: usize,
+    address: SocketAddr,
+    keys: impl Iterator<Item = ChunkKey>,
+    end: Instant,
+) -> Result<Totals> {
+    let mut connection = connect(index, address, None).await?;
+    let mut refused = 0;
+    let note = |event: Event<'_>| {
+        refused += u64::from(matches!(event, Event::Received(Received::Message(_))));
+    };
+    let mut totals = closed_loop(&mut connection, keys, Window::Halves(WINDOW), Some(end), note).await?;
+    totals.refused = refused;
+    Ok(totals)
+}
+
+/// Requests all that it may, and reads nothing.
+async fn unread(index: usize, address: SocketAddr, keys: &[ChunkKey], until: Instant) -> Result<Totals> {
+    let mut connection = connect(index, address, Some(RECEIVE_BUFFER)).await?;
+    let request = async {
+        for keys in keys[..MAX_CREDITS as usize].chunks(WINDOW) {
+            connection.request(keys.iter().copied(), true).await?;
+        }
+        std::future::pending::<Result<()>>().await
+    };
+    match tokio::time::timeout_at(until.into(), request).await {
+        Ok(ended) => ended.map(|()| Totals::default()),
+        Err(_) => Ok(Totals::default()),
+    }
+}
+
+/// The bars of this benchmark.
+pub fn bars(figures: &Value) -> Vec<Bar> {
+    let was_long = at(figures, "seconds").is_some_and(|seconds| seconds >= 600.0);
+    let of = |path| at(figures, path).filter(|_| was_long);
+    let is_running = figures.pointer("/limited/is_running").and_then(Value::as_bool) == Some(true);
+    vec![
+        Bar::none(
+            "512 MiB and 200 clients, 10 min: processes killed",
+            of("limited/killed").filter(|_| is_running),
+        )
+        .with_note(
+            "hard limit of a control group; 150 clients with 256 requests outstanding each, 50 that never \
+                 read; shorter runs have no figure",
+        ),
+        Bar::reported("the same: the most memory", of("limited/peak_mib"), "MiB"),
+        Bar::at_least("the same: refused requests", of("limited/refused"), "", 1.0),
+        Bar::none("the same: requests refused 15 s after it", of("limited/refused_after")),
+        Bar::at_least(
+            "the same: chunks of polite clients after over before",
+            of("limited/chunks_share_after"),
+            "",
+            0.95,
+        ),
+        Bar::at_least(
+            "the same with 48 MiB: processes killed (control)",
+            at(figures, "control/killed"),
+            "",
+            1.0,
+        ),
+    ]
+}
+
+/// Further figures in sentences.
+pub fn notes(figures: &Value) -> Vec<String> {
+    let line = "Limit of memory, {seconds:.0} s: {limited/chunks:.0} chunks, {limited/refused:.0} refused; polite \
+                p99 {limited/p99_before_ms:.1} ms before, {limited/p99_after_ms:.1} ms after.";
+    vec![bars::figures::fill(line, figures)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_bars::{check, missed};
+
+    #[test]
+    fn each_bar_can_be_missed() {
+        let good = json!({
+            "seconds": 600,
+            "limited": {
+                "is_running": true, "killed": 0, "peak_mib": 300.0, "refused": 1000, "refused_after": 0,
+                "chunks_share_after": 1.0,
+            },
+            "control": { "killed": 1 },
+        });
+        let bad = [
+            ("/limited/killed", json!(1)),
+            ("/limited/is_running", json!(false)),
+            ("/limited/refused", json!(0)),
+            ("/limited/refused_after", json!(2)),
+            ("/limited/chunks_share_after", json!(0.9)),
+            ("/control/killed", json!(0)),
+        ];
+        check(bars, &good, &bad);
+        let mut short = good;
+        short["seconds"] = json!(599);
+        assert_eq!(missed(bars, &short), 5, "a short run shows nothing");
+    }
+}

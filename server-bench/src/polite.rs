@@ -1,0 +1,93 @@
+//! A polite client: one chunk at a time, at a fixed rate, whatever the server does.
+
+use crate::connection::{Connection, Received};
+use crate::rounds::quantile_ms;
+use anyhow::{Context, Result};
+use protocol::message::ServerMessage;
+use rustc_hash::FxHashMap;
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+use terrain::ChunkKey;
+
+/// The client waits so long after the end for chunks that it requested.
+const GRACE: Duration = Duration::from_secs(2);
+
+/// What one or several polite clients received.
+#[derive(Clone, Debug)]
+pub struct Polite {
+    pub chunks: usize,
+    pub refused: usize,
+    /// Time of each request; one without a chunk counts with the time until the client gave up.
+    pub latencies: Vec<Duration>,
+}
+
+impl Polite {
+    /// The 99th percentile of all requests, milliseconds; not a number without requests.
+    pub fn p99_ms(&self) -> f64 {
+        quantile_ms(self.latencies.clone(), 0.99).unwrap_or(f64::NAN)
+    }
+}
+
+/// Requests chunks in the order of `keys`, one each `interval`, until `end`.
+pub async fn polite(
+    address: SocketAddr,
+    keys: Vec<ChunkKey>,
+    interval: Duration,
+    end: Instant,
+) -> Result<Polite> {
+    let Ok(connected) = tokio::time::timeout_at(end.into(), Connection::connect(address)).await else {
+        return Ok(Polite { chunks: 0, refused: 0, latencies: vec![Duration::MAX] });
+    };
+    let (mut connection, mut keys) = (connected?, keys.into_iter());
+    let mut open: FxHashMap<ChunkKey, Instant> = FxHashMap::default();
+    let (mut latencies, mut refused) = (Vec::new(), 0);
+    let mut ticks = tokio::time::interval(interval);
+    loop {
+        let now = Instant::now();
+        if now >= end + GRACE || (now >= end && open.is_empty()) {
+            break;
+        }
+        let due = tokio::select! {
+            _ = ticks.tick() => true,
+            received = connection.receive(|received| match received {
+                Received::Message(ServerMessage::Refused(_)) => refused += 1,
+                received => {
+                    let sent = received.key().and_then(|key| open.remove(&key));
+                    latencies.extend(sent.map(|sent| sent.elapsed()));
+                }
+            }) => {
+                received?;
+                false
+            }
+        };
+        if due && Instant::now() < end {
+            let key = keys.next().context("the run is too long for the list of keys")?;
+            open.insert(key, Instant::now());
+            connection.request([key], false).await?;
+        }
+    }
+    let chunks = latencies.len();
+    latencies.extend(open.values().map(Instant::elapsed));
+    Ok(Polite { chunks, refused, latencies })
+}
+
+/// Several polite clients at once, each with its own part of `keys`; what they received together.
+pub async fn several(
+    address: SocketAddr,
+    keys: &[ChunkKey],
+    count: usize,
+    interval: Duration,
+    end: Instant,
+) -> Result<Polite> {
+    let parts = keys.chunks(keys.len().div_ceil(count));
+    let clients: Vec<_> =
+        parts.map(|part| tokio::spawn(polite(address, part.to_vec(), interval, end))).collect();
+    let mut all = Polite { chunks: 0, refused: 0, latencies: Vec::new() };
+    for client in clients {
+        let one = client.await.context("a client failed")??;
+        all.chunks += one.chunks;
+        all.refused += one.refused;
+        all.latencies.extend(one.latencies);
+    }
+    Ok(all)
+}
