@@ -212,7 +212,7 @@ pub fn hello() -> ClientMessage {
 }
 
 /// Opcode, begin and end of the first frame's payload; none if the frame is incomplete.
-fn next_frame(bytes: &[u8]) -> Result<Option<(u8, usize, usize)>> {
+pub fn next_frame(bytes: &[u8]) -> Result<Option<(u8, usize, usize)>> {
     let [first, second, rest @ ..] = bytes else { return Ok(None) };
     let (start, length) = match second {
         126 => match rest.first_chunk() {

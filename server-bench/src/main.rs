@@ -14,6 +14,7 @@ mod cold;
 mod connection;
 mod fair;
 mod flood;
+mod garbage;
 mod half_open;
 mod hang_ups;
 mod http;
@@ -91,6 +92,8 @@ enum Bench {
     HalfOpen,
     /// 200 clients and a hard limit of memory, 60 times as long as --seconds; needs root
     MemoryCap,
+    /// A viewer whose server sends garbage, for --seconds; needs tombolo-view beside this program
+    Garbage,
     /// Cached chunks over TLS and over plain TCP; needs openssl
     Tls,
     /// Requests at up to five times the server's capacity, and the time until it recovers
@@ -176,6 +179,7 @@ async fn measure(bench: Bench, plan: &Plan) -> Result<(Value, Vec<Bar>, Vec<Stri
         Bench::HangUps => (hang_ups::run(plan).await?, (hang_ups::bars, hang_ups::notes)),
         Bench::HalfOpen => (half_open::run(plan).await?, (half_open::bars, half_open::notes)),
         Bench::MemoryCap => (memory_cap::run(plan).await?, (memory_cap::bars, memory_cap::notes)),
+        Bench::Garbage => (garbage::run(plan).await?, (garbage::bars, garbage::notes)),
         Bench::Tls => (tls::run(plan).await?, (tls::bars, tls::notes)),
         Bench::Overload => (overload::run(plan).await?, (overload::bars, overload::notes)),
         Bench::Mechanisms => (mechanisms::run(plan).await?, (mechanisms::bars, mechanisms::notes)),

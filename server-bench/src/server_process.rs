@@ -181,7 +181,7 @@ impl ServerProcess {
             .with_context(|| format!("cannot start {}; name it with --server", program.display()))?;
         let out = child.stdout.take().ok_or_else(|| anyhow!("the server has no standard output"))?;
         let panics = Arc::default();
-        forward_errors(child.stderr.take(), Arc::clone(&panics));
+        count_panics(child.stderr.take(), Arc::clone(&panics));
         let process = ChildProcess(child);
         let mut line = String::new();
         BufReader::new(out).read_line(&mut line).context("cannot read the server's first line")?;
@@ -214,8 +214,8 @@ impl ServerProcess {
     }
 }
 
-/// Prints what the server prints and counts its panics, on a thread that ends with the server.
-fn forward_errors(from: Option<impl Read + Send + 'static>, panics: Arc<AtomicU32>) {
+/// Prints what a program prints and counts its panics, on a thread that ends with the program.
+pub fn count_panics(from: Option<impl Read + Send + 'static>, panics: Arc<AtomicU32>) {
     let Some(from) = from else { return };
     std::thread::spawn(move || {
         for line in BufReader::new(from).lines().map_while(Result::ok) {

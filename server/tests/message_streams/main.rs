@@ -7,7 +7,7 @@
 //!     TOMBOLO_STREAM_MESSAGES=1000000 cargo test --release -p tombolo-server --test message_streams
 //!
 //! sends so many messages in all; then a turn may take 50 ms at most. `TOMBOLO_STREAM_SEED` chooses
-//! other streams.
+//! other streams, `TOMBOLO_STREAM_REPORT` a file for the figures and bars.
 //!
 //! | module | content |
 //! | --- | --- |
@@ -20,6 +20,7 @@ mod clients;
 mod messages;
 mod watchdog;
 
+use bars::Bar;
 use server::ServerConfig;
 use server::mechanism::Mechanism;
 use std::time::Duration;
@@ -32,6 +33,9 @@ const MESSAGES: u64 = 1600;
 
 /// Longest time of a turn in the long form.
 const LONGEST_TURN: Duration = Duration::from_millis(50);
+
+/// Messages of the bar.
+const REPORTED_MESSAGES: u64 = 1_000_000;
 
 /// How many times as long a turn of the server with a planted blocking handler is, at least.
 const CONTROL: u32 = 4;
@@ -53,18 +57,42 @@ fn longest_turn(config: ServerConfig, messages: u64, seed: u64) -> Duration {
     watched.stop()
 }
 
+/// Writes the figures of the long form where `TOMBOLO_STREAM_REPORT` says.
+fn report(messages: u64, longest: Duration, blocking: Duration) {
+    let Some(path) = std::env::var_os("TOMBOLO_STREAM_REPORT") else { return };
+    let ms = |time: Duration| time.as_secs_f64() * 1000.0;
+    let bar = ms(LONGEST_TURN);
+    // Fewer messages show less than the bar says.
+    let of_all = (messages >= REPORTED_MESSAGES).then(|| ms(longest));
+    let bars = [
+        Bar::at_most(
+            "10^6 valid messages, 16 sessions: longest turn of the accepting thread",
+            of_all,
+            "ms",
+            bar,
+        )
+        .with_note(
+            "processor time between two turns of a task on the thread of all connections; no session \
+                 ended",
+        ),
+        Bar::at_least("the same, views selected on that thread (control)", Some(ms(blocking)), "ms", bar),
+    ];
+    std::fs::write(path, serde_json::json!({ "bars": bars }).to_string()).expect("the report");
+}
+
 #[test]
 fn valid_streams_end_no_session_and_keep_no_task_waiting() {
     let (seed, long) = (number("TOMBOLO_STREAM_SEED").unwrap_or(1), number("TOMBOLO_STREAM_MESSAGES"));
     let longest = longest_turn(config(None), long.unwrap_or(MESSAGES), seed);
     println!("{} messages of {SESSIONS} sessions: longest turn {longest:?}", long.unwrap_or(MESSAGES));
-    if long.is_some() {
-        assert!(longest <= LONGEST_TURN, "{longest:?}, seed {seed}");
-        return;
-    }
     // The control, a handler that blocks: views are selected on the thread of the connections.
     let blocking = longest_turn(config(Some(Mechanism::ViewTurns)), MESSAGES, seed);
     println!("with a blocking handler: longest turn {blocking:?}");
+    if let Some(messages) = long {
+        report(messages, longest, blocking);
+        assert!(longest <= LONGEST_TURN, "{longest:?}, seed {seed}");
+        return;
+    }
     assert!(blocking >= CONTROL * longest, "{blocking:?} with a blocking handler, {longest:?} without");
 }
 

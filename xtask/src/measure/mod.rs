@@ -8,6 +8,7 @@ mod end_to_end;
 mod heightfield;
 mod land;
 mod record;
+mod resilience;
 mod run;
 mod runs;
 mod streaming;
@@ -42,7 +43,7 @@ macro_rules! by_lab {
     };
 }
 
-const MEASUREMENTS: [Measurement; 11] = [
+const MEASUREMENTS: [Measurement; 12] = [
     Measurement { name: "audit", programs: &[], rows: audit::rows },
     Measurement { name: "code", programs: &[], rows: code::rows },
     Measurement {
@@ -55,6 +56,11 @@ const MEASUREMENTS: [Measurement; 11] = [
         name: "streaming",
         programs: &["tombolo-lab", "tombolo-server", "tombolo-server-bench"],
         rows: streaming::rows,
+    },
+    Measurement {
+        name: "resilience",
+        programs: &["tombolo-server", "tombolo-server-bench", "tombolo-view"],
+        rows: resilience::rows,
     },
     Measurement { name: "land", programs: &["tombolo-lab"], rows: land::rows },
     Measurement {

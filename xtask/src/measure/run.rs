@@ -43,11 +43,20 @@ impl Run {
     /// # Errors
     /// The program cannot be started or was interrupted.
     pub fn report(&mut self, name: &str, mut command: Command, option: &str) -> Result<Value> {
+        let json = self.file(&format!("{name}.json"));
+        command.args((!option.is_empty()).then_some(option)).arg(json);
+        self.report_of(name, command)
+    }
+
+    /// As [`Run::report`], of a command that is already told to write to `self.file("NAME.json")`.
+    ///
+    /// # Errors
+    /// As [`Run::report`].
+    pub fn report_of(&mut self, name: &str, mut command: Command) -> Result<Value> {
         println!("measure: {name}");
         let json = self.file(&format!("{name}.json"));
         // A report of an earlier run must not pass for one of this.
         let _ = std::fs::remove_file(&json);
-        command.args((!option.is_empty()).then_some(option)).arg(&json);
         let shown = process::shown(&command);
         let ended = process::status(&mut command)?;
         if !ended.success() {

@@ -12,8 +12,7 @@ use bars::Bar;
 use std::process::Command;
 
 /// The benchmarks of `tombolo-server-bench`, in the order in which they run.
-const BENCHES: [&str; 9] =
-    ["cached", "http", "cold", "stampede", "idle", "fair", "overload", "mechanisms", "flood"];
+const BENCHES: [&str; 8] = ["cached", "http", "cold", "stampede", "idle", "fair", "overload", "mechanisms"];
 
 /// Rounds of each; figures are medians over them.
 const ROUNDS: &str = "5";
@@ -37,7 +36,7 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     let codec = run.lab("codec", &["codec", "--lerc", &lerc.to_string_lossy()])?;
     let mut rows = run.rows_of("codec", &codec);
     for bench in BENCHES {
-        let report = run.report(bench, server_bench(bench, last_core), "--json")?;
+        let report = run.report(bench, server_bench(bench, last_core, ROUNDS, SECONDS), "--json")?;
         rows.extend(run.rows_of(bench, &report));
     }
     let report = run.report("framing", framing(), "--json")?;
@@ -63,7 +62,7 @@ fn lerc(run: &mut Run) -> Result<()> {
 
 /// The last core, if there are several and `taskset` is installed: then the server has the first
 /// core for itself.
-fn separate_cores() -> Option<usize> {
+pub fn separate_cores() -> Option<usize> {
     let last = std::thread::available_parallelism().ok()?.get().checked_sub(1).filter(|last| *last > 0)?;
     let mut taskset = Command::new("taskset");
     taskset.arg("-V");
@@ -72,7 +71,7 @@ fn separate_cores() -> Option<usize> {
 
 /// A benchmark, with the server on the first core and the client on the others up to `last`, if
 /// given.
-fn server_bench(bench: &str, last: Option<usize>) -> Command {
+pub fn server_bench(bench: &str, last: Option<usize>, rounds: &str, seconds: &str) -> Command {
     let program = process::program("tombolo-server-bench");
     let mut command = match last {
         Some(last) => {
@@ -82,7 +81,7 @@ fn server_bench(bench: &str, last: Option<usize>) -> Command {
         }
         None => process::command(program),
     };
-    command.args([bench, "--rounds", ROUNDS, "--seconds", SECONDS]);
+    command.args([bench, "--rounds", rounds, "--seconds", seconds]);
     command
 }
 
@@ -94,13 +93,18 @@ fn framing() -> Command {
     command
 }
 
-/// The conditions of the run.
-fn how(has_separate_cores: bool) -> String {
-    let cores = if has_separate_cores {
+/// Which cores server and clients have.
+pub const fn cores(are_separate: bool) -> &'static str {
+    if are_separate {
         "the server on the first core, the client on the others"
     } else {
         "server and client on the same cores"
-    };
+    }
+}
+
+/// The conditions of the run.
+fn how(has_separate_cores: bool) -> String {
+    let cores = cores(has_separate_cores);
     format!(
         "`tombolo-server-bench NAME --rounds {ROUNDS} --seconds {SECONDS}`, {cores}; figures are medians \
          of the rounds, except counts and memory, which are measured once. `tombolo-lab codec` for the \

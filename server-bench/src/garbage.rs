@@ -1,0 +1,323 @@
+//! A viewer whose server sends garbage: a proxy in front of a real server spoils what passes.
+//!
+//! One viewer waits for its complete view the whole time, without a window. A view that is never
+//! complete keeps it connecting, decoding and storing.
+
+use crate::Plan;
+use crate::connection::{next_frame, open};
+use crate::server_process::{ChildProcess, ServerProcess, count_panics};
+use anyhow::{Context, Result};
+use bars::Bar;
+use bars::figures::at;
+use serde_json::{Value, json};
+use std::env::consts::EXE_SUFFIX;
+use std::net::SocketAddr;
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::runtime::Builder;
+
+/// Time between two looks at the memory.
+const SAMPLE_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Shortest run with a figure.
+const LEAST_SECONDS: u64 = 600;
+
+/// Sessions that a run must reach: fewer show little.
+const LEAST_SESSIONS: f64 = 100.0;
+
+/// Time that the viewer may take to give up after its own time limit.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// One byte of so many is spoilt where single bytes are.
+const SPOILT: u64 = 20_000;
+
+/// What the proxy does to a session; the next one gets the next kind.
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    /// Passes everything, so that the viewer holds chunks.
+    Nothing,
+    /// Changes single bytes of payloads.
+    PayloadBytes,
+    /// Replaces every fourth payload by random bytes of the same length.
+    RandomPayloads,
+    /// Repeats every payload, so that nobody requested the second.
+    Repeated,
+    /// Changes single bytes anywhere, lengths and opcodes included.
+    StreamBytes,
+    /// Random bytes after the answer to the upgrade.
+    RandomStream,
+    /// Random bytes in place of an answer.
+    NoHttp,
+    /// Ends the stream in a frame.
+    Cut,
+}
+
+impl Kind {
+    const ALL: [Self; 8] = [
+        Self::Nothing,
+        Self::PayloadBytes,
+        Self::RandomPayloads,
+        Self::Repeated,
+        Self::StreamBytes,
+        Self::RandomStream,
+        Self::NoHttp,
+        Self::Cut,
+    ];
+}
+
+/// Runs the viewer once, for `plan.seconds`.
+pub async fn run(plan: &Plan) -> Result<Value> {
+    let server = ServerProcess::start(&plan.launch, &[])?;
+    let (listener, sessions) = (TcpListener::bind("127.0.0.1:0").await?, Arc::new(AtomicUsize::new(0)));
+    let proxy = listener.local_addr()?;
+    let threads = Builder::new_multi_thread().worker_threads(1).enable_all().build().context("no thread")?;
+    threads.spawn(accept(listener, server.address, Arc::clone(&sessions)));
+
+    let folder = std::env::temp_dir().join(format!("tombolo-garbage-{}", std::process::id()));
+    std::fs::create_dir_all(&folder)?;
+    let panics = Arc::new(AtomicU32::new(0));
+    let mut viewer = viewer(proxy, &folder.join("shot.png"), plan.seconds, Arc::clone(&panics))?;
+    let (started, mut memory) = (Instant::now(), Vec::new());
+    let limit = Duration::from_secs(plan.seconds) + PATIENCE;
+    while viewer.is_running() && started.elapsed() < limit {
+        tokio::time::sleep(SAMPLE_INTERVAL).await;
+        memory.extend(viewer.rss_bytes().ok().map(|bytes| bytes as f64));
+    }
+    let lasted = started.elapsed().as_secs_f64();
+    // 1 is the viewer's own error; a signal has no code.
+    let code = viewer.0.try_wait()?.and_then(|status| status.code());
+    threads.shutdown_background();
+    let _ = std::fs::remove_dir_all(folder);
+    Ok(json!({
+        "seconds": plan.seconds,
+        "lasted_s": lasted,
+        "sessions": sessions.load(Ordering::Relaxed),
+        "exit_code": code,
+        "panics": panics.load(Ordering::Relaxed),
+        "crashes": u32::from(!matches!(code, Some(0 | 1))),
+        "rss_ratio": growth(&memory),
+        "rss_mib": memory.last().map(|bytes| bytes / 1_048_576.0),
+    }))
+}
+
+/// Memory in the last fifth of the samples over that in the second fifth.
+fn growth(samples: &[f64]) -> Option<f64> {
+    let mean = |part: usize| {
+        let fifth = samples.chunks((samples.len() / 5).max(1)).nth(part)?;
+        Some(fifth.iter().sum::<f64>() / fifth.len() as f64)
+    };
+    Some(mean(4)? / mean(1)?)
+}
+
+fn viewer(
+    server: SocketAddr,
+    shot: &std::path::Path,
+    seconds: u64,
+    panics: Arc<AtomicU32>,
+) -> Result<ChildProcess> {
+    let program = std::env::current_exe()?.with_file_name(format!("tombolo-view{EXE_SUFFIX}"));
+    let mut child = Command::new(&program)
+        .args(["--connect", &format!("ws://{server}/v1/stream"), "--size", "320x180"])
+        .args(["--timeout", &seconds.to_string(), "--shot"])
+        .arg(shot)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .with_context(|| format!("cannot start {}", program.display()))?;
+    count_panics(child.stderr.take(), panics);
+    Ok(ChildProcess(child))
+}
+
+async fn accept(listener: TcpListener, server: SocketAddr, sessions: Arc<AtomicUsize>) {
+    while let Ok((client, _)) = listener.accept().await {
+        let number = sessions.fetch_add(1, Ordering::Relaxed);
+        let kind = Kind::ALL[number % Kind::ALL.len()];
+        // A session that ends is what the viewer sees.
+        tokio::spawn(async move { session(client, server, kind, number as u64).await });
+    }
+}
+
+async fn session(mut client: TcpStream, server: SocketAddr, kind: Kind, seed: u64) -> Result<()> {
+    let mut spoiler = Spoiler { kind, state: seed, frames: 0 };
+    if matches!(kind, Kind::NoHttp) {
+        client.write_all(&spoiler.random(4096)).await?;
+        return Ok(());
+    }
+    let mut upstream = open(server).await?;
+    let (mut from_client, mut to_client) = client.split();
+    let (mut from_server, mut to_server) = upstream.split();
+    let down = async {
+        let (mut bytes, mut is_open) = (Vec::with_capacity(1 << 17), false);
+        loop {
+            if from_server.read_buf(&mut bytes).await? == 0 {
+                return anyhow::Ok(());
+            }
+            if !is_open {
+                let Some(end) = bytes.windows(4).position(|four| four == b"\r\n\r\n") else { continue };
+                to_client.write_all(&bytes[..end + 4]).await?;
+                bytes.drain(..end + 4);
+                is_open = true;
+            }
+            let (mut spoilt, mut used, mut goes_on) = (Vec::new(), 0, true);
+            while let (true, Some((_, start, end))) = (goes_on, next_frame(&bytes[used..])?) {
+                goes_on = spoiler.spoil(&bytes[used..used + end], start, &mut spoilt);
+                used += end;
+            }
+            bytes.drain(..used);
+            to_client.write_all(&spoilt).await?;
+            if !goes_on {
+                return Ok(());
+            }
+        }
+    };
+    tokio::select! {
+        ended = down => ended,
+        copied = tokio::io::copy(&mut from_client, &mut to_server) => Ok(copied.map(|_| ())?),
+    }
+}
+
+/// Spoils frames, the same ones for the same seed.
+struct Spoiler {
+    kind: Kind,
+    state: u64,
+    frames: usize,
+}
+
+impl Spoiler {
+    /// Adds what the client gets in place of a frame, whose payload begins at `start`. Whether the
+    /// stream goes on.
+    fn spoil(&mut self, frame: &[u8], start: usize, spoilt: &mut Vec<u8>) -> bool {
+        self.frames += 1;
+        let begin = spoilt.len();
+        spoilt.extend_from_slice(frame);
+        let added = &mut spoilt[begin..];
+        match self.kind {
+            Kind::Nothing | Kind::NoHttp => {}
+            Kind::PayloadBytes => self.change(&mut added[start..]),
+            Kind::StreamBytes => self.change(added),
+            Kind::RandomPayloads if self.frames.is_multiple_of(4) => {
+                let random = self.random(added.len() - start);
+                added[start..].copy_from_slice(&random);
+            }
+            Kind::RandomPayloads => {}
+            Kind::Repeated => spoilt.extend_from_slice(frame),
+            Kind::RandomStream => {
+                let random = self.random(1 << 16);
+                spoilt.extend(random);
+                return false;
+            }
+            Kind::Cut if self.frames == 8 => {
+                spoilt.truncate(begin + frame.len() / 2);
+                return false;
+            }
+            Kind::Cut => {}
+        }
+        true
+    }
+
+    fn change(&mut self, bytes: &mut [u8]) {
+        for byte in bytes {
+            if self.next().is_multiple_of(SPOILT) {
+                *byte ^= self.next() as u8;
+            }
+        }
+    }
+
+    fn random(&mut self, length: usize) -> Vec<u8> {
+        (0..length).map(|_| self.next() as u8).collect()
+    }
+
+    /// SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
+    fn next(&mut self) -> u64 {
+        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut mixed = self.state;
+        mixed = (mixed ^ mixed >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        mixed ^ mixed >> 31
+    }
+}
+
+/// The bars of this benchmark.
+pub fn bars(figures: &Value) -> Vec<Bar> {
+    let was_long = at(figures, "seconds").is_some_and(|seconds| seconds >= LEAST_SECONDS as f64)
+        && at(figures, "lasted_s") >= at(figures, "seconds");
+    let of = |path| at(figures, path).filter(|_| was_long);
+    let failures = of("panics").zip(of("crashes")).map(|(panics, crashes)| panics + crashes);
+    vec![
+        Bar::none("viewer beside a garbage server, 10 min: panics, crashes, GPU errors", failures).with_note(
+            "without a window; a GPU error that nobody handles is a panic; shorter runs have no figure",
+        ),
+        Bar::at_most("the same: memory, last fifth over second", of("rss_ratio"), "x", 1.05),
+        Bar::at_least("the same: sessions", of("sessions"), "", LEAST_SESSIONS),
+    ]
+}
+
+/// Further figures in sentences.
+pub fn notes(figures: &Value) -> Vec<String> {
+    let line = "Viewer beside a garbage server: {sessions:.0} sessions in {lasted_s:.0} s, {rss_mib:.0} MiB at \
+                the end, exit code {exit_code:.0}.";
+    vec![bars::figures::fill(line, figures)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_bars::{check, missed};
+
+    #[test]
+    fn each_bar_can_be_missed() {
+        let good = json!({
+            "seconds": 600, "lasted_s": 603.0, "sessions": 900, "panics": 0, "crashes": 0, "rss_ratio": 1.01,
+        });
+        let bad = [
+            ("/panics", json!(1)),
+            ("/crashes", json!(1)),
+            ("/rss_ratio", json!(1.06)),
+            ("/sessions", json!(99)),
+        ];
+        check(bars, &good, &bad);
+        let mut short = good;
+        short["lasted_s"] = json!(12.0);
+        assert_eq!(missed(bars, &short), 3, "a viewer that gives up shows nothing");
+    }
+
+    #[test]
+    fn each_kind_spoils_as_it_says() {
+        let frame: Vec<u8> =
+            [0x82, 126, 0x9c, 0x40].into_iter().chain((0..40_000).map(|n| n as u8)).collect();
+        let spoilt = |kind| {
+            let mut spoiler = Spoiler { kind, state: 1, frames: 3 };
+            let mut bytes = Vec::new();
+            let goes_on = spoiler.spoil(&frame, 4, &mut bytes);
+            (bytes, goes_on)
+        };
+        assert_eq!(spoilt(Kind::Nothing), (frame.clone(), true));
+        let changed = |kind| {
+            let (bytes, _) = spoilt(kind);
+            assert_eq!(bytes.len(), frame.len());
+            bytes.iter().zip(&frame).filter(|(a, b)| a != b).count()
+        };
+        assert!(
+            (1..20).contains(&changed(Kind::PayloadBytes)) && (1..20).contains(&changed(Kind::StreamBytes))
+        );
+        assert!(changed(Kind::RandomPayloads) > 30_000);
+        assert_eq!(spoilt(Kind::RandomPayloads).0[..4], frame[..4]);
+        assert_eq!(spoilt(Kind::Repeated), ([&frame[..], &frame[..]].concat(), true));
+        assert!(!spoilt(Kind::RandomStream).1);
+        let mut cut = Spoiler { kind: Kind::Cut, state: 1, frames: 7 };
+        let mut bytes = Vec::new();
+        assert!(!cut.spoil(&frame, 4, &mut bytes) && bytes.len() == frame.len() / 2);
+    }
+
+    #[test]
+    fn growth_compares_the_end_with_the_time_after_the_start() {
+        let samples: Vec<f64> =
+            (0..50).map(|n| if n < 10 { 1.0 } else { 100.0 + f64::from(n / 40) * 5.0 }).collect();
+        assert!((growth(&samples).unwrap() - 1.05).abs() < 1e-9);
+        assert_eq!(growth(&[]), None);
+    }
+}
