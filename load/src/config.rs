@@ -6,8 +6,9 @@ use clap::Parser;
 use cli::UsageError;
 use protocol::Delivery;
 use protocol::limits::MAX_TEXT;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use terrain::lod::MAX_VIEW_DISTANCE_M;
+use tls_client::TlsClient;
 use tokio_tungstenite::tungstenite::http::Uri;
 
 /// Drives a Tombolo server with many headless clients and verifies every chunk that they receive.
@@ -16,7 +17,7 @@ use tokio_tungstenite::tungstenite::http::Uri;
 #[derive(Clone, Debug, Parser)]
 #[command(name = "tombolo-load", version)]
 pub struct Args {
-    /// Stream of the server, `ws://HOST:PORT/v1/stream`
+    /// Stream of the server, `ws://HOST:PORT/v1/stream`, or `wss://` with TLS
     #[arg(long, value_name = "URL", default_value = "ws://127.0.0.1:7580/v1/stream")]
     pub connect: String,
     /// Number of clients, 1 to 100000
@@ -94,13 +95,18 @@ pub struct Args {
     /// File whose first line is the access token, if the server requires one
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
+    /// Certificate authorities in PEM that a `wss://` server is trusted by [default: the system's]
+    #[arg(long, value_name = "FILE")]
+    pub ca_file: Option<PathBuf>,
 }
 
 /// Configuration of a load test. All values are in range.
 #[derive(Clone, Debug)]
 pub struct LoadConfig {
-    /// The stream, a `ws://` address.
+    /// The stream, a `ws://` or `wss://` address.
     pub connect: Uri,
+    /// TLS to the server; none is plain TCP.
+    pub tls: Option<TlsClient>,
     /// Number of clients.
     pub clients: u32,
     /// Length of the run, seconds.
@@ -139,6 +145,7 @@ impl LoadConfig {
     pub const fn new(connect: Uri) -> Self {
         Self {
             connect,
+            tls: None,
             clients: 16,
             seconds: 10,
             delivery: Delivery::Exact,
@@ -162,7 +169,7 @@ impl Args {
     /// Checks what clap cannot check, and reads the token.
     ///
     /// # Errors
-    /// An address that is no `ws://` address, incompatible options, or an invalid token file.
+    /// An address that is no stream, incompatible options, or an invalid file.
     pub fn resolve(self) -> Result<LoadConfig, UsageError> {
         if let Some(bench) = self.bench {
             let rest = bench.join(" ");
@@ -179,8 +186,10 @@ impl Args {
         if let Some(plot) = self.plot.filter(|plot| plot.extension().is_none_or(|end| end != "png")) {
             return Err(UsageError::new(format!("--plot: expected a .png file, got `{}`", plot.display())));
         }
+        let connect = stream_address(&self.connect)?;
         Ok(LoadConfig {
-            connect: stream_address(&self.connect)?,
+            tls: tls_of(&connect, self.ca_file.as_deref())?,
+            connect,
             clients: self.clients,
             seconds: self.seconds,
             delivery: self.delivery,
@@ -211,17 +220,28 @@ fn rate(text: &str) -> Result<f64, String> {
 /// Parses the address of a stream.
 ///
 /// # Errors
-/// Anything but `ws://HOST[:PORT]/PATH`, with the value and what is allowed.
+/// Anything but `ws://HOST[:PORT]/PATH` or `wss://...`, with the value and what is allowed.
 pub fn stream_address(text: &str) -> Result<Uri, UsageError> {
     let refuse =
         |why: &str| UsageError::new(format!("--connect: `{text}` {why}; give ws://HOST:PORT/v1/stream"));
     let address: Uri = text.parse().map_err(|_| refuse("is not an address"))?;
     match (address.scheme_str(), address.host()) {
-        (Some("ws"), Some(host)) if !host.is_empty() => Ok(address),
-        (Some("wss"), _) => {
-            Err(refuse("needs TLS, which this program does not support (connect behind the proxy)"))
+        (Some("ws" | "wss"), Some(host)) if !host.is_empty() => Ok(address),
+        _ => Err(refuse("is not a ws:// or wss:// address")),
+    }
+}
+
+/// TLS to a checked address, if its scheme requires it.
+fn tls_of(address: &Uri, authorities: Option<&Path>) -> Result<Option<TlsClient>, UsageError> {
+    let refuse = |why: String| UsageError::new(format!("--ca-file: {why}"));
+    match (address.scheme_str(), authorities) {
+        (Some("wss"), authorities) => {
+            TlsClient::new(authorities).map(Some).map_err(|error| refuse(error.to_string()))
         }
-        _ => Err(refuse("is not a ws:// address")),
+        (_, Some(_)) => {
+            Err(refuse(format!("{address} is without TLS; give a wss:// address or leave it out")))
+        }
+        (_, None) => Ok(None),
     }
 }
 
@@ -272,13 +292,12 @@ mod tests {
 
     #[test]
     fn invalid_addresses_are_one_line_errors() {
-        for bad in
-            ["", "localhost:1", "http://127.0.0.1/v1/stream", "wss://a/v1/stream", "ws://", "nonsense here"]
-        {
+        for bad in ["", "localhost:1", "http://127.0.0.1/v1/stream", "wss://", "ws://", "nonsense here"] {
             let error = stream_address(bad).unwrap_err().to_string();
             assert!(error.starts_with("--connect: ") && error.lines().count() == 1, "{bad}: {error}");
         }
         assert!(stream_address("ws://[::1]:7/v1/stream").is_ok());
+        assert!(stream_address("wss://a/v1/stream").is_ok());
     }
 
     #[test]

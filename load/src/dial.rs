@@ -4,12 +4,14 @@
 use std::future::Future;
 use std::io;
 use std::net::SocketAddr;
+use tls_client::{TlsClient, Transport};
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpSocket, TcpStream, lookup_host};
 use tokio_tungstenite::tungstenite::http::Uri;
+use tokio_util::either::Either;
 
-/// Default port.
-const HTTP_PORT: u16 = 80;
+/// Default ports of `ws` and `wss`.
+const PORTS: [u16; 2] = [80, 443];
 
 /// Opens connections to one server.
 pub trait Dial: Send + Sync + 'static {
@@ -21,27 +23,24 @@ pub trait Dial: Send + Sync + 'static {
     fn dial(&self, receive_buffer: Option<u32>) -> impl Future<Output = io::Result<Self::Stream>> + Send;
 }
 
-/// TCP to the host and port of an address.
+/// TCP, or TLS over it, to the host and port of an address.
 #[derive(Clone, Debug)]
-pub struct Tcp {
+pub struct Network {
     host: String,
     port: u16,
+    tls: Option<TlsClient>,
 }
 
-impl Tcp {
-    /// To the host of a checked address.
+impl Network {
+    /// To the host of a checked address, over TLS if a client for it is given.
     #[must_use]
-    pub fn to(address: &Uri) -> Self {
+    pub fn to(address: &Uri, tls: Option<TlsClient>) -> Self {
         // IPv6 addresses have brackets in URLs, but not in lookups.
         let host = address.host().unwrap_or_default().trim_matches(['[', ']']).to_owned();
-        Self { host, port: address.port_u16().unwrap_or(HTTP_PORT) }
+        Self { host, port: address.port_u16().unwrap_or(PORTS[usize::from(tls.is_some())]), tls }
     }
-}
 
-impl Dial for Tcp {
-    type Stream = TcpStream;
-
-    async fn dial(&self, receive_buffer: Option<u32>) -> io::Result<TcpStream> {
+    async fn tcp(&self, receive_buffer: Option<u32>) -> io::Result<TcpStream> {
         let mut last = io::Error::new(io::ErrorKind::NotFound, "the host has no address");
         for address in lookup_host((self.host.as_str(), self.port)).await? {
             match connect(address, receive_buffer).await {
@@ -50,6 +49,18 @@ impl Dial for Tcp {
             }
         }
         Err(last)
+    }
+}
+
+impl Dial for Network {
+    type Stream = Transport;
+
+    async fn dial(&self, receive_buffer: Option<u32>) -> io::Result<Transport> {
+        let stream = self.tcp(receive_buffer).await?;
+        match &self.tls {
+            Some(tls) => tls.connect(&self.host, stream).await,
+            None => Ok(Either::Left(stream)),
+        }
     }
 }
 
@@ -74,8 +85,8 @@ mod tests {
         for (address, host, port) in
             [("ws://[::1]:7/v1/stream", "::1", 7), ("ws://example.org/v1/stream", "example.org", 80)]
         {
-            let tcp = Tcp::to(&address.parse().unwrap());
-            assert_eq!((tcp.host.as_str(), tcp.port), (host, port));
+            let network = Network::to(&address.parse().unwrap(), None);
+            assert_eq!((network.host.as_str(), network.port), (host, port));
         }
     }
 }

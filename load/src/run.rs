@@ -3,7 +3,7 @@
 use crate::client::{self, Outcome};
 use crate::config::LoadConfig;
 use crate::counters::Counters;
-use crate::dial::{Dial, Tcp};
+use crate::dial::{Dial, Network};
 use crate::http::EtagCache;
 use crate::path::PathKind;
 use crate::regeneration::Regeneration;
@@ -28,11 +28,11 @@ pub async fn run(config: LoadConfig) -> Report {
 
 /// As [`run`], with statistics of this configuration that the caller can read during the run.
 pub async fn run_counting(config: LoadConfig, stats: Arc<RunStats>) -> Report {
-    let dial = Tcp::to(&config.connect);
+    let dial = Network::to(&config.connect, config.tls.clone());
     run_over(dial, config, stats).await
 }
 
-/// As [`run_counting`], over other connections than TCP.
+/// As [`run_counting`], over other connections than the network's.
 pub async fn run_over<D: Dial>(dial: D, config: LoadConfig, stats: Arc<RunStats>) -> Report {
     let (regeneration, comparing) = Regeneration::start();
     let started = Instant::now();

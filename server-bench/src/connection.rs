@@ -9,9 +9,9 @@ use protocol::message::{ClientMessage, Hello, ServerMessage, WireKey};
 use protocol::{Delivery, SUBPROTOCOL, chunk_codec, control};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use terrain::ChunkKey;
+use tls_client::Transport;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};
-use tokio_rustls::client::TlsStream;
 use tokio_util::either::Either;
 
 /// Name and version, sent to the server in the Hello message.
@@ -36,9 +36,6 @@ impl Received<'_> {
         chunk_codec::kind_and_key(frame).ok().map(|(_, key)| key)
     }
 }
-
-/// What a session runs over: TCP, or TLS over TCP.
-pub type Transport = Either<TcpStream, Box<TlsStream<TcpStream>>>;
 
 /// A session over a bare socket or TLS.
 #[derive(Debug)]

@@ -11,18 +11,12 @@ use crate::server_process::ServerProcess;
 use anyhow::{Context, Result};
 use bars::Bar;
 use bars::figures::{at, fill};
-use rustls::crypto::ring;
-use rustls::pki_types::pem::PemObject;
-use rustls::pki_types::{CertificateDer, ServerName};
-use rustls::{ClientConfig, RootCertStore};
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
-use std::sync::Arc;
 use terrain::{ChunkKey, Land};
-use tokio_rustls::TlsConnector;
-use tokio_util::either::Either;
+use tls_client::TlsClient;
 
 /// Different chunks, as in `cached`.
 const CHUNKS: usize = 256;
@@ -54,17 +48,6 @@ impl Certificate {
     fn path(&self, extension: &str) -> PathBuf {
         self.0.join(format!("server.{extension}"))
     }
-
-    /// A client that accepts this certificate only.
-    fn connector(&self) -> Result<TlsConnector> {
-        let mut roots = RootCertStore::empty();
-        roots.add(CertificateDer::from_pem_file(self.path("crt")).context("the certificate")?)?;
-        let config = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
-            .with_safe_default_protocol_versions()?
-            .with_root_certificates(roots)
-            .with_no_client_auth();
-        Ok(TlsConnector::from(Arc::new(config)))
-    }
 }
 
 impl Drop for Certificate {
@@ -73,18 +56,17 @@ impl Drop for Certificate {
     }
 }
 
-/// Sessions over TLS.
-async fn connect(connector: &TlsConnector, address: SocketAddr) -> Result<Connection> {
-    let name = ServerName::try_from("localhost")?;
-    let stream = connector.connect(name, open(address).await?).await.context("TLS handshake")?;
-    Connection::over(Either::Right(Box::new(stream)), address).await
+/// A session over TLS.
+async fn connect(tls: &TlsClient, address: SocketAddr) -> Result<Connection> {
+    let transport = tls.connect("localhost", open(address).await?).await?;
+    Connection::over(transport, address).await
 }
 
-async fn connect_all(connector: Option<&TlsConnector>, server: &ServerProcess) -> Result<Vec<Connection>> {
-    let Some(connector) = connector else { return server.connect(CONNECTIONS).await };
+async fn connect_all(tls: Option<&TlsClient>, server: &ServerProcess) -> Result<Vec<Connection>> {
+    let Some(tls) = tls else { return server.connect(CONNECTIONS).await };
     let mut connections = Vec::with_capacity(CONNECTIONS);
     for _ in 0..CONNECTIONS {
-        connections.push(connect(connector, server.address).await?);
+        connections.push(connect(tls, server.address).await?);
     }
     Ok(connections)
 }
@@ -93,19 +75,19 @@ async fn connect_all(connector: Option<&TlsConnector>, server: &ServerProcess) -
 pub async fn run(plan: &Plan) -> Result<Value> {
     let keys = land_keys(&Land::new(WORLD_SEED), 0, CHUNKS);
     let certificate = Certificate::new()?;
-    let connector = certificate.connector()?;
+    let tls = TlsClient::new(Some(&certificate.path("crt")))?;
     let [cert, key] = ["crt", "key"].map(|extension| certificate.path(extension).display().to_string());
     let plain = ServerProcess::start(&plan.launch, &[])?;
     let secure = ServerProcess::start(&plan.launch, &["--tls-cert", &cert, "--tls-key", &key])?;
-    for (server, connector) in [(&plain, None), (&secure, Some(&connector))] {
-        let mut connections = connect_all(connector, server).await?;
+    for (server, tls) in [(&plain, None), (&secure, Some(&tls))] {
+        let mut connections = connect_all(tls, server).await?;
         cache(&mut connections[0], &keys).await?;
     }
     let mut rounds = Rounds::default();
     let window = Window::Halves(PUSH_WINDOW);
     for _ in 0..plan.rounds {
         let without = measure(&plain, connect_all(None, &plain).await?, &keys, plan.seconds, window).await?;
-        let connections = connect_all(Some(&connector), &secure).await?;
+        let connections = connect_all(Some(&tls), &secure).await?;
         let with = measure(&secure, connections, &keys, plan.seconds, window).await?;
         rounds.push("plain_cpu_s_per_gb", without.cpu_s_per_gb);
         rounds.push("tls_cpu_s_per_gb", with.cpu_s_per_gb);

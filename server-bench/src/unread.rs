@@ -12,6 +12,7 @@ use bars::Bar;
 use bars::figures::at;
 use protocol::limits::{MAX_CREDITS, MAX_KEYS};
 use serde_json::{Value, json};
+use std::cell::Cell;
 use std::time::{Duration, Instant};
 use terrain::{ChunkKey, Land};
 use tokio::runtime::Builder;
@@ -28,8 +29,11 @@ const RECEIVE_BUFFER: u32 = 4096;
 const HEALTHY: usize = 8;
 const INTERVAL: Duration = Duration::from_millis(20);
 
-/// Least length of the measured part: longer than the server may keep a dead client.
+/// Least length of the measured part.
 const LEAST: Duration = Duration::from_secs(20);
+
+/// Time after the last connect in which sessions are counted: longer than the server may keep one.
+const AFTER: Duration = Duration::from_secs(14);
 
 /// Time between two looks at the number of sessions.
 const SAMPLE_INTERVAL: Duration = Duration::from_millis(100);
@@ -67,8 +71,15 @@ async fn round(plan: &Plan, keys: &[ChunkKey], rounds: &mut Rounds) -> Result<()
         }
         anyhow::Ok(clients)
     });
-    let (beside, samples) = tokio::try_join!(healthy(second, end), sessions(&server, end))?;
-    let clients = connected.await.context("the dead clients failed")??;
+    // The end of counting, once all are connected.
+    let until = Cell::new(None);
+    let connected = async {
+        let clients = connected.await.context("the dead clients failed")??;
+        until.set(Some(end.max(Instant::now() + AFTER)));
+        Ok(clients)
+    };
+    let (beside, samples, clients) =
+        tokio::try_join!(healthy(second, end), sessions(&server, &until), connected)?;
     let starts: Vec<_> = clients.iter().map(|(started, _)| *started).collect();
     let (longest, left) = longest_stay(&starts, &samples);
     rounds.push("p99_alone_ms", alone.p99_ms());
@@ -114,14 +125,15 @@ async fn never_read(index: usize, address: std::net::SocketAddr, keys: &[ChunkKe
 }
 
 /// Times, and how many sessions of dead clients were open then.
-async fn sessions(server: &ServerProcess, end: Instant) -> Result<Vec<(Instant, usize)>> {
+async fn sessions(server: &ServerProcess, until: &Cell<Option<Instant>>) -> Result<Vec<(Instant, usize)>> {
     let mut samples = Vec::new();
     let mut ticks = tokio::time::interval(SAMPLE_INTERVAL);
-    while Instant::now() < end {
+    while until.get().is_none_or(|until| Instant::now() < until) {
         ticks.tick().await;
         // The time before the answer: who stays until then stays longer.
         let now = Instant::now();
         let open = server.metric(series::SESSIONS).await? as usize;
+        // Once the healthy clients have ended there are fewer than they; none are dead then.
         samples.push((now, open.saturating_sub(HEALTHY)));
     }
     Ok(samples)

@@ -74,6 +74,8 @@ pub struct ServerConfig {
     pub max_jobs: usize,
     /// Time for the handshake, and for the headers of an HTTP request.
     pub handshake_timeout: Duration,
+    /// Time from the first byte of a session's message to its last.
+    pub message_timeout: Duration,
     /// Timeout of a write to a client.
     pub write_timeout: Duration,
     /// Idle time after which a client is pinged; after three times as long it is closed.
@@ -112,6 +114,7 @@ impl Default for ServerConfig {
             // A thousand sessions of 16 each.
             max_jobs: 16_384,
             handshake_timeout: Duration::from_secs(5),
+            message_timeout: Duration::from_secs(5),
             write_timeout: Duration::from_secs(10),
             ping_interval: Duration::from_secs(20),
             drain_timeout: Duration::from_secs(10),

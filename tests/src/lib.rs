@@ -20,6 +20,7 @@
 //! | `relief` | parallax scenes: identities, extreme settings, displaced geometry |
 //! | `shadows` | terrain shadows against their definition and in pictures |
 //! | `streaming` | the stream of a correct client over real sockets |
+//! | `tls` | viewer and load test over TLS |
 //! | `tree_shade` | shadows of trees against rays through all trees |
 //! | `water` | the sea and the water scene: identities, tiers, extreme cameras |
 

@@ -45,6 +45,7 @@ const RULES: [Rule; 9] = [
             "cli",
             "bars",
             "chart",
+            "tls-client",
             "server-bench",
         ],
         libraries: &["serde", "noise", "tokio", "wgpu"],

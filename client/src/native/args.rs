@@ -203,6 +203,10 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
 
+    /// Certificate authorities in PEM that a `wss://` server is trusted by [default: the system's]
+    #[arg(long, value_name = "FILE")]
+    pub ca_file: Option<PathBuf>,
+
     /// Time limit of a shot for its complete view, seconds, 1 to 3600
     #[arg(long, value_name = "S", default_value_t = 60, allow_negative_numbers = true,
           value_parser = clap::value_parser!(u64).range(1..=3600))]
@@ -285,11 +289,10 @@ impl Args {
 }
 
 fn parse_url(text: &str) -> Result<Uri, String> {
-    let expected = "expected ws://HOST:PORT/v1/stream";
+    let expected = "expected ws://HOST:PORT/v1/stream, or wss:// with TLS";
     let url: Uri = text.parse().map_err(|error| format!("{error}, {expected}"))?;
     match url.scheme_str() {
-        Some("ws") if url.host().is_some_and(|host| !host.is_empty()) => Ok(url),
-        Some("wss") => Err(format!("TLS is not supported, {expected}")),
+        Some("ws" | "wss") if url.host().is_some_and(|host| !host.is_empty()) => Ok(url),
         _ => Err(expected.to_owned()),
     }
 }
@@ -542,7 +545,6 @@ mod tests {
     fn a_bad_option_is_refused_with_name_value_and_what_is_allowed() {
         for (option, value, allowed) in [
             ("--connect", "http://x", "ws://HOST:PORT"),
-            ("--connect", "wss://x/y", "TLS"),
             ("--delivery", "quantised", "exact, refined, seed or quantised:METRES"),
             ("--digest", "0a", "64 hexadecimal digits"),
             ("--scene", "moon", "island"),

@@ -15,6 +15,7 @@ use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
 use protocol::limits::MAX_TEXT;
 use std::path::Path;
 use std::time::{Duration, Instant};
+use tls_client::TlsClient;
 use tokio_tungstenite::tungstenite::http::Uri;
 
 /// Connects, waits for the complete view, renders, writes.
@@ -86,7 +87,25 @@ pub fn open_stream(args: &Args) -> anyhow::Result<Box<dyn ChunkStream>> {
 /// Connection settings, with the token from its file.
 fn stream_settings(args: &Args, url: Uri) -> anyhow::Result<Settings> {
     let token = args.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?;
-    Ok(Settings { url, token, digest: args.digest, delivery: args.delivery })
+    Ok(Settings {
+        tls: tls_of(&url, args.ca_file.as_deref())?,
+        url,
+        token,
+        digest: args.digest,
+        delivery: args.delivery,
+    })
+}
+
+/// TLS to a server, if its scheme requires it.
+fn tls_of(url: &Uri, authorities: Option<&Path>) -> anyhow::Result<Option<TlsClient>> {
+    if url.scheme_str() == Some("wss") {
+        return Ok(Some(TlsClient::new(authorities).context("--ca-file")?));
+    }
+    anyhow::ensure!(
+        authorities.is_none(),
+        "--ca-file: {url} is without TLS; give a wss:// address or leave it out"
+    );
+    Ok(None)
 }
 
 /// Writes the measurements of a run.

@@ -16,11 +16,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
+use tls_client::{TlsClient, Transport};
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep, timeout};
 use tokio_tungstenite::tungstenite::{self, ClientRequestBuilder, Message, http::Uri, protocol as ws};
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
+use tokio_tungstenite::{WebSocketStream, client_async_with_config};
+use tokio_util::either::Either;
 
 /// Capacity for events to the drawing thread. When it is full the session stops reading: no credit
 /// is granted, and the server waits. Bounds the decoded chunks between the threads to a few MiB.
@@ -47,8 +49,10 @@ const MAX_RETRY_DELAY: Duration = Duration::from_secs(10);
 /// Connection settings.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// `ws://` URL of the stream.
+    /// `ws://` or `wss://` URL of the stream.
     pub url: Uri,
+    /// TLS to the server; none is plain TCP.
+    pub tls: Option<TlsClient>,
     /// Access token, if the server requires one.
     pub token: Option<String>,
     /// The required world; none accepts any.
@@ -61,7 +65,7 @@ impl Settings {
     /// Any world, exact, without a token.
     #[must_use]
     pub const fn new(url: Uri) -> Self {
-        Self { url, token: None, digest: None, delivery: Delivery::Exact }
+        Self { url, tls: None, token: None, digest: None, delivery: Delivery::Exact }
     }
 }
 
@@ -197,7 +201,7 @@ fn lost(cause: impl Into<String>, retry: bool) -> SessionEnd {
     SessionEnd::Lost { cause: cause.into(), retry, hint: None }
 }
 
-type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
+type Socket = WebSocketStream<Transport>;
 
 struct Worker {
     settings: Settings,
@@ -229,7 +233,7 @@ impl Worker {
     /// One session, from the connection to its end.
     async fn session(&mut self, backoff: &mut Backoff) -> SessionEnd {
         let connected = tokio::select! {
-            connected = timeout(CONNECT_TIMEOUT, connect(&self.settings.url)) => connected,
+            connected = timeout(CONNECT_TIMEOUT, connect(&self.settings)) => connected,
             () = self.events.closed() => return SessionEnd::Closing,
         };
         let mut socket = match connected {
@@ -382,14 +386,23 @@ impl Worker {
     }
 }
 
-async fn connect(url: &Uri) -> Result<Socket, tungstenite::Error> {
+async fn connect(settings: &Settings) -> Result<Socket, tungstenite::Error> {
+    let url = &settings.url;
+    // IPv6 addresses have brackets in URLs, but not in lookups.
+    let host = url.host().unwrap_or_default().trim_matches(['[', ']']);
+    let default_port = if settings.tls.is_some() { 443 } else { 80 };
+    let stream = TcpStream::connect((host, url.port_u16().unwrap_or(default_port))).await?;
+    // Small control frames must not be delayed.
+    stream.set_nodelay(true)?;
+    let stream = match &settings.tls {
+        Some(tls) => tls.connect(host, stream).await?,
+        None => Either::Left(stream),
+    };
     let request = ClientRequestBuilder::new(url.clone()).with_sub_protocol(SUBPROTOCOL);
     let config = ws::WebSocketConfig::default()
         .max_message_size(Some(MAX_SERVER_FRAME))
         .max_frame_size(Some(MAX_SERVER_FRAME));
-    // Small control frames must not be delayed.
-    let disable_nagle = true;
-    Ok(connect_async_with_config(request, Some(config), disable_nagle).await?.0)
+    Ok(client_async_with_config(request, stream, Some(config)).await?.0)
 }
 
 #[cfg(test)]

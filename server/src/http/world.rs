@@ -26,6 +26,8 @@ pub async fn get(State(state): State<Arc<ServerState>>, client: Client) -> Resul
     let description = json!({
         "server": SOFTWARE,
         "world_seed": state.config.world_seed,
+        // Parsers that read numbers as doubles lose seeds above 2^53.
+        "world_seed_text": state.config.world_seed.to_string(),
         "generator_version": GENERATOR_VERSION,
         "digest": digest,
         "takes_token": state.gate.requires_token(),

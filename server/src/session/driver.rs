@@ -10,6 +10,7 @@ use crate::mechanism::Mechanism;
 use crate::metrics::{DeliveryLabel, ReasonLabel};
 use crate::session::end::{SessionEnd, write_within};
 use crate::session::keepalive::{Keepalive, KeepaliveAction};
+use crate::session::message_deadline::MessageDeadline;
 use crate::session::refusal_backoff::RefusalBackoff;
 use crate::state::ServerState;
 use crate::stats::SessionStatsGuard;
@@ -22,6 +23,7 @@ use protocol::message::RefusalReason;
 use protocol::server::ViewSelection;
 use protocol::server::{Next, ServerOffer, ServerSession, SessionCounts};
 use protocol::{CloseCode, DataFrame};
+use std::io;
 use std::time::Duration;
 use terrain::ChunkKey;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -69,6 +71,7 @@ where
         number,
         session: ServerSession::new(offer, number),
         flow: state.generation.limited_flow(bucket),
+        message_deadline: MessageDeadline::new(state.config.message_timeout),
         throttled_until: None,
         backoff: RefusalBackoff::new(Instant::now()),
         counted: SessionCounts::default(),
@@ -98,6 +101,8 @@ struct Driver<'a, S> {
     throttled_until: Option<Instant>,
     /// Whether the session is read.
     backoff: RefusalBackoff,
+    /// When an unfinished message must be complete.
+    message_deadline: MessageDeadline,
     /// The part of the session's counts that the metrics contain.
     counted: SessionCounts,
     /// Figures for the page.
@@ -137,13 +142,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             tokio::select! {
                 read = self.socket.read(), if pause.is_none() => {
                     keepalive.on_activity(Instant::now());
-                    let received = match read {
-                        Ok(()) => self.receive().await,
-                        Err(error) => Err(SessionEnd::read_failed(&error)),
-                    };
-                    if let Err(end) = received {
-                        // The last message may explain the close.
-                        let _ = self.flush().await;
+                    if let Err(end) = self.read_ended(read).await {
+                        return end;
+                    }
+                }
+                () = sleep_until(self.message_deadline.by()), if pause.is_none() => {
+                    if let Err(end) = self.finish_message().await {
                         return end;
                     }
                 }
@@ -181,6 +185,31 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 }
             }
         }
+    }
+
+    /// Handles the bytes of a read.
+    async fn read_ended(&mut self, read: io::Result<()>) -> Result<(), SessionEnd> {
+        let received = match read {
+            Ok(()) => self.receive().await,
+            Err(error) => Err(SessionEnd::read_failed(&error)),
+        };
+        if received.is_err() {
+            // The last message may explain the close.
+            let _ = self.flush().await;
+        }
+        received
+    }
+
+    /// Ends a session whose message takes too long. What has arrived by now counts: a long write may
+    /// have kept this session from reading.
+    async fn finish_message(&mut self) -> Result<(), SessionEnd> {
+        if let Ok(read) = timeout(Duration::ZERO, self.socket.read()).await {
+            self.read_ended(read).await?;
+        }
+        if self.message_deadline.has_passed(Instant::now()) {
+            return Err(SessionEnd::with_code("message_timeout", CloseCode::Unresponsive));
+        }
+        Ok(())
     }
 
     /// Requests chunks from the generation service; cached ones go straight to the session. True if
@@ -222,10 +251,13 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     /// served in time.
     async fn receive(&mut self) -> Result<(), SessionEnd> {
         let admitted = self.session.waiting_requests();
-        while self.receive_message().await? {
+        let mut has_ended = false;
+        while let Some(is_data) = self.receive_message().await? {
+            has_ended |= is_data;
             // Other tasks of this thread run between two messages of a peer.
             tokio::task::yield_now().await;
         }
+        self.message_deadline.record(has_ended, self.socket.is_in_message(), Instant::now());
         self.cancel_stale();
         // With a full window, waiting requests wait for the service, not for credit.
         if self.fill_window() {
@@ -279,10 +311,10 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         !self.request_chunks() && self.flow.in_flight() >= JOB_WINDOW
     }
 
-    /// Handles one message; false if there is none.
-    async fn receive_message(&mut self) -> Result<bool, SessionEnd> {
+    /// Handles one message; whether it was data, none if there is none.
+    async fn receive_message(&mut self) -> Result<Option<bool>, SessionEnd> {
         let incoming = match self.socket.next_message() {
-            Ok(None) => return Ok(false),
+            Ok(None) => return Ok(None),
             Ok(Some(Message::Binary(bytes))) if bytes.len() > MAX_CONTROL_FRAME => {
                 return Err(SessionEnd::with_code("too_large", CloseCode::TooLarge));
             }
@@ -291,9 +323,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             Ok(Some(Message::Ping(payload))) => {
                 let payload = Bytes::copy_from_slice(payload);
                 self.socket.queue_as(Opcode::Pong, payload);
-                return Ok(true);
+                return Ok(Some(false));
             }
-            Ok(Some(Message::Pong)) => return Ok(true),
+            Ok(Some(Message::Pong)) => return Ok(Some(false)),
             Ok(Some(Message::Close(close))) => {
                 // RFC 6455, section 5.5.1: a Close frame is answered by one with the same code.
                 let code = close.answer();
@@ -307,7 +339,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         };
         self.session
             .receive(incoming)
-            .map(|()| true)
+            .map(|()| Some(true))
             .map_err(|fault| SessionEnd::protocol_error(fault.close_code(), fault.to_string()))
     }
 

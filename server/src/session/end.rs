@@ -67,6 +67,7 @@ pub fn is_breach(reason: &str) -> bool {
             | "too_large"
             | "out_of_order"
             | "handshake_timeout"
+            | "message_timeout"
             | "write_timeout"
     )
 }

@@ -6,4 +6,5 @@
 pub mod driver;
 pub mod end;
 pub mod keepalive;
+pub mod message_deadline;
 pub mod refusal_backoff;

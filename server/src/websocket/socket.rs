@@ -85,6 +85,13 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         self.inbox.next_message()
     }
 
+    /// Whether the bytes read end within a message, once [`WebSocket::next_message`] has returned
+    /// none.
+    #[must_use]
+    pub const fn is_in_message(&self) -> bool {
+        self.inbox.is_in_message()
+    }
+
     /// Queues a binary message for the next flush.
     pub fn queue(&mut self, payload: Bytes) {
         self.queue_as(Opcode::Binary, payload);

@@ -67,8 +67,18 @@ impl Peer {
         self.io.write_all(&[&[0x80 | opcode], &length[..], &[0; 4], payload].concat()).await.unwrap();
     }
 
+    /// Bytes that need not be a frame.
+    pub async fn write(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        self.io.write_all(bytes).await
+    }
+
     /// The next frame; none at the end of the connection, or when an hour has passed.
     pub async fn next(&mut self) -> Option<(u8, Vec<u8>)> {
+        self.next_within(Duration::from_secs(3600)).await
+    }
+
+    /// As [`Peer::next`], within a time. Frames of the server arrive whole.
+    pub async fn next_within(&mut self, limit: Duration) -> Option<(u8, Vec<u8>)> {
         let read = async {
             let opcode = self.io.read_u8().await.ok()? & 15;
             let length = match self.io.read_u8().await.ok()? {
@@ -80,6 +90,6 @@ impl Peer {
             self.io.read_exact(&mut payload).await.ok()?;
             Some((opcode, payload))
         };
-        tokio::time::timeout(Duration::from_secs(3600), read).await.ok().flatten()
+        tokio::time::timeout(limit, read).await.ok().flatten()
     }
 }

@@ -9,8 +9,19 @@ use std::fmt::Write;
 pub const PATH: &str = "docs/measurements/README.md";
 
 /// Order of the sections; a measurement without notes has no section.
-const SECTIONS: [&str; 10] =
-    ["heightfield", "land", "end-to-end", "terrain", "pom", "culling", "streaming", "code", "gpu", "audit"];
+const SECTIONS: [&str; 11] = [
+    "heightfield",
+    "land",
+    "end-to-end",
+    "terrain",
+    "pom",
+    "culling",
+    "streaming",
+    "resilience",
+    "code",
+    "gpu",
+    "audit",
+];
 
 /// What opens the page and what closes it.
 const INTRODUCTION: &str = "introduction";

@@ -1,0 +1,127 @@
+//! Connections of clients to a server: TCP, or TLS over TCP by rustls.
+//!
+//! A server is trusted if its certificate is signed by an authority of the system, or by one of a
+//! file that the user names.
+
+#![forbid(unsafe_code)]
+
+use rustls::crypto::ring;
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, ServerName};
+use rustls::{ClientConfig, RootCertStore};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tokio::net::TcpStream;
+use tokio_rustls::TlsConnector;
+use tokio_rustls::client::TlsStream;
+use tokio_util::either::Either;
+
+/// An open connection.
+pub type Transport = Either<TcpStream, Box<TlsStream<TcpStream>>>;
+
+/// Why no TLS client can be made.
+#[derive(Debug, thiserror::Error)]
+pub enum TlsError {
+    /// The file of authorities.
+    #[error("cannot read certificates from {}: {cause}; give a file in PEM", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        cause: String,
+    },
+    /// The system has no authorities.
+    #[error(
+        "this system has no certificate authorities; install the package ca-certificates, or name a file"
+    )]
+    NoAuthorities,
+}
+
+/// Opens TLS connections over TCP.
+#[derive(Clone)]
+pub struct TlsClient {
+    connector: TlsConnector,
+}
+
+impl std::fmt::Debug for TlsClient {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.debug_struct("TlsClient").finish_non_exhaustive()
+    }
+}
+
+impl TlsClient {
+    /// A client that trusts the authorities of the system, or only those of a file in PEM. A
+    /// server's own certificate can stand there in place of its authority.
+    ///
+    /// # Errors
+    /// The file has no certificate, or the system no authority.
+    pub fn new(authorities: Option<&Path>) -> Result<Self, TlsError> {
+        let roots = authorities.map_or_else(system_authorities, authorities_of)?;
+        let config = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
+            .with_safe_default_protocol_versions()
+            .expect("the provider has the suites of TLS 1.2 and 1.3")
+            .with_root_certificates(roots)
+            .with_no_client_auth();
+        Ok(Self { connector: TlsConnector::from(Arc::new(config)) })
+    }
+
+    /// Runs the TLS handshake. `host` is a name or an address, without brackets.
+    ///
+    /// # Errors
+    /// The peer speaks no TLS, its certificate is not trusted, or the connection failed.
+    pub async fn connect(&self, host: &str, stream: TcpStream) -> io::Result<Transport> {
+        let name = ServerName::try_from(host.to_owned())
+            .map_err(|_| io::Error::new(io::ErrorKind::InvalidInput, format!("`{host}` is no host name")))?;
+        match self.connector.connect(name, stream).await {
+            Ok(stream) => Ok(Either::Right(Box::new(stream))),
+            Err(error) => Err(explained(error)),
+        }
+    }
+}
+
+/// A failed handshake with what to do about it.
+fn explained(error: io::Error) -> io::Error {
+    let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<rustls::Error>());
+    let remedy = match cause {
+        Some(rustls::Error::InvalidCertificate(_)) => "name its certificate authority with --ca-file",
+        Some(rustls::Error::InvalidMessage(_)) => "the server speaks no TLS, connect with ws://",
+        _ => return io::Error::new(error.kind(), format!("TLS handshake: {error}")),
+    };
+    io::Error::new(error.kind(), format!("TLS handshake: {error}; {remedy}"))
+}
+
+fn system_authorities() -> Result<RootCertStore, TlsError> {
+    let mut roots = RootCertStore::empty();
+    // Certificates that this version cannot read are left out.
+    roots.add_parsable_certificates(rustls_native_certs::load_native_certs().certs);
+    if roots.is_empty() { Err(TlsError::NoAuthorities) } else { Ok(roots) }
+}
+
+fn authorities_of(path: &Path) -> Result<RootCertStore, TlsError> {
+    let failed = |cause: String| TlsError::File { path: path.into(), cause };
+    let certificates = CertificateDer::pem_file_iter(path).map_err(|error| failed(error.to_string()))?;
+    let mut roots = RootCertStore::empty();
+    for certificate in certificates {
+        let certificate = certificate.map_err(|error| failed(error.to_string()))?;
+        roots.add(certificate).map_err(|error| failed(error.to_string()))?;
+    }
+    if roots.is_empty() { Err(failed("it has none".into())) } else { Ok(roots) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_without_certificates_is_an_error_with_its_name() {
+        let path = std::env::temp_dir().join(format!("tombolo-authorities-{}", std::process::id()));
+        for content in [None, Some(""), Some("no certificate"), Some("-----BEGIN CERTIFICATE-----\nx\n")] {
+            let _ = std::fs::remove_file(&path);
+            content.map_or(Ok(()), |content| std::fs::write(&path, content)).unwrap();
+            let error = TlsClient::new(Some(&path)).unwrap_err().to_string();
+            assert!(error.contains(&path.display().to_string()) && error.contains("PEM"), "{error}");
+        }
+        let _ = std::fs::remove_file(&path);
+    }
+}
