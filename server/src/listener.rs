@@ -22,7 +22,7 @@ use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::timeout;
 use tokio_util::either::Either;
@@ -43,6 +43,25 @@ const HEADER_BUFFER: usize = 16 * 1024;
 /// Pause after a failed accept. The usual cause is a lack of file descriptors, which an immediate
 /// retry would meet again.
 const ACCEPT_RETRY: Duration = Duration::from_millis(100);
+
+/// Connections that the system keeps until they are accepted; Linux bounds it by
+/// `net.core.somaxconn`, 4,096 by default. Beyond it the system drops the handshake of a new
+/// connection, which its client repeats a second later. So many may come at once after a restart.
+const BACKLOG: u32 = 4096;
+
+/// Listens on an address, with room for many new connections at once.
+///
+/// # Errors
+/// The address is taken or not of this machine.
+pub fn bind(address: SocketAddr) -> io::Result<TcpListener> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+    // As tokio does: a restarted server gets its port although old connections linger. On Windows
+    // the option would let two servers share a port.
+    #[cfg(not(windows))]
+    socket.set_reuseaddr(true)?;
+    socket.bind(address)?;
+    socket.listen(BACKLOG)
+}
 
 /// Serves until `shutdown` completes, then drains: no new connections, a notice and a close frame
 /// to every session, and at most [`ServerConfig::drain_timeout`] for them to end.

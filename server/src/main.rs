@@ -3,10 +3,10 @@
 use cli::UsageError;
 use server::bake::{BakeArgs, Baked};
 use server::config::{Args, Command, ServerConfig, log_filter};
+use server::listener;
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
-use tokio::net::TcpListener;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
@@ -80,7 +80,7 @@ fn bake(args: BakeArgs) -> ExitCode {
 
 async fn serve(config: ServerConfig) -> Result<(), String> {
     let address = config.listen;
-    let listener = TcpListener::bind(address).await.map_err(|error| {
+    let listener = listener::bind(address).map_err(|error| {
         format!(
             "cannot listen on {address}: {error}; stop the program that uses it or choose another --listen"
         )
