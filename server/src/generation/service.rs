@@ -18,6 +18,18 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use terrain::ChunkKey;
 
+/// Nice value of the generation threads: half the weight of a thread of connections, and of other
+/// programs, where all want the processor.
+#[cfg(target_os = "linux")]
+const GENERATION_NICE: i32 = 3;
+
+/// Lowers the priority of this thread a little: connections that wait for a moment of processor time
+/// go before jobs that take milliseconds. Linux alone has a priority for each thread.
+fn yield_to_connections() {
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::nice(GENERATION_NICE);
+}
+
 /// Generates, caches and shares chunk frames. Clones share one service.
 #[derive(Clone)]
 pub struct Generation {
@@ -65,6 +77,7 @@ impl Generation {
         let pool = ThreadPoolBuilder::new()
             .num_threads(limits.threads)
             .thread_name(|n| format!("generate-{n}"))
+            .start_handler(|_| yield_to_connections())
             .build()?;
         let queue = Queue::new(limits.jobs);
         let has_turns = limits.without != Some(Mechanism::Turns);
