@@ -8,7 +8,7 @@
 use crate::Plan;
 use crate::connection::{Connection, get};
 use crate::keys::{WORLD_SEED, land_keys};
-use crate::polite::polite;
+use crate::polite::{Polite, polite};
 use crate::rounds::{Rounds, quantile_ms};
 use crate::server_process::{ServerProcess, series};
 use anyhow::{Context, Result};
@@ -32,6 +32,9 @@ const RATE: u32 = 60;
 
 /// Time between two requests of the polite client.
 const POLITE_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Longest time that the polite client is measured alone.
+const MOST_ALONE: Duration = Duration::from_secs(10);
 
 /// Time between two probes.
 const PROBE_INTERVAL: Duration = Duration::from_millis(100);
@@ -130,7 +133,8 @@ async fn scenario(
     let mut server = ServerProcess::start(&plan.launch, &[])?;
     let (first, second) = keys.split_at(keys.len() / 2);
     let length = Duration::from_secs(plan.seconds);
-    let alone = polite(server.address, first.to_vec(), POLITE_INTERVAL, Instant::now() + length).await?;
+    let alone_for = length.min(MOST_ALONE);
+    let alone = polite(server.address, first.to_vec(), POLITE_INTERVAL, Instant::now() + alone_for).await?;
 
     let end = Instant::now() + length;
     // On a thread of its own, so that it does not delay the measured clients. It continues until
@@ -151,7 +155,8 @@ async fn scenario(
     rounds.push("probes", probes.len() as f64);
     rounds.push("probes_lost", lost as f64);
     rounds.push("probe_worst_ms", quantile_ms(probes, 1.0));
-    rounds.push("polite_chunks_share", beside.chunks as f64 / alone.chunks as f64);
+    let rate = |polite: &Polite, time: Duration| polite.chunks as f64 / time.as_secs_f64();
+    rounds.push("polite_chunks_share", rate(&beside, length) / rate(&alone, alone_for));
     rounds.push("polite_refused", beside.refused as f64);
     rounds.push("polite_p99_alone_ms", alone.p99_ms());
     rounds.push("polite_p99_ms", beside.p99_ms());
