@@ -14,6 +14,7 @@
 //! | `hostile` | peers that violate the protocol; other sessions are unaffected |
 //! | `http` | probes, metrics, the description of the world, chunk downloads |
 //! | `light` | finite light in every pixel, for every sun, height and direction |
+//! | `networks` | bad networks: slow, sliced, cut, reset, silent |
 //! | `pictures` | the headless viewer against golden pictures |
 //! | `pictures_gallery` | poses of the gallery against golden thumbnails |
 //! | `programs` | the built binaries: options, exit codes, messages |
@@ -35,6 +36,7 @@ pub mod places;
 pub mod program;
 pub mod rendering;
 pub mod running;
+pub mod toxic_proxy;
 
 pub use peer::Peer;
 pub use rendering::{gpu_is_required, gpu_or_skip, open_gpu_or_skip, options_at, render_or_skip, view_at};
