@@ -93,7 +93,6 @@ async fn forward(client: TcpStream, server: SocketAddr, toxic: Toxic) -> std::io
     let (from_server, to_server) = upstream.into_split();
     let up = match toxic {
         Toxic::CutAfter(_) | Toxic::ResetAfter(_) => Toxic::None,
-        // Requests of the session pass until the server's bytes end.
         other => other,
     };
     tokio::select! {
@@ -111,6 +110,8 @@ async fn copy(
     let (mut buffer, mut copied) = (vec![0; SLICE], 0);
     loop {
         let length = match from.read(&mut buffer).await? {
+            // The end of the stream is lost, too.
+            0 if matches!(toxic, Toxic::BlackHoleAfter(_)) => std::future::pending().await,
             0 => return Ok(()),
             length => length,
         };
