@@ -30,7 +30,7 @@ const LEAST_SECONDS: u64 = 600;
 const LEAST_SESSIONS: f64 = 100.0;
 
 /// Time that the viewer may take to give up after its own time limit.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// One byte of so many is spoilt where single bytes are.
 const SPOILT: u64 = 20_000;
@@ -44,7 +44,7 @@ enum Kind {
     PayloadBytes,
     /// Replaces every fourth payload by random bytes of the same length.
     RandomPayloads,
-    /// Repeats every payload, so that nobody requested the second.
+    /// Repeats every payload, so that the second answers no request.
     Repeated,
     /// Changes single bytes anywhere, lengths and opcodes included.
     StreamBytes,
@@ -82,7 +82,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let panics = Arc::new(AtomicU32::new(0));
     let mut viewer = viewer(proxy, &folder.join("shot.png"), plan.seconds, Arc::clone(&panics))?;
     let (started, mut memory) = (Instant::now(), Vec::new());
-    let limit = Duration::from_secs(plan.seconds) + PATIENCE;
+    let limit = Duration::from_secs(plan.seconds) + TIMEOUT;
     while viewer.is_running() && started.elapsed() < limit {
         tokio::time::sleep(SAMPLE_INTERVAL).await;
         memory.extend(viewer.rss_bytes().ok().map(|bytes| bytes as f64));
@@ -248,9 +248,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
     let of = |path| at(figures, path).filter(|_| was_long);
     let failures = of("panics").zip(of("crashes")).map(|(panics, crashes)| panics + crashes);
     vec![
-        Bar::none("viewer beside a garbage server, 10 min: panics, crashes, GPU errors", failures).with_note(
-            "without a window; a GPU error that nobody handles is a panic; shorter runs have no figure",
-        ),
+        Bar::none("viewer beside a garbage server, 10 min: panics, crashes, GPU errors", failures)
+            .with_note("without a window; an unhandled GPU error is a panic; shorter runs have no figure"),
         Bar::at_most("the same: memory, last fifth over second", of("rss_ratio"), "x", 1.05),
         Bar::at_least("the same: sessions", of("sessions"), "", LEAST_SESSIONS),
     ]
@@ -258,8 +257,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 
 /// Further figures in sentences.
 pub fn notes(figures: &Value) -> Vec<String> {
-    let line = "Viewer beside a garbage server: {sessions:.0} sessions in {lasted_s:.0} s, {rss_mib:.0} MiB at \
-                the end, exit code {exit_code:.0}.";
+    let line = "Viewer beside a garbage server: {sessions:.0} sessions in {lasted_s:.0} s, \
+                {rss_mib:.0} MiB at the end, exit code {exit_code:.0}.";
     vec![bars::figures::fill(line, figures)]
 }
 

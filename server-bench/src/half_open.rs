@@ -29,11 +29,11 @@ const MAX_SESSIONS: &str = "8192";
 const BYTE_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A socket that is still open after so long counts with this time.
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Time between two new good clients, and the longest wait of one.
 const GOOD_INTERVAL: Duration = Duration::from_millis(250);
-const GOOD_PATIENCE: Duration = Duration::from_secs(10);
+const GOOD_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// What a socket sends.
 #[derive(Clone, Copy, Debug)]
@@ -90,7 +90,7 @@ async fn round(plan: &Plan, keys: &[ChunkKey], rounds: &mut Rounds, kinds: &mut 
             (kind, sockets.spawn(stay(Kind::ALL[kind], source, address, key)))
         })
         .collect();
-    let end = Instant::now() + Duration::from_secs(plan.seconds).max(PATIENCE / 2);
+    let end = Instant::now() + Duration::from_secs(plan.seconds).max(TIMEOUT / 2);
     let mut served = Vec::new();
     let mut ticks = tokio::time::interval(GOOD_INTERVAL);
     let mut number = 0;
@@ -98,8 +98,8 @@ async fn round(plan: &Plan, keys: &[ChunkKey], rounds: &mut Rounds, kinds: &mut 
         ticks.tick().await;
         number += 1;
         let (started, key) = (Instant::now(), keys[number % keys.len()]);
-        let answer = timeout(GOOD_PATIENCE, good_client(address, key)).await;
-        served.push(if matches!(answer, Ok(Ok(()))) { started.elapsed() } else { GOOD_PATIENCE });
+        let answer = timeout(GOOD_TIMEOUT, good_client(address, key)).await;
+        served.push(if matches!(answer, Ok(Ok(()))) { started.elapsed() } else { GOOD_TIMEOUT });
     }
     let mut stays = vec![Vec::new(); Kind::ALL.len()];
     let mut unopened = 0;
@@ -134,7 +134,7 @@ async fn good_client(address: SocketAddr, key: ChunkKey) -> Result<()> {
     Ok(())
 }
 
-/// How long a socket stays open, at most [`PATIENCE`]; none if it cannot be opened.
+/// How long a socket stays open, at most [`TIMEOUT`]; none if it cannot be opened.
 async fn stay(kind: Kind, source: usize, address: SocketAddr, key: ChunkKey) -> Option<Duration> {
     let mut stream = open_from(loopback(source), address, None).await.ok()?;
     let started = Instant::now();
@@ -168,7 +168,7 @@ async fn stay(kind: Kind, source: usize, address: SocketAddr, key: ChunkKey) -> 
             () = read => {}
         }
     };
-    let _ = timeout(PATIENCE, ended).await;
+    let _ = timeout(TIMEOUT, ended).await;
     Some(started.elapsed())
 }
 
@@ -194,8 +194,8 @@ pub fn notes(figures: &Value) -> Vec<String> {
         let name = bars::figures::text(kind, "kind").unwrap_or("?");
         format!("{} ({name}).", bars::figures::fill(line, kind))
     });
-    let line = "New clients beside them: {good_clients:.0} a round, p50 {good_p50_ms:.1} ms, slowest by round \
-                {good_worst_ms_rounds:.1} ms; {unopened:.0} sockets could not be opened.";
+    let line = "New clients beside them: {good_clients:.0} a round, p50 {good_p50_ms:.1} ms, \
+                slowest by round {good_worst_ms_rounds:.1} ms; {unopened:.0} sockets could not be opened.";
     kinds.chain([bars::figures::fill(line, figures)]).collect()
 }
 

@@ -143,8 +143,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 
 /// Further figures in sentences.
 pub fn notes(figures: &Value) -> Vec<String> {
-    let line = "Clients that hang up: {rss_before_mib:.1} MiB after 20,000 cycles, {rss_after_mib:.1} MiB after \
-                {cycles:.0}; {failed_cycles:.0} could not connect.";
+    let line = "Clients that hang up: {rss_before_mib:.1} MiB after 20,000 cycles, \
+                {rss_after_mib:.1} MiB after {cycles:.0}; {failed_cycles:.0} could not connect.";
     vec![bars::figures::fill(line, figures)]
 }
 

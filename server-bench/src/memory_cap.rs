@@ -210,8 +210,9 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 
 /// Further figures in sentences.
 pub fn notes(figures: &Value) -> Vec<String> {
-    let line = "Limit of memory, {seconds:.0} s: {limited/chunks:.0} chunks, {limited/refused:.0} refused; polite \
-                p99 {limited/p99_before_ms:.1} ms before, {limited/p99_after_ms:.1} ms after.";
+    let line = "Limit of memory, {seconds:.0} s: {limited/chunks:.0} chunks, {limited/refused:.0} \
+                refused; polite p99 {limited/p99_before_ms:.1} ms before, \
+                {limited/p99_after_ms:.1} ms after.";
     vec![bars::figures::fill(line, figures)]
 }
 

@@ -172,8 +172,9 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 
 /// Further figures in sentences.
 pub fn notes(figures: &Value) -> Vec<String> {
-    let line = "Clients that never read: healthy p99 {p99_alone_ms:.2} ms alone, {p99_ms:.2} ms beside; round \
-                by round {p99_ratio_rounds:.2}; at most {most_sessions:.0} of them open at once.";
+    let line = "Clients that never read: healthy p99 {p99_alone_ms:.2} ms alone, {p99_ms:.2} ms \
+                beside; round by round {p99_ratio_rounds:.2}; at most {most_sessions:.0} of \
+                them open at once.";
     vec![bars::figures::fill(line, figures)]
 }
 

@@ -68,7 +68,6 @@ fn chunks_of(mut stream: ServerStream) -> Result<usize, String> {
             Some(StreamEvent::Disconnected { cause, .. } | StreamEvent::Refused { detail: cause }) => {
                 return Err(cause);
             }
-            Some(_) => {}
             None => std::thread::sleep(Duration::from_millis(2)),
         }
     }

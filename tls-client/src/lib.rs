@@ -75,13 +75,13 @@ impl TlsClient {
             .map_err(|_| io::Error::new(io::ErrorKind::InvalidInput, format!("`{host}` is no host name")))?;
         match self.connector.connect(name, stream).await {
             Ok(stream) => Ok(Either::Right(Box::new(stream))),
-            Err(error) => Err(explained(error)),
+            Err(error) => Err(explained(&error)),
         }
     }
 }
 
 /// A failed handshake with what to do about it.
-fn explained(error: io::Error) -> io::Error {
+fn explained(error: &io::Error) -> io::Error {
     let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<rustls::Error>());
     let remedy = match cause {
         Some(rustls::Error::InvalidCertificate(_)) => "name its certificate authority with --ca-file",

@@ -47,7 +47,7 @@ async fn closed(peer: &mut Peer, pieces: impl Iterator<Item = Vec<u8>>) -> Optio
 #[tokio::test(start_paused = true)]
 async fn a_message_that_comes_byte_by_byte_is_closed_after_five_seconds() {
     let mut peer = connected().await;
-    let bytes = frame(0x80 | BINARY, &vec![0; 100]);
+    let bytes = frame(0x80 | BINARY, &[0; 100]);
     let end = closed(&mut peer, bytes.iter().map(|byte| vec![*byte])).await;
     assert!(matches!(end, Some((code, 5..=7)) if code == CloseCode::Unresponsive.code()), "{end:?}");
 }

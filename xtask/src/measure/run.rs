@@ -48,7 +48,7 @@ impl Run {
         self.report_of(name, command)
     }
 
-    /// As [`Run::report`], of a command that is already told to write to `self.file("NAME.json")`.
+    /// As [`Run::report`], of a command whose options already name `self.file("NAME.json")`.
     ///
     /// # Errors
     /// As [`Run::report`].
