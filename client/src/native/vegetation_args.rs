@@ -19,7 +19,7 @@ pub struct VegetationArgs {
           value_parser = clap::value_parser!(u32).range(0..=MOST_GRASS))]
     pub grass: Option<u32>,
 
-    /// Range of grass, metres, 0 to 1900 [default: 260; 240 in culling; 150 at most with --quality
+    /// Range of grass, metres, 0 to 1900 [default: 260; 240 in culling; 80 at most with --quality
     /// low, 400 in the scene island with high]
     #[arg(long, value_name = "M", allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
@@ -43,14 +43,15 @@ pub struct VegetationArgs {
     pub trees: Option<u32>,
 
     /// Range of trees, metres, 0 to 8000 [default: 8000 in the scene island, 1500 in grass and
-    /// culling; with --quality low 3000 at most]
+    /// culling; with --quality low 1500]
     #[arg(long, value_name = "M", allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_TREE_M))]
     pub tree_range: Option<f64>,
 
-    /// Visibility test of plants
-    #[arg(long, value_enum, default_value_t)]
-    pub cull: Cull,
+    /// Visibility test of plants [default: hierarchical; in the scene island with --quality low
+    /// frustum]
+    #[arg(long, value_enum)]
+    pub cull: Option<Cull>,
 
     /// Frames for which a block of plants stays visible after its last visible frame, 0 to 60;
     /// exact tests need none
@@ -102,7 +103,7 @@ impl VegetationArgs {
                 defaults.single_trees_m
             },
             impostors_from_m: defaults.impostors_from_m,
-            cull: self.cull,
+            cull: self.cull.unwrap_or(defaults.cull),
             stay: self.cull_stay,
             step_m: self.cull_step as f32,
             wind: or(self.wind, defaults.wind),
