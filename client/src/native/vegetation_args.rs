@@ -89,6 +89,8 @@ impl VegetationArgs {
     #[must_use]
     pub fn vegetation_settings(&self, defaults: VegetationSettings) -> VegetationSettings {
         let or = |given: Option<f64>, defaults: f32| given.map_or(defaults, |given| given as f32);
+        // A range that is given is culled as without a preset.
+        let culled = if self.tree_range.is_some() { VegetationSettings::STANDARD } else { defaults };
         VegetationSettings {
             density: self.grass.unwrap_or(defaults.density),
             range_m: or(self.grass_range, defaults.range_m),
@@ -96,14 +98,9 @@ impl VegetationArgs {
             widest: or(self.grass_widest, defaults.widest),
             trees: self.trees.unwrap_or(defaults.trees),
             tree_range_m: or(self.tree_range, defaults.tree_range_m),
-            // A range that is given is culled as without a preset.
-            single_trees_m: if self.tree_range.is_some() {
-                VegetationSettings::STANDARD.single_trees_m
-            } else {
-                defaults.single_trees_m
-            },
+            single_trees_m: culled.single_trees_m,
             impostors_from_m: defaults.impostors_from_m,
-            cull: self.cull.unwrap_or(defaults.cull),
+            cull: self.cull.unwrap_or(culled.cull),
             stay: self.cull_stay,
             step_m: self.cull_step as f32,
             wind: or(self.wind, defaults.wind),
