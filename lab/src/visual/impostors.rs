@@ -90,7 +90,8 @@ pub fn measure(land: &Land, poses: u32) -> Result<Impostors, GpuError> {
         let frame = |plants| view(plants).frame(Scene::Island, &world, &selection);
         let (far_frame, near_frame) = (frame(TREES), frame(geometry()));
         let band = band(&mut renderer, &far_frame, &near_frame)?;
-        let both = shown(&mut renderer, &band, [TREES, geometry(), BARE].map(|plants| frame(plain(plants))))?;
+        let both =
+            shown(&mut renderer, &band, &[TREES, geometry(), BARE].map(|plants| frame(plain(plants))))?;
         if both.iter().filter(|[far, near]| far.is_some() || near.is_some()).count() < LEAST_PIXELS {
             continue;
         }
@@ -189,7 +190,7 @@ fn fine_flips(
 fn shown(
     renderer: &mut HeadlessRenderer,
     band: &[bool],
-    frames: [FrameData; 3],
+    frames: &[FrameData; 3],
 ) -> Result<Vec<[Option<f64>; 2]>, GpuError> {
     let [far, near, bare] = [0, 1, 2].map(|index: usize| renderer.picture(&frames[index]));
     let (far, near, bare) = (far?, near?, bare?);
