@@ -2,7 +2,7 @@
 //!
 //! Rendering: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of
 //! materials ([`tiling`]), parallax occlusion mapping ([`pom`], [`pom_pictures`]), occlusion
-//! culling ([`mod@culling`]), density of grass ([`grass`]).
+//! culling ([`mod@culling`]), density of grass ([`grass`]), distances of trees ([`trees`]).
 //!
 //! Heightfield: integers against the formula in f64 ([`heightfield`], with its bars), octaves kept
 //! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), octaves of
@@ -26,6 +26,7 @@ mod pom;
 mod pom_pictures;
 mod quantum;
 mod tiling;
+mod trees;
 mod water;
 
 use crate::curve::{self, Curve};
@@ -74,6 +75,8 @@ pub enum Subject {
     Culling,
     /// Density and thinning of grass
     Grass,
+    /// Impostors and single culling of trees
+    Trees,
 }
 
 /// The result. Field names are a contract with scripts.
@@ -116,6 +119,7 @@ impl Subject {
             Self::Codec => &[("codec of chunks", codec::measure)],
             Self::Culling => &[("occlusion tests", culling::measure)],
             Self::Grass => &[("grass", grass::measure)],
+            Self::Trees => &[("trees", trees::measure)],
         }
     }
 }

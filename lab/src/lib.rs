@@ -34,6 +34,7 @@ mod report;
 mod sample;
 mod stability;
 pub mod stats;
+mod supersampled;
 mod table;
 mod timings;
 pub mod tree_shadow;

@@ -24,7 +24,7 @@ use wgpu::util::DeviceExt as _;
 const SLOTS: u32 = 1500;
 
 /// Places that are compared, and how far they lie from the eye along either axis, metres.
-pub const PLACES: u32 = 2000;
+pub const PLACES: u32 = 8000;
 const NEAR_M: f32 = 90.0;
 
 /// Difference of the share of the sun from which on a place, or the mean of a block, is wrong.

@@ -2,9 +2,9 @@
 //!
 //! Light across borders of chunks (`borders`), the change of shading with the tolerance
 //! (`tolerance`), light in shadow (`shadow`): each with the normals of the land and, as its control,
-//! with those of the drawn triangles. Shadows of objects on floors (`floor_shadow`), near planes under
-//! lifted eyes (`lifted`), impostors of trees (`impostors`), shadows of trees (`tree_shadow`), times
-//! of frames (`frame_time`).
+//! with those of the drawn triangles. The power spectrum of the ground (`spectrum`), shadows of objects
+//! on floors (`floor_shadow`), near planes under lifted eyes (`lifted`), impostors of trees
+//! (`impostors`), shadows of trees (`tree_shadow`), times of frames (`frame_time`).
 //! `cargo xtask measure visual` compares the figures with their bars; here only a control that passes
 //! is an error.
 
@@ -15,6 +15,7 @@ mod frame_time;
 mod impostors;
 mod lifted;
 mod shadow;
+mod spectrum;
 mod tolerance;
 mod tree_shadow;
 mod views;
@@ -49,6 +50,7 @@ struct Report {
     borders: borders::Borders,
     tolerance: tolerance::Tolerance,
     shadow: shadow::Shadow,
+    spectrum: spectrum::Spectrum,
     /// Pixels of all pictures above with light that is no finite number.
     unlit: u64,
     floor: floor_shadow::FloorShadow,
@@ -71,6 +73,8 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let tolerance = tolerance::measure(&mut views)?;
     note("light in shadow");
     let shadow = shadow::measure(&mut views)?;
+    note("power spectrum of the ground");
+    let spectrum = spectrum::measure(&mut views, &land, options.poses.div_ceil(3))?;
     let (adapter, unlit) = (views.adapter(), views.unlit);
     drop(views);
     note("shadows on floors");
@@ -89,6 +93,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         borders,
         tolerance,
         shadow,
+        spectrum,
         unlit,
         floor,
         lifted,

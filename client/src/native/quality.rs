@@ -2,7 +2,7 @@
 //! wins over them.
 
 use crate::features::pom::settings::PomMethod;
-use crate::features::vegetation::VegetationSettings;
+use crate::features::vegetation::{Cull, VegetationSettings};
 use crate::scene::Scene;
 use crate::settings::Tiling;
 use clap::ValueEnum;
@@ -45,6 +45,9 @@ pub struct Preset {
     pub tree_range_m: f32,
     /// Up to here each tree is culled by itself, metres.
     pub single_trees_m: f32,
+    /// Visibility test of plants, of the island scene. Where few plants are tested, a test for what the
+    /// land hides takes longer than drawing what it would drop.
+    pub cull: Cull,
     /// Rendered size over the size of the window. A shot of a software driver has its own size.
     pub render_scale: f32,
     /// Whether scenes with plants of their own get no more than these.
@@ -69,6 +72,7 @@ impl Preset {
             trees: 2,
             tree_range_m: 8000.0,
             single_trees_m: 1500.0,
+            cull: Cull::Hierarchical,
             render_scale: 1.0,
             limits_plants: false,
         };
@@ -81,8 +85,9 @@ impl Preset {
             grass: 8,
             grass_range_m: 80.0,
             trees: 1,
-            tree_range_m: 3000.0,
+            tree_range_m: 1500.0,
             single_trees_m: 350.0,
+            cull: Cull::Frustum,
             render_scale: 0.5,
             limits_plants: true,
         };
@@ -119,6 +124,7 @@ impl Preset {
                 trees: self.trees,
                 tree_range_m: self.tree_range_m,
                 single_trees_m: self.single_trees_m,
+                cull: self.cull,
                 ..VegetationSettings::STANDARD
             },
             _ if self.limits_plants => VegetationSettings {

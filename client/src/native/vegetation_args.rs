@@ -19,7 +19,7 @@ pub struct VegetationArgs {
           value_parser = clap::value_parser!(u32).range(0..=MOST_GRASS))]
     pub grass: Option<u32>,
 
-    /// Range of grass, metres, 0 to 1900 [default: 260; 240 in culling; 150 at most with --quality
+    /// Range of grass, metres, 0 to 1900 [default: 260; 240 in culling; 80 at most with --quality
     /// low, 400 in the scene island with high]
     #[arg(long, value_name = "M", allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_M))]
@@ -43,14 +43,15 @@ pub struct VegetationArgs {
     pub trees: Option<u32>,
 
     /// Range of trees, metres, 0 to 8000 [default: 8000 in the scene island, 1500 in grass and
-    /// culling; with --quality low 3000 at most]
+    /// culling; with --quality low 1500]
     #[arg(long, value_name = "M", allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.0, FARTHEST_TREE_M))]
     pub tree_range: Option<f64>,
 
-    /// Visibility test of plants
-    #[arg(long, value_enum, default_value_t)]
-    pub cull: Cull,
+    /// Visibility test of plants [default: hierarchical; in the scene island with --quality low
+    /// frustum]
+    #[arg(long, value_enum)]
+    pub cull: Option<Cull>,
 
     /// Frames for which a block of plants stays visible after its last visible frame, 0 to 60;
     /// exact tests need none
@@ -88,6 +89,8 @@ impl VegetationArgs {
     #[must_use]
     pub fn vegetation_settings(&self, defaults: VegetationSettings) -> VegetationSettings {
         let or = |given: Option<f64>, defaults: f32| given.map_or(defaults, |given| given as f32);
+        // A range that is given is culled as without a preset.
+        let culled = if self.tree_range.is_some() { VegetationSettings::STANDARD } else { defaults };
         VegetationSettings {
             density: self.grass.unwrap_or(defaults.density),
             range_m: or(self.grass_range, defaults.range_m),
@@ -95,14 +98,9 @@ impl VegetationArgs {
             widest: or(self.grass_widest, defaults.widest),
             trees: self.trees.unwrap_or(defaults.trees),
             tree_range_m: or(self.tree_range, defaults.tree_range_m),
-            // A range that is given is culled as without a preset.
-            single_trees_m: if self.tree_range.is_some() {
-                VegetationSettings::STANDARD.single_trees_m
-            } else {
-                defaults.single_trees_m
-            },
+            single_trees_m: culled.single_trees_m,
             impostors_from_m: defaults.impostors_from_m,
-            cull: self.cull,
+            cull: self.cull.unwrap_or(culled.cull),
             stay: self.cull_stay,
             step_m: self.cull_step as f32,
             wind: or(self.wind, defaults.wind),

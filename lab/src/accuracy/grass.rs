@@ -6,6 +6,7 @@ use crate::culling::scene::Scene;
 use crate::curve::{Curve, Sheet};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
 use crate::headless_renderer::HeadlessRenderer;
+use crate::supersampled::{self, averaged};
 use anyhow::{Context, Result, ensure};
 use chart::{Choice, Panel, linear, log};
 use client::features::vegetation::{Cull, VegetationSettings};
@@ -53,7 +54,7 @@ struct Row {
 
 pub fn measure(world_seed: u64) -> Result<Curve> {
     let land = Land::new(world_seed);
-    let fine = (SIZE.0 * FINER, SIZE.1 * FINER);
+    let fine = supersampled::size(SIZE, FINER);
     let mut renderer = HeadlessRenderer::open(fine, SLOTS).context("grass needs a GPU")?;
     let reference = render(&mut renderer, &land, REFERENCE)?;
     ensure!(
@@ -139,7 +140,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
 }
 
 fn render(renderer: &mut HeadlessRenderer, land: &Land, plants: VegetationSettings) -> Result<Rendered> {
-    let fine = (SIZE.0 * FINER, SIZE.1 * FINER);
+    let fine = supersampled::size(SIZE, FINER);
     // Levels of detail of the small picture: the terrain does not depend on the resolution.
     let case = Case::at_start(client::scene::Scene::Grass, SIZE, plants);
     let scene = Scene::of(land, &case, renderer.slots()).context("nothing grows in the scene `grass`")?;
@@ -151,29 +152,6 @@ fn render(renderer: &mut HeadlessRenderer, land: &Land, plants: VegetationSettin
     let chosen = renderer.chosen()?;
     ensure!(chosen.iter().all(|kind| kind.stats.clumps_lost == 0), "no room for all clumps");
     let clumps = chosen.iter().map(|kind| kind.clumps.len() as f64).sum();
-    let picture = averaged(&renderer.picture(&frame)?);
+    let picture = averaged(&renderer.picture(&frame)?, FINER);
     Ok(Rendered { picture, coverage, clumps })
-}
-
-/// Downsampled by a box filter in linear light.
-fn averaged(fine: &Image) -> Image {
-    let (width, height) = (fine.width / FINER, fine.height / FINER);
-    let linear = |byte: u8| (f64::from(byte) / 255.0).powf(2.2);
-    let mut rgba = Vec::with_capacity((4 * width * height) as usize);
-    for row in 0..height {
-        for column in 0..width {
-            for channel in 0..3 {
-                let of = |x: u32, y: u32| {
-                    let pixel = (row * FINER + y) * fine.width + column * FINER + x;
-                    linear(fine.rgba[(4 * pixel + channel) as usize])
-                };
-                let sum: f64 =
-                    (0..FINER).flat_map(|y| (0..FINER).map(move |x| (x, y))).map(|(x, y)| of(x, y)).sum();
-                let mean = sum / f64::from(FINER * FINER);
-                rgba.push((255.0 * mean.powf(1.0 / 2.2)).round() as u8);
-            }
-            rgba.push(255);
-        }
-    }
-    Image { width, height, rgba }
 }

@@ -5,9 +5,10 @@ use crate::flip::{self, PIXELS_PER_DEGREE};
 use crate::headless_renderer::HeadlessRenderer;
 use crate::lod::screen;
 use crate::sample::{self, unit, word};
+use crate::supersampled::{self, averaged};
 use crate::world_builder::WorldBuilder;
 use client::camera::{Pose, Projection};
-use client::features::vegetation::VegetationSettings;
+use client::features::vegetation::{PlantShadows, VegetationSettings};
 use client::frame::FrameData;
 use client::gpu::{GpuError, Image};
 use client::scene::Scene;
@@ -41,6 +42,9 @@ const TRIED: u32 = 12;
 const TREES: VegetationSettings =
     VegetationSettings { density: 0, trees: 2, wind: 0.0, ..VegetationSettings::STANDARD };
 
+/// No trees.
+const BARE: VegetationSettings = VegetationSettings { trees: 0, ..TREES };
+
 /// Mean FLIP over the pixels of trees just beyond the switch.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Impostors {
@@ -52,8 +56,15 @@ pub struct Impostors {
     pub flip: f64,
     /// The same over the whole picture.
     pub picture: f64,
-    /// Mean luminance of impostors over that of geometry.
+    /// Geometry against itself, turned by half a pixel: what shapes smaller than a pixel do alone.
+    pub moved: f64,
+    /// Impostors against geometry, with four samples a pixel.
+    pub smooth: f64,
+    /// Mean luminance of impostors over that of geometry where both show a tree, without shadows of
+    /// trees: the light without the outlines.
     pub luminance: f64,
+    /// Pixels of impostors over those of geometry: the outlines without the light.
+    pub cover: f64,
     /// No trees against geometry: the control.
     pub without: f64,
 }
@@ -61,32 +72,55 @@ pub struct Impostors {
 /// Measures until `poses` poses have enough trees at that distance.
 pub fn measure(land: &Land, poses: u32) -> Result<Impostors, GpuError> {
     let mut renderer = HeadlessRenderer::open(SIZE, SLOTS)?;
+    let mut fine = HeadlessRenderer::open(supersampled::size(SIZE, 2), SLOTS)?;
     let mut builder = WorldBuilder::new(*land);
     let mut found = Impostors::default();
     let (mut light, mut light_of_geometry) = (0.0, 0.0);
+    let mut covered = [0_usize; 2];
     for pose in candidates(land, poses * TRIED) {
         if found.poses >= poses as usize {
             break;
         }
-        let view = |plants| ViewParams { settings: RenderSettings { plants, ..settings() }, ..shot(pose) };
+        let at =
+            |pose, plants| ViewParams { settings: RenderSettings { plants, ..settings() }, ..shot(pose) };
+        let view = |plants| at(pose, plants);
         let (world, selection) = screen::selected(&mut builder, &view(TREES));
         builder.clear();
         renderer.upload_world(&world);
         let frame = |plants| view(plants).frame(Scene::Island, &world, &selection);
-        let (far, near) = (frame(TREES), frame(geometry()));
-        let mask = mask(&mut renderer, &far, &near)?;
-        if mask.iter().filter(|is| **is).count() < LEAST_PIXELS {
+        let (far_frame, near_frame) = (frame(TREES), frame(geometry()));
+        let band = band(&mut renderer, &far_frame, &near_frame)?;
+        let both =
+            shown(&mut renderer, &band, &[TREES, geometry(), BARE].map(|plants| frame(plain(plants))))?;
+        if both.iter().filter(|[far, near]| far.is_some() || near.is_some()).count() < LEAST_PIXELS {
             continue;
         }
-        let bare = frame(VegetationSettings { trees: 0, ..TREES });
-        let [far, near, bare] = [renderer.picture(&far)?, renderer.picture(&near)?, renderer.picture(&bare)?];
-        let [flips, control] = [&far, &bare].map(|picture| flip::map(&near, picture, PIXELS_PER_DEGREE));
-        for pixel in mask.iter().enumerate().filter_map(|(pixel, is)| is.then_some(pixel)) {
-            found.flip += flips[pixel];
-            found.without += control[pixel];
-            light += level(&far, pixel);
-            light_of_geometry += level(&near, pixel);
-            found.pixels += 1;
+        fine.upload_world(&world);
+        // In the middle of the picture a pixel is so wide.
+        let half_px = f64::from(0.5 / near_frame.uniforms.pixels_per_radian).to_degrees();
+        let aside = Pose { yaw_deg: pose.yaw_deg + half_px, ..pose };
+        let moved = at(aside, geometry()).frame(Scene::Island, &world, &selection);
+        let bare = frame(BARE);
+        let [far, near, bare] =
+            [renderer.picture(&far_frame)?, renderer.picture(&near_frame)?, renderer.picture(&bare)?];
+        let moved = renderer.picture(&moved)?;
+        let smooth = fine_flips(&mut fine, &far_frame, &near_frame)?;
+        let [flips, control, shifted] =
+            [&far, &bare, &moved].map(|picture| flip::map(&near, picture, PIXELS_PER_DEGREE));
+        for (pixel, [of_far, of_near]) in both.into_iter().enumerate() {
+            covered[0] += usize::from(of_far.is_some());
+            covered[1] += usize::from(of_near.is_some());
+            if let (Some(far), Some(near)) = (of_far, of_near) {
+                light += far;
+                light_of_geometry += near;
+            }
+            if of_far.is_some() || of_near.is_some() {
+                found.flip += flips[pixel];
+                found.without += control[pixel];
+                found.moved += shifted[pixel];
+                found.smooth += smooth[pixel];
+                found.pixels += 1;
+            }
         }
         found.picture += flips.iter().sum::<f64>() / flips.len() as f64;
         found.poses += 1;
@@ -95,7 +129,10 @@ pub fn measure(land: &Land, poses: u32) -> Result<Impostors, GpuError> {
     found.picture /= found.poses.max(1) as f64;
     found.flip /= pixels;
     found.without /= pixels;
+    found.moved /= pixels;
+    found.smooth /= pixels;
     found.luminance = light / light_of_geometry;
+    found.cover = covered[0] as f64 / covered[1] as f64;
     Ok(found)
 }
 
@@ -132,8 +169,41 @@ fn candidates(land: &Land, count: u32) -> impl Iterator<Item = Pose> {
     })
 }
 
-/// The pixels of trees just beyond the switch, in either picture.
-fn mask(renderer: &mut HeadlessRenderer, far: &FrameData, near: &FrameData) -> Result<Vec<bool>, GpuError> {
+/// Without shadows of trees.
+fn plain(plants: VegetationSettings) -> VegetationSettings {
+    VegetationSettings { shadows: PlantShadows::Off, ..plants }
+}
+
+/// FLIP of every pixel with four samples each; the renderer's pictures are twice as wide and high.
+fn fine_flips(
+    renderer: &mut HeadlessRenderer,
+    far: &FrameData,
+    near: &FrameData,
+) -> Result<Vec<f64>, GpuError> {
+    let pictures = [renderer.picture(far)?, renderer.picture(near)?];
+    let [far, near] = [0, 1].map(|index: usize| averaged(&pictures[index], 2));
+    Ok(flip::map(&near, &far, PIXELS_PER_DEGREE))
+}
+
+/// Of each pixel the luminance of the tree of the band that it shows, as an impostor and as
+/// geometry: where pictures without shadows of trees differ from the one without trees.
+fn shown(
+    renderer: &mut HeadlessRenderer,
+    band: &[bool],
+    frames: &[FrameData; 3],
+) -> Result<Vec<[Option<f64>; 2]>, GpuError> {
+    let [far, near, bare] = [0, 1, 2].map(|index: usize| renderer.picture(&frames[index]));
+    let (far, near, bare) = (far?, near?, bare?);
+    let shows = |picture: &Image, pixel: usize| {
+        let at = 4 * pixel..4 * pixel + 3;
+        (band[pixel] && picture.rgba[at.clone()] != bare.rgba[at]).then(|| level(picture, pixel))
+    };
+    Ok((0..band.len()).map(|pixel| [&far, &near].map(|picture| shows(picture, pixel))).collect())
+}
+
+/// Whether a pixel may show a tree just beyond the switch, in either picture. IDs of geometry cover
+/// its sprays without the gaps between their leaves.
+fn band(renderer: &mut HeadlessRenderer, far: &FrameData, near: &FrameData) -> Result<Vec<bool>, GpuError> {
     let Some(trees) = far.plants.as_ref().and_then(|plants| plants.species.first()) else {
         return Ok(Vec::new());
     };

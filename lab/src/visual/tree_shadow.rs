@@ -18,6 +18,8 @@ pub struct TreeShadow {
     pub far: f64,
     /// Largest difference of a block's mean.
     pub far_most: f64,
+    /// Largest difference of the mean of all blocks.
+    pub far_mean: f64,
     /// Share of wrong places with the sun turned by 5 degrees, the least of all suns: the control.
     pub control: f64,
     /// Share of wrong blocks without shadows: the control.
@@ -26,7 +28,8 @@ pub struct TreeShadow {
 
 /// Measures all suns.
 pub fn measure() -> Result<TreeShadow, GpuError> {
-    let mut worst = TreeShadow { near: 0.0, far: 0.0, far_most: 0.0, control: 1.0, far_control: 1.0 };
+    let mut worst =
+        TreeShadow { near: 0.0, far: 0.0, far_most: 0.0, far_mean: 0.0, control: 1.0, far_control: 1.0 };
     for sun_deg in SUNS_DEG {
         let wood = Wood::open(Gpu::open_blocking()?, sun_deg, PlantShadows::On);
         let (found, trees) = (wood.found()?, wood.casters()?);
@@ -39,9 +42,15 @@ pub fn measure() -> Result<TreeShadow, GpuError> {
             near: worst.near.max(wrong(&near, &expected)),
             far: worst.far.max(wrong(&far, &blocks)),
             far_most: worst.far_most.max(most),
+            far_mean: worst.far_mean.max((mean(&far) - mean(&blocks)).abs()),
             control: worst.control.min(wrong(&near, &wood.truth(&trees, turned(wood.sun)))),
             far_control: worst.far_control.min(wrong(&vec![1.0; blocks.len()], &blocks)),
         };
     }
     Ok(worst)
+}
+
+/// Mean of values.
+fn mean(values: &[f32]) -> f64 {
+    crate::stats::mean(values.iter().map(|value| f64::from(*value)))
 }
