@@ -86,7 +86,7 @@ pub fn open_stream(args: &Args) -> anyhow::Result<Box<dyn ChunkStream>> {
 /// Connection settings, with the token from its file.
 fn stream_settings(args: &Args, url: Uri) -> anyhow::Result<Settings> {
     let token = args.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?;
-    Ok(Settings { url, token, digest: args.digest, delivery: args.delivery })
+    Ok(Settings { token, digest: args.digest, delivery: args.delivery, ..Settings::new(url) })
 }
 
 /// Writes the measurements of a run.
