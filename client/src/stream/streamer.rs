@@ -406,6 +406,26 @@ mod tests {
     }
 
     #[test]
+    fn a_chunk_that_was_bad_does_not_coarsen_the_view() {
+        let tolerance_px = |is_bad: bool| {
+            let mut streamer = WorldStreamer::new(Script::default(), 10);
+            streamer.stream.events.push_back(connected(1));
+            streamer.update(&view(), AT(0), 10, |_| ());
+            if is_bad {
+                let missed = StreamEvent::Missed { key: ChunkKey::new(3, 0, 0).ok(), detail: "bad".into() };
+                streamer.stream.events.push_back(missed);
+            }
+            streamer.stream.events.push_back(StreamEvent::Settled { view: 1 });
+            streamer.update(&view(), AT(500), 10, |_| ());
+            assert_eq!((streamer.missed(), streamer.is_settled()), (usize::from(is_bad), true));
+            streamer.tolerance_px(&view())
+        };
+        assert_eq!(tolerance_px(true), 4.0);
+        // The control: what is missing otherwise was evicted.
+        assert!(tolerance_px(false) > 4.0);
+    }
+
+    #[test]
     fn a_still_camera_sends_one_view_and_a_moving_one_ten_a_second() {
         let mut streamer = WorldStreamer::new(Script::default(), 10);
         streamer.stream.events.push_back(connected(1));
