@@ -139,7 +139,7 @@ impl Gpu {
             uncaptured(&error.to_string(), matches!(error, wgpu::Error::OutOfMemory { .. }));
         }));
         let lost = note(&faults);
-        // Also of a device that is dropped, whose faults nobody reads.
+        // Also of a device that is dropped, whose faults are not read.
         device.set_device_lost_callback(move |reason, message| {
             lost(&format!("the device was lost ({reason:?}) {message}"), true);
         });

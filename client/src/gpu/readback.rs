@@ -130,7 +130,7 @@ impl PendingWork {
     pub fn start(queue: &wgpu::Queue) -> Self {
         let (sender, outcome) = mpsc::channel();
         queue.on_submitted_work_done(move || {
-            // The receiver is gone if nobody waits any more.
+            // The receiver is gone if the work was abandoned.
             let _ = sender.send(());
         });
         Self { outcome, is_done: false }

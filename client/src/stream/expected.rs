@@ -20,8 +20,8 @@ pub const MAX_VIEWS: usize = 1024;
 pub struct ExpectedChunks {
     /// Newest last.
     views: VecDeque<SentView>,
-    /// Chunks that the server was told to be held. At most [`MAX_HELD`]; cleared when full, as in
-    /// the server. The server chooses the keys: a randomly keyed hash.
+    /// Chunks that were reported to the server as held, or came from it. At most [`MAX_HELD`];
+    /// cleared when full, as in the server. The server chooses the keys: a randomly keyed hash.
     held: HashSet<ChunkKey>,
 }
 

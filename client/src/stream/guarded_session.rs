@@ -184,9 +184,9 @@ impl GuardedSession {
                 }
                 self.retries.remove(chunk.key);
                 if self.expected.hold(chunk.key) {
-                    trust.good()
+                    trust.good();
                 } else {
-                    trust.surplus()?
+                    trust.surplus()?;
                 }
                 Ok(Received::Event(StreamEvent::Chunk(chunk)))
             }

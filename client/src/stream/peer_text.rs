@@ -6,7 +6,11 @@ use protocol::limits::MAX_TEXT;
 /// drive a terminal, and marks that reverse the direction of text are replaced.
 #[must_use]
 pub fn one_line(text: &str) -> String {
-    let reverses = |mark: char| matches!(mark, '\u{200e}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let reverses = |mark: char| {
+        ['\u{200e}'..='\u{200f}', '\u{202a}'..='\u{202e}', '\u{2066}'..='\u{2069}']
+            .iter()
+            .any(|marks| marks.contains(&mark))
+    };
     text[..text.floor_char_boundary(MAX_TEXT)]
         .chars()
         .map(|mark| if mark.is_control() || reverses(mark) { '?' } else { mark })

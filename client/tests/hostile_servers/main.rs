@@ -1,11 +1,11 @@
 //! The viewer against servers that break the rules. Each one ends with a stated reason, or the view
-//! completes once the server mends; meanwhile chunks, events and texts stay within their bounds.
+//! completes once the server is correct; meanwhile chunks, events and texts stay within their bounds.
 
 mod server;
 
 use bytes::Bytes;
 use client::camera::Projection;
-use client::native::stream::{EVENT_CAPACITY, Patience, ServerStream, Settings};
+use client::native::stream::{EVENT_CAPACITY, ServerStream, Settings, Timeouts};
 use client::settings::RenderSettings;
 use client::stream::streamer::{Link, WorldStreamer};
 use client::stream::trust::MAX_BAD;
@@ -31,7 +31,7 @@ const LONGEST_REASON: usize = 700;
 const MS: fn(u64) -> Duration = Duration::from_millis;
 
 /// Waits that are long for a correct server in a debug build.
-const PATIENT: Patience = Patience {
+const LONG: Timeouts = Timeouts {
     connect: MS_CONST[0],
     welcome: MS_CONST[0],
     write: MS_CONST[0],
@@ -45,8 +45,8 @@ const MS_CONST: [Duration; 4] =
     [Duration::from_secs(20), Duration::from_secs(1), Duration::from_millis(5), Duration::from_millis(40)];
 
 /// Waits for servers that are never correct.
-const IMPATIENT: Patience =
-    Patience { connect: Duration::from_secs(1), welcome: MS_CONST[1], progress: MS_CONST[1], ..PATIENT };
+const SHORT: Timeouts =
+    Timeouts { connect: Duration::from_secs(1), welcome: MS_CONST[1], progress: MS_CONST[1], ..LONG };
 
 /// What a viewer saw of a server.
 struct Outcome {
@@ -83,7 +83,7 @@ fn view() -> ViewParams {
 /// were lost.
 fn run_on(behaviour: Behaviour, change: impl Fn(Settings) -> Settings, most_sessions: usize) -> Outcome {
     let server = HostileServer::start(behaviour);
-    let settings = Settings { patience: PATIENT, ..Settings::new(server.url().parse().unwrap()) };
+    let settings = Settings { timeouts: LONG, ..Settings::new(server.url().parse().unwrap()) };
     let stream = ServerStream::connect(change(settings)).unwrap();
     let mut streamer = WorldStreamer::new(stream, CAPACITY);
     let (started, mut causes) = (Instant::now(), Vec::new());
@@ -118,8 +118,8 @@ fn run(behaviour: Behaviour) -> Outcome {
 }
 
 /// Against a server that is never correct.
-fn run_impatient(behaviour: Behaviour, most_sessions: usize) -> Outcome {
-    run_on(behaviour, |settings| Settings { patience: IMPATIENT, ..settings }, most_sessions)
+fn run_short(behaviour: Behaviour, most_sessions: usize) -> Outcome {
+    run_on(behaviour, |settings| Settings { timeouts: SHORT, ..settings }, most_sessions)
 }
 
 fn far_away() -> ChunkKey {
@@ -180,7 +180,7 @@ fn a_server_of_wrong_chunks_is_given_up_with_what_was_wrong() {
 }
 
 #[test]
-fn a_view_completes_once_a_server_of_wrong_chunks_mends() {
+fn a_view_completes_once_the_server_sends_correct_chunks() {
     for (name, wrong, word) in WRONG_CHUNKS {
         let outcome = run(server::wrong_at_first(3, wrong));
         assert!(outcome.is_complete, "{name}: {:?}", outcome.link);
@@ -339,7 +339,7 @@ fn a_server_that_says_nothing_or_drips_is_left_with_a_reason() {
         })
     };
     for (part, word) in [(0, "does not answer"), (1, "no welcome"), (2, "no chunk"), (3, "no chunk")] {
-        let outcome = run_impatient(silent(part), 2);
+        let outcome = run_short(silent(part), 2);
         assert!(outcome.causes.iter().all(|cause| cause.contains(word)), "{part}: {:?}", outcome.causes);
         assert_eq!(outcome.causes.len(), 2, "it is tried again");
     }
@@ -387,13 +387,13 @@ fn floods_end_at_the_credit_or_at_the_surplus() {
 
 #[test]
 fn refused_chunks_are_requested_again_with_growing_delays() {
-    let mended = run(server::wrong_at_first(5, |_| None));
-    assert!(mended.is_complete, "{:?}", mended.link);
-    assert_eq!((mended.traffic.bad_chunks, mended.traffic.refused_chunks), (0, 5));
-    assert!(mended.traffic.retried_chunks > 0);
-    assert_eq!(mended.last_miss.as_deref(), Some("later?"), "a text of a peer is one line");
+    let fixed = run(server::wrong_at_first(5, |_| None));
+    assert!(fixed.is_complete, "{:?}", fixed.link);
+    assert_eq!((fixed.traffic.bad_chunks, fixed.traffic.refused_chunks), (0, 5));
+    assert!(fixed.traffic.retried_chunks > 0);
+    assert_eq!(fixed.last_miss.as_deref(), Some("later?"), "a text of a peer is one line");
     // For ever: the session ends with a reason, and the next one is no better.
-    let never = run_impatient(server::always_wrong(|_| None), 2);
+    let never = run_short(server::always_wrong(|_| None), 2);
     assert!(never.causes.iter().all(|cause| cause.contains("no chunk")), "{:?}", never.causes);
     assert!(never.traffic.refused_chunks > 0 && never.traffic.retried_chunks > 0);
 }
@@ -443,7 +443,7 @@ fn absurd_numbers_and_texts_of_a_server_change_nothing() {
         let _ = socket.close(None);
         server::listen(&mut socket);
     }));
-    let settings = Settings { patience: PATIENT, ..Settings::new(server.url().parse().unwrap()) };
+    let settings = Settings { timeouts: LONG, ..Settings::new(server.url().parse().unwrap()) };
     let mut streamer = WorldStreamer::new(ServerStream::connect(settings).unwrap(), CAPACITY);
     let started = Instant::now();
     let mut name = None;

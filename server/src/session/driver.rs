@@ -174,7 +174,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                         // Written by the following flush.
                         KeepaliveAction::Ping => self.socket.queue_as(Opcode::Ping, Bytes::new()),
                         KeepaliveAction::Close => {
-                            return SessionEnd::with_code(EndReason::KeepaliveTimeout, CloseCode::Unresponsive);
+                            let code = CloseCode::Unresponsive;
+                            return SessionEnd::with_code(EndReason::KeepaliveTimeout, code);
                         }
                     }
                     check.as_mut().reset(next);

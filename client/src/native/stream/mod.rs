@@ -26,9 +26,9 @@ pub const EVENT_CAPACITY: usize = 256;
 /// next poll.
 const COMMAND_CAPACITY: usize = 64;
 
-/// How long the viewer waits for a server.
+/// Time limits of the viewer for a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Patience {
+pub struct Timeouts {
     /// For the connection and the WebSocket handshake.
     pub connect: Duration,
     /// For the Welcome.
@@ -48,7 +48,7 @@ pub struct Patience {
     pub longest_retry: Duration,
 }
 
-impl Default for Patience {
+impl Default for Timeouts {
     fn default() -> Self {
         Self {
             connect: Duration::from_secs(10),
@@ -75,14 +75,14 @@ pub struct Settings {
     /// Delivery mode.
     pub delivery: Delivery,
     /// Time limits.
-    pub patience: Patience,
+    pub timeouts: Timeouts,
 }
 
 impl Settings {
     /// Any world, exact, without a token.
     #[must_use]
     pub fn new(url: Uri) -> Self {
-        Self { url, token: None, digest: None, delivery: Delivery::Exact, patience: Patience::default() }
+        Self { url, token: None, digest: None, delivery: Delivery::Exact, timeouts: Timeouts::default() }
     }
 }
 

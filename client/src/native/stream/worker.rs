@@ -39,9 +39,9 @@ struct Memory {
 impl Worker {
     /// Runs until the viewer closes or the server is given up.
     pub async fn run(mut self) {
-        let patience = self.settings.patience;
+        let timeouts = self.settings.timeouts;
         let seed = u64::from(std::process::id()) << 20;
-        let backoff = Backoff::new(patience.first_retry, patience.longest_retry, seed);
+        let backoff = Backoff::new(timeouts.first_retry, timeouts.longest_retry, seed);
         let mut memory = Memory { backoff, trust: Trust::default() };
         loop {
             let ended = self.session(&mut memory).await;
@@ -64,9 +64,9 @@ impl Worker {
 
     /// One session, from the connection to its end.
     async fn session(&mut self, memory: &mut Memory) -> SessionEnd {
-        let patience = self.settings.patience;
+        let timeouts = self.settings.timeouts;
         let connected = tokio::select! {
-            connected = timeout(patience.connect, socket::connect(&self.settings.url)) => connected,
+            connected = timeout(timeouts.connect, socket::connect(&self.settings.url)) => connected,
             () = self.events.closed() => return SessionEnd::Closing,
         };
         let mut socket = match connected {
@@ -85,7 +85,7 @@ impl Worker {
             software: concat!("tombolo-view ", env!("CARGO_PKG_VERSION")).into(),
             window: WINDOW,
         };
-        let mut session = GuardedSession::new(config, patience.first_retry, patience.longest_retry);
+        let mut session = GuardedSession::new(config, timeouts.first_retry, timeouts.longest_retry);
         let ended = self.run_session(&mut socket, &mut session, memory).await;
         self.counters.add(session.take_rejects());
         let code = match &ended {
@@ -109,23 +109,23 @@ impl Worker {
         session: &mut GuardedSession,
         memory: &mut Memory,
     ) -> Result<SessionEnd, SessionFault> {
-        let (url, patience) = (self.settings.url.clone(), self.settings.patience);
+        let (url, timeouts) = (self.settings.url.clone(), self.settings.timeouts);
         let started = Instant::now();
         // Any message; data, or the begin of waiting for it.
         let (mut last_received, mut last_data) = (started, started);
-        let mut pings = tokio::time::interval(patience.ping);
+        let mut pings = tokio::time::interval(timeouts.ping);
         let mut hint = None;
         loop {
             session.retry(started.elapsed());
             self.counters.add(session.take_rejects());
-            match timeout(patience.write, transmit(socket, session)).await {
+            match timeout(timeouts.write, transmit(socket, session)).await {
                 Ok(Ok(())) => {}
                 Ok(Err(error)) => return Ok(socket::broken(&url, &error, hint)),
                 Err(_) => return Ok(lost(format!("{url} does not read"), true)),
             }
             self.counters.credits.store(session.credits(), Ordering::Relaxed);
             let next_retry = session.next_retry();
-            let limit = if session.is_welcomed() { patience.progress } else { patience.welcome };
+            let limit = if session.is_welcomed() { timeouts.progress } else { timeouts.welcome };
             let awaits_data = session.awaits_data() || !session.is_welcomed();
             let message = tokio::select! {
                 message = socket.next() => message,
@@ -147,11 +147,11 @@ impl Worker {
                     return Ok(lost(format!("no {what} from {url} within {limit:?}"), true));
                 }
                 _ = pings.tick() => {
-                    memory.trust.seconds_passed(patience.ping.as_secs() as u32);
-                    if last_received.elapsed() > patience.idle {
+                    memory.trust.seconds_passed(timeouts.ping.as_secs() as u32);
+                    if last_received.elapsed() > timeouts.idle {
                         return Ok(lost(format!("no message from {url} for too long"), true));
                     }
-                    match timeout(patience.write, socket.feed(Message::Ping(bytes::Bytes::new()))).await {
+                    match timeout(timeouts.write, socket.feed(Message::Ping(bytes::Bytes::new()))).await {
                         Ok(Ok(())) => {}
                         Ok(Err(error)) => return Ok(socket::broken(&url, &error, hint)),
                         Err(_) => return Ok(lost(format!("{url} does not read"), true)),
