@@ -17,10 +17,11 @@ use protocol::message::{ServerMessage, Settled, Welcome};
 use protocol::{DataFrame, Delivery, SUBPROTOCOL};
 use server::{Behaviour, HostileServer};
 use std::io::Write as _;
+use std::net::TcpStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use terrain::{Chunk, ChunkKey, WorldDigest};
-use tokio_tungstenite::tungstenite::{ClientRequestBuilder, Message, connect};
+use tokio_tungstenite::tungstenite::{ClientRequestBuilder, Message, WebSocket, connect};
 
 /// Slots of the chunk cache.
 const CAPACITY: u32 = 256;
@@ -150,6 +151,12 @@ fn wrong_key(_: ChunkKey) -> Option<Bytes> {
     Some(server::correct(far_away()))
 }
 
+/// A connection as the server sees it.
+type Peer = WebSocket<TcpStream>;
+
+/// What a server does on a connection.
+type Act = Arc<dyn Fn(&mut Peer) + Send + Sync>;
+
 type Wrong = fn(ChunkKey) -> Option<Bytes>;
 
 /// Wrong chunks, with what the viewer says of them.
@@ -248,8 +255,8 @@ fn another_world_is_refused() {
 
 #[test]
 fn texts_and_messages_out_of_order_end_the_session_for_good() {
-    type Act = fn(&mut tokio_tungstenite::tungstenite::WebSocket<std::net::TcpStream>);
-    let acts: [(&str, Act, &str); 5] = [
+    type Does = fn(&mut Peer);
+    let acts: [(&str, Does, &str); 5] = [
         ("texts", |socket| while socket.send(Message::text("x".repeat(100))).is_ok() {}, "binary only"),
         (
             "two Welcomes",
@@ -289,10 +296,10 @@ fn texts_and_messages_out_of_order_end_the_session_for_good() {
 #[test]
 fn frames_without_end_or_of_absurd_length_are_cut_and_counted() {
     // A frame that announces 2^62 bytes; a text in fragments that never ends.
-    let announced = |socket: &mut tokio_tungstenite::tungstenite::WebSocket<std::net::TcpStream>| {
+    let announced = |socket: &mut Peer| {
         server::send_raw(socket, &[&[0x82, 127][..], &(1_u64 << 62).to_be_bytes()].concat());
     };
-    let endless = |socket: &mut tokio_tungstenite::tungstenite::WebSocket<std::net::TcpStream>| {
+    let endless = |socket: &mut Peer| {
         let part = |first: u8| [&[first, 126][..], &4000_u16.to_be_bytes(), &[b'a'; 4000]].concat();
         let mut stream = socket.get_ref();
         let mut open = stream.write_all(&part(0x01)).is_ok();
@@ -303,7 +310,7 @@ fn frames_without_end_or_of_absurd_length_are_cut_and_counted() {
         }
         assert!(sent > MAX_SERVER_FRAME, "the client read past its limit");
     };
-    let acts: [Arc<dyn Fn(&mut _) + Send + Sync>; 2] = [Arc::new(announced), Arc::new(endless)];
+    let acts: [Act; 2] = [Arc::new(announced), Arc::new(endless)];
     for act in acts {
         let outcome = run(Arc::new(move |stream, _| {
             let Some(mut socket) = server::websocket(stream) else { return };
@@ -330,7 +337,7 @@ fn a_server_that_says_nothing_or_drips_is_left_with_a_reason() {
             if part == 3 {
                 // A frame of 5,000 bytes, one at a time.
                 server::send_raw(&socket, &[0x82, 126, 0x13, 0x88]);
-                while socket.get_ref().write_all(&[b'T']).is_ok() {
+                while socket.get_ref().write_all(b"T").is_ok() {
                     std::thread::sleep(MS(20));
                 }
             }
