@@ -11,6 +11,7 @@ use crate::features::terrain_clipmap::window::STANDARD_TEXELS;
 use crate::features::terrain_shadow::Quota;
 use crate::features::terrain_shadow::pass::PER_FRAME;
 use crate::frame::TRIANGLES_PER_INSTANCE;
+use crate::gpu::rebuild::{MOST_REBUILDS, Rebuilds};
 use crate::gpu::{Gpu, GpuError, Image, OffscreenTarget, offscreen};
 use crate::lod::clearance;
 use crate::renderer::{RenderOptions, Renderer};
@@ -72,6 +73,8 @@ pub struct Options {
     pub materials: CustomMaterials,
     /// Time limit for the complete view.
     pub timeout: Duration,
+    /// Devices that may be opened in place of lost ones.
+    pub gpu_rebuilds: u32,
 }
 
 impl Default for Options {
@@ -94,6 +97,7 @@ impl Default for Options {
             vertical_scale: 1.0,
             materials: CustomMaterials::default(),
             timeout: Duration::from_secs(60),
+            gpu_rebuilds: MOST_REBUILDS,
         }
     }
 }
@@ -179,8 +183,8 @@ pub fn render_on(
     })
 }
 
-/// Fills the cache, creates the renderer, draws, times and reads back. In this order, so that an
-/// impossible view fails before materials and pipelines are built.
+/// Fills the cache, then draws; again on a new device, from the cache, if the device is lost. The
+/// cache first, so that an impossible view fails before materials and pipelines are built.
 fn draw<F: ChunkStream>(
     gpu: &Gpu,
     mut options: Options,
@@ -190,9 +194,31 @@ fn draw<F: ChunkStream>(
 ) -> Result<(Image, Stats), HeadlessError> {
     let requested = if options.scene.is_local() { 1 } else { ChunkCache::capacity_for(options.chunk_bytes) };
     let slots = ChunkPool::slots_within(&gpu.device.limits(), requested);
-    let size = (options.projection.width, options.projection.height);
     let mut streamer = WorldStreamer::new(stream, slots).with_vertical_scale(options.vertical_scale);
     fill(&mut streamer, &mut options)?;
+    let mut rebuilds = Rebuilds::new(options.gpu_rebuilds);
+    let mut reopened: Option<Gpu> = None;
+    loop {
+        let gpu = reopened.as_ref().unwrap_or(gpu);
+        match draw_frames(gpu, &options, &mut streamer, (slots, &rebuilds), started) {
+            Err(HeadlessError::Gpu(error)) => {
+                rebuilds.begin(gpu, error)?;
+                reopened = Some(pollster::block_on(gpu.reopen(None))?);
+            }
+            drawn => return drawn,
+        }
+    }
+}
+
+/// Creates the renderer, uploads the cache, draws, times and reads back.
+fn draw_frames(
+    gpu: &Gpu,
+    options: &Options,
+    streamer: &mut WorldStreamer<impl ChunkStream>,
+    (slots, rebuilds): (u32, &Rebuilds),
+    started: Instant,
+) -> Result<(Image, Stats), HeadlessError> {
+    let size = (options.projection.width, options.projection.height);
     let mut renderer = Renderer::with_materials(
         gpu,
         &RenderOptions {
@@ -250,7 +276,7 @@ fn draw<F: ChunkStream>(
     let image = target.read(gpu)?;
     let cull_stats =
         renderer.vegetation().map(|vegetation| vegetation.read_stats(gpu)).transpose()?.unwrap_or_default();
-    let milestones = streamer.milestones();
+    let (milestones, traffic) = (streamer.milestones(), streamer.stream().traffic());
     let resident = streamer.cache().len();
     let stats = Stats {
         adapter: gpu.name(),
@@ -263,7 +289,11 @@ fn draw<F: ChunkStream>(
         plant_blocks_lost: cull_stats.blocks_lost,
         gpu_bytes_per_chunk: renderer.bytes_per_chunk(),
         delivery: if options.scene.is_local() { "none" } else { streamer.stream().delivery().name() },
-        bytes_received: streamer.stream().traffic().bytes_received,
+        bytes_received: traffic.bytes_received,
+        bad_chunks: traffic.bad_chunks,
+        refused_chunks: traffic.refused_chunks,
+        retried_chunks: traffic.retried_chunks,
+        gpu_rebuilds: rebuilds.done(),
         seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
         seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),
         seconds_to_first_picture: first_image.map(|at| at.as_secs_f64()),
@@ -327,14 +357,18 @@ fn fill(
             _ => {}
         }
         if started.elapsed() > options.timeout {
-            let progress_text = format!("{} chunks resident, {} still coarse", state.resident, state.missing);
+            let mut progress_text =
+                format!("{} chunks resident, {} still coarse", state.resident, state.missing);
+            if let Some(detail) = streamer.last_miss().filter(|_| streamer.missed() > 0) {
+                progress_text += &format!(", {} bad or refused: {detail}", streamer.missed());
+            }
             let seconds = options.timeout.as_secs();
             return Err(match lost {
                 Some(cause) => HeadlessError::Lost { seconds, state: progress_text, cause },
                 None => HeadlessError::Timeout { seconds, state: progress_text },
             });
         }
-        if !streamer.is_settled() {
+        if !streamer.is_settled() || streamer.missed() > 0 {
             std::thread::sleep(POLL_PAUSE);
         }
     }

@@ -70,6 +70,14 @@ pub struct Stats {
     pub delivery: &'static str,
     /// Bytes of frames received.
     pub bytes_received: u64,
+    /// Chunks from the server that were wrong or not asked for.
+    pub bad_chunks: u64,
+    /// Chunks that the server refused.
+    pub refused_chunks: u64,
+    /// Requests for bad and refused chunks.
+    pub retried_chunks: u64,
+    /// Times that a failed GPU was replaced by a new one.
+    pub gpu_rebuilds: u32,
     /// From the start of the program to the first chunk.
     pub seconds_to_first_chunk: Option<f64>,
     /// From the start of the program to the first complete view.

@@ -105,7 +105,7 @@ fn constant(form: LoopForm) -> PomParams {
 /// There is no GPU, it failed, a control holds, or a result cannot be written.
 pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let bench = PomBench::open()?;
-    let stage = Stage::new(&bench, false);
+    let stage = Stage::new(&bench, false)?;
     note("places against the reference");
     let search = searches(&bench, &stage, options.rays)?;
     let other_rays = options.rays.min(BATCH);

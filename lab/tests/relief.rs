@@ -29,7 +29,7 @@ const RAYS: u32 = 4_000;
 #[test]
 fn the_max_mip_traversal_misses_only_tangents() {
     let Some(bench) = bench() else { return };
-    let stage = Stage::new(&bench, false);
+    let stage = Stage::new(&bench, false).unwrap();
     let linear = PomParams { steps_min: 64, steps_max: 64, ..relief(PomMethod::Linear) };
     for (layer, kind) in Kind::ALL.into_iter().enumerate() {
         for angle in ANGLES_DEG {
@@ -49,7 +49,7 @@ fn the_max_mip_traversal_misses_only_tangents() {
 #[test]
 fn both_loop_forms_find_the_same_to_the_last_bit() {
     let Some(bench) = bench() else { return };
-    let stage = Stage::new(&bench, false);
+    let stage = Stage::new(&bench, false).unwrap();
     for refine in [Refine::None, Refine::Segment, Refine::Secant, Refine::Bisection] {
         for (layer, angle) in [(0, 60.0), (1, 75.0), (2, 85.0), (3, 30.0)] {
             let probes = probes(layer, RAYS, angle, AMPLITUDE);
@@ -77,7 +77,7 @@ fn cones_of_the_gpu_equal_those_of_the_cpu_at_every_level() {
     // of which holds for one.
     let maps = [Kind::Brick.map(), Kind::Fbm.map().next_mip().next_mip()];
     for (map, block) in maps.into_iter().zip([2, 1]) {
-        let uploaded = bench.upload(std::slice::from_ref(&map), true);
+        let uploaded = bench.upload(std::slice::from_ref(&map), true).unwrap();
         let (mut reduced, mut compared) = (map, 0);
         // The CPU takes half a minute for the largest level.
         for level in 0..uploaded.cones().mip_level_count() {
@@ -104,7 +104,7 @@ fn cones_of_the_gpu_equal_those_of_the_cpu_at_every_level() {
 #[test]
 fn cones_miss_less_than_as_many_uniform_steps() {
     let Some(bench) = bench() else { return };
-    let (stage, bare) = (Stage::new(&bench, true), Stage::new(&bench, false));
+    let (stage, bare) = (Stage::new(&bench, true).unwrap(), Stage::new(&bench, false).unwrap());
     // 16 steps into the relief and 8 halvings.
     let even = PomParams {
         steps_min: 16,
@@ -127,7 +127,7 @@ fn cones_miss_less_than_as_many_uniform_steps() {
 #[test]
 fn cones_of_a_mip_level_are_found_over_its_own_heights() {
     let Some(bench) = bench() else { return };
-    let stage = Stage::new(&bench, true);
+    let stage = Stage::new(&bench, true).unwrap();
     // Ridges of a texel: of level 0, their cones are so narrow that 16 steps lead nowhere.
     let (layer, lod) = (3, 3);
     let coarse = (0..lod).fold(stage.maps[layer].clone(), |map, _| map.next_mip());
@@ -189,7 +189,7 @@ fn extreme_rays_over_extreme_maps_end_at_finite_places() {
         ],
     ];
     for maps in arrays {
-        let uploaded = bench.upload(&maps, true);
+        let uploaded = bench.upload(&maps, true).unwrap();
         for layer in 0..maps.len() as u32 {
             let rays = odd_rays(layer);
             for tier in PomMethod::value_variants() {
@@ -231,7 +231,7 @@ fn a_constant_map_is_met_where_its_plane_is() {
     let Some(bench) = bench() else { return };
     for height in [0.0f32, 0.25, 1.0] {
         let map = HeightMap::new(16, vec![height; 256]).unwrap();
-        let uploaded = bench.upload(&[map], false);
+        let uploaded = bench.upload(&[map], false).unwrap();
         let rays = probes(0, 500, 75.0, AMPLITUDE);
         for tier in [PomMethod::Offset, PomMethod::Linear, PomMethod::MaxMip, PomMethod::Auto] {
             let (found, _) = bench.run(&uploaded, &relief(tier), &rays, 1).unwrap();
@@ -255,7 +255,7 @@ fn the_largest_map_is_walked_like_a_small_one() {
     let side = client::features::pom::height_map::LARGEST_SIDE;
     let wave = |u: f64| 0.5 + 0.5 * (std::f64::consts::TAU * u).sin();
     let map = HeightMap::of(side, |u, v| wave(8.0 * u) * wave(8.0 * v)).unwrap();
-    let uploaded = bench.upload(std::slice::from_ref(&map), false);
+    let uploaded = bench.upload(std::slice::from_ref(&map), false).unwrap();
     let probes = probes(0, 500, 80.0, AMPLITUDE);
     let rays = rays(&probes, 0.5);
     let references = references(&map, &rays);
@@ -267,7 +267,7 @@ fn the_largest_map_is_walked_like_a_small_one() {
 #[test]
 fn far_tiles_stretched_and_mirrored_ones_are_marched_as_exactly() {
     let Some(bench) = bench() else { return };
-    let stage = Stage::new(&bench, false);
+    let stage = Stage::new(&bench, false).unwrap();
     for (stretch, origin) in [([2.0, 1.0], 0.0), ([-1.0, 0.25], 0.0), ([1.0, 1.0], 1e3), ([1.0, -1.0], -1e3)]
     {
         for layer in 0..Kind::ALL.len() {

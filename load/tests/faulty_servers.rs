@@ -3,14 +3,14 @@
 //!
 //! The servers run the server state machine of the `protocol` crate over TCP on port 0.
 
-use bytes::Bytes;
 use futures_util::{SinkExt, StreamExt};
 use load::config::stream_address;
 use load::{LoadConfig, PathKind, Report};
-use protocol::server::{ChunkRequest, ServerOffer, ServerSession, TokenCheck};
-use protocol::{DataFrame, Delivery, SUBPROTOCOL, Tolerance, chunk_codec};
+use protocol::server::{ServerOffer, ServerSession, TokenCheck};
+use protocol::{DataFrame, Delivery, SUBPROTOCOL, Tolerance};
 use std::sync::Arc;
-use terrain::{Chunk, ChunkKey, Land};
+use terrain::Land;
+use test_support::{ChunkFault, chunk_fault};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_tungstenite::accept_hdr_async;
 use tokio_tungstenite::tungstenite::Message;
@@ -20,14 +20,8 @@ use tokio_tungstenite::tungstenite::handshake::server::{ErrorResponse, Request, 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     Nothing,
-    /// One height is off by one unit; digest, extremes and pyramids are made to fit.
-    Height,
-    /// The measured error is off by one unit.
-    Error,
-    /// A bit of the header is flipped.
-    Bit,
-    /// A correct chunk of another position.
-    Place,
+    /// Every chunk is wrong.
+    Chunk(ChunkFault),
     /// The announced digest is that of another seed.
     World,
     /// The connection is cut after some chunks.
@@ -36,28 +30,13 @@ enum Fault {
     Refusal,
 }
 
-/// The frame that a server with this fault sends for a requested chunk.
-fn frame(fault: Fault, land: &Land, wanted: ChunkRequest, delivery: Delivery) -> Bytes {
-    let world = land.digest();
-    let mut chunk = match fault {
-        Fault::Place => land.chunk(ChunkKey::new(0, -30_000, wanted.key.x()).expect("exists")),
-        _ => land.chunk(wanted.key),
-    };
-    match fault {
-        Fault::Height => {
-            chunk.heights[2000] += 1;
-            chunk = Chunk::from_parts(chunk.key, chunk.heights, chunk.error, chunk.grass);
+impl Fault {
+    fn of_chunks(self) -> Option<ChunkFault> {
+        match self {
+            Self::Chunk(fault) => Some(fault),
+            _ => None,
         }
-        Fault::Error => chunk.error += 1,
-        _ => {}
     }
-    let frame = chunk_codec::encode_for(delivery, &chunk, &world);
-    if fault != Fault::Bit {
-        return frame;
-    }
-    let mut damaged = frame.to_vec();
-    damaged[30] ^= 1;
-    damaged.into()
 }
 
 #[expect(clippy::result_large_err, reason = "the library fixes the type of this callback")]
@@ -91,7 +70,7 @@ async fn serve(socket: TcpStream, offer: ServerOffer, fault: Fault) {
                     session.fail(wanted, protocol::message::RefusalReason::Overloaded, "try later");
                 }
                 _ => {
-                    let frame = frame(fault, &land, wanted, delivery);
+                    let frame = chunk_fault::frame(fault.of_chunks(), &land, wanted.key, delivery);
                     session.deliver(wanted, frame);
                 }
             }
@@ -176,18 +155,18 @@ async fn a_correct_server_passes_with_every_chunk_compared() {
 #[tokio::test(flavor = "multi_thread")]
 async fn every_wrong_chunk_is_a_mismatch_in_the_verdict() {
     for (fault, delivery, word) in [
-        (Fault::Height, Delivery::Exact, "vertex"),
-        (Fault::Error, Delivery::Exact, "error"),
-        (Fault::Error, Delivery::Quantised(Tolerance::COARSEST), "error"),
-        (Fault::Bit, Delivery::Exact, "digest"),
-        (Fault::Place, Delivery::Exact, "neither requested nor needed"),
+        (Fault::Chunk(ChunkFault::Height), Delivery::Exact, "vertex"),
+        (Fault::Chunk(ChunkFault::Error), Delivery::Exact, "error"),
+        (Fault::Chunk(ChunkFault::Error), Delivery::Quantised(Tolerance::COARSEST), "error"),
+        (Fault::Chunk(ChunkFault::Bit), Delivery::Exact, "digest"),
+        (Fault::Chunk(ChunkFault::Place), Delivery::Exact, "neither requested nor needed"),
         (Fault::World, Delivery::Exact, "announces world"),
-        (Fault::Bit, Delivery::Refined, "digest"),
-        (Fault::Error, Delivery::Refined, "error"),
-        (Fault::Height, Delivery::SeedOnly, "generated here"),
-        (Fault::Error, Delivery::SeedOnly, "error"),
-        (Fault::Bit, Delivery::SeedOnly, "generated here"),
-        (Fault::Place, Delivery::SeedOnly, "neither requested nor needed"),
+        (Fault::Chunk(ChunkFault::Bit), Delivery::Refined, "digest"),
+        (Fault::Chunk(ChunkFault::Error), Delivery::Refined, "error"),
+        (Fault::Chunk(ChunkFault::Height), Delivery::SeedOnly, "generated here"),
+        (Fault::Chunk(ChunkFault::Error), Delivery::SeedOnly, "error"),
+        (Fault::Chunk(ChunkFault::Bit), Delivery::SeedOnly, "generated here"),
+        (Fault::Chunk(ChunkFault::Place), Delivery::SeedOnly, "neither requested nor needed"),
         (Fault::World, Delivery::SeedOnly, "use exact delivery"),
     ] {
         let report = load_on(fault, delivery, None).await;

@@ -9,6 +9,7 @@ use pipes::{Fault, SERVICE, Server, Transport};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
+use test_support::ChunkFault;
 use tokio::time::Instant;
 
 /// The stall, seconds from the start.
@@ -150,9 +151,9 @@ async fn clients_of_a_stampede_start_at_the_same_time() {
 #[tokio::test(start_paused = true)]
 async fn every_http_fault_is_a_mismatch_in_the_verdict() {
     for (fault, word) in [
-        (Fault::Height, "vertex"),
-        (Fault::Bit, "digest"),
-        (Fault::Place, "came"),
+        (Fault::Chunk(ChunkFault::Height), "vertex"),
+        (Fault::Chunk(ChunkFault::Bit), "digest"),
+        (Fault::Chunk(ChunkFault::Place), "came"),
         (Fault::Tag, "ETag"),
         (Fault::Unchanged, "304"),
         (Fault::World, "announces world"),
@@ -166,9 +167,11 @@ async fn every_http_fault_is_a_mismatch_in_the_verdict() {
 
 #[tokio::test(start_paused = true)]
 async fn explicit_requests_are_verified_as_views_are() {
-    for (fault, word) in
-        [(Fault::Height, "vertex"), (Fault::Bit, "digest"), (Fault::Place, "neither requested nor needed")]
-    {
+    for (fault, word) in [
+        (Fault::Chunk(ChunkFault::Height), "vertex"),
+        (Fault::Chunk(ChunkFault::Bit), "digest"),
+        (Fault::Chunk(ChunkFault::Place), "neither requested nor needed"),
+    ] {
         let config = LoadConfig { seconds: 1, verify_every: 1, ..config(Mode::Explicit, None) };
         let report = load_on(Server { fault, ..Server::new(Transport::WebSocket) }, config).await;
         let verdict = report.verdict().expect_err("a faulty server passed");

@@ -124,14 +124,29 @@ impl ClientSession {
         self.outbox.pop_front()
     }
 
-    /// Processes one frame from the server.
+    /// Processes one frame from the server, with a chunk of any key.
     ///
     /// # Errors
-    /// A protocol violation or a rejected handshake: close with the fault's code.
+    /// A protocol violation or a rejected handshake: close with the fault's code. After
+    /// [`PeerFault::Chunk`] the session may go on: the frame has used its credit, nothing else
+    /// changed.
     pub fn receive(&mut self, frame: DataFrame<'_>) -> Result<Event, PeerFault> {
+        self.receive_expected(frame, |_| true)
+    }
+
+    /// [`ClientSession::receive`] for a client that does not trust its server: a chunk whose key is
+    /// not expected is neither decoded nor generated.
+    ///
+    /// # Errors
+    /// As [`ClientSession::receive`]; for an unexpected key [`ChunkError::Unexpected`].
+    pub fn receive_expected(
+        &mut self,
+        frame: DataFrame<'_>,
+        is_expected: impl FnOnce(ChunkKey) -> bool,
+    ) -> Result<Event, PeerFault> {
         let DataFrame::Binary(bytes) = frame else { return Err(PeerFault::Text) };
         if bytes.starts_with(&chunk_codec::MAGIC) {
-            return self.receive_chunk(bytes);
+            return self.receive_chunk(bytes, is_expected);
         }
         let message = control::decode(bytes).map_err(|error| match error {
             ControlError::Version { theirs, ours } => {
@@ -165,11 +180,18 @@ impl ClientSession {
         }
     }
 
-    fn receive_chunk(&mut self, frame: &[u8]) -> Result<Event, PeerFault> {
+    fn receive_chunk(
+        &mut self,
+        frame: &[u8],
+        is_expected: impl FnOnce(ChunkKey) -> bool,
+    ) -> Result<Event, PeerFault> {
         let World { digest, land } =
             self.world.as_ref().ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
         self.credits = self.credits.checked_sub(1).ok_or(PeerFault::CreditOverrun)?;
         let (kind, key) = chunk_codec::kind_and_key(frame)?;
+        if !is_expected(key) {
+            return Err(ChunkError::Unexpected(key).into());
+        }
         // The exact decoder rejects every other kind. A generator exists in seed-only delivery
         // only.
         let (chunk, delivery) = match (self.delivery, land) {

@@ -64,6 +64,9 @@ pub enum ChunkError {
     /// A kind that this side does not know, or one that its delivery does not allow.
     #[error("chunk kind {0} is unknown or not part of the delivery")]
     UnknownKind(u8),
+    /// A chunk that the receiver has not asked for.
+    #[error("chunk {0} was neither requested nor needed by a view")]
+    Unexpected(ChunkKey),
     /// A key that names no chunk.
     #[error("chunk frame carries an invalid key: {0}")]
     Key(#[from] InvalidKey),

@@ -16,6 +16,7 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
+use test_support::Random;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime::Builder;
@@ -142,9 +143,9 @@ async fn accept(listener: TcpListener, server: SocketAddr, sessions: Arc<AtomicU
 }
 
 async fn session(mut client: TcpStream, server: SocketAddr, kind: Kind, seed: u64) -> Result<()> {
-    let mut spoiler = Spoiler { kind, state: seed, frames: 0 };
+    let mut spoiler = Spoiler { kind, random: Random(seed), frames: 0 };
     if matches!(kind, Kind::NoHttp) {
-        client.write_all(&spoiler.random(4096)).await?;
+        client.write_all(&spoiler.random_bytes(4096)).await?;
         return Ok(());
     }
     let mut upstream = open(server).await?;
@@ -183,7 +184,7 @@ async fn session(mut client: TcpStream, server: SocketAddr, kind: Kind, seed: u6
 /// Spoils frames, the same ones for the same seed.
 struct Spoiler {
     kind: Kind,
-    state: u64,
+    random: Random,
     frames: usize,
 }
 
@@ -200,13 +201,13 @@ impl Spoiler {
             Kind::PayloadBytes => self.change(&mut added[start..]),
             Kind::StreamBytes => self.change(added),
             Kind::RandomPayloads if self.frames.is_multiple_of(4) => {
-                let random = self.random(added.len() - start);
+                let random = self.random_bytes(added.len() - start);
                 added[start..].copy_from_slice(&random);
             }
             Kind::RandomPayloads => {}
             Kind::Repeated => spoilt.extend_from_slice(frame),
             Kind::RandomStream => {
-                let random = self.random(1 << 16);
+                let random = self.random_bytes(1 << 16);
                 spoilt.extend(random);
                 return false;
             }
@@ -221,23 +222,14 @@ impl Spoiler {
 
     fn change(&mut self, bytes: &mut [u8]) {
         for byte in bytes {
-            if self.next().is_multiple_of(SPOILT) {
-                *byte ^= self.next() as u8;
+            if self.random.bits().is_multiple_of(SPOILT) {
+                *byte ^= self.random.bits() as u8;
             }
         }
     }
 
-    fn random(&mut self, length: usize) -> Vec<u8> {
-        (0..length).map(|_| self.next() as u8).collect()
-    }
-
-    /// SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
-    fn next(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut mixed = self.state;
-        mixed = (mixed ^ mixed >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        mixed ^ mixed >> 31
+    fn random_bytes(&mut self, length: usize) -> Vec<u8> {
+        (0..length).map(|_| self.random.bits() as u8).collect()
     }
 }
 
@@ -289,7 +281,7 @@ mod tests {
         let frame: Vec<u8> =
             [0x82, 126, 0x9c, 0x40].into_iter().chain((0..40_000).map(|n| n as u8)).collect();
         let spoilt = |kind| {
-            let mut spoiler = Spoiler { kind, state: 1, frames: 3 };
+            let mut spoiler = Spoiler { kind, random: Random(1), frames: 3 };
             let mut bytes = Vec::new();
             let goes_on = spoiler.spoil(&frame, 4, &mut bytes);
             (bytes, goes_on)
@@ -307,7 +299,7 @@ mod tests {
         assert_eq!(spoilt(Kind::RandomPayloads).0[..4], frame[..4]);
         assert_eq!(spoilt(Kind::Repeated), ([&frame[..], &frame[..]].concat(), true));
         assert!(!spoilt(Kind::RandomStream).1);
-        let mut cut = Spoiler { kind: Kind::Cut, state: 1, frames: 7 };
+        let mut cut = Spoiler { kind: Kind::Cut, random: Random(1), frames: 7 };
         let mut bytes = Vec::new();
         assert!(!cut.spoil(&frame, 4, &mut bytes) && bytes.len() == frame.len() / 2);
     }

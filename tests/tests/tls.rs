@@ -68,6 +68,7 @@ fn chunks_of(mut stream: ServerStream) -> Result<usize, String> {
             Some(StreamEvent::Disconnected { cause, .. } | StreamEvent::Refused { detail: cause }) => {
                 return Err(cause);
             }
+            Some(StreamEvent::Missed { .. }) => {}
             None => std::thread::sleep(Duration::from_millis(2)),
         }
     }

@@ -18,7 +18,9 @@ pub fn scaled(chunk: Chunk, scale: i32) -> Chunk {
     for height in heights.iter_mut() {
         *height = scaled_height(*height, scale);
     }
-    let error = (u64::from(error) * scale.unsigned_abs() as u64).div_ceil(256) as u32 + 1;
+    let scaled_error = (u64::from(error) * u64::from(scale.unsigned_abs())).div_ceil(256) + 1;
+    // A server may state any error: saturating, so that no large one becomes a small one.
+    let error = u32::try_from(scaled_error).unwrap_or(u32::MAX);
     Chunk::from_parts(key, heights, error, grass)
 }
 
@@ -42,5 +44,6 @@ mod tests {
         assert_eq!((high.max(), high.min()), (2 * chunk.max(), 2 * chunk.min()));
         assert!(high.error > 2 * chunk.error && high.slope > chunk.slope);
         assert_eq!(scaled_height(HEIGHT_LIMIT - 1, 1024), HEIGHT_LIMIT - 1);
+        assert_eq!(scaled(Chunk { error: u32::MAX, ..chunk }, 512).error, u32::MAX);
     }
 }

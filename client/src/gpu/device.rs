@@ -1,6 +1,6 @@
 //! The GPU device: adapter selection, opening, fault recording.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// An open GPU.
 #[derive(Debug)]
@@ -13,7 +13,26 @@ pub struct Gpu {
     pub device: wgpu::Device,
     /// Its queue.
     pub queue: wgpu::Queue,
-    faults: Arc<Mutex<Option<String>>>,
+    faults: Arc<Mutex<Faults>>,
+}
+
+/// What went wrong since the device was opened.
+#[derive(Debug, Default)]
+struct Faults {
+    /// The first fault: later ones are its consequences.
+    first: Option<String>,
+    /// Why the device cannot be used any more: it was lost, or its memory is exhausted.
+    loss: Option<String>,
+}
+
+impl Faults {
+    fn note(&mut self, fault: &str, is_loss: bool) {
+        let line = first_line(fault);
+        if is_loss {
+            self.loss.get_or_insert_with(|| line.clone());
+        }
+        self.first.get_or_insert(line);
+    }
 }
 
 /// A GPU error.
@@ -39,6 +58,17 @@ pub enum GpuError {
     /// The device failed while drawing.
     #[error("the GPU failed: {0}")]
     Fault(String),
+    /// The device was lost or ran out of memory more often than it is replaced.
+    #[error(
+        "the GPU failed and was opened again {attempts} times, the last failure: {cause}; lower --chunk-mb \
+         or --size, or choose another GPU with WGPU_ADAPTER_NAME"
+    )]
+    LostAgain {
+        /// Devices that were opened in place of failed ones.
+        attempts: u32,
+        /// The driver's message.
+        cause: String,
+    },
 }
 
 /// An instance, before there is a device.
@@ -96,21 +126,22 @@ impl Gpu {
             GpuError::NoDevice { adapter: adapter.get_info().name, cause: first_line(&error.to_string()) }
         })?;
 
-        let faults = Arc::new(Mutex::new(None));
-        let note = |faults: &Arc<Mutex<Option<String>>>| {
+        let faults = Arc::new(Mutex::new(Faults::default()));
+        let note = |faults: &Arc<Mutex<Faults>>| {
             let faults = Arc::clone(faults);
-            move |fault: String| {
-                // Keeps the first fault: later ones are its consequences.
-                faults.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(first_line(&fault));
+            move |fault: &str, is_loss: bool| {
+                faults.lock().unwrap_or_else(PoisonError::into_inner).note(fault, is_loss);
             }
         };
         let uncaptured = note(&faults);
-        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| uncaptured(error.to_string())));
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            // After a failed allocation some resource is invalid, and with it all that uses it.
+            uncaptured(&error.to_string(), matches!(error, wgpu::Error::OutOfMemory { .. }));
+        }));
         let lost = note(&faults);
+        // Also of a device that is dropped, whose faults are not read.
         device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                lost(format!("the device was lost: {message}"));
-            }
+            lost(&format!("the device was lost ({reason:?}) {message}"), true);
         });
         Ok(Self { instance, adapter, device, queue, faults })
     }
@@ -121,6 +152,31 @@ impl Gpu {
     /// There is no adapter, or its driver refuses.
     pub fn open_blocking() -> Result<Self, GpuError> {
         pollster::block_on(Self::open(instance(None), None))
+    }
+
+    /// Opens a new device in place of one that was lost: of the same adapter, or else of the best
+    /// one that can present to `surface`.
+    ///
+    /// # Errors
+    /// There is no adapter, or its driver refuses.
+    pub async fn reopen(&self, surface: Option<&wgpu::Surface<'_>>) -> Result<Self, GpuError> {
+        let (instance, features) = (self.instance.clone(), self.device.features());
+        match Self::of_adapter(instance.clone(), self.adapter.clone(), features).await {
+            Ok(gpu) => Ok(gpu),
+            Err(_) => Self::open_with(instance, surface, features).await,
+        }
+    }
+
+    /// Why the device cannot be used any more; none while it can.
+    #[must_use]
+    pub fn loss(&self) -> Option<String> {
+        // A loss is reported by a poll.
+        let _ = self.device.poll(wgpu::PollType::Poll);
+        self.faults().loss.clone()
+    }
+
+    fn faults(&self) -> MutexGuard<'_, Faults> {
+        self.faults.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Whether the driver draws on the CPU.
@@ -138,7 +194,9 @@ impl Gpu {
 
     /// Fails with the first fault since the device was opened: later results are invalid.
     pub fn check(&self) -> Result<(), GpuError> {
-        match &*self.faults.lock().unwrap_or_else(PoisonError::into_inner) {
+        // Losses are reported by polls.
+        let _ = self.device.poll(wgpu::PollType::Poll);
+        match &self.faults().first {
             Some(fault) => Err(GpuError::Fault(fault.clone())),
             None => Ok(()),
         }
@@ -157,4 +215,20 @@ impl Gpu {
 fn first_line(text: &str) -> String {
     let stats = text.lines().map(str::trim).filter(|line| !line.is_empty() && *line != "Caused by:");
     stats.take(4).collect::<Vec<_>>().join("; ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_is_known_whatever_fault_came_first() {
+        let mut faults = Faults::default();
+        faults.note("a buffer is invalid", false);
+        assert_eq!(faults.loss, None, "a validation error is no loss");
+        faults.note("Out of Memory", true);
+        faults.note("later", true);
+        assert_eq!(faults.first.as_deref(), Some("a buffer is invalid"));
+        assert_eq!(faults.loss.as_deref(), Some("Out of Memory"));
+    }
 }

@@ -7,6 +7,7 @@ pub mod device;
 pub mod offscreen;
 pub mod pipeline;
 pub mod readback;
+pub mod rebuild;
 pub mod surface;
 pub mod targets;
 pub mod timer;

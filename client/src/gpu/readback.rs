@@ -1,8 +1,9 @@
 //! Read-back: copies from the GPU to the CPU.
 //!
 //! Three steps: record a copy into a staging buffer, [`Readback::start`] the mapping after the
-//! submission, then [`PendingRead::poll`] until [`PendingRead::result`] has the bytes. A browser
-//! cannot block, so a blocking wait exists only on native targets ([`Gpu::read`]).
+//! submission, then [`PendingRead::poll`] until [`PendingRead::result`] has the bytes. Work without a
+//! result for the CPU is polled as [`PendingWork`]. A browser cannot block, so a blocking wait exists
+//! only on native targets ([`Gpu::read`]).
 
 use crate::gpu::buffer::create_buffer;
 use crate::gpu::device::{Gpu, GpuError};
@@ -113,6 +114,43 @@ impl PendingRead<'_> {
         drop(view);
         staging.unmap();
         Ok(value)
+    }
+}
+
+/// Work that was submitted and is polled for its end.
+#[derive(Debug)]
+pub struct PendingWork {
+    outcome: mpsc::Receiver<()>,
+    is_done: bool,
+}
+
+impl PendingWork {
+    /// Everything that was submitted so far.
+    #[must_use]
+    pub fn start(queue: &wgpu::Queue) -> Self {
+        let (sender, outcome) = mpsc::channel();
+        queue.on_submitted_work_done(move || {
+            // The receiver is gone if the work was abandoned.
+            let _ = sender.send(());
+        });
+        Self { outcome, is_done: false }
+    }
+
+    /// Whether the work is done. Never blocks.
+    ///
+    /// # Errors
+    /// The device is lost.
+    pub fn poll(&mut self, device: &wgpu::Device) -> Result<bool, ReadbackError> {
+        let polled = device.poll(wgpu::PollType::Poll);
+        polled.map_err(|error| ReadbackError(error.to_string()))?;
+        if !self.is_done {
+            match self.outcome.try_recv() {
+                Ok(()) => self.is_done = true,
+                Err(mpsc::TryRecvError::Empty) => {}
+                Err(error) => return Err(ReadbackError(error.to_string())),
+            }
+        }
+        Ok(self.is_done)
     }
 }
 

@@ -3,6 +3,7 @@
 use super::args::Args;
 use super::quality::{Preset, Quality};
 use crate::features::materials::CustomMaterials;
+use crate::gpu::rebuild::MOST_REBUILDS;
 use crate::headless::Options;
 use crate::scene::places::Place;
 use crate::settings::RenderSettings;
@@ -67,6 +68,7 @@ impl Profile {
             // Files are read by `native::textures`.
             materials: CustomMaterials::default(),
             timeout: Duration::from_secs(args.timeout),
+            gpu_rebuilds: MOST_REBUILDS,
         }
     }
 

@@ -87,13 +87,8 @@ pub fn open_stream(args: &Args) -> anyhow::Result<Box<dyn ChunkStream>> {
 /// Connection settings, with the token from its file.
 fn stream_settings(args: &Args, url: Uri) -> anyhow::Result<Settings> {
     let token = args.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?;
-    Ok(Settings {
-        tls: tls_of(&url, args.ca_file.as_deref())?,
-        url,
-        token,
-        digest: args.digest,
-        delivery: args.delivery,
-    })
+    let tls = tls_of(&url, args.ca_file.as_deref())?;
+    Ok(Settings { tls, token, digest: args.digest, delivery: args.delivery, ..Settings::new(url) })
 }
 
 /// TLS to a server, if its scheme requires it.

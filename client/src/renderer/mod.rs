@@ -218,11 +218,13 @@ impl Renderer {
         self.clipmap.update(&gpu.queue, &frame.eye, frame.clipmap.as_ref(), view_distance_m, most)
     }
 
-    /// Fills the terrain clipmap, traces all missing shadows of visible chunks, and waits for them.
+    /// Bakes what the frame needs, fills the terrain clipmap, traces all missing shadows of visible
+    /// chunks, and waits for them.
     ///
     /// # Errors
     /// The device failed.
     pub fn finish_shading(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<(), GpuError> {
+        self.finish_bake(gpu, frame)?;
         self.fill_clipmap(gpu, frame, ALL_TILES);
         loop {
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -235,6 +237,16 @@ impl Renderer {
                 return Ok(());
             }
         }
+    }
+
+    /// Bakes what the frame needs, and waits for it.
+    fn finish_bake(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<(), GpuError> {
+        if let Some(scene) = &mut self.local {
+            while !scene.bake(gpu, frame)? {
+                gpu.wait()?;
+            }
+        }
+        Ok(())
     }
 
     /// Changes the image size.
@@ -276,6 +288,7 @@ impl Renderer {
         frame: &FrameData,
         target: &OffscreenTarget,
     ) -> Result<Option<Vec<u16>>, GpuError> {
+        self.finish_bake(gpu, frame)?;
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.draw(gpu, frame, &mut encoder, &target.view);
         gpu.queue.submit([encoder.finish()]);

@@ -24,7 +24,14 @@ pub enum StreamEvent {
         /// The view's id.
         view: u32,
     },
-    /// A request was rejected.
+    /// A chunk was bad or refused: it is drawn coarser, and requested again.
+    Missed {
+        /// The chunk; none if a bad frame names no chunk that may arrive.
+        key: Option<ChunkKey>,
+        /// One sentence.
+        detail: String,
+    },
+    /// A view was rejected.
     Refused {
         /// One sentence.
         detail: String,
@@ -45,6 +52,14 @@ pub struct Traffic {
     pub bytes_received: u64,
     /// Chunks that the server may still send before more credit.
     pub credits: u32,
+    /// Events that wait for [`ChunkStream::poll`].
+    pub waiting_events: usize,
+    /// Chunks that were wrong or not asked for, over all sessions.
+    pub bad_chunks: u64,
+    /// Chunks that the server refused, over all sessions.
+    pub refused_chunks: u64,
+    /// Requests for bad and refused chunks, over all sessions.
+    pub retried_chunks: u64,
 }
 
 /// A source of chunks for the viewer.

@@ -4,9 +4,14 @@
 //! internal to each implementation.
 
 pub mod chunk_stream;
+pub mod expected;
+pub mod guarded_session;
 pub mod local;
 pub mod null;
+pub mod peer_text;
+pub mod retries;
 pub mod streamer;
+pub mod trust;
 
 pub use chunk_stream::{ChunkStream, StreamEvent, Traffic};
 pub use local::LocalStream;

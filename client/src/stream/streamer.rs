@@ -6,6 +6,7 @@ use crate::lod::{Fading, Selection, select_at};
 use crate::stream::chunk_stream::{ChunkStream, StreamEvent};
 use crate::view::ViewParams;
 use protocol::view::View;
+use std::collections::HashSet;
 use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
 
@@ -20,6 +21,10 @@ const MAX_TOLERANCE_SCALE: f64 = 1000.0;
 
 /// Time before the tolerance is raised again: chunks requested with the old one are still arriving.
 const TOLERANCE_INTERVAL: Duration = Duration::from_millis(400);
+
+/// Most missed chunks that are remembered. Without a further one the tolerance may be raised too
+/// early, which the next complete view undoes.
+const MAX_MISSED: usize = 1024;
 
 /// State of the connection.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,6 +62,10 @@ pub struct WorldStreamer<F> {
     link: Link,
     failures: u32,
     refusal: Option<String>,
+    /// Chunks that were bad or refused and have not come since. At most [`MAX_MISSED`]; the server
+    /// chooses the keys.
+    missed: HashSet<ChunkKey>,
+    last_miss: Option<String>,
     sent: Option<(View, Duration)>,
     next_view: u32,
     settled: Option<u32>,
@@ -78,6 +87,8 @@ impl<F: ChunkStream> WorldStreamer<F> {
             link: Link::Connecting,
             failures: 0,
             refusal: None,
+            missed: HashSet::new(),
+            last_miss: None,
             sent: None,
             next_view: 1,
             settled: None,
@@ -121,9 +132,13 @@ impl<F: ChunkStream> WorldStreamer<F> {
         let selection = select_at(&mut self.cache, &viewer, Fading { now, lasts: self.fade });
         if is_sent && self.is_settled() {
             if !selection.is_complete() {
-                // Everything was sent, so missing chunks have been evicted since.
-                self.raise_tolerance(now);
+                // Everything was sent, so missing chunks have been evicted since, or were bad and
+                // come again.
+                if self.missed.is_empty() {
+                    self.raise_tolerance(now);
+                }
             } else {
+                self.missed.clear();
                 self.milestones.complete_view.get_or_insert(now);
                 // A mostly idle budget can afford a lower tolerance.
                 if self.tolerance_scale > 1.0 && selection.drawn.len() * 4 < self.cache.capacity() as usize {
@@ -146,6 +161,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
                 self.cache.set_world(world_seed, world);
                 self.link = Link::Connected(server);
                 self.failures = 0;
+                self.missed.clear();
                 let keys: Vec<ChunkKey> = self.cache.keys().collect();
                 if !keys.is_empty() {
                     self.stream.holding(&keys);
@@ -155,6 +171,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
             StreamEvent::Chunk(chunk) => {
                 self.milestones.first_chunk.get_or_insert(now);
                 let key = chunk.key;
+                self.missed.remove(&key);
                 let arrival = self.cache.insert(vertical_scale::scaled(*chunk, self.vertical_scale));
                 if let (Some(_), Some(resident)) = (arrival.slot, self.cache.get(key)) {
                     upload(resident);
@@ -167,6 +184,10 @@ impl<F: ChunkStream> WorldStreamer<F> {
                 }
             }
             StreamEvent::Settled { view } => self.settled = Some(view),
+            StreamEvent::Missed { key, detail } => {
+                self.missed.extend(key.filter(|_| self.missed.len() < MAX_MISSED));
+                self.last_miss = Some(detail);
+            }
             StreamEvent::Refused { detail } => self.refusal = Some(detail),
             StreamEvent::Disconnected { cause, retry } => {
                 self.failures += 1;
@@ -255,7 +276,19 @@ impl<F: ChunkStream> WorldStreamer<F> {
         self.failures
     }
 
-    /// The last rejected request, if any.
+    /// Chunks that were bad or refused and have not come since.
+    #[must_use]
+    pub fn missed(&self) -> usize {
+        self.missed.len()
+    }
+
+    /// What was wrong with the last bad or refused chunk, if any.
+    #[must_use]
+    pub fn last_miss(&self) -> Option<&str> {
+        self.last_miss.as_deref()
+    }
+
+    /// The last rejected view, if any.
     #[must_use]
     pub fn refusal(&self) -> Option<&str> {
         self.refusal.as_deref()
@@ -291,7 +324,7 @@ mod tests {
     #[test]
     fn a_view_completes_and_each_chunk_is_uploaded_once() {
         let mut streamer = WorldStreamer::new(LocalStream::new(1), 4000);
-        let mut slots = std::collections::HashSet::new();
+        let mut slots = HashSet::new();
         let first = streamer.update(&view(), AT(0), usize::MAX, |_| ());
         assert!(first.drawn.is_empty() && !streamer.is_settled());
         let second = streamer
@@ -370,6 +403,26 @@ mod tests {
         streamer.stream.events.push_back(connected(2));
         streamer.update(&view(), AT(2000), 10, |_| ());
         assert!(streamer.cache().is_empty(), "chunks of another world are dropped");
+    }
+
+    #[test]
+    fn a_chunk_that_was_bad_does_not_coarsen_the_view() {
+        let tolerance_px = |is_bad: bool| {
+            let mut streamer = WorldStreamer::new(Script::default(), 10);
+            streamer.stream.events.push_back(connected(1));
+            streamer.update(&view(), AT(0), 10, |_| ());
+            if is_bad {
+                let missed = StreamEvent::Missed { key: ChunkKey::new(3, 0, 0).ok(), detail: "bad".into() };
+                streamer.stream.events.push_back(missed);
+            }
+            streamer.stream.events.push_back(StreamEvent::Settled { view: 1 });
+            streamer.update(&view(), AT(500), 10, |_| ());
+            assert_eq!((streamer.missed(), streamer.is_settled()), (usize::from(is_bad), true));
+            streamer.tolerance_px(&view())
+        };
+        assert_eq!(tolerance_px(true), 4.0);
+        // The control: what is missing otherwise was evicted.
+        assert!(tolerance_px(false) > 4.0);
     }
 
     #[test]

@@ -74,7 +74,7 @@ struct Row {
 /// Measures one map.
 pub fn measure(kind: Kind) -> Result<Curve> {
     let bench = PomBench::open()?;
-    let stage = Stage::new(&bench, true);
+    let stage = Stage::new(&bench, true)?;
     let layer = Kind::ALL.iter().position(|other| *other == kind).unwrap_or(0);
     let methods = methods();
     let mut rows = Vec::new();
@@ -137,7 +137,7 @@ fn titles(kind: Kind) -> (&'static str, &'static str) {
 /// Measures the other knobs: thresholds of the automatic tier, filtering of heights, shadow.
 pub fn knobs(_: u64) -> Result<Curve> {
     let bench = PomBench::open()?;
-    let stage = Stage::new(&bench, false);
+    let stage = Stage::new(&bench, false)?;
     let (travel, mut panels) = travels(&bench, &stage)?;
     let (filter, filter_panel) = filtering(&bench, &stage)?;
     let (shadow, shadow_panel) = shadows(&bench, &stage)?;

@@ -48,20 +48,26 @@ impl PomBench {
 
     /// Puts maps of one side on the GPU, with or without cones; the layer of a probe is the place
     /// in this list.
-    pub fn upload(&self, maps: &[HeightMap], has_cones: bool) -> PomMaps {
+    ///
+    /// # Errors
+    /// The GPU fails.
+    pub fn upload(&self, maps: &[HeightMap], has_cones: bool) -> Result<PomMaps> {
         let mut uploaded = PomMaps::upload(&self.gpu.device, &self.gpu.queue, maps);
         if has_cones {
-            self.bake_cones(&mut uploaded, maps.len());
+            self.bake_cones(&mut uploaded, maps.len())?;
         }
-        uploaded
+        Ok(uploaded)
     }
 
     /// Bakes the cones of the first so many layers; how long it took.
-    pub fn bake_cones(&self, maps: &mut PomMaps, layers: usize) -> Duration {
+    ///
+    /// # Errors
+    /// The GPU fails.
+    pub fn bake_cones(&self, maps: &mut PomMaps, layers: usize) -> Result<Duration> {
         let start = Instant::now();
         let layers: Vec<u32> = (0..layers as u32).collect();
-        maps.bake_cones(&self.gpu.device, &self.gpu.queue, &layers);
-        start.elapsed()
+        maps.bake_cones(&self.gpu, &layers)?;
+        Ok(start.elapsed())
     }
 
     /// The baked cones of the first layer at a mip level, row by row.

@@ -42,10 +42,13 @@ pub struct Stage {
 
 impl Stage {
     /// Uploads them, with or without cones.
-    pub fn new(bench: &PomBench, has_cones: bool) -> Self {
+    ///
+    /// # Errors
+    /// The GPU fails.
+    pub fn new(bench: &PomBench, has_cones: bool) -> Result<Self> {
         let maps: Vec<HeightMap> = Kind::ALL.map(Kind::map).into();
-        let uploaded = bench.upload(&maps, has_cones);
-        Self { maps, uploaded }
+        let uploaded = bench.upload(&maps, has_cones)?;
+        Ok(Self { maps, uploaded })
     }
 }
 

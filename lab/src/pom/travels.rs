@@ -140,7 +140,7 @@ mod tests {
                 return;
             }
         };
-        let found = measure(&bench, &Stage::new(&bench, false), 2000).unwrap();
+        let found = measure(&bench, &Stage::new(&bench, false).unwrap(), 2000).unwrap();
         assert_eq!(found.len(), 48);
         for travel in &found {
             assert!(travel.auto.mean < travel.flat.mean, "{travel:?}");

@@ -23,6 +23,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use terrain::constants::GENERATOR_VERSION;
 use terrain::{ChunkKey, Land};
+use test_support::{ChunkFault, chunk_fault};
 use tokio::io::{AsyncWriteExt, DuplexStream, duplex};
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_tungstenite::accept_hdr_async;
@@ -47,12 +48,8 @@ pub enum Transport {
 pub enum Fault {
     #[default]
     Nothing,
-    /// One height is off by one unit; digest, extremes and pyramids are made to fit.
-    Height,
-    /// A bit of the frame is flipped.
-    Bit,
-    /// A correct chunk of another position.
-    Place,
+    /// Every chunk is wrong.
+    Chunk(ChunkFault),
     /// An ETag that is not the digest.
     Tag,
     /// 304 to a request without condition.
@@ -125,20 +122,11 @@ impl Server {
     }
 
     fn generate(&self, key: ChunkKey) -> Bytes {
-        let key = match self.fault {
-            Fault::Place => ChunkKey::new(0, -30_000, key.x()).expect("exists"),
-            _ => key,
+        let fault = match self.fault {
+            Fault::Chunk(fault) => Some(fault),
+            _ => None,
         };
-        let mut chunk = self.land.chunk(key);
-        if self.fault == Fault::Height {
-            chunk.heights[2000] += 1;
-            chunk = terrain::Chunk::from_parts(chunk.key, chunk.heights, chunk.error, chunk.grass);
-        }
-        let mut frame = chunk_codec::encode_for(Delivery::Exact, &chunk, &self.land.digest()).to_vec();
-        if self.fault == Fault::Bit {
-            frame[30] ^= 1;
-        }
-        frame.into()
+        chunk_fault::frame(fault, &self.land, key, Delivery::Exact)
     }
 
     async fn serve(self, stream: DuplexStream) {

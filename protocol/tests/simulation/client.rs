@@ -2,7 +2,6 @@
 
 use crate::ledger::{FIRST_INVALID, FIRST_VIEW, Ledger};
 use crate::plant::Plant;
-use crate::random::Random;
 use crate::truth;
 use bytes::Bytes;
 use protocol::backoff::Backoff;
@@ -13,6 +12,7 @@ use protocol::{DataFrame, Delivery, control};
 use std::collections::BTreeSet;
 use std::time::Duration;
 use terrain::ChunkKey;
+use test_support::Random;
 
 /// Half the side of the square in which clients move, metres.
 const RANGE_M: i64 = 300;
@@ -44,7 +44,7 @@ impl Client {
     pub fn new(number: u32, random: &mut Random) -> Self {
         Self {
             delivery: truth::deliveries()[number as usize % 4],
-            window: [1, 4, 64][random.index(3)],
+            window: [1, 4, 64][random.below(3)],
             backoff: Backoff::new(Duration::from_millis(100), Duration::from_secs(3), u64::from(number) + 1),
             held: BTreeSet::new(),
             view: None,
@@ -124,7 +124,7 @@ impl Client {
 
     /// Does something random and valid.
     pub fn act(&mut self, random: &mut Random) {
-        let choice = random.index(10);
+        let choice = random.below(10);
         let Some((session, _)) = &mut self.session else { return };
         match choice {
             0..4 => self.look(random),
@@ -141,7 +141,7 @@ impl Client {
                 session.release(&keys);
             }
             7 if self.requests > 0 => {
-                let id = random.index(self.requests as usize) as u32;
+                let id = random.below(self.requests as usize) as u32;
                 self.send_raw(&ClientMessage::Cancel { id });
             }
             8 => {
@@ -208,7 +208,7 @@ impl Client {
 
 /// A chunk near the clients, of any of the finer levels.
 fn random_key(random: &mut Random) -> ChunkKey {
-    let level = random.index(3) as u8;
+    let level = random.below(3) as u8;
     let mut coordinate = || random.within(-3..3) as i32;
     ChunkKey::new(level, coordinate(), coordinate()).expect("inside the world")
 }

@@ -2,10 +2,10 @@
 //! wait for it, in a bounded queue, on two threads.
 
 use crate::plant::Plant;
-use crate::random::Random;
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use terrain::ChunkKey;
+use test_support::Random;
 
 /// Jobs that wait or run. A request beyond it is refused as overloaded.
 pub const MAX_JOBS: usize = 48;

@@ -21,7 +21,6 @@ mod generation;
 mod ledger;
 mod link;
 mod plant;
-mod random;
 mod server;
 mod simulation;
 mod truth;

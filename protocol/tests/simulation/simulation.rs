@@ -4,7 +4,6 @@ use crate::client::Client;
 use crate::generation::{Generation, MAX_JOBS};
 use crate::link::Link;
 use crate::plant::Plant;
-use crate::random::Random;
 use crate::server::ServerEnd;
 use crate::truth;
 use protocol::message::RefusalReason;
@@ -12,6 +11,7 @@ use protocol::{DataFrame, limits};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use terrain::ChunkKey;
+use test_support::Random;
 
 /// Clients of a simulation.
 const CLIENTS: u32 = 4;
@@ -302,8 +302,8 @@ impl Simulation {
         }
         let numbers: Vec<u32> = self.connections.keys().copied().collect();
         let lasts = self.random.ms(100..3000);
-        let chosen = numbers.get(self.random.index(numbers.len().max(1))).copied().unwrap_or_default();
-        match self.random.index(8) {
+        let chosen = numbers.get(self.random.below(numbers.len().max(1))).copied().unwrap_or_default();
+        match self.random.below(8) {
             0 | 1 if !numbers.is_empty() => self.cut(chosen),
             2 | 3 if !numbers.is_empty() => {
                 let (until, is_up) = (self.now + lasts, self.random.percent(30));

@@ -6,7 +6,6 @@ use crate::http::client;
 use crate::http::problem::{Problem, ProblemKind};
 use crate::proxy::ClientAddress;
 use crate::session::driver::{self, READ_LIMIT};
-use crate::session::end;
 use crate::state::ServerState;
 use crate::websocket::upgrade::{Upgrade, VERSION};
 use axum::extract::{Request, State};
@@ -71,8 +70,8 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         if let Some(socket) = upgrade.socket(READ_LIMIT).await {
             let bucket = state.rate_limiter.bucket(peer);
             let reason = driver::serve(socket, &state, offer, number, bucket).await;
-            if end::is_breach(reason) {
-                state.peer_log.report(peer, reason);
+            if reason.is_breach() {
+                state.peer_log.report(peer, reason.name());
             }
         }
         drop((permit, ip_permit));

@@ -8,7 +8,7 @@ use crate::generation::{Completion, Flow, FlowEvent, GenerationError};
 use crate::limits::rate_limit::TokenBucket;
 use crate::mechanism::Mechanism;
 use crate::metrics::{DeliveryLabel, ReasonLabel};
-use crate::session::end::{SessionEnd, write_within};
+use crate::session::end::{EndReason, SessionEnd, write_within};
 use crate::session::keepalive::{Keepalive, KeepaliveAction};
 use crate::session::message_deadline::MessageDeadline;
 use crate::session::refusal_backoff::RefusalBackoff;
@@ -59,7 +59,7 @@ pub async fn serve<S>(
     offer: ServerOffer,
     number: u64,
     bucket: TokenBucket,
-) -> &'static str
+) -> EndReason
 where
     S: AsyncRead + AsyncWrite + Unpin,
 {
@@ -80,12 +80,12 @@ where
         unwritten: Vec::new(),
     };
     let end = driver.run().await;
-    tracing::debug!(session = number, reason = end.reason, "session ended");
+    tracing::debug!(session = number, reason = end.reason.name(), "session ended");
     if let Some((code, text)) = end.close {
         driver.close(code.code(), &text).await;
     }
     driver.update_metrics();
-    state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: end.reason }).inc();
+    state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: end.reason.name() }).inc();
     state.metrics.sessions.dec();
     end.reason
 }
@@ -165,7 +165,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 }
                 () = self.state.draining.cancelled() => return self.drain().await,
                 () = tokio::time::sleep_until(handshake_by), if !self.session.is_welcomed() => {
-                    return SessionEnd::with_code("handshake_timeout", CloseCode::HandshakeTimeout);
+                    return SessionEnd::with_code(EndReason::HandshakeTimeout, CloseCode::HandshakeTimeout);
                 }
                 () = sleep_until(pause), if pause.is_some() => {}
                 () = sleep_until(self.throttled_until), if self.throttled_until.is_some() => {
@@ -178,7 +178,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                         // Written by the following flush.
                         KeepaliveAction::Ping => self.socket.queue_as(Opcode::Ping, Bytes::new()),
                         KeepaliveAction::Close => {
-                            return SessionEnd::with_code("keepalive_timeout", CloseCode::Unresponsive);
+                            let code = CloseCode::Unresponsive;
+                            return SessionEnd::with_code(EndReason::KeepaliveTimeout, code);
                         }
                     }
                     check.as_mut().reset(next);
@@ -207,7 +208,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             self.read_ended(read).await?;
         }
         if self.message_deadline.has_passed(Instant::now()) {
-            return Err(SessionEnd::with_code("message_timeout", CloseCode::Unresponsive));
+            return Err(SessionEnd::with_code(EndReason::MessageTimeout, CloseCode::Unresponsive));
         }
         Ok(())
     }
@@ -316,7 +317,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let incoming = match self.socket.next_message() {
             Ok(None) => return Ok(None),
             Ok(Some(Message::Binary(bytes))) if bytes.len() > MAX_CONTROL_FRAME => {
-                return Err(SessionEnd::with_code("too_large", CloseCode::TooLarge));
+                return Err(SessionEnd::with_code(EndReason::TooLarge, CloseCode::TooLarge));
             }
             Ok(Some(Message::Binary(bytes))) => DataFrame::Binary(bytes),
             Ok(Some(Message::Text(_))) => DataFrame::Text,
@@ -330,7 +331,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 // RFC 6455, section 5.5.1: a Close frame is answered by one with the same code.
                 let code = close.answer();
                 self.close(code, "").await;
-                return Err(SessionEnd::without_code("closed"));
+                return Err(SessionEnd::without_code(EndReason::Closed));
             }
             Err(fault) => {
                 let code = CloseCode::from_code(fault.close_code()).unwrap_or(CloseCode::ProtocolError);
@@ -394,7 +395,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let jitter_ms = terrain::hash::mix(self.number as u32) % (max_ms - min_ms);
         self.session.drain(min_ms + jitter_ms);
         let _ = self.flush().await;
-        SessionEnd::with_code("drained", CloseCode::GoingAway)
+        SessionEnd::with_code(EndReason::Drained, CloseCode::GoingAway)
     }
 
     /// Sends a Close frame and waits for the peer to end the connection, so that what was written

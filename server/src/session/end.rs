@@ -5,11 +5,122 @@ use std::io;
 use std::time::Duration;
 use tokio::time::timeout;
 
+/// The reason of an end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EndReason {
+    /// The peer closed the connection.
+    Closed,
+    /// The server drains.
+    Drained,
+    /// Reading failed.
+    ReadFailed,
+    /// Writing failed.
+    WriteFailed,
+    /// The peer did not read in time.
+    WriteTimeout,
+    /// The Hello did not come in time.
+    HandshakeTimeout,
+    /// The peer began a message and did not finish it in time.
+    MessageTimeout,
+    /// The peer did not answer pings.
+    KeepaliveTimeout,
+    /// A violation of RFC 6455.
+    ProtocolError,
+    /// A text that is not UTF-8.
+    NotUtf8,
+    /// A message that cannot be decoded.
+    Malformed,
+    /// A text message.
+    TextFrame,
+    /// A message above the size limit.
+    TooLarge,
+    /// A valid message at the wrong time.
+    OutOfOrder,
+    /// Another protocol version.
+    WrongVersion,
+    /// Another world.
+    WrongWorld,
+    /// A missing or wrong token.
+    Unauthorised,
+    /// Another close code.
+    Other,
+}
+
+impl EndReason {
+    /// Label in metrics and logs.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Closed => "closed",
+            Self::Drained => "drained",
+            Self::ReadFailed => "read_failed",
+            Self::WriteFailed => "write_failed",
+            Self::WriteTimeout => "write_timeout",
+            Self::HandshakeTimeout => "handshake_timeout",
+            Self::MessageTimeout => "message_timeout",
+            Self::KeepaliveTimeout => "keepalive_timeout",
+            Self::ProtocolError => "protocol_error",
+            Self::NotUtf8 => "not_utf8",
+            Self::Malformed => "malformed",
+            Self::TextFrame => "text_frame",
+            Self::TooLarge => "too_large",
+            Self::OutOfOrder => "out_of_order",
+            Self::WrongVersion => "wrong_version",
+            Self::WrongWorld => "wrong_world",
+            Self::Unauthorised => "unauthorised",
+            Self::Other => "other",
+        }
+    }
+
+    /// Whether the peer broke rules, in contrast to a session that was closed, was drained, was
+    /// rejected, or lost its network.
+    #[must_use]
+    pub const fn is_breach(self) -> bool {
+        match self {
+            Self::WriteTimeout
+            | Self::HandshakeTimeout
+            | Self::MessageTimeout
+            | Self::ProtocolError
+            | Self::NotUtf8
+            | Self::Malformed
+            | Self::TextFrame
+            | Self::TooLarge
+            | Self::OutOfOrder => true,
+            Self::Closed
+            | Self::Drained
+            | Self::ReadFailed
+            | Self::WriteFailed
+            | Self::KeepaliveTimeout
+            | Self::WrongVersion
+            | Self::WrongWorld
+            | Self::Unauthorised
+            | Self::Other => false,
+        }
+    }
+}
+
+impl From<CloseCode> for EndReason {
+    fn from(code: CloseCode) -> Self {
+        match code {
+            CloseCode::ProtocolError => Self::ProtocolError,
+            CloseCode::NotUtf8 => Self::NotUtf8,
+            CloseCode::Malformed => Self::Malformed,
+            CloseCode::TextFrame => Self::TextFrame,
+            CloseCode::TooLarge => Self::TooLarge,
+            CloseCode::OutOfOrder => Self::OutOfOrder,
+            CloseCode::WrongVersion => Self::WrongVersion,
+            CloseCode::WrongWorld => Self::WrongWorld,
+            CloseCode::Unauthorised => Self::Unauthorised,
+            _ => Self::Other,
+        }
+    }
+}
+
 /// Why a session ended, and what is sent to the peer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionEnd {
-    /// Label in metrics and logs.
-    pub reason: &'static str,
+    /// The reason.
+    pub reason: EndReason,
     /// Close frame to send, if the socket may still accept one.
     pub close: Option<(CloseCode, String)>,
 }
@@ -17,13 +128,13 @@ pub struct SessionEnd {
 impl SessionEnd {
     /// An end with a close frame.
     #[must_use]
-    pub fn with_code(reason: &'static str, code: CloseCode) -> Self {
+    pub fn with_code(reason: EndReason, code: CloseCode) -> Self {
         Self { reason, close: Some((code, code.to_string())) }
     }
 
     /// An end without a close frame: the connection is gone, or the peer has closed it.
     #[must_use]
-    pub const fn without_code(reason: &'static str) -> Self {
+    pub const fn without_code(reason: EndReason) -> Self {
         Self { reason, close: None }
     }
 
@@ -31,13 +142,13 @@ impl SessionEnd {
     #[must_use]
     pub fn read_failed(error: &io::Error) -> Self {
         let is_closed = error.kind() == io::ErrorKind::UnexpectedEof;
-        Self::without_code(if is_closed { "closed" } else { "read_failed" })
+        Self::without_code(if is_closed { EndReason::Closed } else { EndReason::ReadFailed })
     }
 
     /// The end after a message that breaks the protocol.
     #[must_use]
     pub fn protocol_error(code: CloseCode, text: String) -> Self {
-        Self { reason: reason(code), close: Some((code, text)) }
+        Self { reason: code.into(), close: Some((code, text)) }
     }
 }
 
@@ -49,40 +160,7 @@ pub async fn write_within(
 ) -> Result<(), SessionEnd> {
     match timeout(deadline, write).await {
         Ok(Ok(())) => Ok(()),
-        Ok(Err(_)) => Err(SessionEnd::without_code("write_failed")),
-        Err(_) => Err(SessionEnd::without_code("write_timeout")),
-    }
-}
-
-/// Whether a session of this reason's end broke rules, in contrast to one that was closed, was
-/// drained, or lost its network.
-#[must_use]
-pub fn is_breach(reason: &str) -> bool {
-    matches!(
-        reason,
-        "protocol_error"
-            | "not_utf8"
-            | "malformed"
-            | "text_frame"
-            | "too_large"
-            | "out_of_order"
-            | "handshake_timeout"
-            | "message_timeout"
-            | "write_timeout"
-    )
-}
-
-const fn reason(code: CloseCode) -> &'static str {
-    match code {
-        CloseCode::ProtocolError => "protocol_error",
-        CloseCode::NotUtf8 => "not_utf8",
-        CloseCode::Malformed => "malformed",
-        CloseCode::TextFrame => "text_frame",
-        CloseCode::TooLarge => "too_large",
-        CloseCode::OutOfOrder => "out_of_order",
-        CloseCode::WrongVersion => "wrong_version",
-        CloseCode::WrongWorld => "wrong_world",
-        CloseCode::Unauthorised => "unauthorised",
-        _ => "other",
+        Ok(Err(_)) => Err(SessionEnd::without_code(EndReason::WriteFailed)),
+        Err(_) => Err(SessionEnd::without_code(EndReason::WriteTimeout)),
     }
 }

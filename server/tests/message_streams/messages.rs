@@ -6,10 +6,11 @@ use protocol::view::View;
 use protocol::{Delivery, Tolerance, control};
 use terrain::constants::WORLD_HALF;
 use terrain::lod::MAX_VIEW_DISTANCE_M;
+use test_support::Random;
 
 /// Streams of one seed.
 pub struct Generator {
-    state: u64,
+    random: Random,
 }
 
 /// Number of a message's kind.
@@ -28,27 +29,7 @@ pub fn kind(message: &ClientMessage) -> usize {
 
 impl Generator {
     pub const fn new(seed: u64) -> Self {
-        Self { state: seed }
-    }
-
-    /// SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
-    fn next(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut mixed = self.state;
-        mixed = (mixed ^ mixed >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        mixed ^ mixed >> 31
-    }
-
-    /// A number below a limit above zero.
-    fn below(&mut self, limit: usize) -> usize {
-        (self.next() % limit as u64) as usize
-    }
-
-    /// One of some extremes, or any number.
-    fn pick<T: Copy, const N: usize>(&mut self, extremes: [T; N], any: impl Fn(u64) -> T) -> T {
-        let choice = self.below(N + 1);
-        extremes.get(choice).copied().unwrap_or_else(|| any(self.next()))
+        Self { random: Random(seed) }
     }
 
     /// The first message of a session.
@@ -59,25 +40,25 @@ impl Generator {
             Delivery::SeedOnly,
             Delivery::Quantised(Tolerance::COARSEST),
         ];
-        let length = self.pick([0, MAX_TEXT], |any| any as usize % MAX_TEXT);
+        let length = self.random.pick([0, MAX_TEXT], |any| any as usize % MAX_TEXT);
         ClientMessage::Hello(Hello {
             digest: None,
-            delivery: deliveries[self.below(4)],
-            token: (self.below(2) == 0).then(|| "t".repeat(MAX_TEXT)),
+            delivery: deliveries[self.random.below(4)],
+            token: (self.random.below(2) == 0).then(|| "t".repeat(MAX_TEXT)),
             software: "s".repeat(length),
         })
     }
 
     /// A message of a session after its Hello.
     pub fn message(&mut self) -> ClientMessage {
-        let id = self.pick([0, u32::MAX], |any| any as u32);
-        match self.below(8) {
+        let id = self.random.pick([0, u32::MAX], |any| any as u32);
+        match self.random.below(8) {
             0 | 1 => ClientMessage::View(self.view(id)),
             2 => ClientMessage::Credit {
-                chunks: self.pick([1, MAX_CREDITS], |any| any as u32 % MAX_CREDITS + 1),
+                chunks: self.random.pick([1, MAX_CREDITS], |any| any as u32 % MAX_CREDITS + 1),
             },
             3 => ClientMessage::CreditBytes {
-                bytes: self.pick([1, MAX_CREDIT_BYTES], |any| any as u32 % MAX_CREDIT_BYTES + 1),
+                bytes: self.random.pick([1, MAX_CREDIT_BYTES], |any| any as u32 % MAX_CREDIT_BYTES + 1),
             },
             4 => ClientMessage::Request { id, keys: self.keys() },
             5 => ClientMessage::Release { keys: self.keys() },
@@ -88,7 +69,7 @@ impl Generator {
 
     /// A quarter of the views are the most expensive that a server accepts.
     fn view(&mut self, id: u32) -> View {
-        if self.below(4) == 0 {
+        if self.random.below(4) == 0 {
             return View {
                 id,
                 eye: [0, 60 * 256, 0],
@@ -105,36 +86,37 @@ impl Generator {
         View {
             id,
             eye: [
-                self.pick([-WORLD_HALF, WORLD_HALF - 1, 0, i32::MIN], place),
-                self.pick([i32::MIN, i32::MAX, 0], |any| any as i32),
-                self.pick([-WORLD_HALF, WORLD_HALF - 1, 0, i32::MAX], place),
+                self.random.pick([-WORLD_HALF, WORLD_HALF - 1, 0, i32::MIN], place),
+                self.random.pick([i32::MIN, i32::MAX, 0], |any| any as i32),
+                self.random.pick([-WORLD_HALF, WORLD_HALF - 1, 0, i32::MAX], place),
             ],
-            velocity: [(); 3].map(|()| self.pick([i32::MIN, i32::MAX, 0], |any| any as i32)),
-            yaw_mdeg: self.pick([i32::MIN, i32::MAX, 0], |any| any as i32),
-            pitch_mdeg: self.pick([i32::MIN, i32::MAX, 0, 90_000], |any| any as i32),
-            fov_mdeg: self.pick([1_000, 170_000, 60_000, 0, u32::MAX], |any| any as u32 % 170_000),
-            viewport: [(); 2].map(|()| self.pick([1, MAX_VIEWPORT, 0, u16::MAX], |any| any as u16)),
-            tolerance_q4: self.pick([1, u16::MAX, 64, 0], |any| any as u16),
+            velocity: [(); 3].map(|()| self.random.pick([i32::MIN, i32::MAX, 0], |any| any as i32)),
+            yaw_mdeg: self.random.pick([i32::MIN, i32::MAX, 0], |any| any as i32),
+            pitch_mdeg: self.random.pick([i32::MIN, i32::MAX, 0, 90_000], |any| any as i32),
+            fov_mdeg: self.random.pick([1_000, 170_000, 60_000, 0, u32::MAX], |any| any as u32 % 170_000),
+            viewport: [(); 2].map(|()| self.random.pick([1, MAX_VIEWPORT, 0, u16::MAX], |any| any as u16)),
+            tolerance_q4: self.random.pick([1, u16::MAX, 64, 0], |any| any as u16),
             distance_m: self
+                .random
                 .pick([0, 1, MAX_VIEW_DISTANCE_M, u32::MAX], |any| any as u32 % MAX_VIEW_DISTANCE_M),
         }
     }
 
     /// Keys inside and outside of the world, some twice.
     fn keys(&mut self) -> Vec<WireKey> {
-        let count = self.pick([0, 1, 2, MAX_KEYS], |any| any as usize % 16);
-        let (level, near) = (self.below(17) as u8, self.below(2) == 0);
+        let count = self.random.pick([0, 1, 2, MAX_KEYS], |any| any as usize % 16);
+        let (level, near) = (self.random.below(17) as u8, self.random.below(2) == 0);
         (0..count)
             .map(|_| WireKey {
-                level: self.pick([level, level, level, 255], |any| any as u8 % 20),
-                x: if near { self.below(64) as i32 - 32 } else { self.coordinate() },
-                z: if near { self.below(64) as i32 - 32 } else { self.coordinate() },
+                level: self.random.pick([level, level, level, 255], |any| any as u8 % 20),
+                x: if near { self.random.below(64) as i32 - 32 } else { self.coordinate() },
+                z: if near { self.random.below(64) as i32 - 32 } else { self.coordinate() },
             })
             .collect()
     }
 
     fn coordinate(&mut self) -> i32 {
-        self.pick([i32::MIN, i32::MAX, 0, -1, -32_768, 32_767, 32_768], |any| any as i32)
+        self.random.pick([i32::MIN, i32::MAX, 0, -1, -32_768, 32_767, 32_768], |any| any as i32)
     }
 
     /// A message as frames: whole, or in fragments with control frames between them.
@@ -143,13 +125,13 @@ impl Generator {
         let mut stream = Vec::new();
         let mut rest = &bytes[..];
         let mut opcode = 2;
-        while self.below(3) == 0 {
-            let (part, behind) = rest.split_at(self.below(rest.len() + 1));
+        while self.random.below(3) == 0 {
+            let (part, behind) = rest.split_at(self.random.below(rest.len() + 1));
             self.frame(&mut stream, opcode, part);
             (rest, opcode) = (behind, 0);
-            match self.below(3) {
+            match self.random.below(3) {
                 0 => {
-                    let length = self.pick([0, 125], |any| any as usize % 125);
+                    let length = self.random.pick([0, 125], |any| any as usize % 125);
                     self.frame(&mut stream, 0x89, &vec![7; length]);
                 }
                 1 => self.frame(&mut stream, 0x8a, b"unsolicited"),
@@ -170,7 +152,7 @@ impl Generator {
                 stream.extend((longer as u16).to_be_bytes());
             }
         }
-        let mask = (self.next() as u32).to_be_bytes();
+        let mask = (self.random.bits() as u32).to_be_bytes();
         stream.extend(mask);
         stream.extend(payload.iter().zip(mask.iter().cycle()).map(|(byte, mask)| byte ^ mask));
     }

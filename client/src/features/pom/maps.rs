@@ -1,10 +1,11 @@
 //! Textures of parallax occlusion mapping: heights twice (exact, and filterable), max mips, cones.
 
-use crate::features::pom::cone_bake;
+use crate::features::pom::cone_bake::ConeBake;
 use crate::features::pom::height_map::HeightMap;
 use crate::features::pom::textures::{EXACT, texture, whole};
 use crate::gpu::bind;
 use crate::gpu::pipeline::{compute_pass, compute_pipelines};
+use crate::gpu::{Gpu, GpuError};
 use half::f16;
 use shaders::SHADERS;
 use shaders::layout::{MAX_MIP_WORKGROUP, MaxMipReduction};
@@ -88,12 +89,30 @@ impl PomMaps {
         self.has_cones
     }
 
-    /// Bakes the cones of some layers, and waits for them. Bind groups created before do not see
-    /// them.
-    pub fn bake_cones(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, layers: &[u32]) {
-        self.cones = cone_bake::bake(device, queue, &self.heights, &self.max_mips, layers);
+    /// Starts to bake the cones of some layers, for [`PomMaps::set_cones`].
+    #[must_use]
+    pub fn start_cones(&self, device: &wgpu::Device, layers: &[u32]) -> ConeBake {
+        ConeBake::start(device, &self.heights, &self.max_mips, layers)
+    }
+
+    /// Takes baked cones. Bind groups created before do not see them.
+    pub fn set_cones(&mut self, baked: ConeBake) {
+        self.cones = baked.result();
         self.cone_view = whole(&self.cones);
         self.has_cones = true;
+    }
+
+    /// Bakes the cones of some layers, and waits for them.
+    ///
+    /// # Errors
+    /// The device is lost.
+    pub fn bake_cones(&mut self, gpu: &Gpu, layers: &[u32]) -> Result<(), GpuError> {
+        let mut bake = self.start_cones(&gpu.device, layers);
+        while !bake.poll(&gpu.device, &gpu.queue)? {
+            gpu.wait()?;
+        }
+        self.set_cones(bake);
+        Ok(())
     }
 
     /// The cones, one mip level for each mip level of the heights that has whole blocks.

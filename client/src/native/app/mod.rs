@@ -13,6 +13,7 @@ pub mod view_settings;
 use crate::cache::ChunkCache;
 use crate::cache::SLOT_BYTES;
 use crate::camera::{Pose, Projection};
+use crate::features::materials::CustomMaterials;
 use crate::features::terrain::pool::ChunkPool;
 use crate::features::terrain_clipmap::textures::TILES_PER_FRAME;
 use crate::features::terrain_shadow::pass::PER_FRAME;
@@ -20,8 +21,9 @@ use crate::features::vegetation::gpu_cull::CullStats;
 use crate::frame::FrameData;
 use crate::frame::TRIANGLES_PER_INSTANCE;
 use crate::gpu;
+use crate::gpu::rebuild::{MOST_REBUILDS, Rebuilds};
 use crate::gpu::surface::{NextTexture, WindowSurface};
-use crate::gpu::{Gpu, OffscreenTarget};
+use crate::gpu::{Gpu, GpuError, OffscreenTarget};
 use crate::lod::clearance;
 use crate::native::args::Args;
 use crate::native::background::Background;
@@ -33,7 +35,7 @@ use crate::scene::places::{Place, PlaceFinder};
 use crate::settings::SunPosition;
 use crate::stats::{FrameTimes, Stats};
 use crate::stream::ChunkStream;
-use crate::stream::streamer::WorldStreamer;
+use crate::stream::streamer::{Link, WorldStreamer};
 use crate::view::ViewParams;
 use anyhow::{Context as _, anyhow};
 use clock::{Clock, Day};
@@ -121,8 +123,12 @@ struct App {
 struct Running {
     window: Arc<Window>,
     gpu: Gpu,
+    rebuilds: Rebuilds,
+    materials: CustomMaterials,
     surface: WindowSurface,
     renderer: Renderer,
+    /// Options of the renderer at the start.
+    render_options: RenderOptions,
     overlay: Overlay,
     streamer: WorldStreamer<Box<dyn ChunkStream>>,
     controls: Controls,
@@ -248,6 +254,7 @@ impl Running {
             clipmap_texels: args.clipmap,
         };
         let stream = open_stream(args)?;
+        let materials = textures::custom_materials(args)?;
         let now = Instant::now();
         let start = args.pose();
         let settings = ViewSettings {
@@ -257,7 +264,10 @@ impl Running {
             day: Day { hours: START_HOURS, plays: false },
         };
         Ok(Self {
-            renderer: Renderer::with_materials(&gpu, &options, &textures::custom_materials(args)?),
+            renderer: Renderer::with_materials(&gpu, &options, &materials),
+            render_options: options,
+            materials,
+            rebuilds: Rebuilds::new(MOST_REBUILDS),
             overlay: Overlay::new(&gpu, &window, surface.format, args.ui_scale),
             streamer: WorldStreamer::new(stream, slots)
                 .fading(ARRIVAL_FADE)
@@ -419,7 +429,41 @@ impl Running {
         Ok(())
     }
 
+    /// Draws a frame; on a new device if the present one is lost.
     fn redraw(&mut self) -> anyhow::Result<After> {
+        match self.draw_frame() {
+            Err(error) => {
+                let error = error.downcast::<GpuError>()?;
+                let cause = self.rebuilds.begin(&self.gpu, error)?;
+                self.rebuild()?;
+                let line = format!("the GPU failed and was opened again: {cause}");
+                self.notices.show(&line, Instant::now(), FIRST_HINT_LASTS);
+                Ok(After::Continue)
+            }
+            drawn => {
+                self.rebuilds.frame_drawn();
+                drawn
+            }
+        }
+    }
+
+    /// Opens a new device with its surface and renderer, and uploads the chunk cache.
+    fn rebuild(&mut self) -> anyhow::Result<()> {
+        let surface = self.gpu.instance.create_surface(Arc::clone(&self.window))?;
+        self.gpu = pollster::block_on(self.gpu.reopen(Some(&surface)))?;
+        let size = self.window.inner_size();
+        self.surface = WindowSurface::new(&self.gpu, surface, (size.width, size.height))?;
+        let options =
+            RenderOptions { size: self.surface.size(), format: self.surface.format, ..self.render_options };
+        self.renderer = Renderer::with_materials(&self.gpu, &options, &self.materials);
+        self.overlay = Overlay::new(&self.gpu, &self.window, self.surface.format, self.args.ui_scale);
+        let (gpu, renderer) = (&self.gpu, &mut self.renderer);
+        self.streamer.cache().residents().for_each(|chunk| renderer.upload(gpu, chunk));
+        self.adapter = self.gpu.name();
+        Ok(())
+    }
+
+    fn draw_frame(&mut self) -> anyhow::Result<After> {
         self.gpu.check()?;
         let (texture, view) = match self.surface.next(&self.gpu) {
             NextTexture::Ready(texture, view) => (texture, view),
@@ -480,10 +524,13 @@ impl Running {
         renderer.trace_shadows(gpu, &frame, PER_FRAME, &mut encoder);
         renderer.draw(gpu, &frame, &mut encoder, &view);
         let now = Instant::now();
+        // Also without the panel: nothing more will come.
+        if let Link::Refused(cause) = self.streamer.link() {
+            self.notices.show(cause, now, ANSWER_LASTS);
+        }
         let has_notices = self.notices.shown(now).next().is_some();
         self.has_overlay = self.show_panel || self.show_keys;
         if self.has_overlay || has_notices {
-            let traffic = self.streamer.stream().traffic();
             let readings = Readings {
                 times: &self.times,
                 drawn: self.drawn,
@@ -492,9 +539,10 @@ impl Running {
                 triangles: self.instances as u64 * TRIANGLES_PER_INSTANCE,
                 plants: self.plants,
                 missing: selection.missing,
-                bytes_received: traffic.bytes_received,
+                traffic: self.streamer.stream().traffic(),
+                missed: self.streamer.missed(),
+                last_miss: self.streamer.last_miss(),
                 delivery: self.args.delivery,
-                credits: traffic.credits,
                 levels: self.streamer.cache().level_histogram(),
                 local: self.args.scene.panel_legend(),
                 link: self.streamer.link(),
@@ -567,7 +615,7 @@ impl Running {
     }
 
     fn stats(&self) -> Stats {
-        let milestones = self.streamer.milestones();
+        let (milestones, traffic) = (self.streamer.milestones(), self.streamer.stream().traffic());
         let resident = self.streamer.cache().len();
         Stats {
             adapter: self.adapter.clone(),
@@ -580,7 +628,11 @@ impl Running {
             plant_blocks_lost: self.plants.blocks_lost,
             gpu_bytes_per_chunk: self.renderer.bytes_per_chunk(),
             delivery: if self.args.scene.is_local() { "none" } else { self.args.delivery.name() },
-            bytes_received: self.streamer.stream().traffic().bytes_received,
+            bytes_received: traffic.bytes_received,
+            bad_chunks: traffic.bad_chunks,
+            refused_chunks: traffic.refused_chunks,
+            retried_chunks: traffic.retried_chunks,
+            gpu_rebuilds: self.rebuilds.done(),
             seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
             seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),
             seconds_to_first_picture: self.first_image.map(|at| at.as_secs_f64()),

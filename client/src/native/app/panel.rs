@@ -7,6 +7,7 @@ use crate::features::vegetation::gpu_cull::CullStats;
 use crate::scene::places::Place;
 use crate::settings::SunPosition;
 use crate::stats::FrameTimes;
+use crate::stream::Traffic;
 use crate::stream::streamer::Link;
 use protocol::Delivery;
 use std::time::Duration;
@@ -32,12 +33,14 @@ pub struct Readings<'a> {
     pub plants: CullStats,
     /// Chunks drawn coarser than wanted.
     pub missing: usize,
-    /// Bytes received.
-    pub bytes_received: u64,
     /// Delivery mode.
     pub delivery: Delivery,
-    /// Granted credits.
-    pub credits: u32,
+    /// Counters of the stream.
+    pub traffic: Traffic,
+    /// Chunks that were bad or refused and are drawn coarser.
+    pub missed: usize,
+    /// What was wrong with the last of them.
+    pub last_miss: Option<&'a str>,
     /// Resident chunks at each level.
     pub levels: [u32; 17],
     /// Legend of a local scene.
@@ -218,12 +221,17 @@ fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>, settings: &ViewSettings) 
             "received",
             format!(
                 "{:.2} MiB, {} delivery",
-                readings.bytes_received as f64 / f64::from(1 << 20),
+                readings.traffic.bytes_received as f64 / f64::from(1 << 20),
                 readings.delivery
             ),
             "From the server since the start",
         ),
-        ("credits", readings.credits.to_string(), "Chunks that the server may still send"),
+        ("credits", readings.traffic.credits.to_string(), "Chunks that the server may still send"),
+        (
+            "bad chunks",
+            rejects(readings),
+            "Wrong, not asked for, or refused; drawn coarser and requested again",
+        ),
     ];
     let session = session.into_iter().filter(|_| readings.local.is_none());
     ui.label(readings.adapter);
@@ -240,6 +248,17 @@ fn numbers(ui: &mut egui::Ui, readings: &Readings<'_>, settings: &ViewSettings) 
         ui.end_row();
     });
     camera(ui, &readings.camera);
+}
+
+/// Bad and refused chunks, and what was wrong with the last.
+fn rejects(readings: &Readings<'_>) -> String {
+    let Traffic { bad_chunks, refused_chunks, .. } = readings.traffic;
+    match readings.last_miss {
+        None => "none".to_owned(),
+        Some(detail) => {
+            format!("{bad_chunks} bad, {refused_chunks} refused, {} missing; last: {detail}", readings.missed)
+        }
+    }
 }
 
 /// The pose as `--camera` takes it, to select or copy.

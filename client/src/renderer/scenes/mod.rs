@@ -11,7 +11,7 @@ use crate::features::atmosphere::BackgroundPass;
 use crate::features::materials::{CustomMaterials, Materials};
 use crate::features::water::waves::WaveMap;
 use crate::frame::FrameData;
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, GpuError};
 use crate::scene::Scene;
 use crate::scene::objects::LAYER;
 use pom::PomScene;
@@ -57,6 +57,18 @@ impl LocalScene {
                 let scene = PomScene::new(device, queue, frame, materials, scene, samples);
                 Some(Self::Pom(Box::new(scene)))
             }
+        }
+    }
+
+    /// Continues to bake what a frame needs, without waiting. Returns whether all is there; until
+    /// then something inexact is drawn.
+    ///
+    /// # Errors
+    /// The device is lost.
+    pub fn bake(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<bool, GpuError> {
+        match self {
+            Self::Water(_) => Ok(true),
+            Self::Pom(scene) => scene.bake(gpu, frame),
         }
     }
 

@@ -6,13 +6,14 @@
 //! setting builds a pipeline.
 
 use crate::features::materials::Materials;
+use crate::features::pom::cone_bake::ConeBake;
 use crate::features::pom::maps::PomMaps;
 use crate::features::pom::settings::PomMethod;
 use crate::frame::FrameData;
-use crate::gpu::Gpu;
 use crate::gpu::bind;
 use crate::gpu::buffer::create_buffer;
 use crate::gpu::pipeline::{Depth, HdrPass};
+use crate::gpu::{Gpu, GpuError};
 use crate::renderer::scenes::meshes::{Mesh, Vertex};
 use crate::scene::Scene;
 use crate::scene::objects::{self, LAYER, Mode, Object};
@@ -27,6 +28,8 @@ pub struct PomScene {
     deep: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     maps: PomMaps,
+    /// Cones in the making; the max mips stand in for them.
+    bake: Option<ConeBake>,
     frame: wgpu::Buffer,
     objects_gpu: SceneObjects,
     with_depth: bool,
@@ -77,7 +80,7 @@ impl PomScene {
         let fast = pass.pipeline_with_fragment(device, "fragment");
         let deep = pass.pipeline_with_fragment(device, "fragment_depth");
         let objects_gpu = SceneObjects::new(device, &layout, frame, &maps, objects::of(scene));
-        Self { fast, deep, layout, maps, frame: frame.clone(), objects_gpu, with_depth: false }
+        Self { fast, deep, layout, maps, bake: None, frame: frame.clone(), objects_gpu, with_depth: false }
     }
 
     /// Replaces the objects of the scene.
@@ -85,15 +88,34 @@ impl PomScene {
         self.objects_gpu = SceneObjects::new(device, &self.layout, &self.frame, &self.maps, objects);
     }
 
-    /// Updates the objects for the next frame's eye, and bakes cones on first use.
-    pub fn prepare(&mut self, gpu: &Gpu, frame: &FrameData) {
+    /// Continues to bake the cones if a frame needs them, without waiting. Returns whether it has
+    /// what it needs.
+    ///
+    /// # Errors
+    /// The device is lost.
+    pub fn bake(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<bool, GpuError> {
         let Gpu { device, queue, .. } = gpu;
         let is_marched = self.objects_gpu.objects.iter().any(|object| object.mode == Mode::Settings);
-        if frame.uniforms.pom.tier == PomMethod::Cones as u32 && is_marched && !self.maps.has_cones() {
-            self.maps.bake_cones(device, queue, &[LAYER]);
-            self.objects_gpu.bindings =
-                bindings(device, &self.layout, &self.frame, &self.objects_gpu.instances, &self.maps);
+        if frame.uniforms.pom.tier != PomMethod::Cones as u32 || !is_marched || self.maps.has_cones() {
+            return Ok(true);
         }
+        let bake = self.bake.get_or_insert_with(|| self.maps.start_cones(device, &[LAYER]));
+        if !bake.poll(device, queue)? {
+            return Ok(false);
+        }
+        if let Some(baked) = self.bake.take() {
+            self.maps.set_cones(baked);
+        }
+        self.objects_gpu.bindings =
+            bindings(device, &self.layout, &self.frame, &self.objects_gpu.instances, &self.maps);
+        Ok(true)
+    }
+
+    /// Updates the objects for the next frame's eye.
+    pub fn prepare(&mut self, gpu: &Gpu, frame: &FrameData) {
+        // A lost device reports its fault at the next check.
+        let _ = self.bake(gpu, frame);
+        let queue = &gpu.queue;
         let place = |object: &Object| object.layout(&frame.eye, frame.pom_tiling.into());
         let instances: Vec<PomObject> = self.objects_gpu.objects.iter().map(place).collect();
         queue.write_buffer(&self.objects_gpu.instances, 0, bytemuck::cast_slice(&instances));

@@ -1,0 +1,112 @@
+//! The WebSocket of a session: connecting, and the end of a connection as a sentence.
+
+use crate::stream::peer_text::one_line;
+use protocol::limits::MAX_SERVER_FRAME;
+use protocol::{CloseCode, SUBPROTOCOL};
+use std::time::Duration;
+use tls_client::{TlsClient, Transport};
+use tokio::net::TcpStream;
+use tokio_tungstenite::tungstenite::{self, ClientRequestBuilder, http::Uri, protocol as ws};
+use tokio_tungstenite::{WebSocketStream, client_async_with_config};
+use tokio_util::either::Either;
+
+/// A connected socket.
+pub type Socket = WebSocketStream<Transport>;
+
+/// Bytes read at once; also what an idle connection takes.
+const READ_BUFFER: usize = 32 << 10;
+
+/// Most bytes that wait for a server that does not read: views, credits and keys of a second.
+const MAX_WRITE_BUFFER: usize = 1 << 20;
+
+/// Why a session ended.
+#[derive(Debug)]
+pub enum SessionEnd {
+    /// The viewer is closing.
+    Closing,
+    /// Anything else.
+    Lost {
+        /// One line: the cause and what to do.
+        cause: String,
+        /// Whether another attempt can help.
+        retry: bool,
+        /// Delay requested by the server.
+        hint: Option<Duration>,
+        /// Whether the server broke the rules of the transport.
+        is_fault: bool,
+    },
+}
+
+/// An end with a cause.
+pub fn lost(cause: impl Into<String>, retry: bool) -> SessionEnd {
+    SessionEnd::Lost { cause: cause.into(), retry, hint: None, is_fault: false }
+}
+
+/// Connects and shakes hands. Every buffer has a fixed size.
+pub async fn connect(url: &Uri, tls: Option<&TlsClient>) -> Result<Socket, tungstenite::Error> {
+    // IPv6 addresses have brackets in URLs, but not in lookups.
+    let host = url.host().unwrap_or_default().trim_matches(['[', ']']);
+    let default_port = if tls.is_some() { 443 } else { 80 };
+    let stream = TcpStream::connect((host, url.port_u16().unwrap_or(default_port))).await?;
+    // Small control frames must not be delayed.
+    stream.set_nodelay(true)?;
+    let stream = match tls {
+        Some(tls) => tls.connect(host, stream).await?,
+        None => Either::Left(stream),
+    };
+    let request = ClientRequestBuilder::new(url.clone()).with_sub_protocol(SUBPROTOCOL);
+    let config = ws::WebSocketConfig::default()
+        .read_buffer_size(READ_BUFFER)
+        .max_write_buffer_size(MAX_WRITE_BUFFER)
+        .max_message_size(Some(MAX_SERVER_FRAME))
+        .max_frame_size(Some(MAX_SERVER_FRAME));
+    Ok(client_async_with_config(request, stream, Some(config)).await?.0)
+}
+
+/// A failed attempt to connect.
+pub fn not_connected(url: &Uri, error: &tungstenite::Error) -> SessionEnd {
+    match error {
+        tungstenite::Error::Http(response) => {
+            let status = response.status();
+            let retry = status.is_server_error() || status.as_u16() == 429;
+            lost(format!("{url} answered {status}: is it the stream of a tombolo-server?"), retry)
+        }
+        tungstenite::Error::Io(cause) => lost(
+            format!(
+                "cannot connect to {url}: {cause}; start a server with `tombolo-server` \
+                 or name one with --connect"
+            ),
+            true,
+        ),
+        other => lost(format!("{url} is not a Tombolo stream: {}", one_line(&other.to_string())), false),
+    }
+}
+
+/// A connection that the server closed.
+pub fn closed(url: &Uri, frame: Option<&ws::CloseFrame>, hint: Option<Duration>) -> SessionEnd {
+    let Some(frame) = frame else {
+        let cause = format!("{url} closed the connection");
+        return SessionEnd::Lost { cause, retry: true, hint, is_fault: false };
+    };
+    let number = u16::from(frame.code);
+    let code = CloseCode::from_code(number);
+    let words = code.map_or_else(|| format!("code {number}"), |code| code.to_string());
+    let cause = match frame.reason.as_str() {
+        "" => format!("{url} closed the connection: {words}"),
+        reason => format!("{url} closed the connection: {words}: {}", one_line(reason)),
+    };
+    // An unknown code comes from an intermediary: another attempt may help.
+    let retry = code.is_none_or(|code| code.is_retryable() || code == CloseCode::Normal);
+    SessionEnd::Lost { cause, retry, hint, is_fault: false }
+}
+
+/// A connection that failed.
+pub fn broken(url: &Uri, error: &tungstenite::Error, hint: Option<Duration>) -> SessionEnd {
+    use tungstenite::Error as Failure;
+    let is_fault = matches!(error, Failure::Capacity(_) | Failure::Protocol(_) | Failure::Utf8(_));
+    // A connection that ends in mid-frame is a network's failure, and another attempt may help.
+    let is_cut =
+        matches!(error, Failure::Protocol(tungstenite::error::ProtocolError::ResetWithoutClosingHandshake));
+    let cause = format!("lost {url}: {}", one_line(&error.to_string()));
+    SessionEnd::Lost { cause, retry: true, hint, is_fault: is_fault && !is_cut }
+}

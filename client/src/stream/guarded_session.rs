@@ -1,0 +1,261 @@
+//! A session with a server that is not trusted, without IO: the protocol's session machine, what may
+//! arrive, and what is requested again.
+//!
+//! A bad chunk is dropped. While it is missing, the viewer draws its coarser ancestor in its place,
+//! as it does for every chunk that has not arrived. The chunk is requested again with growing
+//! delays; a server that sends several bad ones is given up ([`Trust`]).
+
+use crate::stream::chunk_stream::StreamEvent;
+use crate::stream::expected::{ExpectedChunks, check_ranges};
+use crate::stream::peer_text::one_line;
+use crate::stream::retries::Retries;
+use crate::stream::trust::{Distrust, Trust};
+use bytes::Bytes;
+use protocol::chunk_codec::kind_and_key;
+use protocol::client::{ClientConfig, ClientSession, Event};
+use protocol::message::{RefusalReason, Refused, WireKey};
+use protocol::view::View;
+use protocol::{ChunkError, DataFrame, PeerFault};
+use std::time::Duration;
+use terrain::{ChunkKey, WorldDigest};
+
+/// Longest delay before reconnecting that a server can ask for.
+const MAX_RECONNECT: Duration = Duration::from_secs(60);
+
+/// What a frame brought.
+#[derive(Debug)]
+pub enum Received {
+    /// An event for the viewer.
+    Event(StreamEvent),
+    /// The server is about to close and asks for this delay before the next session.
+    Draining(Duration),
+    /// Nothing to act on.
+    Nothing,
+}
+
+/// Why a session must end.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SessionFault {
+    /// A violation of the protocol, or a rejected handshake.
+    #[error(transparent)]
+    Peer(#[from] PeerFault),
+    /// The server is given up.
+    #[error(transparent)]
+    Distrust(#[from] Distrust),
+    /// A chunk is missing whose key is unknown: a new session reports the chunks that are held, and
+    /// the server sends the others.
+    #[error("a bad chunk named no key of this view: the session starts again")]
+    Restart,
+}
+
+/// Counters of bad and refused chunks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rejects {
+    /// Chunks that were wrong or not asked for.
+    pub bad: u64,
+    /// Chunks that the server refused.
+    pub refused: u64,
+    /// Requests for such chunks.
+    pub retried: u64,
+}
+
+/// See the module. Times count from the start of the session.
+#[derive(Debug)]
+pub struct GuardedSession {
+    session: ClientSession,
+    expected: ExpectedChunks,
+    retries: Retries,
+    /// Whether the latest view is not settled.
+    is_open: bool,
+    /// Whether a chunk is missing that cannot be requested by its key.
+    lost_key: bool,
+    rejects: Rejects,
+}
+
+impl GuardedSession {
+    /// A session before its handshake. Delays of retries double from `first` to at most `longest`.
+    #[must_use]
+    pub fn new(config: ClientConfig, first: Duration, longest: Duration) -> Self {
+        Self {
+            session: ClientSession::new(config),
+            expected: ExpectedChunks::default(),
+            retries: Retries::new(first, longest),
+            is_open: false,
+            lost_key: false,
+            rejects: Rejects::default(),
+        }
+    }
+
+    /// The next frame to send, if any.
+    pub fn poll_transmit(&mut self) -> Option<Bytes> {
+        self.session.poll_transmit()
+    }
+
+    /// Sends a view.
+    pub fn set_view(&mut self, view: View) {
+        self.expected.add_view(&view);
+        self.is_open = true;
+        self.session.set_view(view);
+    }
+
+    /// Releases evicted chunks.
+    pub fn release(&mut self, keys: &[ChunkKey]) {
+        self.expected.release(keys);
+        self.session.release(keys);
+    }
+
+    /// Reports chunks that are held already.
+    pub fn holding(&mut self, keys: &[ChunkKey]) {
+        for key in keys {
+            self.expected.hold(*key);
+        }
+        self.session.holding(keys);
+    }
+
+    /// Whether the handshake is done.
+    #[must_use]
+    pub fn is_welcomed(&self) -> bool {
+        self.session.world().is_some()
+    }
+
+    /// Chunks that the server may still send.
+    #[must_use]
+    pub const fn credits(&self) -> u32 {
+        self.session.credits()
+    }
+
+    /// Whether the server owes a chunk or the end of a view.
+    #[must_use]
+    pub fn awaits_data(&self) -> bool {
+        self.is_open || !self.retries.is_empty()
+    }
+
+    /// Bad and refused chunks since the last call.
+    pub fn take_rejects(&mut self) -> Rejects {
+        std::mem::take(&mut self.rejects)
+    }
+
+    /// Requests the chunks that are due.
+    pub fn retry(&mut self, now: Duration) {
+        let expected = &self.expected;
+        let due = self.retries.take_due(now, |key| expected.is_in_latest_view(key));
+        if !due.is_empty() {
+            self.rejects.retried += due.len() as u64;
+            self.session.request(&due);
+        }
+    }
+
+    /// When [`GuardedSession::retry`] is to be called.
+    #[must_use]
+    pub fn next_retry(&self) -> Option<Duration> {
+        self.retries.next()
+    }
+
+    /// Processes one frame.
+    ///
+    /// # Errors
+    /// The session must end.
+    pub fn receive(
+        &mut self,
+        frame: DataFrame<'_>,
+        trust: &mut Trust,
+        now: Duration,
+    ) -> Result<Received, SessionFault> {
+        let (expected, retries) = (&self.expected, &self.retries);
+        let is_expected = |key: ChunkKey| expected.is_in_view(key) || retries.contains(key);
+        let event = match self.session.receive_expected(frame, is_expected) {
+            Ok(event) => event,
+            Err(PeerFault::Chunk(fault)) => {
+                let DataFrame::Binary(bytes) = frame else { return Ok(Received::Nothing) };
+                let key = kind_and_key(bytes).ok().map(|(_, key)| key).filter(|key| is_expected(*key));
+                return self.bad(key, &fault, trust, now);
+            }
+            Err(fault) => return Err(fault.into()),
+        };
+        match event {
+            Event::Welcome(welcome) => Ok(Received::Event(StreamEvent::Connected {
+                world: WorldDigest(welcome.digest),
+                world_seed: welcome.world_seed,
+                server: one_line(&welcome.software),
+            })),
+            Event::Chunk { chunk, .. } => {
+                if let Err(rule) = check_ranges(&chunk) {
+                    return self.bad(Some(chunk.key), &ChunkError::Content(rule), trust, now);
+                }
+                self.retries.remove(chunk.key);
+                if self.expected.hold(chunk.key) {
+                    trust.good();
+                } else {
+                    trust.surplus()?;
+                }
+                Ok(Received::Event(StreamEvent::Chunk(chunk)))
+            }
+            Event::Settled(settled) => self.settled(settled.view, trust),
+            Event::Refused(refused) => self.refused(&refused, trust, now),
+            Event::Draining { reconnect_after_ms } => {
+                let delay = Duration::from_millis(reconnect_after_ms.into());
+                Ok(Received::Draining(delay.min(MAX_RECONNECT)))
+            }
+        }
+    }
+
+    /// Drops a bad chunk. `key` is none if no view may need it.
+    fn bad(
+        &mut self,
+        key: Option<ChunkKey>,
+        fault: &ChunkError,
+        trust: &mut Trust,
+        now: Duration,
+    ) -> Result<Received, SessionFault> {
+        self.rejects.bad += 1;
+        let detail = fault.to_string();
+        trust.bad(&detail)?;
+        Ok(self.missed(key, detail, now))
+    }
+
+    /// Notes a chunk that did not come.
+    fn missed(&mut self, key: Option<ChunkKey>, detail: String, now: Duration) -> Received {
+        self.lost_key |= !key.is_some_and(|key| self.retries.add(key, now));
+        Received::Event(StreamEvent::Missed { key, detail })
+    }
+
+    fn settled(&mut self, view: u32, trust: &mut Trust) -> Result<Received, SessionFault> {
+        if !self.expected.settle(view) {
+            trust.surplus()?;
+            return Ok(Received::Nothing);
+        }
+        if self.lost_key {
+            return Err(SessionFault::Restart);
+        }
+        self.is_open &= !self.expected.is_latest(view);
+        Ok(Received::Event(StreamEvent::Settled { view }))
+    }
+
+    fn refused(
+        &mut self,
+        refused: &Refused,
+        trust: &mut Trust,
+        now: Duration,
+    ) -> Result<Received, SessionFault> {
+        let detail = one_line(&refused.detail);
+        match refused.key.map(WireKey::check) {
+            Some(Ok(key)) if self.retries.contains(key) => {
+                self.rejects.refused += 1;
+                self.retries.add(key, now);
+                Ok(Received::Nothing)
+            }
+            Some(Ok(key)) if self.expected.is_in_view(key) => {
+                self.rejects.refused += 1;
+                Ok(self.missed(Some(key), detail, now))
+            }
+            None if self.expected.has_view(refused.id) || refused.reason == RefusalReason::InvalidCredit => {
+                Ok(Received::Event(StreamEvent::Refused { detail }))
+            }
+            // A refused batch of retries among them: they are requested again without an answer.
+            _ => {
+                trust.surplus()?;
+                Ok(Received::Nothing)
+            }
+        }
+    }
+}

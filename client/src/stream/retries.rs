@@ -1,0 +1,136 @@
+//! Chunks that were bad or refused, and when each is requested again.
+
+use protocol::backoff::Backoff;
+use std::collections::BTreeMap;
+use std::time::Duration;
+use terrain::ChunkKey;
+
+/// Most chunks at a time. A further one is not remembered: the caller must restart the session to
+/// get it.
+pub const MAX_RETRIES: usize = 1024;
+
+/// Most requested at once; the others follow with the next call.
+const MAX_DUE: usize = 64;
+
+/// Time for an answer, after which a chunk is requested again.
+const ANSWER: Duration = Duration::from_secs(10);
+
+/// See the module. It has no clock: times count from the start of the session.
+#[derive(Debug)]
+pub struct Retries {
+    chunks: BTreeMap<ChunkKey, Retry>,
+    first: Duration,
+    longest: Duration,
+}
+
+#[derive(Debug)]
+struct Retry {
+    due: Duration,
+    backoff: Backoff,
+}
+
+impl Retries {
+    /// None yet. The delay before a request doubles from `first` to at most `longest`.
+    #[must_use]
+    pub const fn new(first: Duration, longest: Duration) -> Self {
+        Self { chunks: BTreeMap::new(), first, longest }
+    }
+
+    /// Adds a chunk that was bad or refused, once more or for the first time. False if there are
+    /// too many already.
+    pub fn add(&mut self, key: ChunkKey, now: Duration) -> bool {
+        if !self.chunks.contains_key(&key) && self.chunks.len() >= MAX_RETRIES {
+            return false;
+        }
+        let (first, longest) = (self.first, self.longest);
+        let retry = self.chunks.entry(key).or_insert_with(|| {
+            let seed = u64::from(key.x() as u32) << 32 | u64::from(key.z() as u32);
+            Retry { due: Duration::ZERO, backoff: Backoff::new(first, longest, seed) }
+        });
+        retry.due = now + retry.backoff.next_delay();
+        true
+    }
+
+    /// Whether a chunk waits for a request or for its answer.
+    #[must_use]
+    pub fn contains(&self, key: ChunkKey) -> bool {
+        self.chunks.contains_key(&key)
+    }
+
+    /// A chunk arrived.
+    pub fn remove(&mut self, key: ChunkKey) {
+        self.chunks.remove(&key);
+    }
+
+    /// Number of chunks.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.chunks.len()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.chunks.is_empty()
+    }
+
+    /// The chunks to request now. Forgets those that are no longer needed.
+    pub fn take_due(&mut self, now: Duration, is_needed: impl Fn(ChunkKey) -> bool) -> Vec<ChunkKey> {
+        self.chunks.retain(|key, _| is_needed(*key));
+        let due = self.chunks.iter_mut().filter(|(_, retry)| retry.due <= now);
+        due.take(MAX_DUE)
+            .map(|(key, retry)| {
+                retry.due = now + ANSWER;
+                *key
+            })
+            .collect()
+    }
+
+    /// When the next chunk is to be requested.
+    #[must_use]
+    pub fn next(&self) -> Option<Duration> {
+        self.chunks.values().map(|retry| retry.due).min()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: fn(u64) -> Duration = Duration::from_millis;
+
+    fn key(x: i32) -> ChunkKey {
+        ChunkKey::new(0, x, 9).unwrap()
+    }
+
+    #[test]
+    fn delays_grow_and_a_chunk_that_arrived_is_not_requested_again() {
+        let mut retries = Retries::new(MS(100), MS(1000));
+        assert_eq!(retries.next(), None);
+        let (mut now, mut last) = (Duration::ZERO, Duration::ZERO);
+        for attempt in 0..8 {
+            assert!(retries.add(key(1), now));
+            let due = retries.next().unwrap();
+            assert!(due - now <= MS(1000) && (attempt != 3 || due - now > last), "attempt {attempt}");
+            assert!(retries.take_due(now, |_| true).is_empty());
+            (last, now) = (due - now, due);
+            assert_eq!(retries.take_due(now, |_| true), [key(1)]);
+        }
+        // Without an answer it is requested again.
+        assert_eq!(retries.next(), Some(now + ANSWER));
+        retries.remove(key(1));
+        assert!(retries.is_empty() && retries.take_due(MS(1_000_000), |_| true).is_empty());
+    }
+
+    #[test]
+    fn chunks_are_bounded_and_those_out_of_view_are_forgotten() {
+        let mut retries = Retries::new(MS(1), MS(1));
+        for x in 0..MAX_RETRIES as i32 {
+            assert!(retries.add(key(x), Duration::ZERO));
+        }
+        assert!(!retries.add(key(-1), Duration::ZERO) && retries.add(key(0), Duration::ZERO));
+        assert_eq!(retries.take_due(MS(5), |_| true).len(), MAX_DUE);
+        assert!(retries.take_due(MS(5), |key| key.x() < 10).is_empty(), "requested already");
+        assert_eq!(retries.len(), 10);
+    }
+}
