@@ -65,8 +65,9 @@ impl Worker {
     /// One session, from the connection to its end.
     async fn session(&mut self, memory: &mut Memory) -> SessionEnd {
         let timeouts = self.settings.timeouts;
+        let connecting = socket::connect(&self.settings.url, self.settings.tls.as_ref());
         let connected = tokio::select! {
-            connected = timeout(timeouts.connect, socket::connect(&self.settings.url, self.settings.tls.as_ref())) => connected,
+            connected = timeout(timeouts.connect, connecting) => connected,
             () = self.events.closed() => return SessionEnd::Closing,
         };
         let mut socket = match connected {
