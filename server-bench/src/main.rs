@@ -92,7 +92,7 @@ enum Bench {
     HalfOpen,
     /// 200 clients and a hard limit of memory, 60 times as long as --seconds; needs root
     MemoryCap,
-    /// A viewer whose server sends garbage, for --seconds; needs tombolo-view beside this program
+    /// Viewers whose server sends garbage, for --seconds; needs tombolo-view beside this program
     Garbage,
     /// Cached chunks over TLS and over plain TCP; needs openssl
     Tls,
