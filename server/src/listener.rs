@@ -102,7 +102,7 @@ pub async fn run(
         };
         let (stream, peer) = tokio::select! {
             () = &mut shutdown => break,
-            stream = accept(&listener) => stream,
+            stream = accept(&listener, state.config.write_timeout) => stream,
         };
         let peer = peer.ip().to_canonical();
         let places = Places { permits: Arc::clone(&permits), per_ip: per_ip.clone(), permit };
@@ -152,13 +152,15 @@ fn warn_of_openness(state: &ServerState, listener: &TcpListener) {
     }
 }
 
-/// Accepts one connection, retrying after failures.
-async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
+/// Accepts one connection, retrying after failures. The system ends it when its peer takes no bytes
+/// for `write_timeout`.
+async fn accept(listener: &TcpListener, write_timeout: Duration) -> (TcpStream, SocketAddr) {
     loop {
         match listener.accept().await {
             Ok((stream, peer)) => {
                 // Messages are written whole; Nagle's algorithm would only delay the last packet.
                 let _ = stream.set_nodelay(true);
+                limit_unacknowledged(&stream, write_timeout);
                 return (stream, peer);
             }
             Err(error) => {
@@ -167,6 +169,18 @@ async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
             }
         }
     }
+}
+
+/// Ends a connection whose peer takes no bytes for so long, in the buffers of the system too, where a
+/// write has succeeded already (`TCP_USER_TIMEOUT`, tcp(7)). Linux only.
+fn limit_unacknowledged(stream: &TcpStream, timeout: Duration) {
+    #[cfg(target_os = "linux")]
+    let _ = rustix::net::sockopt::set_tcp_user_timeout(
+        stream,
+        u32::try_from(timeout.as_millis()).unwrap_or(u32::MAX),
+    );
+    #[cfg(not(target_os = "linux"))]
+    let _ = (stream, timeout);
 }
 
 /// What a connection needs to be counted.

@@ -5,7 +5,7 @@
 
 use crate::gpu::device::{Gpu, GpuError};
 
-/// Devices that are opened in place of failed ones, unless [`STEADY_FRAMES`] pass between two.
+/// Devices that are opened in place of failed ones, unless `STEADY_FRAMES` pass between two.
 pub const MOST_REBUILDS: u32 = 3;
 
 /// Frames after which the attempts count from zero again: the failure was not caused by what is
