@@ -6,7 +6,7 @@ use clap::Parser;
 use cli::UsageError;
 use protocol::Delivery;
 use protocol::limits::MAX_TEXT;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use terrain::lod::MAX_VIEW_DISTANCE_M;
 use tls_client::TlsClient;
 use tokio_tungstenite::tungstenite::http::Uri;
@@ -188,7 +188,8 @@ impl Args {
         }
         let connect = stream_address(&self.connect)?;
         Ok(LoadConfig {
-            tls: tls_of(&connect, self.ca_file.as_deref())?,
+            tls: TlsClient::of_scheme(connect.scheme_str(), self.ca_file.as_deref())
+                .map_err(|error| UsageError::new(format!("--ca-file: {error}")))?,
             connect,
             clients: self.clients,
             seconds: self.seconds,
@@ -228,20 +229,6 @@ pub fn stream_address(text: &str) -> Result<Uri, UsageError> {
     match (address.scheme_str(), address.host()) {
         (Some("ws" | "wss"), Some(host)) if !host.is_empty() => Ok(address),
         _ => Err(refuse("is not a ws:// or wss:// address")),
-    }
-}
-
-/// TLS to a checked address, if its scheme requires it.
-fn tls_of(address: &Uri, authorities: Option<&Path>) -> Result<Option<TlsClient>, UsageError> {
-    let refuse = |why: String| UsageError::new(format!("--ca-file: {why}"));
-    match (address.scheme_str(), authorities) {
-        (Some("wss"), authorities) => {
-            TlsClient::new(authorities).map(Some).map_err(|error| refuse(error.to_string()))
-        }
-        (_, Some(_)) => {
-            Err(refuse(format!("{address} is without TLS; give a wss:// address or leave it out")))
-        }
-        (_, None) => Ok(None),
     }
 }
 

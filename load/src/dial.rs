@@ -4,14 +4,11 @@
 use std::future::Future;
 use std::io;
 use std::net::SocketAddr;
-use tls_client::{TlsClient, Transport};
+use tls_client::{TlsClient, Transport, endpoint};
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpSocket, TcpStream, lookup_host};
 use tokio_tungstenite::tungstenite::http::Uri;
 use tokio_util::either::Either;
-
-/// Default ports of `ws` and `wss`.
-const PORTS: [u16; 2] = [80, 443];
 
 /// Opens connections to one server.
 pub trait Dial: Send + Sync + 'static {
@@ -35,9 +32,8 @@ impl Network {
     /// To the host of a checked address, over TLS if a client for it is given.
     #[must_use]
     pub fn to(address: &Uri, tls: Option<TlsClient>) -> Self {
-        // IPv6 addresses have brackets in URLs, but not in lookups.
-        let host = address.host().unwrap_or_default().trim_matches(['[', ']']).to_owned();
-        Self { host, port: address.port_u16().unwrap_or(PORTS[usize::from(tls.is_some())]), tls }
+        let (host, port) = endpoint(address.host(), address.port_u16(), tls.is_some());
+        Self { host: host.to_owned(), port, tls }
     }
 
     async fn tcp(&self, receive_buffer: Option<u32>) -> io::Result<TcpStream> {
@@ -74,19 +70,4 @@ async fn connect(address: SocketAddr, receive_buffer: Option<u32>) -> io::Result
     // Requests are small and timed; Nagle's algorithm would delay them.
     stream.set_nodelay(true)?;
     Ok(stream)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn host_and_port_are_those_of_the_address() {
-        for (address, host, port) in
-            [("ws://[::1]:7/v1/stream", "::1", 7), ("ws://example.org/v1/stream", "example.org", 80)]
-        {
-            let network = Network::to(&address.parse().unwrap(), None);
-            assert_eq!((network.host.as_str(), network.port), (host, port));
-        }
-    }
 }

@@ -1,5 +1,6 @@
 //! Peers that violate the protocol: each gets a typed close code; other sessions are unaffected.
 
+use futures_util::{SinkExt, StreamExt};
 use protocol::message::{ClientMessage, Hello, RefusalReason, ServerMessage, WireKey};
 use protocol::{CloseCode, Delivery, PROTOCOL_VERSION, SUBPROTOCOL, control, limits};
 use server::access::tokens::TokenSet;
@@ -7,7 +8,8 @@ use std::time::Duration;
 use tests::peer::{Peer, TestClient, view};
 use tests::{RunningServer, running};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream};
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{Error, Message};
 
 fn hello() -> Vec<u8> {
@@ -321,7 +323,7 @@ async fn connections_per_address_are_limited() {
     for _ in 0..400 {
         idle.push(TcpStream::connect(address(&server)).await.unwrap());
     }
-    let elsewhere = tokio::net::TcpSocket::new_v4().unwrap();
+    let elsewhere = TcpSocket::new_v4().unwrap();
     elsewhere.bind("127.0.0.2:0".parse().unwrap()).unwrap();
     let mut elsewhere = elsewhere.connect(address(&server)).await.unwrap();
     elsewhere
@@ -384,5 +386,51 @@ async fn the_stream_and_http_require_the_token() {
     })
     .await
     .unwrap();
+    server.stop().await;
+}
+
+/// Answers that the system buffers whole: no write of the server ever waits.
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_session_whose_answers_stay_in_the_systems_buffer_is_closed() {
+    // Far below the keep-alive's minute, which would end it too.
+    const LIMIT: Duration = Duration::from_secs(20);
+    let server = RunningServer::start().await;
+    let socket = TcpSocket::new_v4().unwrap();
+    socket.set_recv_buffer_size(4096).unwrap();
+    let mut stream = socket.connect(server.address).await.unwrap();
+    let url = server.stream_url();
+    let (mut session, _) = {
+        let mut request = url.as_str().into_client_request().unwrap();
+        request.headers_mut().insert("Sec-WebSocket-Protocol", SUBPROTOCOL.parse().unwrap());
+        tokio_tungstenite::client_async(request, &mut stream).await.unwrap()
+    };
+    let keys = (0..40).map(|n| WireKey { level: 0, x: n % 8 - 4, z: n / 8 - 4 }).collect();
+    let credit = ClientMessage::Credit { chunks: 64 };
+    session.send(binary(&hello())).await.unwrap();
+    session.next().await.unwrap().unwrap();
+    for message in [credit, ClientMessage::Request { id: 1, keys }] {
+        session.send(binary(&control::encode(&message).unwrap())).await.unwrap();
+    }
+    // From here on nothing is read, and the socket stays open.
+    let sessions = || async {
+        let address = server.url("/metrics");
+        let get = move || ureq::get(address).call().unwrap().body_mut().read_to_string().unwrap();
+        let text = tokio::task::spawn_blocking(get).await.unwrap();
+        let value = |name: &str| text.lines().find_map(|line| line.strip_prefix(name)?.parse::<u32>().ok());
+        (
+            value("tombolo_sessions ").unwrap(),
+            value("tombolo_sessions_ended_total{reason=\"write_timeout\"} "),
+        )
+    };
+    let closed = async {
+        while sessions().await.0 > 0 {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    tokio::time::timeout(LIMIT, closed).await.expect("the session ends");
+    // It was not a write that waited: that is another limit.
+    assert_eq!(sessions().await.1.unwrap_or(0), 0);
+    drop(session);
     server.stop().await;
 }

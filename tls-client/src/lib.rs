@@ -31,11 +31,22 @@ pub enum TlsError {
         /// The cause.
         cause: String,
     },
+    /// A file for an address without TLS.
+    #[error("the address is without TLS; give a wss:// address or leave the file out")]
+    Unused,
     /// The system has no authorities.
     #[error(
         "this system has no certificate authorities; install the package ca-certificates, or name a file"
     )]
     NoAuthorities,
+}
+
+/// Host and port to connect to, from those of a `ws` or `wss` address: IPv6 addresses have brackets
+/// in URLs, but not in lookups; the default ports are 80 and 443 (RFC 6455, section 3).
+#[must_use]
+pub fn endpoint(host: Option<&str>, port: Option<u16>, has_tls: bool) -> (&str, u16) {
+    let default = if has_tls { 443 } else { 80 };
+    (host.unwrap_or_default().trim_matches(['[', ']']), port.unwrap_or(default))
 }
 
 /// Opens TLS connections over TCP.
@@ -51,6 +62,18 @@ impl std::fmt::Debug for TlsClient {
 }
 
 impl TlsClient {
+    /// The client for addresses of a scheme; none unless it is `wss`.
+    ///
+    /// # Errors
+    /// As [`TlsClient::new`], or a file where there is no TLS.
+    pub fn of_scheme(scheme: Option<&str>, authorities: Option<&Path>) -> Result<Option<Self>, TlsError> {
+        match (scheme, authorities) {
+            (Some("wss"), authorities) => Self::new(authorities).map(Some),
+            (_, Some(_)) => Err(TlsError::Unused),
+            (_, None) => Ok(None),
+        }
+    }
+
     /// A client that trusts the authorities of the system, or only those of a file in PEM. A
     /// server's own certificate can stand there in place of its authority.
     ///
@@ -112,6 +135,21 @@ fn authorities_of(path: &Path) -> Result<RootCertStore, TlsError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn host_and_port_are_those_of_the_address_or_of_its_scheme() {
+        assert_eq!(endpoint(Some("[::1]"), Some(7), false), ("::1", 7));
+        assert_eq!(endpoint(Some("example.org"), None, false), ("example.org", 80));
+        assert_eq!(endpoint(Some("example.org"), None, true), ("example.org", 443));
+    }
+
+    #[test]
+    fn a_file_for_an_address_without_tls_is_an_error() {
+        let file = Some(Path::new("authority.pem"));
+        assert!(matches!(TlsClient::of_scheme(Some("ws"), file), Err(TlsError::Unused)));
+        assert!(matches!(TlsClient::of_scheme(Some("ws"), None), Ok(None)));
+        assert!(matches!(TlsClient::of_scheme(Some("wss"), file), Err(TlsError::File { .. })));
+    }
 
     #[test]
     fn a_file_without_certificates_is_an_error_with_its_name() {

@@ -87,20 +87,8 @@ pub fn open_stream(args: &Args) -> anyhow::Result<Box<dyn ChunkStream>> {
 /// Connection settings, with the token from its file.
 fn stream_settings(args: &Args, url: Uri) -> anyhow::Result<Settings> {
     let token = args.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?;
-    let tls = tls_of(&url, args.ca_file.as_deref())?;
+    let tls = TlsClient::of_scheme(url.scheme_str(), args.ca_file.as_deref()).context("--ca-file")?;
     Ok(Settings { tls, token, digest: args.digest, delivery: args.delivery, ..Settings::new(url) })
-}
-
-/// TLS to a server, if its scheme requires it.
-fn tls_of(url: &Uri, authorities: Option<&Path>) -> anyhow::Result<Option<TlsClient>> {
-    if url.scheme_str() == Some("wss") {
-        return Ok(Some(TlsClient::new(authorities).context("--ca-file")?));
-    }
-    anyhow::ensure!(
-        authorities.is_none(),
-        "--ca-file: {url} is without TLS; give a wss:// address or leave it out"
-    );
-    Ok(None)
 }
 
 /// Writes the measurements of a run.

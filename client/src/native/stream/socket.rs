@@ -4,7 +4,7 @@ use crate::stream::peer_text::one_line;
 use protocol::limits::MAX_SERVER_FRAME;
 use protocol::{CloseCode, SUBPROTOCOL};
 use std::time::Duration;
-use tls_client::{TlsClient, Transport};
+use tls_client::{TlsClient, Transport, endpoint};
 use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::{self, ClientRequestBuilder, http::Uri, protocol as ws};
 use tokio_tungstenite::{WebSocketStream, client_async_with_config};
@@ -44,10 +44,8 @@ pub fn lost(cause: impl Into<String>, retry: bool) -> SessionEnd {
 
 /// Connects and shakes hands. Every buffer has a fixed size.
 pub async fn connect(url: &Uri, tls: Option<&TlsClient>) -> Result<Socket, tungstenite::Error> {
-    // IPv6 addresses have brackets in URLs, but not in lookups.
-    let host = url.host().unwrap_or_default().trim_matches(['[', ']']);
-    let default_port = if tls.is_some() { 443 } else { 80 };
-    let stream = TcpStream::connect((host, url.port_u16().unwrap_or(default_port))).await?;
+    let (host, port) = endpoint(url.host(), url.port_u16(), tls.is_some());
+    let stream = TcpStream::connect((host, port)).await?;
     // Small control frames must not be delayed.
     stream.set_nodelay(true)?;
     let stream = match tls {
