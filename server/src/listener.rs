@@ -6,6 +6,7 @@
 use crate::config::ServerConfig;
 use crate::http;
 use crate::limits::per_ip::{IpPermit, PerIpLimiter};
+use crate::limits::system_buffers;
 use crate::limits::write_timeout::WriteTimeoutStream;
 use crate::metrics::ReasonLabel;
 use crate::proxy::proxy_protocol;
@@ -160,7 +161,7 @@ async fn accept(listener: &TcpListener, write_timeout: Duration) -> (TcpStream, 
             Ok((stream, peer)) => {
                 // Messages are written whole; Nagle's algorithm would only delay the last packet.
                 let _ = stream.set_nodelay(true);
-                limit_unacknowledged(&stream, write_timeout);
+                system_buffers::limit(&stream, write_timeout);
                 return (stream, peer);
             }
             Err(error) => {
@@ -169,18 +170,6 @@ async fn accept(listener: &TcpListener, write_timeout: Duration) -> (TcpStream, 
             }
         }
     }
-}
-
-/// Ends a connection whose peer takes no bytes for so long, in the buffers of the system too, where a
-/// write has succeeded already (`TCP_USER_TIMEOUT`, tcp(7)). Linux only.
-fn limit_unacknowledged(stream: &TcpStream, timeout: Duration) {
-    #[cfg(target_os = "linux")]
-    let _ = rustix::net::sockopt::set_tcp_user_timeout(
-        stream,
-        u32::try_from(timeout.as_millis()).unwrap_or(u32::MAX),
-    );
-    #[cfg(not(target_os = "linux"))]
-    let _ = (stream, timeout);
 }
 
 /// What a connection needs to be counted.

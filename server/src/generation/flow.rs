@@ -6,6 +6,7 @@ use super::queue::{Enqueued, FlowId, FrameRequest};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::runner;
 use super::shared::Shared;
+use super::threads::Threads;
 use super::views::ViewJob;
 use crate::chunk_id::ChunkId;
 use crate::limits::rate_limit::TokenBucket;
@@ -13,7 +14,6 @@ use bytes::Bytes;
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use protocol::server::ViewSelection;
-use rayon::ThreadPool;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -34,13 +34,13 @@ pub enum FlowEvent {
 
 /// One client of the service. The threads are shared fairly between flows.
 pub struct Flow {
-    shared: Arc<Shared>,
-    pool: Arc<ThreadPool>,
-    id: FlowId,
+    pub(super) shared: Arc<Shared>,
+    threads: Arc<Threads>,
+    pub(super) id: FlowId,
     /// Cloned into every request.
-    sender: UnboundedSender<Vec<Completion>>,
+    pub(super) sender: UnboundedSender<Vec<Completion>>,
     /// Holds at most one result per request, so the caller's bound on requests bounds it.
-    receiver: UnboundedReceiver<Vec<Completion>>,
+    pub(super) receiver: UnboundedReceiver<Vec<Completion>>,
     /// Receives the selection of the view job in flight; a session has one at a time. Not a queue:
     /// its first block has places for 32 selections, 25 KiB, and an idle flow would hold it too.
     selection: Option<oneshot::Receiver<ViewSelection>>,
@@ -53,9 +53,19 @@ pub struct Flow {
 }
 
 impl Flow {
-    pub(super) fn new(shared: Arc<Shared>, pool: Arc<ThreadPool>, id: FlowId, bucket: TokenBucket) -> Self {
+    pub(super) fn new(shared: Arc<Shared>, threads: Arc<Threads>, id: FlowId, bucket: TokenBucket) -> Self {
         let (sender, receiver) = unbounded_channel();
-        Self { shared, pool, id, sender, receiver, selection: None, open: 0, must_be_compact: false, bucket }
+        Self {
+            shared,
+            threads,
+            id,
+            sender,
+            receiver,
+            selection: None,
+            open: 0,
+            must_be_compact: false,
+            bucket,
+        }
     }
 
     /// The flow, with compact frames only: the same bytes whenever and wherever they are encoded.
@@ -156,7 +166,7 @@ impl Flow {
                     self.bucket.charge_chunk(cost_us, tokio::time::Instant::now());
                 }
                 metrics.pending_jobs.set(queue.jobs() as i64);
-                runner::start(&self.shared, &self.pool, &mut queue);
+                runner::start(&self.shared, &self.threads, &mut queue);
             }
         }
     }
@@ -170,7 +180,7 @@ impl Flow {
         let job = ViewJob { selection, land, bucket: self.bucket.clone(), spent: Duration::ZERO, completion };
         let mut queue = self.shared.lock();
         queue.add_view(self.id, job);
-        runner::start(&self.shared, &self.pool, &mut queue);
+        runner::start(&self.shared, &self.threads, &mut queue);
     }
 
     /// Waits for chunks or for the selection in flight; forever without requests. Cancel safe.

@@ -17,8 +17,8 @@
 //! offers at its time; one for the base gets the land that the seed makes.
 //!
 //! Modules from the bottom up: [`result`], [`cost`] (estimates), [`views`] (view selection),
-//! [`queue`] (scheduling), `shared` (state of the service), `runner` (execution), [`flow`]
-//! (requests of one client), [`service`] (the public handle).
+//! [`queue`] (scheduling), `threads` (lock and threads), `shared` (state of the service), `runner`
+//! (execution), [`flow`] (requests of one client), [`service`] (the public handle).
 
 pub mod cost;
 #[cfg(test)]
@@ -27,10 +27,13 @@ pub mod flow;
 pub mod queue;
 pub mod result;
 mod runner;
+#[cfg(all(test, shuttle))]
+mod schedules;
 pub mod service;
 mod shared;
 #[cfg(test)]
 mod test_source;
+mod threads;
 pub mod views;
 
 pub use flow::{Flow, FlowEvent};

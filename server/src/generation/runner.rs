@@ -6,6 +6,7 @@
 use super::queue::{FlowId, FrameRequest, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
+use super::threads::Threads;
 use super::views::ViewJob;
 use crate::cache::memory::CachedFrame;
 use crate::chunk_id::ChunkId;
@@ -13,7 +14,6 @@ use crate::mechanism::Mechanism;
 use bytes::Bytes;
 use protocol::chunk_codec::Effort;
 use protocol::{Delivery, chunk_codec};
-use rayon::ThreadPool;
 use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -36,7 +36,7 @@ const QUANTUM_US: (i64, i64) = (160, 400);
 const BACKLOG_PER_FLOW: usize = 8;
 
 /// The frames of a finished job.
-struct GeneratedFrames {
+pub(super) struct GeneratedFrames {
     id: ChunkId,
     results: Vec<GeneratedFrame>,
 }
@@ -77,17 +77,17 @@ struct Found {
 
 /// Starts a runner unless all threads have one. A runner takes turns until the queue is empty, so
 /// there are never more runners than threads.
-pub fn start(shared: &Arc<Shared>, pool: &ThreadPool, queue: &mut Queue) {
+pub fn start(shared: &Arc<Shared>, threads: &Threads, queue: &mut Queue) {
     if queue.runners < shared.limits.threads {
         queue.runners += 1;
         let shared = Arc::clone(shared);
-        pool.spawn(move || shared.run());
+        threads.spawn(move || shared.run());
     }
 }
 
 impl Shared {
     /// Takes turns until the queue is empty.
-    fn run(&self) {
+    pub(super) fn run(&self) {
         let deadline = self.limits.deadline;
         loop {
             let turn = {
@@ -154,7 +154,7 @@ impl Shared {
     }
 
     /// Encodes the requested deliveries of a chunk, those requested meanwhile included.
-    fn run_job(&self, id: ChunkId) -> GeneratedFrames {
+    pub(super) fn run_job(&self, id: ChunkId) -> GeneratedFrames {
         // Dropped at the end of this job, so that the next one reuses its memory.
         let mut chunk = None;
         let mut finished = GeneratedFrames { id, results: Vec::with_capacity(1) };
@@ -288,7 +288,7 @@ impl Shared {
 
     /// Sends the results of a turn: one message per flow, since each may wake a session and cause a
     /// write.
-    fn send_results(&self, turn: &[GeneratedFrames]) {
+    pub(super) fn send_results(&self, turn: &[GeneratedFrames]) {
         let mut flows: FxHashMap<FlowId, (UnboundedSender<Vec<Completion>>, Vec<Completion>)> =
             FxHashMap::default();
         {

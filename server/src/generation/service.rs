@@ -4,6 +4,7 @@ use super::cost::JobCosts;
 use super::flow::Flow;
 use super::queue::Queue;
 use super::shared::{Limits, Shared};
+use super::threads::{Mutex, Threads};
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
 use crate::limits::rate_limit::TokenBucket;
@@ -13,28 +14,16 @@ use crate::source::ChunkSource;
 use crate::store::Store;
 use bytes::Bytes;
 use protocol::Delivery;
-use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use rayon::ThreadPoolBuildError;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 use terrain::ChunkKey;
-
-/// Nice value of the generation threads: half the weight of a thread of connections, and of other
-/// programs, where all want the processor.
-#[cfg(target_os = "linux")]
-const GENERATION_NICE: i32 = 3;
-
-/// Lowers the priority of this thread a little: connections that wait for a moment of processor time
-/// go before jobs that take milliseconds. Linux alone has a priority for each thread.
-fn yield_to_connections() {
-    #[cfg(target_os = "linux")]
-    let _ = rustix::process::nice(GENERATION_NICE);
-}
 
 /// Generates, caches and shares chunk frames. Clones share one service.
 #[derive(Clone)]
 pub struct Generation {
     pub(super) shared: Arc<Shared>,
-    pool: Arc<ThreadPool>,
+    threads: Arc<Threads>,
 }
 
 impl Generation {
@@ -74,11 +63,7 @@ impl Generation {
         store: Option<Store>,
         metrics: Arc<Metrics>,
     ) -> Result<Self, ThreadPoolBuildError> {
-        let pool = ThreadPoolBuilder::new()
-            .num_threads(limits.threads)
-            .thread_name(|n| format!("generate-{n}"))
-            .start_handler(|_| yield_to_connections())
-            .build()?;
+        let threads = Threads::start(limits.threads)?;
         let queue = Queue::new(limits.jobs);
         let has_turns = limits.without != Some(Mechanism::Turns);
         let queue = if has_turns { queue } else { queue.first_in_first_out() };
@@ -95,7 +80,7 @@ impl Generation {
             active_flows: AtomicUsize::new(0),
             metrics,
         };
-        Ok(Self { shared: Arc::new(shared), pool: Arc::new(pool) })
+        Ok(Self { shared: Arc::new(shared), threads: Arc::new(threads) })
     }
 
     /// The cached frame of a key for a delivery; counts a request only on a hit.
@@ -114,7 +99,7 @@ impl Generation {
     #[must_use]
     pub fn limited_flow(&self, bucket: TokenBucket) -> Flow {
         let id = self.shared.next_flow.fetch_add(1, Ordering::Relaxed);
-        Flow::new(Arc::clone(&self.shared), Arc::clone(&self.pool), id, bucket)
+        Flow::new(Arc::clone(&self.shared), Arc::clone(&self.threads), id, bucket)
     }
 
     /// Further requests that one flow can complete within the deadline, by the recent job costs.

@@ -2,6 +2,7 @@
 
 use super::cost::JobCosts;
 use super::queue::Queue;
+use super::threads::{Mutex, MutexGuard};
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
 use crate::chunk_id::ChunkId;
@@ -12,7 +13,7 @@ use crate::store::Store;
 use bytes::Bytes;
 use protocol::Delivery;
 use std::sync::atomic::{AtomicU64, AtomicUsize};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
 

@@ -29,6 +29,7 @@ use crate::key::ChunkKey;
 use crate::land::Land;
 use crate::simd::{Corners, Kernel, NodesApart, nodes, nodes_apart};
 use crate::spline::{self, CELL_BITS};
+use std::ops;
 
 /// Bound of the fine octaves, units: `0.7072 (16 + 8 + 4 + 2 + 1)` m.
 const FINE: i32 = 5_613;
@@ -43,20 +44,69 @@ const ROUNDED: i32 = 5;
 /// log2 of the side of the squares of which open sea is passed over, units (1,024 m).
 const SQUARE_BITS: u32 = 18;
 
-/// Bound of a chunk's error, units. The chunk's vertex cells hold 2, 4 or 8 nodes along a side
-/// (levels 5 to 7). Evaluates all nodes under the chunk outside open sea.
-#[must_use]
-pub(super) fn sampled(land: &Land, key: ChunkKey) -> u32 {
-    let heights = land.chunk_heights(key);
-    let apart = Comparison::new(key, &heights).finish(land);
-    if apart.iter().all(|cell| *cell == NodesApart::SEA) {
-        return 0;
+/// Rows of squares in a strip.
+const STRIP_SQUARES: usize = 2;
+
+/// The largest bound among the vertices of some strips.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Worst {
+    /// Units; none before a strip.
+    bound: Option<i32>,
+    /// Whether a vertex cell has land or lies near it.
+    has_land: bool,
+}
+
+impl Worst {
+    /// Of the strips of both.
+    pub const fn and(self, other: Self) -> Self {
+        let bound = match (self.bound, other.bound) {
+            (Some(one), Some(two)) => Some(if one > two { one } else { two }),
+            (one, two) => {
+                if one.is_some() {
+                    one
+                } else {
+                    two
+                }
+            }
+        };
+        Self { bound, has_land: self.has_land | other.has_land }
     }
+
+    /// Bound of the chunk's error with all its strips, units.
+    pub fn bound(self) -> u32 {
+        if !self.has_land {
+            return 0;
+        }
+        (self.bound.unwrap_or(0) + ROUNDED) as u32
+    }
+}
+
+/// Vertex cells along the side of a square.
+const fn square_cells(key: ChunkKey) -> usize {
+    (1usize << SQUARE_BITS) / key.spacing() as usize
+}
+
+/// Strips of a chunk of levels 5 to 7: 2, 4 or 8.
+pub(super) const fn strips(key: ChunkKey) -> u8 {
+    (CELLS / (STRIP_SQUARES * square_cells(key))) as u8
+}
+
+/// The largest bound of a strip of a chunk, from its low end. The chunk's vertex cells hold 2, 4 or 8
+/// nodes along a side (levels 5 to 7). Evaluates all nodes under the strip outside open sea, and
+/// those of one row of vertex cells before it.
+#[must_use]
+pub(super) fn sampled(land: &Land, key: ChunkKey, strip: u8) -> Worst {
+    let heights = land.chunk_heights(key);
+    let rows = STRIP_SQUARES * square_cells(key);
+    let first = usize::from(strip) * rows;
+    let is_last = strip + 1 == strips(key);
+    let vertices = first..first + rows + usize::from(is_last);
+    let apart = Comparison::new(key, &heights).rows(land, first.saturating_sub(1)..first + rows);
     let at = |x: usize, z: usize| heights[z * VERTICES + x];
     let side = key.spacing() >> CELL_BITS;
     let around = |vertex: usize| vertex.saturating_sub(1)..(vertex + 1).min(CELLS);
     let mut worst = 0;
-    for vertex_z in 0..VERTICES {
+    for vertex_z in vertices {
         for vertex_x in 0..VERTICES {
             let mut all = NodesApart::NONE;
             let (mut along, mut across) = (Range::NONE, Range::NONE);
@@ -73,7 +123,7 @@ pub(super) fn sampled(land: &Land, key: ChunkKey) -> u32 {
             worst = worst.max(bound(&all, side) + creased);
         }
     }
-    (worst + ROUNDED) as u32
+    Worst { bound: Some(worst), has_land: apart.iter().any(|cell| *cell != NodesApart::SEA) }
 }
 
 /// Bound of the distance from the triangles where they have no crease, units.
@@ -120,40 +170,43 @@ impl<'a> Comparison<'a> {
         Self { key, heights, apart: vec![NodesApart::SEA; CELLS * CELLS] }
     }
 
-    /// Per vertex cell of the chunk, row by row.
-    fn finish(mut self, land: &Land) -> Vec<NodesApart> {
-        let vertex_cells = (1usize << SQUARE_BITS) / self.key.spacing() as usize;
-        for z in (0..CELLS).step_by(vertex_cells) {
-            for x in (0..CELLS).step_by(vertex_cells) {
-                self.square(land, (x, z), vertex_cells);
+    /// Per vertex cell of the chunk, row by row; only some rows are compared.
+    fn rows(mut self, land: &Land, rows: ops::Range<usize>) -> Vec<NodesApart> {
+        let side = square_cells(self.key);
+        for z in (rows.start / side * side..rows.end).step_by(side) {
+            for x in (0..CELLS).step_by(side) {
+                self.square(land, (x, z), rows.start.max(z)..rows.end.min(z + side));
             }
         }
         self.apart
     }
 
-    /// Compares so many vertex cells along both axes from one on. A square at a border of the chunk
-    /// has one more row of nodes beyond it.
-    fn square(&mut self, land: &Land, from: (usize, usize), vertex_cells: usize) {
+    /// Compares some rows of vertex cells of the square from one cell on. A square at a border of the
+    /// chunk has one more row of nodes beyond it.
+    fn square(&mut self, land: &Land, from: (usize, usize), cell_rows: ops::Range<usize>) {
+        let vertex_cells = square_cells(self.key);
         let nodes_along = (self.key.spacing() >> CELL_BITS) as usize;
         let origin = self.key.origin();
-        let side = vertex_cells * nodes_along;
         let before = |from: usize| usize::from(from == 0);
-        let beyond = |from: usize| usize::from(from + vertex_cells == CELLS);
+        let beyond = |end: usize| usize::from(end == CELLS);
         let first = |origin: i32, from: usize| {
             spline::cell(origin).0 + (from * nodes_along) as i32 - before(from) as i32
         };
-        let first = (first(origin.0, from.0), first(origin.1, from.1));
-        let count = |from: usize| side + before(from) + beyond(from);
-        let (columns, rows) = (count(from.0), count(from.1));
-        let reach = (columns.max(rows) as u32) << CELL_BITS;
-        if land.archipelago().is_open_sea(first.0 << CELL_BITS, first.1 << CELL_BITS, reach) {
+        let count = |from: usize, end: usize| (end - from) * nodes_along + before(from) + beyond(end);
+        let columns = count(from.0, from.0 + vertex_cells);
+        // The whole square is open sea or not, whichever of its rows are compared.
+        let corner = (first(origin.0, from.0), first(origin.1, from.1));
+        let reach = (columns.max(count(from.1, from.1 + vertex_cells)) as u32) << CELL_BITS;
+        if land.archipelago().is_open_sea(corner.0 << CELL_BITS, corner.1 << CELL_BITS, reach) {
             return;
         }
+        let first = (corner.0, first(origin.1, cell_rows.start));
+        let rows = count(cell_rows.start, cell_rows.end);
         let (mut heights, mut shares) = (vec![0; columns * rows], vec![0; columns * rows]);
         nodes(Kernel::best(), land, first, columns, &mut heights, &mut shares);
-        for z in from.1..from.1 + vertex_cells {
+        for z in cell_rows.clone() {
             for x in from.0..from.0 + vertex_cells {
-                let row = (z - from.1) * nodes_along + before(from.1);
+                let row = (z - cell_rows.start) * nodes_along + before(cell_rows.start);
                 let low = row * columns + (x - from.0) * nodes_along + before(from.0);
                 let corners = self.corners(x, z);
                 let mut apart = NodesApart::NONE;
@@ -224,7 +277,7 @@ mod tests {
         for level in 5..=7 {
             let key = ChunkKey::new(level, 0, -1).unwrap();
             let heights = land.chunk_heights(key);
-            let apart = Comparison::new(key, &heights).finish(&land);
+            let apart = Comparison::new(key, &heights).rows(&land, 0..CELLS);
             let side = key.spacing() as usize >> CELL_BITS;
             let depth = side.trailing_zeros() as u8 + 1;
             let (first, along) =

@@ -27,7 +27,7 @@ mod wasm;
 mod x86;
 
 use crate::base::Base;
-use crate::constants::{BASE_OCTAVES, GRASS_GRID, VERTEX_COUNT};
+use crate::constants::{BASE_OCTAVES, CELLS, GRASS_GRID, VERTEX_COUNT, VERTICES};
 use crate::grid::Grid;
 use crate::island::Lobe;
 use crate::land::Land;
@@ -120,7 +120,7 @@ entry! {
 entry! {
     /// Largest distance between triangles and a finer grid; see [`distance::farthest`].
     farthest_into(
-        heights: &[i32; VERTEX_COUNT],
+        heights: &[i32],
         depth: u32,
         fine: &[i32],
         stride: usize,
@@ -324,19 +324,16 @@ unsafe fn nodes_at_on<L: Lanes>(
     unsafe { field::evaluate_places::<L>(base, lobes, octaves, places.iter().copied(), heights, shares) };
 }
 
+/// The depth at which a quarter of a chunk is compared instead of the whole.
+const QUARTER_DEPTH: u32 = 3;
+
 /// The compiler vectorises this body, once per instruction set; so the densities.
 #[inline(always)]
-unsafe fn farthest_on<L: Lanes>(
-    heights: &[i32; VERTEX_COUNT],
-    depth: u32,
-    fine: &[i32],
-    stride: usize,
-    worst: &mut i32,
-) {
+unsafe fn farthest_on<L: Lanes>(heights: &[i32], depth: u32, fine: &[i32], stride: usize, worst: &mut i32) {
     *worst = match depth {
-        1 => distance::farthest::<1>(heights, fine, stride),
-        2 => distance::farthest::<2>(heights, fine, stride),
-        _ => distance::farthest::<3>(heights, fine, stride),
+        1 => distance::farthest::<1, CELLS>(heights, fine, stride),
+        2 => distance::farthest::<2, CELLS>(heights, fine, stride),
+        _ => distance::farthest::<3, { CELLS / 2 }>(heights, fine, stride),
     };
 }
 
@@ -358,11 +355,26 @@ unsafe fn nodes_apart_on<L: Lanes>(
 }
 
 /// Largest distance between the drawn surface of a chunk and the grid that is `2^depth` times finer
-/// (1 to 3), units, rounded up. `fine` begins at the low corner; its rows are `stride` long.
+/// (1 or 2), units, rounded up. `fine` begins at the low corner; its rows are `stride` long.
 pub(crate) fn farthest(heights: &[i32; VERTEX_COUNT], depth: u8, fine: &[i32], stride: usize) -> u32 {
+    debug_assert!((1..=2).contains(&depth));
     let mut worst = 0;
     farthest_into(Kernel::best(), heights, u32::from(depth), fine, stride, &mut worst);
     worst.unsigned_abs().div_ceil(1 << depth)
+}
+
+/// As [`farthest`], of a quarter of a chunk (0 or 1 along x and z) and the grid that is 8 times finer
+/// under it.
+pub(crate) fn farthest_in_quarter(
+    heights: &[i32; VERTEX_COUNT],
+    (east, south): (i32, i32),
+    fine: &[i32],
+    stride: usize,
+) -> u32 {
+    let low = (south as usize * VERTICES + east as usize) * (CELLS / 2);
+    let mut worst = 0;
+    farthest_into(Kernel::best(), &heights[low..], QUARTER_DEPTH, fine, stride, &mut worst);
+    worst.unsigned_abs().div_ceil(1 << QUARTER_DEPTH)
 }
 
 #[inline(always)]

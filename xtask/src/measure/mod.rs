@@ -5,6 +5,7 @@ mod audit;
 mod cluster;
 mod code;
 mod end_to_end;
+mod fuzz;
 mod heightfield;
 mod land;
 mod record;
@@ -43,7 +44,7 @@ macro_rules! by_lab {
     };
 }
 
-const MEASUREMENTS: [Measurement; 12] = [
+const MEASUREMENTS: [Measurement; 13] = [
     Measurement { name: "audit", programs: &[], rows: audit::rows },
     Measurement { name: "code", programs: &[], rows: code::rows },
     Measurement {
@@ -62,6 +63,7 @@ const MEASUREMENTS: [Measurement; 12] = [
         programs: &["tombolo-server", "tombolo-server-bench", "tombolo-view"],
         rows: resilience::rows,
     },
+    Measurement { name: "fuzz", programs: &[], rows: fuzz::rows },
     Measurement { name: "land", programs: &["tombolo-lab"], rows: land::rows },
     Measurement {
         name: "cluster",

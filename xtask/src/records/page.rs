@@ -9,7 +9,7 @@ use std::fmt::Write;
 pub const PATH: &str = "docs/measurements/README.md";
 
 /// Order of the sections; a measurement without notes has no section.
-const SECTIONS: [&str; 11] = [
+const SECTIONS: [&str; 12] = [
     "heightfield",
     "land",
     "end-to-end",
@@ -18,6 +18,7 @@ const SECTIONS: [&str; 11] = [
     "culling",
     "streaming",
     "resilience",
+    "fuzz",
     "code",
     "gpu",
     "audit",

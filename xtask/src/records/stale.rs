@@ -3,7 +3,7 @@
 use crate::process;
 
 /// What each measurement measures: paths from the root. Tests and documents in them do not count.
-const MEASURED: [(&str, &[&str]); 12] = [
+const MEASURED: [(&str, &[&str]); 13] = [
     ("code", &["*.rs", "*.wesl", "*.md"]),
     (
         "heightfield",
@@ -38,6 +38,7 @@ const MEASURED: [(&str, &[&str]); 12] = [
             "benches/lerc",
         ],
     ),
+    ("fuzz", &["terrain", "protocol", "server", "entry-points", "fuzz"]),
     ("resilience", &["terrain", "protocol", "server", "server-bench", "client", "shaders"]),
     (
         "cluster",

@@ -13,6 +13,7 @@ const FOREIGN_OPTIONS: [&str; 24] = [
     "package",
     "example",
     "workspace",
+    "cfg",
     "test",
     "help",
     "version",

@@ -1,0 +1,198 @@
+//! `fuzz`: every decoder under libFuzzer, a search by coverage.
+//!
+//! The targets are those of the package `fuzz`, built by cargo-fuzz. They start from the valid inputs
+//! of `entry-points`. Hours; `TOMBOLO_FUZZ_SECONDS` limits each target's time, and what then falls
+//! short of the executions misses its bar.
+
+use super::run::Run;
+use crate::process;
+use anyhow::{Context, Result, bail};
+use bars::Bar;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// The entry points, by the names of their targets.
+const TARGETS: [&str; 9] = [
+    "control",
+    "chunk",
+    "client_session",
+    "server_session",
+    "websocket",
+    "http",
+    "configuration",
+    "pack",
+    "address",
+];
+
+/// The target with a fault that must be found.
+const PLANTED: &str = "planted";
+
+/// Executions of each target.
+const EXECUTIONS: u64 = 100_000_000;
+
+/// Executions in which the planted fault must be found; some 20,000 are enough.
+const PLANTED_EXECUTIONS: u64 = 50_000_000;
+
+/// What one target did.
+#[derive(Clone, Debug)]
+struct Searched {
+    target: &'static str,
+    executions: Option<f64>,
+    /// Whether it ended with a fault: a panic, too much memory, or no end.
+    has_fault: bool,
+}
+
+/// Builds and runs all targets, as many at once as there are cores.
+///
+/// # Errors
+/// cargo-fuzz is not installed, a build failed, or the run was interrupted.
+pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
+    let folder = process::target().join("fuzz");
+    build(&folder)?;
+    let mut seeds = process::cargo("run --quiet --package tombolo-entry-points --example seeds --");
+    seeds.arg(folder.join("corpus"));
+    process::run(seeds).context("the valid inputs were not written")?;
+    let planted = search(run, &folder, PLANTED, PLANTED_EXECUTIONS)?;
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let waiting = Mutex::new(TARGETS.iter());
+    let found = Mutex::new(Vec::new());
+    let next = || waiting.lock().ok()?.next().copied();
+    let run_here = &*run;
+    std::thread::scope(|scope| {
+        let work = || -> Result<()> {
+            while let Some(target) = next() {
+                let searched = search(run_here, &folder, target, EXECUTIONS)?;
+                found.lock().map_err(|_| anyhow::anyhow!("a search panicked"))?.push(searched);
+            }
+            Ok(())
+        };
+        let searches: Vec<_> = (0..cores).map(|_| scope.spawn(work)).collect();
+        searches.into_iter().try_for_each(|search| match search.join() {
+            Ok(ended) => ended,
+            Err(_) => bail!("a search panicked"),
+        })
+    })?;
+    let mut found = found.into_inner().unwrap_or_default();
+    found.sort_by_key(|one| TARGETS.iter().position(|target| *target == one.target));
+    run.notes.push(
+        "libFuzzer through cargo-fuzz without a sanitizer, release build with debug assertions; each \
+         target starts from the valid inputs of its entry point."
+            .into(),
+    );
+    Ok(bars_of(&planted, &found))
+}
+
+/// The rows. Without the planted fault nothing counts.
+fn bars_of(planted: &Searched, found: &[Searched]) -> Vec<Bar> {
+    let can_find = planted.has_fault;
+    let mut rows: Vec<_> = TARGETS
+        .iter()
+        .map(|target| {
+            let searched = found.iter().find(|one| one.target == *target);
+            let executions = searched.and_then(|one| one.executions).filter(|_| can_find);
+            Bar::at_least(format!("{target}: executions"), executions, "", EXECUTIONS as f64)
+        })
+        .collect();
+    let faults = found.iter().filter(|one| one.has_fault).count() as f64;
+    rows.push(Bar::none("targets with a fault", (can_find && !found.is_empty()).then_some(faults)));
+    rows
+}
+
+/// Builds all targets. Coverage needs options of the compiler that are not stable;
+/// `RUSTC_BOOTSTRAP` allows them to the compiler of the project, so that no second one is needed.
+fn build(folder: &Path) -> Result<()> {
+    let mut fuzz = process::cargo("fuzz build --release --debug-assertions --sanitizer none --target-dir");
+    fuzz.arg(folder).env("RUSTC_BOOTSTRAP", "1");
+    process::run(fuzz).context("the targets were not built; run: cargo install cargo-fuzz --locked")
+}
+
+/// Runs one target.
+fn search(run: &Run, folder: &Path, target: &'static str, executions: u64) -> Result<Searched> {
+    println!("measure: {target}");
+    let program = programs(folder)?.join(target);
+    let corpus = folder.join("corpus").join(target);
+    let artifacts = folder.join("faults").join(target);
+    for folder in [&corpus, &artifacts] {
+        fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    }
+    let log = run.file(&format!("{target}.log"));
+    let output = fs::File::create(&log).with_context(|| format!("cannot write {}", log.display()))?;
+    let mut search = process::command(program);
+    search
+        .arg(&corpus)
+        .arg(format!("-runs={executions}"))
+        .arg(format!("-artifact_prefix={}/", artifacts.display()))
+        .args(["-print_final_stats=1", "-timeout=10", "-rss_limit_mb=2048", "-verbosity=0"])
+        .stdout(std::process::Stdio::null())
+        .stderr(output);
+    if let Ok(seconds) = std::env::var("TOMBOLO_FUZZ_SECONDS") {
+        search.arg(format!("-max_total_time={seconds}"));
+    }
+    let ended = process::status(&mut search)?;
+    let said = fs::read_to_string(&log).unwrap_or_default();
+    Ok(Searched { target, executions: executed(&said), has_fault: !ended.success() })
+}
+
+/// Where cargo-fuzz leaves the programs: `TRIPLE/release`.
+fn programs(folder: &Path) -> Result<PathBuf> {
+    let triples = fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
+    let candidates = triples.filter_map(|entry| Some(entry.ok()?.path().join("release")));
+    candidates
+        .into_iter()
+        .find(|folder| folder.join(PLANTED).is_file())
+        .context("cargo-fuzz left no programs")
+}
+
+/// The executions that libFuzzer counted.
+fn executed(log: &str) -> Option<f64> {
+    let line = log.lines().rfind(|line| line.starts_with("stat::number_of_executed_units:"))?;
+    line.split_whitespace().nth(1)?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn searched(target: &'static str, executions: f64, has_fault: bool) -> Searched {
+        Searched { target, executions: Some(executions), has_fault }
+    }
+
+    fn missed(planted: bool, found: &[Searched]) -> usize {
+        let rows = bars_of(&searched(PLANTED, 1.0, planted), found);
+        assert_eq!(rows.len(), TARGETS.len() + 1);
+        rows.iter().filter(|row| row.is_missed()).count()
+    }
+
+    #[test]
+    fn a_search_counts_only_whole_and_only_if_the_planted_fault_was_found() {
+        let whole: Vec<_> = TARGETS.map(|target| searched(target, 1e8, false)).into();
+        assert_eq!(missed(true, &whole), 0);
+        assert_eq!(missed(false, &whole), TARGETS.len() + 1);
+        assert_eq!(missed(true, &whole[1..]), 1);
+        assert_eq!(missed(true, &[]), TARGETS.len() + 1);
+        let mut short = whole.clone();
+        short[0].executions = Some(1e8 - 1.0);
+        assert_eq!(missed(true, &short), 1);
+        let mut faulty = whole;
+        faulty[3].has_fault = true;
+        assert_eq!(missed(true, &faulty), 1);
+    }
+
+    #[test]
+    fn the_executions_are_those_of_the_last_count() {
+        let log = "INFO: x\nstat::number_of_executed_units: 12\nstat::average_exec_per_sec: 3\n";
+        assert_eq!(executed(log), Some(12.0));
+        assert_eq!(executed("INFO: x\n"), None);
+    }
+
+    #[test]
+    fn every_entry_point_is_a_target() {
+        let listed = fs::read_to_string(process::root().join("entry-points/src/lib.rs")).unwrap();
+        for target in TARGETS {
+            assert!(listed.contains(&format!("name: \"{target}\"")), "{target}");
+            assert!(process::root().join("fuzz/fuzz_targets").join(format!("{target}.rs")).is_file());
+        }
+        assert_eq!(listed.matches("name: \"").count(), TARGETS.len());
+    }
+}
