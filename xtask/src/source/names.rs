@@ -7,7 +7,7 @@ const FILE_EXTENSIONS: [&str; 11] =
     ["rs", "wesl", "wgsl", "md", "toml", "js", "css", "html", "png", "svg", "hex"];
 
 /// Options of programs that are not the project's.
-const FOREIGN_OPTIONS: [&str; 24] = [
+const FOREIGN_OPTIONS: [&str; 25] = [
     "release",
     "bin",
     "package",
