@@ -81,7 +81,7 @@ enum Bug {
     /// The cache is looked up before the lock of the queue is taken: a chunk that is finished in
     /// between is generated again.
     EarlyLookup,
-    /// A thread that found no work is counted until it has released the lock: nobody starts another
+    /// A thread that found no work is counted until it has released the lock: no caller starts another
     /// for a job that comes in between.
     LateLeave,
 }
@@ -137,7 +137,7 @@ fn run_and_leave_late(shared: &Shared) {
     }
 }
 
-/// The next result of a flow; with a bug nobody may ever send one.
+/// The next result of a flow; with a bug there may never be one.
 fn result(flow: &mut Flow, bug: Option<Bug>) -> Result<Bytes, GenerationError> {
     shuttle::future::block_on(async {
         // A planted request is not counted by its flow.

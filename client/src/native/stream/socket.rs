@@ -3,6 +3,7 @@
 use crate::stream::peer_text::one_line;
 use protocol::limits::MAX_SERVER_FRAME;
 use protocol::{CloseCode, SUBPROTOCOL};
+use std::io::ErrorKind;
 use std::time::Duration;
 use tls_client::{TlsClient, Transport, endpoint};
 use tokio::net::TcpStream;
@@ -69,13 +70,17 @@ pub fn not_connected(url: &Uri, error: &tungstenite::Error) -> SessionEnd {
             let retry = status.is_server_error() || status.as_u16() == 429;
             lost(format!("{url} answered {status}: is it the stream of a tombolo-server?"), retry)
         }
-        tungstenite::Error::Io(cause) => lost(
-            format!(
-                "cannot connect to {url}: {cause}; start a server with `tombolo-server` \
-                 or name one with --connect"
-            ),
-            true,
-        ),
+        tungstenite::Error::Io(cause) => {
+            let remedy = match cause.kind() {
+                ErrorKind::ConnectionRefused => {
+                    "; start a server with `tombolo-server` or name one with --connect"
+                }
+                _ => "",
+            };
+            // A failed TLS handshake, which says what to do and fails again.
+            let retry = cause.kind() != ErrorKind::InvalidData;
+            lost(format!("cannot connect to {url}: {cause}{remedy}"), retry)
+        }
         other => lost(format!("{url} is not a Tombolo stream: {}", one_line(&other.to_string())), false),
     }
 }
