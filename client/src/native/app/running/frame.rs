@@ -1,6 +1,6 @@
 //! A frame of the window: camera, chunks, drawing, panel.
 
-use super::{ANSWER_LASTS, After, HINT_LASTS, Running};
+use super::{ANSWER_LASTS, ARRIVAL_FADE, After, HINT_LASTS, Running};
 use crate::camera::Projection;
 use crate::features::terrain_clipmap::textures::TILES_PER_FRAME;
 use crate::features::terrain_shadow::pass::PER_FRAME;
@@ -171,7 +171,7 @@ impl Running {
         if std::mem::take(&mut self.takes_screenshot) {
             self.save_screenshot(&frame)?;
         }
-        let is_last = self.args.frames.is_some_and(|frames| self.frames >= frames as usize);
+        let is_last = self.args.frames.is_some_and(|frames| self.frames >= frames as usize) && self.may_end();
         if is_last && let Some(path) = self.args.window_test.last_frame.clone() {
             self.renderer.finish_shading(&self.gpu, &frame)?;
             png_file::write(&path, &self.picture(&frame)?)?;
@@ -180,6 +180,13 @@ impl Running {
             self.gpu.device.destroy();
         }
         Ok(if is_last { After::Quit } else { After::Continue })
+    }
+
+    /// Whether the last frame may be drawn: a test compares pictures of a complete view.
+    fn may_end(&self) -> bool {
+        let complete = self.streamer.milestones().complete_view;
+        self.args.window_test.last_frame.is_none()
+            || complete.is_some_and(|at| self.started.elapsed() > at + 2 * ARRIVAL_FADE)
     }
 
     /// Moves the camera by the time since the last frame, which it returns.
