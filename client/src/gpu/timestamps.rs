@@ -4,7 +4,7 @@ use crate::gpu::buffer::create_buffer;
 use crate::gpu::device::{Gpu, GpuError};
 use crate::gpu::readback::Readback;
 
-/// A set of timestamps that each frame writes anew.
+/// A set of timestamps that each frame writes again.
 #[derive(Debug)]
 pub struct Timestamps {
     count: u32,
