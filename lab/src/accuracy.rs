@@ -5,8 +5,7 @@
 //! culling ([`mod@culling`]), density of grass ([`grass`]), distances of trees ([`trees`]).
 //!
 //! Heightfield: integers against the formula in f64 ([`heightfield`], with its bars), octaves kept
-//! ([`octaves`]), height quantum ([`quantum`]), distance from the origin ([`distance`]), octaves of
-//! coarse levels ([`levels`]).
+//! ([`octaves`]), height quantum ([`quantum`]).
 //!
 //! Wire: tolerances, efforts and seeds ([`codec`]).
 //!
@@ -15,11 +14,9 @@
 mod brdf;
 mod codec;
 mod culling;
-mod distance;
 mod errors;
 mod grass;
 mod heightfield;
-mod levels;
 mod lod;
 mod octaves;
 mod pom;
@@ -101,8 +98,6 @@ impl Subject {
             Self::Heightfield => &[
                 ("octaves kept", |seed| Ok(octaves::measure(seed))),
                 ("height quantum", |seed| Ok(quantum::measure(seed))),
-                ("distance from the origin", |seed| Ok(distance::measure(seed))),
-                ("levels", |seed| Ok(levels::measure(seed))),
             ],
             Self::Lod => &[("levels of detail", lod::measure)],
             Self::Water => &[("waves", water::measure)],

@@ -53,7 +53,7 @@ pub mod world;
 pub use config::{Args, LoadConfig};
 pub use mode::Mode;
 pub use path::PathKind;
-pub use report::Report;
+pub use report::{Counts, Report};
 pub use run::{run, run_counting};
 pub use run_stats::RunStats;
 

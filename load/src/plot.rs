@@ -26,19 +26,19 @@ fn title(report: &Report) -> String {
 
 fn subtitle(report: &Report) -> String {
     let quantile = |value: Option<f64>| value.map_or("-".into(), |ms| format!("{ms:.1} ms"));
-    let megabytes = report.bytes as f64 / 1e6;
+    let megabytes = report.counts.bytes as f64 / 1e6;
     format!(
         "{} chunks, {megabytes:.1} MB in {:.0} s; {} p50 {}, p99 {}, max {}; {} mismatches, \
          {} dropped, {} refused",
-        report.chunks,
+        report.counts.chunks,
         report.seconds,
         report.measures,
         quantile(report.latency_ms.p50),
         quantile(report.latency_ms.p99),
         quantile(report.latency_ms.max),
-        report.mismatches,
-        report.dropped,
-        report.refused,
+        report.counts.mismatches,
+        report.counts.dropped,
+        report.counts.refused,
     )
 }
 

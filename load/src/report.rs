@@ -13,6 +13,7 @@ use crate::run_stats::RunStats;
 use crate::timeline::Second;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::ops::Add;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -37,18 +38,9 @@ pub struct Report {
     pub loop_: &'static str,
     /// Intended requests or poses a second over all clients; none in a closed loop.
     pub rate: Option<f64>,
-    /// Chunks received.
-    pub chunks: u64,
-    /// Bytes of the chunks' frames.
-    pub bytes: u64,
-    /// Answers that a chunk has not changed; only over HTTP.
-    pub not_modified: u64,
-    /// Invalid chunks, messages and announcements.
-    pub mismatches: u64,
-    /// Sessions lost before the end of their phase.
-    pub dropped: u64,
-    /// Sessions not admitted, and chunks or views refused inside sessions.
-    pub refused: u64,
+    /// The counts of all phases.
+    #[serde(flatten)]
+    pub counts: Counts,
     /// What [`Report::latency_ms`] is measured between. In an open loop it starts at the due time.
     pub measures: &'static str,
     /// See [`Report::measures`]. In an open loop a missing answer counts with the time waited.
@@ -63,12 +55,6 @@ pub struct Report {
     pub regenerated: u64,
     /// Views that the server reported complete.
     pub views_settled: u64,
-    /// Requests sent; in an open loop in view mode, poses.
-    pub requests: u64,
-    /// Of these, without an answer at the end of their session.
-    pub unanswered: u64,
-    /// Requests of an open loop that were due and never sent.
-    pub unsent: u64,
     /// The first distinct problems as text; the counts above include them.
     pub problems: Vec<String>,
     /// Both digests, if the server changed its world during the run. Clients that meet another world
@@ -86,6 +72,29 @@ pub struct Report {
     pub timeline: Vec<Second>,
 }
 
+/// What was counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Counts {
+    /// Chunks received.
+    pub chunks: u64,
+    /// Bytes of the chunks' frames.
+    pub bytes: u64,
+    /// Answers that a chunk has not changed; only over HTTP.
+    pub not_modified: u64,
+    /// Invalid chunks, messages and announcements.
+    pub mismatches: u64,
+    /// Sessions lost before the end of their phase.
+    pub dropped: u64,
+    /// Sessions not admitted, and chunks or views refused inside sessions.
+    pub refused: u64,
+    /// Requests sent; in an open loop in view mode, poses.
+    pub requests: u64,
+    /// Of these, without an answer at the end of their session.
+    pub unanswered: u64,
+    /// Requests of an open loop that were due and never sent.
+    pub unsent: u64,
+}
+
 /// One phase.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PhaseReport {
@@ -95,28 +104,13 @@ pub struct PhaseReport {
     pub begins_s: f64,
     /// Length, seconds.
     pub seconds: f64,
-    /// As in [`Report`], like the following fields.
-    pub chunks: u64,
-    /// Bytes of the chunks' frames.
-    pub bytes: u64,
-    /// Answers that a chunk has not changed.
-    pub not_modified: u64,
-    /// Invalid data.
-    pub mismatches: u64,
-    /// Sessions lost before the end of their phase.
-    pub dropped: u64,
-    /// Sessions not admitted and requests refused.
-    pub refused: u64,
-    /// Latency.
+    /// The counts of the phase.
+    #[serde(flatten)]
+    pub counts: Counts,
+    /// As in [`Report`].
     pub latency_ms: LatencyMs,
-    /// Time to complete views.
+    /// As in [`Report`].
     pub settle_ms: LatencyMs,
-    /// Requests sent.
-    pub requests: u64,
-    /// Without an answer.
-    pub unanswered: u64,
-    /// Due and never sent.
-    pub unsent: u64,
 }
 
 /// Slow or idle clients, whose figures are separate.
@@ -160,7 +154,6 @@ impl Report {
                 problems.push(problem);
             }
         }
-        let sum = |pick: fn(&PhaseReport) -> u64| phases.iter().map(pick).sum();
         let is_open = config.rate.is_some();
         let background = |clients: u32, counters: &Counters| {
             (clients > 0).then(|| BackgroundClients::new(clients, counters))
@@ -174,21 +167,13 @@ impl Report {
             path: config.path.name(),
             loop_: if is_open { "open" } else { "closed" },
             rate: config.rate,
-            chunks: sum(|phase| phase.chunks),
-            bytes: sum(|phase| phase.bytes),
-            not_modified: sum(|phase| phase.not_modified),
-            mismatches: sum(|phase| phase.mismatches),
-            dropped: sum(|phase| phase.dropped),
-            refused: sum(|phase| phase.refused),
+            counts: phases.iter().fold(Counts::default(), |sum, phase| sum + phase.counts),
             measures: config.mode.measures(is_open),
             latency_ms: all(Counters::latencies),
             settle_ms: all(Counters::settling),
             sent_late_ms: if is_open { all(Counters::lateness) } else { LatencyMs::default() },
             regenerated: counters().map(|counters| get(&counters.regenerated)).sum(),
             views_settled: counters().map(|counters| get(&counters.views_settled)).sum(),
-            requests: sum(|phase| phase.requests),
-            unanswered: sum(|phase| phase.unanswered),
-            unsent: sum(|phase| phase.unsent),
             problems,
             world_changed: counters().find_map(|counters| counters.world_change()),
             resume: ResumeReport::of(&counters().map(Arc::as_ref).collect::<Vec<_>>()),
@@ -208,8 +193,11 @@ impl Report {
             return Err(change.clone());
         }
         let because = self.problems.first().map(|problem| format!("; first: {problem}")).unwrap_or_default();
-        if self.mismatches > 0 {
-            return Err(format!("{} mismatches in {} chunks{because}", self.mismatches, self.chunks));
+        if self.counts.mismatches > 0 {
+            return Err(format!(
+                "{} mismatches in {} chunks{because}",
+                self.counts.mismatches, self.counts.chunks
+            ));
         }
         let background = [("slow", &self.slow), ("silent", &self.silent)];
         for (name, background) in
@@ -223,10 +211,10 @@ impl Report {
                 ));
             }
         }
-        if self.dropped > 0 {
-            return Err(format!("{} sessions ended before their time{because}", self.dropped));
+        if self.counts.dropped > 0 {
+            return Err(format!("{} sessions ended before their time{because}", self.counts.dropped));
         }
-        if self.chunks + self.not_modified == 0 {
+        if self.counts.chunks + self.counts.not_modified == 0 {
             let because = if because.is_empty() { "; is the run long enough?".into() } else { because };
             return Err(format!("no chunk arrived in {:.0} s{because}", self.seconds));
         }
@@ -245,6 +233,40 @@ fn timeline(stats: &RunStats) -> Vec<Second> {
     seconds
 }
 
+impl Counts {
+    fn of(counters: &Counters) -> Self {
+        Self {
+            chunks: get(&counters.chunks),
+            bytes: get(&counters.bytes),
+            not_modified: get(&counters.not_modified),
+            mismatches: get(&counters.mismatches),
+            dropped: get(&counters.dropped),
+            refused: get(&counters.refused),
+            requests: get(&counters.requests),
+            unanswered: get(&counters.unanswered),
+            unsent: get(&counters.unsent),
+        }
+    }
+}
+
+impl Add for Counts {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            chunks: self.chunks + other.chunks,
+            bytes: self.bytes + other.bytes,
+            not_modified: self.not_modified + other.not_modified,
+            mismatches: self.mismatches + other.mismatches,
+            dropped: self.dropped + other.dropped,
+            refused: self.refused + other.refused,
+            requests: self.requests + other.requests,
+            unanswered: self.unanswered + other.unanswered,
+            unsent: self.unsent + other.unsent,
+        }
+    }
+}
+
 impl PhaseReport {
     /// A phase of a run that took so long as a whole.
     fn new(phase: &Phase, counters: &Counters, took: Duration) -> Self {
@@ -255,17 +277,9 @@ impl PhaseReport {
             name: phase.name,
             begins_s: phase.start.as_secs_f64(),
             seconds: length.max(until).as_secs_f64(),
-            chunks: get(&counters.chunks),
-            bytes: get(&counters.bytes),
-            not_modified: get(&counters.not_modified),
-            mismatches: get(&counters.mismatches),
-            dropped: get(&counters.dropped),
-            refused: get(&counters.refused),
+            counts: Counts::of(counters),
             latency_ms: counters.latencies().quantiles(),
             settle_ms: counters.settling().quantiles(),
-            requests: get(&counters.requests),
-            unanswered: get(&counters.unanswered),
-            unsent: get(&counters.unsent),
         }
     }
 }
@@ -304,19 +318,23 @@ mod tests {
         report(&config(), |stats| stats.phases[0].1.chunk(1000))
     }
 
+    fn counted(counts: Counts) -> Report {
+        Report { counts, ..good() }
+    }
+
     #[test]
     fn a_run_passes_only_with_chunks_and_without_faults() {
         assert_eq!(good().verdict(), Ok(()));
         let silent = report(&config(), |stats| stats.phases[0].1.refused("connection refused"));
         let verdict = silent.verdict().unwrap_err();
         assert!(verdict.contains("no chunk") && verdict.contains("connection refused"), "{verdict}");
-        let mismatched = Report { mismatches: 1, ..good() };
+        let mismatched = counted(Counts { mismatches: 1, ..good().counts });
         assert!(mismatched.verdict().unwrap_err().contains("1 mismatches"));
-        let dropped = Report { dropped: 3, ..good() };
+        let dropped = counted(Counts { dropped: 3, ..good().counts });
         assert!(dropped.verdict().unwrap_err().contains("3 sessions"));
-        let refused = Report { refused: 3, ..good() };
+        let refused = counted(Counts { refused: 3, ..good().counts });
         assert_eq!(refused.verdict(), Ok(()), "rejecting load is allowed");
-        let unchanged = Report { chunks: 0, not_modified: 1, ..good() };
+        let unchanged = counted(Counts { chunks: 0, not_modified: 1, ..good().counts });
         assert_eq!(unchanged.verdict(), Ok(()), "304 is an answer");
     }
 
@@ -330,7 +348,7 @@ mod tests {
             stats.silent.closed("handshake timed out (4408)");
         };
         let with = report(&config, count);
-        assert_eq!((with.chunks, with.bytes, with.dropped), (1, 1000, 0));
+        assert_eq!((with.counts.chunks, with.counts.bytes, with.counts.dropped), (1, 1000, 0));
         assert_eq!(with.timeline.iter().map(|second| second.chunks).sum::<u64>(), 1);
         assert_eq!(with.silent.as_ref().unwrap().closed["handshake timed out (4408)"], 1);
         assert_eq!(with.verdict(), Ok(()));
@@ -351,7 +369,10 @@ mod tests {
                 counters.answered(Duration::from_millis(100 - 90 * index as u64));
             }
         });
-        assert_eq!((report.chunks, report.bytes, report.requests, report.seconds), (3, 30, 2, 15.0));
+        assert_eq!(
+            (report.counts.chunks, report.counts.bytes, report.counts.requests, report.seconds),
+            (3, 30, 2, 15.0)
+        );
         let max: Vec<_> = report.phases.iter().map(|phase| phase.latency_ms.max.map(f64::round)).collect();
         assert_eq!(max, [Some(100.0), Some(10.0)]);
         assert_eq!(report.latency_ms.max.map(f64::round), Some(100.0));

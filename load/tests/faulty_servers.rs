@@ -125,7 +125,7 @@ async fn load_with(fault: Fault, token: Option<&str>, change: impl Fn(LoadConfig
         }))
     };
     let mut report = run(2).await;
-    if report.chunks + report.mismatches + report.refused == 0 {
+    if report.counts.chunks + report.counts.mismatches + report.counts.refused == 0 {
         report = run(20).await;
     }
     server.abort();
@@ -139,14 +139,18 @@ async fn a_correct_server_passes_with_every_chunk_compared() {
         let report = load_on(Fault::Nothing, delivery, None).await;
         assert_eq!(report.verdict(), Ok(()), "{report}");
         // The number of chunks depends on the machine.
-        assert!(report.chunks > 0 && report.regenerated == report.chunks, "{report}");
-        assert!(report.requests > 0, "{report}");
-        assert_eq!((report.mismatches, report.dropped, report.refused), (0, 0, 0), "{report}");
+        assert!(report.counts.chunks > 0 && report.regenerated == report.counts.chunks, "{report}");
+        assert!(report.counts.requests > 0, "{report}");
+        assert_eq!(
+            (report.counts.mismatches, report.counts.dropped, report.counts.refused),
+            (0, 0, 0),
+            "{report}"
+        );
         match delivery {
             Delivery::Exact | Delivery::Quantised(_) | Delivery::Refined => {
-                assert!(report.bytes > report.chunks * 60, "{report}");
+                assert!(report.counts.bytes > report.counts.chunks * 60, "{report}");
             }
-            Delivery::SeedOnly => assert_eq!(report.bytes, report.chunks * 36, "{report}"),
+            Delivery::SeedOnly => assert_eq!(report.counts.bytes, report.counts.chunks * 36, "{report}"),
         }
         assert_eq!(report.delivery, delivery.name());
     }
@@ -170,7 +174,7 @@ async fn every_wrong_chunk_is_a_mismatch_in_the_verdict() {
         (Fault::World, Delivery::SeedOnly, "use exact delivery"),
     ] {
         let report = load_on(fault, delivery, None).await;
-        assert!(report.mismatches > 0, "{fault:?}, {delivery}: {report}");
+        assert!(report.counts.mismatches > 0, "{fault:?}, {delivery}: {report}");
         let verdict = report.verdict().expect_err("a faulty server passed");
         assert!(verdict.contains("mismatches") && verdict.contains(word), "{fault:?}, {delivery}: {verdict}");
     }
@@ -179,8 +183,8 @@ async fn every_wrong_chunk_is_a_mismatch_in_the_verdict() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_server_that_hangs_up_drops_sessions() {
     let report = load_on(Fault::HangUp, Delivery::Exact, None).await;
-    assert!(report.dropped > 0, "{report}");
-    assert_eq!(report.mismatches, 0, "{report}");
+    assert!(report.counts.dropped > 0, "{report}");
+    assert_eq!(report.counts.mismatches, 0, "{report}");
     assert!(report.verdict().expect_err("dropped").contains("before their time"));
 }
 
@@ -200,14 +204,17 @@ async fn a_client_that_reconnects_gets_only_what_it_lacks() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_wrong_token_is_refused_once_and_fails_the_run() {
     let report = load_on(Fault::Nothing, Delivery::Exact, Some("secret")).await;
-    assert_eq!((report.refused, report.chunks, report.dropped), (3, 0, 0), "{report}");
+    assert_eq!((report.counts.refused, report.counts.chunks, report.counts.dropped), (3, 0, 0), "{report}");
     assert!(report.verdict().expect_err("nothing arrived").contains("token"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn rejected_chunks_are_refusals_and_no_faults() {
     let report = load_on(Fault::Refusal, Delivery::Exact, None).await;
-    assert!(report.refused > 0 && report.mismatches == 0 && report.dropped == 0, "{report}");
+    assert!(
+        report.counts.refused > 0 && report.counts.mismatches == 0 && report.counts.dropped == 0,
+        "{report}"
+    );
     assert!(report.verdict().expect_err("nothing arrived").contains("try later"));
 }
 

@@ -103,8 +103,8 @@ async fn open_loop_poses_count_until_their_view_is_complete() {
 #[tokio::test(start_paused = true)]
 async fn every_arrival_is_accounted_for_on_a_stalled_server() {
     let expected = calm(Mode::Explicit, Some(RATE)).await;
-    assert!((150..250).contains(&expected.requests), "20 a second for 10 s: {expected}");
-    assert_eq!((expected.unanswered, expected.unsent), (0, 0));
+    assert!((150..250).contains(&expected.counts.requests), "20 a second for 10 s: {expected}");
+    assert_eq!((expected.counts.unanswered, expected.counts.unsent), (0, 0));
     let second = Duration::from_secs(1);
     for mode in [Mode::Http, Mode::Explicit] {
         // Stalled from the middle until long after the end.
@@ -112,11 +112,15 @@ async fn every_arrival_is_accounted_for_on_a_stalled_server() {
         let stall = now + 5 * second..now + 100 * second;
         let report =
             load_on(Server { stall, ..Server::new(transport(mode)) }, config(mode, Some(RATE))).await;
-        assert_eq!(report.requests + report.unsent, expected.requests, "{report}");
+        assert_eq!(report.counts.requests + report.counts.unsent, expected.counts.requests, "{report}");
         let answers = report.timeline.iter().map(|second| second.answers).sum::<u64>();
-        assert_eq!(answers + report.unanswered + report.unsent, expected.requests, "{report}");
+        assert_eq!(
+            answers + report.counts.unanswered + report.counts.unsent,
+            expected.counts.requests,
+            "{report}"
+        );
         assert!(
-            report.unanswered > 0 && report.latency_ms.max > Some(5000.0),
+            report.counts.unanswered > 0 && report.latency_ms.max > Some(5000.0),
             "missing answers count: {report}"
         );
     }
@@ -130,11 +134,15 @@ async fn the_second_flight_requests_what_the_first_did() {
     };
     let report = run(5, 5).await;
     let [cold, warm] = &report.phases[..] else { panic!("two phases: {report}") };
-    assert_eq!((cold.name, warm.name, cold.requests), ("cold", "warm", warm.requests));
-    assert_eq!((warm.chunks, warm.not_modified), (0, warm.requests), "all chunks are known: {report}");
-    assert!(cold.chunks > 0 && report.not_modified >= warm.not_modified);
+    assert_eq!((cold.name, warm.name, cold.counts.requests), ("cold", "warm", warm.counts.requests));
+    assert_eq!(
+        (warm.counts.chunks, warm.counts.not_modified),
+        (0, warm.counts.requests),
+        "all chunks are known: {report}"
+    );
+    assert!(cold.counts.chunks > 0 && report.counts.not_modified >= warm.counts.not_modified);
     let longer = run(7, 5).await;
-    assert!(longer.phases[1].chunks > 0, "control: after the warm-up chunks are new: {longer}");
+    assert!(longer.phases[1].counts.chunks > 0, "control: after the warm-up chunks are new: {longer}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -183,9 +191,13 @@ async fn explicit_requests_are_verified_as_views_are() {
 async fn http_refusals_pause_the_client_and_are_no_faults() {
     let server = Server { fault: Fault::Refusal, ..Server::new(Transport::Http) };
     let report = load_on(server, config(Mode::Http, None)).await;
-    assert_eq!((report.mismatches, report.dropped, report.chunks), (0, 0, 0), "{report}");
+    assert_eq!(
+        (report.counts.mismatches, report.counts.dropped, report.counts.chunks),
+        (0, 0, 0),
+        "{report}"
+    );
     assert!(
-        (18..=22).contains(&report.refused),
+        (18..=22).contains(&report.counts.refused),
         "two clients for 10 s, a second between two tries: {report}"
     );
     assert!(report.verdict().expect_err("nothing arrived").contains("try later"));
@@ -196,7 +208,11 @@ async fn a_closed_loop_pauses_after_refusals() {
     let server = Server { fault: Fault::Refusal, ..Server::new(Transport::WebSocket) };
     let requests = Arc::clone(&server.requests);
     let report = load_on(server, config(Mode::Explicit, None)).await;
-    assert_eq!((report.chunks, report.dropped, report.mismatches), (0, 0, 0), "{report}");
+    assert_eq!(
+        (report.counts.chunks, report.counts.dropped, report.counts.mismatches),
+        (0, 0, 0),
+        "{report}"
+    );
     assert!(report.verdict().expect_err("nothing arrived").contains("try later"));
     // Two clients for 10 s, 16 requests after each pause of 25 ms to 5 s.
     let requests = requests.load(Ordering::Relaxed);
@@ -213,12 +229,12 @@ async fn another_world_after_a_restart_ends_the_run_with_both_digests() {
         let verdict = report.verdict().expect_err("the world changed");
         assert!(verdict.contains(&first) && verdict.contains(&now), "{verdict}");
         assert_eq!(report.world_changed.as_ref(), Some(&verdict));
-        assert!(report.chunks > 0 && report.seconds < 60.0, "{report}");
+        assert!(report.counts.chunks > 0 && report.seconds < 60.0, "{report}");
     }
     // The control: a server that hangs up and stays the same.
     let server = Server { fault: Fault::HangUp, ..Server::new(Transport::WebSocket) };
     let report = load_on(server, config(Mode::Explicit, None)).await;
-    assert!(report.world_changed.is_none() && report.dropped > 0, "{report}");
+    assert!(report.world_changed.is_none() && report.counts.dropped > 0, "{report}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -237,17 +253,17 @@ async fn an_absent_server_ends_the_run_early_and_a_late_one_does_not() {
         let late = Server { fault: Fault::Late, ..Server::new(transport(mode)) };
         let report = load_on(late, config(mode, Some(RATE))).await;
         assert_eq!(report.verdict(), Ok(()), "{report}");
-        assert!(report.refused > 0 && report.seconds >= 10.0, "{report}");
+        assert!(report.counts.refused > 0 && report.seconds >= 10.0, "{report}");
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn lost_sessions_of_an_open_loop_keep_their_due_requests() {
-    let expected = calm(Mode::Explicit, Some(RATE)).await.requests;
+    let expected = calm(Mode::Explicit, Some(RATE)).await.counts.requests;
     let server = Server { fault: Fault::HangUp, ..Server::new(Transport::WebSocket) };
     let report = load_on(server, config(Mode::Explicit, Some(RATE))).await;
-    assert!(report.dropped > 2, "{report}");
-    assert_eq!(report.requests + report.unsent, expected, "{report}");
+    assert!(report.counts.dropped > 2, "{report}");
+    assert_eq!(report.counts.requests + report.counts.unsent, expected, "{report}");
     assert!(report.verdict().expect_err("dropped").contains("before their time"));
 }
 
@@ -258,8 +274,8 @@ async fn slow_and_idle_clients_do_not_change_other_figures() {
     let report = load_on(Server::new(Transport::WebSocket), config).await;
     assert_eq!(report.verdict(), Ok(()), "{report}");
     assert_eq!(
-        (report.clients, report.chunks, report.requests),
-        (alone.clients, alone.chunks, alone.requests)
+        (report.clients, report.counts.chunks, report.counts.requests),
+        (alone.clients, alone.counts.chunks, alone.counts.requests)
     );
     let (slow, silent) = (report.slow.as_ref().expect("slow"), report.silent.as_ref().expect("silent"));
     // 1000 bytes a second for 14 s at most, each.

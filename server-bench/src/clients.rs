@@ -2,8 +2,15 @@
 
 use crate::connection::{Connection, Received};
 use anyhow::{Context, Result, ensure};
-use std::time::Instant;
+use rustc_hash::FxHashMap;
+use std::time::{Duration, Instant};
 use terrain::ChunkKey;
+use tokio::runtime::{Builder, Runtime};
+
+/// A runtime on a thread of its own, for peers that must not delay the measured clients.
+pub fn other_thread() -> Result<Runtime> {
+    Builder::new_multi_thread().worker_threads(1).enable_all().build().context("cannot start a thread")
+}
 
 /// Runs a client on each connection, all at the same time. The first that fails fails the
 /// benchmark.
@@ -56,6 +63,14 @@ pub struct Totals {
     pub bytes: u64,
     /// Everything that is no chunk.
     pub refused: u64,
+}
+
+impl std::ops::AddAssign for Totals {
+    fn add_assign(&mut self, other: Self) {
+        self.chunks += other.chunks;
+        self.bytes += other.bytes;
+        self.refused += other.refused;
+    }
 }
 
 impl Totals {
@@ -116,6 +131,31 @@ pub async fn closed_loop(
             .await?;
     }
     Ok(totals)
+}
+
+/// A closed loop of one request a chunk until `end`: the wait for each chunk that arrived from
+/// `from` on, and how many requests were refused in that time.
+pub async fn waits(
+    connection: &mut Connection,
+    keys: impl IntoIterator<Item = ChunkKey>,
+    window: usize,
+    from: Instant,
+    end: Instant,
+) -> Result<(Vec<Duration>, usize)> {
+    let (mut waits, mut refused) = (Vec::new(), 0);
+    let mut open: FxHashMap<ChunkKey, Instant> = FxHashMap::default();
+    let note = |event: Event<'_>| match event {
+        Event::Sent(key) => _ = open.insert(key, Instant::now()),
+        Event::Received(received) => {
+            let sent = received.key().and_then(|key| open.remove(&key));
+            if Instant::now() >= from {
+                refused += usize::from(received.key().is_none());
+                waits.extend(sent.map(|sent| sent.elapsed()));
+            }
+        }
+    };
+    closed_loop(connection, keys, Window::OneByOne(window), Some(end), note).await?;
+    Ok((waits, refused))
 }
 
 #[cfg(test)]

@@ -3,14 +3,13 @@
 //! decides the shares.
 
 use crate::Plan;
-use crate::clients::{Event, Window, closed_loop, rotated, run_all};
+use crate::clients::{rotated, run_all, waits};
 use crate::keys::{WORLD_SEED, land_keys};
 use crate::rounds::{Rounds, jain, quantile_ms};
 use crate::server_process::ServerProcess;
 use anyhow::Result;
 use bars::Bar;
 use bars::figures::{at, fill};
-use rustc_hash::FxHashMap;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 use terrain::{ChunkKey, Land};
@@ -69,25 +68,9 @@ async fn round(plan: &Plan, keys: &[ChunkKey], greedy: usize) -> Result<Round> {
     let from = Instant::now() + SETTLE;
     let end = from + Duration::from_secs(plan.seconds);
     let outcomes = run_all(connections, |index, mut connection| {
-        let window = Window::OneByOne(if index < POLITE { POLITE_WINDOW } else { GREEDY_WINDOW });
+        let window = if index < POLITE { POLITE_WINDOW } else { GREEDY_WINDOW };
         let keys = rotated(keys, index, n_clients).into_iter().cycle();
-        async move {
-            // Latencies and refusals of the measured part.
-            let (mut latencies, mut refused) = (Vec::new(), 0);
-            let mut open: FxHashMap<ChunkKey, Instant> = FxHashMap::default();
-            let note = |event: Event<'_>| match event {
-                Event::Sent(key) => _ = open.insert(key, Instant::now()),
-                Event::Received(received) => {
-                    let sent = received.key().and_then(|key| open.remove(&key));
-                    if Instant::now() >= from {
-                        refused += usize::from(received.key().is_none());
-                        latencies.extend(sent.map(|sent| sent.elapsed()));
-                    }
-                }
-            };
-            closed_loop(&mut connection, keys, window, Some(end), note).await?;
-            Ok((latencies, refused))
-        }
+        async move { waits(&mut connection, keys, window, from, end).await }
     });
     let mut outcomes = outcomes.await?;
     let shares = outcomes.iter().map(|(latencies, _)| latencies.len() as f64).collect();

@@ -3,6 +3,7 @@
 //! A viewer without a window asks for a view, gives up or draws it, and the next one begins.
 
 use crate::Plan;
+use crate::clients::other_thread;
 use crate::connection::{next_frame, open};
 use crate::server_process::{ChildProcess, ServerProcess, count_panics};
 use anyhow::{Context, Result};
@@ -18,7 +19,6 @@ use std::time::{Duration, Instant};
 use test_support::Random;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::runtime::Builder;
 
 /// Time between two looks at the memory.
 const SAMPLE_INTERVAL: Duration = Duration::from_millis(500);
@@ -78,7 +78,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let server = ServerProcess::start(&plan.launch, &[])?;
     let (listener, sessions) = (TcpListener::bind("127.0.0.1:0").await?, Arc::new(AtomicUsize::new(0)));
     let proxy = listener.local_addr()?;
-    let threads = Builder::new_multi_thread().worker_threads(1).enable_all().build().context("no thread")?;
+    let threads = other_thread()?;
     threads.spawn(accept(listener, server.address, Arc::clone(&sessions)));
 
     let folder = std::env::temp_dir().join(format!("tombolo-garbage-{}", std::process::id()));
@@ -273,7 +273,7 @@ pub fn notes(figures: &Value) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_bars::{check, missed};
+    use crate::test_bars::{check, check_without_peers};
 
     #[test]
     fn each_bar_can_be_missed() {
@@ -287,9 +287,7 @@ mod tests {
             ("/sessions", json!(99)),
         ];
         check(bars, &good, &bad);
-        let mut short = good;
-        short["lasted_s"] = json!(12.0);
-        assert_eq!(missed(bars, &short), 3, "a viewer that gives up shows nothing");
+        check_without_peers(bars, &good, "/lasted_s", json!(12.0));
     }
 
     #[test]

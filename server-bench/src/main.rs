@@ -211,6 +211,16 @@ mod test_bars {
         assert_eq!(missed(bars, &Value::Null), bars(good).len(), "no figures");
     }
 
+    /// Checks that a run without the peers that it is about shows nothing: with this value every row
+    /// misses, except those of controls.
+    pub fn check_without_peers(bars: fn(&Value) -> Vec<Bar>, good: &Value, path: &str, value: Value) {
+        let mut figures = good.clone();
+        *figures.pointer_mut(path).expect(path) = value;
+        for bar in bars(&figures) {
+            assert_eq!(bar.is_met(), bar.name.ends_with("(control)"), "{path}: {}", bar.name);
+        }
+    }
+
     /// Checks how many bars miss if a field is absent, null or a text.
     pub fn check_absent(bars: fn(&Value) -> Vec<Bar>, good: &Value, absent: &[(&str, &str, usize)]) {
         for (path, field, expected) in absent {

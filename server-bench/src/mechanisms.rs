@@ -5,7 +5,7 @@
 //! do nothing; together they may do less than the sum.
 
 use crate::Plan;
-use crate::clients::{Event, Window, closed_loop, rotated, run_all};
+use crate::clients::{Window, closed_loop, rotated, run_all, waits};
 use crate::connection::Connection;
 use crate::flood::slowest_probe_ms;
 use crate::keys::{WORLD_SEED, land_keys};
@@ -17,7 +17,6 @@ use anyhow::{Context, Result};
 use bars::Bar;
 use bars::figures::{at, each, list, ratio, text};
 use clap::ValueEnum;
-use rustc_hash::FxHashMap;
 use serde_json::{Value, json};
 use std::net::{IpAddr, Ipv4Addr};
 use std::time::{Duration, Instant};
@@ -179,7 +178,7 @@ async fn cpu_share(server: &ServerProcess, keys: &[ChunkKey], length: Duration) 
 /// A refused request counts as the whole length.
 async fn polite_p99_ms(server: &ServerProcess, keys: &Keys, length: Duration) -> Result<Option<f64>> {
     let connections = server.connect(POLITE + GREEDY).await?;
-    let end = Instant::now() + length;
+    let start = Instant::now();
     let latencies = run_all(connections, |index, mut connection| {
         let is_polite = index < POLITE;
         let own = if is_polite {
@@ -187,17 +186,12 @@ async fn polite_p99_ms(server: &ServerProcess, keys: &Keys, length: Duration) ->
         } else {
             rotated(&keys.coarse, index - POLITE, GREEDY)
         };
-        let window = Window::OneByOne(if is_polite { POLITE_WINDOW } else { GREEDY_WINDOW });
+        let window = if is_polite { POLITE_WINDOW } else { GREEDY_WINDOW };
         async move {
-            let (mut latencies, mut open) = (Vec::new(), FxHashMap::default());
-            let note = |event: Event<'_>| match event {
-                Event::Sent(key) => _ = open.insert(key, Instant::now()),
-                Event::Received(received) => match received.key() {
-                    Some(key) => latencies.extend(open.remove(&key).map(|sent: Instant| sent.elapsed())),
-                    None => latencies.push(length),
-                },
-            };
-            closed_loop(&mut connection, own.into_iter().cycle(), window, Some(end), note).await?;
+            let keys = own.into_iter().cycle();
+            let (mut latencies, refused) =
+                waits(&mut connection, keys, window, start, start + length).await?;
+            latencies.extend(std::iter::repeat_n(length, refused));
             Ok(if is_polite { latencies } else { Vec::new() })
         }
     });

@@ -13,7 +13,7 @@ use crate::proxy::TrustedProxies;
 use crate::store::{StoreAddress, StoreConfig};
 use crate::tls::Tls;
 use cli::UsageError;
-use options::File;
+use options::Options;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
@@ -139,9 +139,10 @@ impl Args {
     /// # Errors
     /// An unreadable or malformed file, an unknown key in it, or a value out of range.
     pub fn resolve(self) -> Result<ServerConfig, UsageError> {
-        let file = self.config.as_deref().map_or(Ok(File::default()), read_file)?;
+        let file = self.config.as_deref().map_or_else(|| Ok(Options::default()), read_file)?;
+        let given = self.options;
         let defaults = ServerConfig::default();
-        let listen: SocketAddr = match self.listen.or(file.listen) {
+        let listen: SocketAddr = match given.listen.or(file.listen) {
             Some(text) => text.parse().map_err(|_| {
                 UsageError::new(format!(
                     "listen: `{text}` is not an address; give ADDR:PORT such as {DEFAULT_LISTEN}"
@@ -149,11 +150,11 @@ impl Args {
             })?,
             None => defaults.listen,
         };
-        let threads = self.threads.or(file.threads).unwrap_or(defaults.threads);
-        let cache_mb = self.cache_mb.or(file.cache_mb).unwrap_or(DEFAULT_CACHE_MB);
-        let disk_mb = self.disk_mb.or(file.disk_mb);
-        let disk_folder = self.disk_cache.or(file.disk_cache);
-        let max_sessions = self.max_sessions.or(file.max_sessions).unwrap_or(DEFAULT_MAX_SESSIONS);
+        let threads = given.threads.or(file.threads).unwrap_or(defaults.threads);
+        let cache_mb = given.cache_mb.or(file.cache_mb).unwrap_or(DEFAULT_CACHE_MB);
+        let disk_mb = given.disk_mb.or(file.disk_mb);
+        let disk_folder = given.disk_cache.or(file.disk_cache);
+        let max_sessions = given.max_sessions.or(file.max_sessions).unwrap_or(DEFAULT_MAX_SESSIONS);
         in_range("threads", threads as u64, 1, 1024)?;
         in_range("cache-mb", cache_mb, 1, 65_536)?;
         in_range("disk-mb", disk_mb.unwrap_or(DEFAULT_DISK_MB), 64, 262_144)?;
@@ -163,23 +164,23 @@ impl Args {
             )));
         }
         in_range("max-sessions", max_sessions as u64, 1, 100_000)?;
-        let max_sessions_per_address = self.max_sessions_per_address.or(file.max_sessions_per_address);
+        let max_sessions_per_address = given.max_sessions_per_address.or(file.max_sessions_per_address);
         in_range("max-sessions-per-address", max_sessions_per_address.unwrap_or(1) as u64, 1, 100_000)?;
-        let rate_limit_ms = self.rate_limit_ms.or(self.cost_per_second).or(file.rate_limit_ms);
+        let rate_limit_ms = given.rate_limit_ms.or(self.cost_per_second).or(file.rate_limit_ms);
         in_range("rate-limit-ms", rate_limit_ms.unwrap_or(1), 1, 1_000_000)?;
-        let deadline_ms = self.deadline_ms.or(file.deadline_ms).unwrap_or(DEFAULT_DEADLINE_MS);
+        let deadline_ms = given.deadline_ms.or(file.deadline_ms).unwrap_or(DEFAULT_DEADLINE_MS);
         in_range("deadline-ms", deadline_ms, 10, 60_000)?;
-        let log = self.log.or(file.log).unwrap_or(defaults.log);
+        let log = given.log.or(file.log).unwrap_or(defaults.log);
         log_filter(&log)?;
-        let tls = Tls::of_options(self.tls_cert.or(file.tls_cert), self.tls_key.or(file.tls_key))?;
+        let tls = Tls::of_options(given.tls_cert.or(file.tls_cert), given.tls_key.or(file.tls_key))?;
         let proxies = TrustedProxies::parse(
-            &either(self.trusted_proxy, file.trusted_proxy),
-            self.proxy_header.or(file.proxy_header),
+            &either(given.trusted_proxy, file.trusted_proxy),
+            given.proxy_header.or(file.proxy_header),
         )?;
-        let is_insecure = self.insecure || file.insecure.unwrap_or(false);
+        let is_insecure = given.insecure || file.insecure;
         refuse_plain_text(listen, is_insecure || tls.is_some() || proxies.any())?;
-        let token_file = self.token_file.or(file.token_file).map(TokenFile::new);
-        let protected = either(self.protect, file.protect);
+        let token_file = given.token_file.or(file.token_file).map(TokenFile::new);
+        let protected = either(given.protect, file.protect);
         if let (None, Some(route)) = (&token_file, protected.first()) {
             return Err(UsageError::new(format!(
                 "protect: {route} without a token; give token-file FILE too, or remove protect"
@@ -187,15 +188,15 @@ impl Args {
         }
         Ok(ServerConfig {
             listen,
-            world_seed: self.world_seed.or(file.world_seed).unwrap_or(defaults.world_seed),
+            world_seed: given.world_seed.or(file.world_seed).unwrap_or(defaults.world_seed),
             threads,
             cache_bytes: cache_mb << 20,
             disk: disk_folder
                 .map(|folder| DiskConfig { folder, bytes: disk_mb.unwrap_or(DEFAULT_DISK_MB) << 20 }),
-            store: store(self.store.or(file.store), self.store_wait_ms.or(file.store_wait_ms))?,
+            store: store(given.store.or(file.store), given.store_wait_ms.or(file.store_wait_ms))?,
             tls,
-            allowed_hosts: AllowedHosts::parse(&either(self.allowed_host, file.allowed_host))?,
-            allowed_origins: AllowedOrigins::parse(&either(self.allowed_origin, file.allowed_origin))?,
+            allowed_hosts: AllowedHosts::parse(&either(given.allowed_host, file.allowed_host))?,
+            allowed_origins: AllowedOrigins::parse(&either(given.allowed_origin, file.allowed_origin))?,
             proxies,
             tokens: token_file.as_ref().map(TokenFile::read).transpose()?,
             token_file,
@@ -206,7 +207,7 @@ impl Args {
             deadline: Duration::from_millis(deadline_ms),
             without: self.measure_without,
             log,
-            log_json: self.log_json || file.log_json.unwrap_or(false),
+            log_json: given.log_json || file.log_json,
             ..defaults
         })
     }
@@ -263,7 +264,7 @@ fn in_range(option: &str, value: u64, low: u64, high: u64) -> Result<(), UsageEr
     Err(UsageError::new(format!("{option}: {value} is out of range; give {low} to {high}")))
 }
 
-fn read_file(path: &Path) -> Result<File, UsageError> {
+fn read_file(path: &Path) -> Result<Options, UsageError> {
     let shown = path.display();
     let text = std::fs::read_to_string(path)
         .map_err(|error| UsageError::new(format!("config: cannot read `{shown}`: {error}")))?;

@@ -79,12 +79,15 @@ fn chunks_of(mut stream: ServerStream) -> Result<usize, String> {
 async fn the_load_test_verifies_chunks_over_tls() {
     let (server, certificate) = secure_server("load").await;
     let report = load(&server, "wss", Some(trusting(&certificate))).await;
-    assert!(report.chunks > 10 && report.mismatches == 0 && report.dropped == 0, "{report:?}");
+    assert!(
+        report.counts.chunks > 10 && report.counts.mismatches == 0 && report.counts.dropped == 0,
+        "{report:?}"
+    );
     // The control: another certificate, and no TLS.
     let other = File::new("load-other.pem", OTHER);
     for (scheme, tls) in [("wss", Some(trusting(&other))), ("ws", None)] {
         let report = load(&server, scheme, tls).await;
-        assert_eq!((report.chunks, report.refused > 0), (0, true), "{report:?}");
+        assert_eq!((report.counts.chunks, report.counts.refused > 0), (0, true), "{report:?}");
     }
     server.stop().await;
 }

@@ -53,10 +53,11 @@ enum Sign {
 }
 
 /// Loaded at run time by the GPU and window crates, so the linker never asks for them.
-const NEEDS: [Need; 22] = [
+const NEEDS: [Need; 23] = [
     Need { package: "libvulkan1", sign: Sign::Library("libvulkan.so.1"), purpose: Purpose::Pictures },
     Need { package: "mesa-vulkan-drivers", sign: Sign::VulkanDriver, purpose: Purpose::Pictures },
     check("chromium", Sign::SwiftShader),
+    check("xvfb", Sign::Program("Xvfb")),
     check("libegl1", Sign::Library("libEGL.so.1")),
     check("nodejs", Sign::Program("node")),
     check("clang-19", Sign::Program("clang-19")),
@@ -89,17 +90,6 @@ const fn check(package: &'static str, sign: Sign) -> Need {
 /// Where a Vulkan loader looks for drivers.
 const DRIVER_FOLDERS: [&str; 3] =
     ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d"];
-
-/// Where browsers install SwiftShader; the list of the command `tombolo-lab digest`.
-const BROWSER_FOLDERS: [&str; 7] = [
-    "/usr/lib/chromium",
-    "/usr/lib/chromium-browser",
-    "/usr/lib64/chromium-browser",
-    "/opt/google/chrome",
-    "/opt/chromium",
-    "/usr/share/vulkan/icd.d",
-    "/usr/local/share/vulkan/icd.d",
-];
 
 /// Makes sure that everything is there.
 ///
@@ -220,9 +210,7 @@ fn is_present(sign: Sign, linker_cache: &str) -> bool {
             let named = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"].map(std::env::var_os).into_iter().flatten();
             named.into_iter().any(|list| !list.is_empty()) || DRIVER_FOLDERS.into_iter().any(has_manifest)
         }
-        Sign::SwiftShader => BROWSER_FOLDERS
-            .into_iter()
-            .any(|folder| Path::new(folder).join("vk_swiftshader_icd.json").is_file()),
+        Sign::SwiftShader => installed_browser::swiftshader_manifest().is_some(),
         Sign::Program(name) => {
             let path = std::env::var_os("PATH").unwrap_or_default();
             std::env::split_paths(&path).any(|folder| folder.join(name).is_file())

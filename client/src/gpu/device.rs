@@ -27,7 +27,7 @@ struct Faults {
 
 impl Faults {
     fn note(&mut self, fault: &str, is_loss: bool) {
-        let line = first_line(fault);
+        let line = one_line(fault);
         if is_loss {
             self.loss.get_or_insert_with(|| line.clone());
         }
@@ -85,7 +85,10 @@ pub fn instance(display: Option<Box<dyn wgpu::wgt::WgpuHasDisplayHandle>>) -> wg
 }
 
 impl Gpu {
-    /// Opens the best adapter that can present to `surface`, or the best adapter.
+    /// Opens the best adapter that can present to `surface`; without a surface the best of all.
+    ///
+    /// # Errors
+    /// There is no adapter, or its driver refuses.
     pub async fn open(
         instance: wgpu::Instance,
         surface: Option<&wgpu::Surface<'_>>,
@@ -94,6 +97,9 @@ impl Gpu {
     }
 
     /// [`Gpu::open`] with optional features for measurements; unsupported ones are left out.
+    ///
+    /// # Errors
+    /// As [`Gpu::open`].
     pub async fn open_with(
         instance: wgpu::Instance,
         surface: Option<&wgpu::Surface<'_>>,
@@ -107,11 +113,14 @@ impl Gpu {
         let adapter = instance
             .request_adapter(&options)
             .await
-            .map_err(|error| GpuError::NoAdapter(first_line(&error.to_string())))?;
+            .map_err(|error| GpuError::NoAdapter(one_line(&error.to_string())))?;
         Self::of_adapter(instance, adapter, optional).await
     }
 
     /// Opens an adapter of an instance, as [`Gpu::open_with`].
+    ///
+    /// # Errors
+    /// Its driver refuses.
     pub async fn of_adapter(
         instance: wgpu::Instance,
         adapter: wgpu::Adapter,
@@ -123,7 +132,7 @@ impl Gpu {
             ..Default::default()
         };
         let (device, queue) = adapter.request_device(&descriptor).await.map_err(|error| {
-            GpuError::NoDevice { adapter: adapter.get_info().name, cause: first_line(&error.to_string()) }
+            GpuError::NoDevice { adapter: adapter.get_info().name, cause: one_line(&error.to_string()) }
         })?;
 
         let faults = Arc::new(Mutex::new(Faults::default()));
@@ -193,6 +202,9 @@ impl Gpu {
     }
 
     /// Fails with the first fault since the device was opened: later results are invalid.
+    ///
+    /// # Errors
+    /// That fault.
     pub fn check(&self) -> Result<(), GpuError> {
         // Losses are reported by polls.
         let _ = self.device.poll(wgpu::PollType::Poll);
@@ -203,6 +215,9 @@ impl Gpu {
     }
 
     /// Blocks until everything submitted is done.
+    ///
+    /// # Errors
+    /// The GPU failed.
     pub fn wait(&self) -> Result<(), GpuError> {
         self.device
             .poll(wgpu::PollType::wait_indefinitely())
@@ -211,10 +226,10 @@ impl Gpu {
     }
 }
 
-/// A driver's message as one line.
-fn first_line(text: &str) -> String {
-    let stats = text.lines().map(str::trim).filter(|line| !line.is_empty() && *line != "Caused by:");
-    stats.take(4).collect::<Vec<_>>().join("; ")
+/// The first four lines of a driver's message as one.
+fn one_line(text: &str) -> String {
+    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && *line != "Caused by:");
+    lines.take(4).collect::<Vec<_>>().join("; ")
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ pub mod rebuild;
 pub mod surface;
 pub mod targets;
 pub mod timer;
+pub mod timestamps;
 
 pub use device::{Gpu, GpuError, instance};
 pub use offscreen::{Image, OffscreenTarget};

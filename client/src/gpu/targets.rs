@@ -51,6 +51,36 @@ impl Targets {
     pub fn hdr(&self) -> &wgpu::TextureView {
         self.resolved.as_ref().unwrap_or(&self.hdr_target)
     }
+
+    /// Begins the HDR pass with a cleared color and the farthest depth. Of several samples a pixel
+    /// the resolved color is kept, of one that one.
+    pub fn begin_hdr<'a>(
+        &self,
+        encoder: &'a mut wgpu::CommandEncoder,
+        clear: wgpu::Color,
+        timestamp_writes: Option<wgpu::RenderPassTimestampWrites<'_>>,
+    ) -> wgpu::RenderPass<'a> {
+        let store = if self.resolved.is_some() { wgpu::StoreOp::Discard } else { wgpu::StoreOp::Store };
+        encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("hdr"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: &self.hdr_target,
+                depth_slice: None,
+                resolve_target: self.resolved.as_ref(),
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(clear), store },
+            })],
+            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                view: &self.depth,
+                depth_ops: Some(wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(0.0),
+                    store: wgpu::StoreOp::Discard,
+                }),
+                stencil_ops: None,
+            }),
+            timestamp_writes,
+            ..Default::default()
+        })
+    }
 }
 
 /// An id buffer of at least 1 x 1 pixels.

@@ -3,6 +3,7 @@
 use super::pom_args::PomArgs;
 use super::post_args::PostArgs;
 use super::vegetation_args::VegetationArgs;
+use super::window_test_args::WindowTestArgs;
 use crate::camera::{Pose, Projection};
 use crate::features::terrain_clipmap::window::STANDARD_TEXELS;
 use crate::features::water::{WaterTier, WaveSettings};
@@ -216,6 +217,10 @@ pub struct Args {
     #[arg(long, value_name = "F", default_value_t = 1.0, allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.5, 4.0))]
     pub ui_scale: f64,
+
+    /// For tests of the window.
+    #[command(flatten)]
+    pub window_test: WindowTestArgs,
 }
 
 impl Args {

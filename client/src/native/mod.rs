@@ -14,6 +14,7 @@ pub mod screenshot;
 pub mod stream;
 pub mod textures;
 pub mod vegetation_args;
+pub mod window_test_args;
 
 use args::Args;
 

@@ -392,29 +392,8 @@ impl Renderer {
             Background::SkyAndSea | Background::Sky => wgpu::Color::BLACK,
         };
         {
-            // Multisampled color is resolved and discarded; a single-sample target is read by the
-            // tonemap pass.
-            let store =
-                if self.targets.resolved.is_some() { wgpu::StoreOp::Discard } else { wgpu::StoreOp::Store };
-            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                label: Some("hdr"),
-                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                    view: &self.targets.hdr_target,
-                    depth_slice: None,
-                    resolve_target: self.targets.resolved.as_ref(),
-                    ops: wgpu::Operations { load: wgpu::LoadOp::Clear(clear), store },
-                })],
-                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                    view: &self.targets.depth,
-                    depth_ops: Some(wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(0.0),
-                        store: wgpu::StoreOp::Discard,
-                    }),
-                    stencil_ops: None,
-                }),
-                timestamp_writes: self.timer.as_ref().map(|timer| timer.writes(TimedPass::Hdr)),
-                ..Default::default()
-            });
+            let times = self.timer.as_ref().map(|timer| timer.writes(TimedPass::Hdr));
+            let mut pass = self.targets.begin_hdr(encoder, clear, times);
             if let Some(scene) = &self.local {
                 scene.draw(&mut pass, &self.materials, &self.sky);
             } else {

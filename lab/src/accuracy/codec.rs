@@ -12,7 +12,7 @@ use protocol::{Delivery, Tolerance};
 use std::hint::black_box;
 use std::time::Instant;
 use terrain::constants::{UNITS_PER_METRE, VERTEX_COUNT};
-use terrain::{Chunk, ChunkKey, Land, Pyramid, WorldDigest};
+use terrain::{Chunk, ChunkKey, Land, WorldDigest};
 
 /// Times that each chunk is coded.
 const TURNS: u32 = 7;
@@ -29,9 +29,6 @@ const DELIVERIES: [(&str, &str); 4] =
 const DELIVERY: &str = "\
      bytes of a frame and the client's time to a verified chunk, one thread, by level of \
      detail: samples at both efforts, samples for clients with the parent (up to level 1), and seeds.";
-const PYRAMIDS: &str = "\
-     both pyramids of a level-0 chunk: rebuilt from the heights, or sent as differences to the \
-     first corner of each cell in a zstd 1 frame; the frame without them for scale.";
 
 /// # Errors
 /// A quantised height is farther off than its frame states, or a frame does not restore its chunk.
@@ -40,7 +37,6 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
     let world = land.digest();
     let tolerances = tolerances(&land, &world)?;
     let deliveries = deliveries(&land, &world)?;
-    let pyramids = pyramids(&land, &world);
     let points = |column: &str| tolerances.points("tolerance, m", column).into_iter().skip(1);
     let span = [Tolerance::FINEST.metres(), Tolerance::COARSEST.metres()];
     let x = log("tolerance, m");
@@ -65,7 +61,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
         by_effort("Decoding time against tolerance", "decode, ms per chunk", "decode, ms"),
         DELIVERIES.into_iter().fold(by_level, line),
     ];
-    let tables = vec![tolerances.into(), deliveries.into(), pyramids.into()];
+    let tables = vec![tolerances.into(), deliveries.into()];
     let title = "Codec of chunks: bytes, milliseconds and error (reference: the land's own integers)";
     Ok(Curve { name: "codec", title, tables, panels })
 }
@@ -201,38 +197,4 @@ fn deliveries(land: &Land, world: &WorldDigest) -> Result<Sheet<Delivered>> {
         sheet.column(format!("client ms, {name}"), |row| row.by_delivery[delivery][1]);
     }
     Ok(sheet)
-}
-
-/// Cost of sending the pyramids instead of rebuilding them. Every base texel follows from four
-/// heights, so any byte of them is redundant.
-fn pyramids(land: &Land, world: &WorldDigest) -> Sheet<[f64; 4]> {
-    let chunks = chunks(land, 0);
-    let content = |chunk: &Chunk| -> Vec<u8> {
-        let texels = |pyramid: &Pyramid| -> Vec<u8> {
-            let corner = |index: usize| chunk.vertex(index % 64, index / 64);
-            let differences =
-                pyramid.level(0).iter().enumerate().map(|(index, texel)| texel.abs_diff(corner(index)));
-            let words: Vec<u32> = differences.collect();
-            (0..2)
-                .flat_map(|plane| {
-                    words.iter().map(move |word| (word >> (8 * plane)) as u8).collect::<Vec<_>>()
-                })
-                .collect()
-        };
-        [texels(&chunk.max_pyramid), texels(&chunk.min_pyramid)].concat()
-    };
-    let sent: Vec<_> =
-        chunks.iter().map(|chunk| zstd::bulk::compress(&content(chunk), 1).unwrap_or_default()).collect();
-    let frames: Vec<_> = chunks.iter().map(|chunk| chunk_codec::encode(chunk, world)).collect();
-    let rebuild =
-        |_: usize, chunk: &Chunk| (Pyramid::of_maxima(&chunk.heights), Pyramid::of_minima(&chunk.heights));
-    let room = content(&chunks[0]).len();
-    let read = |index: usize, _: &Chunk| zstd::bulk::decompress(&sent[index], room);
-    let row = [milliseconds(&chunks, rebuild), milliseconds(&chunks, read), bytes(&sent), bytes(&frames)];
-    let mut sheet = Sheet::new("codec_pyramids", PYRAMIDS, vec![row]);
-    sheet.column("rebuild, ms", |row| row[0]);
-    sheet.column("read, ms", |row| row[1]);
-    sheet.column("bytes sent", |row| row[2]);
-    sheet.column("bytes of the frame", |row| row[3]);
-    sheet
 }

@@ -16,6 +16,7 @@ use client::features::vegetation::{Cull, VegetationSettings};
 use client::frame::FrameData;
 use client::gpu::buffer::create_buffer;
 use client::gpu::targets::Targets;
+use client::gpu::timestamps::{Ticks, Timestamps};
 use client::gpu::{self, Gpu};
 use serde::Serialize;
 use std::time::Instant;
@@ -158,7 +159,7 @@ struct Bench {
     trees: TreeCells,
     vegetation: VegetationRenderer,
     targets: Targets,
-    clock: Option<Clock>,
+    clock: Option<Timestamps>,
 }
 
 impl Bench {
@@ -173,7 +174,7 @@ impl Bench {
             trees: TreeCells::new(device),
             vegetation: VegetationRenderer::new(device),
             targets: Targets::new(device, size, SAMPLES),
-            clock: Clock::new(device),
+            clock: Timestamps::new(device, "times of plants", TIMESTAMPS),
             gpu,
         })
     }
@@ -216,7 +217,8 @@ impl Bench {
             let taken_ms = begun.elapsed().as_secs_f64() * 1e3;
             if index > 0 {
                 program.push(taken_ms);
-                passes.extend(self.clock.as_ref().map(|clock| clock.read(&self.gpu)).transpose()?);
+                let ticks = self.clock.as_ref().map(|clock| clock.read(&self.gpu)).transpose()?;
+                passes.extend(ticks.as_ref().map(passes_of));
             }
         }
         let passes = (!passes.is_empty()).then(|| {
@@ -249,32 +251,12 @@ impl Bench {
             clock.mark(&mut encoder, CULL_END);
         }
         {
-            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                label: Some("plants"),
-                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                    view: &self.targets.hdr_target,
-                    depth_slice: None,
-                    resolve_target: self.targets.resolved.as_ref(),
-                    ops: wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(wgpu::Color::BLACK),
-                        store: wgpu::StoreOp::Discard,
-                    },
-                })],
-                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                    view: &self.targets.depth,
-                    depth_ops: Some(wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(0.0),
-                        store: wgpu::StoreOp::Discard,
-                    }),
-                    stencil_ops: None,
-                }),
-                timestamp_writes: self.clock.as_ref().map(Clock::drawing),
-                ..Default::default()
-            });
+            let times = self.clock.as_ref().map(|clock| clock.writes(DRAW_BEGIN));
+            let mut pass = self.targets.begin_hdr(&mut encoder, wgpu::Color::BLACK, times);
             self.vegetation.draw(&mut pass);
         }
         if let Some(clock) = &self.clock {
-            encoder.resolve_query_set(&clock.queries, 0..TIMESTAMPS, &clock.resolved, 0);
+            clock.resolve(&mut encoder);
         }
         self.gpu.queue.submit([encoder.finish()]);
         Ok(self.gpu.wait()?)
@@ -287,65 +269,14 @@ const CULL_END: u32 = 1;
 const DRAW_BEGIN: u32 = 2;
 const DRAW_END: u32 = 3;
 const TIMESTAMPS: u32 = 4;
-const BYTES: u64 = TIMESTAMPS as u64 * 8;
 
-/// Timestamp queries of a frame.
-struct Clock {
-    queries: wgpu::QuerySet,
-    resolved: wgpu::Buffer,
-}
-
-impl Clock {
-    /// A clock, if the device has timestamp queries.
-    fn new(device: &wgpu::Device) -> Option<Self> {
-        device.features().contains(wgpu::Features::TIMESTAMP_QUERY).then(|| Self {
-            queries: device.create_query_set(&wgpu::QuerySetDescriptor {
-                label: Some("times of plants"),
-                ty: wgpu::QueryType::Timestamp,
-                count: TIMESTAMPS,
-            }),
-            resolved: create_buffer(device, "times of plants", BYTES, Usage::QUERY_RESOLVE | Usage::COPY_SRC),
-        })
-    }
-
-    /// Records a timestamp after all earlier passes: an empty pass, because portable WebGPU has no
-    /// timestamps outside of passes.
-    fn mark(&self, encoder: &mut wgpu::CommandEncoder, index: u32) {
-        drop(encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some("timestamp"),
-            timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
-                query_set: &self.queries,
-                beginning_of_pass_write_index: Some(index),
-                end_of_pass_write_index: None,
-            }),
-        }));
-    }
-
-    fn drawing(&self) -> wgpu::RenderPassTimestampWrites<'_> {
-        wgpu::RenderPassTimestampWrites {
-            query_set: &self.queries,
-            beginning_of_pass_write_index: Some(DRAW_BEGIN),
-            end_of_pass_write_index: Some(DRAW_END),
-        }
-    }
-
-    /// The times of the last submitted frame.
-    fn read(&self, gpu: &Gpu) -> Result<Passes> {
-        let bytes = gpu.read_buffer(&self.resolved, 0..BYTES)?;
-        let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&bytes);
-        Ok(passes_of(&ticks, f64::from(gpu.queue.get_timestamp_period())))
-    }
-}
-
-/// Times between timestamps of a period in nanoseconds.
-fn passes_of(ticks: &[u64], period_ns: f64) -> Passes {
-    // Saturates: a counter that was reset between two timestamps gives 0.
-    let between =
-        |from: u32, to: u32| ticks[to as usize].saturating_sub(ticks[from as usize]) as f64 * period_ns / 1e6;
+/// Times between the timestamps of a frame.
+fn passes_of(ticks: &Ticks) -> Passes {
+    let between_ms = |from, to| ticks.between_ns(from, to) / 1e6;
     Passes {
-        cull_ms: between(CULL_BEGIN, CULL_END),
-        draw_ms: between(DRAW_BEGIN, DRAW_END),
-        whole_ms: between(CULL_BEGIN, DRAW_END),
+        cull_ms: between_ms(CULL_BEGIN, CULL_END),
+        draw_ms: between_ms(DRAW_BEGIN, DRAW_END),
+        whole_ms: between_ms(CULL_BEGIN, DRAW_END),
     }
 }
 
@@ -377,9 +308,9 @@ mod tests {
 
     #[test]
     fn times_are_between_the_timestamps_of_each_pass() {
-        let passes = passes_of(&[1_000_000, 3_000_000, 3_500_000, 7_500_000], 2.0);
+        let passes = passes_of(&Ticks::new(vec![1_000_000, 3_000_000, 3_500_000, 7_500_000], 2.0));
         assert_eq!((passes.cull_ms, passes.draw_ms, passes.whole_ms), (4.0, 8.0, 13.0));
-        let reset = passes_of(&[9_000_000, 1, 2, 3], 1.0);
+        let reset = passes_of(&Ticks::new(vec![9_000_000, 1, 2, 3], 1.0));
         assert_eq!(reset.whole_ms, 0.0, "a clock that was reset gives no time");
     }
 }

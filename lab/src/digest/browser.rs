@@ -10,14 +10,10 @@ use shaders::Shader;
 use shaders::layout::{FILL_WORKGROUP, PROBE_WORDS, World};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use terrain::Land;
-
-/// Names under which it is installed.
-const PROGRAMS: [&str; 5] =
-    ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome"];
 
 /// A browser starts within seconds and computes all probes in a few more.
 const TIME_LIMIT: Duration = Duration::from_secs(120);
@@ -42,13 +38,6 @@ pub enum Outcome {
     },
     /// The browser has no WebGPU here.
     NoWebGpu(String),
-}
-
-/// The browser, where one is installed.
-pub fn program() -> Option<PathBuf> {
-    let path = std::env::var_os("PATH")?;
-    let folders: Vec<PathBuf> = std::env::split_paths(&path).collect();
-    PROGRAMS.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name))).find(|p| p.is_file())
 }
 
 /// Runs a pass over all probes in a browser.

@@ -165,7 +165,7 @@ impl Bench {
     fn swiftshader(&self) -> AdapterResults {
         const NAME: &str = "naga -> SwiftShader (vulkan)";
         let alone = |backend| AdapterResults { backends: vec![backend], control: None };
-        let Some(manifest) = swiftshader::manifest() else {
+        let Some(manifest) = installed_browser::swiftshader_manifest() else {
             return alone(Backend::skipped(NAME, "not installed; it comes with Chromium"));
         };
         let began = Instant::now();
@@ -176,7 +176,7 @@ impl Bench {
 
     fn browser(&self) -> Backend {
         const NAME: &str = "Tint -> SwiftShader (Chromium)";
-        let Some(program) = browser::program() else {
+        let Some(program) = installed_browser::chromium() else {
             return Backend::skipped(NAME, "Chromium is not installed");
         };
         let began = Instant::now();

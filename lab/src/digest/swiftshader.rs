@@ -7,30 +7,12 @@ use crate::digest::child::ChildGuard;
 use crate::digest::report::AdapterResults;
 use anyhow::{Context, Result, bail};
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Folders in which browsers install it.
-const FOLDERS: [&str; 8] = [
-    "/usr/lib/chromium",
-    "/usr/lib/chromium-browser",
-    "/usr/lib64/chromium-browser",
-    "/opt/google/chrome",
-    "/opt/chromium",
-    "/usr/share/vulkan/icd.d",
-    "/usr/local/share/vulkan/icd.d",
-    "/Applications/Google Chrome.app/Contents/Frameworks",
-];
-const MANIFEST: &str = "vk_swiftshader_icd.json";
-
 /// All probes take a few seconds.
 const TIME_LIMIT: Duration = Duration::from_secs(180);
-
-/// Its manifest, where one is installed.
-pub fn manifest() -> Option<PathBuf> {
-    FOLDERS.iter().map(|folder| Path::new(folder).join(MANIFEST)).find(|path| path.exists())
-}
 
 /// Results of a child of this program that runs with that manifest.
 ///

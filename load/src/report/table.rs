@@ -14,25 +14,35 @@ fn rate(count: f64, seconds: f64) -> f64 {
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let megabytes = self.bytes as f64 / 1e6;
+        let megabytes = self.counts.bytes as f64 / 1e6;
         let LatencyMs { p50, p90, p99, p999, max } = self.latency_ms;
         let pace = match self.rate {
             Some(rate) if self.mode == "view" => format!("open loop, {rate} poses a second"),
             Some(rate) => format!("open loop, {rate} requests a second"),
             None => "closed loop".into(),
         };
-        let requests = match self.unsent {
-            0 => format!("{} ({} unanswered)", self.requests, self.unanswered),
-            unsent => format!("{} ({} unanswered), {unsent} more never sent", self.requests, self.unanswered),
+        let requests = match self.counts.unsent {
+            0 => format!("{} ({} unanswered)", self.counts.requests, self.counts.unanswered),
+            unsent => format!(
+                "{} ({} unanswered), {unsent} more never sent",
+                self.counts.requests, self.counts.unanswered
+            ),
         };
         let mut rows = vec![
             ("clients", format!("{} for {:.1} s", self.clients, self.seconds)),
             ("load", format!("{} mode, path {}, {pace}", self.mode, self.path)),
             ("delivery", self.delivery.to_owned()),
-            ("chunks", format!("{} ({:.0} a second)", self.chunks, rate(self.chunks as f64, self.seconds))),
+            (
+                "chunks",
+                format!(
+                    "{} ({:.0} a second)",
+                    self.counts.chunks,
+                    rate(self.counts.chunks as f64, self.seconds)
+                ),
+            ),
             ("data", format!("{megabytes:.1} MB ({:.2} MB/s)", rate(megabytes, self.seconds))),
             ("views settled", self.views_settled.to_string()),
-            ("unchanged", self.not_modified.to_string()),
+            ("unchanged", self.counts.not_modified.to_string()),
             ("requests", requests),
             ("latency", format!("{}, in ms", self.measures)),
             ("latency p50", format!("{} ms", ms(p50))),
@@ -44,10 +54,10 @@ impl fmt::Display for Report {
             ("settle p50", format!("{} ms", ms(self.settle_ms.p50))),
             ("settle p99", format!("{} ms", ms(self.settle_ms.p99))),
             ("regenerated", self.regenerated.to_string()),
-            ("refused", self.refused.to_string()),
-            ("dropped", self.dropped.to_string()),
+            ("refused", self.counts.refused.to_string()),
+            ("dropped", self.counts.dropped.to_string()),
             ("resumed", resumed(&self.resume)),
-            ("mismatches", self.mismatches.to_string()),
+            ("mismatches", self.counts.mismatches.to_string()),
             ("world", self.world_changed.clone().unwrap_or_default()),
         ];
         // Rows that a mode does not have are left out.
@@ -96,7 +106,7 @@ fn phases(phases: &[PhaseReport], f: &mut fmt::Formatter<'_>) -> fmt::Result {
     for phase in phases {
         let LatencyMs { p50, p90, p99, p999, max } = phase.latency_ms;
         let [p50, p90, p99, p999, max] = [p50, p90, p99, p999, max].map(ms);
-        let (chunks, megabytes) = (phase.chunks as f64, phase.bytes as f64 / 1e6);
+        let (chunks, megabytes) = (phase.counts.chunks as f64, phase.counts.bytes as f64 / 1e6);
         writeln!(
             f,
             "{:<14} {:>8.1} {:>10.0} {:>9.2} {p50:>9} {p90:>9} {p99:>9} {p999:>9} {max:>9}",

@@ -19,6 +19,25 @@ pub struct Args {
     /// Another job than to serve.
     #[command(subcommand)]
     pub command: Option<Command>,
+    /// What the configuration file can set too.
+    #[command(flatten)]
+    pub options: Options,
+    /// TOML file with any of the options above, named as here without the dashes
+    #[arg(long, value_name = "FILE", env = "TOMBOLO_CONFIG")]
+    pub config: Option<PathBuf>,
+    /// Former name of --rate-limit-ms.
+    #[arg(long, value_name = "MS", env = "TOMBOLO_COST_PER_SECOND", hide = true)]
+    pub cost_per_second: Option<u64>,
+    /// For measurements only: the mechanism against overload that is turned off. Neither in the
+    /// environment nor in the file.
+    #[arg(long, value_name = "NAME", value_enum, hide = true)]
+    pub measure_without: Option<Mechanism>,
+}
+
+/// Options of the command line, the environment and the configuration file. All may be absent.
+#[derive(Clone, Debug, Default, clap::Args, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields, default)]
+pub struct Options {
     /// Address and port to listen on; port 0 picks a free one and prints it. Beyond the loopback it
     /// needs --tls-cert, --trusted-proxy or --insecure [default: 127.0.0.1:7580]
     #[arg(long, value_name = "ADDR", env = "TOMBOLO_LISTEN")]
@@ -26,9 +45,6 @@ pub struct Args {
     /// Seed of the world, 0 to 18446744073709551615 [default: 1]
     #[arg(long, value_name = "N", env = "TOMBOLO_WORLD_SEED", value_parser = world_seed)]
     pub world_seed: Option<u64>,
-    /// TOML file with any of these options, named as here without the dashes
-    #[arg(long, value_name = "FILE", env = "TOMBOLO_CONFIG")]
-    pub config: Option<PathBuf>,
     /// Threads that generate chunks, 1 to 1024 [default: one per core]
     #[arg(long, value_name = "N", env = "TOMBOLO_THREADS")]
     pub threads: Option<usize>,
@@ -93,18 +109,12 @@ pub struct Args {
     /// Rate limit per IPv4 address or IPv6 /64 network: milliseconds of work (chunks generated,
     /// bytes sent) per second, 1 to 1000000; 1000 is one thread [default: no limit]
     #[arg(long, value_name = "MS", env = "TOMBOLO_RATE_LIMIT_MS")]
+    #[serde(alias = "cost-per-second")]
     pub rate_limit_ms: Option<u64>,
-    /// Former name of --rate-limit-ms.
-    #[arg(long, value_name = "MS", env = "TOMBOLO_COST_PER_SECOND", hide = true)]
-    pub cost_per_second: Option<u64>,
     /// Longest wait of a requested chunk for its generation in milliseconds, 10 to 60000; a request
     /// that would wait longer is rejected as overloaded [default: 500]
     #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS")]
     pub deadline_ms: Option<u64>,
-    /// For measurements only: the mechanism against overload that is turned off. Neither in the
-    /// environment nor in the file.
-    #[arg(long, value_name = "NAME", value_enum, hide = true)]
-    pub measure_without: Option<Mechanism>,
     /// Log filter: off, error, warn, info, debug, trace, or per module as in `info,server=debug`
     /// [default: info]
     #[arg(long, value_name = "FILTER", env = "TOMBOLO_LOG")]
@@ -119,40 +129,6 @@ pub struct Args {
 pub enum Command {
     /// Makes all chunks of a region and puts them into a store, from which servers then read them
     Bake(BakeArgs),
-}
-
-/// The configuration file: the same options, all optional.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub(super) struct File {
-    pub listen: Option<String>,
-    pub world_seed: Option<u64>,
-    pub threads: Option<usize>,
-    pub cache_mb: Option<u64>,
-    pub disk_cache: Option<PathBuf>,
-    pub disk_mb: Option<u64>,
-    pub store: Option<String>,
-    pub store_wait_ms: Option<u64>,
-    pub insecure: Option<bool>,
-    pub tls_cert: Option<PathBuf>,
-    pub tls_key: Option<PathBuf>,
-    #[serde(default)]
-    pub allowed_host: Vec<String>,
-    #[serde(default)]
-    pub allowed_origin: Vec<String>,
-    #[serde(default)]
-    pub trusted_proxy: Vec<String>,
-    pub proxy_header: Option<ProxyHeader>,
-    pub token_file: Option<PathBuf>,
-    #[serde(default)]
-    pub protect: Vec<ProtectedRoute>,
-    pub max_sessions: Option<usize>,
-    pub max_sessions_per_address: Option<usize>,
-    #[serde(alias = "cost-per-second")]
-    pub rate_limit_ms: Option<u64>,
-    pub deadline_ms: Option<u64>,
-    pub log: Option<String>,
-    pub log_json: Option<bool>,
 }
 
 /// A seed from its text. The error names what is allowed; clap adds option and value.

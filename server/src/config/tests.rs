@@ -23,7 +23,11 @@ fn the_defaults_are_the_documented_ones() {
 #[test]
 fn a_flag_overrides_the_file_and_the_file_the_default() {
     let file = "world-seed = 7\ncache-mb = 64\nlog-json = true\n";
-    let config = with_file(file, Args { world_seed: Some(9), ..Args::default() }).unwrap();
+    let config = with_file(
+        file,
+        Args { options: Options { world_seed: Some(9), ..Options::default() }, ..Args::default() },
+    )
+    .unwrap();
     assert_eq!((config.world_seed, config.cache_bytes, config.log_json), (9, 64 << 20, true));
 }
 

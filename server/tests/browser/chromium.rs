@@ -13,10 +13,6 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 
-/// Program names.
-const PROGRAMS: [&str; 5] =
-    ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome"];
-
 /// Message without a browser.
 pub const MISSING: &str =
     "no Chromium is on the path, so the page is not tested in a browser; install `chromium`";
@@ -26,13 +22,6 @@ const TIMEOUT: Duration = Duration::from_secs(90);
 
 /// Polling interval of the page.
 const LOOK: Duration = Duration::from_millis(50);
-
-/// Path of the installed browser, if any.
-pub fn program() -> Option<PathBuf> {
-    let path = std::env::var_os("PATH")?;
-    let folders: Vec<PathBuf> = std::env::split_paths(&path).collect();
-    PROGRAMS.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name))).find(|p| p.is_file())
-}
 
 /// A browser process with its own profile; killed and cleaned up on drop.
 pub struct Browser {
@@ -48,7 +37,7 @@ impl Browser {
         // A short name: paths of sockets are limited to about a hundred bytes.
         let profile = std::env::temp_dir().join(format!("tombolo-page-{}-{number}", std::process::id()));
         std::fs::create_dir_all(&profile).unwrap();
-        let mut child = Command::new(program().expect(MISSING))
+        let mut child = Command::new(installed_browser::chromium().expect(MISSING))
             // The sandbox needs privileges that containers lack; only trusted pages are opened.
             .args([
                 "--headless=new",

@@ -22,14 +22,14 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     let arguments = Arguments::from_args();
-    let is_missing = chromium::program().is_none();
+    let is_missing = installed_browser::chromium().is_none();
     let is_required = std::env::var_os("TOMBOLO_REQUIRE_BROWSER").is_some();
     if is_missing {
         eprintln!("NOT TESTED: {}", chromium::MISSING);
     }
     let trial = |name: &str, test: fn(&tokio::runtime::Runtime) -> Result<(), Failed>| {
         let run = move || {
-            if chromium::program().is_none() {
+            if installed_browser::chromium().is_none() {
                 return Err(chromium::MISSING.into());
             }
             test(&tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?)

@@ -25,6 +25,8 @@ pub enum Tool {
     Vulkan,
     /// An OpenGL driver.
     OpenGl,
+    /// The X server without a screen that windows are opened on.
+    Xvfb,
     /// The browser.
     Chromium,
     /// The Vulkan driver that comes with Chromium.
@@ -53,13 +55,14 @@ pub enum Tool {
 
 impl Tool {
     /// All of them.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::Rustfmt,
         Self::Clippy,
         Self::Nextest,
         Self::Deny,
         Self::Vulkan,
         Self::OpenGl,
+        Self::Xvfb,
         Self::Chromium,
         Self::SwiftShader,
         Self::Tint,
@@ -83,6 +86,7 @@ impl Tool {
             Self::Deny => "cargo-deny",
             Self::Vulkan => "vulkan",
             Self::OpenGl => "opengl",
+            Self::Xvfb => "xvfb",
             Self::Chromium => "chromium",
             Self::SwiftShader => "swiftshader",
             Self::Tint => "tint",
@@ -145,25 +149,17 @@ impl Here {
         Self { path: std::env::var_os("PATH").unwrap_or_default() }
     }
 
-    /// The first of these programs.
-    fn program(&self, names: &[&str]) -> Option<PathBuf> {
-        let folders: Vec<_> = std::env::split_paths(&self.path).collect();
-        names
-            .iter()
-            .flat_map(|name| folders.iter().map(move |folder| folder.join(name)))
-            .find(|p| p.is_file())
+    fn program(&self, name: &str) -> Option<PathBuf> {
+        std::env::split_paths(&self.path).map(|folder| folder.join(name)).find(|path| path.is_file())
     }
 
-    fn lacks_program(&self, names: &[&str], package: &str) -> Option<String> {
-        if self.program(names).is_some() {
-            return None;
-        }
-        Some(format!("not on PATH; on Debian or Ubuntu install `{package}`"))
+    fn lacks_program(&self, name: &str, package: &str) -> Option<String> {
+        self.program(name).is_none().then(|| not_on_path(package))
     }
 
     /// Debian's package `tint` is a game, so the name alone proves nothing.
     fn lacks_tint(&self) -> Option<String> {
-        let Some(program) = self.program(&["tint"]) else {
+        let Some(program) = self.program("tint") else {
             return Some(
                 "not on PATH; no distribution has it, build it from https://dawn.googlesource.com/dawn"
                     .into(),
@@ -197,6 +193,11 @@ fn has_fast_simd() -> bool {
     builds.any(|build| build.path().join("out/build/_deps/fastsimd-src/CMakeLists.txt").is_file())
 }
 
+/// Why a program of a Debian package is missing.
+fn not_on_path(package: &str) -> String {
+    format!("not on PATH; on Debian or Ubuntu install `{package}`")
+}
+
 /// Whether a command succeeds, with nothing shown.
 fn answers(command: &mut Command) -> bool {
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -222,10 +223,10 @@ impl Host for Here {
                 (!setup::has_vulkan_driver()).then(|| "no driver; install `mesa-vulkan-drivers`".into())
             }
             Tool::OpenGl => (!setup::has_egl()).then(|| "no driver; install `libegl1`".into()),
-            Tool::Chromium => self.lacks_program(
-                &["chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome"],
-                "chromium",
-            ),
+            Tool::Xvfb => self.lacks_program("Xvfb", "xvfb"),
+            Tool::Chromium => {
+                installed_browser::chromium_on(&self.path).is_none().then(|| not_on_path("chromium"))
+            }
             Tool::SwiftShader => (!setup::has_swiftshader()).then(|| "it comes with `chromium`".into()),
             Tool::Tint => self.lacks_tint(),
             Tool::WasmTarget => {
@@ -233,10 +234,10 @@ impl Host for Here {
                 add.args(["target", "add", "wasm32-unknown-unknown"]);
                 process::output(add).err().map(|why| format!("not installed and cannot be: {why:#}"))
             }
-            Tool::Node => self.lacks_program(&["node"], "nodejs"),
+            Tool::Node => self.lacks_program("node", "nodejs"),
             Tool::Clang => clang_on(&self.path).is_none().then(|| "not on PATH; install `clang-19`".into()),
             Tool::Cmake => {
-                self.lacks_program(&["cmake"], "cmake").or_else(|| self.lacks_program(&["make"], "make"))
+                self.lacks_program("cmake", "cmake").or_else(|| self.lacks_program("make", "make"))
             }
             Tool::FastSimd => {
                 let mut ask = Command::new("git");
@@ -247,8 +248,8 @@ impl Host for Here {
             }
             Tool::Libclang => (!setup::has_libclang()).then(|| "not found; install `libclang-dev`".into()),
             Tool::History => land_version_3::lacks(),
-            Tool::Nginx => self.lacks_program(&["nginx"], "nginx-light"),
-            Tool::Promtool => self.lacks_program(&["promtool"], "prometheus"),
+            Tool::Nginx => self.lacks_program("nginx", "nginx-light"),
+            Tool::Promtool => self.lacks_program("promtool", "prometheus"),
         }
     }
 

@@ -53,6 +53,7 @@ fn tools_of(command: &Command) -> Vec<Tool> {
     add(first == "nextest", &[Tool::Nextest]);
     add(first == "deny", &[Tool::Deny]);
     add(has_env("TOMBOLO_REQUIRE_GPU"), &[Tool::Vulkan]);
+    add(has_env("TOMBOLO_REQUIRE_DISPLAY"), &[Tool::Xvfb]);
     add(has_env("TOMBOLO_REQUIRE_BROWSER"), &[Tool::Chromium]);
     add(words.iter().any(|word| word == "wasm32-unknown-unknown"), &[Tool::WasmTarget]);
     add(is_in("noise-comparison") && first != "fmt", &[Tool::Clang, Tool::Cmake, Tool::FastSimd]);

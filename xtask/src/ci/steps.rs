@@ -86,7 +86,8 @@ pub const ALL: [Step; 16] = [
     Step {
         name: "tests",
         about: "every test",
-        again: "TOMBOLO_REQUIRE_GPU=1 TOMBOLO_REQUIRE_BROWSER=1 cargo nextest run --workspace",
+        again: "TOMBOLO_REQUIRE_GPU=1 TOMBOLO_REQUIRE_DISPLAY=1 TOMBOLO_REQUIRE_BROWSER=1 \
+                cargo nextest run --workspace",
         action: tests,
     },
     Step {
@@ -170,13 +171,19 @@ fn tests(host: &dyn Host) -> Result<Shown> {
     let mut tests = process::cargo("nextest run --workspace");
     // Setup has installed a software driver, so pictures that are not drawn are a failure.
     tests.env("TOMBOLO_REQUIRE_GPU", "1");
-    let lacks_browser = host.lacks(Tool::Chromium);
-    if lacks_browser.is_none() {
-        tests.env("TOMBOLO_REQUIRE_BROWSER", "1");
+    let mut parts = Vec::new();
+    for (part, tool, variable) in [
+        ("window on a display", Tool::Xvfb, "TOMBOLO_REQUIRE_DISPLAY"),
+        ("page in a browser", Tool::Chromium, "TOMBOLO_REQUIRE_BROWSER"),
+    ] {
+        let lacks = host.lacks(tool);
+        if lacks.is_none() {
+            tests.env(variable, "1");
+        }
+        parts.push((part.into(), lacks.map_or(Outcome::Passed, |why| skipped(tool, why))));
     }
     host.run(tests)?;
-    let page = lacks_browser.map_or(Outcome::Passed, |why| skipped(Tool::Chromium, why));
-    Ok(Shown { outcome: Outcome::Passed, parts: vec![("page in a browser".into(), page)] })
+    Ok(Shown { outcome: Outcome::Passed, parts })
 }
 
 /// The shaders' own tests once more by themselves: naga always, Tint where it is installed. Which

@@ -4,12 +4,12 @@
 //! Machines with a GPU are borrowed for minutes and may have no toolchain and no network. The
 //! bundle holds stripped programs, a script, and this program for the bars.
 
-use crate::measure;
+mod record;
+
+pub use record::write as record;
+
 use crate::{machine, process};
 use anyhow::{Context, Result, bail};
-use bars::Bar;
-use serde_json::Value;
-use std::fmt::Write;
 use std::path::Path;
 
 /// Programs in the bundle.
@@ -70,55 +70,4 @@ fn make_executable(path: &Path) -> Result<()> {
 #[cfg(not(unix))]
 fn make_executable(_: &Path) -> Result<()> {
     bail!("gpu-bundle: bundles are made on Linux")
-}
-
-/// Writes `record.md` into a folder that `run.sh` filled.
-///
-/// # Errors
-/// The folder cannot be read or written, or a bar was missed.
-pub fn record(folder: &Path) -> Result<()> {
-    let json = |name: &str| -> Value {
-        let text = std::fs::read_to_string(folder.join(name).with_extension("json")).unwrap_or_default();
-        serde_json::from_str(&text).unwrap_or(Value::Null)
-    };
-    let rows = measure::gpu_rows(&json("digest"), &json("lod"), &json("pom"), &json("culling"));
-    let steps = std::fs::read_to_string(folder.join("steps.tsv")).unwrap_or_default();
-    let commit = std::env::current_exe()
-        .ok()
-        .and_then(|program| std::fs::read_to_string(program.parent()?.parent()?.join("commit")).ok())
-        .unwrap_or_else(|| "unknown".into());
-    let page = page(&rows, &steps, commit.trim(), &machine::Machine::here());
-    let path = folder.join("record.md");
-    std::fs::write(&path, page).with_context(|| format!("cannot write {}", path.display()))?;
-    measure::judge(&rows, &path)
-}
-
-fn page(rows: &[Bar], steps: &str, commit: &str, machine: &machine::Machine) -> String {
-    let mut page = String::from("# GPU bundle\n\n");
-    // Writing to a string cannot fail.
-    let _ = writeln!(page, "Commit {commit}; {}, {} cores; {}.\n", machine.cpu, machine.cores, machine.os);
-    page.push_str("| step | exit code | seconds |\n| --- | --- | --- |\n");
-    for line in steps.lines() {
-        let _ = writeln!(page, "| {} |", line.replace('\t', " | "));
-    }
-    let _ = write!(page, "\n{}", bars::markdown(rows));
-    page
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_folder_without_reports_misses_every_bar_and_says_so() {
-        let folder = std::env::temp_dir().join(format!("tombolo-gpu-record-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        std::fs::write(folder.join("steps.tsv"), "digest\t1\t3\n").unwrap();
-        let error = record(&folder).unwrap_err().to_string();
-        let page = std::fs::read_to_string(folder.join("record.md")).unwrap();
-        std::fs::remove_dir_all(&folder).unwrap();
-        assert!(error.contains("missed"), "{error}");
-        assert!(page.contains("| digest | 1 | 3 |") && page.contains("MISSED"), "{page}");
-        assert!(!page.contains("| ok |"), "{page}");
-    }
 }

@@ -63,16 +63,20 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
 
 /// Every figure beside its bar.
 fn bars_of(starts: &[Value], digest: &Value, timings: &Value) -> Vec<Bar> {
-    let (gpu, cpu) = (at(timings, "gpu/chunks_per_second"), at(timings, "cpu/chunks_per_second"));
     let ratios = RATIOS.map(|(what, key, limit)| Bar::new(what, median(medians(starts, key)), "x", limit));
     let mut rows = Vec::from(ratios);
-    rows.extend([
-        Bar::none("starts in which a control failed", failed_controls(starts)),
-        twins(digest),
+    rows.extend([Bar::none("starts in which a control failed", failed_controls(starts)), twins(digest)]);
+    rows.extend(rates(timings));
+    rows
+}
+
+/// The rows of chunks a second.
+pub fn rates(timings: &Value) -> [Bar; 2] {
+    let (gpu, cpu) = (at(timings, "gpu/chunks_per_second"), at(timings, "cpu/chunks_per_second"));
+    [
         Bar::reported("GPU twin: chunks per second", gpu, ""),
         Bar::reported("GPU twin: chunks per second of the CPU's", ratio(gpu, cpu), "x"),
-    ]);
-    rows
+    ]
 }
 
 /// A figure of every start.

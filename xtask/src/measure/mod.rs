@@ -6,7 +6,7 @@ mod cluster;
 mod code;
 mod end_to_end;
 mod fuzz;
-mod heightfield;
+pub mod heightfield;
 mod land;
 mod record;
 mod resilience;
@@ -20,7 +20,7 @@ use anyhow::{Context, Result, bail};
 use bars::Bar;
 use record::Heading;
 use run::Run;
-use serde_json::Value;
+pub use run::rows as rows_of;
 use std::path::Path;
 
 /// A measurement: the programs that it builds, and the rows that it makes with them.
@@ -99,17 +99,6 @@ pub fn run(name: &str) -> Result<()> {
     let heading = Heading { name, adapter: run.adapter.as_deref(), notes: &run.notes };
     let path = record::write(&heading, &rows).context("measure")?;
     judge(&rows, &path)
-}
-
-/// The rows of a GPU bundle: those of every report that judge what a GPU computes, by their names.
-pub fn gpu_rows(digest: &Value, lod: &Value, pom: &Value, culling: &Value) -> Vec<Bar> {
-    let mut rows = vec![heightfield::twins(digest)];
-    for (name, report) in [("lod", lod), ("pom", pom), ("culling", culling)] {
-        let all = run::rows(name, report);
-        let is_whole = all.len() > 1;
-        rows.extend(all.into_iter().filter(|row| !is_whole || name == "pom" || row.name.contains("GPU")));
-    }
-    rows
 }
 
 /// Prints the rows and where they were recorded.

@@ -35,6 +35,7 @@ impl Hash for Ours {
     }
 }
 
+/// `terrain::hash::mix` on vectors.
 #[inline(always)]
 fn mix(h: I8) -> I8 {
     let h = (h ^ h.shr::<16>()) * I8::splat(0x21f0_aaad);

@@ -172,7 +172,8 @@ fn vertices<H: Hash, const FINE: usize>(node: Node, columns: &Axes, rows: &Axes)
     (height * F8::splat(UNITS_PER_METRE as f32)).to_integers()
 }
 
-/// Flattens land within 8 m of the sea; vectors without such land skip it.
+/// Flattens land within 8 m of the sea by the polynomial `r (0.2 + 1.6 r^2 - 0.8 r^4)` of
+/// docs/heightfield.md; vectors without such land skip it.
 #[inline(always)]
 fn beach(raw: F8) -> F8 {
     let (distance, edge) = (raw.abs(), 8.0);
