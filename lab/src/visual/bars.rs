@@ -193,7 +193,8 @@ mod tests {
             "floor": { "pixels": 1000, "wrong": 1, "control": 50 },
             "impostors": { "flip": 0.04, "picture": 0.01, "moved": 0.02, "smooth": 0.02, "luminance": 1.0,
                            "cover": 1.0, "without": 0.4 },
-            "tree_shadow": { "near": 0.01, "distant": 0.01, "distant_control": 0.2, "far": 0.0, "far_mean": 0.0, "control": 0.2, "far_control": 0.5 },
+            "tree_shadow": { "near": 0.01, "distant": 0.01, "distant_control": 0.2, "far": 0.0,
+                             "far_mean": 0.0, "control": 0.2, "far_control": 0.5 },
             "frame_time": { "is_software": true, "default_over_bare": 0.4, "default_over_bare_p99": 0.4,
                             "all_over_planted": 1.5, "all_over_planted_p99": 1.5 },
         })
