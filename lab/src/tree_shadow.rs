@@ -1,7 +1,7 @@
 //! Shadows of trees on the GPU against rays through the same trees on the CPU.
 
 use client::cache::ChunkCache;
-use client::camera::Projection;
+use client::camera::{Eye, Projection};
 use client::features::terrain::pool::ChunkPool;
 use client::features::vegetation::renderer::VegetationRenderer;
 use client::features::vegetation::tree_cells::TreeCells;
@@ -23,9 +23,18 @@ use wgpu::util::DeviceExt as _;
 
 const SLOTS: u32 = 1500;
 
-/// Places that are compared, and how far they lie from the eye along either axis, metres.
+/// Places that are compared, and how far they lie from the middle of their square along either axis,
+/// metres.
 pub const PLACES: u32 = 8000;
-const NEAR_M: f32 = 90.0;
+const HALF_M: f32 = 90.0;
+
+/// Lines of a picture whose far trees are known one by one, and how far away the middle of the square
+/// lies then, metres.
+const FAR_LINES: u32 = 1080;
+const FAR_M: [f32; 3] = [700.0, 850.0, 1000.0];
+
+/// Trees that far from the middle of the square cast no shadow in it, metres.
+const CASTS_M: f32 = 300.0;
 
 /// Difference of the share of the sun from which on a place, or the mean of a block, is wrong.
 pub const WRONG: f32 = 0.1;
@@ -41,6 +50,9 @@ pub type Vec3 = [f32; 3];
 #[derive(Debug)]
 pub struct Wood {
     gpu: Gpu,
+    world: ChunkCache,
+    eye: Eye,
+    middle_m: [f32; 2],
     uniforms: wgpu::Buffer,
     trees: TreeCells,
     /// Places on the ground, metres from the eye.
@@ -66,13 +78,48 @@ impl Wood {
     /// The view has no trees.
     #[must_use]
     pub fn open(gpu: Gpu, elevation_deg: f32, shadows: PlantShadows) -> Self {
+        let mut wood = Self::placed(gpu, elevation_deg, shadows, (90, 1500));
+        wood.look_at([0.0; 2]);
+        wood
+    }
+
+    /// The densest square of the wood 700 m to 1,000 m away, in a picture of 1,080 lines.
+    ///
+    /// # Errors
+    /// The GPU failed.
+    ///
+    /// # Panics
+    /// The view has no trees.
+    pub fn open_far(gpu: Gpu, elevation_deg: f32) -> Result<Self, GpuError> {
+        let mut wood = Self::placed(gpu, elevation_deg, PlantShadows::On, (FAR_LINES, 2000));
+        let trees = wood.placed_trees()?;
+        let middles = FAR_M.iter().flat_map(|far_m| {
+            (0..24).map(move |turn| {
+                let (sin, cos) = (turn as f32 * std::f32::consts::TAU / 24.0).sin_cos();
+                [far_m * cos, far_m * sin]
+            })
+        });
+        let count = |middle: &[f32; 2]| trees.iter().filter(|tree| is_within(tree, *middle, HALF_M)).count();
+        let densest = middles.max_by_key(count).expect("there are squares");
+        wood.look_at(densest);
+        Ok(wood)
+    }
+
+    /// The trees of a view of so many lines and metres, without places.
+    fn placed(
+        gpu: Gpu,
+        elevation_deg: f32,
+        shadows: PlantShadows,
+        (lines, view_distance_m): (u32, u32),
+    ) -> Self {
         let plants = VegetationSettings { density: 0, trees: 3, shadows, ..VegetationSettings::STANDARD };
         let sun = Some(SunPosition { azimuth_deg: 205.0, elevation_deg });
         let view = ViewParams {
             pose: "60,8,0,320,2".parse().expect("a pose"),
-            projection: Projection { fov_deg: 60.0, width: 160, height: 90 },
-            view_distance_m: 1500,
-            tolerance_px: 4.0,
+            projection: Projection { fov_deg: 60.0, width: lines * 16 / 9, height: lines },
+            view_distance_m,
+            // Places and trees stand on the same land, however coarse.
+            tolerance_px: f64::from(lines) / 22.5,
             time_s: 0.0,
             settings: RenderSettings { plants, sun, ..RenderSettings::default() },
         };
@@ -101,14 +148,30 @@ impl Wood {
         vegetation.cull(&gpu, &uniforms, (&pool, &trees), 1, plants, &mut encoder);
         gpu.queue.submit([encoder.finish()]);
 
-        let eye = view.pose.eye();
+        Self {
+            eye: view.pose.eye(),
+            middle_m: [0.0; 2],
+            places: Vec::new(),
+            normals: Vec::new(),
+            sun: frame.uniforms.sun,
+            world,
+            gpu,
+            uniforms,
+            trees,
+        }
+    }
+
+    /// Chooses the places: in the square around a point, metres east and south of the eye.
+    fn look_at(&mut self, middle_m: [f32; 2]) {
+        let eye = &self.eye;
         let unit = |seed: u32| f64::from(mix(seed) >> 8) / f64::from(1 << 24);
         let ground = |at: [i32; 2]| {
-            world.ground(eye.units[0] + at[0], eye.units[2] + at[1]).expect("land around the eye")
+            self.world.ground(eye.units[0] + at[0], eye.units[2] + at[1]).expect("land around the eye")
         };
         let at: Vec<[i32; 2]> = (0..PLACES)
             .map(|place| {
-                [0, 1].map(|axis| ((2.0 * unit(2 * place + axis) - 1.0) * f64::from(NEAR_M) * 256.0) as i32)
+                let aside = |axis: u32| (2.0 * unit(2 * place + axis) - 1.0) * f64::from(HALF_M);
+                [0, 1].map(|axis| ((f64::from(middle_m[axis as usize]) + aside(axis)) * 256.0) as i32)
             })
             .collect();
         let places =
@@ -121,14 +184,8 @@ impl Wood {
             let normal = [slope(512, 0), 1.0, slope(0, 512)];
             scaled(normal, 1.0 / normal.iter().map(|part| part * part).sum::<f32>().sqrt())
         });
-        Self {
-            places: places.collect(),
-            normals: normals.collect(),
-            sun: frame.uniforms.sun,
-            gpu,
-            uniforms,
-            trees,
-        }
+        let (places, normals) = (places.collect(), normals.collect());
+        (self.places, self.normals, self.middle_m) = (places, normals, middle_m);
     }
 
     /// What the shader leaves of the sun at each place.
@@ -184,15 +241,23 @@ impl Wood {
         Ok(words.iter().map(|[near, _, far, _]| Shade { near: *near, far: *far }).collect())
     }
 
-    /// All trees that were placed, of every cell.
+    /// The trees that were placed and may cast a shadow on a place.
     ///
     /// # Errors
     /// The GPU failed.
     pub fn casters(&self) -> Result<Vec<Caster>, GpuError> {
+        let mut trees = self.placed_trees()?;
+        trees.retain(|tree| is_within(tree, self.middle_m, HALF_M + CASTS_M));
+        Ok(trees)
+    }
+
+    /// All trees that were placed, of every cell.
+    fn placed_trees(&self) -> Result<Vec<Caster>, GpuError> {
         let cells = self.trees.cells();
         let bytes = self.gpu.read_buffer(cells, 0..cells.size())?;
         let words: Vec<[u32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
-        let trees = words[2..].iter().filter(|words| words[3] != 0);
+        let side = words[1][2] as usize;
+        let trees = words[2..][..4 * side * side].iter().filter(|words| words[3] != 0);
         let casters = trees.map(|words| Caster {
             root_m: [0, 1, 2].map(|axis| f32::from_bits(words[axis])),
             width_m: (words[3] & 4095) as f32 / 128.0,
@@ -213,12 +278,18 @@ impl Wood {
     pub fn block_means(&self, values: &[f32]) -> Vec<f32> {
         let mut sums = [(0.0, 0.0); BLOCKS * BLOCKS];
         for (place, value) in self.places.iter().zip(values) {
-            let block = |at: f32| (((at / NEAR_M + 1.0) * 0.5 * BLOCKS as f32) as usize).min(BLOCKS - 1);
-            let sum = &mut sums[block(place[2]) * BLOCKS + block(place[0])];
+            let [east, south] = [place[0] - self.middle_m[0], place[2] - self.middle_m[1]];
+            let block = |at: f32| (((at / HALF_M + 1.0) * 0.5 * BLOCKS as f32) as usize).min(BLOCKS - 1);
+            let sum = &mut sums[block(south) * BLOCKS + block(east)];
             *sum = (sum.0 + value, sum.1 + 1.0);
         }
         sums.iter().map(|(sum, count)| sum / f32::max(*count, 1.0)).collect()
     }
+}
+
+/// Whether a tree stands in a square around a point, metres from the eye.
+fn is_within(tree: &Caster, middle_m: [f32; 2], half_m: f32) -> bool {
+    (tree.root_m[0] - middle_m[0]).abs() < half_m && (tree.root_m[2] - middle_m[1]).abs() < half_m
 }
 
 /// What a ray meets of a tree: the share that passes the crown, nothing behind the trunk.

@@ -241,8 +241,9 @@ pub struct Field {
     pub detail: f32,
     /// Distance up to which plants of this kind stand, metres, by whatever pass.
     pub stand_m: f32,
-    /// Unused; fills 8 bytes.
-    pub reserved: f32,
+    /// Cells along a side of the square around the eye in which each tree is known: a multiple of 8,
+    /// at most [`MOST_TREE_GRID_CELLS`].
+    pub tree_grid_cells: u32,
 }
 
 /// Trees beyond the range of single culling; `shared/far_trees.wesl` documents each field.
@@ -280,16 +281,21 @@ pub const FAR_LOST: usize = 4;
 /// Bytes of a far tree.
 pub const FAR_TREE_BYTES: usize = 32;
 
-/// Cells of trees along a side of the square around the eye in which each tree is known, and their
-/// side, metres.
-pub const TREE_GRID_CELLS: usize = 128;
+/// Side of a cell of trees, metres. Equal to the constant of `shared/tree_cells.wesl`.
+pub const TREE_CELL_M: f32 = 8.0;
+
+/// Fewest and most cells of trees along a side of the square around the eye in which each tree is
+/// known: 500 m and 1,524 m in every direction.
+pub const LEAST_TREE_GRID_CELLS: usize = 128;
+/// See [`LEAST_TREE_GRID_CELLS`].
+pub const MOST_TREE_GRID_CELLS: usize = 384;
 
 /// Bytes of the buffer of trees: two vectors, then four trees for each cell; see
 /// `shared/tree_cells.wesl`.
-pub const TREE_CELL_BYTES: usize = 16 * (2 + 4 * TREE_GRID_CELLS * TREE_GRID_CELLS);
+pub const TREE_CELL_BYTES: usize = 16 * (2 + 4 * MOST_TREE_GRID_CELLS * MOST_TREE_GRID_CELLS);
 
 /// Bytes of the buffer of marks: a word for each cell.
-pub const TREE_MARK_BYTES: usize = 4 * TREE_GRID_CELLS * TREE_GRID_CELLS;
+pub const TREE_MARK_BYTES: usize = 4 * MOST_TREE_GRID_CELLS * MOST_TREE_GRID_CELLS;
 
 /// Bytes of the buffer of light: a word for each tree.
 pub const TREE_LIGHT_BYTES: usize = 4 * TREE_MARK_BYTES;

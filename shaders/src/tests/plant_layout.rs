@@ -6,7 +6,7 @@ use crate::layout::{
     BLOCK_LIST, CLUMP_BYTES, ChunkWords, Culling, FAR_COUNTS, FAR_LOST, FAR_MASKS, FAR_PATCH_CELLS,
     FINE_PER_METRE, FarTrees, Field, GRASS_RANGE_M, GRASS_SPREAD_M, GRASS_TILT, GRID_NODES, INDIRECT_DRAWS,
     INDIRECT_PREPARE, INDIRECT_REGIONS, MASK_BEGIN, NOISE_OCTAVES, OccluderChunk, OcclusionNode,
-    PREPARED_HEAD, Planting, RECORD_WORDS, TREE_GRID_CELLS, VISIBILITY_WORDS,
+    PREPARED_HEAD, Planting, RECORD_WORDS, TREE_CELL_M, VISIBILITY_WORDS,
 };
 use crate::validate::validate;
 use std::mem::offset_of;
@@ -19,7 +19,7 @@ fn fields_have_the_layout_and_vertices_of_the_shaders() {
             shader, Field,
             eye_x, eye_y, eye_z, kind, width_low_m, width_high_m, height_low_m, height_high_m, thin_from_m,
             widest, range_m,
-            collapse_m, lod_m, wind, lean, casts, detail, stand_m, reserved,
+            collapse_m, lod_m, wind, lean, casts, detail, stand_m, tree_grid_cells,
         );
         let fine = format!("METRES_PER_FINE: f32 = 1.0 / {FINE_PER_METRE}.0;");
         assert!(shader.wgsl.contains(&fine), "{}", shader.name);
@@ -39,7 +39,7 @@ fn fields_have_the_layout_and_vertices_of_the_shaders() {
         (SHADERS.cull_clumps, format!("SPREAD: i32 = {};", (GRASS_SPREAD_M * FINE_PER_METRE as f32).ceil())),
         (SHADERS.draw_terrain, format!("GRASS_RANGE_M: f32 = {GRASS_RANGE_M:?};")),
         (SHADERS.draw_trees, "SPRAYS = vec2u(168u, 40u);".to_owned()),
-        (SHADERS.place_trees, format!("TREE_GRID_CELLS: i32 = {TREE_GRID_CELLS};")),
+        (SHADERS.place_trees, format!("TREE_CELL_M: f32 = {TREE_CELL_M:?};")),
     ] {
         assert!(shader.wgsl.contains(&line), "{line}");
     }

@@ -1,4 +1,5 @@
-//! Terrain clipmap: slopes and sky visibility of the land around the eye, apart from its geometry.
+//! Terrain clipmap: heights, slopes and sky visibility of the land around the eye, apart from its
+//! geometry.
 //!
 //! | file | job |
 //! | --- | --- |

@@ -9,7 +9,8 @@ use crate::gpu::bind;
 use crate::gpu::buffer::create_buffer;
 use half::f16;
 use shaders::layout::Clipmap;
-use terrain::constants::{CELLS, UNITS_PER_METRE, VERTICES};
+use terrain::constants::{CELLS, UNITS_PER_METRE, VERTEX_COUNT, VERTICES};
+use terrain::land::SEA_FLOOR;
 use terrain::{Land, WorldDigest};
 
 /// Most tiles that an interactive frame fills, so that a frame never waits for a whole level. More
@@ -21,6 +22,10 @@ pub const ALL_TILES: usize = usize::MAX;
 
 /// Slopes east and south. Filterable on every device; eleven bits of precision at any slope.
 const SLOPE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg16Float;
+
+/// Heights above the sea, metres. No half float holds them; the shaders blend them themselves, because
+/// WebGPU does not filter this format by default.
+const HEIGHT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
 
 /// Sky visibility.
 const SKY_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R8Unorm;
@@ -40,12 +45,19 @@ pub struct ClipmapLand {
 #[derive(Debug)]
 pub struct TerrainClipmap {
     size: ClipmapSize,
-    slopes: wgpu::Texture,
-    sky: wgpu::Texture,
+    maps: Maps,
     params: wgpu::Buffer,
     layout: wgpu::BindGroupLayout,
     bindings: wgpu::BindGroup,
     source: Option<Source>,
+}
+
+/// The textures: a layer for each level.
+#[derive(Debug)]
+struct Maps {
+    slopes: wgpu::Texture,
+    sky: wgpu::Texture,
+    heights: wgpu::Texture,
 }
 
 /// What the tiles are filled from.
@@ -72,8 +84,11 @@ impl TerrainClipmap {
                 view_formats: &[],
             })
         };
-        let slopes = texture("clipmap slopes", SLOPE_FORMAT, size.texels());
-        let sky = texture("clipmap sky visibility", SKY_FORMAT, size.side_tiles * SKY_TEXELS as u32);
+        let maps = Maps {
+            slopes: texture("clipmap slopes", SLOPE_FORMAT, size.texels()),
+            sky: texture("clipmap sky visibility", SKY_FORMAT, size.side_tiles * SKY_TEXELS as u32),
+            heights: texture("clipmap heights", HEIGHT_FORMAT, size.texels()),
+        };
         let params = create_buffer(
             device,
             "clipmap",
@@ -95,24 +110,26 @@ impl TerrainClipmap {
             dimension: Some(wgpu::TextureViewDimension::D2Array),
             ..Default::default()
         };
-        let (slopes_view, sky_view) = (slopes.create_view(&array), sky.create_view(&array));
+        let views = [&maps.slopes, &maps.sky, &maps.heights].map(|map| map.create_view(&array));
         let resources = [
             params.as_entire_binding(),
-            wgpu::BindingResource::TextureView(&slopes_view),
-            wgpu::BindingResource::TextureView(&sky_view),
+            wgpu::BindingResource::TextureView(&views[0]),
+            wgpu::BindingResource::TextureView(&views[1]),
             wgpu::BindingResource::Sampler(&sampler),
+            wgpu::BindingResource::TextureView(&views[2]),
         ];
         let bindings = bind::bind(device, "clipmap", &layout, &resources);
-        Self { size, slopes, sky, params, layout, bindings, source: None }
+        Self { size, maps, params, layout, bindings, source: None }
     }
 
-    fn layout_entries() -> [wgpu::BindGroupLayoutEntry; 4] {
+    fn layout_entries() -> [wgpu::BindGroupLayoutEntry; 5] {
         let (stages, array) = (wgpu::ShaderStages::VERTEX_FRAGMENT, wgpu::TextureViewDimension::D2Array);
         [
             bind::uniform_entry(0),
             bind::texture_entry(1, stages, array, true),
             bind::texture_entry(2, stages, array, true),
             bind::sampler_entry(3, stages),
+            bind::texture_entry(4, stages, array, false),
         ]
     }
 
@@ -122,7 +139,7 @@ impl TerrainClipmap {
         &self.layout
     }
 
-    /// Its bind group: parameters, slopes, sky visibility, sampler.
+    /// Its bind group: parameters, slopes, sky visibility, sampler, heights.
     #[must_use]
     pub fn bindings(&self) -> &wgpu::BindGroup {
         &self.bindings
@@ -151,7 +168,7 @@ impl TerrainClipmap {
         let levels = self.size.levels_for(view_distance_m);
         let tiles = source.schedule.next(eye, levels, most);
         for tile in &tiles {
-            fill(queue, &self.slopes, &self.sky, self.size, &mut source.heights, *tile);
+            fill(queue, &self.maps, self.size, &mut source.heights, *tile);
         }
         let params = params(self.size, levels, &source.schedule, eye, land.vertical_scale);
         queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&params));
@@ -186,15 +203,20 @@ fn params(size: ClipmapSize, levels: u32, schedule: &Schedule, eye: &Eye, vertic
     params
 }
 
+/// The vertices of a chunk, units.
+type Vertices = [i32; VERTEX_COUNT];
+
+/// Heights of the low corners of the cells of a tile, metres above the sea: the vertices along the
+/// other two borders belong to the next tiles. The sea floor outside the world.
+fn heights_of(vertices: Option<&Vertices>) -> Vec<f32> {
+    let metres = |units: i32| units as f32 / UNITS_PER_METRE as f32;
+    let Some(vertices) = vertices else { return vec![metres(SEA_FLOOR); CELLS * CELLS] };
+    let rows = vertices.chunks_exact(VERTICES).take(CELLS);
+    rows.flat_map(|row| row[..CELLS].iter().map(|units| metres(*units))).collect()
+}
+
 /// Fills one tile.
-fn fill(
-    queue: &wgpu::Queue,
-    slopes: &wgpu::Texture,
-    sky: &wgpu::Texture,
-    size: ClipmapSize,
-    heights: &mut Heights,
-    tile: Tile,
-) {
+fn fill(queue: &wgpu::Queue, maps: &Maps, size: ClipmapSize, heights: &mut Heights, tile: Tile) {
     let (column, row) = tile.place;
     let side = size.side_tiles as i32;
     let slot = [column.rem_euclid(side) as u32, row.rem_euclid(side) as u32];
@@ -211,16 +233,18 @@ fn fill(
             wgpu::Extent3d { width: texels, height: texels, depth_or_array_layers: 1 },
         );
     };
-    write(slopes, TILE_TEXELS, 4, bytemuck::cast_slice(&slopes_of(heights, tile, size)));
-    write(sky, SKY_TEXELS as u32, 1, &sky_visibility(heights, tile.level, tile.place));
+    let vertices = chunk_of(tile.level, tile.place).map(|key| heights.vertices(key));
+    let vertices = vertices.as_deref();
+    write(&maps.slopes, TILE_TEXELS, 4, bytemuck::cast_slice(&slopes_of(vertices, tile.level, size)));
+    write(&maps.heights, TILE_TEXELS, 4, bytemuck::cast_slice(&heights_of(vertices)));
+    write(&maps.sky, SKY_TEXELS as u32, 1, &sky_visibility(heights, tile.level, tile.place));
 }
 
 /// Slopes of the cells of a tile, metres per metre east and south: means over the cell, so they are
 /// filtered as far as its spacing needs. Bits of half floats; level outside the world.
-fn slopes_of(heights: &mut Heights, tile: Tile, size: ClipmapSize) -> Vec<[u16; 2]> {
-    let Some(key) = chunk_of(tile.level, tile.place) else { return vec![[0; 2]; CELLS * CELLS] };
-    let vertices = heights.vertices(key);
-    let scale = 1.0 / (2.0 * size.spacing_m(tile.level) * f64::from(UNITS_PER_METRE)) as f32;
+fn slopes_of(vertices: Option<&Vertices>, level: u32, size: ClipmapSize) -> Vec<[u16; 2]> {
+    let Some(vertices) = vertices else { return vec![[0; 2]; CELLS * CELLS] };
+    let scale = 1.0 / (2.0 * size.spacing_m(level) * f64::from(UNITS_PER_METRE)) as f32;
     let rows = vertices.chunks_exact(VERTICES).zip(vertices.chunks_exact(VERTICES).skip(1));
     rows.flat_map(|(north, south)| {
         north.windows(2).zip(south.windows(2)).map(|(north, south)| {
@@ -237,6 +261,23 @@ mod tests {
     use super::*;
     use terrain::Position;
 
+    fn vertices_of(land: Land, tile: Tile) -> Box<Vertices> {
+        Heights::new(land).vertices(chunk_of(tile.level, tile.place).unwrap())
+    }
+
+    #[test]
+    fn heights_are_those_of_the_land_at_the_low_corners_of_the_cells() {
+        let land = Land::new(3);
+        let heights = heights_of(Some(&*vertices_of(land, Tile { level: 0, place: (-7, 5) })));
+        for (cell, height_m) in heights.iter().enumerate().step_by(191) {
+            let at = |tile: i32, cell: usize| ((tile * 64 + cell as i32) * 2) * UNITS_PER_METRE;
+            let place = Position::new(at(-7, cell % CELLS), at(5, cell / CELLS)).unwrap();
+            assert_eq!(f64::from(*height_m), f64::from(land.height_at(place)) / 256.0, "{cell}");
+        }
+        assert!(heights.iter().any(|height_m| *height_m > 1.0), "land, or nothing is compared");
+        assert_eq!(heights_of(None), vec![SEA_FLOOR as f32 / 256.0; CELLS * CELLS]);
+    }
+
     #[test]
     fn slopes_are_those_of_the_cells_of_the_land() {
         let land = Land::new(3);
@@ -245,7 +286,8 @@ mod tests {
         let mut steepest = 0.0_f64;
         for level in 0..3 {
             let tile = Tile { level, place: (-7, 5) };
-            let slopes = slopes_of(&mut Heights::new(land), tile, size);
+            let vertices = vertices_of(land, tile);
+            let slopes = slopes_of(Some(&*vertices), level, size);
             let spacing = size.spacing_m(level);
             for (cell, slope) in slopes.iter().enumerate().step_by(191) {
                 let corner = |east: i32, south: i32| {

@@ -113,8 +113,8 @@ impl VegetationRenderer {
             }
             self.passes.record(gpu, plants, index, self.frame, &pass.buffers.culling, encoder);
             if pass.species == Species::Tree {
-                let is_present = index < plants.species.len();
-                let groups = pass.buffers.placing.as_ref().filter(|_| is_present);
+                let side = plants.species.get(index).map(|params| params.field.tree_grid_cells);
+                let groups = pass.buffers.placing.as_ref().zip(side);
                 self.placing.record(pass.buffers.culling.land(), groups, trees, encoder);
             }
         }

@@ -11,7 +11,7 @@ use crate::lod::Drawn;
 use glam::DVec3;
 use shaders::layout::{
     CULL_DISTANCE, CULL_EXACT, CULL_FRUSTUM, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, Field,
-    KIND_GRASS, KIND_TREES, Planting,
+    KIND_GRASS, KIND_TREES, LEAST_TREE_GRID_CELLS, MOST_TREE_GRID_CELLS, Planting, TREE_CELL_M,
 };
 use shaders::twin::placement::{BLOCK_CELL_BITS, COARSE_BITS, PATCH_BLOCKS, distance_squared};
 use shaders::twin::surface::{FINE_BITS, GRID_BITS, NOWHERE, STEP_BITS, Surface, TILE_BITS};
@@ -45,6 +45,11 @@ pub const LEAST_DETAIL: f64 = 0.2;
 
 /// Least factor of those of trees.
 pub const LEAST_DETAIL_OF_TREES: f64 = 0.5;
+
+/// Width of a crown of mean size, metres, and its least width in pixels where its tree casts a shadow of
+/// its own.
+const CROWN_M: f64 = 4.5;
+const LEAST_CROWN_PX: f64 = 3.0;
 
 /// Factor of the near-plane distance inside which occlusion is not tested: covers targets off the
 /// view axis.
@@ -104,6 +109,8 @@ pub struct SpeciesTraits {
     pub least_detail: f64,
     /// Plants of this kind stand up to here, by whatever pass, metres.
     pub stand_m: f64,
+    /// See [`Field::tree_grid_cells`].
+    pub tree_grid_cells: u32,
 }
 
 impl SpeciesTraits {
@@ -123,6 +130,7 @@ impl SpeciesTraits {
             detail_scale: 1.0,
             least_detail: LEAST_DETAIL,
             stand_m: f64::from(settings.range_m),
+            tree_grid_cells: LEAST_TREE_GRID_CELLS as u32,
         }
     }
 
@@ -147,6 +155,7 @@ impl SpeciesTraits {
             detail_scale: 1.0,
             least_detail: LEAST_DETAIL_OF_TREES,
             stand_m: f64::from(settings.tree_range_m),
+            tree_grid_cells: LEAST_TREE_GRID_CELLS as u32,
         }
     }
 
@@ -197,7 +206,7 @@ impl SpeciesTraits {
             casts: settings.shadows as u32,
             detail: (1.0 / self.detail_scale) as f32,
             stand_m: self.stand_m as f32,
-            reserved: 0.0,
+            tree_grid_cells: self.tree_grid_cells,
         }
     }
 
@@ -274,6 +283,7 @@ impl VegetationFrame {
                 range_m: traits.range_m.min(reach_m),
                 stand_m: traits.stand_m.min(reach_m),
                 detail_scale: detail_scale(projection, traits.least_detail),
+                tree_grid_cells: tree_grid_cells(projection, traits.range_m),
                 ..traits
             });
         let frustum = Frustum::new(pose, projection);
@@ -308,6 +318,16 @@ impl VegetationFrame {
 fn detail_scale(projection: &Projection, least: f64) -> f64 {
     let pixels_per_radian = f64::from(projection.height) / (2.0 * projection.half_height());
     (pixels_per_radian / FULL_DETAIL_PX).clamp(least, 1.0)
+}
+
+/// Cells along a side of the square in which each tree is known: up to where a crown is
+/// [`LEAST_CROWN_PX`] pixels wide, as far as trees stand one by one.
+fn tree_grid_cells(projection: &Projection, range_m: f64) -> u32 {
+    let pixels_per_radian = f64::from(projection.height) / (2.0 * projection.half_height());
+    let known_m = (CROWN_M / LEAST_CROWN_PX * pixels_per_radian).min(range_m);
+    // Twin: `known_in_grid_m` of `shared/tree_cells.wesl`.
+    let cells = 2 * (known_m / f64::from(TREE_CELL_M) + 1.5).ceil() as usize;
+    cells.next_multiple_of(8).clamp(LEAST_TREE_GRID_CELLS, MOST_TREE_GRID_CELLS) as u32
 }
 
 fn culling_params(
@@ -434,6 +454,22 @@ mod tests {
         // A longer lens magnifies; the least factor holds.
         assert!(of(180, 20.0, 0.2) > of(180, 60.0, 0.2));
         assert!(of(16, 60.0, 0.2) == 0.2 && of(180, 60.0, LEAST_DETAIL_OF_TREES) == 0.5);
+    }
+
+    #[test]
+    fn trees_are_known_as_far_as_crowns_have_pixels() {
+        let of = |height, fov_deg, range_m| {
+            tree_grid_cells(&Projection { fov_deg, width: height * 16 / 9, height }, range_m)
+        };
+        // 4.5 m are 3 pixels at 1,403 m.
+        assert_eq!(of(1080, 60.0, 1500.0), 360);
+        assert_eq!(of(540, 60.0, 1500.0), 184);
+        // Small images keep 500 m, and no lens needs more room than there is.
+        assert_eq!(of(180, 60.0, 1500.0), 128);
+        assert_eq!(of(2160, 10.0, 2000.0), 384);
+        // No farther than trees stand.
+        assert_eq!(of(1080, 60.0, 800.0), 208);
+        assert!([128, 184, 208, 360, 384].iter().all(|side| side % 8 == 0));
     }
 
     #[test]

@@ -4,12 +4,12 @@ use crate::gpu::bind::{self, storage_entry};
 use crate::gpu::buffer::create_buffer;
 use crate::gpu::pipeline::{compute_pass, compute_pipelines, compute_pipelines_with};
 use shaders::SHADERS;
-use shaders::layout::{KIND_TREES, TREE_CELL_BYTES, TREE_GRID_CELLS, TREE_LIGHT_BYTES, TREE_MARK_BYTES};
+use shaders::layout::{KIND_TREES, TREE_CELL_BYTES, TREE_LIGHT_BYTES, TREE_MARK_BYTES};
 
 /// Cells of a workgroup.
 const WORKGROUP: u32 = 64;
 
-/// Buffers of the cells, 1.4 MB; zeros, for no trees, until they are written.
+/// Buffers of the cells, 12.4 MB; zeros, for no trees, until they are written.
 #[derive(Debug)]
 pub struct TreeCells {
     cells: wgpu::Buffer,
@@ -115,20 +115,21 @@ impl TreePasses {
         }
     }
 
-    /// Records the writing of the cells, after the culling of the trees; without groups there are
-    /// no trees.
+    /// Records the writing of the cells, after the culling of the trees; without groups, and the
+    /// cells along a side of the grid, there are no trees.
     pub fn record(
         &self,
         land: &wgpu::BindGroup,
-        groups: Option<&TreeGroups>,
+        groups: Option<(&TreeGroups, u32)>,
         trees: &TreeCells,
         encoder: &mut wgpu::CommandEncoder,
     ) {
-        let Some(groups) = groups else {
+        let Some((groups, side)) = groups else {
             trees.clear(encoder);
             return;
         };
-        let cells = (TREE_GRID_CELLS * TREE_GRID_CELLS) as u32;
+        // A multiple of the workgroup: the side is one of 8.
+        let cells = side * side;
         let mut pass = compute_pass(encoder, "place trees");
         pass.set_bind_group(0, land, &[]);
         pass.set_bind_group(1, &groups.placing, &[]);
