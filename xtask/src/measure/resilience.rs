@@ -38,12 +38,12 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
         BENCHES.map(|(name, rounds, seconds)| format!("{name} {rounds} x {seconds} s")).join(", ")
     ));
     let mut rows = Vec::new();
-    let report = run.report_of("messages", messages(run))?;
-    rows.extend(run.rows_of("messages", &report));
     for (bench, rounds, seconds) in BENCHES {
         let report = run.report(bench, server_bench(bench, last_core, rounds, seconds), "--json")?;
         rows.extend(run.rows_of(bench, &report));
     }
+    let report = run.report_of("messages", messages(run))?;
+    rows.extend(run.rows_of("messages", &report));
     Ok(rows)
 }
 
