@@ -125,7 +125,8 @@ async fn load_with(fault: Fault, token: Option<&str>, change: impl Fn(LoadConfig
         }))
     };
     let mut report = run(2).await;
-    if report.counts.chunks + report.counts.mismatches + report.counts.refused == 0 {
+    // On a busy machine a chunk may come late, and be the only one.
+    if report.counts.requests + report.counts.mismatches + report.counts.refused == 0 {
         report = run(20).await;
     }
     server.abort();
