@@ -9,8 +9,8 @@ use client::settings::{Shadows, SunPosition};
 use client::stats::Stats;
 use client::stream::LocalStream;
 use std::time::Instant;
+use terrain::ChunkKey;
 use terrain::constants::{VERTEX_COUNT, VERTICES};
-use terrain::{ChunkKey, Land, Octaves, Position};
 use tests::RunningServer;
 use tests::deformed_source::{Deformation, DeformedSource};
 use tests::golden::{self, Difference, FINE_TOLERANCE, TOLERANCE};
@@ -148,8 +148,6 @@ fn near_misses_of_the_land_fail_the_comparison() {
     };
     let Some((coarser, _)) = deformed(&options(&MOUNTAINS), without_odd_vertices) else { return };
     must_differ("summit", "one level coarser", &coarser);
-    let (smoother, _) = deformed(&options(&MOUNTAINS), without_the_last_octave).unwrap();
-    must_differ("summit", "one octave less", &smoother);
 }
 
 #[test]
@@ -184,21 +182,6 @@ fn without_odd_vertices(_: ChunkKey, heights: &mut [i32; VERTEX_COUNT], error: u
                 _ => i32::midpoint(at(x - 1, z - 1), at(x + 1, z + 1)),
             };
         }
-    }
-    error
-}
-
-/// Heights of the levels with all octaves, without the last of them.
-fn without_the_last_octave(key: ChunkKey, heights: &mut [i32; VERTEX_COUNT], error: u32) -> u32 {
-    if key.level() > 2 {
-        return error;
-    }
-    let (land, octaves) = (Land::new(WORLD_SEED), Octaves::new(Octaves::ALL.count() - 1).unwrap());
-    let ((west, north), spacing) = (key.origin(), key.spacing());
-    for (index, height) in heights.iter_mut().enumerate() {
-        let (x, z) = ((index % VERTICES) as i32, (index / VERTICES) as i32);
-        let place = Position::new(west + x * spacing, north + z * spacing).unwrap();
-        *height = land.height_keeping(place, octaves);
     }
     error
 }
