@@ -23,12 +23,14 @@ impl StoreAddress {
     /// What is wrong and what to give.
     pub fn parse(text: &str) -> Result<Self, String> {
         let help = "give file:///FOLDER, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX";
+        // A line break of the text must not break the line of the error.
+        let shown = text.escape_debug();
         if !text.contains("://") {
-            let folder = std::path::absolute(text).map_err(|_| format!("`{text}` is no folder; {help}"))?;
+            let folder = std::path::absolute(text).map_err(|_| format!("`{shown}` is no folder; {help}"))?;
             let url = Url::from_directory_path(&folder);
-            return url.map(Self).map_err(|()| format!("`{text}` is no folder; {help}"));
+            return url.map(Self).map_err(|()| format!("`{shown}` is no folder; {help}"));
         }
-        let url = Url::parse(text).map_err(|error| format!("`{text}` is no URL ({error}); {help}"))?;
+        let url = Url::parse(text).map_err(|error| format!("`{shown}` is no URL ({error}); {help}"))?;
         if !SCHEMES.contains(&url.scheme()) {
             return Err(format!("`{}` is not known; {help}", url.scheme()));
         }
@@ -82,11 +84,12 @@ mod tests {
             ("s3://", "s3://"),
             ("s3://key:secret@bucket/x", "AWS_ACCESS_KEY_ID"),
             ("az://container/x?sig=secret", "environment"),
+            ("gs://\0ck\n", "gs://"),
         ] {
             match StoreAddress::parse(text) {
                 Err(error) => {
                     assert!(error.contains(word), "{text}: {error}");
-                    assert!(!error.contains("secret"), "{error}");
+                    assert!(!error.contains("secret") && error.lines().count() == 1, "{error}");
                 }
                 Ok(address) => assert!(address.open().is_err(), "{text}"),
             }
