@@ -66,9 +66,14 @@ pub enum Background {
 }
 
 impl ViewParams {
-    /// The frame of a selection.
+    /// The frame of a selection. Every number of it is finite: invalid parameters are replaced
+    /// ([`ViewParams::sanitized`]).
     #[must_use]
     pub fn frame(&self, scene: Scene, cache: &ChunkCache, selection: &Selection) -> FrameData {
+        self.sanitized().frame_of_valid(scene, cache, selection)
+    }
+
+    fn frame_of_valid(&self, scene: Scene, cache: &ChunkCache, selection: &Selection) -> FrameData {
         let eye = self.pose.eye();
         let frustum = Frustum::new(&self.pose, &self.rendered());
         let mut nearest_first: Vec<&Drawn> = selection.drawn.iter().collect();

@@ -2,6 +2,7 @@
 
 use crate::camera::{Pose, Projection};
 use crate::settings::RenderSettings;
+use glam::DVec3;
 use protocol::limits::MAX_VIEWPORT;
 use protocol::view::View;
 use terrain::lod::{MAX_VIEW_DISTANCE_M, Viewer};
@@ -38,6 +39,32 @@ impl ViewParams {
         Projection { width, height, ..self.projection }
     }
 
+    /// The parameters with every number finite and in its range; valid ones are unchanged. The
+    /// settings have their own ([`RenderSettings`]'s parts clamp themselves).
+    #[must_use]
+    pub fn sanitized(&self) -> Self {
+        let finite = |number: f64, otherwise: f64| if number.is_finite() { number } else { otherwise };
+        let p = self.pose.position_m;
+        let position_m = DVec3::new(finite(p.x, 0.0), finite(p.y, 0.0), finite(p.z, 0.0));
+        let yaw_deg = finite(self.pose.yaw_deg, 0.0);
+        let pitch_deg = finite(self.pose.pitch_deg, 0.0);
+        // The heading stays as it was given: its remainder is rounded.
+        let pose = Pose { yaw_deg, ..Pose { position_m, yaw_deg, pitch_deg }.clamped() };
+        let side = |side: u32| side.clamp(1, MAX_VIEWPORT.into());
+        Self {
+            pose,
+            projection: Projection {
+                fov_deg: finite(self.projection.fov_deg, 60.0).clamp(1.0, 170.0),
+                width: side(self.projection.width),
+                height: side(self.projection.height),
+            },
+            view_distance_m: self.view_distance_m.min(MAX_VIEW_DISTANCE_M),
+            tolerance_px: finite(self.tolerance_px, 1.0).clamp(0.0, f64::from(u16::MAX)),
+            time_s: if self.time_s.is_finite() { self.time_s } else { 0.0 },
+            settings: self.settings,
+        }
+    }
+
     /// The view as sent to the server, rounded to the protocol's integers.
     #[must_use]
     pub fn protocol_view(&self, id: u32) -> View {
@@ -72,6 +99,26 @@ mod tests {
         let tolerance = |tolerance_px| ViewParams { tolerance_px, ..view("0,0,0,0,0") }.viewer().tolerance_q4;
         assert_eq!((tolerance(2.0), tolerance(1.0), tolerance(0.0), tolerance(0.06)), (30, 15, 1, 1));
         assert_eq!(view("0,0,0,0,0").viewer().pixels_per_radian, 312);
+    }
+
+    #[test]
+    fn invalid_numbers_become_valid_and_valid_ones_stay() {
+        for camera in ["0,0,0,0,0", "-3000.5,120.25,77,-359.9,-90", "1,20000,2,360,90"] {
+            assert_eq!(view(camera).sanitized(), view(camera));
+        }
+        for odd in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX] {
+            let view = ViewParams {
+                pose: Pose { position_m: DVec3::splat(odd), yaw_deg: odd, pitch_deg: odd },
+                projection: Projection { fov_deg: odd, width: 0, height: u32::MAX },
+                tolerance_px: odd,
+                time_s: odd as f32,
+                ..view("0,0,0,0,0")
+            };
+            let sane = view.sanitized();
+            assert_eq!(sane.sanitized(), sane);
+            assert!(sane.pose.forward().is_finite() && sane.projection.near_m() > 0.0, "{sane:?}");
+            assert_eq!(sane.projection.width, 1);
+        }
     }
 
     fn view(camera: &str) -> ViewParams {

@@ -12,6 +12,7 @@
 //! | [`http`] | an HTTP connection |
 //! | [`configuration`] | a configuration file |
 //! | [`pack`], [`address`] | a pack of the store, the store's URL |
+//! | [`uniforms`] | the numbers of a view and its settings |
 
 #![forbid(unsafe_code)]
 
@@ -23,6 +24,7 @@ pub mod control;
 pub mod http;
 pub mod pack;
 pub mod server_session;
+pub mod uniforms;
 pub mod websocket;
 mod world;
 
@@ -40,7 +42,7 @@ pub struct EntryPoint {
 }
 
 /// All entry points.
-pub const ALL: [EntryPoint; 9] = [
+pub const ALL: [EntryPoint; 10] = [
     EntryPoint { name: "control", run: control::run, seeds: control::seeds, cost: 1 },
     EntryPoint { name: "chunk", run: chunk::run, seeds: chunk::seeds, cost: 10 },
     EntryPoint { name: "client_session", run: client_session::run, seeds: client_session::seeds, cost: 20 },
@@ -50,6 +52,7 @@ pub const ALL: [EntryPoint; 9] = [
     EntryPoint { name: "configuration", run: configuration::run, seeds: configuration::seeds, cost: 5 },
     EntryPoint { name: "pack", run: pack::run, seeds: pack::seeds, cost: 5 },
     EntryPoint { name: "address", run: address::run, seeds: address::seeds, cost: 1 },
+    EntryPoint { name: "uniforms", run: uniforms::run, seeds: uniforms::seeds, cost: 1 },
 ];
 
 /// Frames of a session in one input: each behind its length as u16, little-endian.

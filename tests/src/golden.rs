@@ -7,6 +7,7 @@
 
 use crate::rendering::open_gpu_or_skip;
 use client::gpu::Image;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
@@ -128,6 +129,24 @@ pub fn check_within(name: &str, picture: &Image, tolerance: Difference) -> Resul
         should differ, run `cargo xtask bless pictures`",
         rendered.display()
     ))
+}
+
+/// Requires a near miss to differ by more than a tolerance. `TOMBOLO_NEAR_MISSES` names a file to which
+/// the outcome is appended as a line: `rejected` or `passed`, and the near miss.
+///
+/// # Panics
+/// The difference is tolerated, or the file cannot be written.
+pub fn require_rejected(near_miss: &str, difference: Difference, tolerance: Difference) {
+    let is_rejected = !difference.is_within(tolerance);
+    eprintln!("{near_miss}: {difference:?}");
+    if let Some(path) = std::env::var_os("TOMBOLO_NEAR_MISSES") {
+        let outcome = if is_rejected { "rejected" } else { "passed" };
+        let file = std::fs::File::options().append(true).create(true).open(path);
+        // One write, as other tests append at the same time.
+        let written = file.and_then(|mut file| file.write_all(format!("{outcome} {near_miss}\n").as_bytes()));
+        written.expect("the file of TOMBOLO_NEAR_MISSES can be written");
+    }
+    assert!(is_rejected, "{near_miss} passed: {difference:?}");
 }
 
 /// A golden picture.

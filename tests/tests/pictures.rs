@@ -103,8 +103,7 @@ fn must_differ(name: &str, what: &str, picture: &Image) {
 
 fn must_differ_by(tolerance: Difference, name: &str, what: &str, picture: &Image) {
     let difference = Difference::between(&golden::golden(name).unwrap(), picture);
-    eprintln!("{name}, {what}: {difference:?}");
-    assert!(!difference.is_within(tolerance), "{what} passed as {name}: {difference:?}");
+    golden::require_rejected(&format!("{name}, {what}"), difference, tolerance);
 }
 
 #[test]
@@ -155,7 +154,7 @@ fn near_misses_of_the_land_fail_the_comparison() {
     let (whole, _) = drawn(&shaded_mesh).unwrap();
     let (smoother, _) = deformed(&shaded_mesh, without_the_last_octave).unwrap();
     let difference = Difference::between(&whole, &smoother);
-    assert!(!difference.is_within(TOLERANCE), "one octave less passed: {difference:?}");
+    golden::require_rejected("sea with shaded triangles, one octave less", difference, TOLERANCE);
 }
 
 #[test]

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 /// The entry points, by the names of their targets.
-const TARGETS: [&str; 9] = [
+const TARGETS: [&str; 10] = [
     "control",
     "chunk",
     "client_session",
@@ -23,6 +23,7 @@ const TARGETS: [&str; 9] = [
     "configuration",
     "pack",
     "address",
+    "uniforms",
 ];
 
 /// The target with a fault that must be found.
