@@ -1,27 +1,26 @@
 //! A configuration file of a server.
 
 use clap::Parser;
-use server::config::Args;
-use std::path::PathBuf;
+use server::config::{Args, Options, parse_file};
 use std::sync::LazyLock;
 
-/// The file, in a folder of temporary files; one input at a time and process.
-static FILE: LazyLock<PathBuf> =
-    LazyLock::new(|| std::env::temp_dir().join(format!("tombolo-entry-{}.toml", std::process::id())));
+/// A program started without options.
+static ARGS: LazyLock<Args> =
+    LazyLock::new(|| Args::try_parse_from(["tombolo-server"]).expect("valid arguments"));
 
-/// Reads a configuration. An error is one line.
+/// Resolves a configuration. An error is one line.
 ///
 /// # Panics
-/// It has several lines, or the folder of temporary files cannot be written.
+/// It has several lines.
 #[must_use]
 pub fn run(bytes: &[u8]) -> bool {
-    // A file named in the input would be read, and a device without an end to its end.
-    if bytes.windows(4).any(|part| part == b"file") {
-        return false;
-    }
-    std::fs::write(&*FILE, bytes).expect("a temporary file");
-    let args = ["tombolo-server".as_ref(), "--config".as_ref(), FILE.as_os_str()];
-    match Args::try_parse_from(args).expect("valid arguments").resolve() {
+    let Ok(text) = std::str::from_utf8(bytes) else { return false };
+    let resolved = parse_file(text, "input").and_then(|options| {
+        // A named file would be read, and a device without an end to its end.
+        let without_files = Options { token_file: None, tls_cert: None, tls_key: None, ..options };
+        ARGS.clone().resolve_over(without_files)
+    });
+    match resolved {
         Ok(_) => true,
         Err(error) => {
             assert_eq!(error.to_string().lines().count(), 1, "{error}");

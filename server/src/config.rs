@@ -13,7 +13,6 @@ use crate::proxy::TrustedProxies;
 use crate::store::{StoreAddress, StoreConfig};
 use crate::tls::Tls;
 use cli::UsageError;
-use options::Options;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
@@ -21,7 +20,7 @@ use std::time::Duration;
 use tracing::Level;
 use tracing_subscriber::filter::Targets;
 
-pub use options::{Args, Command};
+pub use options::{Args, Command, Options};
 
 /// The default address of clients.
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:7580";
@@ -140,6 +139,14 @@ impl Args {
     /// An unreadable or malformed file, an unknown key in it, or a value out of range.
     pub fn resolve(self) -> Result<ServerConfig, UsageError> {
         let file = self.config.as_deref().map_or_else(|| Ok(Options::default()), read_file)?;
+        self.resolve_over(file)
+    }
+
+    /// As [`Args::resolve`], over the options of a configuration file that was read.
+    ///
+    /// # Errors
+    /// A value out of range, or a file named by an option that cannot be read.
+    pub fn resolve_over(self, file: Options) -> Result<ServerConfig, UsageError> {
         let given = self.options;
         let defaults = ServerConfig::default();
         let listen: SocketAddr = match given.listen.or(file.listen) {
@@ -268,10 +275,18 @@ fn read_file(path: &Path) -> Result<Options, UsageError> {
     let shown = path.display();
     let text = std::fs::read_to_string(path)
         .map_err(|error| UsageError::new(format!("config: cannot read `{shown}`: {error}")))?;
-    toml::from_str(&text).map_err(|error| {
+    parse_file(&text, &shown.to_string())
+}
+
+/// The options of a configuration file, from its text; `name` is for messages.
+///
+/// # Errors
+/// A malformed text or an unknown key: one line with the line's number.
+pub fn parse_file(text: &str, name: &str) -> Result<Options, UsageError> {
+    toml::from_str(text).map_err(|error| {
         let line = error.span().map_or(1, |span| text[..span.start].lines().count().max(1));
         // Errors of programs are one line.
         let message = error.message().lines().collect::<Vec<_>>().join(" ");
-        UsageError::new(format!("config: {shown} line {line}: {message}"))
+        UsageError::new(format!("config: {name} line {line}: {message}"))
     })
 }

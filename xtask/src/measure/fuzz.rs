@@ -1,8 +1,9 @@
 //! `fuzz`: every decoder under libFuzzer, a search by coverage.
 //!
 //! The targets are those of the package `fuzz`, built by cargo-fuzz. They start from the valid inputs
-//! of `entry-points`. Hours; `TOMBOLO_FUZZ_SECONDS` limits each target's time, and what then falls
-//! short of the executions misses its bar.
+//! of `entry-points`. Hours; `TOMBOLO_FUZZ_TARGETS` selects targets by their names, with commas
+//! between them, and `TOMBOLO_FUZZ_SECONDS` limits each one's time. What then falls short of the
+//! executions misses its bar.
 
 use super::run::Run;
 use crate::process;
@@ -12,25 +13,30 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-/// The entry points, by the names of their targets.
-const TARGETS: [&str; 10] = [
-    "control",
-    "chunk",
-    "client_session",
-    "server_session",
-    "websocket",
-    "http",
-    "configuration",
-    "pack",
-    "address",
-    "uniforms",
+/// Executions of a target that reads one message, connection, file or view.
+const EXECUTIONS: u64 = 100_000_000;
+
+/// Executions of a target that passes a whole session: hundreds of times the work of one message,
+/// whose decoders have targets of their own.
+const SESSIONS: u64 = 1_000_000;
+
+/// The entry points, by the names of their targets, with their executions. The slowest ones come
+/// first, so that no core waits for them at the end.
+const TARGETS: [(&str, u64); 10] = [
+    ("configuration", EXECUTIONS),
+    ("client_session", SESSIONS),
+    ("server_session", SESSIONS),
+    ("http", EXECUTIONS),
+    ("chunk", EXECUTIONS),
+    ("websocket", EXECUTIONS),
+    ("pack", EXECUTIONS),
+    ("address", EXECUTIONS),
+    ("control", EXECUTIONS),
+    ("uniforms", EXECUTIONS),
 ];
 
 /// The target with a fault that must be found.
 const PLANTED: &str = "planted";
-
-/// Executions of each target.
-const EXECUTIONS: u64 = 100_000_000;
 
 /// Executions in which the planted fault must be found; some 20,000 are enough.
 const PLANTED_EXECUTIONS: u64 = 50_000_000;
@@ -60,14 +66,15 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     process::run(seeds).context("the valid inputs were not written")?;
     let planted = search(run, &folder, PLANTED, PLANTED_EXECUTIONS)?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let waiting = Mutex::new(TARGETS.iter());
+    let selected = selected()?;
+    let waiting = Mutex::new(selected.iter());
     let found = Mutex::new(Vec::new());
     let next = || waiting.lock().ok()?.next().copied();
     let run_here = &*run;
     std::thread::scope(|scope| {
         let work = || -> Result<()> {
-            while let Some(target) = next() {
-                let searched = search(run_here, &folder, target, EXECUTIONS)?;
+            while let Some((target, executions)) = next() {
+                let searched = search(run_here, &folder, target, executions)?;
                 found.lock().map_err(|_| anyhow::anyhow!("a search panicked"))?.push(searched);
             }
             Ok(())
@@ -79,7 +86,7 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
         })
     })?;
     let mut found = found.into_inner().unwrap_or_default();
-    found.sort_by_key(|one| TARGETS.iter().position(|target| *target == one.target));
+    found.sort_by_key(|one| TARGETS.iter().position(|(target, _)| *target == one.target));
     run.notes.push(
         "libFuzzer through cargo-fuzz without a sanitizer, release build with debug assertions; each \
          target starts from the valid inputs of its entry point."
@@ -88,15 +95,25 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     Ok(bars_of(&planted, &found))
 }
 
+/// The targets to run: all, or those of `TOMBOLO_FUZZ_TARGETS`.
+fn selected() -> Result<Vec<(&'static str, u64)>> {
+    let Ok(names) = std::env::var("TOMBOLO_FUZZ_TARGETS") else { return Ok(TARGETS.into()) };
+    let of = |name: &str| {
+        let found = TARGETS.iter().find(|(target, _)| *target == name).copied();
+        found.with_context(|| format!("TOMBOLO_FUZZ_TARGETS: there is no target `{name}`"))
+    };
+    names.split(',').map(of).collect()
+}
+
 /// The rows. Without the planted fault nothing counts.
 fn bars_of(planted: &Searched, found: &[Searched]) -> Vec<Bar> {
     let can_find = planted.has_fault;
     let mut rows: Vec<_> = TARGETS
         .iter()
-        .map(|target| {
+        .map(|(target, wanted)| {
             let searched = found.iter().find(|one| one.target == *target);
             let executions = searched.and_then(|one| one.executions).filter(|_| can_find);
-            Bar::at_least(format!("{target}: executions"), executions, "", EXECUTIONS as f64)
+            Bar::at_least(format!("{target}: executions"), executions, "", *wanted as f64)
         })
         .collect();
     let faults = found.iter().filter(|one| one.has_fault).count() as f64;
@@ -171,13 +188,13 @@ mod tests {
 
     #[test]
     fn a_search_counts_only_whole_and_only_if_the_planted_fault_was_found() {
-        let whole: Vec<_> = TARGETS.map(|target| searched(target, 1e8, false)).into();
+        let whole: Vec<_> = TARGETS.map(|(target, wanted)| searched(target, wanted as f64, false)).into();
         assert_eq!(missed(true, &whole), 0);
         assert_eq!(missed(false, &whole), TARGETS.len() + 1);
         assert_eq!(missed(true, &whole[1..]), 1);
         assert_eq!(missed(true, &[]), TARGETS.len() + 1);
         let mut short = whole.clone();
-        short[0].executions = Some(1e8 - 1.0);
+        short[0].executions = short[0].executions.map(|wanted| wanted - 1.0);
         assert_eq!(missed(true, &short), 1);
         let mut faulty = whole;
         faulty[3].has_fault = true;
@@ -194,7 +211,7 @@ mod tests {
     #[test]
     fn every_entry_point_is_a_target() {
         let listed = fs::read_to_string(process::root().join("entry-points/src/lib.rs")).unwrap();
-        for target in TARGETS {
+        for (target, _) in TARGETS {
             assert!(listed.contains(&format!("name: \"{target}\"")), "{target}");
             assert!(process::root().join("fuzz/fuzz_targets").join(format!("{target}.rs")).is_file());
         }
