@@ -1,4 +1,5 @@
-//! Every place where bytes of a peer or of a file come in, as functions for fuzzing.
+//! Every place where bytes of a peer or of a file, or numbers of a view, come in, as functions for
+//! fuzzing.
 //!
 //! A function accepts any bytes. It panics if they violate an invariant, and otherwise says whether
 //! they were accepted. The targets of the package `fuzz` call it under libFuzzer; the test `smoke`
