@@ -28,9 +28,12 @@ pub const MAX_VIEW_CHUNKS: usize = 16 * 1024;
 /// get the coarsest chunks.
 pub const MAX_VIEW_ESTIMATE: u64 = 16 * MAX_VIEW_CHUNKS as u64;
 
-/// Keys that a server stores as held by a client (about 1 MiB). A full set is cleared; the only
-/// consequence is that chunks may be sent again.
-pub const MAX_HELD: usize = 64 * 1024;
+/// Side of the tiles in which a server stores the chunks that a client holds, chunks.
+pub const HELD_TILE: i32 = 16;
+
+/// Tiles with held chunks that a server stores per session: 164 KiB, and at most 917,504 chunks. A
+/// full set is cleared; the only consequence is that chunks may be sent again.
+pub const MAX_HELD_TILES: usize = 3584;
 
 /// Chunks in the reference window of refined delivery: 17 MiB of heights in the client, some KiB of
 /// keys in the server.

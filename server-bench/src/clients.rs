@@ -7,9 +7,22 @@ use std::time::{Duration, Instant};
 use terrain::ChunkKey;
 use tokio::runtime::{Builder, Runtime};
 
+/// Nice value of the thread of other peers: a tenth of the weight of the measured clients' thread,
+/// which shares its processor on a machine with few of them. What the other peers make the server do
+/// counts, not the time that they take from the measured clients.
+const OTHERS_NICE: i32 = 10;
+
 /// A runtime on a thread of its own, for peers that must not delay the measured clients.
 pub fn other_thread() -> Result<Runtime> {
-    Builder::new_multi_thread().worker_threads(1).enable_all().build().context("cannot start a thread")
+    Builder::new_multi_thread()
+        .worker_threads(1)
+        .on_thread_start(|| {
+            #[cfg(target_os = "linux")]
+            let _ = rustix::process::nice(OTHERS_NICE);
+        })
+        .enable_all()
+        .build()
+        .context("cannot start a thread")
 }
 
 /// Runs a client on each connection, all at the same time. The first that fails fails the

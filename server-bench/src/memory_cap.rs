@@ -21,8 +21,11 @@ use tokio_util::either::Either;
 /// The limit, bytes.
 const LIMIT: u64 = 512 * 1024 * 1024;
 
-/// The limit of the control, under which a server of the same settings must be killed.
-const CONTROL_LIMIT: u64 = 48 * 1024 * 1024;
+/// A smaller limit, which the load reaches in seconds: with the default settings a server must live
+/// under it. The control has a cache that is larger than the limit, and must be killed.
+const SMALL_LIMIT: u64 = 128 * 1024 * 1024;
+const SMALL_LENGTH: Duration = Duration::from_secs(60);
+const TOO_LARGE_CACHE: [&str; 2] = ["--cache-mb", "1024"];
 
 /// Clients. Every fourth one does not read; the others request chunks, each from an own region.
 const CLIENTS: usize = 200;
@@ -48,34 +51,43 @@ const SETTLE: Duration = Duration::from_secs(15);
 /// Different chunks: several times what the cache holds.
 const CHUNKS: usize = 128 * 1024;
 
-/// Runs the benchmark once, and its control.
+/// Runs the benchmark once, and with a smaller limit once more and as a control.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let length = Duration::from_secs(plan.seconds) * LENGTH;
     let land = Land::new(WORLD_SEED);
     let keys: Arc<[ChunkKey]> = land_keys(&land, 0, CHUNKS).into();
-    let limited = under(plan, LIMIT, &keys, length).await?;
-    let control = under(plan, CONTROL_LIMIT, &keys, POLITE_LENGTH * 2).await?;
+    let limited = under(plan, LIMIT, &[], &keys, length).await?;
+    let small = under(plan, SMALL_LIMIT, &[], &keys, SMALL_LENGTH).await?;
+    let control = under(plan, SMALL_LIMIT, &TOO_LARGE_CACHE, &keys, SMALL_LENGTH).await?;
     Ok(json!({
         "clients": CLIENTS,
         "seconds": length.as_secs(),
         "limit_mib": LIMIT / 1_048_576,
         "limited": limited,
-        "control_limit_mib": CONTROL_LIMIT / 1_048_576,
+        "small_limit_mib": SMALL_LIMIT / 1_048_576,
+        "small": small,
         "control": control,
     }))
 }
 
 /// The load under a limit. A server that was killed gives what the control group says alone.
-async fn under(plan: &Plan, limit: u64, keys: &Arc<[ChunkKey]>, length: Duration) -> Result<Value> {
+async fn under(
+    plan: &Plan,
+    limit: u64,
+    options: &[&str],
+    keys: &Arc<[ChunkKey]>,
+    length: Duration,
+) -> Result<Value> {
     let group = Cgroup::new(limit)?;
     let launch = Launch { cgroup: Some(group.folder().into()), ..plan.launch.clone() };
     let mut outcome = json!({});
     {
-        let Ok(mut server) = ServerProcess::start(&launch, &[]) else {
+        let Ok(mut server) = ServerProcess::start(&launch, options) else {
             return Ok(json!({ "killed": group.killed()?, "is_running": false }));
         };
-        if let Ok(Value::Object(measured)) = load(&server, keys, length).await {
-            outcome = Value::Object(measured);
+        match load(&server, keys, length).await {
+            Ok(measured) => outcome = measured,
+            Err(error) => outcome["error"] = json!(format!("{error:#}")),
         }
         outcome["is_running"] = json!(server.process.is_running());
         outcome["panics"] = json!(server.panics());
@@ -164,11 +176,11 @@ async fn unread(index: usize, address: SocketAddr, keys: &[ChunkKey], until: Ins
 pub fn bars(figures: &Value) -> Vec<Bar> {
     let was_long = at(figures, "seconds").is_some_and(|seconds| seconds >= 600.0);
     let of = |path| at(figures, path).filter(|_| was_long);
-    let is_running = figures.pointer("/limited/is_running").and_then(Value::as_bool) == Some(true);
+    let is_running = |run: &str| figures.pointer(run).and_then(Value::as_bool) == Some(true);
     vec![
         Bar::none(
             "512 MiB and 200 clients, 10 min: processes killed",
-            of("limited/killed").filter(|_| is_running),
+            of("limited/killed").filter(|_| is_running("/limited/is_running")),
         )
         .with_note(
             "hard limit of a control group; 150 clients with 256 requests outstanding each, 50 that never \
@@ -183,8 +195,13 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
             "",
             0.95,
         ),
+        Bar::none(
+            "the same with 128 MiB, 1 min: processes killed",
+            of("small/killed").filter(|_| is_running("/small/is_running")),
+        ),
+        Bar::reported("the same with 128 MiB: the most memory", of("small/peak_mib"), "MiB"),
         Bar::at_least(
-            "the same with 48 MiB: processes killed (control)",
+            "the same with 128 MiB and a cache of 1 GiB: processes killed (control)",
             at(figures, "control/killed"),
             "",
             1.0,
@@ -196,7 +213,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 pub fn notes(figures: &Value) -> Vec<String> {
     let line = "Limit of memory, {seconds:.0} s: {limited/chunks:.0} chunks, {limited/refused:.0} \
                 refused; polite p99 {limited/p99_before_ms:.1} ms before, \
-                {limited/p99_after_ms:.1} ms after.";
+                {limited/p99_after_ms:.1} ms after; with 128 MiB {small/chunks:.0} chunks, \
+                {small/refused:.0} refused.";
     vec![bars::figures::fill(line, figures)]
 }
 
@@ -213,6 +231,7 @@ mod tests {
                 "is_running": true, "killed": 0, "peak_mib": 300.0, "refused": 1000, "refused_after": 0,
                 "chunks_share_after": 1.0,
             },
+            "small": { "is_running": true, "killed": 0, "peak_mib": 90.0 },
             "control": { "killed": 1 },
         });
         let bad = [
@@ -221,6 +240,8 @@ mod tests {
             ("/limited/refused", json!(0)),
             ("/limited/refused_after", json!(2)),
             ("/limited/chunks_share_after", json!(0.9)),
+            ("/small/killed", json!(1)),
+            ("/small/is_running", json!(false)),
             ("/control/killed", json!(0)),
         ];
         check(bars, &good, &bad);

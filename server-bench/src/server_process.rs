@@ -54,6 +54,9 @@ pub struct Launch {
     /// The control group that the program joins before it starts.
     #[arg(skip)]
     pub cgroup: Option<PathBuf>,
+    /// Whether its allocator asks for no huge pages, for comparisons of little memory.
+    #[arg(skip)]
+    pub has_small_pages: bool,
 }
 
 impl Launch {
@@ -71,6 +74,9 @@ impl Launch {
         words.push(program.into());
         let mut command = Command::new(&words[0]);
         command.args(&words[1..]);
+        if self.has_small_pages {
+            command.env("MIMALLOC_ALLOW_THP", "0");
+        }
         command
     }
 

@@ -9,6 +9,7 @@ use crate::access::hosts::{AllowedHosts, AllowedOrigins};
 use crate::access::tokens::{TokenFile, TokenSet};
 use crate::cache::disk::DiskConfig;
 use crate::mechanism::Mechanism;
+use crate::memory::{self, MemoryLimit};
 use crate::proxy::TrustedProxies;
 use crate::store::{StoreAddress, StoreConfig};
 use crate::tls::Tls;
@@ -24,7 +25,6 @@ pub use options::{Args, Command, Options};
 
 /// The default address of clients.
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:7580";
-const DEFAULT_CACHE_MB: u64 = 128;
 const DEFAULT_DISK_MB: u64 = 1024;
 const DEFAULT_MAX_SESSIONS: usize = 1024;
 /// Milliseconds.
@@ -42,6 +42,8 @@ pub struct ServerConfig {
     pub threads: usize,
     /// Memory for encoded chunks, bytes.
     pub cache_bytes: u64,
+    /// Memory that the process may use; none if that is not known.
+    pub memory: Option<MemoryLimit>,
     /// Disk cache; none for no disk cache.
     pub disk: Option<DiskConfig>,
     /// Shared store; none for no store.
@@ -92,11 +94,13 @@ pub struct ServerConfig {
 impl Default for ServerConfig {
     /// The documented defaults: loopback, world 1, no token.
     fn default() -> Self {
+        let memory = MemoryLimit::of_process();
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 7580)),
             world_seed: 1,
             threads: std::thread::available_parallelism().map_or(1, usize::from),
-            cache_bytes: DEFAULT_CACHE_MB << 20,
+            cache_bytes: memory::default_cache_mb(memory.as_ref()) << 20,
+            memory,
             disk: None,
             store: None,
             tls: None,
@@ -158,7 +162,7 @@ impl Args {
             None => defaults.listen,
         };
         let threads = given.threads.or(file.threads).unwrap_or(defaults.threads);
-        let cache_mb = given.cache_mb.or(file.cache_mb).unwrap_or(DEFAULT_CACHE_MB);
+        let cache_mb = given.cache_mb.or(file.cache_mb).unwrap_or(defaults.cache_bytes >> 20);
         let disk_mb = given.disk_mb.or(file.disk_mb);
         let disk_folder = given.disk_cache.or(file.disk_cache);
         let max_sessions = given.max_sessions.or(file.max_sessions).unwrap_or(DEFAULT_MAX_SESSIONS);

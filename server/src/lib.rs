@@ -14,6 +14,7 @@
 //! | [`http`] | routes |
 //! | [`websocket`] | transport of sessions |
 //! | [`session`] | one task per client |
+//! | [`memory`] | what the process may use, and the mark beyond which no session begins |
 //! | [`limits`] | limits per client network and per connection |
 //! | [`generation`] | scheduling and execution of generation jobs and view selections |
 //! | [`cache`] | encoded frames in memory and on disk |
@@ -39,6 +40,7 @@ pub mod limits;
 pub mod listener;
 pub mod map;
 pub mod mechanism;
+pub mod memory;
 pub mod metrics;
 pub mod proxy;
 pub mod reload;

@@ -8,6 +8,7 @@ use crate::http;
 use crate::limits::per_ip::{IpPermit, PerIpLimiter};
 use crate::limits::system_buffers;
 use crate::limits::write_timeout::WriteTimeoutStream;
+use crate::memory::mark;
 use crate::metrics::ReasonLabel;
 use crate::proxy::proxy_protocol;
 use crate::reload;
@@ -78,12 +79,16 @@ pub async fn run(
     let address = listener.local_addr().map_or_else(|_| "unknown".into(), |address| address.to_string());
     tracing::info!(%address, world_seed = state.config.world_seed, digest = %state.offer.digest, "listening");
 
+    let (cache_mib, memory) = (state.config.cache_bytes >> 20, state.config.memory.as_ref());
+    let memory = memory.map_or_else(|| "unknown".into(), ToString::to_string);
+    tracing::info!(cache_mib, memory, "chunk cache, and memory that this process may use");
     if let Some(mechanism) = state.config.without {
         tracing::warn!(?mechanism, "a mechanism against overload is turned off: for measurements only");
     }
 
     warn_of_openness(&state, &listener);
     let _reload = AbortOnDropHandle::new(tokio::spawn(reload::run(Arc::clone(&state))));
+    let _memory = AbortOnDropHandle::new(tokio::spawn(mark::watch(Arc::clone(&state))));
     let router = http::router(Arc::clone(&state));
     let connections = TaskTracker::new();
     let total = state.config.max_sessions + EXTRA_CONNECTIONS;

@@ -166,6 +166,10 @@ pub struct Metrics {
     pub store_write_seconds: Histogram,
     /// 1 while the store is asked.
     pub store_up: Gauge,
+    /// Memory in use that counts against the limit, bytes.
+    pub memory_used_bytes: Gauge,
+    /// Memory that the process may use, bytes; 0 if that is not known.
+    pub memory_limit_bytes: Gauge,
     /// Map tile requests served from memory.
     pub tile_cache_hits: Counter,
     /// Map tile requests that rendered the tile.
@@ -243,6 +247,8 @@ impl Default for Metrics {
             store_read_seconds: Histogram::new(exponential_buckets(0.0002, 2.0, 14)),
             store_write_seconds: Histogram::new(exponential_buckets(0.0002, 2.0, 15)),
             store_up: Gauge::default(),
+            memory_used_bytes: Gauge::default(),
+            memory_limit_bytes: Gauge::default(),
             tile_cache_hits: Counter::default(),
             tiles_rendered: Counter::default(),
             tiles_failed: Counter::default(),
@@ -285,6 +291,16 @@ impl Metrics {
     }
 
     fn register_limits(&mut self) {
+        self.register(
+            "memory_used_bytes",
+            "Memory in use that counts against the limit",
+            &self.memory_used_bytes.clone(),
+        );
+        self.register(
+            "memory_limit_bytes",
+            "Memory that the process may use; 0 if not known",
+            &self.memory_limit_bytes.clone(),
+        );
         self.register("connections", "Open connections that are no sessions", &self.connections.clone());
         self.register(
             "connections_rejected",

@@ -9,6 +9,7 @@ use crate::limits::peer_log::PeerLog;
 use crate::limits::per_ip::PerIpLimiter;
 use crate::limits::rate_limit::RateLimiter;
 use crate::map::Map;
+use crate::memory::MemoryMark;
 use crate::metrics::Metrics;
 use crate::source::ProceduralSource;
 use crate::stats::LiveStats;
@@ -16,7 +17,7 @@ use crate::store::Store;
 use protocol::server::ServerOffer;
 use rayon::ThreadPoolBuildError;
 use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
+use std::sync::atomic::{AtomicU64, AtomicUsize};
 use terrain::Land;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
@@ -52,12 +53,16 @@ pub struct ServerState {
     pub session_permits: Arc<Semaphore>,
     /// Sessions per client network.
     pub sessions_per_ip: PerIpLimiter,
+    /// Whether the memory is nearly used up.
+    pub memory: MemoryMark,
     /// Tokens of clients.
     pub gate: Arc<TokenGate>,
     /// Log lines about peers that break rules.
     pub peer_log: Arc<PeerLog>,
     /// Work per client network.
     pub rate_limiter: RateLimiter,
+    /// Sessions that are not read for a while after rejections.
+    pub paused_sessions: AtomicUsize,
     /// Number of the next session.
     pub next_session: AtomicU64,
 }
@@ -109,6 +114,7 @@ impl ServerState {
                 config.threads,
                 Arc::clone(&metrics),
             ),
+            memory: MemoryMark::new(config.memory.clone()),
             content_digests: ContentDigests::default(),
             stats: LiveStats::default(),
             generation,
@@ -116,6 +122,7 @@ impl ServerState {
             draining: CancellationToken::new(),
             sessions: TaskTracker::new(),
             session_permits: Arc::new(Semaphore::new(config.max_sessions)),
+            paused_sessions: AtomicUsize::new(0),
             next_session: AtomicU64::new(1),
             rate_limiter: RateLimiter::new(config.rate_limit_ms),
             sessions_per_ip: match config.max_sessions_per_address {

@@ -1,4 +1,5 @@
 use super::ServerOffer;
+use super::held_chunks::HeldChunks;
 use super::view_queue::ViewQueue;
 use super::view_selection::ViewSelection;
 use crate::DataFrame;
@@ -8,8 +9,8 @@ use crate::delivery::Delivery;
 use crate::error::ControlError;
 use crate::fault::PeerFault;
 use crate::limits::{
-    MAX_CHUNK_FRAME, MAX_CREDIT_BYTES, MAX_CREDITS, MAX_HELD, MAX_PENDING_REQUESTS, MAX_TEXT,
-    MAX_VIEW_ESTIMATE, SEED_ONLY_FRAME,
+    MAX_CHUNK_FRAME, MAX_CREDIT_BYTES, MAX_CREDITS, MAX_PENDING_REQUESTS, MAX_TEXT, MAX_VIEW_ESTIMATE,
+    SEED_ONLY_FRAME,
 };
 use crate::message::{
     ClientMessage, Hello, RefusalReason, Refused, Rejection, ServerMessage, Settled, Welcome, WireKey,
@@ -75,9 +76,8 @@ pub struct ServerSession {
     /// the requeued ones. Further ones are refused.
     requests: VecDeque<(u32, ChunkKey)>,
     views: ViewQueue,
-    /// Chunks that the client has. At most [`MAX_HELD`]; cleared when full. The client chooses the
-    /// keys: the randomly keyed hash of std has no collisions that it could prepare.
-    held: HashSet<ChunkKey>,
+    /// Chunks that the client has; cleared when full.
+    held: HeldChunks,
     /// In refined delivery: the parents that frames may refer to.
     references: ReferenceWindow<()>,
     /// Returned by [`ServerSession::next_chunk`] and not yet delivered.
@@ -112,7 +112,7 @@ impl ServerSession {
             stale: Vec::new(),
             requests: VecDeque::new(),
             views: ViewQueue::default(),
-            held: HashSet::default(),
+            held: HeldChunks::default(),
             references: ReferenceWindow::default(),
             in_flight: HashMap::default(),
             outbox: VecDeque::new(),
@@ -164,13 +164,13 @@ impl ServerSession {
             }
             (ClientMessage::Release { keys }, true) => {
                 for key in keys.into_iter().filter_map(|key| key.check().ok()) {
-                    self.held.remove(&key);
+                    self.held.remove(key);
                 }
                 Ok(())
             }
             (ClientMessage::Holding { keys }, true) => {
                 for key in keys.into_iter().filter_map(|key| key.check().ok()) {
-                    self.hold(key);
+                    self.held.insert(key);
                 }
                 self.settle();
                 Ok(())
@@ -377,7 +377,7 @@ impl ServerSession {
             Some((id, key)) => ChunkRequest { key, request: Some(id), priority: u64::MAX },
             None => {
                 let Self { views, held, in_flight, .. } = &mut *self;
-                let is_known = |key: &ChunkKey| held.contains(key) || in_flight.contains_key(key);
+                let is_known = |key: &ChunkKey| held.contains(*key) || in_flight.contains_key(key);
                 match views.next(is_known) {
                     Some((priority, key)) => ChunkRequest { key, request: None, priority },
                     None => {
@@ -439,7 +439,7 @@ impl ServerSession {
     /// Queues a chunk frame whose credit is already taken.
     fn send_chunk(&mut self, key: ChunkKey, frame: Bytes) {
         self.return_bytes(self.frame_bound().saturating_sub(frame.len() as u32));
-        self.hold(key);
+        self.held.insert(key);
         if self.delivery == Delivery::Refined {
             self.references.insert(key, || ());
         }
@@ -529,13 +529,6 @@ impl ServerSession {
                 self.in_flight.remove(&key);
             }
         }
-    }
-
-    fn hold(&mut self, key: ChunkKey) {
-        if self.held.len() >= MAX_HELD {
-            self.held.clear();
-        }
-        self.held.insert(key);
     }
 
     /// Announces a view once nothing of it is pending or in flight.

@@ -1,9 +1,9 @@
 //! The chunks that the view of a session still needs: by priority, with prefetch.
 
+use super::held_chunks::HeldChunks;
 use super::view_selection::{Selected, ViewSelection};
 use crate::view::View;
 use rustc_hash::{FxHashMap, FxHashSet};
-use std::collections::HashSet;
 use terrain::{ChunkKey, Land};
 
 /// The views of one session: the newest waits, one is being selected, one is active.
@@ -101,10 +101,10 @@ impl ViewQueue {
 
     /// Settles the active view if the client holds all its pending chunks. Returns the view's id
     /// and its number of chunks, once.
-    pub(super) fn settle(&mut self, held: &HashSet<ChunkKey>) -> Option<(u32, u32)> {
+    pub(super) fn settle(&mut self, held: &HeldChunks) -> Option<(u32, u32)> {
         let active = self.active.as_mut().filter(|active| !active.settled)?;
         while let Some((_, key)) = active.pending.last() {
-            if !held.contains(key) {
+            if !held.contains(*key) {
                 return None;
             }
             active.pending.pop();

@@ -26,6 +26,9 @@ pub async fn readyz(State(state): State<Arc<ServerState>>) -> Response {
     if state.generation.load() > READY_LOAD {
         return (StatusCode::SERVICE_UNAVAILABLE, "generation queue is nearly full\n").into_response();
     }
+    if state.memory.is_reached() {
+        return (StatusCode::SERVICE_UNAVAILABLE, "memory is nearly used up\n").into_response();
+    }
     if state.session_permits.available_permits() == 0 {
         return (StatusCode::SERVICE_UNAVAILABLE, "no session is free\n").into_response();
     }

@@ -53,6 +53,10 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         Err(Refusal::Missing) => offer.token = Some(state.gate.of_session(peer)),
         Err(refusal) => return client::problem(refusal).into_response(),
     }
+    if state.memory.is_reached() {
+        let sentence = "the server has little memory left, retry later";
+        return Problem::new(ProblemKind::NoSession, sentence).into_response();
+    }
     let permit = Arc::clone(&state.session_permits).try_acquire_owned();
     let (false, Ok(permit)) = (state.draining.is_cancelled(), permit) else {
         return Problem::new(ProblemKind::NoSession, "no session is free, retry later").into_response();

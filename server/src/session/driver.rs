@@ -11,7 +11,7 @@ use crate::metrics::{DeliveryLabel, ReasonLabel};
 use crate::session::end::{EndReason, SessionEnd, write_within};
 use crate::session::keepalive::{Keepalive, KeepaliveAction};
 use crate::session::message_deadline::MessageDeadline;
-use crate::session::refusal_backoff::RefusalBackoff;
+use crate::session::refusal_backoff::{PauseCount, RefusalBackoff, Rejections};
 use crate::state::ServerState;
 use crate::stats::SessionStatsGuard;
 use crate::websocket::frame::Opcode;
@@ -24,6 +24,7 @@ use protocol::server::ViewSelection;
 use protocol::server::{Next, ServerOffer, ServerSession, SessionCounts};
 use protocol::{CloseCode, DataFrame};
 use std::io;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 use terrain::ChunkKey;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -74,6 +75,7 @@ where
         message_deadline: MessageDeadline::new(state.config.message_timeout),
         throttled_until: None,
         backoff: RefusalBackoff::new(Instant::now()),
+        pause_count: PauseCount::new(&state.paused_sessions),
         counted: SessionCounts::default(),
         stats: state.stats.register(number),
         in_generation: Vec::new(),
@@ -101,6 +103,8 @@ struct Driver<'a, S> {
     throttled_until: Option<Instant>,
     /// Whether the session is read.
     backoff: RefusalBackoff,
+    /// Counted while it is not.
+    pause_count: PauseCount<'a>,
     /// When an unfinished message must be complete.
     message_deadline: MessageDeadline,
     /// The part of the session's counts that the metrics contain.
@@ -139,6 +143,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 tokio::task::yield_now().await;
             }
             let pause = self.backoff.paused_until(Instant::now());
+            self.pause_count.set(pause.is_some());
             tokio::select! {
                 read = self.socket.read(), if pause.is_none() => {
                     keepalive.on_activity(Instant::now());
@@ -418,12 +423,19 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         }
         let superseded = now.superseded_views - before.superseded_views;
         if now.refusals != before.refusals || superseded > 0 {
-            // A superseded view costs as much as a rejected request.
-            let count = superseded + now.refusals.iter().sum::<u64>() - before.refusals.iter().sum::<u64>();
+            let refusals = |counts: &SessionCounts| counts.refusals.iter().sum::<u64>();
+            let invalid_views = |counts: &SessionCounts| counts.refusals[RefusalReason::InvalidView.index()];
+            let invalid_views = invalid_views(&now) - invalid_views(&before);
+            let rejections = Rejections {
+                requests: refusals(&now) - refusals(&before) - invalid_views,
+                views: superseded + invalid_views,
+            };
+            let paused = self.state.paused_sessions.load(Ordering::Relaxed);
+            let sharers = self.state.generation.sharers().max(paused.div_ceil(self.state.config.threads));
             // A rate limit bounds the work of rejections as well.
-            let sharers = self.state.generation.sharers().max(self.flow.bucket().thread_shares());
+            let sharers = sharers.max(self.flow.bucket().thread_shares());
             let backs_off = self.state.config.without != Some(Mechanism::RefusalBackoff);
-            let begins = backs_off && self.backoff.record(count, sharers, Instant::now());
+            let begins = backs_off && self.backoff.record(rejections, sharers, Instant::now());
             metrics.refusal_backoffs.inc_by(u64::from(begins));
             for reason in RefusalReason::ALL {
                 let count = now.refusals[reason.index()] - before.refusals[reason.index()];

@@ -6,18 +6,74 @@
 //! session's fair share: each rejection adds its cost, multiplied by the flows that share a thread,
 //! to a debt in time, and the session is not read while the debt lasts. Pending chunks are still
 //! sent. Unread input stays in the socket buffers, so TCP slows the client down.
+//!
+//! Sessions that are paused share the thread too, whether or not they have flows: otherwise each of
+//! many sessions that send nothing but refused views would get a whole share.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use tokio::time::Instant;
 
 /// Cost of one rejection to a thread: reading, parsing and writing. An upper estimate.
 const REFUSAL_COST: Duration = Duration::from_micros(4);
 
+/// Cost of a view that was superseded or refused. More than it takes: no client needs more views than
+/// frames. 60 a second of each of a thousand sessions on a thread, all superseded, cause no pause.
+const VIEW_COST: Duration = Duration::from_micros(8);
+
 /// The longest pause, so that a cancellation or a view behind rejected requests is read soon.
 const MAX_PAUSE: Duration = Duration::from_millis(100);
 
 /// The shortest pause; less is not worth a timer. Smaller debts accumulate until time pays them.
 const MIN_PAUSE: Duration = Duration::from_millis(10);
+
+/// What a session was refused.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rejections {
+    /// Requested keys and grants.
+    pub requests: u64,
+    /// Views, superseded ones included.
+    pub views: u64,
+}
+
+impl Rejections {
+    /// What they cost a thread.
+    fn cost(self) -> Duration {
+        let times = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
+        REFUSAL_COST.saturating_mul(times(self.requests)) + VIEW_COST.saturating_mul(times(self.views))
+    }
+}
+
+/// Counts a session while it is paused.
+#[derive(Debug)]
+pub struct PauseCount<'a> {
+    paused: &'a AtomicUsize,
+    is_counted: bool,
+}
+
+impl<'a> PauseCount<'a> {
+    /// A session that is not paused, to be counted in `paused`.
+    #[must_use]
+    pub const fn new(paused: &'a AtomicUsize) -> Self {
+        Self { paused, is_counted: false }
+    }
+
+    /// Records whether the session is paused.
+    pub fn set(&mut self, is_paused: bool) {
+        match (self.is_counted, is_paused) {
+            (false, true) => _ = self.paused.fetch_add(1, Ordering::Relaxed),
+            (true, false) => _ = self.paused.fetch_sub(1, Ordering::Relaxed),
+            _ => {}
+        }
+        self.is_counted = is_paused;
+    }
+}
+
+impl Drop for PauseCount<'_> {
+    fn drop(&mut self) {
+        self.set(false);
+    }
+}
 
 /// See the module.
 #[derive(Clone, Copy, Debug)]
@@ -35,11 +91,11 @@ impl RefusalBackoff {
         Self { debt_until: now, pause: None }
     }
 
-    /// Records `count` rejections while `sharers` flows share a thread. Returns whether a pause
-    /// begins.
-    pub fn record(&mut self, count: u64, sharers: usize, now: Instant) -> bool {
-        let times = u32::try_from(count.saturating_mul(sharers.max(1) as u64)).unwrap_or(u32::MAX);
-        let debt = self.debt_until.saturating_duration_since(now) + REFUSAL_COST.saturating_mul(times);
+    /// Records rejections while `sharers` flows share a thread. Returns whether a pause begins.
+    pub fn record(&mut self, rejections: Rejections, sharers: usize, now: Instant) -> bool {
+        let sharers = u32::try_from(sharers.max(1)).unwrap_or(u32::MAX);
+        let cost = rejections.cost().saturating_mul(sharers);
+        let debt = self.debt_until.saturating_duration_since(now).saturating_add(cost);
         self.debt_until = now + debt.min(MAX_PAUSE);
         let was_paused = self.paused_until(now).is_some();
         if debt >= MIN_PAUSE {
@@ -59,12 +115,16 @@ impl RefusalBackoff {
 mod tests {
     use super::*;
 
+    const fn requests(requests: u64) -> Rejections {
+        Rejections { requests, views: 0 }
+    }
+
     #[test]
     fn a_pause_lasts_as_long_as_the_refusals_of_all_sharers() {
         let now = Instant::now();
         for (count, sharers, expected_us) in [(6000, 1, 24_000), (600, 10, 24_000), (6000, 0, 24_000)] {
             let mut backoff = RefusalBackoff::new(now);
-            backoff.record(count, sharers, now);
+            backoff.record(requests(count), sharers, now);
             let end = now + Duration::from_micros(expected_us);
             assert_eq!(backoff.paused_until(now), Some(end));
             assert_eq!(backoff.paused_until(end), None, "the pause ends");
@@ -76,10 +136,39 @@ mod tests {
         let now = Instant::now();
         let mut backoff = RefusalBackoff::new(now);
         for _ in 0..3 {
-            backoff.record(u64::MAX, usize::MAX, now);
+            backoff.record(Rejections { requests: u64::MAX, views: u64::MAX }, usize::MAX, now);
             assert_eq!(backoff.paused_until(now), Some(now + MAX_PAUSE));
         }
         assert_eq!(backoff.paused_until(now + MAX_PAUSE), None);
+    }
+
+    #[test]
+    fn views_of_every_frame_never_pause_and_a_flood_of_them_does() {
+        let start = Instant::now();
+        // 60 a second and 20,000 a second, where a thousand sessions share a thread.
+        for (every_us, is_paused) in [(16_667, false), (50, true)] {
+            let (mut backoff, mut pauses) = (RefusalBackoff::new(start), 0);
+            for number in 0..1000 {
+                let now = start + Duration::from_micros(every_us * number);
+                backoff.record(Rejections { requests: 0, views: 1 }, 1000, now);
+                pauses += u32::from(backoff.paused_until(now).is_some());
+            }
+            assert_eq!(pauses > 0, is_paused, "one in {every_us} us: {pauses}");
+        }
+    }
+
+    #[test]
+    fn paused_sessions_are_counted_until_they_end() {
+        let paused = AtomicUsize::new(0);
+        let (mut one, mut other) = (PauseCount::new(&paused), PauseCount::new(&paused));
+        [true, true, false, true].into_iter().for_each(|is_paused| one.set(is_paused));
+        other.set(true);
+        assert_eq!(paused.load(Ordering::Relaxed), 2);
+        one.set(false);
+        drop(one);
+        assert_eq!(paused.load(Ordering::Relaxed), 1);
+        drop(other);
+        assert_eq!(paused.load(Ordering::Relaxed), 0);
     }
 
     #[test]
@@ -91,7 +180,7 @@ mod tests {
             let (mut backoff, mut pauses) = (RefusalBackoff::new(start), 0);
             for number in 0..1000 {
                 let now = start + Duration::from_micros(every_us * number);
-                backoff.record(1, 10, now);
+                backoff.record(requests(1), 10, now);
                 pauses += u32::from(backoff.paused_until(now).is_some());
             }
             assert_eq!(pauses > 0, is_paused, "one in {every_us} us: {pauses}");

@@ -23,8 +23,7 @@ impl StoreAddress {
     /// What is wrong and what to give.
     pub fn parse(text: &str) -> Result<Self, String> {
         let help = "give file:///FOLDER, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX";
-        // A line break of the text must not break the line of the error.
-        let shown = text.escape_debug();
+        let shown = shown(text);
         if !text.contains("://") {
             let folder = std::path::absolute(text).map_err(|_| format!("`{shown}` is no folder; {help}"))?;
             let url = Url::from_directory_path(&folder);
@@ -57,6 +56,17 @@ impl StoreAddress {
     }
 }
 
+/// An invalid address as errors show it: in one line, without what may be a secret. Whatever stands
+/// before the last `@` may be a name and a password, also with characters that they should not hold;
+/// a query may be a signature.
+fn shown(text: &str) -> String {
+    let (scheme, rest) = text.find("://").map_or(("", text), |colon| text.split_at(colon + 3));
+    let (user, rest) = rest.rsplit_once('@').map_or(("", rest), |(_, rest)| ("***@", rest));
+    let (rest, query) = rest.split_once('?').map_or((rest, ""), |(rest, _)| (rest, "?***"));
+    // A line break of the text must not break the line of the error.
+    format!("{scheme}{user}{rest}{query}").escape_debug().to_string()
+}
+
 impl std::fmt::Display for StoreAddress {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         self.0.fmt(f)
@@ -85,6 +95,13 @@ mod tests {
             ("s3://key:secret@bucket/x", "AWS_ACCESS_KEY_ID"),
             ("az://container/x?sig=secret", "environment"),
             ("gs://\0ck\n", "gs://"),
+            // No URLs: none of them is shown whole.
+            ("s3://key:secret@bu cket/x", "`s3://***@bu cket/x`"),
+            ("s3://key:se/secret+@bucket:port", "`s3://***@bucket:port`"),
+            ("s3://key:secret@:x@bucket:port", "`s3://***@bucket:port`"),
+            ("az://bad host/x?sig=secret", "`az://bad host/x?***`"),
+            ("az://bad host/x?sig=secret@y", "`az://***@y`"),
+            ("s3://key:sec?secret@bucket", "`s3://***@bucket`"),
         ] {
             match StoreAddress::parse(text) {
                 Err(error) => {
