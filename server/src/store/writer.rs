@@ -13,8 +13,9 @@ use tokio::runtime::Handle;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio::time::timeout;
 
-/// Frames that wait for their write: about 1 MiB. One more is dropped and counted.
-const QUEUE: usize = 256;
+/// Frames that wait for their write: about 8 MiB, what cold clients ask for within some seconds. One
+/// more is dropped and counted; it is then made again by each replica.
+const QUEUE: usize = 2048;
 
 /// Writes in flight.
 const IN_FLIGHT: u32 = 8;
