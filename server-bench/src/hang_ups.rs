@@ -139,9 +139,10 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
     vec![
         Bar::none("100,000 clients that hang up: panics", of("panics")),
         Bar::none("the same: sessions, connections, jobs and threads left", of("leaked")),
-        Bar::at_most("the same: memory at the end over after half of them", of("rss_ratio"), "x", 1.05).with_note(
-            "resident, without huge pages, one of which is a tenth of it; they hang up after the connect, in and after the request of the upgrade, after the \
-             request of 16 chunks, and in a frame; half of them with a reset",
+        Bar::at_most("the same: memory at the end over after half", of("rss_ratio"), "x", 1.05).with_note(
+            "resident, without huge pages, one of which is a tenth of it; they hang up after the connect, \
+             in and after the request of the upgrade, after the request of 16 chunks, and in a frame; half \
+             of them with a reset",
         ),
     ]
 }

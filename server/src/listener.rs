@@ -88,7 +88,10 @@ pub async fn run(
 
     warn_of_openness(&state, &listener);
     let _reload = AbortOnDropHandle::new(tokio::spawn(reload::run(Arc::clone(&state))));
-    let _memory = AbortOnDropHandle::new(tokio::spawn(mark::watch(Arc::clone(&state))));
+    let _memory = AbortOnDropHandle::new(tokio::spawn(mark::watch(
+        Arc::clone(&state.memory),
+        Arc::clone(&state.metrics),
+    )));
     let router = http::router(Arc::clone(&state));
     let connections = TaskTracker::new();
     let total = state.config.max_sessions + EXTRA_CONNECTIONS;

@@ -54,7 +54,7 @@ pub struct ServerState {
     /// Sessions per client network.
     pub sessions_per_ip: PerIpLimiter,
     /// Whether the memory is nearly used up.
-    pub memory: MemoryMark,
+    pub memory: Arc<MemoryMark>,
     /// Tokens of clients.
     pub gate: Arc<TokenGate>,
     /// Log lines about peers that break rules.
@@ -114,7 +114,7 @@ impl ServerState {
                 config.threads,
                 Arc::clone(&metrics),
             ),
-            memory: MemoryMark::new(config.memory.clone()),
+            memory: Arc::new(MemoryMark::new(config.memory.clone())),
             content_digests: ContentDigests::default(),
             stats: LiveStats::default(),
             generation,

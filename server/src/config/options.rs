@@ -49,7 +49,7 @@ pub struct Options {
     #[arg(long, value_name = "N", env = "TOMBOLO_THREADS")]
     pub threads: Option<usize>,
     /// Memory for encoded chunks in MiB, 1 to 65536; map tiles get an eighth of it in addition
-    /// [default: 128, or a quarter of the memory that the process may use if that is less]
+    /// [default: 128, or an eighth of the memory that the process may use if that is less]
     #[arg(long, value_name = "N", env = "TOMBOLO_CACHE_MB")]
     pub cache_mb: Option<u64>,
     /// Folder of the disk cache for chunks of level 2 and coarser; without it there is no disk

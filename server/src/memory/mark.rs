@@ -2,7 +2,7 @@
 //! begins. What remains is for the sessions that are open.
 
 use super::MemoryLimit;
-use crate::state::ServerState;
+use crate::metrics::Metrics;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -45,17 +45,17 @@ impl MemoryMark {
 }
 
 /// Looks at the memory in use until it is dropped. Ends at once without a limit.
-pub async fn watch(state: Arc<ServerState>) {
-    let Some(limit) = &state.memory.limit else { return };
-    state.metrics.memory_limit_bytes.set(i64::try_from(limit.bytes()).unwrap_or(i64::MAX));
+pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>) {
+    let Some(limit) = &mark.limit else { return };
+    metrics.memory_limit_bytes.set(i64::try_from(limit.bytes()).unwrap_or(i64::MAX));
     let mut ticks = tokio::time::interval(INTERVAL);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     loop {
         ticks.tick().await;
         let Some(used) = limit.used_bytes() else { continue };
-        state.metrics.memory_used_bytes.set(i64::try_from(used).unwrap_or(i64::MAX));
-        if state.memory.record(used, limit.bytes()) {
-            let (used_mib, is_reached) = (used >> 20, state.memory.is_reached());
+        metrics.memory_used_bytes.set(i64::try_from(used).unwrap_or(i64::MAX));
+        if mark.record(used, limit.bytes()) {
+            let (used_mib, is_reached) = (used >> 20, mark.is_reached());
             if is_reached {
                 tracing::warn!(used_mib, %limit, "memory is nearly used up: no further sessions begin");
             } else {

@@ -11,9 +11,9 @@ pub use mark::MemoryMark;
 const MOST_CACHE_MB: u64 = 128;
 
 /// The default chunk cache is the memory of the process divided by this, if that is less.
-const CACHE_DIVISOR: u64 = 4;
+const CACHE_DIVISOR: u64 = 8;
 
-/// The default size of the chunk cache, MiB, at least 1: 128, or a quarter of the memory that the
+/// The default size of the chunk cache, MiB, at least 1: 128, or an eighth of the memory that the
 /// process may use. The largest one if that is not known.
 #[must_use]
 pub fn default_cache_mb(limit: Option<&MemoryLimit>) -> u64 {
@@ -26,9 +26,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_cache_is_a_quarter_of_little_memory() {
+    fn the_default_cache_is_an_eighth_of_little_memory() {
         let of = |mib: u64| default_cache_mb(Some(&MemoryLimit::of_machine(mib << 20)));
-        assert_eq!([2, 48, 256, 512, 1 << 20].map(of), [1, 12, 64, 128, 128]);
+        assert_eq!([2, 48, 256, 512, 1 << 20].map(of), [1, 6, 32, 64, 128]);
         assert_eq!(default_cache_mb(None), 128);
     }
 }

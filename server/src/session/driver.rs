@@ -144,8 +144,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             }
             let pause = self.backoff.paused_until(Instant::now());
             self.pause_count.set(pause.is_some());
+            let read_size = self.backoff.read_size(Instant::now());
             tokio::select! {
-                read = self.socket.read(), if pause.is_none() => {
+                read = self.socket.read_at_most(read_size), if pause.is_none() => {
                     keepalive.on_activity(Instant::now());
                     if let Err(end) = self.read_ended(read).await {
                         return end;
@@ -422,14 +423,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             metrics.chunk_sent_bytes.get_or_create(&label).inc_by(now.chunk_bytes - before.chunk_bytes);
         }
         let superseded = now.superseded_views - before.superseded_views;
-        if now.refusals != before.refusals || superseded > 0 {
-            let refusals = |counts: &SessionCounts| counts.refusals.iter().sum::<u64>();
-            let invalid_views = |counts: &SessionCounts| counts.refusals[RefusalReason::InvalidView.index()];
-            let invalid_views = invalid_views(&now) - invalid_views(&before);
-            let rejections = Rejections {
-                requests: refusals(&now) - refusals(&before) - invalid_views,
-                views: superseded + invalid_views,
-            };
+        let rejections = Rejections::since(&before, &now);
+        if rejections != Rejections::default() {
             let paused = self.state.paused_sessions.load(Ordering::Relaxed);
             let sharers = self.state.generation.sharers().max(paused.div_ceil(self.state.config.threads));
             // A rate limit bounds the work of rejections as well.

@@ -10,6 +10,8 @@
 //! Sessions that are paused share the thread too, whether or not they have flows: otherwise each of
 //! many sessions that send nothing but refused views would get a whole share.
 
+use protocol::message::RefusalReason;
+use protocol::server::SessionCounts;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use tokio::time::Instant;
@@ -17,9 +19,16 @@ use tokio::time::Instant;
 /// Cost of one rejection to a thread: reading, parsing and writing. An upper estimate.
 const REFUSAL_COST: Duration = Duration::from_micros(4);
 
-/// Cost of a view that was superseded or refused. More than it takes: no client needs more views than
-/// frames. 60 a second of each of a thousand sessions on a thread, all superseded, cause no pause.
-const VIEW_COST: Duration = Duration::from_micros(8);
+/// Cost of a view that was superseded or refused. About eight times what it takes, so that views of
+/// all sessions together get an eighth of a thread: no client needs more views than frames, and each
+/// takes time from generation. 60 a second of each of two hundred sessions on a thread, all
+/// superseded, cause no pause.
+const VIEW_COST: Duration = Duration::from_micros(32);
+
+/// Bytes that are read at once of a session that has been paused for its views: about 30 of them, so
+/// that its turns on the thread are short. For so long after a pause.
+const SMALL_READ: usize = 2048;
+const CAUTION: Duration = Duration::from_secs(1);
 
 /// The longest pause, so that a cancellation or a view behind rejected requests is read soon.
 const MAX_PAUSE: Duration = Duration::from_millis(100);
@@ -37,6 +46,18 @@ pub struct Rejections {
 }
 
 impl Rejections {
+    /// Those between two counts of a session.
+    #[must_use]
+    pub fn since(before: &SessionCounts, now: &SessionCounts) -> Self {
+        let refusals = |counts: &SessionCounts| counts.refusals.iter().sum::<u64>();
+        let invalid = |counts: &SessionCounts| counts.refusals[RefusalReason::InvalidView.index()];
+        let invalid_views = invalid(now) - invalid(before);
+        Self {
+            requests: refusals(now) - refusals(before) - invalid_views,
+            views: now.superseded_views - before.superseded_views + invalid_views,
+        }
+    }
+
     /// What they cost a thread.
     fn cost(self) -> Duration {
         let times = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
@@ -82,13 +103,15 @@ pub struct RefusalBackoff {
     debt_until: Instant,
     /// When a pause that has begun ends.
     pause: Option<Instant>,
+    /// Until when little is read at once.
+    cautious_until: Instant,
 }
 
 impl RefusalBackoff {
     /// No debt.
     #[must_use]
     pub const fn new(now: Instant) -> Self {
-        Self { debt_until: now, pause: None }
+        Self { debt_until: now, pause: None, cautious_until: now }
     }
 
     /// Records rejections while `sharers` flows share a thread. Returns whether a pause begins.
@@ -100,8 +123,17 @@ impl RefusalBackoff {
         let was_paused = self.paused_until(now).is_some();
         if debt >= MIN_PAUSE {
             self.pause = Some(self.debt_until);
+            if rejections.views > 0 {
+                self.cautious_until = self.debt_until + CAUTION;
+            }
         }
         !was_paused && self.pause.is_some()
+    }
+
+    /// Bytes to read at once; at most what the socket reads.
+    #[must_use]
+    pub fn read_size(&self, now: Instant) -> usize {
+        if now < self.cautious_until { SMALL_READ } else { usize::MAX }
     }
 
     /// The end of the current pause; none if the session may be read.
@@ -145,16 +177,32 @@ mod tests {
     #[test]
     fn views_of_every_frame_never_pause_and_a_flood_of_them_does() {
         let start = Instant::now();
-        // 60 a second and 20,000 a second, where a thousand sessions share a thread.
+        // 60 a second and 20,000 a second, where two hundred sessions share a thread.
         for (every_us, is_paused) in [(16_667, false), (50, true)] {
             let (mut backoff, mut pauses) = (RefusalBackoff::new(start), 0);
             for number in 0..1000 {
                 let now = start + Duration::from_micros(every_us * number);
-                backoff.record(Rejections { requests: 0, views: 1 }, 1000, now);
+                backoff.record(Rejections { requests: 0, views: 1 }, 200, now);
                 pauses += u32::from(backoff.paused_until(now).is_some());
             }
             assert_eq!(pauses > 0, is_paused, "one in {every_us} us: {pauses}");
+            let end = start + Duration::from_micros(every_us * 1000);
+            assert_eq!(backoff.read_size(end) < usize::MAX, is_paused);
+            assert_eq!(backoff.read_size(end + 2 * CAUTION), usize::MAX);
         }
+        let mut of_requests = RefusalBackoff::new(start);
+        assert!(of_requests.record(requests(10_000), 1, start), "a pause");
+        assert_eq!(of_requests.read_size(start), usize::MAX, "requests are read whole");
+    }
+
+    #[test]
+    fn invalid_views_count_as_views() {
+        let before = SessionCounts { superseded_views: 5, ..SessionCounts::default() };
+        let mut now = SessionCounts { superseded_views: 7, ..before };
+        now.refusals[RefusalReason::InvalidView.index()] = 3;
+        now.refusals[RefusalReason::Overloaded.index()] = 4;
+        assert_eq!(Rejections::since(&before, &now), Rejections { requests: 4, views: 5 });
+        assert_eq!(Rejections::since(&now, &now), Rejections::default());
     }
 
     #[test]

@@ -60,12 +60,20 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
     /// # Errors
     /// The connection failed; its end is [`ErrorKind::UnexpectedEof`].
     pub async fn read(&mut self) -> io::Result<()> {
-        poll_fn(|context| self.poll_read(context)).await
+        self.read_at_most(READ_BUFFER).await
     }
 
-    fn poll_read(&mut self, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+    /// As [`WebSocket::read`], but at most `limit` bytes, at least one.
+    ///
+    /// # Errors
+    /// As [`WebSocket::read`].
+    pub async fn read_at_most(&mut self, limit: usize) -> io::Result<()> {
+        poll_fn(|context| self.poll_read(limit.clamp(1, READ_BUFFER), context)).await
+    }
+
+    fn poll_read(&mut self, limit: usize, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         READ_SCRATCH.with_borrow_mut(|scratch| {
-            let mut buffer = ReadBuf::new(scratch);
+            let mut buffer = ReadBuf::new(&mut scratch[..limit]);
             ready!(Pin::new(&mut self.stream).poll_read(context, &mut buffer))?;
             Poll::Ready(match buffer.filled() {
                 [] => Err(ErrorKind::UnexpectedEof.into()),

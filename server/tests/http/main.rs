@@ -5,6 +5,7 @@
 //! | `access` | host names, origins, tokens, shares of addresses |
 //! | `proxies` | clients behind trusted proxies |
 //! | `tls` | TLS |
+//! | `memory` | the memory mark |
 //! | `caching` | validators, conditional requests, `Cache-Control` |
 //! | `origins` | CORS |
 //! | `rejections` | problem documents and their metrics |
@@ -19,6 +20,7 @@ mod caching;
 mod client;
 mod disk;
 mod map;
+mod memory;
 mod openapi;
 mod origins;
 mod page;

@@ -1,0 +1,36 @@
+//! The memory mark.
+
+use crate::client::Server;
+use server::ServerConfig;
+use server::memory::MemoryLimit;
+
+/// A server that may use so many bytes.
+async fn server_with(bytes: u64) -> Server {
+    let memory = Some(MemoryLimit::of_machine(bytes));
+    Server::start_with(ServerConfig { threads: 1, memory, ..ServerConfig::default() }).await
+}
+
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn beyond_the_mark_no_session_begins_and_the_server_is_not_ready() {
+    // Less than this process has.
+    let full = server_with(1 << 20).await;
+    while full.metric("tombolo_memory_used_bytes").await == 0.0 {
+        tokio::task::yield_now().await;
+    }
+    assert!(full.metric("tombolo_memory_used_bytes").await > full.metric("tombolo_memory_limit_bytes").await);
+    let refused = full.upgrade(&[]).await;
+    assert_eq!((refused.status, refused.problem().as_str()), (503, "no-session"));
+    assert!(!refused.header("retry-after").is_empty());
+    assert_eq!(full.get("/readyz").await.status, 503);
+    assert_eq!(full.get("/livez").await.status, 200);
+    assert_eq!(full.get(&full.path("chunk/0/0/0")).await.status, 200, "who is connected is served");
+    full.stop().await;
+
+    let free = server_with(1 << 40).await;
+    while free.metric("tombolo_memory_used_bytes").await == 0.0 {
+        tokio::task::yield_now().await;
+    }
+    assert_eq!(free.upgrade(&[]).await.status, 101);
+    assert_eq!(free.get("/readyz").await.status, 200);
+}
