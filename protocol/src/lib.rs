@@ -19,6 +19,7 @@ pub mod control;
 pub mod delivery;
 pub mod error;
 pub mod fault;
+pub mod held_chunks;
 pub mod limits;
 pub mod message;
 pub mod reference_window;

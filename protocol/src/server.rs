@@ -8,11 +8,9 @@
 //! | module | content |
 //! | --- | --- |
 //! | `session` | the state machine: handshake, credit, requests, delivery |
-//! | `held_chunks` | the chunks that the client has |
 //! | `view_queue` | the active view, its pending chunks by priority, prefetch |
 //! | `view_selection` | the selection of a view's chunks, in steps of bounded cost |
 
-mod held_chunks;
 mod session;
 mod view_queue;
 mod view_selection;

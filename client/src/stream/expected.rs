@@ -4,9 +4,9 @@
 //! level and its distance fit a view. That bounds what a hostile server can make the viewer decode
 //! and keep, whatever heights it sends.
 
-use protocol::limits::MAX_HELD;
+use protocol::held_chunks::HeldChunks;
 use protocol::view::View;
-use std::collections::{HashSet, VecDeque};
+use std::collections::VecDeque;
 use terrain::constants::HEIGHT_LIMIT;
 use terrain::lod::Viewer;
 use terrain::{Chunk, ChunkKey};
@@ -15,14 +15,14 @@ use terrain::{Chunk, ChunkKey};
 /// list is full the oldest view is dropped, and a chunk that only it needs is not expected.
 pub const MAX_VIEWS: usize = 1024;
 
-/// See the module. Memory: some 100 KiB for views, 2 MiB for held keys, for any server.
+/// See the module. Memory: some 100 KiB for views, 164 KiB for held chunks, for any server.
 #[derive(Debug, Default)]
 pub struct ExpectedChunks {
     /// Newest last.
     views: VecDeque<SentView>,
-    /// Chunks that were reported to the server as held, or came from it. At most [`MAX_HELD`];
-    /// cleared when full, as in the server. The server chooses the keys: a randomly keyed hash.
-    held: HashSet<ChunkKey>,
+    /// Chunks that were reported to the server as held, or came from it. Cleared when
+    /// full, as in the server.
+    held: HeldChunks,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -85,16 +85,13 @@ impl ExpectedChunks {
 
     /// Adds a chunk that is held from now on. False if it was held already.
     pub fn hold(&mut self, key: ChunkKey) -> bool {
-        if self.held.len() >= MAX_HELD {
-            self.held.clear();
-        }
         self.held.insert(key)
     }
 
     /// The chunks were evicted: they may come again.
     pub fn release(&mut self, keys: &[ChunkKey]) {
         for key in keys {
-            self.held.remove(key);
+            self.held.remove(*key);
         }
     }
 }
@@ -116,6 +113,7 @@ pub fn check_ranges(chunk: &Chunk) -> Result<(), &'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use protocol::limits::{HELD_TILE, MAX_HELD_TILES};
     use terrain::{Land, lod};
 
     fn view(id: u32, east_m: i32, distance_m: u32) -> View {
@@ -180,11 +178,11 @@ mod tests {
             expected.add_view(&view(id, 0, 2000));
         }
         assert_eq!(expected.views.len(), MAX_VIEWS);
-        for index in 0..(MAX_HELD as i32 + 9) {
-            assert!(expected.hold(ChunkKey::new(0, index % 30_000, index / 30_000).unwrap()));
-        }
-        assert_eq!(expected.held.len(), 9);
-        let last = ChunkKey::new(0, (MAX_HELD as i32 + 8) % 30_000, 2).unwrap();
+        let key = |tile: i32| ChunkKey::new(0, tile % 1024 * HELD_TILE, tile / 1024 * HELD_TILE).unwrap();
+        let (first, last) = (key(0), key(MAX_HELD_TILES as i32));
+        assert!((0..MAX_HELD_TILES as i32).all(|tile| expected.hold(key(tile))));
+        assert!(!expected.hold(first), "held already");
+        assert!(expected.hold(last) && expected.hold(first), "cleared when full");
         assert!(!expected.hold(last), "held already");
         expected.release(&[last]);
         assert!(expected.hold(last));

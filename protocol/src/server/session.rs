@@ -1,5 +1,4 @@
 use super::ServerOffer;
-use super::held_chunks::HeldChunks;
 use super::view_queue::ViewQueue;
 use super::view_selection::ViewSelection;
 use crate::DataFrame;
@@ -8,6 +7,7 @@ use crate::control;
 use crate::delivery::Delivery;
 use crate::error::ControlError;
 use crate::fault::PeerFault;
+use crate::held_chunks::HeldChunks;
 use crate::limits::{
     MAX_CHUNK_FRAME, MAX_CREDIT_BYTES, MAX_CREDITS, MAX_PENDING_REQUESTS, MAX_TEXT, MAX_VIEW_ESTIMATE,
     SEED_ONLY_FRAME,

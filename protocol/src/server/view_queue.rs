@@ -1,7 +1,7 @@
 //! The chunks that the view of a session still needs: by priority, with prefetch.
 
-use super::held_chunks::HeldChunks;
 use super::view_selection::{Selected, ViewSelection};
+use crate::held_chunks::HeldChunks;
 use crate::view::View;
 use rustc_hash::{FxHashMap, FxHashSet};
 use terrain::{ChunkKey, Land};

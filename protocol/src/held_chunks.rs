@@ -1,4 +1,4 @@
-//! The chunks that a client has.
+//! The chunks that a client has, as a server and the client itself remember them.
 //!
 //! A client has chunks that lie together: one bit for each chunk of a tile takes a small part of the
 //! memory of a set of keys. A chunk far from all others takes a whole tile, and so tiles are limited.
@@ -9,10 +9,10 @@ use terrain::ChunkKey;
 
 const WORDS: usize = (HELD_TILE * HELD_TILE) as usize / 64;
 
-/// The client chooses the keys: the randomly keyed hash of std has no collisions that it could
+/// A set of chunks of at most [`MAX_HELD_TILES`] tiles. The peer chooses the keys: the randomly keyed hash of std has no collisions that it could
 /// prepare.
 #[derive(Debug, Default)]
-pub(super) struct HeldChunks {
+pub struct HeldChunks {
     /// Tiles with at least one chunk, at most [`MAX_HELD_TILES`].
     tiles: HashMap<Tile, [u64; WORDS]>,
 }
@@ -27,18 +27,22 @@ struct Tile {
 
 impl HeldChunks {
     /// Whether the client has a chunk.
+    #[must_use]
     pub fn contains(&self, key: ChunkKey) -> bool {
         let (tile, word, bit) = place(key);
         self.tiles.get(&tile).is_some_and(|chunks| chunks[word] & bit != 0)
     }
 
-    /// Adds a chunk. A full set is cleared before.
-    pub fn insert(&mut self, key: ChunkKey) {
+    /// Adds a chunk. A full set is cleared before. False if the chunk was in it already.
+    pub fn insert(&mut self, key: ChunkKey) -> bool {
         let (tile, word, bit) = place(key);
         if self.tiles.len() >= MAX_HELD_TILES && !self.tiles.contains_key(&tile) {
             self.tiles.clear();
         }
-        self.tiles.entry(tile).or_default()[word] |= bit;
+        let chunks = &mut self.tiles.entry(tile).or_default()[word];
+        let is_new = *chunks & bit == 0;
+        *chunks |= bit;
+        is_new
     }
 
     /// Removes a chunk.
@@ -87,8 +91,7 @@ mod tests {
                 held.remove(key);
                 keys.remove(&key);
             } else {
-                held.insert(key);
-                keys.insert(key);
+                assert_eq!(held.insert(key), keys.insert(key), "{key}");
             }
         }
         assert!(keys.len() > 1000 && keys.iter().all(|key| held.contains(*key)));
@@ -102,11 +105,11 @@ mod tests {
         let mut held = HeldChunks::default();
         let keys: Vec<_> = (0..MAX_HELD_TILES as i32 + 1).map(|number| tile(number).unwrap()).collect();
         let (last, first) = keys.split_last().unwrap();
-        first.iter().for_each(|key| held.insert(*key));
+        assert!(first.iter().all(|key| held.insert(*key)));
         let beside = ChunkKey::new(0, 1, 1).unwrap();
-        held.insert(beside);
+        assert!(held.insert(beside));
         assert!(first.iter().all(|key| held.contains(*key)) && held.contains(beside), "no further tile");
-        held.insert(*last);
+        assert!(held.insert(*last));
         assert!(held.contains(*last) && held.tiles.len() == 1);
     }
 }
