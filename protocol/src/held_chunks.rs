@@ -9,8 +9,8 @@ use terrain::ChunkKey;
 
 const WORDS: usize = (HELD_TILE * HELD_TILE) as usize / 64;
 
-/// A set of chunks of at most [`MAX_HELD_TILES`] tiles. The peer chooses the keys: the randomly keyed hash of std has no collisions that it could
-/// prepare.
+/// A set of chunks of at most [`MAX_HELD_TILES`] tiles. The peer chooses the keys: the randomly
+/// keyed hash of std has no collisions that it could prepare.
 #[derive(Debug, Default)]
 pub struct HeldChunks {
     /// Tiles with at least one chunk, at most [`MAX_HELD_TILES`].
