@@ -16,7 +16,7 @@ use glam::DVec3;
 use std::cell::RefCell;
 
 /// Bytes of all numbers of a view.
-const LENGTH: usize = 180;
+const LENGTH: usize = 148;
 
 thread_local! {
     /// No chunk: the numbers of a view do not depend on any.

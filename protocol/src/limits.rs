@@ -28,10 +28,10 @@ pub const MAX_VIEW_CHUNKS: usize = 16 * 1024;
 /// get the coarsest chunks.
 pub const MAX_VIEW_ESTIMATE: u64 = 16 * MAX_VIEW_CHUNKS as u64;
 
-/// Side of the tiles in which a server stores the chunks that a client holds, chunks.
+/// Side of the tiles in which server and viewer store the chunks that a client holds, chunks.
 pub const HELD_TILE: i32 = 16;
 
-/// Tiles with held chunks that a server stores per session: 164 KiB, and at most 917,504 chunks. A
+/// Tiles with held chunks that either stores per session: 164 KiB, and at most 917,504 chunks. A
 /// full set is cleared; the only consequence is that chunks may be sent again.
 pub const MAX_HELD_TILES: usize = 3584;
 

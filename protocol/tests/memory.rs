@@ -1,50 +1,20 @@
 //! Heap use of the decoders: never more than the stated limit, for any input.
 //!
 //! A test binary of its own, because it replaces the allocator.
-#![expect(unsafe_code, reason = "an allocator is unsafe by nature; this one counts and delegates")]
 
 use protocol::chunk_codec::{self, Effort, quantised, refined};
 use protocol::limits::MAX_DECODE_MEMORY;
 use protocol::message::{ClientMessage, ServerMessage};
 use protocol::{Tolerance, control};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use terrain::{ChunkKey, Land, WorldDigest};
-
-struct Counting;
-
-thread_local! {
-    static LIVE: Cell<isize> = const { Cell::new(0) };
-    static PEAK: Cell<isize> = const { Cell::new(0) };
-}
-
-// SAFETY: every call is delegated to the system allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        LIVE.set(LIVE.get() + layout.size() as isize);
-        PEAK.set(PEAK.get().max(LIVE.get()));
-        // SAFETY: the caller keeps the contract; so below.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        LIVE.set(LIVE.get() - layout.size() as isize);
-        // SAFETY: see above.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
+use test_support::counting_allocator::{CountingAllocator, peak_of};
 
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// Most bytes that were live at once during some work, beyond those before it.
 fn peak<T>(work: impl FnOnce() -> T) -> usize {
-    let before = LIVE.get();
-    PEAK.set(before);
-    let result = work();
-    let peak = PEAK.get() - before;
-    drop(result);
-    peak as usize
+    peak_of(work).0
 }
 
 /// Every decoder on one input.

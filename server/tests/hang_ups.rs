@@ -1,16 +1,14 @@
 //! Clients that hang up at any moment leave nothing on the heap.
 //!
 //! A test binary of its own, because it replaces the allocator.
-#![expect(unsafe_code, reason = "an allocator is unsafe by nature; this one counts and delegates")]
 
 use protocol::message::{ClientMessage, Hello, WireKey};
 use protocol::{Delivery, SUBPROTOCOL, control};
 use server::ServerConfig;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
+use test_support::counting_allocator::{CountingAllocator, live};
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 
@@ -25,29 +23,8 @@ const MAX_LEFT: isize = 4 * CYCLES as isize;
 /// Timeout of every wait.
 const TEST_TIMEOUT: Duration = Duration::from_secs(30);
 
-struct Counting;
-
-thread_local! {
-    static LIVE: Cell<isize> = const { Cell::new(0) };
-}
-
-// SAFETY: every call is delegated to the system allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        LIVE.set(LIVE.get() + layout.size() as isize);
-        // SAFETY: the caller keeps the contract; so below.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        LIVE.set(LIVE.get() - layout.size() as isize);
-        // SAFETY: see above.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// A whole binary message, masked by zeros.
 fn frame(message: &ClientMessage) -> Vec<u8> {
@@ -132,16 +109,16 @@ async fn clients_that_hang_up_leave_nothing_on_the_heap() {
     let running = tokio::spawn(server::run(listener, config, async {
         let _ = stopped.await;
     }));
-    let live = async |cycles| {
+    let live_after = async |cycles| {
         tokio::task::spawn_blocking(move || hang_up(address, cycles)).await.unwrap();
-        LIVE.get()
+        live()
     };
-    let before = live(WARM_UP).await;
-    let left = live(CYCLES).await - before;
+    let before = live_after(WARM_UP).await;
+    let left = live_after(CYCLES).await - before;
     assert!(left <= MAX_LEFT, "{left} bytes after {CYCLES} cycles");
     // The control: a word of each cycle.
     let kept: Vec<_> = (0..CYCLES as u64).map(Box::new).collect();
-    assert!(live(5).await - before > MAX_LEFT, "the count sees what remains");
+    assert!(live_after(5).await - before > MAX_LEFT, "the count sees what remains");
     drop((kept, stop));
     running.await.unwrap().unwrap();
 }

@@ -2,16 +2,14 @@
 //! session is open. With huge pages all of them are resident, used or not.
 //!
 //! A test binary of its own, because it replaces the allocator.
-#![expect(unsafe_code, reason = "an allocator is unsafe by nature; this one counts and delegates")]
 
 use protocol::message::{ClientMessage, Hello};
 use protocol::{Delivery, SUBPROTOCOL, control};
 use server::ServerConfig;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
+use test_support::counting_allocator::{CountingAllocator, live};
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 
@@ -27,29 +25,8 @@ const WARM_UP: usize = 20;
 /// Timeout of every wait.
 const TEST_TIMEOUT: Duration = Duration::from_secs(30);
 
-struct Counting;
-
-thread_local! {
-    static LIVE: Cell<isize> = const { Cell::new(0) };
-}
-
-// SAFETY: every call is delegated to the system allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        LIVE.set(LIVE.get() + layout.size() as isize);
-        // SAFETY: the caller keeps the contract; so below.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        LIVE.set(LIVE.get() - layout.size() as isize);
-        // SAFETY: see above.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// Clients that have their Welcome and send nothing more.
 fn connect(address: SocketAddr, count: usize) -> Vec<TcpStream> {
@@ -85,9 +62,9 @@ fn connect(address: SocketAddr, count: usize) -> Vec<TcpStream> {
 
 /// Bytes that are live on this thread after some work, beyond those before it, for each client.
 async fn bytes_per_client<T>(work: impl Future<Output = T>) -> (usize, T) {
-    let before = LIVE.get();
+    let before = live();
     let result = work.await;
-    ((LIVE.get() - before) as usize / CLIENTS, result)
+    ((live() - before) as usize / CLIENTS, result)
 }
 
 /// The server runs on this thread, whose bytes are counted, and the clients on others.

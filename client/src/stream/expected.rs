@@ -20,8 +20,8 @@ pub const MAX_VIEWS: usize = 1024;
 pub struct ExpectedChunks {
     /// Newest last.
     views: VecDeque<SentView>,
-    /// Chunks that were reported to the server as held, or came from it. Cleared when
-    /// full, as in the server.
+    /// Chunks that were reported to the server as held, or came from it. Cleared when full, as in the
+    /// server.
     held: HeldChunks,
 }
 

@@ -13,8 +13,8 @@ use tokio::runtime::Handle;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio::time::timeout;
 
-/// Frames that wait for their write: about 8 MiB, what cold clients ask for within some seconds. One
-/// more is dropped and counted; it is then made again by each replica.
+/// Frames that wait for their write: about 8 MiB. One more is dropped and counted, and each replica
+/// that needs the chunk makes it again.
 const QUEUE: usize = 2048;
 
 /// Writes in flight.

@@ -73,8 +73,8 @@ impl NearMisses {
         let report = run.file("near-misses.txt");
         // A report of an earlier run must not pass for one of this.
         let _ = std::fs::remove_file(&report);
-        let mut tests =
-            process::cargo("test --package tombolo-tests --test pictures --test pictures_gallery");
+        // Chosen among the workspace: one package alone would be built with other features.
+        let mut tests = process::cargo("test --workspace --test pictures --test pictures_gallery");
         tests.args(["--no-fail-fast", "fail_the_comparison"]);
         tests.env("TOMBOLO_REQUIRE_GPU", "1").env("TOMBOLO_NEAR_MISSES", &report);
         let ended = process::status(&mut tests)?;

@@ -23,16 +23,16 @@ const SESSIONS: u64 = 1_000_000;
 /// The entry points, by the names of their targets, with their executions. The slowest ones come
 /// first, so that no core waits for them at the end.
 const TARGETS: [(&str, u64); 10] = [
-    ("configuration", EXECUTIONS),
     ("client_session", SESSIONS),
-    ("server_session", SESSIONS),
-    ("http", EXECUTIONS),
     ("chunk", EXECUTIONS),
-    ("websocket", EXECUTIONS),
-    ("pack", EXECUTIONS),
-    ("address", EXECUTIONS),
-    ("control", EXECUTIONS),
+    ("http", EXECUTIONS),
+    ("configuration", EXECUTIONS),
     ("uniforms", EXECUTIONS),
+    ("websocket", EXECUTIONS),
+    ("server_session", SESSIONS),
+    ("control", EXECUTIONS),
+    ("address", EXECUTIONS),
+    ("pack", EXECUTIONS),
 ];
 
 /// The target with a fault that must be found.
@@ -61,7 +61,7 @@ struct Searched {
 pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     let folder = process::target().join("fuzz");
     build(&folder)?;
-    let mut seeds = process::cargo("run --quiet --package tombolo-entry-points --example seeds --");
+    let mut seeds = process::cargo("run --quiet --example seeds --");
     seeds.arg(folder.join("corpus"));
     process::run(seeds).context("the valid inputs were not written")?;
     let planted = search(run, &folder, PLANTED, PLANTED_EXECUTIONS)?;
