@@ -12,6 +12,7 @@ mod ci;
 mod cluster;
 mod demo;
 mod dependency_rules;
+mod fast_simd;
 mod gallery;
 mod gpu_bundle;
 mod land_version_3;

@@ -1,6 +1,7 @@
 //! The machine that a run of `ci` looks at: its tools, and how commands are run on it. A trait, so
 //! that `super::rehearsal` can hide one tool at a time.
 
+use crate::fast_simd;
 use crate::land_version_3;
 use crate::process;
 use crate::setup;
@@ -186,22 +187,9 @@ fn clang_on(path: &OsStr) -> Option<(PathBuf, PathBuf)> {
     suffixes.into_iter().find_map(|end| find(format!("clang{end}")).zip(find(format!("clang++{end}"))))
 }
 
-/// Whether an earlier build has downloaded FastSIMD.
-fn has_fast_simd() -> bool {
-    let builds = std::fs::read_dir(process::target().join("noise-comparison/release/build"));
-    let mut builds = builds.into_iter().flatten().flatten();
-    builds.any(|build| build.path().join("out/build/_deps/fastsimd-src/CMakeLists.txt").is_file())
-}
-
 /// Why a program of a Debian package is missing.
 fn not_on_path(package: &str) -> String {
     format!("not on PATH; on Debian or Ubuntu install `{package}`")
-}
-
-/// Whether a command succeeds, with nothing shown.
-fn answers(command: &mut Command) -> bool {
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    command.status().is_ok_and(|status| status.success())
 }
 
 impl Host for Here {
@@ -240,11 +228,8 @@ impl Host for Here {
                 self.lacks_program("cmake", "cmake").or_else(|| self.lacks_program("make", "make"))
             }
             Tool::FastSimd => {
-                let mut ask = Command::new("git");
-                ask.args(["ls-remote", "--exit-code", "https://github.com/Auburn/FastSIMD", "HEAD"])
-                    .env("GIT_TERMINAL_PROMPT", "0");
-                (!has_fast_simd() && !answers(&mut ask))
-                    .then(|| "the build of FastNoise2 downloads it, and GitHub does not answer".into())
+                let why = fast_simd::fetch().err()?;
+                Some(format!("the build of FastNoise2 needs it: {why:#}"))
             }
             Tool::Libclang => (!setup::has_libclang()).then(|| "not found; install `libclang-dev`".into()),
             Tool::History => land_version_3::lacks(),

@@ -3,7 +3,7 @@
 use super::digest;
 use super::host::{Host, Tool};
 use super::outcome::Outcome;
-use crate::{advisories, cluster, dependency_rules, land_version_3, process};
+use crate::{advisories, cluster, dependency_rules, fast_simd, land_version_3, process};
 use anyhow::{Result, bail};
 use std::collections::BTreeSet;
 use std::process::Command;
@@ -290,6 +290,9 @@ fn benches(host: &dyn Host) -> Result<Shown> {
             cargo.current_dir(&folder).env("CARGO_TARGET_DIR", process::target().join(bench.name));
             if let (Tool::Clang, Some((c, cpp))) = (bench.needs[0], super::host::clang()) {
                 cargo.env("CC", c).env("CXX", cpp);
+            }
+            if bench.needs.contains(&Tool::FastSimd) {
+                fast_simd::use_clone(&mut cargo);
             }
             cargo
         };

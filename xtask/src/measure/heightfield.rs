@@ -5,7 +5,7 @@
 //! which nothing else here does.
 
 use super::run::Run;
-use crate::process;
+use crate::{fast_simd, process};
 use anyhow::{Context, Result, bail};
 use bars::figures::{at, each, fill, list, median, ratio, text};
 use bars::{Bar, Limit};
@@ -45,10 +45,9 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     println!("measure: building the noise comparison with {}", compiler.cpp);
     let mut build = process::cargo("build --release --locked --target-dir");
     build.arg(&target).current_dir(&package).env("CC", &compiler.c).env("CXX", &compiler.cpp);
-    process::run(build).context(
-        "the noise comparison was not built; CMake fetches a part of FastNoise2, so the first build needs \
-         the network",
-    )?;
+    fast_simd::fetch().context("the noise comparison needs FastSIMD, a part of FastNoise2")?;
+    fast_simd::use_clone(&mut build);
+    process::run(build).context("the noise comparison was not built")?;
     let mut starts = Vec::new();
     for shift in 0..STARTS {
         let mut comparison = process::command(target.join("release/noise-comparison"));
