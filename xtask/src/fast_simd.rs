@@ -5,6 +5,7 @@
 use crate::process;
 use anyhow::{Context, Result, bail};
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// Where the sources are; the CMake files clone the same with the suffix `.git`.
 const URL: &str = "https://github.com/Auburn/FastSIMD";
@@ -12,9 +13,6 @@ const URL: &str = "https://github.com/Auburn/FastSIMD";
 /// The commit that they check out, of `fastnoise2-sys` 0.2.0. A newer crate that asks for another one
 /// fails its build here, so this line is then changed.
 const COMMIT: &str = "16450dae9528727e500e7254f635a671f9c7ee2d";
-
-/// Attempts to clone: a busy network refuses some.
-const ATTEMPTS: u32 = 3;
 
 /// Where the clone lies.
 fn folder() -> PathBuf {
@@ -26,24 +24,20 @@ fn folder() -> PathBuf {
 /// # Errors
 /// The network does not answer, or the clone lacks the commit or a file of it.
 pub fn fetch() -> Result<()> {
-    fetch_to(&folder(), URL)
+    fetch_to(&folder(), URL, COMMIT)
 }
 
-fn fetch_to(folder: &Path, url: &str) -> Result<()> {
-    if has_sources(folder) {
+fn fetch_to(folder: &Path, url: &str, commit: &str) -> Result<()> {
+    if has_sources(folder, commit) {
         return Ok(());
     }
-    let mut last = Ok(());
-    for _ in 0..ATTEMPTS {
-        // What an interrupted clone left would refuse the next.
-        let _ = std::fs::remove_dir_all(folder);
-        last = clone(folder, url);
-        if last.is_ok() && has_sources(folder) {
-            return Ok(());
-        }
+    // What an interrupted clone left would refuse the next.
+    let _ = std::fs::remove_dir_all(folder);
+    clone(folder, url).with_context(|| format!("cannot clone {url}"))?;
+    if !has_sources(folder, commit) {
+        bail!("the clone of {url} has no commit {}", &commit[..7]);
     }
-    last.with_context(|| format!("cannot clone {url}"))?;
-    bail!("the clone of {url} has no commit {}", &COMMIT[..7])
+    Ok(())
 }
 
 fn clone(folder: &Path, url: &str) -> Result<()> {
@@ -56,18 +50,19 @@ fn clone(folder: &Path, url: &str) -> Result<()> {
 }
 
 /// Whether every file of the commit can be checked out.
-fn has_sources(folder: &Path) -> bool {
+fn has_sources(folder: &Path, commit: &str) -> bool {
     let mut git = process::command("git");
     // Named, so that a broken clone does not make git look for a repository in the folders above.
     git.arg("--git-dir").arg(folder.join(".git")).arg("--work-tree").arg(folder);
-    git.args(["checkout", "--quiet", "--force", "--detach", COMMIT]);
+    git.args(["checkout", "--quiet", "--force", "--detach", commit]);
     process::succeeds(git)
 }
 
 /// For a command that builds FastNoise2: its `git` reads [the clone](fetch) in place of the network.
-pub fn use_clone(build: &mut std::process::Command) {
+pub fn use_clone(build: &mut Command) {
+    // Replaces what the environment configures of git: the build clones nothing else.
     build.env("GIT_CONFIG_COUNT", "1");
-    // The longest match wins over a mirror that a person has configured.
+    // The suffix is in the longest match, which wins over a mirror that a person has configured.
     build.env("GIT_CONFIG_VALUE_0", format!("{URL}.git"));
     build.env("GIT_CONFIG_KEY_0", format!("url.{}.insteadOf", folder().display()));
 }
@@ -76,18 +71,47 @@ pub fn use_clone(build: &mut std::process::Command) {
 mod tests {
     use super::*;
 
+    /// A git that reads no configuration of the machine but a file.
+    fn git(configuration: &Path, words: &[&str]) -> Command {
+        let mut git = process::command("git");
+        git.args(words).env_remove("GIT_CONFIG_COUNT");
+        git.env("GIT_CONFIG_GLOBAL", configuration).env("GIT_CONFIG_NOSYSTEM", "1");
+        git
+    }
+
     #[test]
-    fn a_repository_without_the_commit_is_refused_and_so_is_one_that_does_not_answer() {
+    fn a_clone_has_the_commit_or_the_error_says_what_is_missing() {
         let scratch = std::env::temp_dir().join(format!("tombolo-fast-simd-{}", std::process::id()));
-        let other = scratch.join("other");
-        let mut init = process::command("git");
-        init.args(["init", "--quiet"]).arg(&other);
-        process::run(init).unwrap();
-        let clone = scratch.join("clone");
-        let without = fetch_to(&clone, &other.display().to_string()).unwrap_err();
-        let silent = fetch_to(&clone, &scratch.join("nowhere").display().to_string()).unwrap_err();
+        let (source, nothing) = (scratch.join("source"), Path::new("/dev/null"));
+        let source = source.to_str().unwrap();
+        process::run(git(nothing, &["init", "--quiet", source])).unwrap();
+        let words = "-c user.name=x -c user.email=x commit --quiet --allow-empty -m x";
+        let words = ["-C", source].into_iter().chain(words.split(' ')).collect::<Vec<_>>();
+        process::run(git(nothing, &words)).unwrap();
+        let commit = process::output(git(nothing, &["-C", source, "rev-parse", "HEAD"])).unwrap();
+        let fetch = |url: &str, commit| fetch_to(&scratch.join("clone"), url, commit);
+        let without = fetch(source, COMMIT).unwrap_err();
+        let silent = fetch(scratch.join("nowhere").to_str().unwrap(), COMMIT).unwrap_err();
+        let found = fetch(source, commit.trim());
+        let again = fetch("no clone is made of this", commit.trim());
         std::fs::remove_dir_all(&scratch).unwrap();
         assert!(without.to_string().contains("has no commit 16450da"), "{without:#}");
         assert!(silent.to_string().contains("cannot clone"), "{silent:#}");
+        found.unwrap();
+        again.unwrap();
+    }
+
+    #[test]
+    fn a_build_reads_the_clone_whatever_mirror_is_configured() {
+        let mirror = std::env::temp_dir().join(format!("tombolo-mirror-{}", std::process::id()));
+        std::fs::write(&mirror, format!("[url \"/mirror\"]\n\tinsteadOf = {URL}\n")).unwrap();
+        let asked = format!("{URL}.git");
+        // The address that git would read in place of the one of the CMake files.
+        let plain = git(&mirror, &["ls-remote", "--get-url", &asked]);
+        let mut build = git(&mirror, &["ls-remote", "--get-url", &asked]);
+        use_clone(&mut build);
+        let read = [plain, build].map(|git| process::output(git).unwrap().trim().to_owned());
+        std::fs::remove_file(&mirror).unwrap();
+        assert_eq!(read, ["/mirror.git".to_owned(), folder().display().to_string()]);
     }
 }
