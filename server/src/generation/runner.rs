@@ -6,7 +6,7 @@
 use super::queue::{FlowId, FrameRequest, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
-use super::threads::Threads;
+use super::threads::{Threads, yield_between_turns};
 use super::views::ViewJob;
 use crate::cache::memory::CachedFrame;
 use crate::chunk_id::ChunkId;
@@ -90,6 +90,7 @@ impl Shared {
     pub(super) fn run(&self) {
         let deadline = self.limits.deadline;
         loop {
+            yield_between_turns();
             let turn = {
                 let mut queue = self.lock();
                 let quantum_us = self.quantum_us(queue.waiting());
