@@ -6,7 +6,7 @@
 use super::queue::{FlowId, FrameRequest, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
-use super::threads::{Threads, yield_between_turns};
+use super::threads::{Threads, yield_to_connections};
 use super::views::ViewJob;
 use crate::cache::memory::CachedFrame;
 use crate::chunk_id::ChunkId;
@@ -18,7 +18,7 @@ use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use terrain::Chunk;
 use tokio::sync::mpsc::UnboundedSender;
 
@@ -34,6 +34,10 @@ const QUANTUM_US: (i64, i64) = (160, 400);
 /// Queued jobs per active flow above which the queue counts as saturated: half of a session's
 /// window.
 const BACKLOG_PER_FLOW: usize = 8;
+
+/// Time of turns after which a thread yields to connections. Threads that wait for work more often
+/// do not yield: the scheduler charges a yield, and their next turn would wait for it.
+const YIELD_INTERVAL: Duration = Duration::from_micros(400);
 
 /// The frames of a finished job.
 pub(super) struct GeneratedFrames {
@@ -89,8 +93,8 @@ impl Shared {
     /// Takes turns until the queue is empty.
     pub(super) fn run(&self) {
         let deadline = self.limits.deadline;
+        let mut yielded = Instant::now();
         loop {
-            yield_between_turns();
             let turn = {
                 let mut queue = self.lock();
                 let quantum_us = self.quantum_us(queue.waiting());
@@ -109,13 +113,17 @@ impl Shared {
             }
             if let Some((flow, view, budget_us)) = turn.view {
                 self.select_view(flow, view, budget_us);
-                continue;
-            }
-            if turn.chunks.is_empty() {
+            } else if turn.chunks.is_empty() {
                 return;
+            } else {
+                let finished: Vec<GeneratedFrames> =
+                    turn.chunks.into_iter().map(|id| self.run_job(id)).collect();
+                self.send_results(&finished);
             }
-            let finished: Vec<GeneratedFrames> = turn.chunks.into_iter().map(|id| self.run_job(id)).collect();
-            self.send_results(&finished);
+            if yielded.elapsed() >= YIELD_INTERVAL {
+                yield_to_connections();
+                yielded = Instant::now();
+            }
         }
     }
 

@@ -5,12 +5,8 @@
 
 #[cfg(shuttle)]
 pub use shuttle::sync::{Mutex, MutexGuard};
-#[cfg(shuttle)]
-use shuttle::thread::yield_now;
 #[cfg(not(shuttle))]
 pub use std::sync::{Mutex, MutexGuard};
-#[cfg(not(shuttle))]
-use std::thread::yield_now;
 
 use rayon::ThreadPoolBuildError;
 #[cfg(not(shuttle))]
@@ -37,7 +33,7 @@ impl Threads {
         let pool = ThreadPoolBuilder::new()
             .num_threads(count)
             .thread_name(|n| format!("generate-{n}"))
-            .start_handler(|_| yield_to_connections())
+            .start_handler(|_| lower_priority())
             .build()?;
         Ok(Self { pool })
     }
@@ -61,16 +57,18 @@ impl Threads {
     }
 }
 
-/// Gives the processor to a waiting connection, between two turns. Without it a connection that
-/// becomes ready may wait for the scheduler's next tick, up to 4 ms, while a thread generates.
-pub fn yield_between_turns() {
-    yield_now();
+/// Lets a waiting connection run, between two turns. Without it a connection that becomes ready may
+/// wait for the scheduler's next tick, up to 4 ms, while a thread generates. Nothing in shuttle,
+/// which changes threads at each lock.
+pub fn yield_to_connections() {
+    #[cfg(not(shuttle))]
+    std::thread::yield_now();
 }
 
 /// Lowers the priority of this thread a little: connections that wait for a moment of processor time
 /// go before jobs that take milliseconds. Linux alone has a priority for each thread.
 #[cfg(not(shuttle))]
-fn yield_to_connections() {
+fn lower_priority() {
     #[cfg(target_os = "linux")]
     let _ = rustix::process::nice(NICE);
 }
