@@ -185,6 +185,23 @@ pub async fn slowest_probe_ms(server: &ServerProcess, sessions: usize, length: D
     quantile_ms(probes, 1.0).context("no probe was sent")
 }
 
+/// The p99 of the polite client, milliseconds, while sessions send the largest view that the server
+/// accepts without pause.
+pub async fn flooded_p99_ms(
+    server: &ServerProcess,
+    sessions: usize,
+    keys: &[ChunkKey],
+    length: Duration,
+) -> Result<f64> {
+    let flooders = other_thread()?;
+    for _ in 0..sessions {
+        flooders.spawn(flood(server.address, Kind::Largest, None));
+    }
+    let polite = polite(server.address, keys.to_vec(), POLITE_INTERVAL, Instant::now() + length).await?;
+    flooders.shutdown_background();
+    Ok(polite.p99_ms())
+}
+
 /// Probes over new connections. Returns the latency of each, [`PROBE_TIMEOUT`] without an answer.
 async fn probe(address: SocketAddr, end: Instant) -> Result<Vec<Duration>> {
     let mut latencies = Vec::new();

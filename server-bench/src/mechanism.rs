@@ -21,6 +21,8 @@ pub enum Mechanism {
     LongTurns,
     /// Fast effort at level 0 under backlog
     FastEffort,
+    /// Yields of busy threads
+    ThreadYields,
 }
 
 impl Mechanism {
@@ -35,6 +37,7 @@ impl Mechanism {
             Self::ViewTurns => "view-turns",
             Self::LongTurns => "long-turns",
             Self::FastEffort => "fast-effort",
+            Self::ThreadYields => "thread-yields",
         }
     }
 
@@ -60,6 +63,7 @@ impl Mechanism {
             Self::ViewTurns => &["--measure-without", "view-turns"],
             Self::LongTurns => &["--measure-without", "long-turns"],
             Self::FastEffort => &["--measure-without", "fast-effort"],
+            Self::ThreadYields => &["--measure-without", "thread-yields"],
         }
     }
 }

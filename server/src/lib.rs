@@ -19,6 +19,7 @@
 //! | [`generation`] | scheduling and execution of generation jobs and view selections |
 //! | [`cache`] | encoded frames in memory and on disk |
 //! | [`source`] | where chunks come from |
+//! | [`scheduling`] | sharing of a processor between threads |
 //! | [`mechanism`] | what a measurement can turn off |
 //! | [`map`] | map tiles rendered from chunks |
 //! | [`stats`], [`latency`], [`metrics`] | figures |
@@ -44,6 +45,7 @@ pub mod memory;
 pub mod metrics;
 pub mod proxy;
 pub mod reload;
+pub mod scheduling;
 pub mod session;
 pub mod source;
 pub mod state;

@@ -3,7 +3,7 @@
 use cli::UsageError;
 use server::bake::{BakeArgs, Baked};
 use server::config::{Args, Command, ServerConfig, log_filter};
-use server::listener;
+use server::{listener, scheduling};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -34,6 +34,7 @@ fn main() -> ExitCode {
     }
     let served = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
+        .on_thread_unpark(scheduling::waited)
         .build()
         .map_err(|error| format!("cannot start the runtime: {error}"))
         .and_then(|runtime| runtime.block_on(serve(config)));

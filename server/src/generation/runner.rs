@@ -6,11 +6,12 @@
 use super::queue::{FlowId, FrameRequest, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
-use super::threads::{Threads, yield_to_connections};
+use super::threads::Threads;
 use super::views::ViewJob;
 use crate::cache::memory::CachedFrame;
 use crate::chunk_id::ChunkId;
 use crate::mechanism::Mechanism;
+use crate::scheduling;
 use bytes::Bytes;
 use protocol::chunk_codec::Effort;
 use protocol::{Delivery, chunk_codec};
@@ -18,7 +19,7 @@ use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use terrain::Chunk;
 use tokio::sync::mpsc::UnboundedSender;
 
@@ -34,10 +35,6 @@ const QUANTUM_US: (i64, i64) = (160, 400);
 /// Queued jobs per active flow above which the queue counts as saturated: half of a session's
 /// window.
 const BACKLOG_PER_FLOW: usize = 8;
-
-/// Time of turns after which a thread yields to connections. Threads that wait for work more often
-/// do not yield: the scheduler charges a yield, and their next turn would wait for it.
-const YIELD_INTERVAL: Duration = Duration::from_micros(400);
 
 /// The frames of a finished job.
 pub(super) struct GeneratedFrames {
@@ -93,7 +90,7 @@ impl Shared {
     /// Takes turns until the queue is empty.
     pub(super) fn run(&self) {
         let deadline = self.limits.deadline;
-        let mut yielded = Instant::now();
+        scheduling::waited();
         loop {
             let turn = {
                 let mut queue = self.lock();
@@ -120,10 +117,7 @@ impl Shared {
                     turn.chunks.into_iter().map(|id| self.run_job(id)).collect();
                 self.send_results(&finished);
             }
-            if yielded.elapsed() >= YIELD_INTERVAL {
-                yield_to_connections();
-                yielded = Instant::now();
-            }
+            scheduling::yield_if_due(self.limits.without);
         }
     }
 
@@ -139,10 +133,12 @@ impl Shared {
         (TARGET_ROUND_US / flows as i64).clamp(QUANTUM_US.0, QUANTUM_US.1)
     }
 
-    /// Continues a view within its budget. A finished selection is sent to its session; an
+    /// Continues a view within its budget, which it keeps where a flow that was idle waits: a view
+    /// can stop between any two steps, and such a flow has the next turn. A finished selection is sent to its session; an
     /// unfinished one waits for the flow's next turn. A panic fails this view only.
     fn select_view(&self, flow: FlowId, mut job: ViewJob, budget_us: i64) {
-        let Ok((is_done, spent)) = catch_unwind(AssertUnwindSafe(|| job.run(budget_us))) else {
+        let must_stop = || self.lock().has_new_flow();
+        let Ok((is_done, spent)) = catch_unwind(AssertUnwindSafe(|| job.run(budget_us, must_stop))) else {
             self.metrics.jobs_failed.inc();
             tracing::error!(view = ?job.selection.view(), "view selection panicked");
             self.lock().return_view(flow, None, budget_us);

@@ -57,14 +57,6 @@ impl Threads {
     }
 }
 
-/// Lets a waiting connection run, between two turns. Without it a connection that becomes ready may
-/// wait for the scheduler's next tick, up to 4 ms, while a thread generates. Nothing in shuttle,
-/// which changes threads at each lock.
-pub fn yield_to_connections() {
-    #[cfg(not(shuttle))]
-    std::thread::yield_now();
-}
-
 /// Lowers the priority of this thread a little: connections that wait for a moment of processor time
 /// go before jobs that take milliseconds. Linux alone has a priority for each thread.
 #[cfg(not(shuttle))]

@@ -29,9 +29,9 @@ pub struct ViewJob {
 }
 
 impl ViewJob {
-    /// Continues for about `budget_us` microseconds. Returns whether the selection is finished or
-    /// its session has ended, and the time that this call took.
-    pub fn run(&mut self, budget_us: i64) -> (bool, Duration) {
+    /// Continues for about `budget_us` microseconds, or until another flow must not wait. Returns
+    /// whether the selection is finished or its session has ended, and the time that this call took.
+    pub fn run(&mut self, budget_us: i64, must_stop: impl Fn() -> bool) -> (bool, Duration) {
         #[cfg(test)]
         assert_ne!(self.selection.view().id, 666, "this view panics");
         let started = Instant::now();
@@ -39,9 +39,36 @@ impl ViewJob {
         let mut is_done = self.completion.is_closed();
         while !is_done && started.elapsed() < budget {
             is_done = self.selection.step(&self.land, STEP_CHUNKS);
+            if must_stop() {
+                break;
+            }
         }
         let spent = started.elapsed();
         self.spent += spent;
         (is_done, spent)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generation::test_source::view_selection;
+
+    #[test]
+    fn a_view_makes_one_step_a_turn_while_another_flow_must_not_wait() {
+        let (completion, _receiver) = oneshot::channel();
+        let (land, bucket) = (Land::new(1), TokenBucket::default());
+        let selection = view_selection(1);
+        let mut job = ViewJob { selection, land, bucket, spent: Duration::ZERO, completion };
+        let mut turns = 1;
+        while !job.run(i64::MAX, || true).0 {
+            turns += 1;
+        }
+        assert!(turns > 2, "{turns}");
+
+        // The control: without another flow one turn is enough.
+        let (completion, _receiver) = oneshot::channel();
+        let mut job = ViewJob { selection: view_selection(1), completion, ..job };
+        assert!(job.run(i64::MAX, || false).0);
     }
 }

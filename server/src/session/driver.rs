@@ -8,6 +8,7 @@ use crate::generation::{Completion, Flow, FlowEvent, GenerationError};
 use crate::limits::rate_limit::TokenBucket;
 use crate::mechanism::Mechanism;
 use crate::metrics::{DeliveryLabel, ReasonLabel};
+use crate::scheduling;
 use crate::session::end::{EndReason, SessionEnd, write_within};
 use crate::session::keepalive::{Keepalive, KeepaliveAction};
 use crate::session::message_deadline::MessageDeadline;
@@ -131,6 +132,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             return end;
         }
         loop {
+            scheduling::yield_if_due(self.state.config.without);
             loop {
                 let more = self.request_chunks();
                 if let Err(end) = self.flush().await {
@@ -140,7 +142,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     break;
                 }
                 // A client that reads cached chunks at full speed must not starve others.
-                tokio::task::yield_now().await;
+                self.let_others_run().await;
             }
             let pause = self.backoff.paused_until(Instant::now());
             self.pause_count.set(pause.is_some());
@@ -192,6 +194,13 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 }
             }
         }
+    }
+
+    /// Between two messages or batches of a peer: other tasks of this thread run, and other threads
+    /// if it is time.
+    async fn let_others_run(&self) {
+        scheduling::yield_if_due(self.state.config.without);
+        tokio::task::yield_now().await;
     }
 
     /// Handles the bytes of a read.
@@ -261,8 +270,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let mut has_ended = false;
         while let Some(is_data) = self.receive_message().await? {
             has_ended |= is_data;
-            // Other tasks of this thread run between two messages of a peer.
-            tokio::task::yield_now().await;
+            self.let_others_run().await;
         }
         self.message_deadline.record(has_ended, self.socket.is_in_message(), Instant::now());
         self.cancel_stale();

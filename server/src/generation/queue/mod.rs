@@ -237,6 +237,11 @@ impl Queue {
         turn
     }
 
+    /// Whether a flow that was idle waits for its first turn.
+    pub fn has_new_flow(&self) -> bool {
+        !self.new_turns.is_empty()
+    }
+
     fn next_turn(&mut self) -> Option<FlowId> {
         self.new_turns.pop_front().or_else(|| self.turns.pop_front())
     }
