@@ -6,6 +6,8 @@ RUN cargo build --locked --profile dist --bin tombolo-server
 
 FROM debian:bookworm-slim
 COPY --from=build /src/target/dist/tombolo-server /usr/local/bin/
+# Of public certificate authorities, for TLS to a store or a collector of traces.
+COPY --from=build /etc/ssl/certs/ca-certificates.crt /etc/ssl/certs/
 # The folder of a shared store, for a volume; one on another machine is given by its URL.
 RUN install -d -o 65532 -g 65532 /store
 # Nothing else of the image is written at run time, so it runs with a read-only root.

@@ -13,6 +13,7 @@ use crate::memory::{self, MemoryLimit};
 use crate::proxy::TrustedProxies;
 use crate::store::{StoreAddress, StoreConfig};
 use crate::tls::Tls;
+use crate::traces::TraceConfig;
 use cli::UsageError;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -20,6 +21,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tracing::Level;
 use tracing_subscriber::filter::Targets;
+use url::Url;
 
 pub use options::{Args, Command, Options};
 
@@ -30,6 +32,7 @@ const DEFAULT_MAX_SESSIONS: usize = 1024;
 /// Milliseconds.
 const DEFAULT_DEADLINE_MS: u64 = 500;
 const DEFAULT_LOG: &str = "info";
+const DEFAULT_TRACE_EVERY: u64 = 1000;
 
 /// The configuration of a server. Every value is valid.
 #[derive(Clone, Debug)]
@@ -85,6 +88,8 @@ pub struct ServerConfig {
     pub drain_timeout: Duration,
     /// The mechanism that is turned off, for measurements.
     pub without: Option<Mechanism>,
+    /// Where traces go; none for no traces.
+    pub traces: Option<TraceConfig>,
     /// Log filter.
     pub log: String,
     /// Whether log lines are JSON.
@@ -122,6 +127,7 @@ impl Default for ServerConfig {
             ping_interval: Duration::from_secs(20),
             drain_timeout: Duration::from_secs(10),
             without: None,
+            traces: None,
             log: DEFAULT_LOG.into(),
             log_json: false,
         }
@@ -181,6 +187,9 @@ impl Args {
         in_range("rate-limit-ms", rate_limit_ms.unwrap_or(1), 1, 1_000_000)?;
         let deadline_ms = given.deadline_ms.or(file.deadline_ms).unwrap_or(DEFAULT_DEADLINE_MS);
         in_range("deadline-ms", deadline_ms, 10, 60_000)?;
+        // Deployments pass on variables that may be empty.
+        let is_given = |text: &String| !text.is_empty();
+        let otlp = given.otlp.filter(is_given).or(file.otlp.filter(is_given));
         let log = given.log.or(file.log).unwrap_or(defaults.log);
         log_filter(&log)?;
         let tls = Tls::of_options(given.tls_cert.or(file.tls_cert), given.tls_key.or(file.tls_key))?;
@@ -217,11 +226,39 @@ impl Args {
             rate_limit_ms,
             deadline: Duration::from_millis(deadline_ms),
             without: self.measure_without,
+            traces: traces(otlp, given.trace_every.or(file.trace_every))?,
             log,
             log_json: given.log_json || file.log_json,
             ..defaults
         })
     }
+}
+
+/// The traces of an address and a share.
+fn traces(address: Option<String>, every: Option<u64>) -> Result<Option<TraceConfig>, UsageError> {
+    in_range("trace-every", every.unwrap_or(0), 0, 1_000_000_000)?;
+    let Some(address) = address else {
+        return every.map_or(Ok(None), |_| {
+            Err(UsageError::new("trace-every: there is no collector; give otlp URL too, or remove it"))
+        });
+    };
+    // What is wrong may be a password, which no error should show.
+    let wrong = || {
+        UsageError::new("otlp: not an address of OTLP over HTTP; give http://HOST:4318/v1/traces or https")
+    };
+    let mut endpoint = Url::parse(&address).map_err(|_| wrong())?;
+    if !matches!(endpoint.scheme(), "http" | "https") {
+        return Err(wrong());
+    }
+    if !endpoint.username().is_empty() || endpoint.password().is_some() {
+        return Err(UsageError::new(
+            "otlp: credentials belong into OTEL_EXPORTER_OTLP_HEADERS, not into the address",
+        ));
+    }
+    if endpoint.path() == "/" {
+        endpoint.set_path("v1/traces");
+    }
+    Ok(Some(TraceConfig { endpoint, every: every.unwrap_or(DEFAULT_TRACE_EVERY) }))
 }
 
 /// The store of an address and a wait.

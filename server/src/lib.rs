@@ -22,7 +22,7 @@
 //! | [`scheduling`] | sharing of a processor between threads |
 //! | [`mechanism`] | what a measurement can turn off |
 //! | [`map`] | map tiles rendered from chunks |
-//! | [`stats`], [`latency`], [`metrics`] | figures |
+//! | [`stats`], [`latency`], [`metrics`], [`traces`] | figures, and spans of single chunks |
 //!
 //! The server has no GPU crate in its dependency tree, and keeps no state that a reconnect cannot
 //! rebuild.
@@ -52,6 +52,7 @@ pub mod state;
 pub mod stats;
 pub mod store;
 pub mod tls;
+pub mod traces;
 pub mod websocket;
 
 pub use config::ServerConfig;

@@ -3,10 +3,13 @@
 use cli::UsageError;
 use server::bake::{BakeArgs, Baked};
 use server::config::{Args, Command, ServerConfig, log_filter};
+use server::traces::{self, Exporter};
 use server::{listener, scheduling};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
@@ -29,15 +32,19 @@ fn main() -> ExitCode {
         Ok(config) => config,
         Err(error) => return cli::fail(NAME, error, cli::USAGE),
     };
-    if let Err(message) = set_up_logging(&config) {
-        return cli::fail(NAME, message, cli::USAGE);
-    }
+    let exporter = match set_up_logging(&config) {
+        Ok(exporter) => exporter,
+        Err(message) => return cli::fail(NAME, message, cli::USAGE),
+    };
     let served = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .on_thread_unpark(scheduling::waited)
         .build()
         .map_err(|error| format!("cannot start the runtime: {error}"))
         .and_then(|runtime| runtime.block_on(serve(config)));
+    if let Some(exporter) = exporter {
+        exporter.close();
+    }
     match served {
         Ok(()) => ExitCode::SUCCESS,
         Err(message) => cli::fail(NAME, message, cli::FAILED),
@@ -125,16 +132,28 @@ fn interruption(reads_again: bool) -> std::io::Result<impl Future<Output = ()>> 
     })
 }
 
-fn set_up_logging(config: &ServerConfig) -> Result<(), UsageError> {
-    let filter = log_filter(&config.log)?;
+/// Log lines on standard error, and traces to a collector.
+fn set_up_logging(config: &ServerConfig) -> Result<Option<Exporter>, UsageError> {
+    // Spans of traces are for the collector alone.
+    let filter = log_filter(&config.log)?.with_target(traces::TARGET, LevelFilter::OFF);
     let lines = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal());
-    let registry = tracing_subscriber::registry().with(filter);
-    if config.log_json {
-        registry.with(lines.json()).init();
-    } else {
-        registry.with(lines).init();
-    }
-    Ok(())
+    let lines = if config.log_json { lines.json().boxed() } else { lines.boxed() };
+    let registry = tracing_subscriber::registry().with(lines.with_filter(filter));
+    // No layer at all rather than an absent one, which has an interest in all spans.
+    let Some(config) = &config.traces else {
+        registry.init();
+        return Ok(None);
+    };
+    let (layer, exporter) = traces::layer(config, instance())
+        .map_err(|error| UsageError::new(format!("otlp: cannot export traces: {error}")))?;
+    registry.with(layer).init();
+    Ok(Some(exporter))
+}
+
+/// What tells this process from other replicas.
+fn instance() -> String {
+    let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    format!("{}:{}", host.trim(), std::process::id())
 }

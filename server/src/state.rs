@@ -14,6 +14,7 @@ use crate::metrics::Metrics;
 use crate::source::ProceduralSource;
 use crate::stats::LiveStats;
 use crate::store::Store;
+use crate::traces::Traces;
 use protocol::server::ServerOffer;
 use rayon::ThreadPoolBuildError;
 use std::sync::Arc;
@@ -59,6 +60,8 @@ pub struct ServerState {
     pub gate: Arc<TokenGate>,
     /// Log lines about peers that break rules.
     pub peer_log: Arc<PeerLog>,
+    /// Which chunks are traced.
+    pub traces: Traces,
     /// Work per client network.
     pub rate_limiter: RateLimiter,
     /// Sessions that are not read for a while after rejections.
@@ -125,6 +128,7 @@ impl ServerState {
             paused_sessions: AtomicUsize::new(0),
             next_session: AtomicU64::new(1),
             rate_limiter: RateLimiter::new(config.rate_limit_ms),
+            traces: Traces::new(config.traces.as_ref()),
             sessions_per_ip: match config.max_sessions_per_address {
                 Some(limit) => PerIpLimiter::new(limit),
                 None => PerIpLimiter::fair_share(config.max_sessions),

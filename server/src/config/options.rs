@@ -115,6 +115,14 @@ pub struct Options {
     /// that would wait longer is rejected as overloaded [default: 500]
     #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS")]
     pub deadline_ms: Option<u64>,
+    /// Address of a collector of OpenTelemetry, OTLP over HTTP, to which traces of chunks go, such as
+    /// http://127.0.0.1:4318/v1/traces [default: none]
+    #[arg(long, value_name = "URL", env = "TOMBOLO_OTLP")]
+    pub otlp: Option<String>,
+    /// Trace one requested chunk of so many, 0 to 1000000000; 0 is only those whose client names a
+    /// recorded trace in traceparent [default: 1000]
+    #[arg(long, value_name = "N", env = "TOMBOLO_TRACE_EVERY")]
+    pub trace_every: Option<u64>,
     /// Log filter: off, error, warn, info, debug, trace, or per module as in `info,server=debug`
     /// [default: info]
     #[arg(long, value_name = "FILTER", env = "TOMBOLO_LOG")]

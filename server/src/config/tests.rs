@@ -48,6 +48,20 @@ fn the_former_name_of_the_rate_limit_is_accepted() {
     assert_eq!(with_file("cost-per-second = 70", Args::default()).unwrap().rate_limit_ms, Some(70));
 }
 
+#[test]
+fn traces_have_an_address_and_a_share() {
+    let of = |file: &str| with_file(file, Args::default()).unwrap().traces;
+    let traces = of("otlp = \"http://a:4318/v1/traces\"").unwrap();
+    assert_eq!((traces.endpoint.as_str(), traces.every), ("http://a:4318/v1/traces", 1000));
+    assert_eq!(of("otlp = \"https://a/b\"\ntrace-every = 0").unwrap().every, 0);
+    assert_eq!(of("otlp = \"http://a:4318\"").unwrap().endpoint.path(), "/v1/traces");
+    assert_eq!((of(""), of("otlp = \"\"")), (None, None));
+    let mut given = Args::default();
+    given.options.otlp = Some(String::new());
+    let traces = with_file("otlp = \"http://a\"\ntrace-every = 7", given).unwrap().traces.unwrap();
+    assert_eq!((traces.endpoint.host_str(), traces.every), (Some("a"), 7), "an empty variable");
+}
+
 /// What a user cannot turn off by accident.
 #[test]
 fn a_mechanism_is_turned_off_by_a_hidden_option_alone() {
@@ -87,6 +101,11 @@ fn errors_are_one_line_with_option_value_and_range() {
         ("allowed-origin = [\"a\"]", &["allowed-origin", "`a`"][..]),
         ("protect = [\"metrics\"]", &["protect", "metrics", "token-file"][..]),
         ("tls-cert = \"/x\"", &["tls-cert", "tls-key"][..]),
+        ("trace-every = 10", &["trace-every", "otlp"][..]),
+        ("otlp = \"http://a\"\ntrace-every = 1000000001", &["trace-every", "0 to 1000000000"][..]),
+        ("otlp = \"grpc://a:4317\"", &["otlp", "http://HOST:4318/v1/traces"][..]),
+        ("otlp = \"http://me:secret@a\"", &["otlp", "OTEL_EXPORTER_OTLP_HEADERS"][..]),
+        ("otlp = \"collector\"", &["otlp", "http://HOST:4318/v1/traces"][..]),
         ("log = \"loud\"", &["log", "loud", "info", "trace"][..]),
         ("log = \"info,server\"", &["log", "`server`", "info,server=debug"][..]),
         ("log = \"server=loud\"", &["log", "server=loud"][..]),

@@ -10,6 +10,7 @@ use super::threads::Threads;
 use super::views::ViewJob;
 use crate::chunk_id::ChunkId;
 use crate::limits::rate_limit::TokenBucket;
+use crate::traces::{self, RequestTrace};
 use bytes::Bytes;
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
@@ -99,6 +100,7 @@ impl Flow {
         delivery: Delivery,
     ) -> Result<Bytes, GenerationError> {
         if let Some(frame) = self.cached_frame(id, delivery) {
+            traces::current().record("origin", "memory");
             return Ok(frame);
         }
         self.request_frame(id, chunk, delivery);
@@ -139,16 +141,19 @@ impl Flow {
     fn request_frame(&mut self, id: ChunkId, chunk: ChunkRequest, delivery: Delivery) {
         self.add_open(1);
         let Shared { frames, metrics, costs, .. } = &*self.shared;
+        let trace = RequestTrace::current();
         let mut queue = self.shared.lock();
         // Under the lock: a job leaves the queue only after its frames are in the cache.
         if let Some(frame) = frames.get(id, delivery, || self.must_be_compact || queue.jobs() == 0) {
             metrics.frame_cache_hits.inc();
+            trace.chunk.record("origin", "memory");
             self.complete(chunk, Ok(frame));
             return;
         }
         let (since, sender) = (Instant::now(), self.sender.clone());
         let must_be_compact = self.must_be_compact;
-        let request = FrameRequest { flow: self.id, chunk, id, delivery, must_be_compact, since, sender };
+        let flow = self.id;
+        let request = FrameRequest { flow, chunk, id, delivery, must_be_compact, since, sender, trace };
         let cost_us = costs.expected_us(chunk.key);
         match queue.enqueue(request, cost_us) {
             Enqueued::Coalesced => {

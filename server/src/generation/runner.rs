@@ -12,6 +12,7 @@ use crate::cache::memory::CachedFrame;
 use crate::chunk_id::ChunkId;
 use crate::mechanism::Mechanism;
 use crate::scheduling;
+use crate::traces::{self, part};
 use bytes::Bytes;
 use protocol::chunk_codec::Effort;
 use protocol::{Delivery, chunk_codec};
@@ -22,6 +23,7 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 use terrain::Chunk;
 use tokio::sync::mpsc::UnboundedSender;
+use tracing::Span;
 
 /// Target duration of a round over all active flows, microseconds of work. A longer backlog per
 /// thread selects the fast encoding.
@@ -70,6 +72,17 @@ enum Origin {
     Made,
 }
 
+impl Origin {
+    /// The name in traces.
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Disk => "disk",
+            Self::Store | Self::StoreEncoded => "store",
+            Self::Made => "made",
+        }
+    }
+}
+
 /// A chunk, and its exact frame if the store had it.
 struct Found {
     chunk: Chunk,
@@ -113,8 +126,12 @@ impl Shared {
             } else if turn.chunks.is_empty() {
                 return;
             } else {
-                let finished: Vec<GeneratedFrames> =
-                    turn.chunks.into_iter().map(|id| self.run_job(id)).collect();
+                let run = |id| {
+                    let span = turn.traced.iter().find(|(traced, _)| *traced == id).map(|(_, span)| span);
+                    let _entered = span.map(Span::enter);
+                    self.run_job(id)
+                };
+                let finished: Vec<GeneratedFrames> = turn.chunks.into_iter().map(run).collect();
                 self.send_results(&finished);
             }
             scheduling::yield_if_due(self.limits.without);
@@ -203,6 +220,7 @@ impl Shared {
                 }
             }
             let chunk = chunk.as_ref().expect("found or made");
+            let _part = part!("encode");
             (chunk_codec::encode_with(delivery, effort, chunk, &self.world), origin)
         }));
         let Ok((frame, origin)) = result else {
@@ -214,6 +232,7 @@ impl Shared {
         let is_stored = matches!(origin, Origin::Disk | Origin::Store);
         let took = started.elapsed();
         if is_first {
+            traces::current().record("origin", origin.name());
             // The cost of a job includes reads from disk and store.
             self.costs.record(id.key, took);
         }
@@ -239,15 +258,24 @@ impl Shared {
     fn chunk(&self, id: ChunkId, delivery: Delivery) -> Found {
         let known_error = self.frames.known_error(id).or_else(|| self.stored_error(id, delivery));
         let Some(store) = self.store.as_ref().filter(|_| known_error.is_none()) else {
-            return Found { chunk: self.source.chunk(id, known_error), frame: None };
+            return Found { chunk: self.generate(id, known_error), frame: None };
         };
-        if let Some((chunk, frame)) = store.read(id) {
+        let found = {
+            let _part = part!("store");
+            store.read(id)
+        };
+        if let Some((chunk, frame)) = found {
             return Found { chunk, frame: Some(frame) };
         }
         let started = Instant::now();
-        let chunk = self.source.chunk(id, None);
+        let chunk = self.generate(id, None);
         store.made(id, started.elapsed(), || chunk_codec::encode(&chunk, &self.world));
         Found { chunk, frame: None }
+    }
+
+    fn generate(&self, id: ChunkId, known_error: Option<u32>) -> Chunk {
+        let _part = part!("generate");
+        self.source.chunk(id, known_error)
     }
 
     /// The fast encoding for level 0 under backlog: bytes are cheaper than time then. Encoding is a
@@ -260,7 +288,9 @@ impl Shared {
 
     /// A frame from disk.
     fn stored_frame(&self, id: ChunkId, delivery: Delivery) -> Option<Bytes> {
-        self.disk.as_ref()?.read(id, delivery, |frame| self.is_valid(id, delivery, frame))
+        let disk = self.disk.as_ref()?;
+        let _part = part!("disk");
+        disk.read(id, delivery, |frame| self.is_valid(id, delivery, frame))
     }
 
     /// The error of a chunk from its frame on disk of another delivery. Not from a quantised frame,

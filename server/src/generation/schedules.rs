@@ -18,6 +18,7 @@ use super::{Generation, GenerationError, Limits};
 use crate::chunk_id::ChunkId;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
+use crate::traces::RequestTrace;
 use bytes::Bytes;
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
@@ -112,6 +113,7 @@ fn request(flow: &mut Flow, key: ChunkKey, bug: Option<Bug>) {
         must_be_compact: false,
         since: Instant::now(),
         sender: flow.sender.clone(),
+        trace: RequestTrace::current(),
     };
     queue.enqueue(request, 1000);
     if queue.runners < shared.limits.threads {

@@ -11,6 +11,7 @@ use axum::response::Response;
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use std::sync::Arc;
+use tracing::Instrument;
 
 /// `GET /v1/{digest}/chunk/{level}/{x}/{z}`.
 pub async fn get(
@@ -22,7 +23,11 @@ pub async fn get(
     let chunk = ChunkRequest { key, request: Some(0), priority: u64::MAX };
     // Compact: the address is immutable, so it has one representation for ever.
     let flow = state.generation.limited_flow(bucket).compact();
-    let frame = flow.base_frame(chunk, Delivery::Exact).await.map_err(problem)?;
+    let parent = state.traces.parent(&request.client.headers);
+    let span = state.traces.chunk(parent.as_ref(), key, Delivery::Exact);
+    let frame = flow.base_frame(chunk, Delivery::Exact).instrument(span.clone()).await;
+    span.record("outcome", if frame.is_ok() { "sent" } else { "refused" });
+    let frame = frame.map_err(problem)?;
     let digest =
         state.content_digests.of(ChunkId::base(key), &frame, &state.offer.digest).map_err(|error| {
             Problem::new(ProblemKind::Failed, format!("the chunk's frame is damaged: {error}"))

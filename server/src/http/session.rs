@@ -67,13 +67,14 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         let sentence = "too many sessions from this address, end one or retry later";
         return Problem::new(ProblemKind::AddressFull, sentence).into_response();
     };
+    let parent = state.traces.parent(headers);
     let response = upgrade.response(Some(SUBPROTOCOL));
     let number = state.next_session.fetch_add(1, Ordering::Relaxed);
     let tracker = state.sessions.clone();
     tracker.spawn(async move {
         if let Some(socket) = upgrade.socket(READ_LIMIT).await {
             let bucket = state.rate_limiter.bucket(peer);
-            let reason = driver::serve(socket, &state, offer, number, bucket).await;
+            let reason = driver::serve(socket, &state, offer, number, bucket, parent).await;
             if reason.is_breach() {
                 state.peer_log.report(peer, reason.name());
             }

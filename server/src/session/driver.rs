@@ -9,12 +9,14 @@ use crate::limits::rate_limit::TokenBucket;
 use crate::mechanism::Mechanism;
 use crate::metrics::{DeliveryLabel, ReasonLabel};
 use crate::scheduling;
+use crate::session::chunk_traces::ChunkTraces;
 use crate::session::end::{EndReason, SessionEnd, write_within};
 use crate::session::keepalive::{Keepalive, KeepaliveAction};
 use crate::session::message_deadline::MessageDeadline;
 use crate::session::refusal_backoff::{PauseCount, RefusalBackoff, Rejections};
 use crate::state::ServerState;
 use crate::stats::SessionStatsGuard;
+use crate::traces::Parent;
 use crate::websocket::frame::Opcode;
 use crate::websocket::inbox::Message;
 use crate::websocket::socket::WebSocket;
@@ -54,13 +56,14 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 const RECONNECT_MS: (u32, u32) = (500, 2000);
 
 /// Runs one session to its end and counts it; the reason of the end. Its work is charged to
-/// `bucket`.
+/// `bucket`; its chunks belong to the trace of `parent`.
 pub async fn serve<S>(
     socket: WebSocket<S>,
     state: &ServerState,
     offer: ServerOffer,
     number: u64,
     bucket: TokenBucket,
+    parent: Option<Parent>,
 ) -> EndReason
 where
     S: AsyncRead + AsyncWrite + Unpin,
@@ -79,6 +82,7 @@ where
         pause_count: PauseCount::new(&state.paused_sessions),
         counted: SessionCounts::default(),
         stats: state.stats.register(number),
+        traces: ChunkTraces::new(parent),
         in_generation: Vec::new(),
         unwritten: Vec::new(),
     };
@@ -112,6 +116,8 @@ struct Driver<'a, S> {
     counted: SessionCounts,
     /// Figures for the page.
     stats: SessionStatsGuard,
+    /// Spans of the traced chunks.
+    traces: ChunkTraces,
     /// Start times of the chunks in generation. At most [`JOB_WINDOW`].
     in_generation: Vec<(ChunkKey, Instant)>,
     /// Start times and numbers of the chunks in the next flush. At most [`JOB_WINDOW`] and one
@@ -253,7 +259,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 Next::Delivered => batch += 1,
                 Next::Generate(chunk, delivery) => {
                     self.in_generation.push((chunk.key, now));
-                    self.flow.request(chunk, delivery);
+                    let span = self.traces.begin(&self.state.traces, chunk.key, delivery);
+                    span.in_scope(|| self.flow.request(chunk, delivery));
                 }
             }
         }
@@ -315,6 +322,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         for key in self.session.take_stale() {
             for chunk in self.flow.cancel(key) {
                 self.end_generation(chunk.key);
+                self.traces.end(chunk.key, "cancelled");
                 self.session.withdraw(chunk);
             }
         }
@@ -363,14 +371,16 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         match result {
             Ok(frame) => {
                 self.session.deliver(chunk, frame);
+                self.traces.deliver(chunk.key);
                 self.unwritten.extend(since.map(|since| (since, 1)));
             }
             Err(error) => {
-                let reason = match error {
-                    GenerationError::Overloaded => RefusalReason::Overloaded,
-                    GenerationError::Failed => RefusalReason::Failed,
+                let (reason, outcome) = match error {
+                    GenerationError::Overloaded => (RefusalReason::Overloaded, "overloaded"),
+                    GenerationError::Failed => (RefusalReason::Failed, "failed"),
                 };
                 self.session.fail(chunk, reason, error.to_string());
+                self.traces.end(chunk.key, outcome);
             }
         }
     }
@@ -392,6 +402,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             return Ok(());
         }
         let result = write_within(self.state.config.write_timeout, self.socket.flush()).await;
+        self.traces.flushed(result.is_ok());
         self.state.metrics.sent_bytes.inc_by(bytes);
         if result.is_ok() {
             let now = Instant::now();

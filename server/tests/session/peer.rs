@@ -28,7 +28,7 @@ impl Peer {
         let server = Arc::clone(state);
         tokio::spawn(async move {
             let socket = WebSocket::new(theirs, &[], READ_LIMIT);
-            driver::serve(socket, &server, server.offer.clone(), 1, bucket).await;
+            driver::serve(socket, &server, server.offer.clone(), 1, bucket, None).await;
         });
         Self { io, state: Arc::clone(state) }
     }

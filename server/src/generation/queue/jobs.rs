@@ -3,12 +3,14 @@
 
 use crate::chunk_id::ChunkId;
 use crate::generation::result::Completion;
+use crate::traces::RequestTrace;
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::UnboundedSender;
+use tracing::Span;
 
 /// Identifies a flow.
 pub type FlowId = u64;
@@ -30,6 +32,8 @@ pub struct FrameRequest {
     pub since: Instant,
     /// Receives the result.
     pub sender: UnboundedSender<Vec<Completion>>,
+    /// Its spans.
+    pub trace: RequestTrace,
 }
 
 /// Result of adding a request.
@@ -127,13 +131,15 @@ impl Jobs {
     }
 
     /// Starts a queued job; none if it is not queued. Explicit requests older than `deadline` move
-    /// to `expired`; requests of views stay, since a client does not repeat an unchanged view.
+    /// to `expired`; requests of views stay, since a client does not repeat an unchanged view. The
+    /// span of the first traced request goes to `traced`.
     pub fn start(
         &mut self,
         id: ChunkId,
         deadline: Duration,
         now: Instant,
         expired: &mut Vec<FrameRequest>,
+        traced: &mut Vec<(ChunkId, Span)>,
     ) -> Option<Started> {
         let job = self.by_id.get_mut(&id).filter(|job| !job.is_running)?;
         let before = expired.len();
@@ -147,6 +153,9 @@ impl Jobs {
             return Some(if expired.len() > before { Started::Expired } else { Started::Cancelled });
         }
         job.is_running = true;
+        job.requests.iter_mut().for_each(|request| request.trace.start());
+        let chunks = job.requests.iter().map(|request| &request.trace.chunk);
+        traced.extend(chunks.filter(|chunk| !chunk.is_disabled()).take(1).map(|chunk| (id, chunk.clone())));
         Some(Started::Running { cost_us: job.cost_us })
     }
 

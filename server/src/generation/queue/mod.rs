@@ -24,6 +24,7 @@ use rustc_hash::FxHashMap;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::time::{Duration, Instant};
+use tracing::Span;
 
 /// Entries of a flow before stale ones are removed.
 const STALE_ENTRIES: usize = 64;
@@ -77,6 +78,8 @@ pub struct Turn {
     pub view: Option<(FlowId, ViewJob, i64)>,
     /// Jobs to run, all of one flow.
     pub chunks: Vec<ChunkId>,
+    /// The spans of those that are traced.
+    pub traced: Vec<(ChunkId, Span)>,
     /// Requests over the deadline; to be rejected.
     pub expired: Vec<FrameRequest>,
     /// Jobs dropped because they had no requests any more.
@@ -214,7 +217,7 @@ impl Queue {
             }
             while flow.credit_us > 0 {
                 let Some((_, _, chunk)) = flow.entries.pop() else { break };
-                match self.jobs.start(chunk, deadline, now, &mut turn.expired) {
+                match self.jobs.start(chunk, deadline, now, &mut turn.expired, &mut turn.traced) {
                     Some(Started::Running { cost_us }) => {
                         flow.credit_us -= cost_us;
                         turn.chunks.push(chunk);

@@ -4,6 +4,7 @@ use super::*;
 use crate::generation::result::Completion;
 use crate::generation::test_source::view_selection;
 use crate::limits::rate_limit::TokenBucket;
+use crate::traces::RequestTrace;
 use terrain::ChunkKey;
 use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::sync::oneshot;
@@ -64,6 +65,7 @@ impl Fixture {
                 must_be_compact: false,
                 since: self.now,
                 sender,
+                trace: RequestTrace::current(),
             },
             cost_us,
         )
