@@ -152,7 +152,7 @@ fn set_up_logging(config: &ServerConfig) -> Result<Option<Exporter>, UsageError>
     Ok(Some(exporter))
 }
 
-/// What tells this process from other replicas.
+/// The name of this process among the replicas.
 fn instance() -> String {
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     format!("{}:{}", host.trim(), std::process::id())

@@ -150,8 +150,8 @@ impl Shared {
         (TARGET_ROUND_US / flows as i64).clamp(QUANTUM_US.0, QUANTUM_US.1)
     }
 
-    /// Continues a view within its budget, which it keeps where a flow that was idle waits: a view
-    /// can stop between any two steps, and such a flow has the next turn. A finished selection is sent to its session; an
+    /// Continues a view within its budget, or until a flow that was idle waits: it has the next turn,
+    /// and a view can stop between any two steps. A finished selection is sent to its session; an
     /// unfinished one waits for the flow's next turn. A panic fails this view only.
     fn select_view(&self, flow: FlowId, mut job: ViewJob, budget_us: i64) {
         let must_stop = || self.lock().has_new_flow();
