@@ -42,14 +42,14 @@ impl ChunkTraces {
     /// It gets no frame: `cancelled`, `overloaded` or `failed`.
     pub fn end(&mut self, key: ChunkKey, outcome: &'static str) {
         if let Some(chunk) = self.remove(key) {
-            end(chunk, outcome);
+            end(&chunk, outcome);
         }
     }
 
     /// The system has taken all frames, or the flush failed.
     pub fn flushed(&mut self, is_sent: bool) {
         for span in self.unwritten.drain(..) {
-            end(span, if is_sent { "sent" } else { "unsent" });
+            end(&span, if is_sent { "sent" } else { "unsent" });
         }
     }
 
@@ -63,13 +63,13 @@ impl Drop for ChunkTraces {
     fn drop(&mut self) {
         self.flushed(false);
         for (_, chunk) in self.open.drain(..) {
-            end(chunk, "cancelled");
+            end(&chunk, "cancelled");
         }
     }
 }
 
-/// Ends a span. The part `write` has no outcome.
-fn end(span: Span, outcome: &'static str) {
+/// Marks the end of a span that is dropped now. The part `write` has no outcome.
+fn end(span: &Span, outcome: &'static str) {
     span.record("outcome", outcome);
     // The export takes the last exit of a span as its end.
     span.in_scope(|| ());

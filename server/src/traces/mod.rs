@@ -86,9 +86,10 @@ impl Traces {
     #[must_use]
     pub fn chunk(&self, parent: Option<&Parent>, key: ChunkKey, delivery: Delivery) -> Span {
         let Some(every) = self.every else { return Span::none() };
-        self.chunk_at(every, parent, Instant::now())
-            .then(|| span(parent, key, delivery))
-            .unwrap_or_else(Span::none)
+        if !self.chunk_at(every, parent, Instant::now()) {
+            return Span::none();
+        }
+        span(parent, key, delivery)
     }
 
     /// Whether a chunk that is requested now is traced.
