@@ -98,7 +98,7 @@ fn manifests_have_the_fields_of_the_kubernetes_api() {
 fn damaged_manifests_are_found() {
     for (from, to, found) in [
         ("readinessProbe:", "readynessProbe:", "/spec/template/spec/containers/0/readynessProbe"),
-        ("terminationGracePeriodSeconds: 20", "minReadySeconds: 20", "/spec/template/spec/minReadySeconds"),
+        ("terminationGracePeriodSeconds: 25", "minReadySeconds: 25", "/spec/template/spec/minReadySeconds"),
         ("containerPort: 7580", "containerPort: many", "invalid type"),
         ("kind: Deployment", "kind: Deploymint", "is not checked"),
     ] {
@@ -163,8 +163,8 @@ fn the_compose_file_has_the_fields_of_the_specification() {
     }
     let replica = services["replica-1"].as_ref().unwrap();
     assert!(replica.read_only && replica.cap_drop == ["ALL"]);
-    // More than the server's own deadline of 10 s.
-    assert_eq!(replica.stop_grace_period.as_deref(), Some("15s"));
+    // More than the 10 s of the drain and the 5 s of the last traces.
+    assert_eq!(replica.stop_grace_period.as_deref(), Some("25s"));
 }
 
 /// The controls.
@@ -174,7 +174,7 @@ fn damaged_compose_files_are_found() {
         ("  replica-2: *replica", "  replica-2: *replicas", "unknown anchor"),
         ("    read_only: true", "    read_onyl: true", "read_onyl"),
         ("depends_on:", "depend_on:", "depend_on"),
-        ("stop_grace_period: 15s", "stop_grace_period: [15s]", "invalid type"),
+        ("stop_grace_period: 25s", "stop_grace_period: [25s]", "invalid type"),
     ] {
         let text = COMPOSE.replace(from, to);
         assert_ne!(text, COMPOSE, "{from}");
