@@ -1,4 +1,4 @@
-//! Where the viewer draws woods: `woods_at` and `growth_at` of `wgsl/shared/ground.wesl` in f64.
+//! Where the viewer draws woods: `woods_at` and `growth_at` of `wgsl/shared/splat.wesl` in f64.
 //!
 //! The rule is the shaders' alone; this repeats it for the places of [`super::features`], from
 //! slopes of the 16 m grid. Beaches, which end below the woods, and tracks, a few metres wide, are

@@ -7,14 +7,35 @@ const MEASURED: [(&str, &[&str]); 13] = [
     ("code", &["*.rs", "*.wesl", "*.md"]),
     (
         "heightfield",
-        &["terrain", "shaders", "lab/src/digest", "lab/src/timings.rs", "benches/noise-comparison"],
+        &[
+            "terrain",
+            "lab/src/digest",
+            "lab/src/timings.rs",
+            "benches/noise-comparison",
+            "shaders/build.rs",
+            "shaders/wgsl/probe_heights.wesl",
+            "shaders/wgsl/probe_heights_float.wesl",
+            "shaders/wgsl/shared/base.wesl",
+            "shaders/wgsl/shared/coast.wesl",
+            "shaders/wgsl/shared/curves.wesl",
+            "shaders/wgsl/shared/gradients.wesl",
+            "shaders/wgsl/shared/hash.wesl",
+            "shaders/wgsl/shared/island.wesl",
+            "shaders/wgsl/shared/land.wesl",
+            "shaders/wgsl/shared/lattice.wesl",
+            "shaders/wgsl/shared/noise.wesl",
+            "shaders/wgsl/shared/octaves.wesl",
+            "shaders/wgsl/shared/ring.wesl",
+            "shaders/wgsl/shared/spline.wesl",
+            "shaders/wgsl/shared/weights.wesl",
+        ],
     ),
     (
         "land",
         &[
             "terrain",
             // The rule of woods, which `lab/src/land/wood.rs` repeats.
-            "shaders/wgsl/shared/ground.wesl",
+            "shaders/wgsl/shared/splat.wesl",
             "shaders/wgsl/shared/pattern.wesl",
             "lab/src/land",
             "lab/src/land.rs",
@@ -94,6 +115,7 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
 
     #[test]
     fn every_measured_path_exists() {
@@ -102,6 +124,31 @@ mod tests {
                 assert!(process::root().join(path).exists(), "{name}: {path}");
             }
         }
+    }
+
+    /// The shared modules that a shader imports, directly or not.
+    fn imported(shader: &str, found: &mut BTreeSet<String>) {
+        let text = std::fs::read_to_string(process::root().join(shader)).unwrap();
+        for line in text.lines().filter_map(|line| line.strip_prefix("import package::shared::")) {
+            let module = line.split("::").next().unwrap();
+            // The constants are written by the build.
+            let path = format!("shaders/wgsl/shared/{module}.wesl");
+            if module != "constants" && found.insert(path.clone()) {
+                imported(&path, found);
+            }
+        }
+    }
+
+    #[test]
+    fn the_measured_height_shaders_are_listed_with_all_that_they_import() {
+        let passes = ["shaders/wgsl/probe_heights.wesl", "shaders/wgsl/probe_heights_float.wesl"];
+        let mut found = BTreeSet::from(passes.map(String::from));
+        for pass in passes {
+            imported(pass, &mut found);
+        }
+        let paths = measured("heightfield").unwrap().iter().map(ToString::to_string);
+        let listed: BTreeSet<String> = paths.filter(|path| path.ends_with(".wesl")).collect();
+        assert_eq!(listed, found);
     }
 
     #[test]

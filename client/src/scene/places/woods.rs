@@ -1,4 +1,4 @@
-//! Where woods grow: the broad part of `woods_at` in `shaders/wgsl/shared/ground.wesl`, to choose a
+//! Where woods grow: the broad part of `woods_at` in `shaders/wgsl/shared/splat.wesl`, to choose a
 //! place by. Nothing that is drawn depends on it.
 
 use glam::DVec2;
