@@ -8,6 +8,7 @@ mod end_to_end;
 mod fuzz;
 pub mod heightfield;
 mod land;
+mod mutants;
 mod record;
 mod resilience;
 mod run;
@@ -44,7 +45,7 @@ macro_rules! by_lab {
     };
 }
 
-const MEASUREMENTS: [Measurement; 13] = [
+const MEASUREMENTS: [Measurement; 14] = [
     Measurement { name: "audit", programs: &[], rows: audit::rows },
     Measurement { name: "code", programs: &[], rows: code::rows },
     Measurement {
@@ -64,6 +65,7 @@ const MEASUREMENTS: [Measurement; 13] = [
         rows: resilience::rows,
     },
     Measurement { name: "fuzz", programs: &[], rows: fuzz::rows },
+    Measurement { name: "mutants", programs: &[], rows: mutants::rows },
     Measurement { name: "land", programs: &["tombolo-lab"], rows: land::rows },
     Measurement {
         name: "cluster",

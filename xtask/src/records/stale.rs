@@ -3,7 +3,7 @@
 use crate::process;
 
 /// What each measurement measures: paths from the root. Tests and documents in them do not count.
-const MEASURED: [(&str, &[&str]); 13] = [
+const MEASURED: [(&str, &[&str]); 14] = [
     ("code", &["*.rs", "*.wesl", "*.md"]),
     (
         "heightfield",
@@ -60,6 +60,7 @@ const MEASURED: [(&str, &[&str]); 13] = [
         ],
     ),
     ("fuzz", &["terrain", "protocol", "server", "entry-points", "fuzz"]),
+    ("mutants", &["terrain", "protocol", "server/src/limits", "server/src/session", "server/src/cache"]),
     ("resilience", &["terrain", "protocol", "server", "server-bench", "client", "shaders"]),
     (
         "cluster",
