@@ -103,8 +103,8 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     };
     publish(&report, bars::rows, bars::notes, "/adapter", outputs)?;
     ensure!(
-        report.borders.mesh.ratio > report.borders.land.ratio,
-        "borders of chunks do not show in the light of drawn triangles"
+        report.borders.planted.ratio > report.borders.land.ratio,
+        "borders of chunks do not show where every other chunk is brighter"
     );
     ensure!(report.tolerance.mesh > report.tolerance.land, "light of drawn triangles ignores the tolerance");
     ensure!(report.floor.control > report.floor.wrong, "shadows moved by 0.3 m are not seen");

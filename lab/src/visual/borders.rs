@@ -15,8 +15,10 @@ const TAIL: f64 = 0.001;
 pub struct Borders {
     /// Normals of the land.
     pub land: Jump,
-    /// Normals of the drawn triangles: the control.
+    /// Normals of the drawn triangles.
     pub mesh: Jump,
+    /// Normals of the land, and chunks whose light is changed: the control.
+    pub planted: Jump,
 }
 
 /// Differences of neighbouring pixels: of the larger light less the smaller one over their sum.
@@ -30,15 +32,30 @@ pub struct Jump {
     pub inside: f64,
     /// `across / inside`.
     pub ratio: f64,
+    /// The same of the medians. The tail is made of edges of the land, so that it shows large jumps
+    /// alone; the median shows a small one that most pairs have.
+    pub median_ratio: f64,
 }
+
+/// By how much more light every other chunk has in the controls of the tail and of the median.
+const PLANTED: [f64; 2] = [0.1, 0.03];
 
 /// Measures all poses.
 pub fn measure(views: &mut Views) -> Result<Borders, GpuError> {
-    Ok(Borders { land: jump(views, Normals::Land)?, mesh: jump(views, Normals::Mesh)? })
+    let [land, tail, median] = jumps(views, Normals::Land, [0.0, PLANTED[0], PLANTED[1]])?;
+    let [mesh] = jumps(views, Normals::Mesh, [0.0])?;
+    let planted = Jump { median_ratio: median.median_ratio, ..tail };
+    Ok(Borders { land, mesh, planted })
 }
 
-fn jump(views: &mut Views, normals: Normals) -> Result<Jump, GpuError> {
-    let (mut across, mut inside) = (Vec::new(), Vec::new());
+/// The jumps with each change of every other chunk's light.
+fn jumps<const N: usize>(
+    views: &mut Views,
+    normals: Normals,
+    planted: [f64; N],
+) -> Result<[Jump; N], GpuError> {
+    let mut across = [const { Vec::new() }; N];
+    let mut inside = Vec::new();
     for case in views.cases.clone() {
         let chunks = views.light(&case, Shot { show: Show::Chunks, normals, ..Shot::IMAGE })?;
         let light = views.light(&case, Shot { show: Show::Light, normals, ..Shot::IMAGE })?;
@@ -47,19 +64,40 @@ fn jump(views: &mut Views, normals: Normals) -> Result<Jump, GpuError> {
             if !is_one_surface(far, near) {
                 continue;
             }
-            let [one, other] = [here, next].map(|pixel| f64::from(light[pixel][..3].iter().sum::<f32>()));
-            let difference = (one - other).abs() / (one + other).max(1e-9);
+            let lights = [here, next].map(|pixel| f64::from(light[pixel][..3].iter().sum::<f32>()));
             let [here, next] = [here, next].map(|pixel| chunks[pixel]);
             if here[..2] != next[..2] {
-                across.push(difference);
+                for (across, planted) in across.iter_mut().zip(planted) {
+                    let [one, other] = [here, next].map(|chunk| 1.0 + planted * is_odd(chunk));
+                    across.push(difference(lights[0] * one, lights[1] * other));
+                }
             } else if here[2] != next[2] {
-                inside.push(difference);
+                inside.push(difference(lights[0], lights[1]));
             }
         }
     }
-    let pairs = across.len();
-    let (across, inside) = (tail(across), tail(inside));
-    Ok(Jump { pairs, across, inside, ratio: across / inside })
+    inside.sort_unstable_by(f64::total_cmp);
+    Ok(across.map(|mut across| {
+        across.sort_unstable_by(f64::total_cmp);
+        let [tails, medians] = [TAIL, 0.5].map(|share| [&across, &inside].map(|all| tail(all, share)));
+        Jump {
+            pairs: across.len(),
+            across: tails[0],
+            inside: tails[1],
+            ratio: tails[0] / tails[1],
+            median_ratio: medians[0] / medians[1],
+        }
+    }))
+}
+
+/// The larger light less the smaller one over their sum.
+fn difference(one: f64, other: f64) -> f64 {
+    (one - other).abs() / (one + other).max(1e-9)
+}
+
+/// 1 for about half of the chunks, by their colour in the debug view, else 0.
+fn is_odd(chunk: [f32; 4]) -> f64 {
+    f64::from((chunk[0] * 255.0).round() as u32 % 2)
 }
 
 /// Neighbouring pixels, beside and below.
@@ -71,11 +109,10 @@ fn pairs() -> impl Iterator<Item = (usize, usize)> {
     beside.chain(below)
 }
 
-/// The value that the largest [`TAIL`] of the differences exceed.
-fn tail(mut differences: Vec<f64>) -> f64 {
-    differences.sort_unstable_by(f64::total_cmp);
+/// The value that the largest `share` of sorted differences exceed.
+fn tail(differences: &[f64], share: f64) -> f64 {
     let last = differences.len().saturating_sub(1);
-    let index = last - (last as f64 * TAIL) as usize;
+    let index = last - (last as f64 * share) as usize;
     differences.get(index).copied().unwrap_or(f64::NAN)
 }
 
@@ -85,9 +122,16 @@ mod tests {
 
     #[test]
     fn one_in_a_thousand_exceeds_the_tail() {
-        let differences = (0..=10_000).map(f64::from).collect();
-        assert_eq!(tail(differences), 9_990.0);
-        assert!(tail(Vec::new()).is_nan());
+        let differences: Vec<_> = (0..=10_000).map(f64::from).collect();
+        assert_eq!(tail(&differences, TAIL), 9_990.0);
+        assert_eq!(tail(&differences, 0.5), 5_000.0);
+        assert!(tail(&[], TAIL).is_nan());
+    }
+
+    #[test]
+    fn half_of_the_chunks_are_odd() {
+        let odd: f64 = (0..256).map(|hue| is_odd([hue as f32 / 255.0, 0.0, 0.0, 0.0])).sum();
+        assert_eq!(odd, 128.0);
     }
 
     #[test]

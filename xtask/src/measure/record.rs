@@ -4,6 +4,7 @@ use super::runs::{self, Runs};
 use crate::{machine, process};
 use anyhow::{Context, Result};
 use bars::{Bar, Figure};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -27,6 +28,7 @@ pub struct Heading<'a> {
 /// # Errors
 /// The date is not known or a file cannot be written.
 pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
+    let rows = &distinct(rows);
     let machine = machine::Machine::here();
     let date = machine::today()?;
     let commit = machine::commit();
@@ -51,6 +53,22 @@ pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
         crate::records::write_page()?;
     }
     Ok(path)
+}
+
+/// The rows with a number behind a name that an earlier row has: figures of a name are taken for runs
+/// of one row.
+fn distinct(rows: &[Bar]) -> Vec<Bar> {
+    let mut seen = BTreeMap::<&str, usize>::new();
+    let mut numbered = rows.to_vec();
+    for (row, new) in rows.iter().zip(&mut numbered) {
+        let count = seen.entry(&row.name).or_default();
+        *count += 1;
+        if *count > 1 {
+            println!("measure: {count} rows are named `{}`", row.name);
+            new.name = format!("{} ({count})", row.name);
+        }
+    }
+    numbered
 }
 
 fn page(
@@ -151,6 +169,14 @@ mod tests {
             "{}",
             pages[3]
         );
+    }
+
+    #[test]
+    fn rows_with_one_name_are_kept_apart() {
+        let row = |name: &str| Bar::reported(name, Some(1.0), "");
+        let names: Vec<_> = distinct(&[row("a"), row("b"), row("a"), row("a")]);
+        let names: Vec<_> = names.into_iter().map(|row| row.name).collect();
+        assert_eq!(names, ["a", "b", "a (2)", "a (3)"]);
     }
 
     #[test]
