@@ -157,7 +157,7 @@ impl Args {
     /// # Errors
     /// A value out of range, or a file named by an option that cannot be read.
     pub fn resolve_over(self, file: Options) -> Result<ServerConfig, UsageError> {
-        let given = self.options;
+        let (given, file) = (self.options.without_empty(), file.without_empty());
         let defaults = ServerConfig::default();
         let listen: SocketAddr = match given.listen.or(file.listen) {
             Some(text) => text.parse().map_err(|_| {
@@ -187,9 +187,7 @@ impl Args {
         in_range("rate-limit-ms", rate_limit_ms.unwrap_or(1), 1, 1_000_000)?;
         let deadline_ms = given.deadline_ms.or(file.deadline_ms).unwrap_or(DEFAULT_DEADLINE_MS);
         in_range("deadline-ms", deadline_ms, 10, 60_000)?;
-        // Deployments pass on variables that may be empty.
-        let is_given = |text: &String| !text.is_empty();
-        let otlp = given.otlp.filter(is_given).or(file.otlp.filter(is_given));
+        let otlp = given.otlp.or(file.otlp);
         let log = given.log.or(file.log).unwrap_or(defaults.log);
         log_filter(&log)?;
         let tls = Tls::of_options(given.tls_cert.or(file.tls_cert), given.tls_key.or(file.tls_key))?;

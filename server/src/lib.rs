@@ -43,6 +43,7 @@ pub mod map;
 pub mod mechanism;
 pub mod memory;
 pub mod metrics;
+pub mod open_files;
 pub mod proxy;
 pub mod reload;
 pub mod scheduling;

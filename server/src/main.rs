@@ -4,7 +4,7 @@ use cli::UsageError;
 use server::bake::{BakeArgs, Baked};
 use server::config::{Args, Command, ServerConfig, log_filter};
 use server::traces::{self, Exporter};
-use server::{listener, scheduling};
+use server::{listener, open_files, scheduling};
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -36,6 +36,7 @@ fn main() -> ExitCode {
         Ok(exporter) => exporter,
         Err(message) => return cli::fail(NAME, message, cli::USAGE),
     };
+    open_files::raise(config.max_sessions);
     let served = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .on_thread_unpark(scheduling::waited)
@@ -95,8 +96,10 @@ async fn serve(config: ServerConfig) -> Result<(), String> {
     })?;
     let bound = listener.local_addr().map_err(|error| format!("cannot read the bound address: {error}"))?;
     // Before the address is printed: a script that knows the address may send a signal at once.
-    let interrupted =
-        interruption(config.has_files()).map_err(|error| format!("cannot listen for signals: {error}"))?;
+    // The end of a terminal ends what runs in it; elsewhere SIGHUP asks for a reload, of which there may
+    // be nothing.
+    let stays = config.has_files() || !std::io::stdin().is_terminal();
+    let interrupted = interruption(stays).map_err(|error| format!("cannot listen for signals: {error}"))?;
     let scheme = if config.tls.is_some() { "https" } else { "http" };
     // On standard output, for scripts that start a server on port 0. A closed output is ignored.
     let _ = writeln!(std::io::stdout(), "listening on {scheme}://{bound}");
@@ -105,15 +108,15 @@ async fn serve(config: ServerConfig) -> Result<(), String> {
         .map_err(|error| format!("cannot start generation threads: {error}"))
 }
 
-/// Listens for SIGINT and SIGTERM from now on; the future completes on the first. Where files are
-/// read again, SIGHUP no longer ends the process.
-fn interruption(reads_again: bool) -> std::io::Result<impl Future<Output = ()>> {
+/// Listens for SIGINT and SIGTERM from now on; the future completes on the first. `stays` after a SIGHUP,
+/// which otherwise ends the process.
+fn interruption(stays: bool) -> std::io::Result<impl Future<Output = ()>> {
     #[cfg(unix)]
     {
         use tokio::signal::unix::{SignalKind, signal};
         let (mut interrupt, mut terminate) =
             (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
-        if reads_again {
+        if stays {
             // The handler stays when its receiver is dropped; the server has one of its own.
             drop(signal(SignalKind::hangup())?);
         }
@@ -125,7 +128,7 @@ fn interruption(reads_again: bool) -> std::io::Result<impl Future<Output = ()>> 
         })
     }
     #[cfg(not(unix))]
-    let _ = reads_again;
+    let _ = stays;
     #[cfg(not(unix))]
     Ok(async {
         let _ = tokio::signal::ctrl_c().await;

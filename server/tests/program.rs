@@ -32,6 +32,8 @@ impl Server {
         let mut child = program()
             .args(["--threads", "1", "--log", "warn"])
             .args(arguments)
+            // As a service: a terminal's end would end it.
+            .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
@@ -130,6 +132,17 @@ fn tokens_are_read_again_on_sighup() {
     reload("[[token]]\nname = 1\n");
     assert_eq!(server.live("second"), 200);
     std::fs::remove_file(path).unwrap();
+}
+
+/// As `systemctl reload` does, also to a server without tokens and TLS.
+#[cfg(unix)]
+#[test]
+fn a_server_without_a_terminal_stays_after_sighup() {
+    let server = Server::start(&["--listen", "127.0.0.1:0"]);
+    let killed = Command::new("kill").args(["-HUP", &server.child.id().to_string()]).status();
+    assert!(killed.unwrap().success());
+    std::thread::sleep(Duration::from_millis(200));
+    assert_eq!(server.live(""), 200);
 }
 
 #[test]

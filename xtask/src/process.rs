@@ -98,7 +98,8 @@ pub fn cargo(line: &str) -> Command {
     // What the cargo that runs this program says of it. A build script of a dependency reads these
     // names: with other values than in a shell it would run again, and all that needs it be built.
     let is_ours = |name: &str| name.starts_with("CARGO_PKG_") || name.starts_with("CARGO_MANIFEST_");
-    for (name, _) in std::env::vars().filter(|(name, _)| is_ours(name)) {
+    // `vars` panics where any variable is not UTF-8.
+    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_str().is_some_and(is_ours)) {
         cargo.env_remove(name);
     }
     cargo
@@ -209,6 +210,29 @@ mod tests {
         let mut command = Command::new("/usr/bin/env");
         command.args(["a", "two words", "--flag=1"]);
         assert_eq!(shown(&command), "env a 'two words' --flag=1");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn variables_of_this_cargo_are_removed_also_beside_one_that_is_not_utf_8() {
+        use std::os::unix::ffi::OsStrExt;
+        const NAME: &str =
+            "process::tests::variables_of_this_cargo_are_removed_also_beside_one_that_is_not_utf_8";
+        if std::env::var_os("CARGO_PKG_PLANTED").is_some() {
+            let cargo = cargo("version");
+            let is_removed =
+                |name: &str| cargo.get_envs().any(|(other, value)| other == name && value.is_none());
+            assert!(is_removed("CARGO_PKG_PLANTED") && !is_removed("TOMBOLO_PLANTED"));
+            return;
+        }
+        // Variables are set only for another process: this one has threads that read them.
+        let mut again = Command::new(std::env::current_exe().unwrap());
+        again
+            .args(["--exact", NAME])
+            .env("CARGO_PKG_PLANTED", "1")
+            .env("TOMBOLO_PLANTED", std::ffi::OsStr::from_bytes(b"\xff"));
+        let said = output(again).unwrap();
+        assert!(said.contains("1 passed"), "{said}");
     }
 
     #[test]

@@ -132,6 +132,19 @@ pub struct Options {
     pub log_json: bool,
 }
 
+impl Options {
+    /// The options without those of empty text: deployments pass on variables that may be empty. What
+    /// protects the server stays, so that a forgotten file of tokens is an error.
+    #[must_use]
+    pub fn without_empty(mut self) -> Self {
+        for text in [&mut self.store, &mut self.otlp, &mut self.log] {
+            text.take_if(|text| text.is_empty());
+        }
+        self.disk_cache.take_if(|folder| folder.as_os_str().is_empty());
+        self
+    }
+}
+
 /// Jobs beside serving.
 #[derive(Clone, Debug, Subcommand)]
 pub enum Command {

@@ -2,6 +2,7 @@
 
 use super::*;
 use clap::{CommandFactory, Parser};
+use std::path::PathBuf;
 
 fn with_file(content: &str, args: Args) -> Result<ServerConfig, UsageError> {
     let name = format!("tombolo-config-{}-{:?}.toml", std::process::id(), std::thread::current().id());
@@ -60,6 +61,20 @@ fn traces_have_an_address_and_a_share() {
     given.options.otlp = Some(String::new());
     let traces = with_file("otlp = \"http://a\"\ntrace-every = 7", given).unwrap().traces.unwrap();
     assert_eq!((traces.endpoint.host_str(), traces.every), (Some("a"), 7), "an empty variable");
+}
+
+#[test]
+fn empty_text_is_no_option_unless_it_protects_the_server() {
+    let mut given = Args::default();
+    let options = &mut given.options;
+    (options.store, options.log) = (Some(String::new()), Some(String::new()));
+    options.disk_cache = Some(PathBuf::new());
+    let config = with_file("log = \"warn\"", given).unwrap();
+    assert!(config.store.is_none() && config.disk.is_none());
+    assert_eq!(config.log, "warn");
+    let mut given = Args::default();
+    given.options.token_file = Some(PathBuf::new());
+    assert!(with_file("", given).is_err());
 }
 
 /// What a user cannot turn off by accident.

@@ -134,21 +134,14 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let check = tokio::time::sleep_until(keepalive.check(Instant::now()).1);
         tokio::pin!(check);
         // Bytes behind the upgrade request are in the inbox already.
-        if let Err(end) = self.receive().await {
+        if let Err(end) = self.read_ended(Ok(())).await {
             return end;
         }
         loop {
             scheduling::yield_if_due(self.state.config.without);
-            loop {
-                let more = self.request_chunks();
-                if let Err(end) = self.flush().await {
-                    return end;
-                }
-                if !more {
-                    break;
-                }
-                // A client that reads cached chunks at full speed must not starve others.
-                self.let_others_run().await;
+            let more = self.request_chunks();
+            if let Err(end) = self.flush().await {
+                return end;
             }
             let pause = self.backoff.paused_until(Instant::now());
             self.pause_count.set(pause.is_some());
@@ -178,6 +171,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     }
                 }
                 () = self.state.draining.cancelled() => return self.drain().await,
+                // A client that reads cached chunks at full speed must not starve others; between two
+                // batches it is read, and a shutdown ends it.
+                () = let_others_run(self.state.config.without), if more => {}
                 () = tokio::time::sleep_until(handshake_by), if !self.session.is_welcomed() => {
                     return SessionEnd::with_code(EndReason::HandshakeTimeout, CloseCode::HandshakeTimeout);
                 }
@@ -200,13 +196,6 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 }
             }
         }
-    }
-
-    /// Between two messages or batches of a peer: other tasks of this thread run, and other threads
-    /// if it is time.
-    async fn let_others_run(&self) {
-        scheduling::yield_if_due(self.state.config.without);
-        tokio::task::yield_now().await;
     }
 
     /// Handles the bytes of a read.
@@ -277,7 +266,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let mut has_ended = false;
         while let Some(is_data) = self.receive_message().await? {
             has_ended |= is_data;
-            self.let_others_run().await;
+            let_others_run(self.state.config.without).await;
         }
         self.message_deadline.record(has_ended, self.socket.is_in_message(), Instant::now());
         self.cancel_stale();
@@ -461,6 +450,13 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         self.stats.set_sent(now.chunks, now.chunk_bytes);
         self.counted = now;
     }
+}
+
+/// Between two messages or batches of a peer: other tasks of this thread run, and other threads if it
+/// is time.
+async fn let_others_run(without: Option<Mechanism>) {
+    scheduling::yield_if_due(without);
+    tokio::task::yield_now().await;
 }
 
 /// Waits until a moment; forever if there is none.

@@ -48,7 +48,9 @@ impl StoreAddress {
     pub fn open(&self) -> Result<(Arc<dyn ObjectStore>, Path), String> {
         // The first caller decides; all choose the same.
         let _ = rustls::crypto::ring::default_provider().install_default();
-        let settings = std::env::vars()
+        // Variables that are no text are none of the settings.
+        let settings = std::env::vars_os()
+            .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
             .filter(|(name, _)| SETTINGS.iter().any(|prefix| name.starts_with(prefix)))
             .map(|(name, value)| (name.to_ascii_lowercase(), value));
         let (store, root) = parse_url_opts(&self.0, settings).map_err(|error| error.to_string())?;

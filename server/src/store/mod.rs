@@ -48,7 +48,8 @@ use writer::Writer;
 /// The finest level that is stored, unless a region has a finer one: as for the disk cache.
 pub const FINEST_LEVEL: u8 = crate::cache::disk::FINEST_LEVEL;
 
-/// Timeout of one read. Its thread no longer waits then; the answer only counts for the breaker.
+/// Timeout of one read, unless chunks may wait longer. Its thread no longer waits then; the answer only
+/// counts for the breaker.
 const READ_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reads in flight. One more is not sent: the chunk is made.
@@ -98,7 +99,11 @@ struct Inner {
     breaker: Mutex<Breaker>,
     regions: RwLock<Vec<BakedRegion>>,
     indexes: Cache<PackTile, Arc<PackIndex>>,
+    /// Tiles whose pack is damaged or lost: their chunks are objects of their own. A look for regions
+    /// forgets them, since a pack may have been baked again.
+    broken: Cache<PackTile, ()>,
     reads: Arc<Semaphore>,
+    read_timeout: Duration,
     pace: Pace,
     metrics: Arc<Metrics>,
 }
@@ -145,7 +150,9 @@ impl Store {
             breaker: Mutex::default(),
             regions: RwLock::default(),
             indexes: Cache::new(INDEXES),
+            broken: Cache::new(INDEXES),
             reads: Arc::new(Semaphore::new(READS_IN_FLIGHT)),
+            read_timeout: READ_TIMEOUT.max(wait),
             pace: Pace::new(wait),
             metrics,
         });
@@ -163,9 +170,9 @@ impl Store {
         if tile.is_none() && key.level() < FINEST_LEVEL {
             return None;
         }
-        let permit = Arc::clone(&inner.reads).try_acquire_owned();
-        let (Some(wait), Ok(permit), true) = (inner.pace.wait(key, Instant::now()), permit, inner.allows())
-        else {
+        let permit = Arc::clone(&inner.reads).try_acquire_owned().ok();
+        let admitted = permit.and_then(|permit| Some((inner.admitted(key)?, permit)));
+        let Some((wait, permit)) = admitted else {
             inner.metrics.store_reads_skipped.inc();
             return None;
         };
@@ -201,11 +208,12 @@ impl Store {
         found
     }
 
-    /// A chunk was made in this time: writes its exact frame, if its level is stored, no pack has it,
-    /// and it would be read. The frame is not asked for if it is not written.
+    /// A chunk was made in this time: writes its exact frame, if its level is stored, no whole pack has
+    /// it, and it would be read. The frame is not asked for if it is not written.
     pub fn made(&self, id: ChunkId, took: Duration, frame: impl FnOnce() -> Bytes) {
         self.inner.pace.made(id.key, took);
-        if id.key.level() < FINEST_LEVEL || self.inner.packed(id).is_some() {
+        let is_packed = self.inner.packed(id).is_some_and(|tile| self.inner.broken.get(&tile).is_none());
+        if id.key.level() < FINEST_LEVEL || is_packed {
             return;
         }
         if self.inner.pace.is_worth_writing(id.key) {
@@ -250,8 +258,9 @@ impl Inner {
         regions.iter().any(|region| region.contains(tile)).then_some(tile)
     }
 
-    fn allows(&self) -> bool {
-        self.breaker.lock().unwrap_or_else(PoisonError::into_inner).allows(Instant::now())
+    fn admitted(&self, key: ChunkKey) -> Option<Duration> {
+        let mut breaker = self.breaker.lock().unwrap_or_else(PoisonError::into_inner);
+        admitted(&self.pace, &mut breaker, key, Instant::now())
     }
 
     /// The chunk of a frame that was read, if the frame is that of the key and undamaged.
@@ -259,8 +268,7 @@ impl Inner {
         let chunk = chunk_codec::decode(&frame, &self.world).ok().filter(|chunk| chunk.key == key);
         let Some(chunk) = chunk else {
             self.metrics.store_reads_invalid.inc();
-            // The pack may have been replaced since its index was read.
-            tile.inspect(|tile| drop(self.indexes.remove(tile)));
+            tile.inspect(|tile| self.is_broken(*tile));
             tracing::debug!(%key, "an object of the store is damaged or foreign; the chunk is made");
             return None;
         };
@@ -268,10 +276,16 @@ impl Inner {
         Some((chunk, frame))
     }
 
+    /// Notes that a tile has no whole pack. It may have been replaced since its index was read.
+    fn is_broken(&self, tile: PackTile) {
+        self.indexes.remove(&tile);
+        self.broken.insert(tile, ());
+    }
+
     /// The bytes of a chunk's object. Reports to breaker and pace, late answers too.
     async fn fetch(&self, id: ChunkId, tile: Option<PackTile>) -> Fetched {
         let started = Instant::now();
-        let read = timeout(READ_TIMEOUT, self.get(id, tile)).await;
+        let read = timeout(self.read_timeout, self.get(id, tile)).await;
         let took = started.elapsed();
         self.metrics.store_read_seconds.observe(took.as_secs_f64());
         self.pace.read(took);
@@ -292,12 +306,19 @@ impl Inner {
     }
 
     async fn get(&self, id: ChunkId, tile: Option<PackTile>) -> object_store::Result<Option<Bytes>> {
-        if let Some(tile) = tile
-            && let Some(index) = self.index(tile).await?
-            && let Some(range) = index.frame(PackTile::of(id.key).1)
-        {
-            let frame = self.objects.get_range(&self.names.pack(tile), range).await;
-            return found(frame);
+        if let Some(tile) = tile.filter(|tile| self.broken.get(tile).is_none()) {
+            let index = self.index(tile).await?;
+            if index.is_none() {
+                self.is_broken(tile);
+            }
+            if let Some(range) = index.and_then(|index| index.frame(PackTile::of(id.key).1)) {
+                let frame = self.objects.get_range(&self.names.pack(tile), range).await;
+                if frame.is_err() {
+                    // A shorter pack may have replaced that of the index.
+                    self.indexes.remove(&tile);
+                }
+                return found(frame);
+            }
         }
         let answer = match self.objects.get_opts(&self.names.chunk(id), GetOptions::default()).await {
             Err(Error::NotFound { .. }) => return Ok(None),
@@ -340,6 +361,7 @@ impl Inner {
     }
 
     async fn look_for_regions(&self) {
+        self.broken.clear();
         let regions = match timeout(REGIONS_TIMEOUT, self.list_regions()).await {
             Ok(Ok(regions)) => regions,
             Ok(Err(error)) => return tracing::debug!(%error, "cannot list the regions of the store"),
@@ -382,6 +404,16 @@ impl Inner {
         }
         Ok(region)
     }
+}
+
+/// The time that a chunk may wait, if a read may be sent. Neither pace nor breaker counts a try that the
+/// other one refuses: else both could try in turn and nothing be sent.
+fn admitted(pace: &Pace, breaker: &mut Breaker, key: ChunkKey, now: Instant) -> Option<Duration> {
+    if breaker.holds_back(now) {
+        return None;
+    }
+    let wait = pace.wait(key, now)?;
+    breaker.allows(now).then_some(wait)
 }
 
 /// An object that does not exist is no error.

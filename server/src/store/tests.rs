@@ -247,7 +247,14 @@ async fn a_store_that_refuses_writes_is_read() {
     let objects = Arc::new(InMemory::new());
     let replica = replica(&objects, Fault::ReadOnly);
     serves(&replica, &keys(), EXACT).await;
-    assert_eq!((replica.metrics.store_writes_refused.get(), replica.metrics.store_writes.get()), (8, 0));
+    let [refused, dropped, written] = [
+        &replica.metrics.store_writes_refused,
+        &replica.metrics.store_writes_dropped,
+        &replica.metrics.store_writes,
+    ]
+    .map(Counter::get);
+    // Those in flight at the first refusal are refused, too; the others wait for a minute.
+    assert!(refused >= 1 && refused + dropped == 8 && written == 0, "{refused} refused, {dropped} dropped");
     assert_eq!(replica.metrics.store_up.get(), 1);
 }
 
@@ -281,6 +288,64 @@ async fn bake(objects: &Arc<InMemory>, region: &BakedRegion) {
     assert!(bake.run(|_, _| ()).await.unwrap().is_complete);
 }
 
+/// A store hangs for a minute under steady load: within two pauses after that it is read again. The control
+/// asks pace and breaker in turn, each of which counts the tries that the other refuses.
+#[test]
+fn a_store_that_comes_back_is_read_again() {
+    const TIMEOUT: Duration = Duration::from_secs(2);
+    const BACK: Duration = Duration::from_secs(60);
+    let key = ChunkKey::new(3, 0, 0).unwrap();
+    let read_again = |admit: &dyn Fn(&Pace, &mut Breaker, Instant) -> Option<Duration>| {
+        let (pace, mut breaker, start) = (Pace::new(WAIT), Breaker::default(), Instant::now());
+        let mut late: Option<(Instant, Duration)> = None;
+        let mut ends: Vec<Instant> = Vec::new();
+        for step in 0..200_000 {
+            let (since, now) = (Duration::from_millis(step), start + Duration::from_millis(step));
+            while ends.first().is_some_and(|end| *end <= now) {
+                ends.remove(0);
+                pace.read(TIMEOUT);
+                breaker.failed(now);
+            }
+            if let Some((_, wait)) = late.take_if(|(end, _)| *end <= now) {
+                pace.late(wait, now);
+            }
+            if let Some(wait) = admit(&pace, &mut breaker, now) {
+                if since >= BACK {
+                    return Some(since);
+                }
+                late = Some((now + wait, wait));
+                ends.push(now + TIMEOUT);
+            }
+        }
+        None
+    };
+    let found = read_again(&|pace, breaker, now| admitted(pace, breaker, key, now));
+    assert!(found.is_some_and(|since| since < BACK + Duration::from_secs(11)), "{found:?}");
+    let eager = read_again(&|pace, breaker, now| match (pace.wait(key, now), breaker.allows(now)) {
+        (Some(wait), true) => Some(wait),
+        _ => None,
+    });
+    assert_eq!(eager, None, "the control");
+}
+
+/// Chunks of packs that cannot be read are made once, written as objects of their own, and read.
+#[tokio::test(flavor = "multi_thread")]
+async fn chunks_of_a_lost_pack_become_objects_of_their_own() {
+    let objects = Arc::new(InMemory::new());
+    let region = BakedRegion::new(&(3..=3), [-100, -100, 100, 100]).unwrap();
+    bake(&objects, &region).await;
+    let names = ObjectNames::new(&Path::from("root"), &land().digest());
+    for tile in region.tiles() {
+        objects.delete(&names.pack(tile)).await.unwrap();
+    }
+    let keys: Vec<_> = (0..8).map(|n| ChunkKey::new(3, n % 2 - 1, n / 2 - 2).unwrap()).collect();
+    for made in [8, 0] {
+        let replica = replica(&objects, Fault::None);
+        serves(&replica, &keys, EXACT).await;
+        assert_eq!(replica.metrics.jobs_completed.get(), made);
+    }
+}
+
 /// Damaged packs are no failure of the store: chunks of others are read on.
 #[tokio::test(flavor = "multi_thread")]
 async fn damaged_and_cut_packs_are_invalid_and_open_no_breaker() {
@@ -303,7 +368,10 @@ async fn damaged_and_cut_packs_are_invalid_and_open_no_breaker() {
     serves(&replica, &whole, EXACT).await;
     let metrics = &replica.metrics;
     assert_eq!((metrics.jobs_completed.get(), metrics.store_hits.get()), (8, 8));
-    assert_eq!((metrics.store_reads_invalid.get(), metrics.store_reads_failed.get()), (8, 0));
+    // Of each of the four packs one read is invalid; the four others, and those of the two cut packs, look
+    // for an object of the chunk's own.
+    assert_eq!((metrics.store_reads_invalid.get(), metrics.store_misses.get()), (4, 6));
+    assert_eq!(metrics.store_reads_failed.get(), 0);
 }
 
 /// A region whose object is damaged would hide the chunks of the area that it states.

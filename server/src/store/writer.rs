@@ -6,7 +6,6 @@ use crate::metrics::Metrics;
 use bytes::Bytes;
 use object_store::path::Path;
 use object_store::{Error, ObjectStore, ObjectStoreExt};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
@@ -45,17 +44,20 @@ struct Shared {
     objects: Arc<dyn ObjectStore>,
     breaker: Mutex<Breaker>,
     metrics: Arc<Metrics>,
-    /// The store has refused a write: a warning was logged.
-    is_refused: AtomicBool,
+    /// The store has refused a write, and a warning was logged: no other is sent until then.
+    refused_until: Mutex<Option<Instant>>,
 }
+
+/// Time between two writes to a store that refuses them: a right may be given to it meanwhile.
+const REFUSED: Duration = Duration::from_secs(60);
 
 impl Writer {
     /// A writer whose work runs on a runtime.
     #[must_use]
     pub fn start(runtime: &Handle, objects: Arc<dyn ObjectStore>, metrics: Arc<Metrics>) -> Self {
         let (commands, receiver) = mpsc::channel(QUEUE);
-        let is_refused = AtomicBool::new(false);
-        let shared = Arc::new(Shared { objects, breaker: Mutex::default(), metrics, is_refused });
+        let (breaker, refused_until) = (Mutex::default(), Mutex::default());
+        let shared = Arc::new(Shared { objects, breaker, metrics, refused_until });
         runtime.spawn(run(Arc::clone(&shared), receiver));
         Self { commands, shared }
     }
@@ -63,7 +65,7 @@ impl Writer {
     /// Queues an object. Its frame is not asked for if it would not be written: the queue is full, or
     /// writes have failed.
     pub fn write(&self, path: Path, frame: impl FnOnce() -> Bytes) {
-        let is_held_back = self.shared.breaker().holds_back(Instant::now());
+        let is_held_back = self.shared.holds_back(Instant::now());
         match self.commands.try_reserve() {
             Ok(place) if !is_held_back => place.send(Command::Write(path, frame())),
             _ => _ = self.shared.metrics.store_writes_dropped.inc(),
@@ -112,7 +114,7 @@ impl Shared {
     /// Unconditional: an object is named by what its content follows from, so a second write of it
     /// changes nothing.
     async fn put(&self, path: Path, frame: Bytes) {
-        if !self.breaker().allows(Instant::now()) {
+        if self.is_refused(Instant::now()) || !self.breaker().allows(Instant::now()) {
             self.metrics.store_writes_dropped.inc();
             return;
         }
@@ -123,12 +125,12 @@ impl Shared {
             Ok(Ok(_)) => {
                 self.metrics.store_writes.inc();
                 self.breaker().succeeded();
-                self.is_refused.store(false, Ordering::Relaxed);
+                *self.refused() = None;
             }
             Ok(Err(error @ (Error::PermissionDenied { .. } | Error::Unauthenticated { .. }))) => {
                 self.metrics.store_writes_refused.inc();
-                if !self.is_refused.swap(true, Ordering::Relaxed) {
-                    tracing::warn!(%error, "the store refuses writes; it is only read");
+                if self.refused().replace(Instant::now() + REFUSED).is_none() {
+                    tracing::warn!(%error, "the store refuses writes; it is read, and one write a minute is tried");
                 }
             }
             Ok(Err(error)) => {
@@ -137,6 +139,19 @@ impl Shared {
             }
             Err(_) => self.failed(),
         }
+    }
+
+    /// Whether a write would not be sent.
+    fn holds_back(&self, now: Instant) -> bool {
+        self.breaker().holds_back(now) || self.is_refused(now)
+    }
+
+    fn is_refused(&self, now: Instant) -> bool {
+        self.refused().is_some_and(|until| now < until)
+    }
+
+    fn refused(&self) -> std::sync::MutexGuard<'_, Option<Instant>> {
+        self.refused_until.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn failed(&self) {

@@ -2,11 +2,13 @@
 //!
 //! | module | subject |
 //! | --- | --- |
+//! | `batches` | many cached chunks for one client |
 //! | `keepalive` | pings and the timeout of idle sessions |
 //! | `message_deadline` | messages that are begun and not finished |
 //! | `rate_limit` | the token bucket of an address |
 //! | `refusal_backoff` | pauses after many rejections |
 
+mod batches;
 mod keepalive;
 mod message_deadline;
 mod peer;

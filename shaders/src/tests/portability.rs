@@ -67,6 +67,24 @@ fn a_broken_shader_is_rejected_with_its_name() {
     }
 }
 
+/// Whether a line has a smoothstep whose first edge is not below its second: SPIR-V leaves it undefined.
+fn has_reversed_smoothstep(line: &str) -> bool {
+    line.split("smoothstep(").skip(1).any(|arguments| {
+        let mut edges = arguments.split(',').map(|edge| edge.trim().parse::<f64>());
+        matches!((edges.next(), edges.next()), (Some(Ok(low)), Some(Ok(high))) if low >= high)
+    })
+}
+
+#[test]
+fn no_smoothstep_has_its_edges_reversed() {
+    assert!(has_reversed_smoothstep("x = smoothstep(0.2, -1.2, y);"), "a control must fail");
+    for shader in SHADERS.all() {
+        for line in shader.wgsl.lines() {
+            assert!(!has_reversed_smoothstep(line), "{}: {line}", shader.name);
+        }
+    }
+}
+
 /// Runs Tint on a source; `None` when it is not installed.
 fn tint(name: &str, wgsl: &str) -> Option<Result<(), String>> {
     let folder = std::env::temp_dir().join(format!("tombolo-tint-{}-{name}", std::process::id()));

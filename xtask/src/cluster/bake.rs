@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use bars::Bar;
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -57,7 +57,7 @@ pub fn rows() -> Result<Vec<Bar>> {
         }
         rows.push(Bar::some(
             format!("bake in {parts}: packs that the killed part had still to write"),
-            Some((packs(&contents) - killed_with) as f64),
+            unwritten(packs(&contents), parts, killed_with),
         ));
         let whole = whole.get_or_insert_with(|| contents.clone());
         let differing = whole.iter().filter(|(path, bytes)| contents.get(*path) != Some(*bytes)).count()
@@ -75,21 +75,58 @@ pub fn rows() -> Result<Vec<Bar>> {
     Ok(rows)
 }
 
-/// Kills the first part once it has written a pack. Returns the packs that exist then.
-fn kill_one(store: &Path, parts: u32) -> Result<usize> {
+/// Kills the first part once it has written a pack. Returns the packs that exist then; none if the
+/// part ended before it was killed.
+fn kill_one(store: &Path, parts: u32) -> Result<Option<usize>> {
     std::fs::create_dir_all(store)?;
-    let mut child = bake(store, 0, parts).spawn().context("cannot start tombolo-server bake")?;
-    let deadline = Instant::now() + FIRST_PACK_WITHIN;
-    while packs(&contents(store)?) == 0 {
-        let is_running = matches!(child.try_wait(), Ok(None));
-        ensure!(is_running && Instant::now() < deadline, "the bake ended before it could be killed");
-        sleep(Duration::from_millis(5));
+    let mut bake = bake(store, 0, parts);
+    // The first of 7 parts has 3 packs: many threads could write all of them between two looks.
+    let mut child = bake.args(["--threads", "1"]).spawn().context("cannot start tombolo-server bake")?;
+    if !kill_after(&mut child, |child| wait_for_pack(store, child))? {
+        return Ok(None);
     }
-    child.kill().context("cannot kill the bake")?;
-    child.wait()?;
     let contents = contents(store)?;
     ensure!(!contents.keys().any(|path| path.contains("regions/")), "a killed bake has a region");
-    Ok(packs(&contents))
+    Ok(Some(packs(&contents)))
+}
+
+/// Waits until the store has a pack.
+fn wait_for_pack(store: &Path, child: &mut Child) -> Result<()> {
+    let deadline = Instant::now() + FIRST_PACK_WITHIN;
+    while packs(&contents(store)?) == 0 {
+        ensure!(matches!(child.try_wait(), Ok(None)), "the bake ended before it could be killed");
+        ensure!(Instant::now() < deadline, "the bake wrote no pack within {FIRST_PACK_WITHIN:?}");
+        sleep(Duration::from_millis(5));
+    }
+    Ok(())
+}
+
+/// Kills a child after a wait, also after one that failed. Returns whether a signal ended the
+/// child: not if it had ended before.
+fn kill_after(child: &mut Child, wait: impl FnOnce(&mut Child) -> Result<()>) -> Result<bool> {
+    let waited = wait(child);
+    child.kill().context("cannot kill the bake")?;
+    let status = child.wait().context("cannot wait for the bake")?;
+    waited.map(|()| is_by_signal(status))
+}
+
+#[cfg(unix)]
+fn is_by_signal(status: ExitStatus) -> bool {
+    use std::os::unix::process::ExitStatusExt;
+    status.signal().is_some()
+}
+
+/// Other systems do not report it.
+#[cfg(not(unix))]
+fn is_by_signal(_: ExitStatus) -> bool {
+    false
+}
+
+/// Packs that the first part had still to write when it was killed, if it was. Of N parts it has
+/// every N-th pack, the first one included.
+fn unwritten(all: usize, parts: u32, killed_with: Option<usize>) -> Option<f64> {
+    let owned = all.div_ceil(parts as usize);
+    killed_with.map(|written| owned as f64 - written as f64)
 }
 
 fn bake(store: &Path, part: u32, parts: u32) -> Command {
@@ -139,4 +176,32 @@ fn served(store: &Path) -> Result<Vec<Bar>> {
         Bar::none("baked region: chunks that the server generated, of 4,096", Some(made)),
         Bar::at_least("control: the same without the store", Some(made_alone), "", 4096.0),
     ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_that_had_written_all_of_its_packs_or_was_not_killed_is_a_miss() {
+        let is_missed = |parts, killed_with| Bar::some("x", unwritten(16, parts, killed_with)).is_missed();
+        for (parts, owned) in [(1, 16), (2, 8), (7, 3)] {
+            assert!(!is_missed(parts, Some(1)) && !is_missed(parts, Some(owned - 1)), "{parts}");
+            assert!(is_missed(parts, Some(owned)) && is_missed(parts, Some(16)), "{parts}");
+            assert!(is_missed(parts, None), "{parts}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_signal_ends_a_child_unless_it_has_ended_and_also_after_a_failed_wait() {
+        let sleeping = || Command::new("sleep").arg("600").spawn().unwrap();
+        assert!(kill_after(&mut sleeping(), |_| Ok(())).unwrap());
+        let end = |child: &mut Child| child.wait().map(drop).context("sh");
+        let mut ended = Command::new("sh").args(["-c", "exit 3"]).spawn().unwrap();
+        assert!(!kill_after(&mut ended, end).unwrap());
+        let mut child = sleeping();
+        assert!(kill_after(&mut child, |_| anyhow::bail!("no pack")).is_err());
+        assert!(matches!(child.try_wait(), Ok(Some(_))));
+    }
 }

@@ -57,16 +57,18 @@ struct Searched {
 /// Builds and runs all targets, as many at once as there are cores.
 ///
 /// # Errors
-/// cargo-fuzz is not installed, a build failed, or the run was interrupted.
+/// cargo-fuzz is not installed, a target is not known, a build failed, or the run was interrupted.
 pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
+    // Before the build: an unknown name costs no time.
+    let selected = selected()?;
     let folder = process::target().join("fuzz");
     build(&folder)?;
     let mut seeds = process::cargo("run --quiet --example seeds --");
     seeds.arg(folder.join("corpus"));
     process::run(seeds).context("the valid inputs were not written")?;
+    clear(&folder, PLANTED)?;
     let planted = search(run, &folder, PLANTED, PLANTED_EXECUTIONS)?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let selected = selected()?;
     let waiting = Mutex::new(selected.iter());
     let found = Mutex::new(Vec::new());
     let next = || waiting.lock().ok()?.next().copied();
@@ -97,7 +99,11 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
 
 /// The targets to run: all, or those of `TOMBOLO_FUZZ_TARGETS`.
 fn selected() -> Result<Vec<(&'static str, u64)>> {
-    let Ok(names) = std::env::var("TOMBOLO_FUZZ_TARGETS") else { return Ok(TARGETS.into()) };
+    std::env::var("TOMBOLO_FUZZ_TARGETS").map_or_else(|_| Ok(TARGETS.into()), |names| named(&names))
+}
+
+/// The targets of a list of names.
+fn named(names: &str) -> Result<Vec<(&'static str, u64)>> {
     let of = |name: &str| {
         let found = TARGETS.iter().find(|(target, _)| *target == name).copied();
         found.with_context(|| format!("TOMBOLO_FUZZ_TARGETS: there is no target `{name}`"))
@@ -127,6 +133,20 @@ fn build(folder: &Path) -> Result<()> {
     let mut fuzz = process::cargo("fuzz build --release --sanitizer none --target-dir");
     fuzz.arg(folder).env("RUSTC_BOOTSTRAP", "1");
     process::run(fuzz).context("the targets were not built; run: cargo install cargo-fuzz --locked")
+}
+
+/// Removes what earlier runs of a target left. The planted fault is easier to find from an input
+/// that has some of its bytes.
+fn clear(folder: &Path, target: &str) -> Result<()> {
+    for left in ["corpus", "faults"].map(|kind| folder.join(kind).join(target)) {
+        match fs::remove_dir_all(&left) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(error).with_context(|| format!("cannot remove {}", left.display()));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// Runs one target.
@@ -206,6 +226,32 @@ mod tests {
         let log = "INFO: x\nstat::number_of_executed_units: 12\nstat::average_exec_per_sec: 3\n";
         assert_eq!(executed(log), Some(12.0));
         assert_eq!(executed("INFO: x\n"), None);
+    }
+
+    #[test]
+    fn only_known_targets_are_selected() {
+        assert_eq!(named("pack,chunk").unwrap(), [("pack", EXECUTIONS), ("chunk", EXECUTIONS)]);
+        for unknown in ["", "chunks", "pack,", "pack, chunk", PLANTED] {
+            assert!(named(unknown).unwrap_err().to_string().contains("TOMBOLO_FUZZ_TARGETS"), "{unknown}");
+        }
+    }
+
+    #[test]
+    fn what_earlier_runs_of_a_target_left_is_removed_and_nothing_else() {
+        let folder = std::env::temp_dir().join(format!("tombolo-fuzz-clear-{}", std::process::id()));
+        clear(&folder, PLANTED).unwrap();
+        let files =
+            ["corpus/planted", "faults/planted", "corpus/chunk"].map(|name| folder.join(name).join("x"));
+        for file in &files {
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            fs::write(file, "TOM").unwrap();
+        }
+        clear(&folder, PLANTED).unwrap();
+        assert_eq!(files.map(|file| file.exists()), [false, false, true]);
+        // A file is no folder: what cannot be removed is an error.
+        fs::write(folder.join("corpus/planted"), "").unwrap();
+        assert!(clear(&folder, PLANTED).is_err());
+        fs::remove_dir_all(folder).unwrap();
     }
 
     #[test]

@@ -29,6 +29,9 @@ const REASONS: &str = "docs/measurements/mutants.toml";
 /// The row that notes on survivors belong to.
 const NOTICED: &str = "viable mutants that tests notice";
 
+/// Reasons by the place of their mutants, one for each survivor.
+type Reasons = BTreeMap<String, Vec<String>>;
+
 /// A function without a test, whose mutants must survive.
 const UNTESTED: &str = "pub fn is_even(value: u32) -> bool {\n    value % 2 == 0\n}\n";
 
@@ -61,20 +64,21 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     run.notes.push(format!(
         "Sample {shard} of the mutants of terrain, protocol, and the server's limits, sessions and caches."
     ));
-    for name in &outcomes.missed {
-        let reason = reasons.get(&place(name)).map_or("no reason is known", String::as_str);
+    for (name, reason) in explained(&outcomes.missed, &reasons) {
+        let reason = reason.unwrap_or("no reason is known");
         run.notes.push(format!("{NOTICED}: survived: {name}: {reason}."));
     }
     Ok(bars_of(&outcomes, &control, &reasons))
 }
 
 /// The rows. Without survivors in the control nothing counts.
-fn bars_of(outcomes: &Outcomes, control: &Outcomes, reasons: &BTreeMap<String, String>) -> Vec<Bar> {
+fn bars_of(outcomes: &Outcomes, control: &Outcomes, reasons: &Reasons) -> Vec<Bar> {
     let noticed = (outcomes.caught.len() + outcomes.timeout.len()) as f64;
     let viable = noticed + outcomes.missed.len() as f64;
     let can_survive = !control.missed.is_empty();
     let share = (viable > 0.0 && can_survive).then(|| 100.0 * noticed / viable);
-    let unexplained = outcomes.missed.iter().filter(|name| !reasons.contains_key(&place(name))).count();
+    let explained = explained(&outcomes.missed, reasons);
+    let unexplained = explained.iter().filter(|(_, reason)| reason.is_none()).count();
     vec![
         Bar::at_least(NOTICED, share, "%", 95.0),
         Bar::reported("viable mutants", Some(viable), ""),
@@ -102,9 +106,8 @@ fn tested(mutants: &mut std::process::Command, folder: &Path) -> Result<Outcomes
     let _ = fs::remove_dir_all(folder);
     fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     let ended = process::status(mutants.arg("--output").arg(folder))?;
-    // 0: all were noticed; 2: some survived; 3: some tests did not end.
-    if !matches!(ended.code(), Some(0 | 2 | 3)) {
-        bail!("cargo-mutants failed ({ended}); is it installed? cargo install cargo-mutants --locked");
+    if let Some(fault) = fault(ended.code()) {
+        bail!("cargo-mutants: {fault} ({ended})");
     }
     let list = |name: &str| -> Result<Vec<String>> {
         let path: PathBuf = folder.join("mutants.out").join(name);
@@ -119,6 +122,26 @@ fn tested(mutants: &mut std::process::Command, folder: &Path) -> Result<Outcomes
     })
 }
 
+/// What a status of cargo-mutants says; none if it tested the mutants.
+fn fault(code: Option<i32>) -> Option<&'static str> {
+    match code {
+        // All were noticed; some survived; some tests did not end.
+        Some(0 | 2 | 3) => None,
+        Some(1) => Some("it rejects its options; TOMBOLO_MUTANTS_SHARD is K/N with K less than N"),
+        Some(4) => Some("the unchanged code does not build or fails its tests"),
+        _ => Some("it is not installed or failed; run: cargo install cargo-mutants --locked"),
+    }
+}
+
+/// Survivors, each with its reason. An entry of the table is the reason of one survivor: the same
+/// change on two lines of a function needs two. Entries have no line, so that only their number is
+/// compared.
+fn explained<'a>(missed: &'a [String], reasons: &'a Reasons) -> Vec<(&'a str, Option<&'a str>)> {
+    let mut left: BTreeMap<_, _> = reasons.iter().map(|(place, all)| (place.as_str(), all.iter())).collect();
+    let reason = |name: &String| left.get_mut(place(name).as_str())?.next().map(String::as_str);
+    missed.iter().map(String::as_str).zip(missed.iter().map(reason)).collect()
+}
+
 /// A mutant's name without its line and column, which any edit of the file changes.
 fn place(name: &str) -> String {
     let mut parts = name.splitn(4, ':');
@@ -128,20 +151,19 @@ fn place(name: &str) -> String {
     }
 }
 
-/// The table of reasons by the mutant's place.
-fn reasons(text: &str) -> Result<BTreeMap<String, String>> {
+/// The table of reasons.
+fn reasons(text: &str) -> Result<Reasons> {
     let table: Table = toml::from_str(text).context(REASONS)?;
     let survivors = table.get("survivor").and_then(Value::as_array).cloned().unwrap_or_default();
-    let entry = |survivor: &Value| {
-        let field = |name| survivor.get(name)?.as_str().map(str::to_owned);
-        Some((field("name")?, field("reason")?))
-    };
-    survivors
-        .iter()
-        .map(|survivor| {
-            entry(survivor).with_context(|| format!("{REASONS}: a survivor needs name and reason"))
-        })
-        .collect()
+    let mut reasons = Reasons::new();
+    for survivor in &survivors {
+        let field = |name: &str| survivor.get(name)?.as_str().map(str::to_owned);
+        let (name, reason) = field("name")
+            .zip(field("reason"))
+            .with_context(|| format!("{REASONS}: a survivor needs name and reason"))?;
+        reasons.entry(name).or_default().push(reason);
+    }
+    Ok(reasons)
 }
 
 #[cfg(test)]
@@ -152,7 +174,13 @@ mod tests {
         (0..count).map(|index| format!("a.rs:{index}:5: replace f -> bool with true")).collect()
     }
 
-    fn missed(outcomes: &Outcomes, control: usize, reasons: &BTreeMap<String, String>) -> Vec<String> {
+    /// A table with so many entries of the place of all `names`.
+    fn table(entries: usize) -> Reasons {
+        let entry = "[[survivor]]\nname = \"a.rs: replace f -> bool with true\"\nreason = \"x\"\n";
+        reasons(&entry.repeat(entries)).unwrap()
+    }
+
+    fn missed(outcomes: &Outcomes, control: usize, reasons: &Reasons) -> Vec<String> {
         let control = Outcomes { missed: names(control), ..Outcomes::default() };
         let rows = bars_of(outcomes, &control, reasons);
         rows.into_iter().filter(Bar::is_missed).map(|row| row.name).collect()
@@ -160,21 +188,43 @@ mod tests {
 
     #[test]
     fn survivors_count_unless_their_place_has_a_reason() {
-        let none = BTreeMap::new();
+        let none = table(0);
         let most = Outcomes { caught: names(18), timeout: names(1), missed: names(1), ..Outcomes::default() };
         assert_eq!(missed(&most, 1, &none), ["survivors without a reason"]);
-        let known = reasons("[[survivor]]\nname = \"a.rs: replace f -> bool with true\"\nreason = \"x\"\n");
-        assert!(missed(&most, 1, &known.unwrap()).is_empty());
+        assert!(missed(&most, 1, &table(1)).is_empty());
         let fewer = Outcomes { caught: names(17), ..most };
         assert_eq!(missed(&fewer, 1, &none)[0], NOTICED);
     }
 
     #[test]
+    fn a_reason_covers_one_survivor_of_its_place() {
+        let two = Outcomes { caught: names(38), missed: names(2), ..Outcomes::default() };
+        assert_eq!(missed(&two, 1, &table(1)), ["survivors without a reason"]);
+        assert!(missed(&two, 1, &table(2)).is_empty());
+        assert!(missed(&two, 1, &table(3)).is_empty());
+        let (one, elsewhere) = (table(1), ["b.rs:0:5: replace f -> bool with true".to_owned()]);
+        let reasons_of =
+            |missed| explained(missed, &one).into_iter().map(|(_, reason)| reason).collect::<Vec<_>>();
+        assert_eq!(reasons_of(&two.missed), [Some("x"), None]);
+        assert!(reasons_of(&elsewhere)[0].is_none());
+    }
+
+    #[test]
+    fn only_a_status_after_tested_mutants_is_no_fault() {
+        assert!([0, 2, 3].iter().all(|code| fault(Some(*code)).is_none()));
+        let says = |code, what: &str| fault(code).is_some_and(|fault| fault.contains(what));
+        assert!(says(Some(1), "options") && says(Some(4), "unchanged code"));
+        for other in [Some(5), Some(70), Some(101), None] {
+            assert!(says(other, "installed") && !says(other, "unchanged code"), "{other:?}");
+        }
+    }
+
+    #[test]
     fn nothing_counts_without_mutants_or_without_a_control_that_survives() {
         let all = Outcomes { caught: names(20), ..Outcomes::default() };
-        assert!(missed(&all, 1, &BTreeMap::new()).is_empty());
-        assert_eq!(missed(&all, 0, &BTreeMap::new()).len(), 3);
-        assert_eq!(missed(&Outcomes::default(), 1, &BTreeMap::new()).len(), 2);
+        assert!(missed(&all, 1, &Reasons::new()).is_empty());
+        assert_eq!(missed(&all, 0, &Reasons::new()).len(), 3);
+        assert_eq!(missed(&Outcomes::default(), 1, &Reasons::new()).len(), 2);
     }
 
     #[test]

@@ -62,13 +62,18 @@ pub async fn connect(url: &Uri, tls: Option<&TlsClient>) -> Result<Socket, tungs
     Ok(client_async_with_config(request, stream, Some(config)).await?.0)
 }
 
+/// Characters of a server's explanation that are shown.
+const LONGEST_EXPLANATION: usize = 300;
+
 /// A failed attempt to connect.
 pub fn not_connected(url: &Uri, error: &tungstenite::Error) -> SessionEnd {
     match error {
         tungstenite::Error::Http(response) => {
             let status = response.status();
             let retry = status.is_server_error() || status.as_u16() == 429;
-            lost(format!("{url} answered {status}: is it the stream of a tombolo-server?"), retry)
+            let said = response.body().as_deref().and_then(explanation);
+            let said = said.unwrap_or_else(|| "is it the stream of a tombolo-server?".into());
+            lost(format!("{url} answered {status}: {said}"), retry)
         }
         tungstenite::Error::Io(cause) => {
             let remedy = match cause.kind() {
@@ -83,6 +88,13 @@ pub fn not_connected(url: &Uri, error: &tungstenite::Error) -> SessionEnd {
         }
         other => lost(format!("{url} is not a Tombolo stream: {}", one_line(&other.to_string())), false),
     }
+}
+
+/// What an answer says about its cause, in one line: the detail of a problem document (RFC 9457).
+fn explanation(body: &[u8]) -> Option<String> {
+    let problem: serde_json::Value = serde_json::from_slice(body).ok()?;
+    let detail = problem.get("detail")?.as_str().filter(|detail| !detail.is_empty())?;
+    Some(detail.chars().take(LONGEST_EXPLANATION).map(|c| if c.is_control() { ' ' } else { c }).collect())
 }
 
 /// A connection that the server closed.
@@ -112,4 +124,19 @@ pub fn broken(url: &Uri, error: &tungstenite::Error, hint: Option<Duration>) -> 
         matches!(error, Failure::Protocol(tungstenite::error::ProtocolError::ResetWithoutClosingHandshake));
     let cause = format!("lost {url}: {}", one_line(&error.to_string()));
     SessionEnd::Lost { cause, retry: true, hint, is_fault: is_fault && !is_cut }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_explanation_is_one_short_line() {
+        assert_eq!(explanation(br#"{"detail":"allow\nit with x"}"#).as_deref(), Some("allow it with x"));
+        for none in [&b""[..], b"<html>", br#"{"detail":""}"#, br#"{"detail":7}"#, b"[]"] {
+            assert_eq!(explanation(none), None);
+        }
+        let long = format!(r#"{{"detail":"{}"}}"#, "x".repeat(1000));
+        assert_eq!(explanation(long.as_bytes()).map(|said| said.len()), Some(LONGEST_EXPLANATION));
+    }
 }

@@ -119,7 +119,12 @@ impl Worker {
         loop {
             session.retry(started.elapsed());
             self.counters.add(session.take_rejects());
-            match timeout(timeouts.write, transmit(socket, session)).await {
+            let written = tokio::select! {
+                written = timeout(timeouts.write, transmit(socket, session)) => written,
+                // The owner does not wait for a server that does not read.
+                () = self.events.closed() => return Ok(SessionEnd::Closing),
+            };
+            match written {
                 Ok(Ok(())) => {}
                 Ok(Err(error)) => return Ok(socket::broken(&url, &error, hint)),
                 Err(_) => return Ok(lost(format!("{url} does not read"), true)),
