@@ -135,6 +135,8 @@ impl Shared {
                     self.run_job(id)
                 };
                 let finished: Vec<GeneratedFrames> = turn.chunks.into_iter().map(run).collect();
+                // Before the sessions learn of it: a span that is open when the process ends is lost.
+                drop(turn.traced);
                 self.send_results(&finished);
             }
             scheduling::yield_if_due(self.limits.without);
