@@ -45,6 +45,9 @@ pub struct Preset {
     pub tree_range_m: f32,
     /// Up to here each tree is culled by itself, metres.
     pub single_trees_m: f32,
+    /// From here on a tree is an impostor, metres. Half of the pixels, half of the distance: the tree is as
+    /// large on screen.
+    pub impostors_from_m: f32,
     /// Visibility test of plants, of the island scene. Where few plants are tested, a test for what the
     /// land hides takes longer than drawing what it would drop.
     pub cull: Cull,
@@ -72,6 +75,7 @@ impl Preset {
             trees: 2,
             tree_range_m: 8000.0,
             single_trees_m: 1500.0,
+            impostors_from_m: 220.0,
             cull: Cull::Hierarchical,
             render_scale: 1.0,
             limits_plants: false,
@@ -86,7 +90,8 @@ impl Preset {
             grass_range_m: 80.0,
             trees: 1,
             tree_range_m: 1500.0,
-            single_trees_m: 350.0,
+            single_trees_m: 250.0,
+            impostors_from_m: 110.0,
             cull: Cull::Frustum,
             render_scale: 0.5,
             limits_plants: true,
@@ -124,6 +129,7 @@ impl Preset {
                 trees: self.trees,
                 tree_range_m: self.tree_range_m,
                 single_trees_m: self.single_trees_m,
+                impostors_from_m: self.impostors_from_m,
                 cull: self.cull,
                 ..VegetationSettings::STANDARD
             },
@@ -131,6 +137,7 @@ impl Preset {
                 density: own.density.min(self.grass),
                 range_m: own.range_m.min(self.grass_range_m),
                 single_trees_m: own.single_trees_m.min(self.single_trees_m),
+                impostors_from_m: own.impostors_from_m.min(self.impostors_from_m),
                 ..own
             },
             _ => own,
