@@ -368,9 +368,8 @@ fn fill(
                 None => HeadlessError::Timeout { seconds, state: progress_text },
             });
         }
-        if !streamer.is_settled() || streamer.missed() > 0 {
-            std::thread::sleep(POLL_PAUSE);
-        }
+        // A settled view may still be incomplete, where the memory for chunks is too small for it.
+        std::thread::sleep(POLL_PAUSE);
     }
 }
 

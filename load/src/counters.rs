@@ -28,6 +28,8 @@ pub struct Counters {
     pub(crate) requests: AtomicU64,
     pub(crate) unanswered: AtomicU64,
     pub(crate) unsent: AtomicU64,
+    /// Clients that waited at their end for a server that had sent nothing for long.
+    pub(crate) stalled: AtomicU64,
     /// Time of the last chunk, microseconds since the start of the run.
     last_chunk_us: AtomicU64,
     pub(crate) lost_deliveries: AtomicU64,
@@ -115,6 +117,14 @@ impl Counters {
     /// A session was not admitted, or a request was refused.
     pub fn refused(&self, problem: &str) {
         add(&self.refused);
+        self.note(problem);
+    }
+
+    /// A client waited at its end for a server that had sent nothing for [`SILENCE`].
+    ///
+    /// [`SILENCE`]: crate::task::SILENCE
+    pub fn stalled(&self, problem: &str) {
+        add(&self.stalled);
         self.note(problem);
     }
 

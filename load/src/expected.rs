@@ -3,7 +3,7 @@
 //!
 //! Its memory is bounded for any behaviour of the server.
 
-use protocol::limits::MAX_PENDING_REQUESTS;
+use protocol::limits::{MAX_PENDING_REQUESTS, MAX_VIEW_CHUNKS};
 use protocol::message::{Refused, WireKey};
 use protocol::view::View;
 use rustc_hash::FxHashMap;
@@ -68,6 +68,20 @@ impl ExpectedChunks {
             self.views.pop_front();
         }
         self.views.push_back((view.id, view.viewer(), view.viewer_ahead()));
+    }
+
+    /// The chunks of a view that is remembered.
+    #[must_use]
+    pub fn needed_by(&self, view: u32) -> Option<Vec<ChunkKey>> {
+        let (_, viewer, _) = self.views.iter().find(|(id, _, _)| *id == view)?;
+        let needed = lod::select(&self.land, viewer, MAX_VIEW_CHUNKS);
+        Some(needed.into_iter().map(|needed| needed.key).collect())
+    }
+
+    /// The id of the newest view.
+    #[must_use]
+    pub fn newest_view(&self) -> Option<u32> {
+        self.views.back().map(|(id, _, _)| *id)
     }
 
     /// A view is settled: no chunk of an older view is still to come.

@@ -7,7 +7,7 @@ use crate::checker::ChunkChecker;
 use crate::dial::Dial;
 use crate::keys::Keys;
 use crate::schedule::{Action, Schedule};
-use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SessionEnd, Task};
+use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SILENCE, SessionEnd, Task};
 use bytes::Bytes;
 use connection::{Connection, Response};
 use hyper::StatusCode;
@@ -39,11 +39,15 @@ struct World {
 
 /// Runs from connect to the end of the phase or of the connection.
 pub async fn run<D: Dial>(task: &Task<'_, D>, schedule: &mut Schedule, etags: &mut EtagCache) -> SessionEnd {
+    let started = Instant::now();
     let mut client = match timeout_at(task.end, HttpClient::admit(task)).await {
         Ok(Ok(client)) => client,
         Ok(Err(end)) => return end,
         // The phase ended during admission; no session was lost.
-        Err(_) => return SessionEnd::Finished,
+        Err(_) => {
+            task.ended_in_admission(started);
+            return SessionEnd::Finished;
+        }
     };
     client.run(schedule, etags).await
 }
@@ -112,6 +116,7 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
             let seconds = since.saturating_duration_since(task.epoch).as_secs_f64();
             let key = self.keys.key(schedule.next_number(), seconds);
             task.counters.request(since.elapsed());
+            let sent = Instant::now();
             let (end, pause) = match timeout_at(stop, self.fetch(key, etags)).await {
                 Ok(Ok(FetchOutcome::Answered)) => {
                     task.counters.answered(since.elapsed());
@@ -119,7 +124,12 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
                 }
                 Ok(Ok(FetchOutcome::Refused(pause))) => (None, pause),
                 Ok(Err(end)) => (Some(end), Duration::ZERO),
-                Err(_) => (Some(SessionEnd::Finished), Duration::ZERO),
+                Err(_) => {
+                    if sent.elapsed() >= SILENCE {
+                        task.counters.stalled(&format!("no answer to a GET within {SILENCE:?}"));
+                    }
+                    (Some(SessionEnd::Finished), Duration::ZERO)
+                }
             };
             if let Some(end) = end {
                 if schedule.is_open() {
@@ -166,9 +176,8 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
                 counters.refused(&format!("refused by the server: {}", answer.problem()));
                 Ok(FetchOutcome::Refused(answer.retry_after))
             }
-            StatusCode::UNAUTHORIZED => {
-                Err(SessionEnd::NotAdmitted { problem: answer.problem(), retry: false })
-            }
+            // It was admitted before: its token has expired, or was removed.
+            StatusCode::UNAUTHORIZED => Err(SessionEnd::Lost(answer.problem())),
             _ => Err(SessionEnd::Wrong(format!("GET {path}: {}", answer.problem()))),
         }
     }

@@ -93,6 +93,8 @@ pub struct Counts {
     pub unanswered: u64,
     /// Requests of an open loop that were due and never sent.
     pub unsent: u64,
+    /// Clients that waited at the end of their phase while the server had sent nothing for 5 s.
+    pub stalled: u64,
 }
 
 /// One phase.
@@ -214,6 +216,9 @@ impl Report {
         if self.counts.dropped > 0 {
             return Err(format!("{} sessions ended before their time{because}", self.counts.dropped));
         }
+        if self.counts.stalled > 0 {
+            return Err(format!("{} clients waited for a silent server{because}", self.counts.stalled));
+        }
         if self.counts.chunks + self.counts.not_modified == 0 {
             let because = if because.is_empty() { "; is the run long enough?".into() } else { because };
             return Err(format!("no chunk arrived in {:.0} s{because}", self.seconds));
@@ -245,6 +250,7 @@ impl Counts {
             requests: get(&counters.requests),
             unanswered: get(&counters.unanswered),
             unsent: get(&counters.unsent),
+            stalled: get(&counters.stalled),
         }
     }
 }
@@ -263,6 +269,7 @@ impl Add for Counts {
             requests: self.requests + other.requests,
             unanswered: self.unanswered + other.unanswered,
             unsent: self.unsent + other.unsent,
+            stalled: self.stalled + other.stalled,
         }
     }
 }

@@ -13,18 +13,19 @@ use crate::SOFTWARE;
 use crate::checker::ChunkChecker;
 use crate::dial::Dial;
 use crate::expected::{ChunkStatus, ExpectedChunks, MAX_VIEWS, MAX_VIEWS_SLOW};
+use crate::held::MAX_HELD;
 use crate::keys::Keys;
 use crate::path::FlightPath;
 use crate::request_pause::RequestPause;
 use crate::resume::Resumption;
 use crate::schedule::Schedule;
-use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SessionEnd, Task};
+use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SILENCE, SessionEnd, Task};
 use crate::verify::Mismatch;
 use actions::Poses;
 use futures_util::StreamExt;
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::limits::MAX_CREDITS;
-use protocol::message::{Settled, Welcome};
+use protocol::message::{RefusalReason, Settled, Welcome};
 use protocol::{CloseCode, DataFrame, Delivery, PeerFault};
 use socket::lost;
 use std::time::Duration;
@@ -48,20 +49,30 @@ const LAST_FRAMES_WITHIN: Duration = Duration::from_secs(1);
 /// verify; without yielding a burst would delay the clocks of all sessions.
 const YIELD_EVERY: u32 = 16;
 
+/// Of so many settled views one is checked for its chunks, which takes a selection.
+const CHECKED_VIEWS: u32 = 8;
+
 /// One session from connect to close. The chunks of an earlier one are reported to the server.
 pub async fn run<D: Dial>(
     task: &Task<'_, D>,
     schedule: &mut Schedule,
     resumption: &mut Resumption,
 ) -> SessionEnd {
+    let started = Instant::now();
     let mut session = match timeout_at(task.end, Session::admit(task, resumption)).await {
         Ok(Ok(session)) => session,
         Ok(Err(end)) => return end,
         // The phase ended during admission; no session was lost.
-        Err(_) => return SessionEnd::Finished,
+        Err(_) => {
+            task.ended_in_admission(started);
+            return SessionEnd::Finished;
+        }
     };
     let outcome = session.run(schedule).await;
     session.count_unanswered(schedule.is_open());
+    if matches!(outcome, SessionEnd::Finished) {
+        session.count_stall();
+    }
     outcome
 }
 
@@ -79,6 +90,10 @@ struct Session<'t, 'a, D: Dial> {
     poses: Poses,
     /// After refusals, in a closed loop.
     pause: RequestPause,
+    /// When a frame arrived, or the session began.
+    last_frame: Instant,
+    /// The newest view when something was refused: what was refused may belong to it or an older one.
+    refused_view: Option<u32>,
 }
 
 impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
@@ -119,6 +134,8 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             keys: Keys::new(config.path, config.seed, task.index, path),
             poses: Poses::default(),
             pause: RequestPause::new(u64::from(mix(task.index))),
+            last_frame: Instant::now(),
+            refused_view: None,
         })
     }
 
@@ -184,6 +201,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         frame: Option<Result<Message, Error>>,
         is_open: bool,
     ) -> Result<(), SessionEnd> {
+        self.last_frame = Instant::now();
         let event = match frame {
             Some(Ok(Message::Binary(bytes))) => self.machine.receive(DataFrame::Binary(&bytes)),
             Some(Ok(Message::Text(_))) => self.machine.receive(DataFrame::Text),
@@ -197,15 +215,24 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         };
         match event {
             Ok(Event::Chunk { chunk, bytes, delivery }) => self.take(chunk, bytes, delivery).await,
-            Ok(Event::Settled(Settled { view, .. })) => {
+            Ok(Event::Settled(Settled { view, chunks })) => {
+                self.check_settled(view, chunks);
                 self.expected.settled(view);
                 self.resumption.delivered(Instant::now(), self.task.counters);
                 self.settled(view, is_open);
             }
             Ok(Event::Refused(refused)) => {
                 self.expected.refused(&refused);
+                self.refused_view = self.expected.newest_view();
                 self.pause.refused(Instant::now());
-                self.task.counters.refused(&format!("refused by the server: {}", refused.detail));
+                let problem = format!("refused by the server: {}", refused.detail);
+                match refused.reason {
+                    RefusalReason::Overloaded | RefusalReason::TooManyRequests => {
+                        self.task.counters.refused(&problem);
+                    }
+                    // What this client asks for is valid, so the server is at fault.
+                    _ => self.task.counters.mismatch(&problem),
+                }
             }
             // The close frame follows and counts if it comes before the end of the phase.
             Ok(Event::Draining { reconnect_after_ms }) => {
@@ -237,6 +264,32 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             self.machine.release(&[key]);
         }
         self.checker.check(chunk, delivery).await;
+    }
+
+    /// Of some settled views: whether the server counts the right chunks, and all have come. Not while
+    /// chunks may have been refused or released.
+    fn check_settled(&self, view: u32, settled: u32) {
+        let may_lack = self.refused_view.is_some_and(|refused| view <= refused)
+            || self.resumption.held.len() >= MAX_HELD;
+        if !view.is_multiple_of(CHECKED_VIEWS) || may_lack {
+            return;
+        }
+        let Some(needed) = self.expected.needed_by(view) else { return };
+        let missing = needed.iter().filter(|key| !self.resumption.held.contains(**key)).count();
+        if missing > 0 || settled as usize != needed.len() {
+            let incomplete = Mismatch::Incomplete { view, settled, needed: needed.len(), missing };
+            self.task.counters.mismatch(&incomplete.to_string());
+        }
+    }
+
+    /// Counts a client whose requests or poses have waited for long while nothing arrived.
+    fn count_stall(&self) {
+        let now = Instant::now();
+        let has_waited = |since: Instant| now.saturating_duration_since(since) >= SILENCE;
+        let mut waiting = self.expected.waiting_since().chain(self.poses.waiting_since());
+        if has_waited(self.last_frame) && waiting.any(has_waited) {
+            self.task.counters.stalled(&format!("nothing arrived for {SILENCE:?}"));
+        }
     }
 
     /// Closes with a code. Frames that arrive until the server answers are not counted.

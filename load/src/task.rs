@@ -18,6 +18,9 @@ pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 /// counts with the time that it has waited.
 pub const GRACE: Duration = Duration::from_secs(2);
 
+/// Time without a frame or an answer after which a client that waits for one counts as stalled.
+pub const SILENCE: Duration = Duration::from_secs(5);
+
 /// Time after which clients stop trying to reach a server that has never answered. Long enough for a
 /// server that starts at the same time.
 pub const GIVE_UP_AFTER: Duration = Duration::from_secs(10);
@@ -51,6 +54,13 @@ impl<D> Task<'_, D> {
     #[must_use]
     pub fn path(&self, land: &Land) -> FlightPath {
         FlightPath::new(self.config.path, self.config.seed, self.index, self.world.start(land))
+    }
+
+    /// The phase ended while a client that began then waited for its admission.
+    pub fn ended_in_admission(&self, began: Instant) {
+        if began.elapsed() >= SILENCE {
+            self.counters.stalled(&format!("no admission by {} within {SILENCE:?}", self.config.connect));
+        }
     }
 }
 

@@ -16,6 +16,18 @@ pub enum Mismatch {
     /// The key was not requested, and no view that was sent needs it.
     #[error("chunk {0} was neither requested nor needed by a view")]
     Unexpected(ChunkKey),
+    /// A view was reported complete without all its chunks.
+    #[error("view {view} is settled with {settled} chunks of {needed}, of which {missing} never came")]
+    Incomplete {
+        /// Its id.
+        view: u32,
+        /// Chunks that the server counts.
+        settled: u32,
+        /// Chunks that the view needs.
+        needed: usize,
+        /// Of these, neither held nor refused.
+        missing: usize,
+    },
     /// A texel of a pyramid is no bound.
     #[error("chunk {key}: {which} pyramid, level {level}, texel {texel} does not bound what is under it")]
     Pyramid {

@@ -6,6 +6,7 @@
 use futures_util::{SinkExt, StreamExt};
 use load::config::stream_address;
 use load::{LoadConfig, PathKind, Report};
+use protocol::message::RefusalReason;
 use protocol::server::{ServerOffer, ServerSession, TokenCheck};
 use protocol::{DataFrame, Delivery, SUBPROTOCOL, Tolerance};
 use std::sync::Arc;
@@ -28,6 +29,14 @@ enum Fault {
     HangUp,
     /// Every chunk is refused.
     Refusal,
+    /// The generation of every chunk fails.
+    Failure,
+    /// One chunk of a view is lost.
+    Loss,
+    /// After some chunks nothing is read or sent.
+    Silence,
+    /// There is no Welcome.
+    NoWelcome,
 }
 
 impl Fault {
@@ -47,6 +56,9 @@ fn accept_subprotocol(_: &Request, mut response: Response) -> Result<Response, E
 
 async fn serve(socket: TcpStream, offer: ServerOffer, fault: Fault) {
     let Ok(mut socket) = accept_hdr_async(socket, accept_subprotocol).await else { return };
+    if fault == Fault::NoWelcome {
+        return std::future::pending().await;
+    }
     let land = offer.land;
     let mut session = ServerSession::new(offer, 1);
     let mut sent = 0;
@@ -66,8 +78,15 @@ async fn serve(socket: TcpStream, offer: ServerOffer, fault: Fault) {
             sent += 1;
             match fault {
                 Fault::HangUp if sent > 5 => return,
+                Fault::Silence if sent > 5 => return std::future::pending().await,
+                Fault::Failure => session.fail(wanted, RefusalReason::Failed, "it panicked"),
+                Fault::Loss if sent == 3 => {
+                    let frame = chunk_fault::frame(None, &land, wanted.key, delivery);
+                    session.deliver(wanted, frame);
+                    while session.poll_transmit().is_some() {}
+                }
                 Fault::Refusal => {
-                    session.fail(wanted, protocol::message::RefusalReason::Overloaded, "try later");
+                    session.fail(wanted, RefusalReason::Overloaded, "try later");
                 }
                 _ => {
                     let frame = chunk_fault::frame(fault.of_chunks(), &land, wanted.key, delivery);
@@ -217,6 +236,29 @@ async fn rejected_chunks_are_refusals_and_no_faults() {
         "{report}"
     );
     assert!(report.verdict().expect_err("nothing arrived").contains("try later"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn chunks_that_cannot_be_made_fail_the_run() {
+    let report = load_on(Fault::Failure, Delivery::Exact, None).await;
+    assert!(report.counts.mismatches > 0, "{report}");
+    assert!(report.verdict().expect_err("a fault").contains("it panicked"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_view_that_is_settled_without_a_chunk_fails_the_run() {
+    let report = load_on(Fault::Loss, Delivery::Exact, None).await;
+    assert!(report.counts.mismatches > 0, "{report}");
+    assert!(report.verdict().expect_err("a fault").contains("never came"), "{report}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_falls_silent_fails_the_run() {
+    for (fault, chunks) in [(Fault::Silence, 15), (Fault::NoWelcome, 0)] {
+        let report = load_with(fault, None, |config| LoadConfig { seconds: 7, ..config }).await;
+        assert_eq!((report.counts.stalled, report.counts.chunks), (3, chunks), "{report}");
+        assert!(report.verdict().expect_err("a fault").contains("silent"), "{report}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -9,11 +9,12 @@ pub const MAX_CONTROL_FRAME: usize = 8 * 1024;
 /// Keys in one request, release or holding message.
 pub const MAX_KEYS: usize = 512;
 
-/// Chunks that a client may have granted and not yet received. A grant beyond it is cut to it.
+/// Chunks that a client may have granted and not yet received. A larger grant is refused, a
+/// larger sum of grants is cut to it.
 pub const MAX_CREDITS: u32 = 4096;
 
-/// Bytes of chunk frames that a client may have granted and not yet received. A grant beyond it is
-/// cut to it.
+/// Bytes of chunk frames that a client may have granted and not yet received. A larger grant is
+/// refused, a larger sum of grants is cut to it.
 pub const MAX_CREDIT_BYTES: u32 = 256 << 20;
 
 /// Requested keys that a server queues per session; a request that would exceed it is refused

@@ -31,7 +31,7 @@ fn raised() -> Option<u64> {
     let before = getrlimit(Resource::Nofile);
     let raised = Rlimit { current: before.maximum, ..before };
     // A process may always raise its limit that far; if not, the old one stays.
-    let after = setrlimit(Resource::Nofile, raised.clone()).map_or(before, |()| raised);
+    let after = setrlimit(Resource::Nofile, raised).map_or(before, |()| raised);
     after.current
 }
 

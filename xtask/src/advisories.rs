@@ -6,7 +6,7 @@
 //! unpacked as its database. RustSec's data is CC0-1.0; an advisory that states another licence
 //! keeps that statement and its source.
 
-use crate::process;
+use crate::{machine, process};
 use anyhow::{Context, Result, bail};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -20,6 +20,13 @@ const FOLDER: &str = "advisory-db-3157b0e258782691";
 
 /// What begins the path of an advisory in the snapshot.
 const ENTRY: &str = "=== ";
+
+/// Age in days over which a snapshot lacks too many advisories to pass.
+const MOST_DAYS: i64 = 180;
+
+/// How to replace a snapshot.
+const REDRAW: &str = "redraw it: cargo xtask advisories --update PATH, with PATH a clone of \
+                      https://github.com/rustsec/advisory-db";
 
 /// Columns of the list of names.
 const COLUMNS: usize = 100;
@@ -102,7 +109,7 @@ fn unknown<'a>(snapshot: &'a Snapshot, locked: &'a BTreeSet<String>) -> Vec<&'a 
 ///
 /// # Errors
 /// A vulnerable, unmaintained or yanked version that `deny.toml` does not excuse; a crate that the
-/// snapshot does not know; a control that does not fail.
+/// snapshot does not know; a snapshot that is too old; a control that does not fail.
 pub fn check() -> Result<()> {
     let read = |path: &str| {
         std::fs::read_to_string(process::root().join(path)).with_context(|| format!("cannot read {path}"))
@@ -111,12 +118,9 @@ pub fn check() -> Result<()> {
     let locked = locked(&read("Cargo.lock")?);
     let unknown = unknown(&snapshot, &locked);
     if !unknown.is_empty() {
-        bail!(
-            "{SNAPSHOT} does not know {}; redraw it: cargo xtask advisories --update PATH, with PATH a \
-             clone of https://github.com/rustsec/advisory-db",
-            unknown.join(", ")
-        );
+        bail!("{SNAPSHOT} does not know {}; {REDRAW}", unknown.join(", "));
     }
+    reject_old(&snapshot, &machine::today()?)?;
     println!(
         "advisories: {} of {} crates, by RustSec's database of {} ({})",
         snapshot.advisories.len(),
@@ -207,6 +211,26 @@ pub fn update(clone: &Path) -> Result<()> {
     Ok(())
 }
 
+/// A snapshot that was not redrawn for long passes whatever was found since.
+fn reject_old(snapshot: &Snapshot, today: &str) -> Result<()> {
+    let day = |date: &str| day_number(date).with_context(|| format!("`{date}` is no date YYYY-MM-DD"));
+    let age = day(today)? - day(&snapshot.date)?;
+    if age > MOST_DAYS {
+        bail!("{SNAPSHOT} is of {}, {age} days old, at most {MOST_DAYS}; {REDRAW}", snapshot.date);
+    }
+    Ok(())
+}
+
+/// The number of a day, counted from any fixed one, of a date `YYYY-MM-DD`. The formula is
+/// `days_from_civil` of Howard Hinnant, "chrono-Compatible Low-Level Date Algorithms" (2013).
+fn day_number(date: &str) -> Option<i64> {
+    let numbers = date.split('-').map(|part| part.parse().ok()).collect::<Option<Vec<i64>>>()?;
+    let [year, month @ 1..=12, day @ 1..=31] = numbers[..] else { return None };
+    // A year that begins in March has the day of leap years at its end.
+    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
+    Some(365 * year + year / 4 - year / 100 + year / 400 + (153 * month + 2) / 5 + day)
+}
+
 /// An older database lacks advisories that the present snapshot has.
 fn reject_older(new: &Snapshot, present: &Snapshot) -> Result<()> {
     // Dates are `YYYY-MM-DD`: their order is that of the text.
@@ -269,6 +293,35 @@ mod tests {
         assert!(reject_older(&of("2025-12-31"), &of("2026-01-02")).is_err());
         assert!(reject_older(&of("2026-01-02"), &of("2026-01-02")).is_ok());
         assert!(reject_older(&of("2026-02-01"), &of("2026-01-02")).is_ok());
+    }
+
+    #[test]
+    fn a_snapshot_passes_for_180_days_and_then_no_more() {
+        for (today, is_accepted) in [
+            ("2026-01-02", true),
+            ("2026-07-01", true),
+            ("2026-07-02", false),
+            ("2027-01-02", false),
+            // A clock that is slow.
+            ("2025-12-31", true),
+            ("soon", false),
+        ] {
+            assert_eq!(reject_old(&snapshot(), today).is_ok(), is_accepted, "{today}");
+        }
+        let undated = Snapshot { date: "2026-13-01".into(), ..snapshot() };
+        assert!(reject_old(&undated, "2026-01-02").is_err());
+    }
+
+    #[test]
+    fn days_are_counted_over_months_and_leap_years() {
+        let between = |one, other| day_number(other).unwrap() - day_number(one).unwrap();
+        assert_eq!(between("2026-08-21", "2027-02-17"), 180);
+        assert_eq!(between("2027-12-31", "2028-03-01"), 61);
+        assert_eq!(between("2026-12-31", "2027-03-01"), 60);
+        assert_eq!(between("2000-01-01", "2400-01-01"), 146_097);
+        for wrong in ["", "2026", "2026-00-01", "2026-01-32", "2026-1-1-1", "2026-x-1"] {
+            assert_eq!(day_number(wrong), None, "{wrong}");
+        }
     }
 
     #[test]

@@ -11,6 +11,9 @@ use terrain::{Land, Position};
 /// The world that the demo shows.
 const WORLD_SEED: u64 = 1;
 
+/// The programs of the demo.
+pub const PROGRAMS: [&str; 2] = ["tombolo-server", "tombolo-view"];
+
 /// Options of `demo`.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct Options {
@@ -48,11 +51,10 @@ const FLIGHT: [Shot; 6] = [
 pub fn run(options: Options) -> Result<()> {
     let headless = options.headless || !has_display();
     setup::run(if headless { Extent::Headless } else { Extent::Everything })?;
-    let programs = ["tombolo-server", "tombolo-view"];
     let (build, minutes) = if headless {
-        (process::build_without_window(&programs), "about 6")
+        (process::build_without_window(&PROGRAMS), "about 6")
     } else {
-        (process::build(&programs), "10 to 15")
+        (process::build(&PROGRAMS), "10 to 15")
     };
     println!(
         "demo: building the server and the viewer: {minutes} minutes on 2 cores the first time, seconds later"

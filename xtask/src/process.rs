@@ -4,6 +4,7 @@
 use anyhow::{Context, Result, bail};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -50,23 +51,63 @@ fn profile() -> &'static str {
 
 /// A program of the workspace, built by [`build`].
 pub fn program(name: &str) -> PathBuf {
-    target().join(profile()).join(name)
+    let folder = triple().map_or_else(target, |triple| target().join(triple));
+    folder.join(profile()).join(name)
+}
+
+/// The target that a person has configured, by `build.target` or its variable; none without one. Cargo
+/// has put this program into a folder of that name. What it builds without one lies elsewhere, and no
+/// option switches a configured one off, so each build names it.
+fn triple() -> Option<&'static str> {
+    static TRIPLE: OnceLock<Option<String>> = OnceLock::new();
+    TRIPLE.get_or_init(|| triple_of(&std::env::current_exe().ok()?, &target(), is_triple)).as_deref()
+}
+
+/// The target of a program by the folder around its profile's folder, unless that is the folder of all
+/// build results.
+fn triple_of(program: &Path, target: &Path, is_triple: impl Fn(&str) -> bool) -> Option<String> {
+    let folder = program.parent()?.parent().filter(|folder| *folder != target)?;
+    let name = folder.file_name()?.to_str()?;
+    is_triple(name).then(|| name.to_owned())
+}
+
+fn is_triple(name: &str) -> bool {
+    let mut list = command("rustc");
+    list.args(["--print", "target-list"]);
+    // All have one, and most folders of build results have none: then the compiler is not asked.
+    name.contains('-') && output(list).is_ok_and(|list| list.lines().any(|triple| triple == name))
 }
 
 /// A command that builds programs. They are chosen among the whole workspace: a package that is
 /// chosen alone is built with other features, and so are all of its dependencies.
 pub fn build(programs: &[&str]) -> Command {
-    let mut build = cargo(&format!("build --profile {}", profile()));
-    programs.iter().for_each(|program| _ = build.args(["--bin", program]));
-    build
+    compile("build", programs, triple())
 }
 
 /// As [`build`], with a viewer that only draws into files: the window is half of what a viewer takes
 /// to build.
 pub fn build_without_window(programs: &[&str]) -> Command {
-    let mut build = build(programs);
-    build.arg("--no-default-features");
-    build
+    without_window(build(programs))
+}
+
+/// Looks whether [`build_without_window`] would succeed, without making programs.
+pub fn check_without_window(programs: &[&str]) -> Command {
+    without_window(compile("check", programs, triple()))
+}
+
+fn without_window(mut command: Command) -> Command {
+    command.arg("--no-default-features");
+    command
+}
+
+/// A subcommand on programs, with results where [`program`] looks for them: a person may have
+/// configured another folder, or another target.
+fn compile(subcommand: &str, programs: &[&str], triple: Option<&str>) -> Command {
+    let mut compile = cargo(&format!("{subcommand} --profile {}", profile()));
+    compile.arg("--target-dir").arg(target());
+    compile.args(triple.into_iter().flat_map(|triple| ["--target", triple]));
+    compile.args(programs.iter().flat_map(|program| ["--bin", program]));
+    compile
 }
 
 /// A command in the workspace's root.
@@ -210,6 +251,32 @@ mod tests {
         let mut command = Command::new("/usr/bin/env");
         command.args(["a", "two words", "--flag=1"]);
         assert_eq!(shown(&command), "env a 'two words' --flag=1");
+    }
+
+    #[test]
+    fn programs_are_built_where_they_are_looked_for() {
+        let folder = target().display().to_string();
+        let words = |triple| {
+            let command = compile("build", &["a", "b"], triple);
+            command.get_args().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
+        };
+        let profile = profile();
+        assert_eq!(words(None), format!("build --profile {profile} --target-dir {folder} --bin a --bin b"));
+        assert!(words(Some("x-y")).contains(&format!("--target-dir {folder} --target x-y --bin a")));
+        assert!(program("a").starts_with(target()));
+    }
+
+    #[test]
+    fn a_folder_named_like_a_target_is_a_configured_one_and_any_other_is_not() {
+        let is_triple = |name: &str| name == "x86_64-unknown-linux-musl";
+        let of = |target: &str, program: &str| triple_of(Path::new(program), Path::new(target), is_triple);
+        let program = "/a/x86_64-unknown-linux-musl/debug/xtask";
+        assert_eq!(of("/a", program).as_deref(), Some("x86_64-unknown-linux-musl"));
+        assert_eq!(of("/a/x86_64-unknown-linux-musl", program), None);
+        for other in ["/a/target/debug/xtask", "/x86_64-unknown-linux-musl/a/debug/xtask", "xtask", "/"] {
+            assert_eq!(of("/a", other), None, "{other}");
+        }
+        assert!(super::is_triple("wasm32-unknown-unknown") && !super::is_triple("cargo-target-dir"));
     }
 
     #[cfg(unix)]

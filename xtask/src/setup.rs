@@ -87,9 +87,24 @@ const fn check(package: &'static str, sign: Sign) -> Need {
     Need { package, sign, purpose: Purpose::Checks }
 }
 
-/// Where a Vulkan loader looks for drivers.
-const DRIVER_FOLDERS: [&str; 3] =
-    ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d"];
+impl Need {
+    /// Whether a run cannot do without it.
+    fn is_vital(&self, extent: Extent) -> bool {
+        match self.purpose {
+            Purpose::Pictures => true,
+            Purpose::Windows => extent == Extent::Everything,
+            Purpose::Checks => false,
+        }
+    }
+}
+
+/// Where a Vulkan loader looks for drivers; the last is that of NixOS.
+const DRIVER_FOLDERS: [&str; 4] = [
+    "/usr/share/vulkan/icd.d",
+    "/etc/vulkan/icd.d",
+    "/usr/local/share/vulkan/icd.d",
+    "/run/opengl-driver/share/vulkan/icd.d",
+];
 
 /// Makes sure that everything is there.
 ///
@@ -100,11 +115,12 @@ pub fn run(extent: Extent) -> Result<()> {
         println!("setup: nothing to install on this system");
         return Ok(());
     }
+    if linker_cache().is_none() {
+        println!("setup: which libraries are missing is not known: `/sbin/ldconfig -p` lists none");
+    }
     install(extent, |need| need.purpose != Purpose::Checks)?;
-    if extent == Extent::Checks
-        && let Err(why) = install(extent, |need| need.purpose == Purpose::Checks)
-    {
-        println!("setup: some checks will be skipped; {why:#}");
+    if extent == Extent::Checks {
+        install(extent, |need| need.purpose == Purpose::Checks)?;
     }
     Ok(())
 }
@@ -116,8 +132,8 @@ fn install(extent: Extent, is_wanted: fn(&Need) -> bool) -> Result<()> {
         println!("setup: everything is there");
         return Ok(());
     }
-    let packages: Vec<_> = missing.iter().map(|need| need.package).collect();
-    let packages = packages.join(" ");
+    let names: Vec<_> = missing.iter().map(|need| need.package).collect();
+    let packages = names.join(" ");
     if !Path::new("/usr/bin/apt-get").exists() {
         let message = format!("missing: what Debian calls {packages}; install it with your package manager");
         return if is_vital(&missing, extent) { bail!("setup: {message}") } else { mention(&message) };
@@ -131,15 +147,38 @@ fn install(extent: Extent, is_wanted: fn(&Need) -> bool) -> Result<()> {
         };
     }
     println!("setup: installing {packages}");
-    apt("update --quiet")?;
-    apt(&format!("install --quiet --yes --no-install-recommends {packages}"))?;
-    let still = self::missing(is_wanted);
-    match still.first() {
-        Some(need) if is_vital(&still, extent) => {
-            bail!("setup: {} was installed and is still not found ({:?})", need.package, need.sign)
-        }
-        _ => Ok(()),
+    match install_with(apt, &names) {
+        Ok(refused) => judge(extent, &self::missing(is_wanted), &refused),
+        Err(why) if is_vital(&missing, extent) => Err(why),
+        Err(why) => mention(&format!("{why:#}; missing: {packages}")),
     }
+}
+
+/// Installs packages by command lines of apt-get and returns those that it refuses. All at once; one
+/// by one where that fails, since one name that a system does not know keeps all others away.
+///
+/// # Errors
+/// The lists of packages cannot be read again.
+fn install_with(apt: impl Fn(&str) -> Result<()>, packages: &[&'static str]) -> Result<Vec<&'static str>> {
+    apt("update --quiet")?;
+    let install = |what: &str| apt(&format!("install --quiet --yes --no-install-recommends {what}"));
+    if install(&packages.join(" ")).is_ok() {
+        return Ok(Vec::new());
+    }
+    Ok(packages.iter().copied().filter(|package| install(package).is_err()).collect())
+}
+
+/// Whether a run can do without what is still missing after an installation.
+fn judge(extent: Extent, still: &[Need], refused: &[&str]) -> Result<()> {
+    if let Some(need) = still.iter().find(|need| need.is_vital(extent)) {
+        let is_refused = refused.contains(&need.package);
+        let why = if is_refused { "could not be installed" } else { "was installed and is still not found" };
+        bail!("setup: {} {why} ({:?})", need.package, need.sign);
+    }
+    if refused.is_empty() {
+        return Ok(());
+    }
+    mention(&format!("apt-get could not install {}", refused.join(" ")))
 }
 
 /// Whether a Vulkan driver is installed, a software one included.
@@ -149,7 +188,7 @@ pub fn has_vulkan_driver() -> bool {
 
 /// Whether EGL is installed, which OpenGL without a window needs.
 pub fn has_egl() -> bool {
-    is_present(Sign::Library("libEGL.so.1"), &linker_cache())
+    is_present(Sign::Library("libEGL.so.1"), &linker_cache().unwrap_or_default())
 }
 
 /// Whether SwiftShader is installed.
@@ -181,24 +220,32 @@ fn mention(message: &str) -> Result<()> {
 }
 
 fn is_vital(missing: &[Need], extent: Extent) -> bool {
-    missing.iter().any(|need| match need.purpose {
-        Purpose::Pictures => true,
-        Purpose::Windows => extent == Extent::Everything,
-        Purpose::Checks => false,
-    })
+    missing.iter().any(|need| need.is_vital(extent))
 }
 
 fn missing(is_wanted: fn(&Need) -> bool) -> Vec<Need> {
     let cache = linker_cache();
-    NEEDS.into_iter().filter(|need| is_wanted(need) && !is_present(need.sign, &cache)).collect()
+    NEEDS.into_iter().filter(|need| is_wanted(need) && is_missing(need.sign, cache.as_deref())).collect()
 }
 
-/// The linker's list of libraries.
-fn linker_cache() -> String {
-    // Not always on PATH; without its output every library counts as missing and apt decides.
+/// Whether a thing is known to be missing; of libraries nothing is known without the linker's list.
+fn is_missing(sign: Sign, linker_cache: Option<&str>) -> bool {
+    match (sign, linker_cache) {
+        (Sign::Library(_), None) => false,
+        (sign, cache) => !is_present(sign, cache.unwrap_or_default()),
+    }
+}
+
+/// The linker's list of libraries; none where the system has no such list, as NixOS and Alpine.
+fn linker_cache() -> Option<String> {
+    // Not always on PATH.
     let mut ldconfig = process::command("/sbin/ldconfig");
     ldconfig.arg("-p");
-    process::output(ldconfig).unwrap_or_default()
+    process::output(ldconfig).ok().filter(|list| has_libraries(list))
+}
+
+fn has_libraries(list: &str) -> bool {
+    list.lines().any(|line| line.contains(" => "))
 }
 
 fn is_present(sign: Sign, linker_cache: &str) -> bool {
@@ -240,6 +287,9 @@ fn is_root() -> bool {
 }
 
 fn apt(line: &str) -> Result<()> {
+    if process::interrupted() {
+        bail!("interrupted");
+    }
     let mut apt = process::command("apt-get");
     apt.args(line.split_whitespace()).env("DEBIAN_FRONTEND", "noninteractive");
     process::run(apt).context("setup: apt-get could not install; is the network there?")
@@ -272,5 +322,47 @@ mod tests {
     fn a_check_without_its_tool_is_skipped_by_ci_and_stops_no_setup() {
         let checks: Vec<_> = NEEDS.into_iter().filter(|need| need.purpose == Purpose::Checks).collect();
         assert!(!checks.is_empty() && !is_vital(&checks, Extent::Checks));
+    }
+
+    #[test]
+    fn without_the_list_of_the_linker_no_library_is_known_to_be_missing() {
+        let (library, program) = (Sign::Library("libX11.so.6"), Sign::Program("no-such-program"));
+        assert!(is_missing(library, Some("")) && !is_missing(library, None));
+        assert!(is_missing(program, Some("")) && is_missing(program, None));
+        assert!(has_libraries("1 libs found\n\tlibXi.so.6 (libc6,x86-64) => /lib/libXi.so.6\n"));
+        assert!(!has_libraries("") && !has_libraries("0 libs found in cache `/etc/ld.so.cache'\n"));
+    }
+
+    #[test]
+    fn a_package_that_the_system_does_not_know_keeps_no_other_away() {
+        let with = |unknown: &'static str| {
+            let lines = std::cell::RefCell::new(Vec::new());
+            let apt = |line: &str| {
+                lines.borrow_mut().push(line.rsplit("recommends ").next().unwrap().to_owned());
+                if line.split(' ').any(|word| word == unknown) { bail!("unknown") } else { Ok(()) }
+            };
+            let refused = install_with(apt, &["a", "b", "c"]).ok();
+            (refused, lines.into_inner())
+        };
+        assert_eq!(with("no"), (Some(vec![]), ["update --quiet", "a b c"].map(String::from).into()));
+        let (refused, lines) = with("b");
+        assert_eq!(
+            (refused, &lines[1..]),
+            (Some(vec!["b"]), &["a b c", "a", "b", "c"].map(String::from)[..])
+        );
+        // Without a network nothing else is tried.
+        assert_eq!(with("update"), (None, vec!["update --quiet".into()]));
+    }
+
+    #[test]
+    fn what_is_still_missing_stops_only_a_run_that_needs_it() {
+        let of = |package: &str| NEEDS.into_iter().filter(|need| need.package == package).collect::<Vec<_>>();
+        let fault = |extent, package: &str, refused: &[&str]| {
+            judge(extent, &of(package), refused).err().map(|why| why.to_string()).unwrap_or_default()
+        };
+        assert!(fault(Extent::Headless, "libvulkan1", &["libvulkan1"]).contains("could not be installed"));
+        assert!(fault(Extent::Headless, "libvulkan1", &[]).contains("still not found"));
+        assert_eq!(fault(Extent::Headless, "libxi6", &["libxi6"]), "");
+        assert_eq!(fault(Extent::Checks, "cmake", &["cmake"]), "");
     }
 }

@@ -322,7 +322,7 @@ fn parse_sun(text: &str) -> Result<SunPosition, String> {
     text.split_once(',')
         .and_then(|(azimuth, elevation)| Some((angle(azimuth, 360.0)?, angle(elevation, 90.0)?)))
         .map(|(azimuth, elevation)| SunPosition {
-            azimuth_deg: azimuth as f32,
+            azimuth_deg: azimuth.rem_euclid(360.0) as f32,
             elevation_deg: elevation as f32,
         })
         .ok_or_else(|| "expected AZIMUTH,ELEVATION, -360 to 360 and -90 to 90 degrees".to_owned())

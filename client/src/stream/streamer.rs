@@ -208,7 +208,8 @@ impl<F: ChunkStream> WorldStreamer<F> {
         }
     }
 
-    /// Sends the view if it changed. True if the server has the current view.
+    /// Sends the view if it changed or the eye came to rest. True if the server has the current
+    /// view.
     fn send_view(&mut self, view: &ViewParams, now: Duration) -> bool {
         if !matches!(self.link, Link::Connected(_)) {
             return false;
@@ -217,7 +218,8 @@ impl<F: ChunkStream> WorldStreamer<F> {
         if let Some((sent, at)) = &self.sent {
             let same = View { id: view.id, velocity: view.velocity, ..*sent } == view;
             let elapsed = now.saturating_sub(*at);
-            if same || elapsed < VIEW_INTERVAL {
+            // The server prefetches along the velocity: it must learn that the eye stands.
+            if (same && sent.velocity == [0; 3]) || elapsed < VIEW_INTERVAL {
                 return same;
             }
             let seconds = elapsed.as_secs_f64().max(0.001);
@@ -262,6 +264,12 @@ impl<F: ChunkStream> WorldStreamer<F> {
     #[must_use]
     pub fn stream(&self) -> &F {
         &self.stream
+    }
+
+    /// Digest of the world, once a server announced one.
+    #[must_use]
+    pub fn world(&self) -> Option<WorldDigest> {
+        self.digest
     }
 
     /// State of the connection.
@@ -441,5 +449,20 @@ mod tests {
         assert!((9..=11).contains(&(streamer.stream.views.len() - 1)), "{}", streamer.stream.views.len());
         let last = streamer.stream.views[streamer.stream.views.len() - 1];
         assert!((last.velocity[0] - 100 * 256).abs() < 2000, "{}", last.velocity[0]);
+    }
+
+    #[test]
+    fn an_eye_that_stands_after_a_jump_sends_its_rest_once() {
+        let mut streamer = WorldStreamer::new(Script::default(), 10);
+        streamer.stream.events.push_back(connected(1));
+        streamer.update(&view(), AT(0), 10, |_| ());
+        let mut there = view();
+        there.pose.position_m.x += 3000.0;
+        for millis in 250..1200 {
+            streamer.update(&there, AT(millis), 10, |_| ());
+        }
+        let sent: Vec<_> = streamer.stream.views.iter().map(|view| (view.eye[0], view.velocity)).collect();
+        let units = 3000 * 256;
+        assert_eq!(sent, [(0, [0; 3]), (units, [units * 4, 0, 0]), (units, [0; 3])]);
     }
 }

@@ -22,8 +22,15 @@ pub enum Effort {
 /// First bytes of a frame, RFC 8878 section 3.1.1.
 const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
-/// The content size of a frame of the simplest form; none for any other frame.
+/// The content size of a frame of the simplest form; none for any other frame, and for bytes behind
+/// it: decoders would take them for further frames, or skip them.
 fn stated_size(frame: &[u8]) -> Option<u64> {
+    let (size, blocks) = header(frame)?;
+    ends_with_its_last_block(blocks).then_some(size)
+}
+
+/// The content size, and what follows the header.
+fn header(frame: &[u8]) -> Option<(u64, &[u8])> {
     let (magic, rest) = frame.split_first_chunk()?;
     let (descriptor, rest) = rest.split_first()?;
     // Single segment; no reserved or unused bit, checksum or dictionary.
@@ -31,11 +38,26 @@ fn stated_size(frame: &[u8]) -> Option<u64> {
         return None;
     }
     match descriptor >> 6 {
-        0 => rest.first().map(|size| u64::from(*size)),
-        1 => rest.first_chunk().map(|size| u64::from(u16::from_le_bytes(*size)) + 256),
-        2 => rest.first_chunk().map(|size| u64::from(u32::from_le_bytes(*size))),
-        _ => rest.first_chunk().map(|size| u64::from_le_bytes(*size)),
+        0 => rest.split_first().map(|(size, rest)| (u64::from(*size), rest)),
+        1 => rest.split_first_chunk().map(|(size, rest)| (u64::from(u16::from_le_bytes(*size)) + 256, rest)),
+        2 => rest.split_first_chunk().map(|(size, rest)| (u64::from(u32::from_le_bytes(*size)), rest)),
+        _ => rest.split_first_chunk().map(|(size, rest)| (u64::from_le_bytes(*size), rest)),
     }
+}
+
+/// Whether the last block (RFC 8878, section 3.1.1.2) ends where the bytes do.
+fn ends_with_its_last_block(mut blocks: &[u8]) -> bool {
+    while let Some((&[low, middle, high], rest)) = blocks.split_first_chunk() {
+        let word = u32::from_le_bytes([low, middle, high, 0]);
+        // Of a repeated byte the size is that of the content.
+        let length = if (word >> 1) & 3 == 1 { 1 } else { (word >> 3) as usize };
+        let Some((_, rest)) = rest.split_at_checked(length) else { return false };
+        if word & 1 == 1 {
+            return rest.is_empty();
+        }
+        blocks = rest;
+    }
+    false
 }
 
 /// Decompresses one frame whose content must fill `out` exactly.
@@ -240,7 +262,12 @@ mod tests {
         for length in 0..good.len() {
             assert_eq!(decompress(&good[..length], &mut out), Err(ChunkError::Compression), "{length}");
         }
-        assert_eq!(decompress(&[&good[..], &[0]].concat(), &mut out), Err(ChunkError::Compression));
+        // A byte, an empty frame and a skippable frame, which decoders read on or skip.
+        let empty = [0x28, 0xb5, 0x2f, 0xfd, 0x20, 0, 1, 0, 0];
+        for behind in [&[0][..], &empty, &[0x50, 0x2a, 0x4d, 0x18, 1, 0, 0, 0, 7]] {
+            let longer = [&good[..], behind].concat();
+            assert_eq!(decompress(&longer, &mut out), Err(ChunkError::Compression), "{behind:?}");
+        }
         for descriptor in [0x00, 0x21, 0x24, 0x28, 0x30, 0x64, 0xe1] {
             let mut other = good.clone();
             other[4] = descriptor;

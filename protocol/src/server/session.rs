@@ -70,8 +70,8 @@ pub struct ServerSession {
     delivery: Delivery,
     credits: u32,
     /// Bytes of chunk frames that the client still allows, less the reservations of chunks in
-    /// flight; none while it counts chunks only.
-    credit_bytes: Option<u32>,
+    /// flight: below 0 where the first grant did not cover these. None while it counts chunks only.
+    credit_bytes: Option<i64>,
     /// Explicit requests that wait for credit, oldest first: at most [`MAX_PENDING_REQUESTS`] and
     /// the requeued ones. Further ones are refused.
     requests: VecDeque<(u32, ChunkKey)>,
@@ -180,12 +180,13 @@ impl ServerSession {
 
     fn welcome(&mut self, hello: &Hello) -> Result<(), PeerFault> {
         let offer = &self.offer;
+        // First: a client without a token learns nothing, not even the world.
+        if offer.token.as_ref().is_some_and(|token| !token.admits(hello.token.as_deref())) {
+            return Err(self.reject(Rejection::Unauthorised));
+        }
         if let Some(client) = hello.digest.filter(|digest| *digest != offer.digest.0) {
             let server = offer.digest.0;
             return Err(self.reject(Rejection::WrongWorld { client, server }));
-        }
-        if offer.token.as_ref().is_some_and(|token| !token.admits(hello.token.as_deref())) {
-            return Err(self.reject(Rejection::Unauthorised));
         }
         let welcome = Welcome {
             session: self.session,
@@ -268,17 +269,12 @@ impl ServerSession {
     }
 
     fn grant_bytes(&mut self, bytes: u32) {
-        let before = match self.credit_bytes {
-            Some(bytes) => bytes,
-            // Bytes are counted from here on; chunks in flight count too.
-            None => {
-                let requests = self.in_flight.values().map(|in_flight| in_flight.requests).sum::<u32>();
-                let reserved = requests.saturating_mul(self.frame_bound());
-                self.credit_bytes = Some(bytes.saturating_sub(reserved));
-                return;
-            }
-        };
-        self.credit_bytes = Some(before.saturating_add(bytes).min(MAX_CREDIT_BYTES));
+        // Bytes are counted from the first grant on; chunks in flight count too.
+        let before = self.credit_bytes.unwrap_or_else(|| {
+            let requests: u32 = self.in_flight.values().map(|in_flight| in_flight.requests).sum();
+            -(i64::from(requests) * i64::from(self.frame_bound()))
+        });
+        self.credit_bytes = Some((before + i64::from(bytes)).min(i64::from(MAX_CREDIT_BYTES)));
     }
 
     /// Bytes reserved for a chunk whose frame is not encoded yet.
@@ -353,7 +349,7 @@ impl ServerSession {
 
     /// Whether the client allows one more chunk.
     fn has_credit(&self) -> bool {
-        self.credits > 0 && self.credit_bytes.is_none_or(|bytes| bytes >= self.frame_bound())
+        self.credits > 0 && self.credit_bytes.is_none_or(|bytes| bytes >= i64::from(self.frame_bound()))
     }
 
     /// The next chunk to generate, if there is credit for one, and the delivery to encode it for:
@@ -391,7 +387,7 @@ impl ServerSession {
         self.credits -= 1;
         let bound = self.frame_bound();
         if let Some(bytes) = &mut self.credit_bytes {
-            *bytes -= bound;
+            *bytes -= i64::from(bound);
         }
         let delivery = self.delivery_of(request.key);
         if let Some(frame) = ready(request.key, delivery) {
@@ -464,7 +460,7 @@ impl ServerSession {
 
     fn return_bytes(&mut self, unused: u32) {
         if let Some(bytes) = &mut self.credit_bytes {
-            *bytes = bytes.saturating_add(unused).min(MAX_CREDIT_BYTES);
+            *bytes = (*bytes + i64::from(unused)).min(i64::from(MAX_CREDIT_BYTES));
         }
     }
 

@@ -84,6 +84,27 @@ fn reserved_bytes_never_exceed_the_granted_bytes() {
 }
 
 #[test]
+fn a_first_grant_below_what_is_in_flight_leaves_a_debt() {
+    let mut server = welcomed(64);
+    let largest = limits::MAX_CHUNK_FRAME as u32;
+    send(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(30) });
+    let in_flight: Vec<_> = (0..16).map(|_| next_request(&mut server).unwrap()).collect();
+    send(&mut server, &ClientMessage::CreditBytes { bytes: 20_000 });
+    assert_eq!(next_request(&mut server), None);
+    let (failed, sent) = in_flight.split_at(8);
+    for request in failed {
+        server.fail(*request, RefusalReason::Failed, "");
+    }
+    for request in sent {
+        server.deliver(*request, Bytes::from(vec![0; 2_000]));
+    }
+    assert_eq!(next_request(&mut server), None, "16,000 of 20,000 bytes were sent: no largest frame fits");
+    send(&mut server, &ClientMessage::CreditBytes { bytes: largest - 4_000 });
+    assert!(next_request(&mut server).is_some());
+    assert_eq!(next_request(&mut server), None);
+}
+
+#[test]
 fn a_ready_chunk_costs_the_same_credit_as_a_generated_one() {
     let mut server = welcomed(2);
     send(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(3) });

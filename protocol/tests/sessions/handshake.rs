@@ -45,6 +45,16 @@ fn only_the_right_token_is_accepted_where_one_is_required() {
 }
 
 #[test]
+fn a_client_without_a_token_does_not_learn_the_world() {
+    let token: Arc<dyn TokenCheck> = Arc::new(String::from("secret"));
+    let mut server = ServerSession::new(ServerOffer { token: Some(token), ..offer() }, 1);
+    let config = ClientConfig { digest: Some(WorldDigest([9; 32])), ..config(1) };
+    let hello = ClientSession::new(config).poll_transmit().unwrap();
+    let fault = server.receive(DataFrame::Binary(&hello)).unwrap_err();
+    assert_eq!(fault, PeerFault::Rejected(Rejection::Unauthorised));
+}
+
+#[test]
 fn order_is_enforced_on_both_sides() {
     let mut server = ServerSession::new(offer(), 1);
     let view = control::encode(&ClientMessage::View(view(1, 600))).unwrap();

@@ -4,12 +4,16 @@
 use crate::fast_simd;
 use crate::land_version_3;
 use crate::process;
+use crate::records;
 use crate::setup;
 use anyhow::{Context, Result};
 use serde_json::Value;
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+
+/// The target of browsers.
+pub const WASM: &str = "wasm32-unknown-unknown";
 
 /// What a check may lack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,7 +50,7 @@ pub enum Tool {
     FastSimd,
     /// libclang, which the bindings of LERC are made with.
     Libclang,
-    /// The commit of land version 3, which a shallow clone has not.
+    /// The commits of land version 3 and of the records, which a shallow clone has not.
     History,
     /// The proxy before replicas.
     Nginx,
@@ -109,7 +113,7 @@ pub trait Host {
     /// Announces a step before its output.
     fn begin(&self, step: &str, about: &str);
 
-    /// Why a tool cannot be used; none if it can.
+    /// Why a tool cannot be used; none if it can. Only looks: nothing is installed or downloaded.
     fn lacks(&self, tool: Tool) -> Option<String>;
 
     /// Runs a command to a successful end; its output goes where ours goes.
@@ -142,12 +146,21 @@ pub trait Host {
 pub struct Here {
     /// Folders of programs, as in `PATH`.
     path: OsString,
+    /// Tools whose download failed, and why.
+    refused: Vec<(Tool, String)>,
 }
 
 impl Here {
     /// With the `PATH` of this process.
     pub fn new() -> Self {
-        Self { path: std::env::var_os("PATH").unwrap_or_default() }
+        Self { path: std::env::var_os("PATH").unwrap_or_default(), refused: Vec::new() }
+    }
+
+    /// As [`Here::new`], after a download of what is missing and is in no package of the system.
+    pub fn with_downloads() -> Self {
+        let failed = |(tool, why): (Tool, Result<()>)| Some((tool, format!("{:#}", why.err()?)));
+        let downloads = [(Tool::WasmTarget, add_target(WASM)), (Tool::FastSimd, fast_simd::fetch())];
+        Self { refused: downloads.into_iter().filter_map(failed).collect(), ..Self::new() }
     }
 
     fn program(&self, name: &str) -> Option<PathBuf> {
@@ -172,6 +185,39 @@ impl Here {
         let is_compiler = String::from_utf8_lossy(&said).to_lowercase().contains("wgsl");
         (!is_compiler).then(|| format!("{} is not Dawn's shader compiler", program.display()))
     }
+}
+
+/// Why the Rust toolchain cannot build for a target; none if it can.
+fn lacks_target(target: &str) -> Option<String> {
+    let mut libraries = process::command("rustc");
+    libraries.args(["--print", "target-libdir", "--target", target]);
+    let is_there = process::output(libraries).is_ok_and(|folder| Path::new(folder.trim()).is_dir());
+    (!is_there).then(|| format!("not installed; run: rustup target add {target}"))
+}
+
+/// Adds a target to the Rust toolchain, unless it is there.
+fn add_target(target: &str) -> Result<()> {
+    if lacks_target(target).is_none() {
+        return Ok(());
+    }
+    println!("ci: adding the target {target}");
+    let mut add = process::command("rustup");
+    add.args(["target", "add", target]);
+    process::output(add).map(drop).context("not installed and cannot be")
+}
+
+/// Where [`fast_simd::fetch`] clones to.
+fn fast_simd_folder() -> PathBuf {
+    process::target().join("fastsimd")
+}
+
+/// Whether a folder is a clone with a commit that was checked out.
+fn is_clone(folder: &Path) -> bool {
+    let mut git = process::command("git");
+    // Named, so that git does not look for a repository in the folders above.
+    git.arg("--git-dir").arg(folder.join(".git"));
+    git.args(["rev-parse", "--verify", "--quiet", "HEAD^{commit}"]);
+    process::succeeds(git)
 }
 
 /// The newest clang and clang++ on `PATH`.
@@ -201,6 +247,9 @@ impl Host for Here {
         let subcommand = |probe: &str, cure: &str| {
             (!process::succeeds(process::cargo(probe))).then(|| format!("`cargo {probe}` fails; {cure}"))
         };
+        if let Some((_, why)) = self.refused.iter().find(|(refused, _)| *refused == tool) {
+            return Some(why.clone());
+        }
         match tool {
             Tool::Rustfmt => subcommand("fmt --version", "run: rustup component add rustfmt"),
             Tool::Clippy => subcommand("clippy --version", "run: rustup component add clippy"),
@@ -217,22 +266,16 @@ impl Host for Here {
             }
             Tool::SwiftShader => (!setup::has_swiftshader()).then(|| "it comes with `chromium`".into()),
             Tool::Tint => self.lacks_tint(),
-            Tool::WasmTarget => {
-                let mut add = process::command("rustup");
-                add.args(["target", "add", "wasm32-unknown-unknown"]);
-                process::output(add).err().map(|why| format!("not installed and cannot be: {why:#}"))
-            }
+            Tool::WasmTarget => lacks_target(WASM),
             Tool::Node => self.lacks_program("node", "nodejs"),
             Tool::Clang => clang_on(&self.path).is_none().then(|| "not on PATH; install `clang-19`".into()),
             Tool::Cmake => {
                 self.lacks_program("cmake", "cmake").or_else(|| self.lacks_program("make", "make"))
             }
-            Tool::FastSimd => {
-                let why = fast_simd::fetch().err()?;
-                Some(format!("the build of FastNoise2 needs it: {why:#}"))
-            }
+            Tool::FastSimd => (!is_clone(&fast_simd_folder()))
+                .then(|| "the build of FastNoise2 needs it; a run of all steps clones it".into()),
             Tool::Libclang => (!setup::has_libclang()).then(|| "not found; install `libclang-dev`".into()),
-            Tool::History => land_version_3::lacks(),
+            Tool::History => land_version_3::lacks().or_else(records::lacks_history),
             Tool::Nginx => self.lacks_program("nginx", "nginx-light"),
             Tool::Promtool => self.lacks_program("promtool", "prometheus"),
         }
@@ -276,7 +319,7 @@ mod tests {
     fn programs_are_missing_from_an_empty_path_and_found_in_a_folder_of_it() {
         let folder = std::env::temp_dir().join(format!("tombolo-host-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        let here = Here { path: folder.clone().into_os_string() };
+        let here = Here { path: folder.clone().into_os_string(), ..Here::new() };
         for (tool, name) in PROGRAMS {
             assert!(here.lacks(tool).is_some_and(|why| why.contains("not on PATH")), "{name}");
         }
@@ -295,7 +338,7 @@ mod tests {
         use std::os::unix::fs::PermissionsExt;
         let folder = std::env::temp_dir().join(format!("tombolo-tint-name-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        let here = Here { path: folder.clone().into_os_string() };
+        let here = Here { path: folder.clone().into_os_string(), ..Here::new() };
         for (says, is_compiler) in [("falling blocks", false), ("--format [spirv|wgsl]", true)] {
             let program = folder.join("tint");
             std::fs::write(&program, format!("#!/bin/sh\necho '{says}'\n")).unwrap();
@@ -303,6 +346,48 @@ mod tests {
             assert_eq!(here.lacks(Tool::Tint).is_none(), is_compiler, "{says}");
         }
         std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_download_that_failed_is_missing_for_its_reason() {
+        let why = "no network".to_owned();
+        let here = Here { refused: vec![(Tool::FastSimd, why.clone())], ..Here::new() };
+        assert_eq!(here.lacks(Tool::FastSimd), Some(why.clone()));
+        assert_ne!(here.lacks(Tool::Rustfmt), Some(why));
+    }
+
+    #[test]
+    fn a_target_is_there_if_its_libraries_are() {
+        let mut rustc = process::command("rustc");
+        rustc.arg("-vV");
+        let version = process::output(rustc).unwrap();
+        let host = version.lines().find_map(|line| line.strip_prefix("host: ")).unwrap();
+        assert_eq!(lacks_target(host), None);
+        assert!(lacks_target("no-such-target").is_some_and(|why| why.ends_with("add no-such-target")));
+    }
+
+    #[test]
+    fn a_clone_has_a_commit_and_is_where_builds_read_it() {
+        let folder = std::env::temp_dir().join(format!("tombolo-clone-{}", std::process::id()));
+        let git = |words: &[&str]| {
+            let mut git = process::command("git");
+            // No configuration of the machine is read.
+            git.env("GIT_CONFIG_GLOBAL", "/dev/null").env("GIT_CONFIG_NOSYSTEM", "1");
+            git.arg("-C").arg(&folder).args(["-c", "user.name=x", "-c", "user.email=x"]).args(words);
+            process::run(git).unwrap();
+        };
+        std::fs::create_dir_all(&folder).unwrap();
+        let nothing = is_clone(&folder);
+        git(&["init", "--quiet"]);
+        let empty = is_clone(&folder);
+        git(&["commit", "--quiet", "--allow-empty", "-m", "x"]);
+        let whole = is_clone(&folder);
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert_eq!((nothing, empty, whole), (false, false, true));
+        let mut build = Command::new("cargo");
+        fast_simd::use_clone(&mut build);
+        let key = format!("url.{}.insteadOf", fast_simd_folder().display());
+        assert!(build.get_envs().any(|(_, value)| value.is_some_and(|value| value == key.as_str())));
     }
 
     #[test]

@@ -7,8 +7,8 @@ mod outcome;
 pub mod rehearsal;
 mod steps;
 
+use crate::process;
 use crate::setup::{self, Extent};
-use crate::{process, records};
 use anyhow::{Result, bail};
 use host::{Here, Host, Tool};
 use outcome::{Line, Outcome, Report};
@@ -25,7 +25,7 @@ pub struct Options {
     /// Steps or tools without which the run may be green, by the names of the list
     #[arg(long, value_delimiter = ',', value_name = "NAME")]
     pub allow_skips: Vec<String>,
-    /// Run these steps alone; nothing is installed
+    /// Run these steps alone; nothing is installed or downloaded
     #[arg(long, value_delimiter = ',', value_name = "STEP")]
     pub only: Vec<String>,
     /// Print the steps and the tools that they look with
@@ -44,18 +44,11 @@ pub fn run(options: &Options) -> Result<()> {
         return Ok(());
     }
     let is_whole = options.only.is_empty();
-    if is_whole {
-        setup::run(Extent::Checks)?;
-        setup::cargo_tool("nextest --version", "cargo-nextest", NEXTEST)?;
-        setup::cargo_tool("deny --version", "cargo-deny", DENY)?;
-    }
+    let host = if is_whole { equipped()? } else { Here::new() };
     let began = Instant::now();
     let report = Report { allowed: options.allow_skips.clone(), ..Report::default() };
-    let report = run_steps(&Here::new(), &chosen, report);
+    let report = run_steps(&host, &chosen, report);
     println!("\n{report}");
-    if is_whole {
-        judge_records()?;
-    }
     let seconds = began.elapsed().as_secs_f64();
     let faults: Vec<_> = report.faults().collect();
     if !report.is_green() {
@@ -70,23 +63,12 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Shows the records. The README may quote one that is out of date or of one run only if it says so
-/// in the same row: a measurement takes up to an hour on a quiet machine, which not every change has.
-fn judge_records() -> Result<()> {
-    records::show()?;
-    let unfit = records::unfit_quotes()?;
-    println!("records that the README quotes and that are out of date, changed, or of one run: {unfit}");
-    match records::wrong_caveats()? {
-        Some(0) => Ok(()),
-        Some(wrong) => bail!(
-            "ci: {wrong} rows of the README do not say whether their record is out of date or of one run; \
-             run: cargo xtask records --write"
-        ),
-        None => {
-            println!("a shallow clone: the age of the records that the README quotes is not known");
-            Ok(())
-        }
-    }
+/// This machine with what can be installed and downloaded.
+fn equipped() -> Result<Here> {
+    setup::run(Extent::Checks)?;
+    setup::cargo_tool("nextest --version", "cargo-nextest", NEXTEST)?;
+    setup::cargo_tool("deny --version", "cargo-deny", DENY)?;
+    Ok(Here::with_downloads())
 }
 
 /// The steps to run.

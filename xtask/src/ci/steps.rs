@@ -1,15 +1,15 @@
 //! The steps of `ci`, in the order in which failures are cheapest.
 
 use super::digest;
-use super::host::{Host, Tool};
+use super::host::{Host, Tool, WASM};
 use super::outcome::Outcome;
-use crate::{advisories, cluster, dependency_rules, fast_simd, land_version_3, process};
+use crate::{advisories, cluster, demo, dependency_rules, fast_simd, land_version_3, process, records};
 use anyhow::{Result, bail};
 use std::collections::BTreeSet;
 use std::process::Command;
 
-/// The target of browsers.
-const WASM: &str = "wasm32-unknown-unknown";
+/// Schedules of each test of the step `schedules`: a tenth of what the tests run by themselves.
+const SCHEDULES: &str = "200";
 
 /// A step: what it is called and what it does.
 #[derive(Clone, Copy)]
@@ -34,7 +34,7 @@ pub struct Shown {
 }
 
 /// Every step.
-pub const ALL: [Step; 16] = [
+pub const ALL: [Step; 18] = [
     Step {
         name: "format",
         about: "Rust is formatted",
@@ -46,6 +46,12 @@ pub const ALL: [Step; 16] = [
         about: "columns, words, names in documents, import circles, quoted figures",
         again: "cargo xtask source",
         action: |host| checked(host, crate::source::run),
+    },
+    Step {
+        name: "records",
+        about: "the README says which records that it quotes are out of date or of one run",
+        again: "cargo xtask ci --only records",
+        action: ages_of_records,
     },
     Step {
         name: "architecture",
@@ -79,9 +85,10 @@ pub const ALL: [Step; 16] = [
     },
     Step {
         name: "build",
-        about: "every target builds",
-        again: "cargo build --workspace --all-targets",
-        action: |host| ran(host, process::cargo("build --workspace --all-targets")),
+        about: "every target builds, and the programs of the demo also without a window",
+        again: "cargo build --workspace --all-targets && cargo check --profile release \
+                --no-default-features --bin tombolo-server --bin tombolo-view",
+        action: build,
     },
     Step {
         name: "tests",
@@ -95,6 +102,13 @@ pub const ALL: [Step; 16] = [
         about: "examples in the documentation",
         again: "cargo test --workspace --doc",
         action: |host| ran(host, process::cargo("test --workspace --doc")),
+    },
+    Step {
+        name: "schedules",
+        about: "the single flight in some schedules of its threads",
+        again: "TOMBOLO_SCHEDULES=200 RUSTFLAGS='--cfg shuttle' cargo test --package tombolo-server --lib \
+                schedules --target-dir target/shuttle",
+        action: schedules,
     },
     Step {
         name: "shaders",
@@ -148,6 +162,45 @@ fn ran(host: &dyn Host, command: Command) -> Result<Shown> {
 
 fn checked(host: &dyn Host, check: fn() -> Result<()>) -> Result<Shown> {
     host.own(check).map(|()| passed())
+}
+
+/// The ages are those of commits, which a shallow clone lacks.
+fn ages_of_records(host: &dyn Host) -> Result<Shown> {
+    if let Some(why) = host.lacks(Tool::History) {
+        return Ok(Shown { outcome: skipped(Tool::History, why), parts: Vec::new() });
+    }
+    checked(host, records::judge)
+}
+
+/// With the features of `--all-targets` the viewer has a window; `cargo demo -- --headless` builds it
+/// without.
+fn build(host: &dyn Host) -> Result<Shown> {
+    host.run(process::cargo("build --workspace --all-targets"))?;
+    ran(host, process::check_without_window(&demo::PROGRAMS))
+}
+
+/// One package alone and a folder of its own: these flags build every dependency again.
+fn schedules(host: &dyn Host) -> Result<Shown> {
+    let tests = || {
+        let mut tests = process::cargo("test --package tombolo-server --lib schedules --target-dir");
+        tests.arg(process::target().join("shuttle")).env("TOMBOLO_SCHEDULES", SCHEDULES);
+        // The second variable would replace the first.
+        tests.env("RUSTFLAGS", "--cfg shuttle").env_remove("CARGO_ENCODED_RUSTFLAGS");
+        tests
+    };
+    host.run(tests())?;
+    let mut list = tests();
+    list.args(["--", "--list"]);
+    require_tests(&host.output(list)?)?;
+    Ok(passed())
+}
+
+/// For cargo a run without a test has passed.
+fn require_tests(list: &str) -> Result<()> {
+    if !list.lines().any(|line| line.ends_with(": test")) {
+        bail!("there is no test of schedules; were they built with `--cfg shuttle`?");
+    }
+    Ok(())
 }
 
 /// What tests cannot look at without these programs. Compose file and manifests are read by tests.
@@ -220,6 +273,7 @@ fn webassembly(host: &dyn Host) -> Result<Shown> {
     host.run(process::cargo(&check))?;
     let build = format!("build --release --target {WASM} --package tombolo-terrain --example kernels_wasm");
     let mut build = process::cargo(&build);
+    build.arg("--target-dir").arg(process::target());
     build.env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_RUSTFLAGS", "-C target-feature=+simd128");
     host.run(build)?;
     let part = |outcome| vec![("kernels in Node".into(), outcome)];
@@ -326,4 +380,33 @@ fn fuzz(host: &dyn Host) -> Result<Shown> {
         host.run(cargo)?;
     }
     Ok(passed())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_list_without_tests_is_an_error() {
+        assert!(require_tests("generation::schedules::x: test\n\n1 test, 0 benchmarks\n").is_ok());
+        assert!(require_tests("\n0 tests, 0 benchmarks\n").is_err());
+        assert!(require_tests("").is_err());
+    }
+
+    #[test]
+    fn the_number_of_schedules_is_that_of_the_command_to_repeat() {
+        let step = ALL.into_iter().find(|step| step.name == "schedules").unwrap();
+        assert!(step.again.starts_with(&format!("TOMBOLO_SCHEDULES={SCHEDULES} ")));
+    }
+
+    #[test]
+    fn the_check_without_a_window_is_that_of_the_command_to_repeat() {
+        let step = ALL.into_iter().find(|step| step.name == "build").unwrap();
+        let check = process::check_without_window(&demo::PROGRAMS);
+        let again: Vec<_> = step.again.split_whitespace().collect();
+        for word in ["check", "--profile", "--no-default-features", "tombolo-server", "tombolo-view"] {
+            let is_run = check.get_args().any(|argument| argument == word);
+            assert!(is_run && again.contains(&word), "{word}");
+        }
+    }
 }

@@ -1,12 +1,18 @@
 //! What the files under `deploy/` say of the server: every metric that they use must be in the table
-//! of docs/operations.md.
+//! of docs/operations.md, every variable that they set must be an option's.
 
 #![cfg(test)]
 
+use crate::process;
 use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 
 /// The endings that Prometheus adds to the name of a histogram.
 const OF_HISTOGRAMS: [&str; 3] = ["_bucket", "_sum", "_count"];
+
+/// Variables of the deployment that are no option of the server, and why each is there.
+const NO_OPTIONS: [(&str, &str); 1] =
+    [("TOMBOLO_HOST", "docker-compose.yml puts its value into TOMBOLO_ALLOWED_HOST")];
 
 /// The names of metrics in a text.
 fn metrics(text: &str) -> BTreeSet<&str> {
@@ -46,7 +52,7 @@ fn the_compose_file_mounts_what_exists() {
         compose.lines().filter_map(|line| line.trim().strip_prefix("- ./")?.split(':').next()).collect();
     assert!(mounted.len() >= 6, "{mounted:?}");
     for path in mounted {
-        assert!(std::path::Path::new(root).join(path).exists(), "{path}");
+        assert!(Path::new(root).join(path).exists(), "{path}");
     }
     // Beyond the loopback a replica starts only with one of its options for that.
     assert!(
@@ -66,5 +72,50 @@ fn the_compose_file_mounts_what_exists() {
         ] {
             assert!(file.contains(&format!("{replica}:7580")), "{replica}");
         }
+    }
+}
+
+/// The files in a folder and the folders below; of a file, itself.
+fn files(path: &Path) -> Vec<PathBuf> {
+    if path.is_file() {
+        return vec![path.to_owned()];
+    }
+    let entries = std::fs::read_dir(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    entries.flat_map(|entry| files(&entry.unwrap().path())).collect()
+}
+
+/// The text of files and folders of the repository.
+fn texts(paths: &[&str]) -> String {
+    let all = paths.iter().flat_map(|path| files(&process::root().join(path)));
+    // A line break between two: the last word of one is not continued by the next.
+    all.map(|file| std::fs::read_to_string(file).unwrap() + "\n").collect()
+}
+
+/// The names of the server's variables in a text.
+fn variables(text: &str) -> BTreeSet<&str> {
+    text.split(|c: char| !c.is_ascii_uppercase() && c != '_' && !c.is_ascii_digit())
+        .filter(|word| word.starts_with("TOMBOLO_"))
+        .collect()
+}
+
+/// A misspelt variable is no error of a server: it starts with the default of the option.
+#[test]
+fn variables_of_the_deployment_are_options_of_the_server() {
+    let options = texts(&["server/src/config/options.rs", "server/src/bake.rs", "server/src/bake"]);
+    let options: BTreeSet<&str> =
+        options.split("env = \"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+    assert!(options.len() > 20 && options.contains("TOMBOLO_WORLD_SEED"), "{options:?}");
+    let given = texts(&["docker-compose.yml", "Dockerfile", "deploy"]);
+    let unknown = |text: &str| -> Vec<String> {
+        variables(text).into_iter().filter(|name| !options.contains(name)).map(String::from).collect()
+    };
+    assert!(variables(&given).len() > 8, "{:?}", variables(&given));
+    // Each exception is used, and none hides an option.
+    assert_eq!(unknown(&given), NO_OPTIONS.map(|(name, _)| name));
+    // The controls: a misspelt variable is found in each of the three notations.
+    for text in
+        ["TOMBOLO_CACH_MB: \"512\"", "{ name: TOMBOLO_CACH_MB, value: \"512\" }", "ENV TOMBOLO_CACH_MB=512"]
+    {
+        assert_eq!(unknown(text), ["TOMBOLO_CACH_MB"]);
     }
 }

@@ -98,7 +98,9 @@ fn manifests_have_the_fields_of_the_kubernetes_api() {
 fn damaged_manifests_are_found() {
     for (from, to, found) in [
         ("readinessProbe:", "readynessProbe:", "/spec/template/spec/containers/0/readynessProbe"),
-        ("terminationGracePeriodSeconds: 25", "minReadySeconds: 25", "/spec/template/spec/minReadySeconds"),
+        ("terminationGracePeriodSeconds: 35", "minReadySeconds: 35", "/spec/template/spec/minReadySeconds"),
+        ("sleep: { seconds: 5 }", "wait: { seconds: 5 }", "/lifecycle/preStop/wait"),
+        ("policies:", "policy:", "/spec/behavior/scaleDown/policy"),
         ("containerPort: 7580", "containerPort: many", "invalid type"),
         ("kind: Deployment", "kind: Deploymint", "is not checked"),
     ] {
@@ -121,9 +123,24 @@ fn manifests_fit_each_other_and_the_server() {
     assert_eq!(&of("PodDisruptionBudget")["spec"]["selector"]["matchLabels"], labels);
     let autoscaler = &of("HorizontalPodAutoscaler")["spec"];
     assert_eq!(autoscaler["scaleTargetRef"]["name"], deployment["metadata"]["name"]);
-    let metric = autoscaler["metrics"][0]["pods"]["metric"]["name"].as_str().unwrap();
+    let pods = autoscaler["metrics"].as_array().unwrap().iter().map(|metric| &metric["pods"]);
+    let names: Vec<_> = pods.map(|pods| pods["metric"]["name"].as_str().unwrap()).collect();
+    // Work and places: either can run out first.
+    assert_eq!(names, ["tombolo_generation_pending_jobs", "tombolo_sessions"]);
     let table = include_str!("../../../docs/operations.md");
-    assert!(table.contains(&format!("| `{metric}` |")), "{metric}");
+    for name in names {
+        assert!(table.contains(&format!("| `{name}` |")), "{name}");
+    }
+    // The pause before SIGTERM is a part of the time to the end; the compose file has the rest.
+    let pod = &deployment["spec"]["template"]["spec"];
+    let pause = pod["containers"][0]["lifecycle"]["preStop"]["sleep"]["seconds"].as_i64().unwrap();
+    assert!(pod["terminationGracePeriodSeconds"].as_i64() >= Some(pause + 25));
+    // Server and bake are one image, which a node may have without a registry.
+    for object in [deployment, of("Job")] {
+        let container = &object["spec"]["template"]["spec"]["containers"][0];
+        assert_eq!(container["image"], pod["containers"][0]["image"]);
+        assert_eq!(container["imagePullPolicy"], "IfNotPresent");
+    }
     // Server and bake must name one world and one store.
     let settings = |object: &Value| object["spec"]["template"]["spec"]["containers"][0]["env"].clone();
     let named = |settings: &Value, name: &str| {
@@ -161,6 +178,10 @@ fn the_compose_file_has_the_fields_of_the_specification() {
         }
         assert!(service.image.is_some() && service.mem_limit.is_some(), "{name}");
     }
+    let nginx = services["nginx"].as_ref().unwrap();
+    // It looks up the addresses of the replicas only at its start.
+    let DependsOnOptions::Conditional(others) = &nginx.depends_on else { panic!("{:?}", nginx.depends_on) };
+    assert!(others.len() == 2 && others.values().all(|other| other.restart == Some(true)), "{others:?}");
     let replica = services["replica-1"].as_ref().unwrap();
     assert!(replica.read_only && replica.cap_drop == ["ALL"]);
     // More than the 10 s of the drain and the 5 s of the last traces.
@@ -174,6 +195,7 @@ fn damaged_compose_files_are_found() {
         ("  replica-2: *replica", "  replica-2: *replicas", "unknown anchor"),
         ("    read_only: true", "    read_onyl: true", "read_onyl"),
         ("depends_on:", "depend_on:", "depend_on"),
+        ("restart: true", "restrat: true", "restrat"),
         ("stop_grace_period: 25s", "stop_grace_period: [25s]", "invalid type"),
     ] {
         let text = COMPOSE.replace(from, to);

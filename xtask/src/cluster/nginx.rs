@@ -144,9 +144,9 @@ fn replicas_of(replicas: &[SocketAddr], folder: &Path) -> String {
     for (name, rule, more) in
         [("sessions", "least_conn;", ""), ("chunks", "hash $uri consistent;", "keepalive 32;")]
     {
-        writeln!(text, "upstream {name} {{ {rule}").expect("a string");
+        writeln!(text, "upstream {name} {{ zone upstream_{name} 64k; {rule}").expect("a string");
         for address in replicas {
-            writeln!(text, "    server {address} max_fails=1 fail_timeout=2s;").expect("a string");
+            writeln!(text, "    server {address} max_fails=0;").expect("a string");
         }
         writeln!(text, "{more} }}").expect("a string");
     }
@@ -181,15 +181,41 @@ mod tests {
             "least_conn;",
             "upstream chunks",
             "hash $uri consistent;",
-            "max_fails=1 fail_timeout=2s;",
+            "zone upstream_sessions 64k;",
+            "zone upstream_chunks 64k;",
+            " max_fails=0;",
             "keepalive 32;",
             "keys_zone=chunks:32m",
         ] {
             assert!(container.contains(part) && desk.contains(part), "{part}");
         }
+        // No server of either counts failures, which would let one client take it out.
+        for (text, replicas) in [(container, 2), (desk.as_str(), 1)] {
+            assert_eq!(text.matches("server ").count(), 2 * replicas);
+            assert_eq!(text.matches(" max_fails=0;").count(), 2 * replicas);
+        }
         // What the configuration asks of both.
         for part in ["http://sessions", "http://chunks", "proxy_cache chunks;", "include replicas.conf;"] {
             assert!(CONFIGURATION.contains(part), "{part}");
         }
+    }
+
+    /// A worker may open a file for each connection and one for each answer of the cache.
+    #[test]
+    fn a_worker_may_open_twice_as_many_files_as_connections() {
+        let number = |directive: &str| -> u32 {
+            let mut lines = CONFIGURATION.lines().filter_map(|line| line.trim().strip_prefix(directive));
+            let (Some(value), None) = (lines.next(), lines.next()) else { panic!("{directive}") };
+            value.trim_end_matches(';').parse().unwrap()
+        };
+        assert_eq!(number("worker_rlimit_nofile "), 2 * number("worker_connections "));
+    }
+
+    /// With no mark between address and style, `1/2?style=3` and `1/23` would share an answer.
+    #[test]
+    fn the_key_of_the_cache_keeps_address_and_style_apart() {
+        let keys: Vec<_> =
+            CONFIGURATION.lines().filter_map(|line| line.trim().strip_prefix("proxy_cache_key ")).collect();
+        assert_eq!(keys, ["$uri?$arg_style;"]);
     }
 }

@@ -1,6 +1,16 @@
 //! What the README must say beside a figure whose record is out of date or of one run.
 
+use super::link;
 use std::collections::BTreeMap;
+
+/// A caveat: the code has changed since the record.
+pub const OLDER_CODE: &str = "older code";
+
+/// A caveat: the figure is of one run.
+pub const ONE_RUN: &str = "one run";
+
+/// Between caveats of one record.
+pub const SEPARATOR: &str = ", ";
 
 /// Caveats of records by path; a record without one is absent.
 pub type Caveats = BTreeMap<String, String>;
@@ -22,15 +32,21 @@ pub fn wrong_rows(readme: &str, caveats: &Caveats) -> usize {
 }
 
 fn row(line: &str, caveats: &Caveats) -> String {
-    let unchanged = || line.to_owned();
-    let Some(start) = line.find("](docs/measurements/2").filter(|_| line.starts_with('|')) else {
-        return unchanged();
-    };
-    let Some(end) = line[start..].find(')').map(|length| start + length + 1) else { return unchanged() };
-    let path = line[start + 2..end - 1].split(' ').next().unwrap_or_default();
-    match caveats.get(path) {
-        Some(caveat) => format!("{} ({caveat}) |", &line[..end]),
-        None => format!("{} |", &line[..end]),
+    let Some(link) = link::first(line).filter(|_| line.starts_with('|')) else { return line.to_owned() };
+    let (head, rest) = line.split_at(link.end);
+    let rest = without_caveat(rest);
+    match caveats.get(link.path) {
+        Some(caveat) => format!("{head} ({caveat}){rest}"),
+        None => format!("{head}{rest}"),
+    }
+}
+
+/// What stands behind a link, without the caveat that begins it. Other parentheses are kept.
+fn without_caveat(rest: &str) -> &str {
+    let is_caveat = |text: &str| text.split(SEPARATOR).all(|part| [OLDER_CODE, ONE_RUN].contains(&part));
+    match rest.strip_prefix(" (").and_then(|rest| rest.split_once(')')) {
+        Some((text, behind)) if is_caveat(text) => behind,
+        _ => rest,
     }
 }
 
@@ -52,5 +68,19 @@ mod tests {
         }
         assert_eq!((wrong_rows(&marked, &old), wrong_rows(&plain, &old)), (0, 1));
         assert_eq!((wrong_rows(&marked, &Caveats::new()), wrong_rows(&plain, &Caveats::new())), (1, 0));
+    }
+
+    #[test]
+    fn what_stands_behind_the_link_is_kept() {
+        let path = "docs/measurements/2026-x/a.md";
+        let old = Caveats::from([(path.into(), OLDER_CODE.into())]);
+        let link = format!("| time | 0.2 | [a]({path} \"row (of 2), all\")");
+        for rest in [" |", " | a fourth (column) |", " (on a laptop) |", ""] {
+            let (plain, marked) = (format!("{link}{rest}"), format!("{link} (older code){rest}"));
+            for text in [&plain, &marked, &format!("{link} (one run){rest}")] {
+                assert_eq!(annotated(text, &old), marked);
+                assert_eq!(annotated(text, &Caveats::new()), plain);
+            }
+        }
     }
 }

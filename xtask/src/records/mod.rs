@@ -2,6 +2,7 @@
 //! that is made from them.
 
 mod caveats;
+pub mod link;
 pub mod page;
 pub mod record;
 mod stale;
@@ -11,6 +12,8 @@ use anyhow::{Context, Result, bail};
 use record::Record;
 use std::collections::BTreeMap;
 use std::fmt::Write;
+
+pub use stale::lacks_history;
 
 /// Options of `records`.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -45,9 +48,10 @@ impl Judged {
     /// What readers of a quoted figure must know; none if nothing.
     fn caveat(&self) -> Option<String> {
         let is_single = self.record.runs() < LEAST_RUNS;
-        let parts = [self.stale.as_ref().map(|_| "older code"), is_single.then_some("one run")];
+        let older = self.stale.as_ref().map(|_| caveats::OLDER_CODE);
+        let parts = [older, is_single.then_some(caveats::ONE_RUN)];
         let parts: Vec<_> = parts.into_iter().flatten().collect();
-        (!parts.is_empty()).then(|| parts.join(", "))
+        (!parts.is_empty()).then(|| parts.join(caveats::SEPARATOR))
     }
 }
 
@@ -86,20 +90,34 @@ pub fn unfit_quotes() -> Result<usize> {
     Ok(judged()?.iter().filter(|judged| judged.is_quoted && !judged.is_fit_to_quote()).count())
 }
 
-/// How many rows of the README do not say rightly whether their record is out of date or of one run.
-/// None can be judged in a shallow clone, which lacks the commits of the records.
+/// Shows the records. The README may quote one that is out of date or of one run only if it says so
+/// in the same row: a measurement takes up to an hour on a quiet machine, which not every change has.
 ///
 /// # Errors
-/// Files cannot be read.
-pub fn wrong_caveats() -> Result<Option<usize>> {
-    let mut git = process::command("git");
-    git.args(["rev-parse", "--is-shallow-repository"]);
-    if process::output(git)?.trim() == "true" {
-        return Ok(None);
+/// Rows of the README do not say it, the history lacks the commits of the records, or files cannot be
+/// read.
+pub fn judge() -> Result<()> {
+    if let Some(why) = lacks_history() {
+        bail!("records: {why}");
     }
+    show()?;
+    let unfit = unfit_quotes()?;
+    println!("records that the README quotes and that are out of date, changed, or of one run: {unfit}");
+    let wrong = wrong_caveats()?;
+    if wrong > 0 {
+        bail!(
+            "{wrong} rows of the README do not say whether their record is out of date or of one run; run: \
+             cargo xtask records --write"
+        );
+    }
+    Ok(())
+}
+
+/// How many rows of the README do not say rightly whether their record is out of date or of one run.
+fn wrong_caveats() -> Result<usize> {
     let files = files()?;
     let readme = files.get("README.md").map_or("", String::as_str);
-    Ok(Some(caveats::wrong_rows(readme, &caveats()?)))
+    Ok(caveats::wrong_rows(readme, &caveats()?))
 }
 
 /// The newest records of a measurement, one for each machine.

@@ -1,6 +1,12 @@
 //! Whether the code that a record measured has changed since.
+//!
+//! Code is files of this repository, and the compiler, which `rust-toolchain.toml` names. Versions of
+//! dependencies in `Cargo.lock` do not count: one file holds those of every program, so an update of
+//! a crate that only the viewer has would make the records of all others out of date. After an update
+//! that may change a figure, its measurement is to be run again.
 
 use crate::process;
+use anyhow::Result;
 
 /// What each measurement measures: paths from the root. Tests and documents in them do not count.
 const MEASURED: [(&str, &[&str]); 14] = [
@@ -45,7 +51,7 @@ const MEASURED: [(&str, &[&str]); 14] = [
             "benches/noise-comparison/src/rounds.rs",
         ],
     ),
-    ("end-to-end", &["terrain", "protocol", "shaders", "server", "client", "load", "cli"]),
+    ("end-to-end", &["terrain", "protocol", "shaders", "server", "client", "load", "tls-client", "cli"]),
     (
         "streaming",
         &[
@@ -54,6 +60,7 @@ const MEASURED: [(&str, &[&str]); 14] = [
             "server",
             "load",
             "server-bench",
+            "tls-client",
             "lab/src/codec",
             "lab/src/codec.rs",
             "benches/lerc",
@@ -61,7 +68,7 @@ const MEASURED: [(&str, &[&str]); 14] = [
     ),
     ("fuzz", &["terrain", "protocol", "server", "entry-points", "fuzz"]),
     ("mutants", &["terrain", "protocol", "server/src/limits", "server/src/session", "server/src/cache"]),
-    ("resilience", &["terrain", "protocol", "server", "server-bench", "client", "shaders"]),
+    ("resilience", &["terrain", "protocol", "server", "server-bench", "tls-client", "client", "shaders"]),
     (
         "cluster",
         &[
@@ -69,6 +76,7 @@ const MEASURED: [(&str, &[&str]); 14] = [
             "protocol",
             "server",
             "load",
+            "tls-client",
             "simulation",
             "xtask/src/cluster",
             "deploy/nginx",
@@ -83,9 +91,33 @@ const MEASURED: [(&str, &[&str]); 14] = [
     ("audit", &["docs/measurements", "README.md", "xtask"]),
 ];
 
+/// The version of the compiler, on which times and sizes depend as on the code.
+const COMPILER: &str = "rust-toolchain.toml";
+
+/// Measurements that count text and records, whatever the compiler.
+const WITHOUT_COMPILER: [&str; 2] = ["code", "audit"];
+
 /// Paths that a measurement measures; none if it is not known.
-pub fn measured(name: &str) -> Option<&'static [&'static str]> {
-    MEASURED.into_iter().find(|(known, _)| *known == name).map(|(_, paths)| paths)
+pub fn measured(name: &str) -> Option<Vec<&'static str>> {
+    let (_, paths) = MEASURED.into_iter().find(|(known, _)| *known == name)?;
+    let compiler = (!WITHOUT_COMPILER.contains(&name)).then_some(COMPILER);
+    Some(paths.iter().copied().chain(compiler).collect())
+}
+
+/// Why the age of no record is known: a shallow clone lacks their commits. None in a full clone.
+pub fn lacks_history() -> Option<String> {
+    let mut git = process::command("git");
+    git.args(["rev-parse", "--is-shallow-repository"]);
+    why_shallow(process::output(git))
+}
+
+/// Why a clone of which git says this is not a full one.
+fn why_shallow(said: Result<String>) -> Option<String> {
+    match said {
+        Ok(said) if said.trim() == "false" => None,
+        Ok(_) => Some("a shallow clone lacks the commits of the records; run: git fetch --unshallow".into()),
+        Err(why) => Some(format!("{why:#}")),
+    }
 }
 
 /// Why a record no longer speaks of this working tree; none if it does.
@@ -120,11 +152,34 @@ mod tests {
 
     #[test]
     fn every_measured_path_exists() {
-        for (name, paths) in MEASURED {
-            for path in paths.iter().filter(|path| !path.contains('*')) {
+        for (name, _) in MEASURED {
+            for path in measured(name).unwrap().iter().filter(|path| !path.contains('*')) {
                 assert!(process::root().join(path).exists(), "{name}: {path}");
             }
         }
+    }
+
+    #[test]
+    fn every_measurement_of_programs_ages_with_the_compiler() {
+        for (name, _) in MEASURED {
+            let ages = measured(name).unwrap().contains(&COMPILER);
+            assert_eq!(ages, !["code", "audit"].contains(&name), "{name}");
+        }
+    }
+
+    #[test]
+    fn clients_age_with_what_opens_their_connections() {
+        for (name, paths) in MEASURED {
+            let has = |path: &str| paths.contains(&path);
+            assert!(has("tls-client") || !has("load") && !has("server-bench"), "{name}");
+        }
+    }
+
+    #[test]
+    fn only_a_full_clone_has_the_commits_of_the_records() {
+        assert_eq!(why_shallow(Ok("false\n".into())), None);
+        assert!(why_shallow(Ok("true\n".into())).is_some_and(|why| why.contains("--unshallow")));
+        assert!(why_shallow(Err(anyhow::anyhow!("no git"))).is_some_and(|why| why == "no git"));
     }
 
     /// The shared modules that a shader imports, directly or not.
@@ -147,7 +202,7 @@ mod tests {
         for pass in passes {
             imported(pass, &mut found);
         }
-        let paths = measured("heightfield").unwrap().iter().map(ToString::to_string);
+        let paths = measured("heightfield").unwrap().into_iter().map(String::from);
         let listed: BTreeSet<String> = paths.filter(|path| path.ends_with(".wesl")).collect();
         assert_eq!(listed, found);
     }
@@ -161,6 +216,10 @@ mod tests {
 
     #[test]
     fn the_first_commit_is_stale_for_every_measurement() {
+        if let Some(why) = lacks_history() {
+            eprintln!("skipped: {why}");
+            return;
+        }
         let mut first = process::command("git");
         first.args(["rev-list", "--max-parents=0", "HEAD"]);
         let first = process::output(first).unwrap();

@@ -4,6 +4,7 @@
 //! names the row of the record: `[streaming](docs/measurements/x/streaming.md "memory of a client")`.
 
 use super::{Files, Finding};
+use crate::records::link::{self, Link};
 
 /// Figures that the record does not state, rows that it does not have, and records of changed
 /// working trees.
@@ -20,17 +21,12 @@ pub fn check(files: &Files) -> Vec<Finding> {
 /// What is wrong with one row; none if its figure is the record's.
 fn fault(files: &Files, line: &str) -> Option<String> {
     let cells: Vec<_> = line.trim().trim_matches('|').split('|').map(str::trim).collect();
-    let [_, quoted, link] = cells.as_slice() else {
+    let [_, quoted, source] = cells.as_slice() else {
         return Some("a quoted figure needs the cells: what, figure, record".into());
     };
-    let Some((path, title)) = link
-        .split_once("](")
-        .and_then(|(_, target)| target.split_once(')'))
-        .and_then(|(target, _)| target.split_once(' '))
-    else {
+    let Some(Link { path, title: Some(title), .. }) = link::first(source) else {
         return Some("the link to the record needs the title of the record's row".into());
     };
-    let title = title.trim().trim_matches('"');
     let Some(record) = files.0.get(path) else { return Some(format!("there is no record {path}")) };
     if record.contains("uncommitted changes") {
         return Some(format!("{path} is of a changed working tree"));
@@ -72,6 +68,15 @@ mod tests {
             let row = format!("| time | {quoted} | [a](docs/measurements/2026-x/a.md \"time of a chunk\") |");
             assert_eq!(found(&row, RECORD), [""; 0], "{quoted}");
         }
+    }
+
+    #[test]
+    fn a_title_with_parentheses_is_read_to_its_end() {
+        let record = format!("{RECORD}| time (of 2), all | 0.5 | | |\n");
+        let row =
+            |title: &str| format!("| time | 0.5 | [a](docs/measurements/2026-x/a.md \"{title}\") (x) |");
+        assert_eq!(found(&row("time (of 2), all"), &record), [""; 0]);
+        assert_eq!(found(&row("time (of 2)"), &record).len(), 1);
     }
 
     #[test]

@@ -17,17 +17,18 @@ pub type Block = [f32; BLOCK * BLOCK];
 #[derive(Debug)]
 pub struct Heights {
     land: Land,
+    vertical_scale: f32,
     blocks: FxHashMap<ChunkKey, Box<Block>>,
 }
 
 impl Heights {
-    /// The heights of a land, none cached.
+    /// The heights of a land, none cached. Those of blocks are multiplied by `vertical_scale`.
     #[must_use]
-    pub fn new(land: Land) -> Self {
-        Self { land, blocks: FxHashMap::default() }
+    pub fn new(land: Land, vertical_scale: f32) -> Self {
+        Self { land, vertical_scale, blocks: FxHashMap::default() }
     }
 
-    /// All vertices of a chunk, units.
+    /// All vertices of a chunk, units, not scaled.
     #[must_use]
     pub fn vertices(&mut self, key: ChunkKey) -> Box<[i32; VERTEX_COUNT]> {
         let vertices = self.land.chunk_heights(key);
@@ -51,9 +52,10 @@ impl Heights {
         if self.blocks.len() >= MOST_BLOCKS {
             self.blocks.clear();
         }
+        let scale = self.vertical_scale / UNITS_PER_METRE as f32;
         let at = |index: usize| {
             let vertex = 2 * (index / BLOCK) * VERTICES + 2 * (index % BLOCK);
-            vertices[vertex].max(0) as f32 / UNITS_PER_METRE as f32
+            vertices[vertex].max(0) as f32 * scale
         };
         self.blocks.insert(key, Box::new(std::array::from_fn(at)));
     }

@@ -1,7 +1,7 @@
 //! Schedule of the clipmap's tiles. Knows neither land nor GPU.
 //!
 //! Coarse levels come first: they cover everything with little work, and the shaders use a level
-//! only when all its tiles are filled. Within a level, the nearest tiles come first.
+//! only when all its tiles that they show are filled. Within a level, the nearest tiles come first.
 
 use super::window::ClipmapSize;
 use crate::camera::Eye;
@@ -56,10 +56,12 @@ impl Schedule {
         tiles
     }
 
-    /// Whether all tiles of a level around an eye are filled.
+    /// Whether all tiles of a level that are shown from an eye are filled. Those at the rim of the
+    /// window follow within some frames; a level that waited for them would not be shown each time the
+    /// eye passes a tile.
     #[must_use]
     pub fn is_ready(&self, level: u32, eye: &Eye) -> bool {
-        self.missing(level, eye).next().is_none()
+        !self.missing(level, eye).any(|place| self.size.is_shown(level, eye, place))
     }
 
     fn missing(&self, level: u32, eye: &Eye) -> impl Iterator<Item = (i32, i32)> {
@@ -110,6 +112,10 @@ mod tests {
         assert!(!schedule.is_ready(0, &eye(0.0)));
         let _ = schedule.next(&eye(0.0), 9, usize::MAX);
         assert!(schedule.next(&eye(20.0), 9, usize::MAX).is_empty());
+        // Beside the border between two tiles the new column is at the rim.
+        let mut crossing = schedule.clone();
+        assert!(crossing.is_ready(0, &eye(65.0)));
+        assert_eq!(crossing.next(&eye(65.0), 9, usize::MAX).len(), 4);
         for x_m in [100.0, 0.0] {
             assert!(!schedule.is_ready(0, &eye(x_m)) && schedule.is_ready(1, &eye(x_m)));
             let tiles = schedule.next(&eye(x_m), 9, usize::MAX);

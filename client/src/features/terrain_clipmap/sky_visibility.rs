@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn visibility_agrees_with_a_search_of_the_whole_horizon_and_is_lower_in_valleys() {
         let land = Land::new(1);
-        let mut heights = Heights::new(land);
+        let mut heights = Heights::new(land, 1.0);
         let (mut errors, mut seen) = (Vec::new(), Vec::new());
         for tile in [(-9, 4), (3, -6), (5, 7), (-14, -9)] {
             let texels = sky_visibility(&mut heights, 0, tile);
@@ -209,10 +209,19 @@ mod tests {
     }
 
     #[test]
+    fn higher_land_hides_more_of_the_sky() {
+        let open = |scale: f32| -> u64 {
+            let texels = sky_visibility(&mut Heights::new(Land::new(1), scale), 0, (3, -6));
+            texels.into_iter().map(u64::from).sum()
+        };
+        assert!(open(4.0) < open(1.0) && open(1.0) < open(0.25));
+    }
+
+    #[test]
     fn a_tile_depends_on_its_key_alone() {
         let land = Land::new(7);
-        let first = sky_visibility(&mut Heights::new(land), 2, (1, -1));
-        let mut used = Heights::new(land);
+        let first = sky_visibility(&mut Heights::new(land, 1.0), 2, (1, -1));
+        let mut used = Heights::new(land, 1.0);
         for tile in [(0, 0), (1, 0), (2, -1), (7, 7)] {
             let _ = sky_visibility(&mut used, 2, tile);
         }
@@ -222,7 +231,7 @@ mod tests {
 
     #[test]
     fn the_open_sea_and_the_end_of_the_world_see_the_whole_sky() {
-        let mut heights = Heights::new(Land::new(1));
+        let mut heights = Heights::new(Land::new(1), 1.0);
         let end = (1 << 15) - 1;
         for (level, tile) in [(0, (end, end)), (9, (100, 100)), (11, (-1_000_000, 0))] {
             let texels = sky_visibility(&mut heights, level, tile);

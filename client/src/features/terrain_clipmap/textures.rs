@@ -64,6 +64,8 @@ struct Maps {
 #[derive(Debug)]
 struct Source {
     digest: WorldDigest,
+    /// Of the heights.
+    scale: f32,
     heights: Heights,
     schedule: Schedule,
 }
@@ -160,9 +162,12 @@ impl TerrainClipmap {
             queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&Clipmap::NONE));
             return 0;
         };
-        if self.source.as_ref().is_none_or(|source| source.digest != land.digest) {
-            let (heights, schedule) = (Heights::new(land.land), Schedule::new(self.size));
-            self.source = Some(Source { digest: land.digest, heights, schedule });
+        let scale = land.vertical_scale;
+        let is_of =
+            |source: &Source| source.digest == land.digest && source.scale.to_bits() == scale.to_bits();
+        if !self.source.as_ref().is_some_and(is_of) {
+            let (heights, schedule) = (Heights::new(land.land, scale), Schedule::new(self.size));
+            self.source = Some(Source { digest: land.digest, scale, heights, schedule });
         }
         let Some(source) = &mut self.source else { return 0 };
         let levels = self.size.levels_for(view_distance_m);
@@ -262,7 +267,7 @@ mod tests {
     use terrain::Position;
 
     fn vertices_of(land: Land, tile: Tile) -> Box<Vertices> {
-        Heights::new(land).vertices(chunk_of(tile.level, tile.place).unwrap())
+        Heights::new(land, 1.0).vertices(chunk_of(tile.level, tile.place).unwrap())
     }
 
     #[test]

@@ -72,6 +72,19 @@ impl ClipmapSize {
         (low(eye.units[0]), low(eye.units[2]))
     }
 
+    /// Whether a tile holds a place that is shown from an eye: one within the reach, and a texel more
+    /// for the filter.
+    #[must_use]
+    pub fn is_shown(self, level: u32, eye: &Eye, (column, row): (i32, i32)) -> bool {
+        let tile_m = f64::from(TILE_TEXELS) * self.spacing_m(level);
+        let most_m = tile_m / 2.0 + self.reach_m(level) + self.spacing_m(level);
+        let is_near = |place: i32, units: i32| {
+            let middle_m = (f64::from(place) + 0.5) * tile_m;
+            (middle_m - f64::from(units) / f64::from(UNITS_PER_METRE)).abs() < most_m
+        };
+        is_near(column, eye.units[0]) && is_near(row, eye.units[2])
+    }
+
     /// The slot, row by row, of a tile in its level: the same for all tiles a whole side apart.
     #[must_use]
     pub fn slot(self, (column, row): (i32, i32)) -> usize {

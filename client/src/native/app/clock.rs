@@ -23,6 +23,24 @@ pub struct Day {
     pub plays: bool,
 }
 
+impl Day {
+    /// The time of day, in tenths of an hour, whose sun is nearest to a position. It stands.
+    #[must_use]
+    pub fn nearest_to(sun: SunPosition) -> Self {
+        let nearness = |hours: f32| cosine_between(SunPosition::at_hour(hours), sun);
+        let hours = (0..240u16).map(|tenths| f32::from(tenths) / 10.0);
+        let nearest = hours.max_by(|a, b| nearness(*a).total_cmp(&nearness(*b)));
+        Self { hours: nearest.unwrap_or_default(), plays: false }
+    }
+}
+
+/// Cosine of the angle between two directions.
+fn cosine_between(one: SunPosition, other: SunPosition) -> f32 {
+    let [one_up, other_up] = [one, other].map(|position| position.elevation_deg.to_radians());
+    let turn = (one.azimuth_deg - other.azimuth_deg).to_radians();
+    one_up.sin() * other_up.sin() + one_up.cos() * other_up.cos() * turn.cos()
+}
+
 impl Clock {
     /// A clock that begins at a time, seconds.
     #[must_use]
@@ -52,6 +70,18 @@ impl Clock {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_time_of_day_is_the_nearest_to_a_sun() {
+        for hours in [0.0, 5.5, 9.0, 12.0, 18.5, 23.0] {
+            assert_eq!(Day::nearest_to(SunPosition::at_hour(hours)), Day { hours, plays: false });
+        }
+        // South of the path of the day, in the late morning.
+        let winter = SunPosition { azimuth_deg: 127.0, elevation_deg: 27.0 };
+        assert!((8.0..10.0).contains(&Day::nearest_to(winter).hours));
+        let turned = SunPosition { azimuth_deg: 127.0 - 360.0, ..winter };
+        assert_eq!(Day::nearest_to(turned), Day::nearest_to(winter));
+    }
 
     #[test]
     fn a_paused_clock_stands_and_a_day_that_plays_moves_the_sun() {

@@ -47,6 +47,12 @@ impl Overlay {
         self.input.on_window_event(window, event).consumed
     }
 
+    /// Whether events wait for [`Overlay::run`].
+    #[must_use]
+    pub fn has_events(&self) -> bool {
+        !self.input.egui_input().events.is_empty()
+    }
+
     /// Lays out what `show` describes.
     pub fn run(
         &mut self,

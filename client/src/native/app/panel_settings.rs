@@ -9,7 +9,7 @@ use crate::features::vegetation::{Cull, VegetationSettings};
 use crate::features::water::WaterTier;
 use crate::settings::{Diffuse, RenderSettings, Shadows, Show, SunPosition, Tiling, Visibility};
 use clap::ValueEnum;
-use egui::{Slider, Ui};
+use egui::{Slider, SliderClamping, Ui};
 
 /// Light, water and what is shown.
 pub fn image(ui: &mut Ui, settings: &mut ViewSettings, scene_sun: SunPosition) {
@@ -31,7 +31,8 @@ pub fn image(ui: &mut Ui, settings: &mut ViewSettings, scene_sun: SunPosition) {
 fn sun(ui: &mut Ui, sun: &mut Option<SunPosition>, day: &mut Day, scene_sun: SunPosition) {
     ui.label("time of day").on_hover_text("Moves the sun along its path of a day in May at 28 degrees north");
     ui.horizontal(|ui| {
-        if ui.add(Slider::new(&mut day.hours, 0.0..=24.0).suffix(" h").max_decimals(1)).changed() {
+        let hours = Slider::new(&mut day.hours, 0.0..=24.0).suffix(" h").max_decimals(1);
+        if ui.add(hours.clamping(SliderClamping::Edits)).changed() {
             *sun = Some(SunPosition::at_hour(day.hours));
         }
         ui.checkbox(&mut day.plays, "play").on_hover_text("An hour in four seconds; Space stops it");
@@ -43,12 +44,12 @@ fn sun(ui: &mut Ui, sun: &mut Option<SunPosition>, day: &mut Day, scene_sun: Sun
     let elevation = Slider::new(&mut place.elevation_deg, -90.0..=90.0).suffix("°");
     let elevation = row(ui, "elevation", "Of the sun above the horizon", elevation);
     if azimuth || elevation {
-        (*sun, day.plays) = (Some(place), false);
+        (*sun, *day) = (Some(place), Day::nearest_to(place));
     }
     if sun.is_some() {
         ui.label("");
         if ui.small_button("sun of the scene").clicked() {
-            (*sun, day.plays) = (None, false);
+            (*sun, *day) = (None, Day::nearest_to(scene_sun));
         }
         ui.end_row();
     }
@@ -61,12 +62,8 @@ pub fn post(ui: &mut Ui, settings: &mut PostSettings) {
         ui.label("exposure").on_hover_text("Follows the mean light of the picture, within limits");
         ui.checkbox(&mut settings.auto_exposure, "automatic");
         ui.end_row();
-        row(
-            ui,
-            "bloom",
-            "Light that spreads around bright places",
-            Slider::new(&mut settings.bloom, 0.0..=0.5),
-        );
+        let bloom = Slider::new(&mut settings.bloom, 0.0..=1.0);
+        row(ui, "bloom", "Light that spreads around bright places", bloom);
         choice::<Antialias>(ui, "antialias", "Of the image; for one sample a pixel", &mut settings.antialias);
         row(ui, "sharpen", "0 is off", Slider::new(&mut settings.sharpen, 0.0..=1.0));
         let scales = PostSettings::MIN_SCALE..=PostSettings::MAX_SCALE;
@@ -81,9 +78,8 @@ pub fn vegetation(ui: &mut Ui, settings: &mut VegetationSettings) {
         let density = Slider::new(&mut settings.density, 0..=VegetationSettings::MAX_DENSITY);
         row(ui, "grass", "Clumps on 2 x 2 m where it is densest; 0 for none", density);
         let range = Slider::new(&mut settings.range_m, 0.0..=1000.0).suffix(" m");
-        row(ui, "range", "Distance up to which grass stands", range.clamping(egui::SliderClamping::Edits));
+        row(ui, "range", "Distance up to which grass stands", range);
         let thin_from = Slider::new(&mut settings.thin_from_m, 1.0..=400.0).logarithmic(true).suffix(" m");
-        let thin_from = thin_from.clamping(egui::SliderClamping::Edits);
         row(ui, "thin from", "Beyond it fewer and wider clumps", thin_from);
         row(ui, "widest", "Largest widening of far clumps", Slider::new(&mut settings.widest, 1.0..=16.0));
         let trees = Slider::new(&mut settings.trees, 0..=VegetationSettings::MAX_TREES);
@@ -161,10 +157,11 @@ pub fn laboratory(ui: &mut Ui, settings: &mut RenderSettings, has_land: bool) {
     });
 }
 
-/// A row with a slider; whether it was moved.
+/// A row with a slider; whether the user moved it. A setting between its steps or beyond its ends
+/// stays until then.
 fn row(ui: &mut Ui, name: &str, hint: &str, slider: Slider<'_>) -> bool {
     ui.label(name).on_hover_text(hint);
-    let is_changed = ui.add(slider).changed();
+    let is_changed = ui.add(slider.clamping(SliderClamping::Edits)).changed();
     ui.end_row();
     is_changed
 }
@@ -180,4 +177,39 @@ fn choice<T: ValueEnum + PartialEq + Copy>(ui: &mut Ui, name: &str, hint: &str, 
         }
     });
     ui.end_row();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use egui::{Context, RawInput};
+
+    /// Settings between the steps of their sliders and beyond their ends, while the day plays.
+    fn odd() -> ViewSettings {
+        let sun = Some(SunPosition { azimuth_deg: -90.125, elevation_deg: 12.345_67 });
+        let mut render = RenderSettings { sun, exposure_ev: 0.123_456, ..RenderSettings::default() };
+        (render.post.bloom, render.post.sharpen, render.post.render_scale) = (0.812_345, 0.123_456, 0.777_77);
+        (render.plants.range_m, render.plants.tree_range_m) = (1234.567, 7654.321);
+        (render.plants.wind, render.plants.step_m) = (0.123_456, 1.234_567);
+        (render.waves.steepness, render.waves.parallax_bias_m) = (1.234_567, -0.123_456);
+        (render.pom.amplitude, render.pom.pivot, render.pom.tiling) = (1.234_567, 0.123_456, [0.777_77, 3.3]);
+        let day = Day { hours: 8.765_432, plays: true };
+        ViewSettings { tolerance_px: 0.0625, view_distance_m: 100, render, day }
+    }
+
+    #[test]
+    fn groups_that_are_open_change_no_setting() {
+        let (context, mut settings) = (Context::default(), odd());
+        for _ in 0..3 {
+            let output = context.run_ui(RawInput::default(), |ui| {
+                image(ui, &mut settings, SunPosition::at_hour(9.0));
+                post(ui, &mut settings.render.post);
+                vegetation(ui, &mut settings.render.plants);
+                pom(ui, &mut settings.render.pom, false);
+                laboratory(ui, &mut settings.render, true);
+            });
+            output.drop_without_applying_deltas();
+        }
+        assert_eq!(settings, odd());
+    }
 }

@@ -26,12 +26,15 @@ use crate::native::screenshot::open_stream;
 use crate::native::textures;
 use crate::renderer::{RenderOptions, Renderer};
 use crate::scene::places::{Place, PlaceFinder};
+use crate::settings::SunPosition;
 use crate::stats::{FrameTimes, Stats};
 use crate::stream::ChunkStream;
 use crate::stream::streamer::WorldStreamer;
+use crate::view::ViewParams;
 use anyhow::Context as _;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use terrain::WorldDigest;
 use winit::event_loop::{ActiveEventLoop, OwnedDisplayHandle};
 use winit::keyboard::ModifiersState;
 use winit::window::Window;
@@ -44,9 +47,6 @@ const ANSWER_LASTS: Duration = Duration::from_secs(3);
 
 /// How long the first hint and a replaced GPU are shown.
 const HINT_LASTS: Duration = Duration::from_secs(12);
-
-/// Time of day at the start, hours: that of the slider until it is moved.
-const START_HOURS: f32 = 9.0;
 
 /// State while the window exists.
 pub struct Running {
@@ -67,6 +67,8 @@ pub struct Running {
     notice: Option<String>,
     clock: Clock,
     notices: Notices,
+    /// The world of start and places, once a server announced it.
+    world: Option<WorldDigest>,
     /// The start of the world.
     start: Pose,
     places: Option<PlaceFinder>,
@@ -76,9 +78,7 @@ pub struct Running {
     narrow_view_m: Option<u32>,
     modifiers: ModifiersState,
     args: Args,
-    /// Whether the search for the start of the announced world is still to begin.
-    follows_world: bool,
-    /// The search for it, which takes longer than a frame.
+    /// The search for the start of the announced world, which takes longer than a frame.
     search: Option<Background<Pose>>,
     adapter: String,
     slots: u32,
@@ -92,6 +92,8 @@ pub struct Running {
     first_image: Option<Duration>,
     drawn: usize,
     instances: usize,
+    /// The view of the last frame.
+    last_view: Option<ViewParams>,
     /// Last culling counts.
     plants: CullStats,
     /// When they were read.
@@ -152,11 +154,12 @@ impl Running {
         let start = args.pose();
         let mut clock = Clock::at(args.time);
         clock.is_paused = args.window_test.last_frame.is_some();
+        let sun = profile.render.sun.unwrap_or_else(|| SunPosition::of(args.scene.light().sun));
         let settings = ViewSettings {
             tolerance_px: profile.tolerance_px,
             view_distance_m: profile.view_distance_m,
             render: profile.render,
-            day: Day { hours: START_HOURS, plays: false },
+            day: Day::nearest_to(sun),
         };
         Ok(Self {
             renderer: Renderer::with_materials(&gpu, &options, &materials),
@@ -177,12 +180,12 @@ impl Running {
             notice: profile.notice,
             clock,
             notices: Notices::default(),
+            world: None,
             start,
             places: None,
             wanted: None,
             narrow_view_m: None,
             modifiers: ModifiersState::empty(),
-            follows_world: args.follows_world(),
             search: None,
             args: args.clone(),
             adapter: gpu.name(),
@@ -196,6 +199,7 @@ impl Running {
             first_image: None,
             drawn: 0,
             instances: 0,
+            last_view: None,
             plants: CullStats::default(),
             plants_read: now,
             started,
@@ -222,7 +226,8 @@ impl Running {
     #[must_use]
     pub fn stats(&self) -> Stats {
         let (milestones, traffic) = (self.streamer.milestones(), self.streamer.stream().traffic());
-        let resident = self.streamer.cache().len();
+        let delivery = self.streamer.stream().delivery();
+        let (resident, view) = (self.streamer.cache().len(), self.last_view.as_ref());
         Stats {
             adapter: self.adapter.clone(),
             frames: self.frames,
@@ -233,7 +238,7 @@ impl Running {
             plants_lost: self.plants.clumps_lost,
             plant_blocks_lost: self.plants.blocks_lost,
             gpu_bytes_per_chunk: self.renderer.bytes_per_chunk(),
-            delivery: if self.args.scene.is_local() { "none" } else { self.args.delivery.name() },
+            delivery: if self.args.scene.is_local() { "none" } else { delivery.name() },
             bytes_received: traffic.bytes_received,
             bad_chunks: traffic.bad_chunks,
             refused_chunks: traffic.refused_chunks,
@@ -247,8 +252,8 @@ impl Running {
             chunks_resident: resident,
             chunk_bytes_resident: resident * SLOT_BYTES,
             chunk_bytes_budget: self.slots as usize * SLOT_BYTES,
-            tolerance_px: self.settings.tolerance_px,
-            camera: self.controls.pose().to_string(),
+            tolerance_px: view.map_or(self.settings.tolerance_px, |view| self.streamer.tolerance_px(view)),
+            camera: format!("{:.4}", view.map_or(self.controls.pose(), |view| view.pose)),
         }
     }
 }

@@ -146,7 +146,7 @@ fn every_option_is_read() {
         (640, 360, 75.0)
     );
     assert_eq!((options.frames, options.chunk_bytes, options.samples), (7, 32 << 20, 1));
-    let sun = Some(SunPosition { azimuth_deg: -90.0, elevation_deg: -10.5 });
+    let sun = Some(SunPosition { azimuth_deg: 270.0, elevation_deg: -10.5 });
     let settings = RenderSettings {
         diffuse: Diffuse::Lambert,
         visibility: Visibility::Fast,

@@ -1,7 +1,7 @@
 //! A frame of the window: camera, chunks, drawing, panel.
 
 use super::{ANSWER_LASTS, ARRIVAL_FADE, After, HINT_LASTS, Running};
-use crate::camera::Projection;
+use crate::camera::{Pose, Projection};
 use crate::features::terrain_clipmap::textures::TILES_PER_FRAME;
 use crate::features::terrain_shadow::pass::PER_FRAME;
 use crate::features::vegetation::gpu_cull::CullStats;
@@ -76,25 +76,11 @@ impl Running {
             self.streamer.update(&view_params, self.started.elapsed(), ARRIVALS_PER_FRAME, |chunk| {
                 renderer.upload(gpu, chunk);
             });
-        if self.follows_world
-            && let Some(land) = self.streamer.cache().land().copied()
-        {
-            self.follows_world = false;
-            let args = self.args.clone();
-            self.search = Some(Background::start("tombolo-start", move || args.start_in(&land))?);
-        }
-        if let Some(search) = &mut self.search
-            && let Some(start) = search.poll()?
-        {
-            self.search = None;
-            // A user who has moved since the window opened stays there.
-            if self.controls.is_orbiting() || self.controls.pose() == self.start {
-                self.controls.move_to(start);
-            }
-            self.start = start;
-        }
+        self.follow_world()?;
+        let (gpu, renderer) = (&self.gpu, &mut self.renderer);
         let pose = clearance::raised(view_params.pose, self.streamer.cache(), &selection.drawn);
         let view_params = ViewParams { pose, ..view_params };
+        self.last_view = Some(view_params);
         let frame = view_params.frame(self.args.scene, self.streamer.cache(), &selection);
         (self.drawn, self.instances) = (frame.chunks, frame.instances.len());
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -108,7 +94,8 @@ impl Running {
         }
         let has_notices = self.notices.shown(now).next().is_some();
         self.has_overlay = self.show_panel || self.show_keys;
-        if self.has_overlay || has_notices {
+        // Also for events alone: they would wait until there is something to show.
+        if self.has_overlay || has_notices || self.overlay.has_events() {
             let readings = Readings {
                 times: &self.times,
                 drawn: self.drawn,
@@ -120,7 +107,7 @@ impl Running {
                 traffic: self.streamer.stream().traffic(),
                 missed: self.streamer.missed(),
                 last_miss: self.streamer.last_miss(),
-                delivery: self.args.delivery,
+                delivery: self.streamer.stream().delivery(),
                 levels: self.streamer.cache().level_histogram(),
                 local: self.args.scene.panel_legend(),
                 link: self.streamer.link(),
@@ -189,14 +176,41 @@ impl Running {
             || complete.is_some_and(|at| self.started.elapsed() > at + 2 * ARRIVAL_FADE)
     }
 
+    /// Searches the start of a world that a server announces, for the first time or in place of
+    /// another, and goes there unless the user has moved.
+    fn follow_world(&mut self) -> anyhow::Result<()> {
+        let world = self.streamer.world();
+        if world.is_some() && world != self.world {
+            (self.world, self.places, self.search) = (world, None, None);
+            if let Some(land) = self.streamer.cache().land().filter(|_| self.args.follows_world()) {
+                let (land, args) = (*land, self.args.clone());
+                self.search = Some(Background::start("tombolo-start", move || args.start_in(&land))?);
+            }
+        }
+        if let Some(search) = &mut self.search
+            && let Some(start) = search.poll()?
+        {
+            self.search = None;
+            if !self.controls.has_moved() {
+                self.controls.start_at(start);
+            }
+            self.start = start;
+        }
+        Ok(())
+    }
+
     /// Moves the camera by the time since the last frame, which it returns.
     fn step(&mut self) -> Duration {
         let now = Instant::now();
         let step = now - self.last;
         self.last = now;
-        let eye = self.controls.pose().eye();
-        let ground_m = self.streamer.cache().ground(eye.units[0], eye.units[2]).map(|h| f64::from(h) / 256.0);
-        self.controls.step(step.min(LONGEST_STEP).as_secs_f64(), ground_m);
+        let cache = self.streamer.cache();
+        let ground = |pose: &Pose| {
+            let eye = pose.eye();
+            cache.ground(eye.units[0], eye.units[2])
+        };
+        let is_settled = self.streamer.is_settled() && self.streamer.missed() == 0;
+        self.controls.step(step.min(LONGEST_STEP).as_secs_f64(), is_settled, ground);
         step
     }
 
@@ -218,6 +232,8 @@ impl Running {
 
     /// Draws a frame without the panel into a new file.
     fn save_screenshot(&mut self, frame: &FrameData) -> anyhow::Result<()> {
+        // No time passes: the exposure stays as it is.
+        self.renderer.advance(Duration::ZERO);
         let image = self.picture(frame)?;
         let line = match capture::save(Path::new("."), &image) {
             Ok(path) => match std::path::absolute(&path) {

@@ -16,7 +16,8 @@ impl Running {
     pub fn event(&mut self, event: &WindowEvent) -> bool {
         // As it was before the event: Esc takes the focus from a text field.
         let is_typing = self.has_overlay && self.overlay.is_typing();
-        let taken = self.has_overlay && self.overlay.takes(&self.window, event);
+        // A hidden panel takes nothing, but must not miss a release or where the pointer is.
+        let taken = self.overlay.takes(&self.window, event) && self.has_overlay;
         match event {
             WindowEvent::CloseRequested => return true,
             WindowEvent::Resized(size) => self.surface.resize(&self.gpu, (size.width, size.height)),
@@ -61,7 +62,7 @@ impl Running {
             }
             Action::ResetView => {
                 self.narrow_view();
-                self.controls.move_to(self.start);
+                self.controls.start_at(self.start);
             }
             Action::Help => self.show_keys = !self.show_keys,
             Action::Panel => {

@@ -1,0 +1,53 @@
+//! Links of Markdown to records.
+
+use super::record::FOLDER;
+
+/// A link to a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Link<'a> {
+    /// Of the record, from the root.
+    pub path: &'a str,
+    /// Of the link, without its quotation marks; none without one.
+    pub title: Option<&'a str>,
+    /// Byte of the line behind the link.
+    pub end: usize,
+}
+
+/// The first link of a line to a record; none without one that ends.
+pub fn first(line: &str) -> Option<Link<'_>> {
+    let start = line.find(&format!("]({FOLDER}2"))? + 2;
+    let target = &line[start..];
+    let (path, rest) = target.split_at(target.find([' ', ')'])?);
+    // Parentheses in a title do not end the link.
+    let (title, rest) = match rest.strip_prefix(" \"") {
+        Some(titled) => titled.split_once("\")").map(|(title, rest)| (Some(title), rest))?,
+        None => (None, rest.split_once(')')?.1),
+    };
+    Some(Link { path, title, end: line.len() - rest.len() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PATH: &str = "docs/measurements/2026-x/a.md";
+
+    #[test]
+    fn a_link_ends_behind_its_title_whatever_stands_in_it() {
+        for title in ["a row", "row (of 2)", "row (of 2) and (of 3", ") ("] {
+            let head = format!("| a (b) | 1 | [x]({PATH} \"{title}\")");
+            let line = format!("{head} (one run) | (more) |");
+            assert_eq!(first(&line), Some(Link { path: PATH, title: Some(title), end: head.len() }));
+        }
+        let line = format!("[x]({PATH}) (y)");
+        assert_eq!(first(&line), Some(Link { path: PATH, title: None, end: line.len() - 4 }));
+    }
+
+    #[test]
+    fn other_links_and_one_that_does_not_end_are_none() {
+        for line in ["[x](docs/measurements/README.md)", "[x](docs/measurements/2026-x/a.md \"row)", PATH, ""]
+        {
+            assert_eq!(first(line), None, "{line}");
+        }
+    }
+}
