@@ -130,7 +130,7 @@ impl Shared {
             Ok(Err(error @ (Error::PermissionDenied { .. } | Error::Unauthenticated { .. }))) => {
                 self.metrics.store_writes_refused.inc();
                 if self.refused().replace(Instant::now() + REFUSED).is_none() {
-                    tracing::warn!(%error, "the store refuses writes; it is read, and one write a minute is tried");
+                    tracing::warn!(%error, "the store refuses writes; one a minute is tried");
                 }
             }
             Ok(Err(error)) => {

@@ -146,13 +146,11 @@ impl ServerStream {
             commands: command_receiver,
             counters: Arc::clone(&counters),
         };
-        let thread = std::thread::Builder::new()
-            .name("tombolo-stream".into())
-            .spawn(move || {
-                runtime.block_on(worker.run());
-                // Not waited for: a name that is still looked up may take the resolver's whole time.
-                runtime.shutdown_background();
-            })?;
+        let thread = std::thread::Builder::new().name("tombolo-stream".into()).spawn(move || {
+            runtime.block_on(worker.run());
+            // Not waited for: a name that is still looked up may take the resolver's whole time.
+            runtime.shutdown_background();
+        })?;
         Ok(Self {
             events: Some(events),
             commands,
