@@ -99,7 +99,7 @@ impl VegetationArgs {
             trees: self.trees.unwrap_or(defaults.trees),
             tree_range_m: or(self.tree_range, defaults.tree_range_m),
             single_trees_m: culled.single_trees_m,
-            impostors_from_m: defaults.impostors_from_m,
+            impostors_from_m: culled.impostors_from_m,
             cull: self.cull.unwrap_or(culled.cull),
             stay: self.cull_stay,
             step_m: self.cull_step as f32,
