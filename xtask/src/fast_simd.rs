@@ -27,6 +27,11 @@ pub fn fetch() -> Result<()> {
     fetch_to(&folder(), URL, COMMIT)
 }
 
+/// Whether an earlier run has cloned the sources. Downloads nothing.
+pub fn is_fetched() -> bool {
+    has_sources(&folder(), COMMIT)
+}
+
 fn fetch_to(folder: &Path, url: &str, commit: &str) -> Result<()> {
     if has_sources(folder, commit) {
         return Ok(());

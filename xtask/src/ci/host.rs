@@ -206,20 +206,6 @@ fn add_target(target: &str) -> Result<()> {
     process::output(add).map(drop).context("not installed and cannot be")
 }
 
-/// Where [`fast_simd::fetch`] clones to.
-fn fast_simd_folder() -> PathBuf {
-    process::target().join("fastsimd")
-}
-
-/// Whether a folder is a clone with a commit that was checked out.
-fn is_clone(folder: &Path) -> bool {
-    let mut git = process::command("git");
-    // Named, so that git does not look for a repository in the folders above.
-    git.arg("--git-dir").arg(folder.join(".git"));
-    git.args(["rev-parse", "--verify", "--quiet", "HEAD^{commit}"]);
-    process::succeeds(git)
-}
-
 /// The newest clang and clang++ on `PATH`.
 pub fn clang() -> Option<(PathBuf, PathBuf)> {
     clang_on(&std::env::var_os("PATH")?)
@@ -272,7 +258,7 @@ impl Host for Here {
             Tool::Cmake => {
                 self.lacks_program("cmake", "cmake").or_else(|| self.lacks_program("make", "make"))
             }
-            Tool::FastSimd => (!is_clone(&fast_simd_folder()))
+            Tool::FastSimd => (!fast_simd::is_fetched())
                 .then(|| "the build of FastNoise2 needs it; a run of all steps clones it".into()),
             Tool::Libclang => (!setup::has_libclang()).then(|| "not found; install `libclang-dev`".into()),
             Tool::History => land_version_3::lacks().or_else(records::lacks_history),
@@ -364,30 +350,6 @@ mod tests {
         let host = version.lines().find_map(|line| line.strip_prefix("host: ")).unwrap();
         assert_eq!(lacks_target(host), None);
         assert!(lacks_target("no-such-target").is_some_and(|why| why.ends_with("add no-such-target")));
-    }
-
-    #[test]
-    fn a_clone_has_a_commit_and_is_where_builds_read_it() {
-        let folder = std::env::temp_dir().join(format!("tombolo-clone-{}", std::process::id()));
-        let git = |words: &[&str]| {
-            let mut git = process::command("git");
-            // No configuration of the machine is read.
-            git.env("GIT_CONFIG_GLOBAL", "/dev/null").env("GIT_CONFIG_NOSYSTEM", "1");
-            git.arg("-C").arg(&folder).args(["-c", "user.name=x", "-c", "user.email=x"]).args(words);
-            process::run(git).unwrap();
-        };
-        std::fs::create_dir_all(&folder).unwrap();
-        let nothing = is_clone(&folder);
-        git(&["init", "--quiet"]);
-        let empty = is_clone(&folder);
-        git(&["commit", "--quiet", "--allow-empty", "-m", "x"]);
-        let whole = is_clone(&folder);
-        std::fs::remove_dir_all(&folder).unwrap();
-        assert_eq!((nothing, empty, whole), (false, false, true));
-        let mut build = Command::new("cargo");
-        fast_simd::use_clone(&mut build);
-        let key = format!("url.{}.insteadOf", fast_simd_folder().display());
-        assert!(build.get_envs().any(|(_, value)| value.is_some_and(|value| value == key.as_str())));
     }
 
     #[test]
