@@ -13,7 +13,6 @@ mod gpu_cpu_equality;
 mod gpu_time;
 pub(crate) mod id_buffer;
 pub(crate) mod occlusion;
-mod random_attributes;
 pub mod reference;
 pub mod scene;
 
@@ -27,7 +26,6 @@ use gpu_cpu_equality::GpuCpuEquality;
 use gpu_time::GpuTime;
 use id_buffer::VisiblePlants;
 use occlusion::Findings;
-use random_attributes::StreamTests;
 use serde::Serialize;
 use terrain::Land;
 
@@ -82,8 +80,6 @@ struct Report {
     frame_ratios: Option<FrameRatios>,
     /// Time of a million clumps, if any rounds were requested.
     gpu_time: Option<GpuTime>,
-    #[serde(rename = "lots")]
-    streams: StreamTests,
     /// The GPU against the twin, if requested.
     #[serde(rename = "same")]
     equality: Option<GpuCpuEquality>,
@@ -110,7 +106,6 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let frame_ratios = (options.framed > 0).then(|| frame_ratios::measure(&land, &framed)).transpose()?;
     note("a million clumps at 1920 x 1080");
     let gpu_time = is_timed.then(|| gpu_time::measure(&land)).transpose()?;
-    let streams = random_attributes::test(7);
     note("the GPU against the twin");
     let compared = cases::seeded(&land, options.compared, COMPARED);
     let equality = (options.compared > 0).then(|| gpu_cpu_equality::compare(&land, &compared)).transpose()?;
@@ -122,7 +117,6 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
         frames,
         frame_ratios,
         gpu_time,
-        streams,
         equality,
     };
     publish(&report, bars::rows, bars::notes, "/same/adapter", outputs)?;
@@ -144,10 +138,6 @@ impl Report {
         {
             ensure!(lost > 0, "{name} lost no plant of an ID buffer: the ID buffers detect nothing");
         }
-        ensure!(
-            self.streams.poor_stream_p < 0.001 && self.streams.poor_pair_p < 0.001,
-            "correlated streams pass: the test detects nothing"
-        );
         ensure!(
             self.equality.as_ref().is_none_or(|equality| equality.differing_control > 0),
             "a twin without occlusion tests keeps the same clumps: the comparison detects nothing"

@@ -2,14 +2,12 @@
 //!
 //! Sweeps every line where an implementation could break and compares every step with a proved
 //! bound ([`bounds`], [`samples`], [`edges`], [`thresholds`], [`continuity`]), checks that seams are
-//! zero at every level and that no height depends on its chunk or grid ([`seams`]), that chunks state
-//! no smaller error than they have and levels not much larger ones ([`errors`]), and that remainders
-//! and lattice cells are right at both signs ([`arithmetic`]). Then it shows what float noise does at
-//! the same distances ([`floats`]).
+//! zero at every level and that no height depends on its chunk or grid ([`seams`]), and that chunks
+//! state no smaller error than they have and levels not much larger ones ([`errors`]). Then it shows
+//! what float noise does at the same distances ([`floats`]).
 //!
 //! Every sweep also runs on a control that must fail; a control that passes is an error.
 
-mod arithmetic;
 mod bars;
 mod baselines;
 mod bounds;
@@ -75,7 +73,6 @@ pub fn measure(worlds: u32, chunks: u32) -> Report {
     let seams = (0..u64::from(worlds.min(2))).map(|seed| seams::check(&Land::new(seed)));
     let seams = seams.reduce(|all, one| all.into_iter().zip(one).map(|(a, b)| a.merged(b)).collect());
     checks.extend(seams.unwrap_or_default());
-    checks.extend(arithmetic::check());
     let (of_errors, errors) = errors::check(chunks);
     checks.extend(of_errors);
     checks.push(errors::tightness(&errors));
@@ -120,7 +117,6 @@ fn controls() -> Vec<Check> {
         named(&of_torn, 5, "torn by 4 cm along a line"),
         seams::control(),
         errors::control(),
-        arithmetic::truncating_control(),
     ]
 }
 

@@ -17,8 +17,6 @@ pub enum Mechanism {
     RefusalBackoff,
     /// View selection in turns
     ViewTurns,
-    /// Larger quanta under backlog
-    LongTurns,
     /// Fast effort at level 0 under backlog
     FastEffort,
     /// Yields of busy threads
@@ -35,7 +33,6 @@ impl Mechanism {
             Self::Deadline => "deadline",
             Self::RefusalBackoff => "refusal-backoff",
             Self::ViewTurns => "view-turns",
-            Self::LongTurns => "long-turns",
             Self::FastEffort => "fast-effort",
             Self::ThreadYields => "thread-yields",
         }
@@ -61,7 +58,6 @@ impl Mechanism {
             Self::Turns => &["--measure-without", "turns"],
             Self::RefusalBackoff => &["--measure-without", "refusal-backoff"],
             Self::ViewTurns => &["--measure-without", "view-turns"],
-            Self::LongTurns => &["--measure-without", "long-turns"],
             Self::FastEffort => &["--measure-without", "fast-effort"],
             Self::ThreadYields => &["--measure-without", "thread-yields"],
         }

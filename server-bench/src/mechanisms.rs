@@ -80,7 +80,7 @@ const fn figure(mechanism: Option<Mechanism>) -> Figure {
         Some(Mechanism::RefusalBackoff) => (REPEATED, "", true, 1.2),
         Some(Mechanism::ViewTurns) => ("slowest liveness probe in a flood of views", "ms", false, 1.5),
         Some(Mechanism::ThreadYields) => ("p99 of a polite client in a flood of views", "ms", false, 1.5),
-        Some(Mechanism::LongTurns | Mechanism::FastEffort) => (PER_CPU_S, "", true, 1.05),
+        Some(Mechanism::FastEffort) => (PER_CPU_S, "", true, 1.05),
         None => (PER_CPU_S, "", true, 1.03),
     };
     Figure { name, unit, more_is_better, least_effect }
@@ -146,7 +146,7 @@ async fn measure(
             return flooded_p99_ms(&server, FLOODING, cheap, length).await.map(Some);
         }
         Some(Mechanism::RefusalBackoff) => REPEATED_WINDOW,
-        Some(Mechanism::LongTurns | Mechanism::FastEffort) | None => overload::WINDOW,
+        Some(Mechanism::FastEffort) | None => overload::WINDOW,
     };
     let chunks = saturated(&server, cheap, window, length).await?;
     Ok(Some(chunks as f64 / (server.process.cpu_s()? - before)))

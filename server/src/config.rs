@@ -267,7 +267,10 @@ fn store(address: Option<String>, wait_ms: Option<u64>) -> Result<Option<StoreCo
             Err(UsageError::new("store-wait-ms: there is no store; give store URL too, or remove it"))
         });
     };
-    let address = StoreAddress::parse(&address).map_err(|why| UsageError::new(format!("store: {why}")))?;
+    let invalid = |why| UsageError::new(format!("store: {why}"));
+    let address = StoreAddress::parse(&address).map_err(invalid)?;
+    // Nothing is sent yet; settings that no store can have are an error of the start.
+    address.open().map_err(invalid)?;
     Ok(Some(StoreConfig { address, wait: Duration::from_millis(wait_ms.unwrap_or(0)) }))
 }
 

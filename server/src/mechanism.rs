@@ -14,8 +14,6 @@ pub enum Mechanism {
     /// View selection in turns on the generation threads. Without it, the thread of the connection
     /// selects a whole view at once.
     ViewTurns,
-    /// Larger quanta under backlog. Without them, many flows have short turns always.
-    LongTurns,
     /// The fast effort at level 0 under backlog. Without it, all chunks are encoded compactly.
     FastEffort,
     /// Busy threads yield. Without it, one that shares a processor waits for the scheduler's tick.

@@ -11,9 +11,11 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
+use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Metric, Registry};
 use protocol::message::RefusalReason;
 use std::sync::atomic::AtomicU64;
+use terrain::constants::GENERATOR_VERSION;
 
 /// Label set of a reason.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -52,6 +54,8 @@ pub struct Metrics {
     registry: Registry,
     /// Open sessions.
     pub sessions: Gauge,
+    /// Sessions that may be open.
+    pub sessions_limit: Gauge,
     /// Ended sessions by reason.
     pub sessions_ended: Family<ReasonLabel, Counter>,
     /// Open connections that are no sessions.
@@ -60,6 +64,10 @@ pub struct Metrics {
     pub connections_rejected: Counter,
     /// Connections that ended before a request by reason.
     pub connections_failed: Family<ReasonLabel, Counter>,
+    /// 1 while the tokens' file has changed and cannot be read.
+    pub tokens_reload_failed: Gauge,
+    /// Likewise the files of the certificate and its key.
+    pub certificate_reload_failed: Gauge,
     /// Unknown tokens that clients presented.
     pub tokens_wrong: Counter,
     /// Tokens that were presented after their end.
@@ -185,10 +193,13 @@ impl Default for Metrics {
         let mut metrics = Self {
             registry: Registry::with_prefix("tombolo"),
             sessions: Gauge::default(),
+            sessions_limit: Gauge::default(),
             sessions_ended: Family::default(),
             connections: Gauge::default(),
             connections_rejected: Counter::default(),
             connections_failed: Family::default(),
+            tokens_reload_failed: Gauge::default(),
+            certificate_reload_failed: Gauge::default(),
             tokens_wrong: Counter::default(),
             tokens_expired: Counter::default(),
             tokens_throttled: Counter::default(),
@@ -254,6 +265,7 @@ impl Default for Metrics {
             tiles_failed: Counter::default(),
             http_responses: Family::default(),
         };
+        metrics.register_build();
         metrics.register_sessions();
         metrics.register_limits();
         metrics.register_generation();
@@ -265,8 +277,17 @@ impl Default for Metrics {
 }
 
 impl Metrics {
+    fn register_build(&mut self) {
+        let labels = [
+            ("version", env!("CARGO_PKG_VERSION").to_owned()),
+            ("generator_version", GENERATOR_VERSION.to_string()),
+        ];
+        self.registry.register("build", "Version of the program and of its land", Info::new(labels.to_vec()));
+    }
+
     fn register_sessions(&mut self) {
         self.register("sessions", "Open sessions", &self.sessions.clone());
+        self.register("sessions_limit", "Sessions that may be open", &self.sessions_limit.clone());
         self.register("sessions_ended", "Ended sessions by reason", &self.sessions_ended.clone());
         self.register(
             "chunks_sent",
@@ -312,6 +333,13 @@ impl Metrics {
             "Connections that ended before a request by reason",
             &self.connections_failed.clone(),
         );
+        let reloads: Family<[(&'static str, &'static str); 1], Gauge> = Family::default();
+        for (file, gauge) in
+            [("tokens", &mut self.tokens_reload_failed), ("certificate", &mut self.certificate_reload_failed)]
+        {
+            *gauge = reloads.get_or_create_owned(&[("file", file)]);
+        }
+        self.register("reload_failed", "1 while a changed file cannot be read", &reloads);
         let refused = fixed_family(
             "outcome",
             [

@@ -31,8 +31,12 @@ pub async fn run(state: Arc<ServerState>) {
                 .map(|read| read.unwrap_or(Ok(Reloaded::Unchanged)))
         });
         let Ok(results) = read.await else { continue };
-        for ((name, result), failure) in ["tokens", "certificate"].into_iter().zip(results).zip(&mut failures)
-        {
+        let metrics = [
+            ("tokens", &state.metrics.tokens_reload_failed),
+            ("certificate", &state.metrics.certificate_reload_failed),
+        ];
+        for (((name, gauge), result), failure) in metrics.into_iter().zip(results).zip(&mut failures) {
+            gauge.set(i64::from(result.is_err()));
             log(name, result, is_asked, failure);
         }
     }

@@ -8,9 +8,8 @@ use std::collections::{BinaryHeap, VecDeque};
 use std::time::Duration;
 use terrain::ChunkKey;
 
-/// Bounds of a turn, and the time of a round over all flows: those of the server.
-const QUANTUM: (Duration, Duration) = (Duration::from_micros(160), Duration::from_micros(400));
-const ROUND: Duration = Duration::from_millis(4);
+/// Quantum of a turn: that of the server.
+const QUANTUM: Duration = Duration::from_micros(250);
 
 /// A request that waits for a chunk.
 #[derive(Clone, Copy, Debug)]
@@ -120,7 +119,7 @@ impl Queue {
         cost: impl Fn(ChunkKey) -> Duration,
     ) -> (Option<Turn>, Vec<Waiting>) {
         let (mut keys, mut expired) = (Vec::new(), Vec::new());
-        let quantum = (ROUND / self.flows.len().max(1) as u32).clamp(QUANTUM.0, QUANTUM.1).as_nanos() as i64;
+        let quantum = QUANTUM.as_nanos() as i64;
         while let Some(session) = self.turns.pop_front() {
             let Some(flow) = self.flows.get_mut(&session) else { continue };
             flow.has_turn = false;

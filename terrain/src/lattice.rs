@@ -113,6 +113,39 @@ mod tests {
     use super::*;
     use crate::hash::mix;
 
+    /// Proves `noise <= bound` for all gradients: the largest value of the middle of a part and the
+    /// distance to its corners, times a bound of the slope, must not exceed it; else it is divided.
+    /// False if a part of 2^-14 of a cell is not proved.
+    ///
+    /// Slope: a mean of unit gradients, and along each axis at most 15/8 times the sum of the largest
+    /// products of two sides, `sqrt(2)` each.
+    fn is_at_most(bound: f64, x: f64, z: f64, half: f64) -> bool {
+        const SLOPE: f64 = 9.0;
+        let fade = |t: f64| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
+        let side = |t: f64| [(1.0 - fade(t), t), (fade(t), t - 1.0)];
+        let mut largest = 0.0;
+        for (weight_x, dx) in side(x) {
+            for (weight_z, dz) in side(z) {
+                let products = GRADIENTS.map(|(gx, gz)| (f64::from(gx) * dx + f64::from(gz) * dz) / 32_768.0);
+                largest += weight_x * weight_z * products.into_iter().fold(f64::NEG_INFINITY, f64::max);
+            }
+        }
+        if largest + SLOPE * half * 2f64.sqrt() <= bound {
+            return true;
+        }
+        let half = half / 2.0;
+        let signs = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)];
+        half > 2f64.powi(-15)
+            && signs.iter().all(|(i, k)| is_at_most(bound, x + i * half, z + k * half, half))
+    }
+
+    #[test]
+    fn noise_is_below_the_bound_that_the_range_of_heights_rests_on() {
+        assert!(is_at_most(0.7056, 0.5, 0.5, 0.5));
+        // The value in the middle of a cell: the control.
+        assert!(!is_at_most(0.7036, 0.5, 0.5, 0.5));
+    }
+
     /// The noise and five times its gradient along the axes of the world in f64, without the turned
     /// coordinates: the point is turned by the angle itself.
     fn sample_f64(lattice: &Lattice, x: i32, z: i32) -> (f64, f64, f64) {

@@ -18,10 +18,11 @@ use crate::land::Land;
 
 /// Upper bound of the land's height, units; lets a high eye count its height as distance.
 ///
-/// Proof, in metres: mountains are at most `704 (5/32 + 13/32 + 11/8 relief)` with a relief of at
-/// most `0.7072 + 3/16 + 3/32 + 3/64`, together 1,396; the lowland at most 8 and 1/32 of a shore of
-/// at most 328 (54 of mass and `0.7072 (64 + 64 + 5/4 (80 + 128))` of octaves), together 19; the
-/// fine octaves `0.7072 31`, 22; a cliff 34.
+/// Proof, in metres, with noise of at most 0.7056 (`lattice::tests`): mountains are at most
+/// `704 (5/32 + 13/32 + 11/8 relief)` with a relief of at most `0.7056 + 3/16 + 3/32 + 3/64`,
+/// together 1,396.7; the lowland at most 8 and 1/32 of a shore of at most 328 (54 of mass and
+/// `0.7056 (64 + 64 + 5/4 (80 + 128))` of octaves), together 18.3; the fine octaves `0.7056 31`,
+/// 21.9; a cliff 34. Their sum is 1,470.9; the rest is more than roundings add.
 pub const SUMMIT: i32 = 1_472 * UNITS_PER_METRE;
 
 /// Lower bound of the land's height, units: the sea floor and the fine octaves.

@@ -21,7 +21,7 @@ impl Octaves {
     ///
     /// A finer octave would put every vertex into a cell of its own and so add white noise, which
     /// shimmers, costs two lattice columns per vertex and moves the drawn triangles away from the
-    /// land (docs/heightfield.md, section 6). Levels 0 to 2 keep all octaves.
+    /// land (docs/heightfield.md, section 9). Levels 0 to 2 keep all octaves.
     #[must_use]
     pub const fn at_level(level: u8) -> Self {
         let spacing = 1u64 << (SPACING_BITS + level as u32);

@@ -6,8 +6,8 @@
 
 use crate::hash::mix;
 
-/// The random attributes of one clump: 32 uniform bits each, statistically independent of each
-/// other and of those of every other clump (tested).
+/// The random attributes of one clump: 32 uniform bits each. Chi-square tests of a meadow find none
+/// of them uneven and no two of a clump correlated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RandomAttributes {
     /// Position in the cell.

@@ -10,11 +10,10 @@ use std::sync::OnceLock;
 pub fn command(name: &str) -> Command {
     static BUILT: OnceLock<()> = OnceLock::new();
     BUILT.get_or_init(|| {
-        // The whole workspace, as continuous integration builds it: a part would be built with
-        // other features.
-        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let built = Command::new(cargo).args(["build", "--quiet", "--workspace", "--all-targets"]).status();
-        assert!(built.is_ok_and(|status| status.success()), "the programs build");
+        // `cargo ci` has just built them.
+        if std::env::var_os("TOMBOLO_PROGRAMS_BUILT").is_none() {
+            build();
+        }
     });
     let mut command = Command::new(directory().join(name));
     // Without it, a Vulkan layer of Mesa writes a line to standard error.
@@ -26,6 +25,22 @@ pub fn command(name: &str) -> Command {
         }
     }
     command
+}
+
+/// Builds the whole workspace, as continuous integration does: a part would be built with other
+/// features.
+fn build() {
+    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    // What cargo says of the package of the test. A build script of a dependency reads these names:
+    // with other values than in a shell it would run again, and all that needs it be built.
+    for (name, _) in std::env::vars_os() {
+        let is_of_the_test = |prefix| name.to_string_lossy().starts_with(prefix);
+        if is_of_the_test("CARGO_PKG_") || is_of_the_test("CARGO_MANIFEST_") {
+            cargo.env_remove(&name);
+        }
+    }
+    let built = cargo.args(["build", "--quiet", "--workspace", "--all-targets"]).status();
+    assert!(built.is_ok_and(|status| status.success()), "the programs build");
 }
 
 /// Where cargo puts the programs: two levels above the running test.

@@ -51,8 +51,16 @@ fn profile() -> &'static str {
 
 /// A program of the workspace, built by [`build`].
 pub fn program(name: &str) -> PathBuf {
-    let folder = triple().map_or_else(target, |triple| target().join(triple));
-    folder.join(profile()).join(name)
+    built(profile(), name)
+}
+
+/// A program of the workspace as its tests run it, built by `cargo build`.
+pub fn tested_program(name: &str) -> PathBuf {
+    built("debug", name)
+}
+
+fn built(folder: &str, name: &str) -> PathBuf {
+    triple().map_or_else(target, |triple| target().join(triple)).join(folder).join(name)
 }
 
 /// The target that a person has configured, by `build.target` or its variable; none without one. Cargo
@@ -81,7 +89,7 @@ fn is_triple(name: &str) -> bool {
 /// A command that builds programs. They are chosen among the whole workspace: a package that is
 /// chosen alone is built with other features, and so are all of its dependencies.
 pub fn build(programs: &[&str]) -> Command {
-    compile("build", programs, triple())
+    compile("build", profile(), programs, triple())
 }
 
 /// As [`build`], with a viewer that only draws into files: the window is half of what a viewer takes
@@ -92,7 +100,7 @@ pub fn build_without_window(programs: &[&str]) -> Command {
 
 /// Looks whether [`build_without_window`] would succeed, without making programs.
 pub fn check_without_window(programs: &[&str]) -> Command {
-    without_window(compile("check", programs, triple()))
+    without_window(compile("check", "dev", programs, triple()))
 }
 
 fn without_window(mut command: Command) -> Command {
@@ -102,8 +110,8 @@ fn without_window(mut command: Command) -> Command {
 
 /// A subcommand on programs, with results where [`program`] looks for them: a person may have
 /// configured another folder, or another target.
-fn compile(subcommand: &str, programs: &[&str], triple: Option<&str>) -> Command {
-    let mut compile = cargo(&format!("{subcommand} --profile {}", profile()));
+fn compile(subcommand: &str, profile: &str, programs: &[&str], triple: Option<&str>) -> Command {
+    let mut compile = cargo(&format!("{subcommand} --profile {profile}"));
     compile.arg("--target-dir").arg(target());
     compile.args(triple.into_iter().flat_map(|triple| ["--target", triple]));
     compile.args(programs.iter().flat_map(|program| ["--bin", program]));
@@ -257,7 +265,7 @@ mod tests {
     fn programs_are_built_where_they_are_looked_for() {
         let folder = target().display().to_string();
         let words = |triple| {
-            let command = compile("build", &["a", "b"], triple);
+            let command = compile("build", profile(), &["a", "b"], triple);
             command.get_args().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
         };
         let profile = profile();

@@ -20,8 +20,8 @@ pub struct Readback {
 
 /// A mapping in progress.
 #[derive(Debug)]
-pub struct PendingRead<'a> {
-    readback: &'a Readback,
+pub struct PendingRead {
+    staging: wgpu::Buffer,
     bytes: u64,
     outcome: mpsc::Receiver<MapOutcome>,
     is_ready: bool,
@@ -66,17 +66,17 @@ impl Readback {
 
     /// Starts mapping the first `bytes` bytes (at least 1), after the copies were submitted.
     #[must_use]
-    pub fn start(&self, bytes: u64) -> PendingRead<'_> {
+    pub fn start(&self, bytes: u64) -> PendingRead {
         let (sender, outcome) = mpsc::channel();
         self.staging.map_async(wgpu::MapMode::Read, ..bytes, move |mapped| {
             // The receiver is gone if the read was abandoned.
             let _ = sender.send(mapped);
         });
-        PendingRead { readback: self, bytes, outcome, is_ready: false }
+        PendingRead { staging: self.staging.clone(), bytes, outcome, is_ready: false }
     }
 }
 
-impl PendingRead<'_> {
+impl PendingRead {
     /// Whether the result can be taken. Never blocks.
     ///
     /// # Errors
@@ -107,7 +107,7 @@ impl PendingRead<'_> {
         if !self.receive()? {
             return Err(ReadbackError("the buffer is not mapped yet".to_owned()));
         }
-        let staging = &self.readback.staging;
+        let staging = &self.staging;
         let view =
             staging.get_mapped_range(..self.bytes).map_err(|error| ReadbackError(error.to_string()))?;
         let value = read(&view);

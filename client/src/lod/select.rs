@@ -2,8 +2,8 @@
 //! neighbours differ by one level at most.
 //!
 //! The rule is that of `terrain::lod`: split what is too coarse on screen, and what would be drawn
-//! beside something two levels finer. The server uses the level's error bound, before anything is
-//! generated; the viewer uses the chunk's own error, never above that bound. Both rules are
+//! beside something two levels finer. The server uses a bound of the chunk's error, before anything
+//! is generated; the viewer uses the error in the header, never above that bound. The rule is
 //! monotone, so the server sends every chunk that is selected here.
 
 use crate::cache::ChunkCache;

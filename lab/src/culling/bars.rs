@@ -116,15 +116,6 @@ pub fn rows(culling: &Value) -> Vec<Bar> {
         Bar::none("GPU against the twin: differing clumps", same("same/differing")),
         Bar::some("GPU against a twin that does not test the land (control)", same("same/differing_control")),
         Bar::at_most("root off the drawn triangle, worst", sight("root_mm"), "mm", 1.0),
-        Bar::at_least("streams: chi-square, worst, as p", at(culling, "lots/worst_stream_p"), "", 0.001),
-        Bar::at_least("two streams: the same", at(culling, "lots/worst_pair_p"), "", 0.001),
-        Bar::under(
-            "streams cut out of a hash of the cell (control)",
-            at(culling, "lots/poor_stream_p"),
-            "",
-            0.001,
-        ),
-        Bar::under("two streams with bits in common (control)", at(culling, "lots/poor_pair_p"), "", 0.001),
         million,
         Bar::at_least(
             "GPU time of 1 M clumps over that of an eighth of the grass (control)",
@@ -271,7 +262,6 @@ mod tests {
             "frame_ratios": { "all": spread, "valleys": spread, "repeated": spread },
             "gpu_time": { "adapter": "hard", "is_software": false, "size": [1920, 1080], "samples": 4,
                 "full": timed(1_000_000, 1.4), "sparse": timed(125_000, 0.4) },
-            "lots": { "worst_stream_p": 0.1, "worst_pair_p": 0.01, "poor_stream_p": 0.0, "poor_pair_p": 0.0 },
             "same": { "adapter": "soft", "poses": 24, "stretched": 8, "far": 5, "clumps": 9999,
                 "differing": 0, "differing_control": 50 },
         })
@@ -360,10 +350,6 @@ mod tests {
             ("/sight/variations/level_border/hierarchical/visible", json!(0)),
             ("/gpu_time/full/whole_ms", json!(1.5)),
             ("/gpu_time/sparse/whole_ms", json!(1.4)),
-            ("/lots/worst_stream_p", json!(0.0009)),
-            ("/lots/worst_pair_p", json!(0.0009)),
-            ("/lots/poor_stream_p", json!(0.001)),
-            ("/lots/poor_pair_p", json!(0.5)),
         ] {
             let mut culling = culling();
             *culling.pointer_mut(path).unwrap() = value;

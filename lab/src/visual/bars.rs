@@ -7,6 +7,10 @@ use serde_json::Value;
 /// Poses; fewer measure nothing.
 const POSES: f64 = super::POSES as f64;
 
+/// The least contrast that an eye sees, as a share of the light: about 1 % (Poynton, "Digital Video and
+/// HD: Algorithms and Interfaces", 2012, on lightness).
+const LEAST_SEEN: f64 = 0.01;
+
 /// What bars of a software driver say where there is none.
 const NEEDS_SOFTWARE: &str = "needs a software driver";
 
@@ -14,6 +18,10 @@ const NEEDS_SOFTWARE: &str = "needs a software driver";
 pub fn rows(visual: &Value) -> Vec<Bar> {
     let is_whole = at(visual, "poses") >= Some(POSES);
     let figure = |field: &str| at(visual, field).filter(|_| is_whole);
+    // Figures of few pictures are none.
+    let enough = |field: &str, least: f64, of: &str| figure(field).filter(|_| at(visual, of) >= Some(least));
+    let shadow = |field: &str| enough(field, 20.0, "shadow/poses");
+    let impostors = |field: &str| enough(field, 10.0, "impostors/poses");
     let is_software = visual.pointer("/frame_time/is_software") != Some(&Value::Bool(false));
     let timed = |what: &'static str, field: &str, bar: f64| {
         Bar::at_most(what, figure(&format!("frame_time/{field}")), "x", bar)
@@ -28,22 +36,32 @@ pub fn rows(visual: &Value) -> Vec<Bar> {
             1.05,
         ),
         Bar::at_least(
-            "light jump, every other chunk a tenth brighter (control)",
+            "light jump, p99.9, every other chunk three times as bright (control)",
             figure("borders/planted/ratio"),
             "x",
             1.05,
         ),
         Bar::reported("light jump by normals of the drawn triangles", figure("borders/mesh/ratio"), "x"),
-        Bar::at_most("light jump, median instead of p99.9", figure("borders/land/median_ratio"), "x", 1.05),
+        Bar::at_most(
+            "light jump, median across borders less that inside, share of the light",
+            figure("borders/land/median_excess"),
+            "",
+            LEAST_SEEN / 2.0,
+        ),
         Bar::at_least(
-            "light jump, median, every other chunk 3 % brighter (control)",
-            figure("borders/planted/median_ratio"),
-            "x",
-            1.05,
+            "light jump, median, every other chunk 1 % brighter (control)",
+            figure("borders/planted/median_excess"),
+            "",
+            LEAST_SEEN / 2.0,
         ),
         Bar::reported(
             "light jump, median, by normals of the drawn triangles",
-            figure("borders/mesh/median_ratio"),
+            figure("borders/mesh/median_excess"),
+            "",
+        ),
+        Bar::reported(
+            "light jump, median across borders over that inside",
+            figure("borders/land/median_ratio"),
             "x",
         ),
         Bar::reported(
@@ -75,11 +93,11 @@ pub fn rows(visual: &Value) -> Vec<Bar> {
         ),
         Bar::at_least(
             "luminance in shadow over light, after tone mapping",
-            figure("shadow/over_light"),
+            shadow("shadow/over_light"),
             "",
             0.25,
         ),
-        Bar::at_most("luminance in shadow over light, upper bar", figure("shadow/over_light"), "", 0.45),
+        Bar::at_most("luminance in shadow over light, upper bar", shadow("shadow/over_light"), "", 0.45),
         Bar::none("share of ground pixels at noon below sRGB 12", black),
         Bar::at_most(
             "power of the ground from 10 m over that of photographs, worst octave of 2 to 64 px",
@@ -111,7 +129,7 @@ pub fn rows(visual: &Value) -> Vec<Bar> {
         ),
         Bar::at_most(
             "tree impostor against geometry, mean FLIP of tree pixels",
-            figure("impostors/flip"),
+            impostors("impostors/flip"),
             "",
             0.05,
         ),
@@ -124,7 +142,7 @@ pub fn rows(visual: &Value) -> Vec<Bar> {
             "x",
         ),
         Bar::reported("pixels of impostors over those of geometry", figure("impostors/cover"), "x"),
-        Bar::at_least("no tree against geometry (control)", figure("impostors/without"), "", 0.05),
+        Bar::at_least("no tree against geometry (control)", impostors("impostors/without"), "", 0.05),
         Bar::at_most("shadows of trees: share of wrong places", figure("tree_shadow/near"), "", 0.02),
         Bar::at_least("with the sun turned by 5 degrees (control)", figure("tree_shadow/control"), "", 0.02),
         Bar::at_most(
@@ -143,11 +161,11 @@ pub fn rows(visual: &Value) -> Vec<Bar> {
         Bar::reported("far: error of the mean of all places", figure("tree_shadow/far_mean"), ""),
         Bar::at_least("far, without shadows (control)", figure("tree_shadow/far_control"), "", 0.05),
         timed("default of software drivers over a bare frame, median", "default_over_bare", 0.5),
-        timed("default of software drivers over a bare frame, slowest frames", "default_over_bare_p99", 0.5),
+        timed("default of software drivers over a bare frame, p99", "default_over_bare_p99", 0.5),
         timed("everything on over the earlier frame with plants, median", "all_over_planted", 2.0),
         timed(
-            "everything on over the earlier frame with plants, slowest frames",
-            "all_over_planted_p99",
+            "everything on over the earlier frame with plants, slowest of 9",
+            "all_over_planted_slowest",
             2.0,
         ),
     ]
@@ -158,7 +176,9 @@ const NOTES: [&str; 9] = [
      all over the world, from eye level to 2 km.",
     "Light jump: light of sun and sky on white ground, linear; pairs of neighbouring pixels whose distances \
      differ by at most 3 %; the larger light less the smaller one over their sum. Middle lines of chunks \
-     are no borders and lie at the same distances.",
+     are no borders and lie at the same distances. One pair in a thousand crosses the edge of a shadow, \
+     where light changes threefold: p99.9 shows jumps of that size alone. The bar of the median is half \
+     of the least contrast that an eye sees.",
     "Shadow: sun at 15 degrees; pixels that lose at least 30 % of their luminance by the shadow of the land; \
      mean of a pose, median of poses with at least 200 such pixels. Noon: sun at 60 degrees.",
     "Power spectrum: luminance of 256 x 256 pixels straight below the eye, linear, before tone mapping; \
@@ -197,9 +217,9 @@ mod tests {
     fn visual() -> Value {
         json!({
             "poses": 60,
-            "borders": { "land": { "ratio": 1.0, "median_ratio": 1.0, "pairs": 9 },
-                         "mesh": { "ratio": 1.1, "median_ratio": 1.1 },
-                         "planted": { "ratio": 1.2, "median_ratio": 1.2 } },
+            "borders": { "land": { "ratio": 1.0, "median_ratio": 1.0, "median_excess": 0.0, "pairs": 9 },
+                         "mesh": { "ratio": 1.1, "median_excess": 0.001 },
+                         "planted": { "ratio": 1.2, "median_excess": 0.01 } },
             "tolerance": { "land": 0.01, "mesh": 0.05, "land_light": 0.01, "mesh_light": 0.04,
                            "still": 0.01, "mesh_still": 0.04 },
             "shadow": { "poses": 20, "over_light": 0.3, "noon_pixels": 10, "black_at_noon": 0 },
@@ -210,12 +230,12 @@ mod tests {
             "unlit": 0,
             "lifted": { "magenta": 0, "magenta_before": 5 },
             "floor": { "pixels": 1000, "wrong": 1, "control": 50 },
-            "impostors": { "flip": 0.04, "picture": 0.01, "moved": 0.02, "smooth": 0.02, "luminance": 1.0,
+            "impostors": { "poses": 15, "flip": 0.04, "picture": 0.01, "moved": 0.02, "smooth": 0.02, "luminance": 1.0,
                            "cover": 1.0, "without": 0.4 },
             "tree_shadow": { "near": 0.01, "distant": 0.01, "distant_control": 0.2, "far": 0.0,
                              "far_mean": 0.0, "control": 0.2, "far_control": 0.5 },
             "frame_time": { "is_software": true, "default_over_bare": 0.4, "default_over_bare_p99": 0.4,
-                            "all_over_planted": 1.5, "all_over_planted_p99": 1.5 },
+                            "all_over_planted": 1.5, "all_over_planted_slowest": 1.5 },
         })
     }
 
@@ -246,8 +266,8 @@ mod tests {
         for (path, value) in [
             ("/borders/land/ratio", json!(1.06)),
             ("/borders/planted/ratio", json!(1.04)),
-            ("/borders/land/median_ratio", json!(1.06)),
-            ("/borders/planted/median_ratio", json!(1.04)),
+            ("/borders/land/median_excess", json!(0.006)),
+            ("/borders/planted/median_excess", json!(0.004)),
             ("/tolerance/land", json!(0.02)),
             ("/tolerance/land_light", json!(0.02)),
             ("/shadow/over_light", json!(0.2)),
@@ -274,7 +294,7 @@ mod tests {
             ("/frame_time/default_over_bare", json!(0.6)),
             ("/frame_time/default_over_bare_p99", json!(0.6)),
             ("/frame_time/all_over_planted", json!(2.1)),
-            ("/frame_time/all_over_planted_p99", json!(2.1)),
+            ("/frame_time/all_over_planted_slowest", json!(2.1)),
         ] {
             let mut visual = visual();
             *visual.pointer_mut(path).unwrap() = value;

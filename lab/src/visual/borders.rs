@@ -32,19 +32,22 @@ pub struct Jump {
     pub inside: f64,
     /// `across / inside`.
     pub ratio: f64,
-    /// The same of the medians. The tail is made of edges of the land, so that it shows large jumps
-    /// alone; the median shows a small one that most pairs have.
+    /// The same of the medians.
     pub median_ratio: f64,
+    /// What the median across borders has more than that inside, as a share of the light. The tail
+    /// is made of edges of shadows, so that it shows large jumps alone; this shows a small one that
+    /// most pairs have.
+    pub median_excess: f64,
 }
 
 /// By how much more light every other chunk has in the controls of the tail and of the median.
-const PLANTED: [f64; 2] = [0.1, 0.03];
+const PLANTED: [f64; 2] = [2.0, 0.01];
 
 /// Measures all poses.
 pub fn measure(views: &mut Views) -> Result<Borders, GpuError> {
     let [land, tail, median] = jumps(views, Normals::Land, [0.0, PLANTED[0], PLANTED[1]])?;
     let [mesh] = jumps(views, Normals::Mesh, [0.0])?;
-    let planted = Jump { median_ratio: median.median_ratio, ..tail };
+    let planted = Jump { median_ratio: median.median_ratio, median_excess: median.median_excess, ..tail };
     Ok(Borders { land, mesh, planted })
 }
 
@@ -86,6 +89,8 @@ fn jumps<const N: usize>(
             inside: tails[1],
             ratio: tails[0] / tails[1],
             median_ratio: medians[0] / medians[1],
+            // A difference is over the sum of two lights.
+            median_excess: 2.0 * (medians[0] - medians[1]),
         }
     }))
 }

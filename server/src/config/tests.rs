@@ -50,6 +50,14 @@ fn the_former_name_of_the_rate_limit_is_accepted() {
 }
 
 #[test]
+fn a_store_without_the_settings_of_its_engine_is_an_error_of_the_start() {
+    assert!(with_file("store = \"/var/chunks\"", Args::default()).unwrap().store.is_some());
+    // Neither the address nor, in tests, the environment names an account.
+    let error = with_file("store = \"az://container/chunks\"", Args::default()).unwrap_err().to_string();
+    assert!(error.starts_with("store: ") && error.lines().count() == 1, "{error}");
+}
+
+#[test]
 fn traces_have_an_address_and_a_share() {
     let of = |file: &str| with_file(file, Args::default()).unwrap().traces;
     let traces = of("otlp = \"http://a:4318/v1/traces\"").unwrap();

@@ -22,24 +22,17 @@ use protocol::{Delivery, chunk_codec};
 use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Instant;
 use terrain::Chunk;
 use tokio::sync::mpsc::UnboundedSender;
 use tracing::Span;
 
-/// Target duration of a round over all active flows, microseconds of work. A longer backlog per
-/// thread selects the fast encoding.
-const TARGET_ROUND_US: i64 = 4000;
+/// Backlog of a thread above which cheap chunks have the fast encoding, microseconds of work.
+const FAST_BACKLOG_US: i64 = 4000;
 
-/// Bounds of the quantum, microseconds. The lower bound is about four cheap chunks, since each turn
-/// wakes a session and causes a write, which costs about as much as a chunk; the upper bound is
-/// about ten, since their results are sent together.
-const QUANTUM_US: (i64, i64) = (160, 400);
-
-/// Queued jobs per active flow above which the queue counts as saturated: half of a session's
-/// window.
-const BACKLOG_PER_FLOW: usize = 8;
+/// Quantum of a turn, microseconds: about six cheap chunks. Each turn wakes a session and causes a
+/// write, which costs about as much as a chunk; 16 active flows have a round of 4 ms.
+const QUANTUM_US: i64 = 250;
 
 /// The frames of a finished job.
 pub(super) struct GeneratedFrames {
@@ -110,8 +103,7 @@ impl Shared {
         loop {
             let turn = {
                 let mut queue = self.lock();
-                let quantum_us = self.quantum_us(queue.waiting());
-                let turn = queue.take(quantum_us, deadline, Instant::now());
+                let turn = queue.take(QUANTUM_US, deadline, Instant::now());
                 if turn.chunks.is_empty() && turn.view.is_none() {
                     queue.runners -= 1;
                 }
@@ -141,18 +133,6 @@ impl Shared {
             }
             scheduling::yield_if_due(self.limits.without);
         }
-    }
-
-    /// The quantum of a turn. Few flows get long turns, which cost less; many get short ones, which
-    /// bound their wait. On a saturated queue short turns would shorten no wait, and writes would
-    /// take the time of generation, so turns are long again.
-    fn quantum_us(&self, waiting: usize) -> i64 {
-        let flows = self.active_flows.load(Ordering::Relaxed).max(1);
-        let has_long_turns = self.limits.without != Some(Mechanism::LongTurns);
-        if has_long_turns && waiting >= BACKLOG_PER_FLOW * flows {
-            return QUANTUM_US.1;
-        }
-        (TARGET_ROUND_US / flows as i64).clamp(QUANTUM_US.0, QUANTUM_US.1)
     }
 
     /// Continues a view within its budget, or until a flow that was idle waits: it has the next turn,
@@ -288,7 +268,7 @@ impl Shared {
     fn effort(&self, id: ChunkId) -> Effort {
         let backlog_us = || self.lock().waiting() as i64 * self.costs.mean_us() / self.limits.threads as i64;
         let may_be_fast = id.key.level() == 0 && self.limits.without != Some(Mechanism::FastEffort);
-        if may_be_fast && backlog_us() > TARGET_ROUND_US { Effort::Fast } else { Effort::Compact }
+        if may_be_fast && backlog_us() > FAST_BACKLOG_US { Effort::Fast } else { Effort::Compact }
     }
 
     /// A frame from disk.

@@ -80,7 +80,7 @@ pub struct Atmosphere {
     /// Upwards.
     pub upward: [f32; 4],
     /// Light scattered more than once.
-    pub manifold: [f32; 4],
+    pub multiple_scattering: [f32; 4],
     /// The sky on a white surface, mean over all normals.
     pub sky_mean: [f32; 4],
     /// Its growth with the normal's axis east.

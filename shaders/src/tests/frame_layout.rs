@@ -43,7 +43,7 @@ fn frame_uniforms_have_the_layout_of_the_shaders() {
         ("toward", offset_of!(Atmosphere, toward)),
         ("away", offset_of!(Atmosphere, away)),
         ("upward", offset_of!(Atmosphere, upward)),
-        ("manifold", offset_of!(Atmosphere, manifold)),
+        ("multiple_scattering", offset_of!(Atmosphere, multiple_scattering)),
         ("sky_mean", offset_of!(Atmosphere, sky_mean)),
         ("sky_east", offset_of!(Atmosphere, sky_east)),
         ("sky_up", offset_of!(Atmosphere, sky_up)),

@@ -42,12 +42,6 @@ pub fn field_height_scale(field: &Field, distance_m: f32) -> f32 {
     return 1.0 - smoothstep(field.range_m - band_m, field.range_m, distance_m);
 }
 
-/// Level of detail of a clump, 0 the finest.
-#[must_use]
-pub fn field_level(field: &Field, distance_m: f32) -> u32 {
-    return u32::from(distance_m >= field.lod_m[0]) + u32::from(distance_m >= field.lod_m[1]);
-}
-
 /// Width and height of a clump without widening and collapse, metres, from its numbers 0 to 1.
 #[must_use]
 pub fn field_size_m(field: &Field, width: f32, height: f32) -> [f32; 2] {
@@ -138,7 +132,6 @@ mod tests {
         assert!((field_height_scale(&field, 275.0) - 0.5).abs() < 1e-5);
         let sharp = Field { collapse_m: 0.0, ..field };
         assert_eq!([299.9, 300.0].map(|d| field_height_scale(&sharp, d)), [1.0, 0.0], "no band is a step");
-        assert_eq!([0.0, 11.9, 12.0, 39.9, 40.0].map(|d| field_level(&field, d)), [0, 0, 1, 1, 2]);
         assert_eq!(field_size_m(&field, 0.0, 1.0), [0.1, 0.7]);
     }
 }

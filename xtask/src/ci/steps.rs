@@ -86,7 +86,7 @@ pub const ALL: [Step; 18] = [
     Step {
         name: "build",
         about: "every target builds, and the programs of the demo also without a window",
-        again: "cargo build --workspace --all-targets && cargo check --profile release \
+        again: "cargo build --workspace --all-targets && cargo check --profile dev \
                 --no-default-features --bin tombolo-server --bin tombolo-view",
         action: build,
     },
@@ -131,7 +131,7 @@ pub const ALL: [Step; 18] = [
     Step {
         name: "docs",
         about: "documentation builds without warnings",
-        again: "RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps",
+        again: "RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --lib --bins --examples",
         action: docs,
     },
     Step {
@@ -186,6 +186,8 @@ fn schedules(host: &dyn Host) -> Result<Shown> {
         tests.arg(process::target().join("shuttle")).env("TOMBOLO_SCHEDULES", SCHEDULES);
         // The second variable would replace the first.
         tests.env("RUSTFLAGS", "--cfg shuttle").env_remove("CARGO_ENCODED_RUSTFLAGS");
+        // Schedules are few, and optimised dependencies take minutes to build.
+        tests.args(["--config", "profile.dev.opt-level=0"]);
         tests
     };
     host.run(tests())?;
@@ -224,6 +226,8 @@ fn tests(host: &dyn Host) -> Result<Shown> {
     let mut tests = process::cargo("nextest run --workspace");
     // Setup has installed a software driver, so pictures that are not drawn are a failure.
     tests.env("TOMBOLO_REQUIRE_GPU", "1");
+    // By the step `build`; tests of programs need not look.
+    tests.env("TOMBOLO_PROGRAMS_BUILT", "1");
     let mut parts = Vec::new();
     for (part, tool, variable) in [
         ("window on a display", Tool::Xvfb, "TOMBOLO_REQUIRE_DISPLAY"),
@@ -253,9 +257,9 @@ fn shaders(host: &dyn Host) -> Result<Shown> {
 
 fn digest_of_backends(host: &dyn Host) -> Result<Shown> {
     let json = process::target().join("ci-digest.json");
-    // Without --package: one package alone would be built with other features.
-    let mut lab = process::cargo("run --quiet --bin tombolo-lab -- digest --json");
-    lab.arg(&json).env("TOMBOLO_REQUIRE_GPU", "1");
+    // By the step `build`: `cargo run` would build it with other features.
+    let mut lab = process::command(process::tested_program("tombolo-lab"));
+    lab.args(["digest", "--json"]).arg(&json).env("TOMBOLO_REQUIRE_GPU", "1");
     process::quiet_drivers(&mut lab);
     let report = host.report(lab, &json)?;
     Ok(Shown { outcome: Outcome::Passed, parts: digest::parts(&report)? })
@@ -302,7 +306,7 @@ for (const [name, call] of [['scalar', scalar], ['simd128', best]])
     console.log(name, BigInt.asUintN(64, call()).toString(16).padStart(16, '0'));";
 
 fn docs(host: &dyn Host) -> Result<Shown> {
-    let mut docs = process::cargo("doc --workspace --no-deps");
+    let mut docs = process::cargo("doc --workspace --no-deps --lib --bins --examples");
     docs.env("RUSTDOCFLAGS", "-D warnings");
     ran(host, docs)
 }

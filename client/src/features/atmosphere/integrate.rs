@@ -156,11 +156,11 @@ mod tests {
     /// Directions all around, close to each other at the horizon, exactly level, straight up and
     /// straight down.
     fn directions() -> Vec<[f32; 3]> {
-        let block_errors = [
+        let rises = [
             -90.0, -60.0, -20.0, -5.0, -3.0, -1.0, -0.3, -0.01, 0.0, 0.01, 0.3, 1.0, 5.0, 20.0, 60.0, 90.0f32,
         ];
         let around = [0.0, 60.0, 90.0, 135.0, 180.0, 270.0f32];
-        block_errors
+        rises
             .into_iter()
             .flat_map(|rise| {
                 let (up, level) = rise.to_radians().sin_cos();
@@ -238,8 +238,8 @@ mod tests {
         for height_m in [0.0, 300.0, 4000.0, 20_000.0f64] {
             // Down to where rays meet the sea, which the reference lacks.
             let dip = -(2.0 * height_m / 6_371_000.0).sqrt();
-            let block_errors = [0.95 * dip, 0.5 * dip, 0.001, 0.01, 0.05, 0.2, 0.7, 1.0];
-            let rays: Vec<([f32; 3], f32)> = block_errors
+            let rises = [0.95 * dip, 0.5 * dip, 0.001, 0.01, 0.05, 0.2, 0.7, 1.0];
+            let rays: Vec<([f32; 3], f32)> = rises
                 .iter()
                 .flat_map(|rise| {
                     let level = (1.0 - rise * rise).sqrt() as f32;

@@ -59,6 +59,8 @@ pub struct Materials {
     pub shapes: wgpu::Texture,
     /// See [`HEIGHT_FORMAT`].
     pub heights: wgpu::Texture,
+    /// See [`maps::max_mips`].
+    pub max_mips: wgpu::Texture,
     layout: wgpu::BindGroupLayout,
     bindings: wgpu::BindGroup,
 }
@@ -102,7 +104,7 @@ impl Materials {
         let sampler = wgpu::BindingResource::Sampler(&sampler);
         let resources = [colour_view, shape_view, sampler, height_view, max_view];
         let bindings = bind::bind(device, "materials", &layout, &resources);
-        Self { colours, shapes, heights, layout, bindings }
+        Self { colours, shapes, heights, max_mips, layout, bindings }
     }
 
     /// Layout of the bind group: colours, shapes, sampler, exact heights, max mips.

@@ -28,14 +28,14 @@ pub struct PomMaps {
 }
 
 impl PomMaps {
-    /// Builds the max mips of heights on the GPU: `heights` as R32Float with all mip levels,
-    /// `smooth` the same in the alpha of a filterable texture. Without cones.
+    /// Maps over textures: `heights` as R32Float with all mip levels, `smooth` the same in the alpha
+    /// of a filterable texture, and the [`max_mips`] of the heights. Without cones.
     #[must_use]
     pub fn over(
         device: &wgpu::Device,
-        queue: &wgpu::Queue,
         heights: &wgpu::Texture,
         smooth: &wgpu::Texture,
+        max_mips: &wgpu::Texture,
     ) -> Self {
         let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
             label: Some("parallax maps"),
@@ -46,8 +46,7 @@ impl PomMaps {
             ..Default::default()
         });
         let cones = texture(device, "no cones", EXACT, 1, 1, 1, 1);
-        let max_mips = max_mips(device, queue, heights);
-        let [exact, smooth, max_mips, cone_view] = [heights, smooth, &max_mips, &cones].map(whole);
+        let [exact, smooth, max_mips, cone_view] = [heights, smooth, max_mips, &cones].map(whole);
         Self {
             heights: heights.clone(),
             smooth,
@@ -80,7 +79,7 @@ impl PomMaps {
                 map = map.next_mip();
             }
         }
-        Self::over(device, queue, &heights, &smooth)
+        Self::over(device, &heights, &smooth, &max_mips(device, queue, &heights))
     }
 
     /// Whether cones have been baked. Shaders use the max mips instead where they are not.
@@ -182,26 +181,37 @@ fn write<T: bytemuck::Pod>(
     );
 }
 
+/// Where the bounds of a level of a mip level begin; `max_mip_corner` of
+/// `shared/max_mip_traversal.wesl`.
+const fn max_mip_corner(map_side: u32, lod: u32, level: u32) -> wgpu::Origin3d {
+    let side = map_side >> lod;
+    let south = 2 * (map_side - side);
+    if level == 0 {
+        return wgpu::Origin3d { x: 0, y: south, z: 0 };
+    }
+    wgpu::Origin3d { x: side, y: south + side - 2 * (side >> level), z: 0 }
+}
+
 /// The max mips of all mip levels of heights (maximum mipmaps: Tevs, Ihrke, Seidel, "Maximum
 /// Mipmaps for Fast, Accurate, and Scalable Dynamic Height Field Rendering", I3D 2008), in the
 /// layout that the shader reads.
 #[must_use]
 pub fn max_mips(device: &wgpu::Device, queue: &wgpu::Queue, heights: &wgpu::Texture) -> wgpu::Texture {
     let (side, layers) = (heights.width(), heights.depth_or_array_layers());
-    let max_mips = texture(device, "max mips", EXACT, side + side / 2, 2 * side, layers, 1);
+    let [max_mips, found] = ["max mips", "new max mips"]
+        .map(|label| texture(device, label, EXACT, side + side / 2, 2 * side, layers, 1));
     let shader = SHADERS.reduce_max_mip;
     let entries = [
         bind::compute_uniform_entry(0),
         PomMaps::layout_entries(1, wgpu::ShaderStages::COMPUTE)[0],
-        bind::storage_texture_entry(2, EXACT, wgpu::StorageTextureAccess::ReadWrite),
+        bind::texture_entry(2, wgpu::ShaderStages::COMPUTE, wgpu::TextureViewDimension::D2Array, false),
+        bind::storage_texture_entry(3, EXACT, wgpu::StorageTextureAccess::WriteOnly),
     ];
     let layout = bind::layout(device, shader.name, &entries);
     let [pipeline] = compute_pipelines(device, &shader, &[&layout], ["reduce_max_mip"]);
-    let (read, written) = (whole(heights), whole(&max_mips));
+    let [heights, finer, written] = [heights, &max_mips, &found].map(whole);
     let mut encoder =
         device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(shader.name) });
-    let mut pass = compute_pass(&mut encoder, shader.name);
-    pass.set_pipeline(&pipeline);
     let bits = side.ilog2();
     for (lod, level) in (0..=bits).flat_map(|lod| (0..=bits - lod).map(move |level| (lod, level))) {
         let order = MaxMipReduction { side, lod, level, reserved: 0 };
@@ -211,13 +221,25 @@ pub fn max_mips(device: &wgpu::Device, queue: &wgpu::Queue, heights: &wgpu::Text
             usage: wgpu::BufferUsages::UNIFORM,
         });
         let view = wgpu::BindingResource::TextureView;
-        let resources = [order.as_entire_binding(), view(&read), view(&written)];
+        let resources = [order.as_entire_binding(), view(&heights), view(&finer), view(&written)];
         let bindings = bind::bind(device, shader.name, &layout, &resources);
+        let bounds = side >> (lod + level);
+        let mut pass = compute_pass(&mut encoder, shader.name);
+        pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &bindings, &[]);
-        let groups = (side >> (lod + level)).div_ceil(MAX_MIP_WORKGROUP);
+        let groups = bounds.div_ceil(MAX_MIP_WORKGROUP);
         pass.dispatch_workgroups(groups, groups, layers);
+        drop(pass);
+        let origin = max_mip_corner(side, lod, level);
+        let copy = |texture| wgpu::TexelCopyTextureInfo {
+            texture,
+            mip_level: 0,
+            origin,
+            aspect: wgpu::TextureAspect::All,
+        };
+        let extent = wgpu::Extent3d { width: bounds, height: bounds, depth_or_array_layers: layers };
+        encoder.copy_texture_to_texture(copy(&found), copy(&max_mips), extent);
     }
-    drop(pass);
     queue.submit([encoder.finish()]);
     max_mips
 }

@@ -3,15 +3,12 @@
 
 use crate::features::terrain::pool::ChunkPool;
 use crate::features::vegetation::far_trees::{FarTreeFrame, MAX_FAR_CHUNKS, MAX_FAR_TREES};
-use crate::features::vegetation::gpu_cull::CullStats;
 use crate::gpu::bind::{self, storage_entry};
 use crate::gpu::buffer::create_buffer;
 use crate::gpu::pipeline::{Depth, HDR, HdrPass, compute_pass, compute_pipelines};
-use crate::gpu::{Gpu, GpuError};
 use shaders::SHADERS;
 use shaders::layout::{
-    Culling, FAR_LOST, FAR_STATE_WORDS, FAR_TREE_BYTES, FarTrees, Field, MAX_FAR_PATCHES, OccluderChunk,
-    Planting,
+    Culling, FAR_STATE_WORDS, FAR_TREE_BYTES, FarTrees, Field, MAX_FAR_PATCHES, OccluderChunk, Planting,
 };
 use wgpu::BufferUsages as Usage;
 
@@ -140,16 +137,8 @@ impl FarTreePass {
         pass.draw_indirect(&self.state, 0);
     }
 
-    /// Counts of the last submitted placing. Waits for the GPU.
-    ///
-    /// # Errors
-    /// The GPU failed.
-    pub fn read_stats(&self, gpu: &Gpu) -> Result<CullStats, GpuError> {
-        let bytes = gpu.read_buffer(&self.state, 0..32)?;
-        let word = |index: usize| {
-            let at = 4 * index;
-            u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
-        };
-        Ok(CullStats { clumps: word(1), clumps_lost: word(FAR_LOST), ..CullStats::default() })
+    /// Its counts; see `shared/far_trees.wesl`.
+    pub(super) fn state(&self) -> &wgpu::Buffer {
+        &self.state
     }
 }

@@ -123,6 +123,22 @@ impl FarTreeFrame {
         let heights_m = [chunk.min.min(parent.min), chunk.max.max(parent.max)]
             .map(|units| (f64::from(units) - f64::from(view.eye.units[1])) / f64::from(UNITS_PER_METRE));
         let before = found.len();
+        // Most chunks lie beside the view: their patches need no look.
+        let chunk_from_eye = [(x, 0), (z, 2)].map(|(low, axis)| {
+            let units = i64::from(low) - i64::from(view.eye.units[axis]);
+            units as f64 / f64::from(UNITS_PER_METRE)
+        });
+        let chunk_m = drawn.key.side() as f64 / f64::from(UNITS_PER_METRE);
+        let box_low =
+            DVec3::new(chunk_from_eye[0] - aside_m, heights_m[0] - aside_m, chunk_from_eye[1] - aside_m);
+        let box_high = DVec3::new(
+            chunk_from_eye[0] + chunk_m + aside_m,
+            heights_m[1] + above_m,
+            chunk_from_eye[1] + chunk_m + aside_m,
+        );
+        if view.frustum.is_some_and(|frustum| !frustum.may_hold(box_low, box_high)) {
+            return;
+        }
         for row in rows {
             for column in columns.clone() {
                 let low = [corner[0] + column * PATCH, corner[1] + row * PATCH];

@@ -37,6 +37,11 @@ pub struct CullStats {
 }
 
 impl CullStats {
+    /// The counts from the words that `scan_plants.wesl` writes.
+    pub(super) fn of_words(words: &[u32]) -> Self {
+        Self { blocks: words[0], blocks_lost: words[1], clumps: words[2], clumps_lost: words[3] }
+    }
+
     /// The sum of both.
     #[must_use]
     pub fn with(self, other: Self) -> Self {
@@ -315,14 +320,18 @@ impl CullBuffers {
         }
     }
 
-    /// Counts of the last submitted culling. Waits for the GPU.
+    /// The arguments of indirect draws and dispatches, and the counts.
+    pub(super) fn arguments(&self) -> &wgpu::Buffer {
+        &self.indirect
+    }
+
+    /// Counts of the last submitted culling. Waits for the GPU; for checks.
     ///
     /// # Errors
     /// The GPU failed.
     pub fn read_stats(&self, gpu: &Gpu) -> Result<CullStats, GpuError> {
-        let words = read_words(gpu, &self.indirect, 0..INDIRECT_WORDS)?;
-        let stats = &words[INDIRECT_STATS..];
-        Ok(CullStats { blocks: stats[0], blocks_lost: stats[1], clumps: stats[2], clumps_lost: stats[3] })
+        let words = read_words(gpu, &self.indirect, INDIRECT_STATS..INDIRECT_STATS + 4)?;
+        Ok(CullStats::of_words(&words))
     }
 
     /// Visible clumps of the last submitted culling: four words each, by level of detail. Waits for

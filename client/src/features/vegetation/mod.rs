@@ -26,6 +26,7 @@ pub mod prepare;
 pub mod renderer;
 pub mod settings;
 pub mod species;
+pub mod stats;
 pub mod tree_cells;
 
 pub use occlusion_grid::OcclusionGrid;

@@ -7,6 +7,7 @@ use crate::features::vegetation::far_tree_pass::FarTreePass;
 use crate::features::vegetation::gpu_cull::{CullBuffers, CullPasses, CullStats, MAX_BLOCKS};
 use crate::features::vegetation::prepare::PreparePass;
 use crate::features::vegetation::species::{SpeciesParams, VegetationFrame};
+use crate::features::vegetation::stats::StatsCopy;
 use crate::features::vegetation::tree_cells::{TreeCells, TreeGroups, TreePasses};
 use crate::gpu::buffer::create_buffer;
 use crate::gpu::{Gpu, GpuError};
@@ -92,8 +93,15 @@ impl VegetationRenderer {
             };
             if let Some(existing) = self.species.iter_mut().find(|pass| pass.species == species) {
                 let old = (existing.buffers.culling.blocks, existing.buffers.culling.capacity);
-                let clumps = std::array::from_fn(|level| needed[level].max(old.1[level]));
-                let capacity = (blocks.max(old.0), clumps);
+                // Grown to a power of two, so that a range that is dragged does not make new buffers in
+                // every frame.
+                let grown = |needed: u32, old: u32, most: u32| match needed > old {
+                    true => needed.next_power_of_two().min(most).max(needed),
+                    false => old,
+                };
+                let clumps =
+                    std::array::from_fn(|level| grown(needed[level], old.1[level], MAX_CLUMPS[level]));
+                let capacity = (grown(blocks, old.0, MAX_BLOCKS), clumps);
                 if capacity != old {
                     existing.buffers = buffers(&existing.pass, &existing.preparing, capacity);
                 }
@@ -150,15 +158,26 @@ impl VegetationRenderer {
         }
     }
 
-    /// Counts of the last submitted culling, summed over all species. Waits for the GPU.
+    /// Records a copy of the counts of the last culling, to be read some frames later.
+    #[must_use]
+    pub fn copy_stats(&self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder) -> StatsCopy {
+        let arguments: Vec<_> = self.species.iter().map(|pass| pass.buffers.culling.arguments()).collect();
+        let far = self.far_trees.as_ref().map(FarTreePass::state);
+        StatsCopy::record(device, encoder, &arguments, far, self.far_patches_lost)
+    }
+
+    /// Counts of all species of the last submitted culling. Waits for the GPU.
     ///
     /// # Errors
     /// The GPU failed.
+    #[cfg(not(target_arch = "wasm32"))]
     pub fn read_stats(&self, gpu: &Gpu) -> Result<CullStats, GpuError> {
-        let add = |sum: CullStats, pass: &SpeciesPass| Ok(sum.with(pass.buffers.culling.read_stats(gpu)?));
-        let far = self.far_trees.as_ref().map(|pass| pass.read_stats(gpu)).transpose()?.unwrap_or_default();
-        let far = CullStats { blocks_lost: self.far_patches_lost, ..far };
-        self.species.iter().try_fold(far, add)
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let copy = self.copy_stats(&gpu.device, &mut encoder);
+        gpu.queue.submit([encoder.finish()]);
+        let read = copy.start();
+        gpu.wait()?;
+        Ok(read.result()?)
     }
 
     /// The buffers of each species, for checks.

@@ -15,6 +15,7 @@ use crate::camera::Pose;
 use crate::features::materials::CustomMaterials;
 use crate::features::terrain::pool::ChunkPool;
 use crate::features::vegetation::gpu_cull::CullStats;
+use crate::features::vegetation::stats::StatsRead;
 use crate::frame::TRIANGLES_PER_INSTANCE;
 use crate::gpu::rebuild::{MOST_REBUILDS, Rebuilds};
 use crate::gpu::surface::WindowSurface;
@@ -96,6 +97,8 @@ pub struct Running {
     last_view: Option<ViewParams>,
     /// Last culling counts.
     plants: CullStats,
+    /// The next ones, on their way from the GPU.
+    plants_coming: Option<StatsRead>,
     /// When they were read.
     plants_read: Instant,
     started: Instant,
@@ -201,6 +204,7 @@ impl Running {
             instances: 0,
             last_view: None,
             plants: CullStats::default(),
+            plants_coming: None,
             plants_read: now,
             started,
             last: now,

@@ -44,7 +44,7 @@ impl LocalScene {
     #[must_use]
     pub fn new(
         scene: Scene,
-        (device, queue): (&wgpu::Device, &wgpu::Queue),
+        device: &wgpu::Device,
         frame: &wgpu::Buffer,
         waves: &WaveMap,
         materials: &Materials,
@@ -54,7 +54,7 @@ impl LocalScene {
             Scene::Island | Scene::Grass | Scene::Culling => None,
             Scene::Water => Some(Self::Water(WaterScene::new(device, frame, waves, samples))),
             Scene::Pom | Scene::Brick | Scene::Spom => {
-                let scene = PomScene::new(device, queue, frame, materials, scene, samples);
+                let scene = PomScene::new(device, frame, materials, scene, samples);
                 Some(Self::Pom(Box::new(scene)))
             }
         }

@@ -52,13 +52,12 @@ impl PomScene {
     #[must_use]
     pub fn new(
         device: &wgpu::Device,
-        queue: &wgpu::Queue,
         frame: &wgpu::Buffer,
         materials: &Materials,
         scene: Scene,
         samples: u32,
     ) -> Self {
-        let maps = PomMaps::over(device, queue, &materials.heights, &materials.colours);
+        let maps = PomMaps::over(device, &materials.heights, &materials.colours, &materials.max_mips);
         let stages = wgpu::ShaderStages::VERTEX_FRAGMENT;
         let mut entries = vec![bind::uniform_entry(0), bind::storage_entry(1, stages, true)];
         entries.extend(PomMaps::layout_entries(2, stages));

@@ -14,7 +14,7 @@ use protocol::limits::SEED_ONLY_FRAME;
 use protocol::server::ChunkRequest;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use terrain::{ChunkKey, Land, WorldDigest};
 

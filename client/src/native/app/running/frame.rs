@@ -5,6 +5,7 @@ use crate::camera::{Pose, Projection};
 use crate::features::terrain_clipmap::textures::TILES_PER_FRAME;
 use crate::features::terrain_shadow::pass::PER_FRAME;
 use crate::features::vegetation::gpu_cull::CullStats;
+use crate::features::vegetation::stats::StatsCopy;
 use crate::frame::{FrameData, TRIANGLES_PER_INSTANCE};
 use crate::gpu::surface::{NextTexture, WindowSurface};
 use crate::gpu::{GpuError, Image, OffscreenTarget};
@@ -142,13 +143,11 @@ impl Running {
                 (self.settings, self.narrow_view_m) = (self.first_settings, None);
             }
         }
-        gpu.queue.submit([encoder.finish()]);
-        if self.frames.is_multiple_of(CULL_STATS_INTERVAL) || now - self.plants_read > CULL_STATS_AGE {
-            self.plants = self.read_cull_stats();
-            self.plants_read = now;
-        }
+        let copy = self.copy_cull_stats(now, &mut encoder);
+        self.gpu.queue.submit([encoder.finish()]);
+        self.follow_cull_stats(copy);
         self.window.pre_present_notify();
-        gpu.queue.present(texture);
+        self.gpu.queue.present(texture);
         self.times.push(step);
         self.frames += 1;
         if self.first_image.is_none() {
@@ -159,6 +158,9 @@ impl Running {
             self.save_screenshot(&frame)?;
         }
         let is_last = self.args.frames.is_some_and(|frames| self.frames >= frames as usize) && self.may_end();
+        if is_last && let Some(vegetation) = self.renderer.vegetation() {
+            self.plants = vegetation.read_stats(&self.gpu).unwrap_or_default();
+        }
         if is_last && let Some(path) = self.args.window_test.last_frame.clone() {
             self.renderer.finish_shading(&self.gpu, &frame)?;
             png_file::write(&path, &self.picture(&frame)?)?;
@@ -214,10 +216,29 @@ impl Running {
         step
     }
 
-    /// Reads the culling counts; a failed GPU is reported by the next frame.
-    fn read_cull_stats(&self) -> CullStats {
+    /// Records a copy of the culling counts, if it is time for one and none is on its way.
+    fn copy_cull_stats(&mut self, now: Instant, encoder: &mut wgpu::CommandEncoder) -> Option<StatsCopy> {
+        let is_due =
+            self.frames.is_multiple_of(CULL_STATS_INTERVAL) || now - self.plants_read > CULL_STATS_AGE;
+        if !is_due || self.plants_coming.is_some() {
+            return None;
+        }
+        self.plants_read = now;
         let vegetation = self.renderer.vegetation().filter(|_| self.settings.render.plants.any());
-        vegetation.and_then(|vegetation| vegetation.read_stats(&self.gpu).ok()).unwrap_or_default()
+        if vegetation.is_none() {
+            self.plants = CullStats::default();
+        }
+        vegetation.map(|vegetation| vegetation.copy_stats(&self.gpu.device, encoder))
+    }
+
+    /// Takes the counts when they have come; never waits. A failed GPU is reported by the next frame.
+    fn follow_cull_stats(&mut self, copy: Option<StatsCopy>) {
+        self.plants_coming = self.plants_coming.take().or_else(|| copy.map(StatsCopy::start));
+        let has_come = self.plants_coming.as_mut().map(|read| read.poll(&self.gpu.device));
+        if !matches!(has_come, None | Some(Ok(false))) {
+            let read = self.plants_coming.take();
+            self.plants = read.and_then(|read| read.result().ok()).unwrap_or_default();
+        }
     }
 
     /// Draws a frame without the panel.
