@@ -81,7 +81,11 @@ pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) -> Outcome 
     let now = Instant::now();
     resumption.end(now, task.counters);
     for due in schedule.remaining() {
-        task.counters.unsent(now.saturating_duration_since(due));
+        // What is due after an early end has not waited.
+        match now.checked_duration_since(due) {
+            Some(waited) => task.counters.unsent(waited),
+            None => task.counters.skipped(),
+        }
     }
     outcome
 }

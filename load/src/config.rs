@@ -48,7 +48,8 @@ pub struct Args {
     pub mode: Mode,
     /// Requests (in view mode poses) a second over all clients, 0.01 to 1000000, at times that do
     /// not depend on the server (an open loop). Latency counts from these times, so it includes
-    /// late sends [default: a closed loop, in which each client waits for answers]
+    /// late sends [default: in view mode views and
+    /// probes at fixed intervals; else a closed loop, in which each client waits for answers]
     #[arg(long, value_name = "R", value_parser = rate)]
     pub rate: Option<f64>,
     /// Before the run, fly the first S seconds of the same paths, 0 to 86400. Reported separately:

@@ -202,8 +202,7 @@ impl Counters {
         self.unanswered.fetch_add(requests as u64, Ordering::Relaxed);
     }
 
-    /// A request of an open loop had no answer after this time, at the end of the run or of its
-    /// session. It counts with this time, a lower bound of its latency.
+    /// A request had no answer after this time, at the end of the run or of its session. It counts with this time, a lower bound of its latency.
     pub fn abandoned(&self, waited: Duration) {
         add(&self.unanswered);
         lock(&self.latencies).record(waited);
@@ -213,6 +212,11 @@ impl Counters {
     pub fn unsent(&self, waited: Duration) {
         add(&self.unsent);
         lock(&self.latencies).record(waited);
+    }
+
+    /// A request that was never sent and has not waited.
+    pub fn skipped(&self) {
+        add(&self.unsent);
     }
 
     /// The server closed the connection of a slow or idle client.

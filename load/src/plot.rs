@@ -20,7 +20,11 @@ fn chart(report: &Report) -> Chart {
 }
 
 fn title(report: &Report) -> String {
-    let pace = report.rate.map_or("closed loop".into(), |rate| format!("open loop, {rate} a second"));
+    let pace = match report.rate {
+        Some(rate) => format!("open loop, {rate} a second"),
+        None if report.mode == "view" => "fixed intervals".into(),
+        None => "closed loop".into(),
+    };
     format!("{} clients, {} mode, path {}, {pace}", report.clients, report.mode, report.path)
 }
 

@@ -1,5 +1,5 @@
-//! When a client does what: in a closed loop after its answers, in an open loop at times that are
-//! fixed before the run.
+//! When a client does what: in a closed loop after its answers, in an open loop at random times that
+//! are fixed before the run, else at fixed intervals.
 //!
 //! A schedule outlives sessions: an action that was due while a client was disconnected is done
 //! after it has reconnected, and counts from when it was due.
@@ -98,13 +98,11 @@ impl Schedule {
             Pacing::Periodic { probes: None, .. } if outstanding >= MAX_VIEWS_SLOW - 1 => {
                 std::future::pending().await
             }
-            Pacing::Periodic { views, probes: None } => {
-                views.tick().await;
-                Action::View(Instant::now())
-            }
+            Pacing::Periodic { views, probes: None } => Action::View(views.tick().await),
             Pacing::Periodic { views, probes: Some(probes) } => tokio::select! {
-                _ = views.tick() => Action::View(Instant::now()),
-                _ = probes.tick() => Action::Probe(Instant::now()),
+                // From when they were due: a client that is late must not hide it.
+                due = views.tick() => Action::View(due),
+                due = probes.tick() => Action::Probe(due),
             },
             Pacing::Closed { outstanding: most } if outstanding < *most => {
                 Action::Request(Instant::now(), *most - outstanding)

@@ -38,6 +38,9 @@ use tokio_tungstenite::tungstenite::{Error, Message};
 /// soon.
 const WINDOW: u32 = 64;
 
+/// Wait of a request at the end of its session from which it counts as latency.
+const STALL: Duration = Duration::from_secs(1);
+
 /// The same for a slow client: the maximum, so that credit never limits what the server has to
 /// send.
 const WINDOW_SLOW: u32 = MAX_CREDITS;
@@ -299,11 +302,18 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
 
     /// Counts requests and poses without an answer.
     fn count_unanswered(&self, is_open: bool) {
+        let now = Instant::now();
         if !is_open {
-            self.task.counters.unanswered(self.expected.open_requests());
+            // The latest ones are cut off by the end of the session; older ones wait for a server that
+            // stalls.
+            for since in self.expected.waiting_since() {
+                match now.saturating_duration_since(since) {
+                    waited if waited >= STALL => self.task.counters.abandoned(waited),
+                    _ => self.task.counters.unanswered(1),
+                }
+            }
             return;
         }
-        let now = Instant::now();
         for since in self.expected.waiting_since().chain(self.poses.waiting_since()) {
             self.task.counters.abandoned(now.saturating_duration_since(since));
         }

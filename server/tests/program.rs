@@ -54,17 +54,22 @@ impl Server {
 
     /// The status of `/v1/live` with a token.
     fn live(&self, token: &str) -> u16 {
+        self.get("/v1/live", token).split(' ').nth(1).unwrap().parse().unwrap()
+    }
+
+    /// The response to a GET with a token.
+    fn get(&self, path: &str, token: &str) -> String {
         let mut stream = TcpStream::connect(&self.address).unwrap();
         stream.set_read_timeout(Some(TEST_TIMEOUT)).unwrap();
         write!(
             stream,
-            "GET /v1/live HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\
+            "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\
              Authorization: Bearer {token}\r\n\r\n"
         )
         .unwrap();
         let mut reply = String::new();
         stream.read_to_string(&mut reply).unwrap();
-        reply.split(' ').nth(1).unwrap().parse().unwrap()
+        reply
     }
 }
 
@@ -122,15 +127,28 @@ fn tokens_are_read_again_on_sighup() {
         assert!(killed.unwrap().success());
     };
     reload("[[token]]\nname = \"a\"\ntoken = \"second\"\n");
-    let started = Instant::now();
-    while server.live("second") != 200 {
-        assert!(started.elapsed() < TEST_TIMEOUT);
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    let wait_until = |is_so: &dyn Fn() -> bool| {
+        let started = Instant::now();
+        while !is_so() {
+            assert!(started.elapsed() < TEST_TIMEOUT);
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    wait_until(&|| server.live("second") == 200);
     assert_eq!(server.live("first"), 401);
-    // An invalid file changes nothing, and SIGHUP does not end the server.
+    // An invalid file changes nothing but a metric, and SIGHUP does not end the server.
+    let has_failed = |failed: u8| {
+        let value = format!("tombolo_reload_failed{{file=\"tokens\"}} {failed}");
+        server.get("/metrics", "").contains(&value)
+    };
+    assert!(has_failed(0));
     reload("[[token]]\nname = 1\n");
+    wait_until(&|| has_failed(1));
     assert_eq!(server.live("second"), 200);
+    // A good file after a bad one is read.
+    reload("[[token]]\nname = \"a\"\ntoken = \"third\"\n");
+    wait_until(&|| server.live("third") == 200);
+    assert!(has_failed(0) && server.live("second") == 401);
     std::fs::remove_file(path).unwrap();
 }
 

@@ -94,7 +94,7 @@ impl Land {
     /// range, nor are the triangles.
     fn chunk_error(&self, key: ChunkKey, heights: &[i32; VERTEX_COUNT]) -> u32 {
         let known = self.error_of(key);
-        if key.level() <= lod::SAMPLED_LEVEL || known == 0 {
+        if key.level() <= lod::SAMPLED_LEVEL {
             return known;
         }
         let (low, high) =

@@ -5,8 +5,8 @@
 //! GPU that follow the same rules compute the same integers, so collision equals picture and a
 //! chunk can be cached for ever.
 //!
-//! It has no input or output, clocks, threads, async, GPU, serialisation or floats (a lint denies
-//! float arithmetic outside tests). `unsafe` code is confined to [`simd`]. Generation cannot fail;
+//! It has no input or output, clocks, threads, async, GPU, serialisation or float arithmetic (a
+//! lint denies it outside tests; one square root of an integer is taken in f64 and corrected). `unsafe` code is confined to [`simd`]. Generation cannot fail;
 //! the only errors are [`OutsideWorld`], [`key::InvalidKey`], [`grid::InvalidGrid`] and
 //! [`octaves::TooManyOctaves`], returned where raw numbers become a position, a key, a grid or a
 //! number of octaves.

@@ -100,6 +100,7 @@ fn pictures_of_extreme_sizes_are_drawn() {
         (options.projection.width, options.projection.height) = (width, height);
         let Some(picture) = drawn(&options) else { return };
         assert_eq!((picture.width, picture.height), (width, height));
+        assert!(mean(&picture, 2) > 5.0, "{width} x {height} is black");
     }
 }
 

@@ -322,9 +322,16 @@ mod tests {
 
     #[test]
     fn a_child_that_ignores_the_request_is_killed() {
-        let mut child =
-            Command::new("sh").args(["-c", "trap '' TERM; while :; do sleep 0.05; done"]).spawn().unwrap();
+        let mut child = Command::new("sh")
+            .args(["-c", "trap '' TERM; echo ready; while :; do sleep 0.05; done"])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        // Before its trap is set the request would end it.
+        let mut ready = [0; 5];
+        std::io::Read::read_exact(child.stdout.as_mut().unwrap(), &mut ready).unwrap();
         stop(&mut child, Duration::from_millis(200));
-        assert!(matches!(child.try_wait(), Ok(Some(_))));
+        let status = child.try_wait().unwrap().unwrap();
+        assert_eq!(std::os::unix::process::ExitStatusExt::signal(&status), Some(9));
     }
 }

@@ -7,6 +7,7 @@
 
 use crate::cache::block_errors::BLOCKS;
 use crate::cache::{ChunkCache, Resident};
+use protocol::Delivery;
 use terrain::ChunkKey;
 use terrain::lod::Viewer;
 
@@ -14,6 +15,17 @@ use terrain::lod::Viewer;
 #[must_use]
 pub fn tolerance(viewer: &Viewer) -> f64 {
     f64::from(viewer.tolerance())
+}
+
+/// The error of a chunk to select by, units: that of the land's own chunk, or less. A quantised chunk
+/// states the rounding of its heights too, of which a server's selection knows nothing: finer chunks
+/// are rounded alike, so none would be sent for it.
+#[must_use]
+pub fn without_rounding(stated: u32, delivery: Delivery) -> u32 {
+    match delivery {
+        Delivery::Quantised(tolerance) => stated.saturating_sub(tolerance.units().into()),
+        Delivery::Exact | Delivery::Refined | Delivery::SeedOnly => stated,
+    }
 }
 
 /// Whether a chunk must be split for a viewer. Implies that the server splits it too: the server

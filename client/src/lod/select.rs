@@ -97,6 +97,8 @@ fn possible_splits(cache: &ChunkCache, viewer: &Viewer, wanted: &Splits) -> FxHa
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use protocol::Delivery;
+    use protocol::chunk_codec::quantised;
     use std::collections::HashSet;
     use std::sync::LazyLock;
     use std::time::Duration;
@@ -126,6 +128,28 @@ mod tests {
     /// How many drawn chunks cover a place.
     fn cover(drawn: &HashSet<ChunkKey>, x: i32, z: i32) -> usize {
         (0..=16).filter(|level| drawn.contains(&ChunkKey::containing(*level, x, z))).count()
+    }
+
+    /// The chunks of [`SENT`] rounded to half a metre, for an eye near the ground.
+    #[test]
+    fn a_view_of_quantised_chunks_is_complete() {
+        let viewer = Viewer { eye: (30_000, 3_000, -50_000), tolerance_q4: 24, ..VIEWER };
+        let land = Land::new(1);
+        let delivery: Delivery = "quantised:0.5".parse().unwrap();
+        let Delivery::Quantised(tolerance) = delivery else { panic!() };
+        let needed = lod::select(&land, &viewer, usize::MAX);
+        let sent: Vec<_> = needed
+            .into_iter()
+            .map(|needed| quantised::quantise(&land.chunk(needed.key), tolerance).unwrap())
+            .collect();
+        let select_by = |error: &dyn Fn(u32) -> u32| {
+            let chunks: Vec<_> =
+                sent.iter().map(|chunk| Chunk { error: error(chunk.error), ..chunk.clone() }).collect();
+            select(&mut world_of(&chunks), &viewer)
+        };
+        assert!(select_by(&|stated| error::without_rounding(stated, delivery)).is_complete());
+        // The control: by what the frames state, chunks are missing that no server sends.
+        assert!(!select_by(&|stated| stated).is_complete());
     }
 
     #[test]

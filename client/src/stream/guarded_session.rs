@@ -5,6 +5,7 @@
 //! as it does for every chunk that has not arrived. The chunk is requested again with growing
 //! delays; a server that sends several bad ones is given up ([`Trust`]).
 
+use crate::lod::error;
 use crate::stream::chunk_stream::StreamEvent;
 use crate::stream::expected::{ExpectedChunks, check_ranges};
 use crate::stream::peer_text::one_line;
@@ -178,10 +179,11 @@ impl GuardedSession {
                 world_seed: welcome.world_seed,
                 server: one_line(&welcome.software),
             })),
-            Event::Chunk { chunk, .. } => {
+            Event::Chunk { mut chunk, delivery, .. } => {
                 if let Err(rule) = check_ranges(&chunk) {
                     return self.bad(Some(chunk.key), &ChunkError::Content(rule), trust, now);
                 }
+                chunk.error = error::without_rounding(chunk.error, delivery);
                 self.retries.remove(chunk.key);
                 if self.expected.hold(chunk.key) {
                     trust.good();

@@ -118,7 +118,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
     };
     let x = log("clumps drawn");
     let panels = vec![
-        Panel::new("How different it settings", x, linear("mean FLIP, 67 pixels per degree"))
+        Panel::new("How different settings", x, linear("mean FLIP, 67 pixels per degree"))
             .front(&choices(|row| row.flip)),
         Panel::new("How much it covers", x, log("error of the covered share, %"))
             .front(&choices(|row| 100.0 * row.coverage_error.max(1e-4))),

@@ -50,12 +50,7 @@ pub fn rows(lod: &Value) -> Vec<Bar> {
         Bar::some("with a chunk left out (control)", magenta("cracks/chunk_left_out/magenta")),
         Bar::some("with borders that do not meet (control)", magenta("cracks/no_seams/magenta")),
         Bar::under("GPU memory of a resident chunk, heights and normals", chunk_kib, "KiB", 24.0),
-        Bar::at_most(
-            "draw calls for terrain, bar: levels drawn",
-            draws,
-            "",
-            at(lod, "frames/levels").unwrap_or(0.0),
-        ),
+        Bar::at_most("draw calls for terrain", draws, "", 1.0),
         Bar::reported("change by levels in a frame, 8 x 8 pixels of 255", morphed, ""),
         Bar::at_least(
             "the same without morphs (control)",
@@ -155,7 +150,6 @@ mod tests {
             ("/popping_by_triangles/0", "unmorphed", 1),
             ("/frames", "bytes_per_chunk", 1),
             ("/frames", "terrain_draws", 1),
-            ("/frames", "levels", 1),
             ("/frames", "rows", 3),
             ("/frames/rows/0", "passes", 2),
             ("/frames/rows/1", "frame_ms", 1),

@@ -19,6 +19,7 @@ impl fmt::Display for Report {
         let pace = match self.rate {
             Some(rate) if self.mode == "view" => format!("open loop, {rate} poses a second"),
             Some(rate) => format!("open loop, {rate} requests a second"),
+            None if self.mode == "view" => "fixed intervals".into(),
             None => "closed loop".into(),
         };
         let requests = match self.counts.unsent {
@@ -149,7 +150,7 @@ mod tests {
         let table = report(0, 0).to_string();
         assert!(table.contains("1 (0 a second)") && table.contains("MB/s"), "{table}");
         assert!(table.contains("latency p99.9  - ms"), "no answer is not zero: {table}");
-        assert!(table.contains("closed loop") && !table.contains("part"), "{table}");
+        assert!(table.contains("fixed intervals") && !table.contains("part"), "{table}");
     }
 
     #[test]

@@ -108,6 +108,7 @@ impl<D: Dial> Session<'_, '_, D> {
     /// Requests one chunk ahead on the path that no view brings, to measure the latency.
     fn probe(&mut self, since: Instant, schedule: &mut Schedule) {
         if self.expected.open_requests() >= MAX_PROBES {
+            self.task.counters.skipped();
             return;
         }
         let ahead_s = self.seconds(since) + 20.0;

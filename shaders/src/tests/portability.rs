@@ -85,6 +85,21 @@ fn no_smoothstep_has_its_edges_reversed() {
     }
 }
 
+/// Whether a shader reads and writes one storage texture: an optional feature of WGSL
+/// (`readonly_and_readwrite_storage_textures`).
+fn has_read_write_texture(wgsl: &str) -> bool {
+    wgsl.lines().any(|line| line.contains("texture_storage") && !line.contains(", write>"))
+}
+
+#[test]
+fn storage_textures_are_written_only() {
+    let control = "@group(0) @binding(2) var both: texture_storage_2d<r32float, read_write>;";
+    assert!(has_read_write_texture(control), "a control must fail");
+    for shader in SHADERS.all() {
+        assert!(!has_read_write_texture(shader.wgsl), "{}", shader.name);
+    }
+}
+
 /// Runs Tint on a source; `None` when it is not installed.
 fn tint(name: &str, wgsl: &str) -> Option<Result<(), String>> {
     let folder = std::env::temp_dir().join(format!("tombolo-tint-{}-{name}", std::process::id()));

@@ -69,11 +69,12 @@ impl Land {
         if key.level() == 0 {
             return Progress::Known(0);
         }
+        if key.level() > SAMPLED_LEVEL {
+            // Larger than a cell of the archipelago, which may have an island.
+            return Progress::Known(RELIEF);
+        }
         let (x, z) = key.origin();
         let is_open_sea = || self.archipelago().is_open_sea(x, z, key.side());
-        if key.level() > SAMPLED_LEVEL {
-            return Progress::Known(if is_open_sea() { 0 } else { RELIEF });
-        }
         let entry = self.remembered(key);
         if let Some(Entry::Known(error)) = entry {
             return Progress::Known(error);
@@ -182,7 +183,7 @@ impl Land {
             true => Entry::Known(worst.bound()),
             false => Entry::Strips { next: next + 1, worst },
         };
-        self.remember([(key, after)]);
+        self.update(key, |now| further(now, after));
     }
 
     /// The bound of a chunk from its children's.
@@ -215,6 +216,16 @@ fn first_quarter(key: ChunkKey, entry: Option<Entry>) -> ChunkKey {
     };
     let quarters = key.children().expect("a level above 0 has children");
     quarters[(measured.trailing_ones() as usize).min(3)]
+}
+
+/// The entry of a chunk of which more strips are measured: two threads may measure one at a time.
+fn further(now: Option<Entry>, found: Entry) -> Entry {
+    let strips = |entry: Entry| match entry {
+        Entry::Known(_) => u8::MAX,
+        Entry::Strips { next, .. } => next,
+        Entry::Quarters { .. } => 0,
+    };
+    now.filter(|now| strips(*now) >= strips(found)).unwrap_or(found)
 }
 
 /// What is known with one more quarter.

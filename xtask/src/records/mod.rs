@@ -116,8 +116,7 @@ pub fn judge() -> Result<()> {
 /// How many rows of the README do not say rightly whether their record is out of date or of one run.
 fn wrong_caveats() -> Result<usize> {
     let files = files()?;
-    let readme = files.get("README.md").map_or("", String::as_str);
-    Ok(caveats::wrong_rows(readme, &caveats()?))
+    Ok(caveats::wrong_rows(readme(&files)?, &caveats()?))
 }
 
 /// The newest records of a measurement, one for each machine.
@@ -178,10 +177,13 @@ fn files() -> Result<BTreeMap<String, String>> {
     Ok(list.split('\0').filter(|path| !path.is_empty()).filter_map(read).collect())
 }
 
+fn readme(files: &BTreeMap<String, String>) -> Result<&str> {
+    files.get("README.md").map(String::as_str).context("git tracks no README.md here; run it in a clone")
+}
+
 fn judged() -> Result<Vec<Judged>> {
     let files = files()?;
-    let readme = files.get("README.md").map_or("", String::as_str);
-    let quoted = quoted(readme);
+    let quoted = quoted(readme(&files)?);
     Ok(record::all(&files)
         .into_iter()
         .map(|record| Judged {

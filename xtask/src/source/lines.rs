@@ -19,8 +19,7 @@ pub fn readme(files: &Files) -> usize {
 }
 
 /// Folders of code that measures and is not part of the product.
-const MEASURING: [&str; 7] =
-    ["lab/", "server-bench/", "load/src/bench", "bars/", "chart/", "xtask/src/measure", "benches/"];
+const MEASURING: [&str; 6] = ["lab/", "server-bench/", "bars/", "chart/", "xtask/src/measure", "benches/"];
 
 /// Lines of Rust that measure, without tests: files under `tests/`, and modules behind
 /// `#[cfg(test)]`, are left out.

@@ -32,7 +32,12 @@ impl Files {
         let root = process::root();
         let read = |path: &str| std::fs::read_to_string(root.join(path)).ok();
         let paths = list.split('\0').filter(|path| !path.is_empty());
-        Ok(Self(paths.filter_map(|path| Some((path.to_owned(), read(path)?))).collect()))
+        let files = Self(paths.filter_map(|path| Some((path.to_owned(), read(path)?))).collect());
+        // A copy of the files in another repository has none: no check would look at anything.
+        if files.with_extension(&["rs"]).count() == 0 || !files.0.contains_key("README.md") {
+            bail!("git tracks no source file in {}; run it in a clone", root.display());
+        }
+        Ok(files)
     }
 
     /// Files with one of these extensions.
