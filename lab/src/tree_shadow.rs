@@ -311,12 +311,16 @@ fn truth(trees: &[Caster], place: Vec3, sun: Vec3) -> f32 {
     let flat = sun[0].hypot(sun[2]);
     let side = [-sun[2] / flat, 0.0, sun[0] / flat];
     let above = [-sun[0] * sun[1] / flat, flat, -sun[2] * sun[1] / flat];
-    // None of them is farther from the middle ray than any crown.
+    // Crowns reach less than 6 m, and rays of the disc climb at most 0.02 less than the middle one up to
+    // 60 degrees: no other tree is met by any of them.
+    let climb = sun[1] / flat - 0.02;
     let near: Vec<&Caster> = trees
         .iter()
         .filter(|tree| {
             let to = add(tree.root_m, scaled(place, -1.0));
-            (to[0] * side[0] + to[2] * side[2]).abs() < 6.0
+            let along = (to[0] * sun[0] + to[2] * sun[2]) / flat;
+            let is_beside = (to[0] * side[0] + to[2] * side[2]).abs() >= 6.0;
+            !is_beside && along > -6.0 && to[1] + tree.height_m + 1.0 > (along - 6.0) * climb
         })
         .collect();
     let rays = (0..61).map(|ray| {

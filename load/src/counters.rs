@@ -202,7 +202,8 @@ impl Counters {
         self.unanswered.fetch_add(requests as u64, Ordering::Relaxed);
     }
 
-    /// A request had no answer after this time, at the end of the run or of its session. It counts with this time, a lower bound of its latency.
+    /// A request had no answer after this time, at the end of the run or of its session. It counts
+    /// with this time, a lower bound of its latency.
     pub fn abandoned(&self, waited: Duration) {
         add(&self.unanswered);
         lock(&self.latencies).record(waited);

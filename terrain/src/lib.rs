@@ -6,10 +6,10 @@
 //! chunk can be cached for ever.
 //!
 //! It has no input or output, clocks, threads, async, GPU, serialisation or float arithmetic (a
-//! lint denies it outside tests; one square root of an integer is taken in f64 and corrected). `unsafe` code is confined to [`simd`]. Generation cannot fail;
-//! the only errors are [`OutsideWorld`], [`key::InvalidKey`], [`grid::InvalidGrid`] and
-//! [`octaves::TooManyOctaves`], returned where raw numbers become a position, a key, a grid or a
-//! number of octaves.
+//! lint denies it outside tests; one square root of an integer is taken in f64 and corrected).
+//! `unsafe` code is confined to [`simd`]. Generation cannot fail; the only errors are
+//! [`OutsideWorld`], [`key::InvalidKey`], [`grid::InvalidGrid`] and [`octaves::TooManyOctaves`],
+//! returned where raw numbers become a position, a key, a grid or a number of octaves.
 //!
 //! Reading order: [`constants`] (every number), [`ring`] (the allowed arithmetic), [`hash`],
 //! [`weights`], [`octaves`], [`noise`], [`island`], [`land`] (the height of a point), [`grid`] and

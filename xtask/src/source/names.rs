@@ -7,7 +7,7 @@ const FILE_EXTENSIONS: [&str; 11] =
     ["rs", "wesl", "wgsl", "md", "toml", "js", "css", "html", "png", "svg", "hex"];
 
 /// Options of programs that are not the project's.
-const FOREIGN_OPTIONS: [&str; 25] = [
+const FOREIGN_OPTIONS: [&str; 27] = [
     "release",
     "bin",
     "package",
@@ -33,6 +33,8 @@ const FOREIGN_OPTIONS: [&str; 25] = [
     "features",
     "profile",
     "all",
+    "no-healthcheck",
+    "from-literal",
 ];
 
 /// Names in Markdown outside the records of measurements.
