@@ -104,7 +104,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     publish(&report, bars::rows, bars::notes, "/adapter", outputs)?;
     ensure!(
         report.borders.planted.ratio > report.borders.land.ratio,
-        "borders of chunks do not show where every other chunk is brighter"
+        "borders of chunks do not show where one side is brighter"
     );
     ensure!(report.tolerance.mesh > report.tolerance.land, "light of drawn triangles ignores the tolerance");
     ensure!(report.floor.control > report.floor.wrong, "shadows moved by 0.3 m are not seen");

@@ -7,6 +7,7 @@ use crate::checker::ChunkChecker;
 use crate::dial::Dial;
 use crate::keys::Keys;
 use crate::schedule::{Action, Schedule};
+use crate::session::STALL;
 use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SILENCE, SessionEnd, Task};
 use bytes::Bytes;
 use connection::{Connection, Response};
@@ -132,7 +133,7 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
                 }
             };
             if let Some(end) = end {
-                if schedule.is_open() {
+                if schedule.is_open() || since.elapsed() >= STALL {
                     task.counters.abandoned(since.elapsed());
                 } else {
                     task.counters.unanswered(1);

@@ -91,7 +91,7 @@ pub struct Counts {
     pub requests: u64,
     /// Of these, without an answer at the end of their session.
     pub unanswered: u64,
-    /// Requests of an open loop that were due and never sent.
+    /// Requests that were due and never sent, and probes that were skipped because 64 had no answer.
     pub unsent: u64,
     /// Clients that waited at the end of their phase while the server had sent nothing for 5 s.
     pub stalled: u64,

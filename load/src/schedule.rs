@@ -100,7 +100,7 @@ impl Schedule {
             }
             Pacing::Periodic { views, probes: None } => Action::View(views.tick().await),
             Pacing::Periodic { views, probes: Some(probes) } => tokio::select! {
-                // From when they were due: a client that is late must not hide it.
+                // From when they were due. What was missed beside that is neither sent nor counted.
                 due = views.tick() => Action::View(due),
                 due = probes.tick() => Action::Probe(due),
             },

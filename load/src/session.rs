@@ -38,12 +38,12 @@ use tokio_tungstenite::tungstenite::{Error, Message};
 /// soon.
 const WINDOW: u32 = 64;
 
-/// Wait of a request at the end of its session from which it counts as latency.
-const STALL: Duration = Duration::from_secs(1);
-
 /// The same for a slow client: the maximum, so that credit never limits what the server has to
 /// send.
 const WINDOW_SLOW: u32 = MAX_CREDITS;
+
+/// Wait of a request at the end of its session from which it counts as latency.
+pub(crate) const STALL: Duration = Duration::from_secs(1);
 
 /// Time in which the frames before a failed write are read.
 const LAST_FRAMES_WITHIN: Duration = Duration::from_secs(1);

@@ -115,7 +115,7 @@ mod tests {
 
     /// Proves `noise <= bound` for all gradients: the largest value of the middle of a part and the
     /// distance to its corners, times a bound of the slope, must not exceed it; else it is divided.
-    /// False if a part of 2^-14 of a cell is not proved.
+    /// False if a part of 2^-13 of a cell is not proved.
     ///
     /// Slope: a mean of unit gradients, and along each axis at most 15/8 times the sum of the largest
     /// products of two sides, `sqrt(2)` each.

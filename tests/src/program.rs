@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::OnceLock;
 
-/// A program by its name, built if it is not up to date.
+/// A program by its name, built if it is not up to date; by `TOMBOLO_PROGRAMS_BUILT` it is.
 #[must_use]
 pub fn command(name: &str) -> Command {
     static BUILT: OnceLock<()> = OnceLock::new();

@@ -34,7 +34,7 @@ pub struct Resident {
     pub minima: [i32; BLOCK_TEXELS],
     /// Vegetation densities.
     pub grass: GrassSeed,
-    /// Bound of the vertical error against level 0, units.
+    /// Bound of the vertical error against level 0, units; without the rounding of quantised chunks.
     pub error: u32,
     /// Lowest vertex, units.
     pub min: i32,

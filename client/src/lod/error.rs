@@ -3,7 +3,7 @@
 //! A chunk's stated error is the maximum over the chunk. With its children resident, the distance
 //! between their vertices and the chunk's triangles is known for each block, and each block's error
 //! is divided by its own distance. Fewer chunks are split, and the bound holds: in every block the
-//! drawn surface is within the block's error of the land.
+//! drawn surface is within the block's error of the land, of quantised chunks of the rounded land.
 
 use crate::cache::block_errors::BLOCKS;
 use crate::cache::{ChunkCache, Resident};

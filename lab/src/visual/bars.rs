@@ -36,7 +36,7 @@ pub fn rows(visual: &Value) -> Vec<Bar> {
             1.05,
         ),
         Bar::at_least(
-            "light jump, p99.9, every other chunk three times as bright (control)",
+            "light jump, p99.9, one side of borders three times as bright (control)",
             figure("borders/planted/ratio"),
             "x",
             1.05,
@@ -49,7 +49,7 @@ pub fn rows(visual: &Value) -> Vec<Bar> {
             LEAST_SEEN / 2.0,
         ),
         Bar::at_least(
-            "light jump, median, every other chunk 1 % brighter (control)",
+            "light jump, median, one side of borders 2 % brighter (control)",
             figure("borders/planted/median_excess"),
             "",
             LEAST_SEEN / 2.0,

@@ -257,7 +257,8 @@ fn shaders(host: &dyn Host) -> Result<Shown> {
 
 fn digest_of_backends(host: &dyn Host) -> Result<Shown> {
     let json = process::target().join("ci-digest.json");
-    // By the step `build`: `cargo run` would build it with other features.
+    // As the step `build` does it: `cargo run` would build it with other features.
+    host.run(process::cargo("build --workspace --all-targets"))?;
     let mut lab = process::command(process::tested_program("tombolo-lab"));
     lab.args(["digest", "--json"]).arg(&json).env("TOMBOLO_REQUIRE_GPU", "1");
     process::quiet_drivers(&mut lab);

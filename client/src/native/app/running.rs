@@ -99,7 +99,7 @@ pub struct Running {
     plants: CullStats,
     /// The next ones, on their way from the GPU.
     plants_coming: Option<StatsRead>,
-    /// When they were read.
+    /// When the last copy of them was recorded.
     plants_read: Instant,
     started: Instant,
     last: Instant,

@@ -28,8 +28,8 @@ const ARRIVALS_PER_FRAME: usize = 48;
 /// Pause while a window cannot be drawn into.
 const HIDDEN_PAUSE: Duration = Duration::from_millis(50);
 
-/// Frames between two reads of the culling counts: a read waits for the GPU. At low frame rates
-/// fewer: a read at least every so often.
+/// Frames between two copies of the culling counts. At low frame rates fewer: a copy at least every so
+/// often.
 const CULL_STATS_INTERVAL: usize = 60;
 const CULL_STATS_AGE: Duration = Duration::from_secs(2);
 
@@ -158,7 +158,8 @@ impl Running {
             self.save_screenshot(&frame)?;
         }
         let is_last = self.args.frames.is_some_and(|frames| self.frames >= frames as usize) && self.may_end();
-        if is_last && let Some(vegetation) = self.renderer.vegetation() {
+        let vegetation = self.renderer.vegetation().filter(|_| self.settings.render.plants.any());
+        if let Some(vegetation) = vegetation.filter(|_| is_last) {
             self.plants = vegetation.read_stats(&self.gpu).unwrap_or_default();
         }
         if is_last && let Some(path) = self.args.window_test.last_frame.clone() {

@@ -1,6 +1,7 @@
 //! Frames on a new device once the present one is lost.
 
 use super::{After, HINT_LASTS, Running};
+use crate::features::vegetation::gpu_cull::CullStats;
 use crate::gpu::GpuError;
 use crate::gpu::surface::WindowSurface;
 use crate::native::app::overlay::Overlay;
@@ -43,6 +44,8 @@ impl Running {
         let (gpu, renderer) = (&self.gpu, &mut self.renderer);
         self.streamer.cache().residents().for_each(|chunk| renderer.upload(gpu, chunk));
         self.adapter = self.gpu.name();
+        // Counts of the lost device do not come.
+        (self.plants, self.plants_coming) = (CullStats::default(), None);
         Ok(())
     }
 }
