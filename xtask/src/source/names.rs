@@ -172,7 +172,7 @@ fn metrics(line: &str) -> impl Iterator<Item = &str> {
         let name = name_at(&line[at + start.len()..]);
         let whole = line[..at].chars().next_back().is_none_or(|c| !c.is_ascii_alphanumeric() && c != '_');
         let is_log_filter = line[at + start.len() + name.len()..].starts_with('=') || name.is_empty();
-        let endings = ["_total", "_bucket", "_sum", "_count"];
+        let endings = ["_total", "_bucket", "_sum", "_count", "_info"];
         let bare = endings.iter().find_map(|ending| name.strip_suffix(ending)).unwrap_or(name);
         (whole && !is_log_filter && !bare.ends_with('_')).then_some(bare)
     })
