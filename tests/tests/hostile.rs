@@ -150,7 +150,6 @@ async fn a_slow_request_head_ends_the_connection() {
     // The control: a head in two parts is answered.
     let mut stream = TcpStream::connect(server.address).await.unwrap();
     stream.write_all(b"GET /livez HTTP/1.1\r\nHost: localhost\r\n").await.unwrap();
-    tokio::time::sleep(Duration::from_millis(100)).await;
     stream.write_all(b"Connection: close\r\n\r\n").await.unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).await.unwrap();

@@ -253,6 +253,15 @@ mod tests {
     }
 
     #[test]
+    fn figures_of_few_pictures_are_missed() {
+        for (path, poses) in [("/shadow/poses", 19), ("/impostors/poses", 9)] {
+            let mut visual = visual();
+            *visual.pointer_mut(path).unwrap() = json!(poses);
+            assert_eq!(missed(&visual), 2, "{path}");
+        }
+    }
+
+    #[test]
     fn no_two_rows_have_one_name() {
         let mut names: Vec<_> = rows(&visual()).into_iter().map(|row| row.name).collect();
         let count = names.len();

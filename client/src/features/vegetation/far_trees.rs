@@ -123,29 +123,27 @@ impl FarTreeFrame {
         let heights_m = [chunk.min.min(parent.min), chunk.max.max(parent.max)]
             .map(|units| (f64::from(units) - f64::from(view.eye.units[1])) / f64::from(UNITS_PER_METRE));
         let before = found.len();
+        let from_eye = |low: [i32; 2]| {
+            [0, 1].map(|axis| {
+                let units = i64::from(low[axis]) - i64::from(view.eye.units[2 * axis]);
+                units as f64 / f64::from(UNITS_PER_METRE)
+            })
+        };
+        // Whether trees on a square of the chunk may be in the view.
+        let may_be_seen = |[east, south]: [f64; 2], side_m: f64| {
+            let low = DVec3::new(east - aside_m, heights_m[0] - aside_m, south - aside_m);
+            let across_m = side_m + aside_m;
+            let high = DVec3::new(east + across_m, heights_m[1] + above_m, south + across_m);
+            view.frustum.is_none_or(|frustum| frustum.may_hold(low, high))
+        };
         // Most chunks lie beside the view: their patches need no look.
-        let chunk_from_eye = [(x, 0), (z, 2)].map(|(low, axis)| {
-            let units = i64::from(low) - i64::from(view.eye.units[axis]);
-            units as f64 / f64::from(UNITS_PER_METRE)
-        });
-        let chunk_m = drawn.key.side() as f64 / f64::from(UNITS_PER_METRE);
-        let box_low =
-            DVec3::new(chunk_from_eye[0] - aside_m, heights_m[0] - aside_m, chunk_from_eye[1] - aside_m);
-        let box_high = DVec3::new(
-            chunk_from_eye[0] + chunk_m + aside_m,
-            heights_m[1] + above_m,
-            chunk_from_eye[1] + chunk_m + aside_m,
-        );
-        if view.frustum.is_some_and(|frustum| !frustum.may_hold(box_low, box_high)) {
+        if !may_be_seen(from_eye([x, z]), f64::from(drawn.key.side()) / f64::from(UNITS_PER_METRE)) {
             return;
         }
         for row in rows {
             for column in columns.clone() {
                 let low = [corner[0] + column * PATCH, corner[1] + row * PATCH];
-                let from_eye = [0, 1].map(|axis| {
-                    let units = i64::from(low[axis]) - i64::from(view.eye.units[2 * axis]);
-                    units as f64 / f64::from(UNITS_PER_METRE)
-                });
+                let from_eye = from_eye(low);
                 let side_m = f64::from(PATCH / UNITS_PER_METRE);
                 let nearest = from_eye.map(|low| low.max(-low - side_m).max(0.0));
                 let farthest = from_eye.map(|low| low.abs().max((low + side_m).abs()));
@@ -157,14 +155,7 @@ impl FarTreeFrame {
                 if !has_density(chunk, [low[0] - x, low[1] - z], drawn.key.spacing()) {
                     continue;
                 }
-                let box_low =
-                    DVec3::new(from_eye[0] - aside_m, heights_m[0] - aside_m, from_eye[1] - aside_m);
-                let box_high = DVec3::new(
-                    from_eye[0] + side_m + aside_m,
-                    heights_m[1] + above_m,
-                    from_eye[1] + side_m + aside_m,
-                );
-                if view.frustum.is_some_and(|frustum| !frustum.may_hold(box_low, box_high)) {
+                if !may_be_seen(from_eye, side_m) {
                     continue;
                 }
                 let far = (nearest[0] * nearest[0] + nearest[1] * nearest[1]) as u64;
