@@ -34,6 +34,70 @@ fn a_flag_overrides_the_file_and_the_file_the_default() {
     assert_eq!((config.world_seed, config.cache_bytes, config.log_json), (9, 64 << 20, true));
 }
 
+/// Every option with a value: one of a file, and another one of the command line. Lists are the last.
+const OPTIONS: [(&str, &str, &str); 20] = [
+    ("listen", "\"127.0.0.1:1\"", "127.0.0.1:2"),
+    ("world-seed", "5", "6"),
+    ("threads", "5", "6"),
+    ("cache-mb", "5", "6"),
+    ("disk-cache", "\"/x/5\"", "/x/6"),
+    ("disk-mb", "65", "66"),
+    ("store", "\"/x/5\"", "/x/6"),
+    ("store-wait-ms", "5", "6"),
+    ("proxy-header", "\"forwarded\"", "proxy-protocol"),
+    ("max-sessions", "5", "6"),
+    ("max-sessions-per-address", "5", "6"),
+    ("rate-limit-ms", "5", "6"),
+    ("deadline-ms", "15", "16"),
+    ("otlp", "\"http://a/5\"", "http://a/6"),
+    ("trace-every", "5", "6"),
+    ("log", "\"warn\"", "error"),
+    ("trusted-proxy", "[\"10.0.0.5\"]", "10.0.0.6"),
+    ("allowed-host", "[\"a5\"]", "a6"),
+    ("allowed-origin", "[\"https://a5\"]", "https://a6"),
+    ("token-file", "\"/x/5\"", "/x/6"),
+];
+
+/// Options without which another one is an error.
+fn needs(option: &str) -> &'static str {
+    match option {
+        "disk-mb" => "disk-cache = \"/x/0\"\n",
+        "store-wait-ms" => "store = \"/x/0\"\n",
+        "proxy-header" => "trusted-proxy = [\"10.0.0.1\"]\n",
+        "trace-every" => "otlp = \"http://a/0\"\n",
+        _ => "",
+    }
+}
+
+#[test]
+fn each_option_of_the_command_line_wins_over_the_file_and_the_file_over_the_default() {
+    for (option, in_file, given) in OPTIONS {
+        let others = needs(option);
+        let resolve = |file: &str, arguments: &[String]| {
+            let mut all = vec!["tombolo-server".to_owned()];
+            all.extend_from_slice(arguments);
+            let file = parse_file(&format!("{others}{file}"), "test").unwrap();
+            // A file of tokens is read: the error names it.
+            match Args::try_parse_from(all).unwrap().resolve_over(file) {
+                Ok(config) => format!("{config:?}"),
+                Err(error) => error.to_string(),
+            }
+        };
+        let line = format!("{option} = {in_file}");
+        let argument = [format!("--{option}={given}")];
+        let (default, of_file) = (resolve("", &[]), resolve(&line, &[]));
+        let (of_both, of_argument) = (resolve(&line, &argument), resolve("", &argument));
+        assert_eq!(of_both, of_argument, "{option}");
+        assert!(default != of_file && of_file != of_both && default != of_both, "{option}: {default}");
+    }
+    // No option is left out but pairs of files, flags, and what only counts together with others.
+    let command = Args::command();
+    let names = command.get_arguments().filter(|option| !option.is_hide_set()).filter_map(|o| o.get_long());
+    let tested = OPTIONS.map(|(option, ..)| option);
+    let rest: Vec<_> = names.filter(|name| !tested.contains(name)).collect();
+    assert_eq!(rest, ["insecure", "tls-cert", "tls-key", "protect", "log-json", "config"]);
+}
+
 #[test]
 fn a_disk_cache_has_a_default_size() {
     let config = with_file("disk-cache = \"/var/cache/x\"\n", Args::default()).unwrap();

@@ -146,7 +146,9 @@ mod tests {
     use super::*;
     use crate::chunk_id::ChunkId;
     use crate::generation::GenerationError;
-    use crate::generation::test_source::{chunk_request, fixture, flat_frame_bytes, key, request};
+    use crate::generation::test_source::{
+        chunk_request, fixture, fixture_with_deadline, flat_frame_bytes, key, request,
+    };
     use std::time::Duration;
 
     #[tokio::test]
@@ -188,5 +190,26 @@ mod tests {
         }
         assert_eq!(fixture.metrics.jobs_completed.get(), 1);
         assert!(fixture.service.load() < 0.01);
+    }
+
+    /// Without a waiting request nothing is rejected; with one, as many are allowed as jobs end within half
+    /// of the deadline, shared between the flows.
+    #[tokio::test]
+    async fn the_allowance_is_a_share_of_what_ends_within_half_of_the_deadline() {
+        let fixture = fixture_with_deadline(1 << 20, 10, Duration::from_millis(500));
+        assert_eq!(fixture.service.allowance(), usize::MAX);
+        let running = request(&fixture.service, key(0), 9).await;
+        while !fixture.service.shared.lock().is_running(ChunkId::base(key(0))) {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(fixture.service.allowance(), usize::MAX, "one is made, none waits");
+        let waiting = request(&fixture.service, key(1), 1).await;
+        // 250 ms of one thread, at the first estimate of 0.1 ms a job, for two flows.
+        assert_eq!(fixture.service.allowance(), 1250);
+        for _ in 0..2 {
+            fixture.permit.send(()).unwrap();
+        }
+        running.await.unwrap().unwrap();
+        waiting.await.unwrap().unwrap();
     }
 }

@@ -6,10 +6,10 @@
 //! used; who can write to the store is trusted beyond that.
 //!
 //! A generation thread waits for the store at most as long as chunks of that level took to make
-//! lately, and sends a request only if answers come sooner than that; reads that bring nothing may
-//! take an eighth of the time of making, and what would not be read is not written ([`pace`]). A
-//! [`breaker`] stops requests to a store that fails. Chunks of baked [`region`]s lie in [`pack`]s,
-//! others in objects of their own.
+//! lately, and sends a request only if the store answers, and sooner than that; reads that bring
+//! nothing may take an eighth of the time of making, and what would not be read is not written
+//! ([`pace`]). A [`breaker`] stops writes to a store that fails. Chunks of baked [`region`]s lie in
+//! [`pack`]s, others in objects of their own.
 
 pub mod address;
 pub mod breaker;
@@ -23,7 +23,6 @@ pub use address::StoreAddress;
 
 use crate::chunk_id::ChunkId;
 use crate::metrics::Metrics;
-use breaker::Breaker;
 use bytes::Bytes;
 use futures_util::{StreamExt, TryStreamExt, stream};
 use object_store::path::Path;
@@ -36,7 +35,7 @@ use quick_cache::sync::Cache;
 use region::BakedRegion;
 use std::io;
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 use terrain::{Chunk, ChunkKey, WorldDigest};
 use tile::{ObjectNames, PackTile};
@@ -49,7 +48,7 @@ use writer::Writer;
 pub const FINEST_LEVEL: u8 = crate::cache::disk::FINEST_LEVEL;
 
 /// Timeout of one read, unless chunks may wait longer. Its thread no longer waits then; the answer only
-/// counts for the breaker.
+/// counts for the pace.
 const READ_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reads in flight. One more is not sent: the chunk is made.
@@ -96,7 +95,6 @@ struct Inner {
     objects: Arc<dyn ObjectStore>,
     names: ObjectNames,
     world: WorldDigest,
-    breaker: Mutex<Breaker>,
     regions: RwLock<Vec<BakedRegion>>,
     indexes: Cache<PackTile, Arc<PackIndex>>,
     /// Tiles whose pack is damaged or lost: their chunks are objects of their own. A look for regions
@@ -147,7 +145,6 @@ impl Store {
             objects,
             names: ObjectNames::new(root, world),
             world: *world,
-            breaker: Mutex::default(),
             regions: RwLock::default(),
             indexes: Cache::new(INDEXES),
             broken: Cache::new(INDEXES),
@@ -171,7 +168,9 @@ impl Store {
             return None;
         }
         let permit = Arc::clone(&inner.reads).try_acquire_owned().ok();
-        let admitted = permit.and_then(|permit| Some((inner.admitted(key)?, permit)));
+        let is_stored = tile.is_some_and(|tile| inner.broken.get(&tile).is_none());
+        let admitted =
+            permit.and_then(|permit| Some((inner.pace.wait(key, is_stored, Instant::now())?, permit)));
         let Some((wait, permit)) = admitted else {
             inner.metrics.store_reads_skipped.inc();
             return None;
@@ -258,11 +257,6 @@ impl Inner {
         regions.iter().any(|region| region.contains(tile)).then_some(tile)
     }
 
-    fn admitted(&self, key: ChunkKey) -> Option<Duration> {
-        let mut breaker = self.breaker.lock().unwrap_or_else(PoisonError::into_inner);
-        admitted(&self.pace, &mut breaker, key, Instant::now())
-    }
-
     /// The chunk of a frame that was read, if the frame is that of the key and undamaged.
     fn checked(&self, key: ChunkKey, tile: Option<PackTile>, frame: Bytes) -> Option<(Chunk, Bytes)> {
         let chunk = chunk_codec::decode(&frame, &self.world).ok().filter(|chunk| chunk.key == key);
@@ -282,27 +276,29 @@ impl Inner {
         self.broken.insert(tile, ());
     }
 
-    /// The bytes of a chunk's object. Reports to breaker and pace, late answers too.
+    /// The bytes of a chunk's object. Reports to the pace, late answers too.
     async fn fetch(&self, id: ChunkId, tile: Option<PackTile>) -> Fetched {
         let started = Instant::now();
         let read = timeout(self.read_timeout, self.get(id, tile)).await;
         let took = started.elapsed();
         self.metrics.store_read_seconds.observe(took.as_secs_f64());
-        self.pace.read(took);
-        let mut breaker = self.breaker.lock().unwrap_or_else(PoisonError::into_inner);
-        let fetched = match read {
+        let why = match read {
             Ok(Ok(found)) => {
-                breaker.succeeded();
-                found.map_or(Fetched::Missing, Fetched::Object)
+                if self.pace.answered(took) {
+                    tracing::info!("the store answers again");
+                    self.metrics.store_up.set(1);
+                }
+                return found.map_or(Fetched::Missing, Fetched::Object);
             }
-            failed => {
-                tracing::debug!(?failed, "a read from the store failed");
-                breaker.failed(Instant::now());
-                Fetched::Failed
-            }
+            Ok(Err(error)) => one_line(&error),
+            Err(_) => format!("no answer within {} ms", self.read_timeout.as_millis()),
         };
-        self.metrics.store_up.set(i64::from(!breaker.is_open()));
-        fetched
+        tracing::debug!(why, "a read from the store failed");
+        if self.pace.failed(Instant::now()) {
+            tracing::warn!(why, "the store fails; chunks are made, and one read in 5 s tries it again");
+            self.metrics.store_up.set(0);
+        }
+        Fetched::Failed
     }
 
     async fn get(&self, id: ChunkId, tile: Option<PackTile>) -> object_store::Result<Option<Bytes>> {
@@ -406,14 +402,11 @@ impl Inner {
     }
 }
 
-/// The time that a chunk may wait, if a read may be sent. Neither pace nor breaker counts a try that the
-/// other one refuses: else both could try in turn and nothing be sent.
-fn admitted(pace: &Pace, breaker: &mut Breaker, key: ChunkKey, now: Instant) -> Option<Duration> {
-    if breaker.holds_back(now) {
-        return None;
-    }
-    let wait = pace.wait(key, now)?;
-    breaker.allows(now).then_some(wait)
+/// An error of a store, which may be a page of XML, as the start of one line.
+fn one_line(error: &Error) -> String {
+    const SHOWN: usize = 300;
+    let text = error.to_string();
+    text.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(SHOWN).collect()
 }
 
 /// An object that does not exist is no error.

@@ -1,7 +1,10 @@
-//! Whether a read from the store saves time: what reads take against what making a chunk takes, and
-//! how much time reads without a result have cost.
+//! Whether a read from the store saves time: what reads take against what making a chunk takes, how
+//! much time reads without a result have cost, and whether the store answers at all.
+//!
+//! Everything that holds reads back shares one clock for tries: every 5 s one read is sent all the
+//! same, and one answer is enough to begin again.
 
-use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use terrain::ChunkKey;
@@ -13,14 +16,23 @@ const WINDOW: u64 = 8;
 /// Taken for the time to make a chunk of a level of which none was made yet.
 const UNKNOWN: Duration = Duration::from_millis(20);
 
-/// Time between two reads of a store that has been too slow, to see whether it still is.
+/// Time between two tries of a store that is held back, to see whether it still has to be.
 const RETRY: Duration = Duration::from_secs(5);
 
-/// Reads without a result may take this part of the time that making chunks takes.
+/// Reads without a result may take this part of the time that chunks may wait.
 const LOSS_PART: i64 = 8;
 
-/// Longest time that reads without a result may take ahead of that, nanoseconds.
+/// Longest time that reads without a result may take ahead of that, and longest debt, nanoseconds.
 const MAX_LOSS: i64 = 100_000_000;
+
+/// One late answer among so many in time stops nothing: it is beyond the 99th percentile.
+const LATE_PART: u32 = 256;
+
+/// Failures in a row after which the store counts as failing.
+const FAILURES: u32 = 5;
+
+/// Taken for the time of a read while the store fails.
+const FAILING: u64 = u64::MAX;
 
 /// Moving averages of times. Relaxed atomics: a lost update changes little.
 #[derive(Debug)]
@@ -28,8 +40,15 @@ pub struct Pace {
     least_wait: Duration,
     /// By level, nanoseconds; 0 is unknown.
     made: [AtomicU64; TOP_LEVEL as usize + 1],
-    /// Nanoseconds; 0 is unknown.
+    /// Of answers, nanoseconds; 0 is unknown.
     read: AtomicU64,
+    /// What a read takes at least by those that had no answer in time, nanoseconds; 0 is nothing.
+    /// An answer in less than half of it ends it.
+    presumed: AtomicU64,
+    /// Answers in time since the last late one that stopped nothing, at most [`LATE_PART`].
+    in_time: AtomicU32,
+    /// Failures in a row.
+    failures: AtomicU32,
     /// Nanoseconds that reads without a result may still take, at most [`MAX_LOSS`].
     budget: AtomicI64,
     tried: Mutex<Option<Instant>>,
@@ -39,17 +58,24 @@ impl Pace {
     /// Nothing is known yet. Every chunk may wait for this time, whatever it takes to make.
     #[must_use]
     pub fn new(least_wait: Duration) -> Self {
-        let made = std::array::from_fn(|_| AtomicU64::new(0));
-        let (read, budget) = (AtomicU64::new(0), AtomicI64::new(MAX_LOSS));
-        Self { least_wait, made, read, budget, tried: Mutex::new(None) }
+        Self {
+            least_wait,
+            made: std::array::from_fn(|_| AtomicU64::new(0)),
+            read: AtomicU64::new(0),
+            presumed: AtomicU64::new(0),
+            in_time: AtomicU32::new(0),
+            failures: AtomicU32::new(0),
+            budget: AtomicI64::new(MAX_LOSS),
+            tried: Mutex::new(None),
+        }
     }
 
     /// The time to wait for a chunk; none if its answer would likely come later than that, or if reads
-    /// without a result have used up their time. Then one read every 5 s is worth a try all the
-    /// same.
-    pub fn wait(&self, key: ChunkKey, now: Instant) -> Option<Duration> {
+    /// without a result have used up their time and the chunk is not known to be in the store
+    /// (`is_stored`). Then one read every 5 s is worth a try all the same.
+    pub fn wait(&self, key: ChunkKey, is_stored: bool, now: Instant) -> Option<Duration> {
         let wait = self.longest_wait(key);
-        if self.is_quick(wait) && self.budget.load(Ordering::Relaxed) > 0 {
+        if self.is_quick(wait) && (is_stored || self.budget.load(Ordering::Relaxed) > 0) {
             return Some(wait);
         }
         let mut tried = self.tried.lock().unwrap_or_else(PoisonError::into_inner);
@@ -74,42 +100,75 @@ impl Pace {
     }
 
     fn is_quick(&self, wait: Duration) -> bool {
-        Duration::from_nanos(self.read.load(Ordering::Relaxed)) <= wait
+        let read = self.read.load(Ordering::Relaxed).max(self.presumed.load(Ordering::Relaxed));
+        Duration::from_nanos(read) <= wait
     }
 
     /// A chunk was made in this time.
     pub fn made(&self, key: ChunkKey, took: Duration) {
         add(&self.made[usize::from(key.level())], took);
-        self.earn(took);
+        self.earn(key);
     }
 
     /// A read brought a chunk. It saved about what the chunk takes to make, which counts as if it had
     /// been made.
     pub fn useful(&self, key: ChunkKey) {
-        self.earn(Duration::from_nanos(self.made[usize::from(key.level())].load(Ordering::Relaxed)));
+        let in_time = self.in_time.load(Ordering::Relaxed);
+        self.in_time.store(LATE_PART.min(in_time + 1), Ordering::Relaxed);
+        self.earn(key);
     }
 
     /// A thread has waited this time for a read that brought no chunk.
     pub fn useless(&self, waited: Duration) {
-        self.budget.fetch_sub(nanoseconds(waited) as i64, Ordering::Relaxed);
+        self.change_budget(-(nanoseconds(waited) as i64));
     }
 
-    fn earn(&self, took: Duration) {
-        let earned = nanoseconds(took) as i64 / LOSS_PART;
-        let before = self.budget.fetch_add(earned, Ordering::Relaxed);
-        if before + earned > MAX_LOSS {
-            self.budget.store(MAX_LOSS, Ordering::Relaxed);
+    fn earn(&self, key: ChunkKey) {
+        self.change_budget(nanoseconds(self.longest_wait(key)) as i64 / LOSS_PART);
+    }
+
+    fn change_budget(&self, by: i64) {
+        let before = self.budget.load(Ordering::Relaxed);
+        self.budget.store((before + by).clamp(-MAX_LOSS, MAX_LOSS), Ordering::Relaxed);
+    }
+
+    /// A read was answered in this time. Whether the store had failed before.
+    pub fn answered(&self, took: Duration) -> bool {
+        let took_ns = nanoseconds(took);
+        let presumed = self.presumed.load(Ordering::Relaxed);
+        if took_ns < presumed / 2 {
+            // What was presumed or measured before is out of date.
+            self.presumed.store(0, Ordering::Relaxed);
+            self.read.store(took_ns.max(1), Ordering::Relaxed);
+        } else {
+            add(&self.read, took);
         }
+        self.failures.store(0, Ordering::Relaxed);
+        presumed == FAILING
     }
 
-    /// A read was answered, or failed, in this time.
-    pub fn read(&self, took: Duration) {
-        add(&self.read, took);
+    /// A read failed or had no answer within its timeout. Whether the store fails since then.
+    pub fn failed(&self, now: Instant) -> bool {
+        let failures = self.failures.fetch_add(1, Ordering::Relaxed).saturating_add(1);
+        if failures < FAILURES {
+            return false;
+        }
+        self.failures.store(FAILURES, Ordering::Relaxed);
+        self.hold_back(now);
+        self.presumed.swap(FAILING, Ordering::Relaxed) != FAILING
     }
 
     /// A read was not answered within this time: it takes longer, by how much is not known.
     pub fn late(&self, waited: Duration, now: Instant) {
-        self.read.fetch_max(nanoseconds(waited.saturating_mul(2)), Ordering::Relaxed);
+        if self.in_time.swap(0, Ordering::Relaxed) == LATE_PART {
+            return;
+        }
+        self.presumed.fetch_max(nanoseconds(waited.saturating_mul(2)), Ordering::Relaxed);
+        self.hold_back(now);
+    }
+
+    /// The next try is one pause from now.
+    fn hold_back(&self, now: Instant) {
         *self.tried.lock().unwrap_or_else(PoisonError::into_inner) = Some(now);
     }
 }
@@ -129,6 +188,7 @@ fn add(mean: &AtomicU64, took: Duration) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::VecDeque;
 
     const MS: fn(u64) -> Duration = Duration::from_millis;
 
@@ -136,15 +196,15 @@ mod tests {
     fn a_chunk_waits_as_long_as_it_takes_to_make_if_answers_come_sooner() {
         let (pace, now) = (Pace::new(Duration::ZERO), Instant::now());
         let [expensive, cheap] = [5, 2].map(|level| ChunkKey::new(level, 0, 0).unwrap());
-        assert_eq!(pace.wait(expensive, now), Some(UNKNOWN));
+        assert_eq!(pace.wait(expensive, false, now), Some(UNKNOWN));
         pace.made(expensive, MS(30));
         pace.made(cheap, MS(1));
-        pace.read(MS(10));
-        assert_eq!(pace.wait(expensive, now), Some(MS(30)));
+        pace.answered(MS(10));
+        assert_eq!(pace.wait(expensive, false, now), Some(MS(30)));
         assert!(pace.is_worth_writing(expensive) && !pace.is_worth_writing(cheap));
-        assert_eq!(pace.wait(cheap, now), Some(MS(1)), "once, to see how long it takes");
-        assert_eq!(pace.wait(cheap, now), None);
-        assert_eq!(pace.wait(cheap, now + RETRY), Some(MS(1)));
+        assert_eq!(pace.wait(cheap, false, now), Some(MS(1)), "once, to see how long it takes");
+        assert_eq!(pace.wait(cheap, false, now), None);
+        assert_eq!(pace.wait(cheap, false, now + RETRY), Some(MS(1)));
     }
 
     /// The bound of 1.5 times the latency without a store follows from this: whatever a store does,
@@ -155,8 +215,8 @@ mod tests {
         let key = ChunkKey::new(3, 0, 0).unwrap();
         let (mut made, mut lost) = (Duration::ZERO, Duration::ZERO);
         for _ in 0..10_000 {
-            if pace.wait(key, now).is_some() {
-                pace.read(MS(2));
+            if pace.wait(key, false, now).is_some() {
+                pace.answered(MS(2));
                 pace.useless(MS(2));
                 lost += MS(2);
             }
@@ -165,8 +225,13 @@ mod tests {
         }
         assert!(lost <= made / 8 + Duration::from_nanos(MAX_LOSS as u64) + 2 * MS(2), "{lost:?} of {made:?}");
         assert!(lost >= made / 9, "the control: reads go on, to see whether they bring something");
+        // What is known to be in the store is read all the same.
+        while pace.wait(key, false, now).is_some() {
+            pace.useless(MS(2));
+        }
+        assert_eq!(pace.wait(key, true, now), Some(MS(3)));
         // They bring something again: after few of them none is left out.
-        let read = |_: &u32| pace.wait(key, now).is_some();
+        let read = |_: &u32| pace.wait(key, false, now).is_some();
         for _ in 0..1000 {
             if read(&0) {
                 pace.useful(key);
@@ -177,17 +242,127 @@ mod tests {
         assert_eq!((0..1000).filter(read).count(), 1000);
     }
 
+    /// One of twenty chunks is missing in a store for which every chunk may wait: the others are read. The
+    /// control is a chunk that may wait only as long as it takes to make, less than a read.
     #[test]
-    fn one_late_answer_stops_waiting_and_quick_ones_begin_it_again() {
+    fn few_missing_chunks_hold_back_no_read_of_a_chunk_that_may_wait() {
+        let read = |least_wait| {
+            let (pace, now) = (Pace::new(least_wait), Instant::now());
+            let key = ChunkKey::new(3, 0, 0).unwrap();
+            let admitted = (0..1200).filter(|number| {
+                let is_read = pace.wait(key, false, now).is_some();
+                match (is_read, number % 20) {
+                    (true, 0) => {
+                        pace.answered(MS(6));
+                        pace.useless(MS(6));
+                        pace.made(key, MS(1));
+                    }
+                    (true, _) => {
+                        pace.answered(MS(6));
+                        pace.useful(key);
+                    }
+                    (false, _) => pace.made(key, MS(1)),
+                }
+                is_read
+            });
+            admitted.count()
+        };
+        assert_eq!(read(MS(2000)), 1200);
+        assert!(read(Duration::ZERO) < 100);
+    }
+
+    #[test]
+    fn a_late_answer_stops_reads_and_one_in_time_begins_them_again() {
+        let (pace, now) = (Pace::new(MS(5)), Instant::now());
+        let key = ChunkKey::new(3, 0, 0).unwrap();
+        let wait = |now| pace.wait(key, false, now);
+        pace.made(key, MS(1));
+        assert_eq!(wait(now), Some(MS(5)), "the least wait");
+        pace.late(MS(5), now);
+        assert_eq!(wait(now), None);
+        assert_eq!(wait(now + RETRY), Some(MS(5)), "once");
+        assert_eq!(wait(now + RETRY), None);
+        // The late answer comes, and says nothing new.
+        pace.answered(MS(9));
+        assert_eq!(wait(now + RETRY), None);
+        pace.answered(MS(2));
+        assert_eq!(wait(now + RETRY), Some(MS(5)));
+        assert!(pace.is_worth_writing(key));
+    }
+
+    #[test]
+    fn one_late_answer_of_many_stops_nothing() {
         let (pace, now) = (Pace::new(MS(5)), Instant::now());
         let key = ChunkKey::new(3, 0, 0).unwrap();
         pace.made(key, MS(1));
-        assert_eq!(pace.wait(key, now), Some(MS(5)), "the least wait");
-        pace.late(MS(5), now);
-        assert_eq!(pace.wait(key, now), None);
-        assert_eq!(pace.wait(key, now + RETRY), Some(MS(5)), "once");
-        assert_eq!(pace.wait(key, now + RETRY), None);
-        (0..20).for_each(|_| pace.read(MS(1)));
-        assert_eq!(pace.wait(key, now), Some(MS(5)));
+        for answers in [LATE_PART, LATE_PART - 1] {
+            for _ in 0..answers {
+                pace.answered(MS(1));
+                pace.useful(key);
+            }
+            pace.late(MS(5), now);
+            assert_eq!(pace.wait(key, false, now).is_some(), answers == LATE_PART, "{answers}");
+        }
+    }
+
+    #[test]
+    fn failures_in_a_row_stop_reads_and_an_answer_begins_them_again() {
+        let (pace, now) = (Pace::new(MS(5)), Instant::now());
+        let key = ChunkKey::new(3, 0, 0).unwrap();
+        let begins = || (0..FAILURES).map(|_| pace.failed(now)).collect::<Vec<_>>();
+        assert_eq!(begins(), [false, false, false, false, true]);
+        assert_eq!(begins(), [false; 5], "it fails already");
+        assert_eq!(pace.wait(key, false, now), None);
+        assert!(!pace.is_worth_writing(key));
+        assert_eq!(pace.wait(key, false, now + RETRY), Some(UNKNOWN));
+        assert!(pace.answered(MS(1)) && !pace.answered(MS(1)));
+        assert_eq!(pace.wait(key, false, now + RETRY), Some(UNKNOWN));
+        (1..FAILURES).for_each(|_| _ = pace.failed(now));
+        pace.answered(MS(1));
+        (1..FAILURES).for_each(|_| _ = pace.failed(now));
+        assert!(pace.wait(key, false, now + RETRY).is_some(), "the control: not in a row");
+    }
+
+    /// A store hangs, or takes 1.5 s, for a minute under steady load. Meanwhile few reads are sent; two pauses
+    /// after that all are.
+    #[test]
+    fn a_store_that_comes_back_is_read_again() {
+        const TIMEOUT: Duration = Duration::from_secs(2);
+        let key = ChunkKey::new(3, 0, 0).unwrap();
+        for slow in [None, Some(MS(1500))] {
+            let (pace, start) = (Pace::new(Duration::ZERO), Instant::now());
+            let mut pending: VecDeque<(u64, Option<Duration>)> = VecDeque::new();
+            let (mut during, mut after, mut requests) = (0, 0, 0);
+            // A request a millisecond; making takes 3 ms, and a quick read 1 ms.
+            for ms in 0..120_000 {
+                let now = start + MS(ms);
+                while pending.front().is_some_and(|(end, _)| *end <= ms) {
+                    match pending.pop_front() {
+                        Some((_, Some(took))) => _ = pace.answered(took),
+                        _ => _ = pace.failed(now),
+                    }
+                }
+                let is_bad = (10_000..70_000).contains(&ms);
+                let admitted = pace.wait(key, false, now);
+                during += u32::from(is_bad && admitted.is_some());
+                requests += u32::from(ms >= 80_000);
+                after += u32::from(ms >= 80_000 && admitted.is_some());
+                match (admitted, is_bad) {
+                    (Some(_), false) => {
+                        pace.answered(MS(1));
+                        pace.useful(key);
+                    }
+                    (Some(wait), true) => {
+                        pending.push_back((ms + slow.unwrap_or(TIMEOUT).as_millis() as u64, slow));
+                        pace.late(wait, now + wait);
+                        pace.useless(wait);
+                        pace.made(key, MS(3));
+                    }
+                    (None, _) => pace.made(key, MS(3)),
+                }
+            }
+            assert!(during <= 15, "{slow:?}: {during} reads");
+            assert_eq!(after, requests, "{slow:?}");
+        }
     }
 }

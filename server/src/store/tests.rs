@@ -278,6 +278,41 @@ async fn a_full_store_is_read() {
     assert_eq!(metrics.store_up.get(), 1);
 }
 
+/// The control is an object as long as a frame may be: it is read, and is none.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_object_longer_than_any_frame_is_invalid_and_not_read() {
+    for (length, read) in [(MAX_CHUNK_FRAME, MAX_CHUNK_FRAME), (MAX_CHUNK_FRAME + 1, 0)] {
+        let objects = Arc::new(InMemory::new());
+        let metrics = Arc::new(Metrics::default());
+        let store = store(&objects, Fault::None, &metrics);
+        let id = ChunkId::base(ChunkKey::new(3, 0, 0).unwrap());
+        objects.put(&store.inner.names.chunk(id), vec![7; length].into()).await.unwrap();
+        let bytes = store.inner.get(id, None).await.unwrap().unwrap();
+        assert_eq!(bytes.len(), read);
+        assert!(tokio::task::spawn_blocking(move || store.read(id)).await.unwrap().is_none());
+        assert_eq!(metrics.store_reads_invalid.get(), 1, "{length}");
+    }
+}
+
+/// Threads that wait for the store are bounded: one more read is skipped, and its chunk is made.
+#[tokio::test(flavor = "multi_thread")]
+async fn one_read_more_than_may_be_in_flight_is_skipped() {
+    let objects = Arc::new(InMemory::new());
+    serves(&replica(&objects, Fault::None), &keys(), EXACT).await;
+    let metrics = Arc::new(Metrics::default());
+    let store = Arc::new(store(&objects, Fault::None, &metrics));
+    let read = || {
+        let (store, id) = (Arc::clone(&store), ChunkId::base(keys()[0]));
+        tokio::task::spawn_blocking(move || store.read(id).is_some())
+    };
+    let others = Arc::clone(&store.inner.reads).acquire_many_owned(READS_IN_FLIGHT as u32).await.unwrap();
+    assert!(!read().await.unwrap());
+    assert_eq!(metrics.store_reads_skipped.get(), 1);
+    drop(others);
+    assert!(read().await.unwrap(), "the control");
+    assert_eq!(metrics.store_reads_skipped.get(), 1);
+}
+
 /// A bake of a small region into these objects.
 async fn bake(objects: &Arc<InMemory>, region: &BakedRegion) {
     let bake = Bake {
@@ -289,46 +324,6 @@ async fn bake(objects: &Arc<InMemory>, region: &BakedRegion) {
         threads: None,
     };
     assert!(bake.run(|_, _| ()).await.unwrap().is_complete);
-}
-
-/// A store hangs for a minute under steady load: within two pauses after that it is read again. The control
-/// asks pace and breaker in turn, each of which counts the tries that the other refuses.
-#[test]
-fn a_store_that_comes_back_is_read_again() {
-    const TIMEOUT: Duration = Duration::from_secs(2);
-    const BACK: Duration = Duration::from_secs(60);
-    let key = ChunkKey::new(3, 0, 0).unwrap();
-    let read_again = |admit: &dyn Fn(&Pace, &mut Breaker, Instant) -> Option<Duration>| {
-        let (pace, mut breaker, start) = (Pace::new(SHORT), Breaker::default(), Instant::now());
-        let mut late: Option<(Instant, Duration)> = None;
-        let mut ends: Vec<Instant> = Vec::new();
-        for step in 0..200_000 {
-            let (since, now) = (Duration::from_millis(step), start + Duration::from_millis(step));
-            while ends.first().is_some_and(|end| *end <= now) {
-                ends.remove(0);
-                pace.read(TIMEOUT);
-                breaker.failed(now);
-            }
-            if let Some((_, wait)) = late.take_if(|(end, _)| *end <= now) {
-                pace.late(wait, now);
-            }
-            if let Some(wait) = admit(&pace, &mut breaker, now) {
-                if since >= BACK {
-                    return Some(since);
-                }
-                late = Some((now + wait, wait));
-                ends.push(now + TIMEOUT);
-            }
-        }
-        None
-    };
-    let found = read_again(&|pace, breaker, now| admitted(pace, breaker, key, now));
-    assert!(found.is_some_and(|since| since < BACK + Duration::from_secs(11)), "{found:?}");
-    let eager = read_again(&|pace, breaker, now| match (pace.wait(key, now), breaker.allows(now)) {
-        (Some(wait), true) => Some(wait),
-        _ => None,
-    });
-    assert_eq!(eager, None, "the control");
 }
 
 /// Chunks of packs that cannot be read are made once, written as objects of their own, and read.

@@ -163,3 +163,22 @@ impl Shared {
         self.breaker.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use object_store::memory::InMemory;
+
+    #[test]
+    fn a_minute_after_a_refusal_one_write_is_sent_again() {
+        let now = Instant::now();
+        let shared = Shared {
+            objects: Arc::new(InMemory::new()),
+            breaker: Mutex::default(),
+            metrics: Arc::default(),
+            refused_until: Mutex::new(Some(now + REFUSED)),
+        };
+        let holds_back = |seconds| shared.holds_back(now + Duration::from_secs(seconds));
+        assert_eq!([0, 59, 60].map(holds_back), [true, true, false]);
+    }
+}

@@ -135,6 +135,7 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
     let mut diff = git(&["diff", "--name-only", commit, "--"]);
     diff.args(paths).args([
         ":(exclude,glob)**/tests/**",
+        ":(exclude,glob)**/tests.rs",
         ":(exclude,glob)**/README.md",
         ":(exclude)docs/measurements",
     ]);
