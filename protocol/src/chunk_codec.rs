@@ -375,6 +375,9 @@ impl<'a> Frame<'a> {
 thread_local! {
     /// Where parts are decompressed to. Made once by every thread that decodes.
     static ROOM: RefCell<Box<Scratch>> = RefCell::new(Box::new(Scratch::new()));
+
+    /// What a digest covers, in one piece: at most a frame and the known heights.
+    static WHOLE: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
 }
 
 /// Bits that a height lost to a tolerance in units, 0 or a power of two.
@@ -400,8 +403,10 @@ fn word(bytes: &[u8], at: usize) -> u32 {
 /// Digest of a frame with heights: the world, the header up to the digest, what the receiver must
 /// have, the payload.
 fn frame_digest(world: &WorldDigest, header: &[u8], known: Option<&Known>, payload: &[u8]) -> [u8; DIGEST] {
-    let known: Vec<u8> = known.map(|known| known.bytes().flatten().collect()).unwrap_or_default();
-    content_digest(world, [header, &known, payload])
+    match known {
+        Some(known) => content_digest(world, [header, known.bytes().as_flattened(), payload]),
+        None => content_digest(world, [header, payload]),
+    }
 }
 
 /// Digest of a world and what belongs to it. The kind is in the header, so frames of two kinds
@@ -409,13 +414,14 @@ fn frame_digest(world: &WorldDigest, header: &[u8], known: Option<&Known>, paylo
 fn content_digest<const N: usize>(world: &WorldDigest, content: [&[u8]; N]) -> [u8; DIGEST] {
     // In one piece: given in parts, what does not end at a multiple of 1 KiB keeps the hash from
     // its vectors.
-    let mut whole =
-        Vec::with_capacity(world.0.len() + content.iter().map(|bytes| bytes.len()).sum::<usize>());
-    whole.extend_from_slice(&world.0);
-    content.iter().for_each(|bytes| whole.extend_from_slice(bytes));
-    let mut digest = [0; DIGEST];
-    blake3::Hasher::new().update(&whole).finalize_xof().fill(&mut digest);
-    digest
+    WHOLE.with_borrow_mut(|whole| {
+        whole.clear();
+        whole.extend_from_slice(&world.0);
+        content.iter().for_each(|bytes| whole.extend_from_slice(bytes));
+        let mut digest = [0; DIGEST];
+        digest.copy_from_slice(&blake3::hash(whole).as_bytes()[..DIGEST]);
+        digest
+    })
 }
 
 #[cfg(test)]

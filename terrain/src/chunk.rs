@@ -105,9 +105,13 @@ impl Land {
 
 /// See [`Chunk::slope`].
 fn slope_bound(heights: &[i32; VERTEX_COUNT], relief: u32, spacing: i32) -> u32 {
-    // Within 128 m, as nearly every fine chunk, the squares fit 31 bits and go through vectors.
-    let worst =
-        if relief < 1 << 15 { simd::steepest(Kernel::best(), heights) as u64 } else { steepest(heights) };
+    // With legs below 128 m, as in nearly every chunk, the squares fit 31 bits and go through vectors.
+    let kernel = Kernel::best();
+    let worst = if relief < 1 << 15 || simd::longest_leg(kernel, heights) < 1 << 15 {
+        u64::from(simd::steepest(kernel, heights).unsigned_abs())
+    } else {
+        steepest(heights)
+    };
     // ceil(256 * sqrt(worst) / spacing): sqrt rounded up first, so the bound can only grow.
     let root = worst.isqrt() + u64::from(!is_square(worst));
     (root * UNITS_PER_METRE as u64).div_ceil(spacing as u64) as u32
@@ -231,6 +235,25 @@ mod tests {
             for kernel in Kernel::available() {
                 assert_eq!(simd::steepest(kernel, &heights) as u64, steepest(&heights), "{kernel}");
             }
+        }
+    }
+
+    /// A ramp of 16 km with steps of up to 2^15 units: one less than that is for vectors, that is not.
+    #[test]
+    fn the_longest_leg_decides_between_vectors_and_wide_arithmetic() {
+        for leg in [(1 << 15) - 1, 1 << 15] {
+            let heights = Box::new(std::array::from_fn(|index| {
+                let (x, z) = (index % VERTICES, index / VERTICES);
+                (x + z) as i32 * leg - (1 << 21)
+            }));
+            for kernel in Kernel::available() {
+                assert_eq!(simd::longest_leg(kernel, &heights), leg, "{kernel}");
+                let by_vectors = i64::from(simd::steepest(kernel, &heights)) as u64;
+                assert_eq!(by_vectors == steepest(&heights), leg < 1 << 15, "{kernel}");
+            }
+            let slope = slope_bound(&heights, 1 << 22, 1);
+            let exact = (f64::from(leg) * 2f64.sqrt()).ceil() as u64 * UNITS_PER_METRE as u64;
+            assert_eq!(u64::from(slope), exact);
         }
     }
 

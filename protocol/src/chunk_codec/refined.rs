@@ -98,8 +98,8 @@ impl Known {
     }
 
     /// The known heights as the digest covers them.
-    pub(super) fn bytes(&self) -> impl Iterator<Item = [u8; 4]> {
-        self.0.iter().map(|height| height.to_le_bytes())
+    pub(super) fn bytes(&self) -> [[u8; 4]; KNOWN * KNOWN] {
+        self.0.map(i32::to_le_bytes)
     }
 
     /// Appends the parts of what the parent lacks. Returns the width of the residuals.

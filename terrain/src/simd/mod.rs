@@ -157,6 +157,11 @@ entry! {
 }
 
 entry! {
+    /// See [`slope::longest_leg`].
+    longest_leg_into(heights: &[i32; VERTEX_COUNT], longest: &mut i32) => longest_leg_on
+}
+
+entry! {
     /// See [`density::densities`].
     densities(
         heights: &[i32; VERTEX_COUNT],
@@ -165,8 +170,15 @@ entry! {
     ) => densities_on
 }
 
-/// Largest sum of squares of a triangle's two legs, units squared, of heights that lie within 2^15
-/// of each other.
+/// Largest difference of two neighbours in a row or a column, units.
+pub(crate) fn longest_leg(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> i32 {
+    let mut longest = 0;
+    longest_leg_into(kernel, heights, &mut longest);
+    longest
+}
+
+/// Largest sum of squares of a triangle's two legs, units squared, of heights whose neighbours in rows
+/// and columns lie within 2^15 of each other.
 pub(crate) fn steepest(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> i32 {
     let mut worst = 0;
     steepest_into(kernel, heights, &mut worst);
@@ -381,6 +393,12 @@ pub(crate) fn farthest_in_quarter(
 unsafe fn steepest_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], worst: &mut i32) {
     // SAFETY: guaranteed by the caller.
     unsafe { slope::steepest::<L>(heights, worst) }
+}
+
+#[inline(always)]
+unsafe fn longest_leg_on<L: Lanes>(heights: &[i32; VERTEX_COUNT], longest: &mut i32) {
+    // SAFETY: guaranteed by the caller.
+    unsafe { slope::longest_leg::<L>(heights, longest) }
 }
 
 /// The compiler vectorises this body, once per instruction set; the lane type selects the set only.
