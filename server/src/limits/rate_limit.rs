@@ -109,9 +109,16 @@ impl TokenBucket {
         });
     }
 
-    /// Charges the selection of a view, microseconds. The mean cost of a chunk does not change.
-    pub fn charge_view(&self, us: i64, now: Instant) {
+    /// Charges work that is no job of a chunk, microseconds: the selection of a view, the rendering of
+    /// a tile, a further encoding. The mean cost of a chunk does not change.
+    pub fn charge_work(&self, us: i64, now: Instant) {
         self.with(now, |bucket, _| bucket.tokens -= us as f64);
+    }
+
+    /// Returns what was charged for a chunk that was not generated, microseconds.
+    pub fn refund(&self, us: i64, now: Instant) {
+        // The next refill limits the tokens to the capacity.
+        self.with(now, |bucket, _| bucket.tokens += us as f64);
     }
 
     /// Charges bytes sent.
@@ -139,6 +146,12 @@ impl TokenBucket {
             (tokens / bucket.mean_cost.max(1.0)) as usize
         };
         self.with(now, affordable).unwrap_or(usize::MAX)
+    }
+
+    /// The tokens left, microseconds; 0 without a limit.
+    #[cfg(test)]
+    pub fn tokens(&self) -> f64 {
+        self.with(Instant::now(), |bucket, _| bucket.tokens).unwrap_or(0.0)
     }
 
     fn with<T>(&self, now: Instant, act: impl FnOnce(&mut Bucket, f64) -> T) -> Option<T> {

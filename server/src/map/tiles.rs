@@ -137,7 +137,7 @@ impl Map {
             let started = Instant::now();
             let tile = render_tile(key, &frames, &world);
             let now = Instant::now();
-            bucket.charge_chunk((now - started).as_micros() as i64, now);
+            bucket.charge_work((now - started).as_micros() as i64, now);
             drop(permit);
             tile
         })
