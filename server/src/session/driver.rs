@@ -152,6 +152,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     if let Err(end) = self.read_ended(read).await {
                         return end;
                     }
+                    let begins = self.backoff.pause(Instant::now());
+                    self.state.metrics.refusal_backoffs.inc_by(u64::from(begins));
                 }
                 () = sleep_until(self.message_deadline.by()), if pause.is_none() => {
                     if let Err(end) = self.finish_message().await {
