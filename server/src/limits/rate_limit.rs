@@ -10,11 +10,12 @@
 //! by one chunk, so that a chunk of any cost can be served at any rate.
 
 use crate::limits::per_ip::client_network;
+use crate::metrics::Metrics;
 use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tokio::time::Instant;
+use tokio::time::{Instant, sleep};
 
 /// Capacity of a bucket, seconds of refill.
 const CAPACITY_S: f64 = 10.0;
@@ -135,6 +136,24 @@ impl TokenBucket {
         }
         // One whole token more, so that rounding never leaves the bucket just empty.
         Some(Duration::from_secs_f64((1.0 - tokens) / rate) + Duration::from_nanos(1))
+    }
+
+    /// Waits until the bucket is not empty, and counts the delays. False, counted as a rejection, if
+    /// that would be after `by`.
+    #[must_use]
+    pub async fn wait(&self, by: Instant, metrics: &Metrics) -> bool {
+        loop {
+            let now = Instant::now();
+            // Of several requests that wait for the same moment, the first takes the tokens; the others
+            // wait again.
+            let Some(delay) = self.delay(now) else { return true };
+            if now + delay > by {
+                metrics.rate_limit_rejections.inc();
+                return false;
+            }
+            metrics.rate_limit_delays.inc();
+            sleep(delay).await;
+        }
     }
 
     /// Chunks that the bucket can pay for within a time, at the recent mean cost.
