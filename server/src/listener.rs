@@ -143,9 +143,9 @@ pub async fn run(
     Ok(())
 }
 
-/// Waits until all connections and sessions have ended. Connections first: the upgrade of one that was
-/// checked just before the server began to drain may begin a session, and a connection ends with its
-/// upgrade, before its session.
+/// Waits until all connections and sessions have ended. Connections first: the upgrade of one that
+/// was checked just before the server began to drain may begin a session, and a connection ends
+/// with its upgrade, before its session.
 async fn ended(connections: &TaskTracker, sessions: &TaskTracker) {
     connections.wait().await;
     sessions.wait().await;

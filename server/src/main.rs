@@ -15,7 +15,8 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 const NAME: &str = "tombolo-server";
 
-/// Longest wait at the end for reads of files and for map tiles, whose results nobody needs any more.
+/// Longest wait at the end for reads of files and for map tiles, whose results nobody needs any
+/// more.
 const BLOCKING_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Generation allocates blocks of some 20 KiB for microseconds. The system's allocator returns such

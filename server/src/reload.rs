@@ -13,8 +13,8 @@ use tokio::time::{sleep, timeout};
 /// Kubernetes secret, has no reliable time of modification.
 const INTERVAL: Duration = Duration::from_secs(5);
 
-/// Longest wait for a file, as of a mount that hangs. Its read goes on, on a thread of its own; until it
-/// ends the file counts as unreadable and is not read again.
+/// Longest wait for a file, as of a mount that hangs. Its read goes on, on a thread of its own;
+/// until it ends the file counts as unreadable and is not read again.
 const READ_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reloads until it is dropped. Ends at once if there is nothing to reload.

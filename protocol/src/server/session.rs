@@ -307,8 +307,8 @@ impl ServerSession {
         self.find_stale(|_, request| request == Some(id));
     }
 
-    /// Marks the chunks in flight for a single request that `is_stale` selects. Each is marked once,
-    /// however often its request is cancelled: looking it up takes the lock of all sessions.
+    /// Marks the chunks in flight for a single request that `is_stale` selects. Each is marked
+    /// once, however often its request is cancelled: looking it up takes the lock of all sessions.
     fn find_stale(&mut self, is_stale: impl Fn(ChunkKey, Option<u32>) -> bool) {
         for (key, in_flight) in &mut self.in_flight {
             if in_flight.requests == 1 && !in_flight.is_stale && is_stale(*key, in_flight.latest) {

@@ -110,8 +110,8 @@ impl TokenBucket {
         });
     }
 
-    /// Charges work that is no job of a chunk, microseconds: the selection of a view, the rendering of
-    /// a tile, a further encoding. The mean cost of a chunk does not change.
+    /// Charges work that is no job of a chunk, microseconds: the selection of a view, the rendering
+    /// of a tile, a further encoding. The mean cost of a chunk does not change.
     pub fn charge_work(&self, us: i64, now: Instant) {
         self.with(now, |bucket, _| bucket.tokens -= us as f64);
     }
@@ -138,14 +138,14 @@ impl TokenBucket {
         Some(Duration::from_secs_f64((1.0 - tokens) / rate) + Duration::from_nanos(1))
     }
 
-    /// Waits until the bucket is not empty, and counts the delays. False, counted as a rejection, if
-    /// that would be after `by`.
+    /// Waits until the bucket is not empty, and counts the delays. False, counted as a rejection,
+    /// if that would be after `by`.
     #[must_use]
     pub async fn wait(&self, by: Instant, metrics: &Metrics) -> bool {
         loop {
             let now = Instant::now();
-            // Of several requests that wait for the same moment, the first takes the tokens; the others
-            // wait again.
+            // Of several requests that wait for the same moment, the first takes the tokens; the
+            // others wait again.
             let Some(delay) = self.delay(now) else { return true };
             if now + delay > by {
                 metrics.rate_limit_rejections.inc();

@@ -4,9 +4,9 @@
 //! Reading and rejecting a request takes processor time that no queue accounts for. A client that
 //! repeats rejected requests at once could occupy a core. The back-off bounds this work to the
 //! session's fair share: each rejection adds its cost, multiplied by the flows that share a thread,
-//! to a debt in time, and the session is not read while the debt lasts. A debt of more than one pause
-//! is paid by several, with one small read after each. Pending chunks are still sent. Unread input
-//! stays in the socket buffers, so TCP slows the client down.
+//! to a debt in time, and the session is not read while the debt lasts. A debt of more than one
+//! pause is paid by several, with one small read after each. Pending chunks are still sent. Unread
+//! input stays in the socket buffers, so TCP slows the client down.
 //!
 //! Sessions that are paused share the thread too, whether or not they have flows: otherwise each of
 //! many sessions that send nothing but refused views would get a whole share.
@@ -31,9 +31,9 @@ const VIEW_COST: Duration = Duration::from_micros(32);
 const SMALL_READ: usize = 2048;
 const CAUTION: Duration = Duration::from_secs(1);
 
-/// Bytes that are read at once while more than one pause is owed: some 110 keys, which take a thread
-/// 0.4 ms in 0.1 s, however many sessions share it. A client that sends 120 views a second still sends
-/// less, and a message of 8 KiB comes within 0.8 s, a sixth of what it may take.
+/// Bytes that are read at once while more than one pause is owed: some 110 keys, which take a
+/// thread 0.4 ms in 0.1 s, however many sessions share it. A client that sends 120 views a second
+/// still sends less, and a message of 8 KiB comes within 0.8 s, a sixth of what it may take.
 const DEBTOR_READ: usize = 1024;
 
 /// The longest pause, so that a cancellation or a view behind rejected requests is read soon.

@@ -79,8 +79,8 @@ async fn the_rate_limit_bounds_rejections_as_well() {
     }
 }
 
-/// One read of invalid keys costs more than a pause where many share a thread. What exceeds the first
-/// pause is paid by the next ones.
+/// One read of invalid keys costs more than a pause where many share a thread. What exceeds the
+/// first pause is paid by the next ones.
 #[tokio::test(start_paused = true)]
 async fn the_rejections_of_one_read_are_paid_in_full() {
     // The rate of a thousandth of a thread counts as a thousand sharers.

@@ -106,7 +106,8 @@ struct Job {
     is_running: bool,
     /// Estimated, microseconds.
     cost_us: i64,
-    /// What was charged for its first frame; none once that is being made, and without a rate limit.
+    /// What was charged for its first frame; none once that is being made, and without a rate
+    /// limit.
     advance: Option<Charge>,
     /// Bounded by the sessions' job windows and the HTTP connections.
     requests: Vec<FrameRequest>,
@@ -143,8 +144,8 @@ impl Jobs {
         self.by_id.get(&id).is_some_and(|job| !job.is_running)
     }
 
-    /// Adds a request to the job of its chunk, which may be new. The caller charges the cost of a new
-    /// job to the bucket of the request.
+    /// Adds a request to the job of its chunk, which may be new. The caller charges the cost of a
+    /// new job to the bucket of the request.
     pub fn add(&mut self, request: FrameRequest, cost_us: i64) -> Enqueued {
         let n_jobs = self.by_id.len();
         match self.by_id.entry(request.id) {
@@ -193,9 +194,9 @@ impl Jobs {
         Some(Started::Running { cost_us: job.cost_us })
     }
 
-    /// The frame of a request for which `is_encoded` is false; none if there is no such request. The
-    /// first frame of a job was charged in advance; the client whose request causes another one pays
-    /// for it.
+    /// The frame of a request for which `is_encoded` is false; none if there is no such request.
+    /// The first frame of a job was charged in advance; the client whose request causes another one
+    /// pays for it.
     #[must_use]
     pub fn missing_frame(
         &mut self,

@@ -278,14 +278,14 @@ impl Queue {
         finished
     }
 
-    /// Cancels and returns a flow's requests for a chunk, unless the job is running, with what is to
-    /// be refunded.
+    /// Cancels and returns a flow's requests for a chunk, unless the job is running, with what is
+    /// to be refunded.
     pub fn cancel(&mut self, flow: FlowId, chunk: ChunkId) -> (Vec<ChunkRequest>, Option<Charge>) {
         self.jobs.cancel(flow, chunk)
     }
 
-    /// Removes a flow and the jobs that only it requested. Returns the number of these jobs, and what
-    /// is to be refunded.
+    /// Removes a flow and the jobs that only it requested. Returns the number of these jobs, and
+    /// what is to be refunded.
     pub fn remove_flow(&mut self, id: FlowId) -> (u64, Vec<Charge>) {
         let Some(flow) = self.flows.remove(&id) else { return (0, Vec::new()) };
         if flow.has_turn {
