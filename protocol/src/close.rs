@@ -32,7 +32,7 @@ pub enum CloseCode {
     WrongVersion = 4409,
     /// The peers disagree about the world.
     WrongWorld = 4410,
-    /// The peer took too long to read or went silent.
+    /// The peer went silent, or did not finish a message in time.
     Unresponsive = 4411,
 }
 

@@ -135,16 +135,20 @@ pub async fn run(
     state.draining.cancel();
     state.sessions.close();
     connections.close();
-    let drained = async {
-        state.sessions.wait().await;
-        connections.wait().await;
-    };
-    if timeout(state.config.drain_timeout, drained).await.is_err() {
+    if timeout(state.config.drain_timeout, ended(&connections, &state.sessions)).await.is_err() {
         tracing::warn!(sessions = state.sessions.len(), "drain timed out with open sessions");
     }
     state.generation.close().await;
     tracing::info!("stopped");
     Ok(())
+}
+
+/// Waits until all connections and sessions have ended. Connections first: the upgrade of one that
+/// was checked just before the server began to drain may begin a session, and a connection ends
+/// with its upgrade, before its session.
+async fn ended(connections: &TaskTracker, sessions: &TaskTracker) {
+    connections.wait().await;
+    sessions.wait().await;
 }
 
 /// What an operator should know of a server that other machines reach.
@@ -302,5 +306,33 @@ async fn serve_requests(stream: PeerStream, connected: IpAddr, router: axum::Rou
         if error.is_parse() {
             state.peer_log.report(Some(connected), "malformed HTTP");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use futures_util::FutureExt;
+    use tokio::sync::oneshot;
+
+    #[tokio::test]
+    async fn a_session_that_a_late_upgrade_begins_is_waited_for() {
+        let (connections, sessions) = (TaskTracker::new(), TaskTracker::new());
+        let (upgrade, upgraded) = oneshot::channel();
+        let (end, ended_by) = oneshot::channel::<()>();
+        let tracker = sessions.clone();
+        let connection = connections.spawn(async move {
+            upgraded.await.unwrap();
+            drop(tracker.spawn(ended_by));
+        });
+        sessions.close();
+        connections.close();
+        let mut ended = std::pin::pin!(ended(&connections, &sessions));
+        assert!(ended.as_mut().now_or_never().is_none());
+        upgrade.send(()).unwrap();
+        connection.await.unwrap();
+        assert!(ended.as_mut().now_or_never().is_none(), "the session is open");
+        end.send(()).unwrap();
+        ended.await;
     }
 }

@@ -15,6 +15,10 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 const NAME: &str = "tombolo-server";
 
+/// Longest wait at the end for reads of files and for map tiles, whose results nobody needs any
+/// more.
+const BLOCKING_TIMEOUT: Duration = Duration::from_secs(1);
+
 /// Generation allocates blocks of some 20 KiB for microseconds. The system's allocator returns such
 /// memory to the kernel and faults it in again, page by page.
 #[global_allocator]
@@ -42,7 +46,12 @@ fn main() -> ExitCode {
         .on_thread_unpark(scheduling::waited)
         .build()
         .map_err(|error| format!("cannot start the runtime: {error}"))
-        .and_then(|runtime| runtime.block_on(serve(config)));
+        .and_then(|runtime| {
+            let served = runtime.block_on(serve(config));
+            // A drop would wait without end for a read from a mount that hangs.
+            runtime.shutdown_timeout(BLOCKING_TIMEOUT);
+            served
+        });
     if let Some(exporter) = exporter {
         exporter.close();
     }

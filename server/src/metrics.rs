@@ -120,7 +120,7 @@ pub struct Metrics {
     pub jobs_expired: Counter,
     /// Jobs queued or running.
     pub pending_jobs: Gauge,
-    /// Time per generated chunk.
+    /// Time of generation and encoding per generated chunk.
     pub generation_seconds: Histogram,
     /// Frames encoded with the fast encoding.
     pub frames_encoded_fast: Counter,
@@ -409,7 +409,7 @@ impl Metrics {
         );
         self.register(
             "generation_duration_seconds",
-            "Time per generated chunk",
+            "Time of generation and encoding per generated chunk, without reads",
             &self.generation_seconds.clone(),
         );
         let encoded = fixed_family(

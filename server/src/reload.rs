@@ -3,13 +3,19 @@
 use crate::access::gate::Reloaded;
 use crate::state::ServerState;
 use cli::UsageError;
+use prometheus_client::metrics::gauge::Gauge;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::time::sleep;
+use tokio::task::{JoinHandle, spawn_blocking};
+use tokio::time::{sleep, timeout};
 
 /// Interval between two looks at the files. They are read whole: a changed mount, as of a
 /// Kubernetes secret, has no reliable time of modification.
 const INTERVAL: Duration = Duration::from_secs(5);
+
+/// Longest wait for a file, as of a mount that hangs. Its read goes on, on a thread of its own;
+/// until it ends the file counts as unreadable and is not read again.
+const READ_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reloads until it is dropped. Ends at once if there is nothing to reload.
 pub async fn run(state: Arc<ServerState>) {
@@ -17,43 +23,85 @@ pub async fn run(state: Arc<ServerState>) {
         return;
     }
     let mut hangup = Hangup::new();
-    // The last failure of tokens and of TLS, so that each is logged once.
-    let mut failures = [None, None];
+    let (gate, metrics) = (Arc::clone(&state.gate), &state.metrics);
+    let mut tokens = File::new("tokens", &metrics.tokens_reload_failed, move || gate.reload());
+    let mut certificate = state
+        .config
+        .tls
+        .clone()
+        .map(|tls| File::new("certificate", &metrics.certificate_reload_failed, move || tls.reload()));
     loop {
         let is_asked = tokio::select! {
             () = hangup.received() => true,
             () = sleep(INTERVAL) => false,
         };
-        let (gate, tls) = (Arc::clone(&state.gate), state.config.tls.clone());
-        // Files may be on a slow disk.
-        let read = tokio::task::spawn_blocking(move || {
-            [Some(gate.reload()), tls.map(|tls| tls.reload())]
-                .map(|read| read.unwrap_or(Ok(Reloaded::Unchanged)))
+        // Together: one may hang.
+        tokio::join!(tokens.reload(is_asked), async {
+            if let Some(certificate) = &mut certificate {
+                certificate.reload(is_asked).await;
+            }
         });
-        let Ok(results) = read.await else { continue };
-        let metrics = [
-            ("tokens", &state.metrics.tokens_reload_failed),
-            ("certificate", &state.metrics.certificate_reload_failed),
-        ];
-        for (((name, gauge), result), failure) in metrics.into_iter().zip(results).zip(&mut failures) {
-            gauge.set(i64::from(result.is_err()));
-            log(name, result, is_asked, failure);
-        }
     }
 }
 
-fn log(name: &str, result: Result<Reloaded, UsageError>, is_asked: bool, failure: &mut Option<UsageError>) {
-    match result {
-        Ok(Reloaded::Unchanged) => *failure = None,
-        Ok(Reloaded::Changed) => {
-            tracing::info!(name, "read again");
-            *failure = None;
-        }
-        Err(error) => {
-            if is_asked || failure.as_ref() != Some(&error) {
-                tracing::warn!(name, %error, "cannot read again; the earlier ones stay in use");
+/// What one reload did, or why it failed.
+type Outcome = Result<Reloaded, UsageError>;
+
+/// A file, or the two of a certificate.
+struct File<'a> {
+    name: &'static str,
+    failed: &'a Gauge,
+    read: Arc<dyn Fn() -> Outcome + Send + Sync>,
+    /// The read that has not ended.
+    reading: Option<JoinHandle<Outcome>>,
+    /// The last failure, so that it is logged once.
+    failure: Option<UsageError>,
+}
+
+impl<'a> File<'a> {
+    fn new(
+        name: &'static str,
+        failed: &'a Gauge,
+        read: impl Fn() -> Outcome + Send + Sync + 'static,
+    ) -> Self {
+        Self { name, failed, read: Arc::new(read), reading: None, failure: None }
+    }
+
+    /// Reads it again, or waits on for the read that has not ended.
+    async fn reload(&mut self, is_asked: bool) {
+        let read = Arc::clone(&self.read);
+        // Files may be on a slow disk.
+        let reading = self.reading.get_or_insert_with(|| spawn_blocking(move || read()));
+        let outcome = match timeout(READ_TIMEOUT, &mut *reading).await {
+            Ok(outcome) => {
+                self.reading = None;
+                // A panic is reported by its hook.
+                let Ok(outcome) = outcome else { return };
+                outcome
             }
-            *failure = Some(error);
+            Err(_) => {
+                let seconds = READ_TIMEOUT.as_secs();
+                Err(UsageError::new(format!("the read takes more than {seconds} s; check its disk or mount")))
+            }
+        };
+        self.failed.set(i64::from(outcome.is_err()));
+        self.log(outcome, is_asked);
+    }
+
+    fn log(&mut self, outcome: Outcome, is_asked: bool) {
+        let name = self.name;
+        match outcome {
+            Ok(Reloaded::Unchanged) => self.failure = None,
+            Ok(Reloaded::Changed) => {
+                tracing::info!(name, "read again");
+                self.failure = None;
+            }
+            Err(error) => {
+                if is_asked || self.failure.as_ref() != Some(&error) {
+                    tracing::warn!(name, %error, "cannot read again; the earlier ones stay in use");
+                }
+                self.failure = Some(error);
+            }
         }
     }
 }

@@ -152,6 +152,40 @@ fn tokens_are_read_again_on_sighup() {
     std::fs::remove_file(path).unwrap();
 }
 
+/// A pipe without a writer stands for a mount that hangs.
+#[cfg(unix)]
+#[test]
+fn a_file_that_cannot_be_read_to_its_end_is_reported_and_does_not_keep_the_server_from_ending() {
+    let path = std::env::temp_dir().join(format!("tombolo-program-hang-{}", std::process::id()));
+    std::fs::write(&path, "first\n").unwrap();
+    let mut server = Server::start(&["--listen", "127.0.0.1:0", "--token-file", path.to_str().unwrap()]);
+    std::fs::remove_file(&path).unwrap();
+    assert!(Command::new("mkfifo").arg(&path).status().unwrap().success());
+    let signal = |server: &Server, name: &str| {
+        assert!(
+            Command::new("kill").args([name, &server.child.id().to_string()]).status().unwrap().success()
+        );
+    };
+    signal(&server, "-HUP");
+    let started = Instant::now();
+    while !server.get("/metrics", "").contains("tombolo_reload_failed{file=\"tokens\"} 1") {
+        assert!(started.elapsed() < TEST_TIMEOUT);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(server.live("first"), 200);
+    signal(&server, "-TERM");
+    let started = Instant::now();
+    let status = loop {
+        if let Some(status) = server.child.try_wait().unwrap() {
+            break status;
+        }
+        assert!(started.elapsed() < TEST_TIMEOUT, "it waits for the read");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    assert!(status.success());
+    std::fs::remove_file(path).unwrap();
+}
+
 /// As `systemctl reload` does, also to a server without tokens and TLS.
 #[cfg(unix)]
 #[test]

@@ -96,6 +96,8 @@ struct InFlight {
     requests: u32,
     /// The latest explicit request; none if the latest was the view.
     latest: Option<u32>,
+    /// Whether it was reported as stale since the latest request.
+    is_stale: bool,
 }
 
 impl ServerSession {
@@ -225,10 +227,25 @@ impl ServerSession {
         self.counts.superseded_views += u64::from(self.views.queue(view));
     }
 
-    /// Whether a view waits for its selection.
+    /// Whether [`ServerSession::take_view`] would return a view.
     #[must_use]
-    pub const fn has_queued_view(&self) -> bool {
-        self.views.has_queued()
+    pub const fn has_waiting_view(&self) -> bool {
+        self.views.can_take()
+    }
+
+    /// Whether a chunk is needed that the client has credit for.
+    pub fn has_next_chunk(&mut self) -> bool {
+        if !self.has_credit() {
+            return false;
+        }
+        let Self { requests, views, held, in_flight, .. } = &mut *self;
+        let is_known = |key: &ChunkKey| held.contains(*key) || in_flight.contains_key(key);
+        let has_next = !requests.is_empty() || views.has_next(is_known);
+        if !has_next {
+            // The client may hold all pending chunks.
+            self.settle();
+        }
+        has_next
     }
 
     /// The selection of the newest view, for a worker to run; none if no view waits or a selection
@@ -290,13 +307,15 @@ impl ServerSession {
         self.find_stale(|_, request| request == Some(id));
     }
 
-    /// Marks the chunks in flight for a single request that `is_stale` selects.
+    /// Marks the chunks in flight for a single request that `is_stale` selects. Each is marked
+    /// once, however often its request is cancelled: looking it up takes the lock of all sessions.
     fn find_stale(&mut self, is_stale: impl Fn(ChunkKey, Option<u32>) -> bool) {
-        let stale = self
-            .in_flight
-            .iter()
-            .filter(|(key, in_flight)| in_flight.requests == 1 && is_stale(**key, in_flight.latest));
-        self.stale.extend(stale.map(|(key, _)| *key));
+        for (key, in_flight) in &mut self.in_flight {
+            if in_flight.requests == 1 && !in_flight.is_stale && is_stale(*key, in_flight.latest) {
+                in_flight.is_stale = true;
+                self.stale.push(*key);
+            }
+        }
     }
 
     /// Chunks in flight that are no longer needed, each once. Their generation may be cancelled and
@@ -366,24 +385,17 @@ impl ServerSession {
     /// As [`ServerSession::next_chunk`], but first calls `ready` for a frame that exists already in
     /// the given delivery; if there is one, queues it for the client.
     pub fn next_chunk_with(&mut self, ready: impl FnOnce(ChunkKey, Delivery) -> Option<Bytes>) -> Next {
-        if !self.has_credit() {
+        if !self.has_next_chunk() {
             return Next::Nothing;
         }
-        let request = match self.requests.pop_front() {
-            Some((id, key)) => ChunkRequest { key, request: Some(id), priority: u64::MAX },
-            None => {
-                let Self { views, held, in_flight, .. } = &mut *self;
-                let is_known = |key: &ChunkKey| held.contains(*key) || in_flight.contains_key(key);
-                match views.next(is_known) {
-                    Some((priority, key)) => ChunkRequest { key, request: None, priority },
-                    None => {
-                        // The client may hold all pending chunks.
-                        self.settle();
-                        return Next::Nothing;
-                    }
-                }
-            }
+        let requested = self.requests.pop_front();
+        let requested =
+            requested.map(|(id, key)| ChunkRequest { key, request: Some(id), priority: u64::MAX });
+        let pending = || {
+            let (priority, key) = self.views.next()?;
+            Some(ChunkRequest { key, request: None, priority })
         };
+        let Some(request) = requested.or_else(pending) else { return Next::Nothing };
         self.credits -= 1;
         let bound = self.frame_bound();
         if let Some(bytes) = &mut self.credit_bytes {
@@ -394,10 +406,9 @@ impl ServerSession {
             self.send_chunk(request.key, frame);
             return Next::Delivered;
         }
-        let in_flight =
-            self.in_flight.entry(request.key).or_insert(InFlight { requests: 0, latest: request.request });
-        in_flight.requests += 1;
-        in_flight.latest = request.request;
+        let requests = self.in_flight.get(&request.key).map_or(0, |in_flight| in_flight.requests);
+        let in_flight = InFlight { requests: requests + 1, latest: request.request, is_stale: false };
+        self.in_flight.insert(request.key, in_flight);
         Next::Generate(request, delivery)
     }
 

@@ -38,14 +38,14 @@ impl ViewQueue {
         self.queued.replace(view).is_some()
     }
 
-    /// Whether a view waits for its selection.
-    pub(super) const fn has_queued(&self) -> bool {
-        self.queued.is_some()
+    /// Whether a view waits for its selection and no selection is running.
+    pub(super) const fn can_take(&self) -> bool {
+        self.queued.is_some() && self.selecting.is_none()
     }
 
     /// Starts the selection of the queued view; none if no view waits or a selection is running.
     pub(super) fn take(&mut self, land: &Land) -> Option<ViewSelection> {
-        if self.selecting.is_some() {
+        if !self.can_take() {
             return None;
         }
         let view = self.queued.take()?;
@@ -73,23 +73,22 @@ impl ViewQueue {
         self.active.as_ref().map(|active| &active.view)
     }
 
-    /// The next chunk to request that is not known yet: a needed one, or a prefetch once the view
-    /// is settled.
-    pub(super) fn next(&mut self, is_known: impl Fn(&ChunkKey) -> bool) -> Option<(u64, ChunkKey)> {
+    /// Whether there is a chunk to request that is not known yet. Drops known ones before it.
+    pub(super) fn has_next(&mut self, is_known: impl Fn(&ChunkKey) -> bool) -> bool {
+        let Some(active) = &mut self.active else { return false };
+        let has_unknown = |chunks: &mut Vec<(u64, ChunkKey)>| {
+            while chunks.pop_if(|(_, key)| is_known(key)).is_some() {}
+            !chunks.is_empty()
+        };
+        has_unknown(&mut active.pending) || (active.settled && has_unknown(&mut active.ahead))
+    }
+
+    /// The chunk that [`ViewQueue::has_next`] found: a needed one, or a prefetch once the view is
+    /// settled.
+    pub(super) fn next(&mut self) -> Option<(u64, ChunkKey)> {
         let active = self.active.as_mut()?;
-        while let Some((priority, key)) = active.pending.pop() {
-            if !is_known(&key) {
-                return Some((priority, key));
-            }
-        }
-        while active.settled
-            && let Some((_, key)) = active.ahead.pop()
-        {
-            if !is_known(&key) {
-                return Some((0, key));
-            }
-        }
-        None
+        let ahead = || active.ahead.pop_if(|_| active.settled).map(|(_, key)| (0, key));
+        active.pending.pop().or_else(ahead)
     }
 
     /// Puts a chunk back before all others.

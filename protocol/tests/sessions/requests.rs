@@ -83,6 +83,39 @@ fn a_cancelled_request_is_dropped_and_its_credit_returned() {
 }
 
 #[test]
+fn a_request_that_is_cancelled_again_and_again_names_each_chunk_once() {
+    let mut server = welcomed(4);
+    let request = ClientMessage::Request { id: 1, keys: wire_keys(4) };
+    send(&mut server, &request);
+    let in_flight: Vec<_> = std::iter::from_fn(|| next_request(&mut server)).collect();
+    (0..1000).for_each(|_| send(&mut server, &ClientMessage::Cancel { id: 1 }));
+    assert_eq!(server.take_stale().len(), 4);
+    // They are being generated, so they stay in flight.
+    send(&mut server, &ClientMessage::Cancel { id: 1 });
+    assert!(server.take_stale().is_empty());
+    // The control: a new request of the same chunks can be cancelled.
+    in_flight.into_iter().for_each(|request| server.withdraw(request));
+    send(&mut server, &request);
+    assert_eq!(std::iter::from_fn(|| next_request(&mut server)).count(), 4);
+    send(&mut server, &ClientMessage::Cancel { id: 1 });
+    assert_eq!(server.take_stale().len(), 4);
+}
+
+#[test]
+fn a_session_has_a_next_chunk_while_one_is_needed_and_there_is_credit() {
+    let mut server = welcomed(1);
+    assert!(!server.has_next_chunk());
+    send(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(2) });
+    assert!(server.has_next_chunk());
+    let first = next_request(&mut server).unwrap();
+    assert!(!server.has_next_chunk(), "no credit");
+    server.withdraw(first);
+    next_request(&mut server).unwrap();
+    send(&mut server, &ClientMessage::Credit { chunks: 1 });
+    assert!(!server.has_next_chunk(), "no request");
+}
+
+#[test]
 fn a_chunk_of_a_second_request_is_not_stale() {
     let mut server = welcomed(4);
     send(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(1) });

@@ -2,7 +2,7 @@
 //!
 //! Every request has exactly one result or is cancelled. Dropping a flow cancels its requests.
 
-use super::queue::{Enqueued, FlowId, FrameRequest};
+use super::queue::{Charge, Enqueued, FlowId, FrameRequest};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::runner;
 use super::shared::Shared;
@@ -152,10 +152,18 @@ impl Flow {
         }
         let (since, sender) = (Instant::now(), self.sender.clone());
         let must_be_compact = self.must_be_compact;
-        let flow = self.id;
-        let request = FrameRequest { flow, chunk, id, delivery, must_be_compact, since, sender, trace };
+        let (flow, bucket) = (self.id, self.bucket.clone());
+        let request =
+            FrameRequest { flow, chunk, id, delivery, must_be_compact, bucket, since, sender, trace };
         let cost_us = costs.expected_us(chunk.key);
-        match queue.enqueue(request, cost_us) {
+        let enqueued = queue.enqueue(request, cost_us);
+        if enqueued == Enqueued::NewJob {
+            metrics.pending_jobs.set(queue.jobs() as i64);
+            runner::start(&self.shared, &self.threads, &mut queue);
+        }
+        drop(queue);
+        match enqueued {
+            // Another encoding that it causes is charged when it is made.
             Enqueued::Coalesced => {
                 metrics.frames_coalesced.inc();
             }
@@ -165,13 +173,11 @@ impl Flow {
             }
             Enqueued::NewJob => {
                 metrics.frames_enqueued.inc();
-                // Charged in advance, so that jobs in flight are paid for. A coalesced request
-                // causes no work.
+                // Charged in advance, so that jobs in flight are paid for, and refunded if the job
+                // is not run. Without the lock of the queue: the table of buckets may be swept.
                 if self.bucket.is_limited() {
                     self.bucket.charge_chunk(cost_us, tokio::time::Instant::now());
                 }
-                metrics.pending_jobs.set(queue.jobs() as i64);
-                runner::start(&self.shared, &self.threads, &mut queue);
             }
         }
     }
@@ -256,7 +262,8 @@ impl Flow {
     /// Cancels the requests for the chunk that a key names now, if its job is not running, and
     /// returns them. The others will complete, those for earlier editions included.
     pub fn cancel(&mut self, key: ChunkKey) -> Vec<ChunkRequest> {
-        let cancelled = self.shared.lock().cancel(self.id, self.shared.current(key));
+        let (cancelled, charge) = self.shared.lock().cancel(self.id, self.shared.current(key));
+        charge.into_iter().for_each(Charge::refund);
         self.remove_open(cancelled.len());
         self.shared.metrics.jobs_cancelled.inc_by(cancelled.len() as u64);
         cancelled
@@ -274,7 +281,8 @@ async fn received(selection: &mut Option<oneshot::Receiver<ViewSelection>>) -> O
 impl Drop for Flow {
     fn drop(&mut self) {
         if self.open > 0 {
-            let dropped = self.shared.lock().remove_flow(self.id);
+            let (dropped, charges) = self.shared.lock().remove_flow(self.id);
+            charges.into_iter().for_each(Charge::refund);
             self.shared.metrics.jobs_cancelled.inc_by(dropped);
             self.remove_open(self.open);
         }
@@ -284,7 +292,9 @@ impl Drop for Flow {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::generation::test_source::{chunk_request, fixture, key, request};
+    use crate::generation::test_source::{chunk_request, fixture, fixture_with_deadline, key, request};
+    use crate::limits::rate_limit::RateLimiter;
+    use protocol::delivery::Tolerance;
 
     #[tokio::test]
     async fn the_highest_priority_comes_first_and_every_request_completes_once() {
@@ -352,5 +362,62 @@ mod tests {
         fixture.permit.send(()).unwrap();
         assert_eq!(flow.completions().await[0].0.key, key(0));
         assert_eq!((flow.in_flight(), flow.try_completions().is_none()), (0, true));
+    }
+
+    #[tokio::test]
+    async fn a_chunk_that_is_not_generated_costs_nothing() {
+        let fixture = fixture_with_deadline(1 << 20, 100, Duration::ZERO);
+        // It never refills.
+        let bucket = RateLimiter::new(Some(0)).bucket(Some("10.0.0.1".parse().unwrap()));
+        let mut flow = fixture.service.limited_flow(bucket.clone());
+        flow.request(chunk_request(key(0), 9), Delivery::Exact);
+        while !fixture.service.shared.lock().is_running(ChunkId::base(key(0))) {
+            tokio::task::yield_now().await;
+        }
+        let of_one = bucket.tokens();
+        for x in 1..=4 {
+            flow.request(ChunkRequest { request: Some(7), ..chunk_request(key(x), 1) }, Delivery::Exact);
+        }
+        assert!((bucket.tokens() - 5.0 * of_one).abs() < 1e-6, "{} of {of_one}", bucket.tokens());
+        flow.cancel(key(1));
+        assert!((bucket.tokens() - 4.0 * of_one).abs() < 1e-6, "a cancelled one");
+        let mut other = fixture.service.limited_flow(bucket.clone());
+        other.request(chunk_request(key(9), 1), Delivery::Exact);
+        drop(other);
+        assert!((bucket.tokens() - 4.0 * of_one).abs() < 1e-6, "one of a flow that ends");
+        fixture.permit.send(()).unwrap();
+        while flow.in_flight() > 0 {
+            flow.completions().await;
+        }
+        assert_eq!(fixture.metrics.jobs_expired.get(), 3);
+        // The refund follows the rejection.
+        while bucket.tokens() < 2.0 * of_one {
+            tokio::task::yield_now().await;
+        }
+        let of_bytes = of_one - bucket.tokens();
+        assert!((0.0..50.0).contains(&of_bytes), "what is left are the bytes sent: {of_bytes}");
+    }
+
+    #[tokio::test]
+    async fn a_further_encoding_is_charged_to_the_flow_that_asks_for_it() {
+        let fixture = fixture(1 << 20, 100);
+        let limiter = RateLimiter::new(Some(0));
+        let [one, other] =
+            ["10.0.0.1", "10.0.0.2"].map(|address| limiter.bucket(Some(address.parse().unwrap())));
+        let mut first = fixture.service.limited_flow(one);
+        first.request(chunk_request(key(0), 1), Delivery::Exact);
+        let mut second = fixture.service.limited_flow(other.clone());
+        let mut charges = Vec::new();
+        for delivery in [Delivery::Exact, Delivery::Quantised(Tolerance::COARSEST)] {
+            second.request(chunk_request(key(0), 1), delivery);
+            charges.push(other.tokens());
+        }
+        assert_eq!(charges, [0.0, 0.0]);
+        fixture.permit.send(()).unwrap();
+        while other.tokens() == 0.0 {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(second.in_flight(), 2, "no bytes are charged yet");
+        assert_eq!(fixture.metrics.frames_coalesced.get(), 2);
     }
 }

@@ -6,7 +6,7 @@
 #[cfg(test)]
 mod tests;
 
-use super::queue::{FlowId, FrameRequest, Queue};
+use super::queue::{Charge, FlowId, FrameRequest, MissingFrame, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
 use super::threads::Threads;
@@ -22,7 +22,7 @@ use protocol::{Delivery, chunk_codec};
 use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use terrain::Chunk;
 use tokio::sync::mpsc::UnboundedSender;
 use tracing::Span;
@@ -83,6 +83,8 @@ impl Origin {
 struct Found {
     chunk: Chunk,
     frame: Option<Bytes>,
+    /// Time of its generation.
+    generation: Duration,
 }
 
 /// Starts a runner unless all threads have one. A runner takes turns until the queue is empty, so
@@ -116,6 +118,7 @@ impl Shared {
                 // The flow may have ended in the meantime; likewise below.
                 let _ = request.sender.send(vec![(request.chunk, Err(GenerationError::Overloaded))]);
             }
+            turn.refunds.into_iter().for_each(Charge::refund);
             if let Some((flow, view, budget_us)) = turn.view {
                 self.select_view(flow, view, budget_us);
             } else if turn.chunks.is_empty() {
@@ -149,7 +152,7 @@ impl Shared {
         };
         self.metrics.view_busy_seconds.inc_by(spent.as_secs_f64());
         let spent_us = i64::try_from(spent.as_micros()).unwrap_or(i64::MAX);
-        job.bucket.charge_view(spent_us, tokio::time::Instant::now());
+        job.bucket.charge_work(spent_us, tokio::time::Instant::now());
         if is_done {
             self.metrics.view_selection_seconds.observe(job.spent.as_secs_f64());
             self.lock().return_view(flow, None, spent_us);
@@ -168,9 +171,14 @@ impl Shared {
         let missing = |finished: &GeneratedFrames| {
             self.lock().missing_frame(id, |request| finished.of(request).is_some())
         };
-        while let Some((delivery, must_be_compact)) = missing(&finished) {
+        while let Some(MissingFrame { delivery, must_be_compact, payer }) = missing(&finished) {
+            let started = Instant::now();
             let effort = if must_be_compact { Effort::Compact } else { self.effort(id) };
             let frame = self.frame(id, delivery, effort, &mut chunk);
+            if let Some(bucket) = payer {
+                let spent_us = i64::try_from(started.elapsed().as_micros()).unwrap_or(i64::MAX);
+                bucket.charge_work(spent_us, tokio::time::Instant::now());
+            }
             finished.results.push(frame);
         }
         finished
@@ -191,38 +199,40 @@ impl Shared {
             if chunk.is_none()
                 && let Some(frame) = self.stored_frame(id, delivery)
             {
-                return (frame, Origin::Disk);
+                return (frame, Origin::Disk, Duration::ZERO);
             }
-            let mut origin = Origin::Made;
+            let (mut origin, mut made) = (Origin::Made, Duration::ZERO);
             if chunk.is_none() {
                 let found = self.chunk(id, delivery);
                 *chunk = Some(found.chunk);
+                made = found.generation;
                 if let Some(frame) = found.frame {
                     if delivery == Delivery::Exact {
-                        return (frame, Origin::Store);
+                        return (frame, Origin::Store, made);
                     }
                     origin = Origin::StoreEncoded;
                 }
             }
             let chunk = chunk.as_ref().expect("found or made");
             let _part = part!("encode");
-            (chunk_codec::encode_with(delivery, effort, chunk, &self.world), origin)
+            let started = Instant::now();
+            let frame = chunk_codec::encode_with(delivery, effort, chunk, &self.world);
+            (frame, origin, made + started.elapsed())
         }));
-        let Ok((frame, origin)) = result else {
+        let Ok((frame, origin, made)) = result else {
             self.metrics.jobs_failed.inc();
             tracing::error!(chunk = %id, %delivery, "generation panicked");
             let result = Err(GenerationError::Failed);
             return GeneratedFrame { delivery, is_fast_encoded: false, result };
         };
         let is_stored = matches!(origin, Origin::Disk | Origin::Store);
-        let took = started.elapsed();
         if is_first {
             traces::current().record("origin", origin.name());
             // The cost of a job includes reads from disk and store.
-            self.costs.record(id.key, took);
+            self.costs.record(id.key, started.elapsed());
         }
         if is_first && origin == Origin::Made {
-            self.metrics.generation_seconds.observe(took.as_secs_f64());
+            self.metrics.generation_seconds.observe(made.as_secs_f64());
             self.metrics.jobs_completed.inc();
         }
         // The seed-only delivery has one encoding.
@@ -243,24 +253,25 @@ impl Shared {
     fn chunk(&self, id: ChunkId, delivery: Delivery) -> Found {
         let known_error = self.frames.known_error(id).or_else(|| self.stored_error(id, delivery));
         let Some(store) = self.store.as_ref().filter(|_| known_error.is_none()) else {
-            return Found { chunk: self.generate(id, known_error), frame: None };
+            return self.generate(id, known_error);
         };
         let found = {
             let _part = part!("store");
             store.read(id)
         };
         if let Some((chunk, frame)) = found {
-            return Found { chunk, frame: Some(frame) };
+            return Found { chunk, frame: Some(frame), generation: Duration::ZERO };
         }
-        let started = Instant::now();
-        let chunk = self.generate(id, None);
-        store.made(id, started.elapsed(), || chunk_codec::encode(&chunk, &self.world));
-        Found { chunk, frame: None }
+        let found = self.generate(id, None);
+        store.made(id, found.generation, || chunk_codec::encode(&found.chunk, &self.world));
+        found
     }
 
-    fn generate(&self, id: ChunkId, known_error: Option<u32>) -> Chunk {
+    fn generate(&self, id: ChunkId, known_error: Option<u32>) -> Found {
         let _part = part!("generate");
-        self.source.chunk(id, known_error)
+        let started = Instant::now();
+        let chunk = self.source.chunk(id, known_error);
+        Found { chunk, frame: None, generation: started.elapsed() }
     }
 
     /// The fast encoding for level 0 under backlog: bytes are cheaper than time then. Encoding is a

@@ -16,6 +16,7 @@ use super::queue::FrameRequest;
 use super::shared::Shared;
 use super::{Generation, GenerationError, Limits};
 use crate::chunk_id::ChunkId;
+use crate::limits::rate_limit::TokenBucket;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use crate::traces::RequestTrace;
@@ -111,6 +112,7 @@ fn request(flow: &mut Flow, key: ChunkKey, bug: Option<Bug>) {
         id,
         delivery: Delivery::Exact,
         must_be_compact: false,
+        bucket: TokenBucket::default(),
         since: Instant::now(),
         sender: flow.sender.clone(),
         trace: RequestTrace::current(),

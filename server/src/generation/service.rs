@@ -17,6 +17,7 @@ use protocol::Delivery;
 use rayon::ThreadPoolBuildError;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::time::Duration;
 use terrain::ChunkKey;
 
 /// Generates, caches and shares chunk frames. Clones share one service.
@@ -115,6 +116,12 @@ impl Generation {
         self.shared.costs.jobs_within(deadline / 2, threads, self.shared.active_flows.load(Ordering::Relaxed))
     }
 
+    /// Longest wait of an explicit request.
+    #[must_use]
+    pub fn deadline(&self) -> Duration {
+        self.shared.limits.deadline
+    }
+
     /// Active flows per thread, at least 1.
     #[must_use]
     pub fn sharers(&self) -> usize {
@@ -149,7 +156,6 @@ mod tests {
     use crate::generation::test_source::{
         chunk_request, fixture, fixture_with_deadline, flat_frame_bytes, key, request,
     };
-    use std::time::Duration;
 
     #[tokio::test]
     async fn requests_of_one_key_share_a_job_even_if_the_first_is_aborted() {

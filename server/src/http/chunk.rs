@@ -22,16 +22,15 @@ pub async fn get(
     // Always exact: a cached chunk must be usable without a generator.
     let chunk = ChunkRequest { key, request: Some(0), priority: u64::MAX };
     // Compact: the address is immutable, so it has one representation for ever.
-    let flow = state.generation.limited_flow(bucket).compact();
+    let flow = state.generation.limited_flow(bucket.clone()).compact();
     let parent = state.traces.parent(&request.client.headers);
     let span = state.traces.chunk(parent.as_ref(), key, Delivery::Exact);
     let frame = flow.base_frame(chunk, Delivery::Exact).instrument(span.clone()).await;
     span.record("outcome", if frame.is_ok() { "sent" } else { "refused" });
     let frame = frame.map_err(problem)?;
-    let digest =
-        state.content_digests.of(ChunkId::base(key), &frame, &state.offer.digest).map_err(|error| {
-            Problem::new(ProblemKind::Failed, format!("the chunk's frame is damaged: {error}"))
-        })?;
+    let digest = state.content_digests.of(ChunkId::base(key), &frame, &state.offer.digest, &bucket).map_err(
+        |error| Problem::new(ProblemKind::Failed, format!("the chunk's frame is damaged: {error}")),
+    )?;
     let representation = Representation {
         // Of the content: replicas with other versions of the compressor have the same ETag.
         etag: etag(&digest),

@@ -2,7 +2,7 @@
 
 use crate::http::chunk::problem;
 use crate::http::conditional::{Representation, etag, immutable_cache_control};
-use crate::http::path::ChunkPathRequest;
+use crate::http::path::{ChunkPathRequest, over_rate};
 use crate::http::problem::{Problem, ProblemKind};
 use crate::map::tiles::MapError;
 use crate::state::ServerState;
@@ -19,6 +19,7 @@ pub async fn get(
     let tile = state.map.tile(key, &state.generation, &bucket).await;
     let tile = tile.map_err(|error| match error {
         MapError::Busy => Problem::new(ProblemKind::MapBusy, error.to_string()),
+        MapError::OverRate => over_rate(),
         MapError::Generation(error) => problem(error),
     })?;
     let representation = Representation {

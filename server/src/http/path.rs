@@ -12,7 +12,7 @@ use std::net::IpAddr;
 use std::str::FromStr;
 use std::sync::Arc;
 use terrain::{ChunkKey, WorldDigest};
-use tokio::time::{Instant, sleep};
+use tokio::time::Instant;
 
 /// Digest, level, x and z of a path, unparsed.
 type RawChunkPath = Result<Path<(String, String, String, String)>, PathRejection>;
@@ -96,18 +96,15 @@ pub fn check_world(state: &ServerState, digest: &str) -> Result<(), Problem> {
 /// the deadline of requests is an error.
 async fn wait_for_tokens(state: &ServerState, client: Option<IpAddr>) -> Result<TokenBucket, Problem> {
     let bucket = state.rate_limiter.bucket(client);
-    let by = Instant::now() + state.config.deadline;
-    loop {
-        let now = Instant::now();
-        // Of several requests that wait for the same moment, the first takes the tokens; the others
-        // wait again.
-        let Some(delay) = bucket.delay(now) else { return Ok(bucket) };
-        if now + delay > by {
-            state.metrics.rate_limit_rejections.inc();
-            let detail = "the rate limit of this address is exceeded, retry later";
-            return Err(Problem::new(ProblemKind::Overloaded, detail));
-        }
-        state.metrics.rate_limit_delays.inc();
-        sleep(delay).await;
+    if bucket.wait(Instant::now() + state.config.deadline, &state.metrics).await {
+        Ok(bucket)
+    } else {
+        Err(over_rate())
     }
+}
+
+/// The problem document for a client whose bucket stays empty for too long.
+#[must_use]
+pub fn over_rate() -> Problem {
+    Problem::new(ProblemKind::Overloaded, "the rate limit of this address is exceeded, retry later")
 }

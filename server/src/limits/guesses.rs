@@ -18,14 +18,25 @@ const REFILL: Duration = Duration::from_secs(6);
 /// Networks in the table at most, some 3 MiB. Further ones share one bucket.
 const MAX_NETWORKS: usize = 65_536;
 
+/// Least time between two sweeps of a full table: a sweep looks at all networks under the lock that
+/// every token check takes.
+const SWEEP_INTERVAL: Duration = Duration::from_secs(1);
+
 /// What networks share that are not in a full table.
 const OTHERS: IpAddr = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
 
 /// See the module. The standard hasher is keyed at random: peers choose the addresses.
 #[derive(Debug, Default)]
 pub struct GuessLimiter {
-    /// Networks with recent wrong tokens.
-    networks: Mutex<HashMap<IpAddr, Guesses>>,
+    table: Mutex<Table>,
+}
+
+#[derive(Debug, Default)]
+struct Table {
+    /// Networks with recent wrong tokens, and others since the last sweep.
+    networks: HashMap<IpAddr, Guesses>,
+    /// When the table was full and was swept for the last time.
+    swept: Option<Instant>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -45,7 +56,7 @@ impl GuessLimiter {
     #[must_use]
     pub fn is_exhausted(&self, address: Option<IpAddr>, token: TokenHash, now: Instant) -> bool {
         let Some(network) = address.map(client_network) else { return false };
-        let networks = self.networks.lock().unwrap_or_else(PoisonError::into_inner);
+        let networks = &self.table.lock().unwrap_or_else(PoisonError::into_inner).networks;
         let others = || networks.get(&OTHERS).filter(|_| networks.len() >= MAX_NETWORKS);
         networks
             .get(&network)
@@ -56,11 +67,14 @@ impl GuessLimiter {
     /// Takes a place for a wrong token.
     pub fn charge(&self, address: Option<IpAddr>, token: TokenHash, now: Instant) {
         let Some(network) = address.map(client_network) else { return };
-        let mut networks = self.networks.lock().unwrap_or_else(PoisonError::into_inner);
-        if networks.len() >= MAX_NETWORKS && !networks.contains_key(&network) {
+        let mut table = self.table.lock().unwrap_or_else(PoisonError::into_inner);
+        let Table { networks, swept } = &mut *table;
+        let mut is_full = networks.len() >= MAX_NETWORKS && !networks.contains_key(&network);
+        if is_full && swept.is_none_or(|swept| now.saturating_duration_since(swept) >= SWEEP_INTERVAL) {
+            *swept = Some(now);
             networks.retain(|_, guesses| guesses.free_at > now);
+            is_full = networks.len() >= MAX_NETWORKS;
         }
-        let is_full = networks.len() >= MAX_NETWORKS && !networks.contains_key(&network);
         let guesses = match networks.entry(if is_full { OTHERS } else { network }) {
             Entry::Occupied(entry) if entry.get().last == token => return,
             Entry::Occupied(entry) => entry.into_mut(),
@@ -120,12 +134,30 @@ mod tests {
         for number in 1..=MAX_NETWORKS as u32 + 100 {
             limiter.charge(address(number), number.into(), start);
         }
-        assert_eq!(limiter.networks.lock().unwrap().len(), MAX_NETWORKS + 1);
+        assert_eq!(limiter.table.lock().unwrap().networks.len(), MAX_NETWORKS + 1);
         assert!(limiter.is_exhausted(address(1 << 24), 1, start), "those without a place share one");
         assert!(!limiter.is_exhausted(address(7), 1, start));
         let later = start + Duration::from_secs(3600);
         assert!(!limiter.is_exhausted(address(1 << 24), 1, later));
         limiter.charge(address(1 << 24), 1, later);
-        assert_eq!(limiter.networks.lock().unwrap().len(), 1);
+        assert_eq!(limiter.table.lock().unwrap().networks.len(), 1);
+    }
+
+    #[test]
+    fn a_full_table_is_swept_once_a_second() {
+        let (limiter, start) = (GuessLimiter::default(), Instant::now());
+        let address = |number: u32| Some(IpAddr::from(number.to_be_bytes()));
+        for number in 1..=MAX_NETWORKS as u32 {
+            limiter.charge(address(number), number.into(), start);
+        }
+        let len_after = |number: u32, after: Duration| {
+            limiter.charge(address(number), number.into(), start + after);
+            limiter.table.lock().unwrap().networks.len()
+        };
+        // The first sweep comes just before all of them have their places again.
+        let first = REFILL - SWEEP_INTERVAL / 2;
+        assert_eq!(len_after(1 << 24, first), MAX_NETWORKS + 1, "that of the others");
+        assert_eq!(len_after(2 << 24, REFILL), MAX_NETWORKS + 1);
+        assert_eq!(len_after(3 << 24, first + SWEEP_INTERVAL), 2);
     }
 }

@@ -10,11 +10,12 @@
 //! by one chunk, so that a chunk of any cost can be served at any rate.
 
 use crate::limits::per_ip::client_network;
+use crate::metrics::Metrics;
 use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tokio::time::Instant;
+use tokio::time::{Instant, sleep};
 
 /// Capacity of a bucket, seconds of refill.
 const CAPACITY_S: f64 = 10.0;
@@ -109,9 +110,16 @@ impl TokenBucket {
         });
     }
 
-    /// Charges the selection of a view, microseconds. The mean cost of a chunk does not change.
-    pub fn charge_view(&self, us: i64, now: Instant) {
+    /// Charges work that is no job of a chunk, microseconds: the selection of a view, the rendering
+    /// of a tile, a further encoding. The mean cost of a chunk does not change.
+    pub fn charge_work(&self, us: i64, now: Instant) {
         self.with(now, |bucket, _| bucket.tokens -= us as f64);
+    }
+
+    /// Returns what was charged for a chunk that was not generated, microseconds.
+    pub fn refund(&self, us: i64, now: Instant) {
+        // The next refill limits the tokens to the capacity.
+        self.with(now, |bucket, _| bucket.tokens += us as f64);
     }
 
     /// Charges bytes sent.
@@ -130,6 +138,24 @@ impl TokenBucket {
         Some(Duration::from_secs_f64((1.0 - tokens) / rate) + Duration::from_nanos(1))
     }
 
+    /// Waits until the bucket is not empty, and counts the delays. False, counted as a rejection,
+    /// if that would be after `by`.
+    #[must_use]
+    pub async fn wait(&self, by: Instant, metrics: &Metrics) -> bool {
+        loop {
+            let now = Instant::now();
+            // Of several requests that wait for the same moment, the first takes the tokens; the
+            // others wait again.
+            let Some(delay) = self.delay(now) else { return true };
+            if now + delay > by {
+                metrics.rate_limit_rejections.inc();
+                return false;
+            }
+            metrics.rate_limit_delays.inc();
+            sleep(delay).await;
+        }
+    }
+
     /// Chunks that the bucket can pay for within a time, at the recent mean cost.
     #[must_use]
     pub fn affordable_chunks(&self, time: Duration, now: Instant) -> usize {
@@ -139,6 +165,12 @@ impl TokenBucket {
             (tokens / bucket.mean_cost.max(1.0)) as usize
         };
         self.with(now, affordable).unwrap_or(usize::MAX)
+    }
+
+    /// The tokens left, microseconds; 0 without a limit.
+    #[cfg(test)]
+    pub fn tokens(&self) -> f64 {
+        self.with(Instant::now(), |bucket, _| bucket.tokens).unwrap_or(0.0)
     }
 
     fn with<T>(&self, now: Instant, act: impl FnOnce(&mut Bucket, f64) -> T) -> Option<T> {

@@ -42,6 +42,9 @@ pub enum MapError {
     /// Too many tiles are waiting, or this one waited for too long.
     #[error("too many map tiles are requested at once, retry later")]
     Busy,
+    /// The client has no tokens left, and gets none within the deadline.
+    #[error("the rate limit of this address is exceeded, retry later")]
+    OverRate,
     /// One of its chunks is not available.
     #[error(transparent)]
     Generation(#[from] GenerationError),
@@ -122,22 +125,37 @@ impl Map {
             return Ok(tile);
         }
         let _waiting = self.queue_permits.try_acquire().map_err(|_| MapError::Busy)?;
-        // The semaphore is never closed, so both errors are timeouts.
-        let permit = timeout(MAX_WAIT, Arc::clone(&self.render_permits).acquire_owned()).await;
-        let Ok(Ok(permit)) = permit else { return Err(MapError::Busy) };
-        // Another request may have rendered this tile meanwhile.
-        if let Some(tile) = self.cache.get(&key) {
-            self.metrics.tile_cache_hits.inc();
-            return Ok(tile);
-        }
-        let frames = fetch_frames(&elevation::sources(key), generation, bucket).await?;
+        let sources = elevation::sources(key);
+        let mut frames = vec![None; sources.len()];
+        // When it must have the tokens that it waits for.
+        let mut tokens_by = None;
+        let permit = loop {
+            // The semaphore is never closed, so both errors are timeouts.
+            let permit = timeout(MAX_WAIT, Arc::clone(&self.render_permits).acquire_owned()).await;
+            let Ok(Ok(permit)) = permit else { return Err(MapError::Busy) };
+            // Another request may have rendered this tile meanwhile.
+            if let Some(tile) = self.cache.get(&key) {
+                self.metrics.tile_cache_hits.inc();
+                return Ok(tile);
+            }
+            if fetch_frames(&sources, &mut frames, generation, bucket).await? {
+                break permit;
+            }
+            // Other clients' tiles are rendered while this one waits for tokens.
+            drop(permit);
+            let by = *tokens_by.get_or_insert_with(|| Instant::now() + generation.deadline());
+            if !bucket.wait(by, &self.metrics).await {
+                return Err(MapError::OverRate);
+            }
+        };
+        let frames: Vec<Bytes> = frames.into_iter().flatten().collect();
         let (world, bucket) = (self.world, bucket.clone());
         // Milliseconds of computing: not for async threads.
         let rendered = tokio::task::spawn_blocking(move || {
             let started = Instant::now();
             let tile = render_tile(key, &frames, &world);
             let now = Instant::now();
-            bucket.charge_chunk((now - started).as_micros() as i64, now);
+            bucket.charge_work((now - started).as_micros() as i64, now);
             drop(permit);
             tile
         })
@@ -149,18 +167,21 @@ impl Map {
     }
 }
 
-/// The exact frames of chunks, in the order of the keys.
+/// Fetches the exact frames of chunks that are missing, in the order of the keys, and requests none
+/// while the bucket is empty. Returns whether all are there.
 async fn fetch_frames(
     keys: &[ChunkKey],
+    frames: &mut [Option<Bytes>],
     generation: &Generation,
     bucket: &TokenBucket,
-) -> Result<Vec<Bytes>, GenerationError> {
-    let mut frames: Vec<Option<Bytes>> =
-        keys.iter().map(|key| generation.cached(*key, Delivery::Exact)).collect();
+) -> Result<bool, GenerationError> {
+    for (key, frame) in keys.iter().zip(&mut *frames).filter(|(_, frame)| frame.is_none()) {
+        *frame = generation.cached(*key, Delivery::Exact);
+    }
     let missing: Vec<usize> = (0..keys.len()).filter(|index| frames[*index].is_none()).collect();
     let (mut flow, mut remaining): (Flow, _) = (generation.limited_flow(bucket.clone()), missing.into_iter());
     loop {
-        while flow.in_flight() < JOB_WINDOW {
+        while flow.in_flight() < JOB_WINDOW && bucket.delay(Instant::now()).is_none() {
             let Some(index) = remaining.next() else { break };
             // The request number is the index of the frame.
             let chunk = ChunkRequest { key: keys[index], request: Some(index as u32), priority: u64::MAX };
@@ -175,7 +196,7 @@ async fn fetch_frames(
             }
         }
     }
-    frames.into_iter().collect::<Option<Vec<_>>>().ok_or(GenerationError::Failed)
+    Ok(frames.iter().all(Option::is_some))
 }
 
 /// Renders a tile; none if a frame is invalid, which would be a bug of this server.
@@ -208,6 +229,7 @@ fn encode(pixels: &[u8]) -> Result<Vec<u8>, png::EncodingError> {
 mod tests {
     use super::*;
     use crate::generation::Limits;
+    use crate::limits::rate_limit::RateLimiter;
     use crate::source::ProceduralSource;
     use terrain::Land;
 
@@ -221,6 +243,56 @@ mod tests {
             without: None,
         };
         (land, Generation::new(ProceduralSource::new(land), limits, Arc::clone(metrics)).unwrap())
+    }
+
+    /// A bucket of `ms` milliseconds per second.
+    fn bucket(ms: u64) -> TokenBucket {
+        RateLimiter::new(Some(ms)).bucket(Some("10.0.0.1".parse().unwrap()))
+    }
+
+    #[tokio::test]
+    async fn the_rendering_of_a_tile_is_charged_and_is_no_cost_of_a_chunk() {
+        let metrics = Arc::new(Metrics::default());
+        let (land, generation) = service(&metrics, 100);
+        let map = || Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics));
+        // Its chunks are made without a charge.
+        map().tile(key(4, 0, -1), &generation, &TokenBucket::default()).await.unwrap();
+        let bucket = bucket(1);
+        let (before, start) = (bucket.tokens(), Instant::now());
+        map().tile(key(4, 0, -1), &generation, &bucket).await.unwrap();
+        assert_eq!(metrics.tiles_rendered.get(), 2);
+        assert!(bucket.tokens() < before);
+        // The full bucket pays for 10,000 chunks of the least cost, that of no chunk.
+        assert_eq!(bucket.affordable_chunks(Duration::ZERO, start + Duration::from_secs(3600)), 10_000);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_tile_waits_for_tokens_before_each_chunk_and_leaves_its_place_to_others() {
+        let metrics = Arc::new(Metrics::default());
+        let (land, generation) = service(&metrics, 100);
+        let map = Arc::new(Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics)));
+        let limited = bucket(1);
+        // Its request was admitted; meanwhile others have spent the tokens and 40 s of refill more.
+        limited.charge_work(50_000, Instant::now());
+        let over = map.tile(key(4, 0, -1), &generation, &limited).await;
+        assert_eq!(over.err(), Some(MapError::OverRate), "the deadline is 30 s");
+        assert_eq!((metrics.jobs_completed.get(), metrics.rate_limit_rejections.get()), (0, 1));
+
+        // A full bucket pays for some ten of the 36 chunks.
+        let tile = {
+            let (map, generation, full) = (Arc::clone(&map), generation.clone(), bucket(1));
+            tokio::spawn(async move { map.tile(key(4, 0, -1), &generation, &full).await.map(drop) })
+        };
+        while metrics.rate_limit_delays.get() == 0 {
+            tokio::task::yield_now().await;
+        }
+        let made = metrics.jobs_completed.get();
+        assert!((1..36).contains(&made), "{made}");
+        assert_eq!(map.render_permits.available_permits(), 1);
+        // The control: the same tile for another client, which takes up the chunks that are made.
+        assert!(map.tile(key(4, 0, -1), &generation, &TokenBucket::default()).await.is_ok());
+        assert_eq!((metrics.jobs_completed.get(), metrics.tiles_rendered.get()), (36, 1));
+        tile.abort();
     }
 
     fn key(level: u8, x: i32, z: i32) -> ChunkKey {

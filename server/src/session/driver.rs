@@ -104,7 +104,7 @@ struct Driver<'a, S> {
     session: ServerSession,
     /// Chunks in generation, at most [`JOB_WINDOW`]; nothing more is requested while it is full.
     flow: Flow,
-    /// When the token bucket is no longer empty; nothing is requested before.
+    /// When the token bucket is no longer empty, if a view or a chunk waits for that.
     throttled_until: Option<Instant>,
     /// Whether the session is read.
     backoff: RefusalBackoff,
@@ -152,6 +152,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     if let Err(end) = self.read_ended(read).await {
                         return end;
                     }
+                    let begins = self.backoff.pause(Instant::now());
+                    self.state.metrics.refusal_backoffs.inc_by(u64::from(begins));
                 }
                 () = sleep_until(self.message_deadline.by()), if pause.is_none() => {
                     if let Err(end) = self.finish_message().await {
@@ -228,11 +230,16 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     fn request_chunks(&mut self) -> bool {
         let (mut batch, now) = (0, Instant::now());
         let mut more = false;
-        self.throttled_until = self.flow.bucket().delay(now).map(|delay| now + delay);
-        if self.throttled_until.is_none()
-            && let Some(selection) = self.session.take_view()
-        {
-            self.select_view(selection);
+        // Nothing is delayed in an idle session, which needs no timer.
+        self.throttled_until = None;
+        match self.flow.bucket().delay(now) {
+            None => {
+                if let Some(selection) = self.session.take_view() {
+                    self.select_view(selection);
+                }
+            }
+            Some(delay) if self.session.has_waiting_view() => self.throttled_until = Some(now + delay),
+            Some(_) => {}
         }
         while self.flow.in_flight() < JOB_WINDOW {
             if batch == BATCH {
@@ -240,7 +247,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 break;
             }
             if let Some(delay) = self.flow.bucket().delay(now) {
-                self.throttled_until = Some(now + delay);
+                if self.session.has_next_chunk() {
+                    self.throttled_until = Some(now + delay);
+                }
                 break;
             }
             match self.session.next_chunk_with(|key, delivery| self.flow.cached(key, delivery)) {

@@ -4,8 +4,9 @@
 //! Reading and rejecting a request takes processor time that no queue accounts for. A client that
 //! repeats rejected requests at once could occupy a core. The back-off bounds this work to the
 //! session's fair share: each rejection adds its cost, multiplied by the flows that share a thread,
-//! to a debt in time, and the session is not read while the debt lasts. Pending chunks are still
-//! sent. Unread input stays in the socket buffers, so TCP slows the client down.
+//! to a debt in time, and the session is not read while the debt lasts. A debt of more than one
+//! pause is paid by several, with one small read after each. Pending chunks are still sent. Unread
+//! input stays in the socket buffers, so TCP slows the client down.
 //!
 //! Sessions that are paused share the thread too, whether or not they have flows: otherwise each of
 //! many sessions that send nothing but refused views would get a whole share.
@@ -30,8 +31,17 @@ const VIEW_COST: Duration = Duration::from_micros(32);
 const SMALL_READ: usize = 2048;
 const CAUTION: Duration = Duration::from_secs(1);
 
+/// Bytes that are read at once while more than one pause is owed: some 110 keys, which take a
+/// thread 0.4 ms in 0.1 s, however many sessions share it. A client that sends 120 views a second
+/// still sends less, and a message of 8 KiB comes within 0.8 s, a sixth of what it may take.
+const DEBTOR_READ: usize = 1024;
+
 /// The longest pause, so that a cancellation or a view behind rejected requests is read soon.
 const MAX_PAUSE: Duration = Duration::from_millis(100);
+
+/// The largest debt; the rest is forgiven. One full read of invalid keys costs more beyond 700
+/// sharers.
+const MAX_DEBT: Duration = Duration::from_secs(5);
 
 /// The shortest pause; less is not worth a timer. Smaller debts accumulate until time pays them.
 const MIN_PAUSE: Duration = Duration::from_millis(10);
@@ -118,22 +128,39 @@ impl RefusalBackoff {
     pub fn record(&mut self, rejections: Rejections, sharers: usize, now: Instant) -> bool {
         let sharers = u32::try_from(sharers.max(1)).unwrap_or(u32::MAX);
         let cost = rejections.cost().saturating_mul(sharers);
-        let debt = self.debt_until.saturating_duration_since(now).saturating_add(cost);
-        self.debt_until = now + debt.min(MAX_PAUSE);
-        let was_paused = self.paused_until(now).is_some();
-        if debt >= MIN_PAUSE {
-            self.pause = Some(self.debt_until);
-            if rejections.views > 0 {
-                self.cautious_until = self.debt_until + CAUTION;
-            }
+        self.debt_until = now + self.debt(now).saturating_add(cost).min(MAX_DEBT);
+        if self.debt(now) >= MIN_PAUSE && rejections.views > 0 {
+            self.cautious_until = self.debt_until + CAUTION;
         }
-        !was_paused && self.pause.is_some()
+        self.pause(now)
+    }
+
+    /// Begins a pause for what is owed, unless one has begun: to be called after each read. Returns
+    /// whether one begins.
+    pub fn pause(&mut self, now: Instant) -> bool {
+        let debt = self.debt(now);
+        let begins = debt >= MIN_PAUSE && self.paused_until(now).is_none();
+        if begins {
+            self.pause = Some(now + debt.min(MAX_PAUSE));
+        }
+        begins
+    }
+
+    fn debt(&self, now: Instant) -> Duration {
+        self.debt_until.saturating_duration_since(now)
     }
 
     /// Bytes to read at once; at most what the socket reads.
     #[must_use]
     pub fn read_size(&self, now: Instant) -> usize {
-        if now < self.cautious_until { SMALL_READ } else { usize::MAX }
+        // Nothing is owed at the end of the last pause.
+        if self.debt(now) >= MIN_PAUSE {
+            DEBTOR_READ
+        } else if now < self.cautious_until {
+            SMALL_READ
+        } else {
+            usize::MAX
+        }
     }
 
     /// The end of the current pause; none if the session may be read.
@@ -188,11 +215,50 @@ mod tests {
             assert_eq!(pauses > 0, is_paused, "one in {every_us} us: {pauses}");
             let end = start + Duration::from_micros(every_us * 1000);
             assert_eq!(backoff.read_size(end) < usize::MAX, is_paused);
-            assert_eq!(backoff.read_size(end + 2 * CAUTION), usize::MAX);
+            assert_eq!(backoff.read_size(end + MAX_DEBT + 2 * CAUTION), usize::MAX);
         }
         let mut of_requests = RefusalBackoff::new(start);
         assert!(of_requests.record(requests(10_000), 1, start), "a pause");
-        assert_eq!(of_requests.read_size(start), usize::MAX, "requests are read whole");
+        let end = of_requests.paused_until(start).unwrap();
+        assert_eq!(of_requests.read_size(end), usize::MAX, "requests are read whole");
+    }
+
+    #[test]
+    fn a_large_debt_is_paid_by_several_pauses_with_a_small_read_after_each() {
+        let start = Instant::now();
+        // One read of 16 KiB, of keys outside the world.
+        let (keys, sharers) = (1800, 200);
+        let owed = REFUSAL_COST * keys * sharers;
+        assert!(owed > 14 * MAX_PAUSE && owed < MAX_DEBT);
+        let mut backoff = RefusalBackoff::new(start);
+        backoff.record(requests(keys.into()), sharers as usize, start);
+        let (mut now, mut pauses) = (start, 0);
+        while let Some(end) = backoff.paused_until(now) {
+            assert!(end - now <= MAX_PAUSE);
+            (now, pauses) = (end, pauses + 1);
+            assert_eq!(backoff.paused_until(now), None, "a read");
+            assert_eq!(backoff.read_size(now) < usize::MAX, now < start + owed);
+            // Without a rejection.
+            assert_eq!(backoff.pause(now), now < start + owed);
+        }
+        assert_eq!((now, pauses), (start + owed, 15));
+
+        // What exceeds the bound is forgiven.
+        backoff.record(requests(u64::MAX), usize::MAX, now);
+        assert_eq!(backoff.read_size(now + MAX_DEBT), usize::MAX);
+        assert!(!backoff.pause(now + MAX_DEBT));
+    }
+
+    #[test]
+    fn a_rejection_in_a_pause_does_not_make_it_longer() {
+        let start = Instant::now();
+        let mut backoff = RefusalBackoff::new(start);
+        backoff.record(requests(10_000), 1, start);
+        let end = backoff.paused_until(start).unwrap();
+        let later = start + MIN_PAUSE;
+        assert!(!backoff.record(requests(10_000), 1, later));
+        assert_eq!(backoff.paused_until(later), Some(end));
+        assert!(backoff.pause(end), "it is paid after a read");
     }
 
     #[test]

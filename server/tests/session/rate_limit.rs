@@ -116,3 +116,28 @@ async fn a_view_is_delayed_by_the_rate_limit_and_never_rejected() {
     }
     assert_eq!(state.metrics.rate_limit_rejections.get(), 0);
 }
+
+#[tokio::test(start_paused = true)]
+async fn an_idle_session_is_not_delayed_by_the_rate_limit() {
+    let state = server_state();
+    let key = ChunkKey::new(0, 1, 0).unwrap();
+    generate(&state, &[key]).await;
+    let bucket = bucket(&state, "10.0.0.1");
+    let mut peer = Peer::connect(&state, bucket.clone()).await;
+    peer.send_message(&ClientMessage::Credit { chunks: 10 }).await;
+    // What other sessions of the address spend.
+    let spend = || bucket.charge_work(10_200, Instant::now());
+    spend();
+    // The driver wakes and finds the bucket empty.
+    peer.send(PING, b"?").await;
+    assert_eq!(peer.next().await.unwrap().0, PONG);
+    sleep(Duration::from_secs(5)).await;
+    assert_eq!(state.metrics.rate_limit_delays.get(), 0);
+    // The control: a request waits for less than the deadline, and is counted.
+    spend();
+    let missing = bucket.delay(Instant::now()).unwrap() - Duration::from_millis(300);
+    sleep(missing).await;
+    peer.send_message(&ClientMessage::Request { id: 7, keys: vec![key.into()] }).await;
+    assert_eq!(receive(&mut peer, 1).await, (1, vec![]));
+    assert_eq!(state.metrics.rate_limit_delays.get(), 1);
+}

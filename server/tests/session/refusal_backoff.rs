@@ -78,3 +78,29 @@ async fn the_rate_limit_bounds_rejections_as_well() {
         assert_eq!(state.metrics.refusal_backoffs.get() > 0, is_paused);
     }
 }
+
+/// One read of invalid keys costs more than a pause where many share a thread. What exceeds the
+/// first pause is paid by the next ones.
+#[tokio::test(start_paused = true)]
+async fn the_rejections_of_one_read_are_paid_in_full() {
+    // The rate of a thousandth of a thread counts as a thousand sharers.
+    let state = server_with_limit(Some(1));
+    let bucket = state.rate_limiter.bucket(Some("10.0.0.1".parse().unwrap()));
+    let mut peer = Peer::connect(&state, bucket).await;
+    // 500 rejections of 4 us by 1,000 are two seconds.
+    send_invalid_requests(&mut peer, 1, 500).await;
+    let before = Instant::now();
+    for _ in 0..15 {
+        peer.send(PING, b"?").await;
+        assert_eq!(peer.next().await.unwrap().0, PONG);
+    }
+    let took = before.elapsed().as_millis();
+    assert!((1300..=1900).contains(&took), "one message is read after each pause: {took} ms");
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let before = Instant::now();
+    for _ in 0..15 {
+        peer.send(PING, b"?").await;
+        assert_eq!(peer.next().await.unwrap().0, PONG);
+    }
+    assert!(before.elapsed().as_millis() < 10, "nothing is owed any more");
+}

@@ -3,6 +3,7 @@
 
 use crate::chunk_id::ChunkId;
 use crate::generation::result::Completion;
+use crate::limits::rate_limit::TokenBucket;
 use crate::traces::RequestTrace;
 use protocol::Delivery;
 use protocol::server::ChunkRequest;
@@ -28,6 +29,8 @@ pub struct FrameRequest {
     pub delivery: Delivery,
     /// Whether only the compact encoding will do: an HTTP address has one representation.
     pub must_be_compact: bool,
+    /// Charged for what the request causes.
+    pub bucket: TokenBucket,
     /// When it was made.
     pub since: Instant,
     /// Receives the result.
@@ -47,8 +50,33 @@ pub enum Enqueued {
     Full,
 }
 
+/// What a client was charged in advance for a job.
+#[derive(Debug)]
+pub struct Charge {
+    bucket: TokenBucket,
+    cost_us: i64,
+}
+
+impl Charge {
+    /// Returns it. Not under the lock of the queue: the table of buckets has a lock of its own.
+    pub fn refund(self) {
+        self.bucket.refund(self.cost_us, tokio::time::Instant::now());
+    }
+}
+
+/// A frame that a running job lacks.
+#[derive(Debug)]
+pub struct MissingFrame {
+    /// The delivery.
+    pub delivery: Delivery,
+    /// Whether it must have the compact encoding.
+    pub must_be_compact: bool,
+    /// Charged for the time that the frame takes; none for the frame that was charged in advance.
+    pub payer: Option<TokenBucket>,
+}
+
 /// Result of starting a queued job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Debug)]
 pub enum Started {
     /// It is running.
     Running {
@@ -56,9 +84,9 @@ pub enum Started {
         cost_us: i64,
     },
     /// It was removed: all its requests had expired.
-    Expired,
+    Expired(Option<Charge>),
     /// It was removed: the flows of all its requests had ended.
-    Cancelled,
+    Cancelled(Option<Charge>),
 }
 
 /// See the module.
@@ -78,6 +106,9 @@ struct Job {
     is_running: bool,
     /// Estimated, microseconds.
     cost_us: i64,
+    /// What was charged for its first frame; none once that is being made, and without a rate
+    /// limit.
+    advance: Option<Charge>,
     /// Bounded by the sessions' job windows and the HTTP connections.
     requests: Vec<FrameRequest>,
 }
@@ -113,7 +144,8 @@ impl Jobs {
         self.by_id.get(&id).is_some_and(|job| !job.is_running)
     }
 
-    /// Adds a request to the job of its chunk, which may be new.
+    /// Adds a request to the job of its chunk, which may be new. The caller charges the cost of a
+    /// new job to the bucket of the request.
     pub fn add(&mut self, request: FrameRequest, cost_us: i64) -> Enqueued {
         let n_jobs = self.by_id.len();
         match self.by_id.entry(request.id) {
@@ -123,7 +155,9 @@ impl Jobs {
             }
             Entry::Vacant(_) if n_jobs >= self.limit => Enqueued::Full,
             Entry::Vacant(entry) => {
-                entry.insert(Job { is_running: false, cost_us, requests: vec![request] });
+                let bucket = request.bucket.clone();
+                let advance = bucket.is_limited().then_some(Charge { bucket, cost_us });
+                entry.insert(Job { is_running: false, cost_us, advance, requests: vec![request] });
                 self.waiting += 1;
                 Enqueued::NewJob
             }
@@ -149,8 +183,9 @@ impl Jobs {
         job.requests.retain(|request| !request.sender.is_closed());
         self.waiting -= 1;
         if job.requests.is_empty() {
-            self.by_id.remove(&id);
-            return Some(if expired.len() > before { Started::Expired } else { Started::Cancelled });
+            let advance = self.by_id.remove(&id).and_then(|job| job.advance);
+            let has_expired = expired.len() > before;
+            return Some(if has_expired { Started::Expired(advance) } else { Started::Cancelled(advance) });
         }
         job.is_running = true;
         job.requests.iter_mut().for_each(|request| request.trace.start());
@@ -159,16 +194,20 @@ impl Jobs {
         Some(Started::Running { cost_us: job.cost_us })
     }
 
-    /// The delivery of a request for which `is_encoded` is false, and whether it must be compact;
-    /// none if there is no such request.
+    /// The frame of a request for which `is_encoded` is false; none if there is no such request.
+    /// The first frame of a job was charged in advance; the client whose request causes another one
+    /// pays for it.
     #[must_use]
     pub fn missing_frame(
-        &self,
+        &mut self,
         id: ChunkId,
         is_encoded: impl Fn(&FrameRequest) -> bool,
-    ) -> Option<(Delivery, bool)> {
-        let missing = self.by_id.get(&id)?.requests.iter().find(|request| !is_encoded(request))?;
-        Some((missing.delivery, missing.must_be_compact))
+    ) -> Option<MissingFrame> {
+        let Job { requests, advance, .. } = self.by_id.get_mut(&id)?;
+        let FrameRequest { delivery, must_be_compact, bucket, .. } =
+            requests.iter().find(|request| !is_encoded(request))?;
+        let payer = if advance.take().is_some() { None } else { Some(bucket.clone()) };
+        Some(MissingFrame { delivery: *delivery, must_be_compact: *must_be_compact, payer })
     }
 
     /// Removes and returns the requests of a job that `is_encoded` has frames for. The job is
@@ -193,18 +232,21 @@ impl Jobs {
         (finished, again)
     }
 
-    /// Cancels and returns a flow's requests for a chunk, unless the job is running.
-    pub fn cancel(&mut self, flow: FlowId, id: ChunkId) -> Vec<ChunkRequest> {
-        let Some(job) = self.by_id.get_mut(&id).filter(|job| !job.is_running) else { return Vec::new() };
+    /// Cancels and returns a flow's requests for a chunk, unless the job is running, with what was
+    /// charged for a job that is removed with them.
+    pub fn cancel(&mut self, flow: FlowId, id: ChunkId) -> (Vec<ChunkRequest>, Option<Charge>) {
+        let Some(job) = self.by_id.get_mut(&id).filter(|job| !job.is_running) else {
+            return (Vec::new(), None);
+        };
         let cancelled = job
             .requests
             .extract_if(.., |request| request.flow == flow)
             .map(|request| request.chunk)
             .collect();
-        if job.requests.is_empty() {
-            self.by_id.remove(&id);
-            self.waiting -= 1;
+        if !job.requests.is_empty() {
+            return (cancelled, None);
         }
-        cancelled
+        self.waiting -= 1;
+        (cancelled, self.by_id.remove(&id).and_then(|job| job.advance))
     }
 }

@@ -13,12 +13,11 @@
 
 mod jobs;
 
-pub use jobs::{Enqueued, FlowId, FrameRequest};
+pub use jobs::{Charge, Enqueued, FlowId, FrameRequest, MissingFrame};
 
 use super::views::ViewJob;
 use crate::chunk_id::ChunkId;
 use jobs::{Jobs, Started};
-use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use rustc_hash::FxHashMap;
 use std::cmp::Reverse;
@@ -84,6 +83,8 @@ pub struct Turn {
     pub expired: Vec<FrameRequest>,
     /// Jobs dropped because they had no requests any more.
     pub cancelled: u64,
+    /// What was charged for jobs that were dropped; to be refunded.
+    pub refunds: Vec<Charge>,
 }
 
 impl Queue {
@@ -126,7 +127,7 @@ impl Queue {
         self.jobs.is_running(chunk)
     }
 
-    /// Adds a request.
+    /// Adds a request. The caller charges the cost of a new job to the bucket of the request.
     pub fn enqueue(&mut self, request: FrameRequest, cost_us: i64) -> Enqueued {
         let (flow, chunk, priority) = (request.flow, request.id, request.chunk.priority);
         let enqueued = self.jobs.add(request, cost_us);
@@ -222,8 +223,12 @@ impl Queue {
                         flow.credit_us -= cost_us;
                         turn.chunks.push(chunk);
                     }
-                    Some(Started::Cancelled) => turn.cancelled += 1,
-                    Some(Started::Expired) | None => {}
+                    Some(Started::Cancelled(charge)) => {
+                        turn.cancelled += 1;
+                        turn.refunds.extend(charge);
+                    }
+                    Some(Started::Expired(charge)) => turn.refunds.extend(charge),
+                    None => {}
                 }
             }
             if was_runnable || flow.credit_us < 0 {
@@ -249,14 +254,13 @@ impl Queue {
         self.new_turns.pop_front().or_else(|| self.turns.pop_front())
     }
 
-    /// The delivery of a request for which `is_encoded` is false, and whether it must be compact;
-    /// none if there is no such request.
+    /// The frame of a request for which `is_encoded` is false; none if there is no such request.
     #[must_use]
     pub fn missing_frame(
-        &self,
+        &mut self,
         chunk: ChunkId,
         is_encoded: impl Fn(&FrameRequest) -> bool,
-    ) -> Option<(Delivery, bool)> {
+    ) -> Option<MissingFrame> {
         self.jobs.missing_frame(chunk, is_encoded)
     }
 
@@ -274,23 +278,23 @@ impl Queue {
         finished
     }
 
-    /// Cancels and returns a flow's requests for a chunk, unless the job is running.
-    pub fn cancel(&mut self, flow: FlowId, chunk: ChunkId) -> Vec<ChunkRequest> {
+    /// Cancels and returns a flow's requests for a chunk, unless the job is running, with what is
+    /// to be refunded.
+    pub fn cancel(&mut self, flow: FlowId, chunk: ChunkId) -> (Vec<ChunkRequest>, Option<Charge>) {
         self.jobs.cancel(flow, chunk)
     }
 
-    /// Removes a flow and the jobs that only it requested. Returns the number of these jobs.
-    pub fn remove_flow(&mut self, id: FlowId) -> u64 {
-        let Some(flow) = self.flows.remove(&id) else { return 0 };
+    /// Removes a flow and the jobs that only it requested. Returns the number of these jobs, and
+    /// what is to be refunded.
+    pub fn remove_flow(&mut self, id: FlowId) -> (u64, Vec<Charge>) {
+        let Some(flow) = self.flows.remove(&id) else { return (0, Vec::new()) };
         if flow.has_turn {
             self.new_turns.retain(|other| *other != id);
             self.turns.retain(|other| *other != id);
         }
         let before = self.jobs.len();
-        for (_, _, chunk) in flow.entries {
-            self.cancel(id, chunk);
-        }
-        (before - self.jobs.len()) as u64
+        let refunds = flow.entries.into_iter().filter_map(|(_, _, chunk)| self.cancel(id, chunk).1).collect();
+        ((before - self.jobs.len()) as u64, refunds)
     }
 }
 

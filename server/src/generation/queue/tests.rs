@@ -3,8 +3,9 @@
 use super::*;
 use crate::generation::result::Completion;
 use crate::generation::test_source::view_selection;
-use crate::limits::rate_limit::TokenBucket;
+use crate::limits::rate_limit::{RateLimiter, TokenBucket};
 use crate::traces::RequestTrace;
+use protocol::Delivery;
 use terrain::ChunkKey;
 use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::sync::oneshot;
@@ -33,11 +34,18 @@ struct Fixture {
     now: Instant,
     /// Open until the test drops them.
     receivers: FxHashMap<FlowId, UnboundedReceiver<Vec<Completion>>>,
+    /// The bucket of the following requests.
+    bucket: TokenBucket,
 }
 
 impl Fixture {
     fn new(limit: usize) -> Self {
-        Self { queue: Queue::new(limit), now: Instant::now(), receivers: FxHashMap::default() }
+        Self {
+            queue: Queue::new(limit),
+            now: Instant::now(),
+            receivers: FxHashMap::default(),
+            bucket: TokenBucket::default(),
+        }
     }
 
     fn request(&mut self, flow: FlowId, x: i32, priority: u64, cost_us: i64) -> Enqueued {
@@ -63,6 +71,7 @@ impl Fixture {
                 id: id(x),
                 delivery,
                 must_be_compact: false,
+                bucket: self.bucket.clone(),
                 since: self.now,
                 sender,
                 trace: RequestTrace::current(),
@@ -119,7 +128,7 @@ fn without_turns_an_ended_flow_loses_its_jobs_when_they_are_due() {
     let mut fixture = Fixture::new(10);
     fixture.queue = Queue::new(10).first_in_first_out();
     fixture.request(1, 1, 1, 10);
-    assert_eq!(fixture.queue.remove_flow(1), 0);
+    assert_eq!(fixture.queue.remove_flow(1).0, 0);
     fixture.receivers.clear();
     fixture.request(2, 2, 1, 10);
     assert_eq!(fixture.turn(), [2]);
@@ -239,7 +248,7 @@ fn a_removed_flow_removes_only_its_own_jobs() {
     fixture.request(1, 1, 1, 10);
     fixture.request(1, 2, 1, 10);
     assert_eq!(fixture.request(2, 2, 1, 10), Enqueued::Coalesced);
-    assert_eq!(fixture.queue.remove_flow(1), 1);
+    assert_eq!(fixture.queue.remove_flow(1).0, 1);
     assert_eq!(fixture.turn(), [2]);
 }
 
@@ -249,9 +258,9 @@ fn a_cancelled_job_does_not_run_and_a_running_one_continues() {
     fixture.request(1, 1, 9, 1000);
     fixture.request(1, 2, 5, 1000);
     assert_eq!(fixture.queue.take(1, NO_DEADLINE, fixture.now).chunks, [id(1)]);
-    assert_eq!(fixture.queue.cancel(1, id(1)), []);
-    assert_eq!(fixture.queue.cancel(2, id(2)), [], "another flow's");
-    assert_eq!(fixture.queue.cancel(1, id(2)).len(), 1);
+    assert_eq!(fixture.queue.cancel(1, id(1)).0, []);
+    assert_eq!(fixture.queue.cancel(2, id(2)).0, [], "another flow's");
+    assert_eq!(fixture.queue.cancel(1, id(2)).0.len(), 1);
     assert_eq!(fixture.turn(), [0; 0]);
     assert_eq!((fixture.queue.jobs(), fixture.queue.finish(id(1), |_| true).len()), (1, 1));
 }
@@ -291,10 +300,8 @@ fn a_late_request_for_another_delivery_queues_the_job_again() {
     fixture.request(1, 1, 1, 10);
     assert_eq!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).chunks, [id(1)]);
     fixture.request_delivery(Delivery::SeedOnly, 2, 1, 1, 10, None);
-    assert_eq!(
-        fixture.queue.missing_frame(id(1), |request| request.delivery == Delivery::Exact),
-        Some((Delivery::SeedOnly, false))
-    );
+    let missing = fixture.queue.missing_frame(id(1), |request| request.delivery == Delivery::Exact);
+    assert_eq!(missing.map(|frame| frame.delivery), Some(Delivery::SeedOnly));
     assert_eq!(fixture.queue.finish(id(1), |request| request.delivery == Delivery::Exact).len(), 1);
     assert_eq!(fixture.turn(), [1]);
     assert_eq!(fixture.queue.jobs(), 0);
@@ -317,4 +324,66 @@ fn stale_entries_are_bounded() {
     }
     let most = fixture.queue.flows.values().map(|flow| flow.entries.len()).max();
     assert!(most <= Some(2 * STALE_ENTRIES), "{most:?}");
+}
+
+/// Buckets of two addresses that never refill.
+fn buckets() -> [TokenBucket; 2] {
+    let limiter = RateLimiter::new(Some(0));
+    ["10.0.0.1", "10.0.0.2"].map(|address| limiter.bucket(Some(address.parse().unwrap())))
+}
+
+#[test]
+fn a_charge_is_returned_once_if_its_job_leaves_unrun() {
+    let mut fixture = Fixture::new(100);
+    let [first, second] = buckets();
+    fixture.bucket = first;
+    for x in 1..=4 {
+        fixture.request_delivery(Delivery::Exact, 1, x, 1, 10, Some(4));
+    }
+    fixture.bucket = second;
+    assert_eq!(fixture.request(2, 1, 1, 10), Enqueued::Coalesced);
+    assert!(fixture.queue.cancel(1, id(1)).1.is_none(), "another flow waits for it");
+    assert!(fixture.queue.cancel(2, id(1)).1.is_some());
+    assert_eq!(fixture.queue.remove_flow(2).1.len(), 0);
+    assert!(fixture.queue.cancel(1, id(2)).1.is_some());
+    let later = fixture.now + Duration::from_secs(2);
+    let turn = fixture.queue.take(1, Duration::from_secs(1), later);
+    assert_eq!((turn.expired.len(), turn.refunds.len()), (2, 2));
+    assert_eq!((fixture.queue.jobs(), fixture.queue.waiting()), (0, 0));
+
+    // Of an ended flow: at once, or where turns are turned off, when its jobs are due.
+    fixture.request(1, 1, 1, 10);
+    assert_eq!(fixture.queue.remove_flow(1).1.len(), 1);
+    fixture.request(1, 1, 1, 10);
+    fixture.receivers.clear();
+    assert_eq!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).refunds.len(), 1);
+    // The control: a job that runs keeps it.
+    fixture.request(1, 1, 1, 10);
+    let turn = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
+    assert_eq!((turn.chunks.len(), turn.refunds.len()), (1, 0));
+    fixture.queue.finish(id(1), |_| true);
+    assert_eq!(fixture.queue.remove_flow(1).1.len(), 0);
+}
+
+#[test]
+fn the_first_frame_of_a_job_is_charged_in_advance_and_others_to_who_asks_for_them() {
+    let mut fixture = Fixture::new(10);
+    let [first, second] = buckets();
+    fixture.bucket = first.clone();
+    fixture.request(1, 1, 1, 10);
+    fixture.bucket = second.clone();
+    fixture.request_delivery(Delivery::SeedOnly, 2, 1, 1, 10, None);
+    fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
+    let frame = fixture.queue.missing_frame(id(1), |_| false).unwrap();
+    assert!(frame.delivery == Delivery::Exact && frame.payer.is_none());
+    let is_exact = |request: &FrameRequest| request.delivery == Delivery::Exact;
+    let frame = fixture.queue.missing_frame(id(1), is_exact).unwrap();
+    frame.payer.unwrap().charge_work(5, tokio::time::Instant::now());
+    assert_eq!((frame.delivery, first.tokens(), second.tokens()), (Delivery::SeedOnly, 0.0, -5.0));
+    // A job that is queued again was run: it is made again at the expense of the second, and not
+    // refunded.
+    fixture.queue.finish(id(1), is_exact);
+    assert!(fixture.queue.missing_frame(id(1), |_| false).unwrap().payer.is_some());
+    let (cancelled, charge) = fixture.queue.cancel(2, id(1));
+    assert!(cancelled.len() == 1 && charge.is_none());
 }

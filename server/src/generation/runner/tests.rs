@@ -253,6 +253,55 @@ async fn every_delivery_is_read_from_disk_with_one_measured_error() {
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
+/// A source whose first call takes long.
+struct SlowAtFirst(ProceduralSource, AtomicUsize);
+
+impl ChunkSource for SlowAtFirst {
+    fn world(&self) -> WorldDigest {
+        self.0.world()
+    }
+
+    fn chunk(&self, id: ChunkId, known_error: Option<u32>) -> Chunk {
+        if self.1.fetch_add(1, Ordering::Relaxed) == 0 {
+            std::thread::sleep(WAIT);
+        }
+        self.0.chunk(id, known_error)
+    }
+}
+
+const WAIT: Duration = Duration::from_millis(500);
+
+#[tokio::test]
+async fn the_duration_of_a_generation_has_no_waits_for_the_disk() {
+    let folder = std::env::temp_dir().join(format!("tombolo-runner-duration-{}", std::process::id()));
+    let key = ChunkKey::new(3, 1, -1).unwrap();
+    let (service, ..) = restarted(&folder);
+    service.flow().frame(chunk_request(key, 1), Delivery::SeedOnly).await.unwrap();
+    service.close().await;
+
+    let metrics = Arc::new(Metrics::default());
+    // The first call checks the frame on disk that has the error; the second one is the generation.
+    let source = SlowAtFirst(ProceduralSource::new(Land::new(1)), AtomicUsize::new(0));
+    let config = DiskConfig { folder: folder.clone(), bytes: 64 << 20 };
+    let disk = Disk::new(config, &source.world(), Arc::clone(&metrics)).unwrap();
+    let limits = Limits {
+        threads: 1,
+        cache_bytes: 1 << 20,
+        jobs: 10,
+        deadline: Duration::from_secs(3600),
+        without: None,
+    };
+    let service = Generation::with_disk(source, limits, Some(disk), Arc::clone(&metrics)).unwrap();
+    service.flow().frame(chunk_request(key, 1), Delivery::Exact).await.unwrap();
+    service.close().await;
+    std::fs::remove_dir_all(&folder).unwrap();
+    assert_eq!(metrics.jobs_completed.get(), 1);
+    let text = metrics.render();
+    let sum = text.lines().find_map(|line| line.strip_prefix("tombolo_generation_duration_seconds_sum "));
+    let seconds: f64 = sum.unwrap().parse().unwrap();
+    assert!((0.0..WAIT.as_secs_f64()).contains(&seconds), "{seconds} s");
+}
+
 fn files(folder: &Path) -> Vec<PathBuf> {
     let shards = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let shards = shards.filter(|path| path.is_dir());
