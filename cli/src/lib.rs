@@ -8,7 +8,7 @@ mod usage;
 
 pub use usage::{UsageError, read_token};
 
-use clap::Parser;
+use clap::{Arg, Command, Parser};
 use std::fmt::Display;
 use std::process::ExitCode;
 
@@ -24,7 +24,8 @@ pub const USAGE: u8 = 2;
 /// # Errors
 /// The exit code for `main`; the message is already printed.
 pub fn parse<A: Parser>() -> Result<A, ExitCode> {
-    A::try_parse().map_err(|error| {
+    let matches = without_empty_variables(A::command()).try_get_matches();
+    matches.and_then(|mut matches| A::from_arg_matches_mut(&mut matches)).map_err(|error| {
         if error.use_stderr() {
             let name = A::command().get_name().to_owned();
             return fail(&name, one_line(&error.to_string()), USAGE);
@@ -33,6 +34,21 @@ pub fn parse<A: Parser>() -> Result<A, ExitCode> {
         let _ = error.print();
         ExitCode::SUCCESS
     })
+}
+
+/// Options that protect a server: an empty variable of theirs is an error, since a forgotten value
+/// must not turn the protection off.
+const PROTECTING: [&str; 4] = ["token_file", "tls_cert", "tls_key", "protect"];
+
+/// The command without those of its variables that are set and empty: deployments pass on variables
+/// that may be empty, which is the same as absent.
+fn without_empty_variables(command: Command) -> Command {
+    let of_argument = |argument: Arg| {
+        let is_empty = argument.get_env().and_then(std::env::var_os).is_some_and(|value| value.is_empty());
+        let is_absent = is_empty && !PROTECTING.contains(&argument.get_id().as_str());
+        if is_absent { argument.env(None) } else { argument }
+    };
+    command.mut_args(of_argument).mut_subcommands(move |command| command.mut_args(of_argument))
 }
 
 /// Prints `program: message` on standard error and returns the exit code.

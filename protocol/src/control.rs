@@ -81,9 +81,10 @@ fn decode_fault(error: &DecodeError) -> ControlError {
     match error {
         DecodeError::UnexpectedEnd { .. } => ControlError::Truncated,
         DecodeError::LimitExceeded => ControlError::Invalid("a length field exceeds the frame limit".into()),
-        DecodeError::OtherString(text) => ControlError::Invalid(text.chars().take(80).collect()),
         DecodeError::Utf8 { .. } => ControlError::Invalid("a text is not UTF-8".into()),
-        // Library texts may quote input; keep the sentence short enough for a close frame.
-        other => ControlError::Invalid(other.to_string().chars().take(80).collect()),
+        // Of our own types. Short enough for a close frame.
+        DecodeError::OtherString(text) => ControlError::Invalid(text.chars().take(80).collect()),
+        // Texts of the library name its types.
+        _ => ControlError::Invalid("a field has a value without meaning".into()),
     }
 }

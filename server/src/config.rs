@@ -192,10 +192,10 @@ impl Args {
         log_filter(&log)?;
         let tls = Tls::of_options(given.tls_cert.or(file.tls_cert), given.tls_key.or(file.tls_key))?;
         let proxies = TrustedProxies::parse(
-            &either(given.trusted_proxy, file.trusted_proxy),
+            &either_text(given.trusted_proxy, file.trusted_proxy),
             given.proxy_header.or(file.proxy_header),
         )?;
-        let is_insecure = given.insecure || file.insecure;
+        let is_insecure = given.insecure.or(file.insecure).unwrap_or(false);
         refuse_plain_text(listen, is_insecure || tls.is_some() || proxies.any())?;
         let token_file = given.token_file.or(file.token_file).map(TokenFile::new);
         let protected = either(given.protect, file.protect);
@@ -213,8 +213,8 @@ impl Args {
                 .map(|folder| DiskConfig { folder, bytes: disk_mb.unwrap_or(DEFAULT_DISK_MB) << 20 }),
             store: store(given.store.or(file.store), given.store_wait_ms.or(file.store_wait_ms))?,
             tls,
-            allowed_hosts: AllowedHosts::parse(&either(given.allowed_host, file.allowed_host))?,
-            allowed_origins: AllowedOrigins::parse(&either(given.allowed_origin, file.allowed_origin))?,
+            allowed_hosts: AllowedHosts::parse(&either_text(given.allowed_host, file.allowed_host))?,
+            allowed_origins: AllowedOrigins::parse(&either_text(given.allowed_origin, file.allowed_origin))?,
             proxies,
             tokens: token_file.as_ref().map(TokenFile::read).transpose()?,
             token_file,
@@ -226,7 +226,7 @@ impl Args {
             without: self.measure_without,
             traces: traces(otlp, given.trace_every.or(file.trace_every))?,
             log,
-            log_json: given.log_json || file.log_json,
+            log_json: given.log_json.or(file.log_json).unwrap_or(defaults.log_json),
             ..defaults
         })
     }
@@ -277,6 +277,13 @@ fn store(address: Option<String>, wait_ms: Option<u64>) -> Result<Option<StoreCo
 /// The list of the command line or environment, or else that of the file.
 fn either<T>(given: Vec<T>, file: Vec<T>) -> Vec<T> {
     if given.is_empty() { file } else { given }
+}
+
+/// As [`either`], without blanks around the texts and without empty ones: lists in variables may have
+/// blanks and commas at their ends.
+fn either_text(given: Vec<String>, file: Vec<String>) -> Vec<String> {
+    let texts = either(given, file).into_iter().map(|text| text.trim().to_owned());
+    texts.filter(|text| !text.is_empty()).collect()
 }
 
 /// Beyond the loopback, plain text has to be asked for.

@@ -5,7 +5,7 @@ use server::bake::{BakeArgs, Baked};
 use server::config::{Args, Command, ServerConfig, log_filter};
 use server::traces::{self, Exporter};
 use server::{listener, open_files, scheduling};
-use std::io::{IsTerminal, Write};
+use std::io::{ErrorKind, IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use tracing_subscriber::Layer;
@@ -99,9 +99,12 @@ fn bake(args: BakeArgs) -> ExitCode {
 async fn serve(config: ServerConfig) -> Result<(), String> {
     let address = config.listen;
     let listener = listener::bind(address).map_err(|error| {
-        format!(
-            "cannot listen on {address}: {error}; stop the program that uses it or choose another --listen"
-        )
+        let cure = match error.kind() {
+            ErrorKind::AddrInUse => "stop the program that uses it or choose another --listen",
+            ErrorKind::PermissionDenied => "choose a port above 1023, or give the program the right to it",
+            _ => "give an address of this machine with --listen, such as 127.0.0.1:7580",
+        };
+        format!("cannot listen on {address}: {error}; {cure}")
     })?;
     let bound = listener.local_addr().map_err(|error| format!("cannot read the bound address: {error}"))?;
     // Before the address is printed: a script that knows the address may send a signal at once.

@@ -115,6 +115,30 @@ fn beyond_the_loopback_it_starts_by_an_option() {
 }
 
 #[cfg(unix)]
+/// A value that a deployment passes on without having one. What protects a server is no such value.
+#[test]
+fn an_empty_variable_is_an_absent_one_unless_it_protects_the_server() {
+    let output = |variable: &str, value: &str| {
+        // It ends after all options are read: the address is nobody's.
+        let mut command = program();
+        command.args(["--listen", "192.0.2.1:7580", "--insecure"]).env(variable, value).output().unwrap()
+    };
+    for variable in
+        ["DISK_CACHE", "DISK_MB", "STORE", "STORE_WAIT_MS", "ALLOWED_HOST", "CACHE_MB", "LOG_JSON"]
+    {
+        let output = output(&format!("TOMBOLO_{variable}"), "");
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(error.contains("cannot listen") && error.contains("address of this machine"), "{error}");
+        assert_eq!(output.status.code(), Some(1), "{variable}: {error}");
+    }
+    for variable in ["TOKEN_FILE", "TLS_CERT", "TLS_KEY", "PROTECT"] {
+        assert_eq!(output(&format!("TOMBOLO_{variable}"), "").status.code(), Some(2), "{variable}");
+    }
+    let output = output("TOMBOLO_CACHE_MB", "1e3");
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && error.contains("1 to 65536"), "{error}");
+}
+
 #[test]
 fn tokens_are_read_again_on_sighup() {
     let path = std::env::temp_dir().join(format!("tombolo-program-{}.toml", std::process::id()));

@@ -10,7 +10,7 @@
 
 use axum::http::header::{HOST, ORIGIN};
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, Uri};
+use axum::http::{HeaderMap, Uri, Version};
 use cli::UsageError;
 use std::net::IpAddr;
 use url::{Origin, Url};
@@ -51,11 +51,12 @@ impl AllowedHosts {
                 hosts.any = true;
                 continue;
             }
-            let authority = value.parse::<Authority>().ok().filter(|authority| authority.host() == value);
+            let authority = value.parse::<Authority>().ok();
+            let authority = authority.filter(|authority| authority.host() == value && !value.contains('*'));
             let Some(authority) = authority else {
                 return Err(UsageError::new(format!(
-                    "allowed-host: `{value}` is no host name; give a name without port such as \
-                     map.example, or *"
+                    "allowed-host: `{value}` is no host name; give a whole name without port such as \
+                     map.example, or * alone for any"
                 )));
             };
             hosts.names.push(normal(authority.host()));
@@ -125,16 +126,18 @@ impl AllowedOrigins {
 
 impl Target {
     /// Where a request was sent: the authority of its URI, which counts first (RFC 9112, section
-    /// 3.2.2), or `Host`. None without both.
+    /// 3.2.2), or `Host`. None without both, which only HTTP/1.0 may do.
     ///
     /// # Errors
-    /// The host is malformed, or there are several.
-    pub fn of(uri: &Uri, headers: &HeaderMap) -> Result<Option<Self>, MalformedHost> {
+    /// The host is malformed or missing, or there are several.
+    pub fn of(uri: &Uri, headers: &HeaderMap, version: Version) -> Result<Option<Self>, MalformedHost> {
         if let Some(authority) = uri.authority() {
             return Self::parse(authority).map(Some);
         }
         let mut values = headers.get_all(HOST).iter();
-        let Some(value) = values.next() else { return Ok(None) };
+        let Some(value) = values.next() else {
+            return if version < Version::HTTP_11 { Ok(None) } else { Err(MalformedHost) };
+        };
         if values.next().is_some() {
             return Err(MalformedHost);
         }
@@ -143,7 +146,15 @@ impl Target {
     }
 
     fn parse(authority: &Authority) -> Result<Self, MalformedHost> {
-        if authority.as_str().contains('@') {
+        let port = authority.as_str().strip_prefix(authority.host());
+        let is_port =
+            |port: &str| port.parse::<u16>().is_ok() && port.bytes().all(|byte| byte.is_ascii_digit());
+        // The port may be empty (RFC 3986, section 3.2.3).
+        let is_valid = port.is_some_and(|port| match port.strip_prefix(':') {
+            Some(port) => port.is_empty() || is_port(port),
+            None => port.is_empty(),
+        });
+        if !is_valid || authority.host().is_empty() {
             return Err(MalformedHost);
         }
         Ok(Self { host: normal(authority.host()), port: authority.port_u16() })
@@ -191,7 +202,7 @@ mod tests {
     fn target(host: &str) -> Target {
         let mut headers = HeaderMap::new();
         headers.insert(HOST, host.parse().unwrap());
-        Target::of(&Uri::from_static("/v1/live"), &headers).unwrap().unwrap()
+        Target::of(&Uri::from_static("/v1/live"), &headers, Version::HTTP_11).unwrap().unwrap()
     }
 
     fn hosts(values: &[&str]) -> Result<AllowedHosts, UsageError> {
@@ -226,17 +237,40 @@ mod tests {
     }
 
     #[test]
+    fn a_pattern_is_no_host_name() {
+        for pattern in ["*.map.example", "map.*", "a:1", "a/b"] {
+            assert!(hosts(&[pattern]).unwrap_err().to_string().contains("allowed-host"), "{pattern}");
+        }
+    }
+
+    #[test]
     fn the_target_is_the_uri_before_the_host_and_never_has_user_information() {
         let mut headers = HeaderMap::new();
         let uri: Uri = "http://evil.example/v1/live".parse().unwrap();
-        assert_eq!(Target::of(&Uri::from_static("/"), &headers), Ok(None));
+        let of = |uri: &Uri, headers: &HeaderMap| Target::of(uri, headers, Version::HTTP_11);
+        let root = Uri::from_static("/");
+        // RFC 9112, section 3.2.
+        assert_eq!(of(&root, &headers), Err(MalformedHost));
+        assert_eq!(Target::of(&root, &headers, Version::HTTP_10), Ok(None));
         headers.insert(HOST, "localhost".parse().unwrap());
-        assert_eq!(Target::of(&uri, &headers).unwrap().unwrap().host, "evil.example");
+        assert_eq!(of(&uri, &headers).unwrap().unwrap().host, "evil.example");
         headers.append(HOST, "evil.example".parse().unwrap());
-        assert_eq!(Target::of(&Uri::from_static("/"), &headers), Err(MalformedHost));
-        for host in ["evil.example@localhost", "a b", ""] {
+        assert_eq!(of(&root, &headers), Err(MalformedHost));
+        for host in ["localhost:", "localhost:65535", "[::1]:0"] {
             headers.insert(HOST, host.parse().unwrap());
-            assert_eq!(Target::of(&Uri::from_static("/"), &headers), Err(MalformedHost), "{host}");
+            assert!(of(&root, &headers).is_ok(), "{host}");
+        }
+        for host in [
+            "evil.example@localhost",
+            "a b",
+            "",
+            "localhost:a",
+            "localhost:-1",
+            "localhost:65536",
+            "[::1]:+1",
+        ] {
+            headers.insert(HOST, host.parse().unwrap());
+            assert_eq!(of(&root, &headers), Err(MalformedHost), "{host}");
         }
     }
 

@@ -1,7 +1,9 @@
 //! The access tokens of clients and their file.
 //!
-//! A file with a line `[[token]]` is a list in TOML, each entry with `name`, `token` and, if it
-//! ends, `expires`. Of any other file the first line is the only token.
+//! A list is in TOML: entries `[[token]]` with `name`, `token` and, if it ends, `expires`. A file with
+//! a line that begins with `[` or `#`, or with a first line that assigns a value, is read as a list, so
+//! that no part of a misspelt list becomes a token. Of any other file the first line is the only
+//! token.
 
 use chrono::DateTime;
 use cli::UsageError;
@@ -138,15 +140,22 @@ impl TokenFile {
 }
 
 fn parse(text: &str) -> Result<TokenSet, String> {
-    if !text.lines().any(|line| line.trim() == "[[token]]") {
-        let token = text.lines().next().unwrap_or_default().trim();
+    // Of editors that mark UTF-8.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let first = text.lines().next().unwrap_or_default();
+    if !(text.lines().any(|line| line.trim_start().starts_with(['[', '#'])) || is_assignment(first)) {
+        let token = first.trim();
         check_length(token).map_err(|why| format!("the first line {why}"))?;
         return Ok(TokenSet::one(token));
     }
     let list: List = toml::from_str(text).map_err(|error| {
         let line = error.span().map_or(1, |span| text[..span.start].lines().count().max(1));
         // The message of the parser quotes no value of a string.
-        format!("line {line}: {}", error.message().lines().next().unwrap_or_default())
+        let message = error.message().lines().next().unwrap_or_default();
+        format!(
+            "line {line}: {message}; give entries [[token]] with name and token, or one token on the \
+             first line of a file without comments"
+        )
     })?;
     if list.token.len() > MAX_TOKENS {
         return Err(format!("{} tokens are too many; give at most {MAX_TOKENS}", list.token.len()));
@@ -169,6 +178,16 @@ fn parse(text: &str) -> Result<TokenSet, String> {
         tokens.push(token);
     }
     Ok(TokenSet { tokens })
+}
+
+/// Whether a line is `key = value` in TOML. Tokens in Base64 may end with `=`.
+fn is_assignment(line: &str) -> bool {
+    line.split_once('=').is_some_and(|(key, value)| {
+        let is_key = |letter: char| letter.is_ascii_alphanumeric() || "-_.\"' ".contains(letter);
+        !key.trim().is_empty()
+            && key.chars().all(is_key)
+            && value.trim_start().starts_with(['"', '\'', '[', '{'])
+    })
 }
 
 /// The length that [`protocol::message::Hello`] can carry.
@@ -209,7 +228,7 @@ mod tests {
     #[test]
     fn a_file_without_a_list_has_one_token_in_its_first_line() {
         for (text, token) in
-            [("secret\nrest", "secret"), ("  spaced out \n", "spaced out"), ("a=[b]\n[[x]]", "a=[b]")]
+            [("secret\nrest", "secret"), ("  spaced out \n", "spaced out"), ("\u{feff}YQ==\nrest", "YQ==")]
         {
             let set = parse(text).unwrap();
             assert_eq!(find(&set, token, at(0)), Known::Valid(ONLY.into()), "{text}");
@@ -217,6 +236,31 @@ mod tests {
         }
         for text in ["", "\nsecret", &"x".repeat(MAX_TEXT + 1)] {
             assert!(parse(text).unwrap_err().contains("1 to 256 bytes"));
+        }
+    }
+
+    /// Else anybody who knows the format could guess the token.
+    #[test]
+    fn no_part_of_a_list_is_a_token() {
+        let entry = "name = \"a\"\ntoken = \"hush\"\n";
+        for text in [
+            format!("[[token]] # ours\n{entry}"),
+            format!("[[ token ]]\n{entry}"),
+            format!("\u{feff}[[token]]\n{entry}"),
+            "token = [{ name = \"a\", token = \"hush\" }]".into(),
+        ] {
+            assert_eq!(find(&parse(&text).unwrap(), "hush", at(0)), Known::Valid("a".into()), "{text}");
+        }
+        for text in [
+            format!("[token]\n{entry}"),
+            format!("[[tokens]]\n{entry}"),
+            format!("{entry}[[token]]"),
+            entry.to_owned(),
+            "# tokens of our clients\nhush".into(),
+            "hush\n# of 2026".into(),
+        ] {
+            let message = parse(&text).unwrap_err();
+            assert!(message.contains("[[token]]") && !message.contains("hush"), "{text}: {message}");
         }
     }
 

@@ -43,21 +43,21 @@ pub struct Options {
     #[arg(long, value_name = "ADDR", env = "TOMBOLO_LISTEN")]
     pub listen: Option<String>,
     /// Seed of the world, 0 to 18446744073709551615 [default: 1]
-    #[arg(long, value_name = "N", env = "TOMBOLO_WORLD_SEED", value_parser = world_seed)]
+    #[arg(long, value_name = "N", env = "TOMBOLO_WORLD_SEED", value_parser = whole::<u64>(0, u64::MAX))]
     pub world_seed: Option<u64>,
     /// Threads that generate chunks, 1 to 1024 [default: one per core]
-    #[arg(long, value_name = "N", env = "TOMBOLO_THREADS")]
+    #[arg(long, value_name = "N", env = "TOMBOLO_THREADS", value_parser = whole::<usize>(1, 1024))]
     pub threads: Option<usize>,
     /// Memory for encoded chunks in MiB, 1 to 65536; map tiles get an eighth of it in addition
     /// [default: 128, or an eighth of the memory that the process may use if that is less]
-    #[arg(long, value_name = "N", env = "TOMBOLO_CACHE_MB")]
+    #[arg(long, value_name = "N", env = "TOMBOLO_CACHE_MB", value_parser = whole::<u64>(1, 65_536))]
     pub cache_mb: Option<u64>,
     /// Folder of the disk cache for chunks of level 2 and coarser; without it there is no disk
     /// cache
     #[arg(long, value_name = "DIR", env = "TOMBOLO_DISK_CACHE")]
     pub disk_cache: Option<PathBuf>,
     /// Size of the disk cache in MiB, 64 to 262144 [default: 1024]
-    #[arg(long, value_name = "N", env = "TOMBOLO_DISK_MB")]
+    #[arg(long, value_name = "N", env = "TOMBOLO_DISK_MB", value_parser = whole::<u64>(64, 262_144))]
     pub disk_mb: Option<u64>,
     /// Store of chunks that all replicas of a world share: a folder, file:///FOLDER,
     /// s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX; settings of its engine in
@@ -66,11 +66,12 @@ pub struct Options {
     pub store: Option<String>,
     /// Least time that a chunk waits for the store in milliseconds, 0 to 10000, though making it
     /// would be quicker [default: 0]
-    #[arg(long, value_name = "MS", env = "TOMBOLO_STORE_WAIT_MS")]
+    #[arg(long, value_name = "MS", env = "TOMBOLO_STORE_WAIT_MS", value_parser = whole::<u64>(0, 10_000))]
     pub store_wait_ms: Option<u64>,
     /// Listen beyond the loopback without TLS: machines on the way can read tokens and positions
-    #[arg(long, env = "TOMBOLO_INSECURE")]
-    pub insecure: bool,
+    #[arg(long, value_name = "BOOL", env = "TOMBOLO_INSECURE", num_args = 0..=1, require_equals = true,
+          default_missing_value = "true")]
+    pub insecure: Option<bool>,
     /// Certificate chain in PEM, read again on SIGHUP and after a change; with --tls-key the server
     /// speaks TLS only
     #[arg(long, value_name = "FILE", env = "TOMBOLO_TLS_CERT")]
@@ -100,20 +101,21 @@ pub struct Options {
     #[arg(long, value_name = "ROUTE", env = "TOMBOLO_PROTECT", value_enum, value_delimiter = ',')]
     pub protect: Vec<ProtectedRoute>,
     /// Concurrent sessions, 1 to 100000; one more is rejected with 503 [default: 1024]
-    #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS")]
+    #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS", value_parser = whole::<usize>(1, 100_000))]
     pub max_sessions: Option<usize>,
     /// Concurrent sessions per IPv4 address or IPv6 /64 network, 1 to 100000; one more is rejected
     /// with 503 [default: as many as remain free, so half of --max-sessions for a single address]
-    #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS_PER_ADDRESS")]
+    #[arg(long, value_name = "N", env = "TOMBOLO_MAX_SESSIONS_PER_ADDRESS",
+          value_parser = whole::<usize>(1, 100_000))]
     pub max_sessions_per_address: Option<usize>,
     /// Rate limit per IPv4 address or IPv6 /64 network: milliseconds of work (chunks generated,
     /// bytes sent) per second, 1 to 1000000; 1000 is one thread [default: no limit]
-    #[arg(long, value_name = "MS", env = "TOMBOLO_RATE_LIMIT_MS")]
+    #[arg(long, value_name = "MS", env = "TOMBOLO_RATE_LIMIT_MS", value_parser = whole::<u64>(1, 1_000_000))]
     #[serde(alias = "cost-per-second")]
     pub rate_limit_ms: Option<u64>,
     /// Longest wait of a requested chunk for its generation in milliseconds, 10 to 60000; a request
     /// that would wait longer is rejected as overloaded [default: 500]
-    #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS")]
+    #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS", value_parser = whole::<u64>(10, 60_000))]
     pub deadline_ms: Option<u64>,
     /// Address of a collector of OpenTelemetry, OTLP over HTTP, to which traces of chunks go, such as
     /// http://127.0.0.1:4318/v1/traces [default: none]
@@ -121,15 +123,17 @@ pub struct Options {
     pub otlp: Option<String>,
     /// Trace one requested chunk of so many, 0 to 1000000000; 0 is only those whose client names a
     /// recorded trace in traceparent [default: 1000]
-    #[arg(long, value_name = "N", env = "TOMBOLO_TRACE_EVERY")]
+    #[arg(long, value_name = "N", env = "TOMBOLO_TRACE_EVERY",
+          value_parser = whole::<u64>(0, 1_000_000_000))]
     pub trace_every: Option<u64>,
     /// Log filter: off, error, warn, info, debug, trace, or per module as in `info,server=debug`
     /// [default: info]
     #[arg(long, value_name = "FILTER", env = "TOMBOLO_LOG")]
     pub log: Option<String>,
     /// Log lines as JSON instead of text
-    #[arg(long, env = "TOMBOLO_LOG_JSON")]
-    pub log_json: bool,
+    #[arg(long, value_name = "BOOL", env = "TOMBOLO_LOG_JSON", num_args = 0..=1, require_equals = true,
+          default_missing_value = "true")]
+    pub log_json: Option<bool>,
 }
 
 impl Options {
@@ -152,7 +156,11 @@ pub enum Command {
     Bake(BakeArgs),
 }
 
-/// A seed from its text. The error names what is allowed; clap adds option and value.
-fn world_seed(text: &str) -> Result<u64, String> {
-    text.parse().map_err(|_| format!("give a whole number, 0 to {}", u64::MAX))
+/// A whole number within a range. The error names the range; clap adds option and value.
+fn whole<T: TryFrom<u64>>(low: u64, high: u64) -> impl Fn(&str) -> Result<T, String> + Clone {
+    move |text| {
+        let number = text.parse().ok().filter(|number| (low..=high).contains(number));
+        let number = number.and_then(|number| T::try_from(number).ok());
+        number.ok_or_else(|| format!("give a whole number, {low} to {high}"))
+    }
 }

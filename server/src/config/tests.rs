@@ -99,6 +99,29 @@ fn each_option_of_the_command_line_wins_over_the_file_and_the_file_over_the_defa
 }
 
 #[test]
+fn a_switch_can_be_turned_off_over_the_file() {
+    let file = "insecure = true\nlisten = \"0.0.0.0:0\"\nlog-json = true\n";
+    let given = |arguments: &[&str]| {
+        let arguments = std::iter::once("tombolo-server").chain(arguments.iter().copied());
+        Args::try_parse_from(arguments).unwrap()
+    };
+    assert!(with_file(file, given(&[])).unwrap().log_json);
+    assert!(!with_file(file, given(&["--log-json=false"])).unwrap().log_json);
+    assert!(with_file(file, given(&["--insecure=false"])).is_err());
+    for switch in ["--log-json", "--log-json=true"] {
+        assert!(with_file("log-json = false", given(&[switch])).unwrap().log_json, "{switch}");
+    }
+}
+
+#[test]
+fn lists_may_have_blanks_and_empty_parts() {
+    let arguments = ["tombolo-server", "--trusted-proxy", "10.0.0.1, 10.0.0.2", "--allowed-host", "a,"];
+    let config = Args::try_parse_from(arguments).unwrap().resolve().unwrap();
+    assert!(config.proxies.contains("10.0.0.2".parse().unwrap()));
+    assert_eq!(config.allowed_hosts, AllowedHosts::parse(&["a".to_owned()]).unwrap());
+}
+
+#[test]
 fn a_disk_cache_has_a_default_size() {
     let config = with_file("disk-cache = \"/var/cache/x\"\n", Args::default()).unwrap();
     assert_eq!(config.disk, Some(DiskConfig { folder: "/var/cache/x".into(), bytes: 1 << 30 }));

@@ -89,7 +89,8 @@ async fn known_host(
     mut request: Request,
     next: Next,
 ) -> Result<Response, Problem> {
-    let target = Target::of(request.uri(), request.headers()).map_err(|MalformedHost| {
+    let target = Target::of(request.uri(), request.headers(), request.version());
+    let target = target.map_err(|MalformedHost| {
         Problem::new(ProblemKind::Malformed, "`Host` must be one host name or address, with or without port")
     })?;
     if let Some(target) = target {
