@@ -323,6 +323,28 @@ fn wrong_part_lengths_with_valid_digests_are_rejected() {
 }
 
 #[test]
+fn unused_fields_that_are_not_0_are_rejected() {
+    let (chunk, world) = sample(0, 3, -7);
+    let tolerance = Tolerance::FINEST;
+    let coarse = quantised::encode(&chunk, &world, tolerance, Effort::Compact).unwrap();
+    for frame in [encode(&chunk, &world), coarse] {
+        let decode = |frame: &[u8]| match kind_and_key(frame) {
+            Ok((KIND_EXACT, _)) => decode(frame, &world),
+            _ => quantised::decode(frame, &world, tolerance),
+        };
+        let mut payload = frame[CHUNK_HEADER..].to_vec();
+        let bits = usize::from(payload[5]);
+        assert!([1, 2, 4].contains(&bits), "{bits} plain bits");
+        // The last field of the plain bits; the one before it in the byte has a vertex.
+        let last = 6 + (VERTEX_COUNT * bits).div_ceil(8) - 1;
+        assert!(decode(&with_payload(&frame, &payload, &world)).is_ok());
+        payload[last] |= 0x80;
+        let fault = decode(&with_payload(&frame, &payload, &world));
+        assert_eq!(fault, Err(ChunkError::Content("an unused field is not 0")));
+    }
+}
+
+#[test]
 fn wrong_header_fields_with_valid_digests_are_rejected() {
     let (chunk, world) = sample(0, 3, -7);
     let frame = encode(&chunk, &world);
