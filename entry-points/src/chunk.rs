@@ -12,8 +12,8 @@ use protocol::{ChunkError, Delivery};
 use terrain::Chunk;
 use terrain::constants::VERTEX_COUNT;
 
-/// Decodes a frame, with its digest and with that of its bytes. A decoded chunk keeps the invariants
-/// of its type.
+/// Decodes a frame, with its digest and with that of its bytes. A decoded chunk keeps the
+/// invariants of its type.
 ///
 /// # Panics
 /// It does not.
@@ -46,8 +46,8 @@ fn decode(frame: &[u8], parent: &[i32; VERTEX_COUNT]) -> [Result<Chunk, ChunkErr
     ]
 }
 
-/// The frame with the length and the digest of its bytes; none for bytes that no decoder takes for a
-/// frame with heights.
+/// The frame with the length and the digest of its bytes; none for bytes that no decoder takes for
+/// a frame with heights.
 fn resealed(bytes: &[u8]) -> Option<Vec<u8>> {
     let is_frame = bytes.starts_with(&chunk_codec::MAGIC) && bytes.len() >= CHUNK_HEADER;
     let mut frame = is_frame.then(|| bytes.to_vec())?;

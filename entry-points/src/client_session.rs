@@ -23,8 +23,8 @@ pub fn run(bytes: &[u8]) -> bool {
     pass(bytes, reseals, |_, _| {})
 }
 
-/// The chunk frames of a session that are decoded behind their digests, with [`RESEALS`] or without.
-/// For tests of what [`run`] covers.
+/// The chunk frames of a session that are decoded behind their digests, with [`RESEALS`] or
+/// without. For tests of what [`run`] covers.
 #[must_use]
 pub fn read(bytes: &[u8], reseals: bool) -> Vec<Vec<u8>> {
     let mut read = Vec::new();

@@ -72,8 +72,8 @@ fn read_frames(read: Read, seeds: Vec<Vec<u8>>, reseals: bool, rounds: usize) ->
     counts
 }
 
-/// The control: the same inputs with the digests that they came with. Then no decoder reads a changed
-/// byte behind the digest.
+/// The control: the same inputs with the digests that they came with. Then no decoder reads a
+/// changed byte behind the digest.
 #[test]
 fn mutated_chunks_of_every_kind_are_read_behind_the_digest() {
     let points: [(&str, Read, Seeds); 2] = [

@@ -107,8 +107,8 @@ const fn packed_bytes(count: usize, bits: u32) -> usize {
     (count * bits as usize).div_ceil(8)
 }
 
-/// Whether the fields behind those of so many residuals are 0. At most seven are there: with others,
-/// two frames of one chunk could differ in bytes that nothing reads.
+/// Whether the fields behind those of so many residuals are 0. At most seven are there: with
+/// others, two frames of one chunk could differ in bits that nothing reads.
 fn has_empty_end(packed: &[u8], bits: u32, count: usize) -> bool {
     let fields = packed.len() * 8 / bits.max(1) as usize;
     (count..fields).all(|field| {
@@ -144,8 +144,8 @@ impl Scratch {
     /// lowest first; none where all residuals are 0.
     ///
     /// # Errors
-    /// [`ChunkError::Content`] for an impossible width or number of plain bits and for unused fields
-    /// that are not 0, else as [`take_part`].
+    /// [`ChunkError::Content`] for an impossible width or number of plain bits and for unused
+    /// fields that are not 0, else as [`take_part`].
     pub(super) fn take<'a, 'p: 'a>(
         &'a mut self,
         kernel: Kernel,

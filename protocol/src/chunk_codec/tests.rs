@@ -40,8 +40,8 @@ fn kinds(chunk: &Chunk, world: &WorldDigest) -> Vec<(Bytes, Decode)> {
     kinds
 }
 
-/// Recomputes the length and the digest of a changed frame, as a hostile server does. The parent of a
-/// refined one is that of the samples' land.
+/// Recomputes the length and the digest of a changed frame, as a hostile server does. The parent of
+/// a refined one is that of the samples' land.
 fn signed(mut frame: Vec<u8>, world: &WorldDigest) -> Vec<u8> {
     let refined = kind_and_key(&frame).ok().filter(|(kind, _)| *kind == KIND_REFINED);
     let parent = refined.and_then(|(_, key)| key.parent()).map(|key| Land::new(1).chunk_heights(key));

@@ -167,7 +167,7 @@ fn both_reference_windows_stay_equal_after_rejected_frames() {
         let old = (step - MAX_REFERENCES as i32 - 2 + step % 5).max(0);
         let mut keys = vec![parent, key(0, 2 * step, 120), key(0, 2 * old + 1, 120)];
         if step % 50 == 40 {
-            // The rejected chunk again, as a client requests it: it keeps the place of its first frame.
+            // The rejected chunk again, as a client requests it: it keeps its place.
             keys.push(key(1, step - 7, 60));
         }
         pair.client.request(&keys);
