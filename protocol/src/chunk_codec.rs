@@ -151,6 +151,20 @@ pub fn heights_on(kernel: Kernel, frame: &[u8], heights: &mut [i32; VERTEX_COUNT
     Frame::read(frame, kind)?.heights(kernel, None, heights).map(|_| ())
 }
 
+/// Writes the length of the payload and the digest that a frame with these bytes should have, as a
+/// hostile server does: for tests of what is behind the digest. `parent` are the heights of the
+/// parent, for refined frames. What is shorter than a header stays as it is; a seed-only frame has
+/// another header, and its decoder does all its work before it compares the digest.
+#[doc(hidden)]
+pub fn reseal(frame: &mut [u8], world: &WorldDigest, parent: Option<&[i32; VERTEX_COUNT]>) {
+    let refined = kind_and_key(frame).ok().filter(|(kind, _)| *kind == KIND_REFINED);
+    let known = refined.zip(parent).and_then(|((_, key), parent)| Known::of(key, parent));
+    let Some((header, payload)) = frame.split_first_chunk_mut::<CHUNK_HEADER>() else { return };
+    header[40..44].copy_from_slice(&(payload.len() as u32).to_le_bytes());
+    let digest = frame_digest(world, &header[..DIGEST_AT], known.as_ref(), payload);
+    header[DIGEST_AT..].copy_from_slice(&digest);
+}
+
 /// The kind and the key of a frame, from its first 16 bytes. Unknown kinds are returned as well.
 ///
 /// # Errors

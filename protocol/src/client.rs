@@ -128,8 +128,11 @@ impl ClientSession {
     ///
     /// # Errors
     /// A protocol violation or a rejected handshake: close with the fault's code. After
-    /// [`PeerFault::Chunk`] the session may go on: the frame has used its credit, nothing else
-    /// changed.
+    /// [`PeerFault::Chunk`] the session may go on: the frame has used its credit, and in refined
+    /// delivery its chunk has its place in the reference window, without heights. Until the chunk
+    /// has come again, refined frames of its children are rejected with [`ChunkError::Parent`].
+    /// Where the frame named no valid key, the windows may differ: then only a new session has all
+    /// chunks.
     pub fn receive(&mut self, frame: DataFrame<'_>) -> Result<Event, PeerFault> {
         self.receive_expected(frame, |_| true)
     }
@@ -185,16 +188,33 @@ impl ClientSession {
         frame: &[u8],
         is_expected: impl FnOnce(ChunkKey) -> bool,
     ) -> Result<Event, PeerFault> {
-        let World { digest, land } =
-            self.world.as_ref().ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
+        let world = self.world.as_ref().ok_or(PeerFault::OutOfOrder("a chunk before the Welcome"))?;
         self.credits = self.credits.checked_sub(1).ok_or(PeerFault::CreditOverrun)?;
         let (kind, key) = chunk_codec::kind_and_key(frame)?;
-        if !is_expected(key) {
-            return Err(ChunkError::Unexpected(key).into());
+        let decoded = if is_expected(key) {
+            self.decode(world, kind, key, frame)
+        } else {
+            Err(ChunkError::Unexpected(key))
+        };
+        if self.delivery == Delivery::Refined {
+            let heights = || decoded.as_ref().ok().map(|(chunk, _)| chunk.heights.clone());
+            self.references.insert(key, heights);
         }
+        let (chunk, delivery) = decoded?;
+        Ok(Event::Chunk { chunk: Box::new(chunk), bytes: frame.len(), delivery })
+    }
+
+    /// Decodes a chunk frame by its kind, as far as the delivery allows it.
+    fn decode(
+        &self,
+        World { digest, land }: &World,
+        kind: u8,
+        key: ChunkKey,
+        frame: &[u8],
+    ) -> Result<(Chunk, Delivery), ChunkError> {
         // The exact decoder rejects every other kind. A generator exists in seed-only delivery
         // only.
-        let (chunk, delivery) = match (self.delivery, land) {
+        Ok(match (self.delivery, land) {
             (Delivery::SeedOnly, Some(land)) if kind == chunk_codec::KIND_SEED_ONLY => {
                 (seed_only::decode(frame, land, digest)?, Delivery::SeedOnly)
             }
@@ -207,11 +227,7 @@ impl ClientSession {
                 (refined::decode_over(frame, digest, parent)?, Delivery::Refined)
             }
             _ => (chunk_codec::decode(frame, digest)?, Delivery::Exact),
-        };
-        if self.delivery == Delivery::Refined {
-            self.references.insert(key, || chunk.heights.clone());
-        }
-        Ok(Event::Chunk { chunk: Box::new(chunk), bytes: frame.len(), delivery })
+        })
     }
 
     /// Sends a view.

@@ -5,6 +5,10 @@
 //! parents, in the order of their frames, independent of the client's cache. The connection
 //! preserves that order, so both windows are equal without further messages. The window ends with
 //! the session.
+//!
+//! The server does not learn that the client has rejected a frame. So a rejected frame takes its
+//! place in the client's window too, without heights: else the client would evict later than the
+//! server, and after the chunk has been sent again in another order.
 
 use crate::limits::MAX_REFERENCES;
 use std::collections::{HashMap, VecDeque};
@@ -19,7 +23,8 @@ pub const LEVELS: RangeInclusive<u8> = 1..=2;
 #[derive(Debug)]
 pub struct ReferenceWindow<T> {
     /// At most [`MAX_REFERENCES`]; a new one evicts the oldest.
-    by_key: HashMap<ChunkKey, T>,
+    /// None is the place of a chunk whose frame was rejected.
+    by_key: HashMap<ChunkKey, Option<T>>,
     /// The same keys, the oldest first.
     order: VecDeque<ChunkKey>,
 }
@@ -31,10 +36,17 @@ impl<T> Default for ReferenceWindow<T> {
 }
 
 impl<T> ReferenceWindow<T> {
-    /// Inserts a chunk after its frame, if the chunk can be a parent. A chunk that is in the window
-    /// already keeps its value and its place.
-    pub fn insert(&mut self, key: ChunkKey, value: impl FnOnce() -> T) {
-        if !LEVELS.contains(&key.level()) || self.by_key.contains_key(&key) {
+    /// Inserts a chunk after its frame, if the chunk can be a parent; `value` is none if the frame
+    /// was rejected. A chunk that is in the window already keeps its place, and its value if it has
+    /// one.
+    pub fn insert(&mut self, key: ChunkKey, value: impl FnOnce() -> Option<T>) {
+        if !LEVELS.contains(&key.level()) {
+            return;
+        }
+        if let Some(present) = self.by_key.get_mut(&key) {
+            if present.is_none() {
+                *present = value();
+            }
             return;
         }
         if self.order.len() == MAX_REFERENCES
@@ -46,10 +58,11 @@ impl<T> ReferenceWindow<T> {
         self.by_key.insert(key, value());
     }
 
-    /// The value of a chunk's parent; none if the parent is not in the window.
+    /// The value of a chunk's parent; none if the parent is not in the window or its frame was
+    /// rejected.
     #[must_use]
     pub fn parent_of(&self, child: ChunkKey) -> Option<&T> {
-        self.by_key.get(&child.parent()?)
+        self.by_key.get(&child.parent()?)?.as_ref()
     }
 }
 
@@ -65,11 +78,11 @@ mod tests {
     fn the_oldest_is_evicted_first_and_a_repeat_changes_nothing() {
         let mut window = ReferenceWindow::default();
         for x in 0..MAX_REFERENCES as i32 {
-            window.insert(key(1, x), || x);
+            window.insert(key(1, x), || Some(x));
         }
-        window.insert(key(1, 0), || -1);
+        window.insert(key(1, 0), || Some(-1));
         assert_eq!(window.parent_of(key(0, 1)), Some(&0));
-        window.insert(key(1, MAX_REFERENCES as i32), || 7);
+        window.insert(key(1, MAX_REFERENCES as i32), || Some(7));
         assert_eq!(window.parent_of(key(0, 1)), None);
         assert_eq!(window.parent_of(key(0, 2)), Some(&1));
         assert_eq!(window.parent_of(key(0, 2 * MAX_REFERENCES as i32)), Some(&7));
@@ -77,10 +90,27 @@ mod tests {
     }
 
     #[test]
+    fn a_rejected_frame_takes_a_place_and_a_later_one_fills_it() {
+        let mut window = ReferenceWindow::default();
+        window.insert(key(1, 0), || None);
+        assert_eq!(window.parent_of(key(0, 1)), None);
+        for x in 1..MAX_REFERENCES as i32 {
+            window.insert(key(1, x), || Some(x));
+        }
+        window.insert(key(1, 0), || Some(9));
+        window.insert(key(1, 0), || None);
+        assert_eq!(window.parent_of(key(0, 1)), Some(&9));
+        // It is still the oldest.
+        window.insert(key(1, MAX_REFERENCES as i32), || None);
+        assert_eq!((window.parent_of(key(0, 1)), window.parent_of(key(0, 2))), (None, Some(&1)));
+        assert_eq!((window.by_key.len(), window.order.len()), (MAX_REFERENCES, MAX_REFERENCES));
+    }
+
+    #[test]
     fn only_levels_with_shared_vertices_enter_the_window() {
         let mut window = ReferenceWindow::default();
         for level in 0..=4 {
-            window.insert(key(level, 0), || level);
+            window.insert(key(level, 0), || Some(level));
         }
         let found: Vec<_> = (0..4).map(|level| window.parent_of(key(level, 1)).copied()).collect();
         assert_eq!(found, [Some(1), Some(2), None, None]);

@@ -5,7 +5,7 @@
 use protocol::chunk_codec::{self, Effort, quantised, refined};
 use protocol::limits::MAX_DECODE_MEMORY;
 use protocol::message::{ClientMessage, ServerMessage};
-use protocol::{Tolerance, control};
+use protocol::{ChunkError, Tolerance, control};
 use terrain::{ChunkKey, Land, WorldDigest};
 use test_support::counting_allocator::{CountingAllocator, peak_of};
 
@@ -17,8 +17,8 @@ fn peak<T>(work: impl FnOnce() -> T) -> usize {
     peak_of(work).0
 }
 
-/// Every decoder on one input.
-fn decode_all(frame: &[u8], world: &WorldDigest, parent: &terrain::Chunk) {
+/// Every decoder on one input. Whether one of them read what is behind a digest.
+fn decode_all(frame: &[u8], world: &WorldDigest, parent: &terrain::Chunk) -> bool {
     let cap = MAX_DECODE_MEMORY;
     let spent = [
         peak(|| chunk_codec::decode(frame, world)),
@@ -29,6 +29,21 @@ fn decode_all(frame: &[u8], world: &WorldDigest, parent: &terrain::Chunk) {
         peak(|| control::decode::<ServerMessage>(frame)),
     ];
     assert!(spent.iter().all(|bytes| *bytes <= cap), "{spent:?} of {cap} for {} bytes", frame.len());
+    [
+        chunk_codec::decode(frame, world),
+        quantised::decode(frame, world, Tolerance::COARSEST),
+        refined::decode(frame, world, parent),
+    ]
+    .into_iter()
+    .any(|chunk| matches!(chunk, Ok(_) | Err(ChunkError::Part | ChunkError::Compression)))
+}
+
+/// [`decode_all`] on an input, and on the same with the digest that a hostile server would write.
+/// Whether each read what is behind the digest.
+fn decode_resealed(mut frame: Vec<u8>, world: &WorldDigest, parent: &terrain::Chunk) -> [bool; 2] {
+    let raw = decode_all(&frame, world, parent);
+    chunk_codec::reseal(&mut frame, world, Some(&parent.heights));
+    [raw, decode_all(&frame, world, parent)]
 }
 
 #[test]
@@ -50,16 +65,24 @@ fn decoders_stay_within_the_memory_limit() {
     assert!(peak(|| chunk_codec::decode(&frames[0], &world)) > 16_900, "the count sees a chunk's heights");
     assert!(peak(|| vec![0u8; MAX_DECODE_MEMORY + 1]) > MAX_DECODE_MEMORY, "the count sees too much");
     for frame in &frames {
+        let mut read = [0; 2];
+        let mut count = |lie: Vec<u8>| {
+            let is_valid = lie == frame[..];
+            let behind = decode_resealed(lie, &world, &parent);
+            read = [0, 1].map(|index| read[index] + usize::from(behind[index] && !is_valid));
+        };
         for length in 0..=frame.len() {
-            decode_all(&frame[..length], &world, &parent);
+            count(frame[..length].to_vec());
         }
-        for at in 0..frame.len().min(256) {
+        for at in (0..256).chain((256..frame.len()).step_by(61)) {
             for value in [0, 1, 0x7f, 0x80, 0xff] {
                 let mut lie = frame.to_vec();
                 lie[at] = value;
-                decode_all(&lie, &world, &parent);
+                count(lie);
             }
         }
+        // The control: without a valid digest no lie is read.
+        assert!(read[0] == 0 && read[1] > frame.len(), "{read:?} lies were read");
     }
     for message in ["hello", "request", "welcome", "holding"] {
         let path = format!("{}/fixtures/{message}.hex", env!("CARGO_MANIFEST_DIR"));

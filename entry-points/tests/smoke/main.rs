@@ -7,6 +7,8 @@ mod mutation;
 
 use entry_points::{ALL, EntryPoint};
 use mutation::Mutations;
+use protocol::chunk_codec::{KIND_EXACT, KIND_QUANTISED, KIND_REFINED};
+use std::collections::HashSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Rounds of an entry point of cost 1.
@@ -51,6 +53,39 @@ fn no_input_violates_an_invariant() {
                 panic!("{}, seed {seed}: {hex}", entry.name);
             }
         }
+    }
+}
+
+type Read = fn(&[u8], bool) -> Vec<Vec<u8>>;
+type Seeds = fn() -> Vec<Vec<u8>>;
+
+/// Chunk frames among mutated inputs that decoders read behind the digest, by kind. Frames of the
+/// valid inputs do not count.
+fn read_frames(read: Read, seeds: Vec<Vec<u8>>, reseals: bool, rounds: usize) -> [usize; 4] {
+    let valid: HashSet<_> = seeds.iter().flat_map(|seed| read(seed, reseals)).collect();
+    let mut mutations = Mutations::new(seeds, 1);
+    let mut counts = [0; 4];
+    let frames = (0..rounds).flat_map(|_| read(&mutations.next_input(), reseals));
+    for frame in frames.filter(|frame| !valid.contains(frame)) {
+        counts[usize::from(frame[6])] += 1;
+    }
+    counts
+}
+
+/// The control: the same inputs with the digests that they came with. Then no decoder reads a
+/// changed byte behind the digest.
+#[test]
+fn mutated_chunks_of_every_kind_are_read_behind_the_digest() {
+    let points: [(&str, Read, Seeds); 2] = [
+        ("chunk", entry_points::chunk::read, entry_points::chunk::seeds),
+        ("client_session", entry_points::client_session::read, entry_points::client_session::seeds),
+    ];
+    let kinds = [KIND_EXACT, KIND_QUANTISED, KIND_REFINED].map(usize::from);
+    for (name, read, seeds) in points {
+        let [raw, resealed] = [false, true].map(|reseals| read_frames(read, seeds(), reseals, 400));
+        println!("{name}: {resealed:?} frames of each kind were read, {raw:?} without their digests");
+        assert!(kinds.iter().all(|kind| resealed[*kind] >= 10), "{name}: {resealed:?}");
+        assert_eq!(raw, [0; 4], "{name}");
     }
 }
 

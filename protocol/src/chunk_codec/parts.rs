@@ -107,6 +107,16 @@ const fn packed_bytes(count: usize, bits: u32) -> usize {
     (count * bits as usize).div_ceil(8)
 }
 
+/// Whether the fields behind those of so many residuals are 0. At most seven are there: with
+/// others, two frames of one chunk could differ in bits that nothing reads.
+fn has_empty_end(packed: &[u8], bits: u32, count: usize) -> bool {
+    let fields = packed.len() * 8 / bits.max(1) as usize;
+    (count..fields).all(|field| {
+        let byte = packed[field % packed.len()];
+        byte >> (bits * (field / packed.len()) as u32) & (0xff_u16 >> (8 - bits)) as u8 == 0
+    })
+}
+
 /// Appends one part behind its length.
 pub(super) fn push_part(content: &[u8], effort: Effort, out: &mut Vec<u8>) {
     let at = out.len();
@@ -134,8 +144,8 @@ impl Scratch {
     /// lowest first; none where all residuals are 0.
     ///
     /// # Errors
-    /// [`ChunkError::Content`] for an impossible width or number of plain bits, else as
-    /// [`take_part`].
+    /// [`ChunkError::Content`] for an impossible width or number of plain bits and for unused
+    /// fields that are not 0, else as [`take_part`].
     pub(super) fn take<'a, 'p: 'a>(
         &'a mut self,
         kernel: Kernel,
@@ -164,6 +174,9 @@ impl Scratch {
             *plane = take_part(payload, &mut scratch[..count])?;
         }
         let packed = take_part(payload, &mut packed[..layout.packed(count)])?;
+        if !has_empty_end(low, plain, count) || !has_empty_end(packed, layout.field, count) {
+            return Err(ChunkError::Content("an unused field is not 0"));
+        }
         above[layout.whole] = if layout.field == 8 {
             packed
         } else {
@@ -251,6 +264,43 @@ mod tests {
         }
         assert_eq!(Layout::of_width(MAX_RESIDUAL_BITS + 1), None);
         assert_eq!(Layout::of_width(u32::MAX), None);
+    }
+
+    #[test]
+    fn only_unused_fields_must_be_0() {
+        // So few residuals that every part is stored as it is.
+        let (kernel, mut scratch) = (Kernel::PORTABLE, Scratch::new());
+        let unused_field = Err(ChunkError::Content("an unused field is not 0"));
+        let mut rejected = 0;
+        for count in 1..=20 {
+            for (plain, bits) in
+                [0, 1, 2, 4, 8].into_iter().flat_map(|plain| [(plain, 1), (plain, 2), (plain, 4)])
+            {
+                let (low, top) = (packed_bytes(count, plain), packed_bytes(count, bits));
+                // All bits of all fields in use are 1.
+                let ones = vec![0xff; count];
+                let packed = |bits: u32, length: usize| {
+                    let (mut values, mut packed) = (ones.clone(), vec![0; length]);
+                    values.iter_mut().for_each(|value| *value >>= 8 - bits);
+                    kernel::pack(kernel, &values, bits, &mut packed);
+                    packed
+                };
+                let low = if plain == 0 { Vec::new() } else { packed(plain, low) };
+                let length = (top as u16).to_le_bytes();
+                let valid = [&[plain as u8][..], &low, &length, &packed(bits, top)].concat();
+                let mut take =
+                    |payload: &[u8]| scratch.take(kernel, plain + bits, count, &mut &payload[..]).map(|_| ());
+                assert_eq!(take(&valid), Ok(()), "{count} of {plain} and {bits} bits");
+                for bit in (8..8 + 8 * low.len()).chain(8 * (valid.len() - top)..8 * valid.len()) {
+                    let mut other = valid.clone();
+                    other[bit / 8] ^= 1 << (bit % 8);
+                    let is_used = valid[bit / 8] >> (bit % 8) & 1 == 1;
+                    assert_eq!(take(&other) != unused_field, is_used, "{count} of {plain} and {bits}: {bit}");
+                    rejected += u32::from(!is_used);
+                }
+            }
+        }
+        assert!(rejected > 500, "{rejected} bits are unused");
     }
 
     proptest! {

@@ -75,7 +75,7 @@ pub(super) struct Known(Box<[i32; KNOWN * KNOWN]>);
 
 impl Known {
     /// The quadrant of a parent that a chunk covers; none if the chunk has no parent.
-    fn of(key: ChunkKey, parent: &Heights) -> Option<Self> {
+    pub(super) fn of(key: ChunkKey, parent: &Heights) -> Option<Self> {
         let quadrant = key.parent()?.children()?.iter().position(|child| *child == key)?;
         let (x, z) = (quadrant % 2 * (KNOWN - 1), quadrant / 2 * (KNOWN - 1));
         let mut known = Box::new([0; KNOWN * KNOWN]);

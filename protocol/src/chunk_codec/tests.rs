@@ -2,6 +2,7 @@
 
 use super::*;
 use proptest::prelude::*;
+use std::sync::LazyLock;
 use terrain::Land;
 use terrain::hash::mix;
 
@@ -11,6 +12,12 @@ fn sample(level: u8, x: i32, z: i32) -> (Chunk, WorldDigest) {
     let land = Land::new(1);
     (land.chunk(ChunkKey::new(level, x, z).unwrap()), land.digest())
 }
+
+/// A chunk of sea, its parent, and their world: made once for the many cases of the properties.
+static SEA: LazyLock<(Chunk, Chunk, WorldDigest)> = LazyLock::new(|| {
+    let (chunk, world) = sample(0, 60, 60);
+    (chunk, sample(1, 30, 30).0, world)
+});
 
 type Decode = Box<dyn Fn(&[u8]) -> Result<Chunk, ChunkError>>;
 
@@ -33,19 +40,18 @@ fn kinds(chunk: &Chunk, world: &WorldDigest) -> Vec<(Bytes, Decode)> {
     kinds
 }
 
-/// Recomputes the digest of a changed frame, as a hostile server does.
+/// Recomputes the length and the digest of a changed frame, as a hostile server does. The parent of
+/// a refined one is that of the samples' land.
 fn signed(mut frame: Vec<u8>, world: &WorldDigest) -> Vec<u8> {
-    if frame.len() >= CHUNK_HEADER {
-        let digest = frame_digest(world, &frame[..DIGEST_AT], None, &frame[CHUNK_HEADER..]);
-        frame[DIGEST_AT..CHUNK_HEADER].copy_from_slice(&digest);
-    }
+    let refined = kind_and_key(&frame).ok().filter(|(kind, _)| *kind == KIND_REFINED);
+    let parent = refined.and_then(|(_, key)| key.parent()).map(|key| Land::new(1).chunk_heights(key));
+    reseal(&mut frame, world, parent.as_deref());
     frame
 }
 
 /// A frame of another payload with the right length and digest.
 fn with_payload(frame: &[u8], payload: &[u8], world: &WorldDigest) -> Vec<u8> {
     let mut frame = frame[..CHUNK_HEADER].to_vec();
-    frame[40..44].copy_from_slice(&(payload.len() as u32).to_le_bytes());
     frame.extend_from_slice(payload);
     signed(frame, world)
 }
@@ -248,13 +254,13 @@ fn extreme_payload_lengths_are_rejected() {
         let mut damaged = frame.to_vec();
         damaged[40..44].copy_from_slice(&value.to_le_bytes());
         let fault = Err(ChunkError::Length { field: "payload", value });
-        assert_eq!(decode(&signed(damaged, &world), &world), fault);
+        assert_eq!(decode(&damaged, &world), fault);
     }
     let actual = (frame.len() - CHUNK_HEADER) as u32;
     for value in [0, 1, actual - 1, actual + 1, MAX_PAYLOAD as u32] {
         let mut damaged = frame.to_vec();
         damaged[40..44].copy_from_slice(&value.to_le_bytes());
-        let fault = decode(&signed(damaged, &world), &world);
+        let fault = decode(&damaged, &world);
         assert!(
             matches!(fault, Err(ChunkError::Truncated { .. } | ChunkError::Trailing(_))),
             "{value}: {fault:?}"
@@ -320,6 +326,53 @@ fn wrong_part_lengths_with_valid_digests_are_rejected() {
         assert_eq!(decode(&with_payload(&frame, &longer, &world), &world), Err(ChunkError::Trailing(1)));
     }
     assert!(parts > 4, "some of the chunks have several parts: {parts}");
+}
+
+#[test]
+fn payloads_of_every_kind_with_valid_digests_are_read_behind_the_digest() {
+    let (chunk, world) = sample(1, -3, -3);
+    for (frame, decode) in kinds(&chunk, &world) {
+        assert_eq!(signed(frame.to_vec(), &world), frame, "of a valid frame nothing changes");
+        let payload = &frame[CHUNK_HEADER..];
+        for length in 0..payload.len() {
+            let fault = decode(&with_payload(&frame, &payload[..length], &world));
+            assert!(matches!(fault, Err(ChunkError::Part | ChunkError::Compression)), "{length}: {fault:?}");
+        }
+        for at in (0..payload.len()).step_by(5) {
+            let mut lie = frame.to_vec();
+            lie[CHUNK_HEADER + at] ^= 0x10;
+            // The control: the digest hides the rest of the decoder.
+            assert_eq!(decode(&lie), Err(ChunkError::Digest));
+            let outcome = decode(&signed(lie, &world));
+            assert!(
+                matches!(outcome, Ok(_) | Err(ChunkError::Part | ChunkError::Compression))
+                    || matches!(outcome, Err(ChunkError::Content(_) | ChunkError::Trailing(_))),
+                "{at}: {outcome:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn unused_fields_that_are_not_0_are_rejected() {
+    let (chunk, world) = sample(0, 3, -7);
+    let tolerance = Tolerance::FINEST;
+    let coarse = quantised::encode(&chunk, &world, tolerance, Effort::Compact).unwrap();
+    for frame in [encode(&chunk, &world), coarse] {
+        let decode = |frame: &[u8]| match kind_and_key(frame) {
+            Ok((KIND_EXACT, _)) => decode(frame, &world),
+            _ => quantised::decode(frame, &world, tolerance),
+        };
+        let mut payload = frame[CHUNK_HEADER..].to_vec();
+        let bits = usize::from(payload[5]);
+        assert!([1, 2, 4].contains(&bits), "{bits} plain bits");
+        // The last field of the plain bits; the one before it in the byte has a vertex.
+        let last = 6 + (VERTEX_COUNT * bits).div_ceil(8) - 1;
+        assert!(decode(&with_payload(&frame, &payload, &world)).is_ok());
+        payload[last] |= 0x80;
+        let fault = decode(&with_payload(&frame, &payload, &world));
+        assert_eq!(fault, Err(ChunkError::Content("an unused field is not 0")));
+    }
 }
 
 #[test]
@@ -439,16 +492,49 @@ proptest! {
         bytes in proptest::collection::vec(any::<u8>(), 0..400), width in 0u8..40, kind in 0u8..4,
         tolerance: u16,
     ) {
-        let world = WorldDigest([0; 32]);
-        prop_assert!(decode(&bytes, &world).is_err());
-        let (chunk, _) = sample(0, 60, 60);
-        let mut frame = encode(&chunk, &world).to_vec();
+        let (chunk, parent, world) = &*SEA;
+        prop_assert!(decode(&bytes, world).is_err());
+        let mut frame = encode(chunk, world).to_vec();
         frame[6] = kind;
         frame[36] = width;
         frame[38..40].copy_from_slice(&tolerance.to_le_bytes());
-        let frame = with_payload(&frame, &bytes, &world);
-        let _ = decode(&frame, &world);
-        let _ = quantised::decode(&frame, &world, Tolerance::COARSEST);
+        let frame = with_payload(&frame, &bytes, world);
+        for outcome in [
+            decode(&frame, world),
+            quantised::decode(&frame, world, Tolerance::COARSEST),
+            refined::decode(&frame, world, parent),
+        ] {
+            prop_assert_ne!(outcome, Err(ChunkError::Digest));
+        }
         let _ = error(&frame);
+    }
+
+    #[test]
+    fn residuals_of_any_width_with_valid_digests_cause_no_panic(
+        seed: u32, width in 0u32..=27, kind in 0usize..3, tolerance in 0usize..8, first: i32, near: bool,
+    ) {
+        let (chunk, parent, world) = &*SEA;
+        let kind = [KIND_EXACT, KIND_QUANTISED, KIND_REFINED][kind];
+        let count = if kind == KIND_REFINED { VERTEX_COUNT - 33 * 33 } else { VERTEX_COUNT };
+        let mask = ((1u64 << width) - 1) as u32;
+        let residuals: Vec<u32> = (0..count).map(|index| mix(seed ^ index as u32) & mask).collect();
+        let mut payload = vec![0; 5];
+        parts::push(Kernel::best(), &residuals, width, Effort::Compact, &mut payload);
+        let mut frame = encode(chunk, world).to_vec();
+        frame[6] = kind;
+        if !near && kind != KIND_REFINED {
+            frame[16..20].copy_from_slice(&first.to_le_bytes());
+        }
+        frame[36] = width as u8;
+        let tolerance = Tolerance::all().nth(tolerance).unwrap();
+        let units = if kind == KIND_QUANTISED { tolerance.units() } else { 0 };
+        frame[38..40].copy_from_slice(&units.to_le_bytes());
+        let frame = with_payload(&frame, &payload, world);
+        let outcome = match kind {
+            KIND_EXACT => decode(&frame, world),
+            KIND_QUANTISED => quantised::decode(&frame, world, tolerance),
+            _ => refined::decode(&frame, world, parent),
+        };
+        prop_assert!(matches!(outcome, Ok(_) | Err(ChunkError::Content(_))), "{:?}", outcome);
     }
 }

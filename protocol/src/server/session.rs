@@ -448,7 +448,7 @@ impl ServerSession {
         self.return_bytes(self.frame_bound().saturating_sub(frame.len() as u32));
         self.held.insert(key);
         if self.delivery == Delivery::Refined {
-            self.references.insert(key, || ());
+            self.references.insert(key, || Some(()));
         }
         self.counts.chunks += 1;
         self.counts.chunk_bytes += frame.len() as u64;

@@ -1,13 +1,13 @@
 //! Refined frames: exact heights, and only while the parent is in the reference window.
 
 use crate::pair::{Pair, config, offer, view};
-use protocol::chunk_codec::{self, Effort, refined};
+use protocol::chunk_codec::{self, Effort, refined, seed_only};
 use protocol::client::{ClientConfig, ClientSession, Event};
-use protocol::limits::{MAX_CREDITS, MAX_REFERENCES};
+use protocol::limits::{CHUNK_HEADER, MAX_CREDITS, MAX_REFERENCES};
 use protocol::message::{ClientMessage, Hello, ServerMessage, Welcome};
 use protocol::server::ServerSession;
-use protocol::{ChunkError, DataFrame, Delivery, control};
-use std::collections::HashMap;
+use protocol::{ChunkError, DataFrame, Delivery, PeerFault, control};
+use std::collections::{HashMap, HashSet};
 use terrain::constants::GENERATOR_VERSION;
 use terrain::{ChunkKey, Land};
 
@@ -154,4 +154,50 @@ fn both_reference_windows_stay_equal_over_a_long_session() {
     let count = |level, delivery| counts.get(&(level, delivery)).copied().unwrap_or(0);
     assert_eq!(count(1, Delivery::Exact) + count(1, Delivery::Refined), 2400);
     assert!(count(0, Delivery::Refined) > 200 && count(0, Delivery::Exact) > 200, "{counts:?}");
+}
+
+#[test]
+fn both_reference_windows_stay_equal_after_rejected_frames() {
+    let (mut pair, mut rejected, mut refined) = (Pair::with(refined_config(64)), HashSet::new(), 0);
+    pair.run(0);
+    // More parents than the window holds, so that those from before a rejected one are evicted.
+    for step in 0..2 * MAX_REFERENCES as i32 {
+        let parent = key(1, step, 60);
+        // Two children: of this parent, and of one that is evicted or will be soon.
+        let old = (step - MAX_REFERENCES as i32 - 2 + step % 5).max(0);
+        let mut keys = vec![parent, key(0, 2 * step, 120), key(0, 2 * old + 1, 120)];
+        if step % 50 == 40 {
+            // The rejected chunk again, as a client requests it: it keeps its place.
+            keys.push(key(1, step - 7, 60));
+        }
+        pair.client.request(&keys);
+        while let Some(frame) = pair.client.poll_transmit() {
+            pair.server.receive(DataFrame::Binary(&frame)).unwrap();
+        }
+        while let Some((request, delivery)) = pair.server.next_chunk() {
+            // The error costs most of a chunk and is irrelevant here.
+            let chunk = seed_only::complete(&pair.land, request.key, 0);
+            let mut frame = chunk_codec::encode_for(delivery, &chunk, &pair.digest).to_vec();
+            let is_damaged = request.key == parent && step % 50 == 33;
+            frame[CHUNK_HEADER - 1] ^= u8::from(is_damaged);
+            pair.server.deliver(request, frame.into());
+        }
+        while let Some(frame) = pair.server.poll_transmit() {
+            let (_, key) = chunk_codec::kind_and_key(&frame).unwrap();
+            match pair.client.receive(DataFrame::Binary(&frame)) {
+                Ok(Event::Chunk { chunk, delivery, .. }) => {
+                    rejected.remove(&chunk.key);
+                    refined += u32::from(chunk.key.level() == 0 && delivery == Delivery::Refined);
+                }
+                Err(PeerFault::Chunk(ChunkError::Digest)) => _ = rejected.insert(key),
+                // Only children of a chunk that has not come again yet.
+                Err(PeerFault::Chunk(ChunkError::Parent(child))) => {
+                    assert!(rejected.contains(&child.parent().unwrap()), "step {step}: {child}");
+                }
+                other => panic!("step {step}, {key}: {other:?}"),
+            }
+        }
+    }
+    assert!(rejected.is_empty(), "{rejected:?}");
+    assert!(refined > 2 * MAX_REFERENCES as u32, "{refined} refined frames");
 }
