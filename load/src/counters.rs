@@ -25,6 +25,7 @@ pub struct Counters {
     pub(crate) refused: AtomicU64,
     pub(crate) regenerated: AtomicU64,
     pub(crate) views_settled: AtomicU64,
+    pub(crate) views_checked: AtomicU64,
     pub(crate) requests: AtomicU64,
     pub(crate) unanswered: AtomicU64,
     pub(crate) unsent: AtomicU64,
@@ -131,6 +132,11 @@ impl Counters {
     /// A view was reported complete.
     pub fn view_settled(&self) {
         add(&self.views_settled);
+    }
+
+    /// A view that was reported complete is checked for missing chunks.
+    pub fn view_checked(&self) {
+        add(&self.views_checked);
     }
 
     /// A pose's view, or a newer one, was complete after this time.

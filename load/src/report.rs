@@ -55,6 +55,10 @@ pub struct Report {
     pub regenerated: u64,
     /// Views that the server reported complete.
     pub views_settled: u64,
+    /// Of these, checked for missing chunks: one in eight, unless chunks of it were refused or released.
+    /// Without a check the run says nothing of missing chunks, which is no error: a short one may have
+    /// none.
+    pub views_checked: u64,
     /// The first distinct problems as text; the counts above include them.
     pub problems: Vec<String>,
     /// Both digests, if the server changed its world during the run. Clients that meet another world
@@ -176,6 +180,7 @@ impl Report {
             sent_late_ms: if is_open { all(Counters::lateness) } else { LatencyMs::default() },
             regenerated: counters().map(|counters| get(&counters.regenerated)).sum(),
             views_settled: counters().map(|counters| get(&counters.views_settled)).sum(),
+            views_checked: counters().map(|counters| get(&counters.views_checked)).sum(),
             problems,
             world_changed: counters().find_map(|counters| counters.world_change()),
             resume: ResumeReport::of(&counters().map(Arc::as_ref).collect::<Vec<_>>()),
@@ -388,7 +393,9 @@ mod tests {
     #[test]
     fn json_has_the_fields_that_scripts_read() {
         let json = serde_json::to_value(good()).unwrap();
-        for field in ["clients", "seconds", "chunks", "bytes", "mismatches", "dropped", "refused"] {
+        for field in
+            ["clients", "seconds", "chunks", "bytes", "mismatches", "dropped", "refused", "views_checked"]
+        {
             assert!(json[field].is_number(), "{field}");
         }
         assert_eq!((&json["delivery"], &json["loop"]), (&"exact".into(), &"closed".into()));

@@ -16,6 +16,7 @@ use crate::expected::{ChunkStatus, ExpectedChunks, MAX_VIEWS, MAX_VIEWS_SLOW};
 use crate::held::MAX_HELD;
 use crate::keys::Keys;
 use crate::path::FlightPath;
+use crate::released::ReleasedChunks;
 use crate::request_pause::RequestPause;
 use crate::resume::Resumption;
 use crate::schedule::Schedule;
@@ -43,7 +44,7 @@ const WINDOW: u32 = 64;
 const WINDOW_SLOW: u32 = MAX_CREDITS;
 
 /// Wait of a request at the end of its session from which it counts as latency.
-pub(crate) const STALL: Duration = Duration::from_secs(1);
+pub const STALL: Duration = Duration::from_secs(1);
 
 /// Time in which the frames before a failed write are read.
 const LAST_FRAMES_WITHIN: Duration = Duration::from_secs(1);
@@ -97,6 +98,7 @@ struct Session<'t, 'a, D: Dial> {
     last_frame: Instant,
     /// The newest view when something was refused: what was refused may belong to it or an older one.
     refused_view: Option<u32>,
+    released: ReleasedChunks,
 }
 
 impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
@@ -139,6 +141,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             pause: RequestPause::new(u64::from(mix(task.index))),
             last_frame: Instant::now(),
             refused_view: None,
+            released: ReleasedChunks::default(),
         })
     }
 
@@ -221,6 +224,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             Ok(Event::Settled(Settled { view, chunks })) => {
                 self.check_settled(view, chunks);
                 self.expected.settled(view);
+                self.released.settled(view);
                 self.resumption.delivered(Instant::now(), self.task.counters);
                 self.settled(view, is_open);
             }
@@ -265,19 +269,25 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         }
         if let Some(key) = self.resumption.held.release(|key| !self.expected.is_in_view(*key)) {
             self.machine.release(&[key]);
+            if let Some(newest) = self.expected.newest_view() {
+                self.released.add(newest, key);
+            }
         }
         self.checker.check(chunk, delivery).await;
     }
 
-    /// Of some settled views: whether the server counts the right chunks, and all have come. Not while
-    /// chunks may have been refused or released.
+    /// Of some settled views: whether the server counts the right chunks, and all have come. Not if
+    /// chunks of them may have been refused or released, or if they need more than a client holds.
     fn check_settled(&self, view: u32, settled: u32) {
-        let may_lack = self.refused_view.is_some_and(|refused| view <= refused)
-            || self.resumption.held.len() >= MAX_HELD;
-        if !view.is_multiple_of(CHECKED_VIEWS) || may_lack {
+        let was_refused = self.refused_view.is_some_and(|refused| view <= refused);
+        if !view.is_multiple_of(CHECKED_VIEWS) || was_refused {
             return;
         }
         let Some(needed) = self.expected.needed_by(view) else { return };
+        if needed.len() > MAX_HELD || self.released.may_lack(view, &needed) {
+            return;
+        }
+        self.task.counters.view_checked();
         let missing = needed.iter().filter(|key| !self.resumption.held.contains(**key)).count();
         if missing > 0 || settled as usize != needed.len() {
             let incomplete = Mismatch::Incomplete { view, settled, needed: needed.len(), missing };

@@ -77,7 +77,8 @@ impl From<Tolerance> for u16 {
 /// Hello as malformed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Delivery {
-    /// All heights, compressed without loss: about 4 KiB a chunk of land.
+    /// All heights, compressed without loss: about 2.6 KB a chunk of level 0 with land, up to 5 KB
+    /// a coarser one.
     #[default]
     Exact,
     /// Key, error and a digest, 36 bytes a chunk: the client generates the chunk from the world's

@@ -3,6 +3,7 @@
 use crate::connection::{Connection, Received};
 use anyhow::{Context, Result, ensure};
 use rustc_hash::FxHashMap;
+use std::pin::pin;
 use std::time::{Duration, Instant};
 use terrain::ChunkKey;
 use tokio::runtime::{Builder, Runtime};
@@ -99,7 +100,11 @@ impl Totals {
     }
 }
 
-/// Keeps the window full until a time; without one, until all keys are answered.
+/// A client of which waits are measured goes on so long after its end for chunks that it requested.
+const GRACE: Duration = Duration::from_secs(2);
+
+/// Keeps the window full until a time, whether or not the server answers; without one, until all keys
+/// are answered.
 pub async fn closed_loop(
     connection: &mut Connection,
     keys: impl IntoIterator<Item = ChunkKey>,
@@ -115,6 +120,12 @@ pub async fn closed_loop(
         Window::Halves(size) => (size, size / 2, true),
     };
     let mut outstanding = 0;
+    let mut end = pin!(async {
+        match until {
+            Some(until) => tokio::time::sleep_until(until.into()).await,
+            None => std::future::pending().await,
+        }
+    });
     while until.is_none_or(|until| Instant::now() < until) {
         while size - outstanding >= at_once {
             let count = if at_once == 1 { size - outstanding } else { at_once };
@@ -129,51 +140,97 @@ pub async fn closed_loop(
         if outstanding == 0 {
             break;
         }
-        connection
-            .receive(|received| {
-                outstanding = outstanding.saturating_sub(1);
-                match received {
-                    Received::Chunk(frame) => {
-                        totals.chunks += 1;
-                        totals.bytes += frame.len() as u64;
-                    }
-                    Received::Message(_) => totals.refused += 1,
+        let receiving = connection.receive(|received| {
+            outstanding = outstanding.saturating_sub(1);
+            match received {
+                Received::Chunk(frame) => {
+                    totals.chunks += 1;
+                    totals.bytes += frame.len() as u64;
                 }
-                note(Event::Received(received));
-            })
-            .await?;
+                Received::Message(_) => totals.refused += 1,
+            }
+            note(Event::Received(received));
+        });
+        tokio::select! {
+            biased;
+            received = receiving => received?,
+            () = &mut end => break,
+        }
     }
     Ok(totals)
 }
 
+/// What a client of a closed loop waited for, from a time on.
+#[derive(Clone, Debug)]
+pub struct Waits {
+    from: Instant,
+    open: FxHashMap<ChunkKey, Instant>,
+    /// Time of each request; one without an answer counts with the time until the client gave up.
+    pub latencies: Vec<Duration>,
+    /// Chunks that arrived, until the end.
+    pub chunks: usize,
+    /// Requests that were refused.
+    pub refused: usize,
+}
+
+impl Waits {
+    const fn new(from: Instant) -> Self {
+        let open = FxHashMap::with_hasher(rustc_hash::FxBuildHasher);
+        Self { from, open, latencies: Vec::new(), chunks: 0, refused: 0 }
+    }
+
+    fn note(&mut self, event: &Event<'_>) {
+        match event {
+            Event::Sent(key) => _ = self.open.insert(*key, Instant::now()),
+            Event::Received(received) => {
+                let sent = received.answers().and_then(|key| self.open.remove(&key));
+                if Instant::now() < self.from {
+                    return;
+                }
+                match received {
+                    Received::Chunk(_) => self.latencies.extend(sent.map(|sent| sent.elapsed())),
+                    Received::Message(_) => self.refused += 1,
+                }
+            }
+        }
+    }
+
+    /// What is open now has waited until now.
+    fn give_up(&mut self) {
+        self.latencies.extend(self.open.drain().map(|(_, sent)| sent.elapsed()));
+    }
+}
+
 /// A closed loop of one request a chunk until `end`: the wait for each chunk that arrived from
-/// `from` on, and how many requests were refused in that time.
+/// `from` on, and for those that had not come [`GRACE`] after the end.
 pub async fn waits(
     connection: &mut Connection,
     keys: impl IntoIterator<Item = ChunkKey>,
     window: usize,
     from: Instant,
     end: Instant,
-) -> Result<(Vec<Duration>, usize)> {
-    let (mut waits, mut refused) = (Vec::new(), 0);
-    let mut open: FxHashMap<ChunkKey, Instant> = FxHashMap::default();
-    let note = |event: Event<'_>| match event {
-        Event::Sent(key) => _ = open.insert(key, Instant::now()),
-        Event::Received(received) => {
-            let sent = received.key().and_then(|key| open.remove(&key));
-            if Instant::now() >= from {
-                refused += usize::from(received.key().is_none());
-                waits.extend(sent.map(|sent| sent.elapsed()));
-            }
+) -> Result<Waits> {
+    let mut waits = Waits::new(from);
+    closed_loop(connection, keys, Window::OneByOne(window), Some(end), |event| waits.note(&event)).await?;
+    waits.chunks = waits.latencies.len();
+    let late = tokio::time::Instant::from(end + GRACE);
+    while !waits.open.is_empty() {
+        let receiving = connection.receive(|received| waits.note(&Event::Received(received)));
+        match tokio::time::timeout_at(late, receiving).await {
+            Ok(received) => received?,
+            Err(_) => break,
         }
-    };
-    closed_loop(connection, keys, Window::OneByOne(window), Some(end), note).await?;
-    Ok((waits, refused))
+    }
+    waits.give_up();
+    Ok(waits)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use protocol::message::{RefusalReason, Refused, ServerMessage, Welcome};
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::net::TcpListener;
 
     #[test]
     fn clients_start_evenly_spread_over_all_keys() {
@@ -181,6 +238,64 @@ mod tests {
         let first = |index| rotated(&keys, index, 4)[0].x();
         assert_eq!([0, 1, 2, 3].map(first), [0, 2, 4, 6]);
         assert_eq!(rotated(&keys, 3, 4).len(), 8);
+    }
+
+    /// A server that welcomes one client, answers its first request, refuses the second, and is silent.
+    async fn silent_server(listener: TcpListener) {
+        let (mut socket, _) = listener.accept().await.unwrap();
+        let mut bytes = vec![0; 4096];
+        // The upgrade, in one read: a client without TLS writes it at once.
+        assert!(socket.read(&mut bytes).await.unwrap() > 0);
+        let message = |message: &ServerMessage| {
+            let payload = protocol::control::encode(message).unwrap();
+            [vec![0x82, 126], (payload.len() as u16).to_be_bytes().to_vec(), payload.to_vec()].concat()
+        };
+        let welcome = ServerMessage::Welcome(Welcome {
+            session: 1,
+            world_seed: 1,
+            generator_version: 1,
+            digest: [0; 32],
+            max_credits: 1,
+            max_view_distance_m: 1,
+            software: String::new(),
+        });
+        let refused = ServerMessage::Refused(Refused {
+            id: 1,
+            key: Some(key(1).into()),
+            reason: RefusalReason::Overloaded,
+            detail: "".into(),
+        });
+        let land = terrain::Land::new(1);
+        let chunk = protocol::chunk_codec::encode(&land.chunk(key(0)), &land.digest());
+        let chunk = [vec![0x82, 126], (chunk.len() as u16).to_be_bytes().to_vec(), chunk.to_vec()].concat();
+        socket.write_all(b"HTTP/1.1 101 Switching Protocols\r\n\r\n").await.unwrap();
+        socket.write_all(&message(&welcome)).await.unwrap();
+        // Hello, and then the requests.
+        for _ in 0..2 {
+            assert!(socket.read(&mut bytes).await.unwrap() > 0);
+        }
+        socket.write_all(&[chunk, message(&refused)].concat()).await.unwrap();
+        // Until the client goes.
+        while socket.read(&mut bytes).await.is_ok_and(|count| count > 0) {}
+    }
+
+    fn key(x: i32) -> ChunkKey {
+        ChunkKey::new(0, x, 0).unwrap()
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_client_that_starves_ends_and_its_requests_count_with_their_waits() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        tokio::spawn(silent_server(listener));
+        let mut connection = Connection::connect(address).await.unwrap();
+        let start = Instant::now();
+        let end = start + Duration::from_millis(500);
+        let waits = waits(&mut connection, (0..).map(key), 4, start, end).await.unwrap();
+        assert_eq!((waits.chunks, waits.refused), (1, 1));
+        // One chunk came, one was refused, four are open.
+        let longer = waits.latencies.iter().filter(|wait| **wait >= GRACE).count();
+        assert_eq!((waits.latencies.len(), longer), (5, 4), "{:?}", waits.latencies);
     }
 
     #[test]

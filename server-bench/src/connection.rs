@@ -35,6 +35,14 @@ impl Received<'_> {
         let Self::Chunk(frame) = self else { return None };
         chunk_codec::kind_and_key(frame).ok().map(|(_, key)| key)
     }
+
+    /// The key of the request that it answers, by a chunk or by a refusal.
+    pub fn answers(&self) -> Option<ChunkKey> {
+        match self {
+            Self::Message(ServerMessage::Refused(refused)) => refused.key.and_then(|key| key.check().ok()),
+            _ => self.key(),
+        }
+    }
 }
 
 /// A session over a bare socket or TLS.

@@ -53,7 +53,8 @@ pub async fn run(plan: &Plan) -> Result<Value> {
 }
 
 struct Round {
-    /// Of the polite clients' requests; a refused one counts as the whole length of the round.
+    /// Of the polite clients' requests; a refused one counts as the whole length of the round, one
+    /// without an answer with its wait.
     p99_ms: f64,
     /// Requests of polite clients that were refused.
     polite_refused: usize,
@@ -73,10 +74,10 @@ async fn round(plan: &Plan, keys: &[ChunkKey], greedy: usize) -> Result<Round> {
         async move { waits(&mut connection, keys, window, from, end).await }
     });
     let mut outcomes = outcomes.await?;
-    let shares = outcomes.iter().map(|(latencies, _)| latencies.len() as f64).collect();
+    let shares = outcomes.iter().map(|waits| waits.chunks as f64).collect();
     outcomes.truncate(POLITE);
-    let (latencies, refused): (Vec<_>, Vec<usize>) = outcomes.into_iter().unzip();
-    let (mut all, polite_refused) = (latencies.concat(), refused.into_iter().sum());
+    let polite_refused = outcomes.iter().map(|waits| waits.refused).sum();
+    let mut all: Vec<_> = outcomes.into_iter().flat_map(|waits| waits.latencies).collect();
     all.extend(std::iter::repeat_n(Duration::from_secs(plan.seconds), polite_refused));
     Ok(Round { p99_ms: quantile_ms(all, 0.99).unwrap_or(f64::NAN), polite_refused, shares })
 }

@@ -12,7 +12,7 @@ use crate::keys::{WORLD_SEED, land_keys};
 use crate::polite::{Polite, polite};
 use crate::rounds::{Rounds, quantile_ms};
 use crate::server_process::{ServerProcess, series};
-use anyhow::{Context, Result};
+use anyhow::Result;
 use bars::Bar;
 use bars::figures::{at, least, list, ratio, worst};
 use protocol::limits::{MAX_KEYS, MAX_VIEW_ESTIMATE, MAX_VIEWPORT};
@@ -23,6 +23,8 @@ use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 use terrain::lod::{self, MAX_VIEW_DISTANCE_M};
 use terrain::{ChunkKey, Land};
+use tokio::runtime::Runtime;
+use tokio::task::JoinHandle;
 
 /// Sessions that flood.
 const SESSIONS: [usize; 3] = [4, 8, 32];
@@ -41,6 +43,13 @@ const PROBE_INTERVAL: Duration = Duration::from_millis(100);
 
 /// A probe without an answer for so long counts as lost, with this latency.
 const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Time for the server's metrics, which are no probe.
+const METRICS_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Views that the server must count a second of each session: with fewer there was no flood. Some
+/// hundred are sent; a server that pauses a session or falls behind counts fewer.
+const LEAST_VIEWS_PER_S: f64 = 1.0;
 
 /// Chunks that a teleporting session holds.
 const HELD: i32 = 4096;
@@ -144,19 +153,15 @@ async fn scenario(
     let alone = polite(server.address, first.to_vec(), POLITE_INTERVAL, Instant::now() + alone_for).await?;
 
     let end = Instant::now() + length;
-    // On a thread of its own, so that it does not delay the measured clients. It continues until
-    // the server has stopped.
-    let flooders = other_thread()?;
-    for _ in 0..sessions {
-        flooders.spawn(flood(server.address, kind, rate));
-    }
+    // It continues until the server has stopped.
+    let flood = Flood::start(server.address, kind, sessions, rate)?;
     let (probes, beside) = tokio::try_join!(
         probe(server.address, end),
         polite(server.address, second.to_vec(), POLITE_INTERVAL, end)
     )?;
-    let view_seconds = tokio::time::timeout(PROBE_TIMEOUT, server.metric(series::VIEW_SECONDS)).await;
+    let seen = flood.seen(&server).await;
     let stopped = server.process.stop(Duration::from_secs(30)).await?;
-    flooders.shutdown_background();
+    drop(flood);
 
     let lost = probes.iter().filter(|latency| **latency >= PROBE_TIMEOUT).count();
     rounds.push("probes", probes.len() as f64);
@@ -167,39 +172,96 @@ async fn scenario(
     rounds.push("polite_refused", beside.refused as f64);
     rounds.push("polite_p99_alone_ms", alone.p99_ms());
     rounds.push("polite_p99_ms", beside.p99_ms());
-    rounds.push("view_seconds", view_seconds.ok().and_then(Result::ok));
+    rounds.push("view_seconds", seen.view_seconds);
+    rounds.push("views", seen.views);
+    rounds.push("views_per_s_of_session", seen.views_per_s(sessions, length));
+    rounds.push("sessions_ended", (sessions - seen.open) as f64);
     rounds.push("stop_s", stopped.map(|time| time.as_secs_f64()));
     all_alone.extend(alone.latencies);
     Ok(())
 }
 
 /// The slowest liveness probe, milliseconds, while sessions send the largest view that the server
-/// accepts without pause.
-pub async fn slowest_probe_ms(server: &ServerProcess, sessions: usize, length: Duration) -> Result<f64> {
-    let flooders = other_thread()?;
-    for _ in 0..sessions {
-        flooders.spawn(flood(server.address, Kind::Largest, None));
-    }
+/// accepts without pause; none without a flood.
+pub async fn slowest_probe_ms(
+    server: &ServerProcess,
+    sessions: usize,
+    length: Duration,
+) -> Result<Option<f64>> {
+    let flood = Flood::start(server.address, Kind::Largest, sessions, None)?;
     let probes = probe(server.address, Instant::now() + length).await?;
-    flooders.shutdown_background();
-    quantile_ms(probes, 1.0).context("no probe was sent")
+    let took_place = flood.seen(server).await.took_place(sessions, length);
+    Ok(quantile_ms(probes, 1.0).filter(|_| took_place))
 }
 
 /// The p99 of the polite client, milliseconds, while sessions send the largest view that the server
-/// accepts without pause.
+/// accepts without pause; none without a flood.
 pub async fn flooded_p99_ms(
     server: &ServerProcess,
     sessions: usize,
     keys: &[ChunkKey],
     length: Duration,
-) -> Result<f64> {
-    let flooders = other_thread()?;
-    for _ in 0..sessions {
-        flooders.spawn(flood(server.address, Kind::Largest, None));
-    }
+) -> Result<Option<f64>> {
+    let flood = Flood::start(server.address, Kind::Largest, sessions, None)?;
     let polite = polite(server.address, keys.to_vec(), POLITE_INTERVAL, Instant::now() + length).await?;
-    flooders.shutdown_background();
-    Ok(polite.p99_ms())
+    let took_place = flood.seen(server).await.took_place(sessions, length);
+    Ok(Some(polite.p99_ms()).filter(|_| took_place))
+}
+
+/// Sessions that flood a server, on a thread of their own, so that they do not delay the measured
+/// clients. They end when this is dropped.
+struct Flood {
+    threads: Option<Runtime>,
+    sessions: Vec<JoinHandle<Result<()>>>,
+}
+
+impl Flood {
+    fn start(address: SocketAddr, kind: Kind, sessions: usize, rate: Option<u32>) -> Result<Self> {
+        let threads = other_thread()?;
+        let sessions = (0..sessions).map(|_| threads.spawn(flood(address, kind, rate))).collect();
+        Ok(Self { threads: Some(threads), sessions })
+    }
+
+    /// What there is of the flood now.
+    async fn seen(&self, server: &ServerProcess) -> Seen {
+        let open = self.sessions.iter().filter(|session| !session.is_finished()).count();
+        let [selected, superseded, refused] = series::VIEWS;
+        let names = [selected, superseded, refused, series::VIEW_SECONDS];
+        let metrics = tokio::time::timeout(METRICS_TIMEOUT, server.metrics(names)).await;
+        let metrics = metrics.ok().and_then(Result::ok);
+        let views = metrics.map(|[selected, superseded, refused, _]| selected + superseded + refused);
+        Seen { open, views, view_seconds: metrics.map(|metrics| metrics[3]) }
+    }
+}
+
+impl Drop for Flood {
+    fn drop(&mut self) {
+        // A runtime that is dropped would wait, which a task must not.
+        if let Some(threads) = self.threads.take() {
+            threads.shutdown_background();
+        }
+    }
+}
+
+/// What took place of a flood.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    /// Sessions that are still open.
+    open: usize,
+    /// Views that the server counted, whatever became of them; none if it did not say.
+    views: Option<f64>,
+    /// CPU seconds that it spent on them.
+    view_seconds: Option<f64>,
+}
+
+impl Seen {
+    fn views_per_s(self, sessions: usize, length: Duration) -> Option<f64> {
+        Some(self.views? / sessions as f64 / length.as_secs_f64())
+    }
+
+    fn took_place(self, sessions: usize, length: Duration) -> bool {
+        self.open == sessions && self.views_per_s(sessions, length) >= Some(LEAST_VIEWS_PER_S)
+    }
 }
 
 /// Probes over new connections. Returns the latency of each, [`PROBE_TIMEOUT`] without an answer.
@@ -251,7 +313,11 @@ const SCENARIOS: usize = Kind::ALL.len() * SESSIONS.len() * 2;
 pub fn bars(figures: &Value) -> Vec<Bar> {
     let scenarios = list(figures, "scenarios");
     let of = |field| scenarios.iter().map(move |scenario| at(scenario, field));
-    let whole = |figure: Option<f64>| figure.filter(|_| scenarios.len() == SCENARIOS);
+    // The control: a server that sees no views is not flooded.
+    let views = least(of("views_per_s_of_session"));
+    let ended = worst(of("sessions_ended"));
+    let took_place = views >= Some(LEAST_VIEWS_PER_S) && ended == Some(0.0);
+    let whole = |figure: Option<f64>| figure.filter(|_| took_place && scenarios.len() == SCENARIOS);
     let worst_of = |field| whole(worst(of(field)));
     let share = whole(least(of("polite_chunks_share")));
     let alone = at(figures, "polite_p99_alone_ms").unwrap_or(f64::NAN);
@@ -264,6 +330,16 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         Bar::at_most("flood: polite p99 over alone", worst_of("polite_p99_ratio"), "x", 3.0)
             .with_note(p99_note),
         Bar::at_most("flood: stop on SIGTERM", worst_of("stop_s"), "s", 10.0).with_note(worst_note),
+        Bar::at_least(
+            "flood: views a second of a session that the server counted, fewest (control)",
+            views,
+            "",
+            LEAST_VIEWS_PER_S,
+        )
+        .with_note(
+            "selected, superseded or refused; with fewer, or sessions that ended, there are no figures",
+        ),
+        Bar::none("flood: flooding sessions that ended before the measured time (control)", ended),
     ]
 }
 
@@ -276,6 +352,7 @@ mod tests {
     fn each_bar_can_be_missed_by_one_scenario() {
         let scenario = json!({
             "probe_worst_ms": 40.0, "polite_chunks_share": 0.97, "polite_p99_ratio": 1.5, "stop_s": 0.4,
+            "views_per_s_of_session": 60.0, "sessions_ended": 0.0,
         });
         let good = json!({ "scenarios": vec![scenario; SCENARIOS] });
         let bad = [
@@ -285,7 +362,34 @@ mod tests {
             ("/scenarios/7/stop_s", json!(null)),
         ];
         check(bars, &good, &bad);
-        check_absent(bars, &good, &[("", "scenarios", 4), ("/scenarios/5", "stop_s", 1)]);
+        check_absent(bars, &good, &[("", "scenarios", 6), ("/scenarios/5", "stop_s", 1)]);
         check_without_peers(bars, &good, "/scenarios", json!(list(&good, "scenarios")[1..]));
+    }
+
+    #[test]
+    fn without_a_flood_in_one_scenario_there_are_no_figures() {
+        let scenario = json!({
+            "probe_worst_ms": 40.0, "polite_chunks_share": 0.97, "polite_p99_ratio": 1.5, "stop_s": 0.4,
+            "views_per_s_of_session": 60.0, "sessions_ended": 0.0,
+        });
+        let good = json!({ "scenarios": vec![scenario; SCENARIOS] });
+        for (path, value) in [
+            ("views_per_s_of_session", json!(0.9)),
+            ("sessions_ended", json!(1)),
+            ("sessions_ended", json!(null)),
+        ] {
+            let mut figures = good.clone();
+            figures["scenarios"][9][path] = value;
+            let missed: Vec<_> = bars(&figures).into_iter().filter(Bar::is_missed).collect();
+            assert_eq!(missed.len(), 5, "{missed:#?}");
+        }
+    }
+
+    #[test]
+    fn a_flood_is_all_sessions_and_enough_views() {
+        let took_place =
+            |open, views| Seen { open, views, view_seconds: None }.took_place(4, Duration::from_secs(10));
+        assert!(took_place(4, Some(40.0)));
+        assert!(!took_place(3, Some(40.0)) && !took_place(4, Some(39.0)) && !took_place(4, None));
     }
 }

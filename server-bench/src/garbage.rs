@@ -1,6 +1,8 @@
 //! A viewer whose server sends garbage: a proxy in front of a real server spoils what passes.
 //!
-//! A viewer without a window asks for a view, gives up or draws it, and the next one begins.
+//! A viewer without a window asks for a view, gives up or draws it, and the next one begins. Beside
+//! them one viewer lives as long as the run: its sessions are cut, which it does not give a server up
+//! for, so that memory that sessions leave behind adds up.
 
 use crate::Plan;
 use crate::clients::other_thread;
@@ -9,6 +11,7 @@ use crate::server_process::{ChildProcess, ServerProcess, count_panics};
 use anyhow::{Context, Result};
 use bars::Bar;
 use bars::figures::at;
+use protocol::chunk_codec::MAGIC;
 use serde_json::{Value, json};
 use std::env::consts::EXE_SUFFIX;
 use std::net::SocketAddr;
@@ -30,11 +33,15 @@ const LEAST_SECONDS: u64 = 600;
 const LEAST_VIEW: Duration = Duration::from_secs(1);
 const MOST_VIEW: Duration = Duration::from_secs(60);
 
-/// Sessions that a run must reach: fewer show little.
+/// Sessions that a run, and the viewer that lives long, must reach: fewer show little.
 const LEAST_SESSIONS: f64 = 100.0;
 
 /// Time that the viewer may take to give up after its own time limit.
 const TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Chunks that the viewer that lives long gets, all in its first session: too few for its view, so
+/// that it never ends, and all at the start, so that chunks are no growth.
+const FIRST_CHUNKS: usize = 16;
 
 /// One byte of so many is spoilt where single bytes are.
 const SPOILT: u64 = 20_000;
@@ -58,9 +65,12 @@ enum Kind {
     NoHttp,
     /// Ends the stream in a frame.
     Cut,
+    /// Ends the stream in the first chunk, in the first session behind a few chunks.
+    CutInChunk,
 }
 
 impl Kind {
+    /// Those that most viewers meet in turn.
     const ALL: [Self; 8] = [
         Self::Nothing,
         Self::PayloadBytes,
@@ -79,13 +89,18 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let (listener, sessions) = (TcpListener::bind("127.0.0.1:0").await?, Arc::new(AtomicUsize::new(0)));
     let proxy = listener.local_addr()?;
     let threads = other_thread()?;
-    threads.spawn(accept(listener, server.address, Arc::clone(&sessions)));
+    threads.spawn(accept(listener, server.address, Arc::clone(&sessions), &Kind::ALL));
+    let (listener, cut) = (TcpListener::bind("127.0.0.1:0").await?, Arc::new(AtomicUsize::new(0)));
+    let cutting = listener.local_addr()?;
+    threads.spawn(accept(listener, server.address, Arc::clone(&cut), &[Kind::CutInChunk]));
 
     let folder = std::env::temp_dir().join(format!("tombolo-garbage-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
     let panics = Arc::new(AtomicU32::new(0));
     let (started, length) = (Instant::now(), Duration::from_secs(plan.seconds));
     let (mut peaks, mut crashes, mut complete) = (Vec::new(), 0, 0);
+    let mut long = viewer(cutting, &folder.join("long.png"), length + TIMEOUT, Arc::clone(&panics))?;
+    let mut long_rss = Vec::new();
     while started.elapsed() < length {
         let left = length.saturating_sub(started.elapsed()).clamp(LEAST_VIEW, MOST_VIEW);
         let mut viewer = viewer(proxy, &folder.join("shot.png"), left, Arc::clone(&panics))?;
@@ -95,6 +110,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
             tokio::time::sleep(SAMPLE_INTERVAL).await;
             // The process may have ended in between.
             peak = viewer.peak_rss_bytes().map_or(peak, |bytes| bytes.max(peak));
+            long_rss.extend(long.rss_bytes().ok().map(|bytes| bytes as f64));
         }
         peaks.push(peak as f64);
         // 1 is the viewer's own error; a signal, or a viewer that does not end, has no code.
@@ -105,6 +121,8 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         }
     }
     let lasted = started.elapsed().as_secs_f64();
+    // One that ended has shown nothing, whatever its code.
+    let long_lives = long.is_running();
     threads.shutdown_background();
     let _ = std::fs::remove_dir_all(folder);
     Ok(json!({
@@ -117,16 +135,19 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         "crashes": crashes,
         "rss_ratio": growth(&peaks),
         "rss_mib": peaks.last().map(|bytes| bytes / 1_048_576.0),
+        "long_lives": long_lives,
+        "long_sessions": cut.load(Ordering::Relaxed),
+        "long_rss_ratio": growth(&long_rss).filter(|_| long_lives),
+        "long_rss_mib": long_rss.last().map(|bytes| bytes / 1_048_576.0),
     }))
 }
 
-/// The mean of the last fifth of the values over that of the second fifth.
+/// The mean of the last fifth of the values over that of the second fifth; none of fewer than five.
 fn growth(samples: &[f64]) -> Option<f64> {
-    let mean = |part: usize| {
-        let fifth = samples.chunks((samples.len() / 5).max(1)).nth(part)?;
-        Some(fifth.iter().sum::<f64>() / fifth.len() as f64)
-    };
-    Some(mean(4)? / mean(1)?)
+    let fifth = samples.len() / 5;
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (second, last) = (&samples[fifth..2 * fifth], &samples[samples.len() - fifth..]);
+    (fifth > 0).then(|| mean(last) / mean(second))
 }
 
 fn viewer(
@@ -148,17 +169,23 @@ fn viewer(
     Ok(ChildProcess(child))
 }
 
-async fn accept(listener: TcpListener, server: SocketAddr, sessions: Arc<AtomicUsize>) {
+async fn accept(
+    listener: TcpListener,
+    server: SocketAddr,
+    sessions: Arc<AtomicUsize>,
+    kinds: &'static [Kind],
+) {
     while let Ok((client, _)) = listener.accept().await {
         let number = sessions.fetch_add(1, Ordering::Relaxed);
-        let kind = Kind::ALL[number % Kind::ALL.len()];
+        let kind = kinds[number % kinds.len()];
         // A session that ends is what the viewer sees.
         tokio::spawn(async move { session(client, server, kind, number as u64).await });
     }
 }
 
 async fn session(mut client: TcpStream, server: SocketAddr, kind: Kind, seed: u64) -> Result<()> {
-    let mut spoiler = Spoiler { kind, random: Random(seed), frames: 0 };
+    let chunks = if seed == 0 { FIRST_CHUNKS } else { 0 };
+    let mut spoiler = Spoiler { kind, random: Random(seed), frames: 0, chunks };
     if matches!(kind, Kind::NoHttp) {
         client.write_all(&spoiler.random_bytes(4096)).await?;
         return Ok(());
@@ -201,6 +228,8 @@ struct Spoiler {
     kind: Kind,
     random: Random,
     frames: usize,
+    /// Chunks that still pass before a cut in a chunk.
+    chunks: usize,
 }
 
 impl Spoiler {
@@ -231,6 +260,14 @@ impl Spoiler {
                 return false;
             }
             Kind::Cut => {}
+            Kind::CutInChunk if frame[start..].starts_with(&MAGIC) => {
+                let Some(left) = self.chunks.checked_sub(1) else {
+                    spoilt.truncate(begin + frame.len() / 2);
+                    return false;
+                };
+                self.chunks = left;
+            }
+            Kind::CutInChunk => {}
         }
         true
     }
@@ -253,12 +290,30 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
     let was_long = at(figures, "seconds").is_some_and(|seconds| seconds >= LEAST_SECONDS as f64)
         && at(figures, "lasted_s") >= at(figures, "seconds");
     let of = |path| at(figures, path).filter(|_| was_long);
+    let has_sessions = at(figures, "long_sessions") >= Some(LEAST_SESSIONS);
+    let long = |path| of(path).filter(|_| has_sessions);
     let failures = of("panics").zip(of("crashes")).map(|(panics, crashes)| panics + crashes);
     vec![
         Bar::none("viewers beside a garbage server, 10 min: panics, crashes, GPU errors", failures)
             .with_note("without a window; an unhandled GPU error is a panic; shorter runs have no figure"),
-        Bar::at_most("the same: most memory of a viewer, last fifth over second", of("rss_ratio"), "x", 1.05),
+        Bar::at_most(
+            "the same: most memory of a new viewer, last fifth of them over second",
+            of("rss_ratio"),
+            "x",
+            1.05,
+        )
+        .with_note("each viewer is a process of its own, so that this shows no leak of one"),
         Bar::at_least("the same: sessions", of("sessions"), "", LEAST_SESSIONS),
+        Bar::at_most(
+            "one viewer whose sessions are cut: memory, last fifth of its life over second",
+            long("long_rss_ratio"),
+            "x",
+            1.05,
+        )
+        .with_note(format!(
+            "resident memory of one process, every half second; chunks come only in its first session, and \
+             with fewer than {LEAST_SESSIONS} sessions, or if it ended, there is no figure"
+        )),
     ]
 }
 
@@ -266,7 +321,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 pub fn notes(figures: &Value) -> Vec<String> {
     let line = "Viewers beside a garbage server: {viewers:.0} viewers, {complete:.0} of them with a \
                 complete view, {sessions:.0} sessions in {lasted_s:.0} s, \
-                {rss_mib:.0} MiB in the last one.";
+                {rss_mib:.0} MiB in the last one. One viewer had {long_sessions:.0} sessions that were cut, \
+                and {long_rss_mib:.0} MiB in the end.";
     vec![bars::figures::fill(line, figures)]
 }
 
@@ -279,12 +335,16 @@ mod tests {
     fn each_bar_can_be_missed() {
         let good = json!({
             "seconds": 600, "lasted_s": 603.0, "sessions": 900, "panics": 0, "crashes": 0, "rss_ratio": 1.01,
+            "long_sessions": 900, "long_rss_ratio": 1.01,
         });
         let bad = [
             ("/panics", json!(1)),
             ("/crashes", json!(1)),
             ("/rss_ratio", json!(1.06)),
             ("/sessions", json!(99)),
+            ("/long_rss_ratio", json!(1.06)),
+            ("/long_rss_ratio", json!(null)),
+            ("/long_sessions", json!(99)),
         ];
         check(bars, &good, &bad);
         check_without_peers(bars, &good, "/lasted_s", json!(12.0));
@@ -295,7 +355,7 @@ mod tests {
         let frame: Vec<u8> =
             [0x82, 126, 0x9c, 0x40].into_iter().chain((0..40_000).map(|n| n as u8)).collect();
         let spoilt = |kind| {
-            let mut spoiler = Spoiler { kind, random: Random(1), frames: 3 };
+            let mut spoiler = Spoiler { kind, random: Random(1), frames: 3, chunks: 0 };
             let mut bytes = Vec::new();
             let goes_on = spoiler.spoil(&frame, 4, &mut bytes);
             (bytes, goes_on)
@@ -313,7 +373,7 @@ mod tests {
         assert_eq!(spoilt(Kind::RandomPayloads).0[..4], frame[..4]);
         assert_eq!(spoilt(Kind::Repeated), ([&frame[..], &frame[..]].concat(), true));
         assert!(!spoilt(Kind::RandomStream).1);
-        let mut cut = Spoiler { kind: Kind::Cut, random: Random(1), frames: 7 };
+        let mut cut = Spoiler { kind: Kind::Cut, random: Random(1), frames: 7, chunks: 0 };
         let mut bytes = Vec::new();
         assert!(!cut.spoil(&frame, 4, &mut bytes) && bytes.len() == frame.len() / 2);
     }
@@ -323,6 +383,20 @@ mod tests {
         let samples: Vec<f64> =
             (0..50).map(|n| if n < 10 { 1.0 } else { 100.0 + f64::from(n / 40) * 5.0 }).collect();
         assert!((growth(&samples).unwrap() - 1.05).abs() < 1e-9);
-        assert_eq!(growth(&[]), None);
+        // Of a count that is no multiple of five the end counts all the same.
+        let rest: Vec<f64> = (0..9).map(|n| if n < 8 { 1.0 } else { 3.0 }).collect();
+        assert_eq!((growth(&rest), growth(&[1.0; 4]), growth(&[])), (Some(3.0), None, None));
+    }
+
+    #[test]
+    fn a_cut_in_a_chunk_passes_other_frames_and_the_first_chunks() {
+        let frame = |payload: &[u8]| [&[0x82, payload.len() as u8], payload].concat();
+        let (control, chunk) = (frame(b"welcome"), frame(&[&MAGIC[..], &[1; 16]].concat()));
+        let mut cut = Spoiler { kind: Kind::CutInChunk, random: Random(1), frames: 0, chunks: 1 };
+        let mut bytes = Vec::new();
+        assert!(cut.spoil(&control, 2, &mut bytes) && cut.spoil(&chunk, 2, &mut bytes));
+        assert_eq!(bytes, [&control[..], &chunk[..]].concat());
+        assert!(!cut.spoil(&chunk, 2, &mut bytes));
+        assert_eq!(bytes.len(), control.len() + chunk.len() + chunk.len() / 2);
     }
 }

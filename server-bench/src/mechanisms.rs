@@ -63,7 +63,8 @@ struct Figure {
     unit: &'static str,
     /// Whether more is better.
     more_is_better: bool,
-    /// What a server without the mechanism must be worse by, so that it counts as having an effect.
+    /// What a server without the mechanism must be worse by, so that it counts as having an effect; of
+    /// the control what it may be better or worse by.
     least_effect: f64,
 }
 
@@ -141,9 +142,9 @@ async fn measure(
         Some(Mechanism::RateLimit) => return cpu_share(&server, cheap, length).await.map(Some),
         Some(Mechanism::Turns) => return polite_p99_ms(&server, keys, length).await,
         Some(Mechanism::Deadline) => return overloaded_p99_ms(&server, cheap, length).await,
-        Some(Mechanism::ViewTurns) => return slowest_probe_ms(&server, FLOODING, length).await.map(Some),
+        Some(Mechanism::ViewTurns) => return slowest_probe_ms(&server, FLOODING, length).await,
         Some(Mechanism::ThreadYields) => {
-            return flooded_p99_ms(&server, FLOODING, cheap, length).await.map(Some);
+            return flooded_p99_ms(&server, FLOODING, cheap, length).await;
         }
         Some(Mechanism::RefusalBackoff) => REPEATED_WINDOW,
         Some(Mechanism::FastEffort) | None => overload::WINDOW,
@@ -193,10 +194,9 @@ async fn polite_p99_ms(server: &ServerProcess, keys: &Keys, length: Duration) ->
         let window = if is_polite { POLITE_WINDOW } else { GREEDY_WINDOW };
         async move {
             let keys = own.into_iter().cycle();
-            let (mut latencies, refused) =
-                waits(&mut connection, keys, window, start, start + length).await?;
-            latencies.extend(std::iter::repeat_n(length, refused));
-            Ok(if is_polite { latencies } else { Vec::new() })
+            let mut waits = waits(&mut connection, keys, window, start, start + length).await?;
+            waits.latencies.extend(std::iter::repeat_n(length, waits.refused));
+            Ok(if is_polite { waits.latencies } else { Vec::new() })
         }
     });
     Ok(quantile_ms(latencies.await?.concat(), 0.99))
@@ -244,11 +244,14 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         let known = Mechanism::value_variants().iter().copied().map(Some).chain([None]);
         let mechanism = known.into_iter().find(|known| known.map_or(CONTROL, Mechanism::name) == measured)?;
         let Figure { name, least_effect, more_is_better, .. } = figure(mechanism);
-        let (row, effect) =
-            (format!("without {measured}: {name}, worse by"), effect(figures, more_is_better));
+        let (row, effect) = (format!("without {measured}: {name}"), effect(figures, more_is_better));
         Some(match mechanism {
-            Some(_) => Bar::at_least(row, effect, "x", least_effect),
-            None => Bar::under(format!("{row} (control)"), effect, "x", least_effect),
+            Some(_) => Bar::at_least(format!("{row}, worse by"), effect, "x", least_effect),
+            None => {
+                // In either direction: a machine that is not steady may favour any side.
+                let apart = effect.map(|effect| effect.max(1.0 / effect));
+                Bar::under(format!("{row}, apart by (control)"), apart, "x", least_effect)
+            }
         })
     };
     let rows: Vec<_> = list(figures, "mechanisms").iter().filter_map(row).collect();
@@ -285,6 +288,8 @@ mod tests {
             ("/mechanisms/2/with", json!(20_000.0)),
             // The machine was not steady: no effect of this size means anything.
             ("/mechanisms/3/without", json!(20_000.0)),
+            ("/mechanisms/3/without", json!(31_000.0)),
+            ("/mechanisms/3/with", json!(0.0)),
         ];
         for (path, value) in bad {
             let mut figures = good.clone();

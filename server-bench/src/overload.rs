@@ -13,7 +13,6 @@ use crate::server_process::ServerProcess;
 use anyhow::{Context, Result};
 use bars::Bar;
 use bars::figures::{at, fill, list};
-use protocol::message::ServerMessage;
 use rustc_hash::FxHashMap;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
@@ -64,9 +63,11 @@ const GOODPUT_DEFINITION: &str = "chunks a second at five times the capacity ove
 pub async fn run(plan: &Plan) -> Result<Value> {
     let keys = land_keys(&Land::new(WORLD_SEED), 0, CHUNKS);
     let (mut rounds, mut last, mut lowest) = (Rounds::default(), None, f64::INFINITY);
+    let mut most_unanswered = 0;
     for _ in 0..plan.rounds {
         let round = round(plan, &keys).await?;
         lowest = lowest.min(round.goodput / round.peak);
+        most_unanswered = most_unanswered.max(round.unanswered);
         rounds.push("goodput_of_peak", round.goodput / round.peak);
         // A round without refusals or without recovery has no such figure; then the run has none.
         rounds.push("refusal_p99_ms", round.refusal_p99_ms);
@@ -83,6 +84,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         "loads": last.loads,
         "peak_per_s": last.peak,
         "goodput_of_peak_worst": lowest,
+        "unanswered_worst": most_unanswered,
         "goodput_definition": GOODPUT_DEFINITION,
         "recovery_floor_ms": NORMAL_FLOORS_MS[0],
         "recovery_floor_ms_strict": NORMAL_FLOORS_MS[1],
@@ -102,6 +104,8 @@ struct Round {
     goodput: f64,
     refusal_p99_ms: Option<f64>,
     normal_p99_ms: Option<f64>,
+    /// Requests without an answer until the end of their run, at all loads.
+    unanswered: usize,
     /// One value for each of [`NORMAL_FLOORS_MS`].
     recovery_s: [Option<f64>; 2],
 }
@@ -111,12 +115,14 @@ async fn round(plan: &Plan, keys: &[ChunkKey]) -> Result<Round> {
     let length = Duration::from_secs(plan.seconds);
     let capacity = capacity(&server, keys, length).await?;
     let (mut loads, mut peak, mut normal_p99_ms, mut last) = (Vec::new(), capacity, None, None);
+    let mut unanswered = 0;
     for load in LOADS {
         let is_last = load == LOADS[LOADS.len() - 1];
         let after = if is_last { (CALM * capacity, RECOVERY) } else { (0.0, DRAIN) };
         let requests = send_at_rates(&server, keys, &[(load * capacity, length), after]).await?;
         let figures = LoadFigures::new(&requests, length);
         peak = peak.max(figures.goodput_per_s);
+        unanswered += figures.unanswered;
         if load == CALM {
             normal_p99_ms = figures.chunk_p99_ms;
         }
@@ -132,6 +138,7 @@ async fn round(plan: &Plan, keys: &[ChunkKey]) -> Result<Round> {
         goodput: figures.goodput_per_s,
         refusal_p99_ms: figures.refusal_p99_ms,
         normal_p99_ms,
+        unanswered,
         recovery_s: NORMAL_FLOORS_MS.map(recovery_s),
     })
 }
@@ -317,12 +324,8 @@ async fn send_in_bursts(
                 connection.request(burst, false).await?;
             }
             received = connection.receive(|received| {
-                let (key, is_chunk) = match &received {
-                    Received::Message(ServerMessage::Refused(refused)) => {
-                        (refused.key.and_then(|key| key.check().ok()), false)
-                    }
-                    received => (received.key(), true),
-                };
+                let is_chunk = matches!(received, Received::Chunk(_));
+                let key = received.answers();
                 if let Some(request) = key.and_then(|key| requests.get_mut(open.remove(&key)?)) {
                     let wait = started.elapsed().saturating_sub(request.due);
                     request.answer = Some(Answer { wait, is_chunk });
@@ -340,6 +343,7 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         Bar::at_least("five times the capacity: goodput over peak", of("goodput_of_peak"), "", 0.9)
             .with_note(format!("median of the rounds; {GOODPUT_DEFINITION}")),
         Bar::reported("the same, worst round", of("goodput_of_peak_worst"), ""),
+        Bar::none("requests without an answer at any load, worst round", of("unanswered_worst")),
         Bar::at_most("refusals, p99", of("refusal_p99_ms"), "ms", 10.0).with_note(format!(
             "from when each request was due; the client sends in bursts every {:.0} ms, which is part of it",
             ms(BURST)
@@ -463,17 +467,19 @@ mod tests {
     fn each_bar_can_be_missed() {
         let good = json!({
             "goodput_of_peak": 0.95, "goodput_of_peak_worst": 0.9, "refusal_p99_ms": 3.0,
-            "recovery_s": 0.1, "recovery_s_strict": 0.4,
+            "recovery_s": 0.1, "recovery_s_strict": 0.4, "unanswered_worst": 0,
             "loads": [{}, {}, {}, {}, { "load": 5.0, "refused": 1000 }],
         });
         let bad = [
             ("/goodput_of_peak", json!(0.89)),
             ("/refusal_p99_ms", json!(10.1)),
             ("/recovery_s", json!(2.1)),
+            ("/unanswered_worst", json!(1)),
             ("/loads/4/refused", json!(0)),
         ];
         check(bars, &good, &bad);
-        let absent = [("", "loads", 6), ("/loads/4", "load", 6), ("", "recovery_s", 1)];
+        let absent =
+            [("", "loads", 7), ("/loads/4", "load", 7), ("", "recovery_s", 1), ("", "unanswered_worst", 1)];
         check_absent(bars, &good, &absent);
     }
 }

@@ -36,6 +36,12 @@ pub mod series {
     pub const PENDING_JOBS: &str = "tombolo_generation_pending_jobs";
     /// CPU seconds spent on selecting views.
     pub const VIEW_SECONDS: &str = "tombolo_view_selection_busy_seconds_total";
+    /// Views by what became of them: selected, superseded by a newer one, refused.
+    pub const VIEWS: [&str; 3] = [
+        "tombolo_views_total{outcome=\"selected\"}",
+        "tombolo_views_total{outcome=\"superseded\"}",
+        "tombolo_requests_rejected_total{transport=\"websocket\",reason=\"invalid_view\"}",
+    ];
 }
 
 /// How to start a program under measurement.
@@ -213,10 +219,20 @@ impl ServerProcess {
 
     /// The value of a counter or gauge in the server's metrics. `name` includes its labels.
     pub async fn metric(&self, name: &str) -> Result<f64> {
+        Ok(self.metrics([name]).await?[0])
+    }
+
+    /// As [`ServerProcess::metric`], of several at the same time.
+    pub async fn metrics<const N: usize>(&self, names: [&str; N]) -> Result<[f64; N]> {
         let text = connection::get(self.address, "/metrics").await?;
-        text.lines()
-            .find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse().ok())
-            .with_context(|| format!("the server has no metric {name}"))
+        let mut values = [0.0; N];
+        for (value, name) in values.iter_mut().zip(names) {
+            *value = text
+                .lines()
+                .find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse().ok())
+                .with_context(|| format!("the server has no metric {name}"))?;
+        }
+        Ok(values)
     }
 }
 

@@ -35,6 +35,9 @@ const LEAST: Duration = Duration::from_secs(20);
 /// Time after the last connect in which sessions are counted: longer than the server may keep one.
 const AFTER: Duration = Duration::from_secs(14);
 
+/// Time in which the server has closed the sessions of clients that hung up.
+const HANG_UP: Duration = Duration::from_secs(1);
+
 /// Time between two looks at the number of sessions.
 const SAMPLE_INTERVAL: Duration = Duration::from_millis(100);
 
@@ -71,15 +74,19 @@ async fn round(plan: &Plan, keys: &[ChunkKey], rounds: &mut Rounds) -> Result<()
         }
         anyhow::Ok(clients)
     });
-    // The end of counting, once all are connected.
-    let until = Cell::new(None);
+    // The end of counting, once all are connected, and when the healthy clients are gone.
+    let (until, gone) = (Cell::new(None), Cell::new(None));
     let connected = async {
         let clients = connected.await.context("the dead clients failed")??;
-        until.set(Some(end.max(Instant::now() + AFTER)));
+        until.set(Some(Instant::now() + AFTER));
         Ok(clients)
     };
-    let (beside, samples, clients) =
-        tokio::try_join!(healthy(second, end), sessions(&server, &until), connected)?;
+    let beside = async {
+        let beside = healthy(second, end).await?;
+        gone.set(Some(Instant::now() + HANG_UP));
+        Ok(beside)
+    };
+    let (beside, samples, clients) = tokio::try_join!(beside, sessions(&server, &until, &gone), connected)?;
     let starts: Vec<_> = clients.iter().map(|(started, _)| *started).collect();
     let (longest, left) = longest_stay(&starts, &samples);
     rounds.push("p99_alone_ms", alone.p99_ms());
@@ -124,19 +131,32 @@ async fn never_read(index: usize, address: std::net::SocketAddr, keys: &[ChunkKe
     Ok(connection)
 }
 
-/// Times, and how many sessions of dead clients were open then.
-async fn sessions(server: &ServerProcess, until: &Cell<Option<Instant>>) -> Result<Vec<(Instant, usize)>> {
-    let mut samples = Vec::new();
+/// Times, and how many sessions of dead clients were open then: until `until`, and at least one time
+/// without the healthy clients, which are `gone` then.
+async fn sessions(
+    server: &ServerProcess,
+    until: &Cell<Option<Instant>>,
+    gone: &Cell<Option<Instant>>,
+) -> Result<Vec<(Instant, usize)>> {
+    let mut samples: Vec<(Instant, usize)> = Vec::new();
     let mut ticks = tokio::time::interval(SAMPLE_INTERVAL);
-    while until.get().is_none_or(|until| Instant::now() < until) {
+    loop {
         ticks.tick().await;
         // The time before the answer: who stays until then stays longer.
         let now = Instant::now();
         let open = server.metric(series::SESSIONS).await? as usize;
-        // Once the healthy clients have ended there are fewer than they; none are dead then.
-        samples.push((now, open.saturating_sub(HEALTHY)));
+        samples.push((now, dead(open, now, gone.get())));
+        if [until, gone].iter().all(|time| time.get().is_some_and(|time| now >= time)) {
+            return Ok(samples);
+        }
     }
-    Ok(samples)
+}
+
+/// Sessions of dead clients among the open ones at a time. The healthy ones count as open until they
+/// are gone: one less while they end, rather than one that is healthy taken for dead.
+fn dead(open: usize, now: Instant, gone: Option<Instant>) -> usize {
+    let is_alone = gone.is_some_and(|gone| now >= gone);
+    open.saturating_sub(if is_alone { 0 } else { HEALTHY })
 }
 
 /// How long the oldest of the open sessions had been open, at most over all samples, and how many
@@ -197,6 +217,15 @@ mod tests {
         ];
         check(bars, &good, &bad);
         check_without_peers(bars, &good, "/most_sessions", json!(10));
+    }
+
+    #[test]
+    fn sessions_left_after_the_healthy_clients_are_gone_are_dead() {
+        let gone = Instant::now();
+        let (before, after) = (gone.checked_sub(HANG_UP).unwrap(), gone + SAMPLE_INTERVAL);
+        assert_eq!(dead(HEALTHY + 3, before, None), 3);
+        assert_eq!(dead(HEALTHY + 3, before, Some(gone)), 3);
+        assert_eq!((dead(HEALTHY, after, Some(gone)), dead(0, after, Some(gone))), (HEALTHY, 0));
     }
 
     #[test]

@@ -139,6 +139,11 @@ impl Client {
         }
     }
 
+    /// The waits of the probes that have no answer now.
+    pub fn unanswered(&self, now: Duration) -> impl Iterator<Item = Duration> {
+        self.probes.values().map(move |since| now - *since)
+    }
+
     /// Processes a frame of the server.
     pub fn receive(&mut self, frame: &Bytes, now: Duration) -> Came {
         match self.session.receive(DataFrame::Binary(frame)) {

@@ -11,6 +11,9 @@ use std::time::{Duration, Instant};
 use terrain::constants::TOP_LEVEL;
 use terrain::{ChunkKey, Land};
 
+/// Levels of chunks.
+pub const LEVELS: usize = TOP_LEVEL as usize + 1;
+
 /// Views that are measured.
 const VIEWS: u32 = 64;
 
@@ -21,8 +24,9 @@ const REPEATS: usize = 3;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Costs {
-    /// A chunk of each level, generated and encoded; level 0 first.
-    pub chunk_us: Vec<f64>,
+    /// A chunk of each level, generated and encoded; level 0 first. A list without some levels is an
+    /// error where it is read: a guess for them would pass for a measured cost.
+    pub chunk_us: [f64; LEVELS],
     /// A chunk of level 0 in the fast encoding.
     pub fast_chunk_us: f64,
     /// The selection of a view's chunks, whose errors are known.
@@ -43,7 +47,7 @@ impl Default for Costs {
     /// a server and of the load test with 100 flying clients (docs/scale.md).
     fn default() -> Self {
         Self {
-            chunk_us: vec![
+            chunk_us: [
                 28.0, 33.0, 46.0, 77.0, 148.0, 123.0, 127.0, 126.0, 136.0, 225.0, 441.0, 1133.0, 3343.0,
                 5051.0, 7287.0, 7287.0, 3522.0,
             ],
@@ -63,7 +67,7 @@ impl Costs {
     pub fn chunk(&self, key: ChunkKey, effort: Effort) -> Duration {
         let us = match effort {
             Effort::Fast => self.fast_chunk_us,
-            Effort::Compact => self.chunk_us.get(usize::from(key.level())).copied().unwrap_or(1000.0),
+            Effort::Compact => self.chunk_us[usize::from(key.level())],
         };
         micros(us)
     }

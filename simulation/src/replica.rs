@@ -8,6 +8,7 @@ use crate::generation::{Queue, Turn, Waiting};
 use crate::processors::{Begun, Processors};
 use crate::report::Report;
 use bytes::Bytes;
+use load::session::STALL;
 use protocol::DataFrame;
 use protocol::chunk_codec::{Effort, MAGIC};
 use protocol::message::RefusalReason;
@@ -191,7 +192,19 @@ impl<'a> Replica<'a> {
             self.handle(event);
             self.begin_work();
         }
+        self.count_unanswered();
         self.report
+    }
+
+    /// Counts probes without an answer at the end, as the load test does: the latest are cut off by the
+    /// end, older ones wait for a server that is slow.
+    fn count_unanswered(&mut self) {
+        for wait in self.clients.iter().flatten().flat_map(|client| client.unanswered(self.plan.length)) {
+            self.report.unanswered += 1;
+            if wait >= STALL {
+                self.report.latency.record(wait);
+            }
+        }
     }
 
     fn at(&mut self, at: Duration, event: Event) {

@@ -24,13 +24,16 @@ pub struct Report {
     pub settled: u64,
     /// Refused requests.
     pub refused: u64,
+    /// Probes without an answer at the end.
+    pub unanswered: u64,
     /// Frames that a client rejected; 0 if the state machines agree.
     pub wrong: u64,
     /// Processor time of the replicas, seconds.
     pub processor_s: f64,
     /// Of it, the clients' work.
     pub client_s: f64,
-    /// From a request to its chunk.
+    /// From a request to its chunk. One without an answer counts with its wait if that is a second or
+    /// more, as in the load test.
     pub latency: Latencies,
     /// From a pose to the completion of its view.
     pub settling: Latencies,
@@ -51,6 +54,7 @@ pub struct Summary {
     views: u64,
     views_settled: u64,
     refused: u64,
+    unanswered: u64,
     wrong: u64,
     processor_s: f64,
     client_processor_s: f64,
@@ -72,6 +76,7 @@ impl Report {
         self.views += other.views;
         self.settled += other.settled;
         self.refused += other.refused;
+        self.unanswered += other.unanswered;
         self.wrong += other.wrong;
         self.processor_s += other.processor_s;
         self.client_s += other.client_s;
@@ -96,6 +101,7 @@ impl Report {
             views: self.views,
             views_settled: self.settled,
             refused: self.refused,
+            unanswered: self.unanswered,
             wrong: self.wrong,
             processor_s: self.processor_s,
             client_processor_s: self.client_s,

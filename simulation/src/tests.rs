@@ -1,5 +1,8 @@
 use super::*;
-use crate::costs::Costs;
+use crate::client::PROBE_PERIOD;
+use crate::config::Args;
+use crate::costs::{Costs, LEVELS};
+use clap::Parser;
 use load::path::PathKind;
 use std::time::Duration;
 
@@ -46,7 +49,7 @@ fn the_same_plan_has_the_same_trace_and_another_seed_has_not() {
 #[test]
 fn costly_work_slow_links_and_shared_processors_take_time() {
     let base = run(&plan(8, 8));
-    let costly = Costs { chunk_us: vec![20_000.0; 17], fast_chunk_us: 20_000.0, ..Costs::default() };
+    let costly = Costs { chunk_us: [20_000.0; LEVELS], fast_chunk_us: 20_000.0, ..Costs::default() };
     assert!(p50_ms(&run(&Plan { costs: costly, ..plan(8, 8) })) > p50_ms(&base));
     assert!(p50_ms(&run(&Plan { link_bytes_per_s: 2e5, ..plan(8, 8) })) > p50_ms(&base));
     let shared = run(&Plan { is_shared: true, ..plan(8, 8) });
@@ -60,6 +63,42 @@ fn costs_are_measured_and_read_back() {
     let text = serde_json::to_string(&costs).unwrap();
     assert_eq!(serde_json::from_str::<Costs>(&text).unwrap(), costs);
     assert!(serde_json::from_str::<Costs>(&text.replace("view_us", "veiw_us")).is_err());
+}
+
+#[test]
+fn a_list_of_costs_without_a_level_is_an_error_that_says_what_to_do() {
+    let file = std::env::temp_dir().join(format!("tombolo-costs-{}.json", std::process::id()));
+    let resolve = |levels: usize| {
+        let mut costs = serde_json::json!(Costs::default());
+        costs["chunk_us"] = serde_json::json!(vec![0.0; levels]);
+        std::fs::write(&file, costs.to_string()).unwrap();
+        Args::parse_from(["tombolo-simulate", "--costs", &file.to_string_lossy()]).resolve()
+    };
+    for levels in [1, LEVELS - 1, LEVELS + 1] {
+        let error = resolve(levels).unwrap_err();
+        for part in ["--costs", &*file.to_string_lossy(), &LEVELS.to_string(), "--measure-costs"] {
+            assert!(error.contains(part), "{error}");
+        }
+        assert!(!error.contains('\n'), "{error}");
+    }
+    // The control: one of each level.
+    assert!(resolve(LEVELS).unwrap().costs.chunk_us.iter().all(|us| *us == 0.0));
+    std::fs::remove_file(file).unwrap();
+}
+
+/// A server that does nothing within the run: no probe is answered.
+#[test]
+fn probes_without_an_answer_count_with_their_waits() {
+    let costs = Costs { receive_us: 60e6, ..Costs::default() };
+    let report = run(&Plan { costs, ..plan(4, 4) });
+    assert_eq!(report.chunks, 0);
+    // Those that waited for a second and more are latencies, the latest are not.
+    let latest = (Duration::from_secs(1).as_millis() / PROBE_PERIOD.as_millis()) as u64 * 4;
+    assert!(!report.latency.is_empty() && report.unanswered > report.latency.len());
+    assert!(report.unanswered - report.latency.len() <= latest, "{} unanswered", report.unanswered);
+    assert!(report.latency.quantiles().p50 >= Some(1000.0));
+    // The control: with a server that answers there are only some at the end.
+    assert!(run(&plan(4, 4)).unanswered <= latest);
 }
 
 /// Sessions keep the order of their messages where work waits for processors.

@@ -3,7 +3,7 @@
 use super::LOSSY;
 use super::baselines::{PNG16, SCAN_DELTA};
 use bars::Bar;
-use bars::figures::{at, each, fill, list, text, worst};
+use bars::figures::{at, fill, list, text, worst};
 use serde_json::Value;
 
 /// Names of our codecs.
@@ -55,13 +55,19 @@ pub fn rows(report: &Value) -> Vec<Bar> {
 
 /// All figures, for the record.
 pub fn notes(report: &Value) -> Vec<String> {
-    let codec = "{codec}: {bytes_per_sample:.3} bytes a sample, {of_entropy:.3} of the entropy; encoded in \
-                 {encode_ns*1e-3:.1} us, decoded in {decode_ns*1e-3:.1} us ({decode_gb_per_s:.2} GB/s).";
+    let codec = |row: &Value| {
+        let is_whole = row.get("decodes_whole_frame").and_then(Value::as_bool) == Some(true);
+        let decoded = if is_whole { "the whole frame decoded" } else { "decoded" };
+        let sentence = "{codec}: {bytes_per_sample:.3} bytes a sample, {of_entropy:.3} of the entropy; \
+                        encoded in {encode_ns*1e-3:.1} us, DECODED in {decode_ns*1e-3:.1} us \
+                        ({decode_gb_per_s:.2} GB/s).";
+        fill(&sentence.replace("DECODED", decoded), row)
+    };
     let entropy = "Entropy: order 0, of each chunk's plane residuals, {entropy_bytes_per_sample:.3} bytes a \
                    sample.";
     let mut notes = vec![fill(entropy, report)];
-    notes.extend(each(report, "rows", codec));
-    notes.extend(report.get("lerc").filter(|lerc| lerc.is_object()).map(|lerc| fill(codec, lerc)));
+    notes.extend(list(report, "rows").iter().map(codec));
+    notes.extend(report.get("lerc").filter(|lerc| lerc.is_object()).map(codec));
     notes
 }
 
@@ -161,5 +167,10 @@ mod tests {
         let notes = notes(&report()).join("\n");
         assert!(notes.contains("PNG, 16 bits") && notes.contains("1.800 of the entropy"), "{notes}");
         assert_eq!(notes.lines().count(), 7);
+        assert!(!notes.contains("whole frame"), "{notes}");
+        let mut whole = report();
+        whole["rows"][0]["decodes_whole_frame"] = json!(true);
+        let notes = super::notes(&whole);
+        assert_eq!(notes.iter().filter(|note| note.contains("the whole frame decoded in")).count(), 1);
     }
 }

@@ -42,7 +42,10 @@ impl fmt::Display for Report {
                 ),
             ),
             ("data", format!("{megabytes:.1} MB ({:.2} MB/s)", rate(megabytes, self.seconds))),
-            ("views settled", self.views_settled.to_string()),
+            (
+                "views settled",
+                format!("{} ({} checked for missing chunks)", self.views_settled, self.views_checked),
+            ),
             ("unchanged", self.counts.not_modified.to_string()),
             ("requests", requests),
             ("latency", format!("{}, in ms", self.measures)),
@@ -150,6 +153,7 @@ mod tests {
         let table = report(0, 0).to_string();
         assert!(table.contains("1 (0 a second)") && table.contains("MB/s"), "{table}");
         assert!(table.contains("latency p99.9  - ms"), "no answer is not zero: {table}");
+        assert!(table.contains("0 (0 checked for missing chunks)"), "{table}");
         assert!(table.contains("fixed intervals") && !table.contains("part"), "{table}");
     }
 

@@ -1,6 +1,7 @@
 //! `audit`: what can be counted of the honesty of figures and checks.
 //!
-//! Figures of other measurements come from their newest records; a record without a row misses it.
+//! Figures of other measurements come from the records of their newest date, the worst of its machines;
+//! a record without a row misses it.
 
 use super::run::Run;
 use crate::ci::rehearsal;
@@ -8,7 +9,7 @@ use crate::process;
 use crate::records::{self, record::Record};
 use crate::source::Files;
 use anyhow::{Context, Result, bail};
-use bars::{Bar, Limit};
+use bars::{Bar, Limit, figures};
 use toml::{Table, Value};
 
 /// The table of findings.
@@ -96,38 +97,48 @@ impl NearMisses {
     }
 }
 
-/// The newest record of a measurement on any machine; an empty one if there is none.
-fn newest(name: &str) -> Result<Record> {
-    let records = records::of(name)?;
-    Ok(records.into_iter().max_by(|one, other| one.path.cmp(&other.path)).unwrap_or_default())
+/// The newest records of a measurement: those of all machines of the newest date.
+fn newest(name: &str) -> Result<Vec<Record>> {
+    Ok(of_the_newest_date(records::of(name)?))
 }
 
-/// Rows that other measurements have recorded, judged here.
-fn recorded(streaming: &Record, culling: &Record) -> Vec<Bar> {
+/// The records of the newest date.
+fn of_the_newest_date(mut records: Vec<Record>) -> Vec<Record> {
+    let newest = records.iter().map(|record| record.date().to_owned()).max().unwrap_or_default();
+    records.retain(|record| record.date() == newest);
+    records
+}
+
+/// Rows that other measurements have recorded, judged here by the worst of the machines. A machine
+/// without the row leaves no figure.
+fn recorded(streaming: &[Record], culling: &[Record]) -> Vec<Bar> {
+    let lowest = |records: &[Record], what: &str| figures::least(records.iter().map(|one| number(one, what)));
+    let highest =
+        |records: &[Record], what: &str| figures::worst(records.iter().map(|one| number(one, what)));
     let least =
         |what: &str, figure, unit: &'static str, limit| Bar::new(what, figure, unit, Limit::AtLeast(limit));
     vec![
         least(
             "whole-frame decode, cached level, one thread",
-            number(streaming, "whole frame to verified chunk, cached level"),
+            lowest(streaming, "whole frame to verified chunk, cached level"),
             "GB/s",
             1.2,
         ),
         least(
             "whole-frame decode, hot level, one thread",
-            number(streaming, "whole frame to verified chunk, hot level"),
+            lowest(streaming, "whole frame to verified chunk, hot level"),
             "GB/s",
             3.0,
         ),
         at_most(
             "chunks of hidden grass that survive the chunk and block stage",
-            number(culling, "hidden chunks of grass that survive the chunk and block tests"),
+            highest(culling, "hidden chunks of grass that survive the chunk and block tests"),
             "%",
             20.0,
         ),
         least(
             "goodput at five times capacity over the best rate ever shown, worst round",
-            number(streaming, "five times the capacity: goodput over peak, worst round"),
+            lowest(streaming, "five times the capacity: goodput over peak, worst round"),
             "",
             0.85,
         ),
@@ -249,14 +260,31 @@ mod tests {
             ])
         };
         let culling = record(&[("hidden chunks of grass that survive the chunk and block tests", "19 %")]);
-        let missed =
-            |streaming: &Record| recorded(streaming, &culling).iter().filter(|b| b.is_missed()).count();
+        let culling = [culling];
+        let missed_by =
+            |streaming: &[Record]| recorded(streaming, &culling).iter().filter(|b| b.is_missed()).count();
+        let missed = |streaming: &Record| missed_by(std::slice::from_ref(streaming));
         assert_eq!(missed(&streaming("3.1 GB/s", "0.86")), 0);
         assert_eq!(missed(&streaming("2.9 GB/s", "0.86")), 1);
         assert_eq!(missed(&streaming("3.1 GB/s", "0.84")), 1);
         assert_eq!(missed(&streaming("missing", "0.84")), 2);
-        let none = Record::default();
-        assert_eq!(recorded(&none, &none).iter().filter(|bar| bar.is_missed()).count(), 4);
+        // Of two machines the worse one counts, and one without the row leaves no figure.
+        let (good, bad) = (streaming("3.1 GB/s", "0.86"), streaming("2.9 GB/s", "0.84"));
+        assert_eq!(missed_by(&[good.clone(), good.clone()]), 0);
+        assert_eq!((missed_by(&[good.clone(), bad.clone()]), missed_by(&[bad, good.clone()])), (2, 2));
+        assert_eq!(missed_by(&[good, Record::default()]), 3);
+        for none in [&[][..], &[Record::default()]] {
+            assert_eq!(recorded(none, none).iter().filter(|bar| bar.is_missed()).count(), 4);
+        }
+    }
+
+    #[test]
+    fn the_newest_records_are_those_of_one_date_whatever_the_machine() {
+        let at = |folder: &str| Record::parse(&format!("docs/measurements/{folder}/x.md"), "");
+        let (b, z) = (at("2026-11-25-b-cpu"), at("2026-11-25-z-cpu"));
+        let records = vec![at("2026-11-24-zz-cpu"), z.clone(), b.clone()];
+        assert_eq!(of_the_newest_date(records), [z, b]);
+        assert_eq!(of_the_newest_date(Vec::new()), []);
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! `fuzz`: every decoder under libFuzzer, a search by coverage.
 //!
 //! The targets are those of the package `fuzz`, built by cargo-fuzz. They start from the valid inputs
-//! of `entry-points`. Hours; `TOMBOLO_FUZZ_TARGETS` selects targets by their names, with commas
+//! of `entry-points` and from what earlier runs left in `target/fuzz/corpus`: what one run found, the
+//! next need not find again. Hours; `TOMBOLO_FUZZ_TARGETS` selects targets by their names, with commas
 //! between them, and `TOMBOLO_FUZZ_SECONDS` limits each one's time. What then falls short of the
 //! executions misses its bar.
 
@@ -91,7 +92,8 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     found.sort_by_key(|one| TARGETS.iter().position(|(target, _)| *target == one.target));
     run.notes.push(
         "libFuzzer through cargo-fuzz without a sanitizer, release build with debug assertions; each \
-         target starts from the valid inputs of its entry point."
+         target starts from the valid inputs of its entry point and from the inputs that earlier runs on \
+         this machine found; the one with the planted fault starts from nothing."
             .into(),
     );
     Ok(bars_of(&planted, &found))

@@ -1,6 +1,7 @@
 //! The dated record of a measurement: what it ran on, the command, the figures.
 
 use super::runs::{self, Runs};
+use crate::records::record::FOLDER;
 use crate::{machine, process};
 use anyhow::{Context, Result};
 use bars::{Bar, Figure};
@@ -22,8 +23,9 @@ pub struct Heading<'a> {
 /// Writes the record and returns its path.
 ///
 /// From a clean commit the run is appended to `docs/measurements/<date>-<machine>/runs.csv`, and
-/// the record `<name>.md` beside it shows the median of the runs of that commit. From a changed
-/// working tree a draft is written under `target/measure`, which no document may quote.
+/// the record `<name>.md` beside it shows the median of the runs of that commit on this machine, on
+/// any day. From a changed working tree a draft is written under `target/measure`, which no document
+/// may quote.
 ///
 /// # Errors
 /// The date is not known or a file cannot be written.
@@ -32,16 +34,19 @@ pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
     let machine = machine::Machine::here();
     let date = machine::today()?;
     let commit = machine::commit();
+    let days = process::root().join(FOLDER);
     let folder = if commit.is_clean {
-        process::root().join("docs/measurements").join(format!("{date}-{}", machine.slug()))
+        days.join(format!("{date}-{}", machine.slug()))
     } else {
         process::target().join("measure/drafts")
     };
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
     let runs = if commit.is_clean {
-        let path = folder.join("runs.csv");
+        let path = folder.join(runs::FILE);
         runs::append(&path, heading.name, &commit.hash, rows)
-            .with_context(|| format!("cannot append to {}", path.display()))?
+            .with_context(|| format!("cannot append to {}", path.display()))?;
+        Runs::of_machine(&days, &machine.slug(), heading.name, &commit.hash)
+            .with_context(|| format!("cannot read the runs in {}", days.display()))?
     } else {
         println!("measure: the working tree differs from its commit; this record is a draft");
         Runs::default()
@@ -105,9 +110,11 @@ fn page(
                 (figure.clone(), String::new(), format!("{} of 1", u32::from(row.is_met())))
             }
             // A run without a figure leaves none: it cannot be outvoted.
-            (_, figures) => {
-                (spread.median().into(), spread.range(), format!("{} of {}", spread.kept, figures.len()))
-            }
+            (_, figures) => (
+                spread.median(row.limit).into(),
+                spread.range(),
+                format!("{} of {}", spread.kept, figures.len()),
+            ),
         };
         let median = Bar { figure, ..row.clone() };
         let _ = writeln!(page, "| {} | {} | {range} | {kept} |", cell(&row.name), median.cells().join(" | "));
@@ -145,15 +152,17 @@ mod tests {
             Bar::new("time", Some(1.0), "s", Limit::Under(3.0)),
             Bar::under("on a GPU", None, "ms", 2.0).not_measured_if(true, "needs a GPU"),
         ];
-        let path = std::env::temp_dir().join(format!("tombolo-record-{}.csv", std::process::id()));
-        let _ = std::fs::remove_file(&path);
+        let days = std::env::temp_dir().join(format!("tombolo-record-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&days);
+        std::fs::create_dir_all(days.join("2026-01-02-cpu")).unwrap();
         let mut pages = Vec::new();
         for figure in [Some(1.0), Some(2.5), Some(9.0), None] {
             let run = [Bar { figure: figure.into(), ..rows[0].clone() }, rows[1].clone()];
-            let runs = runs::append(&path, "x", "abc", &run).unwrap();
+            runs::append(&days.join("2026-01-02-cpu").join(runs::FILE), "x", "abc", &run).unwrap();
+            let runs = Runs::of_machine(&days, "cpu", "x", "abc").unwrap();
             pages.push(page(&heading, &rows, &runs, &machine, "2026-01-02", &commit));
         }
-        std::fs::remove_file(&path).unwrap();
+        std::fs::remove_dir_all(&days).unwrap();
         assert!(
             pages[2].contains("| time | 2.500 s | under 3 s | ok | 1.000 to 9.000 | 2 of 3 |"),
             "{}",

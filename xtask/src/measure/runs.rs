@@ -1,8 +1,14 @@
 //! Every run of a measurement, in one CSV file a day and machine. A record cannot choose its run.
 
-use bars::{Bar, Figure};
+use bars::{Bar, Figure, Limit};
 use std::io::Write;
 use std::path::Path;
+
+/// Name of the file in the folder of a day and machine.
+pub const FILE: &str = "runs.csv";
+
+/// Length of the date at the start of a folder's name, and of the hyphen behind it.
+const DATE: usize = "2026-01-02-".len();
 
 /// Columns of the file.
 const HEADER: &str = "name,commit,what,figure,unit,bar,met";
@@ -29,11 +35,11 @@ pub struct Spread {
     pub kept: usize,
 }
 
-/// Appends a run and returns all runs of the same measurement and commit.
+/// Appends a run.
 ///
 /// # Errors
-/// The file cannot be read or written.
-pub fn append(path: &Path, name: &str, commit: &str, rows: &[Bar]) -> std::io::Result<Runs> {
+/// The file cannot be written.
+pub fn append(path: &Path, name: &str, commit: &str, rows: &[Bar]) -> std::io::Result<()> {
     let is_new = !path.exists();
     let mut file = std::fs::OpenOptions::new().append(true).create(true).open(path)?;
     if is_new {
@@ -49,10 +55,29 @@ pub fn append(path: &Path, name: &str, commit: &str, rows: &[Bar]) -> std::io::R
             [name, commit, &row.name, &figure, &row.unit, &bar, if row.is_met() { "yes" } else { "no" }];
         writeln!(file, "{}", fields.map(quoted).join(","))?;
     }
-    Ok(Runs::read(&std::fs::read_to_string(path)?, name, commit))
+    Ok(())
 }
 
 impl Runs {
+    /// The runs of a measurement and commit on every day of a machine, in the order of the days.
+    ///
+    /// # Errors
+    /// The folder of all days or a file cannot be read.
+    pub fn of_machine(folder: &Path, machine: &str, name: &str, commit: &str) -> std::io::Result<Self> {
+        let days: Vec<_> = std::fs::read_dir(folder)?.collect::<Result<_, _>>()?;
+        let is_own = |day: &std::fs::DirEntry| {
+            day.file_name().to_str().and_then(|day| day.get(DATE..)) == Some(machine)
+        };
+        let days = days.into_iter().filter(is_own);
+        let mut files: Vec<_> = days.map(|day| day.path().join(FILE)).filter(|file| file.exists()).collect();
+        files.sort();
+        let mut runs = Self::default();
+        for file in files {
+            runs.rows.extend(Self::read(&std::fs::read_to_string(file)?, name, commit).rows);
+        }
+        Ok(runs)
+    }
+
     fn read(text: &str, name: &str, commit: &str) -> Self {
         let rows = text.lines().skip(1).map(fields).filter(|fields| fields.len() == 7);
         let rows = rows.filter(|fields| fields[0] == name && fields[1] == commit).map(|fields| Stored {
@@ -80,14 +105,19 @@ impl Runs {
 }
 
 impl Spread {
-    /// The middle figure, the lower one of two; none if a run has none.
-    pub fn median(&self) -> Option<f64> {
+    /// The middle figure; none if a run has none. Of two middle ones the worse by the limit: the
+    /// better one would let a bar be kept by the best of two runs. Without a bar the larger one.
+    pub fn median(&self, limit: Limit) -> Option<f64> {
         let mut figures = self.figures.clone();
         if figures.is_empty() || figures.iter().any(|figure| figure.is_nan()) {
             return None;
         }
         figures.sort_by(f64::total_cmp);
-        Some(figures[(figures.len() - 1) / 2])
+        let lower = (figures.len() - 1) / 2;
+        Some(match limit {
+            Limit::AtLeast(_) => figures[lower],
+            Limit::Under(_) | Limit::AtMost(_) | Limit::Reported => figures[figures.len() / 2],
+        })
     }
 
     /// Least and largest figure.
@@ -128,32 +158,74 @@ fn fields(line: &str) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use bars::Limit;
 
     #[test]
     fn every_run_is_kept_and_the_median_is_of_all_of_them() {
         let path = std::env::temp_dir().join(format!("tombolo-runs-{}.csv", std::process::id()));
         let _ = std::fs::remove_file(&path);
-        let row = |figure| [Bar::new("time, \"p99\"", Some(figure), "s", Limit::Under(3.0))];
+        let limit = Limit::Under(3.0);
+        let row = |figure| [Bar::new("time, \"p99\"", Some(figure), "s", limit)];
         append(&path, "other", "abc", &row(100.0)).unwrap();
         append(&path, "x", "old", &row(100.0)).unwrap();
-        for figure in [1.0, 9.0, 2.0] {
+        for figure in [1.0, 9.0, 2.0, 4.0] {
             append(&path, "x", "abc", &row(figure)).unwrap();
         }
-        let runs = append(&path, "x", "abc", &row(4.0)).unwrap();
+        let runs = Runs::read(&std::fs::read_to_string(&path).unwrap(), "x", "abc");
         std::fs::remove_file(&path).unwrap();
         let spread = runs.of("time, \"p99\"");
         assert_eq!(spread, Spread { figures: vec![1.0, 9.0, 2.0, 4.0], kept: 2 });
         assert_eq!(
-            (runs.count(), spread.median(), spread.range().as_str()),
-            (4, Some(2.0), "1.000 to 9.000")
+            (runs.count(), spread.median(limit), spread.range().as_str()),
+            (4, Some(4.0), "1.000 to 9.000")
         );
+    }
+
+    #[test]
+    fn of_two_middle_figures_the_worse_one_counts() {
+        let spread = |figures: &[f64]| Spread { figures: figures.into(), kept: 0 };
+        let two = spread(&[7.0, 5.0]);
+        for limit in [Limit::Under(6.0), Limit::AtMost(6.0), Limit::Reported] {
+            assert_eq!(two.median(limit), Some(7.0), "{limit:?}");
+        }
+        assert_eq!(two.median(Limit::AtLeast(6.0)), Some(5.0));
+        // The control: the middle one of three is the same whatever the limit.
+        let three = spread(&[7.0, 5.0, 6.0]);
+        assert_eq!(
+            [Limit::AtMost(6.0), Limit::AtLeast(6.0)].map(|limit| three.median(limit)),
+            [Some(6.0); 2]
+        );
+    }
+
+    #[test]
+    fn runs_of_a_commit_on_earlier_days_count_and_those_of_other_machines_do_not() {
+        let folder = std::env::temp_dir().join(format!("tombolo-days-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&folder);
+        let days = [
+            ("2026-01-02-cpu-2-cores", 1.0),
+            ("2026-01-04-cpu-2-cores", 3.0),
+            ("2026-01-03-cpu-2-cores", 2.0),
+            ("2026-01-03-other-cpu-2-cores", 9.0),
+            ("2026-01-03-cpu-2-cores-x", 9.0),
+        ];
+        for (day, figure) in days {
+            std::fs::create_dir_all(folder.join(day)).unwrap();
+            let row = Bar::reported("time", Some(figure), "s");
+            append(&folder.join(day).join(FILE), "x", "abc", &[row]).unwrap();
+        }
+        // A day without runs, and a file among the days.
+        std::fs::create_dir_all(folder.join("2026-01-05-cpu-2-cores")).unwrap();
+        std::fs::write(folder.join("README.md"), "").unwrap();
+        let runs = |commit| Runs::of_machine(&folder, "cpu-2-cores", "x", commit).unwrap();
+        assert_eq!(runs("abc").of("time").figures, [1.0, 2.0, 3.0]);
+        assert!(runs("old").of("time").figures.is_empty());
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]
     fn a_run_without_a_figure_leaves_no_median() {
         let text = format!("{HEADER}\nx,abc,a,1,s,b,yes\nx,abc,a,,s,b,no\n");
         let spread = Runs::read(&text, "x", "abc").of("a");
-        assert_eq!((spread.median(), spread.kept, spread.figures.len()), (None, 1, 2));
+        let median = spread.median(Limit::Under(3.0));
+        assert_eq!((median, spread.kept, spread.figures.len()), (None, 1, 2));
     }
 }

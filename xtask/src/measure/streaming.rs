@@ -109,7 +109,7 @@ fn how(has_separate_cores: bool) -> String {
         "`tombolo-server-bench NAME --rounds {ROUNDS} --seconds {SECONDS}`, {cores}; figures are medians \
          of the rounds, except counts and memory, which are measured once. `tombolo-lab codec` for the \
          codecs: level-0 chunks with land, the median of 25 interleaved turns of each chunk. Rates of \
-         decoding are bytes of u16 heights; heights alone are decoded into existing memory, without \
-         digest, grass and pyramids, which a whole frame includes."
+         decoding are bytes of u16 heights; ours decode heights alone into existing memory, without digest, \
+         grass and pyramids, which a whole frame includes; other codecs return memory of their own."
     )
 }

@@ -5,6 +5,9 @@ use std::collections::BTreeMap;
 /// The folder of all records.
 pub const FOLDER: &str = "docs/measurements/";
 
+/// Length of a date.
+const DATE: usize = "2026-01-02".len();
+
 /// A record of one measurement on one machine.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Record {
@@ -66,6 +69,11 @@ impl Record {
             }
         }
         record
+    }
+
+    /// The date, with which the name of its folder begins; empty for a path of no record.
+    pub fn date(&self) -> &str {
+        self.path.strip_prefix(FOLDER).and_then(|rest| rest.get(..DATE)).unwrap_or_default()
     }
 
     /// A fact; empty if the record does not state it.

@@ -8,7 +8,13 @@
 use crate::process;
 use anyhow::Result;
 
-/// What each measurement measures: paths from the root. Tests and documents in them do not count.
+/// What decides the figures of every measurement: the bars and figures of reports, and the median of
+/// the runs. `xtask/src/measure/mod.rs` is left out, though it has the sample sizes of the
+/// measurements by the lab: every new measurement changes it.
+const COMMON: [&str; 2] = ["bars", "xtask/src/measure/runs.rs"];
+
+/// What each measurement measures beside [`COMMON`]: paths from the root. Tests and documents in them
+/// do not count.
 const MEASURED: [(&str, &[&str]); 14] = [
     ("code", &["*.rs", "*.wesl", "*.md"]),
     (
@@ -17,7 +23,13 @@ const MEASURED: [(&str, &[&str]); 14] = [
             "terrain",
             "lab/src/digest",
             "lab/src/timings.rs",
+            "lab/src/stats.rs",
+            "lab/src/adapters.rs",
+            "lab/src/probe_pass.rs",
+            "lab/src/gpu_probes/fill.rs",
+            "lab/src/codec/samples.rs",
             "benches/noise-comparison",
+            "xtask/src/measure/heightfield.rs",
             "shaders/build.rs",
             "shaders/wgsl/probe_heights.wesl",
             "shaders/wgsl/probe_heights_float.wesl",
@@ -47,11 +59,30 @@ const MEASURED: [(&str, &[&str]); 14] = [
             "lab/src/land.rs",
             "lab/src/stability",
             "lab/src/stability.rs",
+            "lab/src/floats.rs",
+            "lab/src/reference_f64",
+            "lab/src/reference_f64.rs",
+            "lab/src/sample.rs",
+            "lab/src/stats.rs",
             "benches/land-comparison",
             "benches/noise-comparison/src/rounds.rs",
+            "xtask/src/measure/land.rs",
         ],
     ),
-    ("end-to-end", &["terrain", "protocol", "shaders", "server", "client", "load", "tls-client", "cli"]),
+    (
+        "end-to-end",
+        &[
+            "terrain",
+            "protocol",
+            "shaders",
+            "server",
+            "client",
+            "load",
+            "tls-client",
+            "cli",
+            "xtask/src/measure/end_to_end.rs",
+        ],
+    ),
     (
         "streaming",
         &[
@@ -61,14 +92,42 @@ const MEASURED: [(&str, &[&str]); 14] = [
             "load",
             "server-bench",
             "tls-client",
+            "test-support",
             "lab/src/codec",
             "lab/src/codec.rs",
+            "lab/src/stats.rs",
             "benches/lerc",
+            "xtask/src/measure/streaming.rs",
         ],
     ),
-    ("fuzz", &["terrain", "protocol", "server", "entry-points", "fuzz"]),
-    ("mutants", &["terrain", "protocol", "server/src/limits", "server/src/session", "server/src/cache"]),
-    ("resilience", &["terrain", "protocol", "server", "server-bench", "tls-client", "client", "shaders"]),
+    ("fuzz", &["terrain", "protocol", "server", "entry-points", "fuzz", "xtask/src/measure/fuzz.rs"]),
+    (
+        "mutants",
+        &[
+            "terrain",
+            "protocol",
+            "server/src/limits",
+            "server/src/session",
+            "server/src/cache",
+            "xtask/src/measure/mutants.rs",
+        ],
+    ),
+    (
+        "resilience",
+        &[
+            "terrain",
+            "protocol",
+            "server",
+            "server-bench",
+            "tls-client",
+            "test-support",
+            "client",
+            "shaders",
+            "xtask/src/measure/resilience.rs",
+            // The cores and the command of a benchmark.
+            "xtask/src/measure/streaming.rs",
+        ],
+    ),
     (
         "cluster",
         &[
@@ -79,14 +138,73 @@ const MEASURED: [(&str, &[&str]); 14] = [
             "tls-client",
             "simulation",
             "xtask/src/cluster",
+            "xtask/src/measure/cluster.rs",
             "deploy/nginx",
             "deploy/prometheus",
         ],
     ),
-    ("terrain", &["terrain", "shaders", "client", "lab/src/lod", "lab/src/lod.rs", "lab/src/cracks.rs"]),
-    ("visual", &["terrain", "shaders", "client", "lab/src/visual", "lab/src/visual.rs", "lab/src/flip.rs"]),
-    ("pom", &["shaders", "client/src/features", "lab/src/pom", "lab/src/pom.rs"]),
-    ("culling", &["terrain", "shaders", "client", "lab/src/culling", "lab/src/culling.rs"]),
+    (
+        "terrain",
+        &[
+            "terrain",
+            "shaders",
+            "client",
+            "lab/src/lod",
+            "lab/src/lod.rs",
+            "lab/src/cracks.rs",
+            "lab/src/headless_renderer.rs",
+            "lab/src/places.rs",
+            "lab/src/sample.rs",
+            "lab/src/stats.rs",
+            "lab/src/world_builder.rs",
+        ],
+    ),
+    (
+        "visual",
+        &[
+            "terrain",
+            "shaders",
+            "client",
+            "lab/src/visual",
+            "lab/src/visual.rs",
+            "lab/src/cracks.rs",
+            "lab/src/flip.rs",
+            "lab/src/headless_renderer.rs",
+            "lab/src/lod/screen.rs",
+            "lab/src/pom/renderer.rs",
+            "lab/src/sample.rs",
+            "lab/src/stats.rs",
+            "lab/src/supersampled.rs",
+            "lab/src/tree_shadow.rs",
+            "lab/src/world_builder.rs",
+        ],
+    ),
+    (
+        "pom",
+        &[
+            "shaders",
+            "client/src/features",
+            "lab/src/pom",
+            "lab/src/pom.rs",
+            "lab/src/probe_pass.rs",
+            "lab/src/sample.rs",
+            "lab/src/stats.rs",
+        ],
+    ),
+    (
+        "culling",
+        &[
+            "terrain",
+            "shaders",
+            "client",
+            "lab/src/culling",
+            "lab/src/culling.rs",
+            "lab/src/gpu_probes/cpu_cull.rs",
+            "lab/src/headless_renderer.rs",
+            "lab/src/lod/drawn.rs",
+            "lab/src/stats.rs",
+        ],
+    ),
     // The page that generated figures stand on measures nothing itself.
     ("audit", &["docs/measurements", "README.md", "xtask"]),
 ];
@@ -101,8 +219,16 @@ const WITHOUT_COMPILER: [&str; 2] = ["code", "audit"];
 pub fn measured(name: &str) -> Option<Vec<&'static str>> {
     let (_, paths) = MEASURED.into_iter().find(|(known, _)| *known == name)?;
     let compiler = (!WITHOUT_COMPILER.contains(&name)).then_some(COMPILER);
-    Some(paths.iter().copied().chain(compiler).collect())
+    Some(paths.iter().copied().chain(COMMON).chain(compiler).collect())
 }
+
+/// Files among the measured paths that decide no figure, as pathspecs of git.
+const NO_FIGURES: [&str; 4] = [
+    ":(exclude,glob)**/tests/**",
+    ":(exclude,glob)**/tests.rs",
+    ":(exclude,glob)**/README.md",
+    ":(exclude)docs/measurements",
+];
 
 /// Why the age of no record is known: a shallow clone lacks their commits. None in a full clone.
 pub fn lacks_history() -> Option<String> {
@@ -133,12 +259,7 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
         return Some(format!("its commit `{commit}` does not exist"));
     }
     let mut diff = git(&["diff", "--name-only", commit, "--"]);
-    diff.args(paths).args([
-        ":(exclude,glob)**/tests/**",
-        ":(exclude,glob)**/tests.rs",
-        ":(exclude,glob)**/README.md",
-        ":(exclude)docs/measurements",
-    ]);
+    diff.args(paths).args(NO_FIGURES);
     match process::output(diff) {
         Ok(changed) if changed.trim().is_empty() => None,
         Ok(changed) => Some(format!("{} measured files changed since", changed.lines().count())),
@@ -147,86 +268,4 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::collections::BTreeSet;
-
-    #[test]
-    fn every_measured_path_exists() {
-        for (name, _) in MEASURED {
-            for path in measured(name).unwrap().iter().filter(|path| !path.contains('*')) {
-                assert!(process::root().join(path).exists(), "{name}: {path}");
-            }
-        }
-    }
-
-    #[test]
-    fn every_measurement_of_programs_ages_with_the_compiler() {
-        for (name, _) in MEASURED {
-            let ages = measured(name).unwrap().contains(&COMPILER);
-            assert_eq!(ages, !["code", "audit"].contains(&name), "{name}");
-        }
-    }
-
-    #[test]
-    fn clients_age_with_what_opens_their_connections() {
-        for (name, paths) in MEASURED {
-            let has = |path: &str| paths.contains(&path);
-            assert!(has("tls-client") || !has("load") && !has("server-bench"), "{name}");
-        }
-    }
-
-    #[test]
-    fn only_a_full_clone_has_the_commits_of_the_records() {
-        assert_eq!(why_shallow(Ok("false\n".into())), None);
-        assert!(why_shallow(Ok("true\n".into())).is_some_and(|why| why.contains("--unshallow")));
-        assert!(why_shallow(Err(anyhow::anyhow!("no git"))).is_some_and(|why| why == "no git"));
-    }
-
-    /// The shared modules that a shader imports, directly or not.
-    fn imported(shader: &str, found: &mut BTreeSet<String>) {
-        let text = std::fs::read_to_string(process::root().join(shader)).unwrap();
-        for line in text.lines().filter_map(|line| line.strip_prefix("import package::shared::")) {
-            let module = line.split("::").next().unwrap();
-            // The constants are written by the build.
-            let path = format!("shaders/wgsl/shared/{module}.wesl");
-            if module != "constants" && found.insert(path.clone()) {
-                imported(&path, found);
-            }
-        }
-    }
-
-    #[test]
-    fn the_measured_height_shaders_are_listed_with_all_that_they_import() {
-        let passes = ["shaders/wgsl/probe_heights.wesl", "shaders/wgsl/probe_heights_float.wesl"];
-        let mut found = BTreeSet::from(passes.map(String::from));
-        for pass in passes {
-            imported(pass, &mut found);
-        }
-        let paths = measured("heightfield").unwrap().into_iter().map(String::from);
-        let listed: BTreeSet<String> = paths.filter(|path| path.ends_with(".wesl")).collect();
-        assert_eq!(listed, found);
-    }
-
-    #[test]
-    fn a_commit_that_does_not_exist_and_an_unknown_measurement_are_stale() {
-        for (name, commit) in [("streaming", "0000000000"), ("streaming", ""), ("nothing", "HEAD")] {
-            assert!(reason(name, commit).is_some(), "{name} {commit}");
-        }
-    }
-
-    #[test]
-    fn the_first_commit_is_stale_for_every_measurement() {
-        if let Some(why) = lacks_history() {
-            eprintln!("skipped: {why}");
-            return;
-        }
-        let mut first = process::command("git");
-        first.args(["rev-list", "--max-parents=0", "HEAD"]);
-        let first = process::output(first).unwrap();
-        let first = first.lines().next().unwrap();
-        for (name, _) in MEASURED {
-            assert!(reason(name, first).is_some(), "{name}");
-        }
-    }
-}
+mod tests;
