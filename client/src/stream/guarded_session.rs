@@ -17,6 +17,7 @@ use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::message::{RefusalReason, Refused, WireKey};
 use protocol::view::View;
 use protocol::{ChunkError, DataFrame, PeerFault};
+use std::collections::BTreeSet;
 use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
 
@@ -139,7 +140,10 @@ impl GuardedSession {
     /// Requests the chunks that are due.
     pub fn retry(&mut self, now: Duration) {
         let expected = &self.expected;
-        let due = self.retries.take_due(now, |key| expected.is_in_latest_view(key));
+        let needed = |key: &ChunkKey| expected.is_in_latest_view(*key);
+        // Parents are needed by what refines them, too.
+        let parents: BTreeSet<_> = self.retries.keys().filter(needed).filter_map(ChunkKey::parent).collect();
+        let due = self.retries.take_due(now, |key| needed(&key) || parents.contains(&key));
         if !due.is_empty() {
             self.rejects.retried += due.len() as u64;
             self.session.request(&due);
@@ -211,8 +215,20 @@ impl GuardedSession {
     ) -> Result<Received, SessionFault> {
         self.rejects.bad += 1;
         let detail = fault.to_string();
-        trust.bad(&detail)?;
+        // Until a bad parent has come again, all chunks that refine it are missed, of which the server
+        // does not know.
+        let parent = if let ChunkError::Parent(key) = fault { key.parent() } else { None };
+        match parent.filter(|parent| self.retries.contains(*parent)) {
+            Some(_) => trust.surplus()?,
+            None => trust.bad(&detail)?,
+        }
+        self.lost_key |= !parent.is_none_or(|parent| self.is_pending_after(parent, now));
         Ok(self.missed(key, detail, now))
+    }
+
+    /// Requests a chunk unless it is requested already; false if there are too many.
+    fn is_pending_after(&mut self, key: ChunkKey, now: Duration) -> bool {
+        self.retries.contains(key) || self.retries.add(key, now)
     }
 
     /// Notes a chunk that did not come.
@@ -259,5 +275,42 @@ impl GuardedSession {
                 Ok(Received::Nothing)
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::trust::MAX_BAD;
+    use protocol::Delivery;
+
+    const NOW: Duration = Duration::ZERO;
+
+    fn session() -> GuardedSession {
+        let (digest, token, software) = (None, None, String::new());
+        let config = ClientConfig { digest, delivery: Delivery::Refined, token, software, window: 16 };
+        GuardedSession::new(config, Duration::from_millis(100), Duration::from_secs(5))
+    }
+
+    /// One bad chunk of level 2 costs the chunks of two levels that refine it. The control is a server that
+    /// sends refined chunks of parents that were never bad.
+    #[test]
+    fn chunks_that_refine_a_bad_one_are_requested_again_and_not_held_against_the_server() {
+        let top = ChunkKey::new(2, 0, 0).unwrap();
+        let children: Vec<_> = top.children().unwrap().into_iter().collect();
+        let finest: Vec<_> = children.iter().flat_map(|child| child.children().unwrap()).collect();
+        let (mut session, mut trust) = (session(), Trust::default());
+        session.bad(Some(top), &ChunkError::Digest, &mut trust, NOW).unwrap();
+        for key in children.iter().chain(&finest) {
+            session.bad(Some(*key), &ChunkError::Parent(*key), &mut trust, NOW).unwrap();
+        }
+        assert_eq!((session.retries.len(), session.take_rejects().bad), (21, 21));
+        assert!(!session.lost_key);
+
+        let (mut session, mut trust) = (self::session(), Trust::default());
+        let unknown = (0..MAX_BAD as i32).map(|x| ChunkKey::new(1, 2 * x, 0).unwrap());
+        let given_up =
+            unknown.map(|key| session.bad(Some(key), &ChunkError::Parent(key), &mut trust, NOW).is_err());
+        assert_eq!(given_up.filter(|given_up| *given_up).count(), 1);
     }
 }

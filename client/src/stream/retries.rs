@@ -57,6 +57,11 @@ impl Retries {
         self.chunks.contains_key(&key)
     }
 
+    /// The chunks.
+    pub fn keys(&self) -> impl Iterator<Item = ChunkKey> {
+        self.chunks.keys().copied()
+    }
+
     /// A chunk arrived.
     pub fn remove(&mut self, key: ChunkKey) {
         self.chunks.remove(&key);
