@@ -6,7 +6,8 @@ use protocol::chunk_codec::{self, Effort};
 use protocol::client::{ClientConfig, ClientSession};
 use protocol::server::{ServerOffer, ServerSession};
 use protocol::{DataFrame, Delivery};
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 use std::time::{Duration, Instant};
 use terrain::constants::TOP_LEVEL;
 use terrain::{ChunkKey, Land};
@@ -26,6 +27,7 @@ const REPEATS: usize = 3;
 pub struct Costs {
     /// A chunk of each level, generated and encoded; level 0 first. A list without some levels is an
     /// error where it is read: a guess for them would pass for a measured cost.
+    #[serde(deserialize_with = "of_all_levels")]
     pub chunk_us: [f64; LEVELS],
     /// A chunk of level 0 in the fast encoding.
     pub fast_chunk_us: f64,
@@ -39,6 +41,14 @@ pub struct Costs {
     pub kib_us: f64,
     /// A chunk that a client of the load test receives, decodes, verifies and counts.
     pub client_chunk_us: f64,
+}
+
+/// A list with a number for each level.
+fn of_all_levels<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; LEVELS], D::Error> {
+    let list = Vec::deserialize(from)?;
+    let length = list.len();
+    let why = |_| D::Error::custom(format!("chunk_us has {length} costs in place of {LEVELS}, one a level"));
+    list.try_into().map_err(why)
 }
 
 impl Default for Costs {

@@ -76,7 +76,8 @@ fn a_list_of_costs_without_a_level_is_an_error_that_says_what_to_do() {
     };
     for levels in [1, LEVELS - 1, LEVELS + 1] {
         let error = resolve(levels).unwrap_err();
-        for part in ["--costs", &*file.to_string_lossy(), &LEVELS.to_string(), "--measure-costs"] {
+        let cause = format!("chunk_us has {levels} costs in place of {LEVELS}");
+        for part in ["--costs", &*file.to_string_lossy(), &cause, "--measure-costs"] {
             assert!(error.contains(part), "{error}");
         }
         assert!(!error.contains('\n'), "{error}");
