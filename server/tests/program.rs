@@ -119,7 +119,7 @@ fn beyond_the_loopback_it_starts_by_an_option() {
 #[test]
 fn an_empty_variable_is_an_absent_one_unless_it_protects_the_server() {
     let output = |variable: &str, value: &str| {
-        // It ends after all options are read: the address is nobody's.
+        // It ends after all options are read: no machine here has the address.
         let mut command = program();
         command.args(["--listen", "192.0.2.1:7580", "--insecure"]).env(variable, value).output().unwrap()
     };

@@ -323,8 +323,8 @@ mod tests {
         assert!(pace.wait(key, false, now + RETRY).is_some(), "the control: not in a row");
     }
 
-    /// A store hangs, or takes 1.5 s, for a minute under steady load. Meanwhile few reads are sent; two pauses
-    /// after that all are.
+    /// A store hangs, or takes 1.5 s, for a minute under steady load. Meanwhile few reads are sent; two
+    /// pauses after that all are.
     #[test]
     fn a_store_that_comes_back_is_read_again() {
         const TIMEOUT: Duration = Duration::from_secs(2);
