@@ -89,8 +89,8 @@ pub enum Query {
     Style,
 }
 
-/// Checks that a URI under `/v1/{digest}/` has its one spelling: a cache would store one chunk under
-/// `/0` and `/%30`, and under any number of queries.
+/// Checks that a URI under `/v1/{digest}/` has its one spelling: a cache would store one chunk
+/// under `/0` and `/%30`, and under any number of queries.
 ///
 /// # Errors
 /// Percent-encoding, which no part of these paths needs, or another query.

@@ -21,8 +21,8 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 const FIRST: [&str; 2] = [include_str!("tls/first.crt"), include_str!("tls/first.key")];
 const SECOND: [&str; 2] = [include_str!("tls/second.crt"), include_str!("tls/second.key")];
 
-/// Keys that no server can use: encrypted by `secret` in PKCS #8 and in OpenSSL's older format, and of
-/// other kinds.
+/// Keys that no server can use: encrypted by `secret` in PKCS #8 and in OpenSSL's older format, and
+/// of other kinds.
 const ENCRYPTED: [&str; 2] = [include_str!("tls/encrypted.key"), include_str!("tls/encrypted-sec1.key")];
 const OTHER_KINDS: [&str; 3] =
     [include_str!("tls/p521.key"), include_str!("tls/secp256k1.key"), include_str!("tls/rsa-1024.key")];

@@ -293,7 +293,7 @@ impl DiskWriter {
 
     fn open(&self) -> io::Result<File> {
         let folder = &self.config.folder;
-        // Not its parents: where they are missing, a mount may be, and the disk under it must not be
+        // Not its parents: they may be missing with a lost mount, and the disk under it must not be
         // filled.
         if !self.was_open && !folder.is_dir() {
             fs::create_dir(folder).map_err(|error| match error.kind() {
