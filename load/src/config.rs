@@ -13,7 +13,8 @@ use tokio_tungstenite::tungstenite::http::Uri;
 
 /// Drives a Tombolo server with many headless clients and verifies every chunk that they receive.
 ///
-/// Exits with 0 only if chunks arrived, all were correct and no session was lost.
+/// Exits with 0 only if every client had a session, chunks arrived, all were correct and no session
+/// was lost.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "tombolo-load", version)]
 pub struct Args {
@@ -82,7 +83,7 @@ pub struct Args {
     /// Show no progress
     #[arg(long)]
     pub quiet: bool,
-    /// Seed of the paths; the same seed gives the same paths
+    /// Seed of the paths, 0 to 4294967295; the same seed gives the same paths
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u32,
     /// Compare one in N chunks of each client with local generation, error bound included; 0

@@ -97,7 +97,7 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
             .world
             .check(world.world_seed, world.generator_version, digest)
             .map_err(|mismatch| SessionEnd::wrong_world(&mismatch))?;
-        task.counters.admitted();
+        task.admitted();
         let path = task.path(&land);
         let sample = (config.verify_every, task.index);
         Ok(Self {

@@ -41,7 +41,7 @@ pub async fn run<D: Dial>(task: &Task<'_, D>) {
 /// Connects and waits for the close. Returns its reason.
 async fn stay_idle<D: Dial>(task: &Task<'_, D>) -> Result<String, SessionEnd> {
     let mut socket = connect(task).await?;
-    task.counters.admitted();
+    task.admitted();
     if task.index % 2 == 1 {
         let mut session = ClientSession::new(ClientConfig {
             digest: None,

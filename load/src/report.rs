@@ -23,6 +23,8 @@ use std::time::Duration;
 pub struct Report {
     /// Measured clients, without slow and idle ones.
     pub clients: u32,
+    /// Of these, without a session in the whole run; over HTTP, without the world's description.
+    pub never_connected: u64,
     /// Start of the run, seconds since 1970-01-01 UTC by the clock of this machine.
     pub started_unix_s: f64,
     /// Length of the run, seconds.
@@ -166,6 +168,7 @@ impl Report {
         };
         Self {
             clients: config.clients,
+            never_connected: get(&stats.never_connected),
             started_unix_s: stats.started_unix.as_secs_f64(),
             seconds: phases.iter().map(|phase| phase.seconds).sum(),
             delivery: config.delivery.name(),
@@ -227,6 +230,12 @@ impl Report {
         if self.counts.chunks + self.counts.not_modified == 0 {
             let because = if because.is_empty() { "; is the run long enough?".into() } else { because };
             return Err(format!("no chunk arrived in {:.0} s{because}", self.seconds));
+        }
+        if self.never_connected > 0 {
+            return Err(format!(
+                "{} of {} clients never had a session{because}",
+                self.never_connected, self.clients
+            ));
         }
         Ok(())
     }
@@ -346,6 +355,8 @@ mod tests {
         assert!(dropped.verdict().unwrap_err().contains("3 sessions"));
         let refused = counted(Counts { refused: 3, ..good().counts });
         assert_eq!(refused.verdict(), Ok(()), "rejecting load is allowed");
+        let without = Report { never_connected: 1, ..good() };
+        assert!(without.verdict().unwrap_err().contains("1 of 2 clients never had a session"));
         let unchanged = counted(Counts { chunks: 0, not_modified: 1, ..good().counts });
         assert_eq!(unchanged.verdict(), Ok(()), "304 is an answer");
     }

@@ -13,6 +13,7 @@ use crate::task::Task;
 use crate::world::FirstWorld;
 use crate::{idle, slow};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
@@ -82,6 +83,7 @@ impl<D> Shared<D> {
         (index, n): (u32, u32),
         counters: &'a Arc<Counters>,
         regeneration: &'a Regeneration,
+        had_session: &'a AtomicBool,
     ) -> Task<'a, D> {
         let step = BACKGROUND_RAMP.min(self.stats.duration() / 5) / n.max(1);
         Task {
@@ -95,20 +97,35 @@ impl<D> Shared<D> {
             end: self.started + self.stats.duration(),
             read_rate: None,
             world: &self.world,
+            had_session,
         }
     }
 }
 
 async fn run_measured<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneration, index: u32) {
-    let Shared { config, dial, stats, started, world } = &*shared;
+    let had_session = AtomicBool::new(false);
+    run_phases(&shared, &regeneration, index, &had_session).await;
+    if !had_session.into_inner() {
+        shared.stats.never_connected.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+async fn run_phases<D: Dial>(
+    shared: &Shared<D>,
+    regeneration: &Regeneration,
+    index: u32,
+    had_session: &AtomicBool,
+) {
+    let Shared { config, dial, stats, started, world } = shared;
     let mut etags = EtagCache::default();
     for (phase, counters) in &stats.phases {
         let at_once = config.path == PathKind::Spawn;
         let epoch = *started + phase.client_start(index, config.clients, at_once);
         let end = *started + phase.end();
         sleep_until(epoch).await;
-        let regeneration = &regeneration;
-        let task = Task { index, config, dial, counters, regeneration, epoch, end, read_rate: None, world };
+        let read_rate = None;
+        let task =
+            Task { index, config, dial, counters, regeneration, epoch, end, read_rate, world, had_session };
         if client::run(&task, &mut etags).await == Outcome::GiveUp {
             return;
         }
@@ -117,13 +134,15 @@ async fn run_measured<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneratio
 
 async fn run_slow<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneration, index: u32) {
     let read_rate = Some(shared.config.slow_bytes_per_s);
-    let task = shared.background_task((index, shared.config.slow), &shared.stats.slow, &regeneration);
+    let (number, had_session) = ((index, shared.config.slow), AtomicBool::new(false));
+    let task = shared.background_task(number, &shared.stats.slow, &regeneration, &had_session);
     sleep_until(task.epoch).await;
     slow::run(&Task { read_rate, ..task }).await;
 }
 
 async fn run_idle<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneration, index: u32) {
-    let task = shared.background_task((index, shared.config.silent), &shared.stats.silent, &regeneration);
+    let (number, had_session) = ((index, shared.config.silent), AtomicBool::new(false));
+    let task = shared.background_task(number, &shared.stats.silent, &regeneration, &had_session);
     sleep_until(task.epoch).await;
     idle::run(&task).await;
 }

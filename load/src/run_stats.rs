@@ -5,6 +5,7 @@ use crate::counters::{Counters, get};
 use crate::phases::{Phase, phases};
 use crate::timeline::{Second, Timeline};
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Live statistics of a run. Time zero is their creation.
@@ -16,6 +17,8 @@ pub struct RunStats {
     pub(crate) timeline: Arc<Timeline>,
     /// The phases with their counters.
     pub(crate) phases: Vec<(Phase, Arc<Counters>)>,
+    /// Measured clients that ended without ever having had a session.
+    pub(crate) never_connected: AtomicU64,
     /// Slow clients.
     pub(crate) slow: Arc<Counters>,
     /// Idle clients.
@@ -47,7 +50,7 @@ impl RunStats {
         let (phases, slow, silent) = (phases.collect(), Arc::default(), Arc::default());
         // Before 1970 only if the clock is wrong; then all its times are.
         let started_unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Self { started_unix, timeline, phases, slow, silent }
+        Self { started_unix, timeline, phases, never_connected: AtomicU64::new(0), slow, silent }
     }
 
     /// Length of the run, including the pause.

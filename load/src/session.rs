@@ -118,7 +118,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             .await
             .map_err(|_| SessionEnd::not_admitted(format!("no Welcome within {HANDSHAKE_TIMEOUT:?}")))??;
         let land = world_of(&welcome, task).map_err(|mismatch| SessionEnd::wrong_world(&mismatch))?;
-        task.counters.admitted();
+        task.admitted();
         if resumption.begin(WorldDigest(welcome.digest), task.counters) && config.resume {
             machine.holding(&resumption.held.keys());
         }

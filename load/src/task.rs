@@ -7,6 +7,7 @@ use crate::regeneration::Regeneration;
 use crate::verify::Mismatch;
 use crate::world::FirstWorld;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use terrain::Land;
 use tokio::time::Instant;
@@ -46,6 +47,8 @@ pub struct Task<'a, D> {
     pub read_rate: Option<u32>,
     /// The world that was announced first.
     pub world: &'a FirstWorld,
+    /// Whether the client has had a session, in this phase or an earlier one.
+    pub had_session: &'a AtomicBool,
 }
 
 impl<D> Task<'_, D> {
@@ -54,6 +57,12 @@ impl<D> Task<'_, D> {
     #[must_use]
     pub fn path(&self, land: &Land) -> FlightPath {
         FlightPath::new(self.config.path, self.config.seed, self.index, self.world.start(land))
+    }
+
+    /// The client was admitted.
+    pub fn admitted(&self) {
+        self.counters.admitted();
+        self.had_session.store(true, Ordering::Relaxed);
     }
 
     /// The phase ended while a client that began then waited for its admission.

@@ -151,7 +151,7 @@ async fn load_with(fault: Fault, token: Option<&str>, change: impl Fn(LoadConfig
         counts.mismatches + counts.refused + counts.dropped + counts.stalled
     };
     let served = if report.mode == "view" { report.views_settled } else { report.counts.chunks };
-    if served + faults(&report) == 0 {
+    if faults(&report) == 0 && (served == 0 || report.never_connected > 0) {
         report = run(30).await;
     }
     server.abort();
@@ -231,6 +231,7 @@ async fn a_client_that_reconnects_gets_only_what_it_lacks() {
 async fn a_wrong_token_is_refused_once_and_fails_the_run() {
     let report = load_on(Fault::Nothing, Delivery::Exact, Some("secret")).await;
     assert_eq!((report.counts.refused, report.counts.chunks, report.counts.dropped), (3, 0, 0), "{report}");
+    assert_eq!(report.never_connected, 3, "{report}");
     assert!(report.verdict().expect_err("nothing arrived").contains("token"));
 }
 

@@ -258,6 +258,22 @@ async fn an_absent_server_ends_the_run_early_and_a_late_one_does_not() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn clients_that_never_had_a_session_are_counted_and_fail_the_run() {
+    for mode in [Mode::Explicit, Mode::View, Mode::Http] {
+        let config = || LoadConfig { clients: 3, warm_up_s: 2, ..config(mode, None) };
+        let full = Server { fault: Fault::Full, ..Server::new(transport(mode)) };
+        let report = load_on(full, config()).await;
+        // The first client has a session in its first phase only.
+        assert_eq!((report.never_connected, report.counts.dropped), (2, 0), "{report}");
+        assert!(report.counts.chunks > 0 && report.to_string().contains("no session     2"), "{report}");
+        let verdict = report.verdict().expect_err("two clients had no session");
+        assert!(verdict.starts_with("2 of 3 clients never had a session; first: "), "{verdict}");
+        let report = load_on(Server::new(transport(mode)), config()).await;
+        assert_eq!((report.never_connected, report.verdict()), (0, Ok(())), "the control: {report}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn lost_sessions_of_an_open_loop_keep_their_due_requests() {
     let expected = calm(Mode::Explicit, Some(RATE)).await.counts.requests;
     let server = Server { fault: Fault::HangUp, ..Server::new(Transport::WebSocket) };

@@ -100,9 +100,15 @@ fn help_has_units_and_defaults_and_ends_with_0() {
     let output = run(&["--help"]);
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert_eq!(output.status.code(), Some(0));
-    for part in
-        ["seconds", "metres", "[default: 2000]", "1.4 m/s", "conditionally", "ws://127.0.0.1:7580/v1/stream"]
-    {
+    for part in [
+        "seconds",
+        "metres",
+        "0 to 4294967295",
+        "[default: 2000]",
+        "1.4 m/s",
+        "conditionally",
+        "ws://127.0.0.1:7580/v1/stream",
+    ] {
         assert!(text.contains(part), "{part} is not in:\n{text}");
     }
     assert_eq!(run(&["--version"]).status.code(), Some(0));

@@ -20,7 +20,7 @@ use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::time::Duration;
 use terrain::Land;
-use tokio::task::JoinSet;
+use tokio::task::{JoinError, JoinSet};
 use tokio::time::timeout;
 
 /// Packs on their way to the store while further ones are made: at most 1 MiB each, usually.
@@ -75,16 +75,25 @@ pub struct BakePart {
 /// What one part did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Baked {
-    /// Packs of the part.
+    /// Packs of the part that are in the store: kept or written.
     pub packs: u64,
     /// Of these, found valid in the store.
     pub kept: u64,
-    /// Of these, made and written.
+    /// Of these, made and written. A pack counts when the store has taken it.
     pub written: u64,
     /// Bytes written.
     pub bytes: u64,
     /// Whether the region is complete, so that servers use it.
     pub is_complete: bool,
+}
+
+impl Baked {
+    /// The store has taken a pack of this length.
+    const fn written(&mut self, bytes: usize) {
+        self.packs += 1;
+        self.written += 1;
+        self.bytes += bytes as u64;
+    }
 }
 
 impl BakeArgs {
@@ -147,22 +156,23 @@ impl Bake {
         let (mut baked, mut puts) = (Baked::default(), JoinSet::new());
         for tile in (0..).zip(self.region.tiles()).filter(|(n, _)| n % of == index).map(|(_, tile)| tile) {
             let path = self.names.pack(tile);
-            baked.packs += 1;
             if self.stored(&path).await?.is_some_and(|bytes| pack::verify(&world, tile, &bytes).is_ok()) {
-                baked.kept += 1;
-            } else {
-                let pack = pool.install(|| make(&self.land, &world, tile));
-                baked.written += 1;
-                baked.bytes += pack.len() as u64;
-                while puts.len() >= PUTS_IN_FLIGHT {
-                    ended(puts.join_next().await)?;
-                }
-                puts.spawn(put(Arc::clone(&self.objects), path, pack));
+                (baked.packs, baked.kept) = (baked.packs + 1, baked.kept + 1);
+                progress(&baked, total);
+                continue;
             }
-            progress(&baked, total);
+            let pack = pool.install(|| make(&self.land, &world, tile));
+            while puts.len() >= PUTS_IN_FLIGHT
+                && let Some(result) = puts.join_next().await
+            {
+                baked.written(ended(result)?);
+                progress(&baked, total);
+            }
+            puts.spawn(put(Arc::clone(&self.objects), path, pack));
         }
         while let Some(result) = puts.join_next().await {
-            ended(Some(result))?;
+            baked.written(ended(result)?);
+            progress(&baked, total);
         }
         baked.is_complete = self.complete().await?;
         Ok(baked)
@@ -216,8 +226,10 @@ fn make(land: &Land, world: &terrain::WorldDigest, tile: PackTile) -> Bytes {
     pack::encode(world, tile, &frames)
 }
 
-async fn put(objects: Arc<dyn ObjectStore>, path: Path, bytes: Bytes) -> Result<(), String> {
-    within(async { objects.put(&path, bytes.into()).await.map(drop) }, &path).await
+/// Puts an object. Returns its length.
+async fn put(objects: Arc<dyn ObjectStore>, path: Path, bytes: Bytes) -> Result<usize, String> {
+    let length = bytes.len();
+    within(async { objects.put(&path, bytes.into()).await.map(|_| length) }, &path).await
 }
 
 /// The result of a request, with its errors as one line.
@@ -232,9 +244,9 @@ async fn within<T>(request: impl Future<Output = object_store::Result<T>>, path:
     }
 }
 
-/// The result of a finished write.
-fn ended(result: Option<Result<Result<(), String>, tokio::task::JoinError>>) -> Result<(), String> {
-    result.map_or(Ok(()), |joined| joined.map_err(|error| format!("a write failed: {error}"))?)
+/// The length of a finished write.
+fn ended(joined: Result<Result<usize, String>, JoinError>) -> Result<usize, String> {
+    joined.map_err(|error| format!("a write failed: {error}"))?
 }
 
 fn levels(text: &str) -> Result<RangeInclusive<u8>, String> {

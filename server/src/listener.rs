@@ -20,13 +20,13 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use rayon::ThreadPoolBuildError;
-use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
+use std::{io, mem};
 use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 use tokio_util::either::Either;
 use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 use tower::ServiceExt;
@@ -45,6 +45,9 @@ const HEADER_BUFFER: usize = 16 * 1024;
 /// Pause after a failed accept. The usual cause is a lack of file descriptors, which an immediate
 /// retry would meet again.
 const ACCEPT_RETRY: Duration = Duration::from_millis(100);
+
+/// Time between two lines about failed accepts.
+const ACCEPT_LOG_INTERVAL: Duration = Duration::from_secs(60);
 
 /// Connections that the system keeps until they are accepted; Linux bounds it by
 /// `net.core.somaxconn`, 4,096 by default. Beyond it the system drops the handshake of a new
@@ -102,6 +105,7 @@ pub async fn run(
         Some(sessions) => PerIpLimiter::new(sessions.saturating_add(EXTRA_CONNECTIONS_PER_IP)),
         None => PerIpLimiter::fair_share(total),
     };
+    let mut failures = AcceptFailures::default();
     tokio::pin!(shutdown);
     loop {
         let permit = tokio::select! {
@@ -111,7 +115,7 @@ pub async fn run(
         };
         let (stream, peer) = tokio::select! {
             () = &mut shutdown => break,
-            stream = accept(&listener, state.config.write_timeout) => stream,
+            stream = accept(&listener, state.config.write_timeout, &mut failures) => stream,
         };
         let peer = peer.ip().to_canonical();
         let places = Places { permits: Arc::clone(&permits), per_ip: per_ip.clone(), permit };
@@ -167,7 +171,11 @@ fn warn_of_openness(state: &ServerState, listener: &TcpListener) {
 
 /// Accepts one connection, retrying after failures. The system ends it when its peer takes no bytes
 /// for `write_timeout`.
-async fn accept(listener: &TcpListener, write_timeout: Duration) -> (TcpStream, SocketAddr) {
+async fn accept(
+    listener: &TcpListener,
+    write_timeout: Duration,
+    failures: &mut AcceptFailures,
+) -> (TcpStream, SocketAddr) {
     loop {
         match listener.accept().await {
             Ok((stream, peer)) => {
@@ -177,10 +185,32 @@ async fn accept(listener: &TcpListener, write_timeout: Duration) -> (TcpStream, 
                 return (stream, peer);
             }
             Err(error) => {
-                tracing::warn!(%error, "cannot accept a connection");
+                if let Some(failures) = failures.record(Instant::now()) {
+                    tracing::warn!(%error, failures, "cannot accept a connection");
+                }
                 tokio::time::sleep(ACCEPT_RETRY).await;
             }
         }
+    }
+}
+
+/// Failed accepts: there are ten a second while file descriptors lack, and one line a minute.
+#[derive(Debug, Default)]
+struct AcceptFailures {
+    logged: Option<Instant>,
+    /// Failures since then.
+    count: u64,
+}
+
+impl AcceptFailures {
+    /// Counts a failure; if a line is due, the failures since the last one.
+    fn record(&mut self, now: Instant) -> Option<u64> {
+        self.count += 1;
+        if self.logged.is_some_and(|logged| now.saturating_duration_since(logged) < ACCEPT_LOG_INTERVAL) {
+            return None;
+        }
+        self.logged = Some(now);
+        Some(mem::take(&mut self.count))
     }
 }
 
@@ -314,6 +344,16 @@ mod tests {
     use super::*;
     use futures_util::FutureExt;
     use tokio::sync::oneshot;
+
+    #[test]
+    fn failed_accepts_have_one_line_a_minute_with_their_number() {
+        let (mut failures, start) = (AcceptFailures::default(), Instant::now());
+        assert_eq!(failures.record(start), Some(1));
+        let soon = (1..600).filter_map(|n| failures.record(start + ACCEPT_RETRY * n)).count();
+        assert_eq!(soon, 0);
+        assert_eq!(failures.record(start + ACCEPT_LOG_INTERVAL), Some(600));
+        assert_eq!(failures.record(start + ACCEPT_LOG_INTERVAL), None);
+    }
 
     #[tokio::test]
     async fn a_session_that_a_late_upgrade_begins_is_waited_for() {

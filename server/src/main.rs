@@ -15,7 +15,7 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 const NAME: &str = "tombolo-server";
 
-/// Longest wait at the end for reads of files and for map tiles, whose results nobody needs any
+/// Longest wait at the end for reads of files and for map tiles, whose results are not needed any
 /// more.
 const BLOCKING_TIMEOUT: Duration = Duration::from_secs(1);
 

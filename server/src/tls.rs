@@ -2,10 +2,11 @@
 
 use crate::access::gate::Reloaded;
 use cli::UsageError;
-use rustls::ServerConfig;
 use rustls::crypto::ring;
-use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::pem::{self, PemObject};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use rustls::server::ParsedCertificate;
+use rustls::{Error, InconsistentKeys, ServerConfig};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -13,6 +14,13 @@ use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
 use tokio_util::either::Either;
+
+/// Keys that the cryptography of rustls (ring) signs with.
+const KEY_KINDS: &str = "RSA of 2048 to 4096 bits, ECDSA on P-256 or P-384, Ed25519";
+
+/// Marks of encrypted keys: of PKCS #8 (RFC 7468, section 11), and of OpenSSL's older formats (RFC
+/// 1421, section 4.6.1.1).
+const ENCRYPTED: [&str; 2] = ["-----BEGIN ENCRYPTED PRIVATE KEY-----", "Proc-Type: 4,ENCRYPTED"];
 
 /// A connection: plain, or by TLS. Boxed, since its state is some KiB.
 pub type PeerStream = Either<TcpStream, Box<TlsStream<TcpStream>>>;
@@ -42,16 +50,37 @@ impl Files {
             std::fs::read(path).map_err(|error| failed(option, path, "cannot read", &error))
         };
         let (certificates, key) = (read("tls-cert", &self.certificates)?, read("tls-key", &self.key)?);
-        let chain: Vec<_> = CertificateDer::pem_slice_iter(&certificates)
-            .collect::<Result<_, _>>()
-            .map_err(|error| failed("tls-cert", &self.certificates, "no certificates in PEM in", &error))?;
-        if chain.is_empty() {
+        let chain: Vec<_> =
+            CertificateDer::pem_slice_iter(&certificates).collect::<Result<_, _>>().map_err(|error| {
+                failed("tls-cert", &self.certificates, "no certificates in PEM in", &pem_fault(&error))
+            })?;
+        let Some(own) = chain.first() else {
             return Err(failed("tls-cert", &self.certificates, "no certificates in PEM in", &"none found"));
+        };
+        if ParsedCertificate::try_from(own).is_err() {
+            let why = "the first one is no valid X.509 certificate";
+            return Err(failed("tls-cert", &self.certificates, "cannot use the certificates in", &why));
         }
-        let private = PrivateKeyDer::from_pem_slice(&key)
-            .map_err(|error| failed("tls-key", &self.key, "no private key in PEM in", &error))?;
-        let unusable =
-            |error: rustls::Error| failed("tls-key", &self.key, "cannot use the certificate with", &error);
+        let private = PrivateKeyDer::from_pem_slice(&key).map_err(|error| match is_encrypted(&key) {
+            true => {
+                let why = "it is encrypted; decrypt it: openssl pkey -in ENCRYPTED -out FILE";
+                failed("tls-key", &self.key, "cannot use the private key in", &why)
+            }
+            false => failed("tls-key", &self.key, "no private key in PEM in", &pem_fault(&error)),
+        })?;
+        if ring::sign::any_supported_type(&private).is_err() {
+            let why = format!("it is damaged or of another kind than {KEY_KINDS}");
+            return Err(failed("tls-key", &self.key, "cannot use the private key in", &why));
+        }
+        let unusable = |error: Error| {
+            let why = match error {
+                Error::InconsistentKeys(InconsistentKeys::KeyMismatch) => {
+                    "it is the key of another certificate".into()
+                }
+                error => error.to_string(),
+            };
+            failed("tls-key", &self.key, "cannot use the certificate with", &why)
+        };
         let config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
             .with_safe_default_protocol_versions()
             .map_err(unusable)?
@@ -61,6 +90,23 @@ impl Files {
         let digest = blake3::Hasher::new().update(&certificates).update(b"\0").update(&key).finalize();
         Ok(Current { digest, config: Arc::new(with_protocols(config)) })
     }
+}
+
+/// What is wrong with a file in PEM. The library's text has bytes of the file as numbers, which may
+/// be those of a key.
+fn pem_fault(error: &pem::Error) -> &'static str {
+    match error {
+        pem::Error::NoItemsFound => "none found",
+        pem::Error::MissingSectionEnd { .. } => "a section has no `-----END` line; the file may be cut off",
+        pem::Error::IllegalSectionStart { .. } => "a `-----BEGIN` line is damaged",
+        pem::Error::Base64Decode(_) => "a section is not in base64",
+        _ => "a section is too large",
+    }
+}
+
+fn is_encrypted(key: &[u8]) -> bool {
+    let key = String::from_utf8_lossy(key);
+    ENCRYPTED.iter().any(|mark| key.contains(mark))
 }
 
 /// HTTP/1.1 only, so that no client negotiates HTTP/2.

@@ -90,6 +90,8 @@ fn invalid_values_end_it_with_code_2_and_one_line() {
         (&["--listen", "[::]:0", "--token-file", "/does/not/exist"], &["listen", "[::]:0", "insecure"]),
         (&["--trusted-proxy", "anybody.example"], &["trusted-proxy", "anybody.example"]),
         (&["--proxy-header", "via"], &["--proxy-header", "via", "x-forwarded-for"]),
+        (&["--store", "memory:///x"], &["store", "`memory`", "file:///FOLDER", "s3://", "gs://", "az://"]),
+        (&["bake", "--store", "memory:///x"], &["--store", "`memory`", "file:///FOLDER"]),
         (&["--protect", "chunks"], &["--protect", "chunks", "metrics", "world"]),
     ] {
         let output = program().args(arguments).output().unwrap();

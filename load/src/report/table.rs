@@ -59,6 +59,7 @@ impl fmt::Display for Report {
             ("settle p99", format!("{} ms", ms(self.settle_ms.p99))),
             ("regenerated", self.regenerated.to_string()),
             ("refused", self.counts.refused.to_string()),
+            ("no session", self.never_connected.to_string()),
             ("dropped", self.counts.dropped.to_string()),
             ("resumed", resumed(&self.resume)),
             ("mismatches", self.counts.mismatches.to_string()),

@@ -66,6 +66,8 @@ pub enum Fault {
     Absent,
     /// No connection is accepted in the first seconds.
     Late,
+    /// No connection but the first is accepted.
+    Full,
 }
 
 /// What [`Fault::Late`] means.
@@ -238,10 +240,13 @@ impl Dial for Server {
         if self.fault == Fault::Absent || is_late {
             return Err(io::ErrorKind::ConnectionRefused.into());
         }
+        let is_first = self.connections.fetch_add(1, Ordering::Relaxed) == 0;
+        if self.fault == Fault::Full && !is_first {
+            return Err(io::ErrorKind::ConnectionRefused.into());
+        }
         let (ours, theirs) = duplex(holds);
         let mut server = self.clone();
-        let is_first = self.connections.fetch_add(1, Ordering::Relaxed) == 0;
-        if self.fault == Fault::Late {
+        if matches!(self.fault, Fault::Late | Fault::Full) {
             server.fault = Fault::Nothing;
         }
         if self.fault == Fault::OtherWorld && !is_first {

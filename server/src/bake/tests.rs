@@ -70,6 +70,23 @@ async fn a_repeated_bake_keeps_valid_packs_and_replaces_damaged_ones() {
     assert_eq!(contents(&objects).await, expected);
 }
 
+#[tokio::test]
+async fn a_pack_counts_when_the_store_has_taken_it() {
+    let folder = std::env::temp_dir().join(format!("tombolo-bake-{}", std::process::id()));
+    let (objects, root) = StoreAddress::parse(folder.to_str().unwrap()).unwrap().open().unwrap();
+    let mut bake = bake(&Arc::default(), 0, 1);
+    (bake.names, bake.objects) = (ObjectNames::new(&root, &bake.land.digest()), objects);
+    // A folder in the place of a pack: there is no such object, and none can be written.
+    for tile in bake.region.tiles().skip(1) {
+        std::fs::create_dir_all(std::path::Path::new("/").join(bake.names.pack(tile).as_ref())).unwrap();
+    }
+    let mut seen = Vec::new();
+    let failed = bake.run(|baked, _| seen.push((baked.packs, baked.written))).await;
+    let _ = std::fs::remove_dir_all(&folder);
+    assert!(failed.unwrap_err().contains("the store failed"));
+    assert!(seen.iter().all(|counts| *counts == (1, 1)), "{seen:?}");
+}
+
 #[test]
 fn options_are_checked() {
     assert_eq!(levels("2-5"), Ok(2..=5));

@@ -3,7 +3,7 @@
 use crate::chunk_id::ChunkId;
 use crate::generation::GenerationError;
 use crate::http::conditional::{Representation, etag, immutable_cache_control};
-use crate::http::path::ChunkPathRequest;
+use crate::http::path::{ChunkPathRequest, Query};
 use crate::http::problem::{Problem, ProblemKind};
 use crate::state::ServerState;
 use axum::extract::State;
@@ -18,7 +18,7 @@ pub async fn get(
     State(state): State<Arc<ServerState>>,
     request: ChunkPathRequest,
 ) -> Result<Response, Problem> {
-    let (key, bucket) = request.admit(&state, "").await?;
+    let (key, bucket) = request.admit(&state, "", Query::None).await?;
     // Always exact: a cached chunk must be usable without a generator.
     let chunk = ChunkRequest { key, request: Some(0), priority: u64::MAX };
     // Compact: the address is immutable, so it has one representation for ever.

@@ -7,7 +7,7 @@ use crate::state::ServerState;
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use axum::http::header;
+use axum::http::{Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
 use std::sync::Arc;
@@ -18,12 +18,14 @@ use terrain::{Land, Position};
 pub async fn get(
     State(state): State<Arc<ServerState>>,
     client: Client,
+    uri: Uri,
     raw: Result<Path<(String, String, String)>, PathRejection>,
 ) -> Result<Response, Problem> {
     client.authorise(&state)?;
     let Ok(Path((digest, x, z))) = raw else {
         return Err(Problem::new(ProblemKind::Malformed, "the percent-encoded path is not UTF-8"));
     };
+    path::check_spelling(&uri, path::Query::None)?;
     path::check_world(&state, &digest)?;
     let (Ok(x), Ok(z)) = (x.parse::<i32>(), z.parse::<i32>()) else {
         return Err(Problem::new(ProblemKind::Malformed, "x and z must be whole metres"));

@@ -2,7 +2,7 @@
 
 use crate::http::chunk::problem;
 use crate::http::conditional::{Representation, etag, immutable_cache_control};
-use crate::http::path::{ChunkPathRequest, over_rate};
+use crate::http::path::{ChunkPathRequest, Query, over_rate};
 use crate::http::problem::{Problem, ProblemKind};
 use crate::map::tiles::MapError;
 use crate::state::ServerState;
@@ -15,7 +15,7 @@ pub async fn get(
     State(state): State<Arc<ServerState>>,
     request: ChunkPathRequest,
 ) -> Result<Response, Problem> {
-    let (key, bucket) = request.admit(&state, ".png").await?;
+    let (key, bucket) = request.admit(&state, ".png", Query::Style).await?;
     let tile = state.map.tile(key, &state.generation, &bucket).await;
     let tile = tile.map_err(|error| match error {
         MapError::Busy => Problem::new(ProblemKind::MapBusy, error.to_string()),

@@ -6,6 +6,7 @@ use crate::limits::rate_limit::TokenBucket;
 use crate::state::ServerState;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{FromRequestParts, Path};
+use axum::http::Uri;
 use axum::http::request::Parts;
 use std::convert::Infallible;
 use std::net::IpAddr;
@@ -23,6 +24,7 @@ type RawChunkPath = Result<Path<(String, String, String, String)>, PathRejection
 pub struct ChunkPathRequest {
     /// Who asks.
     pub client: Client,
+    uri: Uri,
     raw: RawChunkPath,
 }
 
@@ -32,34 +34,40 @@ impl FromRequestParts<Arc<ServerState>> for ChunkPathRequest {
     async fn from_request_parts(parts: &mut Parts, state: &Arc<ServerState>) -> Result<Self, Infallible> {
         let raw = Path::from_request_parts(parts, state).await;
         let client = Client::from_request_parts(parts, state).await?;
-        Ok(Self { client, raw })
+        Ok(Self { client, uri: parts.uri.clone(), raw })
     }
 }
 
 impl ChunkPathRequest {
     /// The chunk key, and the token bucket of the client after waiting until it is not empty; z is
-    /// followed by `suffix`.
+    /// followed by `suffix`, and the query is one of `query`.
     ///
     /// # Errors
-    /// What is wrong, in this order: token, encoding, world, numbers, key, rate limit.
-    pub async fn admit(&self, state: &ServerState, suffix: &str) -> Result<(ChunkKey, TokenBucket), Problem> {
-        let key = chunk_key(state, &self.client, &self.raw, suffix)?;
+    /// What is wrong, in this order: token, encoding, query, world, numbers, key, rate limit.
+    pub async fn admit(
+        &self,
+        state: &ServerState,
+        suffix: &str,
+        query: Query,
+    ) -> Result<(ChunkKey, TokenBucket), Problem> {
+        let key = self.chunk_key(state, suffix, query)?;
         Ok((key, wait_for_tokens(state, self.client.address).await?))
+    }
+
+    /// The chunk key of an authorised request's path.
+    fn chunk_key(&self, state: &ServerState, suffix: &str, query: Query) -> Result<ChunkKey, Problem> {
+        self.client.authorise(state)?;
+        let Ok(Path((digest, level, x, z))) = &self.raw else {
+            return Err(Problem::new(ProblemKind::Malformed, "the percent-encoded path is not UTF-8"));
+        };
+        check_spelling(&self.uri, query)?;
+        check_world(state, digest)?;
+        key_of(level, x, z, suffix)
     }
 }
 
-/// The chunk key of an authorised request's path.
-fn chunk_key(
-    state: &ServerState,
-    client: &Client,
-    raw: &RawChunkPath,
-    suffix: &str,
-) -> Result<ChunkKey, Problem> {
-    client.authorise(state)?;
-    let Ok(Path((digest, level, x, z))) = raw else {
-        return Err(Problem::new(ProblemKind::Malformed, "the percent-encoded path is not UTF-8"));
-    };
-    check_world(state, digest)?;
+/// The chunk key of three parts of a path.
+fn key_of(level: &str, x: &str, z: &str, suffix: &str) -> Result<ChunkKey, Problem> {
     let Some(z) = z.strip_suffix(suffix) else {
         return Err(Problem::new(ProblemKind::NoRoute, format!("the path of a tile ends with `{suffix}`")));
     };
@@ -72,6 +80,39 @@ fn chunk_key(
     ChunkKey::new(level, x, z).map_err(|error| Problem::new(ProblemKind::OutsideWorld, error.to_string()))
 }
 
+/// The query of a route.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Query {
+    /// None.
+    None,
+    /// None, or `style=N`.
+    Style,
+}
+
+/// Checks that a URI under `/v1/{digest}/` has its one spelling: a cache would store one chunk
+/// under `/0` and `/%30`, and under any number of queries.
+///
+/// # Errors
+/// Percent-encoding, which no part of these paths needs, or another query.
+pub fn check_spelling(uri: &Uri, query: Query) -> Result<(), Problem> {
+    if uri.path().contains('%') {
+        let detail = "the path must not be percent-encoded: it has letters, digits, `-` and `.` only";
+        return Err(Problem::new(ProblemKind::Malformed, detail));
+    }
+    let detail = match (query, uri.query()) {
+        (_, None) => return Ok(()),
+        (Query::Style, Some(given)) => {
+            let style = given.strip_prefix("style=").and_then(number::<u32>);
+            if style.is_some() {
+                return Ok(());
+            }
+            "a tile has no query but `style=N`, which /v1/world names"
+        }
+        (Query::None, Some(_)) => "this path has no query",
+    };
+    Err(Problem::new(ProblemKind::Malformed, detail))
+}
+
 /// A number in its canonical form only: with `+1`, `01` and `-0` a cache would store one chunk
 /// under several URLs.
 fn number<N: FromStr + ToString>(text: &str) -> Option<N> {
@@ -81,11 +122,13 @@ fn number<N: FromStr + ToString>(text: &str) -> Option<N> {
 /// Checks that a path contains the digest of this server's world.
 ///
 /// # Errors
-/// It contains another digest, or none.
+/// It contains another digest, none, or this one in capitals, which a cache would store again.
 pub fn check_world(state: &ServerState, digest: &str) -> Result<(), Problem> {
     let ours = state.offer.digest;
     if WorldDigest::from_hex(digest) == Some(ours) {
-        return Ok(());
+        let is_canonical = !digest.contains(|character: char| character.is_ascii_uppercase());
+        let problem = || Problem::new(ProblemKind::Malformed, "the digest must be in lower case");
+        return is_canonical.then_some(()).ok_or_else(problem);
     }
     let shown: String = digest.chars().take(64).collect();
     let detail = format!("world {shown} is not served here; this server has {ours}");

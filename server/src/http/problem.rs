@@ -14,7 +14,7 @@ pub enum ProblemKind {
     NoRoute,
     /// The route does not support the method.
     WrongMethod,
-    /// Invalid numbers or encoding in the path.
+    /// Invalid numbers or encoding in the path, or a query that the route does not have.
     Malformed,
     /// A chunk or position outside the world.
     OutsideWorld,

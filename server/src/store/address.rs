@@ -9,8 +9,9 @@ use url::Url;
 /// `AWS_ENDPOINT`, `GOOGLE_SERVICE_ACCOUNT`, `AZURE_STORAGE_ACCOUNT_NAME`.
 const SETTINGS: [&str; 3] = ["AWS_", "GOOGLE_", "AZURE_"];
 
-/// Schemes of URLs that are understood.
-const SCHEMES: [&str; 8] = ["file", "memory", "s3", "s3a", "gs", "az", "azure", "abfss"];
+/// Schemes of URLs that are accepted: those that the options name. `object_store` knows more, among
+/// them `memory`, whose objects end with the process.
+const SCHEMES: [&str; 4] = ["file", "s3", "gs", "az"];
 
 /// A checked address. It may not hold secrets: those stand in the environment.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -82,7 +83,7 @@ mod tests {
     #[test]
     fn folders_and_urls_of_engines_are_addresses() {
         assert_eq!(StoreAddress::parse("/data/chunks").unwrap().to_string(), "file:///data/chunks/");
-        for url in ["s3://bucket/some/prefix", "gs://bucket", "az://container/x", "memory:///"] {
+        for url in ["s3://bucket/some/prefix", "gs://bucket", "az://container/x"] {
             assert_eq!(StoreAddress::parse(url).unwrap().to_string(), url);
         }
         let (_, root) = StoreAddress::parse("file:///data/chunks").unwrap().open().unwrap();
@@ -90,9 +91,18 @@ mod tests {
     }
 
     #[test]
+    fn schemes_that_the_options_do_not_name_are_errors() {
+        for scheme in ["memory", "s3a", "azure", "abfss", "http"] {
+            let error = StoreAddress::parse(&format!("{scheme}://x/y")).unwrap_err();
+            assert!(error.starts_with(&format!("`{scheme}` is not known; give file:///FOLDER, s3://")));
+        }
+    }
+
+    #[test]
     fn other_schemes_and_secrets_are_errors_that_say_what_to_give() {
         for (text, word) in [
             ("ftp://host/x", "s3://"),
+            ("memory:///x", "`memory` is not known; give file:///FOLDER, s3://BUCKET/PREFIX"),
             ("s3://", "s3://"),
             ("s3://key:secret@bucket/x", "AWS_ACCESS_KEY_ID"),
             ("az://container/x?sig=secret", "environment"),

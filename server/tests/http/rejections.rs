@@ -17,6 +17,11 @@ async fn rejected(server: &Server, kind: &str) -> u64 {
 async fn an_invalid_path_is_rejected_with_its_kind_and_counted() {
     let server = Server::start().await;
     let other = format!("/v1/{}", "0".repeat(64));
+    let capitals = |rest: &str| {
+        let path = server.path(rest);
+        let digest = path.split('/').nth(2).unwrap();
+        path.replace(digest, &digest.to_uppercase())
+    };
     for (path, status, kind, word) in [
         (server.path("chunk/0/32768/0"), 404, "outside-world", "-32768 to 32767"),
         (server.path("map/0/32768/0.png"), 404, "outside-world", "-32768 to 32767"),
@@ -32,6 +37,20 @@ async fn an_invalid_path_is_rejected_with_its_kind_and_counted() {
         (server.path("chunk/0/+1/0"), 400, "malformed", "shortest form"),
         (server.path("chunk/00/1/0"), 400, "malformed", "shortest form"),
         (server.path("map/0/-0/0.png"), 400, "malformed", "shortest form"),
+        (server.path("chunk/0/%30/0"), 400, "malformed", "percent-encoded"),
+        (server.path("map/0/0/%30.png"), 400, "malformed", "percent-encoded"),
+        (server.path("map/0/0/0%2Epng"), 400, "malformed", "percent-encoded"),
+        (server.path("height/%30/0"), 400, "malformed", "percent-encoded"),
+        (server.path("chunk/0/0/0?x=1"), 400, "malformed", "no query"),
+        (server.path("chunk/0/0/0?"), 400, "malformed", "no query"),
+        (server.path("height/0/0?x=1"), 400, "malformed", "no query"),
+        (server.path("map/0/0/0.png?x=1"), 400, "malformed", "style=N"),
+        (server.path("map/0/0/0.png?style=1&x=1"), 400, "malformed", "style=N"),
+        (server.path("map/0/0/0.png?style=01"), 400, "malformed", "style=N"),
+        (server.path("map/0/0/0.png?style=%31"), 400, "malformed", "style=N"),
+        (capitals("chunk/0/0/0"), 400, "malformed", "lower case"),
+        (capitals("map/0/0/0.png"), 400, "malformed", "lower case"),
+        (capitals("height/0/0"), 400, "malformed", "lower case"),
         (server.path("height/4194304/0"), 404, "outside-world", "-4194304 to 4194303"),
         (server.path("height/-2147483648/0"), 404, "outside-world", "outside the world"),
         (server.path("height/1.5/0"), 400, "malformed", "whole metres"),
@@ -53,7 +72,9 @@ async fn an_invalid_path_is_rejected_with_its_kind_and_counted() {
         assert_eq!(rejected(&server, kind).await, before + 1, "{path}");
     }
     // Other requests are not affected.
-    assert_eq!(server.get(&server.path("chunk/0/0/0")).await.status, 200);
+    for path in ["chunk/0/0/0", "map/0/0/0.png", "map/0/0/0.png?style=0", "map/0/0/0.png?style=4294967295"] {
+        assert_eq!(server.get(&server.path(path)).await.status, 200, "{path}");
+    }
 }
 
 #[tokio::test]

@@ -21,6 +21,12 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 const FIRST: [&str; 2] = [include_str!("tls/first.crt"), include_str!("tls/first.key")];
 const SECOND: [&str; 2] = [include_str!("tls/second.crt"), include_str!("tls/second.key")];
 
+/// Keys that no server can use: encrypted by `secret` in PKCS #8 and in OpenSSL's older format, and
+/// of other kinds.
+const ENCRYPTED: [&str; 2] = [include_str!("tls/encrypted.key"), include_str!("tls/encrypted-sec1.key")];
+const OTHER_KINDS: [&str; 3] =
+    [include_str!("tls/p521.key"), include_str!("tls/secp256k1.key"), include_str!("tls/rsa-1024.key")];
+
 /// A folder with a certificate and its key, removed when dropped.
 struct Folder(PathBuf);
 
@@ -141,5 +147,30 @@ fn unusable_files_are_named_with_their_option() {
         for word in words {
             assert!(message.contains(word), "`{message}` lacks `{word}`");
         }
+    }
+}
+
+#[test]
+fn messages_say_which_file_is_wrong_why_and_what_to_do() {
+    let garbage = "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n";
+    let message = |certificate: &str, key: &str| {
+        let folder = Folder::new("messages", [certificate, key]);
+        let message =
+            Tls::of_options(Some(folder.path("crt")), Some(folder.path("key"))).unwrap_err().to_string();
+        assert!(!message.contains('\n') && !message.contains("45, 45"), "bytes as numbers: {message}");
+        message
+    };
+    let cut = |pem: &'static str| &pem[..pem.len() / 2];
+    let cases = [
+        (garbage, FIRST[1], ["tls-cert: ", "no valid X.509 certificate"]),
+        (cut(FIRST[0]), FIRST[1], ["tls-cert: ", "no `-----END` line"]),
+        (FIRST[0], cut(FIRST[1]), ["tls-key: ", "no `-----END` line"]),
+        (FIRST[0], SECOND[1], ["tls-key: ", "the key of another certificate"]),
+    ];
+    let encrypted = ENCRYPTED.map(|key| (FIRST[0], key, ["tls-key: ", "is encrypted; decrypt it: openssl"]));
+    let other = OTHER_KINDS.map(|key| (FIRST[0], key, ["tls-key: ", "ECDSA on P-256 or P-384"]));
+    for (certificate, key, words) in cases.into_iter().chain(encrypted).chain(other) {
+        let message = message(certificate, key);
+        assert!(message.starts_with(words[0]) && message.contains(words[1]), "{words:?}: {message}");
     }
 }

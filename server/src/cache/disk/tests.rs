@@ -88,6 +88,20 @@ async fn a_frame_is_read_after_a_restart_under_its_name_only() {
     assert_eq!(elsewhere.read(id(1), Delivery::Exact, |_| true), None);
 }
 
+#[test]
+fn a_folder_without_a_parent_is_not_created_before_its_parent_is() {
+    let parent = Folder::new();
+    let folder = Folder(parent.0.join("cache"));
+    let (mut writer, metrics) = writer(&folder, 1 << 30);
+    let now = Instant::now();
+    put(&mut writer, 1, now);
+    assert!(!parent.0.exists(), "the disk under a lost mount");
+    assert_eq!((metrics.disk_up.get(), metrics.disk_dropped.get()), (0, 1));
+    fs::create_dir(&parent.0).unwrap();
+    put(&mut writer, 1, now + Duration::from_secs(60));
+    assert_eq!((metrics.disk_up.get(), metrics.disk_writes.get()), (1, 1));
+}
+
 #[tokio::test]
 async fn levels_that_are_fast_to_generate_are_not_cached() {
     let folder = Folder::new();

@@ -58,7 +58,7 @@ pub enum WriterCommand {
 /// Folder and budget.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DiskConfig {
-    /// The folder. Created if it does not exist; for one server at a time.
+    /// The folder. Created if its parent exists; for one server at a time.
     pub folder: PathBuf,
     /// Budget in bytes, counted in blocks of 4 KiB.
     pub bytes: u64,
@@ -293,8 +293,13 @@ impl DiskWriter {
 
     fn open(&self) -> io::Result<File> {
         let folder = &self.config.folder;
-        if !self.was_open {
-            fs::create_dir_all(folder)?;
+        // Not its parents: they may be missing with a lost mount, and the disk under it must not be
+        // filled.
+        if !self.was_open && !folder.is_dir() {
+            fs::create_dir(folder).map_err(|error| match error.kind() {
+                io::ErrorKind::NotFound => io::Error::new(error.kind(), "its parent folder does not exist"),
+                _ => error,
+            })?;
         }
         let lock =
             OpenOptions::new().create(true).truncate(false).write(true).open(folder.join(LOCK_FILE))?;
