@@ -10,7 +10,8 @@
 //!   [`request_pause`] (what follows a refusal), [`http`],
 //!   [`slow`] and [`idle`] (background clients);
 //! - verification: [`expected`] (which chunks may arrive), [`verify`] (what a chunk must satisfy),
-//!   [`released`] (what views may lack), [`world`] (which world it is), [`checker`] and [`regeneration`] (who checks);
+//!   [`released`] (what views may lack), [`world`] (which world it is), [`checker`] and
+//!   [`regeneration`] (who checks);
 //! - results: [`counters`], [`latency`], [`timeline`], [`run_stats`], [`report`], [`plot`].
 //!
 //! The load test has no GPU crate in its dependencies, keeps no verified chunk, and speaks the
