@@ -260,7 +260,7 @@ async fn an_absent_server_ends_the_run_early_and_a_late_one_does_not() {
 #[tokio::test(start_paused = true)]
 async fn clients_that_never_had_a_session_are_counted_and_fail_the_run() {
     for mode in [Mode::Explicit, Mode::View, Mode::Http] {
-        let config = || LoadConfig { clients: 3, warm_up_s: 2, ..config(mode, None) };
+        let config = || LoadConfig { clients: 3, seconds: 2, warm_up_s: 2, ..config(mode, None) };
         let full = Server { fault: Fault::Full, ..Server::new(transport(mode)) };
         let report = load_on(full, config()).await;
         // The first client has a session in its first phase only.
