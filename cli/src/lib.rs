@@ -38,7 +38,16 @@ pub fn parse<A: Parser>() -> Result<A, ExitCode> {
 
 /// Options that protect a server: an empty variable of theirs is an error, since a forgotten value
 /// must not turn the protection off.
-const PROTECTING: [&str; 4] = ["token_file", "tls_cert", "tls_key", "protect"];
+const PROTECTING: [&str; 8] = [
+    "config",
+    "token_file",
+    "tls_cert",
+    "tls_key",
+    "protect",
+    "rate_limit_ms",
+    "cost_per_second",
+    "max_sessions_per_address",
+];
 
 /// The command without those of its variables that are set and empty: deployments pass on variables
 /// that may be empty, which is the same as absent.

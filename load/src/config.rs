@@ -76,8 +76,8 @@ pub struct Args {
     /// File for a plot of latency and throughput over time, .png
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
-    /// Clients that reconnect do not report the chunks that they hold, so that the server sends them
-    /// again (for comparison)
+    /// Clients that reconnect do not report the chunks that they hold, so that the server sends
+    /// them again (for comparison)
     #[arg(long)]
     pub no_resume: bool,
     /// Show no progress

@@ -4,8 +4,8 @@
 use std::collections::VecDeque;
 use terrain::ChunkKey;
 
-/// Releases that are remembered at most, as many as chunks are held. When the list is full the oldest is
-/// forgotten, and the views of its time and older ones are not checked.
+/// Releases that are remembered at most, as many as chunks are held. When the list is full the
+/// oldest is forgotten, and the views of its time and older ones are not checked.
 const MAX_RELEASED: usize = crate::held::MAX_HELD;
 
 /// See the module.
@@ -18,8 +18,8 @@ pub struct ReleasedChunks {
 }
 
 impl ReleasedChunks {
-    /// Adds a chunk that is released when a view is the newest. The server reads of the release before
-    /// it reads later views, and sends the chunk again if one of them needs it.
+    /// Adds a chunk that is released when a view is the newest. The server reads of the release
+    /// before it reads later views, and sends the chunk again if one of them needs it.
     pub fn add(&mut self, newest_view: u32, key: ChunkKey) {
         if self.released.len() == MAX_RELEASED {
             self.forgotten = self.released.pop_front().map(|(view, _)| view);

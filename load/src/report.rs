@@ -57,14 +57,14 @@ pub struct Report {
     pub regenerated: u64,
     /// Views that the server reported complete.
     pub views_settled: u64,
-    /// Of these, checked for missing chunks: one in eight, unless chunks of it were refused or released.
-    /// Without a check the run says nothing of missing chunks, which is no error: a short one may have
-    /// none.
+    /// Of these, checked for missing chunks: one in eight, unless chunks of it were refused or
+    /// released. Without a check the run says nothing of missing chunks, which is no error: a short
+    /// one may have none.
     pub views_checked: u64,
     /// The first distinct problems as text; the counts above include them.
     pub problems: Vec<String>,
-    /// Both digests, if the server changed its world during the run. Clients that meet another world
-    /// end.
+    /// Both digests, if the server changed its world during the run. Clients that meet another
+    /// world end.
     pub world_changed: Option<String>,
     /// The phases.
     pub phases: Vec<PhaseReport>,
@@ -97,7 +97,8 @@ pub struct Counts {
     pub requests: u64,
     /// Of these, without an answer at the end of their session.
     pub unanswered: u64,
-    /// Requests that were due and never sent, and probes that were skipped because 64 had no answer.
+    /// Requests that were due and never sent, and probes that were skipped because 64 had no
+    /// answer.
     pub unsent: u64,
     /// Clients that waited at the end of their phase while the server had sent nothing for 5 s.
     pub stalled: u64,

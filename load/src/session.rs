@@ -96,7 +96,8 @@ struct Session<'t, 'a, D: Dial> {
     pause: RequestPause,
     /// When a frame arrived, or the session began.
     last_frame: Instant,
-    /// The newest view when something was refused: what was refused may belong to it or an older one.
+    /// The newest view when something was refused: what was refused may belong to it or an older
+    /// one.
     refused_view: Option<u32>,
     released: ReleasedChunks,
 }
@@ -314,8 +315,8 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
     fn count_unanswered(&self, is_open: bool) {
         let now = Instant::now();
         if !is_open {
-            // The latest ones are cut off by the end of the session; older ones wait for a server that
-            // stalls.
+            // The latest ones are cut off by the end of the session; older ones wait for a server
+            // that stalls.
             for since in self.expected.waiting_since() {
                 match now.saturating_duration_since(since) {
                     waited if waited >= STALL => self.task.counters.abandoned(waited),

@@ -22,8 +22,8 @@ pub const GRACE: Duration = Duration::from_secs(2);
 /// Time without a frame or an answer after which a client that waits for one counts as stalled.
 pub const SILENCE: Duration = Duration::from_secs(5);
 
-/// Time after which clients stop trying to reach a server that has never answered. Long enough for a
-/// server that starts at the same time.
+/// Time after which clients stop trying to reach a server that has never answered. Long enough for
+/// a server that starts at the same time.
 pub const GIVE_UP_AFTER: Duration = Duration::from_secs(10);
 
 /// What one client gets for one phase of a run.

@@ -144,8 +144,8 @@ async fn load_with(fault: Fault, token: Option<&str>, change: impl Fn(LoadConfig
         }))
     };
     let mut report = run(2).await;
-    // Neither a complete view (or a chunk of another mode) nor a fault: then the machine is busy, and no
-    // server is judged.
+    // Neither a complete view (or a chunk of another mode) nor a fault: then the machine is busy,
+    // and no server is judged.
     let faults = |report: &Report| {
         let counts = &report.counts;
         counts.mismatches + counts.refused + counts.dropped + counts.stalled

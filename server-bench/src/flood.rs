@@ -136,9 +136,9 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     Ok(json!({ "scenarios": scenarios, "polite_p99_alone_ms": alone_ms }))
 }
 
-/// One scenario. The latencies of the polite client alone are added to those of the scenarios before:
-/// it does the same in all, and one scenario has too few for a 99th percentile that others can be
-/// divided by.
+/// One scenario. The latencies of the polite client alone are added to those of the scenarios
+/// before: it does the same in all, and one scenario has too few for a 99th percentile that others
+/// can be divided by.
 async fn scenario(
     plan: &Plan,
     keys: &[ChunkKey],

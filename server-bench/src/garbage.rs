@@ -1,8 +1,8 @@
 //! A viewer whose server sends garbage: a proxy in front of a real server spoils what passes.
 //!
 //! A viewer without a window asks for a view, gives up or draws it, and the next one begins. Beside
-//! them one viewer lives as long as the run: its sessions are cut, which it does not give a server up
-//! for, so that memory that sessions leave behind adds up.
+//! them one viewer lives as long as the run: its sessions are cut, which it does not give a server
+//! up for, so that memory that sessions leave behind adds up.
 
 use crate::Plan;
 use crate::clients::other_thread;

@@ -63,8 +63,8 @@ struct Figure {
     unit: &'static str,
     /// Whether more is better.
     more_is_better: bool,
-    /// What a server without the mechanism must be worse by, so that it counts as having an effect; of
-    /// the control what it may be better or worse by.
+    /// What a server without the mechanism must be worse by, so that it counts as having an effect;
+    /// of the control what it may be better or worse by.
     least_effect: f64,
 }
 

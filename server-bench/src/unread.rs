@@ -131,8 +131,8 @@ async fn never_read(index: usize, address: std::net::SocketAddr, keys: &[ChunkKe
     Ok(connection)
 }
 
-/// Times, and how many sessions of dead clients were open then: until `until`, and at least one time
-/// without the healthy clients, which are `gone` then.
+/// Times, and how many sessions of dead clients were open then: until `until`, and at least one
+/// time without the healthy clients, which are `gone` then.
 async fn sessions(
     server: &ServerProcess,
     until: &Cell<Option<Instant>>,
@@ -152,15 +152,16 @@ async fn sessions(
     }
 }
 
-/// Sessions of dead clients among the open ones at a time. The healthy ones count as open until they
-/// are gone: one less while they end, rather than one that is healthy taken for dead.
+/// Sessions of dead clients among the open ones at a time. The healthy ones count as open until
+/// they are gone: one less while they end, rather than one that is healthy taken for dead.
 fn dead(open: usize, now: Instant, gone: Option<Instant>) -> usize {
     let is_alone = gone.is_some_and(|gone| now >= gone);
     open.saturating_sub(if is_alone { 0 } else { HEALTHY })
 }
 
 /// How long the oldest of the open sessions had been open, at most over all samples, and how many
-/// were left at the last one. Of `n` open sessions the oldest began no later than the `n`-th newest.
+/// were left at the last one. Of `n` open sessions the oldest began no later than the `n`-th
+/// newest.
 fn longest_stay(starts: &[Instant], samples: &[(Instant, usize)]) -> (Duration, usize) {
     let oldest = |(now, open): &(Instant, usize)| {
         let begun = starts.iter().filter(|start| *start <= now).count();

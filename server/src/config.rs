@@ -279,8 +279,8 @@ fn either<T>(given: Vec<T>, file: Vec<T>) -> Vec<T> {
     if given.is_empty() { file } else { given }
 }
 
-/// As [`either`], without blanks around the texts and without empty ones: lists in variables may have
-/// blanks and commas at their ends.
+/// As [`either`], without blanks around the texts and without empty ones: lists in variables may
+/// have blanks and commas at their ends.
 fn either_text(given: Vec<String>, file: Vec<String>) -> Vec<String> {
     let texts = either(given, file).into_iter().map(|text| text.trim().to_owned());
     texts.filter(|text| !text.is_empty()).collect()

@@ -107,9 +107,9 @@ async fn serve(config: ServerConfig) -> Result<(), String> {
         format!("cannot listen on {address}: {error}; {cure}")
     })?;
     let bound = listener.local_addr().map_err(|error| format!("cannot read the bound address: {error}"))?;
-    // Before the address is printed: a script that knows the address may send a signal at once.
-    // The end of a terminal ends what runs in it; elsewhere SIGHUP asks for a reload, of which there may
-    // be nothing.
+    // Before the address is printed: a script that knows the address may send a signal at once. The
+    // end of a terminal ends what runs in it; elsewhere SIGHUP asks for a reload, of which there
+    // may be nothing.
     let stays = config.has_files() || !std::io::stdin().is_terminal();
     let interrupted = interruption(stays).map_err(|error| format!("cannot listen for signals: {error}"))?;
     let scheme = if config.tls.is_some() { "https" } else { "http" };
@@ -120,8 +120,8 @@ async fn serve(config: ServerConfig) -> Result<(), String> {
         .map_err(|error| format!("cannot start generation threads: {error}"))
 }
 
-/// Listens for SIGINT and SIGTERM from now on; the future completes on the first. `stays` after a SIGHUP,
-/// which otherwise ends the process.
+/// Listens for SIGINT and SIGTERM from now on; the future completes on the first. `stays` after a
+/// SIGHUP, which otherwise ends the process.
 fn interruption(stays: bool) -> std::io::Result<impl Future<Output = ()>> {
     #[cfg(unix)]
     {

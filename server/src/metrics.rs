@@ -172,7 +172,7 @@ pub struct Metrics {
     pub store_read_seconds: Histogram,
     /// Time per write to the store.
     pub store_write_seconds: Histogram,
-    /// 1 while the store is asked.
+    /// 1 while the store answers.
     pub store_up: Gauge,
     /// Memory in use that counts against the limit, bytes.
     pub memory_used_bytes: Gauge,
@@ -483,7 +483,7 @@ impl Metrics {
             "Time per write to the store",
             &self.store_write_seconds.clone(),
         );
-        self.register("store_up", "1 while the store is asked", &self.store_up.clone());
+        self.register("store_up", "1 while the store answers, be it late", &self.store_up.clone());
     }
 
     fn register_http(&mut self) {

@@ -69,6 +69,8 @@ impl<'a> File<'a> {
 
     /// Reads it again, or waits on for the read that has not ended.
     async fn reload(&mut self, is_asked: bool) {
+        // What an earlier read found, which took too long, may be out of date.
+        self.reading.take_if(|reading| reading.is_finished());
         let read = Arc::clone(&self.read);
         // Files may be on a slow disk.
         let reading = self.reading.get_or_insert_with(|| spawn_blocking(move || read()));

@@ -116,7 +116,6 @@ fn beyond_the_loopback_it_starts_by_an_option() {
     assert_eq!(server.scheme, "https");
 }
 
-#[cfg(unix)]
 /// A value that a deployment passes on without having one. What protects a server is no such value.
 #[test]
 fn an_empty_variable_is_an_absent_one_unless_it_protects_the_server() {
@@ -133,7 +132,15 @@ fn an_empty_variable_is_an_absent_one_unless_it_protects_the_server() {
         assert!(error.contains("cannot listen") && error.contains("address of this machine"), "{error}");
         assert_eq!(output.status.code(), Some(1), "{variable}: {error}");
     }
-    for variable in ["TOKEN_FILE", "TLS_CERT", "TLS_KEY", "PROTECT"] {
+    for variable in [
+        "CONFIG",
+        "TOKEN_FILE",
+        "TLS_CERT",
+        "TLS_KEY",
+        "PROTECT",
+        "RATE_LIMIT_MS",
+        "MAX_SESSIONS_PER_ADDRESS",
+    ] {
         assert_eq!(output(&format!("TOMBOLO_{variable}"), "").status.code(), Some(2), "{variable}");
     }
     let output = output("TOMBOLO_CACHE_MB", "1e3");
@@ -141,6 +148,7 @@ fn an_empty_variable_is_an_absent_one_unless_it_protects_the_server() {
     assert!(output.status.code() == Some(2) && error.contains("1 to 65536"), "{error}");
 }
 
+#[cfg(unix)]
 #[test]
 fn tokens_are_read_again_on_sighup() {
     let path = std::env::temp_dir().join(format!("tombolo-program-{}.toml", std::process::id()));

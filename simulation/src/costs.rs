@@ -25,8 +25,8 @@ const REPEATS: usize = 3;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Costs {
-    /// A chunk of each level, generated and encoded; level 0 first. A list without some levels is an
-    /// error where it is read: a guess for them would pass for a measured cost.
+    /// A chunk of each level, generated and encoded; level 0 first. A list without some levels is
+    /// an error where it is read: a guess for them would pass for a measured cost.
     #[serde(deserialize_with = "of_all_levels")]
     pub chunk_us: [f64; LEVELS],
     /// A chunk of level 0 in the fast encoding.
@@ -53,8 +53,8 @@ fn of_all_levels<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; LEVELS], D:
 
 impl Default for Costs {
     /// Of an AMD EPYC, on one of two cores that other programs used too. Chunks and views are what
-    /// [`Costs::measure`] found; messages, writes and clients are what is left of the processor time of
-    /// a server and of the load test with 100 flying clients (docs/scale.md).
+    /// [`Costs::measure`] found; messages, writes and clients are what is left of the processor
+    /// time of a server and of the load test with 100 flying clients (docs/scale.md).
     fn default() -> Self {
         Self {
             chunk_us: [

@@ -196,8 +196,8 @@ impl<'a> Replica<'a> {
         self.report
     }
 
-    /// Counts probes without an answer at the end, as the load test does: the latest are cut off by the
-    /// end, older ones wait for a server that is slow.
+    /// Counts probes without an answer at the end, as the load test does: the latest are cut off by
+    /// the end, older ones wait for a server that is slow.
     fn count_unanswered(&mut self) {
         for wait in self.clients.iter().flatten().flat_map(|client| client.unanswered(self.plan.length)) {
             self.report.unanswered += 1;
@@ -419,7 +419,8 @@ impl<'a> Replica<'a> {
         }
     }
 
-    /// Applies a view. Its chunks are selected here, for real; the time that this takes was counted.
+    /// Applies a view. Its chunks are selected here, for real; the time that this takes was
+    /// counted.
     fn select(&mut self, index: usize, mut view: ViewSelection) {
         let Some(session) = &mut self.sessions[index] else { return };
         while !view.step(&self.offer.land, 4096) {}

@@ -32,8 +32,8 @@ pub struct Report {
     pub processor_s: f64,
     /// Of it, the clients' work.
     pub client_s: f64,
-    /// From a request to its chunk. One without an answer counts with its wait if that is a second or
-    /// more, as in the load test.
+    /// From a request to its chunk. One without an answer counts with its wait if that is a second
+    /// or more, as in the load test.
     pub latency: Latencies,
     /// From a pose to the completion of its view.
     pub settling: Latencies,

@@ -1,5 +1,5 @@
-//! A session with a server that is not trusted, without IO: the protocol's session machine, what may
-//! arrive, and what is requested again.
+//! A session with a server that is not trusted, without IO: the protocol's session machine, what
+//! may arrive, and what is requested again.
 //!
 //! A bad chunk is dropped. While it is missing, the viewer draws its coarser ancestor in its place,
 //! as it does for every chunk that has not arrived. The chunk is requested again with growing
@@ -16,8 +16,9 @@ use protocol::chunk_codec::kind_and_key;
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::message::{RefusalReason, Refused, WireKey};
 use protocol::view::View;
-use protocol::{ChunkError, DataFrame, PeerFault};
+use protocol::{ChunkError, DataFrame, Delivery, PeerFault};
 use std::collections::BTreeSet;
+use std::iter::successors;
 use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
 
@@ -67,6 +68,8 @@ pub struct GuardedSession {
     session: ClientSession,
     expected: ExpectedChunks,
     retries: Retries,
+    /// Whether chunks refine their parents.
+    is_refined: bool,
     /// Whether the latest view is not settled.
     is_open: bool,
     /// Whether a chunk is missing that cannot be requested by its key.
@@ -79,6 +82,7 @@ impl GuardedSession {
     #[must_use]
     pub fn new(config: ClientConfig, first: Duration, longest: Duration) -> Self {
         Self {
+            is_refined: config.delivery == Delivery::Refined,
             session: ClientSession::new(config),
             expected: ExpectedChunks::default(),
             retries: Retries::new(first, longest),
@@ -141,9 +145,10 @@ impl GuardedSession {
     pub fn retry(&mut self, now: Duration) {
         let expected = &self.expected;
         let needed = |key: &ChunkKey| expected.is_in_latest_view(*key);
-        // Parents are needed by what refines them, too.
-        let parents: BTreeSet<_> = self.retries.keys().filter(needed).filter_map(ChunkKey::parent).collect();
-        let due = self.retries.take_due(now, |key| needed(&key) || parents.contains(&key));
+        // Ancestors are needed by what refines them, and before it.
+        let ancestors = |key: ChunkKey| successors(key.parent(), |key| key.parent());
+        let refined: BTreeSet<_> = self.retries.keys().filter(needed).flat_map(ancestors).collect();
+        let due = self.retries.take_due(now, |key| needed(&key) || refined.contains(&key), self.is_refined);
         if !due.is_empty() {
             self.rejects.retried += due.len() as u64;
             self.session.request(&due);
@@ -215,8 +220,8 @@ impl GuardedSession {
     ) -> Result<Received, SessionFault> {
         self.rejects.bad += 1;
         let detail = fault.to_string();
-        // Until a bad parent has come again, all chunks that refine it are missed, of which the server
-        // does not know.
+        // Until a bad parent has come again, all chunks that refine it are missed, of which the
+        // server does not know.
         let parent = if let ChunkError::Parent(key) = fault { key.parent() } else { None };
         match parent.filter(|parent| self.retries.contains(*parent)) {
             Some(_) => trust.surplus()?,
@@ -282,7 +287,6 @@ impl GuardedSession {
 mod tests {
     use super::*;
     use crate::stream::trust::MAX_BAD;
-    use protocol::Delivery;
 
     const NOW: Duration = Duration::ZERO;
 
@@ -292,8 +296,8 @@ mod tests {
         GuardedSession::new(config, Duration::from_millis(100), Duration::from_secs(5))
     }
 
-    /// One bad chunk of level 2 costs the chunks of two levels that refine it. The control is a server that
-    /// sends refined chunks of parents that were never bad.
+    /// One bad chunk of level 2 costs the chunks of two levels that refine it. The control is a
+    /// server that sends refined chunks of parents that were never bad.
     #[test]
     fn chunks_that_refine_a_bad_one_are_requested_again_and_not_held_against_the_server() {
         let top = ChunkKey::new(2, 0, 0).unwrap();
@@ -306,6 +310,21 @@ mod tests {
         }
         assert_eq!((session.retries.len(), session.take_rejects().bad), (21, 21));
         assert!(!session.lost_key);
+        // The bad chunk first, though only the finest are needed.
+        let (later, mut requested) = (Duration::from_secs(60), Vec::new());
+        while !session.retries.is_empty() {
+            let refined: BTreeSet<_> =
+                finest.iter().flat_map(|key| successors(key.parent(), |key| key.parent())).collect();
+            let is_needed = |key: ChunkKey| key.level() == 0 || refined.contains(&key);
+            let due = session.retries.take_due(later, is_needed, true);
+            assert!(!due.is_empty());
+            due.iter().for_each(|key| session.retries.remove(*key));
+            requested.extend(due);
+        }
+        assert_eq!(
+            requested.iter().map(|key| key.level()).collect::<Vec<_>>(),
+            [&[2][..], &[1; 4], &[0; 16]].concat()
+        );
 
         let (mut session, mut trust) = (self::session(), Trust::default());
         let unknown = (0..MAX_BAD as i32).map(|x| ChunkKey::new(1, 2 * x, 0).unwrap());

@@ -1,7 +1,7 @@
 //! Chunks that were bad or refused, and when each is requested again.
 
 use protocol::backoff::Backoff;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use terrain::ChunkKey;
 
@@ -79,10 +79,19 @@ impl Retries {
         self.chunks.is_empty()
     }
 
-    /// The chunks to request now. Forgets those that are no longer needed.
-    pub fn take_due(&mut self, now: Duration, is_needed: impl Fn(ChunkKey) -> bool) -> Vec<ChunkKey> {
+    /// The chunks to request now. Forgets those that are no longer needed. `parents_first` leaves
+    /// out chunks whose parents are missing too.
+    pub fn take_due(
+        &mut self,
+        now: Duration,
+        is_needed: impl Fn(ChunkKey) -> bool,
+        parents_first: bool,
+    ) -> Vec<ChunkKey> {
         self.chunks.retain(|key, _| is_needed(*key));
-        let due = self.chunks.iter_mut().filter(|(_, retry)| retry.due <= now);
+        let missing: BTreeSet<_> = if parents_first { self.keys().collect() } else { BTreeSet::new() };
+        let due = self.chunks.iter_mut().filter(|(key, retry)| {
+            retry.due <= now && !key.parent().is_some_and(|parent| missing.contains(&parent))
+        });
         due.take(MAX_DUE)
             .map(|(key, retry)| {
                 retry.due = now + ANSWER;
@@ -117,14 +126,14 @@ mod tests {
             assert!(retries.add(key(1), now));
             let due = retries.next().unwrap();
             assert!(due - now <= MS(1000) && (attempt != 3 || due - now > last), "attempt {attempt}");
-            assert!(retries.take_due(now, |_| true).is_empty());
+            assert!(retries.take_due(now, |_| true, false).is_empty());
             (last, now) = (due - now, due);
-            assert_eq!(retries.take_due(now, |_| true), [key(1)]);
+            assert_eq!(retries.take_due(now, |_| true, false), [key(1)]);
         }
         // Without an answer it is requested again.
         assert_eq!(retries.next(), Some(now + ANSWER));
         retries.remove(key(1));
-        assert!(retries.is_empty() && retries.take_due(MS(1_000_000), |_| true).is_empty());
+        assert!(retries.is_empty() && retries.take_due(MS(1_000_000), |_| true, false).is_empty());
     }
 
     #[test]
@@ -134,8 +143,8 @@ mod tests {
             assert!(retries.add(key(x), Duration::ZERO));
         }
         assert!(!retries.add(key(-1), Duration::ZERO) && retries.add(key(0), Duration::ZERO));
-        assert_eq!(retries.take_due(MS(5), |_| true).len(), MAX_DUE);
-        assert!(retries.take_due(MS(5), |key| key.x() < 10).is_empty(), "requested already");
+        assert_eq!(retries.take_due(MS(5), |_| true, false).len(), MAX_DUE);
+        assert!(retries.take_due(MS(5), |key| key.x() < 10, false).is_empty(), "requested already");
         assert_eq!(retries.len(), 10);
     }
 }

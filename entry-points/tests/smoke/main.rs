@@ -106,8 +106,8 @@ fn a_planted_panic_is_found() {
     assert!(input.starts_with(b"TMBM"), "{input:02x?}");
 }
 
-/// Each target of the package `fuzz` is one of these, and each of these has a target. One more is the
-/// control, with a planted fault.
+/// Each target of the package `fuzz` is one of these, and each of these has a target. One more is
+/// the control, with a planted fault.
 #[test]
 fn every_entry_point_has_a_fuzz_target() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz");

@@ -263,8 +263,8 @@ impl ServerSession {
         self.settle();
     }
 
-    /// Gives up the selection that is running: its view is refused as failed, and the view before it
-    /// stays active.
+    /// Gives up the selection that is running: its view is refused as failed, and the view before
+    /// it stays active.
     pub fn fail_view(&mut self, detail: impl Into<Cow<'static, str>>) {
         if let Some(id) = self.views.fail() {
             self.refuse(id, None, RefusalReason::Failed, detail);

@@ -1,9 +1,9 @@
 //! The access tokens of clients and their file.
 //!
-//! A list is in TOML: entries `[[token]]` with `name`, `token` and, if it ends, `expires`. A file with
-//! a line that begins with `[` or `#`, or with a first line that assigns a value, is read as a list, so
-//! that no part of a misspelt list becomes a token. Of any other file the first line is the only
-//! token.
+//! A list is in TOML: entries `[[token]]` with `name`, `token` and, if it ends, `expires`. A file
+//! with a line that begins with `[` or `#`, or with a first line that assigns a value, is read as a
+//! list, so that no part of a misspelt list becomes a token. Of any other file the first line is
+//! the only token.
 
 use chrono::DateTime;
 use cli::UsageError;
@@ -143,7 +143,8 @@ fn parse(text: &str) -> Result<TokenSet, String> {
     // Of editors that mark UTF-8.
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let first = text.lines().next().unwrap_or_default();
-    if !(text.lines().any(|line| line.trim_start().starts_with(['[', '#'])) || is_assignment(first)) {
+    let is_of_list = |line: &str| line.trim_start().starts_with(['[', '#']);
+    if !(text.lines().any(is_of_list) || is_of_structure(first)) {
         let token = first.trim();
         check_length(token).map_err(|why| format!("the first line {why}"))?;
         return Ok(TokenSet::one(token));
@@ -180,8 +181,16 @@ fn parse(text: &str) -> Result<TokenSet, String> {
     Ok(TokenSet { tokens })
 }
 
-/// Whether a line is `key = value` in TOML. Tokens in Base64 may end with `=`.
-fn is_assignment(line: &str) -> bool {
+/// Whether a line is of JSON or YAML, or `key = value` in TOML. Tokens in Base64 may end with `=`.
+fn is_of_structure(line: &str) -> bool {
+    let line = line.trim();
+    let is_entry = |key: &str| ["name", "token", "expires"].contains(&key.trim());
+    if line.starts_with('{')
+        || line.starts_with("- ")
+        || line.split_once(['=', ':']).is_some_and(|(key, _)| is_entry(key))
+    {
+        return true;
+    }
     line.split_once('=').is_some_and(|(key, value)| {
         let is_key = |letter: char| letter.is_ascii_alphanumeric() || "-_.\"' ".contains(letter);
         !key.trim().is_empty()
@@ -258,6 +267,10 @@ mod tests {
             entry.to_owned(),
             "# tokens of our clients\nhush".into(),
             "hush\n# of 2026".into(),
+            "expires = 2027-01-31T18:00:00Z\nname = \"a\"\ntoken = \"hush\"".into(),
+            "{ \"token\": \"hush\" }".into(),
+            "- name: a\n  token: hush".into(),
+            "token: hush".into(),
         ] {
             let message = parse(&text).unwrap_err();
             assert!(message.contains("[[token]]") && !message.contains("hush"), "{text}: {message}");

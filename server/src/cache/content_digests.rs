@@ -1,5 +1,5 @@
-//! Content digests of chunks that were served by address. A frame does not contain the digest of its
-//! content, and computing it takes decoding the frame.
+//! Content digests of chunks that were served by address. A frame does not contain the digest of
+//! its content, and computing it takes decoding the frame.
 
 use crate::chunk_id::ChunkId;
 use crate::limits::rate_limit::TokenBucket;

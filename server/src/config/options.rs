@@ -117,8 +117,8 @@ pub struct Options {
     /// that would wait longer is rejected as overloaded [default: 500]
     #[arg(long, value_name = "MS", env = "TOMBOLO_DEADLINE_MS", value_parser = whole::<u64>(10, 60_000))]
     pub deadline_ms: Option<u64>,
-    /// Address of a collector of OpenTelemetry, OTLP over HTTP, to which traces of chunks go, such as
-    /// http://127.0.0.1:4318/v1/traces [default: none]
+    /// Address of a collector of OpenTelemetry, OTLP over HTTP, to which traces of chunks go, such
+    /// as http://127.0.0.1:4318/v1/traces [default: none]
     #[arg(long, value_name = "URL", env = "TOMBOLO_OTLP")]
     pub otlp: Option<String>,
     /// Trace one requested chunk of so many, 0 to 1000000000; 0 is only those whose client names a
@@ -137,8 +137,8 @@ pub struct Options {
 }
 
 impl Options {
-    /// The options without those of empty text: deployments pass on variables that may be empty. What
-    /// protects the server stays, so that a forgotten file of tokens is an error.
+    /// The options without those of empty text: deployments pass on variables that may be empty.
+    /// What protects the server stays, so that a forgotten file of tokens is an error.
     #[must_use]
     pub fn without_empty(mut self) -> Self {
         for text in [&mut self.store, &mut self.otlp, &mut self.log] {

@@ -34,7 +34,8 @@ fn a_flag_overrides_the_file_and_the_file_the_default() {
     assert_eq!((config.world_seed, config.cache_bytes, config.log_json), (9, 64 << 20, true));
 }
 
-/// Every option with a value: one of a file, and another one of the command line. Lists are the last.
+/// Every option with a value: one of a file, and another one of the command line. Lists are the
+/// last.
 const OPTIONS: [(&str, &str, &str); 20] = [
     ("listen", "\"127.0.0.1:1\"", "127.0.0.1:2"),
     ("world-seed", "5", "6"),

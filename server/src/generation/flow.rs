@@ -132,8 +132,8 @@ impl Flow {
         }
     }
 
-    /// Requests a frame of the chunk that the key names now. [`Flow::completions`] returns exactly one
-    /// result, unless the request is cancelled.
+    /// Requests a frame of the chunk that the key names now. [`Flow::completions`] returns exactly
+    /// one result, unless the request is cancelled.
     pub fn request(&mut self, chunk: ChunkRequest, delivery: Delivery) {
         self.request_frame(self.shared.current(chunk.key), chunk, delivery);
     }

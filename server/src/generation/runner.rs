@@ -130,7 +130,8 @@ impl Shared {
                     self.run_job(id)
                 };
                 let finished: Vec<GeneratedFrames> = turn.chunks.into_iter().map(run).collect();
-                // Before the sessions learn of it: a span that is open when the process ends is lost.
+                // Before the sessions learn of it: a span that is open when the process ends is
+                // lost.
                 drop(turn.traced);
                 self.send_results(&finished);
             }
@@ -138,9 +139,9 @@ impl Shared {
         }
     }
 
-    /// Continues a view within its budget, or until a flow that was idle waits: it has the next turn,
-    /// and a view can stop between any two steps. A finished selection is sent to its session; an
-    /// unfinished one waits for the flow's next turn. A panic fails this view only.
+    /// Continues a view within its budget, or until a flow that was idle waits: it has the next
+    /// turn, and a view can stop between any two steps. A finished selection is sent to its
+    /// session; an unfinished one waits for the flow's next turn. A panic fails this view only.
     fn select_view(&self, flow: FlowId, mut job: ViewJob, budget_us: i64) {
         let must_stop = || self.lock().has_new_flow();
         let Ok((is_done, spent)) = catch_unwind(AssertUnwindSafe(|| job.run(budget_us, must_stop))) else {

@@ -8,8 +8,8 @@
 //!     RUSTFLAGS="--cfg shuttle" cargo test -p tombolo-server --lib schedules --target-dir target/shuttle
 //!     TOMBOLO_SCHEDULES=100000 ... the same with more of them
 //!
-//! Channels and caches are those of the product and change in one step. What may differ is the order
-//! of such steps between the threads.
+//! Channels and caches are those of the product and change in one step. What may differ is the
+//! order of such steps between the threads.
 
 use super::flow::Flow;
 use super::queue::FrameRequest;
@@ -83,8 +83,8 @@ enum Bug {
     /// The cache is looked up before the lock of the queue is taken: a chunk that is finished in
     /// between is generated again.
     EarlyLookup,
-    /// A thread that found no work is counted until it has released the lock: no caller starts another
-    /// for a job that comes in between.
+    /// A thread that found no work is counted until it has released the lock: no caller starts
+    /// another for a job that comes in between.
     LateLeave,
 }
 

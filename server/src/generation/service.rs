@@ -198,8 +198,8 @@ mod tests {
         assert!(fixture.service.load() < 0.01);
     }
 
-    /// Without a waiting request nothing is rejected; with one, as many are allowed as jobs end within half
-    /// of the deadline, shared between the flows.
+    /// Without a waiting request nothing is rejected; with one, as many are allowed as jobs end
+    /// within half of the deadline, shared between the flows.
     #[tokio::test]
     async fn the_allowance_is_a_share_of_what_ends_within_half_of_the_deadline() {
         let fixture = fixture_with_deadline(1 << 20, 10, Duration::from_millis(500));

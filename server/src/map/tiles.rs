@@ -18,7 +18,7 @@ use std::time::Duration;
 use terrain::{Chunk, ChunkKey, WorldDigest};
 use thiserror::Error;
 use tokio::sync::Semaphore;
-use tokio::time::{Instant, timeout};
+use tokio::time::{Instant, timeout_at};
 
 /// Version of colours and shading. Part of the tiles' URLs, since tiles are immutable.
 pub const STYLE: u32 = 1;
@@ -124,14 +124,16 @@ impl Map {
             self.metrics.tile_cache_hits.inc();
             return Ok(tile);
         }
-        let _waiting = self.queue_permits.try_acquire().map_err(|_| MapError::Busy)?;
+        let queue = || self.queue_permits.try_acquire().map_err(|_| MapError::Busy);
+        let mut place = Some(queue()?);
         let sources = elevation::sources(key);
         let mut frames = vec![None; sources.len()];
-        // When it must have the tokens that it waits for.
+        // When its turn must have come, and when it must have the tokens that it waits for.
+        let by = Instant::now() + MAX_WAIT;
         let mut tokens_by = None;
         let permit = loop {
             // The semaphore is never closed, so both errors are timeouts.
-            let permit = timeout(MAX_WAIT, Arc::clone(&self.render_permits).acquire_owned()).await;
+            let permit = timeout_at(by, Arc::clone(&self.render_permits).acquire_owned()).await;
             let Ok(Ok(permit)) = permit else { return Err(MapError::Busy) };
             // Another request may have rendered this tile meanwhile.
             if let Some(tile) = self.cache.get(&key) {
@@ -141,12 +143,13 @@ impl Map {
             if fetch_frames(&sources, &mut frames, generation, bucket).await? {
                 break permit;
             }
-            // Other clients' tiles are rendered while this one waits for tokens.
-            drop(permit);
-            let by = *tokens_by.get_or_insert_with(|| Instant::now() + generation.deadline());
-            if !bucket.wait(by, &self.metrics).await {
+            // While it waits for tokens, others have its turn and its place in the queue.
+            drop((permit, place.take()));
+            let tokens_by = *tokens_by.get_or_insert_with(|| by.min(Instant::now() + generation.deadline()));
+            if !bucket.wait(tokens_by, &self.metrics).await {
                 return Err(MapError::OverRate);
             }
+            place = Some(queue()?);
         };
         let frames: Vec<Bytes> = frames.into_iter().flatten().collect();
         let (world, bucket) = (self.world, bucket.clone());

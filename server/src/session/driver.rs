@@ -173,8 +173,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     }
                 }
                 () = self.state.draining.cancelled() => return self.drain().await,
-                // A client that reads cached chunks at full speed must not starve others; between two
-                // batches it is read, and a shutdown ends it.
+                // A client that reads cached chunks at full speed must not starve others; between
+                // two batches it is read, and a shutdown ends it.
                 () = let_others_run(self.state.config.without), if more => {}
                 () = tokio::time::sleep_until(handshake_by), if !self.session.is_welcomed() => {
                     return SessionEnd::with_code(EndReason::HandshakeTimeout, CloseCode::HandshakeTimeout);
@@ -213,8 +213,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         received
     }
 
-    /// Ends a session whose message takes too long. What has arrived by now counts: a long write may
-    /// have kept this session from reading.
+    /// Ends a session whose message takes too long. What has arrived by now counts: a long write
+    /// may have kept this session from reading.
     async fn finish_message(&mut self) -> Result<(), SessionEnd> {
         if let Ok(read) = timeout(Duration::ZERO, self.socket.read()).await {
             self.read_ended(read).await?;
@@ -461,8 +461,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     }
 }
 
-/// Between two messages or batches of a peer: other tasks of this thread run, and other threads if it
-/// is time.
+/// Between two messages or batches of a peer: other tasks of this thread run, and other threads if
+/// it is time.
 async fn let_others_run(without: Option<Mechanism>) {
     scheduling::yield_if_due(without);
     tokio::task::yield_now().await;

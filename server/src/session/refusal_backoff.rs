@@ -21,13 +21,13 @@ use tokio::time::Instant;
 const REFUSAL_COST: Duration = Duration::from_micros(4);
 
 /// Cost of a view that was superseded or refused. About eight times what it takes, so that views of
-/// all sessions together get an eighth of a thread: no client needs more views than frames, and each
-/// takes time from generation. 60 a second of each of two hundred sessions on a thread, all
+/// all sessions together get an eighth of a thread: no client needs more views than frames, and
+/// each takes time from generation. 60 a second of each of two hundred sessions on a thread, all
 /// superseded, cause no pause.
 const VIEW_COST: Duration = Duration::from_micros(32);
 
-/// Bytes that are read at once of a session that has been paused for its views: about 30 of them, so
-/// that its turns on the thread are short. For so long after a pause.
+/// Bytes that are read at once of a session that has been paused for its views: about 30 of them,
+/// so that its turns on the thread are short. For so long after a pause.
 const SMALL_READ: usize = 2048;
 const CAUTION: Duration = Duration::from_secs(1);
 

@@ -60,8 +60,8 @@ impl StoreAddress {
 }
 
 /// An invalid address as errors show it: in one line, without what may be a secret. Whatever stands
-/// before the last `@` may be a name and a password, also with characters that they should not hold;
-/// a query may be a signature.
+/// before the last `@` may be a name and a password, also with characters that they should not
+/// hold; a query may be a signature.
 fn shown(text: &str) -> String {
     let (scheme, rest) = text.find("://").map_or(("", text), |colon| text.split_at(colon + 3));
     let (user, rest) = rest.rsplit_once('@').map_or(("", rest), |(_, rest)| ("***@", rest));

@@ -17,8 +17,8 @@ pub struct Breaker {
 }
 
 impl Breaker {
-    /// Whether a request may be sent. After a pause this is true once in each pause, until a request
-    /// succeeds.
+    /// Whether a request may be sent. After a pause this is true once in each pause, until a
+    /// request succeeds.
     pub fn allows(&mut self, now: Instant) -> bool {
         match self.open_until {
             None => true,
@@ -48,12 +48,6 @@ impl Breaker {
     pub fn holds_back(&self, now: Instant) -> bool {
         self.open_until.is_some_and(|until| now < until)
     }
-
-    /// Whether failures have opened it and no request has succeeded since.
-    #[must_use]
-    pub const fn is_open(&self) -> bool {
-        self.open_until.is_some()
-    }
 }
 
 #[cfg(test)]
@@ -66,10 +60,10 @@ mod tests {
         for _ in 1..FAILURES {
             breaker.failed(now);
         }
-        assert!(breaker.allows(now) && !breaker.is_open());
+        assert!(breaker.allows(now) && !breaker.holds_back(now));
         breaker.succeeded();
         (0..FAILURES).for_each(|_| breaker.failed(now));
-        assert!(!breaker.allows(now) && breaker.is_open() && breaker.holds_back(now));
+        assert!(!breaker.allows(now) && breaker.holds_back(now));
         breaker.succeeded();
         assert!(breaker.allows(now));
     }
@@ -79,7 +73,7 @@ mod tests {
         let (mut breaker, start) = (Breaker::default(), Instant::now());
         (0..FAILURES).for_each(|_| breaker.failed(start));
         let later = start + PAUSE;
-        assert!(!breaker.holds_back(later) && breaker.is_open());
+        assert!(!breaker.holds_back(later));
         assert!(breaker.allows(later) && !breaker.allows(later), "one");
         breaker.failed(later);
         assert!(!breaker.allows(later + PAUSE / 2));

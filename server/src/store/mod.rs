@@ -47,8 +47,8 @@ use writer::Writer;
 /// The finest level that is stored, unless a region has a finer one: as for the disk cache.
 pub const FINEST_LEVEL: u8 = crate::cache::disk::FINEST_LEVEL;
 
-/// Timeout of one read, unless chunks may wait longer. Its thread no longer waits then; the answer only
-/// counts for the pace.
+/// Timeout of one read, unless chunks may wait longer. Its thread no longer waits then; the answer
+/// only counts for the pace.
 const READ_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reads in flight. One more is not sent: the chunk is made.
@@ -97,8 +97,8 @@ struct Inner {
     world: WorldDigest,
     regions: RwLock<Vec<BakedRegion>>,
     indexes: Cache<PackTile, Arc<PackIndex>>,
-    /// Tiles whose pack is damaged or lost: their chunks are objects of their own. A look for regions
-    /// forgets them, since a pack may have been baked again.
+    /// Tiles whose pack is damaged or lost: their chunks are objects of their own. A look for
+    /// regions forgets them, since a pack may have been baked again.
     broken: Cache<PackTile, ()>,
     reads: Arc<Semaphore>,
     read_timeout: Duration,
@@ -184,7 +184,11 @@ impl Store {
             let _ = sender.try_send(read);
         });
         let started = Instant::now();
-        let found = match answer.recv_timeout(wait) {
+        let answer = answer.recv_timeout(wait);
+        if matches!(answer, Ok(Fetched::Object(_) | Fetched::Missing)) {
+            inner.pace.in_time();
+        }
+        let found = match answer {
             Ok(Fetched::Object(frame)) => inner.checked(key, tile, frame),
             Ok(Fetched::Missing) => {
                 inner.metrics.store_misses.inc();
@@ -207,8 +211,8 @@ impl Store {
         found
     }
 
-    /// A chunk was made in this time: writes its exact frame, if its level is stored, no whole pack has
-    /// it, and it would be read. The frame is not asked for if it is not written.
+    /// A chunk was made in this time: writes its exact frame, if its level is stored, no whole pack
+    /// has it, and it would be read. The frame is not asked for if it is not written.
     pub fn made(&self, id: ChunkId, took: Duration, frame: impl FnOnce() -> Bytes) {
         self.inner.pace.made(id.key, took);
         let is_packed = self.inner.packed(id).is_some_and(|tile| self.inner.broken.get(&tile).is_none());

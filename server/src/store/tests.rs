@@ -170,8 +170,8 @@ fn keys() -> Vec<ChunkKey> {
     (0..8).map(|n| ChunkKey::new(2 + n as u8 % 3, n - 4, 1 - n).unwrap()).collect()
 }
 
-/// The replica serves every chunk right in some deliveries. Where one was served, the error is known
-/// for another, and the chunk is made without the store.
+/// The replica serves every chunk right in some deliveries. Where one was served, the error is
+/// known for another, and the chunk is made without the store.
 async fn serves(replica: &Replica, keys: &[ChunkKey], deliveries: &[Delivery]) {
     let (land, world) = (land(), land().digest());
     for key in keys {
@@ -261,8 +261,8 @@ async fn a_store_that_refuses_writes_is_read() {
     assert_eq!(replica.metrics.store_up.get(), 1);
 }
 
-/// The control is that the first chunks are written without result: the breaker of the writes is open, and
-/// that of the reads is not.
+/// The control is that the first chunks are written without result: the breaker of the writes is
+/// open, and that of the reads is not.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_store_is_read() {
     let objects = Arc::new(InMemory::new());
@@ -366,8 +366,8 @@ async fn damaged_and_cut_packs_are_invalid_and_open_no_breaker() {
     serves(&replica, &whole, EXACT).await;
     let metrics = &replica.metrics;
     assert_eq!((metrics.jobs_completed.get(), metrics.store_hits.get()), (8, 8));
-    // Of each of the four packs one read is invalid; the four others, and those of the two cut packs, look
-    // for an object of the chunk's own.
+    // Of each of the four packs one read is invalid; the four others, and those of the two cut
+    // packs, look for an object of the chunk's own.
     assert_eq!((metrics.store_reads_invalid.get(), metrics.store_misses.get()), (4, 6));
     assert_eq!(metrics.store_reads_failed.get(), 0);
 }

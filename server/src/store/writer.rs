@@ -1,5 +1,5 @@
-//! Writes to the store, behind the generation threads. They have a breaker of their own: a full store
-//! refuses writes and is read all the same.
+//! Writes to the store, behind the generation threads. They have a breaker of their own: a full
+//! store refuses writes and is read all the same.
 
 use super::breaker::Breaker;
 use crate::metrics::Metrics;
@@ -62,8 +62,8 @@ impl Writer {
         Self { commands, shared }
     }
 
-    /// Queues an object. Its frame is not asked for if it would not be written: the queue is full, or
-    /// writes have failed.
+    /// Queues an object. Its frame is not asked for if it would not be written: the queue is full,
+    /// or writes have failed.
     pub fn write(&self, path: Path, frame: impl FnOnce() -> Bytes) {
         let is_held_back = self.shared.holds_back(Instant::now());
         match self.commands.try_reserve() {

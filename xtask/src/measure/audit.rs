@@ -1,7 +1,7 @@
 //! `audit`: what can be counted of the honesty of figures and checks.
 //!
-//! Figures of other measurements come from the records of their newest date, the worst of its machines;
-//! a record without a row misses it.
+//! Figures of other measurements come from the records of their newest date, the worst of its
+//! machines; a record without a row misses it.
 
 use super::run::Run;
 use crate::ci::rehearsal;

@@ -1,10 +1,10 @@
 //! `fuzz`: every decoder under libFuzzer, a search by coverage.
 //!
-//! The targets are those of the package `fuzz`, built by cargo-fuzz. They start from the valid inputs
-//! of `entry-points` and from what earlier runs left in `target/fuzz/corpus`: what one run found, the
-//! next need not find again. Hours; `TOMBOLO_FUZZ_TARGETS` selects targets by their names, with commas
-//! between them, and `TOMBOLO_FUZZ_SECONDS` limits each one's time. What then falls short of the
-//! executions misses its bar.
+//! The targets are those of the package `fuzz`, built by cargo-fuzz. They start from the valid
+//! inputs of `entry-points` and from what earlier runs left in `target/fuzz/corpus`: what one run
+//! found, the next need not find again. Hours; `TOMBOLO_FUZZ_TARGETS` selects targets by their
+//! names, with commas between them, and `TOMBOLO_FUZZ_SECONDS` limits each one's time. What then
+//! falls short of the executions misses its bar.
 
 use super::run::Run;
 use crate::process;

@@ -24,8 +24,8 @@ pub struct Heading<'a> {
 ///
 /// From a clean commit the run is appended to `docs/measurements/<date>-<machine>/runs.csv`, and
 /// the record `<name>.md` beside it shows the median of the runs of that commit on this machine, on
-/// any day. From a changed working tree a draft is written under `target/measure`, which no document
-/// may quote.
+/// any day. From a changed working tree a draft is written under `target/measure`, which no
+/// document may quote.
 ///
 /// # Errors
 /// The date is not known or a file cannot be written.
@@ -60,8 +60,8 @@ pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
     Ok(path)
 }
 
-/// The rows with a number behind a name that an earlier row has: figures of a name are taken for runs
-/// of one row.
+/// The rows with a number behind a name that an earlier row has: figures of a name are taken for
+/// runs of one row.
 fn distinct(rows: &[Bar]) -> Vec<Bar> {
     let mut seen = BTreeMap::<&str, usize>::new();
     let mut numbered = rows.to_vec();

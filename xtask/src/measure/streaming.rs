@@ -2,8 +2,8 @@
 //! under overload.
 //!
 //! The server's figures and their bars come from `tombolo-server-bench`, those of the codecs from
-//! `tombolo-lab codec`; LERC's figures from `benches/lerc`, which needs a C++ compiler and libclang.
-//! The comparison with nginx needs `nginx` and `wrk`.
+//! `tombolo-lab codec`; LERC's figures from `benches/lerc`, which needs a C++ compiler and
+//! libclang. The comparison with nginx needs `nginx` and `wrk`.
 
 use super::run::Run;
 use crate::process;

@@ -1,20 +1,20 @@
 //! Whether the code that a record measured has changed since.
 //!
-//! Code is files of this repository, and the compiler, which `rust-toolchain.toml` names. Versions of
-//! dependencies in `Cargo.lock` do not count: one file holds those of every program, so an update of
-//! a crate that only the viewer has would make the records of all others out of date. After an update
-//! that may change a figure, its measurement is to be run again.
+//! Code is files of this repository, and the compiler, which `rust-toolchain.toml` names. Versions
+//! of dependencies in `Cargo.lock` do not count: one file holds those of every program, so an
+//! update of a crate that only the viewer has would make the records of all others out of date.
+//! After an update that may change a figure, its measurement is to be run again.
 
 use crate::process;
 use anyhow::Result;
 
-/// What decides the figures of every measurement: the bars and figures of reports, and the median of
-/// the runs. `xtask/src/measure/mod.rs` is left out, though it has the sample sizes of the
+/// What decides the figures of every measurement: the bars and figures of reports, and the median
+/// of the runs. `xtask/src/measure/mod.rs` is left out, though it has the sample sizes of the
 /// measurements by the lab: every new measurement changes it.
 const COMMON: [&str; 2] = ["bars", "xtask/src/measure/runs.rs"];
 
-/// What each measurement measures beside [`COMMON`]: paths from the root. Tests and documents in them
-/// do not count.
+/// What each measurement measures beside [`COMMON`]: paths from the root. Tests and documents in
+/// them do not count.
 const MEASURED: [(&str, &[&str]); 14] = [
     ("code", &["*.rs", "*.wesl", "*.md"]),
     (
@@ -230,6 +230,9 @@ const NO_FIGURES: [&str; 4] = [
     ":(exclude)docs/measurements",
 ];
 
+/// Measurements of tests, whose figures tests decide.
+const OF_TESTS: [&str; 1] = ["mutants"];
+
 /// Why the age of no record is known: a shallow clone lacks their commits. None in a full clone.
 pub fn lacks_history() -> Option<String> {
     let mut git = process::command("git");
@@ -259,7 +262,8 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
         return Some(format!("its commit `{commit}` does not exist"));
     }
     let mut diff = git(&["diff", "--name-only", commit, "--"]);
-    diff.args(paths).args(NO_FIGURES);
+    let left_out = NO_FIGURES.iter().filter(|path| !(OF_TESTS.contains(&name) && path.contains("tests")));
+    diff.args(paths).args(left_out);
     match process::output(diff) {
         Ok(changed) if changed.trim().is_empty() => None,
         Ok(changed) => Some(format!("{} measured files changed since", changed.lines().count())),
