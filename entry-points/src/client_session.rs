@@ -13,7 +13,7 @@ use terrain::constants::VERTEX_COUNT;
 /// server would write it. Without it, changed frames end at their digests.
 const RESEALS: u8 = 4;
 
-/// Passes frames to a session until it ends. The first byte selects the delivery and [`RESEALS`].
+/// Passes frames to a session until it ends. The first byte selects the delivery and `RESEALS`.
 ///
 /// # Panics
 /// More credit is outstanding than a session may grant, or a chunk came without any.
@@ -23,7 +23,7 @@ pub fn run(bytes: &[u8]) -> bool {
     pass(bytes, reseals, |_, _| {})
 }
 
-/// The chunk frames of a session that are decoded behind their digests, with [`RESEALS`] or
+/// The chunk frames of a session that are decoded behind their digests, with `RESEALS` or
 /// without. For tests of what [`run`] covers.
 #[must_use]
 pub fn read(bytes: &[u8], reseals: bool) -> Vec<Vec<u8>> {
@@ -89,7 +89,7 @@ fn pass(bytes: &[u8], reseals: bool, mut see: impl FnMut(&[u8], &[i32; VERTEX_CO
     is_accepted
 }
 
-/// A session of each delivery, with [`RESEALS`] and without.
+/// A session of each delivery, with `RESEALS` and without.
 #[must_use]
 pub fn seeds() -> Vec<Vec<u8>> {
     let messages = control::server_messages();
