@@ -21,7 +21,8 @@ pub enum Toxic {
     Latency(Duration),
     /// So many bytes a second, in both directions.
     BytesPerSecond(usize),
-    /// Every byte is written by itself.
+    /// Every byte is written by itself, but for the first slice from the server: clients may take an
+    /// answer to their upgrade in many packets for an attack, as tungstenite does.
     SingleBytes,
     /// The first connection ends after so many bytes from the server; later ones are good.
     CutAfter(usize),
@@ -96,16 +97,18 @@ async fn forward(client: TcpStream, server: SocketAddr, toxic: Toxic) -> std::io
         other => other,
     };
     tokio::select! {
-        ended = copy(from_server, to_client, toxic) => ended,
-        ended = copy(from_client, to_server, up) => ended,
+        ended = copy(from_server, to_client, toxic, SLICE) => ended,
+        ended = copy(from_client, to_server, up, 0) => ended,
     }
 }
 
-/// Copies until the end of the stream, or until the toxic ends it.
+/// Copies until the end of the stream, or until the toxic ends it. Of the first slice at most
+/// `whole` bytes are never written one by one.
 async fn copy(
     mut from: impl AsyncRead + Unpin,
     mut to: impl AsyncWrite + Unpin,
     toxic: Toxic,
+    whole: usize,
 ) -> std::io::Result<()> {
     let (mut buffer, mut copied) = (vec![0; SLICE], 0);
     loop {
@@ -127,7 +130,9 @@ async fn copy(
                 to.write_all(bytes).await?;
             }
             Toxic::SingleBytes => {
-                for byte in bytes {
+                let (first, rest) = bytes.split_at(if copied == 0 { whole.min(length) } else { 0 });
+                to.write_all(first).await?;
+                for byte in rest {
                     to.write_all(&[*byte]).await?;
                     to.flush().await?;
                 }
