@@ -30,9 +30,10 @@ use tracing::Span;
 /// Backlog of a thread above which cheap chunks have the fast encoding, microseconds of work.
 const FAST_BACKLOG_US: i64 = 4000;
 
-/// Quantum of a turn, microseconds: about six cheap chunks. Each turn wakes a session and causes a
-/// write, which costs about as much as a chunk; 16 active flows have a round of 4 ms.
-const QUANTUM_US: i64 = 250;
+/// Quantum of a turn, microseconds: several cheap chunks, because each turn wakes a session and
+/// causes a write, which costs about as much as a chunk. A client with many requests fills longer
+/// turns and one with four does not, so they divide unused time less evenly.
+const QUANTUM_US: i64 = 160;
 
 /// The frames of a finished job.
 pub(super) struct GeneratedFrames {

@@ -339,6 +339,50 @@ mod tests {
         }
     }
 
+    /// Rows whose sums come close to 16 bits and leave them, in both directions: kernels may hold
+    /// the sums of a row in 16 bits where they fit.
+    #[test]
+    fn rows_at_the_limit_of_16_bits_are_restored_on_every_kernel() {
+        // The rise of the first vertex, and the sum of the upper bytes of the others.
+        let cases =
+            [(8_192, 127), (8_193, 127), (8_192, 128), (8_192, 200), (20_000, 127), (32_767, 64 * 255)];
+        for (rise, upper) in cases.into_iter().flat_map(|(rise, upper)| [(rise, upper), (-rise, upper)]) {
+            let mut words = Box::new([0; VERTEX_COUNT]);
+            for (index, row) in words.as_chunks_mut::<VERTICES>().0.iter_mut().enumerate() {
+                // The largest residuals of their upper bytes, with the sign of the rise; every
+                // other row goes back.
+                let rise = if index % 2 == 0 { rise } else { -rise };
+                for (x, word) in row.iter_mut().enumerate() {
+                    let upper = upper / 64 + u32::from((x as u32) < upper % 64);
+                    *word = (256 * upper + 254) | u32::from(rise < 0);
+                }
+                row[0] = zigzag(rise);
+            }
+            let mut planes = [(); 2].map(|()| vec![0; VERTEX_COUNT]);
+            for (out, shift) in planes.iter_mut().zip([0, 8]) {
+                split(Kernel::PORTABLE, &words[..], shift, 0xff, out);
+            }
+            let planes: Vec<_> = planes.iter().map(|plane| &plane[..]).collect();
+            let mut stated = Box::new([1; VERTEX_COUNT]);
+            let range = restore(Kernel::PORTABLE, &planes, 5, &mut stated);
+            assert!(upper < 200 || range.1 - range.0 >= 1 << 15, "{rise} {upper}: no row leaves 16 bits");
+            for kernel in Kernel::available() {
+                let mut got = Box::new([2; VERTEX_COUNT]);
+                assert_eq!(restore(kernel, &planes, 5, &mut got), range, "{kernel} {rise} {upper}");
+                assert_eq!(got, stated, "{kernel} {rise} {upper}");
+            }
+        }
+    }
+
+    #[test]
+    fn no_planes_are_a_flat_chunk_on_every_kernel() {
+        for kernel in Kernel::available() {
+            let mut heights = Box::new([1; VERTEX_COUNT]);
+            assert_eq!(restore(kernel, &[], -64, &mut heights), (-64, -64), "{kernel}");
+            assert!(heights.iter().all(|height| *height == -64), "{kernel}");
+        }
+    }
+
     proptest! {
         #[test]
         fn every_kernel_equals_the_portable_one_and_round_trips(
