@@ -280,17 +280,34 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// The orbit through a pose around the point at sea level that it looks towards, `ahead_m`
-    /// away.
+    /// Steepest direction from the eye to the centre, degrees: a steeper pose turns to it.
+    const STEEPEST_DEG: f64 = 80.0;
+
+    /// The orbit through a pose around the point that it looks towards, `ahead_m` away horizontally.
     #[must_use]
     pub fn through(pose: &Pose, ahead_m: f64) -> Self {
         let level = DVec3::new(pose.yaw_deg.to_radians().sin(), 0.0, -pose.yaw_deg.to_radians().cos());
-        let centre_m = pose.position_m.with_y(0.0) + level * ahead_m;
+        let pitch_deg = pose.pitch_deg.clamp(-Self::STEEPEST_DEG, Self::STEEPEST_DEG);
+        let centre_m =
+            pose.position_m + level * ahead_m + DVec3::Y * (pitch_deg.to_radians().tan() * ahead_m);
         Self {
             centre_m,
             radius_m: ahead_m,
             height_m: pose.position_m.y,
             bearing_deg: (pose.yaw_deg + 180.0).rem_euclid(360.0),
+        }
+    }
+
+    /// Turns the view up by `tilt_deg` degrees: the eye moves down around the centre.
+    pub fn tilt(&mut self, tilt_deg: f64) {
+        let (rise_m, away_m) = (self.height_m - self.centre_m.y, self.radius_m);
+        let angle_deg = rise_m.atan2(away_m).to_degrees();
+        let turned_deg = (angle_deg - tilt_deg).clamp(-Self::STEEPEST_DEG, Self::STEEPEST_DEG);
+        // A view straight down that no drag made stays as it is.
+        if tilt_deg != 0.0 {
+            let distance_m = rise_m.hypot(away_m);
+            let (rise, away) = turned_deg.to_radians().sin_cos();
+            (self.height_m, self.radius_m) = (self.centre_m.y + rise * distance_m, away * distance_m);
         }
     }
 
@@ -399,6 +416,23 @@ mod tests {
         let later = Orbit { bearing_deg: orbit.bearing_deg + 77.0, ..orbit }.pose();
         let to_centre = (orbit.centre_m - later.position_m).normalize();
         assert!((to_centre - later.forward()).length() < 1e-9);
+        assert!((orbit.pose().pitch_deg - start.pitch_deg).abs() < 1e-9, "the pitch stays");
+    }
+
+    #[test]
+    fn an_orbit_tilts_around_its_centre_and_not_over_it() {
+        let start = Orbit::through(&pose("100,300,-50,40,-10"), 2000.0);
+        let away_m = |orbit: &Orbit| (orbit.pose().position_m - orbit.centre_m).length();
+        let mut orbit = start;
+        orbit.tilt(-15.0);
+        assert!(
+            (orbit.pose().pitch_deg + 25.0).abs() < 1e-9 && (away_m(&orbit) - away_m(&start)).abs() < 1e-6
+        );
+        orbit.tilt(-500.0);
+        assert!((orbit.pose().pitch_deg + Orbit::STEEPEST_DEG).abs() < 1e-9);
+        let before = orbit;
+        orbit.tilt(0.0);
+        assert_eq!(orbit, before);
     }
 
     proptest! {

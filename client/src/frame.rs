@@ -96,8 +96,11 @@ impl ViewParams {
             let page = Page { key: drawn.key, slot: chunk.slot, top: chunk.max };
             candidates.push(Candidate { page, is_visible });
         }
+        let uniforms = self.uniforms(scene, &eye);
+        // Debug views and an eye under water show no plants.
+        let has_plants = self.settings.show == Show::Image && uniforms.eye_height_m > 0.0;
         FrameData {
-            uniforms: self.uniforms(scene, &eye),
+            uniforms,
             eye,
             instances,
             chunks,
@@ -107,7 +110,7 @@ impl ViewParams {
                 _ => Background::Sky,
             },
             clipmap: self.clipmap_land(cache),
-            plants: self.plants(cache, &selection.drawn),
+            plants: has_plants.then(|| self.plants(cache, &selection.drawn)).flatten(),
             post: PostFrame::new(
                 self.settings.post,
                 exposure_ev(&self.settings),

@@ -381,7 +381,7 @@ impl Options {
         if self.orbit_step_deg != 0.0 {
             let mut orbit = crate::camera::Orbit::through(&pose, self.scene.orbit_radius_m());
             orbit.bearing_deg += self.orbit_step_deg * f64::from(frame);
-            pose = Pose { pitch_deg: pose.pitch_deg, ..orbit.pose() };
+            pose = orbit.pose();
         }
         let eye = pose.eye();
         ViewParams {

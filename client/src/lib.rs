@@ -7,9 +7,9 @@
 //! | [`camera`] | poses, projections, camera movement |
 //! | [`gpu`] | device, pipelines, bind groups, render targets, read-back |
 //! | [`cache`] | resident chunks: fixed slots, least-recently-used eviction |
-//! | [`lod`] | chunk selection, geometric error, geomorphing |
+//! | [`frustum`], [`lod`] | what may be in view; chunk selection, geometric error, geomorphing |
 //! | [`features`] | terrain, shadows, vegetation, parallax, water, atmosphere, materials |
-//! | [`settings`], [`view`], [`frustum`], [`lighting`], [`scene`] | inputs of a frame |
+//! | [`settings`], [`view`], [`lighting`], [`scene`] | inputs of a frame |
 //! | [`frame`] | GPU input of one frame, computed on the CPU |
 //! | [`stream`] | chunk streams and the streamer between stream and cache |
 //! | [`renderer`] | passes of a frame, in order |

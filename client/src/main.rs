@@ -7,7 +7,10 @@ fn main() -> ExitCode {
     match cli::parse::<Args>() {
         Ok(args) => match run(&args) {
             Ok(()) => ExitCode::SUCCESS,
-            Err(error) => cli::fail("tombolo-view", format_args!("{error:#}"), cli::FAILED),
+            Err(error) => {
+                let code = if error.is::<cli::UsageError>() { cli::USAGE } else { cli::FAILED };
+                cli::fail("tombolo-view", format_args!("{error:#}"), code)
+            }
         },
         Err(code) => code,
     }

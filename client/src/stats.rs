@@ -66,7 +66,7 @@ pub struct Stats {
     pub plant_blocks_lost: u32,
     /// GPU bytes of one more chunk.
     pub gpu_bytes_per_chunk: u64,
-    /// Delivery mode: `exact` or `seed`; `none` in a local scene.
+    /// Delivery mode: `exact`, `refined`, `seed` or `quantised`; `none` in a local scene.
     pub delivery: &'static str,
     /// Bytes of frames received.
     pub bytes_received: u64,
@@ -85,7 +85,8 @@ pub struct Stats {
     /// From the start of the program to the first image: in a headless run after the complete view
     /// and the creation of the renderer.
     pub seconds_to_first_picture: Option<f64>,
-    /// Median frame time, until the GPU is done.
+    /// Median frame time, milliseconds, of the latest frames that are kept: of a shot until the GPU
+    /// is done, in a window from frame to frame.
     pub frame_ms_p50: f64,
     /// The 99th percentile of the same.
     pub frame_ms_p99: f64,

@@ -100,12 +100,6 @@ async fn a_session_in_a_black_hole_ends_and_others_go_on() {
     let config = ServerConfig { ping_interval: Duration::from_millis(300), ..quick_config() };
     let server = RunningServer::start_with(config).await;
     let expected = expected(&server).await;
-    let hole = ToxicProxy::start(server.address, Toxic::BlackHoleAfter(WITHIN_A_FRAME)).await;
-    let url = hole.stream_url();
-    let stuck = tokio::spawn(async move {
-        let mut client = TestClient::connect(&url).await;
-        client.settle(view(1, DISTANCE_M)).await
-    });
     let sessions = || async {
         let address = server.url("/metrics");
         let get = move || ureq::get(address).call().unwrap().body_mut().read_to_string().unwrap();
@@ -114,6 +108,16 @@ async fn a_session_in_a_black_hole_ends_and_others_go_on() {
         line.parse::<u32>().unwrap()
     };
     let start = Instant::now();
+    // The session of the expected chunks.
+    while sessions().await > 0 {
+        assert!(start.elapsed() < TEST_TIMEOUT, "the first session ends");
+    }
+    let hole = ToxicProxy::start(server.address, Toxic::BlackHoleAfter(WITHIN_A_FRAME)).await;
+    let url = hole.stream_url();
+    let stuck = tokio::spawn(async move {
+        let mut client = TestClient::connect(&url).await;
+        client.settle(view(1, DISTANCE_M)).await
+    });
     while sessions().await == 0 {
         assert!(start.elapsed() < TEST_TIMEOUT, "the session begins");
     }

@@ -248,12 +248,62 @@ async fn the_streamed_picture_equals_the_local_one_byte_for_byte() {
     server.stop().await;
 }
 
+/// The mean of pictures, in linear light.
+fn mean(pictures: &[Image]) -> Image {
+    let light = |byte: u8| (f64::from(byte) / 255.0).powf(2.2);
+    let byte = |index: usize| {
+        let sum: f64 = pictures.iter().map(|picture| light(picture.rgba[index])).sum();
+        (255.0 * (sum / pictures.len() as f64).powf(1.0 / 2.2)).round() as u8
+    };
+    Image { rgba: (0..pictures[0].rgba.len()).map(byte).collect(), ..pictures[0].clone() }
+}
+
+/// The truth is the mean of pictures turned by fractions of a pixel, whose plants have the same detail.
+/// Four samples of the triangles alone bring 0.83 of the error; leaves and impostors have outlines
+/// within them.
+#[test]
+fn four_samples_a_pixel_smooth_the_outlines_of_trees() {
+    let mut trees = plants();
+    trees.settings.plants.density = 0;
+    let projection = trees.projection;
+    let pixel_deg = (projection.half_height() / f64::from(projection.height / 2)).atan().to_degrees();
+    let turned = |east: f64, up: f64| {
+        let mut options = trees.clone();
+        options.pose.yaw_deg += east * pixel_deg;
+        options.pose.pitch_deg += up * pixel_deg;
+        drawn(&options).map(|(picture, _)| picture)
+    };
+    let places = [-0.375, -0.125, 0.125, 0.375];
+    let shifts = places.into_iter().zip([0.125, -0.375, 0.375, -0.125]);
+    let Some(pictures) = shifts.map(|(east, up)| turned(east, up)).collect::<Option<Vec<_>>>() else {
+        return;
+    };
+    let truth = mean(&pictures);
+    // Above the horizon only trees have outlines: the ground has a texture, whose light is one for the
+    // pixel.
+    let sky = 4 * (truth.width * truth.height / 2) as usize;
+    let differs = |index: &usize| {
+        let bytes = pictures.iter().map(|picture| picture.rgba[*index]);
+        bytes.clone().max() > bytes.min().map(|least| least.saturating_add(32))
+    };
+    let outlines: Vec<usize> = (0..sky).filter(|index| index % 4 < 3).filter(differs).collect();
+    let error = |samples| {
+        let (picture, _) = drawn(&Options { samples, ..trees.clone() }).expect("drawn before");
+        let off = outlines.iter().map(|index| u64::from(picture.rgba[*index].abs_diff(truth.rgba[*index])));
+        off.sum::<u64>() as f64 / outlines.len() as f64
+    };
+    let (one, four) = (error(1), error(4));
+    println!("{} bytes of outlines: {one:.1} off with one sample, {four:.1} with four", outlines.len());
+    assert!(outlines.len() > 1000 && four < 0.7 * one, "{four} {one}");
+}
+
 #[test]
 fn a_small_chunk_budget_costs_detail_and_leaves_no_holes() {
+    let whole = Options { tolerance_px: 0.5, ..options(&START) };
     // The least budget that the viewer's option allows.
-    let small = Options { chunk_bytes: 8 << 20, ..options(&START) };
-    let (Some((coarse, stats)), Some((fine, _))) = (drawn(&small), drawn(&options(&START))) else { return };
-    assert!(stats.chunk_bytes_resident <= small.chunk_bytes, "{stats:?}");
+    let small = Options { chunk_bytes: 8 << 20, ..whole.clone() };
+    let (Some((coarse, stats)), Some((fine, _))) = (drawn(&small), drawn(&whole)) else { return };
+    assert!(stats.chunk_bytes_resident <= small.chunk_bytes && stats.tolerance_px > 0.5, "{stats:?}");
     let difference = Difference::between(&coarse, &fine);
-    assert!(difference.mean < 12.0, "coarser, but the same island: {difference:?}");
+    assert!(difference.mean > 0.0 && difference.mean < 12.0, "coarser, but the same island: {difference:?}");
 }

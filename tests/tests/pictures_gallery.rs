@@ -34,7 +34,7 @@ fn options(args: &Args) -> Options {
 }
 
 fn drawn(args: &Args) -> Option<Image> {
-    let stream = LocalStream::new(args.world_seed);
+    let stream = LocalStream::new(args.world_seed());
     let rendered = headless::render(&options(args), stream, Instant::now(), |_| {});
     tests::rendering::rendered_or_skip(rendered).map(|(image, _)| image)
 }

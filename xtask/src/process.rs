@@ -92,6 +92,11 @@ pub fn build(programs: &[&str]) -> Command {
     compile("build", profile(), programs, triple())
 }
 
+/// The command that builds programs as [`tested_program`] names them.
+pub fn build_tested(programs: &[&str]) -> Command {
+    compile("build", "dev", programs, triple())
+}
+
 /// As [`build`], with a viewer that only draws into files: the window is half of what a viewer takes
 /// to build.
 pub fn build_without_window(programs: &[&str]) -> Command {

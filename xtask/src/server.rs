@@ -12,6 +12,9 @@ use std::time::{Duration, Instant};
 /// Time until `/readyz` must say yes.
 const READY_WITHIN: Duration = Duration::from_secs(20);
 
+/// Time for one answer of `/readyz`.
+const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+
 /// Time for a graceful end; the server's own drain takes at most 10 s.
 const DRAIN_WITHIN: Duration = Duration::from_secs(12);
 
@@ -79,12 +82,13 @@ impl Server {
     }
 
     /// Asks it to end, as an operator would; the time until its process has ended, none if it had to
-    /// be killed.
+    /// be killed or failed.
     pub fn terminate(&mut self) -> Option<Duration> {
         let started = Instant::now();
         process::stop(&mut self.child, DRAIN_WITHIN);
         let took = started.elapsed();
-        (took < DRAIN_WITHIN).then_some(took)
+        let has_succeeded = self.child.wait().is_ok_and(|status| status.success());
+        (has_succeeded && took < DRAIN_WITHIN).then_some(took)
     }
 
     /// Process id, for `/proc`.
@@ -100,6 +104,9 @@ impl Server {
     fn wait_until_ready(&mut self) -> Result<()> {
         let url = format!("http://{}/readyz", self.address);
         let deadline = Instant::now() + READY_WITHIN;
+        let timeout = Some(ANSWER_WITHIN);
+        let agent: ureq::Agent =
+            ureq::Agent::config_builder().timeout_global(timeout).proxy(None).build().into();
         while Instant::now() < deadline {
             if let Some(status) = self.child.try_wait().context("cannot wait for tombolo-server")? {
                 bail!("tombolo-server ended before it was ready ({status}); its message is above");
@@ -108,7 +115,7 @@ impl Server {
                 bail!("interrupted");
             }
             // An HTTP status other than 2xx is an error here, as a refused connection is.
-            if ureq::get(&url).call().is_ok() {
+            if agent.get(&url).call().is_ok() {
                 return Ok(());
             }
             sleep(Duration::from_millis(20));

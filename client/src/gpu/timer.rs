@@ -6,7 +6,7 @@ use crate::gpu::timestamps::Timestamps;
 /// Timed passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimedPass {
-    /// Land, sky and sea.
+    /// Land, plants, sky and sea.
     Hdr,
     /// Tone curve, encoding, antialiasing and resampling.
     Tonemap,
@@ -19,7 +19,7 @@ const FRAME_BEGIN: u32 = 4;
 /// GPU times of a frame's passes, nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PassTimes {
-    /// Land, sky and sea.
+    /// Land, plants, sky and sea.
     pub hdr_ns: f64,
     /// Tone curve, encoding, antialiasing and resampling.
     pub tonemap_ns: f64,

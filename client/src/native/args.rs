@@ -37,9 +37,9 @@ pub struct Args {
     #[arg(long, value_name = "URL", value_parser = parse_url)]
     pub connect: Option<Uri>,
 
-    /// Seed of the land that a scene generates
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_WORLD_SEED, conflicts_with = "connect")]
-    pub world_seed: u64,
+    /// Seed of the land that a scene generates [default: 1]
+    #[arg(long, value_name = "N", conflicts_with = "connect")]
+    pub world_seed: Option<u64>,
 
     /// Delivery of chunks: exact (all heights), refined (all heights in fewer bytes, uses up to 17
     /// MiB of memory), seed (digests; chunks are generated here and verified) or quantised:METRES
@@ -65,8 +65,8 @@ pub struct Args {
     #[arg(long, value_enum, value_name = "NAME", conflicts_with = "camera")]
     pub place: Option<Place>,
 
-    /// Preset of tolerance, samples, tiling, relief, plants and view distance; options that are
-    /// given win
+    /// Preset of tolerance, samples, tiling, relief, plants, --cull, view distance and --render-scale;
+    /// options that are given win
     #[arg(long, value_enum, default_value_t)]
     pub quality: Quality,
 
@@ -87,8 +87,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE.json")]
     pub stats: Option<PathBuf>,
 
-    /// View distance in metres, 100 to 65536 [default: 20000 in the scene island, else 8000; 8000
-    /// with --quality low, 32000 with high]
+    /// View distance in metres, 100 to 65536 [default: 20000 in the scene island, 8000 with
+    /// --quality low and 32000 with high; 8000 in other scenes]
     #[arg(long, value_name = "M", allow_negative_numbers = true,
           value_parser = clap::value_parser!(u32).range(100..=i64::from(MAX_VIEW_DISTANCE_M)))]
     pub view_distance: Option<u32>,
@@ -120,7 +120,7 @@ pub struct Args {
           value_parser = |text: &str| parse_within(text, -90.0, 90.0))]
     pub orbit: Option<f64>,
 
-    /// Animation time of waves and clouds in the first frame of a shot, seconds, 0 to 86400
+    /// Animation time of waves and clouds in the first frame, seconds, 0 to 86400
     #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.0, 86_400.0))]
     pub time: f64,
@@ -172,7 +172,8 @@ pub struct Args {
 
     /// Folder of custom materials: PNG files such as sand_albedo.png, sand_normal.png,
     /// sand_height.png, sand_roughness.png and sand_ao.png, for sand, meadow, dry_grass, thicket,
-    /// cliff, scree and cobbles; procedural where a file is missing
+    /// cliff, scree and cobbles; a material without any file stays procedural, and a missing file of
+    /// another is named and replaced
     #[arg(long, value_name = "DIR")]
     pub textures: Option<PathBuf>,
 
@@ -211,15 +212,15 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     pub ca_file: Option<PathBuf>,
 
-    /// Time limit of a shot for its complete view, seconds, 1 to 3600
-    #[arg(long, value_name = "S", default_value_t = 60, allow_negative_numbers = true,
+    /// Time limit of a shot for its complete view, seconds, 1 to 3600 [default: 60]
+    #[arg(long, value_name = "S", allow_negative_numbers = true,
           value_parser = clap::value_parser!(u64).range(1..=3600))]
-    pub timeout: u64,
+    pub timeout: Option<u64>,
 
-    /// Size of the window's text and controls, 0.5 to 4
-    #[arg(long, value_name = "F", default_value_t = 1.0, allow_negative_numbers = true,
+    /// Size of the window's text and controls, 0.5 to 4 [default: 1]
+    #[arg(long, value_name = "F", allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.5, 4.0))]
-    pub ui_scale: f64,
+    pub ui_scale: Option<f64>,
 
     /// For tests of the window.
     #[command(flatten)]
@@ -227,11 +228,58 @@ pub struct Args {
 }
 
 impl Args {
-    /// The server, unless the scene generates its land.
+    /// The server, unless the scene generates its land or has none.
     #[must_use]
     pub fn server(&self) -> Option<Uri> {
-        let own_land = self.scene.has_own_land() || self.scene.is_local();
+        if self.scene.is_local() {
+            return None;
+        }
+        let own_land = self.scene.has_own_land();
         self.connect.clone().or_else(|| (!own_land).then(|| Uri::from_static(DEFAULT_SERVER)))
+    }
+
+    /// Seed of the land that a scene generates.
+    #[must_use]
+    pub fn world_seed(&self) -> u64 {
+        self.world_seed.unwrap_or(DEFAULT_WORLD_SEED)
+    }
+
+    /// A line for each given option that has no effect beside the others.
+    #[must_use]
+    pub fn without_effect(&self) -> Vec<String> {
+        let (is_local, has_server) = (self.scene.is_local(), self.server().is_some());
+        let no_land = "this scene has no land";
+        let no_server = "without a server, which --connect names";
+        let of_server = [
+            ("--digest", self.digest.is_some()),
+            ("--token-file", self.token_file.is_some()),
+            ("--ca-file", self.ca_file.is_some()),
+            ("--delivery", self.delivery != Delivery::Exact),
+        ];
+        let seed_of_server = "the land is the server's: start it with this seed";
+        let options = [
+            ("--connect", is_local && self.connect.is_some(), no_land),
+            ("--place", is_local && self.place.is_some(), no_land),
+            ("--world-seed", is_local && self.world_seed.is_some(), no_land),
+            ("--world-seed", has_server && self.world_seed.is_some(), seed_of_server),
+            (
+                "--timeout",
+                self.shot.is_none() && self.timeout.is_some(),
+                "a window waits as long as it is open",
+            ),
+            ("--ui-scale", self.shot.is_some() && self.ui_scale.is_some(), "a shot has no controls"),
+        ];
+        let of_server = of_server.map(|(option, is_given)| {
+            (option, is_given && !has_server, if is_local { no_land } else { no_server })
+        });
+        let lines = options.into_iter().chain(of_server).filter(|(_, has_none, _)| *has_none);
+        lines.map(|(option, _, why)| format!("{option} has no effect: {why}")).collect()
+    }
+
+    /// Size of the window's text and controls.
+    #[must_use]
+    pub fn ui_scale(&self) -> f64 {
+        self.ui_scale.unwrap_or(1.0)
     }
 
     /// Vertical scale of the land.
@@ -271,7 +319,7 @@ impl Args {
     /// Start pose.
     #[must_use]
     pub fn pose(&self) -> Pose {
-        self.camera.unwrap_or_else(|| self.start_in(&Land::new(self.world_seed)))
+        self.camera.unwrap_or_else(|| self.start_in(&Land::new(self.world_seed())))
     }
 
     /// Start pose in a world, without `--camera`.

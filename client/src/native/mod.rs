@@ -21,6 +21,9 @@ use args::Args;
 /// Runs the program that the options describe. Errors are one line, for display.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let started = std::time::Instant::now();
+    for line in args.without_effect() {
+        eprintln!("{line}");
+    }
     if args.shot.is_some() { screenshot::run(args, started) } else { window(args, started) }
 }
 

@@ -9,11 +9,16 @@ use crate::scene::places::Place;
 use crate::settings::RenderSettings;
 use std::time::Duration;
 
+/// Default of `--timeout`, seconds.
+const TIMEOUT_S: u64 = 60;
+
 /// What a run starts with: the options that were given, the preset for the others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Profile {
     /// View distance, metres.
     pub view_distance_m: u32,
+    /// The view distance that the place of the start widened, metres.
+    pub narrow_view_m: Option<u32>,
     /// Tolerated screen error, pixels.
     pub tolerance_px: f64,
     /// Samples per pixel.
@@ -67,16 +72,18 @@ impl Profile {
             vertical_scale: args.vertical_scale(),
             // Files are read by `native::textures`.
             materials: CustomMaterials::default(),
-            timeout: Duration::from_secs(args.timeout),
+            timeout: Duration::from_secs(args.timeout.unwrap_or(TIMEOUT_S)),
             gpu_rebuilds: MOST_REBUILDS,
         }
     }
 
     fn of_preset(args: &Args, preset: &Preset) -> Self {
         let place_m = args.place.map_or(0, Place::view_distance_m);
-        let view_distance_m = preset.view_distance_in(args.scene).max(place_m);
+        let plain_m = preset.view_distance_in(args.scene);
+        let is_widened = args.view_distance.is_none() && place_m > plain_m;
         Self {
-            view_distance_m: args.view_distance.unwrap_or(view_distance_m),
+            view_distance_m: args.view_distance.unwrap_or(plain_m.max(place_m)),
+            narrow_view_m: is_widened.then_some(plain_m),
             tolerance_px: args.tolerance.unwrap_or(preset.tolerance_px),
             samples: args.samples.unwrap_or(preset.samples),
             render: args.render_settings(preset),

@@ -13,9 +13,9 @@ pub enum Quality {
     /// Medium, on a software driver low
     #[default]
     Auto,
-    /// For software drivers: half the view, sparse plants, coarser land
+    /// For software drivers: nearer and coarser land, sparse plants, half the width and height
     Low,
-    /// What the programs and records of this project mean by the default
+    /// Full detail; the default on a GPU
     Medium,
     /// Finer land, farther view, denser plants
     High,
@@ -45,11 +45,11 @@ pub struct Preset {
     pub tree_range_m: f32,
     /// Up to here each tree is culled by itself, metres.
     pub single_trees_m: f32,
-    /// From here on a tree is an impostor, metres. Half of the pixels, half of the distance: the tree is as
-    /// large on screen.
+    /// From here on a tree is an impostor, metres. Half of the pixels, half of the distance: the tree
+    /// is as large on screen.
     pub impostors_from_m: f32,
-    /// Visibility test of plants, of the island scene. Where few plants are tested, a test for what the
-    /// land hides takes longer than drawing what it would drop.
+    /// Visibility test of plants, of the island scene. Where few plants are tested, a test for what
+    /// the land hides takes longer than drawing what it would drop.
     pub cull: Cull,
     /// Rendered size over the size of the window. A shot of a software driver has its own size.
     pub render_scale: f32,

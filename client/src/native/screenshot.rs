@@ -11,6 +11,7 @@ use crate::stats::Stats;
 use crate::stream::streamer::Link;
 use crate::stream::{ChunkStream, LocalStream, NullStream};
 use anyhow::Context as _;
+use cli::UsageError;
 use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
 use protocol::limits::MAX_TEXT;
 use std::path::Path;
@@ -22,11 +23,10 @@ use tokio_tungstenite::tungstenite::http::Uri;
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     let Some(path) = &args.shot else { return Ok(()) };
     // Checked before the view is loaded.
-    anyhow::ensure!(
-        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")),
-        "cannot write --shot {}: images are PNG files, choose a path that ends in .png",
-        path.display()
-    );
+    if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
+        let line = "images are PNG files, choose a path that ends in .png";
+        return Err(UsageError::new(format!("cannot write --shot {}: {line}", path.display())).into());
+    }
     has_folder("--shot", path)?;
     args.stats.as_deref().map_or(Ok(()), |path| has_folder("--stats", path))?;
     let gpu = Gpu::open_blocking()?;
@@ -50,14 +50,16 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
 }
 
 /// Fails if the folder of a file is missing.
-fn has_folder(option: &str, path: &Path) -> anyhow::Result<()> {
+///
+/// # Errors
+/// A [`UsageError`].
+pub fn has_folder(option: &str, path: &Path) -> Result<(), UsageError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    anyhow::ensure!(
-        folder.is_none_or(Path::is_dir),
-        "cannot write {option} {}: the folder does not exist, create it or choose another",
-        path.display()
-    );
-    Ok(())
+    if folder.is_none_or(Path::is_dir) {
+        return Ok(());
+    }
+    let line = "the folder does not exist, create it or choose another";
+    Err(UsageError::new(format!("cannot write {option} {}: {line}", path.display())))
 }
 
 /// Writes the image, and the measurements if requested.
@@ -76,7 +78,7 @@ pub fn open_stream(args: &Args) -> anyhow::Result<Box<dyn ChunkStream>> {
         return Ok(if args.scene.is_local() {
             Box::new(NullStream)
         } else {
-            Box::new(LocalStream::new(args.world_seed))
+            Box::new(LocalStream::new(args.world_seed()))
         });
     };
     let stream =
@@ -87,7 +89,8 @@ pub fn open_stream(args: &Args) -> anyhow::Result<Box<dyn ChunkStream>> {
 /// Connection settings, with the token from its file.
 fn stream_settings(args: &Args, url: Uri) -> anyhow::Result<Settings> {
     let token = args.token_file.as_deref().map(|path| cli::read_token(path, MAX_TEXT)).transpose()?;
-    let tls = TlsClient::of_scheme(url.scheme_str(), args.ca_file.as_deref()).context("--ca-file")?;
+    let tls = TlsClient::of_scheme(url.scheme_str(), args.ca_file.as_deref())
+        .map_err(|error| UsageError::new(format!("--ca-file: {error}")))?;
     Ok(Settings { tls, token, digest: args.digest, delivery: args.delivery, ..Settings::new(url) })
 }
 

@@ -6,7 +6,7 @@
 use crate::features::materials::{CustomMaterial, CustomMaterials, MATERIAL_SIZE, MATERIAL_TEXELS};
 use crate::native::args::Args;
 use crate::native::png_file::{self, Pixels};
-use anyhow::Context as _;
+use cli::UsageError;
 use shaders::layout::{BakeTexel, MATERIALS};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -54,7 +54,7 @@ impl Map {
 ///
 /// # Errors
 /// The folder itself cannot be read.
-pub fn custom_materials(args: &Args) -> anyhow::Result<CustomMaterials> {
+pub fn custom_materials(args: &Args) -> Result<CustomMaterials, UsageError> {
     let Some(folder) = &args.textures else { return Ok(CustomMaterials::default()) };
     let (materials, warnings) = load(folder)?;
     for warning in warnings {
@@ -67,15 +67,16 @@ pub fn custom_materials(args: &Args) -> anyhow::Result<CustomMaterials> {
 ///
 /// # Errors
 /// The folder itself cannot be read.
-pub fn load(folder: &Path) -> anyhow::Result<(CustomMaterials, Vec<String>)> {
-    let unreadable = || {
-        format!("cannot read --textures {}: name a folder of files such as sand_albedo.png", folder.display())
+pub fn load(folder: &Path) -> Result<(CustomMaterials, Vec<String>), UsageError> {
+    let unreadable = |error: std::io::Error| {
+        let line = "name a folder of files such as sand_albedo.png";
+        UsageError::new(format!("cannot read --textures {}: {line}: {error}", folder.display()))
     };
     let mut files: [BTreeMap<Map, PathBuf>; MATERIALS.len()] = Default::default();
     let mut warnings = Vec::new();
     let mut paths = Vec::new();
-    for entry in std::fs::read_dir(folder).with_context(unreadable)? {
-        paths.push(entry.with_context(unreadable)?.path());
+    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+        paths.push(entry.map_err(unreadable)?.path());
     }
     // Directory order is arbitrary; the selected file must not depend on it.
     paths.sort();
@@ -182,26 +183,29 @@ fn unit_part(encoded: [f32; 3]) -> [f32; 2] {
 fn resampled(image: &Pixels, colour: bool) -> Vec<[f32; 3]> {
     let (width, height) = (image.width, image.height);
     let side = MATERIAL_SIZE as usize;
-    // Row by row, to avoid a float copy of a large image.
     let pixel = |x: usize, y: usize| {
-        let channels = image.rgb(x % width, y % height);
+        let channels = image.rgb(x, y);
         if colour { channels.map(linear) } else { channels }
     };
     let across = taps(width, side);
     let down = taps(height, side);
-    let mut out = Vec::with_capacity(MATERIAL_TEXELS);
-    for rows in &down {
-        for columns in &across {
-            let mut sum = [0.0; 3];
-            for &(y, down_share) in rows {
-                for &(x, share) in columns {
-                    let channels = pixel(x, y);
-                    for (sum, channel) in sum.iter_mut().zip(channels) {
-                        *sum += channel * share * down_share;
-                    }
-                }
-            }
-            out.push(sum);
+    let weighted = |line: &[[f32; 3]], taps: &[(usize, f32)]| {
+        taps.iter().fold([0.0; 3], |sum: [f32; 3], &(at, share)| {
+            std::array::from_fn(|channel| line[at][channel].mul_add(share, sum[channel]))
+        })
+    };
+    // Along rows, then down columns, so that each pixel is decoded once; a float copy of one row at a
+    // time.
+    let rows = (0..height).map(|y| {
+        let row: Vec<_> = (0..width).map(|x| pixel(x, y)).collect();
+        across.iter().map(|taps| weighted(&row, taps)).collect::<Vec<_>>()
+    });
+    let rows: Vec<_> = rows.collect();
+    let mut out = vec![[0.0; 3]; MATERIAL_TEXELS];
+    for x in 0..side {
+        let column: Vec<_> = rows.iter().map(|row| row[x]).collect();
+        for (y, taps) in down.iter().enumerate() {
+            out[y * side + x] = weighted(&column, taps);
         }
     }
     out

@@ -14,7 +14,7 @@ const FARTHEST_TREE_M: f64 = VegetationSettings::MAX_TREE_RANGE_M as f64;
 #[command(next_help_heading = "Vegetation")]
 pub struct VegetationArgs {
     /// Clumps of grass on 2 x 2 m at the highest density, 0 to 32 [default: 24 in the scene island,
-    /// 32 in grass, 8 in culling; 8 at most with --quality low]
+    /// 32 there with --quality high and in grass, 8 in culling; 8 at most with --quality low]
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = clap::value_parser!(u32).range(0..=MOST_GRASS))]
     pub grass: Option<u32>,

@@ -294,9 +294,13 @@ impl Renderer {
 
     /// Records the vegetation culling, with which every frame begins; separate for measurements.
     pub fn cull_vegetation(&mut self, gpu: &Gpu, frame: &FrameData, encoder: &mut wgpu::CommandEncoder) {
+        // Trees are placed with the patterns of the frame.
+        gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
+        self.cull(gpu, frame, encoder);
+    }
+
+    fn cull(&mut self, gpu: &Gpu, frame: &FrameData, encoder: &mut wgpu::CommandEncoder) {
         if let Some(plants) = &frame.plants {
-            // Trees are placed with the patterns of the frame.
-            gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
             let vegetation = self.vegetation.get_or_insert_with(|| VegetationRenderer::new(&gpu.device));
             vegetation.cull(gpu, &self.uniforms, (&self.pool, &self.trees), self.samples, plants, encoder);
         }
@@ -372,14 +376,14 @@ impl Renderer {
             timer.begin(encoder);
         }
         self.atmosphere.integrate(encoder, &self.uniforms);
-        // Debug views and an eye under water show no plants.
-        let is_shown = frame.uniforms.show == Show::Image as u32 && frame.uniforms.eye_height_m > 0.0;
-        let plants = frame.plants.as_ref().filter(|_| is_shown);
-        if plants.is_some() {
-            self.cull_vegetation(gpu, frame, encoder);
+        let is_picture = frame.uniforms.show == Show::Image as u32;
+        let is_under_water = frame.uniforms.eye_height_m <= 0.0;
+        if frame.plants.is_some() {
+            self.cull(gpu, frame, encoder);
         } else {
             self.trees.clear(encoder);
         }
+        let plants = frame.plants.as_ref();
         let clear = match frame.background {
             Background::Plain([r, g, b]) => wgpu::Color { r, g, b, a: 1.0 },
             Background::SkyAndSea | Background::Sky => wgpu::Color::BLACK,
@@ -390,15 +394,27 @@ impl Renderer {
             if let Some(scene) = &self.local {
                 scene.draw(&mut pass, &self.materials, &self.sky);
             } else {
-                self.terrain_draws = self.terrain.draw(&mut pass, &self.materials, &self.clipmap);
-                if let Some(vegetation) = self.vegetation.as_ref().filter(|_| plants.is_some()) {
-                    vegetation.draw(&mut pass);
+                let vegetation = self.vegetation.as_ref().filter(|_| plants.is_some());
+                if let Some(vegetation) = vegetation {
+                    vegetation.draw_grass(&mut pass);
                 }
-                if !matches!(frame.background, Background::Plain(_)) {
+                let (materials, clipmap) = (&self.materials, &self.clipmap);
+                self.terrain_draws = if is_picture {
+                    self.terrain.draw(&mut pass, materials, clipmap)
+                } else {
+                    self.terrain.draw_inspected(&gpu.device, &mut pass, materials, clipmap)
+                };
+                if let Some(vegetation) = vegetation {
+                    vegetation.draw_trees(&mut pass);
+                }
+                let has_sea = frame.background == Background::SkyAndSea;
+                // Under water the sea covers all that the land does not.
+                let is_covered = has_sea && is_under_water;
+                if !matches!(frame.background, Background::Plain(_)) && !is_covered {
                     self.sky.draw(&mut pass);
                 }
-                if frame.background == Background::SkyAndSea {
-                    self.water.draw(&mut pass);
+                if has_sea {
+                    self.water.draw(&mut pass, is_under_water);
                 }
             }
         }

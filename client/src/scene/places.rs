@@ -29,7 +29,7 @@ pub enum Place {
     Forest,
     /// A cliff, from the sea
     Cliff,
-    /// The nearest other island, from the sea before it
+    /// The nearest other island, with mountains if one has them, from the sea before it
     NextIsland,
     /// The home island from 2 km above the sea
     #[value(name = "2km")]

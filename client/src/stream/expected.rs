@@ -31,6 +31,8 @@ struct SentView {
     viewer: Viewer,
     /// The viewer that the server may prefetch for.
     ahead: Option<Viewer>,
+    /// Whether the server has settled or refused it, which it does once.
+    is_answered: bool,
 }
 
 impl SentView {
@@ -47,21 +49,23 @@ impl ExpectedChunks {
             self.views.pop_front();
         }
         let (viewer, ahead) = (view.viewer(), view.viewer_ahead());
-        self.views.push_back(SentView { id: view.id, viewer, ahead });
+        self.views.push_back(SentView { id: view.id, viewer, ahead, is_answered: false });
     }
 
-    /// A view is settled: no chunk of an older view is still to come. False if no such view is
-    /// open.
+    /// A view is settled: no chunk of an older view is still to come. False if no such view waits
+    /// for an answer.
     pub fn settle(&mut self, view: u32) -> bool {
-        let Some(at) = self.views.iter().position(|sent| sent.id == view) else { return false };
-        self.views.drain(..at);
-        true
+        let is_open = self.refuse(view);
+        while is_open && self.views.front().is_some_and(|sent| sent.id != view) {
+            self.views.pop_front();
+        }
+        is_open
     }
 
-    /// Whether a view with this id was sent and is not older than a settled one.
-    #[must_use]
-    pub fn has_view(&self, view: u32) -> bool {
-        self.views.iter().any(|sent| sent.id == view)
+    /// A view is refused. False if no such view waits for an answer.
+    pub fn refuse(&mut self, view: u32) -> bool {
+        let sent = self.views.iter_mut().find(|sent| sent.id == view);
+        sent.is_some_and(|sent| !std::mem::replace(&mut sent.is_answered, true))
     }
 
     /// Whether this is the latest view.
@@ -167,8 +171,20 @@ mod tests {
         expected.add_view(&view(2, 50_000, 300));
         assert!(expected.is_in_view(of_old) && !expected.is_in_latest_view(of_old));
         assert!(!expected.settle(9), "no such view");
-        assert!(expected.settle(2) && expected.settle(2) && !expected.settle(1));
-        assert!(!expected.is_in_view(of_old) && expected.has_view(2) && !expected.has_view(1));
+        assert!(expected.settle(2) && !expected.settle(1));
+        assert!(!expected.is_in_view(of_old) && expected.is_latest(2));
+    }
+
+    #[test]
+    fn a_view_is_answered_once() {
+        let mut expected = ExpectedChunks::default();
+        for id in [1, 2, 3] {
+            expected.add_view(&view(id, 0, 300));
+        }
+        assert!(expected.refuse(1) && !expected.refuse(1) && !expected.settle(1));
+        assert!(expected.settle(2) && !expected.settle(2) && !expected.refuse(2));
+        assert!(expected.refuse(3) && !expected.settle(3));
+        assert!(!expected.refuse(4), "no such view");
     }
 
     #[test]

@@ -158,7 +158,7 @@ impl GuardedSession {
     /// When [`GuardedSession::retry`] is to be called.
     #[must_use]
     pub fn next_retry(&self) -> Option<Duration> {
-        self.retries.next()
+        self.retries.next(self.is_refined)
     }
 
     /// Processes one frame.
@@ -227,12 +227,12 @@ impl GuardedSession {
             Some(_) => trust.surplus()?,
             None => trust.bad(&detail)?,
         }
-        self.lost_key |= !parent.is_none_or(|parent| self.is_pending_after(parent, now));
+        self.lost_key |= !parent.is_none_or(|parent| self.ensure_requested(parent, now));
         Ok(self.missed(key, detail, now))
     }
 
     /// Requests a chunk unless it is requested already; false if there are too many.
-    fn is_pending_after(&mut self, key: ChunkKey, now: Duration) -> bool {
+    fn ensure_requested(&mut self, key: ChunkKey, now: Duration) -> bool {
         self.retries.contains(key) || self.retries.add(key, now)
     }
 
@@ -262,16 +262,26 @@ impl GuardedSession {
     ) -> Result<Received, SessionFault> {
         let detail = one_line(&refused.detail);
         match refused.key.map(WireKey::check) {
-            Some(Ok(key)) if self.retries.contains(key) => {
+            Some(Ok(key)) if self.retries.is_requested(key) => {
                 self.rejects.refused += 1;
                 self.retries.add(key, now);
                 Ok(Received::Nothing)
             }
-            Some(Ok(key)) if self.expected.is_in_view(key) => {
+            Some(Ok(key)) if !self.retries.contains(key) && self.expected.is_in_view(key) => {
                 self.rejects.refused += 1;
                 Ok(self.missed(Some(key), detail, now))
             }
-            None if self.expected.has_view(refused.id) || refused.reason == RefusalReason::InvalidCredit => {
+            None if refused.reason == RefusalReason::InvalidCredit => {
+                trust.surplus()?;
+                Ok(Received::Event(StreamEvent::Refused { detail }))
+            }
+            // Ids of requests and of views are apart; a refused request of several chunks has another
+            // reason.
+            None if matches!(refused.reason, RefusalReason::InvalidView | RefusalReason::Failed)
+                && self.expected.refuse(refused.id) =>
+            {
+                // Nothing of it is to come.
+                self.is_open &= !self.expected.is_latest(refused.id);
                 Ok(Received::Event(StreamEvent::Refused { detail }))
             }
             // A refused batch of retries among them: they are requested again without an answer.

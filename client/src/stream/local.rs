@@ -1,8 +1,9 @@
-//! Chunks without a server, generated on request: for tests, and as the reference of streamed
-//! images.
+//! Chunks without a server, generated on request: for tests, as the reference of streamed images,
+//! and for scenes with land of their own. Unlike other streams it works on the caller's thread.
 
 use crate::stream::chunk_stream::{ChunkStream, StreamEvent, Traffic};
 use protocol::Delivery;
+use protocol::limits::MAX_VIEW_CHUNKS;
 use protocol::view::View;
 use std::collections::{HashSet, VecDeque};
 use terrain::{ChunkKey, Land, lod};
@@ -51,7 +52,7 @@ impl ChunkStream for LocalStream {
     }
 
     fn set_view(&mut self, view: View) {
-        let needed = lod::select(&self.land, &view.viewer(), usize::MAX);
+        let needed = lod::select(&self.land, &view.viewer(), MAX_VIEW_CHUNKS);
         self.wanted =
             needed.into_iter().map(|needed| needed.key).filter(|key| !self.held.contains(key)).collect();
         self.unsettled = Some(view.id);

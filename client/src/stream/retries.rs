@@ -26,6 +26,8 @@ pub struct Retries {
 #[derive(Debug)]
 struct Retry {
     due: Duration,
+    /// Whether it is requested and has no answer.
+    is_requested: bool,
     backoff: Backoff,
 }
 
@@ -45,9 +47,9 @@ impl Retries {
         let (first, longest) = (self.first, self.longest);
         let retry = self.chunks.entry(key).or_insert_with(|| {
             let seed = u64::from(key.x() as u32) << 32 | u64::from(key.z() as u32);
-            Retry { due: Duration::ZERO, backoff: Backoff::new(first, longest, seed) }
+            Retry { due: Duration::ZERO, is_requested: false, backoff: Backoff::new(first, longest, seed) }
         });
-        retry.due = now + retry.backoff.next_delay();
+        (retry.due, retry.is_requested) = (now + retry.backoff.next_delay(), false);
         true
     }
 
@@ -55,6 +57,12 @@ impl Retries {
     #[must_use]
     pub fn contains(&self, key: ChunkKey) -> bool {
         self.chunks.contains_key(&key)
+    }
+
+    /// Whether a chunk is requested and has no answer.
+    #[must_use]
+    pub fn is_requested(&self, key: ChunkKey) -> bool {
+        self.chunks.get(&key).is_some_and(|retry| retry.is_requested)
     }
 
     /// The chunks.
@@ -94,16 +102,18 @@ impl Retries {
         });
         due.take(MAX_DUE)
             .map(|(key, retry)| {
-                retry.due = now + ANSWER;
+                (retry.due, retry.is_requested) = (now + ANSWER, true);
                 *key
             })
             .collect()
     }
 
-    /// When the next chunk is to be requested.
+    /// When the next chunk is to be requested. `parents_first` as in [`Retries::take_due`].
     #[must_use]
-    pub fn next(&self) -> Option<Duration> {
-        self.chunks.values().map(|retry| retry.due).min()
+    pub fn next(&self, parents_first: bool) -> Option<Duration> {
+        let waits =
+            |key: &ChunkKey| parents_first && key.parent().is_some_and(|parent| self.contains(parent));
+        self.chunks.iter().filter(|(key, _)| !waits(key)).map(|(_, retry)| retry.due).min()
     }
 }
 
@@ -120,20 +130,36 @@ mod tests {
     #[test]
     fn delays_grow_and_a_chunk_that_arrived_is_not_requested_again() {
         let mut retries = Retries::new(MS(100), MS(1000));
-        assert_eq!(retries.next(), None);
+        assert_eq!(retries.next(false), None);
         let (mut now, mut last) = (Duration::ZERO, Duration::ZERO);
         for attempt in 0..8 {
             assert!(retries.add(key(1), now));
-            let due = retries.next().unwrap();
+            let due = retries.next(false).unwrap();
             assert!(due - now <= MS(1000) && (attempt != 3 || due - now > last), "attempt {attempt}");
             assert!(retries.take_due(now, |_| true, false).is_empty());
             (last, now) = (due - now, due);
             assert_eq!(retries.take_due(now, |_| true, false), [key(1)]);
         }
         // Without an answer it is requested again.
-        assert_eq!(retries.next(), Some(now + ANSWER));
+        assert_eq!(retries.next(false), Some(now + ANSWER));
         retries.remove(key(1));
         assert!(retries.is_empty() && retries.take_due(MS(1_000_000), |_| true, false).is_empty());
+    }
+
+    #[test]
+    fn a_chunk_that_waits_for_its_parent_has_no_time_of_its_own() {
+        let child = key(1);
+        let parent = child.parent().unwrap();
+        let mut retries = Retries::new(MS(100), MS(1000));
+        assert!(retries.add(child, MS(0)) && retries.add(parent, MS(0)));
+        assert_eq!(retries.take_due(MS(5000), |_| true, true), [parent]);
+        assert!(retries.is_requested(parent) && !retries.is_requested(child));
+        assert_eq!(retries.next(true), Some(MS(5000) + ANSWER));
+        // The control: without the order it is overdue.
+        assert!(retries.next(false).unwrap() < MS(5000));
+        retries.remove(parent);
+        assert_eq!(retries.next(true), retries.next(false));
+        assert!(retries.add(parent, MS(5000)) && !retries.is_requested(parent));
     }
 
     #[test]

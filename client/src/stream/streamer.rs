@@ -129,6 +129,8 @@ impl<F: ChunkStream> WorldStreamer<F> {
         }
         let is_sent = self.send_view(view, now);
         let viewer = self.scaled_view(view).viewer();
+        // What has left the view is not requested again.
+        self.missed.retain(|key| key.level() <= viewer.top_level() && viewer.sees(*key));
         let selection = select_at(&mut self.cache, &viewer, Fading { now, lasts: self.fade });
         if is_sent && self.is_settled() {
             if !selection.is_complete() {
@@ -229,6 +231,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
             });
         }
         self.next_view = self.next_view.wrapping_add(1);
+        self.refusal = None;
         self.stream.set_view(view);
         self.cache.view_sent();
         self.sent = Some((view, now));
@@ -296,7 +299,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
         self.last_miss.as_deref()
     }
 
-    /// The last rejected view, if any.
+    /// Why the server rejected the last sent view, if it did.
     #[must_use]
     pub fn refusal(&self) -> Option<&str> {
         self.refusal.as_deref()

@@ -253,7 +253,8 @@ impl Bench {
         {
             let times = self.clock.as_ref().map(|clock| clock.writes(DRAW_BEGIN));
             let mut pass = self.targets.begin_hdr(&mut encoder, wgpu::Color::BLACK, times);
-            self.vegetation.draw(&mut pass);
+            self.vegetation.draw_grass(&mut pass);
+            self.vegetation.draw_trees(&mut pass);
         }
         if let Some(clock) = &self.clock {
             clock.resolve(&mut encoder);

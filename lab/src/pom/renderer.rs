@@ -62,11 +62,11 @@ impl Mask {
         self.0.iter().filter(|is| **is).count()
     }
 
-    /// Intersection over union; 1 of two empty ones.
+    /// Intersection over union; no number for two empty ones, which compare nothing.
     pub fn overlap(&self, other: &Self) -> f64 {
         let both = self.0.iter().zip(&other.0).filter(|(one, other)| **one && **other).count();
         let any = self.0.iter().zip(&other.0).filter(|(one, other)| **one || **other).count();
-        if any == 0 { 1.0 } else { both as f64 / any as f64 }
+        both as f64 / any as f64
     }
 }
 
@@ -114,7 +114,7 @@ impl PomRenderer {
 
     /// Draws a frame and brings its light back.
     pub fn light(&mut self, frame: &FrameData) -> Result<Light, GpuError> {
-        let halves = self.renderer.read_hdr(&self.gpu, frame, &self.target)?.unwrap_or_default();
+        let halves = self.renderer.read_hdr(&self.gpu, frame, &self.target)?.expect("one sample a pixel");
         Ok(Light(halves.chunks_exact(4).map(|pixel| [pixel[0], pixel[1], pixel[2], pixel[3]]).collect()))
     }
 

@@ -112,7 +112,7 @@ pub fn rows(visual: &Value) -> Vec<Bar> {
         Bar::reported("exponent of the power from 10 m", figure("spectrum/near/exponent"), ""),
         Bar::reported("exponent of the power from 100 m", figure("spectrum/middle/exponent"), ""),
         Bar::reported("exponent of the power from 1,000 m", figure("spectrum/far/exponent"), ""),
-        Bar::none("pixels without finite light, all pictures above", figure("unlit")),
+        Bar::none("pixels without finite light, of all light that was read", figure("unlit")),
         Bar::none("pixels of land cut by the near plane, lifted eyes", figure("lifted/magenta")),
         Bar::some("by the vertical rule (control)", figure("lifted/magenta_before")),
         Bar::at_most(

@@ -5,10 +5,12 @@ use crate::headless_renderer::HeadlessRenderer;
 use crate::lod::screen;
 use crate::stats::{interleaved, quantiles, ratios};
 use crate::world_builder::WorldBuilder;
+use clap::Parser as _;
 use client::camera::Projection;
 use client::features::vegetation::{PlantShadows, VegetationSettings};
 use client::frame::FrameData;
 use client::gpu::GpuError;
+use client::native::args::Args;
 use client::native::quality::{Preset, Quality};
 use client::scene::Scene;
 use client::settings::{Normals, RenderSettings};
@@ -73,30 +75,29 @@ pub fn measure(land: Land) -> Result<FrameTime, GpuError> {
     })
 }
 
-/// The settings of a preset.
+/// What the viewer has with a preset and one sample a pixel.
 fn preset(quality: Quality) -> (Preset, RenderSettings) {
-    let preset = Preset::of(quality, true);
-    let mut settings = RenderSettings { tiling: preset.tiling, ..RenderSettings::default() };
-    settings.plants = preset.plants_in(Scene::Island);
-    settings.pom.method = preset.relief;
-    settings.post.render_scale = preset.render_scale;
+    let preset = Preset { samples: 1, ..Preset::of(quality, true) };
+    let settings = Args::parse_from(["tombolo-view"]).render_settings(&preset);
     (preset, settings)
 }
 
 /// What the viewer drew before: 8 km of land by the normals of its triangles, plants without shadows
-/// up to 1,500 m.
+/// up to 1,500 m, no light between pixels.
 fn earlier(grass: u32, trees: u32) -> (Preset, RenderSettings) {
-    let (preset, settings) = preset(Quality::Medium);
+    let preset = Preset { view_distance_m: 8_000, ..Preset::of(Quality::Medium, true) };
     let plants = VegetationSettings {
         density: grass,
         trees,
         tree_range_m: 1500.0,
         impostors_from_m: VegetationSettings::MAX_RANGE_M,
         shadows: PlantShadows::Off,
-        ..settings.plants
+        ..preset.plants_in(Scene::Island)
     };
-    let preset = Preset { view_distance_m: 8_000, ..preset };
-    (preset, RenderSettings { plants, normals: Normals::Mesh, ..settings })
+    let mut settings = RenderSettings { tiling: preset.tiling, plants, ..RenderSettings::default() };
+    settings.pom.method = preset.relief;
+    settings.normals = Normals::Mesh;
+    (preset, settings)
 }
 
 fn alternative(land: Land, preset: &Preset, settings: RenderSettings) -> Result<Alternative, GpuError> {

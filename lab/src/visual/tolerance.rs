@@ -68,6 +68,6 @@ fn change(views: &mut Views, shot: Shot) -> Result<(f64, f64), GpuError> {
             }
         }
     }
-    let mean = |(sum, pixels): (f64, usize)| sum / pixels.max(1) as f64;
+    let mean = |(sum, pixels): (f64, usize)| sum / pixels as f64;
     Ok((mean(all), mean(still)))
 }

@@ -284,10 +284,8 @@ pub const FAR_TREE_BYTES: usize = 32;
 /// Side of a cell of trees, metres. Equal to the constant of `shared/tree_cells.wesl`.
 pub const TREE_CELL_M: f32 = 8.0;
 
-/// Fewest and most cells of trees along a side of the square around the eye in which each tree is
-/// known: 500 m and 1,524 m in every direction.
-pub const LEAST_TREE_GRID_CELLS: usize = 128;
-/// See [`LEAST_TREE_GRID_CELLS`].
+/// Most cells of trees along a side of the square around the eye in which each tree is known: 1,524 m
+/// in every direction.
 pub const MOST_TREE_GRID_CELLS: usize = 384;
 
 /// Bytes of the buffer of trees: two vectors, then four trees for each cell; see

@@ -105,7 +105,7 @@ pub const ALL: [Step; 18] = [
     },
     Step {
         name: "schedules",
-        about: "the single flight in some schedules of its threads",
+        about: "the request coalescing in some schedules of its threads",
         again: "TOMBOLO_SCHEDULES=200 RUSTFLAGS='--cfg shuttle' cargo test --package tombolo-server --lib \
                 schedules --target-dir target/shuttle",
         action: schedules,

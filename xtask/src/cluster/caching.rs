@@ -1,7 +1,7 @@
 //! Many requests for few chunks: what reaches the replicas, and what they generate.
 
 use super::Cluster;
-use super::http::{get_by, metric, world};
+use super::http::{agent, get_by, metric, world};
 use crate::server::Server;
 use anyhow::{Context, Result};
 use bars::Bar;
@@ -86,7 +86,7 @@ pub fn rows() -> Result<Vec<Bar>> {
 
 /// The share of one thread, by chunk.
 fn send(proxy: SocketAddr, digest: &str, sum: &[f64], number: u32) -> Result<HashMap<u32, Seen>> {
-    let agent = ureq::Agent::new_with_defaults();
+    let agent = agent();
     let mut all: HashMap<u32, Seen> = HashMap::new();
     for request in 0..REQUESTS / THREADS {
         let random = f64::from(mix(request * THREADS + number)) / f64::from(u32::MAX);

@@ -3,7 +3,7 @@
 
 use super::load::Load;
 use crate::server::Server;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use bars::Bar;
 use bars::figures::at;
 use std::fs::read_to_string;
@@ -33,6 +33,7 @@ pub fn rows() -> Result<Vec<Bar>> {
             let more = ["--path", path, "--verify-every", "0"];
             let report = Load::start(server.address(), CLIENTS, SECONDS, &more)?.report()?;
             let spent_s = processor_s(&server)? - before_s;
+            ensure!(at(&report, "never_connected") == Some(0.0), "some clients had no session");
             let client_s = f64::from(CLIENTS) * SECONDS as f64;
             let name = |what: &str| format!("{path}, {state}: {what}");
             rows.extend([
@@ -52,7 +53,7 @@ pub fn rows() -> Result<Vec<Bar>> {
                     "GB",
                 ),
                 Bar::reported(name("p99 of requested chunks"), at(&report, "latency_ms/p99"), "ms"),
-                Bar::none(name("wrong chunks"), at(&report, "mismatches")),
+                Bar::none(name("frames that a client rejected"), at(&report, "mismatches")),
             ]);
         }
         let kib = (memory_kib(&server)? - empty_kib) / f64::from(CLIENTS);

@@ -1,6 +1,6 @@
 //! Many chunks by HTTP from one replica, each once: their latency and whether their bytes are right.
 
-use super::http::{get_by, world};
+use super::http::{agent, get_by, world};
 use anyhow::Result;
 use bars::stats::quantile;
 use std::collections::HashMap;
@@ -88,7 +88,7 @@ struct Part {
 fn part(replica: SocketAddr, digest: &str, paths: &[String], truth: &Truth) -> Part {
     let next = AtomicUsize::new(0);
     let ask = || {
-        let agent = ureq::Agent::new_with_defaults();
+        let agent = agent();
         let mut part = Part::default();
         while let Some(path) = paths.get(next.fetch_add(1, Ordering::Relaxed)) {
             let started = Instant::now();

@@ -19,8 +19,8 @@ const DAY: u64 = 86_400;
 /// # Errors
 /// A server does not answer.
 pub fn rows() -> Result<Vec<Bar>> {
-    let mut rows = replicas()?;
-    rows.extend(builds()?);
+    let mut rows = builds()?;
+    rows.extend(replicas()?);
     Ok(rows)
 }
 
@@ -33,8 +33,9 @@ fn addresses(digest: &str) -> Vec<String> {
 
 /// A cache that was filled before replicas of two builds of one world stand behind it.
 fn builds() -> Result<Vec<Bar>> {
-    process::run(process::cargo("build --quiet --bin tombolo-server")).context("another build")?;
-    let other = process::target().join("debug/tombolo-server");
+    println!("cluster: another build of the server, without optimisation");
+    process::run(process::build_tested(&["tombolo-server"])).context("another build")?;
+    let other = process::tested_program("tombolo-server");
     let mut cluster = Cluster::start(super::REPLICAS)?;
     let proxy = cluster.nginx.address();
     let paths = addresses(&world(proxy)?);
@@ -83,11 +84,11 @@ fn replicas() -> Result<Vec<Bar>> {
             .collect::<Result<Vec<_>>>()?;
         all += 1;
         differing += usize::from(answers.iter().any(|answer| answer.etag != answers[0].etag));
-        for _ in 0..2 {
+        for turn in 0..2 {
             // nginx stores an answer just after it has sent it.
             std::thread::sleep(std::time::Duration::from_millis(20));
             let cached = get(proxy, &path)?;
-            hits += usize::from(cached.cache == "HIT");
+            hits += usize::from(turn == 1 && cached.cache == "HIT");
             wrong += usize::from(answers.iter().all(|answer| answer.body != cached.body));
         }
     }

@@ -57,7 +57,8 @@ fn killed(more: &[&str]) -> Result<(Vec<Bar>, Option<f64>)> {
     let again = ratio(&report, "resume/bytes_again", "resume/held_bytes").map(|share| 100.0 * share);
     let rows = vec![
         Bar::reported("killed: sessions of the replica, of 200", Some(lost), ""),
-        Bar::none("killed: wrong chunks", at(&report, "mismatches")),
+        wrong("killed: wrong chunks", &report),
+        Bar::none("killed: lost sessions without another", without_another(&report)),
         Bar::at_least(
             "killed: clients with a session 8 s later",
             Some(after / f64::from(KILLED_CLIENTS)),
@@ -89,7 +90,9 @@ fn terminated() -> Result<Vec<Bar>> {
     ensure!(sessions > 0.0, "the replica to be terminated had no session: nothing was tried");
     ensure!(!process::interrupted(), "interrupted");
     let share = |path: &str| at(&report, path).map(|number| number / sessions);
-    let last = at(&report, "started_unix_s").zip(at(&report, "resume/last_close_s"));
+    // 0 is no Close frame at all.
+    let closed_s = at(&report, "resume/last_close_s").filter(|close| *close > 0.0);
+    let last = at(&report, "started_unix_s").zip(closed_s).map(|(start, close)| start + close - at_s);
     Ok(vec![
         Bar::reported("terminated: sessions of the replica, of 500", Some(sessions), ""),
         Bar::at_least(
@@ -100,7 +103,7 @@ fn terminated() -> Result<Vec<Bar>> {
         ),
         Bar::at_most(
             "terminated: from SIGTERM to the last Close frame",
-            last.map(|(start, close)| start + close - at_s),
+            last.filter(|seconds| *seconds >= 0.0),
             "s",
             1.0,
         ),
@@ -110,10 +113,23 @@ fn terminated() -> Result<Vec<Bar>> {
             "s",
             10.0,
         ),
-        Bar::none("terminated: wrong or cut chunks", at(&report, "mismatches")),
+        wrong("terminated: wrong or cut chunks", &report),
+        Bar::none("terminated: lost sessions without another", without_another(&report)),
         Bar::at_least("terminated: lost sessions that another replaced", share("resume/resumed"), "", 1.0),
         Bar::at_most("terminated: gap between deliveries, longest", gap(&report, "max"), "s", 5.0),
     ])
+}
+
+/// Chunks that differ from those of local generation, and frames that a client rejected.
+fn wrong(name: &str, report: &Value) -> Bar {
+    let compared = at(report, "regenerated").filter(|compared| *compared > 0.0);
+    let note = format!("{} chunks, one of 32, were generated again and compared", compared.unwrap_or(0.0));
+    Bar::none(name, compared.and(at(report, "mismatches"))).with_note(note)
+}
+
+/// Sessions of the whole run that were lost and not replaced.
+fn without_another(report: &Value) -> Option<f64> {
+    Some(at(report, "resume/lost")? - at(report, "resume/resumed")?)
 }
 
 /// A quantile of the gaps, seconds.

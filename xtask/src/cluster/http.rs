@@ -3,6 +3,7 @@
 use anyhow::{Context, Result};
 use serde_json::Value;
 use std::net::SocketAddr;
+use std::time::Duration;
 
 /// An answer.
 #[derive(Debug)]
@@ -17,12 +18,20 @@ pub struct Answer {
     pub body: Vec<u8>,
 }
 
+/// Time for an answer: a process that accepts and never answers is a failure.
+const ANSWER_WITHIN: Duration = Duration::from_secs(30);
+
+/// Connections to the parts of a cluster, by no proxy of the environment.
+pub fn agent() -> ureq::Agent {
+    ureq::Agent::config_builder().timeout_global(Some(ANSWER_WITHIN)).proxy(None).build().into()
+}
+
 /// One request over a new connection.
 ///
 /// # Errors
 /// No answer, or a status other than 2xx.
 pub fn get(address: SocketAddr, path: &str) -> Result<Answer> {
-    get_by(&ureq::Agent::new_with_defaults(), address, path)
+    get_by(&agent(), address, path)
 }
 
 /// One request over a connection of an agent.

@@ -174,10 +174,10 @@ fn watched(replicas: &[Server]) -> Result<Option<Prometheus>> {
 }
 
 /// Every figure of clusters of two replicas beside its bar. Each check has a cluster of its own, whose
-/// caches are empty.
+/// caches are empty. A check that fails is a missed row.
 ///
 /// # Errors
-/// A process cannot be started or does not answer.
+/// An interrupt.
 pub fn rows() -> Result<Vec<Bar>> {
     rows_of(&Check::ALL)
 }
@@ -188,7 +188,16 @@ fn rows_of(checks: &[Check]) -> Result<Vec<Bar>> {
         if process::interrupted() {
             bail!("interrupted");
         }
-        rows.extend(check.rows().with_context(|| format!("{check:?}"))?);
+        match check.rows() {
+            Ok(more) => rows.extend(more),
+            Err(error) if process::interrupted() => return Err(error.context(format!("{check:?}"))),
+            // The rows of the other checks are worth their minutes.
+            Err(error) => {
+                eprintln!("cluster: {check:?}: {error:#}");
+                let name = format!("{check:?}: whether it could be measured");
+                rows.push(Bar::some(name, None).with_note(format!("{error:#}")));
+            }
+        }
     }
     Ok(rows)
 }

@@ -132,10 +132,12 @@ pub fn rows() -> Result<Vec<Bar>> {
     let mut truth = Truth::new();
     let filled = Objects::start("filled", None)?;
     let mut rows = shared(&filled, &paths, &mut truth)?;
+    let mut bad_alone = 0;
     let mut shown: [Shown; FAULTS.len()] = Default::default();
     let mut alone_ms = Vec::new();
     for round in 0..ROUNDS {
         let alone = chunks::ask(Server::start(super::WORLD_SEED)?.address(), &paths, &mut truth, || Ok(()))?;
+        bad_alone += alone.wrong + alone.failed;
         let p99_ms = alone.p99_ms().unwrap_or(f64::NAN);
         alone_ms.push(p99_ms);
         // Those without times once.
@@ -152,6 +154,7 @@ pub fn rows() -> Result<Vec<Bar>> {
         median(alone_ms.into_iter().map(Some)),
         "ms",
     ));
+    rows.push(Bar::none("without a store: wrong chunks or none, of all rounds", Some(bad_alone as f64)));
     for (fault, shown) in FAULTS.iter().zip(shown) {
         let name = fault.name;
         rows.push(Bar::none(
@@ -177,14 +180,18 @@ fn try_fault(fault: &Fault, filled: &Objects, paths: &[String], truth: &mut Trut
     let mut settings = objects.settings().to_vec();
     settings.extend(fault.is_patient.then(|| (PATIENT.0, PATIENT.1.to_owned())));
     let replica = Server::start_with(super::WORLD_SEED, &settings)?;
-    let asked = chunks::ask(replica.address(), paths, truth, || (fault.happens)(&mut objects))?;
-    let Some(name) = fault.shows else { return Ok((asked, 0.0)) };
+    let count = || fault.shows.map_or(Ok(0.0), |name| metric(replica.address(), name));
+    let mut before = 0.0;
+    let asked = chunks::ask(replica.address(), paths, truth, || {
+        before = count()?;
+        (fault.happens)(&mut objects)
+    })?;
     // Requests to a store may fail long after the chunks were sent.
     let deadline = Instant::now() + SHOWN_WITHIN;
-    while metric(replica.address(), name)? == 0.0 && Instant::now() < deadline {
+    while fault.shows.is_some() && count()? == before && Instant::now() < deadline {
         std::thread::sleep(Duration::from_millis(100));
     }
-    Ok((asked, metric(replica.address(), name)?))
+    Ok((asked, count()? - before))
 }
 
 /// Two replicas that share a store, one after the other: what the second one makes.

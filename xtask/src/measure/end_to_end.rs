@@ -57,6 +57,7 @@ fn bars_of([cold, warm]: [&[Value]; 2], small: &Value, load: &Value, peak_mib: O
     let under_load = |what| format!("{clients} clients for {seconds} s: {what}");
     // A run of fewer clients or seconds than promised is no measurement of the promise.
     let is_whole = at(load, "clients") == Some(f64::from(clients))
+        && at(load, "never_connected") == Some(0.0)
         && at(load, "seconds") >= Some(f64::from(seconds))
         && at(load, "chunks") > Some(0.0);
     let of_load = |field| at(load, field).filter(|_| is_whole);
@@ -137,7 +138,9 @@ mod tests {
     }
 
     fn load() -> Value {
-        json!({ "clients": 200, "seconds": 30.0, "chunks": 9, "mismatches": 0, "dropped": 0 })
+        json!({
+            "clients": 200, "seconds": 30.0, "chunks": 9, "never_connected": 0, "mismatches": 0, "dropped": 0
+        })
     }
 
     fn missed(view: &Value, load: &Value, peak: Option<f64>) -> Vec<String> {

@@ -105,7 +105,14 @@ fn page(
     for row in rows {
         let spread = runs.of(&row.name);
         let (figure, range, kept) = match (&row.figure, spread.figures.as_slice()) {
-            (Figure::NotMeasured { .. }, _) => (row.figure.clone(), String::new(), String::new()),
+            (Figure::NotMeasured { .. }, figures) if figures.iter().all(|figure| figure.is_nan()) => {
+                (row.figure.clone(), String::new(), String::new())
+            }
+            // A run that failed before this row: it cannot be outvoted by the others.
+            (_, figures) if figures.len() < runs.count() && runs.count() > 1 => {
+                let range = if figures.is_empty() { String::new() } else { spread.range() };
+                (Figure::Missing, range, format!("{} of {}", spread.kept, runs.count()))
+            }
             (figure, [] | [_]) => {
                 (figure.clone(), String::new(), format!("{} of 1", u32::from(row.is_met())))
             }
@@ -156,8 +163,10 @@ mod tests {
         let _ = std::fs::remove_dir_all(&days);
         std::fs::create_dir_all(days.join("2026-01-02-cpu")).unwrap();
         let mut pages = Vec::new();
-        for figure in [Some(1.0), Some(2.5), Some(9.0), None] {
-            let run = [Bar { figure: figure.into(), ..rows[0].clone() }, rows[1].clone()];
+        let all =
+            |figure: Option<f64>| vec![Bar { figure: figure.into(), ..rows[0].clone() }, rows[1].clone()];
+        let failed = vec![rows[1].clone()];
+        for run in [all(Some(1.0)), all(Some(2.5)), all(Some(9.0)), all(None), failed] {
             runs::append(&days.join("2026-01-02-cpu").join(runs::FILE), "x", "abc", &run).unwrap();
             let runs = Runs::of_machine(&days, "cpu", "x", "abc").unwrap();
             pages.push(page(&heading, &rows, &runs, &machine, "2026-01-02", &commit));
@@ -172,6 +181,11 @@ mod tests {
             pages[3].contains("| time | missing | under 3 s | MISSED | 1.000 to 9.000 | 2 of 4 |"),
             "{}",
             pages[3]
+        );
+        assert!(
+            pages[4].contains("| time | missing | under 3 s | MISSED | 1.000 to 9.000 | 2 of 5 |"),
+            "{}",
+            pages[4]
         );
         assert!(
             pages[3].contains("| on a GPU | not measured | under 2 ms | needs a GPU |  |  |"),

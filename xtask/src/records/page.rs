@@ -9,14 +9,16 @@ use std::fmt::Write;
 pub const PATH: &str = "docs/measurements/README.md";
 
 /// Order of the sections; a measurement without notes has no section.
-const SECTIONS: [&str; 13] = [
+const SECTIONS: [&str; 15] = [
     "heightfield",
     "land",
     "end-to-end",
     "terrain",
     "pom",
     "culling",
+    "visual",
     "streaming",
+    "cluster",
     "resilience",
     "fuzz",
     "mutants",

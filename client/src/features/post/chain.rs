@@ -206,8 +206,9 @@ impl PostPasses {
         }
         let pass = self.resample.get_or_insert_with(|| ResamplePass::new(device, self.format));
         let bindings = sized.resample[usize::from(is_smoothed)]
-            .get_or_insert_with(|| pass.bind(device, &self.uniforms, colors));
-        draw("resample", pass.pipeline(), bindings, image, true);
+            .get_or_insert_with(|| pass.bind(device, &self.uniforms, colors, sampler));
+        let is_enlarged = settings.sharpen <= 0.0 && targets.size.0 <= size.0 && targets.size.1 <= size.1;
+        draw("resample", pass.pipeline(is_enlarged), bindings, image, true);
     }
 }
 

@@ -1,7 +1,7 @@
 //! The resampling pass: encoded colors of the rendered size to an image, sharpened.
 
 use super::target::Target;
-use crate::gpu::bind::{bind, layout, texture_entry, uniform_entry};
+use crate::gpu::bind::{bind, layout, sampler_entry, texture_entry, uniform_entry};
 use crate::gpu::pipeline::screen_pipeline;
 use shaders::SHADERS;
 
@@ -9,7 +9,8 @@ use shaders::SHADERS;
 #[derive(Debug)]
 pub struct ResamplePass {
     layout: wgpu::BindGroupLayout,
-    pipeline: wgpu::RenderPipeline,
+    /// For all settings, and for images that are only enlarged.
+    pipelines: [wgpu::RenderPipeline; 2],
 }
 
 impl ResamplePass {
@@ -18,9 +19,11 @@ impl ResamplePass {
     pub fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Self {
         let (fragment, d2) = (wgpu::ShaderStages::FRAGMENT, wgpu::TextureViewDimension::D2);
         let shader = &SHADERS.resample;
-        let layout = layout(device, shader.name, &[uniform_entry(0), texture_entry(1, fragment, d2, false)]);
-        let pipeline = screen_pipeline(device, shader, &layout, Target::Image.fragment(), format.into());
-        Self { layout, pipeline }
+        let entries = [uniform_entry(0), texture_entry(1, fragment, d2, true), sampler_entry(2, fragment)];
+        let layout = layout(device, shader.name, &entries);
+        let pipelines = [Target::Image.fragment(), "fragment_enlarged"]
+            .map(|fragment| screen_pipeline(device, shader, &layout, fragment, format.into()));
+        Self { layout, pipelines }
     }
 
     /// Bindings over encoded colors.
@@ -30,14 +33,20 @@ impl ResamplePass {
         device: &wgpu::Device,
         post: &wgpu::Buffer,
         colors: &wgpu::TextureView,
+        sampler: &wgpu::Sampler,
     ) -> wgpu::BindGroup {
-        let resources = [post.as_entire_binding(), wgpu::BindingResource::TextureView(colors)];
+        let resources = [
+            post.as_entire_binding(),
+            wgpu::BindingResource::TextureView(colors),
+            wgpu::BindingResource::Sampler(sampler),
+        ];
         bind(device, SHADERS.resample.name, &self.layout, &resources)
     }
 
-    /// The pipeline to the image.
+    /// The pipeline to the image; of one that is only enlarged, neither smaller nor sharpened, a
+    /// cheaper one.
     #[must_use]
-    pub fn pipeline(&self) -> &wgpu::RenderPipeline {
-        &self.pipeline
+    pub fn pipeline(&self, is_enlarged: bool) -> &wgpu::RenderPipeline {
+        &self.pipelines[usize::from(is_enlarged)]
     }
 }

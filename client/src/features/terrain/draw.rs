@@ -16,6 +16,8 @@ use wgpu::util::DeviceExt as _;
 #[derive(Debug)]
 pub struct TerrainPass {
     pipeline: wgpu::RenderPipeline,
+    /// The debug views; built on first use.
+    inspected: Option<wgpu::RenderPipeline>,
     /// Depth only; built on first use.
     depth: Option<wgpu::RenderPipeline>,
     layout: wgpu::BindGroupLayout,
@@ -66,6 +68,7 @@ impl TerrainPass {
         );
         Self {
             pipeline,
+            inspected: None,
             depth: None,
             layout,
             samples,
@@ -98,6 +101,23 @@ impl TerrainPass {
         clipmap: &TerrainClipmap,
     ) -> u32 {
         self.draw_with(&self.pipeline, pass, materials, clipmap)
+    }
+
+    /// Records the draw of the debug views; returns the number of draw calls.
+    pub fn draw_inspected(
+        &mut self,
+        device: &wgpu::Device,
+        pass: &mut wgpu::RenderPass<'_>,
+        materials: &Materials,
+        clipmap: &TerrainClipmap,
+    ) -> u32 {
+        let layouts = [&self.layout, materials.layout(), clipmap.layout()];
+        let entry = "fragment_inspected";
+        let build = || with_pass(&layouts, self.samples, |pass| pass.pipeline_with_fragment(device, entry));
+        let inspected = self.inspected.take().unwrap_or_else(build);
+        let draws = self.draw_with(&inspected, pass, materials, clipmap);
+        self.inspected = Some(inspected);
+        draws
     }
 
     /// Draws depth only, into a pass without color attachments; for checks.
@@ -136,7 +156,7 @@ impl TerrainPass {
     }
 }
 
-/// The pass of both pipelines.
+/// The pass of all pipelines.
 fn with_pass<T>(layouts: &[&wgpu::BindGroupLayout], samples: u32, build: impl FnOnce(HdrPass<'_>) -> T) -> T {
     let attributes = TerrainInstance::ATTRIBUTES.map(|attribute| wgpu::VertexAttribute {
         shader_location: attribute.location,

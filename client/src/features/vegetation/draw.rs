@@ -45,10 +45,12 @@ impl Species {
     }
 
     /// Entry points that draw a level of detail, in place of a shader's usual ones: of trees, the last
-    /// level is impostors.
-    fn entry_points(self, level: usize) -> [Option<&'static str>; 2] {
+    /// level is impostors. Leaves and impostors cover each of several samples by itself.
+    fn entry_points(self, level: usize, samples: u32) -> [Option<&'static str>; 2] {
         match (self, level) {
+            (Self::Tree, 2) if samples > 1 => [Some("far_vertex"), Some("sampled_far_fragment")],
             (Self::Tree, 2) => [Some("far_vertex"), Some("far_fragment")],
+            (Self::Tree, _) if samples > 1 => [None, Some("sampled_fragment")],
             _ => [None, None],
         }
     }
@@ -133,7 +135,7 @@ impl ClumpPass {
         let pass = HdrPass { shader, layouts: &[&layout], buffers: &buffers, depth: Depth::Solid, samples };
         let levels = 0..species.vertices().len();
         let pipelines = levels.map(|level| {
-            let [vertex, fragment] = species.entry_points(level);
+            let [vertex, fragment] = species.entry_points(level, samples);
             let output =
                 Output { vertex: vertex.or(output.vertex), fragment: fragment.or(output.fragment), ..output };
             pass.clump_pipeline(device, output, species.topology(level), level)

@@ -5,7 +5,7 @@ use crate::features::terrain::pool::ChunkPool;
 use crate::features::vegetation::far_trees::{FarTreeFrame, MAX_FAR_CHUNKS, MAX_FAR_TREES};
 use crate::gpu::bind::{self, storage_entry};
 use crate::gpu::buffer::create_buffer;
-use crate::gpu::pipeline::{Depth, HDR, HdrPass, compute_pass, compute_pipelines};
+use crate::gpu::pipeline::{Depth, HDR, HdrPass, Output, compute_pass, compute_pipelines};
 use shaders::SHADERS;
 use shaders::layout::{
     Culling, FAR_STATE_WORDS, FAR_TREE_BYTES, FarTrees, Field, MAX_FAR_PATCHES, OccluderChunk, Planting,
@@ -80,7 +80,8 @@ impl FarTreePass {
             depth: Depth::Solid,
             samples,
         };
-        let draw = draw.two_sided_pipeline(device, HDR);
+        let fragment = (samples > 1).then_some("sampled_fragment");
+        let draw = draw.two_sided_pipeline(device, Output { fragment, ..HDR });
         let land = [(0, &culling), (1, &planting), (2, pool.heights()), (4, pool.records()), (6, &chunks)];
         let placing = [uniforms, &field, &params, &patches, &state, &trees, pool.sun_clearances()];
         Self {

@@ -149,7 +149,9 @@ impl FarTreeFrame {
                 let farthest = from_eye.map(|low| low.abs().max((low + side_m).abs()));
                 let deepest = heights_m[0].abs().max(heights_m[1].abs());
                 let is_near = farthest[0].hypot(farthest[1]).hypot(deepest) < begin_m;
-                if nearest[0].hypot(nearest[1]) > end_m || is_near {
+                // The range is measured with the height of the eye.
+                let above = heights_m[0].max(-heights_m[1]).max(0.0);
+                if nearest[0].hypot(nearest[1]).hypot(above) > end_m + 1.0 || is_near {
                     continue;
                 }
                 if !has_density(chunk, [low[0] - x, low[1] - z], drawn.key.spacing()) {

@@ -140,13 +140,23 @@ impl VegetationRenderer {
         }
     }
 
-    /// Draws the visible clumps.
-    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>) {
-        for species in &self.species {
-            species.pass.draw(pass, &species.buffers.bindings, &species.buffers.clumps);
-        }
+    /// Draws the visible grass: before the land, whose fragments take longer.
+    pub fn draw_grass(&self, pass: &mut wgpu::RenderPass<'_>) {
+        self.draw_species(Species::Grass, pass);
+    }
+
+    /// Draws the visible trees: after the land, which hides most of the far ones before they are
+    /// shaded.
+    pub fn draw_trees(&self, pass: &mut wgpu::RenderPass<'_>) {
+        self.draw_species(Species::Tree, pass);
         if let Some(far_trees) = &self.far_trees {
             far_trees.draw(pass);
+        }
+    }
+
+    fn draw_species(&self, species: Species, pass: &mut wgpu::RenderPass<'_>) {
+        for drawn in self.species.iter().filter(|drawn| drawn.species == species) {
+            drawn.pass.draw(pass, &drawn.buffers.bindings, &drawn.buffers.clumps);
         }
     }
 

@@ -11,7 +11,7 @@ use crate::lod::Drawn;
 use glam::DVec3;
 use shaders::layout::{
     CULL_DISTANCE, CULL_EXACT, CULL_FRUSTUM, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, Field,
-    KIND_GRASS, KIND_TREES, LEAST_TREE_GRID_CELLS, MOST_TREE_GRID_CELLS, Planting, TREE_CELL_M,
+    KIND_GRASS, KIND_TREES, MOST_TREE_GRID_CELLS, Planting, TREE_CELL_M,
 };
 use shaders::twin::placement::{BLOCK_CELL_BITS, COARSE_BITS, PATCH_BLOCKS, distance_squared};
 use shaders::twin::surface::{FINE_BITS, GRID_BITS, NOWHERE, STEP_BITS, Surface, TILE_BITS};
@@ -50,6 +50,9 @@ pub const LEAST_DETAIL_OF_TREES: f64 = 0.5;
 /// its own.
 const CROWN_M: f64 = 4.5;
 const LEAST_CROWN_PX: f64 = 3.0;
+
+/// Each tree is known at least up to here, metres, in images with fewer pixels too.
+const LEAST_KNOWN_M: f64 = 500.0;
 
 /// Factor of the near-plane distance inside which occlusion is not tested: covers targets off the
 /// view axis.
@@ -130,7 +133,7 @@ impl SpeciesTraits {
             detail_scale: 1.0,
             least_detail: LEAST_DETAIL,
             stand_m: f64::from(settings.range_m),
-            tree_grid_cells: LEAST_TREE_GRID_CELLS as u32,
+            tree_grid_cells: MOST_TREE_GRID_CELLS as u32,
         }
     }
 
@@ -155,7 +158,7 @@ impl SpeciesTraits {
             detail_scale: 1.0,
             least_detail: LEAST_DETAIL_OF_TREES,
             stand_m: f64::from(settings.tree_range_m),
-            tree_grid_cells: LEAST_TREE_GRID_CELLS as u32,
+            tree_grid_cells: MOST_TREE_GRID_CELLS as u32,
         }
     }
 
@@ -283,7 +286,7 @@ impl VegetationFrame {
                 range_m: traits.range_m.min(reach_m),
                 stand_m: traits.stand_m.min(reach_m),
                 detail_scale: detail_scale(projection, traits.least_detail),
-                tree_grid_cells: tree_grid_cells(projection, traits.range_m),
+                tree_grid_cells: tree_grid_cells(projection, traits.range_m.min(reach_m)),
                 ..traits
             });
         let frustum = Frustum::new(pose, projection);
@@ -321,13 +324,13 @@ fn detail_scale(projection: &Projection, least: f64) -> f64 {
 }
 
 /// Cells along a side of the square in which each tree is known: up to where a crown is
-/// [`LEAST_CROWN_PX`] pixels wide, as far as trees stand one by one.
+/// [`LEAST_CROWN_PX`] pixels wide and at least [`LEAST_KNOWN_M`], as far as trees stand one by one.
 fn tree_grid_cells(projection: &Projection, range_m: f64) -> u32 {
     let pixels_per_radian = f64::from(projection.height) / (2.0 * projection.half_height());
-    let known_m = (CROWN_M / LEAST_CROWN_PX * pixels_per_radian).min(range_m);
+    let known_m = (CROWN_M / LEAST_CROWN_PX * pixels_per_radian).max(LEAST_KNOWN_M).min(range_m);
     // Twin: `known_in_grid_m` of `shared/tree_cells.wesl`.
     let cells = 2 * (known_m / f64::from(TREE_CELL_M) + 1.5).ceil() as usize;
-    cells.next_multiple_of(8).clamp(LEAST_TREE_GRID_CELLS, MOST_TREE_GRID_CELLS) as u32
+    cells.next_multiple_of(8).min(MOST_TREE_GRID_CELLS) as u32
 }
 
 fn culling_params(
@@ -399,8 +402,10 @@ fn patches(grid: &OcclusionGrid, culling: &Culling, planting: &Planting) -> Vec<
             let (west, north) = (column << bits, row << bits);
             let nearest =
                 [culling.eye[0].clamp(west, west + side), culling.eye[2].clamp(north, north + side)];
-            let far = distance_squared(culling, nearest[0], culling.eye[1], nearest[1]);
             let (top, bottom) = bounds(grid, bits, column, row)?;
+            // Roots stand on the drawn land.
+            let up = culling.eye[1].clamp(bottom, top);
+            let far = distance_squared(culling, nearest[0], up, nearest[1]);
             let half = side / 2;
             let extent = Extent {
                 occludee: Occludee {
@@ -469,6 +474,7 @@ mod tests {
         assert_eq!(of(2160, 10.0, 2000.0), 384);
         // No farther than trees stand.
         assert_eq!(of(1080, 60.0, 800.0), 208);
+        assert_eq!(of(180, 60.0, 250.0), 72);
         assert!([128, 184, 208, 360, 384].iter().all(|side| side % 8 == 0));
     }
 

@@ -20,8 +20,12 @@ pub fn save(folder: &Path, image: &Image) -> anyhow::Result<PathBuf> {
         // Fails if the file exists, also if another program made it a moment ago.
         match OpenOptions::new().write(true).create_new(true).open(&path) {
             Ok(file) => {
-                png_file::write_to(file, image)
-                    .with_context(|| format!("cannot write {}", path.display()))?;
+                let written = png_file::write_to(file, image);
+                if written.is_err() {
+                    // A part of a picture; best effort.
+                    let _ = std::fs::remove_file(&path);
+                }
+                written.with_context(|| format!("cannot write {}", path.display()))?;
                 return Ok(path);
             }
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}

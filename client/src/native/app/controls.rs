@@ -15,7 +15,7 @@ const BOOST: f64 = 5.0;
 const NOTCH: f64 = 1.25;
 /// Degrees of turn for one pixel of drag.
 const DRAG_DEG: f64 = 0.15;
-/// Smallest orbit radius over land, metres.
+/// Smallest orbit radius over land, metres; less where the scene's own radius is less.
 const NEAREST_M: f64 = 100.0;
 /// Flying speed and smallest orbit radius in an indoor scene, metres a second and metres.
 const INDOORS: (f64, f64) = (2.5, 0.5);
@@ -73,7 +73,7 @@ impl Controls {
             orbit: orbit_deg_per_s.map(|_| Orbit::through(&pose, orbit_radius_m)),
             orbit_deg_per_s: orbit_deg_per_s.unwrap_or(ORBIT_DEG),
             orbit_radius_m,
-            nearest_m: NEAREST_M,
+            nearest_m: NEAREST_M.min(orbit_radius_m),
             is_grounded: true,
             has_moved: false,
             held: Held::default(),
@@ -189,9 +189,11 @@ impl Controls {
         let (turn_deg, tilt_deg) = std::mem::take(&mut self.turn);
         let [forward, right, up] = self.held.axes();
         if let Some(orbit) = &mut self.orbit {
+            let way_m = self.fly.speed_m * dt_s * if self.held.fast { BOOST } else { 1.0 };
             orbit.bearing_deg += self.orbit_deg_per_s * dt_s + turn_deg;
-            orbit.height_m += up * self.fly.speed_m * dt_s;
-            orbit.radius_m -= forward * self.fly.speed_m * dt_s;
+            orbit.tilt(tilt_deg);
+            orbit.height_m += up * way_m;
+            orbit.radius_m -= forward * way_m;
             orbit.radius_m = orbit.radius_m.clamp(self.nearest_m, 20_000.0);
             self.fly.pose = orbit.pose();
         } else {

@@ -44,11 +44,14 @@ pub const LINES: [(&str, &str); 14] = [
     ("Esc twice, Ctrl Q", "quit"),
 ];
 
-/// What a pressed key does. While a text field has the focus, keys that write do nothing else.
+/// What a pressed key does, by its place on the keyboard; `writes_q` is whether it writes a Q in the
+/// user's layout. While a text field has the focus, keys that write do nothing else.
 #[must_use]
-pub fn action(code: KeyCode, has_control: bool, is_typing: bool) -> Option<Action> {
+pub fn action(code: KeyCode, writes_q: bool, has_control: bool, is_typing: bool) -> Option<Action> {
+    if writes_q && has_control {
+        return Some(Action::Quit);
+    }
     match code {
-        KeyCode::KeyQ if has_control => return Some(Action::Quit),
         KeyCode::F1 => return Some(Action::Panel),
         KeyCode::F11 => return Some(Action::Fullscreen),
         KeyCode::F12 => return Some(Action::Screenshot),
@@ -83,18 +86,21 @@ mod tests {
 
     #[test]
     fn escape_leaves_a_text_field_before_it_quits_and_control_q_always_quits() {
-        assert_eq!(action(KeyCode::Escape, false, true), None);
-        assert_eq!(action(KeyCode::Escape, false, false), Some(Action::AskQuit));
-        assert_eq!(action(KeyCode::KeyQ, true, true), Some(Action::Quit));
-        assert_eq!(action(KeyCode::KeyQ, false, false), None, "Q alone flies down");
+        assert_eq!(action(KeyCode::Escape, false, false, true), None);
+        assert_eq!(action(KeyCode::Escape, false, false, false), Some(Action::AskQuit));
+        assert_eq!(action(KeyCode::KeyQ, true, true, true), Some(Action::Quit));
+        assert_eq!(action(KeyCode::KeyQ, true, false, false), None, "Q alone flies down");
+        // On an AZERTY keyboard A and Q have changed places.
+        assert_eq!(action(KeyCode::KeyA, true, true, true), Some(Action::Quit));
+        assert_eq!(action(KeyCode::KeyQ, false, true, true), None, "selects all of a text field");
     }
 
     #[test]
     fn digits_go_to_the_places_in_order_and_write_into_text_fields() {
-        assert_eq!(action(KeyCode::Digit1, false, false), Some(Action::Go(Place::Beach)));
-        assert_eq!(action(KeyCode::Digit8, false, false), Some(Action::Go(Place::Highest)));
-        assert_eq!(action(KeyCode::Digit9, false, false), None);
-        assert_eq!(action(KeyCode::Digit1, false, true), None);
-        assert_eq!(action(KeyCode::Digit1, true, false), None);
+        assert_eq!(action(KeyCode::Digit1, false, false, false), Some(Action::Go(Place::Beach)));
+        assert_eq!(action(KeyCode::Digit8, false, false, false), Some(Action::Go(Place::Highest)));
+        assert_eq!(action(KeyCode::Digit9, false, false, false), None);
+        assert_eq!(action(KeyCode::Digit1, false, false, true), None);
+        assert_eq!(action(KeyCode::Digit1, false, true, false), None);
     }
 }

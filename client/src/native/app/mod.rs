@@ -12,7 +12,7 @@ pub mod running;
 pub mod view_settings;
 
 use crate::native::args::Args;
-use crate::native::screenshot::write_stats;
+use crate::native::screenshot::{has_folder, write_stats};
 use anyhow::{Context as _, anyhow};
 use running::{After, Running};
 use std::time::Instant;
@@ -23,6 +23,7 @@ use winit::window::WindowId;
 
 /// Opens the window and runs until it is closed.
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
+    args.stats.as_deref().map_or(Ok(()), |path| has_folder("--stats", path))?;
     let event_loop = EventLoop::new().map_err(|_| {
         // winit's cause names its source file; on every system it means this.
         anyhow!(
@@ -85,7 +86,8 @@ impl ApplicationHandler for App {
         let resume_at = running.resume_at();
         if Instant::now() >= resume_at {
             running.request_redraw();
-            event_loop.set_control_flow(ControlFlow::Poll);
+            // The window system asks for the frame when it is time, which wakes the loop.
+            event_loop.set_control_flow(ControlFlow::Wait);
         } else {
             event_loop.set_control_flow(ControlFlow::WaitUntil(resume_at));
         }

@@ -1,4 +1,4 @@
-//! The panel: numbers of frame and session, places, and all settings.
+//! The panel: numbers of frame and session, places, and most settings.
 
 use super::keys;
 use super::panel_settings::{image, laboratory, pom, post, vegetation};
@@ -47,6 +47,8 @@ pub struct Readings<'a> {
     pub local: Option<&'static str>,
     /// The session.
     pub link: &'a Link,
+    /// Why the server rejected the view, if it did.
+    pub refusal: Option<&'a str>,
     /// Time since the start.
     pub now: Duration,
     /// Camera as `--camera` takes it.
@@ -187,11 +189,14 @@ fn connection(readings: &Readings<'_>) -> String {
     }
     match readings.link {
         Link::Connecting => "connecting".to_owned(),
-        Link::Connected(server) => format!("connected to {server}"),
-        Link::Waiting { cause, retry_at } => {
-            let seconds = retry_at.saturating_sub(readings.now).as_secs_f64();
-            format!("{cause}; next attempt in {seconds:.1} s")
-        }
+        Link::Connected(server) => match readings.refusal {
+            None => format!("connected to {server}"),
+            Some(cause) => format!("connected to {server}, which rejected the view: {cause}"),
+        },
+        Link::Waiting { cause, retry_at } => match retry_at.saturating_sub(readings.now) {
+            Duration::ZERO => format!("{cause}; connecting again"),
+            left => format!("{cause}; next attempt in {:.1} s", left.as_secs_f64()),
+        },
         Link::Refused(cause) => cause.clone(),
     }
 }

@@ -77,6 +77,8 @@ pub struct Running {
     wanted: Option<Place>,
     /// View distance before a place widened it, metres.
     narrow_view_m: Option<u32>,
+    /// The same at the start.
+    first_narrow_m: Option<u32>,
     modifiers: ModifiersState,
     args: Args,
     /// The search for the start of the announced world, which takes longer than a frame.
@@ -169,7 +171,7 @@ impl Running {
             render_options: options,
             materials,
             rebuilds: Rebuilds::new(MOST_REBUILDS),
-            overlay: Overlay::new(&gpu, &window, surface.format, args.ui_scale),
+            overlay: Overlay::new(&gpu, &window, surface.format, args.ui_scale()),
             streamer: WorldStreamer::new(stream, slots)
                 .fading(ARRIVAL_FADE)
                 .with_vertical_scale(args.vertical_scale()),
@@ -187,7 +189,8 @@ impl Running {
             start,
             places: None,
             wanted: None,
-            narrow_view_m: None,
+            narrow_view_m: profile.narrow_view_m,
+            first_narrow_m: profile.narrow_view_m,
             modifiers: ModifiersState::empty(),
             search: None,
             args: args.clone(),

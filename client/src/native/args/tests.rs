@@ -136,7 +136,7 @@ fn every_option_is_read() {
         "high",
     ])
     .unwrap();
-    assert_eq!((args.ui_scale, args.quality), (1.5, Quality::High));
+    assert_eq!((args.ui_scale(), args.quality), (1.5, Quality::High));
     assert_eq!((args.delivery, args.digest), (Delivery::SeedOnly, Some(WorldDigest([10; 32]))));
     let profile = Profile::of(&args, false);
     let options = profile.headless_options(&args);
@@ -207,6 +207,31 @@ fn automatic_exposure_and_bloom_need_land_and_antialiasing_one_sample() {
     assert_eq!(post(&["--scene", "water"], 4), PostSettings::default());
     assert!(post(&["--scene", "water", "--auto-exposure", "on"], 4).auto_exposure);
     assert_eq!(post(&["--antialias", "none"], 1), island);
+}
+
+#[test]
+fn options_without_effect_are_named() {
+    let named = |line: &str| {
+        let words: Vec<_> = line.split_whitespace().collect();
+        parse(&words).unwrap().without_effect()
+    };
+    for line in ["", "--scene grass --world-seed 7", "--timeout 9 --shot a.png", "--ui-scale 2 --digest"] {
+        let line = line.replace("--digest", &format!("--digest {}", "0".repeat(64)));
+        assert_eq!(named(&line), [""; 0], "{line}");
+    }
+    for (line, option, why) in [
+        ("--world-seed 7", "--world-seed", "the server's"),
+        ("--scene grass --ca-file a.pem", "--ca-file", "--connect"),
+        ("--scene brick --connect ws://a/b", "--connect", "no land"),
+        ("--scene brick --delivery seed", "--delivery", "no land"),
+        ("--timeout 9", "--timeout", "window"),
+        ("--shot a.png --ui-scale 2", "--ui-scale", "shot"),
+    ] {
+        let lines = named(line);
+        assert_eq!(lines.len(), 1, "{line}: {lines:?}");
+        assert!(lines[0].starts_with(option) && lines[0].contains(why), "{line}: {lines:?}");
+    }
+    assert_eq!(parse(&["--scene", "brick", "--connect", "ws://a/b"]).unwrap().server(), None);
 }
 
 #[test]

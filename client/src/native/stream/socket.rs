@@ -62,9 +62,6 @@ pub async fn connect(url: &Uri, tls: Option<&TlsClient>) -> Result<Socket, tungs
     Ok(client_async_with_config(request, stream, Some(config)).await?.0)
 }
 
-/// Characters of a server's explanation that are shown.
-const LONGEST_EXPLANATION: usize = 300;
-
 /// A failed attempt to connect.
 pub fn not_connected(url: &Uri, error: &tungstenite::Error) -> SessionEnd {
     match error {
@@ -94,7 +91,7 @@ pub fn not_connected(url: &Uri, error: &tungstenite::Error) -> SessionEnd {
 fn explanation(body: &[u8]) -> Option<String> {
     let problem: serde_json::Value = serde_json::from_slice(body).ok()?;
     let detail = problem.get("detail")?.as_str().filter(|detail| !detail.is_empty())?;
-    Some(detail.chars().take(LONGEST_EXPLANATION).map(|c| if c.is_control() { ' ' } else { c }).collect())
+    Some(one_line(detail))
 }
 
 /// A connection that the server closed.
@@ -129,14 +126,15 @@ pub fn broken(url: &Uri, error: &tungstenite::Error, hint: Option<Duration>) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use protocol::limits::MAX_TEXT;
 
     #[test]
     fn an_explanation_is_one_short_line() {
-        assert_eq!(explanation(br#"{"detail":"allow\nit with x"}"#).as_deref(), Some("allow it with x"));
+        assert_eq!(explanation(br#"{"detail":"allow\nit with x"}"#).as_deref(), Some("allow?it with x"));
         for none in [&b""[..], b"<html>", br#"{"detail":""}"#, br#"{"detail":7}"#, b"[]"] {
             assert_eq!(explanation(none), None);
         }
         let long = format!(r#"{{"detail":"{}"}}"#, "x".repeat(1000));
-        assert_eq!(explanation(long.as_bytes()).map(|said| said.len()), Some(LONGEST_EXPLANATION));
+        assert_eq!(explanation(long.as_bytes()).map(|said| said.len()), Some(MAX_TEXT));
     }
 }

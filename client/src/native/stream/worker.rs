@@ -34,6 +34,8 @@ pub struct Worker {
 struct Memory {
     backoff: Backoff,
     trust: Trust,
+    /// When the present session began, once the server has welcomed it.
+    welcomed: Option<Instant>,
 }
 
 impl Worker {
@@ -42,9 +44,14 @@ impl Worker {
         let timeouts = self.settings.timeouts;
         let seed = u64::from(std::process::id()) << 20;
         let backoff = Backoff::new(timeouts.first_retry, timeouts.longest_retry, seed);
-        let mut memory = Memory { backoff, trust: Trust::default() };
+        let mut memory = Memory { backoff, trust: Trust::default(), welcomed: None };
         loop {
             let ended = self.session(&mut memory).await;
+            // A server that welcomes and closes at once is not asked again at once.
+            let lasted = memory.welcomed.take().map(|welcomed| welcomed.elapsed());
+            if lasted.is_some_and(|lasted| lasted > timeouts.longest_retry) {
+                memory.backoff.reset();
+            }
             self.counters.credits.store(0, Ordering::Relaxed);
             let SessionEnd::Lost { mut cause, mut retry, hint, is_fault } = ended else { return };
             if is_fault && let Err(distrust) = memory.trust.bad(&cause) {
@@ -114,7 +121,7 @@ impl Worker {
         let started = Instant::now();
         // Any message; data, or the begin of waiting for it.
         let (mut last_received, mut last_data) = (started, started);
-        let mut pings = tokio::time::interval(timeouts.ping);
+        let mut pings = tokio::time::interval_at(started + timeouts.ping, timeouts.ping);
         let mut hint = None;
         loop {
             session.retry(started.elapsed());
@@ -188,10 +195,12 @@ impl Worker {
                     hint = Some(delay);
                     continue;
                 }
+                // Among them the refusal of a chunk that was requested again: a server that refuses
+                // for ever sends nothing.
                 Received::Nothing => continue,
             };
             if matches!(event, StreamEvent::Connected { .. }) {
-                memory.backoff.reset();
+                memory.welcomed = Some(Instant::now());
             }
             if self.send_event(event).await.is_err() {
                 return Ok(SessionEnd::Closing);

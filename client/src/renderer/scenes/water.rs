@@ -20,6 +20,6 @@ impl WaterScene {
 
     /// Draws all panels.
     pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>) {
-        self.bay.draw(pass);
+        self.bay.draw(pass, false);
     }
 }

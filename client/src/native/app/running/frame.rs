@@ -112,6 +112,7 @@ impl Running {
                 levels: self.streamer.cache().level_histogram(),
                 local: self.args.scene.panel_legend(),
                 link: self.streamer.link(),
+                refusal: self.streamer.refusal(),
                 now: self.started.elapsed(),
                 camera: view_params.pose.to_string(),
                 speed_m: self.controls.speed_m(),
@@ -140,7 +141,7 @@ impl Running {
             self.overlay.paint(gpu, painted, &mut encoder, &view);
             self.wanted = request.place.or(self.wanted);
             if request.resets {
-                (self.settings, self.narrow_view_m) = (self.first_settings, None);
+                (self.settings, self.narrow_view_m) = (self.first_settings, self.first_narrow_m);
             }
         }
         let copy = self.copy_cull_stats(now, &mut encoder);
@@ -150,6 +151,7 @@ impl Running {
         self.gpu.queue.present(texture);
         self.times.push(step);
         self.frames += 1;
+        self.rebuilds.frame_drawn();
         if self.first_image.is_none() {
             self.first_image = Some(self.started.elapsed());
             self.notices.show(FIRST_HINT, Instant::now(), HINT_LASTS);

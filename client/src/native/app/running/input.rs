@@ -5,7 +5,7 @@ use crate::native::app::keys::{self, Action};
 use crate::scene::places::PlaceFinder;
 use std::time::{Duration, Instant};
 use winit::event::{ElementState, WindowEvent};
-use winit::keyboard::PhysicalKey;
+use winit::keyboard::{Key, PhysicalKey};
 use winit::window::Fullscreen;
 
 /// Time for the search of places in a frame; an eighth of frames that take longer.
@@ -26,7 +26,9 @@ impl Running {
             WindowEvent::KeyboardInput { event: key, .. } => {
                 let PhysicalKey::Code(code) = key.physical_key else { return false };
                 let is_pressed = key.state == ElementState::Pressed;
-                let action = keys::action(code, self.modifiers.control_key(), is_typing);
+                let writes_q =
+                    matches!(&key.logical_key, Key::Character(text) if text.eq_ignore_ascii_case("q"));
+                let action = keys::action(code, writes_q, self.modifiers.control_key(), is_typing);
                 match action.filter(|_| is_pressed && !key.repeat) {
                     Some(action) => return self.act(action),
                     // Key releases always pass, or a key would stay down under the panel.
@@ -61,6 +63,7 @@ impl Running {
                 self.notices.show(line, now, ANSWER_LASTS);
             }
             Action::ResetView => {
+                self.wanted = None;
                 self.narrow_view();
                 self.controls.start_at(self.start);
             }

@@ -24,10 +24,7 @@ impl Running {
                 self.notices.show(&line, Instant::now(), HINT_LASTS);
                 Ok(After::Continue)
             }
-            drawn => {
-                self.rebuilds.frame_drawn();
-                drawn
-            }
+            drawn => drawn,
         }
     }
 
@@ -40,7 +37,7 @@ impl Running {
         let options =
             RenderOptions { size: self.surface.size(), format: self.surface.format, ..self.render_options };
         self.renderer = Renderer::with_materials(&self.gpu, &options, &self.materials);
-        self.overlay = Overlay::new(&self.gpu, &self.window, self.surface.format, self.args.ui_scale);
+        self.overlay = Overlay::new(&self.gpu, &self.window, self.surface.format, self.args.ui_scale());
         let (gpu, renderer) = (&self.gpu, &mut self.renderer);
         self.streamer.cache().residents().for_each(|chunk| renderer.upload(gpu, chunk));
         self.adapter = self.gpu.name();
