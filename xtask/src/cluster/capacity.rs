@@ -67,15 +67,29 @@ pub fn rows() -> Result<Vec<Bar>> {
 }
 
 /// Processor time of a server so far, seconds.
-fn processor_s(server: &Server) -> Result<f64> {
-    let stat = read_to_string(format!("/proc/{}/stat", server.pid())).context("no /proc")?;
-    ticks(&stat).map(|ticks| ticks / TICKS_PER_S).context("/proc/PID/stat is not understood")
+pub fn processor_s(server: &Server) -> Result<f64> {
+    seconds_of(&server.pid().to_string(), OWN)
 }
 
-/// User and system time in the text of `/proc/PID/stat`. The name of the program may have spaces.
-fn ticks(stat: &str) -> Option<f64> {
+/// Processor time of all programs that this one has started and waited for, seconds.
+pub fn ended_processor_s() -> Result<f64> {
+    seconds_of("self", ENDED)
+}
+
+/// The first of two fields of `/proc/PID/stat`, counted after the name: user and system time of a
+/// process itself, and of its children that have ended.
+const OWN: usize = 11;
+const ENDED: usize = 13;
+
+fn seconds_of(process: &str, field: usize) -> Result<f64> {
+    let stat = read_to_string(format!("/proc/{process}/stat")).context("no /proc")?;
+    ticks(&stat, field).map(|ticks| ticks / TICKS_PER_S).context("/proc/PID/stat is not understood")
+}
+
+/// The sum of two fields in the text of `/proc/PID/stat`. The name of the program may have spaces.
+fn ticks(stat: &str, field: usize) -> Option<f64> {
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
-    Some(fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?)
+    Some(fields.get(field)?.parse::<f64>().ok()? + fields.get(field + 1)?.parse::<f64>().ok()?)
 }
 
 /// Greatest memory of a server so far, KiB.
@@ -92,8 +106,8 @@ mod tests {
 
     #[test]
     fn times_are_read_behind_any_name() {
-        let stat = "12 (a server) x) S 1 2 3 4 5 6 7 8 9 10 250 50 0 0 20 0 9 0 1 2 3";
-        assert_eq!(ticks(stat), Some(300.0));
-        assert_eq!(ticks("12 (server) S 1"), None);
+        let stat = "12 (a server) x) S 1 2 3 4 5 6 7 8 9 10 250 50 7 1 20 0 9 0 1 2 3";
+        assert_eq!((ticks(stat, OWN), ticks(stat, ENDED)), (Some(300.0), Some(8.0)));
+        assert_eq!(ticks("12 (server) S 1", OWN), None);
     }
 }

@@ -24,11 +24,22 @@ const SLOW: Duration = Duration::from_secs(2);
 /// Time in which a fault must show: more than the timeout of a write.
 const SHOWN_WITHIN: Duration = Duration::from_secs(10);
 
-/// A least wait that makes a replica wait for every answer.
-const PATIENT: (&str, &str) = ("TOMBOLO_STORE_WAIT_MS", "2000");
+/// The option of the least wait for an answer.
+const WAIT: &str = "TOMBOLO_STORE_WAIT_MS";
+
+/// A least wait that makes a replica wait for every answer, milliseconds.
+const PATIENT_MS: u32 = 2000;
+
+/// A least wait in which a healthy store on this machine answers, milliseconds. Without one a replica
+/// makes nearly all of these chunks sooner than it would read them, and does not notice the fault.
+const SHORT_MS: u32 = 20;
 
 /// Generated chunks of a replica.
 const GENERATED: &str = "tombolo_generation_jobs_total{outcome=\"completed\"}";
+
+/// Reads that an absent store does not answer in time.
+const LATE_OR_FAILED: &[&str] =
+    &["tombolo_store_reads_total{outcome=\"late\"}", "tombolo_store_reads_total{outcome=\"failed\"}"];
 
 /// What happens to a store under load.
 struct Fault {
@@ -36,21 +47,15 @@ struct Fault {
     /// Whether it holds all chunks at first.
     is_filled: bool,
     happens: fn(&mut Objects) -> Result<()>,
-    /// Whether the replica waits for every answer. Then only its chunks count, not their times: on
-    /// one machine most chunks are made sooner than they are read.
-    is_patient: bool,
-    /// The metric that shows that it happened; none where a replica may do without the store.
-    shows: Option<&'static str>,
+    /// Least wait of the replica, milliseconds; none is the default. With [`PATIENT_MS`] only its
+    /// chunks count, not their times.
+    wait_ms: Option<u32>,
+    /// The metrics that show that it happened; none where a replica may do without the store.
+    shows: &'static [&'static str],
 }
 
 const FAULTS: [Fault; 8] = [
-    Fault {
-        name: "empty",
-        is_filled: false,
-        happens: |_| Ok(()),
-        is_patient: false,
-        shows: Some("tombolo_store_reads_total{outcome=\"miss\"}"),
-    },
+    Fault { name: "empty", is_filled: false, happens: |_| Ok(()), wait_ms: None, shows: &[] },
     Fault {
         name: "stopped",
         is_filled: true,
@@ -58,15 +63,15 @@ const FAULTS: [Fault; 8] = [
             objects.kill();
             Ok(())
         },
-        is_patient: false,
-        shows: Some("tombolo_store_reads_total{outcome=\"late\"}"),
+        wait_ms: Some(SHORT_MS),
+        shows: LATE_OR_FAILED,
     },
     Fault {
         name: "hanging",
         is_filled: true,
         happens: |objects| objects.hang(),
-        is_patient: false,
-        shows: Some("tombolo_store_reads_total{outcome=\"late\"}"),
+        wait_ms: Some(SHORT_MS),
+        shows: LATE_OR_FAILED,
     },
     Fault {
         name: "slowed to 2 s",
@@ -75,38 +80,39 @@ const FAULTS: [Fault; 8] = [
             objects.slow_down(SLOW);
             Ok(())
         },
-        is_patient: false,
-        shows: Some("tombolo_store_reads_total{outcome=\"late\"}"),
+        wait_ms: Some(SHORT_MS),
+        shows: LATE_OR_FAILED,
     },
-    Fault {
-        name: "full",
-        is_filled: false,
-        happens: |objects| objects.fill_up(),
-        is_patient: false,
-        shows: None,
-    },
+    Fault { name: "full", is_filled: false, happens: |objects| objects.fill_up(), wait_ms: None, shows: &[] },
     Fault {
         name: "damaged",
         is_filled: true,
         happens: |objects| objects.damage().map(drop),
-        is_patient: false,
-        shows: None,
+        wait_ms: None,
+        shows: &[],
     },
     Fault {
         name: "damaged, and waited for",
         is_filled: true,
         happens: |objects| objects.damage().map(drop),
-        is_patient: true,
-        shows: Some("tombolo_store_reads_total{outcome=\"invalid\"}"),
+        wait_ms: Some(PATIENT_MS),
+        shows: &["tombolo_store_reads_total{outcome=\"invalid\"}"],
     },
     Fault {
         name: "full, and waited for",
         is_filled: false,
         happens: |objects| objects.fill_up(),
-        is_patient: true,
-        shows: Some("tombolo_store_writes_total{outcome=\"failed\"}"),
+        wait_ms: Some(PATIENT_MS),
+        shows: &["tombolo_store_writes_total{outcome=\"failed\"}"],
     },
 ];
+
+impl Fault {
+    /// Whether the replica waits for every answer.
+    fn is_patient(&self) -> bool {
+        self.wait_ms == Some(PATIENT_MS)
+    }
+}
 
 /// What one fault has shown in all rounds.
 #[derive(Default)]
@@ -141,7 +147,7 @@ pub fn rows() -> Result<Vec<Bar>> {
         let p99_ms = alone.p99_ms().unwrap_or(f64::NAN);
         alone_ms.push(p99_ms);
         // Those without times once.
-        let tried_now = FAULTS.iter().zip(&mut shown).filter(|(fault, _)| round == 0 || !fault.is_patient);
+        let tried_now = FAULTS.iter().zip(&mut shown).filter(|(fault, _)| round == 0 || !fault.is_patient());
         for (fault, shown) in tried_now {
             let (asked, count) = try_fault(fault, &filled, &paths, &mut truth)?;
             shown.ratios.extend(asked.p99_ms().map(|with| with / p99_ms));
@@ -161,12 +167,12 @@ pub fn rows() -> Result<Vec<Bar>> {
             format!("store {name}: wrong chunks or none, of all rounds"),
             Some(shown.bad as f64),
         ));
-        if !fault.is_patient {
+        if !fault.is_patient() {
             let ratio = median(shown.ratios.into_iter().map(Some));
             let what = format!("store {name}: p99 of chunks over that without a store");
             rows.push(Bar::at_most(what, ratio, "", 1.5));
         }
-        if fault.shows.is_some() {
+        if !fault.shows.is_empty() {
             let what = format!("control: store {name}: reads or writes that showed it, least of a round");
             rows.push(Bar::some(what, shown.shown));
         }
@@ -178,9 +184,9 @@ pub fn rows() -> Result<Vec<Bar>> {
 fn try_fault(fault: &Fault, filled: &Objects, paths: &[String], truth: &mut Truth) -> Result<(Asked, f64)> {
     let mut objects = Objects::start("failing", fault.is_filled.then_some(filled))?;
     let mut settings = objects.settings().to_vec();
-    settings.extend(fault.is_patient.then(|| (PATIENT.0, PATIENT.1.to_owned())));
+    settings.extend(fault.wait_ms.map(|ms| (WAIT, ms.to_string())));
     let replica = Server::start_with(super::WORLD_SEED, &settings)?;
-    let count = || fault.shows.map_or(Ok(0.0), |name| metric(replica.address(), name));
+    let count = || fault.shows.iter().map(|name| metric(replica.address(), name)).sum::<Result<f64>>();
     let mut before = 0.0;
     let asked = chunks::ask(replica.address(), paths, truth, || {
         before = count()?;
@@ -188,7 +194,7 @@ fn try_fault(fault: &Fault, filled: &Objects, paths: &[String], truth: &mut Trut
     })?;
     // Requests to a store may fail long after the chunks were sent.
     let deadline = Instant::now() + SHOWN_WITHIN;
-    while fault.shows.is_some() && count()? == before && Instant::now() < deadline {
+    while !fault.shows.is_empty() && count()? == before && Instant::now() < deadline {
         std::thread::sleep(Duration::from_millis(100));
     }
     Ok((asked, count()? - before))
@@ -196,7 +202,7 @@ fn try_fault(fault: &Fault, filled: &Objects, paths: &[String], truth: &mut Trut
 
 /// Two replicas that share a store, one after the other: what the second one makes.
 fn shared(objects: &Objects, paths: &[String], truth: &mut Truth) -> Result<Vec<Bar>> {
-    let patient = [objects.settings().as_slice(), &[(PATIENT.0, PATIENT.1.to_owned())]].concat();
+    let patient = [objects.settings().as_slice(), &[(WAIT, PATIENT_MS.to_string())]].concat();
     let first = Server::start_with(super::WORLD_SEED, &patient)?;
     let asked = chunks::ask(first.address(), paths, truth, || Ok(()))?;
     chunks::settled(|| metric(first.address(), "tombolo_store_writes_total{outcome=\"written\"}"))?;
