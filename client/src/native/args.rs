@@ -65,8 +65,8 @@ pub struct Args {
     #[arg(long, value_enum, value_name = "NAME", conflicts_with = "camera")]
     pub place: Option<Place>,
 
-    /// Preset of tolerance, samples, tiling, relief, plants, --cull, view distance and --render-scale;
-    /// options that are given win
+    /// Preset of tolerance, samples, tiling, relief, plants, --cull, view distance, --render-scale,
+    /// --bloom and --water; options that are given win
     #[arg(long, value_enum, default_value_t)]
     pub quality: Quality,
 
@@ -166,9 +166,9 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     pub visibility: Visibility,
 
-    /// Parallax method of waves
-    #[arg(long, value_enum, default_value_t)]
-    pub water: WaterTier,
+    /// Parallax method of waves [default: three; offset with --quality low]
+    #[arg(long, value_enum)]
+    pub water: Option<WaterTier>,
 
     /// Folder of custom materials: PNG files such as sand_albedo.png, sand_normal.png,
     /// sand_height.png, sand_roughness.png and sand_ao.png, for sand, meadow, dry_grass, thicket,
@@ -295,7 +295,7 @@ impl Args {
             diffuse: self.diffuse,
             visibility: self.visibility,
             tiling: self.tiling.unwrap_or(preset.tiling),
-            water: self.water,
+            water: self.water.unwrap_or(preset.water),
             shadows: self.shadows,
             normals: self.normals,
             show: self.show,
@@ -308,11 +308,7 @@ impl Args {
             },
             plants: self.plants.vegetation_settings(preset.plants_in(self.scene)),
             pom: self.relief.pom_settings(preset.relief, self.scene),
-            post: self.post.post_settings(
-                self.scene,
-                self.samples.unwrap_or(preset.samples),
-                preset.render_scale,
-            ),
+            post: self.post.post_settings(self.scene, self.samples.unwrap_or(preset.samples), preset),
         }
     }
 

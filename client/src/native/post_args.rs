@@ -2,6 +2,7 @@
 
 use crate::features::post::{Antialias, PostSettings, Tone};
 use crate::native::parse::parse_within;
+use crate::native::quality::Preset;
 use crate::scene::Scene;
 use clap::{Args, ValueEnum};
 
@@ -31,7 +32,7 @@ pub struct PostArgs {
     pub auto_exposure: Option<Switch>,
 
     /// Share of the light that spreads around bright places, 0 to 1; 0 is off [default: 0.03 in the
-    /// scenes with land, else 0]
+    /// scenes with land, else 0; 0 with --quality low]
     #[arg(long, value_name = "F", allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.0, 1.0))]
     pub bloom: Option<f64>,
@@ -53,18 +54,18 @@ pub struct PostArgs {
 }
 
 impl PostArgs {
-    /// The settings in a scene, with so many samples per pixel and the rendered size of a preset.
+    /// The settings in a scene, with so many samples per pixel and those of a preset for the others.
     #[must_use]
-    pub fn post_settings(&self, scene: Scene, samples: u32, render_scale: f32) -> PostSettings {
+    pub fn post_settings(&self, scene: Scene, samples: u32, preset: &Preset) -> PostSettings {
         let has_land = !scene.is_local();
-        let bloom = if has_land { PostSettings::STANDARD_BLOOM } else { 0.0 };
+        let bloom = if has_land { preset.bloom } else { 0.0 };
         PostSettings {
             tone: self.tone,
             auto_exposure: self.auto_exposure.map_or(has_land, |switch| switch == Switch::On),
             bloom: self.bloom.map_or(bloom, |bloom| bloom as f32),
             antialias: self.antialias.unwrap_or(if samples == 1 { Antialias::Fxaa } else { Antialias::None }),
             sharpen: self.sharpen as f32,
-            render_scale: self.render_scale.map_or(render_scale, |scale| scale as f32),
+            render_scale: self.render_scale.map_or(preset.render_scale, |scale| scale as f32),
         }
     }
 }

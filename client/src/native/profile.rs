@@ -44,7 +44,8 @@ impl Profile {
         // A picture waits for its samples; frames of a window do not.
         let samples = if args.shot.is_some() { 4 } else { preset.samples };
         let render_scale = if args.shot.is_some() { 1.0 } else { preset.render_scale };
-        let low = Self::of_preset(args, &Preset { samples, render_scale, ..preset });
+        let bloom = if args.shot.is_some() { medium.bloom } else { preset.bloom };
+        let low = Self::of_preset(args, &Preset { samples, render_scale, bloom, ..preset });
         let full = Self::of_preset(args, &Preset { samples, ..medium });
         let notice = (low != full).then(|| low.reduced());
         Self { notice, ..low }
@@ -170,6 +171,7 @@ mod tests {
         for (less, more) in [(low, medium), (medium, high)] {
             assert!(less.tolerance_px > more.tolerance_px && less.view_distance_m < more.view_distance_m);
             assert!(less.grass < more.grass && less.trees < more.trees && less.samples <= more.samples);
+            assert!(less.bloom <= more.bloom && less.water as u32 <= more.water as u32);
         }
         assert_eq!(medium.plants_in(Scene::Grass), Scene::Grass.plants());
         assert_eq!(high.plants_in(Scene::Culling), Scene::Culling.plants());

@@ -2,7 +2,9 @@
 //! wins over them.
 
 use crate::features::pom::settings::PomMethod;
+use crate::features::post::PostSettings;
 use crate::features::vegetation::{Cull, VegetationSettings};
+use crate::features::water::WaterTier;
 use crate::scene::Scene;
 use crate::settings::Tiling;
 use clap::ValueEnum;
@@ -53,6 +55,11 @@ pub struct Preset {
     pub cull: Cull,
     /// Rendered size over the size of the window. A shot of a software driver has its own size.
     pub render_scale: f32,
+    /// Share of the light that scatters in the lens, of scenes with land. A shot of a software driver
+    /// has that of `medium`.
+    pub bloom: f32,
+    /// Parallax method of waves.
+    pub water: WaterTier,
     /// Whether scenes with plants of their own get no more than these.
     pub limits_plants: bool,
 }
@@ -78,6 +85,8 @@ impl Preset {
             impostors_from_m: 220.0,
             cull: Cull::Hierarchical,
             render_scale: 1.0,
+            bloom: PostSettings::STANDARD_BLOOM,
+            water: WaterTier::default(),
             limits_plants: false,
         };
         let low = Self {
@@ -94,6 +103,8 @@ impl Preset {
             impostors_from_m: 110.0,
             cull: Cull::Frustum,
             render_scale: 0.5,
+            bloom: 0.0,
+            water: WaterTier::Offset,
             limits_plants: true,
         };
         match quality {

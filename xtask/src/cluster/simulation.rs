@@ -1,6 +1,6 @@
-//! The simulation beside real clients: the same paths, with the costs that this machine has. Those of
-//! generation, views and encoding are measured by the simulation itself; those of sockets and of
-//! clients follow from the processor time of a smaller load, so that what is compared is a prediction.
+//! The simulation beside real clients: the same paths, with the costs that this machine has. Costs of
+//! generation, views and encoding are measured by the simulation itself, the others are built in; all
+//! are then scaled by the processor time of a smaller load, so that what is compared is a prediction.
 
 use super::capacity::{ended_processor_s, processor_s};
 use crate::process;
@@ -17,9 +17,11 @@ const CLIENTS: &str = "1000";
 const FEW_CLIENTS: &str = "100";
 const SECONDS: &str = "20";
 
-/// Costs of sockets, and of clients, which the smaller load gives.
-const SOCKETS: [&str; 3] = ["receive_us", "write_us", "kib_us"];
+/// The cost of a client; the others are the server's.
 const CLIENT: &str = "client_chunk_us";
+
+/// Costs that the record shows.
+const SHOWN: [&str; 4] = ["view_us", "receive_us", "write_us", CLIENT];
 
 /// How far a figure may be off, percent.
 const WITHIN: f64 = 10.0;
@@ -45,7 +47,7 @@ pub fn rows() -> Result<Vec<Bar>> {
     };
     let mut rows =
         vec![Bar::none("simulation: frames that a state machine rejected", at(&simulated, "wrong"))];
-    for cost in SOCKETS.into_iter().chain([CLIENT]) {
+    for cost in SHOWN {
         rows.push(Bar::reported(format!("simulation: {cost}, by 100 real clients"), at(&costs, cost), "us"));
     }
     for (name, path) in FIGURES {
@@ -64,16 +66,6 @@ pub fn rows() -> Result<Vec<Bar>> {
     // Results of a build may stay: a failed removal is harmless.
     let _ = std::fs::remove_dir_all(&folder);
     Ok(rows)
-}
-
-/// The control: the same costs, all of them nothing.
-fn free(costs: &Value) -> Value {
-    match costs {
-        Value::Number(_) => json!(0.0),
-        Value::Array(list) => list.iter().map(free).collect(),
-        Value::Object(fields) => fields.iter().map(|(name, cost)| (name.clone(), free(cost))).collect(),
-        other => other.clone(),
-    }
 }
 
 fn simulate(arguments: &[&str]) -> std::process::Command {
@@ -107,23 +99,32 @@ fn load(json: &Path, clients: &str) -> Result<Load> {
     Ok(Load { report, server_s, clients_s })
 }
 
-/// The costs with those of sockets and clients scaled, so that the simulation of few clients takes the
-/// processor time of real ones.
+/// The control: the same costs, all of them nothing.
+fn free(costs: &Value) -> Value {
+    let fields = costs.as_object().into_iter().flatten();
+    fields.map(|(name, cost)| (name.clone(), times(cost, 0.0))).collect()
+}
+
+/// The costs scaled so that the simulation of few clients takes the processor time of real ones: those
+/// of the server by one factor, that of a client by another.
 fn calibrated(folder: &Path, mut costs: Value) -> Result<Value> {
     let real = load(&folder.join("few.json"), FEW_CLIENTS)?;
     let simulated = simulation(folder, &costs, FEW_CLIENTS)?;
-    let mut without = costs.clone();
-    SOCKETS.iter().for_each(|cost| without[*cost] = json!(0.0));
-    let without = simulation(folder, &without, FEW_CLIENTS)?;
-    let seconds = |report: &Value, field: &str| at(report, field).with_context(|| format!("no {field}"));
-    let made_s = seconds(&without, "processor_s")?;
-    let sockets = (real.server_s - made_s) / (seconds(&simulated, "processor_s")? - made_s);
-    let clients = real.clients_s / seconds(&simulated, "client_processor_s")?;
-    ensure!(sockets > 0.0 && clients > 0.0, "real clients took less time than the chunks of simulated ones");
-    for (cost, times) in SOCKETS.into_iter().map(|cost| (cost, sockets)).chain([(CLIENT, clients)]) {
-        costs[cost] = json!(seconds(&costs, cost)? * times);
+    let seconds = |field: &str| at(&simulated, field).with_context(|| format!("no {field}"));
+    let (server, client) =
+        (real.server_s / seconds("processor_s")?, real.clients_s / seconds("client_processor_s")?);
+    for (name, cost) in costs.as_object_mut().context("the costs are no object")? {
+        *cost = times(cost, if name == CLIENT { client } else { server });
     }
     Ok(costs)
+}
+
+/// A cost, or a list of them, times a factor.
+fn times(cost: &Value, factor: f64) -> Value {
+    match cost {
+        Value::Array(list) => list.iter().map(|cost| times(cost, factor)).collect(),
+        other => other.as_f64().map_or_else(|| other.clone(), |cost| json!(cost * factor)),
+    }
 }
 
 /// The report of a simulation with these costs, of clients on the processors of the server.
@@ -148,8 +149,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn in_the_control_every_level_and_every_other_work_costs_nothing() {
+    fn costs_of_every_level_are_scaled_and_cost_nothing_in_the_control() {
         let costs = json!({ "chunk_us": [28.0, 33.0, 46.0], "view_us": 64.0 });
+        assert_eq!(times(&costs["chunk_us"], 0.5), json!([14.0, 16.5, 23.0]));
         assert_eq!(free(&costs), json!({ "chunk_us": [0.0, 0.0, 0.0], "view_us": 0.0 }));
     }
 }

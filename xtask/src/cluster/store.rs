@@ -32,7 +32,7 @@ const PATIENT_MS: u32 = 2000;
 
 /// A least wait in which a healthy store on this machine answers, milliseconds. Without one a replica
 /// makes nearly all of these chunks sooner than it would read them, and does not notice the fault.
-const SHORT_MS: u32 = 20;
+const SHORT_MS: u32 = 100;
 
 /// Generated chunks of a replica.
 const GENERATED: &str = "tombolo_generation_jobs_total{outcome=\"completed\"}";
