@@ -111,6 +111,7 @@ impl Profile {
 mod tests {
     use super::*;
     use crate::features::pom::settings::PomMethod;
+    use crate::features::water::WaterTier;
     use crate::scene::Scene;
     use crate::settings::Tiling;
     use clap::Parser as _;
@@ -149,7 +150,7 @@ mod tests {
     #[test]
     fn an_option_that_is_given_wins_over_every_preset() {
         let given = "--view-distance 5000 --tolerance 3 --samples 4 --tiling off --relief linear --grass 3 \
-                     --grass-range 99 --trees 4 --tree-range 700 --render-scale 1";
+                     --grass-range 99 --trees 4 --tree-range 700 --render-scale 1 --bloom 0.5 --water march";
         for quality in ["auto", "low", "medium", "high"] {
             for is_software in [false, true] {
                 let got = profile(&format!("--quality {quality} {}", given.replace('\\', "")), is_software);
@@ -157,6 +158,7 @@ mod tests {
                 assert_eq!((got.render.tiling, got.render.pom.method), (Tiling::Off, PomMethod::Linear));
                 let plants = got.render.plants;
                 assert_eq!((plants.density, plants.range_m, plants.trees), (3, 99.0, 4));
+                assert_eq!((got.render.post.bloom, got.render.water), (0.5, WaterTier::March));
                 assert_eq!(got.notice, None, "{quality}: nothing was changed");
             }
         }
