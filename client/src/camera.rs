@@ -300,15 +300,16 @@ impl Orbit {
 
     /// Turns the view up by `tilt_deg` degrees: the eye moves down around the centre.
     pub fn tilt(&mut self, tilt_deg: f64) {
+        // A steeper view that keys made stays as it is.
+        if tilt_deg == 0.0 {
+            return;
+        }
         let (rise_m, away_m) = (self.height_m - self.centre_m.y, self.radius_m);
         let angle_deg = rise_m.atan2(away_m).to_degrees();
         let turned_deg = (angle_deg - tilt_deg).clamp(-Self::STEEPEST_DEG, Self::STEEPEST_DEG);
-        // A view straight down that no drag made stays as it is.
-        if tilt_deg != 0.0 {
-            let distance_m = rise_m.hypot(away_m);
-            let (rise, away) = turned_deg.to_radians().sin_cos();
-            (self.height_m, self.radius_m) = (self.centre_m.y + rise * distance_m, away * distance_m);
-        }
+        let distance_m = rise_m.hypot(away_m);
+        let (rise, away) = turned_deg.to_radians().sin_cos();
+        (self.height_m, self.radius_m) = (self.centre_m.y + rise * distance_m, away * distance_m);
     }
 
     /// The pose at the current bearing.

@@ -114,10 +114,8 @@ impl TerrainPass {
         let layouts = [&self.layout, materials.layout(), clipmap.layout()];
         let entry = "fragment_inspected";
         let build = || with_pass(&layouts, self.samples, |pass| pass.pipeline_with_fragment(device, entry));
-        let inspected = self.inspected.take().unwrap_or_else(build);
-        let draws = self.draw_with(&inspected, pass, materials, clipmap);
-        self.inspected = Some(inspected);
-        draws
+        let pipeline = self.inspected.get_or_insert_with(build).clone();
+        self.draw_with(&pipeline, pass, materials, clipmap)
     }
 
     /// Draws depth only, into a pass without color attachments; for checks.
@@ -130,9 +128,8 @@ impl TerrainPass {
     ) {
         let layouts = [&self.layout, materials.layout(), clipmap.layout()];
         let build = || with_pass(&layouts, self.samples, |pass| pass.depth_pipeline(device));
-        let depth = self.depth.take().unwrap_or_else(build);
-        self.draw_with(&depth, pass, materials, clipmap);
-        self.depth = Some(depth);
+        let pipeline = self.depth.get_or_insert_with(build).clone();
+        self.draw_with(&pipeline, pass, materials, clipmap);
     }
 
     fn draw_with(

@@ -343,6 +343,10 @@ fn a_partial_write_of_a_crash_is_overwritten() {
 fn an_entry_that_is_no_file_affects_no_other_frame() {
     let folder = Folder::new();
     let (disk, metrics) = disk(&folder);
+    // The writer thread creates the folder, and takes one that appears meanwhile for an error.
+    while metrics.disk_up.get() == 0 {
+        std::thread::yield_now();
+    }
     let path_of = |x| {
         let path = folder.path(id(x));
         fs::create_dir_all(path.parent().unwrap()).unwrap();
