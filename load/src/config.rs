@@ -11,6 +11,12 @@ use terrain::lod::MAX_VIEW_DISTANCE_M;
 use tls_client::TlsClient;
 use tokio_tungstenite::tungstenite::http::Uri;
 
+/// View distance without `--view-distance`, metres.
+const DEFAULT_VIEW_DISTANCE_M: u32 = 2000;
+
+/// Read rate of a slow client without `--slow-rate`, bytes a second.
+const DEFAULT_SLOW_RATE: u32 = 2048;
+
 /// Drives a Tombolo server with many headless clients and verifies every chunk that they receive.
 ///
 /// Exits with 0 only if every client had a session, chunks arrived, all were correct and no session
@@ -37,10 +43,10 @@ pub struct Args {
     /// quantised:METRES (heights within that error)
     #[arg(long, value_name = "exact|refined|seed|quantised:METRES", default_value_t = Delivery::Exact)]
     pub delivery: Delivery,
-    /// View distance of every client in metres, 1 to 65536
-    #[arg(long, value_name = "M", default_value_t = 2000,
+    /// View distance of every client in metres, 1 to 65536 [default: 2000]
+    #[arg(long, value_name = "M",
           value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_VIEW_DISTANCE_M)))]
-    pub view_distance: u32,
+    pub view_distance: Option<u32>,
     /// How clients move
     #[arg(long, value_name = "PATH", value_enum, default_value_t = PathKind::Fly)]
     pub path: PathKind,
@@ -64,10 +70,9 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0,
           value_parser = clap::value_parser!(u32).range(0..=10_000))]
     pub slow: u32,
-    /// Read rate of each slow client, bytes a second, 1 to 1000000
-    #[arg(long, value_name = "BYTES", default_value_t = 2048,
-          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    pub slow_rate: u32,
+    /// Read rate of each slow client, bytes a second, 1 to 1000000 [default: 2048]
+    #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub slow_rate: Option<u32>,
     /// Additional idle clients, 0 to 10000, that send no Hello or, every other one, one view and
     /// then nothing; reported separately
     #[arg(long, value_name = "N", default_value_t = 0,
@@ -151,13 +156,13 @@ impl LoadConfig {
             clients: 16,
             seconds: 10,
             delivery: Delivery::Exact,
-            view_distance_m: 2000,
+            view_distance_m: DEFAULT_VIEW_DISTANCE_M,
             path: PathKind::Fly,
             mode: Mode::View,
             rate: None,
             warm_up_s: 0,
             slow: 0,
-            slow_bytes_per_s: 2048,
+            slow_bytes_per_s: DEFAULT_SLOW_RATE,
             silent: 0,
             seed: 1,
             verify_every: 32,
@@ -168,6 +173,26 @@ impl LoadConfig {
 }
 
 impl Args {
+    /// A line for each given option that has no effect beside the others.
+    #[must_use]
+    pub fn without_effect(&self) -> Vec<String> {
+        let is_plain = !self.connect.starts_with("wss:");
+        // Every other silent client sends one view.
+        let has_views = self.mode == Mode::View || self.silent > 1;
+        let options = [
+            ("--slow-rate", self.slow_rate.is_some() && self.slow == 0, "it needs --slow"),
+            (
+                "--view-distance",
+                self.view_distance.is_some() && !has_views,
+                "only clients of --mode view have views",
+            ),
+            ("--no-resume", self.no_resume && self.mode == Mode::Http, "HTTP has no sessions"),
+            ("--ca-file", self.ca_file.is_some() && is_plain, "a `ws://` stream has no certificate"),
+        ];
+        let lines = options.into_iter().filter(|(_, has_none, _)| *has_none);
+        lines.map(|(option, _, why)| format!("{option} has no effect: {why}")).collect()
+    }
+
     /// Checks what clap cannot check, and reads the token.
     ///
     /// # Errors
@@ -185,7 +210,9 @@ impl Args {
                 self.delivery
             )));
         }
-        if let Some(plot) = self.plot.filter(|plot| plot.extension().is_none_or(|end| end != "png")) {
+        if let Some(plot) =
+            self.plot.filter(|plot| plot.extension().is_none_or(|end| !end.eq_ignore_ascii_case("png")))
+        {
             return Err(UsageError::new(format!("--plot: expected a .png file, got `{}`", plot.display())));
         }
         let connect = stream_address(&self.connect)?;
@@ -196,13 +223,13 @@ impl Args {
             clients: self.clients,
             seconds: self.seconds,
             delivery: self.delivery,
-            view_distance_m: self.view_distance,
+            view_distance_m: self.view_distance.unwrap_or(DEFAULT_VIEW_DISTANCE_M),
             path: self.path,
             mode: self.mode,
             rate: self.rate,
             warm_up_s: self.warm_up,
             slow: self.slow,
-            slow_bytes_per_s: self.slow_rate,
+            slow_bytes_per_s: self.slow_rate.unwrap_or(DEFAULT_SLOW_RATE),
             silent: self.silent,
             seed: self.seed,
             verify_every: self.verify_every,
@@ -287,6 +314,28 @@ mod tests {
         }
         assert!(stream_address("ws://[::1]:7/v1/stream").is_ok());
         assert!(stream_address("wss://a/v1/stream").is_ok());
+    }
+
+    #[test]
+    fn options_without_effect_are_named() {
+        let lines = |args: &[&str]| parse(args).unwrap().without_effect().join("\n");
+        for (args, option) in [
+            (&["--slow-rate", "9"][..], "--slow-rate"),
+            (&["--mode", "explicit", "--view-distance", "9", "--silent", "1"], "--view-distance"),
+            (&["--mode", "http", "--no-resume"], "--no-resume"),
+            (&["--ca-file", "ca.pem"], "--ca-file"),
+        ] {
+            assert!(lines(args).starts_with(&format!("{option} has no effect: ")), "{args:?}");
+        }
+        for args in [
+            &["--slow-rate", "9", "--slow", "1"][..],
+            &["--view-distance", "9"],
+            &["--mode", "explicit", "--view-distance", "9", "--silent", "2"],
+            &["--mode", "explicit", "--no-resume"],
+            &["--ca-file", "ca.pem", "--connect", "wss://a/v1/stream"],
+        ] {
+            assert_eq!(lines(args), "", "{args:?}");
+        }
     }
 
     #[test]

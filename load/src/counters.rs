@@ -10,6 +10,19 @@ use std::time::Duration;
 /// Distinct problems whose text is kept; all of them are counted.
 pub const MAX_PROBLEMS: usize = 8;
 
+/// What a problem is, most serious first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum ProblemKind {
+    /// Invalid data.
+    Mismatch,
+    /// A lost session.
+    Drop,
+    /// A silent server.
+    Stall,
+    /// A refusal.
+    Refusal,
+}
+
 /// Live counters. Relaxed atomics: nothing is ordered by them.
 #[derive(Debug, Default)]
 pub struct Counters {
@@ -51,7 +64,8 @@ pub struct Counters {
     gaps: Mutex<Latencies>,
     /// Of slow and idle clients: why their connections were closed, and how often.
     closed: Mutex<BTreeMap<String, u64>>,
-    problems: Mutex<Vec<String>>,
+    /// The first distinct ones of each kind.
+    problems: Mutex<BTreeMap<ProblemKind, Vec<String>>>,
     /// What was said of a world that is not the first one.
     world_changed: Mutex<Option<String>>,
 }
@@ -96,7 +110,7 @@ impl Counters {
     /// Something invalid arrived.
     pub fn mismatch(&self, problem: &str) {
         add(&self.mismatches);
-        self.note(problem);
+        self.note(ProblemKind::Mismatch, problem);
     }
 
     /// The server changed its world during the run.
@@ -112,13 +126,13 @@ impl Counters {
     /// A session was lost before the end of the phase.
     pub fn dropped(&self, problem: &str) {
         add(&self.dropped);
-        self.note(problem);
+        self.note(ProblemKind::Drop, problem);
     }
 
     /// A session was not admitted, or a request was refused.
     pub fn refused(&self, problem: &str) {
         add(&self.refused);
-        self.note(problem);
+        self.note(ProblemKind::Refusal, problem);
     }
 
     /// A client waited at its end for a server that had sent nothing for [`SILENCE`].
@@ -126,7 +140,7 @@ impl Counters {
     /// [`SILENCE`]: crate::task::SILENCE
     pub fn stalled(&self, problem: &str) {
         add(&self.stalled);
-        self.note(problem);
+        self.note(ProblemKind::Stall, problem);
     }
 
     /// A view was reported complete.
@@ -163,14 +177,11 @@ impl Counters {
         add(&self.lost_deliveries);
     }
 
-    /// A session follows a lost one, with so many bytes of chunks held from before.
-    pub fn resuming(&self, held_bytes: usize) {
-        self.held_bytes.fetch_add(held_bytes as u64, Ordering::Relaxed);
-    }
-
-    /// It delivered, this time after the last delivery of the lost one.
-    pub fn resumed(&self, gap: Duration) {
+    /// The successor of a lost session delivered, this time after the last delivery of the lost
+    /// one. It began with so many bytes of chunks held.
+    pub fn resumed(&self, gap: Duration, held_bytes: usize) {
         add(&self.resumed);
+        self.held_bytes.fetch_add(held_bytes as u64, Ordering::Relaxed);
         lock(&self.gaps).record(gap);
     }
 
@@ -259,12 +270,16 @@ impl Counters {
         lock(&self.closed).clone()
     }
 
-    pub(crate) fn problems(&self) -> Vec<String> {
-        lock(&self.problems).clone()
+    /// The first distinct problems, most serious first, so that many of one kind hide no other.
+    pub(crate) fn problems(&self) -> Vec<(ProblemKind, String)> {
+        let problems = lock(&self.problems);
+        let all = problems.iter().flat_map(|(kind, texts)| texts.iter().map(|text| (*kind, text.clone())));
+        all.collect()
     }
 
-    fn note(&self, problem: &str) {
+    fn note(&self, kind: ProblemKind, problem: &str) {
         let mut problems = lock(&self.problems);
+        let problems = problems.entry(kind).or_default();
         if problems.len() < MAX_PROBLEMS && !problems.iter().any(|known| known == problem) {
             problems.push(problem.into());
         }
@@ -301,8 +316,20 @@ mod tests {
         }
         assert_eq!((get(&counters.dropped), get(&counters.refused)), (100, 100));
         let problems = counters.problems();
-        assert_eq!(problems.len(), MAX_PROBLEMS);
-        assert_eq!(problems.iter().filter(|problem| *problem == "gone").count(), 1);
+        assert_eq!(problems.len(), 1 + MAX_PROBLEMS);
+        assert_eq!(problems[0], (ProblemKind::Drop, "gone".into()));
+    }
+
+    #[test]
+    fn refusals_hide_no_mismatch() {
+        let counters = Counters::default();
+        for index in 0..100 {
+            counters.refused(&format!("refusal {index}"));
+        }
+        counters.stalled("silent");
+        counters.mismatch("wrong");
+        let kinds: Vec<_> = counters.problems().into_iter().take(2).map(|(kind, _)| kind).collect();
+        assert_eq!(kinds, [ProblemKind::Mismatch, ProblemKind::Stall]);
     }
 
     #[test]

@@ -86,7 +86,7 @@ impl ExpectedChunks {
 
     /// A view is settled: no chunk of an older view is still to come.
     pub fn settled(&mut self, view: u32) {
-        // Ids only grow within a session; wrapping would take thirty years.
+        // Ids only grow within a session; wrapping would take fifteen years.
         self.views.retain(|(id, _, _)| *id >= view);
     }
 

@@ -36,6 +36,7 @@ pub mod mode;
 pub mod path;
 pub mod phases;
 pub mod plot;
+mod refusal;
 pub mod regeneration;
 pub mod released;
 pub mod report;

@@ -19,6 +19,9 @@ fn main() -> ExitCode {
         Ok(args) => args,
         Err(code) => return code,
     };
+    for line in args.without_effect() {
+        eprintln!("{line}");
+    }
     let (json, picture, quiet) = (args.json.clone(), args.plot.clone(), args.quiet);
     let config = match args.resolve() {
         Ok(config) => config,
@@ -34,7 +37,7 @@ fn drive(config: LoadConfig, json: Option<&Path>, picture: Option<&Path>, quiet:
     let outputs = [("--json", json), ("--plot", picture)];
     // An unwritable file must not cost a run.
     for (option, path) in outputs {
-        create(option, path)?;
+        check_writable(option, path)?;
     }
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
@@ -64,6 +67,18 @@ fn write_json(path: Option<&Path>, report: &Report) -> Result<()> {
 fn write_plot(path: Option<&Path>, report: &Report) -> Result<()> {
     let Some(file) = create("--plot", path)? else { return Ok(()) };
     plot::write(BufWriter::new(file), report)
+}
+
+/// Whether a file for results can be written. Creates it; the content of an old one is kept until
+/// the run has its results.
+fn check_writable(option: &str, path: Option<&Path>) -> Result<()> {
+    let Some(path) = path else { return Ok(()) };
+    std::fs::OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(path)
+        .with_context(|| format!("{option}: cannot write `{}`", path.display()))?;
+    Ok(())
 }
 
 /// Creates a file for results.

@@ -6,7 +6,7 @@ mod table;
 pub use resume::ResumeReport;
 
 use crate::config::LoadConfig;
-use crate::counters::{Counters, MAX_PROBLEMS, get};
+use crate::counters::{Counters, MAX_PROBLEMS, ProblemKind, get};
 use crate::latency::{Latencies, LatencyMs};
 use crate::phases::Phase;
 use crate::run_stats::RunStats;
@@ -61,7 +61,7 @@ pub struct Report {
     /// released. Without a check the run says nothing of missing chunks, which is no error: a short
     /// one may have none.
     pub views_checked: u64,
-    /// The first distinct problems as text; the counts above include them.
+    /// The first distinct problems as text, most serious first; the counts above include them.
     pub problems: Vec<String>,
     /// Both digests, if the server changed its world during the run. Clients that meet another
     /// world end.
@@ -141,7 +141,7 @@ pub struct BackgroundClients {
     pub bytes: u64,
     /// Invalid data, which is a fault here too.
     pub mismatches: u64,
-    /// The first distinct problems as text.
+    /// The same as text.
     pub problems: Vec<String>,
 }
 
@@ -157,12 +157,7 @@ impl Report {
             counters().for_each(|counters| all.add(&pick(counters)));
             all.quantiles()
         };
-        let mut problems: Vec<String> = Vec::new();
-        for problem in counters().flat_map(|counters| counters.problems()) {
-            if problems.len() < MAX_PROBLEMS && !problems.contains(&problem) {
-                problems.push(problem);
-            }
-        }
+        let problems = first(counters().flat_map(|counters| counters.problems()).collect());
         let is_open = config.rate.is_some();
         let background = |clients: u32, counters: &Counters| {
             (clients > 0).then(|| BackgroundClients::new(clients, counters))
@@ -242,6 +237,19 @@ impl Report {
     }
 }
 
+/// The texts of the first distinct problems, most serious first: the verdict quotes the first as
+/// its cause.
+fn first(mut problems: Vec<(ProblemKind, String)>) -> Vec<String> {
+    problems.sort_by_key(|(kind, _)| *kind);
+    let mut texts: Vec<String> = Vec::new();
+    for (_, problem) in problems {
+        if texts.len() < MAX_PROBLEMS && !texts.contains(&problem) {
+            texts.push(problem);
+        }
+    }
+    texts
+}
+
 /// All seconds, except idle ones after the end of the run, in which comparisons were finished.
 fn timeline(stats: &RunStats) -> Vec<Second> {
     let mut seconds = stats.timeline.seconds();
@@ -317,7 +325,7 @@ impl BackgroundClients {
             chunks: get(&counters.chunks),
             bytes: get(&counters.bytes),
             mismatches: get(&counters.mismatches),
-            problems: counters.problems(),
+            problems: first(counters.problems()),
         }
     }
 }

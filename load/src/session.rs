@@ -27,6 +27,7 @@ use futures_util::StreamExt;
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::limits::MAX_CREDITS;
 use protocol::message::{RefusalReason, Settled, Welcome};
+use protocol::peer_text::one_line;
 use protocol::{CloseCode, DataFrame, Delivery, PeerFault};
 use socket::lost;
 use std::time::Duration;
@@ -120,7 +121,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             .map_err(|_| SessionEnd::not_admitted(format!("no Welcome within {HANDSHAKE_TIMEOUT:?}")))??;
         let land = world_of(&welcome, task).map_err(|mismatch| SessionEnd::wrong_world(&mismatch))?;
         task.admitted();
-        if resumption.begin(WorldDigest(welcome.digest), task.counters) && config.resume {
+        if resumption.begin(WorldDigest(welcome.digest)) && config.resume {
             machine.holding(&resumption.held.keys());
         }
         let sample = (config.verify_every, task.index);
@@ -233,7 +234,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
                 self.expected.refused(&refused);
                 self.refused_view = self.expected.newest_view();
                 self.pause.refused(Instant::now());
-                let problem = format!("refused by the server: {}", refused.detail);
+                let problem = format!("refused by the server: {}", one_line(&refused.detail));
                 match refused.reason {
                     RefusalReason::Overloaded | RefusalReason::TooManyRequests => {
                         self.task.counters.refused(&problem);

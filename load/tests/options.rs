@@ -68,6 +68,16 @@ fn an_unwritable_report_fails_before_the_run() {
 }
 
 #[test]
+fn an_old_report_stays_until_there_is_a_new_one() {
+    let json = std::env::temp_dir().join(format!("tombolo-load-old-{}.json", std::process::id()));
+    std::fs::write(&json, "old").expect("a temporary file");
+    let output = run(&["--json", json.to_str().expect("a plain path"), "--plot", "/no/such/folder/plot.png"]);
+    let kept = std::fs::read_to_string(&json).expect("still there");
+    let _ = std::fs::remove_file(&json);
+    assert_eq!((output.status.code(), kept.as_str()), (Some(1), "old"));
+}
+
+#[test]
 fn a_report_whose_folder_is_gone_is_an_error_beside_the_verdict() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
     let url = format!("ws://{}/v1/stream", listener.local_addr().expect("bound"));

@@ -22,6 +22,7 @@ pub mod fault;
 pub mod held_chunks;
 pub mod limits;
 pub mod message;
+pub mod peer_text;
 pub mod reference_window;
 pub mod server;
 pub mod view;

@@ -8,13 +8,13 @@
 use crate::lod::error;
 use crate::stream::chunk_stream::StreamEvent;
 use crate::stream::expected::{ExpectedChunks, check_ranges};
-use crate::stream::peer_text::one_line;
 use crate::stream::retries::Retries;
 use crate::stream::trust::{Distrust, Trust};
 use bytes::Bytes;
 use protocol::chunk_codec::kind_and_key;
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::message::{RefusalReason, Refused, WireKey};
+use protocol::peer_text::one_line;
 use protocol::view::View;
 use protocol::{ChunkError, DataFrame, Delivery, PeerFault};
 use std::collections::BTreeSet;

@@ -8,7 +8,6 @@ pub mod expected;
 pub mod guarded_session;
 pub mod local;
 pub mod null;
-pub mod peer_text;
 pub mod retries;
 pub mod streamer;
 pub mod trust;

@@ -2,6 +2,7 @@
 
 use crate::SOFTWARE;
 use crate::dial::Dial;
+use crate::refusal::refusal;
 use crate::task::Task;
 use crate::throttle::Throttled;
 use bytes::Bytes;
@@ -10,7 +11,6 @@ use hyper::client::conn::http1::{self, SendRequest};
 use hyper::header::{AUTHORIZATION, ETAG, HOST, HeaderMap, IF_NONE_MATCH, RETRY_AFTER, USER_AGENT};
 use hyper::{Request, StatusCode};
 use hyper_util::rt::TokioIo;
-use serde::Deserialize;
 use std::fmt::Write;
 use std::time::Duration;
 use tokio::task::JoinHandle;
@@ -31,20 +31,10 @@ pub(super) struct Response {
     pub body: Bytes,
 }
 
-/// The field of a problem document (RFC 9457) that describes the occasion.
-#[derive(Deserialize)]
-struct Problem {
-    detail: String,
-}
-
 impl Response {
     /// Status and message of the body, in one line.
     pub fn problem(&self) -> String {
-        // A Tombolo server sends a problem document with one sentence; a proxy sends anything.
-        let detail = serde_json::from_slice::<Problem>(&self.body).map(|problem| problem.detail);
-        let text = detail.unwrap_or_else(|_| String::from_utf8_lossy(&self.body).into_owned());
-        let line: String = text.lines().next().unwrap_or_default().chars().take(200).collect();
-        if line.is_empty() { self.status.to_string() } else { format!("{}: {line}", self.status) }
+        refusal(self.status, &self.body)
     }
 }
 
@@ -138,24 +128,6 @@ mod tests {
 
     fn headers(tag: &str) -> HeaderMap {
         HeaderMap::from_iter([(ETAG, tag.parse().unwrap())])
-    }
-
-    #[test]
-    fn problems_are_one_line_from_any_server() {
-        let answer = |body: &'static str| Response {
-            status: StatusCode::SERVICE_UNAVAILABLE,
-            tag: None,
-            retry_after: DEFAULT_PAUSE,
-            body: body.into(),
-        };
-        let status = "503 Service Unavailable";
-        for (body, line) in [
-            (r#"{"status": 503, "detail": "come back"}"#, format!("{status}: come back")),
-            ("<html>\nproxy", format!("{status}: <html>")),
-            ("", status.into()),
-        ] {
-            assert_eq!(answer(body).problem(), line);
-        }
     }
 
     #[test]

@@ -14,7 +14,7 @@ pub struct ResumeReport {
     /// From the last chunk or complete view of the lost session to the first of its successor.
     /// Without a successor the time to the end of the phase, a lower bound.
     pub gap_ms: LatencyMs,
-    /// Bytes of the chunks that clients held when they connected again.
+    /// Bytes of the chunks that the successors held when they connected.
     pub held_bytes: u64,
     /// Chunks of views that the server sent although the client held them.
     pub chunks_again: u64,

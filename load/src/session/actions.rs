@@ -19,6 +19,10 @@ const MAX_PROBES: usize = 64;
 /// dropped.
 const MAX_POSES: usize = MAX_VIEWS_SLOW;
 
+/// The first id of a view. A refusal names a request or a view by its id alone, so their ids must
+/// differ; those of requests begin at 0.
+const FIRST_VIEW: u32 = 1 << 31;
+
 /// The view of a client at a pose: 1280 x 720, 60 degrees, 4 pixels of tolerance.
 #[must_use]
 pub fn view_of(id: u32, pose: &Pose, distance_m: u32) -> View {
@@ -45,8 +49,8 @@ pub(super) struct Poses {
 impl Poses {
     /// Adds a pose with the time from which it counts. Returns the id for its view.
     fn begin(&mut self, since: Instant) -> u32 {
-        let id = self.next;
-        // Ids only grow within a session; wrapping would take thirty years.
+        let id = FIRST_VIEW.wrapping_add(self.next);
+        // Ids only grow within a session; wrapping would take fifteen years.
         self.next = self.next.wrapping_add(1);
         if self.waiting.len() == MAX_POSES {
             self.waiting.pop_front();

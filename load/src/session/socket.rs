@@ -1,11 +1,13 @@
 //! The WebSocket of a session: opening, writing with a timeout, closing, and error messages.
 
 use crate::dial::Dial;
+use crate::refusal::refusal;
 use crate::task::{HANDSHAKE_TIMEOUT, SessionEnd, Task};
 use crate::throttle::Throttled;
 use futures_util::{SinkExt, StreamExt};
 use protocol::client::ClientSession;
 use protocol::limits::MAX_SERVER_FRAME;
+use protocol::peer_text::one_line;
 use protocol::{CloseCode, SUBPROTOCOL};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -104,7 +106,7 @@ pub(super) fn lost(last: Option<Result<Message, Error>>) -> String {
             Some(code) if frame.reason.is_empty() => format!("the server closed: {code}"),
             // The text of a close code includes its number.
             Some(code) if frame.reason.as_str() == code.to_string() => format!("the server closed: {code}"),
-            _ => format!("the server closed: {} ({})", frame.reason, u16::from(frame.code)),
+            _ => format!("the server closed: {} ({})", one_line(&frame.reason), u16::from(frame.code)),
         },
         Some(Ok(_)) => "the server closed without a reason".into(),
         Some(Err(error)) => format!("the connection broke: {}", explain(error)),
@@ -112,7 +114,7 @@ pub(super) fn lost(last: Option<Result<Message, Error>>) -> String {
     }
 }
 
-/// A library error in one line. The message of an HTTP refusal is in its body.
+/// A library error in one line.
 fn explain(error: Error) -> String {
     let Error::Http(response) = error else {
         return match error {
@@ -120,7 +122,6 @@ fn explain(error: Error) -> String {
             other => other.to_string(),
         };
     };
-    let body = response.body().as_deref().map(String::from_utf8_lossy).unwrap_or_default();
-    let line: String = body.lines().next().unwrap_or_default().chars().take(200).collect();
-    if line.is_empty() { response.status().to_string() } else { format!("{}: {line}", response.status()) }
+    let body = response.body().as_deref().unwrap_or_default();
+    refusal(response.status(), body)
 }

@@ -1,7 +1,7 @@
 //! The WebSocket of a session: connecting, and the end of a connection as a sentence.
 
-use crate::stream::peer_text::one_line;
 use protocol::limits::MAX_SERVER_FRAME;
+use protocol::peer_text::one_line;
 use protocol::{CloseCode, SUBPROTOCOL};
 use std::io::ErrorKind;
 use std::time::Duration;

@@ -296,10 +296,14 @@ impl DiskWriter {
         // Not its parents: they may be missing with a lost mount, and the disk under it must not be
         // filled.
         if !self.was_open && !folder.is_dir() {
-            fs::create_dir(folder).map_err(|error| match error.kind() {
-                io::ErrorKind::NotFound => io::Error::new(error.kind(), "its parent folder does not exist"),
-                _ => error,
-            })?;
+            match fs::create_dir(folder) {
+                // Created by another process since the check.
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists && folder.is_dir() => {}
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                    return Err(io::Error::new(error.kind(), "its parent folder does not exist"));
+                }
+                created => created?,
+            }
         }
         let lock =
             OpenOptions::new().create(true).truncate(false).write(true).open(folder.join(LOCK_FILE))?;

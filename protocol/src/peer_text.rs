@@ -1,6 +1,6 @@
-//! Texts of a server, for display.
+//! Texts of a peer, for display.
 
-use protocol::limits::MAX_TEXT;
+use crate::limits::MAX_TEXT;
 
 /// A text of a peer as one line of at most [`MAX_TEXT`] bytes: control characters, which could
 /// drive a terminal, separators of lines and marks that reverse the direction of text are replaced.
