@@ -54,9 +54,9 @@ pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
     sum / f64::from(count)
 }
 
-/// The largest of values that are at least 0; 0 if there is none.
+/// The largest of values that are at least 0; 0 if there is none, not a number if one is not.
 pub fn worst(values: impl IntoIterator<Item = f64>) -> f64 {
-    values.into_iter().fold(0.0, f64::max)
+    values.into_iter().fold(0.0, |worst, value| if value > worst || value.is_nan() { value } else { worst })
 }
 
 /// Within which a share lies with 95 % certainty, of which `found` of `count` independent cases were

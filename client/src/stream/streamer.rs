@@ -22,6 +22,10 @@ const MAX_TOLERANCE_SCALE: f64 = 1000.0;
 /// Time before the tolerance is raised again: chunks requested with the old one are still arriving.
 const TOLERANCE_INTERVAL: Duration = Duration::from_millis(400);
 
+/// Time before a rejected view is sent again while nothing changes: the server may have had no room
+/// for it.
+const REJECTED_INTERVAL: Duration = Duration::from_secs(5);
+
 /// Most missed chunks that are remembered. Without a further one the tolerance may be raised too
 /// early, which the next complete view undoes.
 const MAX_MISSED: usize = 1024;
@@ -61,6 +65,7 @@ pub struct WorldStreamer<F> {
     digest: Option<WorldDigest>,
     link: Link,
     failures: u32,
+    /// Why the last sent view was rejected.
     refusal: Option<String>,
     /// Chunks that were bad or refused and have not come since. At most [`MAX_MISSED`]; the server
     /// chooses the keys.
@@ -185,7 +190,12 @@ impl<F: ChunkStream> WorldStreamer<F> {
                     self.raise_tolerance(now);
                 }
             }
-            StreamEvent::Settled { view } => self.settled = Some(view),
+            StreamEvent::Settled { view } => {
+                self.settled = Some(view);
+                if self.is_settled() {
+                    self.refusal = None;
+                }
+            }
             StreamEvent::Missed { key, detail } => {
                 self.missed.extend(key.filter(|_| self.missed.len() < MAX_MISSED));
                 self.last_miss = Some(detail);
@@ -210,8 +220,8 @@ impl<F: ChunkStream> WorldStreamer<F> {
         }
     }
 
-    /// Sends the view if it changed or the eye came to rest. True if the server has the current
-    /// view.
+    /// Sends the view if it changed, the eye came to rest, or it was rejected a while ago. True if the
+    /// server has the current view.
     fn send_view(&mut self, view: &ViewParams, now: Duration) -> bool {
         if !matches!(self.link, Link::Connected(_)) {
             return false;
@@ -220,9 +230,13 @@ impl<F: ChunkStream> WorldStreamer<F> {
         if let Some((sent, at)) = &self.sent {
             let same = View { id: view.id, velocity: view.velocity, ..*sent } == view;
             let elapsed = now.saturating_sub(*at);
+            let is_rejected = self.refusal.is_some() && elapsed >= REJECTED_INTERVAL;
             // The server prefetches along the velocity: it must learn that the eye stands.
-            if (same && sent.velocity == [0; 3]) || elapsed < VIEW_INTERVAL {
+            if (same && sent.velocity == [0; 3] && !is_rejected) || elapsed < VIEW_INTERVAL {
                 return same;
+            }
+            if !same {
+                self.refusal = None;
             }
             let seconds = elapsed.as_secs_f64().max(0.001);
             view.velocity = [0, 1, 2].map(|axis| {
@@ -231,7 +245,6 @@ impl<F: ChunkStream> WorldStreamer<F> {
             });
         }
         self.next_view = self.next_view.wrapping_add(1);
-        self.refusal = None;
         self.stream.set_view(view);
         self.cache.view_sent();
         self.sent = Some((view, now));
@@ -452,6 +465,29 @@ mod tests {
         assert!((9..=11).contains(&(streamer.stream.views.len() - 1)), "{}", streamer.stream.views.len());
         let last = streamer.stream.views[streamer.stream.views.len() - 1];
         assert!((last.velocity[0] - 100 * 256).abs() < 2000, "{}", last.velocity[0]);
+    }
+
+    #[test]
+    fn a_rejected_view_is_sent_again_after_a_while() {
+        let mut streamer = WorldStreamer::new(Script::default(), 10);
+        streamer.stream.events.push_back(connected(1));
+        streamer.update(&view(), AT(0), 10, |_| ());
+        // A chunk that is known to be missing: the settled view raises no tolerance.
+        let missed = StreamEvent::Missed { key: ChunkKey::new(3, 0, 0).ok(), detail: "bad".into() };
+        streamer.stream.events.extend([StreamEvent::Refused { detail: "no room".into() }, missed]);
+        for millis in (100..11_000).step_by(100) {
+            streamer.update(&view(), AT(millis), 10, |_| ());
+        }
+        assert_eq!(streamer.refusal(), Some("no room"), "until it is answered");
+        let ids = |streamer: &WorldStreamer<Script>| {
+            streamer.stream.views.iter().map(|view| view.id).collect::<Vec<_>>()
+        };
+        assert_eq!(ids(&streamer), [1, 2, 3], "at 0, 5 and 10 s");
+        streamer.stream.events.push_back(StreamEvent::Settled { view: 3 });
+        for millis in (11_000..30_000).step_by(100) {
+            streamer.update(&view(), AT(millis), 10, |_| ());
+        }
+        assert_eq!((streamer.refusal(), ids(&streamer).len()), (None, 3), "accepted");
     }
 
     #[test]

@@ -206,9 +206,9 @@ impl<S: Slots> Slots for Counting<'_, S> {
 
 /// Points on the bound of a clump as seen from an eye, metres, as the test defines it: the top
 /// follows its plane up to a part of the radius, the rest leans out of it by that much at most,
-/// both along the axis of the ground that the line of sight crosses faster.
-fn hull_of(scene: &Scene, extent: &Extent, eye: Point) -> Vec<Point> {
-    let corner = scene.plants.grid.corner.map(|units| f64::from(units) / 256.0);
+/// both along the axis of the ground that the line of sight crosses faster. `corner` is that of the
+/// grid, metres.
+fn hull_of(corner: [f64; 2], extent: &Extent, eye: Point) -> Vec<Point> {
     let metres = |fine: i32| f64::from(fine) / 4096.0;
     let target = &extent.occludee;
     let (x, z) = (metres(target.x) + corner[0], metres(target.z) + corner[1]);
@@ -223,7 +223,8 @@ fn hull_of(scene: &Scene, extent: &Extent, eye: Point) -> Vec<Point> {
     let along = ahead + tilt * drift;
     let ring = |share: f64, beyond: f64| {
         let reach = share * radius + beyond * skirt;
-        let planar = follow + beyond * (radius + skirt - follow);
+        // Only a rim lies farther out in the plane.
+        let planar = follow + if skirt > 0.0 { beyond * (radius + skirt - follow) } else { 0.0 };
         let lean = radius - follow;
         (0..POINTS).map(move |n| TAU * f64::from(n) / f64::from(POINTS)).map(move |angle| {
             let (behind, beside) = (reach * angle.cos(), reach * angle.sin());
@@ -246,6 +247,7 @@ fn of_scene(scene: &Scene, kinds: &[&'static str]) -> Findings {
     let square = &scene.plants.grid;
     let surface = Surface { slots: &slots, nodes: &square.nodes, chunks: &square.chunks };
     let noise = noise_of(&scene.world, square);
+    let corner = square.corner.map(|units| f64::from(units) / 256.0);
     let eye = eye_of(&scene.shot.pose);
     let is_below = scene.plants.species.iter().any(|stand| stand.culling.occlusion_enabled == 0);
     found.below_land = is_below.into();
@@ -263,8 +265,7 @@ fn of_scene(scene: &Scene, kinds: &[&'static str]) -> Findings {
             let judged = judged(&surface, stand, clump);
             let is_seen = reference.sees_any(eye, &vertices.points, &mut hint_m);
             let is_bound_seen =
-                is_seen || reference.sees_any(eye, &hull_of(scene, &judged.extent, eye), &mut hint_m);
-            let corner = square.corner.map(|units| f64::from(units) / 256.0);
+                is_seen || reference.sees_any(eye, &hull_of(corner, &judged.extent, eye), &mut hint_m);
             let at = [clump.x, clump.z].map(|fine| f64::from(fine) / 4096.0);
             if let Some(height) = reference.height(at[0] + corner[0], at[1] + corner[1]) {
                 found.root_mm = found.root_mm.max((height - f64::from(clump.y) / 4096.0).abs() * 1e3);
@@ -353,5 +354,32 @@ fn count_cost<S: Slots>(
         std::hint::black_box((some, march));
         found.times[0] += between - begun;
         found.times[1] += between.elapsed();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shaders::twin::terrain_occlusion::Occludee;
+
+    #[test]
+    fn only_the_rim_of_a_bound_lies_farther_out_in_its_plane() {
+        let of = |taper| {
+            let (x, z, top) = (80 << 12, 40 << 12, 4 << 12);
+            let (slope_east, slope_south, taper_drop) = (7839, 8071, taper / 2);
+            let (radius, slope_radius) = (1076, 259);
+            let occludee =
+                Occludee { x, top, z, radius, slope_radius, taper, taper_drop, slope_east, slope_south };
+            hull_of([0.0, 0.0], &Extent { occludee, bottom: 0 }, [0.0, 5.0, 0.0])
+        };
+        let highest = |points: &[Point]| points.iter().map(|point| point[1]).fold(f64::MIN, f64::max);
+        let (plain, rimmed) = (of(0), of(4096));
+        let at_radius = |points: &[Point]| points[..POINTS as usize].to_vec();
+        assert_eq!(
+            plain[3 * POINTS as usize..],
+            at_radius(&plain)[..],
+            "the outermost ring is that of the radius"
+        );
+        assert!(highest(&rimmed) > highest(&at_radius(&rimmed)), "a rim reaches higher (control)");
     }
 }
