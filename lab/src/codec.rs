@@ -348,16 +348,22 @@ mod tests {
     #[test]
     fn entropy_is_that_of_the_symbols() {
         assert!(entropy(&[7; VERTEX_COUNT]).abs() < 1e-9);
-        // Two equally frequent residuals are a bit each: a row of steps that change at every
-        // vertex.
+        // Residuals of 1 at odd places and of 0 at even ones: nearly a bit each.
         let mut heights = [0; VERTEX_COUNT];
-        let mut height = 0;
-        for (index, out) in heights.iter_mut().enumerate() {
-            height += i32::from(terrain::hash::mix((index % VERTICES) as u32) & 1 == 1);
-            *out = height;
+        for index in 0..VERTEX_COUNT {
+            let predicted = match (index % VERTICES, index / VERTICES) {
+                (0, 0) => 0,
+                (_, 0) => heights[index - 1],
+                (0, _) => heights[index - VERTICES],
+                _ => heights[index - 1] + heights[index - VERTICES] - heights[index - VERTICES - 1],
+            };
+            heights[index] = predicted + (index % 2) as i32;
         }
-        let bits = 8.0 * entropy(&heights);
-        assert!(bits < VERTEX_COUNT as f64, "{bits}");
+        let count = VERTEX_COUNT as f64;
+        let ones = (VERTEX_COUNT / 2) as f64;
+        let bits = -ones * (ones / count).log2() - (count - ones) * (1.0 - ones / count).log2();
+        assert!((8.0 * entropy(&heights) - bits).abs() < 1e-6, "{bits}");
+        assert!(bits > 0.999 * count, "{bits}");
     }
 
     #[test]

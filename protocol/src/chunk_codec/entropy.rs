@@ -251,6 +251,17 @@ mod tests {
     }
 
     #[test]
+    fn a_block_of_a_repeated_byte_takes_one_byte() {
+        // RFC 8878: the header of a single segment of 10 bytes; the last block, of type 1, of size 10.
+        let mut frame = [&MAGIC[..], &[0x20, 10], &[1 | 1 << 1 | 10 << 3, 0, 0, 7]].concat();
+        let mut out = [0; 10];
+        assert_eq!(decompress(&frame, &mut out), Ok(()));
+        assert_eq!((out, decompress_in_rust(&frame, &mut [0; 10])), ([7; 10], Some(10)));
+        frame.push(7);
+        assert_eq!(decompress(&frame, &mut out), Err(ChunkError::Compression), "a byte behind it");
+    }
+
+    #[test]
     fn only_the_plainest_sort_of_frame_of_the_right_size_is_read() {
         let content = content(1, 3000, 3);
         let good = frame(&content, Effort::Compact).unwrap();
