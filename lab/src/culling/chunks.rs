@@ -9,8 +9,9 @@ use client::features::vegetation::SpeciesParams;
 use shaders::twin::placement::BLOCK_CELL_BITS;
 use shaders::twin::raymarch_occlusion::raymarch_occlusion_of_corners;
 use shaders::twin::surface::{Slots, Surface, TILE_BITS};
-use shaders::twin::terrain_occlusion::is_occluded;
-use shaders::twin::visibility::{Extent, block_extent, extent_of, may_be_in_view, slope_at};
+use shaders::twin::visibility::{
+    BlockExtent, block_extent, block_is_seen, extent_of, may_be_in_view, slope_at,
+};
 use std::collections::BTreeMap;
 
 /// Visibility of a chunk by the reference and by the tests.
@@ -38,10 +39,11 @@ pub fn chunks_of<S: Slots>(
 ) -> Vec<ChunkVerdict> {
     let (culling, planting, eye) = (&stand.culling, &stand.planting, eye_of(&scene.shot.pose));
     let tile = |block: [i32; 2]| block.map(|at| (at << (planting.cell_bits + BLOCK_CELL_BITS)) >> TILE_BITS);
-    let mut chunks: BTreeMap<[i32; 2], Vec<([i32; 2], Extent)>> = BTreeMap::new();
+    let mut chunks: BTreeMap<[i32; 2], Vec<([i32; 2], BlockExtent)>> = BTreeMap::new();
     for block in blocks_of(stand) {
-        let extent = block_extent(surface, culling, planting, block[0], block[1]);
-        let Some(extent) = extent.filter(|extent| may_be_in_view(culling, extent)) else { continue };
+        let bits = planting.cell_bits + BLOCK_CELL_BITS;
+        let extent = block_extent(surface, culling, planting, bits, block[0], block[1]);
+        let Some(extent) = extent.filter(|block| may_be_in_view(culling, &block.extent)) else { continue };
         chunks.entry(tile(block)).or_default().push((block, extent));
     }
     let clumps = |block: [i32; 2]| {
@@ -63,8 +65,8 @@ pub fn chunks_of<S: Slots>(
         if !grows {
             continue;
         }
-        let kept = blocks.iter().filter(|(_, extent)| {
-            !is_tested || !is_occluded(surface, culling.eye, &extent.occludee, culling.start)
+        let kept = blocks.iter().filter(|(block, extent)| {
+            !is_tested || block_is_seen(surface, culling, planting, block[0], block[1], extent)
         });
         let kept: Vec<[i32; 2]> = kept.map(|(block, _)| *block).collect();
         verdicts.push(ChunkVerdict {

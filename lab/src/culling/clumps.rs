@@ -66,3 +66,58 @@ pub fn is_judged(stand: &SpeciesParams, clump: &Clump) -> bool {
     let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
     is_within_draw_distance(&stand.planting, clump, far)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::culling::cases;
+    use crate::culling::clump_vertices::clump_vertices;
+    use crate::culling::scene::Scene;
+    use client::features::vegetation::VegetationSettings;
+    use client::features::vegetation::by_slot::BySlot;
+    use shaders::layout::KIND_GRASS;
+    use shaders::twin::placement::BLOCK_CELL_BITS;
+    use shaders::twin::visibility::{block_extent, sloped_occludee};
+    use terrain::Land;
+
+    /// The bounds of quarters of blocks are derived from the vertices of the ground and the largest
+    /// plants; this looks at the plants that stand there.
+    #[test]
+    fn every_drawn_vertex_of_grass_is_below_the_plane_of_its_quarter() {
+        let land = Land::new(1);
+        let (mut tested, mut sloped, mut closest_m) = (0, 0, f64::MIN);
+        for case in cases::seeded(&land, 12, VegetationSettings::STANDARD) {
+            let Some(scene) = Scene::of(&land, &case, 4000) else { continue };
+            let slots = BySlot::new(&scene.world);
+            let square = &scene.plants.grid;
+            let surface = Surface { slots: &slots, nodes: &square.nodes, chunks: &square.chunks };
+            let corner = square.corner.map(|units| f64::from(units) / 256.0);
+            let metres = |fine: i32| f64::from(fine) / 4096.0;
+            let rise = |share: i32| f64::from(share) / 16_384.0;
+            for stand in scene.plants.species.iter().filter(|stand| stand.planting.kind == KIND_GRASS) {
+                let (culling, planting) = (&stand.culling, &stand.planting);
+                let bits = planting.cell_bits + BLOCK_CELL_BITS - 1;
+                for clump in sample(&surface, stand) {
+                    let (column, row) = (clump.x >> bits, clump.z >> bits);
+                    let part = block_extent(&surface, culling, planting, bits, column, row).unwrap();
+                    let bound = sloped_occludee(&surface, planting, bits, column, row, &part);
+                    sloped += u32::from(bound != part.extent.occludee);
+                    let vertices = clump_vertices(&scene, &surface, stand, &clump, level_of(stand, &clump));
+                    for [x, y, z] in vertices.points {
+                        let east = x - corner[0] - metres(bound.x);
+                        let south = z - corner[1] - metres(bound.z);
+                        let plane = east * rise(bound.slope_east) + south * rise(bound.slope_south);
+                        let above_m = y - metres(bound.top) - plane;
+                        let beside_m = east.hypot(south) - metres(bound.radius);
+                        assert!(above_m.max(beside_m) < 1e-3, "{}: {clump:?} {bound:?}", case.name);
+                        closest_m = closest_m.max(above_m);
+                        tested += 1;
+                    }
+                }
+            }
+        }
+        assert!(tested > 10_000 && sloped > 500, "{tested} {sloped}");
+        // A bound a little lower, the control, would leave something out.
+        assert!(closest_m > -0.1, "{closest_m}");
+    }
+}

@@ -17,7 +17,9 @@ use shaders::twin::placement::{BLOCK_CELL_BITS, Clump};
 use shaders::twin::raymarch_occlusion::{raymarch_occlusion, raymarch_occlusion_by_vertices};
 use shaders::twin::surface::{Slots, Surface};
 use shaders::twin::terrain_occlusion::is_occluded;
-use shaders::twin::visibility::{Extent, block_extent, extent_of, slope_at, tip_occludee};
+use shaders::twin::visibility::{
+    BlockExtent, Extent, block_extent, block_is_seen, extent_of, slope_at, tip_occludee,
+};
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -314,9 +316,9 @@ fn block_of<S: Slots>(surface: &Surface<'_, S>, stand: &SpeciesParams, clump: &C
     let (culling, planting) = (&stand.culling, &stand.planting);
     let bits = planting.cell_bits + BLOCK_CELL_BITS;
     let (column, row) = (clump.x >> bits, clump.z >> bits);
-    let block = block_extent(surface, culling, planting, column, row);
-    let hides = |block: Extent| is_occluded(surface, culling.eye, &block.occludee, culling.start);
-    culling.occlusion_enabled != 0 && block.is_none_or(hides)
+    let block = block_extent(surface, culling, planting, bits, column, row);
+    let is_hidden = |block: BlockExtent| !block_is_seen(surface, culling, planting, column, row, &block);
+    culling.occlusion_enabled != 0 && block.is_none_or(is_hidden)
 }
 
 /// Reads and times of T3 and of the fine march for the same rays.

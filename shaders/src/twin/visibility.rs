@@ -4,8 +4,8 @@
 //! Integers only: every client draws the same clumps.
 
 use super::placement::{
-    BLOCK_CELL_BITS, COARSE_BITS, Clump, FARTHEST, distance_bound, distance_squared, draw_distance_squared,
-    height_scale_at, is_within_draw_distance, presence_at, widening_at,
+    BLOCK_CELL_BITS, COARSE_BITS, Clump, FARTHEST, clump_at, distance_bound, distance_squared,
+    draw_distance_squared, height_scale_at, is_within_draw_distance, presence_at, widening_at,
 };
 use super::raymarch_occlusion::{Ground, raymarch_occlusion, raymarch_occlusion_by_vertices};
 use super::surface::{FINE_BITS, GRID_BITS, NOWHERE, STEP_BITS, Slots, Surface, TILE_BITS};
@@ -14,6 +14,9 @@ use crate::layout::{
     CULL_DISTANCE, CULL_EXACT, CULL_HIERARCHICAL, CULL_MARCH, CULL_NOISE, Culling, GRID_TILES, KIND_GRASS,
     Planting,
 };
+
+/// Clumps of a quarter that are tried; after so many it may hold one.
+const MAX_TRIES: u32 = 256;
 
 /// Bounds of a clump or a block of clumps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -301,45 +304,209 @@ fn bounds_of<S: Slots>(surface: &Surface<'_, S>, bits: u32, column: i32, row: i3
     return Some((top + 2, bottom));
 }
 
-/// Bounds of all clumps of a block.
+/// Bounds of all clumps of a block or of a quarter of one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BlockExtent {
+    /// The bounds, whatever the slope of the ground.
+    pub extent: Extent,
+    /// Half the width of the widest clump and the height of the highest, fine units.
+    half: i32,
+    height: i32,
+    /// Whether all clumps are in the third level of detail.
+    is_far: bool,
+}
+
+/// Bounds of all clumps of a square of side `2^bits`, a block or a quarter of one.
 #[must_use]
 pub fn block_extent<S: Slots>(
     surface: &Surface<'_, S>,
     culling: &Culling,
     planting: &Planting,
+    bits: u32,
     column: i32,
     row: i32,
-) -> Option<Extent> {
-    let bits = planting.cell_bits + BLOCK_CELL_BITS;
+) -> Option<BlockExtent> {
     let (top, bottom) = bounds_of(surface, bits, column, row)?;
-    let half = 1 << (bits - 1);
-    let (x, z) = ((column << bits) + half, (row << bits) + half);
-    // Half the diagonal, by which roots are farther away or nearer than the middle.
-    let diagonal = (half >> 5) * 46;
+    let middle = 1 << (bits - 1);
+    let (x, z) = ((column << bits) + middle, (row << bits) + middle);
+    let diagonal = half_diagonal(bits);
     let far = distance_bound(culling, x, top, z).max(distance_bound(culling, x, bottom, z));
     let apart = ((diagonal + top - bottom) >> COARSE_BITS) + 2;
     let wide = (planting.width_low + planting.width_span) * widening_at(planting, far + apart);
     // Land may rise by kilometres within a block: squares of what is farther do not fit.
     let near = (far - apart - 5).clamp(0, 0xffff) as u32;
     let is_far = near * near > planting.detail[1];
-    let chunk = (wide >> 9) + 2 + spread_of(planting.kind, is_far);
+    let half = (wide >> 9) + 2 + spread_of(planting.kind, is_far);
     let tall = planting.height_low + planting.height_span;
     let height = ((tall * height_scale_at(planting, far - apart - 5)) >> 8) + 1;
-    let shape = shape_of(planting, chunk, height, is_far, None, push_of(planting, 63, 128));
-    return Some(Extent {
-        occludee: Occludee {
-            x,
-            top: top + shape.over,
-            z,
-            radius: diagonal + shape.radius,
-            slope_radius: diagonal + shape.radius,
-            taper: shape.taper,
-            taper_drop: shape.taper_drop,
-            slope_east: 0,
-            slope_south: 0,
-        },
-        bottom: bottom - chunk,
-    });
+    let shape = shape_of(planting, half, height, is_far, None, push_of(planting, 63, 128));
+    let occludee = Occludee {
+        x,
+        top: top + shape.over,
+        z,
+        radius: diagonal + shape.radius,
+        slope_radius: diagonal + shape.radius,
+        taper: shape.taper,
+        taper_drop: shape.taper_drop,
+        slope_east: 0,
+        slope_south: 0,
+    };
+    return Some(BlockExtent { extent: Extent { occludee, bottom: bottom - half }, half, height, is_far });
+}
+
+/// Half the diagonal of a square of side `2^bits`, by which roots are farther away or nearer than
+/// the middle.
+fn half_diagonal(bits: u32) -> i32 {
+    return (1 << (bits - 6)) * 46;
+}
+
+/// What of a quarter of a block of grass may be occluded: its top is a plane of the mean slope of the
+/// ground. As [`block_extent`] has it where the ground is not known between its vertices, or is too
+/// steep.
+#[must_use]
+pub fn sloped_occludee<S: Slots>(
+    surface: &Surface<'_, S>,
+    planting: &Planting,
+    bits: u32,
+    column: i32,
+    row: i32,
+    block: &BlockExtent,
+) -> Occludee {
+    let flat = block.extent.occludee;
+    let (west, north, side) = (column << bits, row << bits, 1 << bits);
+    if bits >= surface.node(bits, column, row).finest || surface.is_rough_near(west, north) {
+        return flat;
+    }
+    let last = (GRID_TILES << TILE_BITS) - 1;
+    let height = |x: i32, z: i32| surface.height_at((west + x).clamp(0, last), (north + z).clamp(0, last));
+    let corners = [height(0, 0), height(side, 0), height(0, side), height(side, side)];
+    // Twice the rise over the side, which has at least 2^13 fine units.
+    let east = ((corners[1] + corners[3]) - (corners[0] + corners[2])) >> (bits - 13);
+    let south = ((corners[2] + corners[3]) - (corners[0] + corners[1])) >> (bits - 13);
+    let plane_steep = steepness(east, south);
+    if plane_steep > 1 << 15 {
+        return flat;
+    }
+    let (step, steps) = (1 << STEP_BITS, 1 << (bits - STEP_BITS));
+    let mut plane = NOWHERE << FINE_BITS;
+    let mut lowest = corners[0];
+    // Greatest slope of the ground, and greatest difference from that of the plane.
+    let (mut steep, mut apart) = (0, 0);
+    for z in 0..=steps {
+        for x in 0..=steps {
+            let (along, across) = (x << STEP_BITS, z << STEP_BITS);
+            let sides = [
+                height(along - step, across),
+                height(along + step, across),
+                height(along, across - step),
+                height(along, across + step),
+            ];
+            let rise = (east * (along - (side >> 1)) + south * (across - (side >> 1))) >> 14;
+            plane = plane.max(height(along, across) - rise);
+            lowest = lowest.min(sides[0].min(sides[1]).min(sides[2].min(sides[3])));
+            let slope = [sides[1] - sides[0], sides[3] - sides[2]];
+            steep = steep.max(steepness(slope[0], slope[1]) + 4);
+            apart = apart.max(steepness(slope[0] - east, slope[1] - south) + 4);
+        }
+    }
+    // Where land ends, slopes are not known.
+    if lowest <= NOWHERE << FINE_BITS {
+        return flat;
+    }
+    let push = push_of(planting, 63, 128);
+    let (over, reach) = if steep > 1 << 14 {
+        // Clumps of which nothing is known but their height over the root.
+        let shape = shape_of(planting, block.half, block.height, block.is_far, None, push);
+        (shape.over + ((plane_steep * shape.radius) >> 14), shape.radius)
+    } else {
+        let lean = lean_of(block.height, steep, push);
+        let radius = block.half + lean;
+        let foot = (((block.height * steep) >> 14) * steep) >> 15;
+        let raised = ((apart * radius) >> 14) + ((steep * lean) >> 14);
+        (block.height + foot + (block.half >> 6) + 2 + raised, radius)
+    };
+    let radius = half_diagonal(bits) + reach;
+    // Heights are rounded down.
+    let top = plane + 2 + over + 2;
+    return Occludee { top, radius, slope_radius: radius, slope_east: east, slope_south: south, ..flat };
+}
+
+/// Whether a clump of a quarter of a block may be within its draw distance and in the frustum.
+fn has_clump<S: Slots>(
+    surface: &Surface<'_, S>,
+    culling: &Culling,
+    planting: &Planting,
+    column: i32,
+    row: i32,
+) -> bool {
+    let bits = planting.cell_bits + BLOCK_CELL_BITS - 1;
+    let last = (1 << GRID_BITS) - 1;
+    // Clumps take the density of up to half a texel of a chunk of level 0 away, as wide as a quarter.
+    let mut density = 0;
+    for z in -1..2 {
+        for x in -1..2 {
+            let (east, south) = ((column + x) << bits, (row + z) << bits);
+            density = density.max(surface.density_at(east.clamp(0, last), south.clamp(0, last)));
+        }
+    }
+    if density == 0 {
+        return false;
+    }
+    let far = block_distance_squared(culling, planting, column >> 1, row >> 1);
+    let mut tries = 0;
+    for index in 0..planting.per_cell {
+        // Ranks grow with numbers: beyond the first one not drawn at this distance, none is.
+        if draw_distance_squared(planting, index * 256 / planting.per_cell) < far {
+            break;
+        }
+        for cell in 0..4 {
+            let (x, z) = (2 * column + (cell & 1), 2 * row + (cell >> 1));
+            if let Some(clump) = clump_at(surface, planting, x, z, index) {
+                let far = distance_squared(culling, clump.x, clump.y, clump.z);
+                let extent = || extent_of(culling, planting, &clump, slope_at(surface, clump.x, clump.z));
+                if is_within_draw_distance(planting, &clump, far) && may_be_in_view(culling, &extent()) {
+                    return true;
+                }
+            }
+        }
+        tries += 4;
+        if tries >= MAX_TRIES {
+            return true;
+        }
+    }
+    return false;
+}
+
+/// Whether a clump of a block may be in sight: the terrain hides neither the block nor, of grass,
+/// all quarters with a clump.
+#[must_use]
+pub fn block_is_seen<S: Slots>(
+    surface: &Surface<'_, S>,
+    culling: &Culling,
+    planting: &Planting,
+    column: i32,
+    row: i32,
+    block: &BlockExtent,
+) -> bool {
+    if is_occluded(surface, culling.eye, &block.extent.occludee, culling.start) {
+        return false;
+    }
+    if planting.kind != KIND_GRASS {
+        return true;
+    }
+    let bits = planting.cell_bits + BLOCK_CELL_BITS - 1;
+    for quarter in 0..4 {
+        let (x, z) = (2 * column + (quarter & 1), 2 * row + (quarter >> 1));
+        let Some(part) = block_extent(surface, culling, planting, bits, x, z) else { continue };
+        if !may_be_in_view(culling, &part.extent) || !has_clump(surface, culling, planting, x, z) {
+            continue;
+        }
+        let occludee = sloped_occludee(surface, planting, bits, x, z, &part);
+        if !is_occluded(surface, culling.eye, &occludee, culling.start) {
+            return true;
+        }
+    }
+    return false;
 }
 
 /// Square of the least distance between the eye and a block, (1/16 m)², rounded down.
@@ -364,13 +531,14 @@ pub fn block_is_visible<S: Slots>(
     if block_distance_squared(culling, planting, column, row) > draw_distance_squared(planting, 0) {
         return false;
     }
-    let Some(extent) = block_extent(surface, culling, planting, column, row) else { return false };
-    if !is_in_view(culling, &extent) {
+    let bits = planting.cell_bits + BLOCK_CELL_BITS;
+    let Some(block) = block_extent(surface, culling, planting, bits, column, row) else { return false };
+    if !is_in_view(culling, &block.extent) {
         return false;
     }
     return culling.path != CULL_HIERARCHICAL
         || culling.occlusion_enabled == 0
-        || !is_occluded(surface, culling.eye, &extent.occludee, culling.start);
+        || block_is_seen(surface, culling, planting, column, row, &block);
 }
 
 #[cfg(test)]
