@@ -7,7 +7,7 @@
 use crate::Plan;
 use crate::clients::other_thread;
 use crate::connection::{next_frame, open};
-use crate::server_process::{ChildProcess, ServerProcess, count_panics};
+use crate::server_process::{ChildProcess, ServerProcess, count_failures};
 use anyhow::{Context, Result};
 use bars::Bar;
 use bars::figures::at;
@@ -165,7 +165,7 @@ fn viewer(
         .stderr(Stdio::piped())
         .spawn()
         .with_context(|| format!("cannot start {}", program.display()))?;
-    count_panics(child.stderr.take(), panics);
+    count_failures(child.stderr.take(), panics);
     Ok(ChildProcess(child))
 }
 
@@ -295,7 +295,7 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
     let failures = of("panics").zip(of("crashes")).map(|(panics, crashes)| panics + crashes);
     vec![
         Bar::none("viewers beside a garbage server, 10 min: panics, crashes, GPU errors", failures)
-            .with_note("without a window; an unhandled GPU error is a panic; shorter runs have no figure"),
+            .with_note("without a window; a viewer ends with a line about the GPU after an error of it; shorter runs have no figure"),
         Bar::at_most(
             "the same: most memory of a new viewer, last fifth of them over second",
             of("rss_ratio"),

@@ -193,7 +193,7 @@ impl ServerProcess {
             .with_context(|| format!("cannot start {}; name it with --server", program.display()))?;
         let out = child.stdout.take().ok_or_else(|| anyhow!("the server has no standard output"))?;
         let panics = Arc::default();
-        count_panics(child.stderr.take(), Arc::clone(&panics));
+        count_failures(child.stderr.take(), Arc::clone(&panics));
         let process = ChildProcess(child);
         let mut line = String::new();
         BufReader::new(out).read_line(&mut line).context("cannot read the server's first line")?;
@@ -236,12 +236,18 @@ impl ServerProcess {
     }
 }
 
-/// Prints what a program prints and counts its panics, on a thread that ends with the program.
-pub fn count_panics(from: Option<impl Read + Send + 'static>, panics: Arc<AtomicU32>) {
+/// Whether a line of a program is that of a panic, or of a viewer whose GPU failed: an error of it
+/// that nothing handles ends the viewer with this line.
+fn is_failure(line: &str) -> bool {
+    line.contains("panicked at") || line.contains("the GPU failed")
+}
+
+/// Prints what a program prints and counts its failures, on a thread that ends with the program.
+pub fn count_failures(from: Option<impl Read + Send + 'static>, failures: Arc<AtomicU32>) {
     let Some(from) = from else { return };
     std::thread::spawn(move || {
         for line in BufReader::new(from).lines().map_while(Result::ok) {
-            panics.fetch_add(u32::from(line.contains("panicked at")), Ordering::Relaxed);
+            failures.fetch_add(u32::from(is_failure(&line)), Ordering::Relaxed);
             eprintln!("{line}");
         }
     });
@@ -261,6 +267,13 @@ fn last_values<'a>(options: &[&'a str]) -> Vec<&'a str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_panic_and_a_failed_gpu_are_failures_and_a_bad_server_is_none() {
+        assert!(is_failure("thread 'main' panicked at src/main.rs:1:1:"));
+        assert!(is_failure("tombolo-view: the GPU failed: Validation Error"));
+        assert!(!is_failure("tombolo-view: the server sent bad chunks: the digest differs"));
+    }
 
     #[test]
     fn a_later_value_of_an_option_replaces_an_earlier_one() {

@@ -156,7 +156,8 @@ pub struct Metrics {
     pub store_reads_invalid: Counter,
     /// Reads that failed or were not answered at all.
     pub store_reads_failed: Counter,
-    /// Reads not sent: the breaker was open, or too many were in flight.
+    /// Reads not sent: making the chunk is quicker, too many are in flight, or the store is late or
+    /// fails.
     pub store_reads_skipped: Counter,
     /// Chunks written to the store.
     pub store_writes: Counter,

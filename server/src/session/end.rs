@@ -164,3 +164,25 @@ pub async fn write_within(
         Err(_) => Err(SessionEnd::without_code(EndReason::WriteTimeout)),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_close_code_of_a_session_has_its_reason() {
+        for (code, reason) in [
+            (CloseCode::ProtocolError, EndReason::ProtocolError),
+            (CloseCode::NotUtf8, EndReason::NotUtf8),
+            (CloseCode::Malformed, EndReason::Malformed),
+            (CloseCode::TextFrame, EndReason::TextFrame),
+            (CloseCode::TooLarge, EndReason::TooLarge),
+            (CloseCode::OutOfOrder, EndReason::OutOfOrder),
+            (CloseCode::WrongVersion, EndReason::WrongVersion),
+            (CloseCode::WrongWorld, EndReason::WrongWorld),
+            (CloseCode::Unauthorised, EndReason::Unauthorised),
+        ] {
+            assert_eq!(EndReason::from(code), reason);
+        }
+    }
+}

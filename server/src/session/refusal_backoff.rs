@@ -217,6 +217,12 @@ mod tests {
             assert_eq!(backoff.read_size(end) < usize::MAX, is_paused);
             assert_eq!(backoff.read_size(end + MAX_DEBT + 2 * CAUTION), usize::MAX);
         }
+        let mut flood = RefusalBackoff::new(start);
+        flood.record(Rejections { requests: 0, views: u64::MAX }, 1, start);
+        let paid = start + MAX_DEBT;
+        assert_eq!(flood.read_size(paid), SMALL_READ, "little for a while after the debt is paid");
+        assert_eq!(flood.read_size(paid + CAUTION - Duration::from_micros(1)), SMALL_READ);
+        assert_eq!(flood.read_size(paid + CAUTION), usize::MAX);
         let mut of_requests = RefusalBackoff::new(start);
         assert!(of_requests.record(requests(10_000), 1, start), "a pause");
         let end = of_requests.paused_until(start).unwrap();

@@ -337,8 +337,7 @@ mod tests {
         assert!(pace.wait(key, false, now + RETRY).is_some(), "the control: not in a row");
     }
 
-    /// A store hangs, or takes 1.5 s, for a minute under steady load, and may answer once more
-    /// after
+    /// A store hangs, or takes 1.5 s, for a minute under steady load, and may answer once more after
     /// 1.5 s. Meanwhile few reads are sent; two pauses after that all are.
     #[test]
     fn a_store_that_comes_back_is_read_again() {
