@@ -295,7 +295,9 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
     let failures = of("panics").zip(of("crashes")).map(|(panics, crashes)| panics + crashes);
     vec![
         Bar::none("viewers beside a garbage server, 10 min: panics, crashes, GPU errors", failures)
-            .with_note("without a window; a viewer ends with a line about the GPU after an error of it; shorter runs have no figure"),
+            .with_note(
+                "without a window; an unhandled error of the GPU ends a viewer; shorter runs have no figure",
+            ),
         Bar::at_most(
             "the same: most memory of a new viewer, last fifth of them over second",
             of("rss_ratio"),

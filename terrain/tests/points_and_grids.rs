@@ -28,6 +28,33 @@ fn heights_of_points_are_those_of_grids() {
     assert!(compared > 50_000 && dry > 2000, "{compared} {dry}");
 }
 
+/// Single points, whose lobes are looked for each by itself.
+#[test]
+fn heights_of_points_are_those_of_grids_of_one_vertex() {
+    let land = Land::new(1);
+    let mut height = [0];
+    for number in 0..200_000 {
+        let at = |stream: u32| (mix(number * 2 + stream) % 4_000_000) as i32 - 2_000_000;
+        let place = Position::new(at(0), at(1)).unwrap();
+        land.heights(&Grid::new(place.x(), place.z(), 0, 1, 1).unwrap(), &mut height);
+        assert_eq!(land.height_at(place), height[0], "{place:?}");
+    }
+}
+
+/// Grids are evaluated in bands of some hundred rows.
+#[test]
+fn heights_of_points_are_those_of_a_tall_grid() {
+    let land = Land::new(1);
+    let grid = Grid::new(-280_000, -280_000, 0, 3, 1100).unwrap();
+    let mut heights = vec![0; grid.vertex_count()];
+    land.heights(&grid, &mut heights);
+    for (index, height) in heights.into_iter().enumerate() {
+        let step = |n: usize| -280_000 + ((n as i32) << 9);
+        let place = Position::new(step(index % 3), step(index / 3)).unwrap();
+        assert_eq!(land.height_at(place), height, "{place:?}");
+    }
+}
+
 /// All octaves, closely about the shores of the home island.
 #[test]
 fn heights_of_points_are_those_of_the_finest_grid() {
