@@ -39,9 +39,9 @@ pub struct Occludee {
     pub taper: i32,
     /// By how much the height is lower at the end of the rim, fine units below 2^16.
     pub taper_drop: i32,
-    /// Slope of `top` to the east, Q14, within ±1: what grows on a slope is higher uphill.
+    /// Slope of `top` to the east, Q14, within ±2: what grows on a slope is higher uphill.
     pub slope_east: i32,
-    /// Slope of `top` to the south, Q14, within ±1.
+    /// Slope of `top` to the south, Q14, within ±2.
     pub slope_south: i32,
 }
 

@@ -316,6 +316,12 @@ pub struct BlockExtent {
     is_far: bool,
 }
 
+/// Half the diagonal of a square of side `2^bits`, by which roots are farther away or nearer than
+/// the middle.
+fn half_diagonal(bits: u32) -> i32 {
+    return (1 << (bits - 6)) * 46;
+}
+
 /// Bounds of all clumps of a square of side `2^bits`, a block or a quarter of one.
 #[must_use]
 pub fn block_extent<S: Slots>(
@@ -352,12 +358,6 @@ pub fn block_extent<S: Slots>(
         slope_south: 0,
     };
     return Some(BlockExtent { extent: Extent { occludee, bottom: bottom - half }, half, height, is_far });
-}
-
-/// Half the diagonal of a square of side `2^bits`, by which roots are farther away or nearer than
-/// the middle.
-fn half_diagonal(bits: u32) -> i32 {
-    return (1 << (bits - 6)) * 46;
 }
 
 /// What of a quarter of a block of grass may be occluded: its top is a plane of the mean slope of the
