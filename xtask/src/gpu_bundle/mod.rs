@@ -13,7 +13,7 @@ use anyhow::{Context, Result, bail};
 use std::path::Path;
 
 /// Programs in the bundle.
-const PROGRAMS: [&str; 3] = ["tombolo-lab", "tombolo-view", "xtask"];
+const PROGRAMS: [&str; 4] = ["tombolo-lab", "tombolo-server", "tombolo-view", "xtask"];
 
 /// Largest archive, bytes.
 const LIMIT: u64 = 60 << 20;

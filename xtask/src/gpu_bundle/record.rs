@@ -10,10 +10,19 @@ use std::fmt::Write;
 use std::path::Path;
 
 /// Reports whose rows stand in the record: name, and what they are about.
-const REPORTS: [(&str, &str); 3] = [
+const REPORTS: [(&str, &str); 4] = [
     ("lod", "Levels of detail"),
     ("pom", "Parallax occlusion mapping"),
+    ("visual", "Pictures"),
     ("culling", "Culling of vegetation"),
+];
+
+/// Reports of the viewer, by the names of their files.
+const VIEWS: [(&str, &str); 4] = [
+    ("grass", "scene `grass`"),
+    ("island_low", "scene `island`, low"),
+    ("island_medium", "scene `island`, medium"),
+    ("island_high", "scene `island`, high"),
 ];
 
 /// The reports of a folder that `run.sh` filled. Those of programs that failed are null.
@@ -77,9 +86,15 @@ fn page(reports: &Reports<'_>, tables: &[(&str, Vec<Bar>)], commit: &str, machin
     for (title, rows) in tables {
         let _ = write!(page, "\n## {title}\n\n{}", bars::markdown(rows));
     }
-    let frame =
-        "Frames of the scene `grass`, 1920 x 1080: p50 {frame_ms_p50:.2} ms, p99 {frame_ms_p99:.2} ms.";
-    let _ = writeln!(page, "\n## Viewer\n\n{}", fill(frame, &reports.json("grass")));
+    page.push_str(
+        "\n## Viewer\n\nFrames of 1920 x 1080, each awaited before the next one; ms.\n\n\
+         | what | p50 | p99 | frames | triangles | plants drawn |\n\
+         | --- | ---: | ---: | ---: | ---: | ---: |\n",
+    );
+    for (name, what) in VIEWS {
+        let row = "{frame_ms_p50:.2} | {frame_ms_p99:.2} | {frames} | {triangles} | {plants_drawn}";
+        let _ = writeln!(page, "| {what} | {} |", fill(row, &reports.json(name)));
+    }
     page
 }
 

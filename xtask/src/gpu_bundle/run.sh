@@ -17,11 +17,12 @@ export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-/tmp}
 
 if [ "${QUICK:-0}" = 1 ]; then
     lod="--poses 2 --views 2"; pom="--rays 2000"
-    culling="--poses 2 --drawn 1 --compared 2 --framed 1 --rounds 1"
+    culling="--poses 2 --drawn 1 --compared 2 --framed 1 --rounds 1"; visual="--poses 4"; frames=20
     samples="Quick: smaller samples. Rows that need the full ones have no figure and miss."
 else
     # As `cargo xtask measure` takes them.
     lod="--poses 50 --views 200"; pom="--rays 2000000"; culling="--poses 300"
+    visual=""; frames=300
     samples="Full samples."
 fi
 echo "$samples" > "$out/samples.txt"
@@ -47,16 +48,27 @@ lab() { # NAME ARGUMENTS...
     name=$1
     step "$name" tombolo-lab "$@" --json "$out/$name.json"
 }
+view() { # NAME ARGUMENTS...
+    name=$1; shift
+    step "$name" tombolo-view "$@" --shot "$out/$name.png" --size 1920x1080 --frames $frames \
+        --stats "$out/$name.json"
+}
 
 # The arguments are lists of words.
 # shellcheck disable=SC2086
 {
     lab digest
     lab timings
-    step grass tombolo-view --scene grass --shot "$out/grass.png" --size 1920x1080 --frames 20 \
-        --stats "$out/grass.json"
+    view grass --scene grass
+    "$here/bin/tombolo-server" --listen 127.0.0.1:7589 > "$out/server.log" 2>&1 &
+    server=$!
+    for quality in low medium high; do
+        view "island_$quality" --connect ws://127.0.0.1:7589/v1/stream --quality $quality
+    done
+    kill $server
     lab pom $pom
     lab lod $lod
+    lab visual $visual
     lab culling $culling
 }
 "$here/bin/xtask" gpu-record "$out" || failed=1
