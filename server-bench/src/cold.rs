@@ -1,5 +1,5 @@
-//! Chunks that must be generated: CPU time from request to socket at levels 0, 2 and 4, and the
-//! time of each stage at level 0.
+//! Chunks that must be generated: CPU time from request to socket at levels 0, 2 and 4, at level 0 with
+//! the fast and with the compact encoding, and the time of each stage at level 0.
 //!
 //! The error bound of a coarse chunk costs many times its heights; level 0 has none. A figure of
 //! one level therefore says little about another.
@@ -7,8 +7,9 @@
 use crate::Plan;
 use crate::clients::{Window, closed_loop, run_all};
 use crate::keys::{WORLD_SEED, land_keys};
+use crate::mechanism::Mechanism;
 use crate::rounds::Rounds;
-use crate::server_process::{ServerProcess, series};
+use crate::server_process::{Launch, ServerProcess, series};
 use anyhow::{Context, Result, ensure};
 use bars::Bar;
 use bars::figures::{at, each, fill};
@@ -47,8 +48,12 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let land = Land::new(WORLD_SEED);
     let mut levels = Vec::new();
     for level in LEVELS {
-        levels.push(measure(plan, &land, level).await?);
+        levels.push(measure(plan, &plan.launch, &land, level).await?);
     }
+    // Only level 0 is encoded fast under a backlog; the coarser levels above are compact.
+    let without_fast = Launch { without: Some(Mechanism::FastEffort), ..plan.launch.clone() };
+    let compact = measure(plan, &without_fast, &land, LEVELS[0]).await?;
+    ensure!(at(&compact, "fast_encoded_share") == Some(0.0), "chunks were encoded fast without fast effort");
     let is_fast = at(&levels[0], "fast_encoded_share") > Some(0.5);
     let effort = if is_fast { Effort::Fast } else { Effort::Compact };
     let stages = stages(&land, &land_keys(&land, 0, STAGE_CHUNKS), effort);
@@ -56,17 +61,17 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let mut stages: Map<_, _> = stages.into_iter().map(|(name, us)| (name.to_owned(), json!(us))).collect();
     let total_us = at(&levels[0], "total_us").context("no chunk of level 0 was timed")?;
     stages.insert("serve_us".into(), json!(total_us - generation_us));
-    Ok(json!({ "connections": CONNECTIONS, "levels": levels, "stages": stages }))
+    Ok(json!({ "connections": CONNECTIONS, "levels": levels, "compact": compact, "stages": stages }))
 }
 
-async fn measure(plan: &Plan, land: &Land, level: LevelPlan) -> Result<Value> {
+async fn measure(plan: &Plan, launch: &Launch, land: &Land, level: LevelPlan) -> Result<Value> {
     let LevelPlan { level, chunks, window } = level;
     let keys = land_keys(land, level, chunks);
     ensure!(keys.len() == chunks, "level {level} has only {} chunks with land", keys.len());
     let parts: Vec<_> = keys.chunks(chunks / CONNECTIONS).collect();
     let (mut rounds, mut bytes) = (Rounds::default(), 0);
     for _ in 0..plan.rounds {
-        let server = ServerProcess::start(&plan.launch, &[])?;
+        let server = ServerProcess::start(launch, &[])?;
         let connections = server.connect(CONNECTIONS).await?;
         let (cpu_before, started) = (server.process.cpu_s()?, Instant::now());
         let totals = run_all(connections, |index, mut connection| {
@@ -134,6 +139,11 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
     vec![
         Bar::at_least("new chunks of level 0 a second and core", rate(0), "", 25_000.0)
             .with_note("level 0 needs no error bound"),
+        Bar::reported(
+            "the same without the fast encoding under backlog",
+            at(figures, "compact/chunks_per_core_s").filter(|_| at(figures, "compact/level") == Some(0.0)),
+            "",
+        ),
         Bar::reported("new chunks of level 2 a second and core", rate(1), ""),
         Bar::reported("new chunks of level 4 a second and core", rate(2), ""),
     ]
@@ -148,7 +158,10 @@ pub fn notes(figures: &Value) -> Vec<String> {
     let level = "New chunks of level {level:.0}: {frame_bytes:.0} bytes each, {fast_encoded_share*100:.0} % \
                  encoded fast because of the backlog; a second and core, round by round: \
                  {chunks_per_core_s_rounds:.0}.";
-    std::iter::once(fill(stages, figures)).chain(each(figures, "levels", level)).collect()
+    let compact = "Without the fast encoding: {compact/frame_bytes:.0} bytes each of level 0; a second and \
+                   core, round by round: {compact/chunks_per_core_s_rounds:.0}.";
+    let once = [fill(stages, figures), fill(compact, figures)];
+    once.into_iter().chain(each(figures, "levels", level)).collect()
 }
 
 #[cfg(test)]
@@ -159,14 +172,17 @@ mod tests {
     #[test]
     fn each_bar_can_be_missed() {
         let level = |level: u8, rate: f64| json!({ "level": level, "chunks_per_core_s": rate });
-        let good = json!({ "levels": [level(0, 26_000.0), level(2, 2_500.0), level(4, 2_000.0)] });
+        let levels = [level(0, 26_000.0), level(2, 2_500.0), level(4, 2_000.0)];
+        let good = json!({ "levels": levels, "compact": level(0, 16_000.0) });
         let bad = [
             ("/levels/0/chunks_per_core_s", json!(24_999.0)),
             ("/levels/0/level", json!(1)),
             ("/levels/1/chunks_per_core_s", json!(null)),
             ("/levels/2/level", json!(2)),
+            ("/compact/chunks_per_core_s", json!(null)),
+            ("/compact/level", json!(2)),
         ];
         check(bars, &good, &bad);
-        check_absent(bars, &good, &[("", "levels", 3), ("/levels/1", "level", 1)]);
+        check_absent(bars, &good, &[("", "levels", 3), ("/levels/1", "level", 1), ("", "compact", 1)]);
     }
 }

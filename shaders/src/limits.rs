@@ -41,7 +41,7 @@ const HEADER: &str = "# Shader resources
 
 Counts of every stage of every pass, by naga's reflection, against the [default limits of
 WebGPU](https://www.w3.org/TR/webgpu/#limits). `shaders/src/limits.rs` checks them; after a change
-`cargo xtask bless resources` writes this table.
+`cargo xtask bless resources --write` writes this table.
 
 | pass | stage | storage buffers | uniform buffers | sampled textures | storage textures | \
 samplers | bind groups | invocations | workgroup bytes | inter-stage variables |
@@ -213,7 +213,7 @@ fn the_table_of_resources_is_current() {
         std::fs::write(path, table).expect("docs/shader-resources.md");
         return;
     }
-    assert_eq!(table, TABLE, "`cargo xtask bless resources` writes docs/shader-resources.md");
+    assert_eq!(table, TABLE, "`cargo xtask bless resources --write` writes docs/shader-resources.md");
 }
 
 #[test]

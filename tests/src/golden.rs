@@ -126,7 +126,7 @@ pub fn check_within(name: &str, picture: &Image, tolerance: Difference) -> Resul
     write(&rendered, picture)?;
     Err(format!(
         "{name} differs from its golden picture: {difference:?} against {expected} ({driver}); see {}; if it \
-        should differ, run `cargo xtask bless pictures`",
+        should differ, run `cargo xtask bless pictures --write`",
         rendered.display()
     ))
 }

@@ -31,12 +31,12 @@ const VERSIONS: [(&str, &str); 3] = [
 /// Contents of files by their path.
 type Contents = BTreeMap<String, String>;
 
-/// Reruns the comparing tests so that they write instead.
+/// Shows what the comparing tests find; with `writes`, reruns them so that they write instead.
 ///
 /// # Errors
-/// A test that fails although it was allowed to write, or a fixture that changed without a version;
-/// it is then as before.
-pub fn run(what: What) -> Result<()> {
+/// Without `writes`, something differs. Else a test that fails although it was allowed to write, or a
+/// fixture that changed without a version; it is then as before.
+pub fn run(what: What, writes: bool) -> Result<()> {
     let before = fixtures(&process::root().join(FIXTURES))?;
     let tests = || {
         let mut tests = process::cargo("nextest run --workspace --no-fail-fast -E");
@@ -47,6 +47,22 @@ pub fn run(what: What) -> Result<()> {
         });
         tests
     };
+    println!("bless: what differs now:");
+    let is_equal = process::run(tests()).is_ok();
+    if process::interrupted() {
+        bail!("bless: interrupted");
+    }
+    match (is_equal, writes) {
+        (true, false) => println!("bless: nothing differs"),
+        (false, false) => bail!(
+            "bless: the failures above show what differs, drawn pictures by their path; after looking at them \
+             write with --write"
+        ),
+        (_, true) => {}
+    }
+    if !writes {
+        return Ok(());
+    }
     let mut writing = tests();
     writing.env("TOMBOLO_BLESS", "1");
     process::run(writing).context("bless: a test fails although it may write; fix it first")?;

@@ -72,11 +72,14 @@ enum Command {
     },
     /// Check the source text: columns, retired words, names in documents, import circles
     Source,
-    /// Rewrite frozen fixtures or golden pictures from what the code does now
+    /// Show what differs from frozen fixtures, golden pictures or tables, and rewrite them
     Bless {
         /// Which of them; a fixture that exists changes only with a version
         #[arg(value_enum)]
         what: bless::What,
+        /// Write; without it only what would change is shown
+        #[arg(long)]
+        write: bool,
     },
 }
 
@@ -95,7 +98,7 @@ fn main() -> ExitCode {
         Command::GpuBundle => gpu_bundle::build(),
         Command::GpuRecord { folder } => gpu_bundle::record(&folder),
         Command::Source => source::run(),
-        Command::Bless { what } => bless::run(what),
+        Command::Bless { what, write } => bless::run(what, write),
     });
     let Err(error) = result else { return ExitCode::SUCCESS };
     if process::interrupted() {

@@ -20,6 +20,9 @@ pub(super) struct Baseline {
     pub(super) decode: fn(&[u8]) -> Vec<u16>,
 }
 
+/// Name of the nearest rival: our predictor, compressed as it is.
+pub(super) const PLANE_ZSTD: &str = "plane, byte planes, one zstd 1 frame";
+
 /// Name of 16-bit PNG.
 pub(super) const PNG16: &str = "PNG, 16 bits, adaptive filters";
 
@@ -30,11 +33,7 @@ pub(super) const SCAN_DELTA: &str = "scan deltas, zigzag, gzip 6 (quantized-mesh
 pub(super) fn all() -> Vec<Baseline> {
     vec![
         Baseline { codec: "u16 as it is", encode: words, decode: from_words },
-        Baseline {
-            codec: "plane, byte planes, one zstd 1 frame",
-            encode: plane_zstd,
-            decode: from_plane_zstd,
-        },
+        Baseline { codec: PLANE_ZSTD, encode: plane_zstd, decode: from_plane_zstd },
         Baseline { codec: PNG16, encode: png, decode: from_png },
         Baseline { codec: SCAN_DELTA, encode: scan_delta, decode: from_scan_delta },
         Baseline { codec: "WebP lossless, terrain-RGB", encode: webp, decode: from_webp },

@@ -1,21 +1,22 @@
 //! The record of a bundle: what the programs reported on the other machine, beside the bars.
 
-use crate::machine::Machine;
+use crate::machine::{self, Commit, Machine};
 use crate::measure;
+use crate::measure::record::{self, Heading, Origin};
 use anyhow::{Context, Result};
 use bars::Bar;
-use bars::figures::{each, fill, text};
-use serde_json::Value;
-use std::fmt::Write;
+use bars::figures::{at, each, fill, list, text};
+use serde_json::{Value, json};
 use std::path::Path;
 
-/// Reports whose rows stand in the record: name, and what they are about.
-const REPORTS: [(&str, &str); 4] = [
-    ("lod", "Levels of detail"),
-    ("pom", "Parallax occlusion mapping"),
-    ("visual", "Pictures"),
-    ("culling", "Culling of vegetation"),
-];
+/// Name of the record.
+const NAME: &str = "gpu";
+
+/// Name of the file with the facts of the machine.
+const MACHINE: &str = "machine";
+
+/// Reports of the lab whose rows stand in the record.
+const REPORTS: [&str; 4] = ["lod", "pom", "visual", "culling"];
 
 /// Reports of the viewer, by the names of their files.
 const VIEWS: [(&str, &str); 4] = [
@@ -38,70 +39,95 @@ impl Reports<'_> {
     }
 }
 
-/// Writes `record.md` into a folder that `run.sh` filled.
+/// Writes `gpu.md` and `runs.csv` into a folder that `run.sh` filled, in the format of every record.
+///
+/// The first call notes the machine in `machine.json`; a later one, on another machine, reads it.
 ///
 /// # Errors
-/// The folder cannot be written, or a bar was missed.
+/// The folder cannot be read or written, or a bar was missed.
 pub fn write(folder: &Path) -> Result<()> {
     let reports = Reports(folder);
-    let commit = std::env::current_exe()
-        .ok()
-        .and_then(|program| std::fs::read_to_string(program.parent()?.parent()?.join("commit")).ok())
-        .unwrap_or_else(|| "unknown".into());
-    let tables = tables(&reports);
-    let path = folder.join("record.md");
-    let page = page(&reports, &tables, commit.trim(), &Machine::here());
-    std::fs::write(&path, page).with_context(|| format!("cannot write {}", path.display()))?;
-    let rows: Vec<_> = tables.into_iter().flat_map(|(_, rows)| rows).collect();
+    let origin = origin(&reports).context("gpu-record")?;
+    let rows = rows(&reports);
+    let timings = reports.json("timings");
+    let heading = Heading { name: NAME, adapter: text(&timings, "gpu/adapter"), notes: &notes(&reports) };
+    // A second call replaces the run that the first one noted.
+    let _ = std::fs::remove_file(folder.join("runs.csv"));
+    let path = record::write_foreign(folder, &heading, &rows, &origin).context("gpu-record")?;
     measure::judge(&rows, &path)
 }
 
-/// The rows of every report, under a title.
-fn tables(reports: &Reports<'_>) -> Vec<(&'static str, Vec<Bar>)> {
-    let mut land = vec![measure::heightfield::twins(&reports.json("digest"))];
-    land.extend(measure::heightfield::rates(&reports.json("timings")));
-    let others = REPORTS.map(|(name, title)| (title, measure::rows_of(name, &reports.json(name))));
-    std::iter::once(("Heights", land)).chain(others).collect()
+/// The machine and the commit of the programs.
+fn origin(reports: &Reports<'_>) -> Result<Origin> {
+    if reports.json(MACHINE).is_null() {
+        let machine = Machine::here();
+        let commit = std::env::current_exe()
+            .ok()
+            .and_then(|program| std::fs::read_to_string(program.parent()?.parent()?.join("commit")).ok());
+        let facts = json!({
+            "cpu": machine.cpu,
+            "cores": machine.cores,
+            "memory_mib": machine.memory_mib,
+            "os": machine.os,
+            "date": machine::today()?,
+            "commit": commit.as_deref().map_or("unknown", str::trim),
+        });
+        std::fs::write(reports.0.join(format!("{MACHINE}.json")), facts.to_string())?;
+    }
+    let facts = reports.json(MACHINE);
+    let fact = |name| text(&facts, name).unwrap_or("unknown").to_owned();
+    let commit = fact("commit");
+    let hash = commit.split_whitespace().next().unwrap_or_default();
+    Ok(Origin {
+        machine: Machine {
+            cpu: fact("cpu"),
+            cores: at(&facts, "cores").map_or(0, |cores| cores as usize),
+            memory_mib: at(&facts, "memory_mib").map(|mib| mib as u64),
+            os: fact("os"),
+        },
+        date: fact("date"),
+        commit: Commit { hash: hash.to_owned(), is_clean: hash == commit },
+        command: "cargo xtask gpu-bundle".into(),
+    })
 }
 
-fn page(reports: &Reports<'_>, tables: &[(&str, Vec<Bar>)], commit: &str, machine: &Machine) -> String {
-    let timings = reports.json("timings");
-    let gpu = text(&timings, "gpu/adapter").unwrap_or("unknown");
-    let mut page = format!(
-        "# GPU bundle\n\nCommit {commit}; {}, {} cores; {}; GPU: {gpu}.\n\n{}\n\n\
-         | step | exit code | seconds |\n| --- | --- | --- |\n",
-        machine.cpu,
-        machine.cores,
-        machine.os,
-        reports.text("samples.txt"),
-    );
-    // Writing to a string cannot fail.
-    for line in reports.text("steps.tsv").lines() {
-        let _ = writeln!(page, "| {} |", line.replace('\t', " | "));
-    }
-    page.push_str("\n## Digest matrix\n\n");
-    for backend in each(&reports.json("digest"), "backends", "{name}: {state} ({detail})") {
-        let _ = writeln!(page, "- {}", backend.replace('\n', " "));
-    }
-    for (title, rows) in tables {
-        let _ = write!(page, "\n## {title}\n\n{}", bars::markdown(rows));
-    }
-    page.push_str(
-        "\n## Viewer\n\nFrames of 1920 x 1080, each awaited before the next one; ms.\n\n\
-         | what | p50 | p99 | frames | triangles | plants drawn |\n\
-         | --- | ---: | ---: | ---: | ---: | ---: |\n",
-    );
+/// The rows of every report.
+fn rows(reports: &Reports<'_>) -> Vec<Bar> {
+    let mut rows = vec![measure::heightfield::twins(&reports.json("digest"))];
+    rows.extend(measure::heightfield::rates(&reports.json("timings")));
     for (name, what) in VIEWS {
-        let row = "{frame_ms_p50:.2} | {frame_ms_p99:.2} | {frames} | {triangles} | {plants_drawn}";
-        let _ = writeln!(page, "| {what} | {} |", fill(row, &reports.json(name)));
+        let view = reports.json(name);
+        for (quantile, key) in [("p50", "frame_ms_p50"), ("p99", "frame_ms_p99")] {
+            let row = format!("{what}, 1920 x 1080: time of a frame, {quantile}");
+            rows.push(Bar::reported(row, at(&view, key), "ms"));
+        }
     }
-    page
+    rows.extend(REPORTS.iter().flat_map(|name| measure::rows_of(name, &reports.json(name))));
+    rows
+}
+
+/// How the figures came about.
+fn notes(reports: &Reports<'_>) -> Vec<String> {
+    let mut notes = vec![reports.text("samples.txt")];
+    for line in reports.text("steps.tsv").lines() {
+        if let [name, code, seconds] = line.split('\t').collect::<Vec<_>>()[..] {
+            notes.push(format!("Step {name}: exit code {code} after {seconds} s."));
+        }
+    }
+    notes.extend(each(&reports.json("digest"), "backends", "Digest on {name}: {state} ({detail})."));
+    let frames = "{frames} frames, each awaited before the next one; {triangles} triangles, {plants_drawn} \
+                  plants.";
+    notes.extend(VIEWS.map(|(name, what)| format!("Of the {what}: {}", fill(frames, &reports.json(name)))));
+    for name in REPORTS {
+        let report = reports.json(name);
+        notes.extend(list(&report, "notes").iter().filter_map(Value::as_str).map(str::to_owned));
+    }
+    notes
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
 
     fn in_folder(name: &str, files: &[(&str, &str)]) -> (String, String) {
         let folder = std::env::temp_dir().join(format!("tombolo-gpu-record-{name}-{}", std::process::id()));
@@ -110,7 +136,7 @@ mod tests {
             std::fs::write(folder.join(file), text).unwrap();
         }
         let error = write(&folder).unwrap_err().to_string();
-        let page = std::fs::read_to_string(folder.join("record.md")).unwrap();
+        let page = std::fs::read_to_string(folder.join("gpu.md")).unwrap();
         std::fs::remove_dir_all(&folder).unwrap();
         (error, page)
     }
@@ -119,8 +145,16 @@ mod tests {
     fn a_folder_without_reports_misses_every_bar_and_says_so() {
         let (error, page) = in_folder("empty", &[("steps.tsv", "digest\t1\t3\n")]);
         assert!(error.contains("missed"), "{error}");
-        assert!(page.contains("| digest | 1 | 3 |") && page.contains("MISSED"), "{page}");
-        assert!(!page.contains("| ok |"), "{page}");
+        assert!(page.contains("Step digest: exit code 1 after 3 s.") && page.contains("MISSED"), "{page}");
+    }
+
+    #[test]
+    fn the_machine_that_ran_the_script_stands_in_the_record() {
+        let machine = json!({ "cpu": "X", "cores": 16, "os": "Y", "date": "2026-01-02", "commit": "abc" });
+        let (_, page) = in_folder("machine", &[("machine.json", &machine.to_string())]);
+        for line in ["| CPU | X, 16 cores |", "| Date | 2026-01-02 |", "| Commit | abc |"] {
+            assert!(page.contains(line), "{line}: {page}");
+        }
     }
 
     #[test]
@@ -130,7 +164,9 @@ mod tests {
         let backend = json!({ "name": "naga -> x", "state": "equal", "detail": "a driver" });
         let digest = json!({ "backends": [backend], "control": { "differs": true } }).to_string();
         let (_, page) = in_folder("rows", &[("culling.json", &culling), ("digest.json", &digest)]);
-        for line in ["| on the GPU | 1 |", "| the same (control) | 1 |", "- naga -> x: equal (a driver)"] {
+        for line in
+            ["| on the GPU | 1 |", "| the same (control) | 1 |", "- Digest on naga -> x: equal (a driver)."]
+        {
             assert!(page.contains(line), "{line}: {page}");
         }
     }

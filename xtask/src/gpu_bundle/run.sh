@@ -1,18 +1,18 @@
 #!/bin/sh
 # Runs the checks that need a GPU and writes the folder `record` beside this script: the JSON and
-# the log of each program, and record.md with every figure beside its bar.
+# the log of each program, and gpu.md with every figure beside its bar.
 #
 # Needs x86-64 Linux with glibc 2.34 or newer, a Vulkan loader (libvulkan.so.1) and a driver, and no
 # network. QUICK=1 takes smaller samples, for software drivers: rows that need the full samples then
-# have no figure and miss. All steps end within TIME_LIMIT seconds (default 600), each within
-# STEP_LIMIT (default 300). Most of the work of the last one is the CPU's: eight cores or more.
+# have no figure and miss. All steps end within TIME_LIMIT seconds (default 1200), each within
+# STEP_LIMIT (default 600). Most of the work of the last two is the CPU's: eight cores or more.
 set -u
 here=$(cd "$(dirname "$0")" && pwd)
 out=${1:-$here/record}
-step_limit=${STEP_LIMIT:-300}
-end=$(( $(date +%s) + ${TIME_LIMIT:-600} ))
+step_limit=${STEP_LIMIT:-600}
+end=$(( $(date +%s) + ${TIME_LIMIT:-1200} ))
 mkdir -p "$out" || exit 1
-rm -f "$out"/*.json "$out"/*.log "$out"/*.png "$out"/steps.tsv "$out"/record.md
+rm -f "$out"/*.json "$out"/*.log "$out"/*.png "$out"/steps.tsv "$out"/gpu.md
 export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-/tmp}
 
 if [ "${QUICK:-0}" = 1 ]; then

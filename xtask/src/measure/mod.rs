@@ -9,7 +9,7 @@ mod fuzz;
 pub mod heightfield;
 mod land;
 mod mutants;
-mod record;
+pub mod record;
 mod resilience;
 mod run;
 mod runs;
@@ -96,7 +96,16 @@ pub fn run(name: &str) -> Result<()> {
         process::run(process::build(measurement.programs)).context("measure: the build failed")?;
     }
     let mut run = Run::new(name).context("measure")?;
-    let rows = (measurement.rows)(&mut run).context("measure")?;
+    let rows = match (measurement.rows)(&mut run) {
+        Ok(rows) => rows,
+        Err(error) => {
+            // A run that a person ended says nothing of what it measures.
+            if !process::interrupted() {
+                record::write_failed(name).context("measure")?;
+            }
+            return Err(error.context("measure"));
+        }
+    };
     run.notes.append(&mut run.faults);
     let heading = Heading { name, adapter: run.adapter.as_deref(), notes: &run.notes };
     let path = record::write(&heading, &rows).context("measure")?;

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use bars::{Bar, Figure};
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What a record holds apart from the rows.
 #[derive(Clone, Debug)]
@@ -52,11 +52,60 @@ pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
         Runs::default()
     };
     let path = folder.join(heading.name).with_extension("md");
-    let text = page(heading, rows, &runs, &machine, &date, &commit);
+    let command = format!("cargo xtask measure {}", heading.name);
+    let text = page(heading, rows, &runs, &Origin { machine, date, commit: commit.clone(), command });
     std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
     if commit.is_clean {
         crate::records::write_page()?;
     }
+    Ok(path)
+}
+
+/// Appends a run that ended without figures to the `runs.csv` of the day. Nothing is written for a
+/// changed working tree.
+///
+/// # Errors
+/// A file cannot be written.
+pub fn write_failed(name: &str) -> Result<()> {
+    let commit = machine::commit();
+    if !commit.is_clean {
+        return Ok(());
+    }
+    let day = format!("{}-{}", machine::today()?, machine::Machine::here().slug());
+    let folder = process::root().join(FOLDER).join(day);
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    let path = folder.join(runs::FILE);
+    runs::append_failed(&path, name, &commit.hash)
+        .with_context(|| format!("cannot append to {}", path.display()))
+}
+
+/// Where, when and of what the figures are.
+#[derive(Clone, Debug)]
+pub struct Origin {
+    /// The machine that measured.
+    pub machine: machine::Machine,
+    /// `YYYY-MM-DD`.
+    pub date: String,
+    /// The commit of the programs.
+    pub commit: machine::Commit,
+    /// What a reader runs to repeat it.
+    pub command: String,
+}
+
+/// Appends a run that another machine took to `runs.csv` in a folder, writes the record of that run
+/// beside it, and returns its path.
+///
+/// # Errors
+/// A file cannot be written.
+pub fn write_foreign(folder: &Path, heading: &Heading<'_>, rows: &[Bar], origin: &Origin) -> Result<PathBuf> {
+    let rows = &distinct(rows);
+    let csv = folder.join(runs::FILE);
+    runs::append(&csv, heading.name, &origin.commit.hash, rows)
+        .with_context(|| format!("cannot append to {}", csv.display()))?;
+    let path = folder.join(heading.name).with_extension("md");
+    // One run has neither a range nor a median.
+    std::fs::write(&path, page(heading, rows, &Runs::default(), origin))
+        .with_context(|| format!("cannot write {}", path.display()))?;
     Ok(path)
 }
 
@@ -76,29 +125,24 @@ fn distinct(rows: &[Bar]) -> Vec<Bar> {
     numbered
 }
 
-fn page(
-    heading: &Heading<'_>,
-    rows: &[Bar],
-    runs: &Runs,
-    machine: &machine::Machine,
-    date: &str,
-    commit: &machine::Commit,
-) -> String {
+fn page(heading: &Heading<'_>, rows: &[Bar], runs: &Runs, origin: &Origin) -> String {
+    let Origin { machine, date, commit, command } = origin;
     let memory = machine.memory_mib.map_or("unknown".into(), |mib| format!("{mib} MiB"));
     let draft = if commit.is_clean { "" } else { " with uncommitted changes: a draft" };
     let facts = [
-        ("Date", date.into()),
+        ("Date", date.clone()),
         ("Commit", format!("{}{draft}", commit.hash)),
         ("CPU", format!("{}, {} cores", machine.cpu, machine.cores)),
         ("Memory", memory),
         ("System", machine.os.clone()),
         ("GPU", heading.adapter.unwrap_or("none").into()),
-        ("Command", format!("`cargo xtask measure {}`", heading.name)),
-        ("Runs of this commit", runs.count().to_string()),
+        ("Command", format!("`{command}`")),
+        ("Runs of this commit", runs.count().max(1).to_string()),
     ];
+    let failed = (runs.failed() > 0).then(|| ("Runs without figures", runs.failed().to_string()));
     let mut page = format!("# {}\n\n| | |\n| --- | --- |\n", heading.name);
     // Writing to a string cannot fail.
-    for (name, value) in facts {
+    for (name, value) in facts.into_iter().chain(failed) {
         let _ = writeln!(page, "| {name} | {} |", cell(&value));
     }
     page.push_str("\n| what | median | bar | | range | kept |\n| --- | ---: | --- | --- | --- | --- |\n");
@@ -154,6 +198,8 @@ mod tests {
     fn the_figure_is_the_median_of_all_runs_and_missing_if_one_run_has_none() {
         let machine = machine::Machine { cpu: "CPU".into(), cores: 2, memory_mib: None, os: "OS".into() };
         let commit = machine::Commit { hash: "abc".into(), is_clean: true };
+        let origin =
+            Origin { machine, date: "2026-01-02".into(), commit, command: "cargo xtask measure x".into() };
         let heading = Heading { name: "x", adapter: None, notes: &[] };
         let rows = [
             Bar::new("time", Some(1.0), "s", Limit::Under(3.0)),
@@ -166,12 +212,15 @@ mod tests {
         let all =
             |figure: Option<f64>| vec![Bar { figure: figure.into(), ..rows[0].clone() }, rows[1].clone()];
         let failed = vec![rows[1].clone()];
+        runs::append_failed(&days.join("2026-01-02-cpu").join(runs::FILE), "x", "abc").unwrap();
         for run in [all(Some(1.0)), all(Some(2.5)), all(Some(9.0)), all(None), failed] {
             runs::append(&days.join("2026-01-02-cpu").join(runs::FILE), "x", "abc", &run).unwrap();
             let runs = Runs::of_machine(&days, "cpu", "x", "abc").unwrap();
-            pages.push(page(&heading, &rows, &runs, &machine, "2026-01-02", &commit));
+            pages.push(page(&heading, &rows, &runs, &origin));
         }
         std::fs::remove_dir_all(&days).unwrap();
+        assert!(pages[2].contains("| Runs of this commit | 3 |"), "{}", pages[2]);
+        assert!(pages[2].contains("| Runs without figures | 1 |"), "{}", pages[2]);
         assert!(
             pages[2].contains("| time | 2.500 s | under 3 s | ok | 1.000 to 9.000 | 2 of 3 |"),
             "{}",
@@ -213,7 +262,13 @@ mod tests {
         let notes = ["worst of three".into()];
         let heading = Heading { name: "end-to-end", adapter: Some("soft"), notes: &notes };
         let commit = machine::Commit { hash: "abc".into(), is_clean: true };
-        let page = page(&heading, &rows, &Runs::default(), &machine, "2026-01-02", &commit);
+        let origin = Origin {
+            machine,
+            date: "2026-01-02".into(),
+            commit,
+            command: "cargo xtask measure end-to-end".into(),
+        };
+        let page = page(&heading, &rows, &Runs::default(), &origin);
         assert!(!page.contains("draft"));
         for part in [
             "Some / CPU, 2 cores",

@@ -13,6 +13,9 @@ const DATE: usize = "2026-01-02-".len();
 /// Columns of the file.
 const HEADER: &str = "name,commit,what,figure,unit,bar,met";
 
+/// What stands in place of a row in the line of a run that ended without figures.
+const FAILED: &str = "the run failed";
+
 /// The runs of one measurement at one commit.
 #[derive(Clone, Debug, Default)]
 pub struct Runs {
@@ -58,6 +61,14 @@ pub fn append(path: &Path, name: &str, commit: &str, rows: &[Bar]) -> std::io::R
     Ok(())
 }
 
+/// Appends a run that ended without figures.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn append_failed(path: &Path, name: &str, commit: &str) -> std::io::Result<()> {
+    append(path, name, commit, &[Bar::none(FAILED, None)])
+}
+
 impl Runs {
     /// The runs of a measurement and commit on every day of a machine, in the order of the days.
     ///
@@ -88,10 +99,16 @@ impl Runs {
         Self { rows: rows.collect() }
     }
 
-    /// Number of runs: those of the row that was recorded most often.
+    /// Number of runs with figures: those of the row that was recorded most often.
     pub fn count(&self) -> usize {
-        let times = |row: &Stored| self.rows.iter().filter(|other| other.what == row.what).count();
-        self.rows.iter().map(times).max().unwrap_or(0).max(1)
+        let rows = || self.rows.iter().filter(|row| row.what != FAILED);
+        let times = |row: &Stored| rows().filter(|other| other.what == row.what).count();
+        rows().map(times).max().unwrap_or(0).max(1)
+    }
+
+    /// Number of runs without figures.
+    pub fn failed(&self) -> usize {
+        self.rows.iter().filter(|row| row.what == FAILED).count()
     }
 
     /// The figures of one row.

@@ -9,7 +9,7 @@ pub struct Link<'a> {
     pub path: &'a str,
     /// Of the link, without its quotation marks; none without one.
     pub title: Option<&'a str>,
-    /// Byte of the line behind the link.
+    /// Byte behind the link in the text that it was found in.
     pub end: usize,
 }
 
@@ -24,6 +24,16 @@ pub fn first(line: &str) -> Option<Link<'_>> {
         None => (None, rest.split_once(')')?.1),
     };
     Some(Link { path, title, end: line.len() - rest.len() })
+}
+
+/// Every link of a line to a record.
+pub fn all(line: &str) -> impl Iterator<Item = Link<'_>> {
+    let mut rest = line;
+    std::iter::from_fn(move || {
+        let link = first(rest)?;
+        rest = &rest[link.end..];
+        Some(link)
+    })
 }
 
 #[cfg(test)]
@@ -41,6 +51,13 @@ mod tests {
         }
         let line = format!("[x]({PATH}) (y)");
         assert_eq!(first(&line), Some(Link { path: PATH, title: None, end: line.len() - 4 }));
+    }
+
+    #[test]
+    fn a_line_has_every_link_of_it() {
+        let line = format!("[x]({PATH} \"a\") and [y]({PATH}) and [z](docs/measurements/README.md)");
+        let titles: Vec<_> = all(&line).map(|link| link.title).collect();
+        assert_eq!(titles, [Some("a"), None]);
     }
 
     #[test]

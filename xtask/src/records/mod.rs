@@ -1,9 +1,9 @@
 //! `records`: the committed records of measurements, which of them are out of date, and the page
 //! that is made from them.
 
-mod caveats;
 pub mod link;
 pub mod page;
+pub mod quotes;
 pub mod record;
 mod stale;
 
@@ -22,8 +22,8 @@ pub struct Options {
     /// run
     #[arg(long)]
     pub check: bool,
-    /// Write docs/measurements/README.md from the records, and beside the figures of the README which
-    /// records are out of date or of one run
+    /// Write docs/measurements/README.md from the records; withdraw the figures of the README whose
+    /// record is out of date, of a changed working tree or of one run, and state those of new records
     #[arg(long)]
     pub write: bool,
 }
@@ -44,15 +44,6 @@ impl Judged {
     fn is_fit_to_quote(&self) -> bool {
         self.stale.is_none() && !self.record.is_dirty() && self.record.runs() >= LEAST_RUNS
     }
-
-    /// What readers of a quoted figure must know; none if nothing.
-    fn caveat(&self) -> Option<String> {
-        let is_single = self.record.runs() < LEAST_RUNS;
-        let older = self.stale.as_ref().map(|_| caveats::OLDER_CODE);
-        let parts = [older, is_single.then_some(caveats::ONE_RUN)];
-        let parts: Vec<_> = parts.into_iter().flatten().collect();
-        (!parts.is_empty()).then(|| parts.join(caveats::SEPARATOR))
-    }
 }
 
 /// Lists the records; writes the page; judges what the README quotes.
@@ -62,7 +53,7 @@ impl Judged {
 pub fn run(options: &Options) -> Result<()> {
     if options.write {
         write_page()?;
-        write_caveats()?;
+        correct_quotes()?;
     }
     show()?;
     let unfit = unfit_quotes()?;
@@ -90,12 +81,20 @@ pub fn unfit_quotes() -> Result<usize> {
     Ok(judged()?.iter().filter(|judged| judged.is_quoted && !judged.is_fit_to_quote()).count())
 }
 
-/// Shows the records. The README may quote one that is out of date or of one run only if it says so
-/// in the same row: a measurement takes up to an hour on a quiet machine, which not every change has.
+/// How many figures of the README are withdrawn until they are measured again.
 ///
 /// # Errors
-/// Rows of the README do not say it, the history lacks the commits of the records, or files cannot be
-/// read.
+/// Files cannot be read.
+pub fn withdrawn() -> Result<usize> {
+    Ok(readme(&files()?)?.lines().filter(|line| quotes::is_withdrawn(line)).count())
+}
+
+/// Shows the records. The README may quote none that is out of date, of a changed working tree or of
+/// one run: a change of measured code withdraws its figures until they are measured again.
+///
+/// # Errors
+/// A figure of the README is to be withdrawn or stated, the history lacks the commits of the records,
+/// or files cannot be read.
 pub fn judge() -> Result<()> {
     if let Some(why) = lacks_history() {
         bail!("records: {why}");
@@ -103,20 +102,17 @@ pub fn judge() -> Result<()> {
     show()?;
     let unfit = unfit_quotes()?;
     println!("records that the README quotes and that are out of date, changed, or of one run: {unfit}");
-    let wrong = wrong_caveats()?;
-    if wrong > 0 {
+    println!("figures of the README that are withdrawn until they are measured again: {}", withdrawn()?);
+    let files = files()?;
+    let judged = judged()?;
+    let wrong = quotes::wrong_rows(readme(&files)?, &fit(&judged));
+    if wrong > 0 || unfit > 0 {
         bail!(
-            "{wrong} rows of the README do not say whether their record is out of date or of one run; run: \
-             cargo xtask records --write"
+            "{unfit} records that the README quotes are out of date, changed or of one run, and {wrong} rows \
+             of it are to be withdrawn or stated; measure again, or run: cargo xtask records --write"
         );
     }
     Ok(())
-}
-
-/// How many rows of the README do not say rightly whether their record is out of date or of one run.
-fn wrong_caveats() -> Result<usize> {
-    let files = files()?;
-    Ok(caveats::wrong_rows(readme(&files)?, &caveats()?))
 }
 
 /// The newest records of a measurement, one for each machine.
@@ -146,16 +142,17 @@ pub fn write_page() -> Result<()> {
     Ok(())
 }
 
-/// Writes the caveats of the quoted records into the README.
-fn write_caveats() -> Result<()> {
+/// Withdraws and states figures of the README.
+fn correct_quotes() -> Result<()> {
     let path = process::root().join("README.md");
     let readme = std::fs::read_to_string(&path).context("cannot read README.md")?;
-    std::fs::write(&path, caveats::annotated(&readme, &caveats()?)).context("cannot write README.md")
+    let judged = judged()?;
+    std::fs::write(&path, quotes::corrected(&readme, &fit(&judged))).context("cannot write README.md")
 }
 
-fn caveats() -> Result<caveats::Caveats> {
-    let caveat = |judged: Judged| Some((judged.record.path.clone(), judged.caveat()?));
-    Ok(judged()?.into_iter().filter_map(caveat).collect())
+/// The records that the README may quote.
+fn fit(judged: &[Judged]) -> Vec<&Record> {
+    judged.iter().filter(|judged| judged.is_fit_to_quote()).map(|judged| &judged.record).collect()
 }
 
 /// Records, notes and README as they are in the working tree, new files included.
@@ -183,7 +180,7 @@ fn readme(files: &BTreeMap<String, String>) -> Result<&str> {
 
 fn judged() -> Result<Vec<Judged>> {
     let files = files()?;
-    let quoted = quoted(readme(&files)?);
+    let quoted = quotes::quoted(readme(&files)?);
     Ok(record::all(&files)
         .into_iter()
         .map(|record| Judged {
@@ -192,12 +189,6 @@ fn judged() -> Result<Vec<Judged>> {
             record,
         })
         .collect())
-}
-
-/// Paths of the records that links of a text lead to.
-fn quoted(text: &str) -> Vec<&str> {
-    let targets = text.split("](").skip(1).filter_map(|rest| rest.split([')', ' ']).next());
-    targets.filter(|target| target.starts_with(&format!("{}2", record::FOLDER))).collect()
 }
 
 fn table(all: &[Judged]) -> String {
@@ -244,15 +235,6 @@ mod tests {
             let judged = judged(runs, commit, stale);
             assert!(!judged.is_fit_to_quote(), "{judged:?}");
         }
-        assert_eq!(judged("3", "abc", None).caveat(), None);
-        assert_eq!(judged("1", "abc", Some("old")).caveat().as_deref(), Some("older code, one run"));
-    }
-
-    #[test]
-    fn links_to_records_are_quotes_and_other_links_are_not() {
-        let text =
-            "| a | 1 | [x](docs/measurements/2026-x/a.md \"row\") |\n[all](docs/measurements/README.md)";
-        assert_eq!(quoted(text), ["docs/measurements/2026-x/a.md"]);
     }
 
     #[test]

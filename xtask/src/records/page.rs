@@ -72,7 +72,8 @@ fn section(
         None => (name, notes.trim()),
     };
     // Writing to a string cannot fail.
-    let _ = writeln!(page, "\n## {title}\n\nCommand: `cargo xtask measure {name}`.");
+    let command = if name == "gpu" { "gpu-bundle".into() } else { format!("measure {name}") };
+    let _ = writeln!(page, "\n## {title}\n\nCommand: `cargo xtask {command}`.");
     if records.is_empty() {
         page.push_str("\nNo record is committed yet.\n");
     }

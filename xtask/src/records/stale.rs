@@ -15,7 +15,7 @@ const COMMON: [&str; 2] = ["bars", "xtask/src/measure/runs.rs"];
 
 /// What each measurement measures beside [`COMMON`]: paths from the root. Tests and documents in
 /// them do not count.
-const MEASURED: [(&str, &[&str]); 14] = [
+const MEASURED: [(&str, &[&str]); 15] = [
     ("code", &["*.rs", "*.wesl", "*.md"]),
     (
         "heightfield",
@@ -213,6 +213,23 @@ const MEASURED: [(&str, &[&str]); 14] = [
             "lab/src/headless_renderer.rs",
             "lab/src/lod/drawn.rs",
             "lab/src/stats.rs",
+        ],
+    ),
+    (
+        "gpu",
+        &[
+            "terrain",
+            "shaders",
+            "client",
+            "lab/src/culling",
+            "lab/src/digest",
+            "lab/src/gpu_probes",
+            "lab/src/headless_renderer.rs",
+            "lab/src/lod",
+            "lab/src/pom",
+            "lab/src/timings.rs",
+            "lab/src/visual",
+            "xtask/src/gpu_bundle/run.sh",
         ],
     ),
     // The page that generated figures stand on measures nothing itself.

@@ -5,6 +5,7 @@
 
 use super::{Files, Finding};
 use crate::records::link::{self, Link};
+use crate::records::quotes::WITHDRAWN;
 
 /// Figures that the record does not state, rows that it does not have, and records of changed
 /// working trees.
@@ -24,6 +25,9 @@ fn fault(files: &Files, line: &str) -> Option<String> {
     let [_, quoted, source] = cells.as_slice() else {
         return Some("a quoted figure needs the cells: what, figure, record".into());
     };
+    if *quoted == WITHDRAWN {
+        return None;
+    }
     let Some(Link { path, title: Some(title), .. }) = link::first(source) else {
         return Some("the link to the record needs the title of the record's row".into());
     };
