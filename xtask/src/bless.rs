@@ -55,8 +55,8 @@ pub fn run(what: What, writes: bool) -> Result<()> {
     match (is_equal, writes) {
         (true, false) => println!("bless: nothing differs"),
         (false, false) => bail!(
-            "bless: the failures above show what differs, drawn pictures by their path; after looking at them \
-             write with --write"
+            "bless: the failures above show what differs, drawn pictures by their path; after looking at \
+             them write with --write"
         ),
         (_, true) => {}
     }
