@@ -12,6 +12,8 @@
 //! | [`websocket`] | a WebSocket connection |
 //! | [`http`] | an HTTP connection |
 //! | [`configuration`] | a configuration file |
+//! | [`proxy`] | the PROXY header of a connection, forwarded addresses and traces of a request |
+//! | [`tokens`] | a file of access tokens |
 //! | [`pack`], [`address`] | a pack of the store, the store's URL |
 //! | [`uniforms`] | the numbers of a view and its settings |
 
@@ -24,7 +26,9 @@ pub mod configuration;
 pub mod control;
 pub mod http;
 pub mod pack;
+pub mod proxy;
 pub mod server_session;
+pub mod tokens;
 pub mod uniforms;
 pub mod websocket;
 mod world;
@@ -43,7 +47,7 @@ pub struct EntryPoint {
 }
 
 /// All entry points.
-pub const ALL: [EntryPoint; 10] = [
+pub const ALL: [EntryPoint; 12] = [
     EntryPoint { name: "control", run: control::run, seeds: control::seeds, cost: 1 },
     EntryPoint { name: "chunk", run: chunk::run, seeds: chunk::seeds, cost: 10 },
     EntryPoint { name: "client_session", run: client_session::run, seeds: client_session::seeds, cost: 20 },
@@ -51,6 +55,8 @@ pub const ALL: [EntryPoint; 10] = [
     EntryPoint { name: "websocket", run: websocket::run, seeds: websocket::seeds, cost: 1 },
     EntryPoint { name: "http", run: http::run, seeds: http::seeds, cost: 10 },
     EntryPoint { name: "configuration", run: configuration::run, seeds: configuration::seeds, cost: 5 },
+    EntryPoint { name: "proxy", run: proxy::run, seeds: proxy::seeds, cost: 1 },
+    EntryPoint { name: "tokens", run: tokens::run, seeds: tokens::seeds, cost: 5 },
     EntryPoint { name: "pack", run: pack::run, seeds: pack::seeds, cost: 5 },
     EntryPoint { name: "address", run: address::run, seeds: address::seeds, cost: 1 },
     EntryPoint { name: "uniforms", run: uniforms::run, seeds: uniforms::seeds, cost: 1 },

@@ -1,4 +1,7 @@
-//! A server with a hard limit of memory, far more clients than it can serve, and then few again.
+//! A server with a hard limit of memory, far more clients than it can serve, and then few again; and
+//! clients beyond its memory mark (`mark`).
+
+mod mark;
 
 use crate::Plan;
 use crate::cgroup::Cgroup;
@@ -59,6 +62,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let limited = under(plan, LIMIT, &[], &keys, length).await?;
     let small = under(plan, SMALL_LIMIT, &[], &keys, SMALL_LENGTH).await?;
     let control = under(plan, SMALL_LIMIT, &TOO_LARGE_CACHE, &keys, SMALL_LENGTH).await?;
+    let mark = mark::run(&plan.launch, &keys).await?;
     Ok(json!({
         "clients": CLIENTS,
         "seconds": length.as_secs(),
@@ -67,6 +71,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         "small_limit_mib": SMALL_LIMIT / 1_048_576,
         "small": small,
         "control": control,
+        "mark": mark,
     }))
 }
 
@@ -177,7 +182,7 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
     let was_long = at(figures, "seconds").is_some_and(|seconds| seconds >= 600.0);
     let of = |path| at(figures, path).filter(|_| was_long);
     let is_running = |run: &str| figures.pointer(run).and_then(Value::as_bool) == Some(true);
-    vec![
+    let mut rows = vec![
         Bar::none(
             "512 MiB and 200 clients, 10 min: processes killed",
             of("limited/killed").filter(|_| is_running("/limited/is_running")),
@@ -206,7 +211,9 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
             "",
             1.0,
         ),
-    ]
+    ];
+    rows.extend(mark::bars(figures.get("mark").unwrap_or(&Value::Null)));
+    rows
 }
 
 /// Further figures in sentences.
@@ -215,7 +222,9 @@ pub fn notes(figures: &Value) -> Vec<String> {
                 refused; polite p99 {limited/p99_before_ms:.1} ms before, \
                 {limited/p99_after_ms:.1} ms after; with 128 MiB {small/chunks:.0} chunks, \
                 {small/refused:.0} refused.";
-    vec![bars::figures::fill(line, figures)]
+    let mut notes = vec![bars::figures::fill(line, figures)];
+    notes.extend(mark::notes(figures.get("mark").unwrap_or(&Value::Null)));
+    notes
 }
 
 #[cfg(test)]
@@ -233,6 +242,7 @@ mod tests {
             },
             "small": { "is_running": true, "killed": 0, "peak_mib": 90.0 },
             "control": { "killed": 1 },
+            "mark": mark::tests::good(),
         });
         let bad = [
             ("/limited/killed", json!(1)),
@@ -245,6 +255,11 @@ mod tests {
             ("/control/killed", json!(0)),
         ];
         check(bars, &good, &bad);
-        check_without_peers(bars, &good, "/seconds", json!(599));
+        let of_the_long_load = |figures: &Value| {
+            let rows = bars(figures);
+            let own = rows.len() - mark::bars(&Value::Null).len();
+            rows.into_iter().take(own).collect::<Vec<_>>()
+        };
+        check_without_peers(of_the_long_load, &good, "/seconds", json!(599));
     }
 }

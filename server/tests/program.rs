@@ -1,8 +1,12 @@
 //! The program: options that end it at once, and files that it reads again.
 
+#[cfg(unix)]
+use rustls::pki_types::{CertificateDer, pem::PemObject};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
+#[cfg(unix)]
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Timeout of every wait.
@@ -184,6 +188,80 @@ fn tokens_are_read_again_on_sighup() {
     wait_until(&|| server.live("third") == 200);
     assert!(has_failed(0) && server.live("second") == 401);
     std::fs::remove_file(path).unwrap();
+}
+
+/// Whether a TLS handshake succeeds for a client that trusts one certificate alone.
+#[cfg(unix)]
+fn has_certificate(address: &str, pem: &str) -> bool {
+    get_over_tls(address, pem, "/livez").is_some_and(|reply| reply.starts_with("HTTP/1.1 200"))
+}
+
+/// The response to a GET of a client that trusts one certificate alone; none without a handshake.
+#[cfg(unix)]
+fn get_over_tls(address: &str, pem: &str, path: &str) -> Option<String> {
+    let mut roots = rustls::RootCertStore::empty();
+    roots.add(CertificateDer::from_pem_slice(pem.as_bytes()).unwrap()).unwrap();
+    let config =
+        rustls::ClientConfig::builder_with_provider(Arc::new(rustls::crypto::ring::default_provider()))
+            .with_safe_default_protocol_versions()
+            .unwrap()
+            .with_root_certificates(roots)
+            .with_no_client_auth();
+    let name = rustls::pki_types::ServerName::try_from("localhost").unwrap();
+    let mut session = rustls::ClientConnection::new(Arc::new(config), name).unwrap();
+    let mut socket = TcpStream::connect(address).unwrap();
+    socket.set_read_timeout(Some(TEST_TIMEOUT)).unwrap();
+    let mut stream = rustls::Stream::new(&mut session, &mut socket);
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").ok()?;
+    let mut reply = Vec::new();
+    // The end of the connection may come without that of TLS.
+    let _ = stream.read_to_end(&mut reply);
+    Some(String::from_utf8_lossy(&reply).into_owned())
+}
+
+#[cfg(unix)]
+#[test]
+fn a_certificate_is_read_again_on_sighup() {
+    let pairs = [
+        [include_str!("http/tls/first.crt"), include_str!("http/tls/first.key")],
+        [include_str!("http/tls/second.crt"), include_str!("http/tls/second.key")],
+    ];
+    let folder = std::env::temp_dir().join(format!("tombolo-program-tls-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let paths = ["crt", "key"].map(|name| folder.join(name).to_str().unwrap().to_owned());
+    let write = |pair: [&str; 2]| {
+        for (path, content) in paths.iter().zip(pair) {
+            std::fs::write(path, content).unwrap();
+        }
+    };
+    write(pairs[0]);
+    let server = Server::start(&["--listen", "127.0.0.1:0", "--tls-cert", &paths[0], "--tls-key", &paths[1]]);
+    let serves = |pair: [&str; 2]| has_certificate(&server.address, pair[0]);
+    let reload = || {
+        let killed = Command::new("kill").args(["-HUP", &server.child.id().to_string()]).status();
+        assert!(killed.unwrap().success());
+    };
+    assert!(serves(pairs[0]) && !serves(pairs[1]));
+    // A key of another certificate changes nothing.
+    write([pairs[1][0], pairs[0][1]]);
+    reload();
+    let wait_until = |is_so: &dyn Fn() -> bool| {
+        let started = Instant::now();
+        while !is_so() {
+            assert!(started.elapsed() < TEST_TIMEOUT);
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    let failed = |count: u8| format!("tombolo_reload_failed{{file=\"certificate\"}} {count}");
+    wait_until(&|| {
+        get_over_tls(&server.address, pairs[0][0], "/metrics").is_some_and(|text| text.contains(&failed(1)))
+    });
+    assert!(serves(pairs[0]) && !serves(pairs[1]));
+    write(pairs[1]);
+    reload();
+    wait_until(&|| serves(pairs[1]));
+    assert!(!serves(pairs[0]));
+    std::fs::remove_dir_all(folder).unwrap();
 }
 
 /// A pipe without a writer stands for a mount that hangs.

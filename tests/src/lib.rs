@@ -12,6 +12,7 @@
 //! | `ground_relief` | parallax on the streamed land |
 //! | `harness` | the harness itself, and this table |
 //! | `hostile` | peers that violate the protocol; other sessions are unaffected |
+//! | `hostile_sockets` | heads without end, floods of pings, slow readers, storms, resets |
 //! | `http` | probes, metrics, the description of the world, chunk downloads |
 //! | `light` | finite light in every pixel, for every sun, height and direction |
 //! | `networks` | bad networks: slow, sliced, cut, reset, silent |

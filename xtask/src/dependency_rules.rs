@@ -106,6 +106,18 @@ const RULES: [Rule; 9] = [
 /// # Errors
 /// The first crate that depends on a forbidden one, with the command that shows the way.
 pub fn check() -> Result<()> {
+    match violations()?.first() {
+        Some(violation) => bail!("{violation}"),
+        None => Ok(()),
+    }
+}
+
+/// For each rule that is broken, one forbidden package that the crate depends on, in a sentence.
+///
+/// # Errors
+/// Cargo does not give the dependencies of a crate.
+pub fn violations() -> Result<Vec<String>> {
+    let mut violations = Vec::new();
     for rule in RULES {
         let (package, forbidden) = (&full_name(rule.package), rule.forbidden());
         // Build scripts do not ship: the shader linker may use what the library may not.
@@ -114,15 +126,16 @@ pub fn check() -> Result<()> {
         let line = format!("tree --package {package} --edges {edges} --prefix none --format {{p}}");
         let tree = process::output(process::cargo(&line)).context("cannot ask for the dependency tree")?;
         if let Some(found) = violation(package, &forbidden, &tree)? {
-            bail!(
+            violations.push(format!(
                 "{package} depends on {found}, and {}; see: cargo tree --package {package} --edges \
                  {edges} --invert {found}",
                 rule.why
-            );
+            ));
+            continue;
         }
         println!("{package}: none of {}", forbidden.join(", "));
     }
-    Ok(())
+    Ok(violations)
 }
 
 /// The first forbidden name in a tree of one `name version` a line. A tree without the package

@@ -13,6 +13,7 @@
 //! | `map` | map tiles |
 //! | `stats` | live statistics |
 //! | `page` | files and policy of the page |
+//! | `world` | the description of the world |
 //! | `openapi` | the OpenAPI document against the routes |
 
 mod access;
@@ -28,3 +29,4 @@ mod proxies;
 mod rejections;
 mod stats;
 mod tls;
+mod world;

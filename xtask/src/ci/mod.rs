@@ -28,6 +28,9 @@ pub struct Options {
     /// Run these steps alone; nothing is installed or downloaded
     #[arg(long, value_delimiter = ',', value_name = "STEP")]
     pub only: Vec<String>,
+    /// Run the long searches, too: 1,000 seeds of the simulation, and more schedules
+    #[arg(long, conflicts_with = "only")]
+    pub long: bool,
     /// Print the steps and the tools that they look with
     #[arg(long)]
     pub list: bool,
@@ -73,7 +76,8 @@ fn equipped() -> Result<Here> {
 
 /// The steps to run.
 fn choose(options: &Options) -> Result<Vec<Step>> {
-    let is_step = |name: &String| steps::ALL.iter().any(|step| step.name == name);
+    let all = || steps::ALL.into_iter().chain(steps::LONG);
+    let is_step = |name: &String| all().any(|step| step.name == name);
     let is_tool = |name: &String| Tool::ALL.iter().any(|tool| tool.name() == name);
     if let Some(unknown) = options.only.iter().find(|name| !is_step(name)) {
         bail!("ci: there is no step `{unknown}`; see: cargo ci --list");
@@ -81,17 +85,21 @@ fn choose(options: &Options) -> Result<Vec<Step>> {
     if let Some(unknown) = options.allow_skips.iter().find(|name| !is_step(name) && !is_tool(name)) {
         bail!("ci: there is no step and no tool `{unknown}`; see: cargo ci --list");
     }
-    let is_chosen =
-        |step: &Step| options.only.is_empty() || options.only.iter().any(|name| name == step.name);
-    Ok(steps::ALL.into_iter().filter(is_chosen).collect())
+    if options.only.is_empty() {
+        return Ok(if options.long { all().collect() } else { steps::ALL.into() });
+    }
+    Ok(all().filter(|step| options.only.iter().any(|name| name == step.name)).collect())
 }
 
 fn list(host: &dyn Host) {
     for step in steps::ALL {
-        println!("step  {:<13}  {}", step.name, step.about);
+        println!("step  {:<15}  {}", step.name, step.about);
+    }
+    for step in steps::LONG {
+        println!("long  {:<15}  {}", step.name, step.about);
     }
     for tool in Tool::ALL {
-        println!("tool  {:<13}  {}", tool.name(), host.lacks(tool).unwrap_or_else(|| "found".into()));
+        println!("tool  {:<15}  {}", tool.name(), host.lacks(tool).unwrap_or_else(|| "found".into()));
     }
 }
 
@@ -136,12 +144,15 @@ mod tests {
 
     fn options(only: &[&str], allow_skips: &[&str]) -> Options {
         let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
-        Options { only: owned(only), allow_skips: owned(allow_skips), list: false }
+        Options { only: owned(only), allow_skips: owned(allow_skips), ..Options::default() }
     }
 
     #[test]
     fn names_of_steps_and_tools_are_known_and_others_are_errors() {
         assert_eq!(choose(&options(&[], &[])).unwrap().len(), steps::ALL.len());
+        let long = Options { long: true, ..Options::default() };
+        assert_eq!(choose(&long).unwrap().len(), steps::ALL.len() + steps::LONG.len());
+        assert_eq!(choose(&options(&["long-simulation"], &[])).unwrap().len(), 1);
         let chosen = choose(&options(&["docs", "format"], &["tint", "benches"])).unwrap();
         assert_eq!(chosen.iter().map(|step| step.name).collect::<Vec<_>>(), ["format", "docs"]);
         assert!(choose(&options(&["form"], &[])).is_err());

@@ -11,6 +11,10 @@ use std::process::Command;
 /// Schedules of each test of the step `schedules`: a tenth of what the tests run by themselves.
 const SCHEDULES: &str = "200";
 
+/// The same, and seeds of the simulation, of `cargo ci --long`.
+const LONG_SCHEDULES: &str = "2000";
+const LONG_SEEDS: &str = "1000";
+
 /// A step: what it is called and what it does.
 #[derive(Clone, Copy)]
 pub struct Step {
@@ -49,7 +53,7 @@ pub const ALL: [Step; 18] = [
     },
     Step {
         name: "records",
-        about: "the README says which records that it quotes are out of date or of one run",
+        about: "the README quotes no record that is out of date or of one run",
         again: "cargo xtask ci --only records",
         action: ages_of_records,
     },
@@ -148,6 +152,31 @@ pub const ALL: [Step; 18] = [
     },
 ];
 
+/// Further steps of `cargo ci --long`: the searches that `ALL` runs a short part of.
+pub const LONG: [Step; 2] = [
+    Step {
+        name: "long-simulation",
+        about: "the session machines in 1,000 seeds of clients, links and faults",
+        again: "TOMBOLO_SIMULATION_SEEDS=1000 cargo nextest run --workspace -E \
+                'package(tombolo-protocol) & binary(simulation)'",
+        action: long_simulation,
+    },
+    Step {
+        name: "long-schedules",
+        about: "the request coalescing in ten times the schedules",
+        again: "TOMBOLO_SCHEDULES=2000 RUSTFLAGS='--cfg shuttle' cargo test --package tombolo-server --lib \
+                schedules --target-dir target/shuttle",
+        action: |host| schedules_of(host, LONG_SCHEDULES),
+    },
+];
+
+fn long_simulation(host: &dyn Host) -> Result<Shown> {
+    // Chosen among the workspace: one package alone would be built with other features.
+    let mut tests = process::cargo("nextest run --workspace -E");
+    tests.arg("package(tombolo-protocol) & binary(simulation)").env("TOMBOLO_SIMULATION_SEEDS", LONG_SEEDS);
+    ran(host, tests)
+}
+
 fn passed() -> Shown {
     Shown { outcome: Outcome::Passed, parts: Vec::new() }
 }
@@ -179,11 +208,15 @@ fn build(host: &dyn Host) -> Result<Shown> {
     ran(host, process::check_without_window(&demo::PROGRAMS))
 }
 
-/// One package alone and a folder of its own: these flags build every dependency again.
 fn schedules(host: &dyn Host) -> Result<Shown> {
+    schedules_of(host, SCHEDULES)
+}
+
+/// One package alone and a folder of its own: these flags build every dependency again.
+fn schedules_of(host: &dyn Host, count: &str) -> Result<Shown> {
     let tests = || {
         let mut tests = process::cargo("test --package tombolo-server --lib schedules --target-dir");
-        tests.arg(process::target().join("shuttle")).env("TOMBOLO_SCHEDULES", SCHEDULES);
+        tests.arg(process::target().join("shuttle")).env("TOMBOLO_SCHEDULES", count);
         // The second variable would replace the first.
         tests.env("RUSTFLAGS", "--cfg shuttle").env_remove("CARGO_ENCODED_RUSTFLAGS");
         // Schedules are few, and optimised dependencies take minutes to build.
@@ -399,9 +432,15 @@ mod tests {
     }
 
     #[test]
-    fn the_number_of_schedules_is_that_of_the_command_to_repeat() {
-        let step = ALL.into_iter().find(|step| step.name == "schedules").unwrap();
-        assert!(step.again.starts_with(&format!("TOMBOLO_SCHEDULES={SCHEDULES} ")));
+    fn the_numbers_of_searches_are_those_of_the_command_to_repeat() {
+        for (name, variable) in [
+            ("schedules", format!("TOMBOLO_SCHEDULES={SCHEDULES} ")),
+            ("long-schedules", format!("TOMBOLO_SCHEDULES={LONG_SCHEDULES} ")),
+            ("long-simulation", format!("TOMBOLO_SIMULATION_SEEDS={LONG_SEEDS} ")),
+        ] {
+            let step = ALL.into_iter().chain(LONG).find(|step| step.name == name).unwrap();
+            assert!(step.again.starts_with(&variable), "{name}");
+        }
     }
 
     #[test]

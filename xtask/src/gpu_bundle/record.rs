@@ -94,7 +94,11 @@ fn origin(reports: &Reports<'_>) -> Result<Origin> {
 /// The rows of every report.
 fn rows(reports: &Reports<'_>) -> Vec<Bar> {
     let mut rows = vec![measure::heightfield::twins(&reports.json("digest"))];
-    rows.extend(measure::heightfield::rates(&reports.json("timings")));
+    let timings = reports.json("timings");
+    rows.extend(measure::heightfield::rates(&timings));
+    // A renderer needs none.
+    let without_readback = at(&timings, "gpu/chunks_per_second_without_readback");
+    rows.push(Bar::reported("GPU twin: chunks per second without readback", without_readback, ""));
     for (name, what) in VIEWS {
         let view = reports.json(name);
         for (quantile, key) in [("p50", "frame_ms_p50"), ("p99", "frame_ms_p99")] {

@@ -1,6 +1,7 @@
 //! `code`: what can be counted in the source text.
 
 use super::run::Run;
+use crate::dependency_rules;
 use crate::source::{Files, circles, columns, lines, names, repeats, words};
 use anyhow::Result;
 use bars::Bar;
@@ -26,11 +27,14 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     for repeat in &repeats {
         println!("repeat: {}:{}: {}", repeat.path, repeat.line, repeat.what);
     }
+    let upward = dependency_rules::violations()?;
+    run.notes.extend(upward.iter().cloned());
     let count = |count: usize| Some(count as f64);
     let readme = count(lines::readme(&files));
     let measuring = count(lines::measuring(&files));
     Ok(vec![
         Bar::none("import circles between modules of a crate", count(circles::check(&files).len())),
+        Bar::none("arrows up between crates", count(upward.len())),
         Bar::none("lines over 110 columns in Rust, WESL, Markdown", count(columns::check(&files).len())),
         Bar::none("retired words in identifiers, messages, documents", count(words::check(&files).len())),
         Bar::none("names in documents that do not exist", count(names::check(&files).len())),

@@ -21,17 +21,22 @@ const EXECUTIONS: u64 = 100_000_000;
 /// whose decoders have targets of their own.
 const SESSIONS: u64 = 1_000_000;
 
+/// Executions of a target whose input is a file on the disk.
+const FILES: u64 = 10_000_000;
+
 /// The entry points, by the names of their targets, with their executions. The slowest ones come
 /// first, so that no core waits for them at the end.
-const TARGETS: [(&str, u64); 10] = [
+const TARGETS: [(&str, u64); 12] = [
     ("client_session", SESSIONS),
     ("chunk", EXECUTIONS),
     ("http", EXECUTIONS),
     ("configuration", EXECUTIONS),
+    ("tokens", FILES),
     ("uniforms", EXECUTIONS),
     ("websocket", EXECUTIONS),
     ("server_session", SESSIONS),
     ("control", EXECUTIONS),
+    ("proxy", EXECUTIONS),
     ("address", EXECUTIONS),
     ("pack", EXECUTIONS),
 ];

@@ -3,11 +3,18 @@
 use super::{Files, Finding};
 
 /// Extensions of names that are taken for files.
-const FILE_EXTENSIONS: [&str; 11] =
-    ["rs", "wesl", "wgsl", "md", "toml", "js", "css", "html", "png", "svg", "hex"];
+const FILE_EXTENSIONS: [&str; 16] = [
+    "rs", "wesl", "wgsl", "md", "toml", "js", "css", "html", "png", "svg", "hex", "yml", "yaml", "json",
+    "conf", "service",
+];
+
+/// Options of cargo that name a target, and the folder of such targets.
+const TARGETS: [(&str, &str); 3] =
+    [("--example ", "examples"), ("--test ", "tests"), ("--bench ", "benches")];
 
 /// Options of programs that are not the project's.
-const FOREIGN_OPTIONS: [&str; 27] = [
+const FOREIGN_OPTIONS: [&str; 28] = [
+    "bench",
     "release",
     "bin",
     "package",
@@ -61,10 +68,12 @@ pub fn check(files: &Files) -> Vec<Finding> {
                     missing(format!("file {span}, which does not exist"));
                 }
             }
-            for name in words_after(line, "--example ") {
-                let ends = [format!("/examples/{name}.rs"), format!("/examples/{name}/main.rs")];
-                if !files.0.keys().any(|file| ends.iter().any(|end| file.ends_with(end))) {
-                    missing(format!("example {name}, which does not exist"));
+            for (option, folder) in TARGETS {
+                for name in words_after(line, option) {
+                    let ends = [format!("/{folder}/{name}.rs"), format!("/{folder}/{name}/main.rs")];
+                    if !files.0.keys().any(|file| ends.iter().any(|end| file.ends_with(end))) {
+                        missing(format!("{option}{name}, which does not exist"));
+                    }
                 }
             }
             for option in options(line) {
@@ -191,6 +200,7 @@ mod tests {
                 "register(\"views\"); register(\"view_seconds\"); /// --listen\ncache_mb: u64,",
             ),
             ("terrain/examples/kernels.rs", ""),
+            ("server/tests/http/main.rs", ""),
         ]);
         check(&files).len()
     }
@@ -202,6 +212,9 @@ mod tests {
             "open `server/src/nothing.rs`",
             "in `server/nowhere/`",
             "cargo run --example relief",
+            "cargo test --test fixtures",
+            "cargo bench --bench framing",
+            "`deploy/nginx/nowhere.conf`",
             "`--no-such-thing` bounds it",
             "`tombolo_nothing_total` counts",
         ] {
@@ -215,6 +228,7 @@ mod tests {
             "see [b](b.md#part) and [web](https://x.org/y.md)",
             "open `server/src/metrics.rs`, `metrics.rs`, `server/`",
             "cargo run --release --example kernels",
+            "cargo test --test http",
             "`--listen` and `--cache-mb 5`, a -- dash",
             "`tombolo_views_total`, `tombolo_view_seconds_bucket`",
         ] {

@@ -18,11 +18,35 @@ fn every_measurement_of_programs_ages_with_the_compiler() {
     }
 }
 
+fn has_benchmarks(paths: &[&str]) -> bool {
+    paths.iter().any(|path| path.starts_with("server-bench"))
+}
+
+/// A measurement of some benchmarks ages with every module that they import.
+#[test]
+fn benchmarks_age_with_the_modules_that_they_import() {
+    let mut looked = 0;
+    for (name, paths) in MEASURED {
+        for path in paths.iter().filter(|path| path.starts_with("server-bench/src/")) {
+            let text = std::fs::read_to_string(process::root().join(path)).unwrap();
+            let imports = text.lines().filter_map(|line| line.trim_start().strip_prefix("use crate::"));
+            for module in imports.filter_map(|import| import.split([':', ';', ' ']).next()) {
+                let file = format!("server-bench/src/{module}.rs");
+                // What `main.rs` itself defines has no file.
+                let is_file = process::root().join(&file).exists();
+                assert!(!is_file || paths.contains(&file.as_str()), "{name}: {path} imports {file}");
+                looked += usize::from(is_file);
+            }
+        }
+    }
+    assert!(looked > 20, "{looked}");
+}
+
 #[test]
 fn clients_age_with_what_opens_their_connections() {
     for (name, paths) in MEASURED {
         let has = |path: &str| paths.contains(&path);
-        assert!(has("tls-client") || !has("load") && !has("server-bench"), "{name}");
+        assert!(has("tls-client") || !has("load") && !has_benchmarks(paths), "{name}");
     }
 }
 
@@ -36,8 +60,7 @@ fn benchmarks_age_with_what_measures_and_with_their_random_numbers() {
             has_all || !process::root().join(&own).exists() || paths.contains(&own.as_str()),
             "{name}: {own}"
         );
-        let has = |path: &str| paths.contains(&path);
-        assert!(has("test-support") || !has("server-bench"), "{name}");
+        assert!(paths.contains(&"test-support") || !has_benchmarks(paths), "{name}");
     }
 }
 
