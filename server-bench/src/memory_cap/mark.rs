@@ -205,8 +205,9 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 
 /// Further figures in sentences.
 pub fn notes(figures: &Value) -> Vec<String> {
-    let line = "Memory mark: of {clients:.0} clients that read nothing {accepted:.0} sessions were accepted \
-                and {rejected:.0} rejected; /readyz named the memory in {marked_share*100:.0} % of the looks.";
+    let line = "Memory mark: of {clients:.0} clients that read nothing {accepted:.0} sessions were \
+                accepted and {rejected:.0} rejected; /readyz named the memory in \
+                {marked_share*100:.0} % of the looks.";
     vec![fill(line, figures)]
 }
 
