@@ -30,7 +30,7 @@ const CLIENTS: usize = 32;
 /// cache of the server holds, so that most are in generation when their client is gone.
 const REQUESTED: usize = 16;
 const CHUNKS: usize = 16 * 1024;
-const CACHE: [&str; 2] = ["--cache-mb", "8"];
+const CACHE: [&str; 2] = ["--cache-mb", "1"];
 
 /// Jobs whose client was gone, as the server counts them, and how many there must be at least.
 const CANCELLED: &str = "tombolo_generation_jobs_total{outcome=\"cancelled\"}";

@@ -15,6 +15,7 @@ use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use terrain::constants::UNITS_PER_METRE;
+use tokio::sync::Notify;
 
 /// Sessions that are listed, the oldest first; the others are only counted.
 pub const MAX_LISTED: usize = 256;
@@ -37,9 +38,15 @@ pub struct SessionStats {
     yaw_mdeg: AtomicI32,
     chunks: AtomicU64,
     bytes: AtomicU64,
+    shed: Notify,
 }
 
 impl SessionStats {
+    /// Waits until the session has to end, so that the server has memory.
+    pub async fn shed(&self) {
+        self.shed.notified().await;
+    }
+
     /// Publishes a new view.
     pub fn set_view(&self, view: &View) {
         let [x, _, z] = view.eye;
@@ -182,6 +189,17 @@ impl LiveStats {
         let stats = Arc::new(SessionStats::default());
         lock(&self.shared.sessions).insert(number, Arc::clone(&stats));
         SessionStatsGuard { stats, number, live: self.clone() }
+    }
+
+    /// Number of open sessions.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        lock(&self.shared.sessions).len()
+    }
+
+    /// Ends this many of the newest sessions: see [`SessionStats::shed`].
+    pub fn shed(&self, count: usize) {
+        lock(&self.shared.sessions).values().rev().take(count).for_each(|session| session.shed.notify_one());
     }
 
     /// The report as JSON. A recent report is reused at any rate of requests.

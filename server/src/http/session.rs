@@ -53,7 +53,7 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         Err(Refusal::Missing) => offer.token = Some(state.gate.of_session(peer)),
         Err(refusal) => return client::problem(refusal).into_response(),
     }
-    if state.memory.is_reached() {
+    if !state.memory.admits() {
         let sentence = "the server has little memory left, retry later";
         return Problem::new(ProblemKind::NoSession, sentence).into_response();
     }

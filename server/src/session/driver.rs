@@ -43,6 +43,9 @@ const BATCH: usize = 64;
 /// Chunks of a step of a view that is selected at once.
 const SELECTION_STEP: usize = 4096;
 
+/// Time until a session looks again whether there is memory for its view and its chunks.
+const MEMORY_PAUSE: Duration = Duration::from_millis(100);
+
 /// The longest message that is read. Above the protocol's limit, so that the protocol rejects a
 /// message slightly over its limit.
 pub const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
@@ -173,6 +176,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     }
                 }
                 () = self.state.draining.cancelled() => return self.drain().await,
+                // Without a Close frame, whose answer would keep the memory.
+                () = self.stats.shed() => return SessionEnd::without_code(EndReason::MemoryShed),
                 // A client that reads cached chunks at full speed must not starve others; between
                 // two batches it is read, and a shutdown ends it.
                 () = let_others_run(self.state.config.without), if more => {}
@@ -181,7 +186,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 }
                 () = sleep_until(pause), if pause.is_some() => {}
                 () = sleep_until(self.throttled_until), if self.throttled_until.is_some() => {
-                    self.state.metrics.rate_limit_delays.inc();
+                    let is_by_memory = self.state.memory.is_reached();
+                    self.state.metrics.rate_limit_delays.inc_by(u64::from(!is_by_memory));
                 }
                 () = &mut check => {
                     let (action, next) = keepalive.check(Instant::now());
@@ -232,6 +238,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let mut more = false;
         // Nothing is delayed in an idle session, which needs no timer.
         self.throttled_until = None;
+        if self.state.memory.is_reached() {
+            // The tables of a view and chunks that wait for a write take memory.
+            let waits = self.session.has_waiting_view() || self.session.has_next_chunk();
+            self.throttled_until = waits.then(|| now + MEMORY_PAUSE);
+            return false;
+        }
         match self.flow.bucket().delay(now) {
             None => {
                 if let Some(selection) = self.session.take_view() {
@@ -274,7 +286,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let admitted = self.session.waiting_requests();
         let mut has_ended = false;
         while let Some(is_data) = self.receive_message().await? {
-            has_ended |= is_data;
+            // Behind a control frame that is not between fragments another message begins.
+            has_ended |= is_data || !self.socket.is_fragmented();
             let_others_run(self.state.config.without).await;
         }
         self.message_deadline.record(has_ended, self.socket.is_in_message(), Instant::now());
@@ -399,7 +412,10 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         if !self.socket.has_queued() {
             return Ok(());
         }
-        let result = write_within(self.state.config.write_timeout, self.socket.flush()).await;
+        let result = tokio::select! {
+            written = write_within(self.state.config.write_timeout, self.socket.flush()) => written,
+            () = self.stats.shed() => Err(SessionEnd::without_code(EndReason::MemoryShed)),
+        };
         self.traces.flushed(result.is_ok());
         self.state.metrics.sent_bytes.inc_by(bytes);
         if result.is_ok() {

@@ -24,6 +24,8 @@ pub enum EndReason {
     MessageTimeout,
     /// The peer did not answer pings.
     KeepaliveTimeout,
+    /// The server had too little memory.
+    MemoryShed,
     /// A violation of RFC 6455.
     ProtocolError,
     /// A text that is not UTF-8.
@@ -59,6 +61,7 @@ impl EndReason {
             Self::HandshakeTimeout => "handshake_timeout",
             Self::MessageTimeout => "message_timeout",
             Self::KeepaliveTimeout => "keepalive_timeout",
+            Self::MemoryShed => "memory",
             Self::ProtocolError => "protocol_error",
             Self::NotUtf8 => "not_utf8",
             Self::Malformed => "malformed",
@@ -91,6 +94,7 @@ impl EndReason {
             | Self::ReadFailed
             | Self::WriteFailed
             | Self::KeepaliveTimeout
+            | Self::MemoryShed
             | Self::WrongVersion
             | Self::WrongWorld
             | Self::Unauthorised

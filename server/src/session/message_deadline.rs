@@ -21,8 +21,8 @@ impl MessageDeadline {
         Self { limit, since: None }
     }
 
-    /// Records the state after bytes were read: whether a data message ended in them, and whether
-    /// another is unfinished. Control frames between the fragments of a message end none.
+    /// Records the state after bytes were read: whether a message ended in them, and whether another
+    /// is unfinished. Control frames between the fragments of a message end none.
     pub fn record(&mut self, has_ended: bool, is_unfinished: bool, now: Instant) {
         self.since = match self.since {
             Some(since) if is_unfinished && !has_ended => Some(since),

@@ -79,6 +79,12 @@ impl Inbox {
         self.end.is_none() && (self.fragments.is_some() || self.used < self.bytes.len())
     }
 
+    /// Whether some fragments of a message have come, and not its last one.
+    #[must_use]
+    pub const fn is_fragmented(&self) -> bool {
+        self.fragments.is_some()
+    }
+
     /// The next whole message; none if it is incomplete, and behind a Close frame.
     ///
     /// # Errors

@@ -100,6 +100,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         self.inbox.is_in_message()
     }
 
+    /// Whether some fragments of a message have come, and not its last one.
+    #[must_use]
+    pub const fn is_fragmented(&self) -> bool {
+        self.inbox.is_fragmented()
+    }
+
     /// Queues a binary message for the next flush.
     pub fn queue(&mut self, payload: Bytes) {
         self.queue_as(Opcode::Binary, payload);

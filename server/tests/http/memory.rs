@@ -12,6 +12,30 @@ async fn server_with(bytes: u64) -> Server {
 
 #[cfg(target_os = "linux")]
 #[tokio::test]
+async fn beyond_the_mark_open_sessions_end_the_newest_first() {
+    use server::memory::{MemoryMark, mark};
+    use server::stats::LiveStats;
+    use std::sync::Arc;
+    use std::time::Duration;
+    use tokio::time::timeout;
+    let stats = LiveStats::default();
+    let sessions: Vec<_> = (1..=16).map(|number| stats.register(number)).collect();
+    let has_to_end =
+        async |index: usize| timeout(Duration::from_millis(1), sessions[index].shed()).await.is_ok();
+    assert!(!has_to_end(15).await);
+    let full = Arc::new(MemoryMark::new(Some(MemoryLimit::of_machine(1 << 20))));
+    let watching = tokio::spawn(mark::watch(full, Arc::default(), stats.clone()));
+    while !has_to_end(15).await {
+        tokio::task::yield_now().await;
+    }
+    assert!(!has_to_end(0).await, "the oldest one ends last");
+    // Its guard removes a session, so that the next look ends others.
+    drop(sessions);
+    watching.abort();
+}
+
+#[cfg(target_os = "linux")]
+#[tokio::test]
 async fn beyond_the_mark_no_session_begins_and_the_server_is_not_ready() {
     // Less than this process has.
     let full = server_with(1 << 20).await;
