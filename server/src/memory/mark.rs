@@ -129,7 +129,8 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, stats: LiveStat
         if used >= limit.bytes() / 8 * MARK.0 {
             let count = pace.due(used, limit.bytes(), stats.count(), now);
             if count > 0 {
-                tracing::warn!(used_mib = used >> 20, %limit, count, "memory is nearly used up: sessions end");
+                let used_mib = used >> 20;
+                tracing::warn!(used_mib, %limit, count, "memory is nearly used up: sessions end");
                 stats.shed(count);
             }
         }
