@@ -62,6 +62,17 @@ pub const ALL: [EntryPoint; 12] = [
     EntryPoint { name: "uniforms", run: uniforms::run, seeds: uniforms::seeds, cost: 1 },
 ];
 
+/// Whether an operator's input was accepted. An error is one line, as programs print it.
+///
+/// # Panics
+/// The error has several lines.
+fn is_accepted<T>(read: Result<T, impl std::fmt::Display>) -> bool {
+    if let Err(error) = &read {
+        assert_eq!(error.to_string().lines().count(), 1, "{error}");
+    }
+    read.is_ok()
+}
+
 /// Frames of a session in one input: each behind its length as u16, little-endian.
 fn frames(mut bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     std::iter::from_fn(move || {

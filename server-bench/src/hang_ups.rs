@@ -26,8 +26,8 @@ const HALF: usize = PARTS / 2;
 /// Clients at once, each from an address of its own.
 const CLIENTS: usize = 32;
 
-/// Chunks that are requested before the client hangs up, of so many in all: several times what the
-/// cache of the server holds, so that most are in generation when their client is gone.
+/// Chunks that are requested before the client hangs up, of so many in all: many times what the
+/// cache of the server holds, so that most are to be generated when their client is gone.
 const REQUESTED: usize = 16;
 const CHUNKS: usize = 16 * 1024;
 const CACHE: [&str; 2] = ["--cache-mb", "1"];

@@ -219,7 +219,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 /// Whether a server whose cache has no room under its limit was killed, or stays beyond its mark, where
 /// polite clients get no session; none if it was not run.
 fn control_failures(figures: &Value) -> Option<f64> {
-    let has_no_session = figures.pointer("/control/error").is_some();
+    let error = figures.pointer("/control/error").and_then(Value::as_str);
+    let has_no_session = error.is_some_and(|error| error.contains(" 503 "));
     Some(at(figures, "control/killed")? + f64::from(u8::from(has_no_session)))
 }
 
@@ -237,7 +238,7 @@ pub fn notes(figures: &Value) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_bars::{check, check_without_peers};
+    use crate::test_bars::{check, check_without_peers, missed};
 
     #[test]
     fn each_bar_can_be_missed() {
@@ -260,8 +261,12 @@ mod tests {
             ("/small/killed", json!(1)),
             ("/small/is_running", json!(false)),
             ("/control/killed", json!(0)),
+            ("/control", json!({ "killed": 0, "error": "cannot connect" })),
         ];
         check(bars, &good, &bad);
+        let mut rejecting = good.clone();
+        rejecting["control"] = json!({ "killed": 0, "error": "expected an upgrade, got HTTP/1.1 503 x" });
+        assert_eq!(missed(bars, &rejecting), 0);
         let of_the_long_load = |figures: &Value| {
             let rows = bars(figures);
             let own = rows.len() - mark::bars(&Value::Null).len();

@@ -52,15 +52,14 @@ pub fn run(what: What, writes: bool) -> Result<()> {
     if process::interrupted() {
         bail!("bless: interrupted");
     }
-    match (is_equal, writes) {
-        (true, false) => println!("bless: nothing differs"),
-        (false, false) => bail!(
+    if !writes && !is_equal {
+        bail!(
             "bless: the failures above show what differs, drawn pictures by their path; after looking at \
              them write with --write"
-        ),
-        (_, true) => {}
+        );
     }
     if !writes {
+        println!("bless: nothing differs");
         return Ok(());
     }
     let mut writing = tests();
