@@ -21,7 +21,7 @@ pub fn run(bytes: &[u8]) -> bool {
         let without_files = Options { token_file: None, tls_cert: None, tls_key: None, ..options };
         ARGS.clone().resolve_over(without_files)
     });
-    is_accepted(resolved)
+    is_accepted(&resolved)
 }
 
 /// Files with every kind of value.

@@ -66,8 +66,8 @@ pub const ALL: [EntryPoint; 12] = [
 ///
 /// # Panics
 /// The error has several lines.
-fn is_accepted<T>(read: Result<T, impl std::fmt::Display>) -> bool {
-    if let Err(error) = &read {
+fn is_accepted<T>(read: &Result<T, impl std::fmt::Display>) -> bool {
+    if let Err(error) = read {
         assert_eq!(error.to_string().lines().count(), 1, "{error}");
     }
     read.is_ok()

@@ -31,7 +31,7 @@ pub fn run(bytes: &[u8]) -> bool {
             assert!(matches!(known, Known::Valid(_)), "{first:?}");
         }
     }
-    is_accepted(read)
+    is_accepted(&read)
 }
 
 /// A file with one token, and a list.
