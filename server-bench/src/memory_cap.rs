@@ -59,10 +59,13 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let length = Duration::from_secs(plan.seconds) * LENGTH;
     let land = Land::new(WORLD_SEED);
     let keys: Arc<[ChunkKey]> = land_keys(&land, 0, CHUNKS).into();
-    let limited = under(plan, LIMIT, &[], &keys, length).await?;
-    let small = under(plan, SMALL_LIMIT, &[], &keys, SMALL_LENGTH).await?;
-    let control = under(plan, SMALL_LIMIT, &TOO_LARGE_CACHE, &keys, SMALL_LENGTH).await?;
-    let mark = mark::run(&plan.launch, &keys).await?;
+    let many = async |server: &ServerProcess| load(server, &keys, length).await;
+    let short = async |server: &ServerProcess| load(server, &keys, SMALL_LENGTH).await;
+    let unread = async |server: &ServerProcess| mark::load(server, &keys).await;
+    let limited = under(&plan.launch, LIMIT, &[], many).await?;
+    let small = under(&plan.launch, SMALL_LIMIT, &[], short).await?;
+    let control = under(&plan.launch, SMALL_LIMIT, &TOO_LARGE_CACHE, short).await?;
+    let mark = under(&plan.launch, mark::LIMIT, &[], unread).await?;
     Ok(json!({
         "clients": CLIENTS,
         "seconds": length.as_secs(),
@@ -75,28 +78,29 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     }))
 }
 
-/// The load under a limit. A server that was killed gives what the control group says alone.
+/// A load of a server in a control group of its own. A server that was killed gives what the group
+/// says alone.
 async fn under(
-    plan: &Plan,
+    launch: &Launch,
     limit: u64,
     options: &[&str],
-    keys: &Arc<[ChunkKey]>,
-    length: Duration,
+    load: impl AsyncFnOnce(&ServerProcess) -> Result<Value>,
 ) -> Result<Value> {
     let group = Cgroup::new(limit)?;
-    let launch = Launch { cgroup: Some(group.folder().into()), ..plan.launch.clone() };
+    let launch = Launch { cgroup: Some(group.folder().into()), ..launch.clone() };
     let mut outcome = json!({});
     {
         let Ok(mut server) = ServerProcess::start(&launch, options) else {
             return Ok(json!({ "killed": group.killed()?, "is_running": false }));
         };
-        match load(&server, keys, length).await {
+        match load(&server).await {
             Ok(measured) => outcome = measured,
             Err(error) => outcome["error"] = json!(format!("{error:#}")),
         }
         outcome["is_running"] = json!(server.process.is_running());
         outcome["panics"] = json!(server.panics());
     }
+    outcome["limit_mib"] = json!(limit / 1_048_576);
     outcome["killed"] = json!(group.killed()?);
     outcome["peak_mib"] = json!(group.peak_bytes()? as f64 / 1_048_576.0);
     Ok(outcome)

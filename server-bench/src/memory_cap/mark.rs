@@ -1,11 +1,10 @@
 //! Clients that take memory and read nothing, more than a server with a hard limit of memory has room
 //! for: it must reject sessions at its mark, live, and accept sessions again when they are gone.
 
-use crate::cgroup::Cgroup;
 use crate::clients::other_thread;
 use crate::connection::{Connection, get, loopback, open_from};
 use crate::polite;
-use crate::server_process::{Launch, ServerProcess};
+use crate::server_process::ServerProcess;
 use anyhow::{Context, Result};
 use bars::Bar;
 use bars::figures::{at, fill};
@@ -22,7 +21,7 @@ use terrain::lod::{self, MAX_VIEW_DISTANCE_M};
 use tokio_util::either::Either;
 
 /// The limit, bytes: a server with the default settings is far below the mark without clients.
-const LIMIT: u64 = 192 * 1024 * 1024;
+pub const LIMIT: u64 = 192 * 1024 * 1024;
 
 /// Clients, fewer than the sessions that the server accepts by default, each with an own address.
 const CLIENTS: usize = 900;
@@ -53,28 +52,8 @@ struct Counts {
     rejected: AtomicU64,
 }
 
-/// Runs the load in a control group of its own.
-pub async fn run(launch: &Launch, keys: &Arc<[ChunkKey]>) -> Result<Value> {
-    let group = Cgroup::new(LIMIT)?;
-    let launch = Launch { cgroup: Some(group.folder().into()), ..launch.clone() };
-    let mut outcome = json!({});
-    {
-        let mut server = ServerProcess::start(&launch, &[])?;
-        match load(&server, keys).await {
-            Ok(measured) => outcome = measured,
-            Err(error) => outcome["error"] = json!(format!("{error:#}")),
-        }
-        outcome["is_running"] = json!(server.process.is_running());
-        outcome["panics"] = json!(server.panics());
-    }
-    outcome["limit_mib"] = json!(LIMIT >> 20);
-    outcome["clients"] = json!(CLIENTS);
-    outcome["killed"] = json!(group.killed()?);
-    outcome["peak_mib"] = json!(group.peak_bytes()? as f64 / 1_048_576.0);
-    Ok(outcome)
-}
-
-async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Value> {
+/// Applies the load, and polite clients before and after.
+pub async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Value> {
     let address = server.address;
     let (for_before, rest) = keys.split_at(2048);
     let (for_after, requested) = rest.split_at(2048);
@@ -127,6 +106,7 @@ async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Value> {
     tokio::time::sleep(SESSION).await;
     let after = polite(for_after, Instant::now() + POLITE_LENGTH).await?;
     Ok(json!({
+        "clients": CLIENTS,
         "accepted": counts.accepted.load(Ordering::Relaxed),
         "rejected": counts.rejected.load(Ordering::Relaxed),
         "marked_share": f64::from(marked) / f64::from(looks),

@@ -4,6 +4,7 @@ use crate::access::gate::Refusal;
 use crate::access::hosts::Target;
 use crate::http::client;
 use crate::http::problem::{Problem, ProblemKind};
+use crate::limits::system_buffers;
 use crate::proxy::ClientAddress;
 use crate::session::driver::{self, READ_LIMIT};
 use crate::state::ServerState;
@@ -57,8 +58,10 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         let sentence = "the server has little memory left, retry later";
         return Problem::new(ProblemKind::NoSession, sentence).into_response();
     }
-    let permit = Arc::clone(&state.session_permits).try_acquire_owned();
-    let (false, Ok(permit)) = (state.draining.is_cancelled(), permit) else {
+    if state.draining.is_cancelled() {
+        return Problem::new(ProblemKind::NoSession, "the server ends, retry later").into_response();
+    }
+    let Ok(permit) = Arc::clone(&state.session_permits).try_acquire_owned() else {
         return Problem::new(ProblemKind::NoSession, "no session is free, retry later").into_response();
     };
     let free = state.session_permits.available_permits();
@@ -74,7 +77,10 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
     tracker.spawn(async move {
         if let Some(socket) = upgrade.socket(READ_LIMIT).await {
             let bucket = state.rate_limiter.bucket(peer);
-            let reason = driver::serve(socket, &state, offer, number, bucket, parent).await;
+            let (reason, stream) = driver::serve(socket, &state, offer, number, bucket, parent).await;
+            if reason.leaves_unread_bytes() {
+                system_buffers::discard(&stream);
+            }
             if reason.is_breach() {
                 state.peer_log.report(peer, reason.name());
             }

@@ -1,8 +1,10 @@
-//! Limits of what the system keeps for a connection whose peer does not read. Linux only; other
-//! systems keep their own limits.
+//! Limits of what the system keeps for a connection whose peer does not read. On systems other than
+//! Linux those of the system apply while the connection is open.
 
+use crate::tls::PeerStream;
 use std::time::Duration;
 use tokio::net::TcpStream;
+use tokio_util::either::Either;
 
 /// Bytes of a connection that the system holds before it has sent them (`TCP_NOTSENT_LOWAT`, tcp(7)).
 /// Without a limit it takes megabytes for each client that does not read, and copying them delays all
@@ -23,9 +25,22 @@ pub fn limit(stream: &TcpStream, timeout: Duration) {
     let _ = (stream, timeout);
 }
 
+/// Makes the drop of a stream give back what the system keeps for its peer, with a reset (RFC 9293,
+/// section 3.10.4). Otherwise the system keeps it until the peer takes it or the timeout of [`limit`].
+pub fn discard(stream: &PeerStream) {
+    let stream = match stream {
+        Either::Left(stream) => stream,
+        Either::Right(tls) => tls.get_ref().0,
+    };
+    // Fails only where the connection is gone already.
+    let _ = stream.set_zero_linger();
+}
+
 #[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;
+    use std::io::ErrorKind;
+    use tokio::io::AsyncReadExt;
     use tokio::net::{TcpListener, TcpSocket};
 
     /// Bytes that the system takes for a peer that does not read.
@@ -46,6 +61,23 @@ mod tests {
                 Ok(written) => taken += written,
                 Err(_) => return taken,
             }
+        }
+    }
+
+    #[tokio::test]
+    async fn a_discarded_connection_ends_with_a_reset() {
+        for is_discarded in [true, false] {
+            let listener = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
+            let peer = TcpStream::connect(listener.local_addr().unwrap());
+            let (peer, accepted) = tokio::join!(peer, listener.accept());
+            let (mut peer, stream) = (peer.unwrap(), Either::Left(accepted.unwrap().0));
+            if is_discarded {
+                discard(&stream);
+            }
+            drop(stream);
+            let read = peer.read_u8().await.map_err(|error| error.kind());
+            let expected = if is_discarded { ErrorKind::ConnectionReset } else { ErrorKind::UnexpectedEof };
+            assert_eq!(read, Err(expected));
         }
     }
 

@@ -58,8 +58,8 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 /// return at once.
 const RECONNECT_MS: (u32, u32) = (500, 2000);
 
-/// Runs one session to its end and counts it; the reason of the end. Its work is charged to
-/// `bucket`; its chunks belong to the trace of `parent`.
+/// Runs one session to its end and counts it; the reason of the end, and the stream. Its work is
+/// charged to `bucket`; its chunks belong to the trace of `parent`.
 pub async fn serve<S>(
     socket: WebSocket<S>,
     state: &ServerState,
@@ -67,7 +67,7 @@ pub async fn serve<S>(
     number: u64,
     bucket: TokenBucket,
     parent: Option<Parent>,
-) -> EndReason
+) -> (EndReason, S)
 where
     S: AsyncRead + AsyncWrite + Unpin,
 {
@@ -81,6 +81,7 @@ where
         flow: state.generation.limited_flow(bucket),
         message_deadline: MessageDeadline::new(state.config.message_timeout),
         throttled_until: None,
+        memory_pause: None,
         backoff: RefusalBackoff::new(Instant::now()),
         pause_count: PauseCount::new(&state.paused_sessions),
         counted: SessionCounts::default(),
@@ -97,7 +98,7 @@ where
     driver.update_metrics();
     state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: end.reason.name() }).inc();
     state.metrics.sessions.dec();
-    end.reason
+    (end.reason, driver.socket.into_stream())
 }
 
 struct Driver<'a, S> {
@@ -109,6 +110,8 @@ struct Driver<'a, S> {
     flow: Flow,
     /// When the token bucket is no longer empty, if a view or a chunk waits for that.
     throttled_until: Option<Instant>,
+    /// When to look again whether there is memory, if a view or a chunk waits for that.
+    memory_pause: Option<Instant>,
     /// Whether the session is read.
     backoff: RefusalBackoff,
     /// Counted while it is not.
@@ -186,9 +189,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 }
                 () = sleep_until(pause), if pause.is_some() => {}
                 () = sleep_until(self.throttled_until), if self.throttled_until.is_some() => {
-                    let is_by_memory = self.state.memory.is_reached();
-                    self.state.metrics.rate_limit_delays.inc_by(u64::from(!is_by_memory));
+                    self.state.metrics.rate_limit_delays.inc();
                 }
+                () = sleep_until(self.memory_pause), if self.memory_pause.is_some() => {}
                 () = &mut check => {
                     let (action, next) = keepalive.check(Instant::now());
                     match action {
@@ -237,11 +240,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let (mut batch, now) = (0, Instant::now());
         let mut more = false;
         // Nothing is delayed in an idle session, which needs no timer.
-        self.throttled_until = None;
+        (self.throttled_until, self.memory_pause) = (None, None);
         if self.state.memory.is_reached() {
             // The tables of a view and chunks that wait for a write take memory.
             let waits = self.session.has_waiting_view() || self.session.has_next_chunk();
-            self.throttled_until = waits.then(|| now + MEMORY_PAUSE);
+            self.memory_pause = waits.then(|| now + MEMORY_PAUSE);
             return false;
         }
         match self.flow.bucket().delay(now) {

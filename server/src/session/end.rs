@@ -75,6 +75,12 @@ impl EndReason {
         }
     }
 
+    /// Whether the peer takes none of what was written: the system need not keep it.
+    #[must_use]
+    pub const fn leaves_unread_bytes(self) -> bool {
+        matches!(self, Self::WriteTimeout | Self::MemoryShed)
+    }
+
     /// Whether the peer broke rules, in contrast to a session that was closed, was drained, was
     /// rejected, or lost its network.
     #[must_use]

@@ -55,6 +55,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         Self { stream, inbox, outbox: VecDeque::new(), written: 0, is_closed: false }
     }
 
+    /// The stream of the connection. What is queued is lost.
+    pub fn into_stream(self) -> S {
+        self.stream
+    }
+
     /// Waits for bytes; [`WebSocket::next_message`] returns their messages. Cancel safe.
     ///
     /// # Errors

@@ -1,7 +1,10 @@
 //! Problem documents and their metrics.
 
-use crate::client::Server;
+use crate::client::{Server, UPGRADE, read_all};
 use server::ServerConfig;
+use std::time::Duration;
+use tokio::io::AsyncWriteExt;
+use tokio::net::TcpStream;
 
 async fn rejected(server: &Server, kind: &str) -> u64 {
     let text = String::from_utf8(server.get("/metrics").await.body).unwrap();
@@ -141,4 +144,25 @@ async fn the_rate_limit_applies_on_an_idle_server() {
     for x in 0..=served {
         assert_eq!(free.get(&free.path(&format!("chunk/4/{x}/-1"))).await.status, 200, "the control");
     }
+}
+
+#[tokio::test]
+async fn a_session_that_is_asked_for_while_the_server_ends_is_rejected_with_that_reason() {
+    let server = Server::start().await;
+    let request: String =
+        UPGRADE.iter().fold("GET /v1/stream HTTP/1.1\r\nHost: localhost\r\n".into(), |text, header| {
+            format!("{text}{}: {}\r\n", header.0, header.1)
+        });
+    let mut stream = TcpStream::connect(server.address).await.unwrap();
+    stream.write_all(request.as_bytes()).await.unwrap();
+    // The answer to a later connection shows that the server has the first one.
+    assert_eq!(server.get("/livez").await.status, 200);
+    let rest = async {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        stream.write_all(b"\r\n").await.unwrap();
+        String::from_utf8(read_all(stream).await).unwrap()
+    };
+    let (reply, ()) = tokio::join!(rest, server.stop());
+    assert!(reply.starts_with("HTTP/1.1 503 "), "{reply}");
+    assert!(reply.contains("/no-session") && reply.contains("the server ends"), "{reply}");
 }
