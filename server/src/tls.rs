@@ -25,6 +25,15 @@ const ENCRYPTED: [&str; 2] = ["-----BEGIN ENCRYPTED PRIVATE KEY-----", "Proc-Typ
 /// A connection: plain, or by TLS. Boxed, since its state is some KiB.
 pub type PeerStream = Either<TcpStream, Box<TlsStream<TcpStream>>>;
 
+/// The TCP stream of a connection.
+#[must_use]
+pub fn tcp_stream(stream: &PeerStream) -> &TcpStream {
+    match stream {
+        Either::Left(stream) => stream,
+        Either::Right(stream) => stream.get_ref().0,
+    }
+}
+
 /// Certificate and key of new connections, with the files that they are read from again.
 pub struct Tls {
     files: Files,

@@ -8,6 +8,7 @@ use crate::limits::system_buffers;
 use crate::proxy::ClientAddress;
 use crate::session::driver::{self, READ_LIMIT};
 use crate::state::ServerState;
+use crate::tls::tcp_stream;
 use crate::websocket::upgrade::{Upgrade, VERSION};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -79,7 +80,7 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
             let bucket = state.rate_limiter.bucket(peer);
             let (reason, stream) = driver::serve(socket, &state, offer, number, bucket, parent).await;
             if reason.leaves_unread_bytes() {
-                system_buffers::discard(&stream);
+                system_buffers::discard(tcp_stream(&stream));
             }
             if reason.is_breach() {
                 state.peer_log.report(peer, reason.name());

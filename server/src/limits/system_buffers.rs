@@ -1,10 +1,8 @@
 //! Limits of what the system keeps for a connection whose peer does not read. On systems other than
 //! Linux those of the system apply while the connection is open.
 
-use crate::tls::PeerStream;
 use std::time::Duration;
 use tokio::net::TcpStream;
-use tokio_util::either::Either;
 
 /// Bytes of a connection that the system holds before it has sent them (`TCP_NOTSENT_LOWAT`, tcp(7)).
 /// Without a limit it takes megabytes for each client that does not read, and copying them delays all
@@ -27,11 +25,7 @@ pub fn limit(stream: &TcpStream, timeout: Duration) {
 
 /// Makes the drop of a stream give back what the system keeps for its peer, with a reset (RFC 9293,
 /// section 3.10.4). Otherwise the system keeps it until the peer takes it or the timeout of [`limit`].
-pub fn discard(stream: &PeerStream) {
-    let stream = match stream {
-        Either::Left(stream) => stream,
-        Either::Right(tls) => tls.get_ref().0,
-    };
+pub fn discard(stream: &TcpStream) {
     // Fails only where the connection is gone already.
     let _ = stream.set_zero_linger();
 }
@@ -70,7 +64,7 @@ mod tests {
             let listener = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
             let peer = TcpStream::connect(listener.local_addr().unwrap());
             let (peer, accepted) = tokio::join!(peer, listener.accept());
-            let (mut peer, stream) = (peer.unwrap(), Either::Left(accepted.unwrap().0));
+            let (mut peer, stream) = (peer.unwrap(), accepted.unwrap().0);
             if is_discarded {
                 discard(&stream);
             }
