@@ -92,6 +92,18 @@ pub fn build(programs: &[&str]) -> Command {
     compile("build", profile(), programs, triple())
 }
 
+/// An example of the server's package, built by [`build_example`].
+pub fn example(name: &str) -> PathBuf {
+    program("examples").join(name)
+}
+
+/// A command that builds an example of the server's package.
+pub fn build_example(name: &str) -> Command {
+    let mut command = build(&[]);
+    command.args(["--example", name]);
+    command
+}
+
 /// The command that builds programs as [`tested_program`] names them.
 pub fn build_tested(programs: &[&str]) -> Command {
     compile("build", "dev", programs, triple())

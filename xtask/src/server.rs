@@ -130,9 +130,11 @@ impl Drop for Server {
     }
 }
 
-/// A port that is free now. Another process may take it before the server does; then the server says so
-/// and ends.
-fn free_address() -> Result<SocketAddr> {
+/// A port that is free now. Another process may take it before the program that is given it.
+///
+/// # Errors
+/// No port is free.
+pub fn free_address() -> Result<SocketAddr> {
     let listener = TcpListener::bind("127.0.0.1:0").context("no free port on 127.0.0.1")?;
     listener.local_addr().context("no free port on 127.0.0.1")
 }

@@ -17,7 +17,7 @@ const TEST_TIMEOUT: Duration = Duration::from_secs(60);
 /// Runs a case with its bytes written in parts of `part` bytes; an error says what was wrong.
 async fn run(case: &Case, part: usize, plant: fn(Frame) -> Option<Frame>) -> Result<(), String> {
     let (client, server) = tokio::io::duplex(PIPE);
-    tokio::spawn(echo::serve(WebSocket::new(server, &[], LIMIT)));
+    tokio::spawn(echo::serve(WebSocket::new(server, &[], LIMIT), |ping| ping));
     let (mut reader, mut writer) = tokio::io::split(client);
     let bytes: Vec<u8> = case.sent.iter().cloned().filter_map(plant).flat_map(|sent| sent.bytes()).collect();
     let write = async {

@@ -11,8 +11,9 @@ use tokio::io::{AsyncRead, AsyncWrite};
 /// Time for the peer to end the connection after the Close frame.
 const END_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Serves one connection to its end.
-pub async fn serve<S: AsyncRead + AsyncWrite + Unpin>(mut socket: WebSocket<S>) {
+/// Serves one connection to its end. Pongs contain what `pong` makes of a ping's content: RFC 6455,
+/// section 5.5.3, asks for the same.
+pub async fn serve<S: AsyncRead + AsyncWrite + Unpin>(mut socket: WebSocket<S>, pong: fn(&[u8]) -> &[u8]) {
     let (code, reason) = loop {
         let (opcode, payload) = match socket.next_message() {
             Ok(None) => {
@@ -23,7 +24,7 @@ pub async fn serve<S: AsyncRead + AsyncWrite + Unpin>(mut socket: WebSocket<S>) 
             }
             Ok(Some(Message::Binary(bytes))) => (Opcode::Binary, bytes),
             Ok(Some(Message::Text(text))) => (Opcode::Text, text.as_bytes()),
-            Ok(Some(Message::Ping(payload))) => (Opcode::Pong, payload),
+            Ok(Some(Message::Ping(payload))) => (Opcode::Pong, pong(payload)),
             Ok(Some(Message::Pong)) => continue,
             Ok(Some(Message::Close(close))) => break (close.answer(), String::new()),
             Err(fault) => break (fault.close_code(), fault.to_string()),

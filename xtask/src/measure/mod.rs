@@ -14,6 +14,7 @@ mod resilience;
 mod run;
 mod runs;
 mod streaming;
+mod websocket;
 
 use crate::process;
 use crate::setup::{self, Extent};
@@ -45,7 +46,7 @@ macro_rules! by_lab {
     };
 }
 
-const MEASUREMENTS: [Measurement; 14] = [
+const MEASUREMENTS: [Measurement; 15] = [
     Measurement { name: "audit", programs: &[], rows: audit::rows },
     Measurement { name: "code", programs: &[], rows: code::rows },
     Measurement {
@@ -65,6 +66,7 @@ const MEASUREMENTS: [Measurement; 14] = [
         rows: resilience::rows,
     },
     Measurement { name: "fuzz", programs: &[], rows: fuzz::rows },
+    Measurement { name: "websocket", programs: &[], rows: websocket::rows },
     Measurement { name: "mutants", programs: &[], rows: mutants::rows },
     Measurement { name: "land", programs: &["tombolo-lab"], rows: land::rows },
     Measurement {

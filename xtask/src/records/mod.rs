@@ -5,6 +5,7 @@ pub mod link;
 pub mod page;
 pub mod quotes;
 pub mod record;
+pub mod references;
 mod stale;
 
 use crate::process;
@@ -23,7 +24,8 @@ pub struct Options {
     #[arg(long)]
     pub check: bool,
     /// Write docs/measurements/README.md from the records; withdraw the figures of the README whose
-    /// record is out of date, of a changed working tree or of one run, and state those of new records
+    /// record is out of date, of a changed working tree or of one run, and state those of new records;
+    /// state figures of documents as the records do that they refer to
     #[arg(long)]
     pub write: bool,
 }
@@ -54,6 +56,7 @@ pub fn run(options: &Options) -> Result<()> {
     if options.write {
         write_page()?;
         correct_quotes()?;
+        correct_references()?;
     }
     show()?;
     let unfit = unfit_quotes()?;
@@ -148,6 +151,23 @@ fn correct_quotes() -> Result<()> {
     let readme = std::fs::read_to_string(&path).context("cannot read README.md")?;
     let judged = judged()?;
     std::fs::write(&path, quotes::corrected(&readme, &fit(&judged))).context("cannot write README.md")
+}
+
+/// States the figures of documents as the records that they name do.
+fn correct_references() -> Result<()> {
+    let mut list = process::command("git");
+    list.args(["ls-files", "-z", "--", "*.md"]);
+    let list = process::output(list).context("cannot list the documents")?;
+    let records = record::all(&files()?);
+    for path in list.split('\0').filter(|path| !path.is_empty()) {
+        let file = process::root().join(path);
+        let Ok(text) = std::fs::read_to_string(&file) else { continue };
+        let corrected = references::corrected(path, &text, &records);
+        if corrected != text {
+            std::fs::write(&file, corrected).with_context(|| format!("cannot write {path}"))?;
+        }
+    }
+    Ok(())
 }
 
 /// The records that the README may quote.

@@ -9,7 +9,7 @@ use std::fmt::Write;
 pub const PATH: &str = "docs/measurements/README.md";
 
 /// Order of the sections; a measurement without notes has no section.
-const SECTIONS: [&str; 15] = [
+const SECTIONS: [&str; 16] = [
     "heightfield",
     "land",
     "end-to-end",
@@ -20,6 +20,7 @@ const SECTIONS: [&str; 15] = [
     "streaming",
     "cluster",
     "resilience",
+    "websocket",
     "fuzz",
     "mutants",
     "code",

@@ -15,7 +15,7 @@ const COMMON: [&str; 2] = ["bars", "xtask/src/measure/runs.rs"];
 
 /// What each measurement measures beside [`COMMON`]: paths from the root. Tests and documents in
 /// them do not count.
-const MEASURED: [(&str, &[&str]); 15] = [
+const MEASURED: [(&str, &[&str]); 16] = [
     ("code", &["*.rs", "*.wesl", "*.md", "*.toml"]),
     (
         "heightfield",
@@ -128,6 +128,15 @@ const MEASURED: [(&str, &[&str]); 15] = [
         ],
     ),
     ("fuzz", &["terrain", "protocol", "server", "entry-points", "fuzz", "xtask/src/measure/fuzz.rs"]),
+    (
+        "websocket",
+        &[
+            "server/src/websocket",
+            "server/examples/echo.rs",
+            "server/tests/websocket/echo.rs",
+            "xtask/src/measure/websocket.rs",
+        ],
+    ),
     (
         "mutants",
         &[
@@ -254,15 +263,14 @@ pub fn measured(name: &str) -> Option<Vec<&'static str>> {
 }
 
 /// Files among the measured paths that decide no figure, as pathspecs of git.
-const NO_FIGURES: [&str; 4] = [
-    ":(exclude,glob)**/tests/**",
-    ":(exclude,glob)**/tests.rs",
-    ":(exclude,glob)**/README.md",
-    ":(exclude)docs/measurements",
-];
+const NO_FIGURES: [&str; 2] = [":(exclude,glob)**/README.md", ":(exclude)docs/measurements"];
 
-/// Measurements of tests, whose figures tests decide.
-const OF_TESTS: [&str; 1] = ["mutants"];
+/// Files that decide the figures of [`OF_TESTS`] alone.
+const TESTS: [&str; 3] =
+    [":(exclude,glob)**/tests/**", ":(exclude,glob)**/tests.rs", ":(exclude,glob)**/examples/**"];
+
+/// Measurements of tests, or of an example.
+const OF_TESTS: [&str; 2] = ["mutants", "websocket"];
 
 /// Why the age of no record is known: a shallow clone lacks their commits. None in a full clone.
 pub fn lacks_history() -> Option<String> {
@@ -293,8 +301,7 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
         return Some(format!("its commit `{commit}` does not exist"));
     }
     let mut diff = git(&["diff", "--name-only", commit, "--"]);
-    let left_out = NO_FIGURES.iter().filter(|path| !(OF_TESTS.contains(&name) && path.contains("tests")));
-    diff.args(paths).args(left_out);
+    diff.args(paths).args(NO_FIGURES).args(TESTS.iter().filter(|_| !OF_TESTS.contains(&name)));
     match process::output(diff) {
         Ok(changed) if changed.trim().is_empty() => None,
         Ok(changed) => Some(format!("{} measured files changed since", changed.lines().count())),

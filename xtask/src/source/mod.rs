@@ -12,6 +12,7 @@ pub mod repeats;
 pub mod words;
 
 use crate::process;
+use crate::records;
 use anyhow::{Context, Result, bail};
 use std::collections::BTreeMap;
 
@@ -68,19 +69,32 @@ pub struct Finding {
 type Check = fn(&Files) -> Vec<Finding>;
 
 /// Checks that must find nothing, with their names.
-pub const CHECKS: [(&str, Check); 7] = [
+pub const CHECKS: [(&str, Check); 8] = [
     ("lines over the limit", columns::check),
     ("retired words", words::check),
     ("names in documents that do not exist", names::check),
     ("import circles between files", circles::check),
     ("length of the README", lines::check_readme),
     ("figures of the README that differ from their records", figures::check),
+    ("figures of documents that differ from their records", documents),
     ("page of the measurements that differs from the records", measurements),
 ];
 
+/// Figures of documents that refer to rows of records.
+fn documents(files: &Files) -> Vec<Finding> {
+    let records = records::record::all(&files.0);
+    let of = |(path, text): (&str, &str)| {
+        let faults = records::references::faults(path, text, &records).into_iter();
+        faults
+            .map(|fault| Finding { path: path.into(), line: fault.line, what: fault.what })
+            .collect::<Vec<_>>()
+    };
+    files.with_extension(&["md"]).flat_map(of).collect()
+}
+
 /// The page of all records against the records.
 fn measurements(files: &Files) -> Vec<Finding> {
-    let faults = crate::records::page::faults(&files.0);
+    let faults = records::page::faults(&files.0);
     faults.into_iter().map(|(path, what)| Finding { path, line: 1, what }).collect()
 }
 

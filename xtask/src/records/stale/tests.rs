@@ -134,13 +134,13 @@ fn files_of_the_lab_are_listed_with_the_modules_that_they_import() {
 fn tests_decide_no_figure() {
     let listed = |more: &[&str]| {
         let mut git = process::command("git");
-        git.args(["ls-files", "--", "simulation", "load"]).args(more);
+        git.args(["ls-files", "--", "simulation", "load", "server"]).args(more);
         process::output(git).unwrap()
     };
-    let is_test =
-        |files: &str| files.lines().any(|file| file.ends_with("/tests.rs") || file.contains("/tests/"));
-    assert!(is_test(&listed(&[])), "the control: there are some");
-    assert!(!is_test(&listed(&NO_FIGURES)));
+    for place in ["/tests.rs", "/tests/", "/examples/"] {
+        assert!(listed(&[]).contains(place), "the control: there are some in {place}");
+        assert!(!listed(&TESTS).contains(place), "{place}");
+    }
 }
 
 #[test]
