@@ -11,36 +11,11 @@
 // The same echo as that of the conformance suite.
 #[path = "../tests/websocket/echo.rs"]
 mod echo;
+#[path = "../tests/websocket/echo_server.rs"]
+mod echo_server;
 
-use axum::extract::Request;
-use axum::response::{IntoResponse, Response};
-use axum::{Router, routing};
-use hyper::service::service_fn;
-use hyper_util::rt::TokioIo;
-use server::limits::write_timeout::WriteTimeoutStream;
-use server::websocket::upgrade::Upgrade;
 use std::io;
-use std::time::Duration;
 use tokio::net::TcpListener;
-use tower::ServiceExt;
-
-/// The largest message of Autobahn's section 9.
-const LIMIT: usize = 16 << 20;
-
-async fn stream(mut request: Request, pong: fn(&[u8]) -> &[u8]) -> Response {
-    match Upgrade::of(&mut request) {
-        Ok(upgrade) => {
-            let response = upgrade.response(None);
-            tokio::spawn(async move {
-                if let Some(socket) = upgrade.socket(LIMIT).await {
-                    echo::serve(socket, pong).await;
-                }
-            });
-            response
-        }
-        Err(rejection) => rejection.into_response(),
-    }
-}
 
 #[tokio::main]
 async fn main() -> io::Result<()> {
@@ -54,17 +29,5 @@ async fn main() -> io::Result<()> {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, fault));
         }
     };
-    let listener = TcpListener::bind(&address).await?;
-    let router: Router = Router::new().fallback(routing::any(move |request| stream(request, pong)));
-    loop {
-        let (connection, _) = listener.accept().await?;
-        let router = router.clone();
-        let service = service_fn(move |request: hyper::Request<hyper::body::Incoming>| {
-            router.clone().oneshot(request.map(axum::body::Body::new))
-        });
-        let io = TokioIo::new(WriteTimeoutStream::new(connection, Duration::from_secs(10)));
-        tokio::spawn(
-            hyper::server::conn::http1::Builder::new().serve_connection(io, service).with_upgrades(),
-        );
-    }
+    echo_server::run(TcpListener::bind(&address).await?, pong).await
 }

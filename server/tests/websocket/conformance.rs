@@ -2,11 +2,15 @@
 
 use crate::cases::limits::LIMIT;
 use crate::cases::{Case, Group, groups};
-use crate::echo;
 use crate::frame::{CLOSE, Frame, parse};
+use crate::{echo, echo_server};
+use futures_util::{SinkExt, StreamExt};
 use server::websocket::socket::WebSocket;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpListener;
+use tokio_tungstenite::connect_async;
+use tokio_tungstenite::tungstenite::Message;
 
 /// Bytes of the pipe in each direction: more than any case has.
 const PIPE: usize = 4 * LIMIT;
@@ -104,4 +108,23 @@ fn names_are_unique_and_every_section_has_cases() {
     ] {
         assert!(names.iter().any(|name| name.starts_with(section)), "{section}");
     }
+}
+
+/// Suites of others meet the echo over TCP.
+#[tokio::test]
+async fn the_echo_answers_over_tcp() {
+    let listener = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
+    let url = format!("ws://{}", listener.local_addr().unwrap());
+    let server = tokio::spawn(echo_server::run(listener, |ping| ping.get(1..).unwrap_or_default()));
+    let (mut socket, _) = connect_async(url).await.unwrap();
+    for (sent, answer) in [
+        (Message::text("hello"), Message::text("hello")),
+        (Message::binary(&b"bytes"[..]), Message::binary(&b"bytes"[..])),
+        (Message::Ping("planted".into()), Message::Pong("lanted".into())),
+    ] {
+        socket.send(sent).await.unwrap();
+        let received = tokio::time::timeout(TEST_TIMEOUT, socket.next()).await.unwrap();
+        assert_eq!(received.unwrap().unwrap(), answer);
+    }
+    server.abort();
 }

@@ -7,12 +7,14 @@
 //! | `conformance` | runs every case, whole and in parts; planted faults must be found |
 //! | `frame` | frames as clients may and may not send them |
 //! | `echo` | the echo |
+//! | `echo_server` | the echo over TCP, as the example `echo` |
 //! | `handshake` | the opening handshake |
 //! | `sessions` | close codes of sessions, and Close frames that must not be lost |
 
 mod cases;
 mod conformance;
 mod echo;
+mod echo_server;
 mod frame;
 mod handshake;
 mod sessions;

@@ -134,6 +134,7 @@ const MEASURED: [(&str, &[&str]); 16] = [
             "server/src/websocket",
             "server/examples/echo.rs",
             "server/tests/websocket/echo.rs",
+            "server/tests/websocket/echo_server.rs",
             "xtask/src/measure/websocket.rs",
         ],
     ),
