@@ -38,6 +38,10 @@ pub struct Flow {
     pub(super) shared: Arc<Shared>,
     threads: Arc<Threads>,
     pub(super) id: FlowId,
+    /// The flow whose turns its requests take.
+    turns: FlowId,
+    /// Chunks that it has requested, where it takes the turns of another flow; those of one tile.
+    requested: Vec<ChunkId>,
     /// Cloned into every request.
     pub(super) sender: UnboundedSender<Vec<Completion>>,
     /// Holds at most one result per request, so the caller's bound on requests bounds it.
@@ -54,12 +58,20 @@ pub struct Flow {
 }
 
 impl Flow {
-    pub(super) fn new(shared: Arc<Shared>, threads: Arc<Threads>, id: FlowId, bucket: TokenBucket) -> Self {
+    pub(super) fn new(
+        shared: Arc<Shared>,
+        threads: Arc<Threads>,
+        id: FlowId,
+        turns: FlowId,
+        bucket: TokenBucket,
+    ) -> Self {
         let (sender, receiver) = unbounded_channel();
         Self {
             shared,
             threads,
             id,
+            turns,
+            requested: Vec::new(),
             sender,
             receiver,
             selection: None,
@@ -152,9 +164,12 @@ impl Flow {
         }
         let (since, sender) = (Instant::now(), self.sender.clone());
         let must_be_compact = self.must_be_compact;
-        let (flow, bucket) = (self.id, self.bucket.clone());
+        let (flow, turns, bucket) = (self.id, self.turns, self.bucket.clone());
         let request =
-            FrameRequest { flow, chunk, id, delivery, must_be_compact, bucket, since, sender, trace };
+            FrameRequest { flow, turns, chunk, id, delivery, must_be_compact, bucket, since, sender, trace };
+        if self.is_download() {
+            self.requested.push(id);
+        }
         let cost_us = costs.expected_us(chunk.key);
         let enqueued = queue.enqueue(request, cost_us);
         if enqueued == Enqueued::NewJob {
@@ -210,7 +225,7 @@ impl Flow {
     }
 
     fn add_open(&mut self, count: usize) {
-        if self.open == 0 && count > 0 {
+        if self.open == 0 && count > 0 && (!self.is_download() || self.shared.downloads.add(self.turns)) {
             self.shared.active_flows.fetch_add(1, Ordering::Relaxed);
         }
         self.open += count;
@@ -218,9 +233,13 @@ impl Flow {
 
     fn remove_open(&mut self, count: usize) {
         self.open -= count;
-        if self.open == 0 && count > 0 {
+        if self.open == 0 && count > 0 && (!self.is_download() || self.shared.downloads.remove(self.turns)) {
             self.shared.active_flows.fetch_sub(1, Ordering::Relaxed);
         }
+    }
+
+    const fn is_download(&self) -> bool {
+        self.turns != self.id
     }
 
     fn complete(&self, chunk: ChunkRequest, result: FrameResult) {
@@ -281,7 +300,15 @@ async fn received(selection: &mut Option<oneshot::Receiver<ViewSelection>>) -> O
 impl Drop for Flow {
     fn drop(&mut self) {
         if self.open > 0 {
-            let (dropped, charges) = self.shared.lock().remove_flow(self.id);
+            let (dropped, charges) = {
+                let mut queue = self.shared.lock();
+                if self.is_download() {
+                    // Others take the same turns.
+                    queue.cancel_all(self.id, &self.requested)
+                } else {
+                    queue.remove_flow(self.id)
+                }
+            };
             charges.into_iter().for_each(Charge::refund);
             self.shared.metrics.jobs_cancelled.inc_by(dropped);
             self.remove_open(self.open);
@@ -295,6 +322,7 @@ mod tests {
     use crate::generation::test_source::{chunk_request, fixture, fixture_with_deadline, key, request};
     use crate::limits::rate_limit::RateLimiter;
     use protocol::delivery::Tolerance;
+    use std::net::IpAddr;
 
     #[tokio::test]
     async fn the_highest_priority_comes_first_and_every_request_completes_once() {
@@ -346,6 +374,52 @@ mod tests {
         assert_eq!(fixture.metrics.jobs_cancelled.get(), 100_000);
         drop(kept);
         assert_eq!(fixture.service.shared.active_flows.load(Ordering::Relaxed), 0);
+    }
+
+    /// The turns of a client that asks by HTTP are those of one session, whatever the number of its
+    /// requests.
+    #[tokio::test]
+    async fn all_downloads_of_a_network_take_the_turns_of_one_flow() {
+        const SESSION: i32 = 20;
+        let fixture = fixture(1 << 20, 1000);
+        for client in [Some(IpAddr::from([10, 0, 0, 1])), None] {
+            let x0 = if client.is_some() { 0 } else { 1000 };
+            let blocker = request(&fixture.service, key(x0), 1).await;
+            while !fixture.service.shared.lock().is_running(ChunkId::base(key(x0))) {
+                tokio::task::yield_now().await;
+            }
+            let mut session = fixture.service.flow();
+            for x in 900..900 + SESSION {
+                session.request(chunk_request(key(x0 + x), 1), Delivery::Exact);
+            }
+            let mut downloads: Vec<Flow> = (1..=64)
+                .map(|x| {
+                    let mut flow = fixture.service.download(client, TokenBucket::default());
+                    flow.request(chunk_request(key(x0 + x), 1), Delivery::Exact);
+                    flow
+                })
+                .collect();
+            let active = if client.is_some() { 3 } else { 66 };
+            assert_eq!(fixture.service.shared.active_flows.load(Ordering::Relaxed), active);
+            // One that is dropped takes only its own request with it.
+            drop(downloads.pop());
+            for _ in 0..64 + SESSION {
+                fixture.permit.send(()).unwrap();
+            }
+            assert!(blocker.await.unwrap().is_ok());
+            while session.in_flight() > 0 {
+                session.completions().await;
+            }
+            for mut flow in downloads {
+                assert!(flow.completions().await[0].1.is_ok());
+            }
+            let generated: Vec<_> = fixture.generated.try_iter().collect();
+            let last = generated.iter().rposition(|made| made.x() >= x0 + 900).unwrap();
+            assert_eq!(generated.len(), 64 + SESSION as usize);
+            // The control: requests without a network are flows of their own.
+            assert_eq!(last < 50, client.is_some(), "{last}");
+            assert_eq!(fixture.service.shared.active_flows.load(Ordering::Relaxed), 0);
+        }
     }
 
     #[tokio::test]

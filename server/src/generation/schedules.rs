@@ -108,6 +108,7 @@ fn request(flow: &mut Flow, key: ChunkKey, bug: Option<Bug>) {
     }
     let request = FrameRequest {
         flow: flow.id,
+        turns: flow.id,
         chunk: chunk_request(key),
         id,
         delivery: Delivery::Exact,

@@ -2,8 +2,8 @@
 
 use super::cost::JobCosts;
 use super::flow::Flow;
-use super::queue::Queue;
-use super::shared::{Limits, Shared};
+use super::queue::{FlowId, Queue};
+use super::shared::{Downloads, Limits, Shared};
 use super::threads::{Mutex, Threads};
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
@@ -15,6 +15,7 @@ use crate::store::Store;
 use bytes::Bytes;
 use protocol::Delivery;
 use rayon::ThreadPoolBuildError;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
@@ -79,6 +80,7 @@ impl Generation {
             limits,
             next_flow: AtomicU64::new(0),
             active_flows: AtomicUsize::new(0),
+            downloads: Downloads::default(),
             metrics,
         };
         Ok(Self { shared: Arc::new(shared), threads: Arc::new(threads) })
@@ -99,8 +101,18 @@ impl Generation {
     /// As [`Generation::flow`], with its work charged to a token bucket.
     #[must_use]
     pub fn limited_flow(&self, bucket: TokenBucket) -> Flow {
+        self.flow_with(None, bucket)
+    }
+
+    /// A flow of an HTTP request: all of a client network take the turns of one flow.
+    #[must_use]
+    pub fn download(&self, client: Option<IpAddr>, bucket: TokenBucket) -> Flow {
+        self.flow_with(client.map(|client| self.shared.downloads.turns_of(client)), bucket)
+    }
+
+    fn flow_with(&self, turns: Option<FlowId>, bucket: TokenBucket) -> Flow {
         let id = self.shared.next_flow.fetch_add(1, Ordering::Relaxed);
-        Flow::new(Arc::clone(&self.shared), Arc::clone(&self.threads), id, bucket)
+        Flow::new(Arc::clone(&self.shared), Arc::clone(&self.threads), id, turns.unwrap_or(id), bucket)
     }
 
     /// Further requests that one flow can complete within the deadline, by the recent job costs.

@@ -22,7 +22,7 @@ pub async fn get(
     // Always exact: a cached chunk must be usable without a generator.
     let chunk = ChunkRequest { key, request: Some(0), priority: u64::MAX };
     // Compact: the address is immutable, so it has one representation for ever.
-    let flow = state.generation.limited_flow(bucket.clone()).compact();
+    let flow = state.generation.download(request.client.address, bucket.clone()).compact();
     let parent = state.traces.parent(&request.client.headers);
     let span = state.traces.chunk(parent.as_ref(), key, Delivery::Exact);
     let frame = flow.base_frame(chunk, Delivery::Exact).instrument(span.clone()).await;

@@ -16,7 +16,7 @@ pub async fn get(
     request: ChunkPathRequest,
 ) -> Result<Response, Problem> {
     let (key, bucket) = request.admit(&state, ".png", Query::Style).await?;
-    let tile = state.map.tile(key, &state.generation, &bucket).await;
+    let tile = state.map.tile(key, request.client.address, &state.generation, &bucket).await;
     let tile = tile.map_err(|error| match error {
         MapError::Busy => Problem::new(ProblemKind::MapBusy, error.to_string()),
         MapError::OverRate => over_rate(),

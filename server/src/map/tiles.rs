@@ -13,6 +13,7 @@ use protocol::server::ChunkRequest;
 use protocol::{Delivery, chunk_codec};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::Duration;
 use terrain::{Chunk, ChunkKey, WorldDigest};
@@ -95,7 +96,7 @@ impl Map {
         }
     }
 
-    /// The tile of a key; rendering and sending are charged to a bucket. Dropping the future
+    /// The tile of a key for a client; rendering and sending are charged to a bucket. Dropping the future
     /// cancels its requests.
     ///
     /// # Errors
@@ -103,10 +104,11 @@ impl Map {
     pub async fn tile(
         &self,
         key: ChunkKey,
+        client: Option<IpAddr>,
         generation: &Generation,
         bucket: &TokenBucket,
     ) -> Result<Tile, MapError> {
-        let tile = self.cached_or_rendered(key, generation, bucket).await;
+        let tile = self.cached_or_rendered(key, client, generation, bucket).await;
         match &tile {
             Ok(tile) => bucket.charge_bytes(tile.png.len(), Instant::now()),
             Err(_) => drop(self.metrics.tiles_failed.inc()),
@@ -117,6 +119,7 @@ impl Map {
     async fn cached_or_rendered(
         &self,
         key: ChunkKey,
+        client: Option<IpAddr>,
         generation: &Generation,
         bucket: &TokenBucket,
     ) -> Result<Tile, MapError> {
@@ -140,7 +143,7 @@ impl Map {
                 self.metrics.tile_cache_hits.inc();
                 return Ok(tile);
             }
-            if fetch_frames(&sources, &mut frames, generation, bucket).await? {
+            if fetch_frames(&sources, &mut frames, client, generation, bucket).await? {
                 break permit;
             }
             // While it waits for tokens, others have its turn and its place in the queue.
@@ -175,6 +178,7 @@ impl Map {
 async fn fetch_frames(
     keys: &[ChunkKey],
     frames: &mut [Option<Bytes>],
+    client: Option<IpAddr>,
     generation: &Generation,
     bucket: &TokenBucket,
 ) -> Result<bool, GenerationError> {
@@ -182,7 +186,8 @@ async fn fetch_frames(
         *frame = generation.cached(*key, Delivery::Exact);
     }
     let missing: Vec<usize> = (0..keys.len()).filter(|index| frames[*index].is_none()).collect();
-    let (mut flow, mut remaining): (Flow, _) = (generation.limited_flow(bucket.clone()), missing.into_iter());
+    let (mut flow, mut remaining): (Flow, _) =
+        (generation.download(client, bucket.clone()), missing.into_iter());
     loop {
         while flow.in_flight() < JOB_WINDOW && bucket.delay(Instant::now()).is_none() {
             let Some(index) = remaining.next() else { break };
@@ -259,10 +264,10 @@ mod tests {
         let (land, generation) = service(&metrics, 100);
         let map = || Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics));
         // Its chunks are made without a charge.
-        map().tile(key(4, 0, -1), &generation, &TokenBucket::default()).await.unwrap();
+        map().tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.unwrap();
         let bucket = bucket(1);
         let (before, start) = (bucket.tokens(), Instant::now());
-        map().tile(key(4, 0, -1), &generation, &bucket).await.unwrap();
+        map().tile(key(4, 0, -1), None, &generation, &bucket).await.unwrap();
         assert_eq!(metrics.tiles_rendered.get(), 2);
         assert!(bucket.tokens() < before);
         // The full bucket pays for 10,000 chunks of the least cost, that of no chunk.
@@ -277,14 +282,14 @@ mod tests {
         let limited = bucket(1);
         // Its request was admitted; meanwhile others have spent the tokens and 40 s of refill more.
         limited.charge_work(50_000, Instant::now());
-        let over = map.tile(key(4, 0, -1), &generation, &limited).await;
+        let over = map.tile(key(4, 0, -1), None, &generation, &limited).await;
         assert_eq!(over.err(), Some(MapError::OverRate), "the deadline is 30 s");
         assert_eq!((metrics.jobs_completed.get(), metrics.rate_limit_rejections.get()), (0, 1));
 
         // A full bucket pays for some ten of the 36 chunks.
         let tile = {
             let (map, generation, full) = (Arc::clone(&map), generation.clone(), bucket(1));
-            tokio::spawn(async move { map.tile(key(4, 0, -1), &generation, &full).await.map(drop) })
+            tokio::spawn(async move { map.tile(key(4, 0, -1), None, &generation, &full).await.map(drop) })
         };
         while metrics.rate_limit_delays.get() == 0 {
             tokio::task::yield_now().await;
@@ -293,7 +298,7 @@ mod tests {
         assert!((1..36).contains(&made), "{made}");
         assert_eq!(map.render_permits.available_permits(), 1);
         // The control: the same tile for another client, which takes up the chunks that are made.
-        assert!(map.tile(key(4, 0, -1), &generation, &TokenBucket::default()).await.is_ok());
+        assert!(map.tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.is_ok());
         assert_eq!((metrics.jobs_completed.get(), metrics.tiles_rendered.get()), (36, 1));
         tile.abort();
     }
@@ -308,19 +313,19 @@ mod tests {
         // The queue has exactly the size of the window.
         let (land, generation) = service(&metrics, JOB_WINDOW);
         let map = Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics));
-        let tile = map.tile(key(4, 0, -1), &generation, &TokenBucket::default()).await.unwrap();
+        let tile = map.tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.unwrap();
         assert_eq!(metrics.jobs_completed.get(), 36);
         assert_eq!(
-            map.tile(key(4, 0, -1), &generation, &TokenBucket::default()).await.unwrap().digest,
+            map.tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.unwrap().digest,
             tile.digest
         );
         assert_eq!((metrics.tiles_rendered.get(), metrics.tile_cache_hits.get()), (1, 1));
         // Its neighbour to the east shares two columns of six chunks with it.
-        map.tile(key(4, 1, -1), &generation, &TokenBucket::default()).await.unwrap();
+        map.tile(key(4, 1, -1), None, &generation, &TokenBucket::default()).await.unwrap();
         assert_eq!(metrics.jobs_completed.get(), 36 + 24);
         // The control: with a smaller queue than the window it is rejected.
         let (_, small) = service(&metrics, 2);
-        let rejected = map.tile(key(4, 5, 5), &small, &TokenBucket::default()).await;
+        let rejected = map.tile(key(4, 5, 5), None, &small, &TokenBucket::default()).await;
         assert_eq!(rejected.err(), Some(MapError::Generation(GenerationError::Overloaded)));
     }
 
@@ -336,7 +341,9 @@ mod tests {
         let permit = map.render_permits.acquire().await.unwrap();
         let wait_for = |x| {
             let (map, generation) = (Arc::clone(&map), generation.clone());
-            tokio::spawn(async move { map.tile(key(0, x, 0), &generation, &TokenBucket::default()).await })
+            tokio::spawn(
+                async move { map.tile(key(0, x, 0), None, &generation, &TokenBucket::default()).await },
+            )
         };
         let waiting = [wait_for(1), wait_for(2)];
         while map.queue_permits.available_permits() > 0 {
@@ -360,9 +367,9 @@ mod tests {
             .flat_map(|x| (-4..4).map(move |z| key(4, x, z)))
             .map(|key| {
                 let (map, generation) = (Arc::clone(&map), generation.clone());
-                tokio::spawn(
-                    async move { map.tile(key, &generation, &TokenBucket::default()).await.map(drop) },
-                )
+                tokio::spawn(async move {
+                    map.tile(key, None, &generation, &TokenBucket::default()).await.map(drop)
+                })
             })
             .collect();
         while metrics.jobs_completed.get() < 10 || map.queue_permits.available_permits() > MAX_WAITING - 60 {
@@ -398,7 +405,8 @@ mod tests {
         let mut rendered = 0;
         for x in 0..12 {
             rendered +=
-                map.tile(key(0, x, 3), &generation, &TokenBucket::default()).await.unwrap().png.len() as u64;
+                map.tile(key(0, x, 3), None, &generation, &TokenBucket::default()).await.unwrap().png.len()
+                    as u64;
         }
         assert!(rendered > 2 * budget, "{rendered} bytes exceed the budget");
         assert!(map.cache.weight() <= budget && map.cache.weight() > 0);

@@ -21,6 +21,8 @@ pub type FlowId = u64;
 pub struct FrameRequest {
     /// The flow that made it.
     pub flow: FlowId,
+    /// The flow whose turns it takes: the same, or that of all downloads of a client network.
+    pub turns: FlowId,
     /// Key, request number and priority.
     pub chunk: ChunkRequest,
     /// The chunk: the key in the edition of the time of the request.
@@ -225,7 +227,7 @@ impl Jobs {
         // Another delivery was requested after the last check. Rare, so the chunk is generated
         // again.
         let finished = job.requests.extract_if(.., |request| is_encoded(request)).collect();
-        let again = job.requests.iter().map(|request| (request.flow, request.chunk.priority)).collect();
+        let again = job.requests.iter().map(|request| (request.turns, request.chunk.priority)).collect();
         job.is_running = false;
         self.by_id.insert(id, job);
         self.waiting += 1;

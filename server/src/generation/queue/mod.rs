@@ -9,7 +9,9 @@
 //!
 //! A flow that was idle has its first turn before all others (the new queues of FQ-CoDel, RFC 8290,
 //! section 4.2), so that a light client does not wait for a round of heavy ones. A flow is idle
-//! after a round without work and without debt.
+//! after a round without work and without debt. Flows that come while a round
+//! lasts are first too, but no more of them than half of the turns with work in the round before: those
+//! that come without end must not keep the others from theirs.
 
 mod jobs;
 
@@ -43,10 +45,20 @@ pub struct Queue {
     new_turns: VecDeque<FlowId>,
     /// Other flows, next turn first. A flow is at most once in `new_turns` and `turns` together.
     turns: VecDeque<FlowId>,
+    round: Round,
     /// Orders equal priorities by age.
     next_number: u64,
     /// Threads that take turns.
     pub runners: usize,
+}
+
+/// Turns that are left in a round.
+#[derive(Debug, Default)]
+struct Round {
+    first: usize,
+    others: usize,
+    /// Turns of this round that had work.
+    worked: usize,
 }
 
 #[derive(Debug, Default)]
@@ -55,7 +67,7 @@ struct Flow {
     /// are skipped when popped and removed when there are many.
     entries: BinaryHeap<(u64, Reverse<u64>, ChunkId)>,
     /// A view to select. It comes before the chunks, since it decides which are needed.
-    view: Option<ViewJob>,
+    view: Option<Box<ViewJob>>,
     /// Whether a thread runs the flow's view job.
     is_selecting: bool,
     /// Whether it is in [`Queue::new_turns`] or [`Queue::turns`].
@@ -97,6 +109,7 @@ impl Queue {
             flows: FxHashMap::default(),
             new_turns: VecDeque::new(),
             turns: VecDeque::new(),
+            round: Round::default(),
             next_number: 0,
             runners: 0,
         }
@@ -129,7 +142,7 @@ impl Queue {
 
     /// Adds a request. The caller charges the cost of a new job to the bucket of the request.
     pub fn enqueue(&mut self, request: FrameRequest, cost_us: i64) -> Enqueued {
-        let (flow, chunk, priority) = (request.flow, request.id, request.chunk.priority);
+        let (flow, chunk, priority) = (request.turns, request.id, request.chunk.priority);
         let enqueued = self.jobs.add(request, cost_us);
         // A coalesced job gets an entry in this flow too: the flow with the earlier turn runs it,
         // and it stays queued if the other flow ends.
@@ -141,7 +154,7 @@ impl Queue {
 
     /// Adds a view job. A flow has one at a time.
     pub fn add_view(&mut self, id: FlowId, view: ViewJob) {
-        self.active_flow(id).view = Some(view);
+        self.active_flow(id).view = Some(Box::new(view));
         self.add_turn(id);
     }
 
@@ -152,7 +165,7 @@ impl Queue {
         flow.credit_us -= spent_us;
         flow.is_selecting = false;
         if view.is_some() {
-            flow.view = view;
+            flow.view = view.map(Box::new);
         }
         self.add_turn(id);
     }
@@ -199,10 +212,12 @@ impl Queue {
     /// does not repeat an unchanged view.
     pub fn take(&mut self, quantum_us: i64, deadline: Duration, now: Instant) -> Turn {
         let mut turn = Turn::default();
+        let (mut without_work, mut to_see) = (0, 0);
         while let Some(id) = self.next_turn() {
             let Some(flow) = self.flows.get_mut(&id) else { continue };
             flow.has_turn = false;
             let was_runnable = flow.is_runnable();
+            self.round.worked += usize::from(was_runnable);
             if flow.credit_us <= 0 {
                 flow.credit_us += quantum_us;
             }
@@ -210,7 +225,7 @@ impl Queue {
                 && let Some(view) = flow.view.take()
             {
                 flow.is_selecting = true;
-                turn.view = Some((id, view, flow.credit_us));
+                turn.view = Some((id, *view, flow.credit_us));
                 if flow.is_runnable() {
                     self.add_turn(id);
                 }
@@ -241,17 +256,58 @@ impl Queue {
             if !turn.chunks.is_empty() {
                 return turn;
             }
+            without_work = if was_runnable { 0 } else { without_work + 1 };
+            if without_work == 1 {
+                to_see = self.new_turns.len() + self.turns.len();
+            }
+            if without_work > to_see {
+                self.pay_debts();
+            }
         }
         turn
     }
 
-    /// Whether a flow that was idle waits for its first turn.
+    /// Ends the rounds in which flows without work pay their debts, where no flow has work: there may
+    /// be thousands of both.
+    fn pay_debts(&mut self) {
+        debug_assert!(!self.flows.values().any(Flow::is_runnable), "each flow had a turn without work");
+        self.new_turns.clear();
+        self.turns.clear();
+        self.flows.retain(|_, flow| {
+            (flow.has_turn, flow.credit_us) = (false, 0);
+            flow.is_selecting
+        });
+    }
+
+    /// Whether a flow that was idle has the next turn.
     pub fn has_new_flow(&self) -> bool {
-        !self.new_turns.is_empty()
+        let begins_round = self.round.others == 0 || self.turns.is_empty();
+        !self.new_turns.is_empty() && (self.round.first > 0 || begins_round)
     }
 
     fn next_turn(&mut self) -> Option<FlowId> {
-        self.new_turns.pop_front().or_else(|| self.turns.pop_front())
+        if self.new_turns.is_empty() && self.turns.is_empty() {
+            return None;
+        }
+        loop {
+            if self.round.first > 0
+                && let Some(id) = self.new_turns.pop_front()
+            {
+                self.round.first -= 1;
+                return Some(id);
+            }
+            // Flows that have been removed have no turn.
+            self.round.others = self.round.others.min(self.turns.len());
+            if self.round.others > 0
+                && let Some(id) = self.turns.pop_front()
+            {
+                self.round.others -= 1;
+                return Some(id);
+            }
+            // One of the two has a turn for the flow that waits.
+            let first = self.new_turns.len() + self.round.worked.div_ceil(2);
+            self.round = Round { first, others: self.turns.len(), ..Round::default() };
+        }
     }
 
     /// The frame of a request for which `is_encoded` is false; none if there is no such request.
@@ -292,8 +348,15 @@ impl Queue {
             self.new_turns.retain(|other| *other != id);
             self.turns.retain(|other| *other != id);
         }
+        let chunks: Vec<_> = flow.entries.into_iter().map(|(_, _, chunk)| chunk).collect();
+        self.cancel_all(id, &chunks)
+    }
+
+    /// Cancels a flow's requests for chunks. Returns the number of jobs that only it requested, and
+    /// what is to be refunded.
+    pub fn cancel_all(&mut self, id: FlowId, chunks: &[ChunkId]) -> (u64, Vec<Charge>) {
         let before = self.jobs.len();
-        let refunds = flow.entries.into_iter().filter_map(|(_, _, chunk)| self.cancel(id, chunk).1).collect();
+        let refunds = chunks.iter().filter_map(|chunk| self.cancel(id, *chunk).1).collect();
         ((before - self.jobs.len()) as u64, refunds)
     }
 }

@@ -67,6 +67,7 @@ impl Fixture {
         self.queue.enqueue(
             FrameRequest {
                 flow,
+                turns: flow,
                 chunk,
                 id: id(x),
                 delivery,
@@ -386,4 +387,39 @@ fn the_first_frame_of_a_job_is_charged_in_advance_and_others_to_who_asks_for_the
     assert!(fixture.queue.missing_frame(id(1), |_| false).unwrap().payer.is_some());
     let (cancelled, charge) = fixture.queue.cancel(2, id(1));
     assert!(cancelled.len() == 1 && charge.is_none());
+}
+
+#[test]
+fn flows_that_come_without_end_leave_the_others_their_turns() {
+    let mut fixture = Fixture::new(100_000);
+    for flow in 1..=20 {
+        for x in 0..900 {
+            fixture.request(flow, flow as i32 * 900 + x, 1, 100);
+        }
+    }
+    for _ in 0..40 {
+        fixture.turn();
+    }
+    // Four new flows wait at any time, each with one expensive job.
+    let (mut of_others, mut next) = (0, 100);
+    for _ in 0..1000 {
+        while fixture.queue.new_turns.len() < 4 {
+            next += 1;
+            fixture.request(next, 20_000 + next as i32, 1, 2000);
+        }
+        of_others += usize::from(fixture.turn()[0] < 20_000);
+    }
+    assert!((200..800).contains(&of_others), "{of_others} of 1000 turns");
+}
+
+#[test]
+fn debts_of_flows_without_work_are_paid_at_once_where_no_flow_has_work() {
+    let mut fixture = Fixture::new(100_000);
+    for flow in 1..=1000 {
+        fixture.request(flow, flow as i32, 1, 1_000_000_000);
+        assert_eq!(fixture.turn(), [flow as i32]);
+    }
+    assert_eq!(fixture.queue.flows.len(), 1000);
+    assert!(fixture.turn().is_empty());
+    assert!(fixture.queue.flows.is_empty() && fixture.queue.turns.is_empty());
 }
