@@ -74,8 +74,9 @@ pub struct ServerConfig {
     pub rate_limit_ms: Option<u64>,
     /// Longest wait of a requested chunk for its generation.
     pub deadline: Duration,
-    /// Generation jobs queued or running. One more is rejected as overloaded.
-    pub max_jobs: usize,
+    /// Generation jobs queued or running. One more is rejected as overloaded. None for as many as
+    /// sessions, downloads and map tiles can have requested ([`ServerConfig::job_limit`]).
+    pub max_jobs: Option<usize>,
     /// Time for the handshake, and for the headers of an HTTP request.
     pub handshake_timeout: Duration,
     /// Time from the first byte of a session's message to its last.
@@ -119,8 +120,7 @@ impl Default for ServerConfig {
             max_sessions_per_address: None,
             rate_limit_ms: None,
             deadline: Duration::from_millis(DEFAULT_DEADLINE_MS),
-            // A thousand sessions of 16 each.
-            max_jobs: 16_384,
+            max_jobs: None,
             handshake_timeout: Duration::from_secs(5),
             message_timeout: Duration::from_secs(5),
             write_timeout: Duration::from_secs(10),
@@ -135,6 +135,13 @@ impl Default for ServerConfig {
 }
 
 impl ServerConfig {
+    /// Generation jobs that may be queued or running. No number of peers fills the default: each
+    /// session has 16 at most, each connection one, and the map's tiles 8 each.
+    #[must_use]
+    pub fn job_limit(&self) -> usize {
+        self.max_jobs.unwrap_or_else(|| self.max_sessions.saturating_mul(16 + 1).saturating_add(1024))
+    }
+
     /// Whether there are files that a running server reads again.
     #[must_use]
     pub const fn has_files(&self) -> bool {

@@ -83,7 +83,7 @@ impl ServerState {
         let limits = Limits {
             threads: config.threads,
             cache_bytes: config.cache_bytes,
-            jobs: config.max_jobs,
+            jobs: config.job_limit(),
             deadline: config.deadline,
             without: config.without,
         };

@@ -6,11 +6,14 @@
 
 use crate::generation::Generation;
 use crate::latency::{self, BucketCounts, LatencyHistogram};
+use crate::limits::per_ip::client_network;
 use crate::metrics::Metrics;
 use bytes::Bytes;
 use protocol::view::View;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, HashMap};
+use std::net::IpAddr;
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -71,6 +74,14 @@ pub struct SessionStatsGuard {
     live: LiveStats,
 }
 
+impl SessionStatsGuard {
+    /// The number of the session.
+    #[must_use]
+    pub const fn number(&self) -> u64 {
+        self.number
+    }
+}
+
 impl std::ops::Deref for SessionStatsGuard {
     type Target = SessionStats;
 
@@ -95,8 +106,16 @@ pub struct LiveStats {
 struct Shared {
     started: Instant,
     /// A std mutex: held for map operations and for reading at most [`MAX_LISTED`] entries.
-    sessions: Mutex<BTreeMap<u64, Arc<SessionStats>>>,
+    sessions: Mutex<BTreeMap<u64, Registered>>,
     last: Mutex<Option<Snapshot>>,
+}
+
+/// A registered session.
+#[derive(Debug)]
+struct Registered {
+    stats: Arc<SessionStats>,
+    /// Of its client; it decides which sessions end, and no report has it.
+    network: Option<IpAddr>,
 }
 
 /// Values at one moment, and the report made of them.
@@ -183,11 +202,12 @@ impl Default for LiveStats {
 }
 
 impl LiveStats {
-    /// Registers a session; its number is unique.
+    /// Registers a session of a client; its number is unique.
     #[must_use]
-    pub fn register(&self, number: u64) -> SessionStatsGuard {
+    pub fn register(&self, number: u64, client: Option<IpAddr>) -> SessionStatsGuard {
         let stats = Arc::new(SessionStats::default());
-        lock(&self.shared.sessions).insert(number, Arc::clone(&stats));
+        let registered = Registered { stats: Arc::clone(&stats), network: client.map(client_network) };
+        lock(&self.shared.sessions).insert(number, registered);
         SessionStatsGuard { stats, number, live: self.clone() }
     }
 
@@ -197,9 +217,29 @@ impl LiveStats {
         lock(&self.shared.sessions).len()
     }
 
-    /// Ends this many of the newest sessions: see [`SessionStats::shed`].
-    pub fn shed(&self, count: usize) {
-        lock(&self.shared.sessions).values().rev().take(count).for_each(|session| session.shed.notify_one());
+    /// Ends up to this many sessions ([`SessionStats::shed`]), first of the client networks that have
+    /// the most, among equals the newest; none that is the only one of its network, if those are spared.
+    /// Returns how many end.
+    pub fn shed(&self, count: usize, spares_only_ones: bool) -> usize {
+        if count == 0 {
+            return 0;
+        }
+        let sessions = lock(&self.shared.sessions);
+        // The session of a network with so many older ones.
+        let mut older: HashMap<Option<IpAddr>, usize> = HashMap::new();
+        let rank = |network| {
+            let older = older.entry(network).or_default();
+            *older += 1;
+            *older - 1
+        };
+        let ranks = sessions.values().map(|session| session.network).map(rank);
+        let mut ended: Vec<_> =
+            ranks.zip(&*sessions).map(|(rank, (number, of))| (rank, *number, of)).collect();
+        ended.retain(|(rank, _, _)| !spares_only_ones || *rank > 0);
+        ended.sort_unstable_by_key(|(rank, number, _)| Reverse((*rank, *number)));
+        ended.truncate(count);
+        ended.iter().for_each(|(_, _, session)| session.stats.shed.notify_one());
+        ended.len()
     }
 
     /// The report as JSON. A recent report is reused at any rate of requests.
@@ -235,7 +275,7 @@ impl LiveStats {
         let span_s = before.map(|before| now.saturating_duration_since(before.at).as_secs_f64());
         let rate = |now: u64, before: u64| span_s.map(|span_s| now.saturating_sub(before) as f64 / span_s);
         let (mut listed, mut sessions) = (Vec::new(), BTreeMap::new());
-        for (number, stats) in lock(&self.shared.sessions).iter().take(MAX_LISTED) {
+        for (number, Registered { stats, .. }) in lock(&self.shared.sessions).iter().take(MAX_LISTED) {
             let (chunks, bytes) = (stats.chunks.load(Ordering::Relaxed), stats.bytes.load(Ordering::Relaxed));
             // A session opened since the last snapshot had sent nothing then.
             let (chunks_before, bytes_before) =
@@ -299,6 +339,7 @@ mod tests {
     use super::*;
     use crate::generation::Limits;
     use crate::source::ProceduralSource;
+    use futures_util::FutureExt;
     use serde_json::Value;
     use terrain::Land;
 
@@ -347,7 +388,7 @@ mod tests {
     #[test]
     fn rates_and_quantiles_cover_the_time_between_two_snapshots() {
         let fixture = Fixture::new();
-        let stats = fixture.live.register(7);
+        let stats = fixture.live.register(7, None);
         let first = fixture.at(0);
         assert_eq!(
             (&first["span_s"], &first["sent"], &first["latency"]),
@@ -382,7 +423,7 @@ mod tests {
     #[test]
     fn a_session_is_listed_with_its_position_until_it_ends() {
         let fixture = Fixture::new();
-        let (near, far) = (fixture.live.register(1), fixture.live.register(2));
+        let (near, far) = (fixture.live.register(1, None), fixture.live.register(2, None));
         far.set_view(&view(-4_000_000, 250, -90_000));
         let sessions = &fixture.at(0)["sessions"]["listed"];
         assert_eq!(sessions[0]["view"], Value::Null);
@@ -397,10 +438,34 @@ mod tests {
         assert_eq!(left["sessions"]["listed"][0]["session"], 2);
     }
 
+    #[tokio::test]
+    async fn sessions_of_the_networks_that_have_the_most_end_first() {
+        let fixture = Fixture::new();
+        let client = |number: u64| Some(IpAddr::from([10, 0, 0, if number < 6 { 1 } else { number as u8 }]));
+        let open: Vec<_> =
+            (1..=8).map(|number| (number, fixture.live.register(number, client(number)))).collect();
+        let ended = async |count, spares| {
+            let shed = fixture.live.shed(count, spares);
+            let mut ended = Vec::new();
+            for (number, stats) in &open {
+                if stats.shed().now_or_never().is_some() {
+                    ended.push(*number);
+                }
+            }
+            assert_eq!(shed, ended.len());
+            ended
+        };
+        assert_eq!(ended(2, false).await, [4, 5]);
+        assert_eq!(ended(5, false).await, [2, 3, 4, 5, 8]);
+        assert_eq!(ended(100, true).await, [2, 3, 4, 5]);
+        assert_eq!(ended(0, false).await, [0; 0]);
+    }
+
     #[test]
     fn sessions_over_the_limit_are_counted_but_not_listed() {
         let fixture = Fixture::new();
-        let guards: Vec<_> = (0..2 * MAX_LISTED as u64).map(|number| fixture.live.register(number)).collect();
+        let guards: Vec<_> =
+            (0..2 * MAX_LISTED as u64).map(|number| fixture.live.register(number, None)).collect();
         fixture.metrics.sessions.set(guards.len() as i64);
         let sessions = &fixture.at(0)["sessions"];
         assert_eq!(sessions["open"], 2 * MAX_LISTED);

@@ -5,7 +5,7 @@
 use super::queue::{Charge, Enqueued, FlowId, FrameRequest};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::runner;
-use super::shared::Shared;
+use super::shared::{Downloads, Shared};
 use super::threads::Threads;
 use super::views::ViewJob;
 use crate::chunk_id::ChunkId;
@@ -33,15 +33,22 @@ pub enum FlowEvent {
     ViewFailed,
 }
 
+/// What a flow has that takes the turns of another one.
+#[derive(Debug)]
+struct Download {
+    /// The flow whose turns it takes.
+    turns: FlowId,
+    /// Chunks that it has requested: one, or those of a tile.
+    requested: Vec<ChunkId>,
+}
+
 /// One client of the service. The threads are shared fairly between flows.
 pub struct Flow {
     pub(super) shared: Arc<Shared>,
     threads: Arc<Threads>,
     pub(super) id: FlowId,
-    /// The flow whose turns its requests take.
-    turns: FlowId,
-    /// Chunks that it has requested, where it takes the turns of another flow; those of one tile.
-    requested: Vec<ChunkId>,
+    /// For an HTTP request. Boxed: sessions have none.
+    download: Option<Box<Download>>,
     /// Cloned into every request.
     pub(super) sender: UnboundedSender<Vec<Completion>>,
     /// Holds at most one result per request, so the caller's bound on requests bounds it.
@@ -62,7 +69,7 @@ impl Flow {
         shared: Arc<Shared>,
         threads: Arc<Threads>,
         id: FlowId,
-        turns: FlowId,
+        turns: Option<FlowId>,
         bucket: TokenBucket,
     ) -> Self {
         let (sender, receiver) = unbounded_channel();
@@ -70,8 +77,7 @@ impl Flow {
             shared,
             threads,
             id,
-            turns,
-            requested: Vec::new(),
+            download: turns.map(|turns| Box::new(Download { turns, requested: Vec::new() })),
             sender,
             receiver,
             selection: None,
@@ -164,11 +170,11 @@ impl Flow {
         }
         let (since, sender) = (Instant::now(), self.sender.clone());
         let must_be_compact = self.must_be_compact;
-        let (flow, turns, bucket) = (self.id, self.turns, self.bucket.clone());
+        let (flow, turns, bucket) = (self.id, self.turns(), self.bucket.clone());
         let request =
             FrameRequest { flow, turns, chunk, id, delivery, must_be_compact, bucket, since, sender, trace };
-        if self.is_download() {
-            self.requested.push(id);
+        if let Some(download) = &mut self.download {
+            download.requested.push(id);
         }
         let cost_us = costs.expected_us(chunk.key);
         let enqueued = queue.enqueue(request, cost_us);
@@ -225,7 +231,7 @@ impl Flow {
     }
 
     fn add_open(&mut self, count: usize) {
-        if self.open == 0 && count > 0 && (!self.is_download() || self.shared.downloads.add(self.turns)) {
+        if self.open == 0 && count > 0 && self.downloads().is_none_or(|(all, turns)| all.add(turns)) {
             self.shared.active_flows.fetch_add(1, Ordering::Relaxed);
         }
         self.open += count;
@@ -233,13 +239,18 @@ impl Flow {
 
     fn remove_open(&mut self, count: usize) {
         self.open -= count;
-        if self.open == 0 && count > 0 && (!self.is_download() || self.shared.downloads.remove(self.turns)) {
+        if self.open == 0 && count > 0 && self.downloads().is_none_or(|(all, turns)| all.remove(turns)) {
             self.shared.active_flows.fetch_sub(1, Ordering::Relaxed);
         }
     }
 
-    const fn is_download(&self) -> bool {
-        self.turns != self.id
+    fn turns(&self) -> FlowId {
+        self.download.as_ref().map_or(self.id, |download| download.turns)
+    }
+
+    /// The flow of which this is one of several HTTP requests, and where these are counted.
+    fn downloads(&self) -> Option<(&Downloads, FlowId)> {
+        self.download.as_ref().map(|download| (&self.shared.downloads, download.turns))
     }
 
     fn complete(&self, chunk: ChunkRequest, result: FrameResult) {
@@ -302,11 +313,10 @@ impl Drop for Flow {
         if self.open > 0 {
             let (dropped, charges) = {
                 let mut queue = self.shared.lock();
-                if self.is_download() {
+                match &self.download {
                     // Others take the same turns.
-                    queue.cancel_all(self.id, &self.requested)
-                } else {
-                    queue.remove_flow(self.id)
+                    Some(download) => queue.cancel_all(self.id, &download.requested),
+                    None => queue.remove_flow(self.id),
                 }
             };
             charges.into_iter().for_each(Charge::refund);

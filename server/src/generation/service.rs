@@ -112,7 +112,7 @@ impl Generation {
 
     fn flow_with(&self, turns: Option<FlowId>, bucket: TokenBucket) -> Flow {
         let id = self.shared.next_flow.fetch_add(1, Ordering::Relaxed);
-        Flow::new(Arc::clone(&self.shared), Arc::clone(&self.threads), id, turns.unwrap_or(id), bucket)
+        Flow::new(Arc::clone(&self.shared), Arc::clone(&self.threads), id, turns, bucket)
     }
 
     /// Further requests that one flow can complete within the deadline, by the recent job costs.

@@ -55,10 +55,6 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         Err(Refusal::Missing) => offer.token = Some(state.gate.of_session(peer)),
         Err(refusal) => return client::problem(refusal).into_response(),
     }
-    if !state.memory.admits() {
-        let sentence = "the server has little memory left, retry later";
-        return Problem::new(ProblemKind::NoSession, sentence).into_response();
-    }
     if state.draining.is_cancelled() {
         return Problem::new(ProblemKind::NoSession, "the server ends, retry later").into_response();
     }
@@ -71,6 +67,11 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         let sentence = "too many sessions from this address, end one or retry later";
         return Problem::new(ProblemKind::AddressFull, sentence).into_response();
     };
+    // Last: a client that is rejected takes no room.
+    if !state.memory.admits(peer) {
+        let sentence = "the server has little memory left, retry later";
+        return Problem::new(ProblemKind::NoSession, sentence).into_response();
+    }
     let parent = state.traces.parent(headers);
     let response = upgrade.response(Some(SUBPROTOCOL));
     let number = state.next_session.fetch_add(1, Ordering::Relaxed);
@@ -78,7 +79,8 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
     tracker.spawn(async move {
         if let Some(socket) = upgrade.socket(READ_LIMIT).await {
             let bucket = state.rate_limiter.bucket(peer);
-            let (reason, stream) = driver::serve(socket, &state, offer, number, bucket, parent).await;
+            let stats = state.stats.register(number, peer);
+            let (reason, stream) = driver::serve(socket, &state, offer, stats, bucket, parent).await;
             if reason.leaves_unread_bytes() {
                 system_buffers::discard(tcp_stream(&stream));
             }

@@ -4,6 +4,7 @@
 //! threads. Waiting tiles are counted and bounded; finished ones are cached by bytes.
 
 use crate::generation::{Flow, Generation, GenerationError};
+use crate::limits::per_ip::PerIpLimiter;
 use crate::limits::rate_limit::TokenBucket;
 use crate::map::elevation::{self, ElevationGrid, TILE_PIXELS};
 use crate::map::hillshade;
@@ -69,6 +70,8 @@ pub struct Map {
     render_permits: Arc<Semaphore>,
     /// One permit per tile that waits or is rendered.
     queue_permits: Semaphore,
+    /// The places of a client network: no more than remain free.
+    places: PerIpLimiter,
     metrics: Arc<Metrics>,
 }
 
@@ -92,6 +95,7 @@ impl Map {
             cache,
             render_permits: Arc::new(Semaphore::new(threads.div_ceil(4))),
             queue_permits: Semaphore::new(MAX_WAITING),
+            places: PerIpLimiter::fair_share(MAX_WAITING),
             metrics,
         }
     }
@@ -127,7 +131,12 @@ impl Map {
             self.metrics.tile_cache_hits.inc();
             return Ok(tile);
         }
-        let queue = || self.queue_permits.try_acquire().map_err(|_| MapError::Busy);
+        let queue = || {
+            let permit = self.queue_permits.try_acquire().map_err(|_| MapError::Busy)?;
+            let free = self.queue_permits.available_permits();
+            let place = self.places.try_acquire(client, free).ok_or(MapError::Busy)?;
+            Ok::<_, MapError>((permit, place))
+        };
         let mut place = Some(queue()?);
         let sources = elevation::sources(key);
         let mut frames = vec![None; sources.len()];

@@ -5,7 +5,12 @@
 //! (`memory.max`, `memory.current`) and version 1 (`memory.limit_in_bytes`,
 //! `memory.usage_in_bytes`). A limit of any group above that of the process applies to it too.
 
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::fmt;
+use std::fs::File;
+use std::io::{Read as _, Seek};
 use std::path::{Path, PathBuf};
 
 /// Reads a file; none if it cannot be read.
@@ -90,8 +95,8 @@ impl MemoryLimit {
     /// The memory in use that counts against the limit, bytes: that of all processes of the group,
     /// or that of this process. Pages of files do not count, since the system takes them back.
     #[must_use]
-    pub fn used_bytes(&self) -> Option<u64> {
-        self.used(&|path| std::fs::read_to_string(path).ok())
+    pub fn used_bytes(&self, files: &OpenFiles) -> Option<u64> {
+        self.used(&|path| files.read(path))
     }
 
     fn used(&self, read: Read<'_>) -> Option<u64> {
@@ -102,6 +107,24 @@ impl MemoryLimit {
         let stat = read(&folder.join("memory.stat"))?;
         let files = field(&stat, version.files)?.saturating_sub(field(&stat, version.shared).unwrap_or(0));
         Some(usage.saturating_sub(files))
+    }
+}
+
+/// Files that stay open: memory must be known also when peers have taken all file descriptors.
+#[derive(Debug, Default)]
+pub struct OpenFiles(RefCell<HashMap<PathBuf, File>>);
+
+impl OpenFiles {
+    fn read(&self, path: &Path) -> Option<String> {
+        let mut files = self.0.borrow_mut();
+        let file = match files.entry(path.to_owned()) {
+            Entry::Occupied(file) => file.into_mut(),
+            Entry::Vacant(entry) => entry.insert(File::open(path).ok()?),
+        };
+        let mut text = String::new();
+        file.rewind().ok()?;
+        file.read_to_string(&mut text).ok()?;
+        Some(text)
     }
 }
 
@@ -254,7 +277,9 @@ mod tests {
         assert_eq!(limit.is_some(), cfg!(target_os = "linux"));
         if let Some(limit) = limit {
             assert!(
-                limit.used_bytes().is_some_and(|used| (1 << 20..limit.bytes()).contains(&used)),
+                limit
+                    .used_bytes(&OpenFiles::default())
+                    .is_some_and(|used| (1 << 20..limit.bytes()).contains(&used)),
                 "{limit}"
             );
         }

@@ -1,15 +1,19 @@
 //! The memory mark: while the process uses more of its memory than a share, no further session begins,
 //! and open ones get nothing that takes more. What remains is for what they hold already.
 //!
-//! What many sessions hold together may still grow. If the memory stays beyond the mark, the newest
-//! sessions end, few at a time; close to the limit, many: otherwise the system would end the process,
-//! and with it every session.
+//! What many sessions hold together may still grow. If the memory stays beyond the mark, sessions end,
+//! few at a time; close to the limit, many: otherwise the system would end the process, and with it
+//! every session. Those of the client networks that have the most end first. Below the mark they end
+//! until sessions can begin again, but none that is the only one of its network.
 
-use super::MemoryLimit;
+use super::limit::{MemoryLimit, OpenFiles};
+use crate::limits::per_ip::client_network;
 use crate::metrics::Metrics;
 use crate::stats::LiveStats;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// The share of the limit beyond which no session begins, and the one below which sessions begin
@@ -37,35 +41,76 @@ const SHED_IN_DANGER: (usize, Duration) = (2, Duration::from_millis(100));
 #[derive(Debug)]
 pub struct MemoryMark {
     limit: Option<MemoryLimit>,
+    /// Whether no session begins: from the mark until the lower share.
     is_reached: AtomicBool,
-    /// Sessions that may begin until the next [`ADMISSION`].
-    admitted: AtomicU64,
+    /// Whether the memory in use is beyond the mark now.
+    is_exceeded: AtomicBool,
+    room: Mutex<Room>,
+}
+
+/// Sessions that may begin until the next [`ADMISSION`].
+#[derive(Debug)]
+struct Room {
+    left: u64,
+    /// Those that began, by client network. At most one entry for each.
+    taken: HashMap<IpAddr, u64>,
 }
 
 impl MemoryMark {
     /// The mark of a limit; without one it is never reached.
     #[must_use]
-    pub const fn new(limit: Option<MemoryLimit>) -> Self {
-        Self { limit, is_reached: AtomicBool::new(false), admitted: AtomicU64::new(u64::MAX) }
+    pub fn new(limit: Option<MemoryLimit>) -> Self {
+        Self {
+            limit,
+            is_reached: AtomicBool::new(false),
+            is_exceeded: AtomicBool::new(false),
+            room: Mutex::new(Room { left: u64::MAX, taken: HashMap::new() }),
+        }
     }
 
-    /// Whether no session may begin, and none may take more memory.
+    /// Whether no session may begin.
     #[must_use]
     pub fn is_reached(&self) -> bool {
         self.is_reached.load(Ordering::Relaxed)
     }
 
-    /// Takes the room of a session that begins; false if there is none.
+    /// Whether open sessions may take no more memory.
     #[must_use]
-    pub fn admits(&self) -> bool {
-        let take = |room: u64| room.checked_sub(1);
-        !self.is_reached() && self.admitted.fetch_update(Ordering::Relaxed, Ordering::Relaxed, take).is_ok()
+    pub fn is_exceeded(&self) -> bool {
+        self.is_exceeded.load(Ordering::Relaxed)
+    }
+
+    /// Takes the room of a session that begins; false if there is none. A client network gets no more
+    /// than remains for others, as with [`crate::limits::per_ip::PerIpLimiter::fair_share`].
+    #[must_use]
+    pub fn admits(&self, client: Option<IpAddr>) -> bool {
+        if self.is_reached() {
+            return false;
+        }
+        let mut room = self.room();
+        let Some(left) = room.left.checked_sub(1) else { return false };
+        if let Some(client) = client.filter(|_| self.limit.is_some()) {
+            let taken = room.taken.entry(client_network(client)).or_default();
+            if *taken > left {
+                return false;
+            }
+            *taken += 1;
+        }
+        room.left = left;
+        true
     }
 
     /// Makes room for the sessions of the next [`ADMISSION`].
     fn make_room(&self, used: u64, limit: u64) {
-        let room = (limit / 8 * MARK.0).saturating_sub(used) / SESSION_BYTES;
-        self.admitted.store(room, Ordering::Relaxed);
+        let left = (limit / 8 * MARK.0).saturating_sub(used) / SESSION_BYTES;
+        let mut room = self.room();
+        room.taken.clear();
+        room.left = left;
+    }
+
+    fn room(&self) -> MutexGuard<'_, Room> {
+        // Nothing under the lock panics in the middle of a change.
+        self.room.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Records the memory in use, bytes; true if that changes whether sessions may begin.
@@ -74,6 +119,7 @@ impl MemoryMark {
         let mark = if was_reached { MARK.1 } else { MARK.0 };
         let is_reached = used >= limit / 8 * mark;
         self.is_reached.store(is_reached, Ordering::Relaxed);
+        self.is_exceeded.store(used >= limit / 8 * MARK.0, Ordering::Relaxed);
         is_reached != was_reached
     }
 }
@@ -107,9 +153,17 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, stats: LiveStat
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     let mut pace = Pace { last: Instant::now(), used: 0 };
     let mut room_at = Instant::now();
+    let (files, mut is_unknown) = (OpenFiles::default(), false);
     loop {
         ticks.tick().await;
-        let Some(used) = limit.used_bytes() else { continue };
+        let Some(used) = limit.used_bytes(&files) else {
+            if !std::mem::replace(&mut is_unknown, true) {
+                tracing::error!(%limit, "the memory in use cannot be read: no further sessions begin");
+            }
+            mark.make_room(limit.bytes(), limit.bytes());
+            continue;
+        };
+        is_unknown = false;
         metrics.memory_used_bytes.set(i64::try_from(used).unwrap_or(i64::MAX));
         let now = Instant::now();
         if mark.record(used, limit.bytes()) {
@@ -125,13 +179,12 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, stats: LiveStat
             mark.make_room(used, limit.bytes());
             room_at = now + ADMISSION;
         }
-        // Below the mark, what was reached is only not free again.
-        if used >= limit.bytes() / 8 * MARK.0 {
-            let count = pace.due(used, limit.bytes(), stats.count(), now);
+        if mark.is_reached() {
+            let due = pace.due(used, limit.bytes(), stats.count(), now);
+            let count = stats.shed(due, !mark.is_exceeded());
             if count > 0 {
                 let used_mib = used >> 20;
                 tracing::warn!(used_mib, %limit, count, "memory is nearly used up: sessions end");
-                stats.shed(count);
             }
         }
     }
@@ -162,7 +215,7 @@ mod tests {
     #[test]
     fn as_many_sessions_begin_as_have_room_below_the_mark() {
         let mark = MemoryMark::new(None);
-        let admitted = |mark: &MemoryMark| (0..100).filter(|_| mark.admits()).count();
+        let admitted = |mark: &MemoryMark| (0..100).filter(|_| mark.admits(None)).count();
         assert_eq!(admitted(&mark), 100, "without a look there is room");
         mark.make_room(590 << 20, 800 << 20);
         assert_eq!(admitted(&mark), 5);
@@ -171,6 +224,26 @@ mod tests {
         mark.make_room(0, 800 << 20);
         mark.record(700, 800);
         assert_eq!(admitted(&mark), 0);
+    }
+
+    #[test]
+    fn one_network_gets_no_more_room_than_remains_for_others() {
+        let mark = MemoryMark::new(Some(MemoryLimit::of_machine(800 << 20)));
+        let admitted = |last: u8| (0..100).filter(|_| mark.admits(Some([10, 0, 0, last].into()))).count();
+        for _ in 0..2 {
+            mark.make_room(560 << 20, 800 << 20);
+            assert_eq!([admitted(1), admitted(2), admitted(1), admitted(3)], [10, 5, 0, 3]);
+        }
+    }
+
+    #[test]
+    fn open_sessions_go_on_below_the_mark_before_others_begin() {
+        let mark = MemoryMark::new(Some(MemoryLimit::of_machine(800 << 20)));
+        let states = [590, 600, 599, 500, 499].map(|used| {
+            mark.record(used, 800);
+            (mark.is_reached(), mark.is_exceeded())
+        });
+        assert_eq!(states, [(false, false), (true, true), (true, false), (true, false), (false, false)]);
     }
 
     #[test]

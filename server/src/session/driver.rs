@@ -50,7 +50,11 @@ const MEMORY_PAUSE: Duration = Duration::from_millis(100);
 /// message slightly over its limit.
 pub const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
 
-/// Time for the peer to answer the Close frame and to end the connection. A peer that sends until
+/// Bytes of which a peer must take so many within [`crate::config::ServerConfig::write_timeout`]: a
+/// reader of 6.5 KB a second keeps its session, whatever the length of a batch.
+const WRITE_PROGRESS: usize = 64 * 1024;
+
+/// Time for the Close frame, the peer's answer and the end of the connection. A peer that sends until
 /// then is cut off.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -64,7 +68,7 @@ pub async fn serve<S>(
     socket: WebSocket<S>,
     state: &ServerState,
     offer: ServerOffer,
-    number: u64,
+    stats: SessionStatsGuard,
     bucket: TokenBucket,
     parent: Option<Parent>,
 ) -> (EndReason, S)
@@ -72,6 +76,7 @@ where
     S: AsyncRead + AsyncWrite + Unpin,
 {
     state.metrics.sessions.inc();
+    let number = stats.number();
     tracing::debug!(session = number, "session opened");
     let mut driver = Driver {
         socket,
@@ -80,25 +85,49 @@ where
         session: ServerSession::new(offer, number),
         flow: state.generation.limited_flow(bucket),
         message_deadline: MessageDeadline::new(state.config.message_timeout),
-        throttled_until: None,
-        memory_pause: None,
+        delay: None,
         backoff: RefusalBackoff::new(Instant::now()),
         pause_count: PauseCount::new(&state.paused_sessions),
         counted: SessionCounts::default(),
-        stats: state.stats.register(number),
+        stats,
         traces: ChunkTraces::new(parent),
         in_generation: Vec::new(),
         unwritten: Vec::new(),
+        batch: 0,
     };
-    let end = driver.run().await;
+    let mut end = driver.run().await;
     tracing::debug!(session = number, reason = end.reason.name(), "session ended");
-    if let Some((code, text)) = end.close {
-        driver.close(code.code(), &text).await;
-    }
     driver.update_metrics();
+    // What the session holds is free before its peer answers. Boxed: an idle session must not have
+    // room for both.
+    let mut rest = Box::new(driver.into_parts());
+    let (socket, stats) = &mut *rest;
+    if let Some((code, text)) = &end.close {
+        socket.queue_close(*code, text);
+        tokio::select! {
+            _ = timeout(CLOSE_TIMEOUT, close(socket)) => {}
+            () = stats.shed() => end.reason = EndReason::MemoryShed,
+        }
+    }
     state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: end.reason.name() }).inc();
     state.metrics.sessions.dec();
-    (end.reason, driver.socket.into_stream())
+    (end.reason, rest.0.into_stream())
+}
+
+/// Sends a Close frame and waits for the peer to end the connection, so that what was written arrives.
+async fn close<S: AsyncRead + AsyncWrite + Unpin>(socket: &mut WebSocket<S>) {
+    if socket.flush().await.is_ok() {
+        socket.end().await;
+    }
+}
+
+/// What a session waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Delay {
+    /// Until its token bucket is no longer empty.
+    RateLimit,
+    /// Until it looks again whether there is memory.
+    Memory,
 }
 
 struct Driver<'a, S> {
@@ -108,10 +137,8 @@ struct Driver<'a, S> {
     session: ServerSession,
     /// Chunks in generation, at most [`JOB_WINDOW`]; nothing more is requested while it is full.
     flow: Flow,
-    /// When the token bucket is no longer empty, if a view or a chunk waits for that.
-    throttled_until: Option<Instant>,
-    /// When to look again whether there is memory, if a view or a chunk waits for that.
-    memory_pause: Option<Instant>,
+    /// Until when a view or a chunk waits, if one does, and for what.
+    delay: Option<(Instant, Delay)>,
     /// Whether the session is read.
     backoff: RefusalBackoff,
     /// Counted while it is not.
@@ -129,6 +156,14 @@ struct Driver<'a, S> {
     /// Start times and numbers of the chunks in the next flush. At most [`JOB_WINDOW`] and one
     /// batch.
     unwritten: Vec<(Instant, u64)>,
+    /// Cached chunks in the next flush, at most [`BATCH`].
+    batch: usize,
+}
+
+impl<S> Driver<'_, S> {
+    fn into_parts(self) -> (WebSocket<S>, SessionStatsGuard) {
+        (self.socket, self.stats)
+    }
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
@@ -188,10 +223,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     return SessionEnd::with_code(EndReason::HandshakeTimeout, CloseCode::HandshakeTimeout);
                 }
                 () = sleep_until(pause), if pause.is_some() => {}
-                () = sleep_until(self.throttled_until), if self.throttled_until.is_some() => {
-                    self.state.metrics.rate_limit_delays.inc();
+                // One timer: each takes memory of an idle session.
+                () = sleep_until(self.delay.map(|(until, _)| until)), if self.delay.is_some() => {
+                    let is_by_rate = self.delay.is_some_and(|(_, delay)| delay == Delay::RateLimit);
+                    self.state.metrics.rate_limit_delays.inc_by(u64::from(is_by_rate));
                 }
-                () = sleep_until(self.memory_pause), if self.memory_pause.is_some() => {}
                 () = &mut check => {
                     let (action, next) = keepalive.check(Instant::now());
                     match action {
@@ -215,11 +251,17 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             Ok(()) => self.receive().await,
             Err(error) => Err(SessionEnd::read_failed(&error)),
         };
-        if received.is_err() {
-            // The last message may explain the close.
-            let _ = self.flush().await;
+        let Err(end) = received else { return Ok(()) };
+        Err(self.ended(end).await)
+    }
+
+    /// An end after what is queued is written: the last message may explain it. A peer that takes
+    /// none of it gets no Close frame, either.
+    async fn ended(&mut self, end: SessionEnd) -> SessionEnd {
+        match self.flush().await {
+            Err(failed) if failed.reason.leaves_unread_bytes() => failed,
+            _ => end,
         }
-        received
     }
 
     /// Ends a session whose message takes too long. What has arrived by now counts: a long write
@@ -237,14 +279,14 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     /// Requests chunks from the generation service; cached ones go straight to the session. True if
     /// it stopped only to let a full batch be written.
     fn request_chunks(&mut self) -> bool {
-        let (mut batch, now) = (0, Instant::now());
+        let (before, now) = (self.batch, Instant::now());
         let mut more = false;
         // Nothing is delayed in an idle session, which needs no timer.
-        (self.throttled_until, self.memory_pause) = (None, None);
-        if self.state.memory.is_reached() {
+        self.delay = None;
+        if self.state.memory.is_exceeded() {
             // The tables of a view and chunks that wait for a write take memory.
             let waits = self.session.has_waiting_view() || self.session.has_next_chunk();
-            self.memory_pause = waits.then(|| now + MEMORY_PAUSE);
+            self.delay = waits.then(|| (now + MEMORY_PAUSE, Delay::Memory));
             return false;
         }
         match self.flow.bucket().delay(now) {
@@ -253,23 +295,25 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     self.select_view(selection);
                 }
             }
-            Some(delay) if self.session.has_waiting_view() => self.throttled_until = Some(now + delay),
+            Some(delay) if self.session.has_waiting_view() => {
+                self.delay = Some((now + delay, Delay::RateLimit));
+            }
             Some(_) => {}
         }
         while self.flow.in_flight() < JOB_WINDOW {
-            if batch == BATCH {
+            if self.batch == BATCH {
                 more = true;
                 break;
             }
             if let Some(delay) = self.flow.bucket().delay(now) {
                 if self.session.has_next_chunk() {
-                    self.throttled_until = Some(now + delay);
+                    self.delay = Some((now + delay, Delay::RateLimit));
                 }
                 break;
             }
             match self.session.next_chunk_with(|key, delivery| self.flow.cached(key, delivery)) {
                 Next::Nothing => break,
-                Next::Delivered => batch += 1,
+                Next::Delivered => self.batch += 1,
                 Next::Generate(chunk, delivery) => {
                     self.in_generation.push((chunk.key, now));
                     let span = self.traces.begin(&self.state.traces, chunk.key, delivery);
@@ -277,8 +321,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 }
             }
         }
-        if batch > 0 {
-            self.unwritten.push((now, batch as u64));
+        let delivered = self.batch - before;
+        if delivered > 0 {
+            self.unwritten.push((now, delivered as u64));
         }
         more
     }
@@ -363,12 +408,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 return Ok(Some(false));
             }
             Ok(Some(Message::Pong)) => return Ok(Some(false)),
-            Ok(Some(Message::Close(close))) => {
-                // RFC 6455, section 5.5.1: a Close frame is answered by one with the same code.
-                let code = close.answer();
-                self.close(code, "").await;
-                return Err(SessionEnd::without_code(EndReason::Closed));
-            }
+            Ok(Some(Message::Close(close))) => return Err(SessionEnd::answered(close.answer())),
             Err(fault) => {
                 let code = CloseCode::from_code(fault.close_code()).unwrap_or(CloseCode::ProtocolError);
                 return Err(SessionEnd::protocol_error(code, fault.to_string()));
@@ -415,10 +455,17 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         if !self.socket.has_queued() {
             return Ok(());
         }
+        let write = async {
+            while !write_within(self.state.config.write_timeout, self.socket.flush_part(WRITE_PROGRESS))
+                .await?
+            {}
+            Ok(())
+        };
         let result = tokio::select! {
-            written = write_within(self.state.config.write_timeout, self.socket.flush()) => written,
+            written = write => written,
             () = self.stats.shed() => Err(SessionEnd::without_code(EndReason::MemoryShed)),
         };
+        self.batch = 0;
         self.traces.flushed(result.is_ok());
         self.state.metrics.sent_bytes.inc_by(bytes);
         if result.is_ok() {
@@ -436,17 +483,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let (min_ms, max_ms) = RECONNECT_MS;
         let jitter_ms = terrain::hash::mix(self.number as u32) % (max_ms - min_ms);
         self.session.drain(min_ms + jitter_ms);
-        let _ = self.flush().await;
-        SessionEnd::with_code(EndReason::Drained, CloseCode::GoingAway)
-    }
-
-    /// Sends a Close frame and waits for the peer to end the connection, so that what was written
-    /// arrives.
-    async fn close(&mut self, code: u16, text: &str) {
-        self.socket.queue_close(code, text);
-        if write_within(self.state.config.write_timeout, self.socket.flush()).await.is_ok() {
-            let _ = timeout(CLOSE_TIMEOUT, self.socket.end()).await;
-        }
+        self.ended(SessionEnd::with_code(EndReason::Drained, CloseCode::GoingAway)).await
     }
 
     /// Adds the session's new counts to the server's metrics.

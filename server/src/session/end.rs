@@ -131,15 +131,15 @@ impl From<CloseCode> for EndReason {
 pub struct SessionEnd {
     /// The reason.
     pub reason: EndReason,
-    /// Close frame to send, if the socket may still accept one.
-    pub close: Option<(CloseCode, String)>,
+    /// Close frame to send, if the socket may still accept one: code and reason.
+    pub close: Option<(u16, String)>,
 }
 
 impl SessionEnd {
     /// An end with a close frame.
     #[must_use]
     pub fn with_code(reason: EndReason, code: CloseCode) -> Self {
-        Self { reason, close: Some((code, code.to_string())) }
+        Self { reason, close: Some((code.code(), code.to_string())) }
     }
 
     /// An end without a close frame: the connection is gone, or the peer has closed it.
@@ -158,18 +158,25 @@ impl SessionEnd {
     /// The end after a message that breaks the protocol.
     #[must_use]
     pub fn protocol_error(code: CloseCode, text: String) -> Self {
-        Self { reason: code.into(), close: Some((code, text)) }
+        Self { reason: code.into(), close: Some((code.code(), text)) }
+    }
+
+    /// The end after the peer's Close frame, which is answered by one with the same code (RFC 6455,
+    /// section 5.5.1).
+    #[must_use]
+    pub const fn answered(code: u16) -> Self {
+        Self { reason: EndReason::Closed, close: Some((code, String::new())) }
     }
 }
 
 /// Runs a write under a deadline. A peer that does not read in time gets no close frame: it would
 /// not read that either.
-pub async fn write_within(
+pub async fn write_within<T>(
     deadline: Duration,
-    write: impl Future<Output = io::Result<()>>,
-) -> Result<(), SessionEnd> {
+    write: impl Future<Output = io::Result<T>>,
+) -> Result<T, SessionEnd> {
     match timeout(deadline, write).await {
-        Ok(Ok(())) => Ok(()),
+        Ok(Ok(written)) => Ok(written),
         Ok(Err(_)) => Err(SessionEnd::without_code(EndReason::WriteFailed)),
         Err(_) => Err(SessionEnd::without_code(EndReason::WriteTimeout)),
     }

@@ -136,12 +136,25 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
     /// # Errors
     /// The connection failed.
     pub async fn flush(&mut self) -> io::Result<()> {
+        self.flush_part(usize::MAX).await.map(drop)
+    }
+
+    /// As [`WebSocket::flush`], until at least `least` bytes are written; whether all are.
+    ///
+    /// # Errors
+    /// As [`WebSocket::flush`].
+    pub async fn flush_part(&mut self, least: usize) -> io::Result<bool> {
+        let mut written = 0;
         while !self.outbox.is_empty() {
+            if written >= least {
+                return Ok(false);
+            }
             let count = poll_fn(|context| self.poll_write(context)).await?;
             if count == 0 {
                 return Err(ErrorKind::WriteZero.into());
             }
             self.advance(count);
+            written += count;
         }
         // TLS may hold the last bytes back.
         poll_fn(|context| Pin::new(&mut self.stream).poll_flush(context)).await?;
@@ -149,7 +162,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         if self.outbox.capacity() > 4 * MAX_SLICES {
             self.outbox = VecDeque::new();
         }
-        Ok(())
+        Ok(true)
     }
 
     fn poll_write(&mut self, context: &mut Context<'_>) -> Poll<io::Result<usize>> {

@@ -19,7 +19,7 @@ async fn beyond_the_mark_open_sessions_end_the_newest_first() {
     use std::time::Duration;
     use tokio::time::timeout;
     let stats = LiveStats::default();
-    let sessions: Vec<_> = (1..=16).map(|number| stats.register(number)).collect();
+    let sessions: Vec<_> = (1..=16).map(|number| stats.register(number, None)).collect();
     let has_to_end =
         async |index: usize| timeout(Duration::from_millis(1), sessions[index].shed()).await.is_ok();
     assert!(!has_to_end(15).await);

@@ -121,7 +121,7 @@ async fn every_documented_status_is_received_and_no_other() {
     };
     let overloaded = {
         let config = ServerConfig {
-            max_jobs: 0,
+            max_jobs: Some(0),
             threads: 1,
             max_sessions_per_address: Some(0),
             ..ServerConfig::default()

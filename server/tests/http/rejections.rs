@@ -99,7 +99,7 @@ async fn an_unsupported_method_is_rejected_with_allow() {
 
 #[tokio::test]
 async fn an_overloaded_server_sends_retry_after() {
-    let config = ServerConfig { max_jobs: 0, threads: 1, max_sessions: 1, ..ServerConfig::default() };
+    let config = ServerConfig { max_jobs: Some(0), threads: 1, max_sessions: 1, ..ServerConfig::default() };
     let server = Server::start_with(config).await;
     for path in [server.path("chunk/0/0/0"), server.path("map/0/0/0.png")] {
         let reply = server.get(&path).await;

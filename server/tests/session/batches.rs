@@ -3,14 +3,17 @@
 use crate::peer::{BINARY, CLOSE, PING, PONG, Peer};
 use protocol::control;
 use protocol::limits::MAX_KEYS;
-use protocol::message::{ClientMessage, ServerMessage};
+use protocol::message::{ClientMessage, ServerMessage, WireKey};
 use protocol::server::ChunkRequest;
 use protocol::{CloseCode, Delivery};
 use server::ServerConfig;
 use server::limits::rate_limit::TokenBucket;
+use server::metrics::ReasonLabel;
 use server::state::ServerState;
 use std::sync::Arc;
+use std::time::Duration;
 use terrain::ChunkKey;
+use tokio::time::Instant;
 
 /// Chunks that are requested: several times what the pipe to the client holds.
 const REQUESTED: usize = 1024;
@@ -32,6 +35,11 @@ enum Received {
 
 /// A client that has requested cached chunks, a server with them, and the first chunks read.
 async fn downloading() -> (Arc<ServerState>, Peer) {
+    downloading_over(1 << 20).await
+}
+
+/// As [`downloading`], over a pipe that holds so many bytes.
+async fn downloading_over(pipe: usize) -> (Arc<ServerState>, Peer) {
     let config = ServerConfig { threads: 1, ..ServerConfig::default() };
     let state = Arc::new(ServerState::new(config).unwrap());
     let keys: Vec<ChunkKey> = (0..REQUESTED as i32).map(|x| ChunkKey::new(0, x, 0).unwrap()).collect();
@@ -39,7 +47,8 @@ async fn downloading() -> (Arc<ServerState>, Peer) {
         let chunk = ChunkRequest { key: *key, request: None, priority: 0 };
         state.generation.flow().frame(chunk, Delivery::Exact).await.unwrap();
     }
-    let mut peer = Peer::connect(&state, TokenBucket::default()).await;
+    let mut peer = Peer::over_pipe(&state, TokenBucket::default(), pipe);
+    peer.hello().await;
     peer.send_message(&ClientMessage::Credit { chunks: 4096 }).await;
     for (id, keys) in (0..).zip(keys.chunks(MAX_KEYS)) {
         let keys = keys.iter().map(|key| (*key).into()).collect();
@@ -92,4 +101,45 @@ async fn a_shutdown_is_announced_between_two_batches() {
     assert!(matches!(message, Received::Message(ServerMessage::Draining { .. })), "{message:?}");
     assert!(before < ON_THE_WAY, "{before} chunks came first");
     assert_eq!(receive(&mut peer).await, Received::Close(CloseCode::GoingAway.code()));
+}
+
+/// A batch of cached chunks takes 30 s at this rate, three times the timeout of a write.
+#[tokio::test(start_paused = true)]
+async fn a_slow_reader_keeps_its_session_whatever_the_length_of_a_batch() {
+    let (_state, mut peer) = downloading_over(4096).await;
+    let (mut chunks, mut bytes) = (READ, 0);
+    while chunks < REQUESTED {
+        let (opcode, payload) = peer.next().await.expect("the session goes on");
+        if opcode == BINARY && control::decode::<ServerMessage>(&payload).is_err() {
+            chunks += 1;
+        }
+        bytes += payload.len();
+        if bytes > 64 * 1024 {
+            tokio::time::sleep(Duration::from_secs(8)).await;
+            bytes = 0;
+        }
+    }
+}
+
+/// Answers that the peer does not read have one timeout, also where a violation ends the session.
+#[tokio::test(start_paused = true)]
+async fn a_session_with_a_violation_ends_in_one_timeout_of_a_write() {
+    let config = ServerConfig { threads: 1, ..ServerConfig::default() };
+    let write_timeout = config.write_timeout;
+    let state = Arc::new(ServerState::new(config).unwrap());
+    let mut peer = Peer::over_pipe(&state, TokenBucket::default(), 16 * 1024);
+    peer.hello().await;
+    let outside = WireKey { level: 200, x: 0, z: 0 };
+    for id in 0..2 {
+        peer.send_message(&ClientMessage::Request { id, keys: vec![outside; MAX_KEYS] }).await;
+    }
+    peer.send(1, b"text").await;
+    let start = Instant::now();
+    while state.metrics.sessions.get() > 0 {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let took = start.elapsed();
+    assert!((write_timeout..write_timeout + Duration::from_secs(1)).contains(&took), "{took:?}");
+    let ended = state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: "write_timeout" }).get();
+    assert_eq!(ended, 1);
 }

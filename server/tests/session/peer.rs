@@ -24,11 +24,24 @@ pub struct Peer {
 impl Peer {
     /// A session before its hello.
     pub fn new(state: &Arc<ServerState>, bucket: TokenBucket) -> Self {
-        let (io, theirs) = tokio::io::duplex(1 << 20);
+        Self::over_pipe(state, bucket, 1 << 20)
+    }
+
+    /// As [`Peer::new`], over a pipe that holds so many bytes.
+    pub fn over_pipe(state: &Arc<ServerState>, bucket: TokenBucket, bytes: usize) -> Self {
+        let (io, theirs) = tokio::io::duplex(bytes);
         let server = Arc::clone(state);
         tokio::spawn(async move {
             let socket = WebSocket::new(theirs, &[], READ_LIMIT);
-            driver::serve(socket, &server, server.offer.clone(), 1, bucket, None).await;
+            driver::serve(
+                socket,
+                &server,
+                server.offer.clone(),
+                server.stats.register(1, None),
+                bucket,
+                None,
+            )
+            .await;
         });
         Self { io, state: Arc::clone(state) }
     }
