@@ -80,12 +80,17 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         if let Some(socket) = upgrade.socket(READ_LIMIT).await {
             let bucket = state.rate_limiter.bucket(peer);
             let stats = state.stats.register(number, peer);
-            let (reason, stream) = driver::serve(socket, &state, offer, stats, bucket, parent).await;
-            if reason.leaves_unread_bytes() {
-                system_buffers::discard(tcp_stream(&stream));
+            let ended = driver::serve(socket, &state, offer, stats, bucket, parent).await;
+            if ended.reason.leaves_unread_bytes() {
+                system_buffers::discard(tcp_stream(&ended.stream));
             }
-            if reason.is_breach() {
-                state.peer_log.report(peer, reason.name());
+            drop(ended.stream);
+            if ended.reason.is_breach() {
+                state.peer_log.report(peer, ended.reason.name());
+            }
+            tokio::select! {
+                () = tokio::time::sleep_until(ended.owes_until) => {}
+                () = state.draining.cancelled() => {}
             }
         }
         drop((permit, ip_permit));

@@ -62,8 +62,20 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 /// return at once.
 const RECONNECT_MS: (u32, u32) = (500, 2000);
 
-/// Runs one session to its end and counts it; the reason of the end, and the stream. Its work is
-/// charged to `bucket`; its chunks belong to the trace of `parent`.
+/// A session that has ended.
+#[derive(Debug)]
+pub struct Ended<S> {
+    /// Why.
+    pub reason: EndReason,
+    /// The stream, not yet dropped.
+    pub stream: S,
+    /// When its refusal back-off would have ended: until then its client must not have its place for
+    /// another session, or the debt would end with the session.
+    pub owes_until: Instant,
+}
+
+/// Runs one session to its end and counts it. Its work is charged to `bucket`; its chunks belong to the
+/// trace of `parent`.
 pub async fn serve<S>(
     socket: WebSocket<S>,
     state: &ServerState,
@@ -71,37 +83,39 @@ pub async fn serve<S>(
     stats: SessionStatsGuard,
     bucket: TokenBucket,
     parent: Option<Parent>,
-) -> (EndReason, S)
+) -> Ended<S>
 where
     S: AsyncRead + AsyncWrite + Unpin,
 {
     state.metrics.sessions.inc();
     let number = stats.number();
     tracing::debug!(session = number, "session opened");
-    let mut driver = Driver {
-        socket,
-        state,
-        number,
-        session: ServerSession::new(offer, number),
-        flow: state.generation.limited_flow(bucket),
-        message_deadline: MessageDeadline::new(state.config.message_timeout),
-        delay: None,
-        backoff: RefusalBackoff::new(Instant::now()),
-        pause_count: PauseCount::new(&state.paused_sessions),
-        counted: SessionCounts::default(),
-        stats,
-        traces: ChunkTraces::new(parent),
-        in_generation: Vec::new(),
-        unwritten: Vec::new(),
-        batch: 0,
-    };
-    let mut end = driver.run().await;
+    // Boxed, and a block: an idle session must not have room for what comes after it.
+    let mut rest = Box::new({
+        let mut driver = Driver {
+            socket,
+            state,
+            number,
+            session: ServerSession::new(offer, number),
+            flow: state.generation.limited_flow(bucket),
+            message_deadline: MessageDeadline::new(state.config.message_timeout),
+            delay: None,
+            backoff: RefusalBackoff::new(Instant::now()),
+            pause_count: PauseCount::new(&state.paused_sessions),
+            counted: SessionCounts::default(),
+            stats,
+            traces: ChunkTraces::new(parent),
+            in_generation: Vec::new(),
+            unwritten: Vec::new(),
+            batch: 0,
+        };
+        let end = driver.run().await;
+        driver.update_metrics();
+        let Driver { socket, stats, backoff, .. } = driver;
+        Remaining { socket, stats, end, owes_until: backoff.debt_until() }
+    });
+    let Remaining { socket, stats, end, .. } = &mut *rest;
     tracing::debug!(session = number, reason = end.reason.name(), "session ended");
-    driver.update_metrics();
-    // What the session holds is free before its peer answers. Boxed: an idle session must not have
-    // room for both.
-    let mut rest = Box::new(driver.into_parts());
-    let (socket, stats) = &mut *rest;
     if let Some((code, text)) = &end.close {
         socket.queue_close(*code, text);
         tokio::select! {
@@ -111,7 +125,16 @@ where
     }
     state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: end.reason.name() }).inc();
     state.metrics.sessions.dec();
-    (end.reason, rest.0.into_stream())
+    let Remaining { socket, end, owes_until, .. } = *rest;
+    Ended { reason: end.reason, stream: socket.into_stream(), owes_until }
+}
+
+/// What remains of a session while its peer answers the Close frame: all else is free already.
+struct Remaining<S> {
+    socket: WebSocket<S>,
+    stats: SessionStatsGuard,
+    end: SessionEnd,
+    owes_until: Instant,
 }
 
 /// Sends a Close frame and waits for the peer to end the connection, so that what was written arrives.
@@ -158,12 +181,6 @@ struct Driver<'a, S> {
     unwritten: Vec<(Instant, u64)>,
     /// Cached chunks in the next flush, at most [`BATCH`].
     batch: usize,
-}
-
-impl<S> Driver<'_, S> {
-    fn into_parts(self) -> (WebSocket<S>, SessionStatsGuard) {
-        (self.socket, self.stats)
-    }
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {

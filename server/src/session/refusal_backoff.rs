@@ -146,6 +146,12 @@ impl RefusalBackoff {
         begins
     }
 
+    /// When the debt is paid; at most [`MAX_DEBT`] from the last rejection.
+    #[must_use]
+    pub const fn debt_until(&self) -> Instant {
+        self.debt_until
+    }
+
     fn debt(&self, now: Instant) -> Duration {
         self.debt_until.saturating_duration_since(now)
     }

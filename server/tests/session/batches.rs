@@ -12,7 +12,7 @@ use server::metrics::ReasonLabel;
 use server::state::ServerState;
 use std::sync::Arc;
 use std::time::Duration;
-use terrain::ChunkKey;
+use terrain::{ChunkKey, Land};
 use tokio::time::Instant;
 
 /// Chunks that are requested: several times what the pipe to the client holds.
@@ -35,14 +35,13 @@ enum Received {
 
 /// A client that has requested cached chunks, a server with them, and the first chunks read.
 async fn downloading() -> (Arc<ServerState>, Peer) {
-    downloading_over(1 << 20).await
+    downloading_over(1 << 20, (0..REQUESTED as i32).map(|x| ChunkKey::new(0, x, 0).unwrap()).collect()).await
 }
 
-/// As [`downloading`], over a pipe that holds so many bytes.
-async fn downloading_over(pipe: usize) -> (Arc<ServerState>, Peer) {
+/// As [`downloading`], of other chunks over a pipe that holds so many bytes.
+async fn downloading_over(pipe: usize, keys: Vec<ChunkKey>) -> (Arc<ServerState>, Peer) {
     let config = ServerConfig { threads: 1, ..ServerConfig::default() };
     let state = Arc::new(ServerState::new(config).unwrap());
-    let keys: Vec<ChunkKey> = (0..REQUESTED as i32).map(|x| ChunkKey::new(0, x, 0).unwrap()).collect();
     for key in &keys {
         let chunk = ChunkRequest { key: *key, request: None, priority: 0 };
         state.generation.flow().frame(chunk, Delivery::Exact).await.unwrap();
@@ -103,22 +102,31 @@ async fn a_shutdown_is_announced_between_two_batches() {
     assert_eq!(receive(&mut peer).await, Received::Close(CloseCode::GoingAway.code()));
 }
 
-/// A batch of cached chunks takes 30 s at this rate, three times the timeout of a write.
+/// A batch of cached chunks takes longer at this rate than the timeout of a write.
 #[tokio::test(start_paused = true)]
 async fn a_slow_reader_keeps_its_session_whatever_the_length_of_a_batch() {
-    let (_state, mut peer) = downloading_over(4096).await;
-    let (mut chunks, mut bytes) = (READ, 0);
+    // Land, whose frames are longer than those of the sea.
+    let start = Land::new(1).start();
+    let corner = ChunkKey::containing(0, start.x, start.z);
+    let around = (0..REQUESTED as i32).map(|n| ChunkKey::new(0, corner.x() + n % 32, corner.z() + n / 32));
+    let (_state, mut peer) = downloading_over(4096, around.map(Result::unwrap).collect()).await;
+    let (mut chunks, mut bytes, mut total) = (READ, 0, 0);
     while chunks < REQUESTED {
         let (opcode, payload) = peer.next().await.expect("the session goes on");
         if opcode == BINARY && control::decode::<ServerMessage>(&payload).is_err() {
             chunks += 1;
         }
+        if opcode == PING {
+            peer.send(PONG, &payload).await;
+        }
         bytes += payload.len();
+        total += payload.len();
         if bytes > 64 * 1024 {
-            tokio::time::sleep(Duration::from_secs(8)).await;
+            tokio::time::sleep(Duration::from_secs(4)).await;
             bytes = 0;
         }
     }
+    assert!(total > 1000 * REQUESTED, "{total} bytes");
 }
 
 /// Answers that the peer does not read have one timeout, also where a violation ends the session.
