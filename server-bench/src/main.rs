@@ -12,6 +12,7 @@ mod cgroup;
 mod clients;
 mod cold;
 mod connection;
+mod downloads;
 mod fair;
 mod flood;
 mod garbage;
@@ -84,6 +85,8 @@ enum Bench {
     Fair,
     /// Sessions that send views without pause, beside a polite client and a liveness probe
     Flood,
+    /// One address with 64 HTTP requests at once for costly chunks, beside a session
+    Downloads,
     /// 1,000 clients that never read, beside healthy ones
     Unread,
     /// 100,000 clients that connect, ask and hang up
@@ -175,6 +178,7 @@ async fn measure(bench: Bench, plan: &Plan) -> Result<(Value, Vec<Bar>, Vec<Stri
         Bench::Idle => (idle::run(plan).await?, (idle::bars, |_| Vec::new())),
         Bench::Fair => (fair::run(plan).await?, (fair::bars, fair::notes)),
         Bench::Flood => (flood::run(plan).await?, (flood::bars, |_| Vec::new())),
+        Bench::Downloads => (downloads::run(plan).await?, (downloads::bars, downloads::notes)),
         Bench::Unread => (unread::run(plan).await?, (unread::bars, unread::notes)),
         Bench::HangUps => (hang_ups::run(plan).await?, (hang_ups::bars, hang_ups::notes)),
         Bench::HalfOpen => (half_open::run(plan).await?, (half_open::bars, half_open::notes)),

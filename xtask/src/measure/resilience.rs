@@ -13,10 +13,11 @@ use std::process::Command;
 
 /// The benchmarks in the order in which they run, each with its rounds and the length of a timed
 /// part in seconds. First those that count, for which a busy machine does not matter.
-const BENCHES: [(&str, &str, &str); 7] = [
+const BENCHES: [(&str, &str, &str); 8] = [
     ("memory-cap", "1", "10"),
     ("garbage", "1", "600"),
     ("flood", "1", "25"),
+    ("downloads", "3", "10"),
     ("unread", "3", "20"),
     ("hang-ups", "1", "1"),
     ("half-open", "3", "20"),
