@@ -27,6 +27,10 @@ use std::time::{Duration, Instant};
 /// Untimed frames, in which pipelines compile and caches fill.
 const WARM_UP_FRAMES: u32 = 3;
 
+/// Events of the stream in one frame: a server that sends without end must not keep a picture from
+/// being drawn.
+const EVENTS_PER_FRAME: usize = 4096;
+
 /// Failed first connections after which there is no server.
 const FIRST_ATTEMPTS: u32 = 3;
 
@@ -122,6 +126,9 @@ pub enum HeadlessError {
         /// How far it got.
         state: String,
     },
+    /// The server serves another world than that of the loaded view.
+    #[error("the server changed its world while the picture was drawn: take it again")]
+    WorldChanged,
     /// The view was not complete in time, and the session is lost.
     #[error("the view was not complete after {seconds} s ({state}), and the server is gone: {cause}")]
     Lost {
@@ -234,6 +241,7 @@ fn draw_frames(
     let target = OffscreenTarget::new(&gpu.device, size.0, size.1);
     streamer.cache().residents().for_each(|chunk| renderer.upload(gpu, chunk));
 
+    let world = streamer.world();
     let mut times = FrameTimes::default();
     let (mut drawn, mut instances) = (0, 0);
     let mut camera = String::new();
@@ -243,7 +251,10 @@ fn draw_frames(
         let begun = Instant::now();
         let view = options.view(timed.unwrap_or(0), streamer.cache());
         let selection =
-            streamer.update(&view, started.elapsed(), usize::MAX, |chunk| renderer.upload(gpu, chunk));
+            streamer.update(&view, started.elapsed(), EVENTS_PER_FRAME, |chunk| renderer.upload(gpu, chunk));
+        if streamer.world() != world {
+            return Err(HeadlessError::WorldChanged);
+        }
         let pose = clearance::raised(view.pose, streamer.cache(), &selection.drawn);
         let view = ViewParams { pose, ..view };
         let frame = view.frame(options.scene, streamer.cache(), &selection);

@@ -209,9 +209,12 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         frame: Option<Result<Message, Error>>,
         is_open: bool,
     ) -> Result<(), SessionEnd> {
-        self.last_frame = Instant::now();
         let event = match frame {
-            Some(Ok(Message::Binary(bytes))) => self.machine.receive(DataFrame::Binary(&bytes)),
+            Some(Ok(Message::Binary(bytes))) => {
+                // Pings say nothing of the session behind them.
+                self.last_frame = Instant::now();
+                self.machine.receive(DataFrame::Binary(&bytes))
+            }
             Some(Ok(Message::Text(_))) => self.machine.receive(DataFrame::Text),
             Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => return Ok(()),
             other => {
@@ -225,7 +228,10 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             Ok(Event::Chunk { chunk, bytes, delivery }) => self.take(chunk, bytes, delivery).await,
             Ok(Event::Settled(Settled { view, chunks })) => {
                 self.check_settled(view, chunks);
-                self.expected.settled(view);
+                if !self.expected.settled(view) {
+                    self.task.counters.mismatch(&format!("view {view} is settled, which was not sent"));
+                    return Ok(());
+                }
                 self.released.settled(view);
                 self.resumption.delivered(Instant::now(), self.task.counters);
                 self.settled(view, is_open);

@@ -6,7 +6,8 @@
 use futures_util::{SinkExt, StreamExt};
 use load::config::stream_address;
 use load::{LoadConfig, PathKind, Report};
-use protocol::message::RefusalReason;
+use protocol::control;
+use protocol::message::{RefusalReason, ServerMessage, Settled};
 use protocol::server::{ServerOffer, ServerSession, TokenCheck};
 use protocol::{DataFrame, Delivery, SUBPROTOCOL, Tolerance};
 use std::sync::Arc;
@@ -37,6 +38,8 @@ enum Fault {
     Silence,
     /// There is no Welcome.
     NoWelcome,
+    /// A view is settled that was not sent.
+    Settled,
 }
 
 impl Fault {
@@ -77,6 +80,12 @@ async fn serve(socket: TcpStream, offer: ServerOffer, fault: Fault) {
         if let Some((wanted, delivery)) = next {
             sent += 1;
             match fault {
+                Fault::Settled if sent == 3 => {
+                    let settled = ServerMessage::Settled(Settled { view: u32::MAX, chunks: 1 });
+                    let frame = control::encode(&settled).expect("a message");
+                    let _ = socket.send(Message::Binary(frame)).await;
+                    session.deliver(wanted, chunk_fault::frame(None, &land, wanted.key, delivery));
+                }
                 Fault::HangUp if sent > 5 => return,
                 Fault::Silence if sent > 5 => return std::future::pending().await,
                 Fault::Failure => session.fail(wanted, RefusalReason::Failed, "it panicked"),
@@ -198,6 +207,7 @@ async fn every_wrong_chunk_is_a_mismatch_in_the_verdict() {
         (Fault::Chunk(ChunkFault::Bit), Delivery::SeedOnly, "generated here"),
         (Fault::Chunk(ChunkFault::Place), Delivery::SeedOnly, "neither requested nor needed"),
         (Fault::World, Delivery::SeedOnly, "use exact delivery"),
+        (Fault::Settled, Delivery::Exact, "which was not sent"),
     ] {
         let report = load_on(fault, delivery, None).await;
         assert!(report.counts.mismatches > 0, "{fault:?}, {delivery}: {report}");

@@ -114,7 +114,8 @@ struct Shared {
 #[derive(Debug)]
 struct Registered {
     stats: Arc<SessionStats>,
-    /// Of its client; it decides which sessions end, and no report has it.
+    /// Of its client, for IPv6 the /48 that a site has (RFC 6177): it decides which sessions end, and no
+    /// report has it.
     network: Option<IpAddr>,
 }
 
@@ -206,7 +207,7 @@ impl LiveStats {
     #[must_use]
     pub fn register(&self, number: u64, client: Option<IpAddr>) -> SessionStatsGuard {
         let stats = Arc::new(SessionStats::default());
-        let registered = Registered { stats: Arc::clone(&stats), network: client.map(client_network) };
+        let registered = Registered { stats: Arc::clone(&stats), network: client.map(site) };
         lock(&self.shared.sessions).insert(number, registered);
         SessionStatsGuard { stats, number, live: self.clone() }
     }
@@ -218,9 +219,8 @@ impl LiveStats {
     }
 
     /// Ends up to this many sessions ([`SessionStats::shed`]), first of the client networks that have
-    /// the most, among equals the newest; none that is the only one of its network, if those are spared.
-    /// Returns how many end.
-    pub fn shed(&self, count: usize, spares_only_ones: bool) -> usize {
+    /// the most, among equals the newest. Returns how many end.
+    pub fn shed(&self, count: usize) -> usize {
         if count == 0 {
             return 0;
         }
@@ -235,7 +235,6 @@ impl LiveStats {
         let ranks = sessions.values().map(|session| session.network).map(rank);
         let mut ended: Vec<_> =
             ranks.zip(&*sessions).map(|(rank, (number, of))| (rank, *number, of)).collect();
-        ended.retain(|(rank, _, _)| !spares_only_ones || *rank > 0);
         ended.sort_unstable_by_key(|(rank, number, _)| Reverse((*rank, *number)));
         ended.truncate(count);
         ended.iter().for_each(|(_, _, session)| session.stats.shed.notify_one());
@@ -316,6 +315,14 @@ impl LiveStats {
         // Serialising plain numbers and lists cannot fail.
         let report = serde_json::to_vec(&report).unwrap_or_default().into();
         Snapshot { at: now, totals, sessions, report }
+    }
+}
+
+/// The network of a site: an IPv4 address, or the /48 of an IPv6 address.
+fn site(client: IpAddr) -> IpAddr {
+    match client_network(client) {
+        IpAddr::V6(network) => IpAddr::V6((u128::from(network) >> 80 << 80).into()),
+        four => four,
     }
 }
 
@@ -444,8 +451,8 @@ mod tests {
         let client = |number: u64| Some(IpAddr::from([10, 0, 0, if number < 6 { 1 } else { number as u8 }]));
         let open: Vec<_> =
             (1..=8).map(|number| (number, fixture.live.register(number, client(number)))).collect();
-        let ended = async |count, spares| {
-            let shed = fixture.live.shed(count, spares);
+        let ended = async |count| {
+            let shed = fixture.live.shed(count);
             let mut ended = Vec::new();
             for (number, stats) in &open {
                 if stats.shed().now_or_never().is_some() {
@@ -455,10 +462,12 @@ mod tests {
             assert_eq!(shed, ended.len());
             ended
         };
-        assert_eq!(ended(2, false).await, [4, 5]);
-        assert_eq!(ended(5, false).await, [2, 3, 4, 5, 8]);
-        assert_eq!(ended(100, true).await, [2, 3, 4, 5]);
-        assert_eq!(ended(0, false).await, [0; 0]);
+        assert_eq!(ended(2).await, [4, 5]);
+        assert_eq!(ended(5).await, [2, 3, 4, 5, 8]);
+        assert_eq!(ended(0).await, [0; 0]);
+        let ends = ["2001:db8:0:1::1", "2001:db8:0:ffff::1", "2001:db8:1::1"];
+        let [one, same, other] = ends.map(|address| site(address.parse().unwrap()));
+        assert!(one == same && one != other);
     }
 
     #[test]

@@ -9,7 +9,8 @@ use rustls::crypto::ring;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, RootCertStore};
-use std::io;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tokio::net::TcpStream;
@@ -121,11 +122,19 @@ fn system_authorities() -> Result<RootCertStore, TlsError> {
     if roots.is_empty() { Err(TlsError::NoAuthorities) } else { Ok(roots) }
 }
 
+/// The largest file of certificates, bytes: a hundred times what systems have.
+const MAX_FILE: u64 = 32 << 20;
+
 fn authorities_of(path: &Path) -> Result<RootCertStore, TlsError> {
     let failed = |cause: String| TlsError::File { path: path.into(), cause };
-    let certificates = CertificateDer::pem_file_iter(path).map_err(|error| failed(error.to_string()))?;
+    // A device or a large file without lines has no end.
+    let mut bytes = Vec::new();
+    let file = File::open(path).and_then(|file| file.take(MAX_FILE + 1).read_to_end(&mut bytes));
+    if file.map_err(|error| failed(error.to_string()))? as u64 > MAX_FILE {
+        return Err(failed(format!("it has more than {} MiB", MAX_FILE >> 20)));
+    }
     let mut roots = RootCertStore::empty();
-    for certificate in certificates {
+    for certificate in CertificateDer::pem_slice_iter(&bytes) {
         let certificate = certificate.map_err(|error| failed(error.to_string()))?;
         roots.add(certificate).map_err(|error| failed(error.to_string()))?;
     }
@@ -135,6 +144,14 @@ fn authorities_of(path: &Path) -> Result<RootCertStore, TlsError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Linux has a device without an end.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_file_without_end_is_no_file_of_certificates() {
+        let error = authorities_of(Path::new("/dev/zero")).unwrap_err().to_string();
+        assert!(error.contains("32 MiB"), "{error}");
+    }
 
     #[test]
     fn host_and_port_are_those_of_the_address_or_of_its_scheme() {

@@ -74,6 +74,8 @@ pub struct GuardedSession {
     is_open: bool,
     /// Whether a chunk is missing that cannot be requested by its key.
     lost_key: bool,
+    /// Whether the server has announced its end.
+    is_draining: bool,
     rejects: Rejects,
 }
 
@@ -88,6 +90,7 @@ impl GuardedSession {
             retries: Retries::new(first, longest),
             is_open: false,
             lost_key: false,
+            is_draining: false,
             rejects: Rejects::default(),
         }
     }
@@ -204,6 +207,10 @@ impl GuardedSession {
             Event::Settled(settled) => self.settled(settled.view, trust),
             Event::Refused(refused) => self.refused(&refused, trust, now),
             Event::Draining { reconnect_after_ms } => {
+                // Once is enough.
+                if std::mem::replace(&mut self.is_draining, true) {
+                    trust.surplus()?;
+                }
                 let delay = Duration::from_millis(reconnect_after_ms.into());
                 Ok(Received::Draining(delay.min(MAX_RECONNECT)))
             }
@@ -269,7 +276,12 @@ impl GuardedSession {
             }
             Some(Ok(key)) if !self.retries.contains(key) && self.expected.is_in_view(key) => {
                 self.rejects.refused += 1;
-                Ok(self.missed(Some(key), detail, now))
+                let missed = self.missed(Some(key), detail, now);
+                // One that is not requested again may be refused again, without end.
+                if !self.retries.contains(key) {
+                    trust.surplus()?;
+                }
+                Ok(missed)
             }
             None if refused.reason == RefusalReason::InvalidCredit => {
                 trust.surplus()?;

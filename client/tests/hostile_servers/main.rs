@@ -386,7 +386,9 @@ fn floods_end_at_the_credit_or_at_the_surplus() {
     };
     let settled = ServerMessage::Settled(Settled { view: 77_777, chunks: u32::MAX });
     let settled = Message::Binary(protocol::control::encode(&settled).unwrap());
-    for message in [settled, Message::Pong(Bytes::from_static(b"unasked"))] {
+    let draining = ServerMessage::Draining { reconnect_after_ms: 1 };
+    let draining = Message::Binary(protocol::control::encode(&draining).unwrap());
+    for message in [settled, draining, Message::Pong(Bytes::from_static(b"unasked"))] {
         let outcome = run(flood(message));
         assert!(outcome.given_up().contains("without a cause"), "{}", outcome.given_up());
     }

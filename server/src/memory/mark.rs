@@ -3,8 +3,7 @@
 //!
 //! What many sessions hold together may still grow. If the memory stays beyond the mark, sessions end,
 //! few at a time; close to the limit, many: otherwise the system would end the process, and with it
-//! every session. Those of the client networks that have the most end first. Below the mark they end
-//! until sessions can begin again, but none that is the only one of its network.
+//! every session. Those of the client networks that have the most end first.
 
 use super::limit::{MemoryLimit, OpenFiles};
 use crate::limits::per_ip::client_network;
@@ -16,8 +15,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The share of the limit beyond which no session begins, and the one below which sessions begin
-/// again; in eighths.
+/// The share of the limit beyond which no session begins, and the one below which the server is ready
+/// again; in eighths. Between them sessions begin as far as there is room below the first.
 const MARK: (u64, u64) = (6, 5);
 
 /// The share beyond which many sessions end, in eighths.
@@ -41,7 +40,7 @@ const SHED_IN_DANGER: (usize, Duration) = (2, Duration::from_millis(100));
 #[derive(Debug)]
 pub struct MemoryMark {
     limit: Option<MemoryLimit>,
-    /// Whether no session begins: from the mark until the lower share.
+    /// Whether the server is not ready: from the mark until the lower share.
     is_reached: AtomicBool,
     /// Whether the memory in use is beyond the mark now.
     is_exceeded: AtomicBool,
@@ -68,13 +67,13 @@ impl MemoryMark {
         }
     }
 
-    /// Whether no session may begin.
+    /// Whether other servers had better get new sessions.
     #[must_use]
     pub fn is_reached(&self) -> bool {
         self.is_reached.load(Ordering::Relaxed)
     }
 
-    /// Whether open sessions may take no more memory.
+    /// Whether no session may begin, and open ones may take no more memory.
     #[must_use]
     pub fn is_exceeded(&self) -> bool {
         self.is_exceeded.load(Ordering::Relaxed)
@@ -84,7 +83,7 @@ impl MemoryMark {
     /// than remains for others, as with [`crate::limits::per_ip::PerIpLimiter::fair_share`].
     #[must_use]
     pub fn admits(&self, client: Option<IpAddr>) -> bool {
-        if self.is_reached() {
+        if self.is_exceeded() {
             return false;
         }
         let mut room = self.room();
@@ -172,16 +171,15 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, stats: LiveStat
                 pace = Pace { last: now, used };
                 tracing::warn!(used_mib, %limit, "memory is nearly used up: no further sessions begin");
             } else {
-                tracing::info!(used_mib, %limit, "memory is free again: sessions begin");
+                tracing::info!(used_mib, %limit, "memory is free again");
             }
         }
         if now >= room_at {
             mark.make_room(used, limit.bytes());
             room_at = now + ADMISSION;
         }
-        if mark.is_reached() {
-            let due = pace.due(used, limit.bytes(), stats.count(), now);
-            let count = stats.shed(due, !mark.is_exceeded());
+        if mark.is_exceeded() {
+            let count = stats.shed(pace.due(used, limit.bytes(), stats.count(), now));
             if count > 0 {
                 let used_mib = used >> 20;
                 tracing::warn!(used_mib, %limit, count, "memory is nearly used up: sessions end");
@@ -237,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn open_sessions_go_on_below_the_mark_before_others_begin() {
+    fn open_sessions_go_on_below_the_mark_before_the_server_is_ready() {
         let mark = MemoryMark::new(Some(MemoryLimit::of_machine(800 << 20)));
         let states = [590, 600, 599, 500, 499].map(|used| {
             mark.record(used, 800);

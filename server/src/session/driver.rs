@@ -38,7 +38,7 @@ use tokio::time::{Instant, timeout};
 const JOB_WINDOW: usize = 16;
 
 /// Cached chunks collected before a flush: about 300 KiB of exact frames, one write.
-const BATCH: usize = 64;
+const BATCH: u32 = 64;
 
 /// Chunks of a step of a view that is selected at once.
 const SELECTION_STEP: usize = 4096;
@@ -108,6 +108,7 @@ where
             in_generation: Vec::new(),
             unwritten: Vec::new(),
             batch: 0,
+            is_draining: false,
         };
         let end = driver.run().await;
         driver.update_metrics();
@@ -180,7 +181,9 @@ struct Driver<'a, S> {
     /// batch.
     unwritten: Vec<(Instant, u64)>,
     /// Cached chunks in the next flush, at most [`BATCH`].
-    batch: usize,
+    batch: u32,
+    /// Whether the peer is told that the server ends.
+    is_draining: bool,
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
@@ -246,6 +249,15 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     self.state.metrics.rate_limit_delays.inc_by(u64::from(is_by_rate));
                 }
                 () = &mut check => {
+                    // What has arrived counts: a long write may have kept this session from reading.
+                    if keepalive.check(Instant::now()).0 == KeepaliveAction::Close
+                        && let Some(read) = self.read_now().await
+                    {
+                        keepalive.on_activity(Instant::now());
+                        if let Err(end) = self.read_ended(read).await {
+                            return end;
+                        }
+                    }
                     let (action, next) = keepalive.check(Instant::now());
                     match action {
                         KeepaliveAction::None => {}
@@ -284,13 +296,18 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     /// Ends a session whose message takes too long. What has arrived by now counts: a long write
     /// may have kept this session from reading.
     async fn finish_message(&mut self) -> Result<(), SessionEnd> {
-        if let Ok(read) = timeout(Duration::ZERO, self.socket.read()).await {
+        if let Some(read) = self.read_now().await {
             self.read_ended(read).await?;
         }
         if self.message_deadline.has_passed(Instant::now()) {
             return Err(SessionEnd::with_code(EndReason::MessageTimeout, CloseCode::Unresponsive));
         }
         Ok(())
+    }
+
+    /// Reads what has arrived; none if nothing has.
+    async fn read_now(&mut self) -> Option<io::Result<()>> {
+        timeout(Duration::ZERO, self.socket.read()).await.ok()
     }
 
     /// Requests chunks from the generation service; cached ones go straight to the session. True if
@@ -340,7 +357,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         }
         let delivered = self.batch - before;
         if delivered > 0 {
-            self.unwritten.push((now, delivered as u64));
+            self.unwritten.push((now, u64::from(delivered)));
         }
         more
     }
@@ -481,6 +498,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let result = tokio::select! {
             written = write => written,
             () = self.stats.shed() => Err(SessionEnd::without_code(EndReason::MemoryShed)),
+            // A slow reader must not miss the announcement.
+            () = self.state.draining.cancelled(), if !self.is_draining => {
+                self.socket.drop_unwritten();
+                Ok(())
+            }
         };
         self.batch = 0;
         self.traces.flushed(result.is_ok());
@@ -500,6 +522,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let (min_ms, max_ms) = RECONNECT_MS;
         let jitter_ms = terrain::hash::mix(self.number as u32) % (max_ms - min_ms);
         self.session.drain(min_ms + jitter_ms);
+        self.is_draining = true;
         self.ended(SessionEnd::with_code(EndReason::Drained, CloseCode::GoingAway)).await
     }
 

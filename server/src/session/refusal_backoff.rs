@@ -146,7 +146,7 @@ impl RefusalBackoff {
         begins
     }
 
-    /// When the debt is paid; at most [`MAX_DEBT`] from the last rejection.
+    /// When the debt is paid; at most 5 s from the last rejection.
     #[must_use]
     pub const fn debt_until(&self) -> Instant {
         self.debt_until

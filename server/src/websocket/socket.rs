@@ -147,6 +147,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         let mut written = 0;
         while !self.outbox.is_empty() {
             if written >= least {
+                // TLS takes bytes before the peer does.
+                self.flush_stream().await?;
                 return Ok(false);
             }
             let count = poll_fn(|context| self.poll_write(context)).await?;
@@ -157,12 +159,21 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
             written += count;
         }
         // TLS may hold the last bytes back.
-        poll_fn(|context| Pin::new(&mut self.stream).poll_flush(context)).await?;
+        self.flush_stream().await?;
         // Releases the memory of a burst.
         if self.outbox.capacity() > 4 * MAX_SLICES {
             self.outbox = VecDeque::new();
         }
         Ok(true)
+    }
+
+    async fn flush_stream(&mut self) -> io::Result<()> {
+        poll_fn(|context| Pin::new(&mut self.stream).poll_flush(context)).await
+    }
+
+    /// Removes queued messages, except one that is written in part.
+    pub fn drop_unwritten(&mut self) {
+        self.outbox.truncate(usize::from(self.written > 0));
     }
 
     fn poll_write(&mut self, context: &mut Context<'_>) -> Poll<io::Result<usize>> {

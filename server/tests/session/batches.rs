@@ -122,7 +122,7 @@ async fn a_slow_reader_keeps_its_session_whatever_the_length_of_a_batch() {
         bytes += payload.len();
         total += payload.len();
         if bytes > 64 * 1024 {
-            tokio::time::sleep(Duration::from_secs(4)).await;
+            tokio::time::sleep(Duration::from_secs(8)).await;
             bytes = 0;
         }
     }

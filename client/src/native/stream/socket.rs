@@ -7,6 +7,7 @@ use std::io::ErrorKind;
 use std::time::Duration;
 use tls_client::{TlsClient, Transport, endpoint};
 use tokio::net::TcpStream;
+use tokio_tungstenite::tungstenite::error::ProtocolError;
 use tokio_tungstenite::tungstenite::{self, ClientRequestBuilder, http::Uri, protocol as ws};
 use tokio_tungstenite::{WebSocketStream, client_async_with_config};
 use tokio_util::either::Either;
@@ -83,6 +84,13 @@ pub fn not_connected(url: &Uri, error: &tungstenite::Error) -> SessionEnd {
             let retry = cause.kind() != ErrorKind::InvalidData;
             lost(format!("cannot connect to {url}: {cause}{remedy}"), retry)
         }
+        // A full server, or a tunnel whose server restarts, accepts the connection and closes it.
+        tungstenite::Error::ConnectionClosed
+        | tungstenite::Error::Protocol(ProtocolError::HandshakeIncomplete) => {
+            let cause =
+                format!("{url} closed the connection before it answered; it may be full or restarting");
+            lost(cause, true)
+        }
         other => lost(format!("{url} is not a Tombolo stream: {}", one_line(&other.to_string())), false),
     }
 }
@@ -117,8 +125,7 @@ pub fn broken(url: &Uri, error: &tungstenite::Error, hint: Option<Duration>) -> 
     use tungstenite::Error as Failure;
     let is_fault = matches!(error, Failure::Capacity(_) | Failure::Protocol(_) | Failure::Utf8(_));
     // A connection that ends in mid-frame is a network's failure, and another attempt may help.
-    let is_cut =
-        matches!(error, Failure::Protocol(tungstenite::error::ProtocolError::ResetWithoutClosingHandshake));
+    let is_cut = matches!(error, Failure::Protocol(ProtocolError::ResetWithoutClosingHandshake));
     let cause = format!("lost {url}: {}", one_line(&error.to_string()));
     SessionEnd::Lost { cause, retry: true, hint, is_fault: is_fault && !is_cut }
 }
@@ -127,6 +134,27 @@ pub fn broken(url: &Uri, error: &tungstenite::Error, hint: Option<Duration>) -> 
 mod tests {
     use super::*;
     use protocol::limits::MAX_TEXT;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+    /// A full server closes connections without an answer.
+    #[tokio::test]
+    async fn a_connection_that_ends_before_the_answer_is_tried_again() {
+        for greeting in [&b""[..], b"HTTP/1.1 101 Switching"] {
+            let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+            let url: Uri = format!("ws://{}/", listener.local_addr().unwrap()).parse().unwrap();
+            let server = async {
+                let (mut stream, _) = listener.accept().await.unwrap();
+                // With the request unread the end would be a reset.
+                let mut request = [0; 4096];
+                assert!(stream.read(&mut request).await.unwrap() > 0);
+                stream.write_all(greeting).await.unwrap();
+            };
+            let (connected, ()) = tokio::join!(connect(&url, None), server);
+            let end = not_connected(&url, &connected.unwrap_err());
+            let SessionEnd::Lost { cause, retry: true, .. } = end else { panic!("{end:?}") };
+            assert!(cause.contains("before it answered"), "{cause}");
+        }
+    }
 
     #[test]
     fn an_explanation_is_one_short_line() {

@@ -202,11 +202,15 @@ impl Worker {
             if matches!(event, StreamEvent::Connected { .. }) {
                 memory.welcomed = Some(Instant::now());
             }
+            let is_missed = matches!(event, StreamEvent::Missed { .. });
+            let before = Instant::now();
             if self.send_event(event).await.is_err() {
                 return Ok(SessionEnd::Closing);
             }
-            // The drawing thread may have paused, and nothing was read meanwhile.
-            (last_received, last_data) = (Instant::now(), Instant::now());
+            // The drawing thread may have paused, and nothing was read meanwhile. A chunk that does not
+            // come is no progress.
+            last_received = Instant::now();
+            last_data = if is_missed { last_data + before.elapsed() } else { last_received };
         }
     }
 
