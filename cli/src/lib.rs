@@ -4,8 +4,10 @@
 
 #![forbid(unsafe_code)]
 
+mod output;
 mod usage;
 
+pub use output::{are_apart, replace_file};
 pub use usage::{UsageError, read_token};
 
 use clap::{Arg, Command, Parser};

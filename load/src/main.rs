@@ -6,6 +6,7 @@ mod progress;
 use anyhow::{Context, Result, anyhow};
 use load::{Args, LoadConfig, Report, RunStats, plot};
 use progress::ProgressReporter;
+use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::process::ExitCode;
@@ -27,6 +28,9 @@ fn main() -> ExitCode {
         Ok(config) => config,
         Err(error) => return cli::fail(NAME, error, cli::USAGE),
     };
+    if let Err(error) = cli::are_apart(("--json", json.as_deref()), ("--plot", picture.as_deref())) {
+        return cli::fail(NAME, error, cli::USAGE);
+    }
     match drive(config, json.as_deref(), picture.as_deref(), quiet) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => cli::fail(NAME, format!("{error:#}"), cli::FAILED),
@@ -59,14 +63,18 @@ fn drive(config: LoadConfig, json: Option<&Path>, picture: Option<&Path>, quiet:
 /// Writes the report by the file's path, not by a file opened before the run: a folder that was
 /// removed or closed meanwhile is an error, where a write to the removed file would succeed.
 fn write_json(path: Option<&Path>, report: &Report) -> Result<()> {
-    let Some(mut file) = create("--json", path)? else { return Ok(()) };
-    let written = serde_json::to_writer_pretty(&mut file, report).map_err(std::io::Error::from);
-    written.and_then(|()| writeln!(file)).context("--json: cannot write the report")
+    let Some(path) = path else { return Ok(()) };
+    let write = |mut file: File| {
+        serde_json::to_writer_pretty(&mut file, report).map_err(std::io::Error::from)?;
+        writeln!(file)
+    };
+    cli::replace_file(path, write).with_context(|| unwritable("--json", path))
 }
 
 fn write_plot(path: Option<&Path>, report: &Report) -> Result<()> {
-    let Some(file) = create("--plot", path)? else { return Ok(()) };
-    plot::write(BufWriter::new(file), report)
+    let Some(path) = path else { return Ok(()) };
+    let write = |file| plot::write(BufWriter::new(file), report);
+    cli::replace_file(path, write).with_context(|| unwritable("--plot", path))
 }
 
 /// Whether a file for results can be written. Creates it; the content of an old one is kept until
@@ -77,16 +85,12 @@ fn check_writable(option: &str, path: Option<&Path>) -> Result<()> {
         .create(true)
         .append(true)
         .open(path)
-        .with_context(|| format!("{option}: cannot write `{}`", path.display()))?;
+        .with_context(|| unwritable(option, path))?;
     Ok(())
 }
 
-/// Creates a file for results.
-fn create(option: &str, path: Option<&Path>) -> Result<Option<std::fs::File>> {
-    path.map(|path| {
-        std::fs::File::create(path).with_context(|| format!("{option}: cannot write `{}`", path.display()))
-    })
-    .transpose()
+fn unwritable(option: &str, path: &Path) -> String {
+    format!("{option}: cannot write `{}`", path.display())
 }
 
 /// Runs with progress.

@@ -68,12 +68,12 @@ pub fn read(path: &Path) -> Result<Pixels, String> {
     Ok(Pixels { width: width as usize, height: height as usize, channels, depth, data })
 }
 
-/// Writes an image as RGBA, 8 bits a channel.
+/// Writes an image as RGBA, 8 bits a channel; over an older file only if that succeeds.
 ///
 /// # Errors
 /// The file cannot be created, or not written to its end.
 pub fn write(path: &Path, image: &Image) -> Result<(), EncodingError> {
-    write_to(File::create(path)?, image)
+    cli::replace_file(path, |file| write_to(file, image))
 }
 
 /// [`fn@write`] into an open file.

@@ -14,6 +14,7 @@ use anyhow::Context as _;
 use cli::UsageError;
 use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
 use protocol::limits::MAX_TEXT;
+use std::io::Write as _;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tls_client::TlsClient;
@@ -29,6 +30,7 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     }
     has_folder("--shot", path)?;
     args.stats.as_deref().map_or(Ok(()), |path| has_folder("--stats", path))?;
+    cli::are_apart(("--shot", Some(path)), ("--stats", args.stats.as_deref()))?;
     let gpu = Gpu::open_blocking()?;
     let profile = Profile::of(args, gpu.is_software());
     let options =
@@ -49,16 +51,17 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     write(args, path, &image_data, &stats)
 }
 
-/// Fails if the folder of a file is missing.
+/// Fails if the folder of a file is missing, or if the file is a folder.
 ///
 /// # Errors
 /// A [`UsageError`].
 pub fn has_folder(option: &str, path: &Path) -> Result<(), UsageError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if folder.is_none_or(Path::is_dir) {
-        return Ok(());
-    }
-    let line = "the folder does not exist, create it or choose another";
+    let line = match folder.is_none_or(Path::is_dir) {
+        true if path.is_dir() => "it is a folder, name a file",
+        true => return Ok(()),
+        false => "the folder does not exist, create it or choose another",
+    };
     Err(UsageError::new(format!("cannot write {option} {}: {line}", path.display())))
 }
 
@@ -97,7 +100,8 @@ fn stream_settings(args: &Args, url: Uri) -> anyhow::Result<Settings> {
 /// Writes the measurements of a run.
 pub fn write_stats(path: &Path, stats: &Stats) -> anyhow::Result<()> {
     let text = serde_json::to_string_pretty(stats)?;
-    std::fs::write(path, text + "\n").with_context(|| format!("cannot write --stats {}", path.display()))
+    cli::replace_file(path, |mut file| file.write_all((text + "\n").as_bytes()))
+        .with_context(|| format!("cannot write --stats {}", path.display()))
 }
 
 fn describe(progress: &Progress) -> String {

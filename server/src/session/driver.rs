@@ -182,7 +182,7 @@ struct Driver<'a, S> {
     unwritten: Vec<(Instant, u64)>,
     /// Cached chunks in the next flush, at most [`BATCH`].
     batch: u32,
-    /// Whether the peer is told that the server ends.
+    /// Whether the end of the server is announced to the peer.
     is_draining: bool,
 }
 
