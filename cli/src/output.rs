@@ -41,19 +41,13 @@ fn part_of(path: &Path) -> PathBuf {
 /// A [`UsageError`] that names both.
 pub fn are_apart(first: (&str, Option<&Path>), second: (&str, Option<&Path>)) -> Result<(), UsageError> {
     let place = |path: Option<&Path>| path.map(|path| fs::canonicalize(path).unwrap_or_else(|_| path.into()));
-    match (place(first.1), place(second.1)) {
-        (Some(one), Some(other))
-            if one == other && fs::metadata(&one).is_ok_and(|known| !known.is_file()) =>
-        {
-            Ok(())
-        }
-        (Some(one), Some(other)) if one == other => {
-            let shown = one.display();
-            let line = format!("{} and {} both name `{shown}`: choose two files", first.0, second.0);
-            Err(UsageError::new(line))
-        }
-        _ => Ok(()),
+    let (Some(one), Some(other)) = (place(first.1), place(second.1)) else { return Ok(()) };
+    // A device takes both.
+    if one != other || fs::metadata(&one).is_ok_and(|known| !known.is_file()) {
+        return Ok(());
     }
+    let shown = one.display();
+    Err(UsageError::new(format!("{} and {} both name `{shown}`: choose two files", first.0, second.0)))
 }
 
 #[cfg(test)]

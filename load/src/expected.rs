@@ -30,8 +30,6 @@ pub const MAX_OPEN_REQUESTS: usize = MAX_PENDING_REQUESTS / 2;
 pub struct ExpectedChunks {
     land: Land,
     max_views: usize,
-    /// The number of the newest view.
-    newest: Option<u32>,
     /// Newest last: the id in Settled and refusals, the viewer, and the predicted viewer that the
     /// server may prefetch for.
     views: VecDeque<(u32, Viewer, Option<Viewer>)>,
@@ -61,14 +59,7 @@ impl ExpectedChunks {
     /// Nothing is expected yet. Remembers so many views: [`MAX_VIEWS`] or [`MAX_VIEWS_SLOW`].
     #[must_use]
     pub fn new(land: Land, max_views: usize) -> Self {
-        Self {
-            land,
-            max_views,
-            newest: None,
-            views: VecDeque::new(),
-            requests: FxHashMap::default(),
-            n_requests: 0,
-        }
+        Self { land, max_views, views: VecDeque::new(), requests: FxHashMap::default(), n_requests: 0 }
     }
 
     /// Adds a view that was sent.
@@ -76,7 +67,6 @@ impl ExpectedChunks {
         if self.views.len() == self.max_views {
             self.views.pop_front();
         }
-        self.newest = Some(view.id);
         self.views.push_back((view.id, view.viewer(), view.viewer_ahead()));
     }
 
@@ -97,10 +87,12 @@ impl ExpectedChunks {
     /// A view is settled: no chunk of an older view is still to come. False if no view of this number
     /// was sent.
     pub fn settled(&mut self, view: u32) -> bool {
-        let was_sent = self.newest.is_some_and(|newest| view <= newest);
+        if self.newest_view().is_none_or(|newest| view > newest) {
+            return false;
+        }
         // Ids only grow within a session; wrapping would take fifteen years.
         self.views.retain(|(id, _, _)| *id >= view);
-        was_sent
+        true
     }
 
     /// Whether only a request would bring this chunk, so that its latency is that of the request.

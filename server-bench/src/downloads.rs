@@ -31,8 +31,8 @@ const CHUNKS: usize = 16 * 1024;
 const REQUESTED: usize = 256 * 1024;
 const WINDOW: usize = 64;
 
-/// Time for the downloads to fill the queue.
-const SETTLE: Duration = Duration::from_millis(500);
+/// Time between two looks whether the downloads have begun.
+const INTERVAL: Duration = Duration::from_millis(10);
 
 /// Downloads answered a second below which there was no load.
 const LEAST_DOWNLOADS: f64 = 10.0;
@@ -66,7 +66,11 @@ async fn round(
         // It ends with the threads.
         threads.spawn(async move { downloads(address, digest, &keys, index, &answered).await });
     }
-    tokio::time::sleep(SETTLE).await;
+    // All of them are outstanding when as many are answered; without an answer there is no load.
+    let begins_by = Instant::now() + length;
+    while answered.load(Ordering::Relaxed) < CONNECTIONS && Instant::now() < begins_by {
+        tokio::time::sleep(INTERVAL).await;
+    }
     let (started, before) = (Instant::now(), answered.load(Ordering::Relaxed));
     let beside = session(server.address, second, length).await;
     let downloads = (answered.load(Ordering::Relaxed) - before) as f64 / started.elapsed().as_secs_f64();

@@ -28,8 +28,8 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
         let line = "images are PNG files, choose a path that ends in .png";
         return Err(UsageError::new(format!("cannot write --shot {}: {line}", path.display())).into());
     }
-    has_folder("--shot", path)?;
-    args.stats.as_deref().map_or(Ok(()), |path| has_folder("--stats", path))?;
+    check_output("--shot", path)?;
+    args.stats.as_deref().map_or(Ok(()), |path| check_output("--stats", path))?;
     cli::are_apart(("--shot", Some(path)), ("--stats", args.stats.as_deref()))?;
     let gpu = Gpu::open_blocking()?;
     let profile = Profile::of(args, gpu.is_software());
@@ -55,12 +55,14 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// A [`UsageError`].
-pub fn has_folder(option: &str, path: &Path) -> Result<(), UsageError> {
+pub fn check_output(option: &str, path: &Path) -> Result<(), UsageError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let line = match folder.is_none_or(Path::is_dir) {
-        true if path.is_dir() => "it is a folder, name a file",
-        true => return Ok(()),
-        false => "the folder does not exist, create it or choose another",
+    let line = if path.is_dir() {
+        "it is a folder, name a file"
+    } else if folder.is_none_or(Path::is_dir) {
+        return Ok(());
+    } else {
+        "the folder does not exist, create it or choose another"
     };
     Err(UsageError::new(format!("cannot write {option} {}: {line}", path.display())))
 }

@@ -143,7 +143,7 @@ impl Shared {
     /// Continues a view within its budget, or until a flow that was idle waits: it has the next
     /// turn, and a view can stop between any two steps. A finished selection is sent to its
     /// session; an unfinished one waits for the flow's next turn. A panic fails this view only.
-    fn select_view(&self, flow: FlowId, mut job: ViewJob, budget_us: i64) {
+    fn select_view(&self, flow: FlowId, mut job: Box<ViewJob>, budget_us: i64) {
         let must_stop = || self.lock().has_new_flow();
         let Ok((is_done, spent)) = catch_unwind(AssertUnwindSafe(|| job.run(budget_us, must_stop))) else {
             self.metrics.jobs_failed.inc();
@@ -159,7 +159,8 @@ impl Shared {
             self.metrics.view_selection_seconds.observe(job.spent.as_secs_f64());
             self.lock().return_view(flow, None, spent_us);
             // The session may have ended.
-            let _ = job.completion.send(job.selection);
+            let ViewJob { completion, selection, .. } = *job;
+            let _ = completion.send(selection);
         } else {
             self.lock().return_view(flow, Some(job), spent_us);
         }

@@ -2,7 +2,6 @@
 
 use crate::client::{Server, UPGRADE, read_all};
 use server::ServerConfig;
-use std::time::Duration;
 use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 
@@ -157,8 +156,10 @@ async fn a_session_that_is_asked_for_while_the_server_ends_is_rejected_with_that
     stream.write_all(request.as_bytes()).await.unwrap();
     // The answer to a later connection shows that the server has the first one.
     assert_eq!(server.get("/livez").await.status, 200);
+    let address = server.address;
     let rest = async {
-        tokio::time::sleep(Duration::from_millis(100)).await;
+        // A server that ends no longer listens.
+        while TcpStream::connect(address).await.is_ok() {}
         stream.write_all(b"\r\n").await.unwrap();
         String::from_utf8(read_all(stream).await).unwrap()
     };

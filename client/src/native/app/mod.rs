@@ -12,7 +12,7 @@ pub mod running;
 pub mod view_settings;
 
 use crate::native::args::Args;
-use crate::native::screenshot::{has_folder, write_stats};
+use crate::native::screenshot::{check_output, write_stats};
 use anyhow::{Context as _, anyhow};
 use running::{After, Running};
 use std::time::Instant;
@@ -23,7 +23,7 @@ use winit::window::WindowId;
 
 /// Opens the window and runs until it is closed.
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
-    args.stats.as_deref().map_or(Ok(()), |path| has_folder("--stats", path))?;
+    args.stats.as_deref().map_or(Ok(()), |path| check_output("--stats", path))?;
     let event_loop = EventLoop::new().map_err(|_| {
         // winit's cause names its source file; on every system it means this.
         anyhow!(

@@ -9,9 +9,9 @@
 //!
 //! A flow that was idle has its first turn before all others (the new queues of FQ-CoDel, RFC 8290,
 //! section 4.2), so that a light client does not wait for a round of heavy ones. A flow is idle
-//! after a round without work and without debt. Flows that come while a round
-//! lasts are first too, but no more of them than half of the turns with work in the round before: those
-//! that come without end must not keep the others from theirs.
+//! after a round without work and without debt. Flows that come while a round lasts are first too, but
+//! no more of them than half of the turns with work in the round before: those that come without end
+//! must not keep the others from theirs.
 
 mod jobs;
 
@@ -86,7 +86,7 @@ impl Flow {
 #[derive(Debug, Default)]
 pub struct Turn {
     /// A view to select, with the turn's budget in microseconds.
-    pub view: Option<(FlowId, ViewJob, i64)>,
+    pub view: Option<(FlowId, Box<ViewJob>, i64)>,
     /// Jobs to run, all of one flow.
     pub chunks: Vec<ChunkId>,
     /// The spans of those that are traced.
@@ -160,12 +160,12 @@ impl Queue {
 
     /// Returns a view job after a turn that took `spent_us`, to be continued; none if it is done.
     /// The view of a removed flow is dropped.
-    pub fn return_view(&mut self, id: FlowId, view: Option<ViewJob>, spent_us: i64) {
+    pub fn return_view(&mut self, id: FlowId, view: Option<Box<ViewJob>>, spent_us: i64) {
         let Some(flow) = self.flows.get_mut(&id) else { return };
         flow.credit_us -= spent_us;
         flow.is_selecting = false;
         if view.is_some() {
-            flow.view = view.map(Box::new);
+            flow.view = view;
         }
         self.add_turn(id);
     }
@@ -225,7 +225,7 @@ impl Queue {
                 && let Some(view) = flow.view.take()
             {
                 flow.is_selecting = true;
-                turn.view = Some((id, *view, flow.credit_us));
+                turn.view = Some((id, view, flow.credit_us));
                 if flow.is_runnable() {
                     self.add_turn(id);
                 }
