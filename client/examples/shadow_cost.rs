@@ -30,6 +30,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         scene: Scene::Island,
         size: (width, height),
         samples: 1,
+        anisotropy: 1,
         format: offscreen::IMAGE_FORMAT,
         slots,
         clipmap_texels: STANDARD_TEXELS,

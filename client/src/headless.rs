@@ -63,6 +63,8 @@ pub struct Options {
     pub clipmap_texels: u32,
     /// Samples per pixel, 1 or 4.
     pub samples: u32,
+    /// Anisotropy of the filter of materials, 1 (none) to 16. Drivers filter alike with 1 only.
+    pub anisotropy: u16,
     /// Frames to time, at least 1.
     pub frames: u32,
     /// Orbit step between two frames, degrees; 0 stands still.
@@ -94,6 +96,7 @@ impl Default for Options {
             chunk_bytes: 128 << 20,
             clipmap_texels: STANDARD_TEXELS,
             samples: 4,
+            anisotropy: 1,
             frames: 1,
             orbit_step_deg: 0.0,
             time_s: 0.0,
@@ -232,6 +235,7 @@ fn draw_frames(
             scene: options.scene,
             size,
             samples: options.samples,
+            anisotropy: options.anisotropy,
             format: offscreen::IMAGE_FORMAT,
             slots,
             clipmap_texels: options.clipmap_texels,

@@ -1,8 +1,9 @@
 //! `tombolo-lab accuracy`: error against cost of every approximation, with a reference in f64.
 //!
 //! Rendering: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of
-//! materials ([`tiling`]), parallax occlusion mapping ([`pom`], [`pom_pictures`]), occlusion
-//! culling ([`mod@culling`]), density of grass ([`grass`]), distances of trees ([`trees`]).
+//! materials ([`tiling`]), their filter ([`anisotropy`]), parallax occlusion mapping ([`pom`],
+//! [`pom_pictures`]), occlusion culling ([`mod@culling`]), density of grass ([`grass`]), distances of
+//! trees ([`trees`]).
 //!
 //! Heightfield: integers against the formula in f64 ([`heightfield`], with its bars), octaves kept
 //! ([`octaves`]), height quantum ([`quantum`]).
@@ -11,6 +12,7 @@
 //!
 //! A missed bar, or a control that meets its bars, is an error.
 
+mod anisotropy;
 mod brdf;
 mod codec;
 mod culling;
@@ -64,6 +66,8 @@ pub enum Subject {
     Brdf,
     /// Hiding the repetition of materials
     Tiling,
+    /// Filter of materials
+    Anisotropy,
     /// Parallax occlusion mapping
     Pom,
     /// Chunks on the wire
@@ -103,6 +107,7 @@ impl Subject {
             Self::Water => &[("waves", water::measure)],
             Self::Brdf => &[("reflection", brdf::measure)],
             Self::Tiling => &[("repetition", tiling::measure)],
+            Self::Anisotropy => &[("filter of materials", anisotropy::measure)],
             Self::Pom => &[
                 ("parallax occlusion over hills", |_| pom::measure(Kind::Fbm)),
                 ("parallax occlusion over bricks", |_| pom::measure(Kind::Brick)),

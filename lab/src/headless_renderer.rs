@@ -51,6 +51,7 @@ impl HeadlessRenderer {
             scene: Scene::Island,
             size,
             samples: 1,
+            anisotropy: 1,
             format: offscreen::IMAGE_FORMAT,
             slots,
             clipmap_texels: STANDARD_TEXELS,

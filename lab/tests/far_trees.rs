@@ -56,6 +56,7 @@ impl Woods {
             scene: Scene::Island,
             size: SIZE,
             samples: 1,
+            anisotropy: 1,
             format: offscreen::IMAGE_FORMAT,
             slots: SLOTS,
             clipmap_texels: 256,

@@ -24,7 +24,7 @@ fn open() -> Option<Gpu> {
 }
 
 fn bake(gpu: &Gpu, own: &CustomMaterials) -> Materials {
-    Materials::new(&gpu.device, &gpu.queue, own, true)
+    Materials::new(&gpu.device, &gpu.queue, own, 1)
 }
 
 /// One level of one layer, as bytes without padding.

@@ -116,6 +116,7 @@ fn a_renderer_resized_in_every_frame_draws_every_size() {
             scene: options.scene,
             size: (0, 0),
             samples: 1,
+            anisotropy: 1,
             format,
             slots,
             clipmap_texels: STANDARD_TEXELS,

@@ -35,6 +35,7 @@ impl LightProbe {
             scene: Scene::Island,
             size: SIZE,
             samples: 1,
+            anisotropy: 1,
             format: offscreen::IMAGE_FORMAT,
             slots: SLOTS,
             clipmap_texels: STANDARD_TEXELS,

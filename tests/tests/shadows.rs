@@ -26,6 +26,7 @@ fn renderer(gpu: &Gpu) -> Renderer {
         scene: Scene::Island,
         size: (64, 36),
         samples: 1,
+        anisotropy: 1,
         format: offscreen::IMAGE_FORMAT,
         slots: SLOTS,
         clipmap_texels: STANDARD_TEXELS,

@@ -147,6 +147,7 @@ fn light_that_is_not_finite_is_detected() {
             scene: Scene::Water,
             size,
             samples: 1,
+            anisotropy: 1,
             format,
             slots: 1,
             clipmap_texels: STANDARD_TEXELS,

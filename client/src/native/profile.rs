@@ -23,6 +23,8 @@ pub struct Profile {
     pub tolerance_px: f64,
     /// Samples per pixel.
     pub samples: u32,
+    /// Anisotropy of the filter of materials.
+    pub anisotropy: u16,
     /// Render settings.
     pub render: RenderSettings,
     /// One line for the user if the driver changed the start.
@@ -36,8 +38,8 @@ impl Profile {
         let medium = Preset::of(Quality::Medium, false);
         let preset = Preset::of(args.quality, is_software);
         // Scenes without land compare methods: a preset would change what they show.
-        let samples = preset.samples;
-        let preset = if args.scene.is_local() { Preset { samples, ..medium } } else { preset };
+        let (samples, anisotropy) = (preset.samples, preset.anisotropy);
+        let preset = if args.scene.is_local() { Preset { samples, anisotropy, ..medium } } else { preset };
         if args.quality != Quality::Auto || !is_software {
             return Self::of_preset(args, &preset);
         }
@@ -46,7 +48,7 @@ impl Profile {
         let render_scale = if args.shot.is_some() { 1.0 } else { preset.render_scale };
         let bloom = if args.shot.is_some() { medium.bloom } else { preset.bloom };
         let low = Self::of_preset(args, &Preset { samples, render_scale, bloom, ..preset });
-        let full = Self::of_preset(args, &Preset { samples, ..medium });
+        let full = Self::of_preset(args, &Preset { samples, anisotropy, ..medium });
         let notice = (low != full).then(|| low.reduced());
         Self { notice, ..low }
     }
@@ -65,6 +67,7 @@ impl Profile {
             chunk_bytes: args.chunk_mb << 20,
             clipmap_texels: args.clipmap,
             samples: self.samples,
+            anisotropy: self.anisotropy,
             frames: args.frames.unwrap_or(1),
             // Frames of a shot are 1/60 s apart, like their waves.
             orbit_step_deg: args.orbit.unwrap_or(0.0) / 60.0,
@@ -87,6 +90,7 @@ impl Profile {
             narrow_view_m: is_widened.then_some(plain_m),
             tolerance_px: args.tolerance.unwrap_or(preset.tolerance_px),
             samples: args.samples.unwrap_or(preset.samples),
+            anisotropy: args.anisotropy.unwrap_or(preset.anisotropy),
             render: args.render_settings(preset),
             notice: None,
         }
@@ -126,6 +130,7 @@ mod tests {
         let start = profile("", false);
         assert_eq!((start.view_distance_m, start.tolerance_px, start.samples), (20_000, 2.0, 4));
         assert_eq!((start.render.plants.density, start.render.plants.trees), (24, 2));
+        assert_eq!(start.anisotropy, 8);
         assert_eq!((start.render.tiling, start.notice), (Tiling::Hex, None));
         assert_eq!(start.render, profile("--quality medium", true).render, "auto is medium on a GPU");
     }
@@ -136,6 +141,7 @@ mod tests {
         let low = profile("--quality low", false);
         assert_eq!((&window.render, window.view_distance_m), (&low.render, low.view_distance_m));
         assert_eq!((window.samples, shot.samples, low.samples), (1, 4, 1));
+        assert_eq!((window.anisotropy, shot.anisotropy, low.anisotropy), (1, 1, 1));
         let line = window.notice.unwrap();
         assert!(
             line.contains("software driver") && line.contains("8000 m") && !line.contains('\n'),
@@ -149,12 +155,13 @@ mod tests {
 
     #[test]
     fn an_option_that_is_given_wins_over_every_preset() {
-        let given = "--view-distance 5000 --tolerance 3 --samples 4 --tiling off --relief linear --grass 3 \
-                     --grass-range 99 --trees 4 --tree-range 700 --render-scale 1 --bloom 0.5 --water march";
+        let given = "--view-distance 5000 --tolerance 3 --samples 4 --anisotropy 3 --tiling off --relief linear \
+                     --grass 3 --grass-range 99 --trees 4 --tree-range 700 --render-scale 1 --bloom 0.5 --water march";
         for quality in ["auto", "low", "medium", "high"] {
             for is_software in [false, true] {
                 let got = profile(&format!("--quality {quality} {}", given.replace('\\', "")), is_software);
-                assert_eq!((got.view_distance_m, got.tolerance_px, got.samples), (5000, 3.0, 4));
+                assert_eq!((got.view_distance_m, got.tolerance_px), (5000, 3.0));
+                assert_eq!((got.samples, got.anisotropy), (4, 3));
                 assert_eq!((got.render.tiling, got.render.pom.method), (Tiling::Off, PomMethod::Linear));
                 let plants = got.render.plants;
                 assert_eq!((plants.density, plants.range_m, plants.trees), (3, 99.0, 4));
@@ -173,6 +180,7 @@ mod tests {
         for (less, more) in [(low, medium), (medium, high)] {
             assert!(less.tolerance_px > more.tolerance_px && less.view_distance_m < more.view_distance_m);
             assert!(less.grass < more.grass && less.trees < more.trees && less.samples <= more.samples);
+            assert!(less.anisotropy <= more.anisotropy);
             assert!(less.bloom <= more.bloom && less.water as u32 <= more.water as u32);
         }
         assert_eq!(medium.plants_in(Scene::Grass), Scene::Grass.plants());

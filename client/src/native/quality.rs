@@ -33,6 +33,9 @@ pub struct Preset {
     pub view_distance_m: u32,
     /// Samples per pixel.
     pub samples: u32,
+    /// Anisotropy of the filter of materials. Every sample costs a software driver as much as the
+    /// pixel.
+    pub anisotropy: u16,
     /// What hides that materials repeat.
     pub tiling: Tiling,
     /// Parallax method of materials.
@@ -75,6 +78,7 @@ impl Preset {
             tolerance_px: 2.0,
             view_distance_m: 20_000,
             samples: 4,
+            anisotropy: 8,
             tiling: Tiling::Hex,
             relief: PomMethod::Auto,
             grass: 24,
@@ -93,6 +97,7 @@ impl Preset {
             tolerance_px: 4.0,
             view_distance_m: 8000,
             samples: 1,
+            anisotropy: 1,
             tiling: Tiling::TwoScale,
             relief: PomMethod::Offset,
             grass: 8,

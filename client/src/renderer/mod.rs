@@ -39,6 +39,8 @@ pub struct RenderOptions {
     pub size: (u32, u32),
     /// Samples per pixel: 1 or 4, as guaranteed by WebGPU.
     pub samples: u32,
+    /// Anisotropy of the filter of materials, see [`Materials::new`].
+    pub anisotropy: u16,
     /// Format of the images; not sRGB, the shader encodes.
     pub format: wgpu::TextureFormat,
     /// Slots of the pool, see [`ChunkPool::slots_within`].
@@ -95,9 +97,8 @@ impl Renderer {
         let targets = Targets::new(device, options.size, samples);
         let trees = TreeCells::new(device);
         let waves = WaveMap::bake(device, &gpu.queue);
-        let software = gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let custom = scenes::materials(options.scene, custom);
-        let materials = Materials::new(device, &gpu.queue, &custom, software);
+        let materials = Materials::new(device, &gpu.queue, &custom, options.anisotropy);
         let clipmap =
             TerrainClipmap::new(device, ClipmapSize::new(options.clipmap_texels, MAX_VIEW_DISTANCE_M));
         let land_layouts = [materials.layout(), clipmap.layout()];

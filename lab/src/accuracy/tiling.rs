@@ -50,7 +50,7 @@ struct FieldStats {
 
 pub fn measure(world_seed: u64) -> Result<Curve> {
     let gpu = Gpu::open_blocking().context("tiling is measured on a GPU")?;
-    let materials = Materials::new(&gpu.device, &gpu.queue, &CustomMaterials::default(), true);
+    let materials = Materials::new(&gpu.device, &gpu.queue, &CustomMaterials::default(), 1);
     let probe = ProbeTiling::new(&gpu, &materials);
     // One of the 32 x 32 places where a field may start.
     let place = |turn: u32| 256.0 * (mix(world_seed as u32 ^ turn) % 32) as f32;

@@ -16,7 +16,7 @@ use client::stream::NullStream;
 use client::stream::streamer::WorldStreamer;
 use client::view::ViewParams;
 use glam::{DVec3, Vec3};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Metres from height 0 to height 1 of the plane under measurement.
 pub const RELIEF_M: f32 = 0.10;
@@ -78,11 +78,26 @@ impl PomRenderer {
 
     /// The same with own materials.
     pub fn with_materials(scene: Scene, size: (u32, u32), own: &CustomMaterials) -> Result<Self, GpuError> {
+        Self::open_with(scene, size, 1, own)
+    }
+
+    /// The same with the procedural materials and an anisotropy of their filter, 1 to 16.
+    pub fn filtered(scene: Scene, size: (u32, u32), anisotropy: u16) -> Result<Self, GpuError> {
+        Self::open_with(scene, size, anisotropy, &CustomMaterials::default())
+    }
+
+    fn open_with(
+        scene: Scene,
+        size: (u32, u32),
+        anisotropy: u16,
+        own: &CustomMaterials,
+    ) -> Result<Self, GpuError> {
         let gpu = Gpu::open_blocking()?;
         let options = RenderOptions {
             scene,
             size,
             samples: 1,
+            anisotropy,
             format: offscreen::IMAGE_FORMAT,
             slots: 1,
             clipmap_texels: STANDARD_TEXELS,
@@ -110,6 +125,21 @@ impl PomRenderer {
         let mut streamer = WorldStreamer::new(NullStream, 1);
         let selection = streamer.update(&shot, Duration::ZERO, usize::MAX, |_| {});
         shot.frame(self.scene, streamer.cache(), &selection)
+    }
+
+    /// Draws a frame; returns the time until the GPU is done.
+    pub fn draw(&mut self, frame: &FrameData) -> Result<Duration, GpuError> {
+        let begun = Instant::now();
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.renderer.draw(&self.gpu, frame, &mut encoder, &self.target.view);
+        self.gpu.queue.submit([encoder.finish()]);
+        self.gpu.wait()?;
+        Ok(begun.elapsed())
+    }
+
+    /// Name and backend of the adapter, for people.
+    pub fn adapter(&self) -> String {
+        self.gpu.name()
     }
 
     /// Draws a frame and brings its light back.

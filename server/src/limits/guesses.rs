@@ -3,9 +3,8 @@
 
 use crate::limits::per_ip::client_network;
 use std::collections::HashMap;
-use std::collections::hash_map::Entry;
-use std::net::{IpAddr, Ipv4Addr};
-use std::sync::{Mutex, PoisonError};
+use std::net::IpAddr;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -15,17 +14,14 @@ const BURST: u32 = 10;
 /// Time until one more is allowed: 14,400 guesses a day.
 const REFILL: Duration = Duration::from_secs(6);
 
-/// Networks in the table at most, some 3 MiB. Further ones share one bucket.
-const MAX_NETWORKS: usize = 65_536;
-
-/// Least time between two sweeps of a full table: a sweep looks at all networks under the lock that
-/// every token check takes.
-const SWEEP_INTERVAL: Duration = Duration::from_secs(1);
-
-/// What networks share that are not in a full table.
-const OTHERS: IpAddr = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
+/// Networks in a generation of the table at most; both take some 3 MiB.
+const GENERATION: usize = 32_768;
 
 /// See the module. The standard hasher is keyed at random: peers choose the addresses.
+///
+/// The table is bounded by two generations: when the recent one is full, it takes the place of the
+/// older one, whose networks are forgotten. A peer with so many networks has ten guesses from each in any
+/// case. Further networks are not refused, as their tokens may be valid.
 #[derive(Debug, Default)]
 pub struct GuessLimiter {
     table: Mutex<Table>,
@@ -33,10 +29,21 @@ pub struct GuessLimiter {
 
 #[derive(Debug, Default)]
 struct Table {
-    /// Networks with recent wrong tokens, and others since the last sweep.
-    networks: HashMap<IpAddr, Guesses>,
-    /// When the table was full and was swept for the last time.
-    swept: Option<Instant>,
+    recent: HashMap<IpAddr, Guesses>,
+    older: HashMap<IpAddr, Guesses>,
+}
+
+impl Table {
+    fn get(&self, network: &IpAddr) -> Option<&Guesses> {
+        self.recent.get(network).or_else(|| self.older.get(network))
+    }
+
+    fn insert(&mut self, network: IpAddr, guesses: Guesses) {
+        if self.recent.len() >= GENERATION && !self.recent.contains_key(&network) {
+            self.older = std::mem::take(&mut self.recent);
+        }
+        self.recent.insert(network, guesses);
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -56,31 +63,26 @@ impl GuessLimiter {
     #[must_use]
     pub fn is_exhausted(&self, address: Option<IpAddr>, token: TokenHash, now: Instant) -> bool {
         let Some(network) = address.map(client_network) else { return false };
-        let networks = &self.table.lock().unwrap_or_else(PoisonError::into_inner).networks;
-        let others = || networks.get(&OTHERS).filter(|_| networks.len() >= MAX_NETWORKS);
-        networks
+        self.table()
             .get(&network)
-            .or_else(others)
             .is_some_and(|guesses| guesses.last != token && guesses.free_at > now + REFILL * (BURST - 1))
     }
 
     /// Takes a place for a wrong token.
     pub fn charge(&self, address: Option<IpAddr>, token: TokenHash, now: Instant) {
         let Some(network) = address.map(client_network) else { return };
-        let mut table = self.table.lock().unwrap_or_else(PoisonError::into_inner);
-        let Table { networks, swept } = &mut *table;
-        let mut is_full = networks.len() >= MAX_NETWORKS && !networks.contains_key(&network);
-        if is_full && swept.is_none_or(|swept| now.saturating_duration_since(swept) >= SWEEP_INTERVAL) {
-            *swept = Some(now);
-            networks.retain(|_, guesses| guesses.free_at > now);
-            is_full = networks.len() >= MAX_NETWORKS;
+        let mut table = self.table();
+        let known = table.get(&network);
+        if known.is_some_and(|guesses| guesses.last == token) {
+            return;
         }
-        let guesses = match networks.entry(if is_full { OTHERS } else { network }) {
-            Entry::Occupied(entry) if entry.get().last == token => return,
-            Entry::Occupied(entry) => entry.into_mut(),
-            Entry::Vacant(entry) => entry.insert(Guesses { free_at: now, last: token }),
-        };
-        *guesses = Guesses { free_at: guesses.free_at.max(now) + REFILL, last: token };
+        let free_at = known.map_or(now, |guesses| guesses.free_at.max(now)) + REFILL;
+        table.insert(network, Guesses { free_at, last: token });
+    }
+
+    fn table(&self) -> MutexGuard<'_, Table> {
+        // Nothing under the lock panics in the middle of a change.
+        self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -128,36 +130,26 @@ mod tests {
     }
 
     #[test]
-    fn the_table_is_bounded_and_forgets_networks_without_guesses() {
+    fn the_table_is_bounded_and_forgets_the_networks_without_recent_guesses() {
         let (limiter, start) = (GuessLimiter::default(), Instant::now());
         let address = |number: u32| Some(IpAddr::from(number.to_be_bytes()));
-        for number in 1..=MAX_NETWORKS as u32 + 100 {
-            limiter.charge(address(number), number.into(), start);
-        }
-        assert_eq!(limiter.table.lock().unwrap().networks.len(), MAX_NETWORKS + 1);
-        assert!(limiter.is_exhausted(address(1 << 24), 1, start), "those without a place share one");
-        assert!(!limiter.is_exhausted(address(7), 1, start));
-        let later = start + Duration::from_secs(3600);
-        assert!(!limiter.is_exhausted(address(1 << 24), 1, later));
-        limiter.charge(address(1 << 24), 1, later);
-        assert_eq!(limiter.table.lock().unwrap().networks.len(), 1);
-    }
-
-    #[test]
-    fn a_full_table_is_swept_once_a_second() {
-        let (limiter, start) = (GuessLimiter::default(), Instant::now());
-        let address = |number: u32| Some(IpAddr::from(number.to_be_bytes()));
-        for number in 1..=MAX_NETWORKS as u32 {
-            limiter.charge(address(number), number.into(), start);
-        }
-        let len_after = |number: u32, after: Duration| {
-            limiter.charge(address(number), number.into(), start + after);
-            limiter.table.lock().unwrap().networks.len()
+        let charge = |number: u32, tokens: std::ops::Range<u64>| {
+            tokens.for_each(|token| limiter.charge(address(number), token, start));
         };
-        // The first sweep comes just before all of them have their places again.
-        let first = REFILL - SWEEP_INTERVAL / 2;
-        assert_eq!(len_after(1 << 24, first), MAX_NETWORKS + 1, "that of the others");
-        assert_eq!(len_after(2 << 24, REFILL), MAX_NETWORKS + 1);
-        assert_eq!(len_after(3 << 24, first + SWEEP_INTERVAL), 2);
+        charge(1, 1..11);
+        charge(2, 1..6);
+        for number in 3..GENERATION as u32 + 10 {
+            charge(number, 0..1);
+        }
+        assert!(limiter.is_exhausted(address(1), 0, start), "of the older generation");
+        charge(2, 6..11);
+        assert!(limiter.is_exhausted(address(2), 0, start), "five guesses of either generation");
+        assert!(!limiter.is_exhausted(address(1 << 24), 0, start), "a further network is not refused");
+        for number in 1..3 * GENERATION as u32 {
+            charge(number + (1 << 24), 0..1);
+            let table = limiter.table();
+            assert!(table.recent.len() <= GENERATION && table.older.len() <= GENERATION);
+        }
+        assert!(!limiter.is_exhausted(address(1), 0, start), "forgotten");
     }
 }

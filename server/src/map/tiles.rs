@@ -8,6 +8,7 @@ use crate::limits::per_ip::PerIpLimiter;
 use crate::limits::rate_limit::TokenBucket;
 use crate::map::elevation::{self, ElevationGrid, TILE_PIXELS};
 use crate::map::hillshade;
+use crate::map::turns::RenderTurns;
 use crate::metrics::Metrics;
 use bytes::Bytes;
 use protocol::server::ChunkRequest;
@@ -28,7 +29,7 @@ pub const STYLE: u32 = 1;
 /// Tiles that may wait or be rendered: about three browser windows. One more is rejected.
 const MAX_WAITING: usize = 96;
 
-/// Longest wait for a render permit. The client has moved on by then.
+/// Longest wait for a turn. The client has moved on by then.
 const MAX_WAIT: Duration = Duration::from_secs(10);
 
 /// Chunks of one tile in generation at once. With all at once, the last would wait for the first
@@ -65,9 +66,9 @@ pub struct Tile {
 pub struct Map {
     world: WorldDigest,
     cache: Cache<ChunkKey, Tile, TileWeight>,
-    /// One permit per tile being rendered, held to the end even if the request is cancelled:
-    /// clients that cancel must not get more tiles rendered at once than others.
-    render_permits: Arc<Semaphore>,
+    /// A turn per tile being rendered, held to the end even if the request is cancelled: clients that
+    /// cancel must not get more tiles rendered at once than others.
+    turns: RenderTurns,
     /// One permit per tile that waits or is rendered.
     queue_permits: Semaphore,
     /// The places of a client network: no more than remain free.
@@ -93,7 +94,7 @@ impl Map {
         Self {
             world,
             cache,
-            render_permits: Arc::new(Semaphore::new(threads.div_ceil(4))),
+            turns: RenderTurns::new(threads.div_ceil(4)),
             queue_permits: Semaphore::new(MAX_WAITING),
             places: PerIpLimiter::fair_share(MAX_WAITING),
             metrics,
@@ -143,20 +144,20 @@ impl Map {
         // When its turn must have come, and when it must have the tokens that it waits for.
         let by = Instant::now() + MAX_WAIT;
         let mut tokens_by = None;
-        let permit = loop {
-            // The semaphore is never closed, so both errors are timeouts.
-            let permit = timeout_at(by, Arc::clone(&self.render_permits).acquire_owned()).await;
-            let Ok(Ok(permit)) = permit else { return Err(MapError::Busy) };
+        let turn = loop {
+            let Ok(Some(turn)) = timeout_at(by, self.turns.acquire(client)).await else {
+                return Err(MapError::Busy);
+            };
             // Another request may have rendered this tile meanwhile.
             if let Some(tile) = self.cache.get(&key) {
                 self.metrics.tile_cache_hits.inc();
                 return Ok(tile);
             }
             if fetch_frames(&sources, &mut frames, client, generation, bucket).await? {
-                break permit;
+                break turn;
             }
             // While it waits for tokens, others have its turn and its place in the queue.
-            drop((permit, place.take()));
+            drop((turn, place.take()));
             let tokens_by = *tokens_by.get_or_insert_with(|| by.min(Instant::now() + generation.deadline()));
             if !bucket.wait(tokens_by, &self.metrics).await {
                 return Err(MapError::OverRate);
@@ -171,7 +172,7 @@ impl Map {
             let tile = render_tile(key, &frames, &world);
             let now = Instant::now();
             bucket.charge_work((now - started).as_micros() as i64, now);
-            drop(permit);
+            drop(turn);
             tile
         })
         .await;
@@ -305,11 +306,34 @@ mod tests {
         }
         let made = metrics.jobs_completed.get();
         assert!((1..36).contains(&made), "{made}");
-        assert_eq!(map.render_permits.available_permits(), 1);
+        assert_eq!(map.turns.free(), 1);
         // The control: the same tile for another client, which takes up the chunks that are made.
         assert!(map.tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.is_ok());
         assert_eq!((metrics.jobs_completed.get(), metrics.tiles_rendered.get()), (36, 1));
         tile.abort();
+    }
+
+    #[tokio::test]
+    async fn a_network_with_many_tiles_delays_one_of_another_by_few() {
+        let metrics = Arc::new(Metrics::default());
+        let (land, generation) = service(&metrics, 100);
+        let map = Arc::new(Map::new(land.digest(), 1 << 24, 1, Arc::clone(&metrics)));
+        let begin = |address: [u8; 4], x: i32| {
+            let (map, generation) = (Arc::clone(&map), generation.clone());
+            let client = Some(IpAddr::from(address));
+            tokio::spawn(async move {
+                map.tile(key(0, x, 0), client, &generation, &TokenBucket::default()).await.map(drop)
+            })
+        };
+        let many: Vec<_> = (0..40).map(|x| begin([10, 0, 0, 1], x)).collect();
+        tokio::task::yield_now().await;
+        begin([10, 0, 0, 2], -1).await.unwrap().unwrap();
+        // One is being rendered, one is in line before it, one may follow before it is counted.
+        assert!(metrics.tiles_rendered.get() <= 4, "{}", metrics.tiles_rendered.get());
+        for tile in many {
+            tile.await.unwrap().unwrap();
+        }
+        assert_eq!(metrics.tiles_rendered.get(), 41);
     }
 
     fn key(level: u8, x: i32, z: i32) -> ChunkKey {
@@ -346,8 +370,8 @@ mod tests {
             queue_permits: Semaphore::new(2),
             ..Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics))
         });
-        // The only render permit is taken.
-        let permit = map.render_permits.acquire().await.unwrap();
+        // The only turn is taken.
+        let turn = map.turns.acquire(None).await.unwrap();
         let wait_for = |x| {
             let (map, generation) = (Arc::clone(&map), generation.clone());
             tokio::spawn(
@@ -359,7 +383,7 @@ mod tests {
             tokio::task::yield_now().await;
         }
         assert_eq!(wait_for(3).await.unwrap().err(), Some(MapError::Busy));
-        drop(permit);
+        drop(turn);
         for tile in waiting {
             assert!(tile.await.unwrap().is_ok());
         }

@@ -27,9 +27,6 @@ pub const SHAPE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 /// Height again, exact and not filterable, for the ray march.
 pub const HEIGHT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
 
-/// Anisotropy of the sampler. 1 on a software driver, where each sample costs as much as the pixel.
-const ANISOTROPY: u16 = 8;
-
 /// A custom set that replaces a procedural one.
 #[derive(Clone, PartialEq)]
 pub struct CustomMaterial {
@@ -67,9 +64,15 @@ pub struct Materials {
 
 impl Materials {
     /// Bakes all sets. Custom sets of another size than [`MATERIAL_TEXELS`] are skipped.
-    /// `software`: the adapter is a software driver.
+    /// `anisotropy`: most samples of a filtered texel along the longer axis of a pixel's footprint,
+    /// 1 (none) to 16. Drivers filter alike with 1 only.
     #[must_use]
-    pub fn new(device: &wgpu::Device, queue: &wgpu::Queue, custom: &CustomMaterials, software: bool) -> Self {
+    pub fn new(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        custom: &CustomMaterials,
+        anisotropy: u16,
+    ) -> Self {
         let colours = array(device, "material colours", COLOUR_FORMAT);
         let shapes = array(device, "material shapes", SHAPE_FORMAT);
         let heights = array(device, "material heights", HEIGHT_FORMAT);
@@ -84,7 +87,7 @@ impl Materials {
             mag_filter: wgpu::FilterMode::Linear,
             min_filter: wgpu::FilterMode::Linear,
             mipmap_filter: wgpu::MipmapFilterMode::Linear,
-            anisotropy_clamp: if software { 1 } else { ANISOTROPY },
+            anisotropy_clamp: anisotropy,
             ..Default::default()
         });
         let stages = wgpu::ShaderStages::FRAGMENT | wgpu::ShaderStages::COMPUTE;

@@ -149,6 +149,7 @@ impl Running {
             scene: args.scene,
             size: surface.size(),
             samples: profile.samples,
+            anisotropy: profile.anisotropy,
             format: surface.format,
             slots,
             clipmap_texels: args.clipmap,
