@@ -155,8 +155,9 @@ mod tests {
 
     #[test]
     fn an_option_that_is_given_wins_over_every_preset() {
-        let given = "--view-distance 5000 --tolerance 3 --samples 4 --anisotropy 3 --tiling off --relief linear \
-                     --grass 3 --grass-range 99 --trees 4 --tree-range 700 --render-scale 1 --bloom 0.5 --water march";
+        let given = "--view-distance 5000 --tolerance 3 --samples 4 --anisotropy 3 --tiling off \
+                     --relief linear --grass 3 --grass-range 99 --trees 4 --tree-range 700 \
+                     --render-scale 1 --bloom 0.5 --water march";
         for quality in ["auto", "low", "medium", "high"] {
             for is_software in [false, true] {
                 let got = profile(&format!("--quality {quality} {}", given.replace('\\', "")), is_software);

@@ -70,7 +70,7 @@ impl RenderTurns {
 impl Drop for Places {
     fn drop(&mut self) {
         let mut networks = lock(&self.networks);
-        // The table's and this one: nobody else waits or renders.
+        // The table's and this one: no other tile of the network waits or is rendered.
         if Arc::strong_count(&self.semaphore) == 2 {
             networks.remove(&self.network);
         }
