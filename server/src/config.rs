@@ -29,6 +29,8 @@ pub use options::{Args, Command, Options};
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:7580";
 const DEFAULT_DISK_MB: u64 = 1024;
 const DEFAULT_MAX_SESSIONS: usize = 1024;
+/// Connections in addition to sessions: probes, metrics and downloads.
+pub const EXTRA_CONNECTIONS: usize = 256;
 /// Milliseconds.
 const DEFAULT_DEADLINE_MS: u64 = 500;
 const DEFAULT_LOG: &str = "info";
@@ -140,6 +142,12 @@ impl ServerConfig {
     #[must_use]
     pub fn job_limit(&self) -> usize {
         self.max_jobs.unwrap_or_else(|| self.max_sessions.saturating_mul(16 + 1).saturating_add(1024))
+    }
+
+    /// Connections that may be open, those of sessions aside.
+    #[must_use]
+    pub const fn max_connections(&self) -> usize {
+        self.max_sessions.saturating_add(EXTRA_CONNECTIONS)
     }
 
     /// Whether there are files that a running server reads again.

@@ -10,7 +10,7 @@
 //! | [`proxy`], [`tls`] | clients behind trusted proxies; TLS of connections |
 //! | [`reload`] | files that are read again |
 //! | [`state`] | application state shared by all connections |
-//! | [`listener`] | accept loop and shutdown |
+//! | [`listener`], [`connections`] | accept loop and shutdown; which connections end where places lack |
 //! | [`http`] | routes |
 //! | [`websocket`] | transport of sessions |
 //! | [`session`] | one task per client |
@@ -34,6 +34,7 @@ pub mod bake;
 pub mod cache;
 pub mod chunk_id;
 pub mod config;
+pub mod connections;
 pub mod generation;
 pub mod http;
 pub mod latency;

@@ -3,7 +3,8 @@
 //! A hand-written accept loop around hyper instead of `axum::serve`: hyper enforces its header
 //! timeout only when it is given a timer, and upgraded sockets have to be counted and drained.
 
-use crate::config::ServerConfig;
+use crate::config::{EXTRA_CONNECTIONS, ServerConfig};
+use crate::connections::{ConnectionState, OpenConnection, OpenConnections};
 use crate::http;
 use crate::limits::per_ip::{IpPermit, PerIpLimiter};
 use crate::limits::system_buffers;
@@ -31,9 +32,13 @@ use tokio_util::either::Either;
 use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 use tower::ServiceExt;
 
-/// Connections in addition to sessions: probes, metrics and downloads. When all permits are taken,
-/// accepting pauses and the system's backlog queues further connections.
-const EXTRA_CONNECTIONS: usize = 256;
+/// When fewer permits are free, each connection that is accepted displaces one
+/// ([`OpenConnections::displace_for`]). A place becomes free within [`DISPLACEMENT`]; until then the
+/// permits suffice for the next ones. Without a permit a connection is closed: accepting never waits.
+const RESERVED_CONNECTIONS: usize = EXTRA_CONNECTIONS / 4;
+
+/// Time in which a displaced connection may finish its request.
+const DISPLACEMENT: Duration = Duration::from_millis(250);
 
 /// Connections per client network in addition to its sessions: a quarter, so that one network
 /// cannot take all.
@@ -98,7 +103,7 @@ pub async fn run(
     )));
     let router = http::router(Arc::clone(&state));
     let connections = TaskTracker::new();
-    let total = state.config.max_sessions + EXTRA_CONNECTIONS;
+    let total = state.config.max_connections();
     let permits = Arc::new(Semaphore::new(total));
     // A session releases its connection's permits when it starts, so these count requests,
     // downloads, and connections that have sent nothing yet.
@@ -106,27 +111,19 @@ pub async fn run(
         Some(sessions) => PerIpLimiter::new(sessions.saturating_add(EXTRA_CONNECTIONS_PER_IP)),
         None => PerIpLimiter::fair_share(total),
     };
+    let places = Places { permits, per_ip, open: OpenConnections::default() };
     let mut failures = AcceptFailures::default();
     tokio::pin!(shutdown);
     loop {
-        let permit = tokio::select! {
-            () = &mut shutdown => break,
-            // The semaphore is never closed.
-            Ok(permit) = Arc::clone(&permits).acquire_owned() => permit,
-        };
         let (stream, peer) = tokio::select! {
             () = &mut shutdown => break,
             stream = accept(&listener, state.config.write_timeout, &mut failures) => stream,
         };
         let peer = peer.ip().to_canonical();
-        let places = Places { permits: Arc::clone(&permits), per_ip: per_ip.clone(), permit };
         // The connections of a proxy are those of all its clients.
-        let held = match state.config.proxies.contains(peer) {
-            true => Some(HeldPlace { places, ip_permit: None }),
-            false => places.take(peer, &state),
-        };
+        let is_proxy = state.config.proxies.contains(peer);
         // Closed without a response, which would cost more than the accept.
-        let Some(place) = held else { continue };
+        let Some(place) = places.take(peer, is_proxy, &state) else { continue };
         let (router, state) = (router.clone(), Arc::clone(&state));
         connections.spawn(async move {
             state.metrics.connections.inc();
@@ -215,30 +212,61 @@ impl AcceptFailures {
     }
 }
 
-/// What a connection needs to be counted.
+/// Places of connections: in all, by client network, and the open connections of clients.
+#[derive(Clone)]
 struct Places {
     permits: Arc<Semaphore>,
     per_ip: PerIpLimiter,
-    #[expect(dead_code, reason = "held for its drop")]
-    permit: OwnedSemaphorePermit,
+    open: OpenConnections,
 }
 
 /// The place of a connection, released on drop.
 struct HeldPlace {
     places: Places,
     #[expect(dead_code, reason = "held for its drop")]
-    ip_permit: Option<IpPermit>,
+    permit: OwnedSemaphorePermit,
+    /// None of a proxy.
+    client: Option<ClientPlace>,
+}
+
+/// The part of a client in a place, released on drop.
+struct ClientPlace {
+    connection: OpenConnection,
+    #[expect(dead_code, reason = "held for its drop")]
+    ip_permit: IpPermit,
 }
 
 impl Places {
-    /// The place of a client's connection; none if its network has all of its own.
-    fn take(self, client: IpAddr, state: &ServerState) -> Option<HeldPlace> {
+    /// The place of a connection; none if there is none, or if the client's network has all of its own.
+    fn take(&self, peer: IpAddr, is_proxy: bool, state: &ServerState) -> Option<HeldPlace> {
+        let permit = Arc::clone(&self.permits).try_acquire_owned().ok();
+        if self.permits.available_permits() < RESERVED_CONNECTIONS && self.open.displace_for(peer) {
+            let reason = "displaced";
+            state.metrics.connections_failed.get_or_create(&ReasonLabel { reason }).inc();
+        }
+        let Some(permit) = permit else {
+            state.metrics.connections_rejected.inc();
+            return None;
+        };
+        let client = if is_proxy { None } else { Some(self.take_of_client(peer, state)?) };
+        Some(HeldPlace { places: self.clone(), permit, client })
+    }
+
+    /// The part of a client; none if its network has all of its own.
+    fn take_of_client(&self, client: IpAddr, state: &ServerState) -> Option<ClientPlace> {
         let Some(ip_permit) = self.per_ip.try_acquire(Some(client), self.permits.available_permits()) else {
             state.metrics.connections_rejected.inc();
             state.peer_log.report(Some(client), "too many connections");
             return None;
         };
-        Some(HeldPlace { places: self, ip_permit: Some(ip_permit) })
+        Some(ClientPlace { connection: self.open.add(client), ip_permit })
+    }
+}
+
+impl HeldPlace {
+    /// The state of the connection; of a proxy's one that nothing displaces.
+    fn state(&self) -> Arc<ConnectionState> {
+        self.client.as_ref().map(|client| client.connection.state()).unwrap_or_default()
     }
 }
 
@@ -250,9 +278,11 @@ async fn serve_connection(
     router: axum::Router,
     state: &ServerState,
 ) {
+    let held = place.state();
     let opening = timeout(state.config.handshake_timeout, open(stream, peer, place, state));
     let opened = tokio::select! {
         opened = opening => opened.unwrap_or(Err(Failure { client: peer, reason: "opening_timeout" })),
+        () = held.displaced() => return,
         () = state.draining.cancelled() => return,
     };
     let (stream, client, place) = match opened {
@@ -264,7 +294,7 @@ async fn serve_connection(
             return;
         }
     };
-    serve_requests(stream, client, router, state).await;
+    serve_requests(stream, client, &place.state(), router, state).await;
     drop(place);
 }
 
@@ -288,8 +318,8 @@ async fn open(
         // A proxy that asks for itself has no client.
         if let Some(named) = named.map_err(|error| failure(peer, "proxy_header", &error))? {
             client = named.to_canonical();
-            let Some(taken) = place.places.take(client, state) else { return Ok(None) };
-            place = taken;
+            let Some(taken) = place.places.take_of_client(client, state) else { return Ok(None) };
+            place.client = Some(taken);
         }
     }
     let stream = match &state.config.tls {
@@ -309,12 +339,25 @@ fn failure(client: IpAddr, reason: &'static str, error: &io::Error) -> Failure {
 }
 
 /// Serves HTTP requests. `connected` is the client, or a proxy that names it in each request.
-async fn serve_requests(stream: PeerStream, connected: IpAddr, router: axum::Router, state: &ServerState) {
+async fn serve_requests(
+    stream: PeerStream,
+    connected: IpAddr,
+    open: &Arc<ConnectionState>,
+    router: axum::Router,
+    state: &ServerState,
+) {
     let proxies = state.config.proxies.clone();
+    let busy = Arc::clone(open);
     let service = service_fn(move |mut request: hyper::Request<Incoming>| {
         let client = proxies.client(connected, request.headers());
         request.extensions_mut().insert(client);
-        router.clone().oneshot(request.map(Body::new))
+        let (answered, busy) = (router.clone().oneshot(request.map(Body::new)), Arc::clone(&busy));
+        busy.set_busy(true);
+        async move {
+            let response = answered.await;
+            busy.set_busy(false);
+            response
+        }
     });
     let stream = WriteTimeoutStream::new(stream, state.config.write_timeout);
     let connection = http1::Builder::new()
@@ -329,6 +372,10 @@ async fn serve_requests(stream: PeerStream, connected: IpAddr, router: axum::Rou
         () = state.draining.cancelled() => {
             connection.as_mut().graceful_shutdown();
             connection.await
+        }
+        () = open.displaced() => {
+            connection.as_mut().graceful_shutdown();
+            timeout(DISPLACEMENT, connection).await.unwrap_or(Ok(()))
         }
     };
     if let Err(error) = result {

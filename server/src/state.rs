@@ -54,6 +54,10 @@ pub struct ServerState {
     pub session_permits: Arc<Semaphore>,
     /// Sessions per client network.
     pub sessions_per_ip: PerIpLimiter,
+    /// One permit per request that is being answered, as many as connections may be open.
+    pub request_permits: Semaphore,
+    /// The same per client network.
+    pub requests_per_ip: PerIpLimiter,
     /// Whether the memory is nearly used up.
     pub memory: Arc<MemoryMark>,
     /// Tokens of clients.
@@ -130,6 +134,8 @@ impl ServerState {
             next_session: AtomicU64::new(1),
             rate_limiter: RateLimiter::new(config.rate_limit_ms),
             traces: Traces::new(config.traces.as_ref()),
+            request_permits: Semaphore::new(config.max_connections()),
+            requests_per_ip: PerIpLimiter::fair_share(config.max_connections()),
             sessions_per_ip: match config.max_sessions_per_address {
                 Some(limit) => PerIpLimiter::new(limit),
                 None => PerIpLimiter::fair_share(config.max_sessions),

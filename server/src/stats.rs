@@ -6,7 +6,7 @@
 
 use crate::generation::Generation;
 use crate::latency::{self, BucketCounts, LatencyHistogram};
-use crate::limits::per_ip::client_network;
+use crate::limits::networks::client_site;
 use crate::metrics::Metrics;
 use bytes::Bytes;
 use protocol::view::View;
@@ -14,7 +14,7 @@ use serde::Serialize;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap};
 use std::net::IpAddr;
-use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use terrain::constants::UNITS_PER_METRE;
@@ -31,6 +31,9 @@ const REFRESH: Duration = Duration::from_millis(900);
 /// rate.
 const MAX_SPAN: Duration = Duration::from_secs(10);
 
+/// Least time between two sessions that are displaced.
+const DISPLACEMENT_INTERVAL: Duration = Duration::from_millis(250);
+
 /// Public figures of one session.
 #[derive(Debug, Default)]
 pub struct SessionStats {
@@ -41,13 +44,36 @@ pub struct SessionStats {
     yaw_mdeg: AtomicI32,
     chunks: AtomicU64,
     bytes: AtomicU64,
-    shed: Notify,
+    ending: AtomicU8,
+    ends: Notify,
+}
+
+/// Why the server ends a session that has done nothing wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// The server has too little memory.
+    Memory = 1,
+    /// A client of a site with fewer sessions has none.
+    Displaced,
 }
 
 impl SessionStats {
-    /// Waits until the session has to end, so that the server has memory.
-    pub async fn shed(&self) {
-        self.shed.notified().await;
+    /// Waits until the session has to end.
+    pub async fn ends(&self) -> Ending {
+        self.ends.notified().await;
+        match self.ending.load(Ordering::Relaxed) {
+            ending if ending == Ending::Displaced as u8 => Ending::Displaced,
+            _ => Ending::Memory,
+        }
+    }
+
+    fn end(&self, ending: Ending) {
+        self.ending.store(ending as u8, Ordering::Relaxed);
+        self.ends.notify_one();
+    }
+
+    fn is_ending(&self) -> bool {
+        self.ending.load(Ordering::Relaxed) != 0
     }
 
     /// Publishes a new view.
@@ -108,6 +134,8 @@ struct Shared {
     /// A std mutex: held for map operations and for reading at most [`MAX_LISTED`] entries.
     sessions: Mutex<BTreeMap<u64, Registered>>,
     last: Mutex<Option<Snapshot>>,
+    /// When a session was displaced for the last time.
+    displaced: Mutex<Option<Instant>>,
 }
 
 /// A registered session.
@@ -197,7 +225,12 @@ struct Quantiles {
 
 impl Default for LiveStats {
     fn default() -> Self {
-        let shared = Shared { started: Instant::now(), sessions: Mutex::default(), last: Mutex::default() };
+        let shared = Shared {
+            started: Instant::now(),
+            sessions: Mutex::default(),
+            last: Mutex::default(),
+            displaced: Mutex::default(),
+        };
         Self { shared: Arc::new(shared) }
     }
 }
@@ -207,7 +240,7 @@ impl LiveStats {
     #[must_use]
     pub fn register(&self, number: u64, client: Option<IpAddr>) -> SessionStatsGuard {
         let stats = Arc::new(SessionStats::default());
-        let registered = Registered { stats: Arc::clone(&stats), network: client.map(site) };
+        let registered = Registered { stats: Arc::clone(&stats), network: client.map(client_site) };
         lock(&self.shared.sessions).insert(number, registered);
         SessionStatsGuard { stats, number, live: self.clone() }
     }
@@ -218,8 +251,8 @@ impl LiveStats {
         lock(&self.shared.sessions).len()
     }
 
-    /// Ends up to this many sessions ([`SessionStats::shed`]), first of the client networks that have
-    /// the most, among equals the newest. Returns how many end.
+    /// Ends up to this many sessions ([`SessionStats::ends`]), first of the sites that have the most,
+    /// among equals the newest. Returns how many end.
     pub fn shed(&self, count: usize) -> usize {
         if count == 0 {
             return 0;
@@ -237,8 +270,31 @@ impl LiveStats {
             ranks.zip(&*sessions).map(|(rank, (number, of))| (rank, *number, of)).collect();
         ended.sort_unstable_by_key(|(rank, number, _)| Reverse((*rank, *number)));
         ended.truncate(count);
-        ended.iter().for_each(|(_, _, session)| session.stats.shed.notify_one());
+        ended.iter().for_each(|(_, _, session)| session.stats.end(Ending::Memory));
         ended.len()
+    }
+
+    /// Ends the newest session of the site that has the most, for a client whose site has at least two
+    /// fewer. False if there is none, or too soon after the last one: a client that never takes its place
+    /// must not end many.
+    pub fn displace_for(&self, client: Option<IpAddr>, now: Instant) -> bool {
+        let mut displaced = lock(&self.shared.displaced);
+        if displaced.is_some_and(|last| now.saturating_duration_since(last) < DISPLACEMENT_INTERVAL) {
+            return false;
+        }
+        let own = client.map(client_site);
+        let sessions = lock(&self.shared.sessions);
+        let mut sites: HashMap<Option<IpAddr>, (usize, &Arc<SessionStats>)> = HashMap::new();
+        for session in sessions.values().filter(|session| !session.stats.is_ending()) {
+            let (count, newest) = sites.entry(session.network).or_insert((0, &session.stats));
+            (*count, *newest) = (*count + 1, &session.stats);
+        }
+        let held = sites.get(&own).map_or(0, |(count, _)| *count);
+        let most = sites.into_values().max_by_key(|(count, _)| *count);
+        let Some((_, newest)) = most.filter(|(count, _)| *count >= held + 2) else { return false };
+        newest.end(Ending::Displaced);
+        *displaced = Some(now);
+        true
     }
 
     /// The report as JSON. A recent report is reused at any rate of requests.
@@ -315,14 +371,6 @@ impl LiveStats {
         // Serialising plain numbers and lists cannot fail.
         let report = serde_json::to_vec(&report).unwrap_or_default().into();
         Snapshot { at: now, totals, sessions, report }
-    }
-}
-
-/// The network of a site: an IPv4 address, or the /48 of an IPv6 address.
-fn site(client: IpAddr) -> IpAddr {
-    match client_network(client) {
-        IpAddr::V6(network) => IpAddr::V6((u128::from(network) >> 80 << 80).into()),
-        four => four,
     }
 }
 
@@ -455,7 +503,7 @@ mod tests {
             let shed = fixture.live.shed(count);
             let mut ended = Vec::new();
             for (number, stats) in &open {
-                if stats.shed().now_or_never().is_some() {
+                if stats.ends().now_or_never().is_some() {
                     ended.push(*number);
                 }
             }
@@ -465,9 +513,30 @@ mod tests {
         assert_eq!(ended(2).await, [4, 5]);
         assert_eq!(ended(5).await, [2, 3, 4, 5, 8]);
         assert_eq!(ended(0).await, [0; 0]);
-        let ends = ["2001:db8:0:1::1", "2001:db8:0:ffff::1", "2001:db8:1::1"];
-        let [one, same, other] = ends.map(|address| site(address.parse().unwrap()));
-        assert!(one == same && one != other);
+    }
+
+    #[tokio::test]
+    async fn a_session_of_the_site_with_the_most_is_displaced_and_not_soon_another() {
+        let fixture = Fixture::new();
+        let client = |site: u8| Some(IpAddr::from([10, 0, 0, site]));
+        let sites = [1, 1, 1, 2, 2];
+        let open: Vec<_> = sites
+            .iter()
+            .zip(1..)
+            .map(|(site, number)| fixture.live.register(number, client(*site)))
+            .collect();
+        let displaced = |site: u8, ms: u64| {
+            let is_displaced =
+                fixture.live.displace_for(client(site), fixture.start + Duration::from_millis(ms));
+            let ended = open.iter().position(|stats| stats.ends().now_or_never() == Some(Ending::Displaced));
+            assert_eq!(is_displaced, ended.is_some());
+            ended
+        };
+        assert_eq!(displaced(2, 0), None, "it has one less");
+        assert_eq!(displaced(3, 0), Some(2));
+        assert_eq!(displaced(3, 249), None, "too soon");
+        assert!(displaced(3, 250).is_some() && displaced(3, 500).is_some());
+        assert_eq!(displaced(3, 750), None, "each site has one");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use super::threads::{Mutex, MutexGuard};
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
 use crate::chunk_id::ChunkId;
-use crate::limits::per_ip::client_network;
+use crate::limits::networks::client_network;
 use crate::mechanism::Mechanism;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;

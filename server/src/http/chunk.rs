@@ -20,7 +20,8 @@ pub async fn get(
 ) -> Result<Response, Problem> {
     let (key, bucket) = request.admit(&state, "", Query::None).await?;
     // Always exact: a cached chunk must be usable without a generator.
-    let chunk = ChunkRequest { key, request: Some(0), priority: u64::MAX };
+    // Chunks of map tiles come first: a tile holds one of few turns until it has them.
+    let chunk = ChunkRequest { key, request: Some(0), priority: u64::MAX - 1 };
     // Compact: the address is immutable, so it has one representation for ever.
     let flow = state.generation.download(request.client.address, bucket.clone()).compact();
     let parent = state.traces.parent(&request.client.headers);

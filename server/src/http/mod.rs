@@ -22,6 +22,7 @@ pub mod session;
 pub mod world;
 
 use crate::access::hosts::{MalformedHost, Target};
+use crate::limits::per_ip::IpPermit;
 use crate::metrics::StatusLabel;
 use crate::proxy::ClientAddress;
 use crate::scheduling;
@@ -34,7 +35,9 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, any, get};
 use cors::any_origin;
 use problem::{Problem, ProblemKind};
+use std::net::IpAddr;
 use std::sync::Arc;
+use tokio::sync::SemaphorePermit;
 
 /// All routes of a server, in the order of the document.
 pub fn routes() -> Vec<(&'static str, MethodRouter<Arc<ServerState>>)> {
@@ -105,11 +108,36 @@ async fn known_host(
     Ok(next.run(request).await)
 }
 
+/// The place of a request that is being answered. Behind a proxy a client is not limited by its
+/// connections; here it may have no more requests than remain for others.
+struct RequestPlace<'a> {
+    _permit: SemaphorePermit<'a>,
+    _of_client: IpPermit,
+}
+
+impl<'a> RequestPlace<'a> {
+    fn take(state: &'a ServerState, client: Option<IpAddr>) -> Option<Self> {
+        let permit = state.request_permits.try_acquire().ok()?;
+        let of_client =
+            state.requests_per_ip.try_acquire(client, state.request_permits.available_permits())?;
+        Some(Self { _permit: permit, _of_client: of_client })
+    }
+}
+
 /// Counts all responses, and rejected requests by kind. Between two requests a busy thread lets
 /// others run.
 async fn count(State(state): State<Arc<ServerState>>, request: Request, next: Next) -> Response {
     scheduling::yield_if_due(state.config.without);
-    let mut response = next.run(request).await;
+    // A connection answers up to 16 requests that arrived together before it lets others run.
+    tokio::task::yield_now().await;
+    let client = request.extensions().get::<ClientAddress>().map(|client| client.0);
+    let mut response = match RequestPlace::take(&state, client) {
+        Some(_place) => next.run(request).await,
+        None => {
+            let sentence = "too many requests of this address at once, retry later";
+            Problem::new(ProblemKind::Overloaded, sentence).into_response()
+        }
+    };
     let status = response.status().as_u16();
     state.metrics.http_responses.get_or_create(&StatusLabel { status }).inc();
     if let Some(kind) = response.extensions().get::<ProblemKind>() {

@@ -18,6 +18,7 @@ use protocol::SUBPROTOCOL;
 use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::Instant;
 
 /// Start of a subprotocol entry with a token.
 const TOKEN_SUBPROTOCOL: &str = "tombolo.bearer.";
@@ -59,6 +60,8 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         return Problem::new(ProblemKind::NoSession, "the server ends, retry later").into_response();
     }
     let Ok(permit) = Arc::clone(&state.session_permits).try_acquire_owned() else {
+        // There is a place when the client retries.
+        let _ = state.stats.displace_for(peer, Instant::now());
         return Problem::new(ProblemKind::NoSession, "no session is free, retry later").into_response();
     };
     let free = state.session_permits.available_permits();

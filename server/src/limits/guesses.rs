@@ -1,7 +1,7 @@
 //! Wrong access tokens per client network: each takes one of a few places, which become free again
 //! at a fixed rate.
 
-use crate::limits::per_ip::client_network;
+use crate::limits::networks::client_network;
 use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -14,8 +14,8 @@ const BURST: u32 = 10;
 /// Time until one more is allowed: 14,400 guesses a day.
 const REFILL: Duration = Duration::from_secs(6);
 
-/// Networks in a generation of the table at most; both take some 3 MiB.
-const GENERATION: usize = 32_768;
+/// Networks in a generation of the table at most: what 32,768 buckets hold. Both take some 3 MiB.
+const GENERATION: usize = 28_672;
 
 /// See the module. The standard hasher is keyed at random: peers choose the addresses.
 ///

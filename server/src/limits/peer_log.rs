@@ -1,7 +1,7 @@
 //! Log lines about peers that break rules: one for each client network, then one a minute with the
 //! number of events.
 
-use crate::limits::per_ip::client_network;
+use crate::limits::networks::client_network;
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::{Mutex, PoisonError};

@@ -1,13 +1,16 @@
 //! Concurrent sessions or connections per client network.
+//!
+//! An IPv6 client counts for its /64, /56 and /48, whichever of them is its owner's.
 
+use crate::limits::networks::{Network, client_networks};
 use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Counts permits by client network. Holds at most one entry per permit.
+/// Counts permits by client network. Holds at most three entries per permit.
 ///
-/// A network may hold no more permits than its limit, and, where the limit is a fair share, no more
-/// than remain free (dynamic thresholds: Choudhury and Hahne, IEEE/ACM Transactions on Networking
+/// A client's least network may hold no more permits than the limit. Where the limit is a fair share,
+/// none of its networks may hold more than remain free (dynamic thresholds: Choudhury and Hahne, IEEE/ACM Transactions on Networking
 /// 6(2), 1998, with factor 1). One greedy network gets half of all, each of two a third, and some
 /// always remain for others.
 ///
@@ -16,13 +19,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub struct PerIpLimiter {
     limit: usize,
     is_fair_share: bool,
-    counts: Arc<Mutex<HashMap<IpAddr, usize>>>,
+    counts: Arc<Mutex<HashMap<Network, usize>>>,
 }
 
 /// Permission for one session or connection; released on drop.
 #[derive(Debug)]
 pub struct IpPermit {
-    network: Option<IpAddr>,
+    client: Option<IpAddr>,
     limiter: PerIpLimiter,
 }
 
@@ -42,39 +45,35 @@ impl PerIpLimiter {
     /// A permit, or none if the network holds its limit already. `free` permits remain for others
     /// after this one. A peer without an address is not limited.
     #[must_use]
-    pub fn try_acquire(&self, address: Option<IpAddr>, free: usize) -> Option<IpPermit> {
-        let network = address.map(client_network);
-        if let Some(network) = network {
+    pub fn try_acquire(&self, client: Option<IpAddr>, free: usize) -> Option<IpPermit> {
+        if let Some(client) = client {
             let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
-            let held = counts.get(&network).copied().unwrap_or_default();
-            if held >= self.limit || (self.is_fair_share && held > free) {
-                return None;
+            let mut limit = self.limit;
+            for network in client_networks(client) {
+                let held = counts.get(&network).copied().unwrap_or_default();
+                if held >= limit || (self.is_fair_share && held > free) {
+                    return None;
+                }
+                limit = usize::MAX;
             }
-            counts.insert(network, held + 1);
+            client_networks(client).for_each(|network| *counts.entry(network).or_default() += 1);
         }
-        Some(IpPermit { network, limiter: self.clone() })
+        Some(IpPermit { client, limiter: self.clone() })
     }
 }
 
 impl Drop for IpPermit {
     fn drop(&mut self) {
-        let Some(network) = self.network else { return };
+        let Some(client) = self.client else { return };
         let mut counts = self.limiter.counts.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(count) = counts.get_mut(&network) {
-            *count -= 1;
-            if *count == 0 {
-                counts.remove(&network);
+        for network in client_networks(client) {
+            if let Some(count) = counts.get_mut(&network) {
+                *count -= 1;
+                if *count == 0 {
+                    counts.remove(&network);
+                }
             }
         }
-    }
-}
-
-/// The unit that limits apply to: one IPv4 address or one IPv6 /64 network, the least that a
-/// provider assigns to a customer (RFC 6177). An IPv4-mapped IPv6 address counts as IPv4.
-pub fn client_network(address: IpAddr) -> IpAddr {
-    match address.to_canonical() {
-        IpAddr::V6(six) => IpAddr::V6((u128::from(six) >> 64 << 64).into()),
-        four => four,
     }
 }
 
@@ -98,12 +97,13 @@ mod tests {
         assert!(limiter.counts.lock().unwrap().is_empty());
     }
 
-    /// Networks that take what they can, one after the other; permits of each.
-    fn greedy(limiter: &PerIpLimiter, total: usize, networks: u8) -> Vec<usize> {
+    /// Clients that take what they can, one after the other; permits of each.
+    fn greedy(limiter: &PerIpLimiter, total: usize, clients: &[&str]) -> Vec<usize> {
         let mut permits = Vec::new();
-        (1..=networks)
-            .map(|number| {
-                let address = Some(IpAddr::from([10, 0, 0, number]));
+        clients
+            .iter()
+            .map(|client| {
+                let address = Some(client.parse().unwrap());
                 let before = permits.len();
                 while permits.len() < total
                     && let Some(permit) = limiter.try_acquire(address, total - permits.len() - 1)
@@ -117,11 +117,22 @@ mod tests {
 
     #[test]
     fn a_fair_share_leaves_permits_for_every_further_network() {
-        assert_eq!(greedy(&PerIpLimiter::fair_share(usize::MAX), 1024, 4), [512, 256, 128, 64]);
-        assert_eq!(greedy(&PerIpLimiter::fair_share(100), 1024, 2), [100, 100]);
-        assert_eq!(greedy(&PerIpLimiter::fair_share(usize::MAX), 1, 1), [1]);
+        let clients = ["10.0.0.1", "10.0.0.2", "10.0.0.3", "10.0.0.4"];
+        let limiters = [usize::MAX, 100, usize::MAX].map(PerIpLimiter::fair_share);
+        assert_eq!(greedy(&limiters[0], 1024, &clients), [512, 256, 128, 64]);
+        assert_eq!(greedy(&limiters[1], 1024, &clients[..2]), [100, 100]);
+        assert_eq!(greedy(&limiters[2], 1, &clients[..1]), [1]);
         // The control: a limit of all.
-        assert_eq!(greedy(&PerIpLimiter::new(1024), 1024, 2), [1024, 0]);
+        assert_eq!(greedy(&PerIpLimiter::new(1024), 1024, &clients[..2]), [1024, 0]);
+    }
+
+    #[test]
+    fn networks_below_one_prefix_have_one_share() {
+        let clients = ["2001:db8:1:1::1", "2001:db8:1:2::1", "2001:db8:1:aa00::1", "2001:db8:2::1"];
+        assert_eq!(greedy(&PerIpLimiter::fair_share(usize::MAX), 1024, &clients), [512, 0, 0, 256]);
+        let limiter = PerIpLimiter::fair_share(100);
+        assert_eq!(greedy(&limiter, 1024, &clients), [100, 100, 100, 100], "the limit is that of a /64");
+        assert!(limiter.counts.lock().unwrap().is_empty(), "no permit is left");
     }
 
     #[test]
@@ -140,14 +151,5 @@ mod tests {
         }
         let counts: Vec<usize> = limiter.counts.lock().unwrap().values().copied().collect();
         assert!(counts.iter().all(|count| (341..=342).contains(count)), "{counts:?}");
-    }
-
-    #[test]
-    fn an_ipv6_64_network_counts_as_one_address() {
-        let parse = |text: &str| client_network(text.parse().unwrap());
-        assert_eq!(parse("2001:db8:1:2::1"), parse("2001:db8:1:2:ffff::9"));
-        assert_ne!(parse("2001:db8:1:2::1"), parse("2001:db8:1:3::1"));
-        assert_eq!(parse("::ffff:10.0.0.1"), parse("10.0.0.1"));
-        assert_ne!(parse("10.0.0.1"), parse("10.0.0.2"));
     }
 }

@@ -9,7 +9,7 @@
 //! applies to networks because a client can open any number of sessions. A bucket may go negative
 //! by one chunk, so that a chunk of any cost can be served at any rate.
 
-use crate::limits::per_ip::client_network;
+use crate::limits::networks::client_network;
 use crate::metrics::Metrics;
 use std::collections::HashMap;
 use std::net::IpAddr;

@@ -3,13 +3,13 @@
 //! Each network has as many tiles in line as can be rendered at once; its further tiles wait behind
 //! them. A network with many tiles therefore delays one of another by a few renderings, not by all.
 
-use crate::limits::per_ip::client_network;
+use crate::limits::networks::client_site;
 use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// The network of a client; peers without an address are one.
+/// The site of a client; peers without an address are one.
 type Network = Option<IpAddr>;
 
 /// See the module.
@@ -18,25 +18,27 @@ pub struct RenderTurns {
     /// Tiles that are rendered at once.
     at_once: usize,
     line: Arc<Semaphore>,
-    /// Networks with a tile that waits or is rendered, with their places in line.
-    networks: Arc<Mutex<HashMap<Network, Arc<Semaphore>>>>,
+    networks: Arc<Mutex<Networks>>,
 }
+
+/// Networks with a tile that waits or is rendered, with the number of those tiles, and the permits of
+/// those in line.
+type Networks = HashMap<Network, (usize, Arc<Semaphore>)>;
 
 /// Permission to render one tile; released on drop.
 #[derive(Debug)]
 pub struct RenderTurn {
     _turn: OwnedSemaphorePermit,
     _place: OwnedSemaphorePermit,
-    // Dropped last: it looks for other users of the places.
-    _places: Places,
+    _queue: NetworkQueue,
 }
 
-/// The places in line of a network; the last user of them on drop removes them from the table.
+/// A tile of a network, removed from the table on drop.
 #[derive(Debug)]
-struct Places {
+struct NetworkQueue {
     network: Network,
     semaphore: Arc<Semaphore>,
-    networks: Arc<Mutex<HashMap<Network, Arc<Semaphore>>>>,
+    networks: Arc<Mutex<Networks>>,
 }
 
 impl RenderTurns {
@@ -48,16 +50,18 @@ impl RenderTurns {
 
     /// Waits for the turn of a client. None if the server ends.
     pub async fn acquire(&self, client: Option<IpAddr>) -> Option<RenderTurn> {
-        let places = self.places(client.map(client_network));
-        let place = Arc::clone(&places.semaphore).acquire_owned().await.ok()?;
+        let queue = self.queue(client.map(client_site));
+        let place = Arc::clone(&queue.semaphore).acquire_owned().await.ok()?;
         let turn = Arc::clone(&self.line).acquire_owned().await.ok()?;
-        Some(RenderTurn { _turn: turn, _place: place, _places: places })
+        Some(RenderTurn { _turn: turn, _place: place, _queue: queue })
     }
 
-    fn places(&self, network: Network) -> Places {
+    fn queue(&self, network: Network) -> NetworkQueue {
         let mut networks = lock(&self.networks);
-        let semaphore = networks.entry(network).or_insert_with(|| Arc::new(Semaphore::new(self.at_once)));
-        Places { network, semaphore: Arc::clone(semaphore), networks: Arc::clone(&self.networks) }
+        let new = || (0, Arc::new(Semaphore::new(self.at_once)));
+        let (tiles, semaphore) = networks.entry(network).or_insert_with(new);
+        *tiles += 1;
+        NetworkQueue { network, semaphore: Arc::clone(semaphore), networks: Arc::clone(&self.networks) }
     }
 
     /// Tiles that could begin now.
@@ -67,19 +71,19 @@ impl RenderTurns {
     }
 }
 
-impl Drop for Places {
+impl Drop for NetworkQueue {
     fn drop(&mut self) {
         let mut networks = lock(&self.networks);
-        // The table's and this one: no other tile of the network waits or is rendered.
-        if Arc::strong_count(&self.semaphore) == 2 {
-            networks.remove(&self.network);
+        if let Some((tiles, _)) = networks.get_mut(&self.network) {
+            *tiles -= 1;
+            if *tiles == 0 {
+                networks.remove(&self.network);
+            }
         }
     }
 }
 
-fn lock(
-    networks: &Mutex<HashMap<Network, Arc<Semaphore>>>,
-) -> MutexGuard<'_, HashMap<Network, Arc<Semaphore>>> {
+fn lock(networks: &Mutex<Networks>) -> MutexGuard<'_, Networks> {
     // Nothing under the lock panics in the middle of a change.
     networks.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -6,7 +6,7 @@
 //! every session. Those of the client networks that have the most end first.
 
 use super::limit::{MemoryLimit, OpenFiles};
-use crate::limits::per_ip::client_network;
+use crate::limits::networks::client_site;
 use crate::metrics::Metrics;
 use crate::stats::LiveStats;
 use std::collections::HashMap;
@@ -89,7 +89,7 @@ impl MemoryMark {
         let mut room = self.room();
         let Some(left) = room.left.checked_sub(1) else { return false };
         if let Some(client) = client.filter(|_| self.limit.is_some()) {
-            let taken = room.taken.entry(client_network(client)).or_default();
+            let taken = room.taken.entry(client_site(client)).or_default();
             if *taken > left {
                 return false;
             }

@@ -15,7 +15,7 @@ use crate::session::keepalive::{Keepalive, KeepaliveAction};
 use crate::session::message_deadline::MessageDeadline;
 use crate::session::refusal_backoff::{PauseCount, RefusalBackoff, Rejections};
 use crate::state::ServerState;
-use crate::stats::SessionStatsGuard;
+use crate::stats::{Ending, SessionStatsGuard};
 use crate::traces::Parent;
 use crate::websocket::frame::Opcode;
 use crate::websocket::inbox::Message;
@@ -121,13 +121,23 @@ where
         socket.queue_close(*code, text);
         tokio::select! {
             _ = timeout(CLOSE_TIMEOUT, close(socket)) => {}
-            () = stats.shed() => end.reason = EndReason::MemoryShed,
+            // However it has to end: at once.
+            _ = stats.ends() => end.reason = EndReason::MemoryShed,
         }
     }
     state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: end.reason.name() }).inc();
     state.metrics.sessions.dec();
     let Remaining { socket, end, owes_until, .. } = *rest;
     Ended { reason: end.reason, stream: socket.into_stream(), owes_until }
+}
+
+/// The end of a session that has done nothing wrong.
+fn ended_by_server(ending: Ending) -> SessionEnd {
+    match ending {
+        // Without a Close frame, whose answer would keep the memory.
+        Ending::Memory => SessionEnd::without_code(EndReason::MemoryShed),
+        Ending::Displaced => SessionEnd::with_code(EndReason::Displaced, CloseCode::GoingAway),
+    }
 }
 
 /// What remains of a session while its peer answers the Close frame: all else is free already.
@@ -234,8 +244,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     }
                 }
                 () = self.state.draining.cancelled() => return self.drain().await,
-                // Without a Close frame, whose answer would keep the memory.
-                () = self.stats.shed() => return SessionEnd::without_code(EndReason::MemoryShed),
+                ending = self.stats.ends() => return ended_by_server(ending),
                 // A client that reads cached chunks at full speed must not starve others; between
                 // two batches it is read, and a shutdown ends it.
                 () = let_others_run(self.state.config.without), if more => {}
@@ -497,7 +506,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         };
         let result = tokio::select! {
             written = write => written,
-            () = self.stats.shed() => Err(SessionEnd::without_code(EndReason::MemoryShed)),
+            ending = self.stats.ends() => Err(ended_by_server(ending)),
             // A slow reader must not miss the announcement.
             () = self.state.draining.cancelled(), if !self.is_draining => {
                 self.socket.drop_unwritten();

@@ -26,6 +26,8 @@ pub enum EndReason {
     KeepaliveTimeout,
     /// The server had too little memory.
     MemoryShed,
+    /// A client of a site with fewer sessions had none.
+    Displaced,
     /// A violation of RFC 6455.
     ProtocolError,
     /// A text that is not UTF-8.
@@ -62,6 +64,7 @@ impl EndReason {
             Self::MessageTimeout => "message_timeout",
             Self::KeepaliveTimeout => "keepalive_timeout",
             Self::MemoryShed => "memory",
+            Self::Displaced => "displaced",
             Self::ProtocolError => "protocol_error",
             Self::NotUtf8 => "not_utf8",
             Self::Malformed => "malformed",
@@ -101,6 +104,7 @@ impl EndReason {
             | Self::WriteFailed
             | Self::KeepaliveTimeout
             | Self::MemoryShed
+            | Self::Displaced
             | Self::WrongVersion
             | Self::WrongWorld
             | Self::Unauthorised

@@ -6,6 +6,7 @@
 //! | `proxies` | clients behind trusted proxies |
 //! | `tls` | TLS |
 //! | `memory` | the memory mark |
+//! | `places` | places that many networks hold together |
 //! | `caching` | validators, conditional requests, `Cache-Control` |
 //! | `origins` | CORS |
 //! | `rejections` | problem documents and their metrics |
@@ -25,6 +26,8 @@ mod memory;
 mod openapi;
 mod origins;
 mod page;
+#[cfg(target_os = "linux")]
+mod places;
 mod proxies;
 mod rejections;
 mod stats;

@@ -21,7 +21,7 @@ async fn beyond_the_mark_open_sessions_end_the_newest_first() {
     let stats = LiveStats::default();
     let sessions: Vec<_> = (1..=16).map(|number| stats.register(number, None)).collect();
     let has_to_end =
-        async |index: usize| timeout(Duration::from_millis(1), sessions[index].shed()).await.is_ok();
+        async |index: usize| timeout(Duration::from_millis(1), sessions[index].ends()).await.is_ok();
     assert!(!has_to_end(15).await);
     let full = Arc::new(MemoryMark::new(Some(MemoryLimit::of_machine(1 << 20))));
     let watching = tokio::spawn(mark::watch(full, Arc::default(), stats.clone()));
