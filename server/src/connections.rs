@@ -1,5 +1,5 @@
 //! Open connections of clients, by site: where places lack, a connection of the site that has the most
-//! ends for one of a site that has fewer. So accepting never stops, whoever holds the places.
+//! ends for one of a site that has fewer. So accepting never stops, whichever clients hold the places.
 
 use crate::limits::networks::client_site;
 use std::collections::{BTreeMap, HashMap};
