@@ -22,7 +22,7 @@ async fn connect_from(server: &Server, source: [u8; 4]) -> TcpStream {
     socket.connect(server.address).await.unwrap()
 }
 
-/// Before, twelve networks held all places, and accepting stopped for everybody.
+/// Before, twelve networks held all places, and accepting stopped for all clients.
 #[tokio::test]
 async fn networks_that_hold_all_connections_do_not_stop_accepting() {
     let server = server_with(4).await;
@@ -67,7 +67,7 @@ async fn a_client_without_a_session_displaces_one_of_the_site_that_has_the_most(
         }
     };
     let placed = timeout(LONG / 4, placed).await.expect("its place is free");
-    // Each network has one now: nobody has to end for a fifth one.
+    // Each network has one now: none ends for a fifth one.
     assert_eq!(server.open_session_from([127, 0, 0, 6]).await.0, 503);
     tokio::time::sleep(Duration::from_millis(300)).await;
     assert_eq!(server.open_session_from([127, 0, 0, 6]).await.0, 503);
