@@ -22,6 +22,21 @@ pub struct HeadlessRenderer {
     slots: u32,
 }
 
+/// Draws a frame with the shadows traced so far; returns the time until the GPU is done.
+pub(crate) fn draw(
+    gpu: &Gpu,
+    renderer: &mut Renderer,
+    frame: &FrameData,
+    target: &OffscreenTarget,
+) -> Result<Duration, GpuError> {
+    let begun = Instant::now();
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    renderer.draw(gpu, frame, &mut encoder, &target.view);
+    gpu.queue.submit([encoder.finish()]);
+    gpu.wait()?;
+    Ok(begun.elapsed())
+}
+
 /// Visible clumps of one kind of plants.
 #[derive(Clone, Debug)]
 pub struct ChosenKind {
@@ -102,12 +117,7 @@ impl HeadlessRenderer {
 
     /// Draws a frame with the shadows traced so far; returns the time until the GPU is done.
     pub fn draw(&mut self, frame: &FrameData) -> Result<Duration, GpuError> {
-        let begun = Instant::now();
-        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.renderer.draw(&self.gpu, frame, &mut encoder, &self.target.view);
-        self.gpu.queue.submit([encoder.finish()]);
-        self.gpu.wait()?;
-        Ok(begun.elapsed())
+        draw(&self.gpu, &mut self.renderer, frame, &self.target)
     }
 
     /// Draws a frame with all its shadows and reads the picture back.

@@ -28,7 +28,8 @@ pub fn share([x, z]: [f64; 2], height_m: f64, gradient: [f64; 2]) -> f64 {
         smoothstep(5.0, 12.0, height_m) * (1.0 - smoothstep(340.0, 430.0, height_m + (broad - 0.5) * 90.0));
     let summit = smoothstep(520.0, 700.0, height_m + (medium - 0.5) * 70.0);
     let rock = smoothstep(0.165, 0.255, slope);
-    let ragged = slope + (broad - 0.5) * 0.06 + fine * 0.04 + clumps * 0.05;
+    let high = 0.07 * smoothstep(90.0, 300.0, height_m);
+    let ragged = slope + high + (broad - 0.5) * 0.06 + fine * 0.04 + clumps * 0.05;
     let stones = smoothstep(0.125, 0.185, ragged).max(0.8 * summit);
     smoothstep(0.47, 0.54, noise)
         * belt

@@ -1,6 +1,7 @@
 //! Pictures of parallax-mapped surfaces against displaced geometry, by the shipped passes on this
 //! machine's GPU: silhouettes, lines of intersection, pixels that are not finite.
 
+use crate::headless_renderer;
 use crate::stats::quantile;
 use client::camera::{Pose, Projection};
 use client::features::materials::CustomMaterials;
@@ -16,7 +17,7 @@ use client::stream::NullStream;
 use client::stream::streamer::WorldStreamer;
 use client::view::ViewParams;
 use glam::{DVec3, Vec3};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Metres from height 0 to height 1 of the plane under measurement.
 pub const RELIEF_M: f32 = 0.10;
@@ -129,12 +130,7 @@ impl PomRenderer {
 
     /// Draws a frame; returns the time until the GPU is done.
     pub fn draw(&mut self, frame: &FrameData) -> Result<Duration, GpuError> {
-        let begun = Instant::now();
-        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.renderer.draw(&self.gpu, frame, &mut encoder, &self.target.view);
-        self.gpu.queue.submit([encoder.finish()]);
-        self.gpu.wait()?;
-        Ok(begun.elapsed())
+        headless_renderer::draw(&self.gpu, &mut self.renderer, frame, &self.target)
     }
 
     /// Name and backend of the adapter, for people.

@@ -67,10 +67,6 @@ async fn a_client_without_a_session_displaces_one_of_the_site_that_has_the_most(
         }
     };
     let placed = timeout(LONG / 4, placed).await.expect("its place is free");
-    // Each network has one now: none ends for a fifth one.
-    assert_eq!(server.open_session_from([127, 0, 0, 6]).await.0, 503);
-    tokio::time::sleep(Duration::from_millis(300)).await;
-    assert_eq!(server.open_session_from([127, 0, 0, 6]).await.0, 503);
     assert_eq!(server.metric("tombolo_sessions_ended_total{reason=\"displaced\"}").await, 1.0);
     drop((open, placed));
     server.stop().await;
