@@ -224,6 +224,7 @@ const MEASURED: [(&str, &[&str]); 16] = [
         &[
             "shaders",
             "client",
+            "lab/src/headless_renderer.rs",
             "lab/src/pom",
             "lab/src/pom.rs",
             "lab/src/probe_pass.rs",
