@@ -2,10 +2,10 @@
 //!
 //! Every request has exactly one result or is cancelled. Dropping a flow cancels its requests.
 
-use super::queue::{Charge, Enqueued, FlowId, FrameRequest};
+use super::queue::{Charge, Enqueued, FlowId, FlowPath, FrameRequest};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::runner;
-use super::shared::{Downloads, Shared};
+use super::shared::Shared;
 use super::threads::Threads;
 use super::views::ViewJob;
 use crate::chunk_id::ChunkId;
@@ -16,7 +16,6 @@ use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use protocol::server::ViewSelection;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use terrain::{ChunkKey, Land};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
@@ -33,22 +32,16 @@ pub enum FlowEvent {
     ViewFailed,
 }
 
-/// What a flow has that takes the turns of another one.
-#[derive(Debug)]
-struct Download {
-    /// The flow whose turns it takes.
-    turns: FlowId,
-    /// Chunks that it has requested: one, or those of a tile.
-    requested: Vec<ChunkId>,
-}
-
 /// One client of the service. The threads are shared fairly between flows.
 pub struct Flow {
     pub(super) shared: Arc<Shared>,
     threads: Arc<Threads>,
     pub(super) id: FlowId,
-    /// For an HTTP request. Boxed: sessions have none.
-    download: Option<Box<Download>>,
+    /// Whose turns it takes: its own, or that of all downloads of a client network.
+    turns: FlowPath,
+    /// Of a flow that takes the turns of others, the chunks that it has requested: one, or those of a
+    /// tile.
+    requested: Vec<ChunkId>,
     /// Cloned into every request.
     pub(super) sender: UnboundedSender<Vec<Completion>>,
     /// Holds at most one result per request, so the caller's bound on requests bounds it.
@@ -69,7 +62,7 @@ impl Flow {
         shared: Arc<Shared>,
         threads: Arc<Threads>,
         id: FlowId,
-        turns: Option<FlowId>,
+        turns: FlowPath,
         bucket: TokenBucket,
     ) -> Self {
         let (sender, receiver) = unbounded_channel();
@@ -77,7 +70,8 @@ impl Flow {
             shared,
             threads,
             id,
-            download: turns.map(|turns| Box::new(Download { turns, requested: Vec::new() })),
+            turns,
+            requested: Vec::new(),
             sender,
             receiver,
             selection: None,
@@ -170,11 +164,11 @@ impl Flow {
         }
         let (since, sender) = (Instant::now(), self.sender.clone());
         let must_be_compact = self.must_be_compact;
-        let (flow, turns, bucket) = (self.id, self.turns(), self.bucket.clone());
+        let (flow, turns, bucket) = (self.id, self.turns, self.bucket.clone());
         let request =
             FrameRequest { flow, turns, chunk, id, delivery, must_be_compact, bucket, since, sender, trace };
-        if let Some(download) = &mut self.download {
-            download.requested.push(id);
+        if self.shares_turns() {
+            self.requested.push(id);
         }
         let cost_us = costs.expected_us(chunk.key);
         let enqueued = queue.enqueue(request, cost_us);
@@ -211,7 +205,7 @@ impl Flow {
         self.selection = Some(receiver);
         let job = ViewJob { selection, land, bucket: self.bucket.clone(), spent: Duration::ZERO, completion };
         let mut queue = self.shared.lock();
-        queue.add_view(self.id, job);
+        queue.add_view(self.turns, job);
         runner::start(&self.shared, &self.threads, &mut queue);
     }
 
@@ -231,26 +225,27 @@ impl Flow {
     }
 
     fn add_open(&mut self, count: usize) {
-        if self.open == 0 && count > 0 && self.downloads().is_none_or(|(all, turns)| all.add(turns)) {
-            self.shared.active_flows.fetch_add(1, Ordering::Relaxed);
+        if self.open == 0 && count > 0 {
+            self.shared.active.add(self.turns);
         }
         self.open += count;
     }
 
     fn remove_open(&mut self, count: usize) {
         self.open -= count;
-        if self.open == 0 && count > 0 && self.downloads().is_none_or(|(all, turns)| all.remove(turns)) {
-            self.shared.active_flows.fetch_sub(1, Ordering::Relaxed);
+        if self.open == 0 && count > 0 {
+            self.shared.active.remove(self.turns);
         }
     }
 
-    fn turns(&self) -> FlowId {
-        self.download.as_ref().map_or(self.id, |download| download.turns)
+    /// Whose turns it takes.
+    pub(super) const fn turns(&self) -> FlowPath {
+        self.turns
     }
 
-    /// The flow of which this is one of several HTTP requests, and where these are counted.
-    fn downloads(&self) -> Option<(&Downloads, FlowId)> {
-        self.download.as_ref().map(|download| (&self.shared.downloads, download.turns))
+    /// Whether others may take the same turns.
+    const fn shares_turns(&self) -> bool {
+        self.turns.flow != self.id
     }
 
     fn complete(&self, chunk: ChunkRequest, result: FrameResult) {
@@ -313,10 +308,10 @@ impl Drop for Flow {
         if self.open > 0 {
             let (dropped, charges) = {
                 let mut queue = self.shared.lock();
-                match &self.download {
-                    // Others take the same turns.
-                    Some(download) => queue.cancel_all(self.id, &download.requested),
-                    None => queue.remove_flow(self.id),
+                if self.shares_turns() {
+                    queue.cancel_all(self.id, &self.requested)
+                } else {
+                    queue.remove_flow(self.turns)
                 }
             };
             charges.into_iter().for_each(Charge::refund);
@@ -383,7 +378,7 @@ mod tests {
         assert_eq!(fixture.generated.try_iter().collect::<Vec<_>>(), [0, 1].map(key));
         assert_eq!(fixture.metrics.jobs_cancelled.get(), 100_000);
         drop(kept);
-        assert_eq!(fixture.service.shared.active_flows.load(Ordering::Relaxed), 0);
+        assert_eq!(fixture.service.shared.active.len(), 0);
     }
 
     /// The turns of a client that asks by HTTP are those of one session, whatever the number of its
@@ -410,7 +405,7 @@ mod tests {
                 })
                 .collect();
             let active = if client.is_some() { 3 } else { 66 };
-            assert_eq!(fixture.service.shared.active_flows.load(Ordering::Relaxed), active);
+            assert_eq!(fixture.service.shared.active.len(), active);
             // One that is dropped takes only its own request with it.
             drop(downloads.pop());
             for _ in 0..64 + SESSION {
@@ -428,7 +423,7 @@ mod tests {
             assert_eq!(generated.len(), 64 + SESSION as usize);
             // The control: requests without a network are flows of their own.
             assert_eq!(last < 50, client.is_some(), "{last}");
-            assert_eq!(fixture.service.shared.active_flows.load(Ordering::Relaxed), 0);
+            assert_eq!(fixture.service.shared.active.len(), 0);
         }
     }
 
@@ -453,33 +448,52 @@ mod tests {
         let fixture = fixture_with_deadline(1 << 20, 100, Duration::ZERO);
         // It never refills.
         let bucket = RateLimiter::new(Some(0)).bucket(Some("10.0.0.1".parse().unwrap()));
-        let mut flow = fixture.service.limited_flow(bucket.clone());
-        flow.request(chunk_request(key(0), 9), Delivery::Exact);
+        let blocker = request(&fixture.service, key(0), 9).await;
         while !fixture.service.shared.lock().is_running(ChunkId::base(key(0))) {
             tokio::task::yield_now().await;
         }
-        let of_one = bucket.tokens();
+        let mut flow = fixture.service.session(None, bucket.clone());
         for x in 1..=4 {
             flow.request(ChunkRequest { request: Some(7), ..chunk_request(key(x), 1) }, Delivery::Exact);
         }
-        assert!((bucket.tokens() - 5.0 * of_one).abs() < 1e-6, "{} of {of_one}", bucket.tokens());
+        let of_one = bucket.tokens() / 4.0;
+        assert!(of_one < 0.0, "{of_one}");
         flow.cancel(key(1));
-        assert!((bucket.tokens() - 4.0 * of_one).abs() < 1e-6, "a cancelled one");
-        let mut other = fixture.service.limited_flow(bucket.clone());
+        assert!((bucket.tokens() - 3.0 * of_one).abs() < 1e-6, "a cancelled one");
+        let mut other = fixture.service.session(None, bucket.clone());
         other.request(chunk_request(key(9), 1), Delivery::Exact);
         drop(other);
-        assert!((bucket.tokens() - 4.0 * of_one).abs() < 1e-6, "one of a flow that ends");
+        assert!((bucket.tokens() - 3.0 * of_one).abs() < 1e-6, "one of a flow that ends");
         fixture.permit.send(()).unwrap();
         while flow.in_flight() > 0 {
             flow.completions().await;
         }
         assert_eq!(fixture.metrics.jobs_expired.get(), 3);
         // The refund follows the rejection.
-        while bucket.tokens() < 2.0 * of_one {
+        while bucket.tokens() < 0.0 {
             tokio::task::yield_now().await;
         }
-        let of_bytes = of_one - bucket.tokens();
-        assert!((0.0..50.0).contains(&of_bytes), "what is left are the bytes sent: {of_bytes}");
+        assert!(bucket.tokens().abs() < 1e-6 && blocker.await.unwrap().is_ok());
+    }
+
+    #[tokio::test]
+    async fn a_chunk_costs_what_it_took() {
+        let fixture = fixture(1 << 20, 100);
+        let bucket = RateLimiter::new(Some(0)).bucket(Some("10.0.0.1".parse().unwrap()));
+        let mut flow = fixture.service.session(None, bucket.clone());
+        flow.request(chunk_request(key(0), 1), Delivery::Exact);
+        let expected = bucket.tokens();
+        while !fixture.service.shared.lock().is_running(ChunkId::base(key(0))) {
+            tokio::task::yield_now().await;
+        }
+        let (since, took) = (Instant::now(), Duration::from_millis(20));
+        while since.elapsed() < took {
+            tokio::task::yield_now().await;
+        }
+        fixture.permit.send(()).unwrap();
+        flow.completions().await;
+        let charged_us = -bucket.tokens();
+        assert!(charged_us >= took.as_micros() as f64 && charged_us > -2.0 * expected, "{charged_us}");
     }
 
     #[tokio::test]
@@ -488,9 +502,9 @@ mod tests {
         let limiter = RateLimiter::new(Some(0));
         let [one, other] =
             ["10.0.0.1", "10.0.0.2"].map(|address| limiter.bucket(Some(address.parse().unwrap())));
-        let mut first = fixture.service.limited_flow(one);
+        let mut first = fixture.service.session(None, one);
         first.request(chunk_request(key(0), 1), Delivery::Exact);
-        let mut second = fixture.service.limited_flow(other.clone());
+        let mut second = fixture.service.session(None, other.clone());
         let mut charges = Vec::new();
         for delivery in [Delivery::Exact, Delivery::Quantised(Tolerance::COARSEST)] {
             second.request(chunk_request(key(0), 1), delivery);

@@ -6,7 +6,7 @@
 #[cfg(test)]
 mod tests;
 
-use super::queue::{Charge, FlowId, FrameRequest, MissingFrame, Queue};
+use super::queue::{Charge, FlowId, FlowPath, FrameRequest, MissingFrame, Payment, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
 use super::threads::Threads;
@@ -35,10 +35,15 @@ const FAST_BACKLOG_US: i64 = 4000;
 /// turns and one with four does not, so they divide unused time less evenly.
 const QUANTUM_US: i64 = 160;
 
+/// Most that is charged for a piece of work: a machine that stood still is not the client's work.
+const MAX_CHARGE: Duration = Duration::from_secs(1);
+
 /// The frames of a finished job.
 pub(super) struct GeneratedFrames {
     id: ChunkId,
     results: Vec<GeneratedFrame>,
+    /// What the frame took that was charged in advance, microseconds.
+    advance_us: i64,
 }
 
 /// One of them.
@@ -98,6 +103,11 @@ pub fn start(shared: &Arc<Shared>, threads: &Threads, queue: &mut Queue) {
     }
 }
 
+/// What is charged for work, microseconds.
+fn charged_us(spent: Duration) -> i64 {
+    i64::try_from(spent.min(MAX_CHARGE).as_micros()).unwrap_or(i64::MAX)
+}
+
 impl Shared {
     /// Takes turns until the queue is empty.
     pub(super) fn run(&self) {
@@ -107,7 +117,7 @@ impl Shared {
             let turn = {
                 let mut queue = self.lock();
                 let turn = queue.take(QUANTUM_US, deadline, Instant::now());
-                if turn.chunks.is_empty() && turn.view.is_none() {
+                if !turn.has_work() {
                     queue.runners -= 1;
                 }
                 self.metrics.pending_jobs.set(queue.jobs() as i64);
@@ -120,8 +130,8 @@ impl Shared {
                 let _ = request.sender.send(vec![(request.chunk, Err(GenerationError::Overloaded))]);
             }
             turn.refunds.into_iter().for_each(Charge::refund);
-            if let Some((flow, view, budget_us)) = turn.view {
-                self.select_view(flow, view, budget_us);
+            if let Some((view, budget_us)) = turn.view {
+                self.select_view(turn.path, view, budget_us);
             } else if turn.chunks.is_empty() {
                 return;
             } else {
@@ -134,7 +144,10 @@ impl Shared {
                 // Before the sessions learn of it: a span that is open when the process ends is
                 // lost.
                 drop(turn.traced);
-                self.send_results(&finished);
+                let spent_us: i64 = finished.iter().map(|frames| frames.advance_us).sum();
+                self.send_results(&finished, |queue| {
+                    queue.end_turn(turn.path, spent_us - turn.expected_us, None);
+                });
             }
             scheduling::yield_if_due(self.limits.without);
         }
@@ -143,26 +156,26 @@ impl Shared {
     /// Continues a view within its budget, or until a flow that was idle waits: it has the next
     /// turn, and a view can stop between any two steps. A finished selection is sent to its
     /// session; an unfinished one waits for the flow's next turn. A panic fails this view only.
-    fn select_view(&self, flow: FlowId, mut job: Box<ViewJob>, budget_us: i64) {
-        let must_stop = || self.lock().has_new_flow();
+    fn select_view(&self, path: FlowPath, mut job: Box<ViewJob>, budget_us: i64) {
+        let must_stop = || self.lock().is_next_new(path.site);
         let Ok((is_done, spent)) = catch_unwind(AssertUnwindSafe(|| job.run(budget_us, must_stop))) else {
             self.metrics.jobs_failed.inc();
             tracing::error!(view = ?job.selection.view(), "view selection panicked");
-            self.lock().return_view(flow, None, budget_us);
+            self.lock().end_turn(path, budget_us, None);
             // Dropped with the job: the session learns of it.
             return;
         };
         self.metrics.view_busy_seconds.inc_by(spent.as_secs_f64());
-        let spent_us = i64::try_from(spent.as_micros()).unwrap_or(i64::MAX);
+        let spent_us = charged_us(spent);
         job.bucket.charge_work(spent_us, tokio::time::Instant::now());
         if is_done {
             self.metrics.view_selection_seconds.observe(job.spent.as_secs_f64());
-            self.lock().return_view(flow, None, spent_us);
+            self.lock().end_turn(path, spent_us, None);
             // The session may have ended.
             let ViewJob { completion, selection, .. } = *job;
             let _ = completion.send(selection);
         } else {
-            self.lock().return_view(flow, Some(job), spent_us);
+            self.lock().end_turn(path, spent_us, Some(job));
         }
     }
 
@@ -170,17 +183,24 @@ impl Shared {
     pub(super) fn run_job(&self, id: ChunkId) -> GeneratedFrames {
         // Dropped at the end of this job, so that the next one reuses its memory.
         let mut chunk = None;
-        let mut finished = GeneratedFrames { id, results: Vec::with_capacity(1) };
+        let mut finished = GeneratedFrames { id, results: Vec::with_capacity(1), advance_us: 0 };
         let missing = |finished: &GeneratedFrames| {
             self.lock().missing_frame(id, |request| finished.of(request).is_some())
         };
-        while let Some(MissingFrame { delivery, must_be_compact, payer }) = missing(&finished) {
+        while let Some(MissingFrame { delivery, must_be_compact, payment }) = missing(&finished) {
             let started = Instant::now();
             let effort = if must_be_compact { Effort::Compact } else { self.effort(id) };
             let frame = self.frame(id, delivery, effort, &mut chunk);
-            if let Some(bucket) = payer {
-                let spent_us = i64::try_from(started.elapsed().as_micros()).unwrap_or(i64::MAX);
-                bucket.charge_work(spent_us, tokio::time::Instant::now());
+            let spent_us = charged_us(started.elapsed());
+            match payment {
+                Payment::Advance(charge) => {
+                    charge.settle(spent_us);
+                    finished.advance_us = spent_us;
+                }
+                Payment::Request(path, bucket) => {
+                    self.lock().charge(path, spent_us);
+                    bucket.charge_work(spent_us, tokio::time::Instant::now());
+                }
             }
             finished.results.push(frame);
         }
@@ -320,13 +340,14 @@ impl Shared {
         }
     }
 
-    /// Sends the results of a turn: one message per flow, since each may wake a session and cause a
-    /// write.
-    pub(super) fn send_results(&self, turn: &[GeneratedFrames]) {
+    /// Sends the results of a turn, which `end` ends: one message per flow, since each may wake a
+    /// session and cause a write.
+    pub(super) fn send_results(&self, turn: &[GeneratedFrames], end: impl FnOnce(&mut Queue)) {
         let mut flows: FxHashMap<FlowId, (UnboundedSender<Vec<Completion>>, Vec<Completion>)> =
             FxHashMap::default();
         {
             let mut queue = self.lock();
+            end(&mut queue);
             for frames in turn {
                 for request in queue.finish(frames.id, |request| frames.of(request).is_some()) {
                     let result = frames.of(&request).cloned().unwrap_or(Err(GenerationError::Failed));

@@ -108,7 +108,7 @@ fn request(flow: &mut Flow, key: ChunkKey, bug: Option<Bug>) {
     }
     let request = FrameRequest {
         flow: flow.id,
-        turns: flow.id,
+        turns: flow.turns(),
         chunk: chunk_request(key),
         id,
         delivery: Delivery::Exact,
@@ -138,7 +138,7 @@ fn run_and_leave_late(shared: &Shared) {
             return;
         }
         let finished: Vec<_> = turn.chunks.into_iter().map(|id| shared.run_job(id)).collect();
-        shared.send_results(&finished);
+        shared.send_results(&finished, |queue| queue.end_turn(turn.path, 0, None));
     }
 }
 
@@ -164,7 +164,7 @@ fn assert_idle(service: &Generation) {
         drop(queue);
         shuttle::thread::yield_now();
     }
-    assert_eq!(service.shared.active_flows.load(Ordering::Relaxed), 0);
+    assert_eq!(service.shared.active.len(), 0);
 }
 
 /// Three clients request the same two chunks in different orders.

@@ -2,8 +2,9 @@
 
 use super::cost::JobCosts;
 use super::flow::Flow;
-use super::queue::{FlowId, Queue};
-use super::shared::{Downloads, Limits, Shared};
+use super::active::ActiveFlows;
+use super::queue::{FlowId, FlowPath, Queue};
+use super::shared::{Limits, Shared};
 use super::threads::{Mutex, Threads};
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
@@ -17,7 +18,7 @@ use protocol::Delivery;
 use rayon::ThreadPoolBuildError;
 use std::net::IpAddr;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use terrain::ChunkKey;
 
@@ -79,8 +80,7 @@ impl Generation {
             costs: JobCosts::default(),
             limits,
             next_flow: AtomicU64::new(0),
-            active_flows: AtomicUsize::new(0),
-            downloads: Downloads::default(),
+            active: ActiveFlows::default(),
             metrics,
         };
         Ok(Self { shared: Arc::new(shared), threads: Arc::new(threads) })
@@ -92,40 +92,49 @@ impl Generation {
         self.shared.cached(self.shared.current(key), delivery, false)
     }
 
-    /// A new flow without a rate limit. Dropping it cancels its requests.
+    /// A new flow of a site of its own, without a rate limit. Dropping it cancels its requests.
     #[must_use]
     pub fn flow(&self) -> Flow {
-        self.limited_flow(TokenBucket::default())
+        self.session(None, TokenBucket::default())
     }
 
-    /// As [`Generation::flow`], with its work charged to a token bucket.
+    /// A flow of a session, with its work charged to a token bucket: one of its client's site. Without
+    /// a client it is a site of its own.
     #[must_use]
-    pub fn limited_flow(&self, bucket: TokenBucket) -> Flow {
-        self.flow_with(None, bucket)
+    pub fn session(&self, client: Option<IpAddr>, bucket: TokenBucket) -> Flow {
+        let id = self.next_flow();
+        let site = client.map_or(id, |client| self.shared.active.site_of(client));
+        self.flow_with(id, FlowPath { site, flow: id }, bucket)
     }
 
     /// A flow of an HTTP request: all of a client network take the turns of one flow.
     #[must_use]
     pub fn download(&self, client: Option<IpAddr>, bucket: TokenBucket) -> Flow {
-        self.flow_with(client.map(|client| self.shared.downloads.turns_of(client)), bucket)
+        let id = self.next_flow();
+        let own = FlowPath { site: id, flow: id };
+        let turns = client.map_or(own, |client| self.shared.active.downloads_of(client));
+        self.flow_with(id, turns, bucket)
     }
 
-    fn flow_with(&self, turns: Option<FlowId>, bucket: TokenBucket) -> Flow {
-        let id = self.shared.next_flow.fetch_add(1, Ordering::Relaxed);
+    fn next_flow(&self) -> FlowId {
+        self.shared.next_flow.fetch_add(1, Ordering::Relaxed)
+    }
+
+    fn flow_with(&self, id: FlowId, turns: FlowPath, bucket: TokenBucket) -> Flow {
         Flow::new(Arc::clone(&self.shared), Arc::clone(&self.threads), id, turns, bucket)
     }
 
-    /// Further requests that one flow can complete within the deadline, by the recent job costs.
+    /// Further requests that a flow can complete within the deadline, by the recent job costs.
     /// The caller rejects the rest at once, which is better than after a wait.
     #[must_use]
-    pub fn allowance(&self) -> usize {
+    pub fn allowance(&self, flow: &Flow) -> usize {
         let Limits { threads, deadline, .. } = self.shared.limits;
         // An empty queue is no reason to reject, regardless of the estimate.
         if self.shared.lock().waiting() == 0 {
             return usize::MAX;
         }
         // Half of the deadline: the estimate leaves out the time of writes and of other processes.
-        self.shared.costs.jobs_within(deadline / 2, threads, self.shared.active_flows.load(Ordering::Relaxed))
+        self.shared.costs.jobs_within(deadline / 2, threads, self.shared.active.shares(flow.turns()))
     }
 
     /// Longest wait of an explicit request.
@@ -134,10 +143,10 @@ impl Generation {
         self.shared.limits.deadline
     }
 
-    /// Active flows per thread, at least 1.
+    /// Equal shares of a thread of which a flow has one, at least 1.
     #[must_use]
-    pub fn sharers(&self) -> usize {
-        self.shared.active_flows.load(Ordering::Relaxed).div_ceil(self.shared.limits.threads).max(1)
+    pub fn sharers(&self, flow: &Flow) -> usize {
+        self.shared.active.shares(flow.turns()).div_ceil(self.shared.limits.threads).max(1)
     }
 
     /// Waits a bounded time for the pending writes and releases the folder of the disk cache. For
@@ -215,15 +224,16 @@ mod tests {
     #[tokio::test]
     async fn the_allowance_is_a_share_of_what_ends_within_half_of_the_deadline() {
         let fixture = fixture_with_deadline(1 << 20, 10, Duration::from_millis(500));
-        assert_eq!(fixture.service.allowance(), usize::MAX);
+        let flow = fixture.service.flow();
+        assert_eq!(fixture.service.allowance(&flow), usize::MAX);
         let running = request(&fixture.service, key(0), 9).await;
         while !fixture.service.shared.lock().is_running(ChunkId::base(key(0))) {
             tokio::task::yield_now().await;
         }
-        assert_eq!(fixture.service.allowance(), usize::MAX, "one is made, none waits");
+        assert_eq!(fixture.service.allowance(&flow), usize::MAX, "one is made, none waits");
         let waiting = request(&fixture.service, key(1), 1).await;
         // 250 ms of one thread, at the first estimate of 0.1 ms a job, for two flows.
-        assert_eq!(fixture.service.allowance(), 1250);
+        assert_eq!(fixture.service.allowance(&flow), 1250);
         for _ in 0..2 {
             fixture.permit.send(()).unwrap();
         }

@@ -1,22 +1,19 @@
 //! State of the generation service, shared by its threads and its flows.
 
+use super::active::ActiveFlows;
 use super::cost::JobCosts;
-use super::queue::{FlowId, Queue};
+use super::queue::Queue;
 use super::threads::{Mutex, MutexGuard};
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
 use crate::chunk_id::ChunkId;
-use crate::limits::networks::client_network;
 use crate::mechanism::Mechanism;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use crate::store::Store;
 use bytes::Bytes;
 use protocol::Delivery;
-use std::collections::HashMap;
-use std::hash::{BuildHasher, RandomState};
-use std::net::IpAddr;
-use std::sync::atomic::{AtomicU64, AtomicUsize};
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
@@ -38,44 +35,6 @@ pub struct Limits {
     pub without: Option<Mechanism>,
 }
 
-/// The flows of HTTP requests. All requests of a client network take the turns of one flow: a client
-/// must not have more turns because it asks by more requests.
-#[derive(Debug, Default)]
-pub struct Downloads {
-    /// Numbers a network. Keyed at random: peers choose the addresses.
-    numbers: RandomState,
-    /// Requests with a frame in flight, by the flow whose turns they take. At most one entry for each
-    /// connection.
-    open: Mutex<HashMap<FlowId, usize>>,
-}
-
-impl Downloads {
-    /// The flow of a client network. Its number is none that sessions are counted by.
-    pub fn turns_of(&self, client: IpAddr) -> FlowId {
-        self.numbers.hash_one(client_network(client)) >> 1 | 1 << 62
-    }
-
-    /// Counts a request; whether it is the first one of its flow.
-    pub fn add(&self, turns: FlowId) -> bool {
-        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = open.entry(turns).or_default();
-        *count += 1;
-        *count == 1
-    }
-
-    /// Ends a request; whether it was the last one of its flow.
-    pub fn remove(&self, turns: FlowId) -> bool {
-        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some(count) = open.get_mut(&turns) else { return false };
-        *count -= 1;
-        let is_last = *count == 0;
-        if is_last {
-            open.remove(&turns);
-        }
-        is_last
-    }
-}
-
 /// See the module.
 pub struct Shared {
     pub source: Box<dyn ChunkSource>,
@@ -92,8 +51,7 @@ pub struct Shared {
     pub next_flow: AtomicU64,
     /// Flows with requests in flight: those that share the threads, whether or not their queue is
     /// empty at the moment.
-    pub active_flows: AtomicUsize,
-    pub downloads: Downloads,
+    pub active: ActiveFlows,
     pub metrics: Arc<Metrics>,
 }
 

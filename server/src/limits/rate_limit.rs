@@ -116,6 +116,15 @@ impl TokenBucket {
         self.with(now, |bucket, _| bucket.tokens -= us as f64);
     }
 
+    /// Charges what a chunk took in place of what was charged for it, microseconds.
+    pub fn settle_chunk(&self, charged_us: i64, spent_us: i64, now: Instant) {
+        self.with(now, |bucket, _| {
+            let more = spent_us as f64 - charged_us as f64;
+            bucket.mean_cost = (bucket.mean_cost + more / EWMA_WINDOW).max(1.0);
+            bucket.tokens -= more;
+        });
+    }
+
     /// Returns what was charged for a chunk that was not generated, microseconds.
     pub fn refund(&self, us: i64, now: Instant) {
         // The next refill limits the tokens to the capacity.

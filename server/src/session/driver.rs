@@ -5,7 +5,6 @@
 //! read cannot make the server collect answers; a write that takes too long ends the session.
 
 use crate::generation::{Completion, Flow, FlowEvent, GenerationError};
-use crate::limits::rate_limit::TokenBucket;
 use crate::mechanism::Mechanism;
 use crate::metrics::{DeliveryLabel, ReasonLabel};
 use crate::scheduling;
@@ -74,14 +73,14 @@ pub struct Ended<S> {
     pub owes_until: Instant,
 }
 
-/// Runs one session to its end and counts it. Its work is charged to `bucket`; its chunks belong to the
-/// trace of `parent`.
+/// Runs one session to its end and counts it. Its chunks come by `flow` and belong to the trace of
+/// `parent`.
 pub async fn serve<S>(
     socket: WebSocket<S>,
     state: &ServerState,
     offer: ServerOffer,
     stats: SessionStatsGuard,
-    bucket: TokenBucket,
+    flow: Flow,
     parent: Option<Parent>,
 ) -> Ended<S>
 where
@@ -97,7 +96,7 @@ where
             state,
             number,
             session: ServerSession::new(offer, number),
-            flow: state.generation.limited_flow(bucket),
+            flow,
             message_deadline: MessageDeadline::new(state.config.message_timeout),
             delay: None,
             backoff: RefusalBackoff::new(Instant::now()),
@@ -386,7 +385,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         // With a full window, waiting requests wait for the service, not for credit.
         if self.fill_window() {
             // Requests admitted before stay: a rejection is useful only if it comes at once.
-            self.session.shed(self.state.generation.allowance().max(admitted));
+            self.session.shed(self.state.generation.allowance(&self.flow).max(admitted));
         }
         if self.flow.bucket().is_limited() {
             let (waiting, deadline) = (self.session.waiting_requests(), self.state.config.deadline);
@@ -548,7 +547,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let rejections = Rejections::since(&before, &now);
         if rejections != Rejections::default() {
             let paused = self.state.paused_sessions.load(Ordering::Relaxed);
-            let sharers = self.state.generation.sharers().max(paused.div_ceil(self.state.config.threads));
+            let sharers = self.state.generation.sharers(&self.flow);
+            let sharers = sharers.max(paused.div_ceil(self.state.config.threads));
             // A rate limit bounds the work of rejections as well.
             let sharers = sharers.max(self.flow.bucket().thread_shares());
             let backs_off = self.state.config.without != Some(Mechanism::RefusalBackoff);

@@ -38,7 +38,7 @@ impl Peer {
                 &server,
                 server.offer.clone(),
                 server.stats.register(1, None),
-                bucket,
+                server.generation.session(None, bucket),
                 None,
             )
             .await;

@@ -16,13 +16,26 @@ use tracing::Span;
 /// Identifies a flow.
 pub type FlowId = u64;
 
+/// Identifies a site: all clients that may be one customer's, or one flow.
+pub type SiteId = u64;
+
+/// Whose turns work takes: those of a flow among the flows of its site, and these of the site among
+/// all sites.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct FlowPath {
+    /// The site.
+    pub site: SiteId,
+    /// The flow.
+    pub flow: FlowId,
+}
+
 /// A request for one frame.
 #[derive(Debug)]
 pub struct FrameRequest {
     /// The flow that made it.
     pub flow: FlowId,
     /// The flow whose turns it takes: the same, or that of all downloads of a client network.
-    pub turns: FlowId,
+    pub turns: FlowPath,
     /// Key, request number and priority.
     pub chunk: ChunkRequest,
     /// The chunk: the key in the edition of the time of the request.
@@ -60,9 +73,15 @@ pub struct Charge {
 }
 
 impl Charge {
-    /// Returns it. Not under the lock of the queue: the table of buckets has a lock of its own.
+    /// Returns it. Not under the lock of the queue, here and below: the table of buckets has a lock of
+    /// its own.
     pub fn refund(self) {
         self.bucket.refund(self.cost_us, tokio::time::Instant::now());
+    }
+
+    /// Charges what the job took in place of what was expected, microseconds.
+    pub fn settle(self, spent_us: i64) {
+        self.bucket.settle_chunk(self.cost_us, spent_us, tokio::time::Instant::now());
     }
 }
 
@@ -73,8 +92,17 @@ pub struct MissingFrame {
     pub delivery: Delivery,
     /// Whether it must have the compact encoding.
     pub must_be_compact: bool,
-    /// Charged for the time that the frame takes; none for the frame that was charged in advance.
-    pub payer: Option<TokenBucket>,
+    /// What pays for it.
+    pub payment: Payment,
+}
+
+/// What pays for a frame.
+#[derive(Debug)]
+pub enum Payment {
+    /// The first frame of a job was charged in advance, and belongs to the turn in which it runs.
+    Advance(Charge),
+    /// Another one is charged to the request that causes it.
+    Request(FlowPath, TokenBucket),
 }
 
 /// Result of starting a queued job.
@@ -108,8 +136,7 @@ struct Job {
     is_running: bool,
     /// Estimated, microseconds.
     cost_us: i64,
-    /// What was charged for its first frame; none once that is being made, and without a rate
-    /// limit.
+    /// What was charged for its first frame; none once that is being made.
     advance: Option<Charge>,
     /// Bounded by the sessions' job windows and the HTTP connections.
     requests: Vec<FrameRequest>,
@@ -157,8 +184,7 @@ impl Jobs {
             }
             Entry::Vacant(_) if n_jobs >= self.limit => Enqueued::Full,
             Entry::Vacant(entry) => {
-                let bucket = request.bucket.clone();
-                let advance = bucket.is_limited().then_some(Charge { bucket, cost_us });
+                let advance = Some(Charge { bucket: request.bucket.clone(), cost_us });
                 entry.insert(Job { is_running: false, cost_us, advance, requests: vec![request] });
                 self.waiting += 1;
                 Enqueued::NewJob
@@ -206,10 +232,11 @@ impl Jobs {
         is_encoded: impl Fn(&FrameRequest) -> bool,
     ) -> Option<MissingFrame> {
         let Job { requests, advance, .. } = self.by_id.get_mut(&id)?;
-        let FrameRequest { delivery, must_be_compact, bucket, .. } =
+        let FrameRequest { delivery, must_be_compact, bucket, turns, .. } =
             requests.iter().find(|request| !is_encoded(request))?;
-        let payer = if advance.take().is_some() { None } else { Some(bucket.clone()) };
-        Some(MissingFrame { delivery: *delivery, must_be_compact: *must_be_compact, payer })
+        let payment = advance.take().map(Payment::Advance);
+        let payment = payment.unwrap_or_else(|| Payment::Request(*turns, bucket.clone()));
+        Some(MissingFrame { delivery: *delivery, must_be_compact: *must_be_compact, payment })
     }
 
     /// Removes and returns the requests of a job that `is_encoded` has frames for. The job is
@@ -219,7 +246,7 @@ impl Jobs {
         &mut self,
         id: ChunkId,
         is_encoded: impl Fn(&FrameRequest) -> bool,
-    ) -> (Vec<FrameRequest>, Vec<(FlowId, u64)>) {
+    ) -> (Vec<FrameRequest>, Vec<(FlowPath, u64)>) {
         let Some(mut job) = self.by_id.remove(&id) else { return (Vec::new(), Vec::new()) };
         if job.requests.iter().all(&is_encoded) {
             return (job.requests, Vec::new());

@@ -1,37 +1,35 @@
 //! The fair queue. Plain data under one lock: no threads, no clock, no generation.
 //!
 //! `jobs` holds one job per chunk for any number of requests; this file decides whose jobs run
-//! next. Flows (sessions and downloads) take turns by cost: surplus round robin, the variant of
-//! deficit round robin (Shreedhar and Varghese, "Efficient fair queueing using deficit round
-//! robin", SIGCOMM 1995) in which a flow may overdraw its turn by one job and pays it back in the
-//! next. Within a flow the highest priority comes first, among equals the oldest request. So a flow
-//! with a thousand keys gets the same share of the threads as one with two.
+//! next. Sites (all clients that may be one customer's) take turns by cost, and in the turns of a site
+//! its flows (sessions and downloads): surplus round robin, the variant of deficit round robin
+//! (Shreedhar and Varghese, "Efficient fair queueing using deficit round robin", SIGCOMM 1995) in which
+//! a turn may be overdrawn by one job, which is paid back in the next. Within a flow the highest
+//! priority comes first, among equals the oldest request. So a flow with a thousand keys gets the same
+//! share of the threads as one with two, and a site with a hundred sessions the same as one with one.
 //!
-//! A flow that was idle has its first turn before all others (the new queues of FQ-CoDel, RFC 8290,
-//! section 4.2), so that a light client does not wait for a round of heavy ones. A flow is idle
-//! after a round without work and without debt. Flows that come while a round lasts are first too, but
-//! no more of them than half of the turns with work in the round before: those that come without end
-//! must not keep the others from theirs.
+//! A cost is first an estimate; when the work has ended, the difference to what it took is charged.
+//! `rotation` has the order of turns. Sites and flows are idle after a round without work and without
+//! debt.
 
 mod jobs;
+mod rotation;
+mod site;
 
-pub use jobs::{Charge, Enqueued, FlowId, FrameRequest, MissingFrame};
+pub use jobs::{Charge, Enqueued, FlowId, FlowPath, FrameRequest, MissingFrame, Payment, SiteId};
 
 use super::views::ViewJob;
 use crate::chunk_id::ChunkId;
-use jobs::{Jobs, Started};
+use jobs::Jobs;
 use protocol::server::ChunkRequest;
+use rotation::Rotation;
 use rustc_hash::FxHashMap;
-use std::cmp::Reverse;
-use std::collections::{BinaryHeap, VecDeque};
+use site::{Site, TurnLimits};
 use std::time::{Duration, Instant};
 use tracing::Span;
 
-/// Entries of a flow before stale ones are removed.
-const STALE_ENTRIES: usize = 64;
-
 /// The flow of all jobs where turns are turned off. Flows are numbered from 0.
-const ALL_FLOWS: FlowId = FlowId::MAX;
+const ALL_FLOWS: FlowPath = FlowPath { site: SiteId::MAX, flow: FlowId::MAX };
 
 /// See the module.
 #[derive(Debug)]
@@ -39,54 +37,24 @@ pub struct Queue {
     jobs: Jobs,
     /// Whether all jobs run in the order of their requests: for measurements.
     is_first_in_first_out: bool,
-    /// Active flows. A flow is removed when it becomes idle.
-    flows: FxHashMap<FlowId, Flow>,
-    /// Flows that were idle and have had no turn since; they come first.
-    new_turns: VecDeque<FlowId>,
-    /// Other flows, next turn first. A flow is at most once in `new_turns` and `turns` together.
-    turns: VecDeque<FlowId>,
-    round: Round,
+    /// Active sites. A site is removed when it becomes idle.
+    sites: FxHashMap<SiteId, Site>,
+    turns: Rotation<SiteId>,
     /// Orders equal priorities by age.
     next_number: u64,
     /// Threads that take turns.
     pub runners: usize,
 }
 
-/// Turns that are left in a round.
-#[derive(Debug, Default)]
-struct Round {
-    first: usize,
-    others: usize,
-    /// Turns of this round that had work.
-    worked: usize,
-}
-
-#[derive(Debug, Default)]
-struct Flow {
-    /// Highest priority first. Includes stale entries of jobs that ran in another flow's turn; they
-    /// are skipped when popped and removed when there are many.
-    entries: BinaryHeap<(u64, Reverse<u64>, ChunkId)>,
-    /// A view to select. It comes before the chunks, since it decides which are needed.
-    view: Option<Box<ViewJob>>,
-    /// Whether a thread runs the flow's view job.
-    is_selecting: bool,
-    /// Whether it is in [`Queue::new_turns`] or [`Queue::turns`].
-    has_turn: bool,
-    /// Microseconds of work left in this turn; negative for a debt.
-    credit_us: i64,
-}
-
-impl Flow {
-    fn is_runnable(&self) -> bool {
-        !self.entries.is_empty() || self.view.is_some()
-    }
-}
-
 /// Work for a thread.
 #[derive(Debug, Default)]
 pub struct Turn {
+    /// The flow whose turn it is.
+    pub path: FlowPath,
+    /// What was charged to it for the jobs, microseconds.
+    pub expected_us: i64,
     /// A view to select, with the turn's budget in microseconds.
-    pub view: Option<(FlowId, Box<ViewJob>, i64)>,
+    pub view: Option<(Box<ViewJob>, i64)>,
     /// Jobs to run, all of one flow.
     pub chunks: Vec<ChunkId>,
     /// The spans of those that are traced.
@@ -99,6 +67,14 @@ pub struct Turn {
     pub refunds: Vec<Charge>,
 }
 
+impl Turn {
+    /// Whether there is work to do. The caller of [`Queue::take`] ends such a turn.
+    #[must_use]
+    pub const fn has_work(&self) -> bool {
+        self.view.is_some() || !self.chunks.is_empty()
+    }
+}
+
 impl Queue {
     /// An empty queue of at most `limit` jobs.
     #[must_use]
@@ -106,10 +82,8 @@ impl Queue {
         Self {
             jobs: Jobs::new(limit),
             is_first_in_first_out: false,
-            flows: FxHashMap::default(),
-            new_turns: VecDeque::new(),
-            turns: VecDeque::new(),
-            round: Round::default(),
+            sites: FxHashMap::default(),
+            turns: Rotation::default(),
             next_number: 0,
             runners: 0,
         }
@@ -142,172 +116,121 @@ impl Queue {
 
     /// Adds a request. The caller charges the cost of a new job to the bucket of the request.
     pub fn enqueue(&mut self, request: FrameRequest, cost_us: i64) -> Enqueued {
-        let (flow, chunk, priority) = (request.turns, request.id, request.chunk.priority);
+        let (path, chunk, priority) = (request.turns, request.id, request.chunk.priority);
         let enqueued = self.jobs.add(request, cost_us);
         // A coalesced job gets an entry in this flow too: the flow with the earlier turn runs it,
         // and it stays queued if the other flow ends.
         if enqueued != Enqueued::Full && self.jobs.is_waiting(chunk) {
-            self.add_entry(flow, priority, chunk);
+            self.add_entry(path, priority, chunk);
         }
         enqueued
     }
 
     /// Adds a view job. A flow has one at a time.
-    pub fn add_view(&mut self, id: FlowId, view: ViewJob) {
-        self.active_flow(id).view = Some(Box::new(view));
-        self.add_turn(id);
+    pub fn add_view(&mut self, path: FlowPath, view: ViewJob) {
+        self.active_site(path.site).add_view(path.flow, Box::new(view));
+        self.add_turn(path.site);
     }
 
-    /// Returns a view job after a turn that took `spent_us`, to be continued; none if it is done.
-    /// The view of a removed flow is dropped.
-    pub fn return_view(&mut self, id: FlowId, view: Option<Box<ViewJob>>, spent_us: i64) {
-        let Some(flow) = self.flows.get_mut(&id) else { return };
-        flow.credit_us -= spent_us;
-        flow.is_selecting = false;
-        if view.is_some() {
-            flow.view = view;
+    /// Ends a turn that took `more_us` microseconds longer than was charged, with the view that is to
+    /// be continued. The view of a removed flow is dropped.
+    pub fn end_turn(&mut self, path: FlowPath, more_us: i64, view: Option<Box<ViewJob>>) {
+        if let Some(site) = self.sites.get_mut(&path.site) {
+            site.end_turn(path.flow, more_us, view);
+            self.add_turn(path.site);
         }
-        self.add_turn(id);
     }
 
-    /// View jobs queued.
-    #[cfg(test)]
-    pub fn waiting_views(&self) -> usize {
-        self.flows.values().filter(|flow| flow.view.is_some()).count()
+    /// Charges work that was done in the turn of another flow.
+    pub fn charge(&mut self, path: FlowPath, us: i64) {
+        if let Some(site) = self.sites.get_mut(&path.site) {
+            site.charge(path.flow, us);
+        }
     }
 
-    /// The flow, added if it was idle.
-    fn active_flow(&mut self, id: FlowId) -> &mut Flow {
-        let new_turns = &mut self.new_turns;
-        self.flows.entry(id).or_insert_with(|| {
-            new_turns.push_back(id);
-            Flow { has_turn: true, ..Flow::default() }
+    /// The site, added if it was idle.
+    fn active_site(&mut self, id: SiteId) -> &mut Site {
+        let turns = &mut self.turns;
+        self.sites.entry(id).or_insert_with(|| {
+            turns.push_new(id);
+            Site::in_rotation()
         })
     }
 
-    /// Puts a flow behind the others, unless it is in the round.
-    fn add_turn(&mut self, id: FlowId) {
-        let Some(flow) = self.flows.get_mut(&id) else { return };
-        if !std::mem::replace(&mut flow.has_turn, true) {
-            self.turns.push_back(id);
+    /// Puts a site behind the others, unless it is in the round.
+    fn add_turn(&mut self, id: SiteId) {
+        let Some(site) = self.sites.get_mut(&id) else { return };
+        if !std::mem::replace(&mut site.account.has_turn, true) {
+            self.turns.push(id);
         }
     }
 
-    fn add_entry(&mut self, id: FlowId, priority: u64, chunk: ChunkId) {
-        let (id, priority) = if self.is_first_in_first_out { (ALL_FLOWS, 0) } else { (id, priority) };
+    fn add_entry(&mut self, path: FlowPath, priority: u64, chunk: ChunkId) {
+        let (path, priority) = if self.is_first_in_first_out { (ALL_FLOWS, 0) } else { (path, priority) };
         let number = self.next_number;
         self.next_number += 1;
-        self.active_flow(id);
-        self.add_turn(id);
-        let Self { flows, jobs, .. } = self;
-        let Some(flow) = flows.get_mut(&id) else { return };
-        if flow.entries.len() >= STALE_ENTRIES && flow.entries.len() > 2 * jobs.len() {
-            flow.entries.retain(|(_, _, chunk)| jobs.is_waiting(*chunk));
-        }
-        flow.entries.push((priority, Reverse(number), chunk));
+        self.active_site(path.site);
+        let Self { sites, jobs, .. } = self;
+        let Some(site) = sites.get_mut(&path.site) else { return };
+        site.add_entry(path.flow, priority, number, chunk, jobs);
+        self.add_turn(path.site);
     }
 
-    /// The next flow's turn: jobs of about `quantum_us` of work, at least one if any is queued.
-    /// Explicit requests older than `deadline` are removed; requests of views stay, since a client
-    /// does not repeat an unchanged view.
+    /// The next turn: jobs of about `quantum_us` of work, at least one if any is queued. Explicit
+    /// requests older than `deadline` are removed; requests of views stay, since a client does not
+    /// repeat an unchanged view.
     pub fn take(&mut self, quantum_us: i64, deadline: Duration, now: Instant) -> Turn {
-        let mut turn = Turn::default();
-        let (mut without_work, mut to_see) = (0, 0);
-        while let Some(id) = self.next_turn() {
-            let Some(flow) = self.flows.get_mut(&id) else { continue };
-            flow.has_turn = false;
-            let was_runnable = flow.is_runnable();
-            self.round.worked += usize::from(was_runnable);
-            if flow.credit_us <= 0 {
-                flow.credit_us += quantum_us;
+        let limits = TurnLimits { quantum_us, deadline, now };
+        let (mut turn, mut without_work) = (Turn::default(), 0);
+        while let Some(id) = self.turns.next() {
+            let Some(site) = self.sites.get_mut(&id) else { continue };
+            let was_runnable = site.is_runnable();
+            if was_runnable {
+                self.turns.count_work();
             }
-            if flow.credit_us > 0
-                && let Some(view) = flow.view.take()
-            {
-                flow.is_selecting = true;
-                turn.view = Some((id, view, flow.credit_us));
-                if flow.is_runnable() {
-                    self.add_turn(id);
-                }
-                return turn;
+            if site.account.begin(quantum_us) && was_runnable {
+                site.take(id, &mut self.jobs, limits, &mut turn);
             }
-            while flow.credit_us > 0 {
-                let Some((_, _, chunk)) = flow.entries.pop() else { break };
-                match self.jobs.start(chunk, deadline, now, &mut turn.expired, &mut turn.traced) {
-                    Some(Started::Running { cost_us }) => {
-                        flow.credit_us -= cost_us;
-                        turn.chunks.push(chunk);
-                    }
-                    Some(Started::Cancelled(charge)) => {
-                        turn.cancelled += 1;
-                        turn.refunds.extend(charge);
-                    }
-                    Some(Started::Expired(charge)) => turn.refunds.extend(charge),
-                    None => {}
-                }
-            }
-            if was_runnable || flow.credit_us < 0 {
-                // An empty flow stays for a round: otherwise it would become a new flow at once.
+            if was_runnable || site.account.credit_us < 0 {
+                // An idle site stays for a round: otherwise it would become a new site at once.
                 self.add_turn(id);
-            } else if !flow.is_selecting {
-                // An idle flow accumulates no credit.
-                self.flows.remove(&id);
+            } else if site.account.running == 0 {
+                // An idle site accumulates no credit.
+                self.sites.remove(&id);
             }
-            if !turn.chunks.is_empty() {
+            if turn.has_work() {
                 return turn;
             }
-            without_work = if was_runnable { 0 } else { without_work + 1 };
-            if without_work == 1 {
-                to_see = self.new_turns.len() + self.turns.len();
-            }
-            if without_work > to_see {
-                self.pay_debts();
+            without_work += 1;
+            if without_work > self.turns.len() {
+                self.skip_rounds(quantum_us);
+                without_work = 0;
             }
         }
         turn
     }
 
-    /// Ends the rounds in which flows without work pay their debts, where no flow has work: there may
-    /// be thousands of both.
-    fn pay_debts(&mut self) {
-        debug_assert!(!self.flows.values().any(Flow::is_runnable), "each flow had a turn without work");
-        self.new_turns.clear();
+    /// Ends the rounds in which all sites that have work pay their debts; where none has work, those
+    /// of all.
+    fn skip_rounds(&mut self, quantum_us: i64) {
+        if self.sites.values().any(Site::is_runnable) {
+            let accounts = self.sites.values_mut().map(|site| (site.is_runnable(), &mut site.account));
+            site::skip_rounds(accounts, quantum_us);
+            return;
+        }
         self.turns.clear();
-        self.flows.retain(|_, flow| {
-            (flow.has_turn, flow.credit_us) = (false, 0);
-            flow.is_selecting
+        self.sites.retain(|_, site| {
+            site.pay_debts();
+            (site.account.has_turn, site.account.credit_us) = (false, 0);
+            site.account.running > 0
         });
     }
 
-    /// Whether a flow that was idle has the next turn.
-    pub fn has_new_flow(&self) -> bool {
-        let begins_round = self.round.others == 0 || self.turns.is_empty();
-        !self.new_turns.is_empty() && (self.round.first > 0 || begins_round)
-    }
-
-    fn next_turn(&mut self) -> Option<FlowId> {
-        if self.new_turns.is_empty() && self.turns.is_empty() {
-            return None;
-        }
-        loop {
-            if self.round.first > 0
-                && let Some(id) = self.new_turns.pop_front()
-            {
-                self.round.first -= 1;
-                return Some(id);
-            }
-            // Flows that have been removed have no turn.
-            self.round.others = self.round.others.min(self.turns.len());
-            if self.round.others > 0
-                && let Some(id) = self.turns.pop_front()
-            {
-                self.round.others -= 1;
-                return Some(id);
-            }
-            // One of the two has a turn for the flow that waits.
-            let first = self.new_turns.len() + self.round.worked.div_ceil(2);
-            self.round = Round { first, others: self.turns.len(), ..Round::default() };
-        }
+    /// Whether a flow that was idle has the next turn: of the site whose turn it is, or of a site that
+    /// was idle.
+    #[must_use]
+    pub fn is_next_new(&self, site: SiteId) -> bool {
+        self.turns.is_next_new() || self.sites.get(&site).is_some_and(Site::is_next_new)
     }
 
     /// The frame of a request for which `is_encoded` is false; none if there is no such request.
@@ -328,8 +251,8 @@ impl Queue {
         is_encoded: impl Fn(&FrameRequest) -> bool,
     ) -> Vec<FrameRequest> {
         let (finished, again) = self.jobs.finish(chunk, is_encoded);
-        for (flow, priority) in again {
-            self.add_entry(flow, priority, chunk);
+        for (path, priority) in again {
+            self.add_entry(path, priority, chunk);
         }
         finished
     }
@@ -342,14 +265,10 @@ impl Queue {
 
     /// Removes a flow and the jobs that only it requested. Returns the number of these jobs, and
     /// what is to be refunded.
-    pub fn remove_flow(&mut self, id: FlowId) -> (u64, Vec<Charge>) {
-        let Some(flow) = self.flows.remove(&id) else { return (0, Vec::new()) };
-        if flow.has_turn {
-            self.new_turns.retain(|other| *other != id);
-            self.turns.retain(|other| *other != id);
-        }
-        let chunks: Vec<_> = flow.entries.into_iter().map(|(_, _, chunk)| chunk).collect();
-        self.cancel_all(id, &chunks)
+    pub fn remove_flow(&mut self, path: FlowPath) -> (u64, Vec<Charge>) {
+        let Some(site) = self.sites.get_mut(&path.site) else { return (0, Vec::new()) };
+        let chunks = site.remove_flow(path.flow);
+        self.cancel_all(path.flow, &chunks)
     }
 
     /// Cancels a flow's requests for chunks. Returns the number of jobs that only it requested, and

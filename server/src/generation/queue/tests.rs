@@ -13,6 +13,11 @@ use tokio::sync::oneshot;
 const QUANTUM: i64 = 100;
 const NO_DEADLINE: Duration = Duration::from_secs(3600);
 
+/// A flow that is a site of its own.
+fn own(flow: FlowId) -> FlowPath {
+    FlowPath { site: flow, flow }
+}
+
 fn id(x: i32) -> ChunkId {
     ChunkId::base(ChunkKey::new(0, x, 0).unwrap())
 }
@@ -36,6 +41,8 @@ struct Fixture {
     receivers: FxHashMap<FlowId, UnboundedReceiver<Vec<Completion>>>,
     /// The bucket of the following requests.
     bucket: TokenBucket,
+    /// The site of all flows; none where each is its own.
+    site: Option<SiteId>,
 }
 
 impl Fixture {
@@ -45,6 +52,7 @@ impl Fixture {
             now: Instant::now(),
             receivers: FxHashMap::default(),
             bucket: TokenBucket::default(),
+            site: None,
         }
     }
 
@@ -67,7 +75,7 @@ impl Fixture {
         self.queue.enqueue(
             FrameRequest {
                 flow,
-                turns: flow,
+                turns: FlowPath { site: self.site.unwrap_or(flow), flow },
                 chunk,
                 id: id(x),
                 delivery,
@@ -83,11 +91,25 @@ impl Fixture {
 
     /// Runs one turn to its end and returns its chunks.
     fn turn(&mut self) -> Vec<i32> {
-        let chunks = self.queue.take(QUANTUM, NO_DEADLINE, self.now).chunks;
-        for chunk in &chunks {
+        self.turn_longer_by(0)
+    }
+
+    /// As [`Fixture::turn`], of one that takes longer than expected.
+    fn turn_longer_by(&mut self, more_us: i64) -> Vec<i32> {
+        let turn = self.queue.take(QUANTUM, NO_DEADLINE, self.now);
+        if turn.has_work() {
+            self.queue.end_turn(turn.path, more_us, None);
+        }
+        for chunk in &turn.chunks {
             self.queue.finish(*chunk, |_| true);
         }
-        chunks.iter().map(|chunk| chunk.key.x()).collect()
+        turn.chunks.iter().map(|chunk| chunk.key.x()).collect()
+    }
+
+    /// Active flows and views that wait.
+    fn flows_and_views(&self) -> (usize, usize) {
+        let sites = self.queue.sites.values();
+        sites.fold((0, 0), |sum, site| (sum.0 + site.flows(), sum.1 + site.waiting_views()))
     }
 }
 
@@ -117,7 +139,7 @@ fn without_turns_jobs_run_in_the_order_of_their_requests() {
         fixture.request(2, x, u64::MAX, 10);
     }
     // A view keeps its own flow.
-    fixture.queue.add_view(3, view());
+    fixture.queue.add_view(own(3), view());
     assert!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).view.is_none());
     assert!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).view.is_some());
     let done: Vec<i32> = (0..5).flat_map(|_| fixture.turn()).collect();
@@ -129,7 +151,7 @@ fn without_turns_an_ended_flow_loses_its_jobs_when_they_are_due() {
     let mut fixture = Fixture::new(10);
     fixture.queue = Queue::new(10).first_in_first_out();
     fixture.request(1, 1, 1, 10);
-    assert_eq!(fixture.queue.remove_flow(1).0, 0);
+    assert_eq!(fixture.queue.remove_flow(own(1)).0, 0);
     fixture.receivers.clear();
     fixture.request(2, 2, 1, 10);
     assert_eq!(fixture.turn(), [2]);
@@ -183,18 +205,19 @@ fn the_debt_of_a_view_is_paid_in_rounds_without_other_work() {
     let mut fixture = Fixture::new(10_000);
     let mut turns_of_other = 0;
     for _ in 0..10 {
-        fixture.queue.add_view(1, view());
+        fixture.queue.add_view(own(1), view());
         for x in 0..1000 {
             fixture.request(2, x, 1, 100);
         }
         loop {
             let turn = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
-            if let Some((flow, _, budget_us)) = turn.view {
-                assert!(flow == 1 && budget_us > 0);
+            if let Some((_, budget_us)) = turn.view {
+                assert!(turn.path == own(1) && budget_us > 0);
                 // It costs ten quanta.
-                fixture.queue.return_view(1, None, 10 * QUANTUM);
+                fixture.queue.end_turn(own(1), 10 * QUANTUM, None);
                 break;
             }
+            fixture.queue.end_turn(turn.path, 0, None);
             turn.chunks.iter().for_each(|key| drop(fixture.queue.finish(*key, |_| true)));
             turns_of_other += 1;
         }
@@ -203,32 +226,32 @@ fn the_debt_of_a_view_is_paid_in_rounds_without_other_work() {
     // The control: without other flows the debt delays nothing.
     let mut alone = Fixture::new(10);
     for _ in 0..10 {
-        alone.queue.add_view(1, view());
+        alone.queue.add_view(own(1), view());
         assert!(alone.queue.take(QUANTUM, NO_DEADLINE, alone.now).view.is_some());
-        alone.queue.return_view(1, None, 10 * QUANTUM);
+        alone.queue.end_turn(own(1), 10 * QUANTUM, None);
     }
     assert_eq!(alone.queue.take(QUANTUM, NO_DEADLINE, alone.now).chunks, []);
-    assert_eq!((alone.queue.flows.len(), alone.queue.waiting_views()), (0, 0));
+    assert_eq!(alone.flows_and_views(), (0, 0));
 }
 
 #[test]
 fn an_unfinished_view_waits_for_the_next_turn() {
     let mut fixture = Fixture::new(10);
-    fixture.queue.add_view(1, view());
-    fixture.queue.add_view(2, view());
+    fixture.queue.add_view(own(1), view());
+    fixture.queue.add_view(own(2), view());
     let mut order = Vec::new();
     for _ in 0..6 {
-        let (flow, job, _) = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).view.unwrap();
-        order.push(flow);
-        fixture.queue.return_view(flow, Some(job), QUANTUM);
+        let turn = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
+        order.push(turn.path.flow);
+        fixture.queue.end_turn(turn.path, QUANTUM, turn.view.map(|(job, _)| job));
     }
     assert_eq!(order, [1, 2, 1, 2, 1, 2]);
-    let (flow, job, _) = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).view.unwrap();
-    fixture.queue.remove_flow(flow);
-    fixture.queue.return_view(flow, Some(job), QUANTUM);
-    fixture.queue.remove_flow(2);
+    let turn = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
+    fixture.queue.remove_flow(turn.path);
+    fixture.queue.end_turn(turn.path, QUANTUM, turn.view.map(|(job, _)| job));
+    fixture.queue.remove_flow(own(2));
     assert!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).view.is_none());
-    assert_eq!(fixture.queue.flows.len(), 0);
+    assert_eq!(fixture.flows_and_views(), (0, 0));
 }
 
 #[test]
@@ -240,7 +263,7 @@ fn within_a_flow_order_is_by_priority_then_age() {
     let order: Vec<i32> =
         std::iter::from_fn(|| Some(fixture.turn()).filter(|turn| !turn.is_empty())).flatten().collect();
     assert_eq!(order, [2, 4, 3, 1]);
-    assert_eq!((fixture.queue.jobs(), fixture.queue.flows.len(), fixture.queue.waiting()), (0, 0, 0));
+    assert_eq!((fixture.queue.jobs(), fixture.flows_and_views().0, fixture.queue.waiting()), (0, 0, 0));
 }
 
 #[test]
@@ -249,7 +272,7 @@ fn a_removed_flow_removes_only_its_own_jobs() {
     fixture.request(1, 1, 1, 10);
     fixture.request(1, 2, 1, 10);
     assert_eq!(fixture.request(2, 2, 1, 10), Enqueued::Coalesced);
-    assert_eq!(fixture.queue.remove_flow(1).0, 1);
+    assert_eq!(fixture.queue.remove_flow(own(1)).0, 1);
     assert_eq!(fixture.turn(), [2]);
 }
 
@@ -323,8 +346,8 @@ fn stale_entries_are_bounded() {
             fixture.queue.finish(key, |_| true);
         }
     }
-    let most = fixture.queue.flows.values().map(|flow| flow.entries.len()).max();
-    assert!(most <= Some(2 * STALE_ENTRIES), "{most:?}");
+    let most = fixture.queue.sites.values().map(Site::most_entries).max();
+    assert!(most <= Some(2 * site::STALE_ENTRIES), "{most:?}");
 }
 
 /// Buckets of two addresses that never refill.
@@ -345,7 +368,7 @@ fn a_charge_is_returned_once_if_its_job_leaves_unrun() {
     assert_eq!(fixture.request(2, 1, 1, 10), Enqueued::Coalesced);
     assert!(fixture.queue.cancel(1, id(1)).1.is_none(), "another flow waits for it");
     assert!(fixture.queue.cancel(2, id(1)).1.is_some());
-    assert_eq!(fixture.queue.remove_flow(2).1.len(), 0);
+    assert_eq!(fixture.queue.remove_flow(own(2)).1.len(), 0);
     assert!(fixture.queue.cancel(1, id(2)).1.is_some());
     let later = fixture.now + Duration::from_secs(2);
     let turn = fixture.queue.take(1, Duration::from_secs(1), later);
@@ -354,7 +377,7 @@ fn a_charge_is_returned_once_if_its_job_leaves_unrun() {
 
     // Of an ended flow: at once, or where turns are turned off, when its jobs are due.
     fixture.request(1, 1, 1, 10);
-    assert_eq!(fixture.queue.remove_flow(1).1.len(), 1);
+    assert_eq!(fixture.queue.remove_flow(own(1)).1.len(), 1);
     fixture.request(1, 1, 1, 10);
     fixture.receivers.clear();
     assert_eq!(fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).refunds.len(), 1);
@@ -363,7 +386,7 @@ fn a_charge_is_returned_once_if_its_job_leaves_unrun() {
     let turn = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
     assert_eq!((turn.chunks.len(), turn.refunds.len()), (1, 0));
     fixture.queue.finish(id(1), |_| true);
-    assert_eq!(fixture.queue.remove_flow(1).1.len(), 0);
+    assert_eq!(fixture.queue.remove_flow(own(1)).1.len(), 0);
 }
 
 #[test]
@@ -376,15 +399,23 @@ fn the_first_frame_of_a_job_is_charged_in_advance_and_others_to_who_asks_for_the
     fixture.request_delivery(Delivery::SeedOnly, 2, 1, 1, 10, None);
     fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
     let frame = fixture.queue.missing_frame(id(1), |_| false).unwrap();
-    assert!(frame.delivery == Delivery::Exact && frame.payer.is_none());
+    let Payment::Advance(charge) = frame.payment else { panic!("{frame:?}") };
+    assert_eq!(frame.delivery, Delivery::Exact);
+    // The estimate of 10 was charged by the caller, here not at all.
+    charge.settle(13);
+    assert_eq!(first.tokens(), -3.0);
+
     let is_exact = |request: &FrameRequest| request.delivery == Delivery::Exact;
     let frame = fixture.queue.missing_frame(id(1), is_exact).unwrap();
-    frame.payer.unwrap().charge_work(5, tokio::time::Instant::now());
-    assert_eq!((frame.delivery, first.tokens(), second.tokens()), (Delivery::SeedOnly, 0.0, -5.0));
+    let Payment::Request(path, bucket) = frame.payment else { panic!("{frame:?}") };
+    bucket.charge_work(5, tokio::time::Instant::now());
+    assert_eq!((frame.delivery, path), (Delivery::SeedOnly, own(2)));
+    assert_eq!((first.tokens(), second.tokens()), (-3.0, -5.0));
     // A job that is queued again was run: it is made again at the expense of the second, and not
     // refunded.
     fixture.queue.finish(id(1), is_exact);
-    assert!(fixture.queue.missing_frame(id(1), |_| false).unwrap().payer.is_some());
+    let again = fixture.queue.missing_frame(id(1), |_| false).unwrap();
+    assert!(matches!(again.payment, Payment::Request(path, _) if path == own(2)));
     let (cancelled, charge) = fixture.queue.cancel(2, id(1));
     assert!(cancelled.len() == 1 && charge.is_none());
 }
@@ -403,7 +434,7 @@ fn flows_that_come_without_end_leave_the_others_their_turns() {
     // Four new flows wait at any time, each with one expensive job.
     let (mut of_others, mut next) = (0, 100);
     for _ in 0..1000 {
-        while fixture.queue.new_turns.len() < 4 {
+        while fixture.queue.turns.new_len() < 4 {
             next += 1;
             fixture.request(next, 20_000 + next as i32, 1, 2000);
         }
@@ -414,12 +445,133 @@ fn flows_that_come_without_end_leave_the_others_their_turns() {
 
 #[test]
 fn debts_of_flows_without_work_are_paid_at_once_where_no_flow_has_work() {
-    let mut fixture = Fixture::new(100_000);
-    for flow in 1..=1000 {
-        fixture.request(flow, flow as i32, 1, 1_000_000_000);
-        assert_eq!(fixture.turn(), [flow as i32]);
+    for site in [None, Some(1)] {
+        let mut fixture = Fixture::new(100_000);
+        fixture.site = site;
+        for flow in 1..=1000 {
+            fixture.request(flow, flow as i32, 1, 1_000_000_000);
+            assert_eq!(fixture.turn(), [flow as i32]);
+        }
+        // In a site the flows have not paid while others had work.
+        assert_eq!(fixture.flows_and_views().0, 1000);
+        assert!(fixture.turn().is_empty());
+        assert!(fixture.queue.sites.is_empty() && fixture.queue.turns.len() == 0);
     }
-    assert_eq!(fixture.queue.flows.len(), 1000);
-    assert!(fixture.turn().is_empty());
-    assert!(fixture.queue.flows.is_empty() && fixture.queue.turns.is_empty());
+}
+
+#[test]
+fn rounds_of_debt_are_skipped_where_all_with_work_are_in_debt() {
+    for site in [None, Some(1)] {
+        let mut fixture = Fixture::new(100_000);
+        fixture.site = site;
+        // 10^7 turns of debt each, and work: without the skip this test would last for minutes.
+        for flow in 1..=1000 {
+            for x in 0..2 {
+                fixture.request(flow, flow as i32 * 2 + x, 1, 1_000_000_000);
+            }
+        }
+        for _ in 0..2000 {
+            assert_eq!(fixture.turn().len(), 1);
+        }
+        assert!(fixture.turn().is_empty());
+    }
+}
+
+#[test]
+fn a_site_has_the_same_share_with_many_flows_as_with_one() {
+    let mut fixture = Fixture::new(100_000);
+    for flow in 1..=100 {
+        fixture.site = Some(1);
+        for x in 0..20 {
+            fixture.request(flow, flow as i32 * 100 + x, 1, 100);
+        }
+    }
+    fixture.site = Some(2);
+    for x in 0..1000 {
+        fixture.request(200, 20_000 + x, 1, 100);
+    }
+    let done: Vec<i32> = (0..1000).flat_map(|_| fixture.turn()).collect();
+    let of_one = done.iter().filter(|x| **x >= 20_000).count();
+    assert!((490..=510).contains(&of_one), "{of_one} of {}", done.len());
+    // In the site all flows have the same share.
+    for flow in 1..=100 {
+        let of_flow = done.iter().filter(|x| **x / 100 == flow).count();
+        assert!((3..=7).contains(&of_flow), "{of_flow} of flow {flow}");
+    }
+}
+
+#[test]
+fn a_light_flow_is_first_in_its_site_and_its_site_takes_its_turn() {
+    let mut fixture = Fixture::new(100_000);
+    for (site, flow) in [(1, 1), (1, 2), (2, 3), (3, 4)] {
+        fixture.site = Some(site);
+        for x in 0..20 {
+            fixture.request(flow, flow as i32 * 100 + x, 1, 100);
+        }
+    }
+    for _ in 0..9 {
+        fixture.turn();
+    }
+    fixture.site = Some(1);
+    fixture.request(5, 7, 1, 10);
+    assert!((0..3).any(|_| fixture.turn() == [7]));
+    // A flow of another site that was idle comes before all.
+    fixture.site = Some(9);
+    fixture.request(6, 8, 1, 10);
+    assert!(fixture.queue.is_next_new(1));
+    assert_eq!(fixture.turn(), [8]);
+}
+
+#[test]
+fn work_that_takes_longer_than_expected_is_paid_by_its_flow_and_its_site() {
+    let mut fixture = Fixture::new(100_000);
+    for flow in 1..=2 {
+        for x in 0..1000 {
+            fixture.request(flow, flow as i32 * 1000 + x, 1, 50);
+        }
+    }
+    let (mut of_both, mut spent) = ([0, 0], [0, 0]);
+    for _ in 0..300 {
+        // Those of the first flow take ten times as long as expected.
+        let done = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
+        let (flow, count) = (done.path.flow as usize - 1, done.chunks.len());
+        let more_us = if flow == 0 { 450 * count as i64 } else { 0 };
+        fixture.queue.end_turn(done.path, more_us, None);
+        done.chunks.iter().for_each(|chunk| drop(fixture.queue.finish(*chunk, |_| true)));
+        of_both[flow] += count;
+        spent[flow] += done.expected_us + more_us;
+    }
+    let ratio = spent[0] as f64 / spent[1] as f64;
+    assert!((0.9..1.1).contains(&ratio), "{spent:?} us, {of_both:?} jobs");
+
+    // Work in the turn of another flow is paid, too.
+    let mut fixture = Fixture::new(100_000);
+    for flow in 1..=2 {
+        for x in 0..100 {
+            fixture.request(flow, flow as i32 * 1000 + x, 1, 100);
+        }
+    }
+    fixture.queue.charge(own(1), 20 * QUANTUM);
+    let first: Vec<i32> = (0..20).flat_map(|_| fixture.turn()).collect();
+    assert!(first.iter().filter(|x| **x < 2000).count() <= 1, "{first:?}");
+}
+
+#[test]
+fn a_flow_whose_work_runs_keeps_its_debt() {
+    let mut fixture = Fixture::new(1000);
+    fixture.request(1, 1, 1, 10);
+    let turn = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
+    // Other threads find no work, many times.
+    for _ in 0..10 {
+        assert!(!fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).has_work());
+    }
+    fixture.queue.end_turn(turn.path, 50 * QUANTUM, None);
+    fixture.queue.finish(id(1), |_| true);
+    for x in 0..100 {
+        fixture.request(2, 100 + x, 1, 100);
+    }
+    fixture.request(1, 2, 1, 10);
+    let turns: Vec<_> = (0..101).map(|_| fixture.turn()).collect();
+    let turn = turns.iter().position(|turn| *turn == [2]);
+    assert!(turn > Some(40), "{turns:?}");
 }
