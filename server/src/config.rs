@@ -8,6 +8,7 @@ use crate::access::ProtectedRoute;
 use crate::access::hosts::{AllowedHosts, AllowedOrigins};
 use crate::access::tokens::{TokenFile, TokenSet};
 use crate::cache::disk::DiskConfig;
+use crate::limits::per_ip::PerIpLimiter;
 use crate::mechanism::Mechanism;
 use crate::memory::{self, MemoryLimit};
 use crate::proxy::TrustedProxies;
@@ -31,6 +32,10 @@ const DEFAULT_DISK_MB: u64 = 1024;
 const DEFAULT_MAX_SESSIONS: usize = 1024;
 /// Connections in addition to sessions: probes, metrics and downloads.
 pub const EXTRA_CONNECTIONS: usize = 256;
+
+/// Connections per client network in addition to its sessions: a quarter, so that one network
+/// cannot take all.
+const EXTRA_CONNECTIONS_PER_IP: usize = EXTRA_CONNECTIONS / 4;
 /// Milliseconds.
 const DEFAULT_DEADLINE_MS: u64 = 500;
 const DEFAULT_LOG: &str = "info";
@@ -148,6 +153,16 @@ impl ServerConfig {
     #[must_use]
     pub const fn max_connections(&self) -> usize {
         self.max_sessions.saturating_add(EXTRA_CONNECTIONS)
+    }
+
+    /// Counts what a client network has of them: connections, or requests behind a proxy. With a limit
+    /// of its sessions so many more than those.
+    #[must_use]
+    pub fn connections_per_ip(&self) -> PerIpLimiter {
+        match self.max_sessions_per_address {
+            Some(sessions) => PerIpLimiter::new(sessions.saturating_add(EXTRA_CONNECTIONS_PER_IP)),
+            None => PerIpLimiter::fair_share(self.max_connections()),
+        }
     }
 
     /// Whether there are files that a running server reads again.

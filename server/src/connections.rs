@@ -24,6 +24,35 @@ struct Table {
     sites: HashMap<IpAddr, usize>,
 }
 
+/// Why a connection ended before a request, or for another one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ConnectionFailure {
+    /// The first request did not come in time.
+    OpeningTimeout,
+    /// A trusted proxy sent no valid header.
+    ProxyHeader,
+    /// The handshake of TLS failed.
+    TlsHandshake,
+    /// A client of a site with fewer connections had none.
+    Displaced,
+}
+
+impl ConnectionFailure {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::OpeningTimeout, Self::ProxyHeader, Self::TlsHandshake, Self::Displaced];
+
+    /// Label in metrics and logs.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::OpeningTimeout => "opening_timeout",
+            Self::ProxyHeader => "proxy_header",
+            Self::TlsHandshake => "tls_handshake",
+            Self::Displaced => "displaced",
+        }
+    }
+}
+
 /// State of a connection, shared with the table.
 #[derive(Debug, Default)]
 pub struct ConnectionState {

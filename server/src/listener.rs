@@ -4,7 +4,7 @@
 //! timeout only when it is given a timer, and upgraded sockets have to be counted and drained.
 
 use crate::config::{EXTRA_CONNECTIONS, ServerConfig};
-use crate::connections::{ConnectionState, OpenConnection, OpenConnections};
+use crate::connections::{ConnectionFailure, ConnectionState, OpenConnection, OpenConnections};
 use crate::http;
 use crate::limits::per_ip::{IpPermit, PerIpLimiter};
 use crate::limits::system_buffers;
@@ -39,10 +39,6 @@ const RESERVED_CONNECTIONS: usize = EXTRA_CONNECTIONS / 4;
 
 /// Time in which a displaced connection may finish its request.
 const DISPLACEMENT: Duration = Duration::from_millis(250);
-
-/// Connections per client network in addition to its sessions: a quarter, so that one network
-/// cannot take all.
-const EXTRA_CONNECTIONS_PER_IP: usize = EXTRA_CONNECTIONS / 4;
 
 /// Limit of hyper's buffer for one request's headers, bytes.
 const HEADER_BUFFER: usize = 16 * 1024;
@@ -107,10 +103,7 @@ pub async fn run(
     let permits = Arc::new(Semaphore::new(total));
     // A session releases its connection's permits when it starts, so these count requests,
     // downloads, and connections that have sent nothing yet.
-    let per_ip = match state.config.max_sessions_per_address {
-        Some(sessions) => PerIpLimiter::new(sessions.saturating_add(EXTRA_CONNECTIONS_PER_IP)),
-        None => PerIpLimiter::fair_share(total),
-    };
+    let per_ip = state.config.connections_per_ip();
     let places = Places { permits, per_ip, open: OpenConnections::default() };
     let mut failures = AcceptFailures::default();
     tokio::pin!(shutdown);
@@ -240,26 +233,31 @@ impl Places {
     /// The place of a connection; none if there is none, or if the client's network has all of its own.
     fn take(&self, peer: IpAddr, is_proxy: bool, state: &ServerState) -> Option<HeldPlace> {
         let permit = Arc::clone(&self.permits).try_acquire_owned().ok();
+        let ip_permit = if is_proxy { None } else { Some(self.permit_of(peer, state)?) };
         if self.permits.available_permits() < RESERVED_CONNECTIONS && self.open.displace_for(peer) {
-            let reason = "displaced";
+            let reason = ConnectionFailure::Displaced.name();
             state.metrics.connections_failed.get_or_create(&ReasonLabel { reason }).inc();
         }
         let Some(permit) = permit else {
             state.metrics.connections_rejected.inc();
             return None;
         };
-        let client = if is_proxy { None } else { Some(self.take_of_client(peer, state)?) };
+        let client = ip_permit.map(|ip_permit| self.client_place(peer, ip_permit));
         Some(HeldPlace { places: self.clone(), permit, client })
     }
 
-    /// The part of a client; none if its network has all of its own.
-    fn take_of_client(&self, client: IpAddr, state: &ServerState) -> Option<ClientPlace> {
-        let Some(ip_permit) = self.per_ip.try_acquire(Some(client), self.permits.available_permits()) else {
+    /// The permit of a client; none if its network has all of its own.
+    fn permit_of(&self, client: IpAddr, state: &ServerState) -> Option<IpPermit> {
+        let permit = self.per_ip.try_acquire(Some(client), self.permits.available_permits());
+        if permit.is_none() {
             state.metrics.connections_rejected.inc();
             state.peer_log.report(Some(client), "too many connections");
-            return None;
-        };
-        Some(ClientPlace { connection: self.open.add(client), ip_permit })
+        }
+        permit
+    }
+
+    fn client_place(&self, client: IpAddr, ip_permit: IpPermit) -> ClientPlace {
+        ClientPlace { connection: self.open.add(client), ip_permit }
     }
 }
 
@@ -281,7 +279,9 @@ async fn serve_connection(
     let held = place.state();
     let opening = timeout(state.config.handshake_timeout, open(stream, peer, place, state));
     let opened = tokio::select! {
-        opened = opening => opened.unwrap_or(Err(Failure { client: peer, reason: "opening_timeout" })),
+        opened = opening => {
+            opened.unwrap_or(Err(Failure { client: peer, reason: ConnectionFailure::OpeningTimeout }))
+        }
         () = held.displaced() => return,
         () = state.draining.cancelled() => return,
     };
@@ -289,6 +289,7 @@ async fn serve_connection(
         Ok(Some(opened)) => opened,
         Ok(None) => return,
         Err(Failure { client, reason }) => {
+            let reason = reason.name();
             state.metrics.connections_failed.get_or_create(&ReasonLabel { reason }).inc();
             state.peer_log.report(Some(client), reason);
             return;
@@ -301,7 +302,7 @@ async fn serve_connection(
 /// A connection that ended before its first request.
 struct Failure {
     client: IpAddr,
-    reason: &'static str,
+    reason: ConnectionFailure,
 }
 
 /// What stands before requests: the header of a trusted proxy, and the handshake of TLS. None if
@@ -316,25 +317,26 @@ async fn open(
     if state.config.proxies.sends_proxy_header(peer) {
         let named = proxy_protocol::read(&mut stream).await;
         // A proxy that asks for itself has no client.
-        if let Some(named) = named.map_err(|error| failure(peer, "proxy_header", &error))? {
+        if let Some(named) = named.map_err(|error| failure(peer, ConnectionFailure::ProxyHeader, &error))? {
             client = named.to_canonical();
-            let Some(taken) = place.places.take_of_client(client, state) else { return Ok(None) };
-            place.client = Some(taken);
+            let Some(ip_permit) = place.places.permit_of(client, state) else { return Ok(None) };
+            place.client = Some(place.places.client_place(client, ip_permit));
         }
     }
     let stream = match &state.config.tls {
         None => Either::Left(stream),
         Some(tls) => {
-            let accepted = tls.acceptor().accept(stream).await;
-            let accepted = accepted.map_err(|error| failure(client, "tls_handshake", &error))?;
+            let accepted = tls.accept(stream, client).await;
+            let accepted =
+                accepted.map_err(|error| failure(client, ConnectionFailure::TlsHandshake, &error))?;
             Either::Right(Box::new(accepted))
         }
     };
     Ok(Some((stream, client, place)))
 }
 
-fn failure(client: IpAddr, reason: &'static str, error: &io::Error) -> Failure {
-    tracing::debug!(%client, reason, %error, "connection ended");
+fn failure(client: IpAddr, reason: ConnectionFailure, error: &io::Error) -> Failure {
+    tracing::debug!(%client, reason = reason.name(), %error, "connection ended");
     Failure { client, reason }
 }
 

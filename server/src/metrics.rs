@@ -4,7 +4,9 @@
 //! Names follow the Prometheus conventions: base units, `_total` for counters, and one family with
 //! an `outcome` or `reason` label instead of sibling counters. `docs/operations.md` lists them.
 
+use crate::connections::ConnectionFailure;
 use crate::latency::LatencyHistogram;
+use crate::session::end::EndReason;
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
@@ -273,6 +275,7 @@ impl Default for Metrics {
         metrics.register_disk_cache();
         metrics.register_store();
         metrics.register_http();
+        metrics.declare_ends();
         metrics
     }
 }
@@ -504,7 +507,17 @@ impl Metrics {
         self.registry.register(name, help, metric.clone());
     }
 
-    /// Creates the counters of HTTP rejections, so that a rate includes the first event.
+    /// Creates the counters of ends, so that a rate includes the first event.
+    fn declare_ends(&self) {
+        for reason in EndReason::ALL.map(EndReason::name) {
+            drop(self.sessions_ended.get_or_create(&ReasonLabel { reason }));
+        }
+        for reason in ConnectionFailure::ALL.map(ConnectionFailure::name) {
+            drop(self.connections_failed.get_or_create(&ReasonLabel { reason }));
+        }
+    }
+
+    /// Creates the counters of HTTP rejections, likewise.
     pub fn declare_http_rejections(&self, reasons: impl IntoIterator<Item = &'static str>) {
         for reason in reasons {
             drop(self.requests_rejected.get_or_create(&http_label(reason)));

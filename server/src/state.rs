@@ -135,7 +135,7 @@ impl ServerState {
             rate_limiter: RateLimiter::new(config.rate_limit_ms),
             traces: Traces::new(config.traces.as_ref()),
             request_permits: Semaphore::new(config.max_connections()),
-            requests_per_ip: PerIpLimiter::fair_share(config.max_connections()),
+            requests_per_ip: config.connections_per_ip(),
             sessions_per_ip: match config.max_sessions_per_address {
                 Some(limit) => PerIpLimiter::new(limit),
                 None => PerIpLimiter::fair_share(config.max_sessions),

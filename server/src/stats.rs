@@ -106,6 +106,12 @@ impl SessionStatsGuard {
     pub const fn number(&self) -> u64 {
         self.number
     }
+
+    /// The site of its client.
+    #[must_use]
+    pub fn site(&self) -> Option<IpAddr> {
+        lock(&self.live.shared.sessions).get(&self.number).and_then(|registered| registered.site)
+    }
 }
 
 impl std::ops::Deref for SessionStatsGuard {
@@ -144,7 +150,7 @@ struct Registered {
     stats: Arc<SessionStats>,
     /// Of its client, for IPv6 the /48 that a site has (RFC 6177): it decides which sessions end, and no
     /// report has it.
-    network: Option<IpAddr>,
+    site: Option<IpAddr>,
 }
 
 /// Values at one moment, and the report made of them.
@@ -240,7 +246,7 @@ impl LiveStats {
     #[must_use]
     pub fn register(&self, number: u64, client: Option<IpAddr>) -> SessionStatsGuard {
         let stats = Arc::new(SessionStats::default());
-        let registered = Registered { stats: Arc::clone(&stats), network: client.map(client_site) };
+        let registered = Registered { stats: Arc::clone(&stats), site: client.map(client_site) };
         lock(&self.shared.sessions).insert(number, registered);
         SessionStatsGuard { stats, number, live: self.clone() }
     }
@@ -258,14 +264,14 @@ impl LiveStats {
             return 0;
         }
         let sessions = lock(&self.shared.sessions);
-        // The session of a network with so many older ones.
+        // The session of a site with so many older ones.
         let mut older: HashMap<Option<IpAddr>, usize> = HashMap::new();
-        let rank = |network| {
-            let older = older.entry(network).or_default();
+        let rank = |site| {
+            let older = older.entry(site).or_default();
             *older += 1;
             *older - 1
         };
-        let ranks = sessions.values().map(|session| session.network).map(rank);
+        let ranks = sessions.values().map(|session| session.site).map(rank);
         let mut ended: Vec<_> =
             ranks.zip(&*sessions).map(|(rank, (number, of))| (rank, *number, of)).collect();
         ended.sort_unstable_by_key(|(rank, number, _)| Reverse((*rank, *number)));
@@ -286,7 +292,7 @@ impl LiveStats {
         let sessions = lock(&self.shared.sessions);
         let mut sites: HashMap<Option<IpAddr>, (usize, &Arc<SessionStats>)> = HashMap::new();
         for session in sessions.values().filter(|session| !session.stats.is_ending()) {
-            let (count, newest) = sites.entry(session.network).or_insert((0, &session.stats));
+            let (count, newest) = sites.entry(session.site).or_insert((0, &session.stats));
             (*count, *newest) = (*count + 1, &session.stats);
         }
         let held = sites.get(&own).map_or(0, |(count, _)| *count);

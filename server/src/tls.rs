@@ -1,17 +1,22 @@
 //! TLS of connections, by rustls.
 
 use crate::access::gate::Reloaded;
+use crate::limits::site_turns::SiteTurns;
 use cli::UsageError;
+use futures_util::poll;
 use rustls::crypto::ring;
 use rustls::pki_types::pem::{self, PemObject};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
-use rustls::server::ParsedCertificate;
+use rustls::server::{Acceptor, ParsedCertificate};
 use rustls::{Error, InconsistentKeys, ServerConfig};
-use std::fmt;
+use std::net::IpAddr;
+use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
+use std::task::Poll;
+use std::{fmt, io};
 use tokio::net::TcpStream;
-use tokio_rustls::TlsAcceptor;
+use tokio_rustls::LazyConfigAcceptor;
 use tokio_rustls::server::TlsStream;
 use tokio_util::either::Either;
 
@@ -38,6 +43,8 @@ pub fn tcp_stream(stream: &PeerStream) -> &TcpStream {
 pub struct Tls {
     files: Files,
     current: RwLock<Current>,
+    /// At the expensive part of handshakes: half of the threads at most.
+    turns: SiteTurns,
 }
 
 /// Certificate chain and key, in PEM.
@@ -147,13 +154,32 @@ impl Tls {
                 return Err(UsageError::new("tls-key: there is no certificate; give tls-cert FILE too"));
             }
         };
-        Ok(Some(Arc::new(Self { current: RwLock::new(files.read()?), files })))
+        let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
+        let turns = SiteTurns::new(threads.div_ceil(2));
+        Ok(Some(Arc::new(Self { current: RwLock::new(files.read()?), files, turns })))
     }
 
-    /// Accepts connections with the current certificate.
-    #[must_use]
-    pub fn acceptor(&self) -> TlsAcceptor {
-        Arc::clone(&self.current.read().unwrap_or_else(PoisonError::into_inner).config).into()
+    /// The handshake of a connection, with the current certificate. Its key exchange and signature take
+    /// up to some milliseconds of a thread, and a client spends nothing on asking for them: sites take
+    /// turns.
+    ///
+    /// # Errors
+    /// The client ends the connection or sends no valid handshake.
+    pub async fn accept(&self, stream: TcpStream, client: IpAddr) -> io::Result<TlsStream<TcpStream>> {
+        let hello = LazyConfigAcceptor::new(Acceptor::default(), stream).await?;
+        let turn = self.turns.acquire(Some(client)).await;
+        let mut rest = Box::pin(hello.into_stream(self.config()));
+        // The first poll makes and writes the answer; the turn ends before the client has to read it.
+        let first = poll!(&mut rest);
+        drop(turn);
+        match first {
+            Poll::Ready(accepted) => accepted,
+            Poll::Pending => rest.await,
+        }
+    }
+
+    fn config(&self) -> Arc<ServerConfig> {
+        Arc::clone(&self.current.read().unwrap_or_else(PoisonError::into_inner).config)
     }
 
     /// Reads the files again. Connections that are open go on.

@@ -4,7 +4,7 @@ use super::queue::{FlowId, FlowPath, SiteId};
 use super::threads::{Mutex, MutexGuard};
 use crate::limits::networks::{client_network, client_site};
 use std::collections::HashMap;
-use std::hash::{BuildHasher, RandomState};
+use std::hash::{BuildHasher, Hash, RandomState};
 use std::net::IpAddr;
 use std::sync::PoisonError;
 
@@ -54,8 +54,8 @@ impl ActiveFlows {
     /// Ends what was counted.
     pub fn remove(&self, path: FlowPath) {
         let mut table = self.table();
-        if !decrement(&mut table.flows, path) {
-            decrement(&mut table.sites, path.site);
+        if !decrement(&mut table.flows, &path) {
+            decrement(&mut table.sites, &path.site);
         }
     }
 
@@ -79,12 +79,12 @@ impl ActiveFlows {
 }
 
 /// Decrements a count; whether something is left of it.
-fn decrement<K: std::hash::Hash + Eq>(counts: &mut HashMap<K, usize>, key: K) -> bool {
-    let Some(count) = counts.get_mut(&key) else { return false };
+fn decrement<K: Hash + Eq>(counts: &mut HashMap<K, usize>, key: &K) -> bool {
+    let Some(count) = counts.get_mut(key) else { return false };
     *count -= 1;
     let is_left = *count > 0;
     if !is_left {
-        counts.remove(&key);
+        counts.remove(key);
     }
     is_left
 }

@@ -32,16 +32,23 @@ pub enum FlowEvent {
     ViewFailed,
 }
 
+/// What a flow has that takes the turns of others.
+#[derive(Debug)]
+struct Download {
+    /// Its own number.
+    id: FlowId,
+    /// Chunks that it has requested: one, or those of a tile.
+    requested: Vec<ChunkId>,
+}
+
 /// One client of the service. The threads are shared fairly between flows.
 pub struct Flow {
     pub(super) shared: Arc<Shared>,
     threads: Arc<Threads>,
-    pub(super) id: FlowId,
-    /// Whose turns it takes: its own, or that of all downloads of a client network.
+    /// Whose turns it takes: its own, or those of all downloads of a client network.
     turns: FlowPath,
-    /// Of a flow that takes the turns of others, the chunks that it has requested: one, or those of a
-    /// tile.
-    requested: Vec<ChunkId>,
+    /// Of an HTTP request. Boxed: sessions have none.
+    download: Option<Box<Download>>,
     /// Cloned into every request.
     pub(super) sender: UnboundedSender<Vec<Completion>>,
     /// Holds at most one result per request, so the caller's bound on requests bounds it.
@@ -50,7 +57,7 @@ pub struct Flow {
     /// its first block has places for 32 selections, 25 KiB, and an idle flow would hold it too.
     selection: Option<oneshot::Receiver<ViewSelection>>,
     /// Requests without a received result, a view job included.
-    open: usize,
+    open: u32,
     /// Whether it takes no frame in the fast encoding.
     must_be_compact: bool,
     /// Charged for generation and bytes sent. The caller checks it before a request.
@@ -69,9 +76,8 @@ impl Flow {
         Self {
             shared,
             threads,
-            id,
             turns,
-            requested: Vec::new(),
+            download: (turns.flow != id).then(|| Box::new(Download { id, requested: Vec::new() })),
             sender,
             receiver,
             selection: None,
@@ -164,11 +170,11 @@ impl Flow {
         }
         let (since, sender) = (Instant::now(), self.sender.clone());
         let must_be_compact = self.must_be_compact;
-        let (flow, turns, bucket) = (self.id, self.turns, self.bucket.clone());
+        let (flow, turns, bucket) = (self.id(), self.turns, self.bucket.clone());
         let request =
             FrameRequest { flow, turns, chunk, id, delivery, must_be_compact, bucket, since, sender, trace };
-        if self.shares_turns() {
-            self.requested.push(id);
+        if let Some(download) = &mut self.download {
+            download.requested.push(id);
         }
         let cost_us = costs.expected_us(chunk.key);
         let enqueued = queue.enqueue(request, cost_us);
@@ -224,28 +230,27 @@ impl Flow {
         }
     }
 
-    fn add_open(&mut self, count: usize) {
+    fn add_open(&mut self, count: u32) {
         if self.open == 0 && count > 0 {
             self.shared.active.add(self.turns);
         }
         self.open += count;
     }
 
-    fn remove_open(&mut self, count: usize) {
+    fn remove_open(&mut self, count: u32) {
         self.open -= count;
         if self.open == 0 && count > 0 {
             self.shared.active.remove(self.turns);
         }
     }
 
+    pub(super) fn id(&self) -> FlowId {
+        self.download.as_ref().map_or(self.turns.flow, |download| download.id)
+    }
+
     /// Whose turns it takes.
     pub(super) const fn turns(&self) -> FlowPath {
         self.turns
-    }
-
-    /// Whether others may take the same turns.
-    const fn shares_turns(&self) -> bool {
-        self.turns.flow != self.id
     }
 
     fn complete(&self, chunk: ChunkRequest, result: FrameResult) {
@@ -274,22 +279,22 @@ impl Flow {
 
     /// Closes requests and charges their bytes.
     fn receive(&mut self, done: &[Completion]) {
-        self.remove_open(done.len());
+        self.remove_open(done.len() as u32);
         self.charge_bytes(done.iter().filter_map(|(_, result)| result.as_ref().ok()).map(Bytes::len).sum());
     }
 
     /// Chunk requests without a received result.
     #[must_use]
     pub const fn in_flight(&self) -> usize {
-        self.open - self.selection.is_some() as usize
+        (self.open - self.selection.is_some() as u32) as usize
     }
 
     /// Cancels the requests for the chunk that a key names now, if its job is not running, and
     /// returns them. The others will complete, those for earlier editions included.
     pub fn cancel(&mut self, key: ChunkKey) -> Vec<ChunkRequest> {
-        let (cancelled, charge) = self.shared.lock().cancel(self.id, self.shared.current(key));
+        let (cancelled, charge) = self.shared.lock().cancel(self.id(), self.shared.current(key));
         charge.into_iter().for_each(Charge::refund);
-        self.remove_open(cancelled.len());
+        self.remove_open(cancelled.len() as u32);
         self.shared.metrics.jobs_cancelled.inc_by(cancelled.len() as u64);
         cancelled
     }
@@ -308,10 +313,10 @@ impl Drop for Flow {
         if self.open > 0 {
             let (dropped, charges) = {
                 let mut queue = self.shared.lock();
-                if self.shares_turns() {
-                    queue.cancel_all(self.id, &self.requested)
-                } else {
-                    queue.remove_flow(self.turns)
+                match &self.download {
+                    // Others take the same turns.
+                    Some(download) => queue.cancel_all(self.id(), &download.requested),
+                    None => queue.remove_flow(self.turns),
                 }
             };
             charges.into_iter().for_each(Charge::refund);
@@ -424,6 +429,43 @@ mod tests {
             // The control: requests without a network are flows of their own.
             assert_eq!(last < 50, client.is_some(), "{last}");
             assert_eq!(fixture.service.shared.active.len(), 0);
+        }
+    }
+
+    /// Twenty sessions of one client are worth as many turns as the one of another, at which the twenty
+    /// wait for their own.
+    #[tokio::test]
+    async fn all_sessions_of_a_site_have_together_the_share_of_one() {
+        let fixture = fixture(1 << 20, 1000);
+        for has_sites in [true, false] {
+            let x0 = if has_sites { 0 } else { 10_000 };
+            let client = |number| has_sites.then_some(IpAddr::from([10, 0, 0, number]));
+            let blocker = request(&fixture.service, key(x0), 1).await;
+            while !fixture.service.shared.lock().is_running(ChunkId::base(key(x0))) {
+                tokio::task::yield_now().await;
+            }
+            let session = |number, xs: std::ops::Range<i32>| {
+                let mut flow = fixture.service.session(client(number), TokenBucket::default());
+                xs.for_each(|x| flow.request(chunk_request(key(x0 + x), 1), Delivery::Exact));
+                flow
+            };
+            let mut flows: Vec<_> = (1..=20).map(|n| session(1, n * 10..n * 10 + 10)).collect();
+            flows.push(session(2, 1000..1050));
+            let shares = flows.last().map(|flow| fixture.service.shared.active.shares(flow.turns()));
+            assert_eq!(shares, Some(if has_sites { 3 } else { 22 }), "the first request is a site, too");
+            for _ in 0..251 {
+                fixture.permit.send(()).unwrap();
+            }
+            assert!(blocker.await.unwrap().is_ok());
+            for flow in &mut flows {
+                while flow.in_flight() > 0 {
+                    flow.completions().await;
+                }
+            }
+            let generated: Vec<_> = fixture.generated.try_iter().collect();
+            let last = generated.iter().rposition(|made| made.x() >= x0 + 1000).unwrap();
+            // The control: sessions that are sites of their own.
+            assert_eq!(last < 220, has_sites, "{last} of {}", generated.len());
         }
     }
 

@@ -107,7 +107,7 @@ fn request(flow: &mut Flow, key: ChunkKey, bug: Option<Bug>) {
         return flow.sender.send(vec![(chunk_request(key), Ok(frame))]).unwrap();
     }
     let request = FrameRequest {
-        flow: flow.id,
+        flow: flow.id(),
         turns: flow.turns(),
         chunk: chunk_request(key),
         id,

@@ -1,8 +1,8 @@
 //! The handle of the generation service.
 
+use super::active::ActiveFlows;
 use super::cost::JobCosts;
 use super::flow::Flow;
-use super::active::ActiveFlows;
 use super::queue::{FlowId, FlowPath, Queue};
 use super::shared::{Limits, Shared};
 use super::threads::{Mutex, Threads};

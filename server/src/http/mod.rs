@@ -135,7 +135,7 @@ async fn count(State(state): State<Arc<ServerState>>, request: Request, next: Ne
         Some(_place) => next.run(request).await,
         None => {
             let sentence = "too many requests of this address at once, retry later";
-            Problem::new(ProblemKind::Overloaded, sentence).into_response()
+            Problem::new(ProblemKind::AddressFull, sentence).into_response()
         }
     };
     let status = response.status().as_u16();

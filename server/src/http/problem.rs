@@ -42,7 +42,7 @@ pub enum ProblemKind {
     MapBusy,
     /// All sessions are in use, or the server is draining.
     NoSession,
-    /// The client network has its maximum of sessions.
+    /// The client network has its maximum of sessions or of requests.
     AddressFull,
 }
 
@@ -118,7 +118,7 @@ impl ProblemKind {
             Self::Failed => "Generation failed",
             Self::MapBusy => "Map is busy",
             Self::NoSession => "No free session",
-            Self::AddressFull => "Too many sessions from this address",
+            Self::AddressFull => "Too many sessions or requests from this address",
         }
     }
 

@@ -81,9 +81,9 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
     let tracker = state.sessions.clone();
     tracker.spawn(async move {
         if let Some(socket) = upgrade.socket(READ_LIMIT).await {
-            let flow = state.generation.session(peer, state.rate_limiter.bucket(peer));
+            let bucket = state.rate_limiter.bucket(peer);
             let stats = state.stats.register(number, peer);
-            let ended = driver::serve(socket, &state, offer, stats, flow, parent).await;
+            let ended = driver::serve(socket, &state, offer, stats, bucket, parent).await;
             if ended.reason.leaves_unread_bytes() {
                 system_buffers::discard(tcp_stream(&ended.stream));
             }

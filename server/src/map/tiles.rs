@@ -6,9 +6,9 @@
 use crate::generation::{Flow, Generation, GenerationError};
 use crate::limits::per_ip::PerIpLimiter;
 use crate::limits::rate_limit::TokenBucket;
+use crate::limits::site_turns::SiteTurns;
 use crate::map::elevation::{self, ElevationGrid, TILE_PIXELS};
 use crate::map::hillshade;
-use crate::map::turns::RenderTurns;
 use crate::metrics::Metrics;
 use bytes::Bytes;
 use protocol::server::ChunkRequest;
@@ -68,7 +68,7 @@ pub struct Map {
     cache: Cache<ChunkKey, Tile, TileWeight>,
     /// A turn per tile being rendered, held to the end even if the request is cancelled: clients that
     /// cancel must not get more tiles rendered at once than others.
-    turns: RenderTurns,
+    turns: SiteTurns,
     /// One permit per tile that waits or is rendered.
     queue_permits: Semaphore,
     /// The places of a client network: no more than remain free.
@@ -94,7 +94,7 @@ impl Map {
         Self {
             world,
             cache,
-            turns: RenderTurns::new(threads.div_ceil(4)),
+            turns: SiteTurns::new(threads.div_ceil(4)),
             queue_permits: Semaphore::new(MAX_WAITING),
             places: PerIpLimiter::fair_share(MAX_WAITING),
             metrics,

@@ -5,6 +5,7 @@
 //! read cannot make the server collect answers; a write that takes too long ends the session.
 
 use crate::generation::{Completion, Flow, FlowEvent, GenerationError};
+use crate::limits::rate_limit::TokenBucket;
 use crate::mechanism::Mechanism;
 use crate::metrics::{DeliveryLabel, ReasonLabel};
 use crate::scheduling;
@@ -73,14 +74,14 @@ pub struct Ended<S> {
     pub owes_until: Instant,
 }
 
-/// Runs one session to its end and counts it. Its chunks come by `flow` and belong to the trace of
-/// `parent`.
+/// Runs one session to its end and counts it. Its work is charged to `bucket`; its chunks belong to the
+/// trace of `parent`.
 pub async fn serve<S>(
     socket: WebSocket<S>,
     state: &ServerState,
     offer: ServerOffer,
     stats: SessionStatsGuard,
-    flow: Flow,
+    bucket: TokenBucket,
     parent: Option<Parent>,
 ) -> Ended<S>
 where
@@ -96,7 +97,7 @@ where
             state,
             number,
             session: ServerSession::new(offer, number),
-            flow,
+            flow: state.generation.session(stats.site(), bucket),
             message_deadline: MessageDeadline::new(state.config.message_timeout),
             delay: None,
             backoff: RefusalBackoff::new(Instant::now()),

@@ -51,6 +51,30 @@ pub enum EndReason {
 }
 
 impl EndReason {
+    /// All of them.
+    pub const ALL: [Self; 20] = [
+        Self::Closed,
+        Self::Drained,
+        Self::ReadFailed,
+        Self::WriteFailed,
+        Self::WriteTimeout,
+        Self::HandshakeTimeout,
+        Self::MessageTimeout,
+        Self::KeepaliveTimeout,
+        Self::MemoryShed,
+        Self::Displaced,
+        Self::ProtocolError,
+        Self::NotUtf8,
+        Self::Malformed,
+        Self::TextFrame,
+        Self::TooLarge,
+        Self::OutOfOrder,
+        Self::WrongVersion,
+        Self::WrongWorld,
+        Self::Unauthorised,
+        Self::Other,
+    ];
+
     /// Label in metrics and logs.
     #[must_use]
     pub const fn name(self) -> &'static str {

@@ -38,7 +38,7 @@ impl Peer {
                 &server,
                 server.offer.clone(),
                 server.stats.register(1, None),
-                server.generation.session(None, bucket),
+                bucket,
                 None,
             )
             .await;
