@@ -25,7 +25,6 @@ use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use terrain::constants::VERTEX_COUNT;
