@@ -18,8 +18,9 @@
 //! | [`limits`] | limits per client network and per connection |
 //! | [`generation`] | scheduling and execution of generation jobs and view selections |
 //! | [`cache`] | encoded frames in memory and on disk |
-//! | [`source`] | where chunks come from |
-//! | [`scheduling`] | sharing of a processor between threads |
+//! | [`store`], [`bake`] | chunks that replicas share; making those of a region |
+//! | [`source`], [`chunk_id`] | where chunks come from, and their names |
+//! | [`scheduling`], [`open_files`] | sharing of a processor between threads; the limit of open files |
 //! | [`mechanism`] | what a measurement can turn off |
 //! | [`map`] | map tiles rendered from chunks |
 //! | [`stats`], [`latency`], [`metrics`], [`traces`] | figures, and spans of single chunks |

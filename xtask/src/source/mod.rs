@@ -4,6 +4,7 @@
 //! Each check is a pure function over [`Files`], so that its tests can plant what it must find.
 
 pub mod circles;
+pub mod code_map;
 pub mod columns;
 pub mod figures;
 pub mod lines;
@@ -69,11 +70,12 @@ pub struct Finding {
 type Check = fn(&Files) -> Vec<Finding>;
 
 /// Checks that must find nothing, with their names.
-pub const CHECKS: [(&str, Check); 8] = [
+pub const CHECKS: [(&str, Check); 9] = [
     ("lines over the limit", columns::check),
     ("retired words", words::check),
     ("names in documents that do not exist", names::check),
     ("import circles between files", circles::check),
+    ("modules that the code map lacks", code_map::check),
     ("length of the README", lines::check_readme),
     ("figures of the README that differ from their records", figures::check),
     ("figures of documents that differ from their records", documents),
