@@ -9,6 +9,7 @@ use rustls::pki_types::pem::{self, PemObject};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::server::{Acceptor, ParsedCertificate};
 use rustls::{Error, InconsistentKeys, ServerConfig};
+use std::future::poll_fn;
 use std::net::IpAddr;
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -169,13 +170,24 @@ impl Tls {
         let hello = LazyConfigAcceptor::new(Acceptor::default(), stream).await?;
         let turn = self.turns.acquire(Some(client)).await;
         let mut rest = Box::pin(hello.into_stream(self.config()));
-        // The first poll makes and writes the answer; the turn ends before the client has to read it.
-        let first = poll!(&mut rest);
+        let mut first = poll!(&mut rest);
         drop(turn);
-        match first {
-            Poll::Ready(accepted) => accepted,
-            Poll::Pending => rest.await,
+        // Any further bytes may cause the work: a client can ask for another key exchange.
+        loop {
+            match first {
+                Poll::Ready(accepted) => return accepted,
+                Poll::Pending => woken().await,
+            }
+            let turn = self.turns.acquire(Some(client)).await;
+            first = poll!(&mut rest);
+            drop(turn);
         }
+    }
+
+    /// Turns at handshakes.
+    #[must_use]
+    pub const fn turns(&self) -> &SiteTurns {
+        &self.turns
     }
 
     fn config(&self) -> Arc<ServerConfig> {
@@ -195,6 +207,12 @@ impl Tls {
         *current = read;
         Ok(Reloaded::Changed)
     }
+}
+
+/// Waits until the task is woken once, by a future that was polled before or by any other one.
+async fn woken() {
+    let mut is_woken = false;
+    poll_fn(|_| if std::mem::replace(&mut is_woken, true) { Poll::Ready(()) } else { Poll::Pending }).await;
 }
 
 impl fmt::Debug for Tls {

@@ -59,11 +59,12 @@ impl ActiveFlows {
         }
     }
 
-    /// Equal shares of the threads of which a flow has one; at least 1.
+    /// Equal shares of the threads of which a flow has one; at least 1. No more than there are flows:
+    /// sites with few leave most of their turns to others.
     pub fn shares(&self, path: FlowPath) -> usize {
         let table = self.table();
         let of_site = table.sites.get(&path.site).copied().unwrap_or_default();
-        table.sites.len().max(1) * of_site.max(1)
+        (table.sites.len() * of_site.max(1)).min(table.flows.len()).max(1)
     }
 
     /// Active flows.
@@ -94,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sites_have_equal_shares_and_so_have_the_flows_of_each() {
+    fn a_flow_has_a_share_of_its_site_or_of_all_flows() {
         let active = ActiveFlows::default();
         let path = |site, flow| FlowPath { site, flow };
         assert_eq!(active.shares(path(1, 1)), 1);
@@ -103,7 +104,7 @@ mod tests {
         }
         active.add(path(2, 10));
         active.add(path(2, 10));
-        assert_eq!((active.shares(path(1, 3)), active.shares(path(2, 10))), (20, 2));
+        assert_eq!((active.shares(path(1, 3)), active.shares(path(2, 10))), (11, 2));
         active.remove(path(2, 10));
         assert_eq!((active.len(), active.shares(path(2, 10))), (11, 2));
         active.remove(path(2, 10));

@@ -13,7 +13,7 @@ const INITIAL_COST_NS: [u64; 2] = [100_000, 1_000_000];
 const EWMA_WINDOW: u64 = 32;
 
 /// A job counts for at most this multiple of its estimate.
-const MAX_OUTLIER: u64 = 8;
+pub const MAX_OUTLIER: u64 = 8;
 
 /// Moving averages. Relaxed atomics: a lost update changes an estimate by 1/32 of one job.
 #[derive(Debug)]

@@ -6,6 +6,7 @@
 #[cfg(test)]
 mod tests;
 
+use super::cost::MAX_OUTLIER;
 use super::queue::{Charge, FlowId, FlowPath, FrameRequest, MissingFrame, Payment, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
@@ -194,8 +195,10 @@ impl Shared {
             let spent_us = charged_us(started.elapsed());
             match payment {
                 Payment::Advance(charge) => {
+                    // The turns of a whole site must not wait for a thread that was interrupted.
+                    let longest = charge.cost_us().saturating_mul(MAX_OUTLIER as i64) + QUANTUM_US;
+                    finished.advance_us = spent_us.min(longest);
                     charge.settle(spent_us);
-                    finished.advance_us = spent_us;
                 }
                 Payment::Request(path, bucket) => {
                     self.lock().charge(path, spent_us);

@@ -109,18 +109,23 @@ async fn known_host(
 }
 
 /// The place of a request that is being answered. Behind a proxy a client is not limited by its
-/// connections; here it may have no more requests than remain for others.
+/// connections; here it is by its requests, likewise.
 struct RequestPlace<'a> {
     _permit: SemaphorePermit<'a>,
     _of_client: IpPermit,
 }
 
 impl<'a> RequestPlace<'a> {
-    fn take(state: &'a ServerState, client: Option<IpAddr>) -> Option<Self> {
-        let permit = state.request_permits.try_acquire().ok()?;
-        let of_client =
-            state.requests_per_ip.try_acquire(client, state.request_permits.available_permits())?;
-        Some(Self { _permit: permit, _of_client: of_client })
+    fn take(state: &'a ServerState, client: Option<IpAddr>) -> Result<Self, Problem> {
+        let Ok(permit) = state.request_permits.try_acquire() else {
+            return Err(Problem::new(ProblemKind::Overloaded, "too many requests at once, retry later"));
+        };
+        let free = state.request_permits.available_permits();
+        let Some(of_client) = state.requests_per_ip.try_acquire(client, free) else {
+            let sentence = "too many requests of this address at once, retry later";
+            return Err(Problem::new(ProblemKind::AddressFull, sentence));
+        };
+        Ok(Self { _permit: permit, _of_client: of_client })
     }
 }
 
@@ -132,11 +137,8 @@ async fn count(State(state): State<Arc<ServerState>>, request: Request, next: Ne
     tokio::task::yield_now().await;
     let client = request.extensions().get::<ClientAddress>().map(|client| client.0);
     let mut response = match RequestPlace::take(&state, client) {
-        Some(_place) => next.run(request).await,
-        None => {
-            let sentence = "too many requests of this address at once, retry later";
-            Problem::new(ProblemKind::AddressFull, sentence).into_response()
-        }
+        Ok(_place) => next.run(request).await,
+        Err(problem) => problem.into_response(),
     };
     let status = response.status().as_u16();
     state.metrics.http_responses.get_or_create(&StatusLabel { status }).inc();

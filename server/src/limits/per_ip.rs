@@ -9,10 +9,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Counts permits by client network. Holds at most three entries per permit.
 ///
-/// A client's least network may hold no more permits than the limit. Where the limit is a fair share,
-/// none of its networks may hold more than remain free (dynamic thresholds: Choudhury and Hahne,
-/// IEEE/ACM Transactions on Networking 6(2), 1998, with factor 1). One greedy network gets half of all,
-/// each of two a third, and some remain for others.
+/// A client's least network may hold no more permits than the limit; a larger one no more than the limit
+/// or than remain free, whichever is more. Where the limit is a fair share, none of its networks may
+/// hold more than remain free (dynamic thresholds: Choudhury and Hahne, IEEE/ACM Transactions on
+/// Networking 6(2), 1998, with factor 1). One greedy network gets half of all, each of two a third, and
+/// some remain for others.
 ///
 /// The standard hasher is keyed at random: peers choose the addresses.
 #[derive(Clone, Debug)]
@@ -48,13 +49,16 @@ impl PerIpLimiter {
     pub fn try_acquire(&self, client: Option<IpAddr>, free: usize) -> Option<IpPermit> {
         if let Some(client) = client {
             let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
-            let mut limit = self.limit;
-            for network in client_networks(client) {
+            for (index, network) in client_networks(client).enumerate() {
                 let held = counts.get(&network).copied().unwrap_or_default();
-                if held >= limit || (self.is_fair_share && held > free) {
+                let (is_full, exceeds_share) = (held >= self.limit, held > free);
+                let is_refused = match index {
+                    0 => is_full || (self.is_fair_share && exceeds_share),
+                    _ => exceeds_share && (self.is_fair_share || is_full),
+                };
+                if is_refused {
                     return None;
                 }
-                limit = usize::MAX;
             }
             client_networks(client).for_each(|network| *counts.entry(network).or_default() += 1);
         }
@@ -130,6 +134,11 @@ mod tests {
     fn networks_below_one_prefix_have_one_share() {
         let clients = ["2001:db8:1:1::1", "2001:db8:1:2::1", "2001:db8:1:aa00::1", "2001:db8:2::1"];
         assert_eq!(greedy(&PerIpLimiter::fair_share(usize::MAX), 1024, &clients), [512, 0, 0, 256]);
+        let many: Vec<String> = (1..=20).map(|subnet| format!("2001:db8:1:{subnet:x}00::1")).collect();
+        let many: Vec<&str> = many.iter().map(String::as_str).chain(["2001:db8:2::1"]).collect();
+        let counts = greedy(&PerIpLimiter::new(100), 1024, &many);
+        let of_site: usize = counts[..20].iter().sum();
+        assert_eq!((counts[0], of_site, counts[20]), (100, 512, 100), "{counts:?}");
         let limiter = PerIpLimiter::fair_share(100);
         assert_eq!(greedy(&limiter, 1024, &clients), [100, 100, 100, 100], "the limit is that of a /64");
         assert!(limiter.counts.lock().unwrap().is_empty(), "no permit is left");

@@ -120,7 +120,9 @@ impl TokenBucket {
     pub fn settle_chunk(&self, charged_us: i64, spent_us: i64, now: Instant) {
         self.with(now, |bucket, _| {
             let more = spent_us as f64 - charged_us as f64;
-            bucket.mean_cost = (bucket.mean_cost + more / EWMA_WINDOW).max(1.0);
+            if bucket.mean_cost > 0.0 {
+                bucket.mean_cost = (bucket.mean_cost + more / EWMA_WINDOW).max(1.0);
+            }
             bucket.tokens -= more;
         });
     }

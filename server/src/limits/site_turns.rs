@@ -64,6 +64,12 @@ impl SiteTurns {
         SiteQueue { site, semaphore: Arc::clone(semaphore), sites: Arc::clone(&self.sites) }
     }
 
+    /// Sites with work that waits or runs.
+    #[must_use]
+    pub fn sites(&self) -> usize {
+        lock(&self.sites).len()
+    }
+
     /// Pieces of work that could begin now.
     #[cfg(test)]
     pub fn free(&self) -> usize {

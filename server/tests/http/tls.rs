@@ -1,6 +1,7 @@
 //! TLS: requests, sessions, a new certificate, and peers that do not finish the handshake.
 
 use crate::client::{Server, request_over, welcomed};
+use futures_util::FutureExt;
 use rustls::crypto::ring;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName};
@@ -8,6 +9,7 @@ use rustls::{ClientConfig, RootCertStore};
 use server::ServerConfig;
 use server::tls::Tls;
 use std::io;
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -94,6 +96,29 @@ async fn requests_and_sessions_work_over_tls_and_a_new_certificate_is_taken() {
     folder.write([FIRST[0], SECOND[1]]);
     assert!(tls.reload().is_err());
     assert!(connect(&server, SECOND).await.is_ok());
+}
+
+/// Handshakes of one site wait for each other, and no more of them than the half of the threads run.
+#[tokio::test]
+async fn a_handshake_waits_for_its_turn() {
+    let folder = Folder::new("turns", FIRST);
+    let tls = folder.tls();
+    let config = ServerConfig { tls: Some(Arc::clone(&tls)), threads: 1, ..ServerConfig::default() };
+    let server = Server::start_with(config).await;
+    let other = Some(IpAddr::from([10, 0, 0, 1]));
+    let mut turns = Vec::new();
+    while let Some(turn) = tls.turns().acquire(other).now_or_never() {
+        turns.push(turn.unwrap());
+    }
+    let connecting = tokio::spawn(async move { connect(&server, FIRST).await.is_ok() });
+    while tls.turns().sites() < 2 {
+        tokio::task::yield_now().await;
+    }
+    assert!(!connecting.is_finished());
+    drop(turns);
+    assert!(connecting.await.unwrap());
+    // The turn ended with the handshake.
+    assert_eq!(tls.turns().sites(), 0);
 }
 
 #[tokio::test]

@@ -38,7 +38,8 @@ mod tests {
 
     #[test]
     fn a_module_without_a_row_is_found() {
-        let map = "| `server/src/http/` | routes |\n| `server/src/state.rs` | state (`server/src/stats.rs`) |\n";
+        let map =
+            "| `server/src/http/` | routes |\n| `server/src/state.rs` | state (`server/src/stats.rs`) |\n";
         let of = |path: &str| check(&Files::of(&[(MAP, map), (path, "")])).len();
         for (path, missing) in [
             ("server/src/http/path.rs", 0),

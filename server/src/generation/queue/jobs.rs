@@ -79,6 +79,12 @@ impl Charge {
         self.bucket.refund(self.cost_us, tokio::time::Instant::now());
     }
 
+    /// What was charged, microseconds.
+    #[must_use]
+    pub const fn cost_us(&self) -> i64 {
+        self.cost_us
+    }
+
     /// Charges what the job took in place of what was expected, microseconds.
     pub fn settle(self, spent_us: i64) {
         self.bucket.settle_chunk(self.cost_us, spent_us, tokio::time::Instant::now());

@@ -143,9 +143,7 @@ impl Queue {
 
     /// Charges work that was done in the turn of another flow.
     pub fn charge(&mut self, path: FlowPath, us: i64) {
-        if let Some(site) = self.sites.get_mut(&path.site) {
-            site.charge(path.flow, us);
-        }
+        self.active_site(path.site).charge(path.flow, us);
     }
 
     /// The site, added if it was idle.
@@ -185,13 +183,17 @@ impl Queue {
         while let Some(id) = self.turns.next() {
             let Some(site) = self.sites.get_mut(&id) else { continue };
             let was_runnable = site.is_runnable();
-            if was_runnable {
+            if was_runnable && !std::mem::take(&mut site.goes_on) {
                 self.turns.count_work();
             }
             if site.account.begin(quantum_us) && was_runnable {
                 site.take(id, &mut self.jobs, limits, &mut turn);
             }
-            if was_runnable || site.account.credit_us < 0 {
+            // A view is charged only when it has ended, and might take the turns of all threads.
+            if turn.view.is_none() && site.is_runnable() && site.account.credit_us > 0 {
+                (site.goes_on, site.account.has_turn) = (true, true);
+                self.turns.push_front(id);
+            } else if was_runnable || site.account.credit_us < 0 {
                 // An idle site stays for a round: otherwise it would become a new site at once.
                 self.add_turn(id);
             } else if site.account.running == 0 {

@@ -43,6 +43,12 @@ impl<Id: Copy + PartialEq> Rotation<Id> {
         self.others.push_back(id);
     }
 
+    /// Adds one whose turn goes on, before the others.
+    pub fn push_front(&mut self, id: Id) {
+        self.others.push_front(id);
+        self.round.others += 1;
+    }
+
     /// Removes one.
     pub fn remove(&mut self, id: Id) {
         self.new.retain(|other| *other != id);

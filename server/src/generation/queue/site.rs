@@ -7,7 +7,7 @@ use crate::chunk_id::ChunkId;
 use crate::generation::views::ViewJob;
 use rustc_hash::FxHashMap;
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, HashSet};
 use std::time::{Duration, Instant};
 
 /// Entries of a flow before stale ones are removed.
@@ -42,8 +42,10 @@ impl Account {
     }
 
     /// Begins a turn; whether there is credit for work.
-    pub const fn begin(&mut self, quantum_us: i64) -> bool {
+    pub fn begin(&mut self, quantum_us: i64) -> bool {
         self.has_turn = false;
+        // Work that took less than expected may have left more.
+        self.credit_us = self.credit_us.min(quantum_us);
         if self.credit_us <= 0 {
             self.credit_us += quantum_us;
         }
@@ -91,6 +93,8 @@ pub fn skip_rounds<'a>(accounts: impl Iterator<Item = (bool, &'a mut Account)>, 
 pub struct Site {
     /// Its turns among the sites.
     pub account: Account,
+    /// Whether its turn goes on with another flow.
+    pub goes_on: bool,
     flows: FxHashMap<FlowId, Flow>,
     turns: Rotation<FlowId>,
     /// Entries and views of all flows.
@@ -110,6 +114,15 @@ struct Flow {
 impl Flow {
     fn is_runnable(&self) -> bool {
         !self.entries.is_empty() || self.view.is_some()
+    }
+
+    /// Leaves the first entry of each job that waits: a chunk that was cancelled and requested again
+    /// has several.
+    fn remove_stale(&mut self, jobs: &Jobs) {
+        let mut seen = HashSet::new();
+        let entries = std::mem::take(&mut self.entries).into_sorted_vec().into_iter().rev();
+        let is_first = |(_, _, chunk): &(_, _, ChunkId)| jobs.is_waiting(*chunk) && seen.insert(*chunk);
+        self.entries = entries.filter(is_first).collect();
     }
 }
 
@@ -158,7 +171,7 @@ impl Site {
         let flow = self.active_flow(id);
         let before = flow.entries.len();
         if before >= STALE_ENTRIES && before > 2 * jobs.len() {
-            flow.entries.retain(|(_, _, chunk)| jobs.is_waiting(*chunk));
+            flow.remove_stale(jobs);
         }
         let removed = before - flow.entries.len();
         flow.entries.push((priority, Reverse(number), chunk));
@@ -181,9 +194,7 @@ impl Site {
     /// Charges work of a flow in the turn of another one.
     pub fn charge(&mut self, id: FlowId, us: i64) {
         self.account.charge(us);
-        if let Some(flow) = self.flows.get_mut(&id) {
-            flow.account.charge(us);
-        }
+        self.active_flow(id).account.charge(us);
     }
 
     /// Removes a flow; its jobs.

@@ -575,3 +575,77 @@ fn a_flow_whose_work_runs_keeps_its_debt() {
     let turn = turns.iter().position(|turn| *turn == [2]);
     assert!(turn > Some(40), "{turns:?}");
 }
+
+#[test]
+fn entries_of_a_chunk_that_is_cancelled_and_requested_again_are_bounded() {
+    let mut fixture = Fixture::new(10_000);
+    for _ in 0..5000 {
+        for x in 0..16 {
+            fixture.request(1, x, x as u64, 10);
+        }
+        (0..16).for_each(|x| drop(fixture.queue.cancel(1, id(x))));
+    }
+    for x in 0..16 {
+        fixture.request(1, x, x as u64, 1000);
+    }
+    let most = fixture.queue.sites.values().map(Site::most_entries).max();
+    assert!(most <= Some(2 * site::STALE_ENTRIES), "{most:?}");
+    let order: Vec<i32> =
+        std::iter::from_fn(|| Some(fixture.turn()).filter(|turn| !turn.is_empty())).flatten().collect();
+    assert_eq!(order, (0..16).rev().collect::<Vec<_>>(), "by priority, each once");
+}
+
+#[test]
+fn the_turn_of_a_site_goes_on_with_its_next_flow() {
+    let mut fixture = Fixture::new(100_000);
+    let mut light_us = 0;
+    fixture.site = Some(2);
+    for x in 0..2000 {
+        fixture.request(200, 20_000 + x, 1, 10);
+    }
+    // Fifty flows with one cheap request each, which come again when it is answered.
+    fixture.site = Some(1);
+    for flow in 1..=50 {
+        fixture.request(flow, flow as i32, 1, 10);
+    }
+    let mut all_us = 0;
+    while all_us < 10_000 {
+        for x in fixture.turn() {
+            all_us += 10;
+            if x < 20_000 {
+                light_us += 10;
+                fixture.request(x as u64, x, 1, 10);
+            }
+        }
+    }
+    let share = f64::from(light_us) / f64::from(all_us);
+    assert!((0.45..0.55).contains(&share), "{share}");
+}
+
+#[test]
+fn credit_of_work_that_took_less_than_expected_is_at_most_a_quantum() {
+    let mut fixture = Fixture::new(1000);
+    fixture.request(1, 1, 1, 50 * QUANTUM);
+    let turn = fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now);
+    // Another thread finds no work, and the debt of the running flow is forgotten.
+    assert!(!fixture.queue.take(QUANTUM, NO_DEADLINE, fixture.now).has_work());
+    fixture.queue.end_turn(turn.path, -50 * QUANTUM, None);
+    fixture.queue.finish(id(1), |_| true);
+    for x in 0..100 {
+        fixture.request(1, 100 + x, 1, QUANTUM / 2);
+    }
+    assert!(fixture.turn().len() <= 3);
+}
+
+#[test]
+fn work_for_a_flow_that_was_idle_is_paid_when_it_comes() {
+    let mut fixture = Fixture::new(1000);
+    for x in 0..100 {
+        fixture.request(2, 100 + x, 1, 100);
+    }
+    fixture.queue.charge(own(1), 50 * QUANTUM);
+    fixture.request(1, 1, 1, 10);
+    let turns: Vec<_> = (0..101).map(|_| fixture.turn()).collect();
+    let turn = turns.iter().position(|turn| *turn == [1]);
+    assert!(turn > Some(40), "{turns:?}");
+}
