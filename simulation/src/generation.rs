@@ -9,7 +9,7 @@ use std::time::Duration;
 use terrain::ChunkKey;
 
 /// Quantum of a turn: that of the server.
-const QUANTUM: Duration = Duration::from_micros(250);
+const QUANTUM: Duration = Duration::from_micros(160);
 
 /// A request that waits for a chunk.
 #[derive(Clone, Copy, Debug)]
@@ -196,10 +196,11 @@ mod tests {
         queue.add(waiting(1, 0, None));
         queue.add(waiting(1, 9, None));
         assert_eq!(queue.queued(), 7);
-        assert_eq!(keys(&mut queue, COST).0, [0, 1, 2]);
+        assert_eq!(keys(&mut queue, COST).0, [0, 1]);
         assert_eq!(keys(&mut queue, COST).0, [9], "0 runs in the other flow's turn");
         assert_eq!(queue.made(ChunkKey::new(0, 0, 0).unwrap()).len(), 2);
-        assert_eq!(keys(&mut queue, COST).0, [3, 4], "what the first turn overdrew is paid");
+        assert_eq!(keys(&mut queue, COST).0, [2, 3]);
+        assert_eq!(keys(&mut queue, COST).0, [4], "what the turn before overdrew is paid");
         assert_eq!(keys(&mut queue, COST).0, [5]);
         assert_eq!(keys(&mut queue, COST), (vec![], 0));
     }
