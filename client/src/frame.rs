@@ -40,9 +40,9 @@ pub struct FrameData {
     pub chunks: usize,
     /// All selected chunks, visible or not, nearest first: the shadow casters.
     pub candidates: Vec<Candidate>,
-    /// What is drawn where no land is.
+    /// Background.
     pub background: Background,
-    /// What the terrain clipmap is filled from; none if light follows the drawn triangles.
+    /// Input of the terrain clipmap; none if light follows the drawn triangles.
     pub clipmap: Option<ClipmapLand>,
     /// Vegetation, if there is any.
     pub plants: Option<VegetationFrame>,
@@ -53,7 +53,7 @@ pub struct FrameData {
     pub pom_tiling: [f32; 2],
 }
 
-/// What is drawn where no land is.
+/// Background.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Background {
     /// Sky and sea.

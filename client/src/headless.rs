@@ -40,7 +40,7 @@ const POLL_PAUSE: Duration = Duration::from_millis(2);
 /// A camera that never turns needs no shadows of invisible chunks.
 const VISIBLE_PER_FRAME: Quota = Quota { ahead: 0, ..PER_FRAME };
 
-/// What to render.
+/// Options of a rendering.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// The scene.

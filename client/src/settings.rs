@@ -14,7 +14,7 @@ pub struct RenderSettings {
     pub diffuse: Diffuse,
     /// Visibility term of the specular reflection.
     pub visibility: Visibility,
-    /// What hides that materials repeat.
+    /// Method against visible repetition of materials.
     pub tiling: Tiling,
     /// Method of the waves' parallax.
     pub water: WaterTier,
@@ -22,7 +22,7 @@ pub struct RenderSettings {
     pub shadows: Shadows,
     /// Where the terrain's shading normals come from.
     pub normals: Normals,
-    /// What is shown.
+    /// Debug view.
     pub show: Show,
     /// Position of the sun; that of the scene if none.
     pub sun: Option<SunPosition>,
@@ -100,7 +100,7 @@ pub enum Visibility {
     Fast,
 }
 
-/// What hides that materials repeat.
+/// Method against visible repetition of materials.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Tiling {
     /// Nothing: one sample.
@@ -134,7 +134,7 @@ pub enum Normals {
     Mesh,
 }
 
-/// What is shown.
+/// Debug view.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Show {
     /// The rendered image.

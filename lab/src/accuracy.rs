@@ -41,7 +41,7 @@ use std::io::Write;
 /// Options of `accuracy`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// What to measure, separated by commas; everything if omitted
+    /// Curves to measure, separated by commas; everything if omitted
     #[arg(long, value_enum, value_name = "SUBJECTS", value_delimiter = ',')]
     pub only: Vec<Subject>,
     /// Random points of the headline, 1000 to 100000000; the curves take a fixed number

@@ -108,7 +108,8 @@ fn opponent(picture: &Image) -> Field {
     Field { width: picture.width as usize, height: picture.height as usize, values }
 }
 
-/// What an eye makes of it: filtered by its contrast sensitivity, in CIELAB with Hunt's adjustment.
+/// The picture as perceived: filtered by the contrast sensitivity of the eye, in CIELAB with Hunt's
+/// adjustment.
 fn perceived(field: &Field, pixels_per_degree: f64) -> Vec<Rgb> {
     let widest = SENSITIVITY.iter().flatten().skip(1).step_by(2).copied().fold(0.0, f64::max);
     let radius =

@@ -101,7 +101,7 @@ impl HeadlessRenderer {
         self.renderer.terrain_draws()
     }
 
-    /// What the passes of the last frame took by the GPU's clock; none without one.
+    /// Times of the passes of the last frame by the GPU's clock; none without one.
     pub fn pass_times(&self) -> Result<Option<PassTimes>, GpuError> {
         self.renderer.pass_times(&self.gpu)
     }

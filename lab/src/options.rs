@@ -10,7 +10,7 @@ use clap::{Parser, Subcommand};
 #[derive(Clone, Debug, Parser)]
 #[command(name = "tombolo-lab", version)]
 pub struct Args {
-    /// What to measure.
+    /// Measurement.
     #[command(subcommand)]
     pub command: Command,
     /// Where results go.

@@ -82,7 +82,7 @@ pub fn above() -> Pose {
     Pose { position_m: DVec3::new(0.0, 1500.0, 1200.0), yaw_deg: -20.0, pitch_deg: -60.0 }
 }
 
-/// What a written pose holds.
+/// Content of a written pose.
 fn tenths(pose: Pose) -> Pose {
     let round = |value: f64| (value * 10.0).round() / 10.0;
     Pose {

@@ -62,7 +62,7 @@ pub struct Wood {
     pub sun: Vec3,
 }
 
-/// What the shader leaves of the sun at a place.
+/// Share of the sun that the shader leaves at a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shade {
     /// By the trees that are known one by one.
@@ -188,7 +188,7 @@ impl Wood {
         (self.places, self.normals, self.middle_m) = (places, normals, middle_m);
     }
 
-    /// What the shader leaves of the sun at each place.
+    /// Share of the sun that the shader leaves at each place.
     ///
     /// # Errors
     /// The GPU failed.
@@ -292,7 +292,7 @@ fn is_within(tree: &Caster, middle_m: [f32; 2], half_m: f32) -> bool {
     (tree.root_m[0] - middle_m[0]).abs() < half_m && (tree.root_m[2] - middle_m[1]).abs() < half_m
 }
 
-/// What a ray meets of a tree: the share that passes the crown, nothing behind the trunk.
+/// Transmittance of a tree along a ray: the share that passes the crown, 0 behind the trunk.
 fn ray_past(tree: &Caster, place: Vec3, toward: Vec3) -> f32 {
     let at_m = add(place, scaled(tree.root_m, -1.0));
     let crown = crown_of(tree);

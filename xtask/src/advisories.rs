@@ -18,7 +18,7 @@ const SNAPSHOT: &str = ".ci/advisories.txt";
 /// The folder in which `cargo deny` looks for RustSec's database: its name and a hash of its address.
 const FOLDER: &str = "advisory-db-3157b0e258782691";
 
-/// What begins the path of an advisory in the snapshot.
+/// Prefix of the path of an advisory in the snapshot.
 const ENTRY: &str = "=== ";
 
 /// Age in days over which a snapshot lacks too many advisories to pass.

@@ -192,7 +192,7 @@ pub fn status(command: &mut Command) -> Result<ExitStatus> {
     wait(child)
 }
 
-/// What a command writes to standard output.
+/// Standard output of a command.
 ///
 /// # Errors
 /// The command cannot start or fails; the message carries the last line that it wrote to standard

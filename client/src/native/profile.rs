@@ -1,4 +1,4 @@
-//! What a run starts with: options, and a preset for those that are not given.
+//! Settings of a run: the given options, and a preset for the others.
 
 use super::args::Args;
 use super::quality::{Preset, Quality};
@@ -12,7 +12,7 @@ use std::time::Duration;
 /// Default of `--timeout`, seconds.
 const TIMEOUT_S: u64 = 60;
 
-/// What a run starts with: the options that were given, the preset for the others.
+/// Settings of a run: the given options, the preset for the others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Profile {
     /// View distance, metres.
@@ -96,7 +96,7 @@ impl Profile {
         }
     }
 
-    /// What a software driver starts with.
+    /// Settings of a software driver.
     fn reduced(&self) -> String {
         let plants = &self.render.plants;
         format!(

@@ -23,7 +23,7 @@ pub enum Quality {
     High,
 }
 
-/// What a preset decides.
+/// Settings of a preset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Preset {
     /// Tolerated screen error, pixels.
@@ -36,7 +36,7 @@ pub struct Preset {
     /// Anisotropy of the filter of materials. Every sample costs a software driver as much as the
     /// pixel.
     pub anisotropy: u16,
-    /// What hides that materials repeat.
+    /// Method against visible repetition of materials.
     pub tiling: Tiling,
     /// Parallax method of materials.
     pub relief: PomMethod,

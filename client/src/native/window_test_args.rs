@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-/// What a test makes the window do.
+/// Actions of a test on the window.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct WindowTestArgs {
     /// For tests: loses the GPU device after each of these frames of the window.

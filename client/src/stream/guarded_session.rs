@@ -25,7 +25,7 @@ use terrain::{ChunkKey, WorldDigest};
 /// Longest delay before reconnecting that a server can ask for.
 const MAX_RECONNECT: Duration = Duration::from_secs(60);
 
-/// What a frame brought.
+/// Content of a frame.
 #[derive(Debug)]
 pub enum Received {
     /// An event for the viewer.

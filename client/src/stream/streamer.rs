@@ -39,7 +39,7 @@ pub enum Link {
     Connected(String),
     /// Between sessions.
     Waiting {
-        /// What ended the last session.
+        /// End of the last session.
         cause: String,
         /// Time of the next attempt.
         retry_at: Duration,
@@ -134,7 +134,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
         }
         let is_sent = self.send_view(view, now);
         let viewer = self.scaled_view(view).viewer();
-        // What has left the view is not requested again.
+        // Chunks that have left the view are not requested again.
         self.missed.retain(|key| key.level() <= viewer.top_level() && viewer.sees(*key));
         let selection = select_at(&mut self.cache, &viewer, Fading { now, lasts: self.fade });
         if is_sent && self.is_settled() {
@@ -306,7 +306,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
         self.missed.len()
     }
 
-    /// What was wrong with the last bad or refused chunk, if any.
+    /// Error of the last bad or refused chunk, if any.
     #[must_use]
     pub fn last_miss(&self) -> Option<&str> {
         self.last_miss.as_deref()

@@ -49,7 +49,7 @@ const MS_CONST: [Duration; 4] =
 const SHORT: Timeouts =
     Timeouts { connect: Duration::from_secs(1), welcome: MS_CONST[1], progress: MS_CONST[1], ..LONG };
 
-/// What a viewer saw of a server.
+/// Observations of a viewer.
 struct Outcome {
     link: Link,
     traffic: Traffic,
@@ -154,7 +154,7 @@ fn wrong_key(_: ChunkKey) -> Option<Bytes> {
 /// A connection as the server sees it.
 type Peer = WebSocket<TcpStream>;
 
-/// What a server does on a connection.
+/// Behaviour of a server on a connection.
 type Act = Arc<dyn Fn(&mut Peer) + Send + Sync>;
 
 type Wrong = fn(ChunkKey) -> Option<Bytes>;

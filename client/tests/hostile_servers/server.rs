@@ -80,7 +80,7 @@ pub fn land() -> Land {
     Land::new(1)
 }
 
-/// What a server sends in place of a chunk; none refuses it.
+/// Bytes that a server sends in place of a chunk; none refuses it.
 pub type Answers = dyn Fn(ChunkKey) -> Option<Bytes> + Send + Sync;
 
 /// Follows the protocol with other answers.

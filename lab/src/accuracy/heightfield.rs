@@ -20,7 +20,7 @@ const CONTROL_POINTS: u32 = 20_000;
 /// Errors over one set of points.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// What was compared, and where.
+    /// The comparison, and its place.
     pub what: &'static str,
     /// Height errors, metres.
     pub height_m: Figures,

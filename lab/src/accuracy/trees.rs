@@ -47,7 +47,7 @@ const LEAVES: VegetationSettings =
 const IMPOSTORS_FROM_M: [f32; 7] = [0.0, 50.0, 100.0, 220.0, 400.0, 800.0, 1_500.0];
 const SINGLE_TREES_M: [f32; 6] = [100.0, 200.0, 350.0, 700.0, 1_500.0, VegetationSettings::MAX_RANGE_M];
 
-/// What is drawn at one camera.
+/// Drawn features at one camera.
 struct Rendered {
     picture: Image,
     /// Trees that are culled one by one and are seen, and their vertices.

@@ -26,7 +26,7 @@ use wgpu::BufferUsages as Usage;
 /// Clumps drawn, at least.
 pub const CLUMPS: u64 = 1_000_000;
 
-/// What is timed.
+/// The timed pass.
 #[derive(Clone, Copy, Debug)]
 struct Plan {
     /// Size of the picture, pixels.
@@ -61,7 +61,7 @@ const PITCH_DEG: f64 = -14.0;
 /// Clumps of grass on a cell: as many as the settings allow, and the control's share of them.
 const DENSITIES: [u32; 2] = [VegetationSettings::MAX_DENSITY, VegetationSettings::MAX_DENSITY / 8];
 
-/// What a million clumps take. Field names are a contract with scripts.
+/// Times of a million clumps. Field names are a contract with scripts.
 #[derive(Clone, Debug, Serialize)]
 pub struct GpuTime {
     pub adapter: String,

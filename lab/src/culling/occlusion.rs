@@ -70,7 +70,7 @@ impl Score {
     }
 }
 
-/// What the tests of clumps do in the scenes of one kind.
+/// Results of the tests of clumps in the scenes of one kind.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Variation {
     pub scenes: u64,

@@ -9,7 +9,7 @@ use serde::Serialize;
 use terrain::Land;
 use terrain::constants::{SPACING_BITS, UNITS_PER_METRE};
 
-/// What the controls show. Field names are a contract with scripts.
+/// Results of the controls. Field names are a contract with scripts.
 #[derive(Clone, Debug, Serialize)]
 pub struct Controls {
     /// Round islands with sides of 25 degrees.

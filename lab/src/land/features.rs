@@ -1,4 +1,4 @@
-//! What lies within 3 km of the start: valley, ridge, cliff, beach, plain, wood.
+//! Land forms within 3 km of the start: valley, ridge, cliff, beach, plain, wood.
 //!
 //! On the 16 m grid; "smoothed" is the mean of 5 x 5 vertices, whose outer ones are 64 m apart.
 //!

@@ -26,7 +26,7 @@ const BEACH: (usize, f32) = (8, 3.0);
 const STEEP: f64 = 40.0;
 const GENTLE: f64 = 10.0;
 
-/// What was found along coasts.
+/// Statistics of coasts.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Shores {
     /// Points of the coast.

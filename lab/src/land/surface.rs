@@ -14,7 +14,7 @@ const FLAT: usize = 3;
 /// Half the width of the sector about a direction, degrees.
 const SECTOR: f64 = 5.0;
 
-/// What the vertices of land show.
+/// Statistics of the vertices of land.
 #[derive(Clone, Debug, Default)]
 pub struct Surface {
     /// Vertices of land.

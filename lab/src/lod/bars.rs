@@ -11,7 +11,7 @@ const VIEWS: f64 = 200.0;
 
 const KIB: f64 = 1024.0;
 
-/// What levels that change without a morph must show at least, in times of those with one.
+/// Least change of levels without a morph, in times of those with one.
 pub const UNMORPHED: f64 = 1.5;
 
 /// Every figure beside its bar.

@@ -28,7 +28,7 @@ const SLOTS: u32 = 7_000;
 /// Picture size on a software driver, pixels: a ratio needs no large picture.
 const SMALL: (u32, u32) = (640, 360);
 
-/// What frames of the 8 km view take.
+/// Times of frames of the 8 km view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Frames {
     /// Name and backend of the GPU.

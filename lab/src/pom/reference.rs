@@ -30,7 +30,7 @@ impl Ray {
     }
 }
 
-/// What a ray meets.
+/// Hit of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
     /// Where, tiles.

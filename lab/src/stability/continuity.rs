@@ -23,7 +23,7 @@ const DIRECT_LEVEL: u8 = 5;
 /// Position (units) and octaves to height (units).
 pub type Heights = Box<dyn Fn(i32, i32, Octaves) -> f64>;
 
-/// What the sweep of one world found.
+/// Results of the sweep of one world.
 struct Sweep {
     world: World,
     unit_steps: Check,

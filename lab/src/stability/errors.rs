@@ -36,7 +36,7 @@ const STREAM: u32 = 0xe44;
 /// How the names of the checks of levels begin.
 pub const OF_LEVEL: &str = "level ";
 
-/// What a level states and what was seen. Field names are a contract with scripts.
+/// Stated and observed errors of a level. Field names are a contract with scripts.
 #[derive(Clone, Debug, Serialize)]
 pub struct ErrorRow {
     pub level: u8,

@@ -1,4 +1,4 @@
-//! What a sweep found: as a table, as JSON, as a verdict.
+//! Results of a sweep: as a table, as JSON, as a verdict.
 
 use super::check::Check;
 use super::errors::ErrorRow;
@@ -14,9 +14,9 @@ pub struct Report {
     pub checks: Vec<Check>,
     /// The same sweeps over broken fields: none may hold.
     pub controls: Vec<Check>,
-    /// What coarse chunks state as their error, and what was seen.
+    /// Stated and observed errors of coarse chunks.
     pub errors: Vec<ErrorRow>,
-    /// What float noise does at the same distances.
+    /// Float noise at the same distances.
     pub floats: Vec<FloatRow>,
 }
 

@@ -45,7 +45,7 @@ pub struct FrameTime {
     pub all_over_planted_slowest: f64,
 }
 
-/// What is drawn.
+/// One alternative: a renderer and its frame.
 struct Alternative {
     renderer: HeadlessRenderer,
     frame: FrameData,
@@ -75,14 +75,14 @@ pub fn measure(land: Land) -> Result<FrameTime, GpuError> {
     })
 }
 
-/// What the viewer has with a preset and one sample a pixel.
+/// Settings of the viewer with a preset and one sample a pixel.
 fn preset(quality: Quality) -> (Preset, RenderSettings) {
     let preset = Preset { samples: 1, ..Preset::of(quality, true) };
     let settings = Args::parse_from(["tombolo-view"]).render_settings(&preset);
     (preset, settings)
 }
 
-/// What the viewer drew before: 8 km of land by the normals of its triangles, plants without shadows
+/// Settings of the viewer before: 8 km of land by the normals of its triangles, plants without shadows
 /// up to 1,500 m, no light between pixels.
 fn earlier(grass: u32, trees: u32) -> (Preset, RenderSettings) {
     let preset = Preset { view_distance_m: 8_000, ..Preset::of(Quality::Medium, true) };

@@ -61,7 +61,7 @@ fn change(views: &mut Views, shot: Shot) -> Result<(f64, f64), GpuError> {
                 continue;
             }
             all = (all.0 + flip, all.1 + 1);
-            // What lies a row below is a pixel away.
+            // A row below is a pixel away.
             let below = grounds[0].get(pixel + SIZE.0 as usize).map_or(0.0, |ground| -ground[3]);
             if below > 0.0 && (fine - coarse).abs() < STILL * (fine - below).abs() {
                 still = (still.0 + flip, still.1 + 1);

@@ -34,10 +34,10 @@ pub fn is_one_surface(one_m: f32, other_m: f32) -> bool {
     near_m > 0.0 && (one_m - other_m).abs() <= 0.03 * near_m
 }
 
-/// What to draw of a pose.
+/// Features to draw at a pose.
 #[derive(Clone, Copy, Debug)]
 pub struct Shot {
-    /// What is shown.
+    /// Debug view.
     pub show: Show,
     /// Source of the shading normals.
     pub normals: Normals,

@@ -73,7 +73,7 @@ fn is_kind(name: &str, tool: Tool, sign: &str) -> bool {
     }
 }
 
-/// What a backend that was skipped lacks.
+/// Missing parts of a skipped backend.
 fn lacks(name: &str) -> &'static str {
     if name.contains("(Chromium)") {
         Tool::Chromium.name()

@@ -15,7 +15,7 @@ use std::process::{Command, Stdio};
 /// The target of browsers.
 pub const WASM: &str = "wasm32-unknown-unknown";
 
-/// What a check may lack.
+/// Requirements of a check that a machine may lack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tool {
     /// `cargo fmt`.
@@ -122,7 +122,7 @@ pub trait Host {
     /// The command cannot start, fails, or is interrupted.
     fn run(&self, command: Command) -> Result<()>;
 
-    /// What a command writes to standard output.
+    /// Standard output of a command.
     ///
     /// # Errors
     /// The command cannot start or fails.

@@ -1,9 +1,9 @@
-//! What the checks of a run have shown, and whether the run is green.
+//! Outcomes of the checks of a run, and whether the run is green.
 
 use std::fmt;
 use std::time::Duration;
 
-/// What one check has shown.
+/// Outcome of one check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// It looked and found nothing wrong.
@@ -28,7 +28,7 @@ pub struct Line {
     pub step: &'static str,
     /// The part of the step; empty for the step itself.
     pub part: String,
-    /// What was shown.
+    /// The outcome.
     pub outcome: Outcome,
     /// How long the step took; none for its parts.
     pub took: Option<Duration>,

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::process::Command;
 use terrain::Kernel;
 
-/// What is wrong with the machine.
+/// The fault of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     None,

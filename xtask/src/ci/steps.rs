@@ -20,7 +20,7 @@ const LONG_SEEDS: &str = "1000";
 pub struct Step {
     /// For `--only` and `--allow-skips`.
     pub name: &'static str,
-    /// What it looks at.
+    /// Subject of the step.
     pub about: &'static str,
     /// How to repeat it by hand.
     pub again: &'static str,
@@ -28,7 +28,7 @@ pub struct Step {
     pub action: fn(&dyn Host) -> Result<Shown>,
 }
 
-/// What a step has shown. Each part that looks with a tool of its own has an outcome of its own.
+/// Outcomes of a step: one for each part with a tool of its own.
 #[derive(Clone, Debug)]
 pub struct Shown {
     /// Of the step.
@@ -238,7 +238,7 @@ fn require_tests(list: &str) -> Result<()> {
     Ok(())
 }
 
-/// What tests cannot look at without these programs. Compose file and manifests are read by tests.
+/// Programs without which some tests cannot look. Compose file and manifests are read by tests.
 fn deploy(host: &dyn Host) -> Result<Shown> {
     let mut parts = Vec::new();
     for (name, tool) in [("nginx", Tool::Nginx), ("alerts", Tool::Promtool)] {

@@ -24,7 +24,7 @@ const SIDE: u32 = 96;
 /// Generated chunks of a replica.
 const GENERATED: &str = "tombolo_generation_jobs_total{outcome=\"completed\"}";
 
-/// What happened to one address.
+/// Responses of one address.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
     /// Requests that a replica answered.

@@ -1,4 +1,4 @@
-//! What one client costs a server: processor time, bytes and memory, flying and walking, over land
+//! Cost of one client for a server: processor time, bytes and memory, flying and walking, over land
 //! that no client has seen and over land that the server has cached. docs/scale.md counts with it.
 
 use super::load::Load;

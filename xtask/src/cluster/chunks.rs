@@ -16,7 +16,7 @@ const THREADS: usize = 4;
 /// Right bytes by path, from the first replica that was asked.
 pub type Truth = HashMap<String, Vec<u8>>;
 
-/// What came of the requests.
+/// Results of the requests.
 #[derive(Debug, Default)]
 pub struct Asked {
     /// Milliseconds of every request after the fault, in no order.

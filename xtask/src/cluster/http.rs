@@ -10,7 +10,7 @@ use std::time::Duration;
 pub struct Answer {
     /// The validator.
     pub etag: String,
-    /// What nginx says of its cache: `HIT`, `MISS` ...; empty from a replica.
+    /// State of nginx's cache: `HIT`, `MISS` ...; empty from a replica.
     pub cache: String,
     /// Seconds for which a cache may keep it, if it says so.
     pub max_age_s: Option<u64>,

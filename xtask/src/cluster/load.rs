@@ -13,7 +13,7 @@ use std::process::{Child, Stdio};
 pub struct Load {
     child: Child,
     json: PathBuf,
-    /// What it writes to standard error.
+    /// Its standard error.
     log: PathBuf,
 }
 

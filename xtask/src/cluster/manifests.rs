@@ -25,7 +25,7 @@ const MANIFESTS: [(&str, &str); 2] = [
 /// Fields of services that the specification has and the types lack.
 const UNTYPED: [&str; 1] = ["pids_limit"];
 
-/// What a type makes of a document, and the paths of what it lost.
+/// A document as a type reads it, and the paths of lost fields.
 fn typed<T: DeserializeOwned + Serialize>(source: &Value) -> Result<(T, Vec<String>), String> {
     let document: T = serde_json::from_value(source.clone()).map_err(|error| error.to_string())?;
     let written = serde_json::to_value(&document).map_err(|error| error.to_string())?;

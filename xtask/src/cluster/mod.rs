@@ -56,7 +56,7 @@ pub struct Options {
     pub only: Vec<Check>,
 }
 
-/// What is checked.
+/// The check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Check {
     /// One content and one ETag per address.
@@ -71,7 +71,7 @@ pub enum Check {
     Bake,
     /// Alerts of Prometheus.
     Alerts,
-    /// What a client costs.
+    /// Cost of a client.
     Capacity,
     /// The simulation beside 1,000 real clients.
     Simulation,

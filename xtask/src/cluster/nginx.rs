@@ -194,7 +194,7 @@ mod tests {
             assert_eq!(text.matches("server ").count(), 2 * replicas);
             assert_eq!(text.matches(" max_fails=0;").count(), 2 * replicas);
         }
-        // What the configuration asks of both.
+        // Requirements of the configuration on both.
         for part in ["http://sessions", "http://chunks", "proxy_cache chunks;", "include replicas.conf;"] {
             assert!(CONFIGURATION.contains(part), "{part}");
         }

@@ -58,7 +58,7 @@ impl Objects {
         Ok(Self { child, relay: Relay::start(address)?, folder })
     }
 
-    /// What a server needs to use it as its store.
+    /// Settings of a server that uses it as its store.
     pub fn settings(&self) -> [(&'static str, String); 6] {
         [
             ("TOMBOLO_STORE", format!("s3://{BUCKET}/checks")),

@@ -26,7 +26,7 @@ const SHOWN: [&str; 4] = ["view_us", "receive_us", "write_us", CLIENT];
 /// How far a figure may be off, percent.
 const WITHIN: f64 = 10.0;
 
-/// What is compared: names in both reports.
+/// Compared figures: names in both reports.
 const FIGURES: [(&str, &str); 3] =
     [("chunks", "chunks"), ("bytes", "bytes"), ("p99 of requested chunks", "latency_ms/p99")];
 

@@ -41,7 +41,7 @@ const GENERATED: &str = "tombolo_generation_jobs_total{outcome=\"completed\"}";
 const LATE_OR_FAILED: &[&str] =
     &["tombolo_store_reads_total{outcome=\"late\"}", "tombolo_store_reads_total{outcome=\"failed\"}"];
 
-/// What happens to a store under load.
+/// Fault of a store under load.
 struct Fault {
     name: &'static str,
     /// Whether it holds all chunks at first.
@@ -114,7 +114,7 @@ impl Fault {
     }
 }
 
-/// What one fault has shown in all rounds.
+/// Results of one fault in all rounds.
 #[derive(Default)]
 struct Shown {
     /// 99th percentile over that without a store, by round.

@@ -10,7 +10,7 @@ const TEXT: &str = include_str!("../../../docs/gallery/poses.txt");
 pub struct Pose {
     /// Name of its files.
     pub name: &'static str,
-    /// What it shows.
+    /// Description of the view.
     pub title: &'static str,
     /// Options of the viewer.
     pub options: &'static str,

@@ -18,7 +18,7 @@ const PROGRAMS: [&str; 4] = ["tombolo-lab", "tombolo-server", "tombolo-view", "x
 /// Largest archive, bytes.
 const LIMIT: u64 = 60 << 20;
 
-/// What runs on the other machine.
+/// The script for the other machine.
 const SCRIPT: &str = include_str!("run.sh");
 
 /// Builds the programs and packs the archive.

@@ -74,7 +74,7 @@ const NEAR_MISSES: [&str; 6] = [
     "without plants",
 ];
 
-/// What the golden tests report of their near misses.
+/// Near misses as the golden tests report them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct NearMisses {
     rejected: Vec<String>,

@@ -51,7 +51,7 @@ const PLANTED_EXECUTIONS: u64 = 50_000_000;
 /// here, which takes over ten seconds with assertions and coverage.
 const TIMEOUT: &str = "-timeout=120";
 
-/// What one target did.
+/// Result of one target.
 #[derive(Clone, Debug)]
 struct Searched {
     target: &'static str,

@@ -78,7 +78,7 @@ fn middle(starts: &[Value]) -> Vec<Bar> {
     first.into_iter().map(merge).collect()
 }
 
-/// What the starts say, and how far they differ.
+/// Figures of the starts, and how far they differ.
 fn notes(starts: &[Value]) -> Vec<String> {
     let mut notes = vec![format!(
         "Times: ratios are the median of {} starts of `land-comparison --rounds {ROUNDS}`, each the median \

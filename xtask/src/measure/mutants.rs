@@ -35,7 +35,7 @@ type Reasons = BTreeMap<String, Vec<String>>;
 /// A function without a test, whose mutants must survive.
 const UNTESTED: &str = "pub fn is_even(value: u32) -> bool {\n    value % 2 == 0\n}\n";
 
-/// What became of the mutants of a run, each by its name.
+/// Outcomes of the mutants of a run, each by its name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Outcomes {
     caught: Vec<String>,

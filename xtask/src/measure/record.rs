@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// What a record holds apart from the rows.
+/// Head of a record.
 #[derive(Clone, Debug)]
 pub struct Heading<'a> {
     /// Name of the measurement, also the file's.
@@ -88,7 +88,7 @@ pub struct Origin {
     pub date: String,
     /// The commit of the programs.
     pub commit: machine::Commit,
-    /// What a reader runs to repeat it.
+    /// Command that repeats it.
     pub command: String,
 }
 

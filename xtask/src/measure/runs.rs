@@ -13,7 +13,7 @@ const DATE: usize = "2026-01-02-".len();
 /// Columns of the file.
 const HEADER: &str = "name,commit,what,figure,unit,bar,met";
 
-/// What stands in place of a row in the line of a run that ended without figures.
+/// Placeholder of a row in the line of a run without figures.
 const FAILED: &str = "the run failed";
 
 /// The runs of one measurement at one commit.

@@ -36,7 +36,7 @@ const AGENT: &str = "echo";
 /// Time until the echo accepts connections.
 const READY_WITHIN: Duration = Duration::from_secs(10);
 
-/// What the suite says of its cases.
+/// Results of the suite's cases.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Verdicts {
     passed: usize,

@@ -28,7 +28,7 @@ const SECTIONS: [&str; 16] = [
     "audit",
 ];
 
-/// What opens the page and what closes it.
+/// Beginning and end of the page.
 const INTRODUCTION: &str = "introduction";
 const LIMITS: &str = "limits";
 
@@ -162,7 +162,7 @@ fn wrapped(text: &str, indent: &str) -> String {
     lines
 }
 
-/// What is wrong with the committed page and the records beside it, with the path.
+/// Errors of the committed page and of the records beside it, with the path.
 pub fn faults(files: &BTreeMap<String, String>) -> Vec<(String, String)> {
     let (_, older) = record::newest(record::all(files));
     let mut faults: Vec<_> = older

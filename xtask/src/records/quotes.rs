@@ -6,7 +6,7 @@
 use super::link;
 use super::record::Record;
 
-/// What stands in place of a figure whose record must not be quoted.
+/// Placeholder of a figure whose record must not be quoted.
 pub const WITHDRAWN: &str = "to be measured again";
 
 /// Records that links of a text lead to, except those of withdrawn figures.

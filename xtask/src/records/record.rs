@@ -26,7 +26,7 @@ pub struct Record {
 /// One figure of a record, as it is printed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Row {
-    /// What was measured.
+    /// The measurement.
     pub what: String,
     /// The figure with its unit.
     pub figure: String,

@@ -13,7 +13,7 @@ use std::ops::Range;
 pub struct Fault {
     /// Line of the document, from 1.
     pub line: usize,
-    /// What is wrong.
+    /// The error.
     pub what: String,
     /// The bytes of the number and what the record states in their place; none without a record's
     /// figure.
@@ -29,7 +29,7 @@ struct Definition<'a> {
     line: usize,
 }
 
-/// What is wrong with the figures of a document at `path`.
+/// Errors of the figures of a document at `path`.
 pub fn faults(path: &str, text: &str, records: &[Record]) -> Vec<Fault> {
     let mut faults = Vec::new();
     for definition in definitions(path, text) {

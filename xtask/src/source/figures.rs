@@ -19,7 +19,7 @@ pub fn check(files: &Files) -> Vec<Finding> {
     .collect()
 }
 
-/// What is wrong with one row; none if its figure is the record's.
+/// Error of one row; none if its figure is the record's.
 fn fault(files: &Files, line: &str) -> Option<String> {
     let cells: Vec<_> = line.trim().trim_matches('|').split('|').map(str::trim).collect();
     let [_, quoted, source] = cells.as_slice() else {

@@ -62,7 +62,7 @@ pub struct Finding {
     pub path: String,
     /// Line, from 1.
     pub line: usize,
-    /// What is wrong.
+    /// The error.
     pub what: String,
 }
 
@@ -103,7 +103,7 @@ fn measurements(files: &Files) -> Vec<Finding> {
 /// Runs every check.
 ///
 /// # Errors
-/// What was found, at most 30 findings a check.
+/// The findings, at most 30 a check.
 pub fn run() -> Result<()> {
     let files = Files::tracked()?;
     let mut total = 0;

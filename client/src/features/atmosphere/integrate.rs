@@ -67,7 +67,7 @@ mod tests {
     use crate::settings::{RenderSettings, SunPosition};
     use crate::view::ViewParams;
 
-    /// What the air does on a segment of a ray, and the sky behind it.
+    /// Scattering and transmittance of the air on a segment of a ray, and the sky behind it.
     #[derive(Clone, Copy, Debug)]
     struct Segment {
         left: [f32; 3],

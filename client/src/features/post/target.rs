@@ -1,10 +1,10 @@
-//! What a pass after the HDR pass writes: the image, or colours for a pass that filters.
+//! Target of a pass after the HDR pass: the image, or colours for a filter pass.
 
 use crate::gpu::pipeline::screen_pipeline;
 use crate::gpu::targets::HDR_FORMAT;
 use shaders::Shader;
 
-/// What a pass writes.
+/// Output of a pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     /// The image, dithered.

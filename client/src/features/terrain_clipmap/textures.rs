@@ -60,7 +60,7 @@ struct Maps {
     heights: wgpu::Texture,
 }
 
-/// What the tiles are filled from.
+/// Source of the tiles.
 #[derive(Debug)]
 struct Source {
     digest: WorldDigest,

@@ -159,7 +159,7 @@ mod tests {
         Page { key: ChunkKey::new(level, x, z).unwrap(), slot, top: slot as i32 * 100 }
     }
 
-    /// What the table says is drawn at a place, as the shader descends: the slot.
+    /// The slot that is drawn at a place by the table, as the shader descends.
     fn found(table: &PageTable, x: i32, z: i32) -> Option<u32> {
         let step = |at: i32, low: i32| (i64::from(at) - i64::from(low)) >> SPACING_BITS;
         let cell = (step(x, table.origin.0), step(z, table.origin.1));

@@ -17,7 +17,7 @@ pub struct MethodPipelines {
     pub write: wgpu::ComputePipeline,
 }
 
-/// What the constants of the pipelines follow from.
+/// Inputs of the constants of the pipelines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Method {
     kind: u32,

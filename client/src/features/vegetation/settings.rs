@@ -110,7 +110,7 @@ impl VegetationSettings {
         self.density > 0 || self.trees > 0
     }
 
-    /// What the land knows of the grass on it: range and density, for [`shaders::layout::Frame`].
+    /// Range and density of the grass, as the land shader has them in [`shaders::layout::Frame`].
     #[must_use]
     pub fn packed_grass(&self, view_distance_m: u32) -> u32 {
         let fraction = |share: f32| (65_535.0 * share.clamp(0.0, 1.0)).round() as u32;

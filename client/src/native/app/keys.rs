@@ -3,7 +3,7 @@
 use crate::scene::places::Place;
 use winit::keyboard::KeyCode;
 
-/// What a key does.
+/// Action of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
     /// Ends the program.

@@ -39,7 +39,7 @@ pub struct Readings<'a> {
     pub traffic: Traffic,
     /// Chunks that were bad or refused and are drawn coarser.
     pub missed: usize,
-    /// What was wrong with the last of them.
+    /// Error of the last of them.
     pub last_miss: Option<&'a str>,
     /// Resident chunks at each level.
     pub levels: [u32; 17],
@@ -61,7 +61,7 @@ pub struct Readings<'a> {
     pub drawn_tolerance_px: f64,
     /// The GPU.
     pub adapter: &'a str,
-    /// What the driver changed at the start.
+    /// Settings that the driver changed at the start.
     pub notice: Option<&'a str>,
     /// The sun of the scene.
     pub scene_sun: SunPosition,
@@ -69,7 +69,7 @@ pub struct Readings<'a> {
     pub is_under_water: bool,
 }
 
-/// What the user requested by a button.
+/// Action that the user requested by a button.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Request {
     /// A place to go to.

@@ -116,7 +116,7 @@ pub fn pom(ui: &mut Ui, settings: &mut PomSettings, has_land: bool) {
     });
 }
 
-/// What compares methods: forms of loops, terms of the light, reference methods.
+/// Settings for comparisons of methods: forms of loops, terms of the light, reference methods.
 pub fn laboratory(ui: &mut Ui, settings: &mut RenderSettings, has_land: bool) {
     egui::Grid::new("laboratory").num_columns(2).show(ui, |ui| {
         choice::<Diffuse>(ui, "diffuse", "Model of diffuse reflection", &mut settings.diffuse);

@@ -109,7 +109,7 @@ pub struct Running {
     resume_at: Instant,
 }
 
-/// What to do after a frame.
+/// Action after a frame.
 pub enum After {
     /// Draw the next one.
     Continue,

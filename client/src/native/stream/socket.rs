@@ -95,7 +95,7 @@ pub fn not_connected(url: &Uri, error: &tungstenite::Error) -> SessionEnd {
     }
 }
 
-/// What an answer says about its cause, in one line: the detail of a problem document (RFC 9457).
+/// Cause of an error response in one line: the detail of a problem document (RFC 9457).
 fn explanation(body: &[u8]) -> Option<String> {
     let problem: serde_json::Value = serde_json::from_slice(body).ok()?;
     let detail = problem.get("detail")?.as_str().filter(|detail| !detail.is_empty())?;

@@ -30,7 +30,7 @@ pub struct Worker {
     pub counters: Arc<Counters>,
 }
 
-/// What lasts longer than a session.
+/// State that outlives a session.
 struct Memory {
     backoff: Backoff,
     trust: Trust,

@@ -74,7 +74,7 @@ impl Survey {
         let (column, row) = self.spots(1, rows).max_by(|a, b| self.at(*a).total_cmp(&self.at(*b)))?;
         let at = place((column, row));
         let seen = |yaw_deg: f64| {
-            // What rises above the line of sight to all that is nearer.
+            // Land above the line of sight to all nearer land.
             let (mut highest, mut seen) = (f64::MIN, 0);
             for step in 4..90 {
                 let distance_m = SPACING_M * f64::from(step);

@@ -32,7 +32,7 @@ fn benchmarks_age_with_the_modules_that_they_import() {
             let imports = text.lines().filter_map(|line| line.trim_start().strip_prefix("use crate::"));
             for module in imports.filter_map(|import| import.split([':', ';', ' ']).next()) {
                 let file = format!("server-bench/src/{module}.rs");
-                // What `main.rs` itself defines has no file.
+                // Definitions of `main.rs` itself have no file.
                 let is_file = process::root().join(&file).exists();
                 assert!(!is_file || paths.contains(&file.as_str()), "{name}: {path} imports {file}");
                 looked += usize::from(is_file);
