@@ -53,7 +53,7 @@ pub struct Options {
     pub lerc: Option<PathBuf>,
 }
 
-/// Results of one codec. Field names are a contract with scripts.
+/// What one codec does. Field names are a contract with scripts.
 #[derive(Clone, Debug, Serialize)]
 struct Row {
     codec: &'static str,

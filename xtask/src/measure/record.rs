@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Head of a record.
+/// What a record holds apart from the rows.
 #[derive(Clone, Debug)]
 pub struct Heading<'a> {
     /// Name of the measurement, also the file's.
@@ -88,7 +88,7 @@ pub struct Origin {
     pub date: String,
     /// The commit of the programs.
     pub commit: machine::Commit,
-    /// Command that repeats it.
+    /// What a reader runs to repeat it.
     pub command: String,
 }
 

@@ -15,7 +15,7 @@ pub struct Run {
     folder: PathBuf,
     /// Sentences on how the figures were measured.
     pub notes: Vec<String>,
-    /// The error.
+    /// What went wrong.
     pub faults: Vec<String>,
     /// Name of the GPU and its backend, if one was measured.
     pub adapter: Option<String>,

@@ -13,7 +13,7 @@ const DATE: usize = "2026-01-02-".len();
 /// Columns of the file.
 const HEADER: &str = "name,commit,what,figure,unit,bar,met";
 
-/// Placeholder of a row in the line of a run without figures.
+/// What stands in place of a row in the line of a run that ended without figures.
 const FAILED: &str = "the run failed";
 
 /// The runs of one measurement at one commit.
