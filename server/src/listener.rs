@@ -13,6 +13,7 @@ use crate::memory::mark;
 use crate::metrics::ReasonLabel;
 use crate::proxy::proxy_protocol;
 use crate::reload;
+use crate::session::end::EndReason;
 use crate::state::ServerState;
 use crate::tls::PeerStream;
 use axum::body::Body;
@@ -90,6 +91,8 @@ pub async fn run(
         tracing::warn!(?mechanism, "a mechanism against overload is turned off: for measurements only");
     }
 
+    let failures = ConnectionFailure::ALL.map(ConnectionFailure::name);
+    state.metrics.declare_ends(EndReason::ALL.map(EndReason::name), failures);
     warn_of_openness(&state, &listener);
     let _reload = AbortOnDropHandle::new(tokio::spawn(reload::run(Arc::clone(&state))));
     let _memory = AbortOnDropHandle::new(tokio::spawn(mark::watch(

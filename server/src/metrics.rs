@@ -4,9 +4,7 @@
 //! Names follow the Prometheus conventions: base units, `_total` for counters, and one family with
 //! an `outcome` or `reason` label instead of sibling counters. `docs/operations.md` lists them.
 
-use crate::connections::ConnectionFailure;
 use crate::latency::LatencyHistogram;
-use crate::session::end::EndReason;
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
@@ -275,7 +273,6 @@ impl Default for Metrics {
         metrics.register_disk_cache();
         metrics.register_store();
         metrics.register_http();
-        metrics.declare_ends();
         metrics
     }
 }
@@ -507,12 +504,17 @@ impl Metrics {
         self.registry.register(name, help, metric.clone());
     }
 
-    /// Creates the counters of ends, so that a rate includes the first event.
-    fn declare_ends(&self) {
-        for reason in EndReason::ALL.map(EndReason::name) {
+    /// Creates the counters of ends of sessions and of connections, so that a rate includes the first
+    /// event.
+    pub fn declare_ends(
+        &self,
+        of_sessions: impl IntoIterator<Item = &'static str>,
+        of_connections: impl IntoIterator<Item = &'static str>,
+    ) {
+        for reason in of_sessions {
             drop(self.sessions_ended.get_or_create(&ReasonLabel { reason }));
         }
-        for reason in ConnectionFailure::ALL.map(ConnectionFailure::name) {
+        for reason in of_connections {
             drop(self.connections_failed.get_or_create(&ReasonLabel { reason }));
         }
     }

@@ -161,8 +161,7 @@ impl Tls {
     }
 
     /// The handshake of a connection, with the current certificate. Its key exchange and signature take
-    /// up to some milliseconds of a thread, and a client spends nothing on asking for them: sites take
-    /// turns.
+    /// up to some milliseconds of a thread, and their request costs a client nothing: sites take turns.
     ///
     /// # Errors
     /// The client ends the connection or sends no valid handshake.

@@ -17,8 +17,9 @@
 //! offers at its time; one for the base gets the land that the seed makes.
 //!
 //! Modules from the bottom up: [`result`], [`cost`] (estimates), [`views`] (view selection),
-//! [`queue`] (scheduling), `threads` (lock and threads), `active` (who shares the threads), `shared` (state of the service), `runner`
-//! (execution), [`flow`] (requests of one client), [`service`] (the public handle).
+//! [`queue`] (scheduling), `threads` (lock and threads), `active` (active flows and their shares),
+//! `shared` (state of the service), `runner` (execution), [`flow`] (requests of one client),
+//! [`service`] (the public handle).
 
 mod active;
 pub mod cost;

@@ -1,4 +1,4 @@
-//! The order of turns: rounds in which whoever had no work for a round is first.
+//! The order of turns, in rounds. Those that had no work for a round are first.
 
 use std::collections::VecDeque;
 
