@@ -6,8 +6,8 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Writes a file whole or not at all: beside the file, then over it. A full disk costs no older file.
-/// What is no regular file, such as a device or a pipe, is written directly.
+/// Writes a file whole or not at all: beside the file, then over it. A full disk costs no older
+/// file. A path that is no regular file, such as a device or a pipe, is written directly.
 ///
 /// # Errors
 /// The file cannot be created, or `write` fails.

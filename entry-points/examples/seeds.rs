@@ -1,5 +1,5 @@
-//! Writes the valid inputs of every entry point as files, one folder each: where a search by coverage
-//! starts.
+//! Writes the valid inputs of every entry point as files, one folder each: where a search by
+//! coverage starts.
 //!
 //!     cargo run -p tombolo-entry-points --example seeds -- FOLDER
 

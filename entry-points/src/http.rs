@@ -33,7 +33,7 @@ static SERVER: LazyLock<Mutex<(Runtime, axum::Router)>> = LazyLock::new(|| {
 /// Sends bytes and then the end of the connection; reads all responses.
 ///
 /// # Panics
-/// What is answered is no response, or one of a failure (500).
+/// The answer is no response, or one of a failure (500).
 #[must_use]
 pub fn run(bytes: &[u8]) -> bool {
     let server = SERVER.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,5 +1,5 @@
-//! What a proxy says of its client and of a trace: the PROXY header of a connection, and headers of a
-//! request.
+//! The data of a proxy about its client and about a trace: the PROXY header of a connection, and
+//! headers of a request.
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use server::proxy::{ProxyHeader, TrustedProxies, proxy_protocol};
@@ -31,8 +31,8 @@ static PROXIES: LazyLock<[TrustedProxies; 2]> = LazyLock::new(|| {
 /// Reads a header: the one that the first byte selects, or the PROXY header of a connection.
 ///
 /// # Panics
-/// More bytes are read than a PROXY header has, or the client depends on whether a proxy appended to
-/// the list of another or wrote a line of its own.
+/// More bytes are read than a PROXY header has, or the client depends on whether a proxy appended
+/// to the list of another or wrote a line of its own.
 #[must_use]
 pub fn run(bytes: &[u8]) -> bool {
     let selected = bytes.split_first().and_then(|(first, value)| {

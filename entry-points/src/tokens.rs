@@ -14,8 +14,8 @@ static FILE: LazyLock<Mutex<PathBuf>> = LazyLock::new(|| {
 /// Reads a file. An error is one line.
 ///
 /// # Panics
-/// An error has several lines, the token of a file without a list is not its first line, or the file
-/// cannot be written.
+/// An error has several lines, the token of a file without a list is not its first line, or the
+/// file cannot be written.
 #[must_use]
 pub fn run(bytes: &[u8]) -> bool {
     let path = FILE.lock().unwrap_or_else(PoisonError::into_inner);

@@ -46,7 +46,7 @@ pub fn rough() -> Chunk {
     Chunk::from_parts(land.key, heights, land.error, grass)
 }
 
-/// What a server offers.
+/// The offer of a server.
 pub fn offer() -> ServerOffer {
     ServerOffer { land: WORLD.land, digest: WORLD.digest, token: None, software: "entry points".into() }
 }

@@ -12,7 +12,7 @@ pub struct ChunkChecker {
     land: Land,
     /// The requested delivery.
     requested: Delivery,
-    /// One in so many is compared with local generation; 0 is none.
+    /// One chunk in this number is compared with local generation; 0 is none.
     every: u32,
     /// Chunks until the next comparison.
     until: u32,

@@ -81,7 +81,7 @@ pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) -> Outcome 
     let now = Instant::now();
     resumption.end(now, task.counters);
     for due in schedule.remaining() {
-        // What is due after an early end has not waited.
+        // An action due after an early end has not waited.
         match now.checked_duration_since(due) {
             Some(waited) => task.counters.unsent(waited),
             None => task.counters.skipped(),

@@ -138,7 +138,7 @@ pub struct LoadConfig {
     pub silent: u32,
     /// Seed of paths, requests and arrivals.
     pub seed: u32,
-    /// One in so many chunks is compared with local generation; 0 is none.
+    /// One chunk in this number is compared with local generation; 0 is none.
     pub verify_every: u32,
     /// Whether clients that reconnect report the chunks that they hold.
     pub resume: bool,

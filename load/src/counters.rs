@@ -10,7 +10,7 @@ use std::time::Duration;
 /// Distinct problems whose text is kept; all of them are counted.
 pub const MAX_PROBLEMS: usize = 8;
 
-/// What a problem is, most serious first.
+/// The kind of a problem, most serious first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum ProblemKind {
     /// Invalid data.
@@ -66,7 +66,7 @@ pub struct Counters {
     closed: Mutex<BTreeMap<String, u64>>,
     /// The first distinct ones of each kind.
     problems: Mutex<BTreeMap<ProblemKind, Vec<String>>>,
-    /// What was said of a world that is not the first one.
+    /// The first report of a world that is not the first one.
     world_changed: Mutex<Option<String>>,
 }
 
@@ -118,7 +118,7 @@ impl Counters {
         lock(&self.world_changed).get_or_insert_with(|| problem.to_owned());
     }
 
-    /// What was said of it, if it happened.
+    /// The report of a changed world, if there was one.
     pub(crate) fn world_change(&self) -> Option<String> {
         lock(&self.world_changed).clone()
     }
@@ -178,7 +178,7 @@ impl Counters {
     }
 
     /// The successor of a lost session delivered, this time after the last delivery of the lost
-    /// one. It began with so many bytes of chunks held.
+    /// one. It began with `held_bytes` bytes of chunks held.
     pub fn resumed(&self, gap: Duration, held_bytes: usize) {
         add(&self.resumed);
         self.held_bytes.fetch_add(held_bytes as u64, Ordering::Relaxed);
@@ -214,7 +214,7 @@ impl Counters {
         Duration::from_micros(get(&self.last_close_us))
     }
 
-    /// So many requests had no answer when their session ended.
+    /// This many requests had no answer when their session ended.
     pub fn unanswered(&self, requests: usize) {
         self.unanswered.fetch_add(requests as u64, Ordering::Relaxed);
     }

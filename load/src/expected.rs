@@ -1,5 +1,5 @@
-//! The chunks that one client may receive, from its views and requests. Also measures the latency of
-//! requests.
+//! The chunks that one client may receive, from its views and requests. Also measures the latency
+//! of requests.
 //!
 //! Its memory is bounded for any behaviour of the server.
 
@@ -56,7 +56,7 @@ pub enum ChunkStatus {
 }
 
 impl ExpectedChunks {
-    /// Nothing is expected yet. Remembers so many views: [`MAX_VIEWS`] or [`MAX_VIEWS_SLOW`].
+    /// Nothing is expected yet. Remembers `max_views` views: [`MAX_VIEWS`] or [`MAX_VIEWS_SLOW`].
     #[must_use]
     pub fn new(land: Land, max_views: usize) -> Self {
         Self { land, max_views, views: VecDeque::new(), requests: FxHashMap::default(), n_requests: 0 }
@@ -84,8 +84,8 @@ impl ExpectedChunks {
         self.views.back().map(|(id, _, _)| *id)
     }
 
-    /// A view is settled: no chunk of an older view is still to come. False if no view of this number
-    /// was sent.
+    /// A view is settled: no chunk of an older view is still to come. False if no view of this
+    /// number was sent.
     pub fn settled(&mut self, view: u32) -> bool {
         if self.newest_view().is_none_or(|newest| view > newest) {
             return false;

@@ -25,7 +25,7 @@ impl HeldChunks {
         }
     }
 
-    /// Adds a chunk that came in a frame of so many bytes. True if it was held already.
+    /// Adds a chunk that came in a frame of `bytes` bytes. True if it was held already.
     pub fn insert(&mut self, key: ChunkKey, bytes: usize) -> bool {
         let is_held = self.frames.insert(key, bytes).is_some();
         if !is_held {

@@ -25,7 +25,7 @@ impl Mode {
         }
     }
 
-    /// What a latency is measured between.
+    /// The two events between which a latency is measured.
     #[must_use]
     pub const fn measures(self, is_open: bool) -> &'static str {
         match (self, is_open) {

@@ -46,8 +46,8 @@ impl PathKind {
 }
 
 /// Centres of paths are within this distance of the origin on each axis, metres. With the farthest
-/// that a path leads from its middle (2,500 m) it stays where the home island of every world may lie
-/// (4,540 m on each axis).
+/// that a path leads from its middle (2,500 m) it stays where the home island of every world may
+/// lie (4,540 m on each axis).
 const REACH_M: f64 = 2_000.0;
 
 /// Height of a standing person's eyes, metres.

@@ -23,7 +23,7 @@ pub struct Phase {
     pub length: Duration,
 }
 
-/// The phases of a run of so many seconds after a warm-up.
+/// The phases of a run of `seconds` seconds after a warm-up of `warm_up_s` seconds.
 #[must_use]
 pub fn phases(warm_up_s: u64, seconds: u64) -> Vec<Phase> {
     let (warm_up, length) = (Duration::from_secs(warm_up_s), Duration::from_secs(seconds));

@@ -43,7 +43,8 @@ pub struct Report {
     /// The counts of all phases.
     #[serde(flatten)]
     pub counts: Counts,
-    /// What [`Report::latency_ms`] is measured between. In an open loop it starts at the due time.
+    /// The events between which [`Report::latency_ms`] is measured. In an open loop it starts at
+    /// the due time.
     pub measures: &'static str,
     /// See [`Report::measures`]. In an open loop a missing answer counts with the time waited.
     pub latency_ms: LatencyMs,
@@ -78,7 +79,7 @@ pub struct Report {
     pub timeline: Vec<Second>,
 }
 
-/// What was counted.
+/// The counted quantities.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Counts {
     /// Chunks received.

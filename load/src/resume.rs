@@ -1,4 +1,5 @@
-//! What one client carries from a lost session into the next: its chunks, and since when it waits.
+//! The state that one client carries from a lost session into the next: its chunks, and since when
+//! it waits.
 
 use crate::counters::Counters;
 use crate::held::HeldChunks;

@@ -1,5 +1,5 @@
-//! When a client does what: in a closed loop after its answers, in an open loop at random times that
-//! are fixed before the run, else at fixed intervals.
+//! When a client does what: in a closed loop after its answers, in an open loop at random times
+//! that are fixed before the run, else at fixed intervals.
 //!
 //! A schedule outlives sessions: an action that was due while a client was disconnected is done
 //! after it has reconnected, and counts from when it was due.
@@ -25,7 +25,7 @@ pub enum Action {
     View(Instant),
     /// Request one chunk that no view brings, to measure the latency.
     Probe(Instant),
-    /// Request so many chunks by key.
+    /// Request this many chunks by key.
     Request(Instant, usize),
 }
 
@@ -41,7 +41,7 @@ pub struct Schedule {
 enum Pacing {
     /// Views, and probes if any, at fixed intervals.
     Periodic { views: Interval, probes: Option<Interval> },
-    /// Requests after answers, with so many outstanding.
+    /// Requests after answers, with this many outstanding.
     Closed { outstanding: usize },
     /// One action at each arrival.
     Open { arrivals: Arrivals, mode: Mode },
@@ -90,8 +90,8 @@ impl Schedule {
         matches!(self.pacing, Pacing::Open { .. } | Pacing::Periodic { probes: None, .. })
     }
 
-    /// The next action, with so many answers outstanding. Waits until it is due; at the limit of
-    /// outstanding requests it never returns, so call it again after an answer. Cancel-safe.
+    /// The next action, with `outstanding` answers outstanding. Waits until it is due; at the limit
+    /// of outstanding requests it never returns, so call it again after an answer. Cancel-safe.
     pub async fn next(&mut self, outstanding: usize) -> Action {
         match &mut self.pacing {
             // As in an open loop: a view that may still be served must be remembered.
@@ -100,7 +100,7 @@ impl Schedule {
             }
             Pacing::Periodic { views, probes: None } => Action::View(views.tick().await),
             Pacing::Periodic { views, probes: Some(probes) } => tokio::select! {
-                // From when they were due. What was missed beside that is neither sent nor counted.
+                // From when they were due. Actions missed beside that are neither sent nor counted.
                 due = views.tick() => Action::View(due),
                 due = probes.tick() => Action::Probe(due),
             },

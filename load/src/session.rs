@@ -54,7 +54,7 @@ const LAST_FRAMES_WITHIN: Duration = Duration::from_secs(1);
 /// verify; without yielding a burst would delay the clocks of all sessions.
 const YIELD_EVERY: u32 = 16;
 
-/// Of so many settled views one is checked for its chunks, which takes a selection.
+/// One settled view in this number is checked for its chunks, which takes a selection.
 const CHECKED_VIEWS: u32 = 8;
 
 /// One session from connect to close. The chunks of an earlier one are reported to the server.
@@ -245,7 +245,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
                     RefusalReason::Overloaded | RefusalReason::TooManyRequests => {
                         self.task.counters.refused(&problem);
                     }
-                    // What this client asks for is valid, so the server is at fault.
+                    // The requests of this client are valid, so the server is at fault.
                     _ => self.task.counters.mismatch(&problem),
                 }
             }

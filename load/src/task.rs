@@ -1,4 +1,4 @@
-//! What every kind of client gets for one phase, and how a session can end.
+//! The task of every kind of client for one phase, and the ends of a session.
 
 use crate::config::LoadConfig;
 use crate::counters::Counters;
@@ -26,7 +26,7 @@ pub const SILENCE: Duration = Duration::from_secs(5);
 /// a server that starts at the same time.
 pub const GIVE_UP_AFTER: Duration = Duration::from_secs(10);
 
-/// What one client gets for one phase of a run.
+/// The task of one client for one phase of a run.
 #[derive(Debug)]
 pub struct Task<'a, D> {
     /// Number of the client.
@@ -82,7 +82,7 @@ pub enum SessionEnd {
     Unreachable(String),
     /// Not admitted.
     NotAdmitted {
-        /// What was wrong.
+        /// The problem.
         problem: String,
         /// Whether another attempt may succeed.
         retry: bool,

@@ -1,5 +1,5 @@
-//! What a chunk must satisfy beyond the checks of the protocol's decoder (digest, key, ranges,
-//! extremes). Pyramids are not sent: the decoder makes them.
+//! Checks of a chunk beyond those of the protocol's decoder (digest, key, ranges, extremes).
+//! Pyramids are not sent: the decoder makes them.
 //!
 //! Pure functions of a chunk. Which chunks may arrive is decided in [`crate::expected`].
 

@@ -6,8 +6,8 @@ use std::sync::OnceLock;
 use terrain::constants::GENERATOR_VERSION;
 use terrain::{Land, Start, WorldDigest};
 
-/// What the clients of one run share. The digest of a world takes some 30 ms, its start longer: for
-/// each of 500 sessions that would be most of the load test's time.
+/// The state that the clients of one run share. The digest of a world takes some 30 ms, its start
+/// longer: for each of 500 sessions that would be most of the load test's time.
 #[derive(Debug, Default)]
 pub struct FirstWorld {
     /// The world that was announced first, with its digest as computed here.

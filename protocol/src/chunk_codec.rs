@@ -153,7 +153,7 @@ pub fn heights_on(kernel: Kernel, frame: &[u8], heights: &mut [i32; VERTEX_COUNT
 
 /// Writes the length of the payload and the digest that a frame with these bytes should have, as a
 /// hostile server does: for tests of what is behind the digest. `parent` are the heights of the
-/// parent, for refined frames. What is shorter than a header stays as it is; a seed-only frame has
+/// parent, for refined frames. A frame shorter than a header stays as it is; a seed-only frame has
 /// another header, and its decoder does all its work before it compares the digest.
 #[doc(hidden)]
 pub fn reseal(frame: &mut [u8], world: &WorldDigest, parent: Option<&[i32; VERTEX_COUNT]>) {
@@ -390,7 +390,7 @@ thread_local! {
     /// Where parts are decompressed to. Made once by every thread that decodes.
     static ROOM: RefCell<Box<Scratch>> = RefCell::new(Box::new(Scratch::new()));
 
-    /// What a digest covers, in one piece: at most a frame and the known heights.
+    /// The input of a digest, in one piece: at most a frame and the known heights.
     static WHOLE: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
 }
 

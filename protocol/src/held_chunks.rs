@@ -1,7 +1,8 @@
 //! The chunks that a client has, as a server and the client itself remember them.
 //!
-//! A client has chunks that lie together: one bit for each chunk of a tile takes a small part of the
-//! memory of a set of keys. A chunk far from all others takes a whole tile, and so tiles are limited.
+//! A client has chunks that lie together: one bit for each chunk of a tile takes a small part of
+//! the memory of a set of keys. A chunk far from all others takes a whole tile, and so tiles are
+//! limited.
 
 use crate::limits::{HELD_TILE, MAX_HELD_TILES};
 use std::collections::HashMap;

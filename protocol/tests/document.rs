@@ -69,11 +69,11 @@ fn limits_of_a_session_are_those_of_the_code() {
     states(&format!("at most {} are counted", grouped(limits::MAX_CREDITS as usize)));
     states(&format!("{} bytes (256 MiB) are counted", grouped(limits::MAX_CREDIT_BYTES as usize)));
     states(&format!("At most {} requested keys", grouped(limits::MAX_PENDING_REQUESTS)));
-    // What is held, and what is forgotten.
+    // Held and forgotten chunks.
     states(&format!("in tiles of {0} x {0} of a level", limits::HELD_TILE));
     states(&format!("at most {} tiles. A full set is cleared", grouped(limits::MAX_HELD_TILES)));
     states(&format!("the latest {} chunks of levels 1 and 2", grouped(limits::MAX_REFERENCES)));
-    // What a view may cost.
+    // Limits of the cost of a view.
     states(&format!("stops at {} chunks", grouped(limits::MAX_VIEW_CHUNKS)));
     states(&format!("exceeds {} is refused", grouped(limits::MAX_VIEW_ESTIMATE as usize)));
 }

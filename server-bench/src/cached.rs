@@ -98,7 +98,7 @@ async fn verify(
     Ok(())
 }
 
-/// What a server delivers, and what it costs.
+/// The throughput of a server, and its cost.
 #[derive(Clone, Copy, Debug)]
 pub struct Rate {
     pub chunks_per_s: f64,

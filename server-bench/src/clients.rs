@@ -9,8 +9,8 @@ use terrain::ChunkKey;
 use tokio::runtime::{Builder, Runtime};
 
 /// Nice value of the thread of other peers: a tenth of the weight of the measured clients' thread,
-/// which shares its processor on a machine with few of them. What the other peers make the server
-/// do counts, not the time that they take from the measured clients.
+/// which shares its processor on a machine with few of them. The work that the other peers make for
+/// the server counts, not the time that they take from the measured clients.
 const OTHERS_NICE: i32 = 10;
 
 /// A runtime on a thread of its own, for peers that must not delay the measured clients.
@@ -55,13 +55,13 @@ pub fn rotated(keys: &[ChunkKey], index: usize, count: usize) -> Vec<ChunkKey> {
 pub enum Window {
     /// One request a chunk, as soon as another is answered.
     OneByOne(usize),
-    /// So many requests of a chunk each, when all of the last ones are answered, like wrk.
+    /// This many requests of a chunk each, when all of the last ones are answered, like wrk.
     Batches(usize),
     /// Half a window in one request, when half is answered, like a viewer.
     Halves(usize),
 }
 
-/// What happens in a closed loop.
+/// An event of a closed loop.
 pub enum Event<'a> {
     /// A chunk is being requested.
     Sent(ChunkKey),
@@ -69,7 +69,7 @@ pub enum Event<'a> {
     Received(Received<'a>),
 }
 
-/// What a client received.
+/// The totals that a client received.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Totals {
     pub chunks: u64,
@@ -160,7 +160,7 @@ pub async fn closed_loop(
     Ok(totals)
 }
 
-/// What a client of a closed loop waited for, from a time on.
+/// The waits of a client of a closed loop, from a time on.
 #[derive(Clone, Debug)]
 pub struct Waits {
     from: Instant,
@@ -195,7 +195,7 @@ impl Waits {
         }
     }
 
-    /// What is open now has waited until now.
+    /// Requests that are open now have waited until now.
     fn give_up(&mut self) {
         self.latencies.extend(self.open.drain().map(|(_, sent)| sent.elapsed()));
     }

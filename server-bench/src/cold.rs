@@ -1,5 +1,5 @@
-//! Chunks that must be generated: CPU time from request to socket at levels 0, 2 and 4, at level 0 with
-//! the fast and with the compact encoding, and the time of each stage at level 0.
+//! Chunks that must be generated: CPU time from request to socket at levels 0, 2 and 4, at level 0
+//! with the fast and with the compact encoding, and the time of each stage at level 0.
 //!
 //! The error bound of a coarse chunk costs many times its heights; level 0 has none. A figure of
 //! one level therefore says little about another.
@@ -26,7 +26,7 @@ const CONNECTIONS: usize = 16;
 /// Chunks that the stages are timed over.
 const STAGE_CHUNKS: usize = 2000;
 
-/// What is requested of one level.
+/// The requests of one level.
 #[derive(Clone, Copy, Debug)]
 struct LevelPlan {
     level: u8,

@@ -20,7 +20,7 @@ const SOFTWARE: &str = concat!("tombolo-server-bench ", env!("CARGO_PKG_VERSION"
 /// Bytes read at once.
 const READ_BUFFER: usize = 256 * 1024;
 
-/// What the server sent.
+/// A chunk or a message from the server.
 #[derive(Debug)]
 pub enum Received<'a> {
     /// A chunk frame.
@@ -179,7 +179,7 @@ pub async fn open(address: SocketAddr) -> Result<TcpStream> {
     Ok(stream)
 }
 
-/// As [`open`], from an address of this machine, with a receive buffer of so many bytes if given.
+/// As [`open`], from an address of this machine, with a receive buffer of `receive` bytes if given.
 pub async fn open_from(source: IpAddr, address: SocketAddr, receive: Option<u32>) -> Result<TcpStream> {
     let socket = TcpSocket::new_v4()?;
     receive.map_or(Ok(()), |bytes| socket.set_recv_buffer_size(bytes))?;

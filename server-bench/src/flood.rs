@@ -54,7 +54,7 @@ const LEAST_VIEWS_PER_S: f64 = 1.0;
 /// Chunks that a teleporting session holds.
 const HELD: i32 = 4096;
 
-/// What the flooding sessions send.
+/// The kind of views that the flooding sessions send.
 #[derive(Clone, Copy, Debug)]
 enum Kind {
     Largest,
@@ -222,7 +222,7 @@ impl Flood {
         Ok(Self { threads: Some(threads), sessions })
     }
 
-    /// What there is of the flood now.
+    /// The state of the flood now.
     async fn seen(&self, server: &ServerProcess) -> Seen {
         let open = self.sessions.iter().filter(|session| !session.is_finished()).count();
         let [selected, superseded, refused] = series::VIEWS;
@@ -243,7 +243,7 @@ impl Drop for Flood {
     }
 }
 
-/// What took place of a flood.
+/// The observed state of a flood.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     /// Sessions that are still open.

@@ -45,10 +45,10 @@ const TIMEOUT: Duration = Duration::from_secs(60);
 /// that it never ends, and all at the start, so that chunks are no growth.
 const FIRST_CHUNKS: usize = 16;
 
-/// One byte of so many is spoilt where single bytes are.
+/// One byte in this number is spoilt where single bytes are.
 const SPOILT: u64 = 20_000;
 
-/// What the proxy does to a session; the next one gets the next kind.
+/// The fault that the proxy adds to a session; the next session gets the next kind.
 #[derive(Clone, Copy, Debug)]
 enum Kind {
     /// Passes everything, so that the viewer holds chunks.

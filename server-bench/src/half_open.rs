@@ -35,7 +35,7 @@ const TIMEOUT: Duration = Duration::from_secs(30);
 const GOOD_INTERVAL: Duration = Duration::from_millis(250);
 const GOOD_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// What a socket sends.
+/// The data that a socket sends.
 #[derive(Clone, Copy, Debug)]
 enum Kind {
     /// Nothing.

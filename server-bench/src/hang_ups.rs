@@ -16,9 +16,10 @@ use terrain::{ChunkKey, Land};
 use tokio::io::AsyncWriteExt;
 use tokio_util::either::Either;
 
-/// Cycles, in so many parts with a look at the memory after each. The last look is compared with that
-/// after half of them. What the program holds does not grow at all, as the server's test `hang_ups`
-/// shows by counting bytes; the pages of its allocator do, ever more slowly.
+/// Cycles, and their parts, with a look at the memory after each part. The last look is compared
+/// with that after half of the parts. The bytes that the program holds do not grow at all, as the
+/// server's test `hang_ups` shows by counting them; the pages of its allocator do, ever more
+/// slowly.
 const CYCLES: usize = 100_000;
 const PARTS: usize = 4;
 const HALF: usize = PARTS / 2;
@@ -26,8 +27,8 @@ const HALF: usize = PARTS / 2;
 /// Clients at once, each from an address of its own.
 const CLIENTS: usize = 32;
 
-/// Chunks that are requested before the client hangs up, of so many in all: many times what the
-/// cache of the server holds, so that most are to be generated when their client is gone.
+/// Chunks that are requested before the client hangs up, and the number of all chunks: many times
+/// what the cache of the server holds, so that most are to be generated when their client is gone.
 const REQUESTED: usize = 16;
 const CHUNKS: usize = 16 * 1024;
 const CACHE: [&str; 2] = ["--cache-mb", "1"];
@@ -116,7 +117,8 @@ async fn cycles(address: SocketAddr, keys: &Arc<[ChunkKey]>, range: std::ops::Ra
 
 /// One cycle. Every second one ends with a reset, the others with an end of the stream.
 async fn cycle(address: SocketAddr, client: usize, number: usize, keys: &[ChunkKey]) -> Result<()> {
-    // Many addresses, because each has only so many ports for connections that have just ended.
+    // Many addresses, because each has a limited number of ports for connections that have just
+    // ended.
     let source = loopback(client * 64 + number / CLIENTS % 64);
     let mut stream = open_from(source, address, None).await?;
     if number % 2 == 1 {

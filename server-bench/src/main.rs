@@ -1,5 +1,5 @@
-//! `tombolo-server-bench`: micro-benchmarks of a server. Each starts the real program in a process of
-//! its own, measures one property, and compares the figures with its bars.
+//! `tombolo-server-bench`: micro-benchmarks of a server. Each starts the real program in a process
+//! of its own, measures one property, and compares the figures with its bars.
 //!
 //! Reading order: [`server_process`] (the server, and what `/proc` and its metrics say about it),
 //! [`connection`] (a client that costs little), [`clients`] (many of them), [`rounds`], [`keys`]
@@ -67,7 +67,7 @@ struct Args {
     check: bool,
 }
 
-/// What is measured.
+/// The benchmark to run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Bench {
     /// Cached chunks over 64 connections, 16 outstanding each, beside nginx where it and wrk are
@@ -215,8 +215,8 @@ mod test_bars {
         assert_eq!(missed(bars, &Value::Null), bars(good).len(), "no figures");
     }
 
-    /// Checks that a run without the peers that it is about shows nothing: with this value every row
-    /// misses, except those of controls.
+    /// Checks that a run without the peers that it is about shows nothing: with this value every
+    /// row misses, except those of controls.
     pub fn check_without_peers(bars: fn(&Value) -> Vec<Bar>, good: &Value, path: &str, value: Value) {
         let mut figures = good.clone();
         *figures.pointer_mut(path).expect(path) = value;

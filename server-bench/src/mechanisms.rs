@@ -1,4 +1,4 @@
-//! What each mechanism against overload is worth: a load that needs it, on a server with it and on
+//! The effect of each mechanism against overload: a load that needs it, on a server with it and on
 //! one without it, in turn.
 //!
 //! Each figure is of one load that was chosen for its mechanism. Under other loads a mechanism may
@@ -56,15 +56,16 @@ const COARSE_CHUNKS: usize = 2048;
 /// Name of the control: the same server on both sides.
 const CONTROL: &str = "nothing";
 
-/// What a load measures.
+/// The figure that a load measures.
 #[derive(Clone, Copy, Debug)]
 struct Figure {
     name: &'static str,
     unit: &'static str,
     /// Whether more is better.
     more_is_better: bool,
-    /// What a server without the mechanism must be worse by, so that it counts as having an effect;
-    /// of the control what it may be better or worse by.
+    /// The least factor by which a server without the mechanism must be worse, so that the
+    /// mechanism counts as having an effect; of the control the factor by which it may be better or
+    /// worse.
     least_effect: f64,
 }
 

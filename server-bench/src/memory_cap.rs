@@ -1,5 +1,5 @@
-//! A server with a hard limit of memory, far more clients than it can serve, and then few again; and
-//! clients beyond its memory mark (`mark`).
+//! A server with a hard limit of memory, far more clients than it can serve, and then few again;
+//! and clients beyond its memory mark (`mark`).
 
 mod mark;
 
@@ -220,8 +220,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
     rows
 }
 
-/// Whether a server whose cache has no room under its limit was killed, or stays beyond its mark, where
-/// polite clients get no session; none if it was not run.
+/// Whether a server whose cache has no room under its limit was killed, or stays beyond its mark,
+/// where polite clients get no session; none if it was not run.
 fn control_failures(figures: &Value) -> Option<f64> {
     let error = figures.pointer("/control/error").and_then(Value::as_str);
     let has_no_session = error.is_some_and(|error| error.contains(" 503 "));

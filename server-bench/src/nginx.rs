@@ -55,7 +55,7 @@ impl Nginx {
         bail!("nginx does not answer at {address}")
     }
 
-    /// The paths of so many files.
+    /// The paths of `n_files` files.
     pub fn paths(n_files: usize) -> Vec<String> {
         (0..n_files).map(|index| format!("/{index}.bin")).collect()
     }

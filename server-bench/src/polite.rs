@@ -12,7 +12,7 @@ use terrain::ChunkKey;
 /// The client waits so long after the end for chunks that it requested.
 const GRACE: Duration = Duration::from_secs(2);
 
-/// What one or several polite clients received.
+/// The totals that one or several polite clients received.
 #[derive(Clone, Debug)]
 pub struct Polite {
     pub chunks: usize,

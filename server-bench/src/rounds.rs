@@ -15,8 +15,8 @@ impl Rounds {
         self.0.entry(name).or_default().push(figure.into());
     }
 
-    /// Adds to an object each figure as the median of the rounds, and all rounds as `NAME_rounds`. A
-    /// figure that a round lacks has no median.
+    /// Adds to an object each figure as the median of the rounds, and all rounds as `NAME_rounds`.
+    /// A figure that a round lacks has no median.
     pub fn add_to(self, mut object: Value) -> Value {
         let fields = object.as_object_mut().map(std::mem::take).unwrap_or_default();
         let medians =

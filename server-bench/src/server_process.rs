@@ -208,7 +208,7 @@ impl ServerProcess {
         self.panics.load(Ordering::Relaxed)
     }
 
-    /// So many clients, one after the other.
+    /// This many clients, one after the other.
     pub async fn connect(&self, count: usize) -> Result<Vec<Connection>> {
         let mut connections = Vec::with_capacity(count);
         for _ in 0..count {

@@ -58,7 +58,7 @@ async fn round(plan: &Plan, keys: &[ChunkKey], rounds: &mut Rounds) -> Result<()
     let (first, second) = fresh.split_at(fresh.len() / 2);
     let length = LEAST.max(Duration::from_secs(plan.seconds));
     let healthy = |keys, end| polite::several(address, keys, HEALTHY, INTERVAL, end);
-    // What is requested by the dead clients is cached in both parts.
+    // Chunks requested by the dead clients are cached in both parts.
     cache(&server, requested).await?;
     let alone = healthy(first, Instant::now() + length).await?;
 

@@ -72,7 +72,7 @@ pub struct BakePart {
     pub of: u64,
 }
 
-/// What one part did.
+/// The result of one part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Baked {
     /// Packs of the part that are in the store: kept or written.
@@ -126,7 +126,7 @@ impl BakeArgs {
 pub struct Bake {
     /// The land.
     pub land: Land,
-    /// What is baked.
+    /// The region to bake.
     pub region: BakedRegion,
     /// Which part of it.
     pub part: BakePart,

@@ -155,8 +155,8 @@ impl ServerConfig {
         self.max_sessions.saturating_add(EXTRA_CONNECTIONS)
     }
 
-    /// Counts what a client network has of them: connections, or requests behind a proxy. With a limit
-    /// of its sessions so many more than those.
+    /// Counts what a client network has of them: connections, or requests behind a proxy. With a
+    /// limit of its sessions, `EXTRA_CONNECTIONS_PER_IP` more than those.
     #[must_use]
     pub fn connections_per_ip(&self) -> PerIpLimiter {
         match self.max_sessions_per_address {
@@ -270,7 +270,7 @@ fn traces(address: Option<String>, every: Option<u64>) -> Result<Option<TraceCon
             Err(UsageError::new("trace-every: there is no collector; give otlp URL too, or remove it"))
         });
     };
-    // What is wrong may be a password, which no error should show.
+    // The invalid part may be a password, which no error should show.
     let wrong = || {
         UsageError::new("otlp: not an address of OTLP over HTTP; give http://HOST:4318/v1/traces or https")
     };

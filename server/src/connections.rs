@@ -1,5 +1,6 @@
-//! Open connections of clients, by site: where places lack, a connection of the site that has the most
-//! ends for one of a site that has fewer. So accepting never stops, whichever clients hold the places.
+//! Open connections of clients, by site: where places lack, a connection of the site that has the
+//! most ends for one of a site that has fewer. So accepting never stops, whichever clients hold the
+//! places.
 
 use crate::limits::networks::client_site;
 use std::collections::{BTreeMap, HashMap};
@@ -82,9 +83,9 @@ impl OpenConnections {
         OpenConnection { number, state, connections: self.clone() }
     }
 
-    /// Chooses a connection to end for one of a client that has not been added: of the site with the
-    /// most, first without a request, then the oldest. Only of a site that has more than the client's,
-    /// and only where that site has two more, one with a request. False if there is none.
+    /// Chooses a connection to end for one of a client that has not been added: of the site with
+    /// the most, first without a request, then the oldest. Only of a site that has more than the
+    /// client's, and only where that site has two more, one with a request. False if there is none.
     #[must_use]
     pub fn displace_for(&self, client: IpAddr) -> bool {
         let mut table = self.table();

@@ -34,8 +34,9 @@ use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 use tower::ServiceExt;
 
 /// When fewer permits are free, each connection that is accepted displaces one
-/// ([`OpenConnections::displace_for`]). A place becomes free within [`DISPLACEMENT`]; until then the
-/// permits suffice for the next ones. Without a permit a connection is closed: accepting never waits.
+/// ([`OpenConnections::displace_for`]). A place becomes free within [`DISPLACEMENT`]; until then
+/// the permits suffice for the next ones. Without a permit a connection is closed: accepting never
+/// waits.
 const RESERVED_CONNECTIONS: usize = EXTRA_CONNECTIONS / 4;
 
 /// Time in which a displaced connection may finish its request.
@@ -53,7 +54,7 @@ const ACCEPT_LOG_INTERVAL: Duration = Duration::from_secs(60);
 
 /// Connections that the system keeps until they are accepted; Linux bounds it by
 /// `net.core.somaxconn`, 4,096 by default. Beyond it the system drops the handshake of a new
-/// connection, which its client repeats a second later. So many may come at once after a restart.
+/// connection, which its client repeats a second later. This many may come at once after a restart.
 const BACKLOG: u32 = 4096;
 
 /// Listens on an address, with room for many new connections at once.
@@ -149,7 +150,7 @@ async fn ended(connections: &TaskTracker, sessions: &TaskTracker) {
     sessions.wait().await;
 }
 
-/// What an operator should know of a server that other machines reach.
+/// Logs warnings for the operator of a server that other machines reach.
 fn warn_of_openness(state: &ServerState, listener: &TcpListener) {
     let is_loopback = listener.local_addr().is_ok_and(|address| address.ip().to_canonical().is_loopback());
     if is_loopback {
@@ -233,7 +234,8 @@ struct ClientPlace {
 }
 
 impl Places {
-    /// The place of a connection; none if there is none, or if the client's network has all of its own.
+    /// The place of a connection; none if there is none, or if the client's network has all of its
+    /// own.
     fn take(&self, peer: IpAddr, is_proxy: bool, state: &ServerState) -> Option<HeldPlace> {
         let permit = Arc::clone(&self.permits).try_acquire_owned().ok();
         let ip_permit = if is_proxy { None } else { Some(self.permit_of(peer, state)?) };
@@ -308,8 +310,8 @@ struct Failure {
     reason: ConnectionFailure,
 }
 
-/// What stands before requests: the header of a trusted proxy, and the handshake of TLS. None if
-/// the client of a proxy has no place.
+/// The steps before requests: the header of a trusted proxy, and the handshake of TLS. None if the
+/// client of a proxy has no place.
 async fn open(
     mut stream: TcpStream,
     peer: IpAddr,

@@ -504,8 +504,8 @@ impl Metrics {
         self.registry.register(name, help, metric.clone());
     }
 
-    /// Creates the counters of ends of sessions and of connections, so that a rate includes the first
-    /// event.
+    /// Creates the counters of ends of sessions and of connections, so that a rate includes the
+    /// first event.
     pub fn declare_ends(
         &self,
         of_sessions: impl IntoIterator<Item = &'static str>,

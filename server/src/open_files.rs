@@ -1,18 +1,18 @@
 //! The limit of open files: each connection takes one, and systems often allow a process 1,024.
 
-/// Open files that are neither sessions nor the requests beside them: as many as extra connections, and
-/// files of caches, stores and logs.
+/// Open files that are neither sessions nor the requests beside them: as many as extra connections,
+/// and files of caches, stores and logs.
 const OTHERS: u64 = 512;
 
-/// Files that a server with so many sessions may open: a session is a request first, while as many
-/// others are open.
+/// Files that a server with this many sessions may open: a session is a request first, while as
+/// many others are open.
 #[must_use]
 pub const fn wanted(max_sessions: u64) -> u64 {
     2 * max_sessions + OTHERS
 }
 
-/// Raises the limit to what the system allows, and warns if that is less than the server may need: it
-/// then cannot accept connections while all are open.
+/// Raises the limit to what the system allows, and warns if that is less than the server may need:
+/// it then cannot accept connections while all are open.
 pub fn raise(max_sessions: usize) {
     let wanted = wanted(max_sessions as u64);
     if let Some(limit) = raised().filter(|limit| *limit < wanted) {

@@ -44,7 +44,7 @@ pub async fn run(state: Arc<ServerState>) {
     }
 }
 
-/// What one reload did, or why it failed.
+/// The result of one reload, or its error.
 type Outcome = Result<Reloaded, UsageError>;
 
 /// A file, or the two of a certificate.
@@ -69,7 +69,7 @@ impl<'a> File<'a> {
 
     /// Reads it again, or waits on for the read that has not ended.
     async fn reload(&mut self, is_asked: bool) {
-        // What an earlier read found, which took too long, may be out of date.
+        // The result of an earlier read, which took too long, may be out of date.
         self.reading.take_if(|reading| reading.is_finished());
         let read = Arc::clone(&self.read);
         // Files may be on a slow disk.

@@ -1,9 +1,9 @@
 //! Sharing of a processor between the threads of connections and of generation.
 //!
-//! Where two busy threads share a processor, the scheduler of Linux changes between them at its tick,
-//! 4 ms apart at 250 Hz, and a chunk needs both kinds of threads twice. Each thread therefore yields
-//! after [`YIELD_INTERVAL`] of work without a wait. Threads that wait for work more often do not
-//! yield: the scheduler charges a yield, and their next work would wait for it.
+//! Where two busy threads share a processor, the scheduler of Linux changes between them at its
+//! tick, 4 ms apart at 250 Hz, and a chunk needs both kinds of threads twice. Each thread therefore
+//! yields after [`YIELD_INTERVAL`] of work without a wait. Threads that wait for work more often do
+//! not yield: the scheduler charges a yield, and their next work would wait for it.
 
 use crate::mechanism::Mechanism;
 use std::cell::Cell;
@@ -23,8 +23,8 @@ pub fn waited() {
 }
 
 /// Between two pieces of work: lets another thread run if this one has worked for
-/// [`YIELD_INTERVAL`], unless a measurement turns that off. Nothing in shuttle, which changes threads
-/// at each lock.
+/// [`YIELD_INTERVAL`], unless a measurement turns that off. Nothing in shuttle, which changes
+/// threads at each lock.
 pub fn yield_if_due(without: Option<Mechanism>) {
     if without != Some(Mechanism::ThreadYields) && is_due(WORKING_SINCE.get(), Instant::now()) {
         #[cfg(not(shuttle))]

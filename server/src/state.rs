@@ -34,7 +34,7 @@ const MAP_CACHE_DIVISOR: u64 = 8;
 pub struct ServerState {
     /// The checked configuration.
     pub config: ServerConfig,
-    /// What sessions are offered, but for the check of tokens.
+    /// The offer to sessions, except for the check of tokens.
     pub offer: ServerOffer,
     /// The generation service.
     pub generation: Generation,

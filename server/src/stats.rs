@@ -148,8 +148,8 @@ struct Shared {
 #[derive(Debug)]
 struct Registered {
     stats: Arc<SessionStats>,
-    /// Of its client, for IPv6 the /48 that a site has (RFC 6177): it decides which sessions end, and no
-    /// report has it.
+    /// Of its client, for IPv6 the /48 that a site has (RFC 6177): it decides which sessions end,
+    /// and no report has it.
     site: Option<IpAddr>,
 }
 
@@ -257,14 +257,14 @@ impl LiveStats {
         lock(&self.shared.sessions).len()
     }
 
-    /// Ends up to this many sessions ([`SessionStats::ends`]), first of the sites that have the most,
-    /// among equals the newest. Returns how many end.
+    /// Ends up to this many sessions ([`SessionStats::ends`]), first of the sites that have the
+    /// most, among equals the newest. Returns how many end.
     pub fn shed(&self, count: usize) -> usize {
         if count == 0 {
             return 0;
         }
         let sessions = lock(&self.shared.sessions);
-        // The session of a site with so many older ones.
+        // The session of a site with this many older ones.
         let mut older: HashMap<Option<IpAddr>, usize> = HashMap::new();
         let rank = |site| {
             let older = older.entry(site).or_default();
@@ -280,9 +280,9 @@ impl LiveStats {
         ended.len()
     }
 
-    /// Ends the newest session of the site that has the most, for a client whose site has at least two
-    /// fewer. False if there is none, or too soon after the last one: a client that never takes its place
-    /// must not end many.
+    /// Ends the newest session of the site that has the most, for a client whose site has at least
+    /// two fewer. False if there is none, or too soon after the last one: a client that never takes
+    /// its place must not end many.
     pub fn displace_for(&self, client: Option<IpAddr>, now: Instant) -> bool {
         let mut displaced = lock(&self.shared.displaced);
         if displaced.is_some_and(|last| now.saturating_duration_since(last) < DISPLACEMENT_INTERVAL) {

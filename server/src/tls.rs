@@ -109,8 +109,8 @@ impl Files {
     }
 }
 
-/// What is wrong with a file in PEM. The library's text has bytes of the file as numbers, which may
-/// be those of a key.
+/// The fault of a file in PEM. The library's text has bytes of the file as numbers, which may be
+/// those of a key.
 fn pem_fault(error: &pem::Error) -> &'static str {
     match error {
         pem::Error::NoItemsFound => "none found",
@@ -160,8 +160,9 @@ impl Tls {
         Ok(Some(Arc::new(Self { current: RwLock::new(files.read()?), files, turns })))
     }
 
-    /// The handshake of a connection, with the current certificate. Its key exchange and signature take
-    /// up to some milliseconds of a thread, and their request costs a client nothing: sites take turns.
+    /// The handshake of a connection, with the current certificate. Its key exchange and signature
+    /// take up to some milliseconds of a thread, and their request costs a client nothing: sites
+    /// take turns.
     ///
     /// # Errors
     /// The client ends the connection or sends no valid handshake.

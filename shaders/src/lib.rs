@@ -4,7 +4,7 @@
 //! passes read, `wgsl/<verb_noun>.wesl` one pass each. `build.rs` links a pass with the modules it
 //! imports (WESL), validates the result with naga as portable WebGPU and puts it into [`SHADERS`].
 //!
-//! What this crate refuses: a GPU API (nothing here depends on wgpu), reading files at run time,
+//! Excluded from this crate: a GPU API (nothing here depends on wgpu), reading files at run time,
 //! and native-only shader features.
 //!
 //! Reading order: [`SHADERS`], [`layout`] (uniforms and instances, as bytes), [`twin`] (integer

@@ -49,7 +49,7 @@ samplers | bind groups | invocations | workgroup bytes | inter-stage variables |
 | **limit** | | 8 | 12 | 16 | 4 | 16 | 4 | 256 | 16384 | 16 |
 ";
 
-/// What one stage of a pass uses.
+/// The resources that one stage of a pass uses.
 #[derive(Clone, Copy, Debug, Default)]
 struct Usage {
     storage_buffers: u32,
@@ -120,7 +120,8 @@ fn inter_stage(module: &Module, entry: &EntryPoint) -> u32 {
     }
 }
 
-/// What the entry points of one stage use together; none if the pass has no such stage.
+/// The resources that the entry points of one stage use together; none if the pass has no such
+/// stage.
 fn usage(module: &Module, info: &ModuleInfo, stage: ShaderStage) -> Option<Usage> {
     let mut layouter = Layouter::default();
     layouter.update(module.to_ctx()).expect("a validated module has a layout");

@@ -11,8 +11,8 @@ use terrain::spline;
 use terrain::weights::weights;
 use terrain::{Land, Octaves, Position};
 
-/// Seed, x and z in units, octaves kept: lattice lines, both signs, few octaves, a beach, a cliff, a
-/// mountain, the rim of an island, open sea, the edges and corners of the world.
+/// Seed, x and z in units, octaves kept: lattice lines, both signs, few octaves, a beach, a cliff,
+/// a mountain, the rim of an island, open sea, the edges and corners of the world.
 const PLACES: [(u64, i32, i32, usize); 26] = [
     (0, 0, 0, 9),
     (0, 0, 0, 0),

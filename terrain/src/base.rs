@@ -2,10 +2,10 @@
 //!
 //! At a node the coast is warped, the lobes of islands are joined, and four octaves of noise are
 //! added twice: plainly to the *shore* (negative at sea, positive inland), and damped by their own
-//! gradient and folded into ridges to the mountains, which rise where the shore is high. Octaves that
-//! are shared join valleys with bays. Derivative damping follows Quilez, "Elevated" (2008), with a
-//! polynomial instead of a division; the ridges follow Musgrave, "Texturing and Modeling" (2003),
-//! chapter 16.
+//! gradient and folded into ridges to the mountains, which rise where the shore is high. Octaves
+//! that are shared join valleys with bays. Derivative damping follows Quilez, "Elevated" (2008),
+//! with a polynomial instead of a division; the ridges follow Musgrave, "Texturing and Modeling"
+//! (2003), chapter 16.
 
 use crate::constants::{
     BASE_CELL_BITS, BASE_OCTAVES, BASE_STREAM, EXPOSURE_CELL_BITS, EXPOSURE_STREAM, FINE_BITS, MOUNTAIN_M,
@@ -66,8 +66,8 @@ impl Base {
         seeds
     }
 
-    /// The field at a point (units), from the lobes that may touch it and the octaves that are kept,
-    /// at most [`BASE_OCTAVES`].
+    /// The field at a point (units), from the lobes that may touch it and the octaves that are
+    /// kept, at most [`BASE_OCTAVES`].
     #[must_use]
     pub fn at(&self, lobes: &[Lobe], (x, z): (i32, i32), octaves: usize) -> Node {
         if lobes.is_empty() {

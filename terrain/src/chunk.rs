@@ -105,7 +105,8 @@ impl Land {
 
 /// See [`Chunk::slope`].
 fn slope_bound(heights: &[i32; VERTEX_COUNT], relief: u32, spacing: i32) -> u32 {
-    // With legs below 128 m, as in nearly every chunk, the squares fit 31 bits and go through vectors.
+    // With legs below 128 m, as in nearly every chunk, the squares fit 31 bits and go through
+    // vectors.
     let kernel = Kernel::best();
     let worst = if relief < 1 << 15 || simd::longest_leg(kernel, heights) < 1 << 15 {
         u64::from(simd::steepest(kernel, heights).unsigned_abs())
@@ -238,7 +239,8 @@ mod tests {
         }
     }
 
-    /// A ramp of 16 km with steps of up to 2^15 units: one less than that is for vectors, that is not.
+    /// A ramp of 16 km with steps of up to 2^15 units: one less than that is for vectors, that is
+    /// not.
     #[test]
     fn the_longest_leg_decides_between_vectors_and_wide_arithmetic() {
         for leg in [(1 << 15) - 1, 1 << 15] {

@@ -11,7 +11,7 @@ pub const PALETTES: u8 = 4;
 /// Chunks of this level and below have the palette of their ancestor there: a region of 4 km.
 const PALETTE_LEVEL: u8 = 5;
 
-/// What a client needs to expand the grass of one chunk.
+/// The data from which a client expands the grass of one chunk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrassSeed {
     /// Seed of the clumps' attributes ([`crate::random_attributes`]). The same in every chunk of a

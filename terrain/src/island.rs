@@ -54,7 +54,7 @@ pub struct Lobe {
     pub crater: bool,
 }
 
-/// What all lobes together give a point. Q30, below 2^30.
+/// Contribution of all lobes together to a point. Q30, below 2^30.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mass {
     /// How much land there is: 0 outside all lobes, about 0.2 to 0.5 on coasts.
@@ -152,8 +152,8 @@ impl Archipelago {
         }
     }
 
-    /// The lobes that may touch the square `[x, x + side] x [z, z + side]` (units, a side of at most
-    /// one cell), however the coasts are warped.
+    /// The lobes that may touch the square `[x, x + side] x [z, z + side]` (units, a side of at
+    /// most one cell), however the coasts are warped.
     #[must_use]
     pub fn lobes_near(&self, x: i32, z: i32, side: u32) -> Lobes {
         let mut lobes = Lobes::new();
@@ -261,8 +261,8 @@ impl Lobe {
         gap(self.centre.0, x).max(gap(self.centre.1, z)) <= reach
     }
 
-    /// The falloff of a point from the centre, given in Q18 metres: `1 - along² - across²`, Q26, from
-    /// 0 at and beyond the rim to less than 2^26.
+    /// The falloff of a point from the centre, given in Q18 metres: `1 - along² - across²`, Q26,
+    /// from 0 at and beyond the rim to less than 2^26.
     #[must_use]
     #[inline]
     pub(crate) fn falloff(&self, (x, z): (i32, i32)) -> i32 {
@@ -283,7 +283,7 @@ impl Mass {
     /// Outside all lobes.
     pub const NONE: Self = Self { mass: 0, height: 0 };
 
-    /// What lobes give the point `(x, z)` (units), displaced by the warp (Q16 metres).
+    /// Contribution of lobes to the point `(x, z)` (units), displaced by the warp (Q16 metres).
     #[must_use]
     pub fn at(lobes: &[Lobe], (x, z): (i32, i32), warp: (i32, i32)) -> Self {
         let (mut mass_left, mut height_left) = (ALMOST_ONE_Q30, ALMOST_ONE_Q30);

@@ -94,7 +94,7 @@ impl ChunkKey {
         Some(Self { level: self.level + 1, x: axis(self.x), z: axis(self.z) })
     }
 
-    /// The chunk of the same level so many chunks east and south; none beyond the world's border.
+    /// The chunk of the same level this many chunks east and south; none beyond the world's border.
     #[must_use]
     pub fn neighbour(self, east: i32, south: i32) -> Option<Self> {
         let (x, z) = (self.x.checked_add(east)?, self.z.checked_add(south)?);

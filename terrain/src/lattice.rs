@@ -1,8 +1,8 @@
 //! Gradient noise on a turned lattice, with its gradient: the octaves of the base field.
 //!
-//! The lattice is turned by a Pythagorean angle, so that its axes are not those of the world and the
-//! turned coordinates are exact integers: `(4x - 3z, 3x + 4z)` or `(3x - 4z, 4x + 3z)`, five times
-//! as long. They wrap modulo 2^32, and so do cells, so the noise is continuous everywhere.
+//! The lattice is turned by a Pythagorean angle, so that its axes are not those of the world and
+//! the turned coordinates are exact integers: `(4x - 3z, 3x + 4z)` or `(3x - 4z, 4x + 3z)`, five
+//! times as long. They wrap modulo 2^32, and so do cells, so the noise is continuous everywhere.
 //!
 //! Unlike the octaves of [`crate::noise`] it is not separable into strips; it is evaluated at few
 //! points and in 32 bits. A result is off the noise in real arithmetic by less than 2^-23.
@@ -22,7 +22,8 @@ pub enum Turn {
 }
 
 impl Turn {
-    /// Five times the gradient along the axes of the world, from the gradient along the turned ones.
+    /// Five times the gradient along the axes of the world, from the gradient along the turned
+    /// ones.
     #[must_use]
     #[inline]
     pub const fn back(self, (x, z): (i32, i32)) -> (i32, i32) {
@@ -117,8 +118,8 @@ mod tests {
     /// distance to its corners, times a bound of the slope, must not exceed it; else it is divided.
     /// False if a part of 2^-13 of a cell is not proved.
     ///
-    /// Slope: a mean of unit gradients, and along each axis at most 15/8 times the sum of the largest
-    /// products of two sides, `sqrt(2)` each.
+    /// Slope: a mean of unit gradients, and along each axis at most 15/8 times the sum of the
+    /// largest products of two sides, `sqrt(2)` each.
     fn is_at_most(bound: f64, x: f64, z: f64, half: f64) -> bool {
         const SLOPE: f64 = 9.0;
         let fade = |t: f64| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);

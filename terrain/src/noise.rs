@@ -29,8 +29,8 @@ impl Fbm {
     }
 
     /// The sum at one point, 2^-16 m: the definition. Total over all of i32, wrapping at its ends,
-    /// so that implementations can be compared there too; heights exist inside the world only. Whole
-    /// grids ([`crate::simd`]) and GPUs must agree with it bit for bit.
+    /// so that implementations can be compared there too; heights exist inside the world only.
+    /// Whole grids ([`crate::simd`]) and GPUs must agree with it bit for bit.
     #[must_use]
     pub fn at(&self, x: i32, z: i32, octaves: Octaves) -> i32 {
         let mut sum = 0;

@@ -17,7 +17,7 @@ impl Octaves {
         if count <= OCTAVES { Ok(Self(count as u8)) } else { Err(TooManyOctaves(count)) }
     }
 
-    /// What a grid of a level can carry: octaves whose cell is at least the vertex spacing.
+    /// Octaves of the grid of a level: those whose cell is at least the vertex spacing.
     ///
     /// A finer octave would put every vertex into a cell of its own and so add white noise, which
     /// shimmers, costs two lattice columns per vertex and moves the drawn triangles away from the

@@ -28,10 +28,10 @@ const SEARCHES: [(i32, usize); 5] = [(8192, 235), (16_384, 235), (16_384, 157), 
 impl Land {
     /// The start of this world: of the coasts in 32 directions from the origin a gentle one about 2
     /// km away, with a plain and a valley within 3 km. Where no coast has them, the directions are
-    /// those from the plain nearest to the origin, from the next, and so on, first within 8 km, then
-    /// within 16 km, then within 32 km. If all fail, the best coast about the origin; without any
-    /// coast before hills, the origin itself, wherever it lies. Some 20 ms, in 4 of 1,000 worlds some
-    /// 0.4 s: not for a frame.
+    /// those from the plain nearest to the origin, from the next, and so on, first within 8 km,
+    /// then within 16 km, then within 32 km. If all fail, the best coast about the origin; without
+    /// any coast before hills, the origin itself, wherever it lies. Some 20 ms, in 4 of 1,000
+    /// worlds some 0.4 s: not for a frame.
     #[must_use]
     pub fn start(&self) -> Start {
         let mut surroundings = Surroundings::new(self);

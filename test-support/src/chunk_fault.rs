@@ -4,7 +4,7 @@ use bytes::Bytes;
 use protocol::{Delivery, chunk_codec};
 use terrain::{Chunk, ChunkKey, Land};
 
-/// What is wrong with a chunk.
+/// The fault of a chunk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChunkFault {
     /// One height is off by one unit; digest, extremes and pyramids are made to fit.

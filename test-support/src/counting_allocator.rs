@@ -21,8 +21,8 @@ pub fn live() -> isize {
     LIVE.get()
 }
 
-/// A result, and the most bytes that were live at once on this thread during some work, beyond those
-/// before it.
+/// A result, and the most bytes that were live at once on this thread during some work, beyond
+/// those before it.
 pub fn peak_of<T>(work: impl FnOnce() -> T) -> (usize, T) {
     let before = LIVE.get();
     PEAK.set(before);

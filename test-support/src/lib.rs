@@ -1,4 +1,4 @@
-//! What test suites of several crates share.
+//! The code that test suites of several crates share.
 
 pub mod chunk_fault;
 pub mod counting_allocator;

@@ -31,7 +31,7 @@ impl Random {
         range.start + self.bits() % (range.end - range.start)
     }
 
-    /// True in so many of a hundred cases.
+    /// True in `share` of a hundred cases.
     pub const fn percent(&mut self, share: u64) -> bool {
         self.bits() % 100 < share
     }

@@ -131,8 +131,8 @@ pub fn check_within(name: &str, picture: &Image, tolerance: Difference) -> Resul
     ))
 }
 
-/// Requires a near miss to differ by more than a tolerance. `TOMBOLO_NEAR_MISSES` names a file to which
-/// the outcome is appended as a line: `rejected` or `passed`, and the near miss.
+/// Requires a near miss to differ by more than a tolerance. `TOMBOLO_NEAR_MISSES` names a file to
+/// which the outcome is appended as a line: `rejected` or `passed`, and the near miss.
 ///
 /// # Panics
 /// The difference is tolerated, or the file cannot be written.

@@ -31,8 +31,9 @@ pub fn command(name: &str) -> Command {
 /// features.
 fn build() {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    // What cargo says of the package of the test. A build script of a dependency reads these names:
-    // with other values than in a shell it would run again, and all that needs it be built.
+    // The variables that cargo sets for the package of the test. A build script of a dependency
+    // reads these variables: with other values than in a shell it would run again, and all that
+    // needs it be built.
     for (name, _) in std::env::vars_os() {
         let is_of_the_test = |prefix| name.to_string_lossy().starts_with(prefix);
         if is_of_the_test("CARGO_PKG_") || is_of_the_test("CARGO_MANIFEST_") {

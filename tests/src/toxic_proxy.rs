@@ -12,23 +12,23 @@ use tokio::time::sleep;
 /// Bytes that are read at once.
 const SLICE: usize = 4096;
 
-/// What the network does.
+/// The behaviour of the network.
 #[derive(Clone, Copy, Debug)]
 pub enum Toxic {
     /// Nothing: the control.
     None,
-    /// Every slice waits for so long, in both directions.
+    /// Every slice waits for this time, in both directions.
     Latency(Duration),
-    /// So many bytes a second, in both directions.
+    /// This many bytes a second, in both directions.
     BytesPerSecond(usize),
-    /// Every byte is written by itself, but for the first slice from the server: clients may take an
-    /// answer to their upgrade in many packets for an attack, as tungstenite does.
+    /// Every byte is written by itself, but for the first slice from the server: clients may take
+    /// an answer to their upgrade in many packets for an attack, as tungstenite does.
     SingleBytes,
-    /// The first connection ends after so many bytes from the server; later ones are good.
+    /// The first connection ends after this many bytes from the server; later ones are good.
     CutAfter(usize),
     /// As [`Toxic::CutAfter`], with a reset.
     ResetAfter(usize),
-    /// After so many bytes from the server nothing arrives any more, in either direction, and no
+    /// After this many bytes from the server nothing arrives any more, in either direction, and no
     /// connection ends.
     BlackHoleAfter(usize),
 }

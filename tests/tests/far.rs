@@ -79,8 +79,8 @@ impl ChunkStream for Translated {
     }
 }
 
-/// Views of the home island: the start, a shore, and mountains from an eye between two units (1/1024
-/// m, held exactly by an f64 anywhere in the world).
+/// Views of the home island: the start, a shore, and mountains from an eye between two units
+/// (1/1024 m, held exactly by an f64 anywhere in the world).
 static CAMERAS: LazyLock<[Pose; 3]> = LazyLock::new(|| {
     let pose = |camera: &str| on_metres(camera.parse().unwrap());
     let mut between = pose(&MOUNTAINS);
@@ -137,7 +137,8 @@ fn small_offsets_and_f32_rounding_are_visible_far_out() {
     let Some(moved) = drawn(moved, place) else { return };
     assert!(differing(&home, &moved) > 1_000, "{} pixels", differing(&home, &moved));
 
-    // 1/16 m is half the resolution of f32 just below 2^21 m: the camera of an engine with absolute floats.
+    // 1/16 m is half the resolution of f32 just below 2^21 m: the camera of an engine with absolute
+    // floats.
     let shifted = |place| {
         let mut pose = pose(camera, place);
         pose.position_m.x += 0.0625;

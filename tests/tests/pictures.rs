@@ -211,7 +211,7 @@ fn without_the_last_octave(key: ChunkKey, heights: &mut [i32; VERTEX_COUNT], err
     error
 }
 
-/// The pixels of the smallest connected patch of at least so many pixels in which two pictures
+/// The pixels of the smallest connected patch of at least `least` pixels in which two pictures
 /// differ visibly.
 fn smallest_patch(one: &Image, two: &Image, least: usize) -> Option<Vec<usize>> {
     let width = one.width as usize;
@@ -261,9 +261,9 @@ fn mean(pictures: &[Image]) -> Image {
     Image { rgba: (0..pictures[0].rgba.len()).map(byte).collect(), ..pictures[0].clone() }
 }
 
-/// The truth is the mean of pictures turned by fractions of a pixel, whose plants have the same detail.
-/// Four samples of the triangles alone bring 0.83 of the error; leaves and impostors have outlines
-/// within them.
+/// The truth is the mean of pictures turned by fractions of a pixel, whose plants have the same
+/// detail. Four samples of the triangles alone bring 0.83 of the error; leaves and impostors have
+/// outlines within them.
 #[test]
 fn four_samples_a_pixel_smooth_the_outlines_of_trees() {
     let mut trees = plants();
@@ -282,8 +282,8 @@ fn four_samples_a_pixel_smooth_the_outlines_of_trees() {
         return;
     };
     let truth = mean(&pictures);
-    // Above the horizon only trees have outlines: the ground has a texture, whose light is one for the
-    // pixel.
+    // Above the horizon only trees have outlines: the ground has a texture, whose light is one for
+    // the pixel.
     let sky = 4 * (truth.width * truth.height / 2) as usize;
     let differs = |index: &usize| {
         let bytes = pictures.iter().map(|picture| picture.rgba[*index]);

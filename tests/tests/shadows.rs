@@ -291,8 +291,8 @@ fn brightness(picture: &Image) -> f64 {
 
 #[test]
 fn low_suns_darken_the_far_side_of_hills() {
-    // Towards the sun, where the shadow sides are visible, and away from it: from the sea, so that no
-    // land behind the eye casts a shadow on what it sees.
+    // Towards the sun, where the shadow sides are visible, and away from it: from the sea, so that
+    // no land behind the eye casts a shadow on what it sees.
     let inland = Scene::Island.start().yaw_deg as f32;
     let darker = |azimuth| {
         let lit = drawn(&START, Some((azimuth, 8.0)), Shadows::Off)?;

@@ -70,7 +70,7 @@ pub enum Fault {
     Full,
 }
 
-/// What [`Fault::Late`] means.
+/// Time without accepted connections under [`Fault::Late`].
 const LATE: Duration = Duration::from_secs(5);
 
 /// See the module. Connections are independent.

@@ -252,7 +252,8 @@ mod tests {
 
     #[test]
     fn a_block_of_a_repeated_byte_takes_one_byte() {
-        // RFC 8878: the header of a single segment of 10 bytes; the last block, of type 1, of size 10.
+        // RFC 8878: the header of a single segment of 10 bytes; the last block, of type 1, of size
+        // 10.
         let mut frame = [&MAGIC[..], &[0x20, 10], &[1 | 1 << 1 | 10 << 3, 0, 0, 7]].concat();
         let mut out = [0; 10];
         assert_eq!(decompress(&frame, &mut out), Ok(()));

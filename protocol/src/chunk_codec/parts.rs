@@ -41,7 +41,7 @@ impl Layout {
         }
     }
 
-    /// Bytes of the packed plane of so many residuals.
+    /// Bytes of the packed plane of `count` residuals.
     const fn packed(self, count: usize) -> usize {
         packed_bytes(count, self.field)
     }
@@ -82,8 +82,8 @@ pub(super) fn push(kernel: Kernel, residuals: &[u32], width: u32, effort: Effort
     push_part(packed, effort, out);
 }
 
-/// One of so many residuals is sampled to choose the number of plain bits. The sample is cheap, and
-/// a poor choice costs a few bytes.
+/// One residual in this number is sampled to choose the number of plain bits. The sample is cheap,
+/// and a poor choice costs a few bytes.
 const SAMPLED: usize = 7;
 
 /// The number of plain low bits of residuals below `2^width`; less than `width`.
@@ -102,12 +102,12 @@ fn plain_bits(residuals: &[u32], width: u32, effort: Effort) -> u32 {
     enough.iter().find(fits).map_or(0, |(bits, _)| *bits)
 }
 
-/// Bytes that so many fields take.
+/// Bytes of `count` fields of `bits` bits.
 const fn packed_bytes(count: usize, bits: u32) -> usize {
     (count * bits as usize).div_ceil(8)
 }
 
-/// Whether the fields behind those of so many residuals are 0. At most seven are there: with
+/// Whether the fields behind those of `count` residuals are 0. At most seven are there: with
 /// others, two frames of one chunk could differ in bits that nothing reads.
 fn has_empty_end(packed: &[u8], bits: u32, count: usize) -> bool {
     let fields = packed.len() * 8 / bits.max(1) as usize;

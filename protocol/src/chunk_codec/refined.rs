@@ -238,7 +238,7 @@ impl Group {
         }
     }
 
-    /// What the vertices of a row should be by their neighbours. Rows and middles have one less
+    /// Predictions of the vertices of a row from their neighbours. Rows and middles have one less
     /// than is returned; the last means nothing there.
     fn predict(self, known: &Known, lacking: &Lacking, row: usize) -> [i32; KNOWN] {
         let mut predicted = [0; KNOWN];

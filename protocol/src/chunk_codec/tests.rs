@@ -1,4 +1,4 @@
-//! What holds for every kind of chunk frame, and for frames of others' making.
+//! Properties of every kind of chunk frame, and of frames from other encoders.
 
 use super::*;
 use proptest::prelude::*;

@@ -138,7 +138,7 @@ pub fn send(server: &mut ServerSession, message: &ClientMessage) {
     select_views(server);
 }
 
-/// A welcomed server with credit for so many chunks and an empty outbox.
+/// A welcomed server with credit for `credits` chunks and an empty outbox.
 pub fn welcomed(credits: u32) -> ServerSession {
     let mut server = ServerSession::new(offer(), 1);
     let mut client = ClientSession::new(config(credits));

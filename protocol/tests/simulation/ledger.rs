@@ -1,5 +1,5 @@
-//! What one connection's client has asked for and received: every chunk is paid by a credit, asked
-//! for, and sent once.
+//! Requests and received chunks of one connection's client: every chunk is paid by a credit,
+//! requested, and sent once.
 
 use crate::truth;
 use protocol::message::{ClientMessage, RefusalReason, Refused, WireKey};

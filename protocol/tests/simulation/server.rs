@@ -24,7 +24,7 @@ pub struct ServerEnd {
     pub selection: Option<ViewSelection>,
 }
 
-/// What one round of a session leads to.
+/// The results of one round of a session.
 #[derive(Debug, Default)]
 pub struct Round {
     /// Frames to send.
@@ -79,7 +79,8 @@ impl ServerEnd {
                     } else {
                         let reason = protocol::message::RefusalReason::Overloaded;
                         self.session.fail(request, reason, "the queue is full");
-                        // As after a refusal in the server: the session goes on with the next event.
+                        // As after a refusal in the server: the session goes on with the next
+                        // event.
                         break;
                     }
                 }

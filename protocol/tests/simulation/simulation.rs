@@ -29,7 +29,7 @@ const BACKLOG: usize = 64;
 /// one batch.
 const MAX_BACKLOG: usize = BACKLOG + limits::MAX_KEYS + 16 + 16 + 8;
 
-/// What happens at a time.
+/// An event at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Event {
     Connect(u32),
@@ -333,7 +333,7 @@ impl Simulation {
         self.at(next, Event::Fault);
     }
 
-    /// Ends a connection. What was in transit is lost, and the client connects again.
+    /// Ends a connection. Frames in transit are lost, and the client connects again.
     fn cut(&mut self, number: u32) {
         let Some(connection) = self.connections.remove(&number) else { return };
         let delay = self.clients[connection.client as usize].lose();

@@ -1,5 +1,6 @@
-//! Clients that take memory and read nothing, more than a server with a hard limit of memory has room
-//! for: it must reject sessions at its mark, live, and accept sessions again when they are gone.
+//! Clients that take memory and read nothing, more than a server with a hard limit of memory has
+//! room for: it must reject sessions at its mark, live, and accept sessions again when they are
+//! gone.
 
 use crate::clients::other_thread;
 use crate::connection::{Connection, get, loopback, open_from};
@@ -32,7 +33,8 @@ const TOGETHER: usize = 256;
 /// The receive buffer of a client, bytes.
 const RECEIVE_BUFFER: u32 = 4096;
 
-/// Length of the load, of a session that the server does not end, and between two looks at `/readyz`.
+/// Length of the load, of a session that the server does not end, and between two looks at
+/// `/readyz`.
 const LENGTH: Duration = Duration::from_secs(60);
 const SESSION: Duration = Duration::from_secs(15);
 const INTERVAL: Duration = Duration::from_millis(200);
@@ -45,7 +47,7 @@ const POLITE: usize = 4;
 const POLITE_INTERVAL: Duration = Duration::from_millis(20);
 const POLITE_LENGTH: Duration = Duration::from_secs(5);
 
-/// What the clients counted.
+/// The counts of the clients.
 #[derive(Debug, Default)]
 struct Counts {
     accepted: AtomicU64,

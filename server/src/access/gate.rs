@@ -109,7 +109,7 @@ impl TokenGate {
     }
 }
 
-/// What a reload of a file did.
+/// The result of a reload of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reloaded {
     /// Its content was in use already.

@@ -1,5 +1,5 @@
-//! Who may use the server: host names and origins of requests ([`hosts`]), tokens ([`tokens`]) and
-//! their guesses ([`gate`]).
+//! Access control of the server: host names and origins of requests ([`hosts`]), tokens
+//! ([`tokens`]) and their guesses ([`gate`]).
 
 pub mod gate;
 pub mod hosts;

@@ -44,7 +44,7 @@ pub struct TokenFile {
     path: PathBuf,
 }
 
-/// What is known of a presented token.
+/// The state of a presented token.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Known {
     /// The token of this name.

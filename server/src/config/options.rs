@@ -19,7 +19,7 @@ pub struct Args {
     /// Another job than to serve.
     #[command(subcommand)]
     pub command: Option<Command>,
-    /// What the configuration file can set too.
+    /// Options that the configuration file can set too.
     #[command(flatten)]
     pub options: Options,
     /// TOML file with any of the options above, named as here without the dashes
@@ -138,7 +138,7 @@ pub struct Options {
 
 impl Options {
     /// The options without those of empty text: deployments pass on variables that may be empty.
-    /// What protects the server stays, so that a forgotten file of tokens is an error.
+    /// Options that protect the server stay, so that a forgotten file of tokens is an error.
     #[must_use]
     pub fn without_empty(mut self) -> Self {
         for text in [&mut self.store, &mut self.otlp, &mut self.log] {

@@ -173,7 +173,7 @@ fn empty_text_is_no_option_unless_it_protects_the_server() {
     assert!(with_file("", given).is_err());
 }
 
-/// What a user cannot turn off by accident.
+/// A user cannot turn off a mechanism by accident.
 #[test]
 fn a_mechanism_is_turned_off_by_a_hidden_option_alone() {
     let parsed = Args::try_parse_from(["tombolo-server", "--measure-without", "turns"]).unwrap();

@@ -30,8 +30,8 @@ impl ActiveFlows {
         self.number(client_site(client))
     }
 
-    /// The turns of the HTTP requests of a client network: all take those of one flow, since a client
-    /// must not have more turns because it asks by more requests.
+    /// The turns of the HTTP requests of a client network: all take those of one flow, since a
+    /// client must not have more turns because it asks by more requests.
     pub fn downloads_of(&self, client: IpAddr) -> FlowPath {
         FlowPath { site: self.site_of(client), flow: self.number(client_network(client)) }
     }
@@ -59,8 +59,8 @@ impl ActiveFlows {
         }
     }
 
-    /// Equal shares of the threads of which a flow has one; at least 1. No more than there are flows:
-    /// sites with few leave most of their turns to others.
+    /// Equal shares of the threads of which a flow has one; at least 1. No more than there are
+    /// flows: sites with few leave most of their turns to others.
     pub fn shares(&self, path: FlowPath) -> usize {
         let table = self.table();
         let of_site = table.sites.get(&path.site).copied().unwrap_or_default();

@@ -32,7 +32,7 @@ pub enum FlowEvent {
     ViewFailed,
 }
 
-/// What a flow has that takes the turns of others.
+/// The state of a flow that takes the turns of others.
 #[derive(Debug)]
 struct Download {
     /// Its own number.
@@ -432,8 +432,8 @@ mod tests {
         }
     }
 
-    /// Twenty sessions of one client are worth as many turns as the one of another, at which the twenty
-    /// wait for their own.
+    /// Twenty sessions of one client are worth as many turns as the one of another, at which the
+    /// twenty wait for their own.
     #[tokio::test]
     async fn all_sessions_of_a_site_have_together_the_share_of_one() {
         let fixture = fixture(1 << 20, 1000);

@@ -43,7 +43,7 @@ const MAX_CHARGE: Duration = Duration::from_secs(1);
 pub(super) struct GeneratedFrames {
     id: ChunkId,
     results: Vec<GeneratedFrame>,
-    /// What the frame took that was charged in advance, microseconds.
+    /// The time of the frame that was charged in advance, microseconds.
     advance_us: i64,
 }
 
@@ -104,7 +104,7 @@ pub fn start(shared: &Arc<Shared>, threads: &Threads, queue: &mut Queue) {
     }
 }
 
-/// What is charged for work, microseconds.
+/// The charge for work, microseconds.
 fn charged_us(spent: Duration) -> i64 {
     i64::try_from(spent.min(MAX_CHARGE).as_micros()).unwrap_or(i64::MAX)
 }

@@ -8,8 +8,8 @@
 //!     RUSTFLAGS="--cfg shuttle" cargo test -p tombolo-server --lib schedules --target-dir target/shuttle
 //!     TOMBOLO_SCHEDULES=100000 ... the same with more of them
 //!
-//! Channels and caches are those of the product and change in one step. What may differ is the
-//! order of such steps between the threads.
+//! Channels and caches are those of the product and change in one step. Only the order of such
+//! steps between the threads may differ.
 
 use super::flow::Flow;
 use super::queue::FrameRequest;
@@ -152,7 +152,7 @@ fn result(flow: &mut Flow, bug: Option<Bug>) -> Result<Bytes, GenerationError> {
     })
 }
 
-/// What is left when all requests have ended: nothing.
+/// Asserts that nothing is left when all requests have ended.
 fn assert_idle(service: &Generation) {
     loop {
         let queue = service.shared.lock();

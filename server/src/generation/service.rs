@@ -98,8 +98,8 @@ impl Generation {
         self.session(None, TokenBucket::default())
     }
 
-    /// A flow of a session, with its work charged to a token bucket: one of its client's site. Without
-    /// a client it is a site of its own.
+    /// A flow of a session, with its work charged to a token bucket: one of its client's site.
+    /// Without a client it is a site of its own.
     #[must_use]
     pub fn session(&self, client: Option<IpAddr>, bucket: TokenBucket) -> Flow {
         let id = self.next_flow();

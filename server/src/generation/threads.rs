@@ -1,7 +1,7 @@
 //! The lock and the threads of the generation service.
 //!
-//! With `--cfg shuttle` both are those of [shuttle](https://docs.rs/shuttle), which runs one test in
-//! thousands of schedules of its threads; `schedules` holds the tests.
+//! With `--cfg shuttle` both are those of [shuttle](https://docs.rs/shuttle), which runs one test
+//! in thousands of schedules of its threads; `schedules` holds the tests.
 
 #[cfg(shuttle)]
 pub use shuttle::sync::{Mutex, MutexGuard};
@@ -57,8 +57,8 @@ impl Threads {
     }
 }
 
-/// Lowers the priority of this thread a little: connections that wait for a moment of processor time
-/// go before jobs that take milliseconds. Linux alone has a priority for each thread.
+/// Lowers the priority of this thread a little: connections that wait for a moment of processor
+/// time go before jobs that take milliseconds. Linux alone has a priority for each thread.
 #[cfg(not(shuttle))]
 fn lower_priority() {
     #[cfg(target_os = "linux")]

@@ -30,7 +30,8 @@ pub struct ViewJob {
 
 impl ViewJob {
     /// Continues for about `budget_us` microseconds, or until another flow must not wait. Returns
-    /// whether the selection is finished or its session has ended, and the time that this call took.
+    /// whether the selection is finished or its session has ended, and the time that this call
+    /// took.
     pub fn run(&mut self, budget_us: i64, must_stop: impl Fn() -> bool) -> (bool, Duration) {
         #[cfg(test)]
         assert_ne!(self.selection.view().id, 666, "this view panics");

@@ -1,4 +1,4 @@
-//! Who sends a request: address, headers and access token.
+//! The sender of a request: address, headers and access token.
 
 use crate::access::gate::Refusal;
 use crate::http::problem::{Problem, ProblemKind};

@@ -22,7 +22,7 @@ type RawChunkPath = Result<Path<(String, String, String, String)>, PathRejection
 /// nothing.
 #[derive(Debug)]
 pub struct ChunkPathRequest {
-    /// Who asks.
+    /// The client that sends the request.
     pub client: Client,
     uri: Uri,
     raw: RawChunkPath,
@@ -43,7 +43,7 @@ impl ChunkPathRequest {
     /// followed by `suffix`, and the query is one of `query`.
     ///
     /// # Errors
-    /// What is wrong, in this order: token, encoding, query, world, numbers, key, rate limit.
+    /// The first fault, in this order: token, encoding, query, world, numbers, key, rate limit.
     pub async fn admit(
         &self,
         state: &ServerState,

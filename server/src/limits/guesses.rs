@@ -20,8 +20,8 @@ const GENERATION: usize = 28_672;
 /// See the module. The standard hasher is keyed at random: peers choose the addresses.
 ///
 /// The table is bounded by two generations: when the recent one is full, it takes the place of the
-/// older one, whose networks are forgotten. A peer with so many networks has ten guesses from each in any
-/// case. Further networks are not refused, as their tokens may be valid.
+/// older one, whose networks are forgotten. A peer with this many networks has ten guesses from
+/// each in any case. Further networks are not refused, as their tokens may be valid.
 #[derive(Debug, Default)]
 pub struct GuessLimiter {
     table: Mutex<Table>,

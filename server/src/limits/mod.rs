@@ -1,7 +1,7 @@
-//! Limits on what one peer may take, by its [`networks`]: connections and sessions ([`per_ip`]), work
-//! ([`rate_limit`], [`site_turns`]), guesses of tokens ([`guesses`]), the time to accept a write
-//! ([`write_timeout`]), what the system keeps for it ([`system_buffers`]) and lines of the log
-//! ([`peer_log`]).
+//! Limits on what one peer may take, by its [`networks`]: connections and sessions ([`per_ip`]),
+//! work ([`rate_limit`], [`site_turns`]), guesses of tokens ([`guesses`]), the time to accept a
+//! write ([`write_timeout`]), what the system keeps for it ([`system_buffers`]) and lines of the
+//! log ([`peer_log`]).
 
 pub mod guesses;
 pub mod networks;

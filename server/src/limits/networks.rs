@@ -21,8 +21,8 @@ pub fn client_site(address: IpAddr) -> IpAddr {
     prefix(address, PREFIXES[PREFIXES.len() - 1])
 }
 
-/// All networks of a client that may be one customer's, the least first: the owner of a short prefix
-/// has all addresses below it.
+/// All networks of a client that may be one customer's, the least first: the owner of a short
+/// prefix has all addresses below it.
 pub fn client_networks(address: IpAddr) -> impl Iterator<Item = Network> {
     let prefixes: &[u8] = if address.to_canonical().is_ipv4() { &[32] } else { &PREFIXES };
     prefixes.iter().map(move |length| (prefix(address, *length), *length))

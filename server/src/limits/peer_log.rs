@@ -14,7 +14,7 @@ const INTERVAL: Duration = Duration::from_secs(60);
 /// Networks in the table at most. The others share a line.
 const MAX_NETWORKS: usize = 1024;
 
-/// What networks share that are not in a full table.
+/// The shared key of networks that are not in a full table.
 const OTHERS: IpAddr = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
 
 /// See the module. The standard hasher is keyed at random: peers choose the addresses.

@@ -9,11 +9,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Counts permits by client network. Holds at most three entries per permit.
 ///
-/// A client's least network may hold no more permits than the limit; a larger one no more than the limit
-/// or than remain free, whichever is more. Where the limit is a fair share, none of its networks may
-/// hold more than remain free (dynamic thresholds: Choudhury and Hahne, IEEE/ACM Transactions on
-/// Networking 6(2), 1998, with factor 1). One greedy network gets half of all, each of two a third, and
-/// some remain for others.
+/// A client's least network may hold no more permits than the limit; a larger one no more than the
+/// limit or than remain free, whichever is more. Where the limit is a fair share, none of its
+/// networks may hold more than remain free (dynamic thresholds: Choudhury and Hahne, IEEE/ACM
+/// Transactions on Networking 6(2), 1998, with factor 1). One greedy network gets half of all, each
+/// of two a third, and some remain for others.
 ///
 /// The standard hasher is keyed at random: peers choose the addresses.
 #[derive(Clone, Debug)]

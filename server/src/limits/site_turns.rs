@@ -1,7 +1,7 @@
 //! Turns of sites at expensive work of requests: the rendering of tiles, handshakes of TLS.
 //!
-//! Each site has as many pieces of work in line as can run at once; its further ones wait behind them.
-//! A site with many therefore delays one of another by a few, not by all.
+//! Each site has as many pieces of work in line as can run at once; its further ones wait behind
+//! them. A site with many therefore delays one of another by a few, not by all.
 
 use crate::limits::networks::client_site;
 use std::collections::HashMap;
@@ -21,8 +21,8 @@ pub struct SiteTurns {
     sites: Arc<Mutex<Sites>>,
 }
 
-/// Sites with work that waits or runs, with the number of its pieces, and the permits of those in line.
-/// At most one entry for each request or connection.
+/// Sites with work that waits or runs, with the number of its pieces, and the permits of those in
+/// line. At most one entry for each request or connection.
 type Sites = HashMap<Site, (usize, Arc<Semaphore>)>;
 
 /// Permission for one piece of work; released on drop.

@@ -4,14 +4,15 @@
 use std::time::Duration;
 use tokio::net::TcpStream;
 
-/// Bytes of a connection that the system holds before it has sent them (`TCP_NOTSENT_LOWAT`, tcp(7)).
-/// Without a limit it takes megabytes for each client that does not read, and copying them delays all
-/// others. What waits there cannot follow a newer view, either. Bytes on the way are not limited.
+/// Bytes of a connection that the system holds before it has sent them (`TCP_NOTSENT_LOWAT`,
+/// tcp(7)). Without a limit it takes megabytes for each client that does not read, and copying them
+/// delays all others. Bytes that wait there cannot follow a newer view, either. Bytes on the way
+/// are not limited.
 #[cfg(target_os = "linux")]
 const UNSENT_BYTES: u32 = 64 * 1024;
 
-/// Limits the unsent bytes, and ends the connection when its peer takes none for `timeout`, also where
-/// a write has succeeded already (`TCP_USER_TIMEOUT`).
+/// Limits the unsent bytes, and ends the connection when its peer takes none for `timeout`, also
+/// where a write has succeeded already (`TCP_USER_TIMEOUT`).
 pub fn limit(stream: &TcpStream, timeout: Duration) {
     #[cfg(target_os = "linux")]
     {
@@ -24,7 +25,8 @@ pub fn limit(stream: &TcpStream, timeout: Duration) {
 }
 
 /// Makes the drop of a stream give back what the system keeps for its peer, with a reset (RFC 9293,
-/// section 3.10.4). Otherwise the system keeps it until the peer takes it or the timeout of [`limit`].
+/// section 3.10.4). Otherwise the system keeps it until the peer takes it or the timeout of
+/// [`limit`].
 pub fn discard(stream: &TcpStream) {
     // Fails only where the connection is gone already.
     let _ = stream.set_zero_linger();

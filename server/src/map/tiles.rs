@@ -66,8 +66,8 @@ pub struct Tile {
 pub struct Map {
     world: WorldDigest,
     cache: Cache<ChunkKey, Tile, TileWeight>,
-    /// A turn per tile being rendered, held to the end even if the request is cancelled: clients that
-    /// cancel must not get more tiles rendered at once than others.
+    /// A turn per tile being rendered, held to the end even if the request is cancelled: clients
+    /// that cancel must not get more tiles rendered at once than others.
     turns: SiteTurns,
     /// One permit per tile that waits or is rendered.
     queue_permits: Semaphore,
@@ -101,8 +101,8 @@ impl Map {
         }
     }
 
-    /// The tile of a key for a client; rendering and sending are charged to a bucket. Dropping the future
-    /// cancels its requests.
+    /// The tile of a key for a client; rendering and sending are charged to a bucket. Dropping the
+    /// future cancels its requests.
     ///
     /// # Errors
     /// See [`MapError`].

@@ -22,8 +22,8 @@ struct Version {
     filesystem: &'static str,
     limit: &'static str,
     usage: &'static str,
-    /// Lines of `memory.stat`: pages of files, and those of them that are memory shared by processes,
-    /// which is never written back.
+    /// Lines of `memory.stat`: pages of files, and those of them that are memory shared by
+    /// processes, which is never written back.
     files: &'static str,
     shared: &'static str,
 }
@@ -160,7 +160,8 @@ fn folders(groups: &str, mounts: &str) -> Vec<(PathBuf, &'static Version)> {
             _ => continue,
         };
         for (root, mounted) in mounts.lines().filter_map(|line| mount(line, version)) {
-            // In a container the mount may show a part of the tree only: then its root is the group.
+            // In a container the mount may show a part of the tree only: then its root is the
+            // group.
             let below = Path::new(path).strip_prefix(&root).unwrap_or(Path::new(""));
             found.extend(below.ancestors().map(|folder| (mounted.join(folder), version)));
         }

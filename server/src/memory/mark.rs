@@ -1,9 +1,10 @@
-//! The memory mark: while the process uses more of its memory than a share, no further session begins,
-//! and open ones get nothing that takes more. What remains is for what they hold already.
+//! The memory mark: while the process uses more of its memory than a share, no further session
+//! begins, and open ones get nothing that takes more. The rest is for the data that they hold
+//! already.
 //!
-//! What many sessions hold together may still grow. If the memory stays beyond the mark, sessions end,
-//! few at a time; close to the limit, many: otherwise the system would end the process, and with it
-//! every session. Those of the client networks that have the most end first.
+//! The memory that many sessions hold together may still grow. If the memory stays beyond the mark,
+//! sessions end, few at a time; close to the limit, many: otherwise the system would end the
+//! process, and with it every session. Those of the client networks that have the most end first.
 
 use super::limit::{MemoryLimit, OpenFiles};
 use crate::limits::networks::client_site;
@@ -15,15 +16,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The share of the limit beyond which no session begins, and the one below which the server is ready
-/// again; in eighths. Between them sessions begin as far as there is room below the first.
+/// The share of the limit beyond which no session begins, and the one below which the server is
+/// ready again; in eighths. Between them sessions begin as far as there is room below the first.
 const MARK: (u64, u64) = (6, 5);
 
 /// The share beyond which many sessions end, in eighths.
 const DANGER: u64 = 7;
 
-/// Time between two looks. A look takes some microseconds; views of many sessions that are selected at
-/// once take some 10 MiB in this time.
+/// Time between two looks. A look takes some microseconds; views of many sessions that are selected
+/// at once take some 10 MiB in this time.
 const INTERVAL: Duration = Duration::from_millis(25);
 
 /// Memory that a session may take before the server notices, and the time in which as many sessions
@@ -31,8 +32,8 @@ const INTERVAL: Duration = Duration::from_millis(25);
 const SESSION_BYTES: u64 = 2 << 20;
 const ADMISSION: Duration = Duration::from_millis(250);
 
-/// Sessions that end at once, as a divisor of the open ones, and the time until the next ones: beyond
-/// the mark, and in danger. In the second time the memory of the first ones is given back.
+/// Sessions that end at once, as a divisor of the open ones, and the time until the next ones:
+/// beyond the mark, and in danger. In the second time the memory of the first ones is given back.
 const SHED: (usize, Duration) = (8, Duration::from_secs(1));
 const SHED_IN_DANGER: (usize, Duration) = (2, Duration::from_millis(100));
 
@@ -79,8 +80,8 @@ impl MemoryMark {
         self.is_exceeded.load(Ordering::Relaxed)
     }
 
-    /// Takes the room of a session that begins; false if there is none. A client network gets no more
-    /// than remains for others, as with [`crate::limits::per_ip::PerIpLimiter::fair_share`].
+    /// Takes the room of a session that begins; false if there is none. A client network gets no
+    /// more than remains for others, as with [`crate::limits::per_ip::PerIpLimiter::fair_share`].
     #[must_use]
     pub fn admits(&self, client: Option<IpAddr>) -> bool {
         if self.is_exceeded() {

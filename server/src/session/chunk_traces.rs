@@ -7,7 +7,7 @@ use tracing::Span;
 
 /// Spans of the session's traced chunks; most sessions have none.
 pub struct ChunkTraces {
-    /// What the upgrade request named.
+    /// The trace that the upgrade request named.
     parent: Option<Parent>,
     /// In generation.
     open: Vec<(ChunkKey, Span)>,

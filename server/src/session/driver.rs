@@ -50,12 +50,13 @@ const MEMORY_PAUSE: Duration = Duration::from_millis(100);
 /// message slightly over its limit.
 pub const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
 
-/// Bytes of which a peer must take so many within [`crate::config::ServerConfig::write_timeout`]: a
-/// reader of 6.5 KB a second keeps its session, whatever the length of a batch.
+/// Least number of bytes that a peer must take within
+/// [`crate::config::ServerConfig::write_timeout`]: a reader of 6.5 KB a second keeps its session,
+/// whatever the length of a batch.
 const WRITE_PROGRESS: usize = 64 * 1024;
 
-/// Time for the Close frame, the peer's answer and the end of the connection. A peer that sends until
-/// then is cut off.
+/// Time for the Close frame, the peer's answer and the end of the connection. A peer that sends
+/// until then is cut off.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Bounds of the reconnect delay sent on shutdown, milliseconds. Random, so that clients do not all
@@ -69,13 +70,13 @@ pub struct Ended<S> {
     pub reason: EndReason,
     /// The stream, not yet dropped.
     pub stream: S,
-    /// When its refusal back-off would have ended: until then its client must not have its place for
-    /// another session, or the debt would end with the session.
+    /// When its refusal back-off would have ended: until then its client must not have its place
+    /// for another session, or the debt would end with the session.
     pub owes_until: Instant,
 }
 
-/// Runs one session to its end and counts it. Its work is charged to `bucket`; its chunks belong to the
-/// trace of `parent`.
+/// Runs one session to its end and counts it. Its work is charged to `bucket`; its chunks belong to
+/// the trace of `parent`.
 pub async fn serve<S>(
     socket: WebSocket<S>,
     state: &ServerState,
@@ -140,7 +141,8 @@ fn ended_by_server(ending: Ending) -> SessionEnd {
     }
 }
 
-/// What remains of a session while its peer answers the Close frame: all else is free already.
+/// The remaining state of a session while its peer answers the Close frame: all else is free
+/// already.
 struct Remaining<S> {
     socket: WebSocket<S>,
     stats: SessionStatsGuard,
@@ -148,14 +150,15 @@ struct Remaining<S> {
     owes_until: Instant,
 }
 
-/// Sends a Close frame and waits for the peer to end the connection, so that what was written arrives.
+/// Sends a Close frame and waits for the peer to end the connection, so that what was written
+/// arrives.
 async fn close<S: AsyncRead + AsyncWrite + Unpin>(socket: &mut WebSocket<S>) {
     if socket.flush().await.is_ok() {
         socket.end().await;
     }
 }
 
-/// What a session waits for.
+/// The condition that a session waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Delay {
     /// Until its token bucket is no longer empty.
@@ -258,7 +261,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     self.state.metrics.rate_limit_delays.inc_by(u64::from(is_by_rate));
                 }
                 () = &mut check => {
-                    // What has arrived counts: a long write may have kept this session from reading.
+                    // Received bytes count: a long write may have kept this session from reading.
                     if keepalive.check(Instant::now()).0 == KeepaliveAction::Close
                         && let Some(read) = self.read_now().await
                     {
@@ -302,8 +305,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         }
     }
 
-    /// Ends a session whose message takes too long. What has arrived by now counts: a long write
-    /// may have kept this session from reading.
+    /// Ends a session whose message takes too long. Bytes received by now count: a long write may
+    /// have kept this session from reading.
     async fn finish_message(&mut self) -> Result<(), SessionEnd> {
         if let Some(read) = self.read_now().await {
             self.read_ended(read).await?;

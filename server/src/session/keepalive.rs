@@ -6,7 +6,7 @@ use tokio::time::Instant;
 /// Intervals without activity after which a session is closed. Each earlier interval sends a ping.
 const TIMEOUT_INTERVALS: u32 = 3;
 
-/// What the driver has to do.
+/// The action that the driver must take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KeepaliveAction {
     /// Nothing: the peer was active.

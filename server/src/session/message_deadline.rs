@@ -6,8 +6,8 @@ use tokio::time::Instant;
 
 /// Since when a message is unfinished.
 ///
-/// A peer that sends a byte now and then is active for the keep-alive, and would hold its session and
-/// a partial message without end.
+/// A peer that sends a byte now and then is active for the keep-alive, and would hold its session
+/// and a partial message without end.
 #[derive(Clone, Copy, Debug)]
 pub struct MessageDeadline {
     limit: Duration,
@@ -21,8 +21,8 @@ impl MessageDeadline {
         Self { limit, since: None }
     }
 
-    /// Records the state after bytes were read: whether a message ended in them, and whether another
-    /// is unfinished. Control frames between the fragments of a message end none.
+    /// Records the state after bytes were read: whether a message ended in them, and whether
+    /// another is unfinished. Control frames between the fragments of a message end none.
     pub fn record(&mut self, has_ended: bool, is_unfinished: bool, now: Instant) {
         self.since = match self.since {
             Some(since) if is_unfinished && !has_ended => Some(since),

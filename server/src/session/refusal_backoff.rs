@@ -46,7 +46,7 @@ const MAX_DEBT: Duration = Duration::from_secs(5);
 /// The shortest pause; less is not worth a timer. Smaller debts accumulate until time pays them.
 const MIN_PAUSE: Duration = Duration::from_millis(10);
 
-/// What a session was refused.
+/// The rejections of a session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rejections {
     /// Requested keys and grants.
@@ -68,7 +68,7 @@ impl Rejections {
         }
     }
 
-    /// What they cost a thread.
+    /// Their cost, as time of a thread.
     fn cost(self) -> Duration {
         let times = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
         REFUSAL_COST.saturating_mul(times(self.requests)) + VIEW_COST.saturating_mul(times(self.views))
@@ -255,7 +255,7 @@ mod tests {
         }
         assert_eq!((now, pauses), (start + owed, 15));
 
-        // What exceeds the bound is forgiven.
+        // The debt beyond the bound is forgiven.
         backoff.record(requests(u64::MAX), usize::MAX, now);
         assert_eq!(backoff.read_size(now + MAX_DEBT), usize::MAX);
         assert!(!backoff.pause(now + MAX_DEBT));

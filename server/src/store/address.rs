@@ -21,7 +21,7 @@ impl StoreAddress {
     /// Parses a URL, or the path of a folder.
     ///
     /// # Errors
-    /// What is wrong and what to give.
+    /// The fault and the valid forms.
     pub fn parse(text: &str) -> Result<Self, String> {
         let help = "give file:///FOLDER, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX";
         let shown = shown(text);
@@ -59,9 +59,9 @@ impl StoreAddress {
     }
 }
 
-/// An invalid address as errors show it: in one line, without what may be a secret. Whatever stands
-/// before the last `@` may be a name and a password, also with characters that they should not
-/// hold; a query may be a signature.
+/// An invalid address as errors show it: in one line, without what may be a secret. The text before
+/// the last `@` may be a name and a password, also with characters that they should not hold; a
+/// query may be a signature.
 fn shown(text: &str) -> String {
     let (scheme, rest) = text.find("://").map_or(("", text), |colon| text.split_at(colon + 3));
     let (user, rest) = rest.rsplit_once('@').map_or(("", rest), |(_, rest)| ("***@", rest));

@@ -2,8 +2,8 @@
 //!
 //! A chunk is read before it is made, where that may save time, and written after. An object is
 //! named by what its content follows from, so replicas need no agreement: a second write changes
-//! nothing, a lost object is made again. Whatever is read is checked by digest and key before it is
-//! used; who can write to the store is trusted beyond that.
+//! nothing, a lost object is made again. Every object that is read is checked by digest and key
+//! before it is used; who can write to the store is trusted beyond that.
 //!
 //! A generation thread waits for the store at most as long as chunks of that level took to make
 //! lately, and sends a request only if the store answers, and sooner than that; reads that bring
@@ -106,7 +106,7 @@ struct Inner {
     metrics: Arc<Metrics>,
 }
 
-/// What came of a read.
+/// The result of a read.
 enum Fetched {
     Object(Bytes),
     Missing,

@@ -25,7 +25,7 @@ const LOSS_PART: i64 = 8;
 /// Longest time that reads without a result may take ahead of that, and longest debt, nanoseconds.
 const MAX_LOSS: i64 = 100_000_000;
 
-/// One late answer among so many in time stops nothing: it is beyond the 99th percentile.
+/// One late answer among this many in time stops nothing: it is beyond the 99th percentile.
 const LATE_PART: u32 = 256;
 
 /// Failures in a row after which the store counts as failing.
@@ -46,8 +46,8 @@ pub struct Pace {
     made: [AtomicU64; TOP_LEVEL as usize + 1],
     /// Of answers, nanoseconds; 0 is unknown. An answer in less than half of it replaces it.
     read: AtomicU64,
-    /// What a read takes at least by those that had no answer in time, nanoseconds; 0 is nothing.
-    /// An answer in less than half of it ends it.
+    /// The least time of a read, from reads that had no answer in time, nanoseconds; 0 is none. An
+    /// answer in less than half of it ends it.
     presumed: AtomicU64,
     /// Answers in time since the last late one that stopped nothing, at most [`LATE_PART`].
     in_time: AtomicU32,
@@ -145,7 +145,7 @@ impl Pace {
         let took_ns = nanoseconds(took).max(1);
         let (presumed, read) = (self.presumed.load(Ordering::Relaxed), self.read.load(Ordering::Relaxed));
         if took_ns < presumed.max(read) / 2 {
-            // What was presumed or measured before is out of date.
+            // The times presumed or measured before are out of date.
             self.presumed.store(0, Ordering::Relaxed);
             self.read.store(took_ns, Ordering::Relaxed);
         } else {
@@ -237,7 +237,7 @@ mod tests {
         }
         assert!(lost <= made / 8 + Duration::from_nanos(MAX_LOSS as u64) + 2 * MS(2), "{lost:?} of {made:?}");
         assert!(lost >= made / 9, "the control: reads go on, to see whether they bring something");
-        // What is known to be in the store is read all the same.
+        // Objects known to be in the store are read all the same.
         while pace.wait(key, false, now).is_some() {
             pace.useless(MS(2));
         }
@@ -337,8 +337,8 @@ mod tests {
         assert!(pace.wait(key, false, now + RETRY).is_some(), "the control: not in a row");
     }
 
-    /// A store hangs, or takes 1.5 s, for a minute under steady load, and may answer once more after
-    /// 1.5 s. Meanwhile few reads are sent; two pauses after that all are.
+    /// A store hangs, or takes 1.5 s, for a minute under steady load, and may answer once more
+    /// after 1.5 s. Meanwhile few reads are sent; two pauses after that all are.
     #[test]
     fn a_store_that_comes_back_is_read_again() {
         const TIMEOUT: Duration = Duration::from_secs(2);

@@ -22,7 +22,7 @@ impl BakedRegion {
     /// A region, if its borders are in order and in the world.
     ///
     /// # Errors
-    /// What is wrong, with the limits.
+    /// The fault, with the limits.
     pub fn new(levels: &RangeInclusive<u8>, area_m: [i32; 4]) -> Result<Self, String> {
         let (finest, coarsest) = (*levels.start(), *levels.end());
         if finest > coarsest || coarsest > TOP_LEVEL {

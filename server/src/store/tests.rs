@@ -16,7 +16,7 @@ use protocol::server::ChunkRequest;
 use std::fmt;
 use terrain::{ChunkKey, Land};
 
-/// What is wrong with a store.
+/// The fault of a store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     None,

@@ -38,7 +38,7 @@ pub struct Writer {
     shared: Arc<Shared>,
 }
 
-/// What all writes share.
+/// The state that all writes share.
 #[derive(Debug)]
 struct Shared {
     objects: Arc<dyn ObjectStore>,

@@ -10,6 +10,6 @@ pub const TARGET: &str = "tombolo_trace";
 pub struct TraceConfig {
     /// The collector's address for OTLP over HTTP.
     pub endpoint: Url,
-    /// One requested chunk of so many is traced; 0 for only those whose peer names a trace.
+    /// One requested chunk in this number is traced; 0 for only those whose peer names a trace.
     pub every: u64,
 }

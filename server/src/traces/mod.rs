@@ -1,11 +1,12 @@
 //! Traces of chunks: spans from the request to the socket, for a collector of OpenTelemetry.
 //!
-//! A traced chunk has a span `chunk` with these parts: `queue`, until its job starts; `disk`, `store`,
-//! `generate` and `encode`, whichever it needed; `write`, until the system has taken its frame.
+//! A traced chunk has a span `chunk` with these parts: `queue`, until its job starts; `disk`,
+//! `store`, `generate` and `encode`, whichever it needed; `write`, until the system has taken its
+//! frame.
 //!
-//! One requested chunk in `--trace-every` is traced. A chunk is also traced if its GET, or the upgrade
-//! of its session, names a recorded trace in `traceparent`. Both have a bound, the second a lower one,
-//! because a client chooses the header.
+//! One requested chunk in `--trace-every` is traced. A chunk is also traced if its GET, or the
+//! upgrade of its session, names a recorded trace in `traceparent`. Both have a bound, the second a
+//! lower one, because a client chooses the header.
 //!
 //! Without `--otlp` a job reads the current span of its thread and finds none.
 
@@ -122,7 +123,7 @@ pub fn current() -> Span {
     if span.metadata().is_some_and(|metadata| metadata.target() == TARGET) { span } else { Span::none() }
 }
 
-/// What a request carries through the queue.
+/// The spans that a request carries through the queue.
 pub struct RequestTrace {
     /// Its chunk's span.
     pub chunk: Span,

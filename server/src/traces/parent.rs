@@ -38,8 +38,8 @@ impl Parent {
     }
 }
 
-/// Headers as the propagator reads them. `tracestate` is not read: it may have kilobytes, and each span
-/// would hold them.
+/// Headers as the propagator reads them. `tracestate` is not read: it may have kilobytes, and each
+/// span would hold them.
 struct Headers<'a>(&'a HeaderMap);
 
 impl Extractor for Headers<'_> {

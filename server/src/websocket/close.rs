@@ -15,7 +15,7 @@ pub const NOT_UTF8: u16 = 1007;
 /// A message is longer than the limit.
 pub const TOO_LONG: u16 = 1009;
 
-/// What a peer's Close frame says.
+/// The content of a peer's Close frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Close<'a> {
     /// Its code, one of those that may be sent; none if the payload is empty.

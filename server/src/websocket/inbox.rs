@@ -73,7 +73,8 @@ impl Inbox {
         self.end.is_some()
     }
 
-    /// Whether the bytes so far end within a message, once [`Inbox::next_message`] has returned none.
+    /// Whether the bytes so far end within a message, once [`Inbox::next_message`] has returned
+    /// none.
     #[must_use]
     pub const fn is_in_message(&self) -> bool {
         self.end.is_none() && (self.fragments.is_some() || self.used < self.bytes.len())

@@ -55,7 +55,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         Self { stream, inbox, outbox: VecDeque::new(), written: 0, is_closed: false }
     }
 
-    /// The stream of the connection. What is queued is lost.
+    /// The stream of the connection. Queued frames are lost.
     pub fn into_stream(self) -> S {
         self.stream
     }
@@ -116,8 +116,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocket<S> {
         self.queue_as(Opcode::Binary, payload);
     }
 
-    /// Queues a frame of another kind. A control frame's payload must have at most 125 bytes. Behind
-    /// a Close frame nothing is queued.
+    /// Queues a frame of another kind. A control frame's payload must have at most 125 bytes.
+    /// Behind a Close frame nothing is queued.
     pub fn queue_as(&mut self, opcode: Opcode, payload: Bytes) {
         if !self.is_closed {
             self.is_closed = opcode == Opcode::Close;

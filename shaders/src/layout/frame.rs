@@ -91,9 +91,10 @@ pub struct Atmosphere {
     pub sky_south: [f32; 4],
 }
 
-/// Every pattern in the world repeats after so many metres; a power of two. Equal to the constant
-/// of `shared/frame.wesl`.
+/// Period of every pattern in the world, metres; a power of two. Equal to the constant of
+/// `shared/frame.wesl`.
 pub const PATTERN_PERIOD_M: i32 = 8192;
 
-/// Unit of the range in [`Frame::grass`], metres. Equal to the constant of `shared/undergrowth.wesl`.
+/// Unit of the range in [`Frame::grass`], metres. Equal to the constant of
+/// `shared/undergrowth.wesl`.
 pub const GRASS_RANGE_M: f32 = 4096.0;

@@ -55,7 +55,7 @@ pub struct PomProbe {
     pub reserved: u32,
 }
 
-/// What `probe_pom` found; that file documents each field.
+/// The result of `probe_pom`; that file documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct PomResult {
@@ -73,8 +73,8 @@ pub struct PomResult {
     pub reserved: [u32; 2],
 }
 
-/// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, the sum of the
-/// fine octaves, the height, the height with [`PROBE_COARSE_OCTAVES`].
+/// Words per probe that `probe_heights` writes: `mod_trunc(x, z)`, `mod_floor(x, z)`, the sum of
+/// the fine octaves, the height, the height with [`PROBE_COARSE_OCTAVES`].
 pub const PROBE_WORDS: usize = 5;
 
 /// Octaves of the coarse height of `probe_heights`: so few that the base field is evaluated at the
@@ -97,7 +97,7 @@ pub struct TilingProbe {
     pub height: u32,
     /// Texels of a tile.
     pub size: u32,
-    /// After so many tiles the reference repeats; a power of two.
+    /// Period of the reference, tiles; a power of two.
     pub period: u32,
 }
 

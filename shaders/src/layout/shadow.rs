@@ -3,7 +3,8 @@
 use bytemuck::{Pod, Zeroable};
 use terrain::constants::VERTICES;
 
-/// The sun and the extent of the page table, for `trace_terrain_shadow`, which documents each field.
+/// The sun and the extent of the page table, for `trace_terrain_shadow`, which documents each
+/// field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct SunParams {
@@ -88,8 +89,8 @@ pub fn clearance_of_byte(byte: u8) -> f64 {
     CLEARANCE_RANGE * part * part.abs()
 }
 
-/// Share of the sun's disc above a straight edge so many radii below its middle; `disc_share` of
-/// `shared/shadow.wesl`.
+/// Share of the sun's disc above a straight edge `clearance` radii below its middle; `disc_share`
+/// of `shared/shadow.wesl`.
 #[must_use]
 pub fn disc_share(clearance: f64) -> f64 {
     let x = clearance.clamp(-1.0, 1.0);

@@ -91,7 +91,7 @@ impl TerrainInstance {
     ];
 }
 
-/// What the height passes know of a world; `shared/land.wesl` documents each field.
+/// The parameters of a world for the height passes; `shared/land.wesl` documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct World {

@@ -122,11 +122,11 @@ pub struct Planting {
     pub cell_z: i32,
     /// Least width, fine units.
     pub width_low: i32,
-    /// The widest is so much wider.
+    /// Difference of the greatest width from the least, fine units.
     pub width_span: i32,
     /// Least height, fine units.
     pub height_low: i32,
-    /// The highest is so much higher.
+    /// Difference of the greatest height from the least, fine units.
     pub height_span: i32,
     /// From here on the field is thinned, fine units.
     pub thin_from: i32,
@@ -138,7 +138,7 @@ pub struct Planting {
     pub over: i32,
     /// Heights have sunk to nothing here, 1/16 m.
     pub range: i32,
-    /// They begin to sink so much nearer, 1/16 m, at least 1.
+    /// Distance from where heights begin to sink to `range`, 1/16 m, at least 1.
     pub collapse: i32,
     /// Squares of the distances beyond which clumps are drawn in the second and in the third level
     /// of detail, (1/16 m)².
@@ -179,8 +179,8 @@ pub const MASK_BEGIN: usize = BLOCK_LIST + MAX_PATCHES * PATCH_BLOCK_COUNT;
 /// Words of the visibility mask of a block: 2 bits a clump, then three counts.
 pub const VISIBILITY_WORDS: usize = 35;
 
-/// Words of the indirect arguments of a field: of a dispatch over blocks, of three draws, four counts,
-/// of a dispatch over clumps, and where the clumps of each level of detail begin.
+/// Words of the indirect arguments of a field: of a dispatch over blocks, of three draws, four
+/// counts, of a dispatch over clumps, and where the clumps of each level of detail begin.
 pub const INDIRECT_WORDS: usize = 28;
 
 /// First word of the draws in the indirect arguments.
@@ -226,7 +226,7 @@ pub struct Field {
     pub widest: f32,
     /// Draw distance, metres.
     pub range_m: f32,
-    /// Heights sink to nothing over so much of the end of the range, metres.
+    /// Length of the end of the range over which heights sink to nothing, metres.
     pub collapse_m: f32,
     /// Distances at which the first and the second level of detail end, metres, increasing.
     pub lod_m: [f32; 2],
@@ -236,13 +236,13 @@ pub struct Field {
     pub lean: f32,
     /// Whether the plants cast shadows, 0 or 1.
     pub casts: u32,
-    /// Factor of a distance that decides about detail: more than 1 in images with fewer pixels. Already in
-    /// `lod_m`.
+    /// Factor of a distance that decides about detail: more than 1 in images with fewer pixels.
+    /// Already in `lod_m`.
     pub detail: f32,
     /// Distance up to which plants of this kind stand, metres, by whatever pass.
     pub stand_m: f32,
-    /// Cells along a side of the square around the eye in which each tree is known: a multiple of 8,
-    /// at most [`MOST_TREE_GRID_CELLS`].
+    /// Cells along a side of the square around the eye in which each tree is known: a multiple of
+    /// 8, at most [`MOST_TREE_GRID_CELLS`].
     pub tree_grid_cells: u32,
 }
 
@@ -284,8 +284,8 @@ pub const FAR_TREE_BYTES: usize = 32;
 /// Side of a cell of trees, metres. Equal to the constant of `shared/tree_cells.wesl`.
 pub const TREE_CELL_M: f32 = 8.0;
 
-/// Most cells of trees along a side of the square around the eye in which each tree is known: 1,524 m
-/// in every direction.
+/// Most cells of trees along a side of the square around the eye in which each tree is known:
+/// 1,524 m in every direction.
 pub const MOST_TREE_GRID_CELLS: usize = 384;
 
 /// Bytes of the buffer of trees: two vectors, then four trees for each cell; see
@@ -301,20 +301,20 @@ pub const TREE_LIGHT_BYTES: usize = 4 * TREE_MARK_BYTES;
 /// Fine units, in which clumps are placed, per metre.
 pub const FINE_PER_METRE: i32 = 4096;
 
-/// Vertices of one clump of grass at each level of detail, finest first: 128 blades of 3 segments as
-/// a strip of triangles, then 32 and 6 single triangles.
+/// Vertices of one clump of grass at each level of detail, finest first: 128 blades of 3 segments
+/// as a strip of triangles, then 32 and 6 single triangles.
 pub const GRASS_VERTICES: [u32; 3] = [128 * 9, 32 * 3, 6 * 3];
 
-/// Vertices of one tree at each level of detail, finest first: triangles, those of the trunk last; then
-/// an impostor.
+/// Vertices of one tree at each level of detail, finest first: triangles, those of the trunk last;
+/// then an impostor.
 pub const TREE_VERTICES: [u32; 3] = [6 * (168 + 10), 6 * (40 + 6), 6];
 
 /// Longest horizontal part of the direction in which grass stands. Equal to `MAX_TILT` of
 /// `shared/clump.wesl`.
 pub const GRASS_TILT: f32 = 0.75;
 
-/// In the first two levels of detail, blades of grass reach so much farther than half the width of
-/// their clump, metres. Equal to `SPREAD` of `bound/visibility.wesl`.
+/// Reach of blades of grass beyond half the width of their clump in the first two levels of detail,
+/// metres. Equal to `SPREAD` of `bound/visibility.wesl`.
 pub const GRASS_SPREAD_M: f32 = 0.22;
 
 /// No vertex of a clump of grass is farther from its root horizontally, metres; width and height as

@@ -67,7 +67,8 @@ fn a_broken_shader_is_rejected_with_its_name() {
     }
 }
 
-/// Whether a line has a smoothstep whose first edge is not below its second: SPIR-V leaves it undefined.
+/// Whether a line has a smoothstep whose first edge is not below its second: SPIR-V leaves it
+/// undefined.
 fn has_reversed_smoothstep(line: &str) -> bool {
     line.split("smoothstep(").skip(1).any(|arguments| {
         let mut edges = arguments.split(',').map(|edge| edge.trim().parse::<f64>());

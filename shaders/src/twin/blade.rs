@@ -68,7 +68,7 @@ mod tests {
     use super::*;
     use crate::twin::clump::StemPose;
 
-    /// Length of the curve as a chain of so many straight pieces.
+    /// Length of the curve as a chain of `pieces` straight pieces.
     fn length_of(point: impl Fn(f32) -> Vec3, pieces: u32) -> f32 {
         let points: Vec<Vec3> = (0..=pieces).map(|n| point(n as f32 / pieces as f32)).collect();
         let pieces = points.windows(2).map(|ends| add(ends[1], scaled(ends[0], -1.0)));

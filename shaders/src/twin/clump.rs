@@ -32,7 +32,7 @@ pub fn add<const N: usize>(a: [f32; N], b: [f32; N]) -> [f32; N] {
     return std::array::from_fn(|axis| a[axis] + b[axis]);
 }
 
-/// A vector so many times.
+/// A vector multiplied by a number.
 #[must_use]
 pub fn scaled<const N: usize>(v: [f32; N], times: f32) -> [f32; N] {
     return v.map(|part| part * times);

@@ -52,7 +52,8 @@ mod tests {
     use super::*;
     use terrain::hash::mix;
 
-    /// The hash of the nearest of the points of so many squares around a place, by brute force.
+    /// The hash of the nearest of the points of the squares up to `around` squares from a place, by
+    /// brute force.
     fn nearest_of(origin: [i32; 2], place: [i32; 2], around: i32) -> (i32, Vec<ClumpCell>) {
         let square = place.map(|axis| axis >> SQUARE_BITS);
         let (mut nearest, mut cells) = (i32::MAX, Vec::new());

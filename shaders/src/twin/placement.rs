@@ -132,10 +132,10 @@ fn density_near<S: Slots>(
     return (2 * full).min(256);
 }
 
-/// Place of a clump of grass in its cell, fine units modulo the cell's side: a sequence that spreads
-/// the first clumps of a cell as evenly as all of them, so that no gap is wide and thinning leaves
-/// none (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018), from a place of
-/// the cell's own, plus up to an eighth of a metre.
+/// Place of a clump of grass in its cell, fine units modulo the cell's side: a sequence that
+/// spreads the first clumps of a cell as evenly as all of them, so that no gap is wide and thinning
+/// leaves none (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018), from a
+/// place of the cell's own, plus up to an eighth of a metre.
 fn spread_place(planting: &Planting, first: u32, index: u32, random: [u32; 2]) -> [u32; 2] {
     let even = [
         first.wrapping_add(index.wrapping_mul(0xc13f_a9a9)),
@@ -204,8 +204,8 @@ mod tests {
     use super::*;
     use bytemuck::Zeroable;
 
-    /// The widest free circle's radius around any of 16 x 16 points of a cell, metres, where `places`
-    /// repeat in all cells around it.
+    /// The widest free circle's radius around any of 16 x 16 points of a cell, metres, where
+    /// `places` repeat in all cells around it.
     fn widest_gap_m(places: &[[u32; 2]]) -> f32 {
         let distance = |at: [i32; 2], place: [u32; 2]| {
             let along = [0, 1].map(|axis| {

@@ -25,7 +25,7 @@ pub const STEP_BITS: u32 = SPACING_BITS + FINE_BITS;
 /// Height of nothing, units: below everything, and its fine units fit in 32 bits.
 pub const NOWHERE: i32 = -(1 << 25);
 
-/// What the surface is read from: the slots of resident chunks.
+/// The source of the surface: the slots of resident chunks.
 pub trait Slots {
     /// Height of vertex `index` of a slot, units.
     fn height(&self, slot: u32, index: u32) -> i32;

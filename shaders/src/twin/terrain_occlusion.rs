@@ -19,7 +19,7 @@ const CROSSINGS: u32 = 4;
 /// Cells of a column: a block is eight cells wide, a tile of one chunk no more.
 const MAX_CELLS: u32 = 9;
 
-/// What may be occluded: bounds of a clump or a block.
+/// The object of an occlusion test: bounds of a clump or a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Occludee {
     /// Place in the grid, fine units.
@@ -169,7 +169,7 @@ fn ray_to(eye: [i32; 3], occludee: &Occludee, start: i32) -> Option<Ray> {
     if steepest >> STEEPEST_BITS >= length || length <= lean + start {
         return None;
     }
-    // What leaning and the slope take from the drop of the rim. A rim whose drop is all taken
+    // The part of the rim's drop that leaning and the slope take. A rim whose drop is all taken
     // counts as a part of the slope.
     let farthest = distance + outer_radius + 1;
     let most = quotient_q24(steepest as u32, length as u32) as i32 + 1;

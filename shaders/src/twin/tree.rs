@@ -19,8 +19,8 @@ pub fn tree_species(clump: &Clump) -> u32 {
     return if number > 1.0 - pine { PINE } else { SPRUCE };
 }
 
-/// Width and height of a tree, metres, from those of its clump: neither is greater. No crown is much
-/// higher than wide.
+/// Width and height of a tree, metres, from those of its clump: neither is greater. No crown is
+/// much higher than wide.
 #[must_use]
 pub fn tree_size_m(species: u32, size_m: Vec2) -> Vec2 {
     if species == SPRUCE {

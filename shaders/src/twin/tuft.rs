@@ -26,7 +26,7 @@ pub struct TuftVertex {
     pub across: f32,
     /// A number of its own for every blade, 0 to 1.
     pub blade: f32,
-    /// What tilts the normal of the ground here.
+    /// The vector that tilts the normal of the ground here.
     pub round: Vec3,
 }
 
@@ -177,8 +177,8 @@ mod tests {
                 }
             }
         }
-        // A bound that nothing comes near to would be a wasteful one. Blades of the first two levels
-        // fall less where their roots are far out.
+        // A bound that nothing comes near to would be a wasteful one. Blades of the first two
+        // levels fall less where their roots are far out.
         let enough =
             closest.iter().zip([0.6, 0.6, 0.8]).all(|(near, reach)| near[0] > reach && near[1] > 0.8);
         assert!(enough, "{closest:?}");

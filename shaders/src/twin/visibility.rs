@@ -15,7 +15,7 @@ use crate::layout::{
     Planting,
 };
 
-/// Clumps of a quarter that are tried; after so many it may hold one.
+/// Most clumps of a quarter that are tried; after these it may hold one.
 const MAX_TRIES: u32 = 256;
 
 /// Bounds of a clump or a block of clumps.
@@ -39,7 +39,7 @@ pub fn may_be_in_view(culling: &Culling, extent: &Extent) -> bool {
     }
     let half = (extent.occludee.top - extent.bottom) >> (COARSE_BITS + 1);
     let radius = ((extent.occludee.radius + extent.occludee.taper) >> COARSE_BITS) + half + 2;
-    // What the normals (Q14) and places are rounded by.
+    // The rounding error of the normals (Q14) and places.
     let slack = east.abs() + up.abs() + south.abs() + (3 << 14);
     let reach = (radius.min(FARTHEST) << 14) + slack;
     for plane in culling.planes {
@@ -360,9 +360,9 @@ pub fn block_extent<S: Slots>(
     return Some(BlockExtent { extent: Extent { occludee, bottom: bottom - half }, half, height, is_far });
 }
 
-/// What of a quarter of a block of grass may be occluded: its top is a plane of the mean slope of the
-/// ground. As [`block_extent`] has it where the ground is not known between its vertices, or is too
-/// steep.
+/// The object of the occlusion test of a quarter of a block of grass: its top is a plane of the
+/// mean slope of the ground. As [`block_extent`] has it where the ground is not known between its
+/// vertices, or is too steep.
 #[must_use]
 pub fn sloped_occludee<S: Slots>(
     surface: &Surface<'_, S>,
@@ -441,7 +441,8 @@ fn has_clump<S: Slots>(
 ) -> bool {
     let bits = planting.cell_bits + BLOCK_CELL_BITS - 1;
     let last = (1 << GRID_BITS) - 1;
-    // Clumps take the density of up to half a texel of a chunk of level 0 away, as wide as a quarter.
+    // Clumps take the density of up to half a texel of a chunk of level 0 away, as wide as a
+    // quarter.
     let mut density = 0;
     for z in -1..2 {
         for x in -1..2 {

@@ -1,10 +1,10 @@
-//! What both programs run: awkward grids of one kernel, folded into 64 bits.
+//! The work of both programs: awkward grids of one kernel, folded into 64 bits.
 
 use terrain::{ChunkKey, Grid, Kernel, Land, Pyramid};
 
-/// Digest of a kernel's heights, fine octaves and pyramids: every level at the origin and at a corner of
-/// the world, narrow and wide strips, few rows and a second band of rows, rows of open sea. Small,
-/// so that an interpreter that checks every access gets through.
+/// Digest of a kernel's heights, fine octaves and pyramids: every level at the origin and at a
+/// corner of the world, narrow and wide strips, few rows and a second band of rows, rows of open
+/// sea. Small, so that an interpreter that checks every access gets through.
 pub fn digest(kernel: Kernel) -> u64 {
     let mut hasher = blake3::Hasher::new();
     let mut add = |values: &[i32]| values.iter().for_each(|value| _ = hasher.update(&value.to_le_bytes()));

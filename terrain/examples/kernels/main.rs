@@ -1,7 +1,7 @@
 //! Prints one digest per kernel of this machine; all must be equal.
 //!
-//! Run: `cargo run -p tombolo-terrain --example kernels`. The vector code through an interpreter that
-//! checks every access (minutes):
+//! Run: `cargo run -p tombolo-terrain --example kernels`. The vector code through an interpreter
+//! that checks every access (minutes):
 //! `RUSTFLAGS="-C target-feature=+avx2" cargo +nightly miri run -p tombolo-terrain --example kernels`
 
 mod digest;

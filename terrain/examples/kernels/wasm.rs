@@ -1,7 +1,7 @@
 //! The digests of `kernels` as a WebAssembly module, for a browser or Node to call.
 //!
-//! Build: `RUSTFLAGS="-C target-feature=+simd128" cargo build --release -p tombolo-terrain --example
-//! kernels_wasm --target wasm32-unknown-unknown`
+//! Build: `RUSTFLAGS="-C target-feature=+simd128" cargo build --release -p tombolo-terrain
+//! --example kernels_wasm --target wasm32-unknown-unknown`
 #![expect(unsafe_code, reason = "an export needs its plain name; no pointer crosses")]
 
 mod digest;

@@ -1,13 +1,13 @@
 //! Errors of chunks before they are generated: proved bounds, computed once and remembered.
 //!
 //! - Levels 1 to 3 are measured against every level-0 vertex under them. One measurement covers a
-//!   chunk of level 2 (a quarter of a km²), the 4 chunks under it and a quarter of the chunk above
-//!   it, and evaluates 16 chunks of level 0: under 1 ms.
+//!   chunk of level 1 (256 m along a side), and its part of the chunks of levels 2 and 3 above it:
+//!   129 x 129 vertices of level 0, some 0.1 ms.
 //! - Level [`COMPOSED_LEVEL`] follows from its children: its distance from each child, and the
-//!   child's error.
+//!   child's error. One measurement covers one child.
 //! - Levels 5 to [`SAMPLED_LEVEL`] are compared with every node of the base field under them; what
-//!   is between nodes is bounded (`sampled`). One measurement covers a strip of the chunk: up to
-//!   40,000 nodes, about 1 ms.
+//!   is between nodes is bounded (`sampled`). One measurement covers a part of the chunk: up to
+//!   7,000 nodes, some 0.1 ms.
 //! - Above, the bound is the whole range of heights.
 //!
 //! A measurement is short, because a server makes it within one turn of a session, which others wait
@@ -19,9 +19,11 @@ use crate::constants::{CELLS, VERTEX_COUNT, VERTICES};
 use crate::grid::Grid;
 use crate::key::ChunkKey;
 use crate::land::Land;
-use crate::simd::{farthest, farthest_in_quarter};
+use crate::octaves::Octaves;
+use crate::simd::{Window, farthest};
 use crate::triangles::drawn_height_scaled;
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
 /// The level up to which errors are measured.
@@ -51,11 +53,13 @@ pub enum Progress {
 enum Entry {
     /// The bound, units.
     Known(u32),
-    /// Some parts are measured: a bit for each quarter of a chunk of [`MEASURED_LEVEL`], in the order
-    /// of its children, and the largest error so far.
-    Quarters { measured: u8, worst: u32 },
-    /// The strips before this one are measured.
-    Strips { next: u8, worst: sampled::Worst },
+    /// Some chunks of level 1 under it are measured: a bit for each, row by row, and the largest
+    /// error so far.
+    Measured { parts: u16, worst: u32 },
+    /// The children before this one are compared with the chunk, and the largest bound so far.
+    Composed { next: u8, worst: u32 },
+    /// The parts before this one are compared with the nodes under them.
+    Sampled { next: u8, worst: sampled::Worst },
 }
 
 /// Two generations: when the younger is full, it becomes the older, and what was not asked for since
@@ -89,17 +93,11 @@ impl Land {
             return Progress::Known(0);
         }
         if key.level() <= MEASURED_LEVEL {
-            let quarter = match key.level() {
-                MEASURED_LEVEL => first_quarter(key, entry),
-                _ => std::iter::successors(Some(key), |key| key.parent())
-                    .find(|above| above.level() + 1 == MEASURED_LEVEL)
-                    .unwrap_or(key),
-            };
-            self.measure(quarter);
+            self.measure(first_unmeasured(key, entry));
             return Progress::Measured;
         }
         if key.level() > COMPOSED_LEVEL {
-            self.measure_strip(key, entry);
+            self.sample(key, entry);
             return Progress::Measured;
         }
         let mut errors = [0; 4];
@@ -110,7 +108,7 @@ impl Land {
                 Progress::Measured => return Progress::Measured,
             }
         }
-        self.compose(key, children, errors);
+        self.compose(key, children, errors, entry);
         Progress::Measured
     }
 
@@ -153,52 +151,74 @@ impl Land {
         young.insert(id, change(before));
     }
 
-    /// Measures a quarter of a chunk of [`MEASURED_LEVEL`] and all chunks between it and level 0.
-    fn measure(&self, quarter: ChunkKey) {
-        let side = (CELLS << quarter.level()) + 1;
-        let (x, z) = quarter.origin();
-        let grid = Grid::new(x, z, 0, side, side).expect("a chunk lies in the world");
-        let mut fine = vec![0; side * side];
-        self.heights(&grid, &mut fine);
-        let mut found = Vec::with_capacity(5);
-        for key in quarter.children().into_iter().flatten().chain([quarter]) {
-            let (column, row) = offset_of(key, (x, z));
-            let fine = &fine[row * side + column..];
-            let error = farthest(&self.chunk_heights(key), key.level(), fine, side);
-            found.push((key, Entry::Known(error)));
+    /// Measures a chunk of level 1, and the part of the chunks above it up to [`MEASURED_LEVEL`].
+    fn measure(&self, part: ChunkKey) {
+        let (x, z) = part.origin();
+        let grid = Grid::new(x, z, 0, Window::SIDE, Window::SIDE).expect("a chunk lies in the world");
+        let mut fine = Window::new();
+        self.heights(&grid, fine.heights_mut());
+        for key in std::iter::successors(Some(part), |key| key.parent()) {
+            if key.level() > MEASURED_LEVEL {
+                break;
+            }
+            let error = farthest(key.level(), &self.thinned(&fine, &grid, key.level()), &fine);
+            self.update(key, |entry| with_part(entry, key, part, error));
         }
-        self.remember(found);
-        let Some(above) = quarter.parent() else { return };
-        let (east, south) = quarter.quarter();
-        let error = farthest_in_quarter(&self.chunk_heights(above), (east, south), &fine, side);
-        let bit = 1 << (2 * south + east);
-        self.update(above, |entry| with_quarter(entry, bit, error));
     }
 
-    /// Compares the next strip of a chunk with the nodes under it.
-    fn measure_strip(&self, key: ChunkKey, entry: Option<Entry>) {
+    /// The vertices of a level in a window of level 0, row by row: those of the window itself where
+    /// the level carries all octaves.
+    fn thinned(&self, fine: &Window, grid: &Grid, level: u8) -> Vec<i32> {
+        let side = ((Window::SIDE - 1) >> level) + 1;
+        if Octaves::at_level(level) == grid.octaves() {
+            return fine.thinned(level);
+        }
+        let coarse = Grid::new(grid.x, grid.z, level, side, side).expect("a part of the window");
+        let mut heights = vec![0; side * side];
+        self.heights(&coarse, &mut heights);
+        heights
+    }
+
+    /// Compares the next part of a chunk with the nodes under it.
+    fn sample(&self, key: ChunkKey, entry: Option<Entry>) {
         let (next, before) = match entry {
-            Some(Entry::Strips { next, worst }) => (next, worst),
+            Some(Entry::Sampled { next, worst }) => (next, worst),
             _ => (0, sampled::Worst::default()),
         };
         let worst = before.and(sampled(self, key, next));
-        let after = match next + 1 == sampled::strips(key) {
+        let after = match next + 1 == sampled::parts(key) {
             true => Entry::Known(worst.bound()),
-            false => Entry::Strips { next: next + 1, worst },
+            false => Entry::Sampled { next: next + 1, worst },
         };
         self.update(key, |now| further(now, after));
     }
 
-    /// The bound of a chunk from its children's.
-    fn compose(&self, key: ChunkKey, children: [ChunkKey; 4], errors: [u32; 4]) {
-        let heights = self.chunk_heights(key);
-        let bounds = children
-            .into_iter()
-            .zip(errors)
-            .enumerate()
-            .map(|(index, (child, error))| apart(&heights, &self.chunk_heights(child), index) + error);
-        let bound = bounds.max().unwrap_or(0);
-        self.remember([(key, Entry::Known(bound))]);
+    /// Compares the next child of a chunk with it.
+    fn compose(&self, key: ChunkKey, children: [ChunkKey; 4], errors: [u32; 4], entry: Option<Entry>) {
+        let (next, before) = match entry {
+            Some(Entry::Composed { next, worst }) => (next, worst),
+            _ => (0, 0),
+        };
+        let child = usize::from(next);
+        let first = child / 2 * CELLS / 2;
+        let heights = self.heights_of_rows(key, first..first + CELLS / 2 + 1);
+        let bound = apart(&heights, &self.chunk_heights(children[child]), child) + errors[child];
+        let worst = before.max(bound);
+        let after = match child + 1 == children.len() {
+            true => Entry::Known(worst),
+            false => Entry::Composed { next: next + 1, worst },
+        };
+        self.update(key, |now| further(now, after));
+    }
+
+    /// The heights of some rows of vertices of a chunk; all others are 0.
+    pub(super) fn heights_of_rows(&self, key: ChunkKey, rows: Range<usize>) -> Box<[i32; VERTEX_COUNT]> {
+        let (x, z) = key.origin();
+        let z = z + rows.start as i32 * key.spacing();
+        let grid = Grid::new(x, z, key.level(), VERTICES, rows.len()).expect("a part of a chunk");
+        let mut heights = Box::new([0; VERTEX_COUNT]);
+        self.heights(&grid, &mut heights[rows.start * VERTICES..rows.end * VERTICES]);
+        heights
     }
 }
 
@@ -215,41 +235,43 @@ fn generations(memory: &mut Option<[Errors; 2]>) -> &mut [Errors; 2] {
     generations
 }
 
-/// The first quarter of a chunk that is not measured.
-fn first_quarter(key: ChunkKey, entry: Option<Entry>) -> ChunkKey {
+/// The chunks of level 1 along a side of a chunk.
+const fn parts_along(key: ChunkKey) -> i32 {
+    1 << (key.level() - 1)
+}
+
+/// The first chunk of level 1 in a chunk that is not measured.
+fn first_unmeasured(key: ChunkKey, entry: Option<Entry>) -> ChunkKey {
     let measured = match entry {
-        Some(Entry::Quarters { measured, .. }) => measured,
+        Some(Entry::Measured { parts, .. }) => parts.trailing_ones() as i32,
         _ => 0,
     };
-    let quarters = key.children().expect("a level above 0 has children");
-    quarters[(measured.trailing_ones() as usize).min(3)]
+    let along = parts_along(key);
+    let (x, z) = (key.x() * along + measured % along, key.z() * along + measured / along);
+    ChunkKey::new(1, x, z).expect("a descendant of a chunk exists")
 }
 
-/// The entry of a chunk of which more strips are measured: two threads may measure one at a time.
-fn further(now: Option<Entry>, found: Entry) -> Entry {
-    let strips = |entry: Entry| match entry {
-        Entry::Known(_) => u8::MAX,
-        Entry::Strips { next, .. } => next,
-        Entry::Quarters { .. } => 0,
-    };
-    now.filter(|now| strips(*now) >= strips(found)).unwrap_or(found)
-}
-
-/// What is known with one more quarter.
-fn with_quarter(entry: Option<Entry>, bit: u8, error: u32) -> Entry {
-    let (measured, worst) = match entry {
-        Some(Entry::Quarters { measured, worst }) => (measured | bit, worst.max(error)),
+/// The entry of a chunk with the error of one more chunk of level 1 in it.
+fn with_part(entry: Option<Entry>, key: ChunkKey, part: ChunkKey, error: u32) -> Entry {
+    let along = parts_along(key);
+    let bit = 1 << ((part.z() - key.z() * along) * along + part.x() - key.x() * along);
+    let (parts, worst) = match entry {
+        Some(Entry::Measured { parts, worst }) => (parts | bit, worst.max(error)),
         Some(known @ Entry::Known(_)) => return known,
         _ => (bit, error),
     };
-    if measured == 0b1111 { Entry::Known(worst) } else { Entry::Quarters { measured, worst } }
+    let all = u16::MAX >> (u16::BITS as i32 - along * along);
+    if parts == all { Entry::Known(worst) } else { Entry::Measured { parts, worst } }
 }
 
-/// The first column and row of a chunk in the level-0 grid from a corner.
-fn offset_of(key: ChunkKey, (x, z): (i32, i32)) -> (usize, usize) {
-    let spacing = 1u32 << crate::constants::SPACING_BITS;
-    let (low_x, low_z) = key.origin();
-    ((low_x.abs_diff(x) / spacing) as usize, (low_z.abs_diff(z) / spacing) as usize)
+/// The entry of a chunk with one more part: two threads may compare the same part.
+fn further(now: Option<Entry>, found: Entry) -> Entry {
+    let parts = |entry: Entry| match entry {
+        Entry::Known(_) => u8::MAX,
+        Entry::Composed { next, .. } | Entry::Sampled { next, .. } => next,
+        Entry::Measured { .. } => 0,
+    };
+    now.filter(|now| parts(*now) >= parts(found)).unwrap_or(found)
 }
 
 /// Largest distance between the drawn surface of a chunk and the vertices of one of its children,
@@ -309,7 +331,7 @@ mod tests {
         let land = Land::new(0x5eed_0001);
         let key = ChunkKey::new(4, 0, 0).unwrap();
         let steps = (0..).take_while(|_| land.known_error(key) == Progress::Measured).count();
-        assert!((2..=17).contains(&steps), "{steps} steps for sixteen quarters and one comparison");
+        assert!((5..=68).contains(&steps), "{steps} steps for 64 chunks of level 1 and 4 children");
         assert!(matches!(land.known_error(key), Progress::Known(1..)));
         assert_eq!(land.known_error(ChunkKey::new(0, 5, 5).unwrap()), Progress::Known(0));
         assert_eq!(land.known_error(ChunkKey::new(9, 0, 0).unwrap()), Progress::Known(RELIEF));

@@ -44,20 +44,20 @@ const ROUNDED: i32 = 5;
 /// log2 of the side of the squares of which open sea is passed over, units (1,024 m).
 const SQUARE_BITS: u32 = 18;
 
-/// Rows of squares in a strip.
-const STRIP_SQUARES: usize = 2;
+/// Squares of a part: in a row along x. A chunk of level 5 has 4 along a side.
+const PART_SQUARES: usize = 4;
 
-/// The largest bound among the vertices of some strips.
+/// The largest bound among the vertices of some parts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Worst {
-    /// Units; none before a strip.
+    /// Units; none before the first part.
     bound: Option<i32>,
     /// Whether a vertex cell has land or lies near it.
     has_land: bool,
 }
 
 impl Worst {
-    /// Of the strips of both.
+    /// Of the parts of both.
     pub const fn and(self, other: Self) -> Self {
         let bound = match (self.bound, other.bound) {
             (Some(one), Some(two)) => Some(if one > two { one } else { two }),
@@ -72,7 +72,7 @@ impl Worst {
         Self { bound, has_land: self.has_land | other.has_land }
     }
 
-    /// Bound of the chunk's error with all its strips, units.
+    /// Bound of the chunk's error with all its parts, units.
     pub fn bound(self) -> u32 {
         if !self.has_land {
             return 0;
@@ -86,28 +86,39 @@ const fn square_cells(key: ChunkKey) -> usize {
     (1usize << SQUARE_BITS) / key.spacing() as usize
 }
 
-/// Strips of a chunk of levels 5 to 7: 2, 4 or 8.
-pub(super) const fn strips(key: ChunkKey) -> u8 {
-    (CELLS / (STRIP_SQUARES * square_cells(key))) as u8
+/// Vertex cells of a part along both axes.
+const fn part_cells(key: ChunkKey) -> (usize, usize) {
+    (PART_SQUARES * square_cells(key), square_cells(key))
 }
 
-/// The largest bound of a strip of a chunk, from its low end. The chunk's vertex cells hold 2, 4 or 8
-/// nodes along a side (levels 5 to 7). Evaluates all nodes under the strip outside open sea, and
-/// those of one row of vertex cells before it.
+/// Parts of a chunk of levels 5 to 7: 4, 16 or 64.
+pub(super) const fn parts(key: ChunkKey) -> u8 {
+    let (columns, rows) = part_cells(key);
+    (CELLS / columns * (CELLS / rows)) as u8
+}
+
+/// The largest bound of a part of a chunk, row by row from its low corner. The chunk's vertex cells
+/// hold 2, 4 or 8 nodes along a side (levels 5 to 7). Evaluates all nodes under the part outside open
+/// sea, and those of one row and column of vertex cells before it.
 #[must_use]
-pub(super) fn sampled(land: &Land, key: ChunkKey, strip: u8) -> Worst {
-    let heights = land.chunk_heights(key);
-    let rows = STRIP_SQUARES * square_cells(key);
-    let first = usize::from(strip) * rows;
-    let is_last = strip + 1 == strips(key);
-    let vertices = first..first + rows + usize::from(is_last);
-    let apart = Comparison::new(key, &heights).rows(land, first.saturating_sub(1)..first + rows);
+pub(super) fn sampled(land: &Land, key: ChunkKey, part: u8) -> Worst {
+    let (columns, rows) = part_cells(key);
+    let along = CELLS / columns;
+    let first = (usize::from(part) % along * columns, usize::from(part) / along * rows);
+    let cells = |first: usize, count: usize| first.saturating_sub(1)..first + count;
+    let cells = (cells(first.0, columns), cells(first.1, rows));
+    let vertices = |first: usize, count: usize| {
+        let end = first + count;
+        first..end + usize::from(end == CELLS)
+    };
+    let heights = land.heights_of_rows(key, cells.1.start..cells.1.end + 1);
+    let apart = Comparison::new(key, &heights).cells(land, cells);
     let at = |x: usize, z: usize| heights[z * VERTICES + x];
     let side = key.spacing() >> CELL_BITS;
     let around = |vertex: usize| vertex.saturating_sub(1)..(vertex + 1).min(CELLS);
     let mut worst = 0;
-    for vertex_z in vertices {
-        for vertex_x in 0..VERTICES {
+    for vertex_z in vertices(first.1, rows) {
+        for vertex_x in vertices(first.0, columns) {
             let mut all = NodesApart::NONE;
             let (mut along, mut across) = (Range::NONE, Range::NONE);
             for z in around(vertex_z) {
@@ -157,6 +168,9 @@ impl Range {
     }
 }
 
+/// Some columns or rows of vertex cells.
+type Cells = ops::Range<usize>;
+
 /// The comparison of a chunk with the nodes under it.
 struct Comparison<'a> {
     key: ChunkKey,
@@ -170,20 +184,22 @@ impl<'a> Comparison<'a> {
         Self { key, heights, apart: vec![NodesApart::SEA; CELLS * CELLS] }
     }
 
-    /// Per vertex cell of the chunk, row by row; only some rows are compared.
-    fn rows(mut self, land: &Land, rows: ops::Range<usize>) -> Vec<NodesApart> {
+    /// Per vertex cell of the chunk, row by row; only some columns and rows are compared.
+    fn cells(mut self, land: &Land, (columns, rows): (Cells, Cells)) -> Vec<NodesApart> {
         let side = square_cells(self.key);
-        for z in (rows.start / side * side..rows.end).step_by(side) {
-            for x in (0..CELLS).step_by(side) {
-                self.square(land, (x, z), rows.start.max(z)..rows.end.min(z + side));
+        let squares = |cells: &Cells| (cells.start / side * side..cells.end).step_by(side);
+        let within = |cells: &Cells, from: usize| cells.start.max(from)..cells.end.min(from + side);
+        for z in squares(&rows) {
+            for x in squares(&columns) {
+                self.square(land, (x, z), (within(&columns, x), within(&rows, z)));
             }
         }
         self.apart
     }
 
-    /// Compares some rows of vertex cells of the square from one cell on. A square at a border of the
-    /// chunk has one more row of nodes beyond it.
-    fn square(&mut self, land: &Land, from: (usize, usize), cell_rows: ops::Range<usize>) {
+    /// Compares some columns and rows of vertex cells of the square from one cell on. A square at a
+    /// border of the chunk has one more row of nodes beyond it.
+    fn square(&mut self, land: &Land, from: (usize, usize), (cell_columns, cell_rows): (Cells, Cells)) {
         let vertex_cells = square_cells(self.key);
         let nodes_along = (self.key.spacing() >> CELL_BITS) as usize;
         let origin = self.key.origin();
@@ -193,21 +209,23 @@ impl<'a> Comparison<'a> {
             spline::cell(origin).0 + (from * nodes_along) as i32 - before(from) as i32
         };
         let count = |from: usize, end: usize| (end - from) * nodes_along + before(from) + beyond(end);
-        let columns = count(from.0, from.0 + vertex_cells);
-        // The whole square is open sea or not, whichever of its rows are compared.
+        // The whole square is open sea or not, whichever of its cells are compared.
         let corner = (first(origin.0, from.0), first(origin.1, from.1));
-        let reach = (columns.max(count(from.1, from.1 + vertex_cells)) as u32) << CELL_BITS;
+        let longest = count(from.0, from.0 + vertex_cells).max(count(from.1, from.1 + vertex_cells));
+        let reach = (longest as u32) << CELL_BITS;
         if land.archipelago().is_open_sea(corner.0 << CELL_BITS, corner.1 << CELL_BITS, reach) {
             return;
         }
-        let first = (corner.0, first(origin.1, cell_rows.start));
+        let first = (first(origin.0, cell_columns.start), first(origin.1, cell_rows.start));
+        let columns = count(cell_columns.start, cell_columns.end);
         let rows = count(cell_rows.start, cell_rows.end);
         let (mut heights, mut shares) = (vec![0; columns * rows], vec![0; columns * rows]);
         nodes(Kernel::best(), land, first, columns, &mut heights, &mut shares);
         for z in cell_rows.clone() {
-            for x in from.0..from.0 + vertex_cells {
+            for x in cell_columns.clone() {
                 let row = (z - cell_rows.start) * nodes_along + before(cell_rows.start);
-                let low = row * columns + (x - from.0) * nodes_along + before(from.0);
+                let column = (x - cell_columns.start) * nodes_along + before(cell_columns.start);
+                let low = row * columns + column;
                 let corners = self.corners(x, z);
                 let mut apart = NodesApart::NONE;
                 nodes_apart(
@@ -277,7 +295,7 @@ mod tests {
         for level in 5..=7 {
             let key = ChunkKey::new(level, 0, -1).unwrap();
             let heights = land.chunk_heights(key);
-            let apart = Comparison::new(key, &heights).rows(&land, 0..CELLS);
+            let apart = Comparison::new(key, &heights).cells(&land, (0..CELLS, 0..CELLS));
             let side = key.spacing() as usize >> CELL_BITS;
             let depth = side.trailing_zeros() as u8 + 1;
             let (first, along) =

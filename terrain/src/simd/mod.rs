@@ -1,8 +1,8 @@
 //! Whole grids at once, on the vectors of this machine.
 //!
-//! One algorithm (`strip`, `curves`, `base`, `field`, `shape`, `pyramid`, `slope`) over one small set
-//! of vector operations (`lanes`), implemented for single integers and for each instruction set that
-//! is measurably faster. All kernels yield the same bits.
+//! One algorithm (`strip`, `curves`, `base`, `field`, `shape`, `pyramid`, `slope`) over one small
+//! set of vector operations (`lanes`), implemented for single integers and for each instruction set
+//! that is measurably faster. All kernels yield the same bits.
 //!
 //! The only unsafe code of this crate: vector instructions may only run on CPUs that have them, and
 //! vectors are loaded through pointers. A [`Kernel`] that needs a feature exists only where that
@@ -27,7 +27,7 @@ mod wasm;
 mod x86;
 
 use crate::base::Base;
-use crate::constants::{BASE_OCTAVES, CELLS, GRASS_GRID, VERTEX_COUNT, VERTICES};
+use crate::constants::{BASE_OCTAVES, CELLS, GRASS_GRID, VERTEX_COUNT};
 use crate::grid::Grid;
 use crate::island::Lobe;
 use crate::land::Land;
@@ -42,6 +42,7 @@ use lanes::Lanes;
 use std::mem::MaybeUninit;
 use strip::{Columns, Sink, Strip, strips};
 
+pub(crate) use distance::Window;
 pub use kernel::Kernel;
 pub(crate) use nodes_apart::{Corners, NodesApart};
 
@@ -105,7 +106,7 @@ entry! {
 }
 
 entry! {
-    /// The base field with so many octaves at any places near a list of lobes, without a spline:
+    /// The base field with this many octaves at any places near a list of lobes, without a spline:
     /// heights (2^-16 m), and roughness with exposure above it (16 bits each).
     nodes_at(
         base: &Base,
@@ -119,13 +120,7 @@ entry! {
 
 entry! {
     /// Largest distance between triangles and a finer grid; see [`distance::farthest`].
-    farthest_into(
-        heights: &[i32],
-        depth: u32,
-        fine: &[i32],
-        stride: usize,
-        worst: &mut i32
-    ) => farthest_on
+    farthest_into(level: u8, heights: &[i32], fine: &Window, worst: &mut i32) => farthest_on
 }
 
 entry! {
@@ -177,8 +172,8 @@ pub(crate) fn longest_leg(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> i32 
     longest
 }
 
-/// Largest sum of squares of a triangle's two legs, units squared, of heights whose neighbours in rows
-/// and columns lie within 2^15 of each other.
+/// Largest sum of squares of a triangle's two legs, units squared, of heights whose neighbours in
+/// rows and columns lie within 2^15 of each other.
 pub(crate) fn steepest(kernel: Kernel, heights: &[i32; VERTEX_COUNT]) -> i32 {
     let mut worst = 0;
     steepest_into(kernel, heights, &mut worst);
@@ -336,16 +331,13 @@ unsafe fn nodes_at_on<L: Lanes>(
     unsafe { field::evaluate_places::<L>(base, lobes, octaves, places.iter().copied(), heights, shares) };
 }
 
-/// The depth at which a quarter of a chunk is compared instead of the whole.
-const QUARTER_DEPTH: u32 = 3;
-
 /// The compiler vectorises this body, once per instruction set; so the densities.
 #[inline(always)]
-unsafe fn farthest_on<L: Lanes>(heights: &[i32], depth: u32, fine: &[i32], stride: usize, worst: &mut i32) {
-    *worst = match depth {
-        1 => distance::farthest::<1, CELLS>(heights, fine, stride),
-        2 => distance::farthest::<2, CELLS>(heights, fine, stride),
-        _ => distance::farthest::<3, { CELLS / 2 }>(heights, fine, stride),
+unsafe fn farthest_on<L: Lanes>(level: u8, heights: &[i32], fine: &Window, worst: &mut i32) {
+    *worst = match level {
+        1 => distance::farthest::<1, CELLS>(heights, fine),
+        2 => distance::farthest::<2, { CELLS / 2 }>(heights, fine),
+        _ => distance::farthest::<3, { CELLS / 4 }>(heights, fine),
     };
 }
 
@@ -366,27 +358,13 @@ unsafe fn nodes_apart_on<L: Lanes>(
     }
 }
 
-/// Largest distance between the drawn surface of a chunk and the grid that is `2^depth` times finer
-/// (1 or 2), units, rounded up. `fine` begins at the low corner; its rows are `stride` long.
-pub(crate) fn farthest(heights: &[i32; VERTEX_COUNT], depth: u8, fine: &[i32], stride: usize) -> u32 {
-    debug_assert!((1..=2).contains(&depth));
+/// Largest distance between the drawn surface of a level (1 to 3) and a window of level 0, units,
+/// rounded up. `heights` are the vertices of the level in the window, row by row.
+pub(crate) fn farthest(level: u8, heights: &[i32], fine: &Window) -> u32 {
+    debug_assert!((1..=3).contains(&level));
     let mut worst = 0;
-    farthest_into(Kernel::best(), heights, u32::from(depth), fine, stride, &mut worst);
-    worst.unsigned_abs().div_ceil(1 << depth)
-}
-
-/// As [`farthest`], of a quarter of a chunk (0 or 1 along x and z) and the grid that is 8 times finer
-/// under it.
-pub(crate) fn farthest_in_quarter(
-    heights: &[i32; VERTEX_COUNT],
-    (east, south): (i32, i32),
-    fine: &[i32],
-    stride: usize,
-) -> u32 {
-    let low = (south as usize * VERTICES + east as usize) * (CELLS / 2);
-    let mut worst = 0;
-    farthest_into(Kernel::best(), &heights[low..], QUARTER_DEPTH, fine, stride, &mut worst);
-    worst.unsigned_abs().div_ceil(1 << QUARTER_DEPTH)
+    farthest_into(Kernel::best(), level, heights, fine, &mut worst);
+    worst.unsigned_abs().div_ceil(1 << level)
 }
 
 #[inline(always)]

@@ -47,7 +47,7 @@ impl NodesApart {
         roughness: 0,
     };
 
-    /// Adds the node of column `x`, row `z` of a vertex cell with so many nodes along its side; both
+    /// Adds the node of column `x`, row `z` of a vertex cell with `side` nodes along its side; both
     /// may be one beyond it, where the triangles go on as planes. Height in 2^-16 m, roughness with
     /// exposure above it.
     #[inline(always)]

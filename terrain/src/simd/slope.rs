@@ -3,8 +3,8 @@
 use super::lanes::{Lanes, MOST_LANES};
 use crate::constants::{CELLS, VERTEX_COUNT, VERTICES};
 
-/// Largest sum of the squares of a triangle's two legs, units squared, of heights whose neighbours in
-/// rows and columns lie within 2^15 of each other: so no sum leaves 31 bits.
+/// Largest sum of the squares of a triangle's two legs, units squared, of heights whose neighbours
+/// in rows and columns lie within 2^15 of each other: so no sum leaves 31 bits.
 ///
 /// # Safety
 /// The CPU has the features of `L`.

@@ -198,7 +198,7 @@ impl Strip {
         let mut base = 0;
         for (octave, shift) in grid.octaves.shifts() {
             let cell_bits = FIRST_CELL_BITS - octave as u32;
-            // What every window relies on; `Octaves::at_level` sees to it.
+            // Every window relies on this; `Octaves::at_level` ensures it.
             assert!(grid.spacing_bits <= cell_bits, "a vector's vertices share a window");
             let first_x = grid.position(columns.first, 0).0.wrapping_add(shift.0);
             let first_cell = first_x >> cell_bits;

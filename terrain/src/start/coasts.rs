@@ -25,12 +25,12 @@ const HILL_M: i32 = 80;
 const HILL_STEPS: i32 = 40;
 /// One fine octave: the base field is evaluated once a sample instead of nine times.
 const OUTLINE: Octaves = Octaves::at_level(6);
-/// What a steep shore counts as, in steps of distance.
+/// Cost of a steep shore, in steps of distance.
 const STEEP: i32 = 16;
-/// The coarse level's coast lies within so many steps of the land's.
+/// Largest distance of the coarse level's coast from the land's, steps.
 const SHORE_STEPS: i32 = 2;
-/// Farthest a start lies from its coast along an axis, units: [`SHORE_STEPS`], and twice the grid on
-/// which the surroundings are judged.
+/// Farthest a start lies from its coast along an axis, units: [`SHORE_STEPS`], and twice the grid
+/// on which the surroundings are judged.
 pub(super) const FROM_COAST: i32 = ((SHORE_STEPS * STEP_M) << UNIT_BITS) + 2 * SURVEYED;
 
 /// The coasts about a place.
@@ -50,10 +50,11 @@ impl Coasts {
         Self(rays.into_iter().flat_map(|ray| ray.coasts(land).into_iter().map(coast(ray))).collect())
     }
 
-    /// The start with the least cost among those that are accepted. A start is looked for only where
-    /// no better one is left, and where places up to [`FROM_COAST`] from its coast may be accepted.
+    /// The start with the least cost among those that are accepted. A start is looked for only
+    /// where no better one is left, and where places up to [`FROM_COAST`] from its coast may be
+    /// accepted.
     pub(super) fn best(&mut self, land: &Land, accepts: impl Fn(Place, i32) -> bool) -> Option<Start> {
-        // What a coast counts as at least; the first of equals.
+        // The least cost of a coast; the first of equals.
         let least = |(index, coast): (usize, &Coast)| Reverse(((coast.step - PREFERRED).abs(), index, false));
         let mut queue: BinaryHeap<_> = self.0.iter().enumerate().map(least).collect();
         while let Some(Reverse((_, index, is_found))) = queue.pop() {

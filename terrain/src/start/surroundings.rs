@@ -1,5 +1,5 @@
-//! What lies about the origin of a world: plains and valleys, found on a coarse grid; the plains are
-//! outlined again on a finer one.
+//! Surroundings of the origin of a world: plains and valleys, found on a coarse grid; the plains
+//! are outlined again on a finer one.
 
 use super::map::{Map, Place, square};
 use crate::constants::{SPACING_BITS, UNITS_PER_METRE};
@@ -23,8 +23,8 @@ const LEAST: usize = 157;
 /// Vertices of the coarse grid that may hold a plain (2 ha).
 const PERHAPS: usize = 16;
 
-/// Height of both sides of a valley over its floor, units, so many coarse spacings away along an
-/// axis and on a diagonal; fall of the floor, units; length of the floor, units.
+/// Height of both sides of a valley over its floor, units; their distance from the floor along an
+/// axis and on a diagonal, coarse spacings; fall of the floor, units; length of the floor, units.
 const DEPTH: i32 = 14 * UNITS_PER_METRE;
 const ACROSS: [usize; 2] = [3, 2];
 const FALL: i32 = 30 * UNITS_PER_METRE;
@@ -57,7 +57,7 @@ impl<'a> Surroundings<'a> {
         Self { land, map, half: 0, plains: Vec::new(), floors: Vec::new() }
     }
 
-    /// Surroundings up to so many units from the origin.
+    /// Widens the surroundings to `half` units from the origin.
     pub(super) fn widen(&mut self, half: i32) {
         if half == self.half {
             return;
@@ -87,8 +87,8 @@ impl<'a> Surroundings<'a> {
             .collect();
     }
 
-    /// Middles of the plains of at least so many vertices of the fine grid (0.0256 ha each), units,
-    /// nearest to the origin first.
+    /// Middles of the plains of at least `vertices` vertices of the fine grid (0.0256 ha each),
+    /// units, nearest to the origin first.
     pub(super) fn plains(&self, vertices: usize) -> Vec<Place> {
         let middle = |plain: &Region<Place>| {
             let of = |of: fn(&Place) -> i32| {
@@ -103,9 +103,9 @@ impl<'a> Surroundings<'a> {
         middles
     }
 
-    /// Whether there are a plain of so many vertices and a valley near a place (units); not where
-    /// the grid ends. With slack (units), whether there may be near some place up to so far from it
-    /// along both axes.
+    /// Whether there are a plain of `vertices` vertices and a valley near a place (units); not
+    /// where the grid ends. With slack (units), whether there may be near some place up to the
+    /// slack from it along both axes.
     pub(super) fn are_varied_at(&self, at: Place, slack: i32, vertices: usize) -> bool {
         // A square's diagonal is less than one and a half of its sides.
         let near = NEAR + slack + slack / 2;

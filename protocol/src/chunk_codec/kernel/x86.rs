@@ -2,8 +2,8 @@
 //!
 //! A sum along a row is a prefix sum: within a vector by shifts (Hillis and Steele, "Data parallel
 //! algorithms", 1986), from vector to vector by a carry that holds the last lane everywhere. Every
-//! row begins with a vertex of its own, so that the 64 others fill whole vectors. AVX2 sums the rows
-//! in 16 bits that fit, which are nearly all.
+//! row begins with a vertex of its own, so that the 64 others fill whole vectors. AVX2 sums the
+//! rows in 16 bits that fit, which are nearly all.
 
 use super::{Heights, restore_on, unzigzag};
 use core::arch::x86_64::*;
@@ -12,7 +12,7 @@ use terrain::constants::{CELLS, VERTEX_COUNT, VERTICES};
 /// Planes that the vectors are made for; wider residuals are rare enough for the plain loop.
 const PLANES: usize = 2;
 
-/// What both planes have of a row: the first vertex's residual, and the bytes of the 64 others.
+/// A row of both planes: the first vertex's residual, and the bytes of the 64 others.
 type Row<'a> = (i32, [&'a [u8; CELLS]; PLANES]);
 
 /// A row of the planes. All of them hold all vertices; one that is not there counts as 0.

@@ -117,7 +117,8 @@ impl Disk {
         }
     }
 
-    /// Has an invalid file deleted. If the queue is full it stays; it is rejected again or replaced.
+    /// Has an invalid file deleted. If the queue is full it stays; it is rejected again or
+    /// replaced.
     fn discard(&self, path: &Path) -> Option<Bytes> {
         self.metrics.disk_corrupt.inc();
         tracing::debug!(path = %path.display(), "corrupt or foreign file");

@@ -1,4 +1,5 @@
-//! File names: `SHARD/WORLD.FORMAT.DELIVERY.LEVEL.X.Z`, with `.EDITION` behind it unless it is the base.
+//! File names: `SHARD/WORLD.FORMAT.DELIVERY.LEVEL.X.Z`, with `.EDITION` behind it unless it is the
+//! base.
 //!
 //! The name contains everything that decides the content, so a frame of another world or of an
 //! older format is never opened; it ages and is evicted. All worlds share the shards, so that one

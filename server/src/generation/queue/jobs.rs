@@ -65,7 +65,7 @@ pub enum Enqueued {
     Full,
 }
 
-/// What a client was charged in advance for a job.
+/// The advance charge of a client for a job.
 #[derive(Debug)]
 pub struct Charge {
     bucket: TokenBucket,
@@ -73,13 +73,13 @@ pub struct Charge {
 }
 
 impl Charge {
-    /// Returns it. Not under the lock of the queue, here and below: the table of buckets has a lock of
-    /// its own.
+    /// Returns it. Not under the lock of the queue, here and below: the table of buckets has a lock
+    /// of its own.
     pub fn refund(self) {
         self.bucket.refund(self.cost_us, tokio::time::Instant::now());
     }
 
-    /// What was charged, microseconds.
+    /// The charged cost, microseconds.
     #[must_use]
     pub const fn cost_us(&self) -> i64 {
         self.cost_us
@@ -98,11 +98,11 @@ pub struct MissingFrame {
     pub delivery: Delivery,
     /// Whether it must have the compact encoding.
     pub must_be_compact: bool,
-    /// What pays for it.
+    /// Its payment.
     pub payment: Payment,
 }
 
-/// What pays for a frame.
+/// The payment of a frame.
 #[derive(Debug)]
 pub enum Payment {
     /// The first frame of a job was charged in advance, and belongs to the turn in which it runs.
@@ -142,7 +142,7 @@ struct Job {
     is_running: bool,
     /// Estimated, microseconds.
     cost_us: i64,
-    /// What was charged for its first frame; none once that is being made.
+    /// The advance charge of its first frame; none once that is being made.
     advance: Option<Charge>,
     /// Bounded by the sessions' job windows and the HTTP connections.
     requests: Vec<FrameRequest>,

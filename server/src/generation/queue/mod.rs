@@ -1,16 +1,17 @@
 //! The fair queue. Plain data under one lock: no threads, no clock, no generation.
 //!
 //! `jobs` holds one job per chunk for any number of requests; this file decides whose jobs run
-//! next. Sites (all clients that may be one customer's) take turns by cost, and in the turns of a site
-//! its flows (sessions and downloads): surplus round robin, the variant of deficit round robin
-//! (Shreedhar and Varghese, "Efficient fair queueing using deficit round robin", SIGCOMM 1995) in which
-//! a turn may be overdrawn by one job, which is paid back in the next. Within a flow the highest
-//! priority comes first, among equals the oldest request. So a flow with a thousand keys gets the same
-//! share of the threads as one with two, and a site with a hundred sessions the same as one with one.
+//! next. Sites (all clients that may be one customer's) take turns by cost, and in the turns of a
+//! site its flows (sessions and downloads): surplus round robin, the variant of deficit round robin
+//! (Shreedhar and Varghese, "Efficient fair queueing using deficit round robin", SIGCOMM 1995) in
+//! which a turn may be overdrawn by one job, which is paid back in the next. Within a flow the
+//! highest priority comes first, among equals the oldest request. So a flow with a thousand keys
+//! gets the same share of the threads as one with two, and a site with a hundred sessions the same
+//! as one with one.
 //!
 //! A cost is first an estimate; when the work has ended, the difference to what it took is charged.
-//! `rotation` has the order of turns. Sites and flows are idle after a round without work and without
-//! debt.
+//! `rotation` has the order of turns. Sites and flows are idle after a round without work and
+//! without debt.
 
 mod jobs;
 mod rotation;
@@ -51,7 +52,7 @@ pub struct Queue {
 pub struct Turn {
     /// The flow whose turn it is.
     pub path: FlowPath,
-    /// What was charged to it for the jobs, microseconds.
+    /// The cost charged to it for the jobs, microseconds.
     pub expected_us: i64,
     /// A view to select, with the turn's budget in microseconds.
     pub view: Option<(Box<ViewJob>, i64)>,
@@ -63,7 +64,7 @@ pub struct Turn {
     pub expired: Vec<FrameRequest>,
     /// Jobs dropped because they had no requests any more.
     pub cancelled: u64,
-    /// What was charged for jobs that were dropped; to be refunded.
+    /// The advance charges of dropped jobs; to be refunded.
     pub refunds: Vec<Charge>,
 }
 
@@ -132,8 +133,8 @@ impl Queue {
         self.add_turn(path.site);
     }
 
-    /// Ends a turn that took `more_us` microseconds longer than was charged, with the view that is to
-    /// be continued. The view of a removed flow is dropped.
+    /// Ends a turn that took `more_us` microseconds longer than was charged, with the view that is
+    /// to be continued. The view of a removed flow is dropped.
     pub fn end_turn(&mut self, path: FlowPath, more_us: i64, view: Option<Box<ViewJob>>) {
         if let Some(site) = self.sites.get_mut(&path.site) {
             site.end_turn(path.flow, more_us, view);
@@ -212,8 +213,8 @@ impl Queue {
         turn
     }
 
-    /// Ends the rounds in which all sites that have work pay their debts; where none has work, those
-    /// of all.
+    /// Ends the rounds in which all sites that have work pay their debts; where none has work,
+    /// those of all.
     fn skip_rounds(&mut self, quantum_us: i64) {
         if self.sites.values().any(Site::is_runnable) {
             let accounts = self.sites.values_mut().map(|site| (site.is_runnable(), &mut site.account));
@@ -228,8 +229,8 @@ impl Queue {
         });
     }
 
-    /// Whether a flow that was idle has the next turn: of the site whose turn it is, or of a site that
-    /// was idle.
+    /// Whether a flow that was idle has the next turn: of the site whose turn it is, or of a site
+    /// that was idle.
     #[must_use]
     pub fn is_next_new(&self, site: SiteId) -> bool {
         self.turns.is_next_new() || self.sites.get(&site).is_some_and(Site::is_next_new)

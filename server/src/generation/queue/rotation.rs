@@ -4,10 +4,10 @@ use std::collections::VecDeque;
 
 /// Turns of sites, or of the flows of a site. Each is in it at most once; the caller sees to that.
 ///
-/// Those that were idle have their first turn before all others (the new queues of FQ-CoDel, RFC 8290,
-/// section 4.2), so that a light client does not wait for a round of heavy ones. Those that come while
-/// a round lasts are first too, but no more of them than half of the turns with work in the round
-/// before: those that come without end must not keep the others from theirs.
+/// Those that were idle have their first turn before all others (the new queues of FQ-CoDel, RFC
+/// 8290, section 4.2), so that a light client does not wait for a round of heavy ones. Those that
+/// come while a round lasts are first too, but no more of them than half of the turns with work in
+/// the round before: those that come without end must not keep the others from theirs.
 #[derive(Debug)]
 pub struct Rotation<Id> {
     /// Those that were idle and have had no turn since.

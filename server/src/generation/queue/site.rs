@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 /// Entries of a flow before stale ones are removed.
 pub const STALE_ENTRIES: usize = 64;
 
-/// What every turn of a queue has in common.
+/// Limits that all turns of a queue share.
 #[derive(Clone, Copy, Debug)]
 pub struct TurnLimits {
     /// Work of a turn, microseconds.
@@ -116,8 +116,8 @@ impl Flow {
         !self.entries.is_empty() || self.view.is_some()
     }
 
-    /// Leaves the first entry of each job that waits: a chunk that was cancelled and requested again
-    /// has several.
+    /// Leaves the first entry of each job that waits: a chunk that was cancelled and requested
+    /// again has several.
     fn remove_stale(&mut self, jobs: &Jobs) {
         let mut seen = HashSet::new();
         let entries = std::mem::take(&mut self.entries).into_sorted_vec().into_iter().rev();
@@ -207,8 +207,8 @@ impl Site {
         flow.entries.into_iter().map(|(_, _, chunk)| chunk).collect()
     }
 
-    /// Ends the rounds in which flows without work pay their debts, where no flow has work: there may
-    /// be thousands of both.
+    /// Ends the rounds in which flows without work pay their debts, where no flow has work: there
+    /// may be thousands of both.
     pub fn pay_debts(&mut self) {
         debug_assert!(!self.flows.values().any(Flow::is_runnable), "no flow has work");
         self.turns.clear();
