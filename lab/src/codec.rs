@@ -377,7 +377,6 @@ mod tests {
         };
         assert!(spoiled(|row| row.lossless = false, COMPACT).contains("lose something"));
         assert!(spoiled(|row| row.lossless = true, LOSSY).contains("control"));
-        assert!(spoiled(|row| row.of_entropy = 1.0, baselines::SCAN_DELTA).contains("(rival)"));
         assert!(spoiled(|row| row.of_entropy = 1.1, COMPACT).contains("the bar is at most 1.080 x"));
     }
 

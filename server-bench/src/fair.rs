@@ -34,7 +34,8 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     for _ in 0..plan.rounds {
         let without = round(plan, &keys, 0).await?;
         let with = round(plan, &keys, 1).await?;
-        refused += with.polite_refused;
+        // Beside nobody too: a refusal there is counted as a slow answer and would improve the ratio.
+        refused += without.polite_refused + with.polite_refused;
         let mean = with.shares.iter().sum::<f64>() / with.shares.len() as f64;
         rounds.push("p99_alone_ms", without.p99_ms);
         rounds.push("p99_beside_greedy_ms", with.p99_ms);
@@ -89,7 +90,7 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         Bar::at_most("polite p99 beside a greedy client over alone", of("p99_ratio"), "x", 1.3)
             .with_note("median of the rounds; a refused request counts as the whole length of its round"),
         Bar::none("refused requests of polite clients", of("polite_refused"))
-            .with_note("beside the greedy client, all rounds together"),
+            .with_note("alone and beside the greedy client, all rounds together"),
         Bar::at_least("Jain's index of their shares", of("jain_index"), "", 0.95),
     ]
 }

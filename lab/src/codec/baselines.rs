@@ -26,9 +26,9 @@ pub(super) const PLANE_ZSTD: &str = "plane, byte planes, one zstd 1 frame";
 /// Name of 16-bit PNG.
 pub(super) const PNG16: &str = "PNG, 16 bits, adaptive filters";
 
-/// Name of the coding of quantized-mesh heights (zigzag differences in scan order), as tile servers
-/// send it.
-pub(super) const SCAN_DELTA: &str = "scan deltas, zigzag, gzip 6 (quantized-mesh)";
+/// Name of the coding that quantized-mesh has for heights (zigzag differences in the order of the
+/// vertices, then gzip), here of our grid and not in that format.
+pub(super) const SCAN_DELTA: &str = "scan deltas, zigzag, gzip 6";
 
 pub(super) fn all() -> Vec<Baseline> {
     vec![
@@ -60,12 +60,15 @@ const fn unzigzag(word: u16) -> u16 {
 struct Contexts {
     compressor: Option<Compressor<'static>>,
     decompressor: Option<Decompressor<'static>>,
+    /// Low and high bytes of the residuals of a chunk.
+    planes: [u8; 2 * VERTEX_COUNT],
 }
 
 thread_local! {
     static CONTEXTS: RefCell<Contexts> = RefCell::new(Contexts {
         compressor: Compressor::new(1).ok(),
         decompressor: Decompressor::new().ok(),
+        planes: [0; 2 * VERTEX_COUNT],
     });
 }
 
@@ -93,17 +96,27 @@ fn plane_zstd(heights: &[u16]) -> Vec<u8> {
         .unwrap_or_default()
 }
 
+/// Row by row: the difference of a height from the one above it is the sum of the residuals of its
+/// row so far.
 fn from_plane_zstd(bytes: &[u8]) -> Vec<u16> {
-    let planes = CONTEXTS
-        .with_borrow_mut(|contexts| contexts.decompressor.as_mut()?.decompress(bytes, 2 * VERTEX_COUNT).ok());
-    let Some(planes) = planes else { return Vec::new() };
-    let (low, high) = planes.split_at(planes.len() / 2);
-    let mut heights = vec![0; low.len()];
-    for index in 0..heights.len() {
-        let word = u16::from_le_bytes([low[index], high[index]]);
-        heights[index] = predicted(&heights, index).wrapping_add(unzigzag(word));
-    }
-    heights
+    CONTEXTS.with_borrow_mut(|Contexts { decompressor, planes, .. }| {
+        let size = decompressor.as_mut().and_then(|zstd| zstd.decompress_to_buffer(bytes, planes).ok());
+        if size != Some(planes.len()) {
+            return Vec::new();
+        }
+        let (low, high) = planes.split_at(VERTEX_COUNT);
+        let mut heights = Vec::with_capacity(VERTEX_COUNT);
+        let mut above = [0_u16; VERTICES];
+        for (low, high) in low.chunks_exact(VERTICES).zip(high.chunks_exact(VERTICES)) {
+            let mut difference = 0_u16;
+            for ((height, low), high) in above.iter_mut().zip(low).zip(high) {
+                difference = difference.wrapping_add(unzigzag(u16::from_le_bytes([*low, *high])));
+                *height = height.wrapping_add(difference);
+            }
+            heights.extend_from_slice(&above);
+        }
+        heights
+    })
 }
 
 fn png(heights: &[u16]) -> Vec<u8> {

@@ -24,7 +24,7 @@ pub struct Heading<'a> {
 ///
 /// From a clean commit the run is appended to `docs/measurements/<date>-<machine>/runs.csv`, and
 /// the record `<name>.md` beside it shows the median of the runs of that commit on this machine, on
-/// any day. From a changed working tree a draft is written under `target/measure`, which no
+/// any day, and beside it how often runs of all commits kept the bar. From a changed working tree a draft is written under `target/measure`, which no
 /// document may quote.
 ///
 /// # Errors
@@ -45,15 +45,18 @@ pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
         let path = folder.join(runs::FILE);
         runs::append(&path, heading.name, &commit.hash, rows)
             .with_context(|| format!("cannot append to {}", path.display()))?;
-        Runs::of_machine(&days, &machine.slug(), heading.name, &commit.hash)
+        let of = |commit| Runs::of_machine(&days, &machine.slug(), heading.name, commit);
+        of(Some(&commit.hash))
+            .and_then(|runs| Ok((runs, of(None)?)))
             .with_context(|| format!("cannot read the runs in {}", days.display()))?
     } else {
         println!("measure: the working tree differs from its commit; this record is a draft");
-        Runs::default()
+        Default::default()
     };
     let path = folder.join(heading.name).with_extension("md");
     let command = format!("cargo xtask measure {}", heading.name);
-    let text = page(heading, rows, &runs, &Origin { machine, date, commit: commit.clone(), command });
+    let text =
+        page(heading, rows, (&runs.0, &runs.1), &Origin { machine, date, commit: commit.clone(), command });
     std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
     if commit.is_clean {
         crate::records::write_page()?;
@@ -104,7 +107,8 @@ pub fn write_foreign(folder: &Path, heading: &Heading<'_>, rows: &[Bar], origin:
         .with_context(|| format!("cannot append to {}", csv.display()))?;
     let path = folder.join(heading.name).with_extension("md");
     // One run has neither a range nor a median.
-    std::fs::write(&path, page(heading, rows, &Runs::default(), origin))
+    let none = Runs::default();
+    std::fs::write(&path, page(heading, rows, (&none, &none), origin))
         .with_context(|| format!("cannot write {}", path.display()))?;
     Ok(path)
 }
@@ -125,7 +129,8 @@ fn distinct(rows: &[Bar]) -> Vec<Bar> {
     numbered
 }
 
-fn page(heading: &Heading<'_>, rows: &[Bar], runs: &Runs, origin: &Origin) -> String {
+/// The record of the runs of a commit, beside those of all commits.
+fn page(heading: &Heading<'_>, rows: &[Bar], (runs, all): (&Runs, &Runs), origin: &Origin) -> String {
     let Origin { machine, date, commit, command } = origin;
     let memory = machine.memory_mib.map_or("unknown".into(), |mib| format!("{mib} MiB"));
     let draft = if commit.is_clean { "" } else { " with uncommitted changes: a draft" };
@@ -166,6 +171,11 @@ fn page(heading: &Heading<'_>, rows: &[Bar], runs: &Runs, origin: &Origin) -> St
                 spread.range(),
                 format!("{} of {}", spread.kept, figures.len()),
             ),
+        };
+        let of_all = all.of(&row.name);
+        let kept = match of_all.figures.len() > spread.figures.len().max(1) {
+            true => format!("{kept}; all commits: {} of {}", of_all.kept, of_all.figures.len()),
+            false => kept,
         };
         let median = Bar { figure, ..row.clone() };
         let _ = writeln!(page, "| {} | {} | {range} | {kept} |", cell(&row.name), median.cells().join(" | "));
@@ -215,8 +225,8 @@ mod tests {
         runs::append_failed(&days.join("2026-01-02-cpu").join(runs::FILE), "x", "abc").unwrap();
         for run in [all(Some(1.0)), all(Some(2.5)), all(Some(9.0)), all(None), failed] {
             runs::append(&days.join("2026-01-02-cpu").join(runs::FILE), "x", "abc", &run).unwrap();
-            let runs = Runs::of_machine(&days, "cpu", "x", "abc").unwrap();
-            pages.push(page(&heading, &rows, &runs, &origin));
+            let runs = Runs::of_machine(&days, "cpu", "x", Some("abc")).unwrap();
+            pages.push(page(&heading, &rows, (&runs, &runs), &origin));
         }
         std::fs::remove_dir_all(&days).unwrap();
         assert!(pages[2].contains("| Runs of this commit | 3 |"), "{}", pages[2]);

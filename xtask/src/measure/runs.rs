@@ -16,7 +16,7 @@ const HEADER: &str = "name,commit,what,figure,unit,bar,met";
 /// What stands in place of a row in the line of a run that ended without figures.
 const FAILED: &str = "the run failed";
 
-/// The runs of one measurement at one commit.
+/// Runs of one measurement: of one commit, or of all.
 #[derive(Clone, Debug, Default)]
 pub struct Runs {
     rows: Vec<Stored>,
@@ -70,11 +70,17 @@ pub fn append_failed(path: &Path, name: &str, commit: &str) -> std::io::Result<(
 }
 
 impl Runs {
-    /// The runs of a measurement and commit on every day of a machine, in the order of the days.
+    /// The runs of a measurement and commit, or of all commits, on every day of a machine, in the
+    /// order of the days.
     ///
     /// # Errors
     /// The folder of all days or a file cannot be read.
-    pub fn of_machine(folder: &Path, machine: &str, name: &str, commit: &str) -> std::io::Result<Self> {
+    pub fn of_machine(
+        folder: &Path,
+        machine: &str,
+        name: &str,
+        commit: Option<&str>,
+    ) -> std::io::Result<Self> {
         let days: Vec<_> = std::fs::read_dir(folder)?.collect::<Result<_, _>>()?;
         let is_own = |day: &std::fs::DirEntry| {
             day.file_name().to_str().and_then(|day| day.get(DATE..)) == Some(machine)
@@ -89,9 +95,11 @@ impl Runs {
         Ok(runs)
     }
 
-    fn read(text: &str, name: &str, commit: &str) -> Self {
+    fn read(text: &str, name: &str, commit: Option<&str>) -> Self {
         let rows = text.lines().skip(1).map(fields).filter(|fields| fields.len() == 7);
-        let rows = rows.filter(|fields| fields[0] == name && fields[1] == commit).map(|fields| Stored {
+        let is_asked =
+            |fields: &Vec<String>| fields[0] == name && commit.is_none_or(|commit| fields[1] == commit);
+        let rows = rows.filter(is_asked).map(|fields| Stored {
             what: fields[2].clone(),
             figure: fields[3].parse().ok(),
             met: fields[6] == "yes",
@@ -187,7 +195,9 @@ mod tests {
         for figure in [1.0, 9.0, 2.0, 4.0] {
             append(&path, "x", "abc", &row(figure)).unwrap();
         }
-        let runs = Runs::read(&std::fs::read_to_string(&path).unwrap(), "x", "abc");
+        let runs = Runs::read(&std::fs::read_to_string(&path).unwrap(), "x", Some("abc"));
+        let of_all = Runs::read(&std::fs::read_to_string(&path).unwrap(), "x", None);
+        assert_eq!(of_all.of("time, \"p99\"").figures, [100.0, 1.0, 9.0, 2.0, 4.0]);
         std::fs::remove_file(&path).unwrap();
         let spread = runs.of("time, \"p99\"");
         assert_eq!(spread, Spread { figures: vec![1.0, 9.0, 2.0, 4.0], kept: 2 });
@@ -233,15 +243,16 @@ mod tests {
         std::fs::create_dir_all(folder.join("2026-01-05-cpu-2-cores")).unwrap();
         std::fs::write(folder.join("README.md"), "").unwrap();
         let runs = |commit| Runs::of_machine(&folder, "cpu-2-cores", "x", commit).unwrap();
-        assert_eq!(runs("abc").of("time").figures, [1.0, 2.0, 3.0]);
-        assert!(runs("old").of("time").figures.is_empty());
+        assert_eq!(runs(Some("abc")).of("time").figures, [1.0, 2.0, 3.0]);
+        assert_eq!(runs(None).of("time").figures, [1.0, 2.0, 3.0]);
+        assert!(runs(Some("old")).of("time").figures.is_empty());
         std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]
     fn a_run_without_a_figure_leaves_no_median() {
         let text = format!("{HEADER}\nx,abc,a,1,s,b,yes\nx,abc,a,,s,b,no\n");
-        let spread = Runs::read(&text, "x", "abc").of("a");
+        let spread = Runs::read(&text, "x", Some("abc")).of("a");
         let median = spread.median(Limit::Under(3.0));
         assert_eq!((median, spread.kept, spread.figures.len()), (None, 1, 2));
     }
