@@ -1,7 +1,9 @@
-//! Many requests for few chunks: what reaches the replicas, and what they generate.
+//! Many requests for few chunks: those that reach the replicas, and the chunks that these generate,
+//! without and with a store.
 
-use super::Cluster;
 use super::http::{agent, get_by, metric, world};
+use super::objects::{self, Objects};
+use super::{Cluster, chunks, store};
 use crate::server::Server;
 use anyhow::{Context, Result};
 use bars::Bar;
@@ -18,8 +20,12 @@ const REQUESTS: u32 = 100_000;
 /// Threads that send them, each over a connection of its own.
 const THREADS: u32 = 8;
 
-/// Chunks per axis, around the origin: 96 x 96 of level 0.
+/// Chunks per axis, around the origin: 96 x 96.
 const SIDE: u32 = 96;
+
+/// The level of the chunks without a store, and with one, which has level 2 and coarser.
+const LEVEL: u8 = 0;
+const STORED_LEVEL: u8 = 2;
 
 /// Generated chunks of a replica.
 const GENERATED: &str = "tombolo_generation_jobs_total{outcome=\"completed\"}";
@@ -40,20 +46,72 @@ struct Seen {
 /// # Errors
 /// A server does not answer.
 pub fn rows() -> Result<Vec<Bar>> {
-    let cluster = Cluster::start(super::REPLICAS)?;
+    let (all, made) = requested(&Cluster::start(super::REPLICAS)?, LEVEL)?;
+    let (replicas, keys) = (f64::from(super::REPLICAS), all.len() as f64);
+    let misses: u32 = all.values().map(|seen| seen.misses).sum();
+    let most = all.values().map(|seen| seen.misses).max().context("no request")?;
+    let wrong: u32 = all.values().map(|seen| seen.wrong).sum();
+    let mut rows = vec![
+        Bar::reported("chunks that 10^5 requests with Zipf's frequencies name", Some(keys), ""),
+        Bar::none("of the answers, other bytes than the first of the address", Some(wrong.into())),
+        Bar::reported(
+            "requests that nginx answers from its cache",
+            Some(100.0 * (1.0 - f64::from(misses) / f64::from(REQUESTS))),
+            "%",
+        ),
+        Bar::at_most("requests for one chunk that reached a replica, most", Some(most.into()), "", replicas),
+        Bar::at_most("chunks generated, over all replicas, per chunk named", Some(made / keys), "", replicas),
+    ];
+    rows.extend(with_store()?);
+    Ok(rows)
+}
+
+/// The same with a store; then each replica is asked for every chunk, also those whose home is the
+/// other one.
+fn with_store() -> Result<Vec<Bar>> {
+    const PER_CHUNK: &str = "with a store: chunks generated, over all replicas, per chunk named";
+    if let Some(reason) = objects::lacks() {
+        return Ok(vec![Bar::reported(PER_CHUNK, None, "").not_measured_if(true, &reason)]);
+    }
+    let objects = Objects::start("zipf", None)?;
+    let settings = [objects.settings().as_slice(), &[store::patient_wait()]].concat();
+    let cluster = Cluster::start_with(super::REPLICAS, &settings)?;
+    let (all, made) = requested(&cluster, STORED_LEVEL)?;
+    let written = |replica: &Server| metric(replica.address(), "tombolo_store_writes_total{outcome=\"written\"}");
+    chunks::settled(|| cluster.replicas.iter().map(written).sum())?;
+    let paths: Vec<_> = all.keys().map(|place| path(STORED_LEVEL, *place)).collect();
+    let (mut truth, mut bad) = (chunks::Truth::new(), 0);
+    let before = generated(&cluster)?;
+    for replica in &cluster.replicas {
+        let asked = chunks::ask(replica.address(), &paths, &mut truth, || Ok(()))?;
+        bad += asked.wrong + asked.failed;
+    }
+    let again = generated(&cluster)? - before;
+    let wrong: u32 = all.values().map(|seen| seen.wrong).sum();
+    let keys = all.len() as f64;
+    Ok(vec![
+        Bar::none("with a store: wrong chunks or none", Some(f64::from(wrong) + bad as f64)),
+        Bar::at_most(PER_CHUNK, Some((made + again) / keys), "", 1.0),
+        Bar::some("control: chunks that were generated before they were stored", Some(made)),
+    ])
+}
+
+/// Generated chunks of all replicas.
+fn generated(cluster: &Cluster) -> Result<f64> {
+    cluster.replicas.iter().map(|replica| metric(replica.address(), GENERATED)).sum()
+}
+
+/// Sends all requests for chunks of a level. The responses by chunk, and the generated chunks.
+fn requested(cluster: &Cluster, level: u8) -> Result<(HashMap<u32, Seen>, f64)> {
     let proxy = cluster.nginx.address();
     let digest = world(proxy)?;
-    let generated = || {
-        let each = cluster.replicas.iter().map(|replica: &Server| metric(replica.address(), GENERATED));
-        each.sum::<Result<f64>>()
-    };
-    let before = generated()?;
+    let before = generated(cluster)?;
     let sum = zipf();
     let parts: Vec<_> = thread::scope(|scope| {
         let threads: Vec<_> = (0..THREADS)
             .map(|number| {
                 let (sum, digest) = (&sum, &digest);
-                scope.spawn(move || send(proxy, digest, sum, number))
+                scope.spawn(move || send(proxy, (digest, level), sum, number))
             })
             .collect();
         threads.into_iter().map(|thread| thread.join().expect("no panic")).collect::<Result<_>>()
@@ -66,26 +124,22 @@ pub fn rows() -> Result<Vec<Bar>> {
         seen.wrong += part.wrong + u32::from(differs);
         seen.content = seen.content.or(part.content);
     }
-    let (replicas, keys) = (f64::from(super::REPLICAS), all.len() as f64);
-    let misses: u32 = all.values().map(|seen| seen.misses).sum();
-    let most = all.values().map(|seen| seen.misses).max().context("no request")?;
-    let wrong: u32 = all.values().map(|seen| seen.wrong).sum();
-    let made = generated()? - before;
-    Ok(vec![
-        Bar::reported("chunks that 10^5 requests with Zipf's frequencies name", Some(keys), ""),
-        Bar::none("of the answers, other bytes than the first of the address", Some(wrong.into())),
-        Bar::reported(
-            "requests that nginx answers from its cache",
-            Some(100.0 * (1.0 - f64::from(misses) / f64::from(REQUESTS))),
-            "%",
-        ),
-        Bar::at_most("requests for one chunk that reached a replica, most", Some(most.into()), "", replicas),
-        Bar::at_most("chunks generated, over all replicas, per chunk named", Some(made / keys), "", replicas),
-    ])
+    Ok((all, generated(cluster)? - before))
+}
+
+/// The address of a chunk by its number, below that of its world.
+fn path(level: u8, place: u32) -> String {
+    let [x, z] = [place % SIDE, place / SIDE].map(|index| index as i32 - SIDE as i32 / 2);
+    format!("chunk/{level}/{x}/{z}")
 }
 
 /// The share of one thread, by chunk.
-fn send(proxy: SocketAddr, digest: &str, sum: &[f64], number: u32) -> Result<HashMap<u32, Seen>> {
+fn send(
+    proxy: SocketAddr,
+    (digest, level): (&str, u8),
+    sum: &[f64],
+    number: u32,
+) -> Result<HashMap<u32, Seen>> {
     let agent = agent();
     let mut all: HashMap<u32, Seen> = HashMap::new();
     for request in 0..REQUESTS / THREADS {
@@ -94,8 +148,7 @@ fn send(proxy: SocketAddr, digest: &str, sum: &[f64], number: u32) -> Result<Has
             sum.partition_point(|until| *until < random * sum[sum.len() - 1]).min(sum.len() - 1) as u32;
         // Neighbours in rank are none on the ground.
         let place = (u64::from(rank) * 4099 % u64::from(SIDE * SIDE)) as u32;
-        let [x, z] = [place % SIDE, place / SIDE].map(|index| index as i32 - SIDE as i32 / 2);
-        let answer = get_by(&agent, proxy, &format!("/v1/{digest}/chunk/0/{x}/{z}"))?;
+        let answer = get_by(&agent, proxy, &format!("/v1/{digest}/{}", path(level, place)))?;
         let mut hasher = DefaultHasher::new();
         answer.body.hash(&mut hasher);
         let content = hasher.finish();

@@ -38,9 +38,12 @@ pub fn rows() -> Result<Vec<Bar>> {
     Ok(rows)
 }
 
-/// SIGKILL: the rows, and the share of held bytes that came again, percent.
+/// SIGKILL, with a store that the replicas share: the rows, and the share of held bytes that came
+/// again, percent.
 fn killed(more: &[&str]) -> Result<(Vec<Bar>, Option<f64>)> {
-    let mut cluster = Cluster::start(super::REPLICAS)?;
+    let (objects, mut settings) = super::shared_store()?;
+    settings.push(super::store::compose_wait());
+    let mut cluster = Cluster::start_with(super::REPLICAS, &settings)?;
     let load = Load::start(cluster.nginx.address(), KILLED_CLIENTS, LOAD_S, more)?;
     sleep(Duration::from_secs(LOAD_S / 3));
     let mut victim = cluster.replicas.remove(0);
@@ -55,8 +58,10 @@ fn killed(more: &[&str]) -> Result<(Vec<Bar>, Option<f64>)> {
     ensure!(seconds.len() + 2 >= LOAD_S as usize, "tombolo-load ended early");
     let empty = seconds.filter(|second| at(second, "chunks").is_none_or(|chunks| chunks == 0.0)).count();
     let again = ratio(&report, "resume/bytes_again", "resume/held_bytes").map(|share| 100.0 * share);
+    let store = if objects.is_some() { "an S3 store" } else { "a folder as their store" };
     let rows = vec![
-        Bar::reported("killed: sessions of the replica, of 200", Some(lost), ""),
+        Bar::reported("killed: sessions of the replica, of 200", Some(lost), "")
+            .with_note(format!("the replicas share {store}, with the settings of docker-compose.yml")),
         wrong("killed: wrong chunks", &report),
         Bar::none("killed: lost sessions without another", without_another(&report)),
         Bar::at_least(

@@ -195,7 +195,7 @@ fn damaged_compose_files_are_found() {
         ("  replica-2: *replica", "  replica-2: *replicas", "unknown anchor"),
         ("    read_only: true", "    read_onyl: true", "read_onyl"),
         ("depends_on:", "depend_on:", "depend_on"),
-        ("restart: true", "restrat: true", "restrat"),
+        ("max-size: 50m", "max-size: [50m]", "invalid type"),
         ("stop_grace_period: 25s", "stop_grace_period: [25s]", "invalid type"),
     ] {
         let text = COMPOSE.replace(from, to);

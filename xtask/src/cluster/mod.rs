@@ -137,7 +137,7 @@ pub fn run(options: Options) -> Result<()> {
     let (objects, settings) = shared_store().context("cluster")?;
     let mut cluster = Cluster::start_with(options.replicas, &settings).context("cluster")?;
     println!("cluster: {} replicas behind http://{}/", options.replicas, cluster.nginx.address());
-    let prometheus = watched(&cluster.replicas).context("cluster")?;
+    let prometheus = watched(&cluster).context("cluster")?;
     for replica in &cluster.replicas {
         println!("  replica http://{}/", replica.address());
     }
@@ -161,14 +161,14 @@ fn shared_store() -> Result<(Option<Objects>, Settings)> {
     Ok((Some(objects), settings))
 }
 
-/// Prometheus over the replicas, where it is installed.
-fn watched(replicas: &[Server]) -> Result<Option<Prometheus>> {
+/// Prometheus over the replicas and nginx, where it is installed.
+fn watched(cluster: &Cluster) -> Result<Option<Prometheus>> {
     if let Some(why) = prometheus::lacks() {
         println!("cluster: nothing watches the replicas; this {why}");
         return Ok(None);
     }
-    let addresses: Vec<_> = replicas.iter().map(Server::address).collect();
-    let prometheus = Prometheus::start(&addresses)?;
+    let addresses: Vec<_> = cluster.replicas.iter().map(Server::address).collect();
+    let prometheus = Prometheus::start(&addresses, cluster.nginx.metrics())?;
     println!("  alerts  http://{}/alerts", prometheus.address());
     Ok(Some(prometheus))
 }

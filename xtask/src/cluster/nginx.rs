@@ -24,6 +24,7 @@ const END_WITHIN: Duration = Duration::from_secs(5);
 pub struct Nginx {
     child: Child,
     address: SocketAddr,
+    metrics: SocketAddr,
     folder: PathBuf,
 }
 
@@ -37,10 +38,12 @@ impl Nginx {
         let folder = super::folder("nginx")?;
         std::fs::create_dir_all(folder.join("temporary"))
             .with_context(|| format!("cannot create {}", folder.display()))?;
-        // Released again: nginx binds it a moment later.
-        let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
-        let child = spawn(&folder, address, replicas)?;
-        Ok(Self { child, address, folder })
+        // Released again: nginx binds them a moment later.
+        let ports = [TcpListener::bind("127.0.0.1:0")?, TcpListener::bind("127.0.0.1:0")?];
+        let [address, metrics] = [ports[0].local_addr()?, ports[1].local_addr()?];
+        drop(ports);
+        let child = spawn(&folder, [address, metrics], replicas)?;
+        Ok(Self { child, address, metrics, folder })
     }
 
     /// Ends it and starts it again before other replicas, with the cache that it has.
@@ -49,13 +52,28 @@ impl Nginx {
     /// As [`Nginx::start`].
     pub fn restart(&mut self, replicas: &[SocketAddr]) -> Result<()> {
         process::stop(&mut self.child, END_WITHIN);
-        self.child = spawn(&self.folder, self.address, replicas)?;
+        self.child = spawn(&self.folder, [self.address, self.metrics], replicas)?;
         Ok(())
     }
 
     /// Where it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// Where its own metrics are.
+    pub fn metrics(&self) -> SocketAddr {
+        self.metrics
+    }
+
+    /// The folder of its cache.
+    pub fn cache(&self) -> PathBuf {
+        self.folder.join("cache")
+    }
+
+    /// Ends it; its cache and its addresses stay for [`Nginx::restart`].
+    pub fn stop(&mut self) {
+        process::stop(&mut self.child, END_WITHIN);
     }
 
     /// Whether it still runs.
@@ -73,10 +91,11 @@ impl Drop for Nginx {
 }
 
 /// Writes the configuration and waits until nginx listens.
-fn spawn(folder: &Path, address: SocketAddr, replicas: &[SocketAddr]) -> Result<Child> {
+fn spawn(folder: &Path, [address, metrics]: [SocketAddr; 2], replicas: &[SocketAddr]) -> Result<Child> {
     for (name, text) in [
         ("nginx.conf", CONFIGURATION.to_owned()),
         ("listen.conf", format!("listen {address} backlog=4096;\n")),
+        ("metrics.conf", format!("listen {metrics};\n")),
         ("replicas.conf", replicas_of(replicas, folder)),
     ] {
         std::fs::write(folder.join(name), text).with_context(|| format!("cannot write {name}"))?;
@@ -107,7 +126,7 @@ fn command(folder: &Path) -> Command {
 }
 
 /// Whether nginx accepts the files of `deploy/nginx`, with the loopback in place of the names of
-/// replicas, and rejects them with an unknown directive.
+/// replicas and without the lookup of names, and rejects them with an unknown directive.
 ///
 /// # Errors
 /// It rejects them, or accepts what is invalid.
@@ -120,6 +139,8 @@ pub fn check() -> Result<()> {
         let mut text = std::fs::read_to_string(&path)?.replace("/var/cache/nginx", &place);
         (1..10).for_each(|n| text = text.replace(&format!("replica-{n}:"), "127.0.0.1:"));
         if name == "replicas.conf" {
+            // The nginx of Debian 12 is older than these (1.27.3).
+            text = text.replace(" resolve;", ";");
             text.push_str(&temporary_folders(&folder));
         }
         std::fs::write(folder.join(name), text)?;
@@ -152,7 +173,7 @@ fn replicas_of(replicas: &[SocketAddr], folder: &Path) -> String {
     }
     writeln!(
         text,
-        "proxy_cache_path {}/cache levels=1:2 keys_zone=chunks:32m max_size=1g inactive=1h \
+        "proxy_cache_path {}/cache levels=1:2 keys_zone=chunks:128m max_size=1g inactive=1h \
          use_temp_path=off;",
         folder.display()
     )
@@ -185,15 +206,18 @@ mod tests {
             "zone upstream_chunks 64k;",
             " max_fails=0;",
             "keepalive 32;",
-            "keys_zone=chunks:32m",
+            "keys_zone=chunks:128m",
         ] {
             assert!(container.contains(part) && desk.contains(part), "{part}");
         }
         // No server of either counts failures, which would let one client take it out.
         for (text, replicas) in [(container, 2), (desk.as_str(), 1)] {
             assert_eq!(text.matches("server ").count(), 2 * replicas);
-            assert_eq!(text.matches(" max_fails=0;").count(), 2 * replicas);
+            assert_eq!(text.matches(" max_fails=0").count(), 2 * replicas);
         }
+        // A name that is looked up once at the start keeps nginx from starting without its replica.
+        assert_eq!(container.matches(" resolve;").count(), 4);
+        assert!(container.contains("\nresolver 127.0.0.11 "));
         // Requirements of the configuration on both.
         for part in ["http://sessions", "http://chunks", "proxy_cache chunks;", "include replicas.conf;"] {
             assert!(CONFIGURATION.contains(part), "{part}");
@@ -209,6 +233,9 @@ mod tests {
             value.trim_end_matches(';').parse().unwrap()
         };
         assert_eq!(number("worker_rlimit_nofile "), 2 * number("worker_connections "));
+        // The metric of the limit, and the limit of an address.
+        assert_eq!(number("nginx_connections_limit "), number("worker_connections "));
+        assert_eq!(4 * number("limit_conn addresses "), number("worker_connections "));
     }
 
     /// With no mark between address and style, `1/2?style=3` and `1/23` would share an answer.

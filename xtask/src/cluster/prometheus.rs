@@ -20,6 +20,9 @@ const CONFIGURATION: &str = include_str!("../../../deploy/prometheus/prometheus.
 /// The addresses in it.
 const TARGETS: &str = "targets: [\"replica-1:7580\", \"replica-2:7580\"]";
 
+/// The address of nginx in it.
+const NGINX: &str = "targets: [\"nginx:7581\"]";
+
 /// The rules, from the root of the repository.
 const RULES: &str = "deploy/prometheus/alerts.yml";
 
@@ -60,13 +63,14 @@ pub fn lacks() -> Option<String> {
 }
 
 impl Prometheus {
-    /// Starts it on a free port of the loopback, with these replicas as targets.
+    /// Starts it on a free port of the loopback, with these replicas and the metrics of nginx as
+    /// targets.
     ///
     /// # Errors
     /// It is not installed, rejects its configuration, or does not answer in time.
-    pub fn start(replicas: &[SocketAddr]) -> Result<Self> {
+    pub fn start(replicas: &[SocketAddr], nginx: SocketAddr) -> Result<Self> {
         let folder = super::folder("prometheus")?;
-        std::fs::write(folder.join("prometheus.yml"), configuration(replicas)?)?;
+        std::fs::write(folder.join("prometheus.yml"), configuration(replicas, nginx)?)?;
         let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
         let child = process::command("prometheus")
             .arg(format!("--config.file={}", folder.join("prometheus.yml").display()))
@@ -111,7 +115,7 @@ impl Prometheus {
         Ok(list(&answer, "data/alerts").iter().map(alert).collect())
     }
 
-    /// Replicas that answered its last request.
+    /// Replicas and nginx, as far as they answered its last request.
     fn up(&self) -> Result<usize> {
         let answer = self.ask("targets?state=active")?;
         let targets = list(&answer, "data/activeTargets").iter();
@@ -132,13 +136,16 @@ impl Drop for Prometheus {
     }
 }
 
-/// The configuration with these replicas, and the rules where they are.
-fn configuration(replicas: &[SocketAddr]) -> Result<String> {
-    ensure!(CONFIGURATION.contains(TARGETS), "prometheus.yml has other targets than: {TARGETS}");
+/// The configuration with these addresses, and the rules where they are.
+fn configuration(replicas: &[SocketAddr], nginx: SocketAddr) -> Result<String> {
+    for targets in [TARGETS, NGINX] {
+        ensure!(CONFIGURATION.contains(targets), "prometheus.yml has other targets than: {targets}");
+    }
     let targets = replicas.iter().map(|address| format!("\"{address}\"")).collect::<Vec<_>>().join(", ");
     let rules = process::root().join(RULES);
     Ok(CONFIGURATION
         .replace(TARGETS, &format!("targets: [{targets}]"))
+        .replace(NGINX, &format!("targets: [\"{nginx}\"]"))
         .replace("[alerts.yml]", &format!("[\"{}\"]", rules.display())))
 }
 
@@ -153,9 +160,9 @@ pub fn rows() -> Result<Vec<Bar>> {
     }
     let mut cluster = super::Cluster::start(super::REPLICAS)?;
     let addresses: Vec<_> = cluster.replicas.iter().map(Server::address).collect();
-    let prometheus = Prometheus::start(&addresses)?;
+    let prometheus = Prometheus::start(&addresses, cluster.nginx.metrics())?;
     let deadline = Instant::now() + READY_WITHIN;
-    while prometheus.up()? < addresses.len() && Instant::now() < deadline {
+    while prometheus.up()? < addresses.len() + 1 && Instant::now() < deadline {
         sleep(Duration::from_millis(200));
     }
     let up = prometheus.up()?;
@@ -183,7 +190,7 @@ pub fn rows() -> Result<Vec<Bar>> {
     let written = include_str!("../../../deploy/prometheus/alerts.yml").matches("- alert:").count();
     Ok(vec![
         Bar::none("Prometheus: rules that it has not read", Some(written.abs_diff(rules.len()) as f64)),
-        Bar::at_least("Prometheus: replicas that it reaches, of 2", Some(up as f64), "", 2.0),
+        Bar::at_least("Prometheus: replicas and nginx that it reaches, of 3", Some(up as f64), "", 3.0),
         Bar::none(
             "control: alerts, pending or firing, before a replica is killed",
             Some(before.len() as f64),
@@ -235,8 +242,12 @@ mod tests {
 
     #[test]
     fn the_configuration_has_the_replicas_of_this_machine_and_the_rules_of_the_container() {
-        let text = configuration(&["127.0.0.1:7001".parse().unwrap()]).unwrap();
-        assert!(text.contains("targets: [\"127.0.0.1:7001\"]") && !text.contains("replica-1"));
+        let [replica, nginx] = ["127.0.0.1:7001", "127.0.0.1:7002"].map(|text| text.parse().unwrap());
+        let text = configuration(&[replica], nginx).unwrap();
+        for address in [replica, nginx] {
+            assert!(text.contains(&format!("targets: [\"{address}\"]")), "{text}");
+        }
+        assert!(!text.contains("replica-1") && !text.contains("nginx:"), "{text}");
         let rules = text.lines().find_map(|line| line.strip_prefix("rule_files: [\"")?.strip_suffix("\"]"));
         assert!(Path::new(rules.unwrap()).is_file(), "{text}");
     }
