@@ -16,7 +16,9 @@ pub enum Mismatch {
     #[error("chunk {0} was neither requested nor needed by a view")]
     Unexpected(ChunkKey),
     /// A view was reported complete without all its chunks.
-    #[error("view {view} is settled with {settled} chunks of {needed}, of which {missing} never came")]
+    #[error(
+        "the server settled view {view} at {settled} chunks of {needed}; {missing} were neither sent nor refused"
+    )]
     Incomplete {
         /// Its id.
         view: u32,
@@ -36,7 +38,7 @@ pub enum Mismatch {
         what: String,
     },
     /// The announced digest is not that of the announced seed.
-    #[error("the server announces world {announced} for seed {seed}, generation here gives {ours}")]
+    #[error("the server announces world {announced} for seed {seed}; local generation gives {ours}")]
     World {
         /// The announced digest.
         announced: WorldDigest,
@@ -46,7 +48,7 @@ pub enum Mismatch {
         ours: WorldDigest,
     },
     /// The announced world is not the one that the run began with.
-    #[error("the server serves another world than at the start of the run: {now}, before {first}")]
+    #[error("expected world {first}, got {now}: the server changed during the run")]
     OtherWorld {
         /// The digest that was announced first.
         first: WorldDigest,
@@ -55,7 +57,7 @@ pub enum Mismatch {
     },
     /// The server has another generator version, so nothing can be compared.
     #[error(
-        "the server generates by formula {theirs}, this tool by {GENERATOR_VERSION}: update the older one"
+        "generator version differs: server {theirs}, this tool {GENERATOR_VERSION}; update the older one"
     )]
     Generator {
         /// The announced version.

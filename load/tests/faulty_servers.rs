@@ -267,7 +267,7 @@ async fn a_view_that_is_settled_without_a_chunk_fails_the_run() {
     let report = load_on(Fault::Loss, Delivery::Exact, None).await;
     assert!(report.counts.mismatches > 0, "{report}");
     assert!((1..=report.views_settled).contains(&report.views_checked), "{report}");
-    assert!(report.verdict().expect_err("a fault").contains("never came"), "{report}");
+    assert!(report.verdict().expect_err("a fault").contains("neither sent nor refused"), "{report}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -77,7 +77,8 @@ fn with_store() -> Result<Vec<Bar>> {
     let settings = [objects.settings().as_slice(), &[store::patient_wait()]].concat();
     let cluster = Cluster::start_with(super::REPLICAS, &settings)?;
     let (all, made) = requested(&cluster, STORED_LEVEL)?;
-    let written = |replica: &Server| metric(replica.address(), "tombolo_store_writes_total{outcome=\"written\"}");
+    let written =
+        |replica: &Server| metric(replica.address(), "tombolo_store_writes_total{outcome=\"written\"}");
     chunks::settled(|| cluster.replicas.iter().map(written).sum())?;
     let paths: Vec<_> = all.keys().map(|place| path(STORED_LEVEL, *place)).collect();
     let (mut truth, mut bad) = (chunks::Truth::new(), 0);

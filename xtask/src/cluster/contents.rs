@@ -2,8 +2,8 @@
 //! cache that is a day old, after the replicas were replaced, one of them by another build.
 
 use super::Cluster;
-use super::objects::files;
 use super::http::{Answer, get, world};
+use super::objects::files;
 use crate::process;
 use crate::server::Server;
 use anyhow::{Context, Result, ensure};

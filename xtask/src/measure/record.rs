@@ -278,7 +278,7 @@ mod tests {
             commit,
             command: "cargo xtask measure end-to-end".into(),
         };
-        let page = page(&heading, &rows, &Runs::default(), &origin);
+        let page = page(&heading, &rows, (&Runs::default(), &Runs::default()), &origin);
         assert!(!page.contains("draft"));
         for part in [
             "Some / CPU, 2 cores",
