@@ -34,7 +34,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     for _ in 0..plan.rounds {
         let without = round(plan, &keys, 0).await?;
         let with = round(plan, &keys, 1).await?;
-        // Beside nobody too: a refusal there is counted as a slow answer and would improve the ratio.
+        // Alone too: a refusal there counts as a slow answer and would improve the ratio.
         refused += without.polite_refused + with.polite_refused;
         let mean = with.shares.iter().sum::<f64>() / with.shares.len() as f64;
         rounds.push("p99_alone_ms", without.p99_ms);

@@ -100,7 +100,8 @@ fn plane_zstd(heights: &[u16]) -> Vec<u8> {
 /// row so far.
 fn from_plane_zstd(bytes: &[u8]) -> Vec<u16> {
     CONTEXTS.with_borrow_mut(|Contexts { decompressor, planes, .. }| {
-        let size = decompressor.as_mut().and_then(|zstd| zstd.decompress_to_buffer(bytes, planes).ok());
+        let zstd = decompressor.as_mut();
+        let size = zstd.and_then(|zstd| zstd.decompress_to_buffer(bytes, &mut planes[..]).ok());
         if size != Some(planes.len()) {
             return Vec::new();
         }

@@ -24,8 +24,8 @@ pub struct Heading<'a> {
 ///
 /// From a clean commit the run is appended to `docs/measurements/<date>-<machine>/runs.csv`, and
 /// the record `<name>.md` beside it shows the median of the runs of that commit on this machine, on
-/// any day, and beside it how often runs of all commits kept the bar. From a changed working tree a draft is written under `target/measure`, which no
-/// document may quote.
+/// any day, and beside it how often runs of all commits kept the bar. From a changed working tree a
+/// draft is written under `target/measure`, which no document may quote.
 ///
 /// # Errors
 /// The date is not known or a file cannot be written.
