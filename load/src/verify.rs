@@ -16,9 +16,7 @@ pub enum Mismatch {
     #[error("chunk {0} was neither requested nor needed by a view")]
     Unexpected(ChunkKey),
     /// A view was reported complete without all its chunks.
-    #[error(
-        "the server settled view {view} at {settled} chunks of {needed}; {missing} were neither sent nor refused"
-    )]
+    #[error("view {view} settled at {settled} of {needed} chunks; {missing} were neither sent nor refused")]
     Incomplete {
         /// Its id.
         view: u32,
