@@ -34,6 +34,13 @@ const MAX_SPAN: Duration = Duration::from_secs(10);
 /// Least time between two sessions that are displaced.
 const DISPLACEMENT_INTERVAL: Duration = Duration::from_millis(250);
 
+/// Time in which no further session is displaced for a site that has not begun one since.
+const DISPLACEMENT_WAIT: Duration = Duration::from_secs(30);
+
+/// Sites in the table of those at most. While it is full no session is displaced for a further
+/// site: clients that never take their places end no more sessions than this in 30 s.
+const MAX_WAITING_SITES: usize = 64;
+
 /// Public figures of one session.
 #[derive(Debug, Default)]
 pub struct SessionStats {
@@ -142,6 +149,8 @@ struct Shared {
     last: Mutex<Option<Snapshot>>,
     /// When a session was displaced for the last time.
     displaced: Mutex<Option<Instant>>,
+    /// Sites for which a session was displaced, and when; until they begin one.
+    waiting: Mutex<HashMap<Option<IpAddr>, Instant>>,
 }
 
 /// A registered session.
@@ -236,6 +245,7 @@ impl Default for LiveStats {
             sessions: Mutex::default(),
             last: Mutex::default(),
             displaced: Mutex::default(),
+            waiting: Mutex::default(),
         };
         Self { shared: Arc::new(shared) }
     }
@@ -247,6 +257,7 @@ impl LiveStats {
     pub fn register(&self, number: u64, client: Option<IpAddr>) -> SessionStatsGuard {
         let stats = Arc::new(SessionStats::default());
         let registered = Registered { stats: Arc::clone(&stats), site: client.map(client_site) };
+        lock(&self.shared.waiting).remove(&registered.site);
         lock(&self.shared.sessions).insert(number, registered);
         SessionStatsGuard { stats, number, live: self.clone() }
     }
@@ -281,14 +292,19 @@ impl LiveStats {
     }
 
     /// Ends the newest session of the site that has the most, for a client whose site has at least
-    /// two fewer. False if there is none, or too soon after the last one: a client that never takes
-    /// its place must not end many.
+    /// two fewer. False if there is none, too soon after the last one, or for a site that has not
+    /// begun a session since: a client that never takes its place must not end many.
     pub fn displace_for(&self, client: Option<IpAddr>, now: Instant) -> bool {
         let mut displaced = lock(&self.shared.displaced);
         if displaced.is_some_and(|last| now.saturating_duration_since(last) < DISPLACEMENT_INTERVAL) {
             return false;
         }
         let own = client.map(client_site);
+        let mut waiting = lock(&self.shared.waiting);
+        waiting.retain(|_, since| now.saturating_duration_since(*since) < DISPLACEMENT_WAIT);
+        if waiting.len() >= MAX_WAITING_SITES || waiting.contains_key(&own) {
+            return false;
+        }
         let sessions = lock(&self.shared.sessions);
         let mut sites: HashMap<Option<IpAddr>, (usize, &Arc<SessionStats>)> = HashMap::new();
         for session in sessions.values().filter(|session| !session.stats.is_ending()) {
@@ -300,6 +316,7 @@ impl LiveStats {
         let Some((_, newest)) = most.filter(|(count, _)| *count >= held + 2) else { return false };
         newest.end(Ending::Displaced);
         *displaced = Some(now);
+        waiting.insert(own, now);
         true
     }
 
@@ -541,8 +558,11 @@ mod tests {
         assert_eq!(displaced(2, 0), None, "it has one less");
         assert_eq!(displaced(3, 0), Some(2));
         assert_eq!(displaced(3, 249), None, "too soon");
-        assert!(displaced(3, 250).is_some() && displaced(3, 500).is_some());
-        assert_eq!(displaced(3, 750), None, "each site has one");
+        assert_eq!(displaced(3, 250), None, "it has not begun a session");
+        assert!(displaced(4, 250).is_some());
+        drop(fixture.live.register(9, client(3)));
+        assert!(displaced(3, 500).is_some());
+        assert_eq!(displaced(5, 750), None, "each site has one");
     }
 
     #[test]

@@ -324,3 +324,20 @@ fn an_address_that_guesses_has_one_line_in_the_log_and_no_token_is_in_it() {
     assert!(lines[0].contains("address=\"127.0.0.1\"") && lines[0].contains("wrong token"), "{log}");
     assert!(!log.contains("guess-") && !log.contains("secret-of"), "{log}");
 }
+
+#[test]
+fn an_address_with_an_expired_token_has_one_line_in_the_log() {
+    let path = std::env::temp_dir().join(format!("tombolo-program-expired-{}", std::process::id()));
+    let list = "[[token]]\nname = \"old\"\ntoken = \"once-valid\"\nexpires = 2020-01-01T00:00:00Z\n";
+    std::fs::write(&path, list).unwrap();
+    let server = Server::start(&["--listen", "127.0.0.1:0", "--token-file", path.to_str().unwrap()]);
+    for _ in 0..20 {
+        assert_eq!(server.live("once-valid"), 401, "it is no guess");
+    }
+    let log = server.log();
+    std::fs::remove_file(path).unwrap();
+    let lines: Vec<_> = log.lines().filter(|line| line.contains("peer breaks the rules")).collect();
+    assert_eq!(lines.len(), 1, "{log}");
+    assert!(lines[0].contains("address=\"127.0.0.1\"") && lines[0].contains("expired token"), "{log}");
+    assert!(!log.contains("once-valid"), "{log}");
+}

@@ -76,6 +76,8 @@ impl TokenGate {
             Known::Expired(name) => {
                 tracing::debug!(token = %name, "expired token");
                 self.metrics.tokens_expired.inc();
+                // No guess: its sender knew a valid token.
+                self.log.report(client, "expired token");
                 Err(Refusal::Expired)
             }
             Known::Unknown => {

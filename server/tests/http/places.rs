@@ -71,3 +71,28 @@ async fn a_client_without_a_session_displaces_one_of_the_site_that_has_the_most(
     drop((open, placed));
     server.stop().await;
 }
+
+#[tokio::test]
+async fn a_client_that_never_takes_its_place_ends_one_session() {
+    let server = server_with(16).await;
+    let mut open = Vec::new();
+    for (network, count) in [(2, 8), (3, 4), (4, 2), (5, 1), (6, 1)] {
+        for _ in 0..count {
+            let (status, stream) = server.open_session_from([127, 0, 0, network]).await;
+            assert_eq!(status, 101);
+            open.push(stream);
+        }
+    }
+    for _ in 0..20 {
+        // The displaced session has 2 s to answer its Close frame: its place is not free yet.
+        if server.open_session_from([127, 0, 0, 7]).await.0 == 101 {
+            break;
+        }
+        // All together longer than the least time between displacements.
+        tokio::time::sleep(Duration::from_millis(60)).await;
+    }
+    let closed = open.iter().filter(|stream| stream.try_read(&mut [0; 4]).is_ok()).count();
+    assert_eq!(closed, 1);
+    drop(open);
+    server.stop().await;
+}
