@@ -163,12 +163,13 @@ impl Store {
     pub fn read(&self, id: ChunkId) -> Option<(Chunk, Bytes)> {
         let inner = &self.inner;
         let key = id.key;
-        let tile = inner.packed(id);
+        let tile = inner.whole_pack(id);
+        // Without a pack nobody writes these.
         if tile.is_none() && key.level() < FINEST_LEVEL {
             return None;
         }
         let permit = Arc::clone(&inner.reads).try_acquire_owned().ok();
-        let is_stored = tile.is_some_and(|tile| inner.broken.get(&tile).is_none());
+        let is_stored = tile.is_some();
         let admitted =
             permit.and_then(|permit| Some((inner.pace.wait(key, is_stored, Instant::now())?, permit)));
         let Some((wait, permit)) = admitted else {
@@ -211,12 +212,18 @@ impl Store {
         found
     }
 
-    /// A chunk was made in this time: writes its exact frame, if its level is stored, no whole pack
-    /// has it, and it would be read. The frame is not asked for if it is not written.
-    pub fn made(&self, id: ChunkId, took: Duration, frame: impl FnOnce() -> Bytes) {
-        self.inner.pace.made(id.key, took);
-        let is_packed = self.inner.packed(id).is_some_and(|tile| self.inner.broken.get(&tile).is_none());
-        if id.key.level() < FINEST_LEVEL || is_packed {
+    /// A chunk was made in this time because the store did not have it. Reads may take a part of
+    /// that, unless the chunk would not have been read anyway.
+    pub fn made(&self, id: ChunkId, took: Duration) {
+        if id.key.level() >= FINEST_LEVEL || self.inner.whole_pack(id).is_some() {
+            self.inner.pace.made(id.key, took);
+        }
+    }
+
+    /// Writes the exact frame of a chunk that was made, if its level is stored, no whole pack has
+    /// it, and it would be read. The frame is not asked for if it is not written.
+    pub fn write(&self, id: ChunkId, frame: impl FnOnce() -> Bytes) {
+        if id.key.level() < FINEST_LEVEL || self.inner.whole_pack(id).is_some() {
             return;
         }
         if self.inner.pace.is_worth_writing(id.key) {
@@ -259,6 +266,11 @@ impl Inner {
         let tile = id.edition.is_base().then(|| PackTile::of(id.key).0)?;
         let regions = self.regions.read().unwrap_or_else(PoisonError::into_inner);
         regions.iter().any(|region| region.contains(tile)).then_some(tile)
+    }
+
+    /// The same unless the pack is damaged or lost, as far as is known.
+    fn whole_pack(&self, id: ChunkId) -> Option<PackTile> {
+        self.packed(id).filter(|tile| self.broken.get(tile).is_none())
     }
 
     /// The chunk of a frame that was read, if the frame is that of the key and undamaged.
@@ -319,6 +331,9 @@ impl Inner {
                 }
                 return found(frame);
             }
+        }
+        if id.key.level() < FINEST_LEVEL {
+            return Ok(None);
         }
         let answer = match self.objects.get_opts(&self.names.chunk(id), GetOptions::default()).await {
             Err(Error::NotFound { .. }) => return Ok(None),
