@@ -106,9 +106,7 @@ impl BakeArgs {
             StoreAddress::parse(&self.store).map_err(|why| UsageError::new(format!("--store: {why}")))?;
         let region = BakedRegion::new(&self.levels, self.area.0)
             .map_err(|why| UsageError::new(format!("--area: {why}")))?;
-        let (objects, root) = address.open().map_err(|why| {
-            UsageError::new(format!("--store: {why}; look at the settings in the environment"))
-        })?;
+        let (objects, root) = address.open().map_err(|why| UsageError::new(format!("--store: {why}")))?;
         let land = Land::new(self.world_seed);
         Ok(Bake {
             names: ObjectNames::new(&root, &land.digest()),

@@ -73,6 +73,7 @@ async fn a_repeated_bake_keeps_valid_packs_and_replaces_damaged_ones() {
 #[tokio::test]
 async fn a_pack_counts_when_the_store_has_taken_it() {
     let folder = std::env::temp_dir().join(format!("tombolo-bake-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
     let (objects, root) = StoreAddress::parse(folder.to_str().unwrap()).unwrap().open().unwrap();
     let mut bake = bake(&Arc::default(), 0, 1);
     (bake.names, bake.objects) = (ObjectNames::new(&root, &bake.land.digest()), objects);
