@@ -74,7 +74,7 @@ mod tests {
         let key = |level| ChunkKey::new(level, -1, 0).unwrap();
         let is_cheap = |level| source.is_cheap(ChunkId::base(key(level)));
         assert_eq!([0, 1, 2, 5, 8].map(is_cheap), [true, true, false, false, true]);
-        source.land.error_of(key(2));
+        let _ = source.land.error_of(key(2));
         assert_eq!([2, 5].map(is_cheap), [true, false]);
         let edition = Edition::changed([9; 16]);
         assert!(!source.is_cheap(ChunkId { key: key(2), edition }), "edits are not in the errors");

@@ -3,10 +3,10 @@
 #[cfg(unix)]
 use rustls::pki_types::{CertificateDer, pem::PemObject};
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
+use std::net::{TcpListener, TcpStream};
 use std::process::{Child, Command, Stdio};
-#[cfg(unix)]
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 /// Timeout of every wait.
@@ -33,9 +33,15 @@ struct Server {
 
 impl Server {
     fn start(arguments: &[&str]) -> Self {
+        Self::start_with(arguments, &[])
+    }
+
+    /// With variables in its environment.
+    fn start_with(arguments: &[&str], variables: &[(&str, &str)]) -> Self {
         let mut child = program()
             .args(["--threads", "1", "--log", "warn"])
             .args(arguments)
+            .envs(variables.iter().copied())
             // As a service: a terminal's end would end it.
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -71,9 +77,10 @@ impl Server {
              Authorization: Bearer {token}\r\n\r\n"
         )
         .unwrap();
-        let mut reply = String::new();
-        stream.read_to_string(&mut reply).unwrap();
-        reply
+        let mut reply = Vec::new();
+        stream.read_to_end(&mut reply).unwrap();
+        // Frames are no text.
+        String::from_utf8_lossy(&reply).into_owned()
     }
 }
 
@@ -96,6 +103,9 @@ fn invalid_values_end_it_with_code_2_and_one_line() {
         (&["--proxy-header", "via"], &["--proxy-header", "via", "x-forwarded-for"]),
         (&["--store", "memory:///x"], &["store", "`memory`", "file:///FOLDER", "s3://", "gs://", "az://"]),
         (&["bake", "--store", "memory:///x"], &["--store", "`memory`", "file:///FOLDER"]),
+        (&["--store", "/does/not/exist"], &["store", "/does/not/exist", "create it"]),
+        (&["bake", "--store", "/does/not/exist"], &["--store", "/does/not/exist", "create it"]),
+        (&["bake", "--store", "s3:/bucket"], &["--store", "`s3:/bucket`", "one slash", "s3://BUCKET"]),
         (&["--protect", "chunks"], &["--protect", "chunks", "metrics", "world"]),
     ] {
         let output = program().args(arguments).output().unwrap();
@@ -323,4 +333,59 @@ fn an_address_that_guesses_has_one_line_in_the_log_and_no_token_is_in_it() {
     assert_eq!(lines.len(), 1, "{log}");
     assert!(lines[0].contains("address=\"127.0.0.1\"") && lines[0].contains("wrong token"), "{log}");
     assert!(!log.contains("guess-") && !log.contains("secret-of"), "{log}");
+}
+
+/// An engine that answers every request with 403. Returns its address, and what counts the lists.
+fn refusing_store() -> (String, Arc<AtomicU32>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let (address, lists) = (listener.local_addr().unwrap(), Arc::new(AtomicU32::new(0)));
+    let counted = Arc::clone(&lists);
+    std::thread::spawn(move || {
+        for mut stream in listener.incoming().flatten() {
+            let mut lines = BufReader::new(&stream).lines().map_while(Result::ok);
+            let is_list = lines.next().is_some_and(|line| line.contains("list-type"));
+            lines.take_while(|line| !line.is_empty()).for_each(drop);
+            let _ =
+                stream.write_all(b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
+            counted.fetch_add(u32::from(is_list), Ordering::Relaxed);
+        }
+    });
+    (format!("http://{address}"), lists)
+}
+
+/// As S3 answers for objects that do not exist to whoever may not list the bucket.
+#[test]
+fn a_store_without_the_right_to_list_has_one_warning_and_is_asked_on() {
+    let (endpoint, lists) = refusing_store();
+    let server = Server::start_with(
+        &["--listen", "127.0.0.1:0", "--store", "s3://bucket/x", "--store-wait-ms", "10000"],
+        &[
+            ("AWS_ENDPOINT", &endpoint),
+            ("AWS_ALLOW_HTTP", "true"),
+            ("AWS_ACCESS_KEY_ID", "key"),
+            ("AWS_SECRET_ACCESS_KEY", "secret"),
+            ("NO_PROXY", "127.0.0.1"),
+        ],
+    );
+    let digest = terrain::Land::new(1).digest();
+    for x in 0..8 {
+        let reply = server.get(&format!("/v1/{digest}/chunk/2/{x}/0"), "");
+        assert!(reply.starts_with("HTTP/1.1 200"), "{reply}");
+    }
+    // A list that failed is tried again within the timeout of a test.
+    let started = Instant::now();
+    while lists.load(Ordering::Relaxed) < 2 {
+        assert!(started.elapsed() < TEST_TIMEOUT);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let metrics = server.get("/metrics", "");
+    for line in
+        ["tombolo_store_reads_total{outcome=\"miss\"} 8", "tombolo_store_reads_total{outcome=\"failed\"} 0"]
+    {
+        assert!(metrics.contains(line), "{metrics}");
+    }
+    let log = server.log();
+    for words in ["refuses reads", "cannot list the regions"] {
+        assert_eq!(log.lines().filter(|line| line.contains(words)).count(), 1, "{log}");
+    }
 }

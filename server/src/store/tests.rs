@@ -34,6 +34,10 @@ enum Fault {
     Foreign,
     /// Every object is cut.
     Cut,
+    /// Lists are refused, as are absent objects: S3 without the right to list.
+    Unlisted,
+    /// A list does not end.
+    Silent,
 }
 
 /// A store in memory with a fault.
@@ -47,6 +51,10 @@ impl fmt::Display for Faulty {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:?}", self.fault)
     }
+}
+
+fn refused(path: &str) -> Error {
+    Error::PermissionDenied { path: path.into(), source: "403".into() }
 }
 
 impl Faulty {
@@ -70,7 +78,7 @@ impl ObjectStore for Faulty {
     ) -> object_store::Result<PutResult> {
         self.begin().await?;
         if self.fault == Fault::ReadOnly {
-            return Err(Error::PermissionDenied { path: path.to_string(), source: "read only".into() });
+            return Err(refused(path.as_ref()));
         }
         if self.fault == Fault::Full {
             return Err(Error::Generic { store: "test", source: "no space".into() });
@@ -93,7 +101,12 @@ impl ObjectStore for Faulty {
             let other = all.into_iter().map(|object| object.location).find(|other| other != path);
             return self.objects.get_opts(other.as_ref().unwrap_or(path), options).await;
         }
-        let found = self.objects.get_opts(path, options).await?;
+        let found = match self.objects.get_opts(path, options).await {
+            Err(Error::NotFound { .. }) if self.fault == Fault::Unlisted => {
+                return Err(refused(path.as_ref()));
+            }
+            found => found?,
+        };
         if !matches!(self.fault, Fault::Damaged | Fault::Cut) {
             return Ok(found);
         }
@@ -115,7 +128,11 @@ impl ObjectStore for Faulty {
     }
 
     fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, object_store::Result<ObjectMeta>> {
-        self.objects.list(prefix)
+        match self.fault {
+            Fault::Unlisted => stream::iter([Err(refused("list"))]).boxed(),
+            Fault::Silent => stream::pending().boxed(),
+            _ => self.objects.list(prefix),
+        }
     }
 
     async fn list_with_delimiter(&self, prefix: Option<&Path>) -> object_store::Result<ListResult> {
@@ -314,6 +331,39 @@ async fn a_store_that_refuses_writes_is_read() {
     // Those in flight at the first refusal are refused, too; the others wait for a minute.
     assert!(refused >= 1 && refused + dropped == 8 && written == 0, "{refused} refused, {dropped} dropped");
     assert_eq!(replica.metrics.store_up.get(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_store_that_may_not_be_listed_is_read_and_written() {
+    let objects = Arc::new(InMemory::new());
+    for (hits, misses) in [(0, 8), (8, 0)] {
+        let replica = replica(&objects, Fault::Unlisted);
+        serves(&replica, &keys(), EXACT).await;
+        let metrics = &replica.metrics;
+        assert_eq!((metrics.store_hits.get(), metrics.store_misses.get()), (hits, misses));
+        assert_eq!((metrics.store_writes.get(), metrics.store_reads_failed.get()), (misses, 0));
+        assert_eq!(metrics.store_up.get(), 1);
+    }
+}
+
+/// The control is a list that ends only after the wait for it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_store_is_ready_after_its_first_look_for_regions_or_after_a_wait() {
+    let start = Instant::now();
+    for fault in [Fault::None, Fault::Unlisted] {
+        let store = store(&Arc::default(), fault, &Arc::default());
+        timeout(LONG, async {
+            while !store.is_ready(start) {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        })
+        .await
+        .unwrap();
+    }
+    let store = store(&Arc::default(), Fault::Silent, &Arc::default());
+    let ready_by = store.inner.ready_by;
+    assert!(ready_by >= start + FIRST_LOOK);
+    assert!(!store.is_ready(ready_by - Duration::from_millis(1)) && store.is_ready(ready_by));
 }
 
 /// The control is that the first chunks are written without result: the breaker of the writes is
