@@ -4,6 +4,8 @@
 use rustls::pki_types::{CertificateDer, pem::PemObject};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
+#[cfg(unix)]
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -388,4 +390,45 @@ fn a_store_without_the_right_to_list_has_one_warning_and_is_asked_on() {
     for words in ["refuses reads", "cannot list the regions"] {
         assert_eq!(log.lines().filter(|line| line.contains(words)).count(), 1, "{log}");
     }
+}
+
+/// The files of a folder and those below it.
+#[cfg(unix)]
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries
+        .flat_map(|entry| if entry.path().is_dir() { files(&entry.path()) } else { vec![entry.path()] })
+        .collect()
+}
+
+/// The area would take minutes.
+#[cfg(unix)]
+#[test]
+fn a_bake_that_is_stopped_ends_with_one_line_and_code_143_and_has_whole_packs() {
+    let folder = std::env::temp_dir().join(format!("tombolo-program-bake-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    for signal in ["-TERM", "-INT"] {
+        let mut bake = program()
+            .args(["bake", "--levels", "2", "--area=-200000,-200000,200000,200000", "--threads", "1"])
+            .arg("--store")
+            .arg(&folder)
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let before = files(&folder).len();
+        let started = Instant::now();
+        while files(&folder).len() == before {
+            assert!(started.elapsed() < TEST_TIMEOUT);
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        assert!(Command::new("kill").args([signal, &bake.id().to_string()]).status().unwrap().success());
+        let mut log = String::new();
+        bake.stderr.take().unwrap().read_to_string(&mut log).unwrap();
+        assert_eq!(bake.wait().unwrap().code(), Some(143), "{log}");
+        let files = files(&folder);
+        assert!(files.iter().all(|file| file.ends_with("pack")), "{files:?}");
+        let last = format!("tombolo-server: {} packs written; run it again to go on", files.len() - before);
+        assert_eq!(log.lines().last(), Some(&*last), "{log}");
+    }
+    std::fs::remove_dir_all(folder).unwrap();
 }

@@ -15,6 +15,7 @@ use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use std::fmt;
 use terrain::{ChunkKey, Land};
+use tokio_util::sync::CancellationToken;
 
 /// The fault of a store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -428,7 +429,7 @@ async fn bake(objects: &Arc<InMemory>, region: &BakedRegion) {
         objects: Arc::<InMemory>::clone(objects),
         threads: None,
     };
-    assert!(bake.run(|_, _| ()).await.unwrap().is_complete);
+    assert!(bake.run(&CancellationToken::new(), |_, _| ()).await.unwrap().is_complete);
 }
 
 /// Chunks of packs that cannot be read are made once, written as objects of their own, and read.
