@@ -103,6 +103,7 @@ async fn a_pack_counts_when_the_store_has_taken_it() {
     // The one that can be written may come after the first that cannot.
     assert!(seen.iter().all(|counts| *counts == (1, 1)), "{seen:?}");
     // The control: where all can be written, all count.
+    std::fs::create_dir_all(&folder).unwrap();
     let mut seen = Vec::new();
     let baked = bake
         .run(&CancellationToken::new(), |baked, _| seen.push((baked.packs, baked.written)))

@@ -1,5 +1,6 @@
 //! The address of a store: its URL and the settings of its engine in the environment.
 
+use super::folder::Folder;
 use object_store::path::Path;
 use object_store::{ObjectStore, parse_url_opts};
 use std::path::PathBuf;
@@ -48,13 +49,13 @@ impl StoreAddress {
 
     /// The store and the path of its root. Nothing is sent yet.
     ///
-    /// A folder has to exist: the engine would create it with all its parents, and fill the disk
-    /// under a volume that is not mounted.
+    /// A folder has to exist ([`Folder`]).
     ///
     /// # Errors
     /// The settings of the engine are invalid, or the folder does not exist.
     pub fn open(&self) -> Result<(Arc<dyn ObjectStore>, Path), String> {
-        if let Some(folder) = self.folder().filter(|folder| !folder.is_dir()) {
+        let folder = self.folder();
+        if let Some(folder) = folder.as_ref().filter(|folder| !folder.is_dir()) {
             let folder = folder.display().to_string();
             return Err(format!(
                 "the folder {} does not exist; create it, or mount the volume that it lies on",
@@ -70,7 +71,8 @@ impl StoreAddress {
             .map(|(name, value)| (name.to_ascii_lowercase(), value));
         let (store, root) = parse_url_opts(&self.0, settings)
             .map_err(|error| format!("{error}; look at the settings of its engine in the environment"))?;
-        Ok((store.into(), root))
+        let store = folder.map_or_else(|| store.into(), |folder| Arc::new(Folder::new(folder)) as _);
+        Ok((store, root))
     }
 
     /// The folder, if it is one.

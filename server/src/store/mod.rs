@@ -13,6 +13,7 @@
 
 pub mod address;
 pub mod breaker;
+mod folder;
 pub mod pace;
 pub mod pack;
 pub mod region;
