@@ -31,6 +31,6 @@ pub fn seeds() -> Vec<Vec<u8>> {
         b"listen = \"127.0.0.1:7580\"\nworld-seed = 7\nthreads = 2\ncache-mb = 64\n".into(),
         b"disk-cache = \"/tmp/x\"\ndisk-mb = 64\nlog = \"info\"\nlog-json = true\n".into(),
         b"max-sessions = 100\nmax-sessions-per-address = 10\nrate-limit-ms = 50\ndeadline-ms = 500\n".into(),
-        b"store = \"file:///tmp/store\"\nstore-wait-ms = 20\n".into(),
+        b"store = \"file:///tmp\"\nstore-wait-ms = 20\n".into(),
     ]
 }

@@ -22,6 +22,7 @@ use std::time::Duration;
 use terrain::Land;
 use tokio::task::{JoinError, JoinSet};
 use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
 
 /// Packs on their way to the store while further ones are made: at most 1 MiB each, usually.
 const PUTS_IN_FLIGHT: usize = 4;
@@ -85,6 +86,8 @@ pub struct Baked {
     pub bytes: u64,
     /// Whether the region is complete, so that servers use it.
     pub is_complete: bool,
+    /// Whether it was stopped before its end.
+    pub is_stopped: bool,
 }
 
 impl Baked {
@@ -106,9 +109,7 @@ impl BakeArgs {
             StoreAddress::parse(&self.store).map_err(|why| UsageError::new(format!("--store: {why}")))?;
         let region = BakedRegion::new(&self.levels, self.area.0)
             .map_err(|why| UsageError::new(format!("--area: {why}")))?;
-        let (objects, root) = address.open().map_err(|why| {
-            UsageError::new(format!("--store: {why}; look at the settings in the environment"))
-        })?;
+        let (objects, root) = address.open().map_err(|why| UsageError::new(format!("--store: {why}")))?;
         let land = Land::new(self.world_seed);
         Ok(Bake {
             names: ObjectNames::new(&root, &land.digest()),
@@ -140,11 +141,16 @@ pub struct Bake {
 
 impl Bake {
     /// Makes and writes the packs of the part; `progress` is called after each. Must run on threads
-    /// that may block.
+    /// that may block. When `stop` is cancelled, it ends after the packs that are being made or
+    /// written.
     ///
     /// # Errors
     /// One line: the store failed, or the system has no threads.
-    pub async fn run(&self, mut progress: impl FnMut(&Baked, u64)) -> Result<Baked, String> {
+    pub async fn run(
+        &self,
+        stop: &CancellationToken,
+        mut progress: impl FnMut(&Baked, u64),
+    ) -> Result<Baked, String> {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(self.threads.map_or(0, usize::from))
             .build()
@@ -156,7 +162,8 @@ impl Bake {
         let (mut baked, mut puts) = (Baked::default(), JoinSet::new());
         for tile in (0..).zip(self.region.tiles()).filter(|(n, _)| n % of == index).map(|(_, tile)| tile) {
             let path = self.names.pack(tile);
-            if self.stored(&path).await?.is_some_and(|bytes| pack::verify(&world, tile, &bytes).is_ok()) {
+            let Some(stored) = stop.run_until_cancelled(self.stored(&path)).await else { break };
+            if stored?.is_some_and(|bytes| pack::verify(&world, tile, &bytes).is_ok()) {
                 (baked.packs, baked.kept) = (baked.packs + 1, baked.kept + 1);
                 progress(&baked, total);
                 continue;
@@ -174,7 +181,14 @@ impl Bake {
             baked.written(ended(result)?);
             progress(&baked, total);
         }
-        baked.is_complete = self.complete().await?;
+        // Also if it is stopped after its last pack: another run tells whether the region is complete.
+        match stop.run_until_cancelled(self.has_all_packs()).await {
+            Some(has_all) => baked.is_complete = has_all?,
+            None => baked.is_stopped = true,
+        }
+        if baked.is_complete {
+            self.complete().await?;
+        }
         Ok(baked)
     }
 
@@ -190,19 +204,21 @@ impl Bake {
         within(get, path).await
     }
 
-    /// Writes the object of the region if all its packs exist.
-    async fn complete(&self) -> Result<bool, String> {
+    /// Whether all packs of the region exist, those of other parts too.
+    async fn has_all_packs(&self) -> Result<bool, String> {
         let missing = stream::iter(self.region.tiles())
             .map(|tile| self.exists(self.names.pack(tile)))
             .buffer_unordered(HEADS_IN_FLIGHT)
             .try_any(|exists| async move { !exists })
             .await?;
-        if missing {
-            return Ok(false);
-        }
+        Ok(!missing)
+    }
+
+    /// Writes the object of the region, whose packs all exist.
+    async fn complete(&self) -> Result<(), String> {
         let region = serde_json::to_vec(&self.region).map_err(|error| error.to_string())?;
         put(Arc::clone(&self.objects), self.names.regions().join(self.region.name()), region.into()).await?;
-        Ok(true)
+        Ok(())
     }
 
     async fn exists(&self, path: Path) -> Result<bool, String> {

@@ -8,12 +8,16 @@ use server::{listener, open_files, scheduling};
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
+use tokio_util::sync::CancellationToken;
 use tracing_subscriber::Layer;
 use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
 const NAME: &str = "tombolo-server";
+
+/// Exit code of a bake that a signal has stopped: as a shell reports SIGTERM.
+const TERMINATED: u8 = 128 + 15;
 
 /// Longest wait at the end for reads of files and for map tiles, whose results are not needed any
 /// more.
@@ -79,8 +83,23 @@ fn bake(args: BakeArgs) -> ExitCode {
         .enable_all()
         .build()
         .map_err(|error| format!("cannot start the runtime: {error}"))
-        .and_then(|runtime| runtime.block_on(bake.run(show)));
+        .and_then(|runtime| {
+            runtime.block_on(async {
+                // As the first process of a container it would get no signal without a handler.
+                let interrupted = interruption(false).map_err(|error| no_signals(&error))?;
+                let stop = CancellationToken::new();
+                let stopped = stop.clone();
+                tokio::spawn(async move {
+                    interrupted.await;
+                    stopped.cancel();
+                });
+                bake.run(&stop, show).await
+            })
+        });
     match baked {
+        Ok(baked) if baked.is_stopped => {
+            cli::fail(NAME, format!("{} packs written; run it again to go on", baked.written), TERMINATED)
+        }
         Ok(baked) => {
             let region = if baked.is_complete { "is complete" } else { "lacks packs of other parts" };
             let seconds = started.elapsed().as_secs_f64();
@@ -111,13 +130,17 @@ async fn serve(config: ServerConfig) -> Result<(), String> {
     // end of a terminal ends what runs in it; elsewhere SIGHUP asks for a reload, of which there
     // may be nothing.
     let stays = config.has_files() || !std::io::stdin().is_terminal();
-    let interrupted = interruption(stays).map_err(|error| format!("cannot listen for signals: {error}"))?;
+    let interrupted = interruption(stays).map_err(|error| no_signals(&error))?;
     let scheme = if config.tls.is_some() { "https" } else { "http" };
     // On standard output, for scripts that start a server on port 0. A closed output is ignored.
     let _ = writeln!(std::io::stdout(), "listening on {scheme}://{bound}");
     server::run(listener, config, interrupted)
         .await
         .map_err(|error| format!("cannot start generation threads: {error}"))
+}
+
+fn no_signals(error: &std::io::Error) -> String {
+    format!("cannot listen for signals: {error}")
 }
 
 /// Listens for SIGINT and SIGTERM from now on; the future completes on the first. `stays` after a

@@ -3,10 +3,12 @@
 #[cfg(unix)]
 use rustls::pki_types::{CertificateDer, pem::PemObject};
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
-use std::process::{Child, Command, Stdio};
+use std::net::{TcpListener, TcpStream};
 #[cfg(unix)]
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 /// Timeout of every wait.
@@ -33,9 +35,15 @@ struct Server {
 
 impl Server {
     fn start(arguments: &[&str]) -> Self {
+        Self::start_with(arguments, &[])
+    }
+
+    /// With variables in its environment.
+    fn start_with(arguments: &[&str], variables: &[(&str, &str)]) -> Self {
         let mut child = program()
             .args(["--threads", "1", "--log", "warn"])
             .args(arguments)
+            .envs(variables.iter().copied())
             // As a service: a terminal's end would end it.
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -71,9 +79,10 @@ impl Server {
              Authorization: Bearer {token}\r\n\r\n"
         )
         .unwrap();
-        let mut reply = String::new();
-        stream.read_to_string(&mut reply).unwrap();
-        reply
+        let mut reply = Vec::new();
+        stream.read_to_end(&mut reply).unwrap();
+        // Frames are no text.
+        String::from_utf8_lossy(&reply).into_owned()
     }
 }
 
@@ -96,6 +105,9 @@ fn invalid_values_end_it_with_code_2_and_one_line() {
         (&["--proxy-header", "via"], &["--proxy-header", "via", "x-forwarded-for"]),
         (&["--store", "memory:///x"], &["store", "`memory`", "file:///FOLDER", "s3://", "gs://", "az://"]),
         (&["bake", "--store", "memory:///x"], &["--store", "`memory`", "file:///FOLDER"]),
+        (&["--store", "/does/not/exist"], &["store", "/does/not/exist", "create it"]),
+        (&["bake", "--store", "/does/not/exist"], &["--store", "/does/not/exist", "create it"]),
+        (&["bake", "--store", "s3:/bucket"], &["--store", "`s3:/bucket`", "one slash", "s3://BUCKET"]),
         (&["--protect", "chunks"], &["--protect", "chunks", "metrics", "world"]),
     ] {
         let output = program().args(arguments).output().unwrap();
@@ -340,4 +352,100 @@ fn an_address_with_an_expired_token_has_one_line_in_the_log() {
     assert_eq!(lines.len(), 1, "{log}");
     assert!(lines[0].contains("address=\"127.0.0.1\"") && lines[0].contains("expired token"), "{log}");
     assert!(!log.contains("once-valid"), "{log}");
+}
+
+/// An engine that answers every request with 403. Returns its address, and what counts the lists.
+fn refusing_store() -> (String, Arc<AtomicU32>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let (address, lists) = (listener.local_addr().unwrap(), Arc::new(AtomicU32::new(0)));
+    let counted = Arc::clone(&lists);
+    std::thread::spawn(move || {
+        for mut stream in listener.incoming().flatten() {
+            let mut lines = BufReader::new(&stream).lines().map_while(Result::ok);
+            let is_list = lines.next().is_some_and(|line| line.contains("list-type"));
+            lines.take_while(|line| !line.is_empty()).for_each(drop);
+            let _ =
+                stream.write_all(b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
+            counted.fetch_add(u32::from(is_list), Ordering::Relaxed);
+        }
+    });
+    (format!("http://{address}"), lists)
+}
+
+/// As S3 answers for objects that do not exist to whoever may not list the bucket.
+#[test]
+fn a_store_without_the_right_to_list_has_one_warning_and_is_asked_on() {
+    let (endpoint, lists) = refusing_store();
+    let server = Server::start_with(
+        &["--listen", "127.0.0.1:0", "--store", "s3://bucket/x", "--store-wait-ms", "10000"],
+        &[
+            ("AWS_ENDPOINT", &endpoint),
+            ("AWS_ALLOW_HTTP", "true"),
+            ("AWS_ACCESS_KEY_ID", "key"),
+            ("AWS_SECRET_ACCESS_KEY", "secret"),
+            ("NO_PROXY", "127.0.0.1"),
+        ],
+    );
+    let digest = terrain::Land::new(1).digest();
+    for x in 0..8 {
+        let reply = server.get(&format!("/v1/{digest}/chunk/2/{x}/0"), "");
+        assert!(reply.starts_with("HTTP/1.1 200"), "{reply}");
+    }
+    // A list that failed is tried again within the timeout of a test.
+    let started = Instant::now();
+    while lists.load(Ordering::Relaxed) < 2 {
+        assert!(started.elapsed() < TEST_TIMEOUT);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let metrics = server.get("/metrics", "");
+    for line in
+        ["tombolo_store_reads_total{outcome=\"miss\"} 8", "tombolo_store_reads_total{outcome=\"failed\"} 0"]
+    {
+        assert!(metrics.contains(line), "{metrics}");
+    }
+    let log = server.log();
+    for words in ["refuses reads", "cannot list the regions"] {
+        assert_eq!(log.lines().filter(|line| line.contains(words)).count(), 1, "{log}");
+    }
+}
+
+/// The files of a folder and those below it.
+#[cfg(unix)]
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries
+        .flat_map(|entry| if entry.path().is_dir() { files(&entry.path()) } else { vec![entry.path()] })
+        .collect()
+}
+
+/// The area would take minutes.
+#[cfg(unix)]
+#[test]
+fn a_bake_that_is_stopped_ends_with_one_line_and_code_143_and_has_whole_packs() {
+    let folder = std::env::temp_dir().join(format!("tombolo-program-bake-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    for signal in ["-TERM", "-INT"] {
+        let mut bake = program()
+            .args(["bake", "--levels", "2", "--area=-200000,-200000,200000,200000", "--threads", "1"])
+            .arg("--store")
+            .arg(&folder)
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let before = files(&folder).len();
+        let started = Instant::now();
+        while files(&folder).len() == before {
+            assert!(started.elapsed() < TEST_TIMEOUT);
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        assert!(Command::new("kill").args([signal, &bake.id().to_string()]).status().unwrap().success());
+        let mut log = String::new();
+        bake.stderr.take().unwrap().read_to_string(&mut log).unwrap();
+        assert_eq!(bake.wait().unwrap().code(), Some(143), "{log}");
+        let files = files(&folder);
+        assert!(files.iter().all(|file| file.ends_with("pack")), "{files:?}");
+        let last = format!("tombolo-server: {} packs written; run it again to go on", files.len() - before);
+        assert_eq!(log.lines().last(), Some(&*last), "{log}");
+    }
+    std::fs::remove_dir_all(folder).unwrap();
 }

@@ -31,7 +31,7 @@ async fn contents(objects: &InMemory) -> BTreeMap<String, blake3::Hash> {
 #[tokio::test]
 async fn any_number_of_parts_gives_the_same_objects_also_when_one_is_stopped_and_repeated() {
     let whole = Arc::new(InMemory::new());
-    let baked = bake(&whole, 0, 1).run(|_, _| ()).await.unwrap();
+    let baked = bake(&whole, 0, 1).run(&CancellationToken::new(), |_, _| ()).await.unwrap();
     let expected = contents(&whole).await;
     assert_eq!(expected.len() as u64, baked.packs + 1, "packs and the region");
     assert!(baked.is_complete && baked.packs >= 8 && baked.kept == 0);
@@ -40,7 +40,8 @@ async fn any_number_of_parts_gives_the_same_objects_also_when_one_is_stopped_and
         // Stopped within its part: after some packs.
         let stopped = bake(&objects, 1, of);
         let mut packs = 0;
-        let stop = stopped.run(|_, _| {
+        let unused = CancellationToken::new();
+        let stop = stopped.run(&unused, |_, _| {
             packs += 1;
             assert!(packs < 2, "stopped");
         });
@@ -50,7 +51,7 @@ async fn any_number_of_parts_gives_the_same_objects_also_when_one_is_stopped_and
         assert!(of != 2 || packs == 2, "nothing was stopped");
         assert!(!contents(&objects).await.keys().any(|name| name.contains("regions")));
         for index in (0..of).rev() {
-            let baked = bake(&objects, index, of).run(|_, _| ()).await.unwrap();
+            let baked = bake(&objects, index, of).run(&CancellationToken::new(), |_, _| ()).await.unwrap();
             assert_eq!(baked.is_complete, index == 0, "part {index} of {of}");
         }
         assert_eq!(contents(&objects).await, expected, "{of} parts");
@@ -61,18 +62,32 @@ async fn any_number_of_parts_gives_the_same_objects_also_when_one_is_stopped_and
 async fn a_repeated_bake_keeps_valid_packs_and_replaces_damaged_ones() {
     let objects = Arc::new(InMemory::new());
     let first = bake(&objects, 0, 1);
-    let baked = first.run(|_, _| ()).await.unwrap();
+    let baked = first.run(&CancellationToken::new(), |_, _| ()).await.unwrap();
     let expected = contents(&objects).await;
     let tile = first.region.tiles().next().unwrap();
     objects.put(&first.names.pack(tile), "damaged".into()).await.unwrap();
-    let again = bake(&objects, 0, 1).run(|_, _| ()).await.unwrap();
+    let again = bake(&objects, 0, 1).run(&CancellationToken::new(), |_, _| ()).await.unwrap();
     assert_eq!((again.written, again.kept), (1, baked.packs - 1));
     assert_eq!(contents(&objects).await, expected);
 }
 
 #[tokio::test]
+async fn a_stopped_bake_ends_after_what_it_has_begun_and_goes_on_when_it_is_repeated() {
+    let objects = Arc::new(InMemory::new());
+    let stop = CancellationToken::new();
+    // Two packs at least are not begun yet when the first is written.
+    let stopped = bake(&objects, 0, 1).run(&stop, |_, _| stop.cancel()).await.unwrap();
+    assert!(stopped.is_stopped && !stopped.is_complete);
+    assert!((1..=PUTS_IN_FLIGHT as u64 + 1).contains(&stopped.written), "{stopped:?}");
+    assert_eq!(contents(&objects).await.len() as u64, stopped.written, "none was lost");
+    let again = bake(&objects, 0, 1).run(&CancellationToken::new(), |_, _| ()).await.unwrap();
+    assert_eq!((again.kept, again.is_complete, again.is_stopped), (stopped.written, true, false));
+}
+
+#[tokio::test]
 async fn a_pack_counts_when_the_store_has_taken_it() {
     let folder = std::env::temp_dir().join(format!("tombolo-bake-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
     let (objects, root) = StoreAddress::parse(folder.to_str().unwrap()).unwrap().open().unwrap();
     let mut bake = bake(&Arc::default(), 0, 1);
     (bake.names, bake.objects) = (ObjectNames::new(&root, &bake.land.digest()), objects);
@@ -81,14 +96,19 @@ async fn a_pack_counts_when_the_store_has_taken_it() {
         std::fs::create_dir_all(std::path::Path::new("/").join(bake.names.pack(tile).as_ref())).unwrap();
     }
     let mut seen = Vec::new();
-    let failed = bake.run(|baked, _| seen.push((baked.packs, baked.written))).await;
+    let failed =
+        bake.run(&CancellationToken::new(), |baked, _| seen.push((baked.packs, baked.written))).await;
     let _ = std::fs::remove_dir_all(&folder);
     assert!(failed.unwrap_err().contains("the store failed"));
     // The one that can be written may come after the first that cannot.
     assert!(seen.iter().all(|counts| *counts == (1, 1)), "{seen:?}");
     // The control: where all can be written, all count.
+    std::fs::create_dir_all(&folder).unwrap();
     let mut seen = Vec::new();
-    let baked = bake.run(|baked, _| seen.push((baked.packs, baked.written))).await.unwrap();
+    let baked = bake
+        .run(&CancellationToken::new(), |baked, _| seen.push((baked.packs, baked.written)))
+        .await
+        .unwrap();
     let _ = std::fs::remove_dir_all(&folder);
     assert!(baked.packs > 2 && seen.last() == Some(&(baked.packs, baked.packs)), "{seen:?}");
 }

@@ -43,7 +43,7 @@ const OPTIONS: [(&str, &str, &str); 20] = [
     ("cache-mb", "5", "6"),
     ("disk-cache", "\"/x/5\"", "/x/6"),
     ("disk-mb", "65", "66"),
-    ("store", "\"/x/5\"", "/x/6"),
+    ("store", "\"s3://x/5\"", "s3://x/6"),
     ("store-wait-ms", "5", "6"),
     ("proxy-header", "\"forwarded\"", "proxy-protocol"),
     ("max-sessions", "5", "6"),
@@ -63,7 +63,7 @@ const OPTIONS: [(&str, &str, &str); 20] = [
 fn needs(option: &str) -> &'static str {
     match option {
         "disk-mb" => "disk-cache = \"/x/0\"\n",
-        "store-wait-ms" => "store = \"/x/0\"\n",
+        "store-wait-ms" => "store = \"s3://x/0\"\n",
         "proxy-header" => "trusted-proxy = [\"10.0.0.1\"]\n",
         "trace-every" => "otlp = \"http://a/0\"\n",
         _ => "",
@@ -139,7 +139,12 @@ fn the_former_name_of_the_rate_limit_is_accepted() {
 
 #[test]
 fn a_store_without_the_settings_of_its_engine_is_an_error_of_the_start() {
-    assert!(with_file("store = \"/var/chunks\"", Args::default()).unwrap().store.is_some());
+    let folder = std::env::temp_dir();
+    let file = format!("store = '{}'", folder.display());
+    assert!(with_file(&file, Args::default()).unwrap().store.is_some());
+    let file = format!("store = '{}'", folder.join("tombolo-no-such-folder").display());
+    let error = with_file(&file, Args::default()).unwrap_err().to_string();
+    assert!(error.starts_with("store: the folder ") && error.contains("create it"), "{error}");
     // Neither the address nor, in tests, the environment names an account.
     let error = with_file("store = \"az://container/chunks\"", Args::default()).unwrap_err().to_string();
     assert!(error.starts_with("store: ") && error.lines().count() == 1, "{error}");

@@ -275,21 +275,27 @@ impl Shared {
         GeneratedFrame { delivery, is_fast_encoded, result: Ok(frame) }
     }
 
-    /// A chunk: with a known error from the source, else from the store, else made and stored.
+    /// A chunk: with a known error from the source, else from the store unless it is cheap, else
+    /// made and stored. A cheap chunk is stored too: another replica may not have measured its
+    /// error, for which it would take milliseconds.
     fn chunk(&self, id: ChunkId, delivery: Delivery) -> Found {
         let known_error = self.frames.known_error(id).or_else(|| self.stored_error(id, delivery));
         let Some(store) = self.store.as_ref().filter(|_| known_error.is_none()) else {
             return self.generate(id, known_error);
         };
-        let found = {
+        let is_cheap = self.source.is_cheap(id);
+        if !is_cheap {
             let _part = part!("store");
-            store.read(id)
-        };
-        if let Some((chunk, frame)) = found {
-            return Found { chunk, frame: Some(frame), generation: Duration::ZERO };
+            if let Some((chunk, frame)) = store.read(id) {
+                return Found { chunk, frame: Some(frame), generation: Duration::ZERO };
+            }
         }
         let found = self.generate(id, None);
-        store.made(id, found.generation, || chunk_codec::encode(&found.chunk, &self.world));
+        if !is_cheap {
+            // The times of cheap chunks would make costly ones of their level look cheap too.
+            store.made(id, found.generation);
+        }
+        store.write(id, || chunk_codec::encode(&found.chunk, &self.world));
         found
     }
 

@@ -19,7 +19,7 @@ use rayon::ThreadPoolBuildError;
 use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use terrain::ChunkKey;
 
 /// Generates, caches and shares chunk frames. Clones share one service.
@@ -158,6 +158,12 @@ impl Generation {
         if let Some(store) = &self.shared.store {
             store.close().await;
         }
+    }
+
+    /// Whether it is known which chunks the store has baked, as far as that is waited for.
+    #[must_use]
+    pub fn is_ready(&self) -> bool {
+        self.shared.store.as_ref().is_none_or(|store| store.is_ready(Instant::now()))
     }
 
     /// Share of the queue in use, 0 to 1.

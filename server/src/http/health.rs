@@ -23,6 +23,10 @@ pub async fn readyz(State(state): State<Arc<ServerState>>) -> Response {
     if state.draining.is_cancelled() {
         return (StatusCode::SERVICE_UNAVAILABLE, "draining\n").into_response();
     }
+    if !state.generation.is_ready() {
+        return (StatusCode::SERVICE_UNAVAILABLE, "the store has not listed its regions yet\n")
+            .into_response();
+    }
     if state.generation.load() > READY_LOAD {
         return (StatusCode::SERVICE_UNAVAILABLE, "generation queue is nearly full\n").into_response();
     }

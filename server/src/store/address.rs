@@ -1,7 +1,9 @@
 //! The address of a store: its URL and the settings of its engine in the environment.
 
+use super::folder::Folder;
 use object_store::path::Path;
 use object_store::{ObjectStore, parse_url_opts};
+use std::path::PathBuf;
 use std::sync::Arc;
 use url::Url;
 
@@ -25,6 +27,9 @@ impl StoreAddress {
     pub fn parse(text: &str) -> Result<Self, String> {
         let help = "give file:///FOLDER, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX";
         let shown = shown(text);
+        if has_one_slash(text) {
+            return Err(format!("`{shown}` has one slash after the colon; {help}"));
+        }
         if !text.contains("://") {
             let folder = std::path::absolute(text).map_err(|_| format!("`{shown}` is no folder; {help}"))?;
             let url = Url::from_directory_path(&folder);
@@ -44,9 +49,19 @@ impl StoreAddress {
 
     /// The store and the path of its root. Nothing is sent yet.
     ///
+    /// A folder has to exist ([`Folder`]).
+    ///
     /// # Errors
-    /// The settings of the engine are invalid.
+    /// The settings of the engine are invalid, or the folder does not exist.
     pub fn open(&self) -> Result<(Arc<dyn ObjectStore>, Path), String> {
+        let folder = self.folder();
+        if let Some(folder) = folder.as_ref().filter(|folder| !folder.is_dir()) {
+            let folder = folder.display().to_string();
+            return Err(format!(
+                "the folder {} does not exist; create it, or mount the volume that it lies on",
+                folder.escape_debug()
+            ));
+        }
         // The first caller decides; all choose the same.
         let _ = rustls::crypto::ring::default_provider().install_default();
         // Variables that are no text are none of the settings.
@@ -54,9 +69,26 @@ impl StoreAddress {
             .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
             .filter(|(name, _)| SETTINGS.iter().any(|prefix| name.starts_with(prefix)))
             .map(|(name, value)| (name.to_ascii_lowercase(), value));
-        let (store, root) = parse_url_opts(&self.0, settings).map_err(|error| error.to_string())?;
-        Ok((store.into(), root))
+        let (store, root) = parse_url_opts(&self.0, settings)
+            .map_err(|error| format!("{error}; look at the settings of its engine in the environment"))?;
+        let store = folder.map_or_else(|| store.into(), |folder| Arc::new(Folder::new(folder)) as _);
+        Ok((store, root))
     }
+
+    /// The folder, if it is one.
+    fn folder(&self) -> Option<PathBuf> {
+        // Only a URL of a file with a host is none; the engine rejects it.
+        (self.0.scheme() == "file").then(|| self.0.to_file_path().ok()).flatten()
+    }
+}
+
+/// Whether a text is a URL with one slash too few, such as `s3:/bucket`: it would be the path of a
+/// folder. A letter alone is a drive of Windows.
+fn has_one_slash(text: &str) -> bool {
+    text.split_once(":/").is_some_and(|(scheme, rest)| {
+        let is_scheme = scheme.len() > 1 && scheme.chars().all(|letter| letter.is_ascii_alphanumeric());
+        is_scheme && !rest.starts_with('/')
+    })
 }
 
 /// An invalid address as errors show it: in one line, without what may be a secret. The text before
@@ -86,8 +118,19 @@ mod tests {
         for url in ["s3://bucket/some/prefix", "gs://bucket", "az://container/x"] {
             assert_eq!(StoreAddress::parse(url).unwrap().to_string(), url);
         }
-        let (_, root) = StoreAddress::parse("file:///data/chunks").unwrap().open().unwrap();
-        assert_eq!(root.as_ref(), "data/chunks");
+    }
+
+    #[test]
+    fn a_folder_that_does_not_exist_is_an_error_and_stays_absent() {
+        let folder = std::env::temp_dir().join(format!("tombolo-address-{}/below it", std::process::id()));
+        let address = StoreAddress::parse(folder.to_str().unwrap()).unwrap();
+        let error = address.open().unwrap_err();
+        assert!(error.contains(folder.to_str().unwrap()) && error.contains("create it"), "{error}");
+        assert!(!folder.exists());
+        std::fs::create_dir_all(&folder).unwrap();
+        let (_, root) = address.open().unwrap();
+        std::fs::remove_dir_all(folder.parent().unwrap()).unwrap();
+        assert_eq!(format!("/{root}"), folder.to_str().unwrap());
     }
 
     #[test]
@@ -104,6 +147,10 @@ mod tests {
             ("ftp://host/x", "s3://"),
             ("memory:///x", "`memory` is not known; give file:///FOLDER, s3://BUCKET/PREFIX"),
             ("s3://", "s3://"),
+            ("s3:/bucket/x", "`s3:/bucket/x` has one slash after the colon; give file:///FOLDER"),
+            ("file:/data/chunks", "one slash"),
+            ("gs:/", "one slash"),
+            ("s3:/key:secret@bucket", "one slash"),
             ("s3://key:secret@bucket/x", "AWS_ACCESS_KEY_ID"),
             ("az://container/x?sig=secret", "environment"),
             ("gs://\0ck\n", "gs://"),

@@ -13,6 +13,7 @@
 
 pub mod address;
 pub mod breaker;
+mod folder;
 pub mod pace;
 pub mod pack;
 pub mod region;
@@ -34,6 +35,7 @@ use protocol::limits::MAX_CHUNK_FRAME;
 use quick_cache::sync::Cache;
 use region::BakedRegion;
 use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
@@ -59,6 +61,13 @@ const INDEXES: usize = 4096;
 
 /// Time between two looks for regions that were baked meanwhile.
 const LOOK_FOR_REGIONS: Duration = Duration::from_secs(60);
+
+/// Time between two looks while they fail.
+const LOOK_AGAIN: Duration = Duration::from_secs(5);
+
+/// Longest time that a server waits for its first look before it takes clients: chunks of regions
+/// that it does not know of are made.
+const FIRST_LOOK: Duration = Duration::from_secs(3);
 
 /// Time for one look: a list, and some objects at once.
 const REGIONS_TIMEOUT: Duration = Duration::from_secs(30);
@@ -103,6 +112,14 @@ struct Inner {
     reads: Arc<Semaphore>,
     read_timeout: Duration,
     pace: Pace,
+    /// The store has refused a read, and a warning was logged.
+    is_refused: AtomicBool,
+    /// The last look for regions failed, and a warning was logged.
+    is_unlisted: AtomicBool,
+    /// The first look for regions has ended.
+    has_looked: AtomicBool,
+    /// End of the wait for it.
+    ready_by: Instant,
     metrics: Arc<Metrics>,
 }
 
@@ -151,6 +168,10 @@ impl Store {
             reads: Arc::new(Semaphore::new(READS_IN_FLIGHT)),
             read_timeout: READ_TIMEOUT.max(wait),
             pace: Pace::new(wait),
+            is_refused: AtomicBool::new(false),
+            is_unlisted: AtomicBool::new(false),
+            has_looked: AtomicBool::new(false),
+            ready_by: Instant::now() + FIRST_LOOK,
             metrics,
         });
         runtime.spawn(Arc::clone(&inner).follow_regions());
@@ -163,12 +184,13 @@ impl Store {
     pub fn read(&self, id: ChunkId) -> Option<(Chunk, Bytes)> {
         let inner = &self.inner;
         let key = id.key;
-        let tile = inner.packed(id);
+        let tile = inner.whole_pack(id);
+        // Without a pack nobody writes these.
         if tile.is_none() && key.level() < FINEST_LEVEL {
             return None;
         }
         let permit = Arc::clone(&inner.reads).try_acquire_owned().ok();
-        let is_stored = tile.is_some_and(|tile| inner.broken.get(&tile).is_none());
+        let is_stored = tile.is_some();
         let admitted =
             permit.and_then(|permit| Some((inner.pace.wait(key, is_stored, Instant::now())?, permit)));
         let Some((wait, permit)) = admitted else {
@@ -211,12 +233,18 @@ impl Store {
         found
     }
 
-    /// A chunk was made in this time: writes its exact frame, if its level is stored, no whole pack
-    /// has it, and it would be read. The frame is not asked for if it is not written.
-    pub fn made(&self, id: ChunkId, took: Duration, frame: impl FnOnce() -> Bytes) {
-        self.inner.pace.made(id.key, took);
-        let is_packed = self.inner.packed(id).is_some_and(|tile| self.inner.broken.get(&tile).is_none());
-        if id.key.level() < FINEST_LEVEL || is_packed {
+    /// A chunk was made in this time because the store did not have it. Reads may take a part of
+    /// that, unless the chunk would not have been read anyway.
+    pub fn made(&self, id: ChunkId, took: Duration) {
+        if id.key.level() >= FINEST_LEVEL || self.inner.whole_pack(id).is_some() {
+            self.inner.pace.made(id.key, took);
+        }
+    }
+
+    /// Writes the exact frame of a chunk that was made, if its level is stored, no whole pack has
+    /// it, and it would be read. The frame is not asked for if it is not written.
+    pub fn write(&self, id: ChunkId, frame: impl FnOnce() -> Bytes) {
+        if id.key.level() < FINEST_LEVEL || self.inner.whole_pack(id).is_some() {
             return;
         }
         if self.inner.pace.is_worth_writing(id.key) {
@@ -224,6 +252,12 @@ impl Store {
         } else {
             self.inner.metrics.store_writes_skipped.inc();
         }
+    }
+
+    /// Whether the regions were looked for once, or were waited for long enough.
+    #[must_use]
+    pub fn is_ready(&self, now: Instant) -> bool {
+        self.inner.has_looked.load(Ordering::Relaxed) || now >= self.inner.ready_by
     }
 
     /// Waits a bounded time for the pending writes.
@@ -259,6 +293,11 @@ impl Inner {
         let tile = id.edition.is_base().then(|| PackTile::of(id.key).0)?;
         let regions = self.regions.read().unwrap_or_else(PoisonError::into_inner);
         regions.iter().any(|region| region.contains(tile)).then_some(tile)
+    }
+
+    /// The same unless the pack is damaged or lost, as far as is known.
+    fn whole_pack(&self, id: ChunkId) -> Option<PackTile> {
+        self.packed(id).filter(|tile| self.broken.get(tile).is_none())
     }
 
     /// The chunk of a frame that was read, if the frame is that of the key and undamaged.
@@ -317,13 +356,14 @@ impl Inner {
                     // A shorter pack may have replaced that of the index.
                     self.indexes.remove(&tile);
                 }
-                return found(frame);
+                return self.found(frame);
             }
         }
-        let answer = match self.objects.get_opts(&self.names.chunk(id), GetOptions::default()).await {
-            Err(Error::NotFound { .. }) => return Ok(None),
-            answer => answer?,
-        };
+        if id.key.level() < FINEST_LEVEL {
+            return Ok(None);
+        }
+        let answer = self.objects.get_opts(&self.names.chunk(id), GetOptions::default()).await;
+        let Some(answer) = self.found(answer)? else { return Ok(None) };
         if answer.meta.size > MAX_CHUNK_FRAME as u64 {
             // No frame: its bytes are invalid, however many come.
             return Ok(Some(Bytes::new()));
@@ -337,7 +377,7 @@ impl Inner {
             return Ok(Some(index));
         }
         let range = GetOptions::new().with_range(Some(0..pack::HEADER as u64));
-        let Some(header) = found(self.objects.get_opts(&self.names.pack(tile), range).await)? else {
+        let Some(header) = self.found(self.objects.get_opts(&self.names.pack(tile), range).await)? else {
             return Ok(None);
         };
         let length = header.meta.size;
@@ -352,21 +392,60 @@ impl Inner {
         Ok(Some(index))
     }
 
-    /// Looks for regions now and then, for ever.
-    async fn follow_regions(self: Arc<Self>) {
-        loop {
-            self.look_for_regions().await;
-            tokio::time::sleep(LOOK_FOR_REGIONS).await;
+    /// An object that does not exist is no error. Nor is one that may not be read: this is how S3
+    /// answers for an absent object to whoever may not list the bucket, and such answers would stop
+    /// all reads.
+    fn found<T>(&self, result: object_store::Result<T>) -> object_store::Result<Option<T>> {
+        match result {
+            Ok(found) => Ok(Some(found)),
+            Err(Error::NotFound { .. }) => Ok(None),
+            Err(error @ Error::PermissionDenied { .. }) => {
+                if !self.is_refused.swap(true, Ordering::Relaxed) {
+                    tracing::warn!(
+                        why = one_line(&error),
+                        "the store refuses reads, which count as misses; give the rights to get and list"
+                    );
+                }
+                Ok(None)
+            }
+            Err(error) => Err(error),
         }
     }
 
-    async fn look_for_regions(&self) {
-        self.broken.clear();
-        let regions = match timeout(REGIONS_TIMEOUT, self.list_regions()).await {
-            Ok(Ok(regions)) => regions,
-            Ok(Err(error)) => return tracing::debug!(%error, "cannot list the regions of the store"),
-            Err(_) => return tracing::debug!("the store did not list its regions in time"),
+    /// Looks for regions now and then, for ever.
+    async fn follow_regions(self: Arc<Self>) {
+        loop {
+            let is_seen = self.look_for_regions().await;
+            self.has_looked.store(true, Ordering::Relaxed);
+            tokio::time::sleep(if is_seen { LOOK_FOR_REGIONS } else { LOOK_AGAIN }).await;
+        }
+    }
+
+    /// Whether the look succeeded.
+    async fn look_for_regions(&self) -> bool {
+        let why = match timeout(REGIONS_TIMEOUT, self.list_regions()).await {
+            Ok(Ok(regions)) => {
+                self.has_regions(regions);
+                return true;
+            }
+            Ok(Err(error)) => one_line(&error),
+            Err(_) => format!("no answer within {} s", REGIONS_TIMEOUT.as_secs()),
         };
+        if self.is_unlisted.swap(true, Ordering::Relaxed) {
+            tracing::debug!(why, "cannot list the regions of the store");
+        } else {
+            tracing::warn!(
+                why,
+                "cannot list the regions of the store: baked chunks are made; give the right to list"
+            );
+        }
+        false
+    }
+
+    /// The regions that a look has found.
+    fn has_regions(&self, regions: Vec<BakedRegion>) {
+        self.is_unlisted.store(false, Ordering::Relaxed);
+        self.broken.clear();
         let mut known = self.regions.write().unwrap_or_else(PoisonError::into_inner);
         if *known != regions {
             tracing::info!(regions = regions.len(), "regions of the store");
@@ -393,7 +472,7 @@ impl Inner {
 
     /// The region of an object; none if the object is no region or has the name of another.
     async fn region(&self, name: Path) -> object_store::Result<Option<BakedRegion>> {
-        let Some(object) = found(self.objects.get(&name).await)? else { return Ok(None) };
+        let Some(object) = self.found(self.objects.get(&name).await)? else { return Ok(None) };
         let region: Option<BakedRegion> = serde_json::from_slice(&object.bytes().await?).ok();
         let region = region.filter(|region| {
             let checked = BakedRegion::new(&(region.finest..=region.coarsest), region.area_m);
@@ -411,15 +490,6 @@ fn one_line(error: &Error) -> String {
     const SHOWN: usize = 300;
     let text = error.to_string();
     text.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(SHOWN).collect()
-}
-
-/// An object that does not exist is no error.
-fn found<T>(result: object_store::Result<T>) -> object_store::Result<Option<T>> {
-    match result {
-        Ok(found) => Ok(Some(found)),
-        Err(Error::NotFound { .. }) => Ok(None),
-        Err(error) => Err(error),
-    }
 }
 
 #[cfg(test)]

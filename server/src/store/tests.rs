@@ -1,7 +1,7 @@
 use super::*;
 use crate::bake::{Bake, BakePart};
 use crate::generation::{Generation, Limits};
-use crate::source::ProceduralSource;
+use crate::source::{ChunkSource, ProceduralSource};
 use async_trait::async_trait;
 use futures_util::stream::BoxStream;
 use object_store::memory::InMemory;
@@ -15,6 +15,7 @@ use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use std::fmt;
 use terrain::{ChunkKey, Land};
+use tokio_util::sync::CancellationToken;
 
 /// The fault of a store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +35,10 @@ enum Fault {
     Foreign,
     /// Every object is cut.
     Cut,
+    /// Lists are refused, as are absent objects: S3 without the right to list.
+    Unlisted,
+    /// A list does not end.
+    Silent,
 }
 
 /// A store in memory with a fault.
@@ -47,6 +52,10 @@ impl fmt::Display for Faulty {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:?}", self.fault)
     }
+}
+
+fn refused(path: &str) -> Error {
+    Error::PermissionDenied { path: path.into(), source: "403".into() }
 }
 
 impl Faulty {
@@ -70,7 +79,7 @@ impl ObjectStore for Faulty {
     ) -> object_store::Result<PutResult> {
         self.begin().await?;
         if self.fault == Fault::ReadOnly {
-            return Err(Error::PermissionDenied { path: path.to_string(), source: "read only".into() });
+            return Err(refused(path.as_ref()));
         }
         if self.fault == Fault::Full {
             return Err(Error::Generic { store: "test", source: "no space".into() });
@@ -93,7 +102,12 @@ impl ObjectStore for Faulty {
             let other = all.into_iter().map(|object| object.location).find(|other| other != path);
             return self.objects.get_opts(other.as_ref().unwrap_or(path), options).await;
         }
-        let found = self.objects.get_opts(path, options).await?;
+        let found = match self.objects.get_opts(path, options).await {
+            Err(Error::NotFound { .. }) if self.fault == Fault::Unlisted => {
+                return Err(refused(path.as_ref()));
+            }
+            found => found?,
+        };
         if !matches!(self.fault, Fault::Damaged | Fault::Cut) {
             return Ok(found);
         }
@@ -115,7 +129,11 @@ impl ObjectStore for Faulty {
     }
 
     fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, object_store::Result<ObjectMeta>> {
-        self.objects.list(prefix)
+        match self.fault {
+            Fault::Unlisted => stream::iter([Err(refused("list"))]).boxed(),
+            Fault::Silent => stream::pending().boxed(),
+            _ => self.objects.list(prefix),
+        }
     }
 
     async fn list_with_delimiter(&self, prefix: Option<&Path>) -> object_store::Result<ListResult> {
@@ -149,7 +167,24 @@ fn store(objects: &Arc<InMemory>, fault: Fault, metrics: &Arc<Metrics>) -> Store
     Store::over(faulty, &Path::from("root"), wait, &land().digest(), Arc::clone(metrics)).unwrap()
 }
 
+/// The land, of which no chunk is cheap: the replicas of a test share the memory of errors.
+struct Costly(ProceduralSource);
+
+impl ChunkSource for Costly {
+    fn world(&self) -> WorldDigest {
+        self.0.world()
+    }
+
+    fn chunk(&self, id: ChunkId, known_error: Option<u32>) -> Chunk {
+        self.0.chunk(id, known_error)
+    }
+}
+
 fn replica(objects: &Arc<InMemory>, fault: Fault) -> Replica {
+    replica_of(objects, fault, Costly(ProceduralSource::new(land())))
+}
+
+fn replica_of(objects: &Arc<InMemory>, fault: Fault, source: impl ChunkSource) -> Replica {
     let metrics = Arc::new(Metrics::default());
     let store = store(objects, fault, &metrics);
     store.look_for_regions();
@@ -160,7 +195,6 @@ fn replica(objects: &Arc<InMemory>, fault: Fault) -> Replica {
         deadline: Duration::from_secs(60),
         without: None,
     };
-    let source = ProceduralSource::new(land());
     let generation =
         Generation::with_stores(source, limits, None, Some(store), Arc::clone(&metrics)).unwrap();
     Replica { generation, metrics }
@@ -235,6 +269,45 @@ async fn no_fault_of_a_store_changes_a_chunk() {
     }
 }
 
+/// The selection of a view measures the errors of its chunks before they are made: they are made
+/// faster than they are read. The control is a source that makes none faster.
+#[tokio::test(flavor = "multi_thread")]
+async fn chunks_whose_error_is_remembered_are_written_and_not_read() {
+    let objects = Arc::new(InMemory::new());
+    keys().into_iter().for_each(|key| _ = land().error_of(key));
+    for (is_cheap, hits, made) in [(true, 0, 8), (true, 0, 8), (false, 8, 0)] {
+        let source = ProceduralSource::new(land());
+        let replica = match is_cheap {
+            true => replica_of(&objects, Fault::None, source),
+            false => replica_of(&objects, Fault::None, Costly(source)),
+        };
+        serves(&replica, &keys(), EXACT).await;
+        let metrics = &replica.metrics;
+        assert_eq!((metrics.store_hits.get(), metrics.store_misses.get()), (hits, 0));
+        assert_eq!((metrics.jobs_completed.get(), metrics.store_writes.get()), (made, made));
+    }
+}
+
+/// Reads without a result may take a part of the time of chunks that were looked for.
+#[tokio::test(flavor = "multi_thread")]
+async fn chunks_that_are_not_read_earn_no_time_for_reads() {
+    let objects = Arc::new(InMemory::new());
+    let store = store(&objects, Fault::None, &Arc::default());
+    let [fine, coarse] = [0, 3].map(|level| ChunkId::base(ChunkKey::new(level, 0, 0).unwrap()));
+    let now = Instant::now();
+    let is_read = || store.inner.pace.wait(coarse.key, false, now).is_some();
+    store.inner.pace.useless(LONG);
+    assert!(is_read() && !is_read(), "one try");
+    for _ in 0..100 {
+        store.made(fine, LONG);
+    }
+    assert!(!is_read());
+    for _ in 0..100 {
+        store.made(coarse, LONG);
+    }
+    assert!(is_read(), "the control");
+}
+
 /// Replicas do not spend more on sharing chunks than on making them.
 #[tokio::test(flavor = "multi_thread")]
 async fn chunks_that_would_not_be_read_are_not_written() {
@@ -259,6 +332,39 @@ async fn a_store_that_refuses_writes_is_read() {
     // Those in flight at the first refusal are refused, too; the others wait for a minute.
     assert!(refused >= 1 && refused + dropped == 8 && written == 0, "{refused} refused, {dropped} dropped");
     assert_eq!(replica.metrics.store_up.get(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_store_that_may_not_be_listed_is_read_and_written() {
+    let objects = Arc::new(InMemory::new());
+    for (hits, misses) in [(0, 8), (8, 0)] {
+        let replica = replica(&objects, Fault::Unlisted);
+        serves(&replica, &keys(), EXACT).await;
+        let metrics = &replica.metrics;
+        assert_eq!((metrics.store_hits.get(), metrics.store_misses.get()), (hits, misses));
+        assert_eq!((metrics.store_writes.get(), metrics.store_reads_failed.get()), (misses, 0));
+        assert_eq!(metrics.store_up.get(), 1);
+    }
+}
+
+/// The control is a list that ends only after the wait for it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_store_is_ready_after_its_first_look_for_regions_or_after_a_wait() {
+    let start = Instant::now();
+    for fault in [Fault::None, Fault::Unlisted] {
+        let store = store(&Arc::default(), fault, &Arc::default());
+        timeout(LONG, async {
+            while !store.is_ready(start) {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        })
+        .await
+        .unwrap();
+    }
+    let store = store(&Arc::default(), Fault::Silent, &Arc::default());
+    let ready_by = store.inner.ready_by;
+    assert!(ready_by >= start + FIRST_LOOK);
+    assert!(!store.is_ready(ready_by - Duration::from_millis(1)) && store.is_ready(ready_by));
 }
 
 /// The control is that the first chunks are written without result: the breaker of the writes is
@@ -323,7 +429,7 @@ async fn bake(objects: &Arc<InMemory>, region: &BakedRegion) {
         objects: Arc::<InMemory>::clone(objects),
         threads: None,
     };
-    assert!(bake.run(|_, _| ()).await.unwrap().is_complete);
+    assert!(bake.run(&CancellationToken::new(), |_, _| ()).await.unwrap().is_complete);
 }
 
 /// Chunks of packs that cannot be read are made once, written as objects of their own, and read.
@@ -342,6 +448,34 @@ async fn chunks_of_a_lost_pack_become_objects_of_their_own() {
         serves(&replica, &keys, EXACT).await;
         assert_eq!(replica.metrics.jobs_completed.get(), made);
     }
+}
+
+/// Nobody writes an object of such a chunk: it is looked for once, in the pack.
+#[tokio::test(flavor = "multi_thread")]
+async fn chunks_of_a_lost_pack_finer_than_all_stored_levels_are_only_made() {
+    let objects = Arc::new(InMemory::new());
+    let region = BakedRegion::new(&(1..=1), [-100, -100, 100, 100]).unwrap();
+    bake(&objects, &region).await;
+    let names = ObjectNames::new(&Path::from("root"), &land().digest());
+    for tile in region.tiles() {
+        objects.delete(&names.pack(tile)).await.unwrap();
+    }
+    let metrics = Arc::new(Metrics::default());
+    let store = Arc::new(store(&objects, Fault::None, &metrics));
+    store.look_for_regions();
+    let id = ChunkId::base(ChunkKey::new(1, 0, 0).unwrap());
+    let tile = PackTile::of(id.key).0;
+    // Were it there, it would be read.
+    objects
+        .put(&names.chunk(id), chunk_codec::encode(&land().chunk(id.key), &land().digest()).into())
+        .await
+        .unwrap();
+    for _ in 0..3 {
+        let store = Arc::clone(&store);
+        assert!(tokio::task::spawn_blocking(move || store.read(id)).await.unwrap().is_none());
+    }
+    assert_eq!(metrics.store_misses.get(), 1);
+    assert!(store.inner.packed(id) == Some(tile) && store.inner.whole_pack(id).is_none());
 }
 
 /// Damaged packs are no failure of the store: chunks of others are read on.

@@ -73,12 +73,8 @@ impl Land {
     /// The error bound of a chunk, or one measurement towards it.
     #[must_use]
     pub fn known_error(&self, key: ChunkKey) -> Progress {
-        if key.level() == 0 {
-            return Progress::Known(0);
-        }
-        if key.level() > SAMPLED_LEVEL {
-            // Larger than a cell of the archipelago, which may have an island.
-            return Progress::Known(RELIEF);
+        if let Some(error) = error_of_level(key.level()) {
+            return Progress::Known(error);
         }
         let (x, z) = key.origin();
         let is_open_sea = || self.archipelago().is_open_sea(x, z, key.side());
@@ -120,6 +116,13 @@ impl Land {
                 return error;
             }
         }
+    }
+
+    /// Whether the error bound of a chunk is known without a measurement: the chunk takes the time
+    /// of its heights alone. Errors are remembered by process, so this may change at any time.
+    #[must_use]
+    pub fn is_error_remembered(&self, key: ChunkKey) -> bool {
+        error_of_level(key.level()).is_some() || matches!(self.remembered(key), Some(Entry::Known(_)))
     }
 
     fn remembered(&self, key: ChunkKey) -> Option<Entry> {
@@ -219,6 +222,16 @@ impl Land {
         let mut heights = Box::new([0; VERTEX_COUNT]);
         self.heights(&grid, &mut heights[rows.start * VERTICES..rows.end * VERTICES]);
         heights
+    }
+}
+
+/// The error bound of a chunk, units, where its level alone decides.
+const fn error_of_level(level: u8) -> Option<u32> {
+    match level {
+        0 => Some(0),
+        1..=SAMPLED_LEVEL => None,
+        // Larger than a cell of the archipelago, which may have an island.
+        _ => Some(RELIEF),
     }
 }
 
@@ -335,6 +348,22 @@ mod tests {
         assert!(matches!(land.known_error(key), Progress::Known(1..)));
         assert_eq!(land.known_error(ChunkKey::new(0, 5, 5).unwrap()), Progress::Known(0));
         assert_eq!(land.known_error(ChunkKey::new(9, 0, 0).unwrap()), Progress::Known(RELIEF));
+    }
+
+    #[test]
+    fn an_error_is_remembered_after_its_last_measurement_and_asking_measures_nothing() {
+        let land = Land::new(0x5eed_0003);
+        let key = ChunkKey::new(3, 0, 0).unwrap();
+        for _ in 0..16 {
+            assert!(!land.is_error_remembered(key));
+            assert_eq!(land.known_error(key), Progress::Measured, "of a chunk of level 1");
+        }
+        assert!(land.is_error_remembered(key));
+        for (level, x, is_known) in
+            [(0, -1, true), (1, -1, false), (7, -1, false), (8, -1, true), (16, 0, true)]
+        {
+            assert_eq!(land.is_error_remembered(ChunkKey::new(level, x, 0).unwrap()), is_known, "{level}");
+        }
     }
 
     #[test]
