@@ -149,7 +149,7 @@ async fn a_chunk_has_one_body_whatever_the_sessions_of_its_server_request() {
             let path = busy.path(&format!("chunk/0/{}/{}", key.x(), key.z()));
             let (of_busy, of_idle) = (busy.get(&path).await, idle.get(&path).await);
             assert_eq!((of_busy.status, of_idle.status), (200, 200), "{key}");
-            assert_eq!(of_busy.body, of_idle.body, "{key}");
+            assert!(of_busy.body == of_idle.body, "{key}: other bytes from the busy server");
             compared += u32::from(frame != of_idle.body);
         }
     };

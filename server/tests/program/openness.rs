@@ -7,6 +7,9 @@ use std::net::TcpStream;
 const NO_TLS: &str = "without TLS";
 const NO_TOKENS: &str = "without tokens";
 
+/// Where a server listens, groups of its options, and its warnings.
+type Case<'a> = (&'a str, &'a [&'a [&'a str]], &'a [&'a str]);
+
 /// Waits for the answer to a connection, which a server accepts after its warnings: a page, or an
 /// error of TLS.
 fn wait_for_answer(server: &Server) {
@@ -26,7 +29,7 @@ fn a_server_beyond_the_loopback_warns_of_what_it_lacks() {
     let (certificate, key) = (format!("{folder}.crt"), format!("{folder}.key"));
     let tls = ["--tls-cert", certificate.as_str(), "--tls-key", &key];
     let (proxy, insecure) = (["--trusted-proxy", "10.0.0.0/8"], ["--insecure"]);
-    let cases: [(&str, &[&[&str]], &[&str]); 7] = [
+    let cases: [Case<'_>; 7] = [
         ("0.0.0.0:0", &[&insecure], &[NO_TLS, NO_TOKENS]),
         ("0.0.0.0:0", &[&insecure, &tokens], &[NO_TLS]),
         ("0.0.0.0:0", &[&tls], &[NO_TOKENS]),
