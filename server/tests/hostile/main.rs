@@ -6,6 +6,7 @@
 //! | module | subject |
 //! | --- | --- |
 //! | `heads` | heads of requests over their limit, and the memory of those below it |
+//! | `stalls` | heads byte by byte, and connections without a byte |
 //! | `pings` | a flood of pings whose pongs are not read |
 //! | `slow_readers` | a download and a session that are read byte by byte |
 //! | `storms` | a thousand sessions of one address, one after the other |
@@ -21,6 +22,7 @@ mod heads;
 mod pings;
 mod resets;
 mod slow_readers;
+mod stalls;
 #[cfg(target_os = "linux")]
 mod storms;
 

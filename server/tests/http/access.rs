@@ -136,6 +136,41 @@ async fn tokens_of_a_list_are_valid_until_they_end() {
 }
 
 #[tokio::test]
+async fn an_expired_token_opens_no_session() {
+    let path = std::env::temp_dir().join(format!("tombolo-expired-{}.toml", std::process::id()));
+    let list = "[[token]]\nname = \"old\"\ntoken = \"one\"\nexpires = 2020-01-01T00:00:00Z\n\
+        [[token]]\nname = \"new\"\ntoken = \"two\"\nexpires = 2999-01-01T00:00:00Z\n";
+    std::fs::write(&path, list).unwrap();
+    let tokens = TokenFile::new(path.clone()).read().unwrap();
+    std::fs::remove_file(path).unwrap();
+    let server = Server::start_with(ServerConfig { tokens: Some(tokens), ..config() }).await;
+    // In a header or in an entry beside the subprotocol it is refused before the handshake.
+    let entry = |token: &str| format!("tombolo.bearer.{}", BASE64URL_NOPAD.encode(token.as_bytes()));
+    for (token, status) in [("one", 401), ("two", 101)] {
+        let (given, entry) = (format!("Bearer {token}"), entry(token));
+        for header in [("Authorization", given.as_str()), ("Sec-WebSocket-Protocol", entry.as_str())] {
+            let reply = server.upgrade(&[header]).await;
+            assert_eq!(reply.status, status, "{header:?}");
+            if status == 401 {
+                assert!(reply.json()["detail"].as_str().unwrap().contains("expired"), "{header:?}");
+            }
+        }
+    }
+    // In the Hello it ends the session that had begun.
+    let unauthorised = protocol::CloseCode::Unauthorised.code();
+    assert_eq!(unauthorised, 4401);
+    for (token, code) in [("one", Some(unauthorised)), ("two", None)] {
+        let mut request = format!("ws://{}/v1/stream", server.address).into_client_request().unwrap();
+        request.headers_mut().insert("Sec-WebSocket-Protocol", protocol::SUBPROTOCOL.parse().unwrap());
+        let stream = tokio::net::TcpStream::connect(server.address).await.unwrap();
+        let (response, ended) = welcomed(request, stream, Some(token)).await;
+        assert_eq!((response.status().as_u16(), ended), (101, code), "{token}");
+    }
+    assert_eq!(server.metric("tombolo_tokens_refused_total{outcome=\"expired\"}").await, 3.0);
+    assert_eq!(server.metric("tombolo_tokens_refused_total{outcome=\"wrong\"}").await, 0.0);
+}
+
+#[tokio::test]
 async fn routes_that_are_open_with_a_token_are_closed_by_an_option() {
     let open = Server::start_with(with_token()).await;
     let protected = vec![ProtectedRoute::Metrics, ProtectedRoute::World];

@@ -1,11 +1,23 @@
 //! Validators, conditional requests and `Cache-Control`: RFC 9110 and RFC 9111.
 
-use crate::client::Server;
+use crate::client::{Server, TEST_TIMEOUT, UPGRADE, request_over};
+use bytes::Bytes;
+use futures_util::{SinkExt, StreamExt};
 use protocol::chunk_codec::{self, seed_only};
+use protocol::control;
+use protocol::message::{ClientMessage, Hello, ServerMessage, WireKey};
 use server::ServerConfig;
 use server::access::tokens::TokenSet;
+use std::sync::Arc;
+use std::time::Duration;
 use terrain::constants::TOP_LEVEL;
 use terrain::{ChunkKey, Land};
+use tokio::net::TcpStream;
+use tokio::sync::mpsc::UnboundedSender;
+use tokio::task::JoinSet;
+use tokio_tungstenite::WebSocketStream;
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::protocol::Role;
 
 const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 
@@ -65,6 +77,84 @@ async fn the_etag_is_the_digest_of_the_content_on_every_server() {
     };
     let replies = futures_util::future::join(&mut load, checks).await.0;
     assert!(replies.iter().all(|reply| [200, 503].contains(&reply.status)));
+}
+
+/// Sessions that load a server, and keys of each of their requests, of which each has two.
+const SESSIONS: i32 = 16;
+const KEYS: i32 = 512;
+
+/// Requests chunks of level 0 that no other session requests, without end, and passes on the frames.
+async fn load(server: &Server, session: i32, frames: UnboundedSender<Bytes>) {
+    let mut stream = TcpStream::connect(server.address).await.unwrap();
+    assert_eq!(request_over(&mut stream, "GET", "/v1/stream", &UPGRADE).await.status, 101);
+    let mut socket = WebSocketStream::from_raw_socket(stream, Role::Client, None).await;
+    // Rows from the middle of the world outwards.
+    let request = |number: i32| {
+        let row = session + number * SESSIONS;
+        let x = if row % 2 == 0 { row / 2 } else { -(row + 1) / 2 };
+        let keys = (0..KEYS).map(|n| WireKey { level: 0, x, z: n - KEYS / 2 }).collect();
+        ClientMessage::Request { id: number as u32, keys }
+    };
+    let encoded = |message| Message::Binary(control::encode(&message).unwrap());
+    let software = "load".into();
+    let hello = Hello { digest: None, delivery: protocol::Delivery::Exact, token: None, software };
+    let credit = || ClientMessage::Credit { chunks: KEYS as u32 };
+    for message in [ClientMessage::Hello(hello), credit(), request(0), credit(), request(1)] {
+        socket.send(encoded(message)).await.unwrap();
+    }
+    let (mut answers, mut requests) = (0, 2);
+    while let Some(Ok(message)) = socket.next().await {
+        let Message::Binary(bytes) = message else { continue };
+        // What is no chunk is the Welcome.
+        if control::decode::<ServerMessage>(&bytes).is_ok() {
+            continue;
+        }
+        answers += 1;
+        if answers % KEYS == 0 {
+            socket.send(encoded(credit())).await.unwrap();
+            socket.send(encoded(request(requests))).await.unwrap();
+            requests += 1;
+        }
+        if frames.send(bytes).is_err() {
+            return;
+        }
+    }
+}
+
+/// A chunk that a session has just got in the fast encoding is the same bytes over HTTP as from an
+/// idle server.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_chunk_has_one_body_whatever_the_sessions_of_its_server_request() {
+    const COMPARED: u32 = 20;
+    let idle = Server::start_with(ServerConfig { threads: 1, ..ServerConfig::default() }).await;
+    let patient = Duration::from_secs(60);
+    let config = ServerConfig { threads: 1, deadline: patient, memory: None, ..ServerConfig::default() };
+    let busy = Arc::new(Server::start_with(config).await);
+    let (sender, mut frames) = tokio::sync::mpsc::unbounded_channel();
+    let mut loads = JoinSet::new();
+    for session in 0..SESSIONS {
+        let (busy, sender) = (Arc::clone(&busy), sender.clone());
+        loads.spawn(async move { load(&busy, session, sender).await });
+    }
+    let digest = Land::new(1).digest();
+    let compare = async {
+        let mut compared = 0;
+        while compared < COMPARED {
+            // The newest: the cache still has it.
+            let mut frame = frames.recv().await.unwrap();
+            while let Ok(newer) = frames.try_recv() {
+                frame = newer;
+            }
+            let key = chunk_codec::decode(&frame, &digest).unwrap().key;
+            let path = busy.path(&format!("chunk/0/{}/{}", key.x(), key.z()));
+            let (of_busy, of_idle) = (busy.get(&path).await, idle.get(&path).await);
+            assert_eq!((of_busy.status, of_idle.status), (200, 200), "{key}");
+            assert!(of_busy.body == of_idle.body, "{key}: other bytes from the busy server");
+            compared += u32::from(frame != of_idle.body);
+        }
+    };
+    tokio::time::timeout(TEST_TIMEOUT * 2, compare).await.expect("sessions get frames in the fast encoding");
+    loads.shutdown().await;
 }
 
 #[tokio::test]

@@ -16,11 +16,13 @@
 //! | `page` | files and policy of the page |
 //! | `world` | the description of the world |
 //! | `openapi` | the OpenAPI document against the routes |
+//! | `documents` | tables of the documents, and alerts, against a server |
 
 mod access;
 mod caching;
 mod client;
 mod disk;
+mod documents;
 mod map;
 mod memory;
 mod openapi;

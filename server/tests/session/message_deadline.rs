@@ -61,6 +61,24 @@ async fn pings_between_fragments_finish_no_message() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn empty_continuation_frames_finish_no_message() {
+    let mut peer = connected().await;
+    // A hundred of them each second, so that there is never a pause of the frames.
+    let pieces = std::iter::once(frame(BINARY, &[0])).chain((0..60).map(|_| frame(0, b"").repeat(100)));
+    let end = closed(&mut peer, pieces).await;
+    assert!(matches!(end, Some((code, 5..=7)) if code == CloseCode::Unresponsive.code()), "{end:?}");
+    // Of a message that has no byte at all.
+    let mut peer = connected().await;
+    let pieces = std::iter::once(frame(BINARY, b"")).chain((0..60).map(|_| frame(0, b"")));
+    let end = closed(&mut peer, pieces).await;
+    assert!(matches!(end, Some((code, 5..=7)) if code == CloseCode::Unresponsive.code()), "{end:?}");
+    // The control: a last frame ends the message, which is a valid one in fragments.
+    let mut peer = connected().await;
+    let message = [frame(BINARY, &credit()), frame(0, b"").repeat(100), frame(0x80, b"")].concat();
+    assert_eq!(closed(&mut peer, (0..60).map(|_| message.clone())).await, None);
+}
+
+#[tokio::test(start_paused = true)]
 async fn messages_that_end_in_time_go_on_without_end() {
     // The control: each piece ends a message and begins the next.
     let mut peer = connected().await;

@@ -7,6 +7,7 @@ use crate::generation::test_source::{
     request_delivery, view_selection,
 };
 use crate::generation::{FlowEvent, Generation, Limits};
+use crate::limits::rate_limit::RateLimiter;
 use crate::metrics::Metrics;
 use crate::source::{ChunkSource, ProceduralSource};
 use protocol::delivery::Tolerance;
@@ -178,6 +179,26 @@ async fn a_panic_fails_its_own_view_only() {
     // The session of the failed view goes on.
     bad.select(view_selection(2), land);
     assert!(matches!(bad.next_event().await, FlowEvent::View(_)));
+}
+
+/// The bucket's rate is 0: what it lacks is all that was charged.
+#[tokio::test]
+async fn the_selection_of_a_view_is_charged_with_the_time_that_the_metric_counts() {
+    let land = Land::new(1);
+    let limits =
+        Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::ZERO, without: None };
+    let metrics = Arc::new(Metrics::default());
+    let service = Generation::new(ProceduralSource::new(land), limits, Arc::clone(&metrics)).unwrap();
+    let client = Some("10.0.0.1".parse().unwrap());
+    let bucket = RateLimiter::new(Some(0)).bucket(client);
+    let mut flow = service.session(client, bucket.clone());
+    assert_eq!((bucket.tokens(), metrics.view_busy_seconds.get()), (0.0, 0.0));
+    flow.select(view_selection(1), land);
+    assert!(matches!(flow.next_event().await, FlowEvent::View(_)));
+    let (charged_us, busy_us) = (-bucket.tokens(), metrics.view_busy_seconds.get() * 1e6);
+    assert!(charged_us > 0.0 && busy_us > 0.0, "{charged_us}, {busy_us}");
+    // The charge is in whole microseconds, and at most `MAX_CHARGE` for a turn.
+    assert!(charged_us > busy_us / 10.0 && charged_us < busy_us + 1.0, "{charged_us}, {busy_us}");
 }
 
 /// The immutable address of a chunk has one representation, before, during and after load.

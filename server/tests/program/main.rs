@@ -1,97 +1,27 @@
-//! The program: options that end it at once, and files that it reads again.
+//! The program: options that end it at once, files that it reads again, and its log.
+//!
+//! | module | subject |
+//! | --- | --- |
+//! | `openness` | warnings of a server that other machines reach |
+//! | `peers` | log lines about peers that break the rules |
 
+#[cfg(unix)]
+mod openness;
+#[cfg(target_os = "linux")]
+mod peers;
+mod running;
+
+use running::{Server, TEST_TIMEOUT, program};
 #[cfg(unix)]
 use rustls::pki_types::{CertificateDer, pem::PemObject};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 #[cfg(unix)]
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
-
-/// Timeout of every wait.
-const TEST_TIMEOUT: Duration = Duration::from_secs(30);
-
-fn program() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tombolo-server"));
-    // The environment of a developer must not change a test.
-    for (variable, _) in std::env::vars_os() {
-        if variable.to_string_lossy().starts_with("TOMBOLO_") {
-            command.env_remove(variable);
-        }
-    }
-    command
-}
-
-/// A running server, killed when dropped.
-struct Server {
-    child: Child,
-    /// What it printed before its address.
-    scheme: String,
-    address: String,
-}
-
-impl Server {
-    fn start(arguments: &[&str]) -> Self {
-        Self::start_with(arguments, &[])
-    }
-
-    /// With variables in its environment.
-    fn start_with(arguments: &[&str], variables: &[(&str, &str)]) -> Self {
-        let mut child = program()
-            .args(["--threads", "1", "--log", "warn"])
-            .args(arguments)
-            .envs(variables.iter().copied())
-            // As a service: a terminal's end would end it.
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        let (scheme, address) = line.trim().strip_prefix("listening on ").unwrap().split_once("://").unwrap();
-        Self { scheme: scheme.into(), address: address.into(), child }
-    }
-
-    /// Kills it; what it logged.
-    fn log(mut self) -> String {
-        let mut log = String::new();
-        self.child.kill().unwrap();
-        self.child.stderr.take().unwrap().read_to_string(&mut log).unwrap();
-        log
-    }
-
-    /// The status of `/v1/live` with a token.
-    fn live(&self, token: &str) -> u16 {
-        self.get("/v1/live", token).split(' ').nth(1).unwrap().parse().unwrap()
-    }
-
-    /// The response to a GET with a token.
-    fn get(&self, path: &str, token: &str) -> String {
-        let mut stream = TcpStream::connect(&self.address).unwrap();
-        stream.set_read_timeout(Some(TEST_TIMEOUT)).unwrap();
-        write!(
-            stream,
-            "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\
-             Authorization: Bearer {token}\r\n\r\n"
-        )
-        .unwrap();
-        let mut reply = Vec::new();
-        stream.read_to_end(&mut reply).unwrap();
-        // Frames are no text.
-        String::from_utf8_lossy(&reply).into_owned()
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
 
 #[test]
 fn invalid_values_end_it_with_code_2_and_one_line() {
@@ -235,8 +165,8 @@ fn get_over_tls(address: &str, pem: &str, path: &str) -> Option<String> {
 #[test]
 fn a_certificate_is_read_again_on_sighup() {
     let pairs = [
-        [include_str!("http/tls/first.crt"), include_str!("http/tls/first.key")],
-        [include_str!("http/tls/second.crt"), include_str!("http/tls/second.key")],
+        [include_str!("../http/tls/first.crt"), include_str!("../http/tls/first.key")],
+        [include_str!("../http/tls/second.crt"), include_str!("../http/tls/second.key")],
     ];
     let folder = std::env::temp_dir().join(format!("tombolo-program-tls-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
